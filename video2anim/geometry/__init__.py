@@ -1,0 +1,1 @@
+"""Rotations, rigid transforms, cameras and point-set distances: pure maths, no files."""

@@ -1,0 +1,58 @@
+"""The typed values that stages hand to each other. Conventions: docs/conventions.md.
+
+Every value is a frozen dataclass of numpy arrays and plain values. `stored()` marks how a field lies on disk.
+"""
+
+from video2anim.types.camera import CameraEstimate, Intrinsics
+from video2anim.types.clip import SourceInfo, SourceVideo, VideoClip
+from video2anim.types.motion import BodyMotion, BodyShape, BodyTracks, KeyframedMotion, RefinedMotion
+from video2anim.types.people import PersonTrack, PersonTracks
+from video2anim.types.results import ExportedFiles
+from video2anim.types.scene import (
+    BackgroundPlate,
+    CompletedObject,
+    CompletedObjects,
+    DepthClip,
+    InstanceMasks,
+    Mesh,
+    MetricDepth,
+    ObjectInstance,
+    ObjectMesh,
+    ObjectMeshes,
+    PlacedObject,
+    PlacedObjects,
+    SceneModel,
+)
+from video2anim.types.storage import PayloadFile, Storage, stored
+
+__all__ = [
+    "BackgroundPlate",
+    "BodyMotion",
+    "BodyShape",
+    "BodyTracks",
+    "CameraEstimate",
+    "CompletedObject",
+    "CompletedObjects",
+    "DepthClip",
+    "ExportedFiles",
+    "InstanceMasks",
+    "Intrinsics",
+    "KeyframedMotion",
+    "Mesh",
+    "MetricDepth",
+    "ObjectInstance",
+    "ObjectMesh",
+    "ObjectMeshes",
+    "PayloadFile",
+    "PersonTrack",
+    "PersonTracks",
+    "PlacedObject",
+    "PlacedObjects",
+    "RefinedMotion",
+    "SceneModel",
+    "SourceInfo",
+    "SourceVideo",
+    "Storage",
+    "VideoClip",
+    "stored",
+]

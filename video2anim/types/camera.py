@@ -1,0 +1,53 @@
+"""Cameras: pinhole intrinsics and what is known of the clip's camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """Pinhole camera. Pixel (0, 0) is the centre of the top-left pixel; +x right, +y down, +z forward."""
+
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    width_px: int
+    height_px: int
+
+    @classmethod
+    def centered(cls, focal_px: float, width_px: int, height_px: int) -> Intrinsics:
+        """Square pixels, principal point in the middle of the picture."""
+        return cls(focal_px, focal_px, 0.5 * (width_px - 1), 0.5 * (height_px - 1), width_px, height_px)
+
+    def matrix(self) -> Float[np.ndarray, "3 3"]:
+        return np.array([[self.fx_px, 0, self.cx_px], [0, self.fy_px, self.cy_px], [0, 0, 1.0]])
+
+    def resized(self, width_px: int, height_px: int) -> Intrinsics:
+        """Intrinsics of the same picture at another size; pixel centres, not corners, keep their meaning."""
+        sx, sy = width_px / self.width_px, height_px / self.height_px
+        cx_px, cy_px = (self.cx_px + 0.5) * sx - 0.5, (self.cy_px + 0.5) * sy - 0.5
+        return Intrinsics(self.fx_px * sx, self.fy_px * sy, cx_px, cy_px, width_px, height_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraEstimate:
+    """Lens and gravity of the clip's camera."""
+
+    intrinsics: Intrinsics
+    focal_source: str
+    """`user`, `metadata` or `human` (fitted to the person's geometry under a lens prior)."""
+    focal_sigma_ratio: float
+    """Standard deviation of the focal length as a share of it."""
+    up_camera: Float[np.ndarray, "3"]
+    """Unit vector against gravity in camera axes, first frame."""
+    up_source: str
+    """`user`, `human` or `level` (the camera is taken as level: nothing spoke against it)."""
+    up_sigma_rad: float
+    is_static: bool
+    R_first_camera: Float[np.ndarray, "frames 3 3"]
+    """Rotation of each frame's camera against the first one's; identity for a static camera."""

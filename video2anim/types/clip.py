@@ -1,0 +1,69 @@
+"""The video: as it came, and as the pipeline sees it (30 fps, upright, square pixels)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.types.storage import PayloadFile
+
+
+@dataclass(frozen=True, slots=True)
+class SourceVideo:
+    """The input file."""
+
+    path: Path
+    digest: str
+    """sha256 of the bytes, hexadecimal."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceInfo:
+    """What the container and decoder said of the input."""
+
+    codec: str
+    pixel_format: str
+    stored_width_px: int
+    stored_height_px: int
+    rotation_deg: int
+    """Clockwise quarter turns that make the picture upright: 0, 90, 180 or 270."""
+    pixel_aspect: float
+    """Width over height of a stored pixel."""
+    average_fps: float
+    decoded_frames: int
+    claimed_frames: int
+    """Frames promised by the header, 0 where it is silent."""
+    duration_s: float
+    focal_35mm: float
+    """35 mm equivalent focal length from metadata, 0 where absent."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VideoClip:
+    """One shot at 30 fps. Read its pictures with `video2anim.video.read_frames`."""
+
+    video: PayloadFile
+    """H.264 at constant 30 fps, upright, square pixels."""
+    width_px: int
+    height_px: int
+    fps: float
+    frame_time_s: Float[np.ndarray, "frames"]
+    """Time in the clip, starting at 0."""
+    source_time_s: Float[np.ndarray, "frames"]
+    """Time stamp in the source of the picture shown at this frame."""
+    source: SourceInfo
+    shots_s: tuple[tuple[float, float], ...]
+    """Start and end in source time of every shot found; the clip is one of them."""
+    shot_index: int
+    camera_is_static: bool
+    camera_drift_ratio: float
+    """Largest background displacement against the first frame, as a share of the image width; NaN where the
+    background had too few features to tell."""
+    warnings: tuple[str, ...]
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.frame_time_s)

@@ -1,0 +1,93 @@
+"""Motion of a body: the content of `motion.npz`, in every stage that makes one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from video2anim.types.camera import Intrinsics
+
+
+@dataclass(frozen=True, slots=True)
+class BodyShape:
+    """Parameters that a body model turns into a rest body."""
+
+    model: str
+    """`anny`, `smpl` or `smplx`."""
+    parameters: dict[str, float]
+    """Named scalars; for Anny the phenotypes gender, age, muscle, weight, height, proportions in [0, 1]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyMotion:
+    """Skeletal motion of one person at 30 fps in the world frame (+Y up, floor at y = 0, metres).
+
+    Rows with `valid` False are finite (held or interpolated) but are not measurements.
+    """
+
+    person_id: int
+    frame_time_s: Float[np.ndarray, "frames"]
+    valid: Bool[np.ndarray, "frames"]
+    T_world_root: Float[np.ndarray, "frames 4 4"]
+    """Root transform; its translation is that of the pelvis, since `rest_joints_m[0]` is the origin."""
+    R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
+    """Local joint rotations in SMPL order and rest convention; joint 0 is the root orientation in the world."""
+    T_world_camera: Float[np.ndarray, "frames 4 4"]
+    intrinsics: Intrinsics
+    contact: Float[np.ndarray, "frames 22"]
+    """Probability that the joint touches the scene."""
+    shape: BodyShape
+    rest_joints_m: Float[np.ndarray, "22 3"]
+    """Joints of the T-pose, pelvis at the origin, +Y up, facing +Z."""
+    joints_world_m: Float[np.ndarray, "frames 22 3"]
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.frame_time_s)
+
+    @property
+    def joints_camera_m(self) -> Float[np.ndarray, "frames 22 3"]:
+        """Joints in each frame's camera (OpenCV axes)."""
+        R_world_camera, t = self.T_world_camera[:, :3, :3], self.T_world_camera[:, :3, 3]
+        return np.einsum("tji,tkj->tki", R_world_camera, self.joints_world_m - t[:, None])
+
+    def with_pose(self, *, translation_world_m: np.ndarray, R_parent_joint: np.ndarray) -> BodyMotion:
+        """The same person in another motion; joints by forward kinematics."""
+        from video2anim.body.skeleton import forward_kinematics
+
+        joints_world_m, _ = forward_kinematics(R_parent_joint, translation_world_m, self.rest_joints_m)
+        T_world_root = np.tile(np.eye(4), (len(translation_world_m), 1, 1))
+        T_world_root[:, :3, :3] = R_parent_joint[:, 0]
+        T_world_root[:, :3, 3] = translation_world_m
+        return replace(
+            self, T_world_root=T_world_root, R_parent_joint=R_parent_joint, joints_world_m=joints_world_m
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyTracks:
+    """Bodies as fitted to the video, before any prior repairs them ("raw" in reports)."""
+
+    people: tuple[BodyMotion, ...]
+    reprojection_px: tuple[float, ...]
+    """Median 2D landmark error of each person."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframedMotion:
+    """Motion after keyframe optimisation (paper 8.2): roots of the keyframes moved, others interpolated."""
+
+    people: tuple[BodyMotion, ...]
+    keyframe_index: tuple[Int[np.ndarray, "keyframes"], ...]
+    """Optimised frames, one array per person."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedMotion:
+    """Final motion."""
+
+    people: tuple[BodyMotion, ...]
+    prior: tuple[str, ...]
+    """In-betweening prior used for each person: `interpolation` or `scenemi`."""
