@@ -1,0 +1,36 @@
+"""Scene-aware motion in-betweening: fill the frames between keyframes of a body in a scene (SceneMI, ICCV 2025).
+
+    from scenemi import KeyframeMotion, inbetween, load_prior
+
+    filled = inbetween(KeyframeMotion(R_parent_joint, translation_m, is_keyframe, rest_joints_m), load_prior("auto"))
+"""
+
+from scenemi.foot_lock import FootLockConfig, lock_feet
+from scenemi.longmotion import KeyframeMotion, LongMotion, inbetween
+from scenemi.prior import (
+    InbetweeningPrior,
+    InterpolationPrior,
+    KeyframeWindow,
+    WindowMotion,
+    load_prior,
+    scenemi_available,
+)
+from scenemi.windows import OVERLAP_FRAMES, WINDOW_FRAMES, plan_windows, select_keyframes
+
+__all__ = [
+    "OVERLAP_FRAMES",
+    "WINDOW_FRAMES",
+    "FootLockConfig",
+    "InbetweeningPrior",
+    "InterpolationPrior",
+    "KeyframeMotion",
+    "KeyframeWindow",
+    "LongMotion",
+    "WindowMotion",
+    "inbetween",
+    "load_prior",
+    "lock_feet",
+    "plan_windows",
+    "scenemi_available",
+    "select_keyframes",
+]

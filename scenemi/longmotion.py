@@ -1,0 +1,156 @@
+"""In-betweening of motions of any length: windows, seeded by each other, joined without a seam (paper 8.2).
+
+A seam cannot pop: frames shared by two windows are cross-faded, so the first shared frame is the old window's, the
+last one the new window's, and a prior that keeps its seed exactly leaves them unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow, WindowMotion
+from scenemi.windows import OVERLAP_FRAMES, WINDOW_FRAMES, WindowSpan, plan_windows, split_long_gaps
+from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
+from video2anim.geometry.sdf import SdfGrid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeMotion:
+    """A motion of which some frames are given, in the world frame (metres)."""
+
+    R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
+    translation_world_m: Float[np.ndarray, "frames 3"]
+    is_keyframe: Bool[np.ndarray, "frames"]
+    rest_joints_m: Float[np.ndarray, "22 3"]
+    fps: float = 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LongMotion:
+    """The filled motion. Frames before the first and after the last keyframe hold that keyframe's pose."""
+
+    R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
+    translation_world_m: Float[np.ndarray, "frames 3"]
+    spans: tuple[WindowSpan, ...]
+    bridged_index: Int[np.ndarray, "bridges"]
+    """Frames made keyframes by interpolation, because no keyframe was given for a whole window."""
+    densities: tuple[int, ...]
+    """Per window, what was accepted: 0 = the keyframes asked for, k = the k-th of `denser`."""
+
+
+Accept = Callable[[WindowSpan, WindowMotion], bool]
+
+
+def inbetween(
+    motion: KeyframeMotion,
+    prior: InbetweeningPrior,
+    *,
+    scene: SdfGrid | None = None,
+    window: int = WINDOW_FRAMES,
+    overlap: int = OVERLAP_FRAMES,
+    denser: tuple[KeyframeMotion, ...] = (),
+    accept: Accept | None = None,
+) -> LongMotion:
+    """Fill a motion between its keyframes.
+
+    Args:
+        motion: keyframes and their poses.
+        prior: fills one window.
+        scene: handed to the prior.
+        window, overlap: paper's N and v.
+        denser: the same motion with more keyframes, tried in this order for a window that `accept` turns down; the
+            keyframes of `motion` are keyframes there too.
+        accept: judges a filled window; the last candidate is taken in any case.
+
+    Raises:
+        ValueError: no keyframe.
+    """
+    bridged, bridges = _bridged(motion, window)
+    keyframes = np.flatnonzero(bridged.is_keyframe)
+    spans = plan_windows(keyframes, window, overlap)
+    candidates = (bridged, *(_with_keyframes_of(more, bridged) for more in denser))
+    R_parent_joint = bridged.R_parent_joint.copy()
+    translation_m = bridged.translation_world_m.copy()
+    densities = []
+    for span in spans:
+        done = WindowMotion(R_parent_joint, translation_m)
+        for density, candidate in enumerate(candidates):
+            given = _window(span, candidate, done, scene)
+            filled = _join(given, prior.fill(given))
+            if accept is None or density == len(candidates) - 1 or accept(span, filled):
+                break
+        densities.append(density)
+        R_parent_joint[span.start : span.stop] = filled.R_parent_joint
+        translation_m[span.start : span.stop] = filled.translation_world_m
+    first, last = keyframes[0], keyframes[-1]
+    for array in (R_parent_joint, translation_m):
+        array[:first] = array[first]
+        array[last + 1 :] = array[last]
+    return LongMotion(R_parent_joint, translation_m, spans, bridges, tuple(densities))
+
+
+def _bridged(motion: KeyframeMotion, window: int) -> tuple[KeyframeMotion, Int[np.ndarray, "bridges"]]:
+    """The motion with keyframes added by interpolation in gaps longer than a window, and which those are."""
+    keyframes = np.flatnonzero(motion.is_keyframe)
+    if len(keyframes) == 0:
+        raise ValueError("inbetween: the motion has no keyframe")
+    bridges = split_long_gaps(keyframes, window - 1)
+    if len(bridges) == 0:
+        return motion, bridges
+    inner = slice(keyframes[0], keyframes[-1] + 1)
+    plain = InterpolationPrior().fill(
+        KeyframeWindow(
+            motion.R_parent_joint[inner], motion.translation_world_m[inner], motion.is_keyframe[inner],
+            motion.rest_joints_m, motion.fps,
+        )
+    )  # fmt: skip
+    R_parent_joint, translation_m = motion.R_parent_joint.copy(), motion.translation_world_m.copy()
+    R_parent_joint[bridges] = plain.R_parent_joint[bridges - keyframes[0]]
+    translation_m[bridges] = plain.translation_world_m[bridges - keyframes[0]]
+    is_keyframe = motion.is_keyframe.copy()
+    is_keyframe[bridges] = True
+    return KeyframeMotion(R_parent_joint, translation_m, is_keyframe, motion.rest_joints_m, motion.fps), bridges
+
+
+def _with_keyframes_of(more: KeyframeMotion, base: KeyframeMotion) -> KeyframeMotion:
+    """`more`, and the keyframes of `base` where it has none."""
+    only_base = base.is_keyframe & ~more.is_keyframe
+    return replace(
+        more,
+        R_parent_joint=np.where(only_base[:, None, None, None], base.R_parent_joint, more.R_parent_joint),
+        translation_world_m=np.where(only_base[:, None], base.translation_world_m, more.translation_world_m),
+        is_keyframe=more.is_keyframe | only_base,
+    )
+
+
+def _window(span: WindowSpan, motion: KeyframeMotion, done: WindowMotion, scene: SdfGrid | None) -> KeyframeWindow:
+    """Keyframes of one span: frames done so far as they were synthesized, the rest as given."""
+    frames, seed = slice(span.start, span.stop), span.seed_stop - span.start
+    R_parent_joint, translation_m = motion.R_parent_joint[frames].copy(), motion.translation_world_m[frames].copy()
+    R_parent_joint[:seed] = done.R_parent_joint[span.start : span.seed_stop]
+    translation_m[:seed] = done.translation_world_m[span.start : span.seed_stop]
+    is_keyframe = motion.is_keyframe[frames].copy()
+    is_keyframe[:seed] = True
+    return KeyframeWindow(
+        R_parent_joint, translation_m, is_keyframe, motion.rest_joints_m, motion.fps, scene, seed_frames=seed
+    )
+
+
+def _join(given: KeyframeWindow, filled: WindowMotion) -> WindowMotion:
+    """Cross-fade the seed frames from the old window to the new one."""
+    seed = given.seed_frames
+    if seed == 0:
+        return filled
+    ramp = np.linspace(0.0, 1.0, seed + 1)[1:]
+    weight = ramp * ramp * (3 - 2 * ramp)
+    R_parent_joint, translation_m = filled.R_parent_joint.copy(), filled.translation_world_m.copy()
+    old_q = quaternion_from_matrix(given.R_parent_joint[:seed])
+    new_q = quaternion_from_matrix(filled.R_parent_joint[:seed])
+    R_parent_joint[:seed] = matrix_from_quaternion(slerp(old_q, new_q, weight[:, None, None]))
+    old_m, new_m = given.translation_world_m[:seed], filled.translation_world_m[:seed]
+    translation_m[:seed] = old_m + weight[:, None] * (new_m - old_m)
+    return WindowMotion(R_parent_joint, translation_m)

@@ -1,0 +1,117 @@
+"""What an in-betweening prior is, the interpolation baseline, and the choice between priors."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.interpolate import CubicSpline
+
+from video2anim.body.skeleton import PARENTS
+from video2anim.errors import ModelMissingError, UsageError
+from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
+from video2anim.geometry.sdf import SdfGrid
+
+PriorChoice = Literal["auto", "interpolation", "scenemi"]
+WEIGHTS_FOLDER = Path(__file__).parent / "weights"
+DEFAULT_STOP_STEP = 20
+"""T*: noisy keyframes steer the sampling only above this diffusion step (paper 3.2.1, Table 3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeWindow:
+    """One window to fill: poses at keyframes, in the world frame (+Y up, floor at y = 0, metres)."""
+
+    R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
+    """Local rotations, joint 0 the root in the world. Rows that are no keyframes carry no information."""
+    translation_world_m: Float[np.ndarray, "frames 3"]
+    is_keyframe: Bool[np.ndarray, "frames"]
+    """First and last frame included."""
+    rest_joints_m: Float[np.ndarray, "22 3"]
+    fps: float
+    scene: SdfGrid | None = None
+    """Signed distance around the body; None = no scene known."""
+    seed_frames: int = 0
+    """How many leading frames come from the window before; they are keyframes without noise."""
+
+    def __post_init__(self) -> None:
+        frames = len(self.is_keyframe)
+        shapes = (self.R_parent_joint.shape, self.translation_world_m.shape)
+        if shapes != ((frames, len(PARENTS), 3, 3), (frames, 3)):
+            raise ValueError(f"KeyframeWindow: {frames} frames want rotations (T, 22, 3, 3) and (T, 3), got {shapes}")
+        if frames == 0 or not (self.is_keyframe[0] and self.is_keyframe[-1]):
+            raise ValueError("KeyframeWindow: the first and the last frame must be keyframes")
+        given = np.isfinite(self.R_parent_joint[self.is_keyframe]).all()
+        if not given or not np.isfinite(self.translation_world_m[self.is_keyframe]).all():
+            raise ValueError("KeyframeWindow: keyframes hold NaN or infinity; leave such frames out")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowMotion:
+    """A filled window, same frames and frame of reference as its `KeyframeWindow`."""
+
+    R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
+    translation_world_m: Float[np.ndarray, "frames 3"]
+
+
+class InbetweeningPrior(Protocol):
+    """Fills the frames between keyframes."""
+
+    name: str
+
+    def fill(self, window: KeyframeWindow) -> WindowMotion:
+        """Motion of every frame of the window; keyframes may be moved by a prior that treats them as noisy."""
+        ...
+
+
+class InterpolationPrior:
+    """The baseline: slerp of every joint's local rotation, cubic spline of the root translation.
+
+    Exact at keyframes. It knows nothing of scenes or of how people move.
+    """
+
+    name = "interpolation"
+
+    def fill(self, window: KeyframeWindow) -> WindowMotion:
+        keys = np.flatnonzero(window.is_keyframe)
+        frames = np.arange(len(window.is_keyframe))
+        if len(keys) == 1:
+            return WindowMotion(window.R_parent_joint.copy(), window.translation_world_m.copy())
+        quaternions = quaternion_from_matrix(window.R_parent_joint[keys])
+        left = np.clip(np.searchsorted(keys, frames, side="right") - 1, 0, len(keys) - 2)
+        weight = (frames - keys[left]) / (keys[left + 1] - keys[left])
+        between = slerp(quaternions[left], quaternions[left + 1], weight[:, None, None])
+        R_parent_joint = matrix_from_quaternion(between)
+        R_parent_joint[keys] = window.R_parent_joint[keys]
+        translation_m = CubicSpline(keys, window.translation_world_m[keys])(frames)
+        translation_m[keys] = window.translation_world_m[keys]
+        return WindowMotion(R_parent_joint, translation_m)
+
+
+def load_prior(choice: PriorChoice = "auto", *, device: str = "cpu") -> InbetweeningPrior:
+    """The prior by name; `auto` is `scenemi` where its weights are present, else `interpolation` (see `.name`).
+
+    Raises:
+        ModelMissingError: `scenemi` was asked for and no weights are present.
+        UsageError: unknown name.
+    """
+    if choice not in ("auto", "interpolation", "scenemi"):
+        raise UsageError(f"prior: want auto, interpolation or scenemi, got {choice!r}")
+    if choice == "interpolation" or (choice == "auto" and not scenemi_available()):
+        return InterpolationPrior()
+    if not scenemi_available():
+        raise ModelMissingError(
+            "prior scenemi: no weights (*.safetensors) in scenemi/weights; set the prior to 'interpolation' or 'auto'"
+        )
+    from scenemi.model.prior import load_diffusion_prior
+
+    return load_diffusion_prior(WEIGHTS_FOLDER, device=device)
+
+
+def scenemi_available() -> bool:
+    """Whether the diffusion model and weights for it are installed."""
+    return importlib.util.find_spec("scenemi.model") is not None and any(WEIGHTS_FOLDER.glob("*.safetensors"))

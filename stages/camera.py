@@ -1,0 +1,141 @@
+"""Stage 3: focal length and up direction, from the user, metadata, or the person's own geometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from video2anim.errors import UsageError
+from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.types import CameraEstimate, Intrinsics, PersonTrack, PersonTracks, VideoClip
+
+if TYPE_CHECKING:
+    from video2anim.fitting.problem import FittedBody
+
+FULL_FRAME_DIAGONAL_MM = 43.267
+"""Diagonal of the 36 x 24 mm frame that equivalent focal lengths refer to."""
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """Settings of the stage."""
+
+    focal_px: float | None = None
+    """Known focal length in pixels of the upright video; nothing is estimated then."""
+    height_m: float | None = None
+    """Known standing height of the person."""
+    frames: int = 36
+    """Frames the lens is fitted to, spread over the clip."""
+    iterations: int = 160
+    """Steps of the fit."""
+
+
+def estimate_camera(
+    clip: VideoClip, tracks: PersonTracks, config: CameraConfig, ctx: StageContext
+) -> CameraEstimate:
+    """Intrinsics and gravity of the first frame's camera.
+
+    The focal length of a person's video shows in the perspective of the body itself and in how its size changes with
+    depth; both are weak, so it is fitted jointly with the body under a lens prior and its uncertainty is stated.
+
+    Raises:
+        UsageError: a focal length or height that no camera or person has.
+    """
+    _expect_sane(config, clip)
+    main = tracks.selected()[0]
+    frames = _spread(np.flatnonzero(main.valid), config.frames)
+    focal_px, sigma, source, body = _focal(clip, main, frames, config, ctx)
+    from video2anim.fitting.ground import up_from_balance
+
+    up = up_from_balance(body.joints_camera_m)
+    if not clip.camera_is_static:
+        ctx.warn(
+            "the camera moves, but is taken as fixed: the person's path in the world will contain its motion; "
+            "film from a tripod for a true path"
+        )
+    if sigma > 0.2:
+        ctx.warn(f"focal length is uncertain ({sigma:.0%}); give --focal-px if you know it")
+    pitch, roll = _pitch_roll(up.up)
+    ctx.quality("focal", focal_px, "px")
+    ctx.quality("focal uncertainty", sigma, "ratio", "lower")
+    ctx.quality("pitch", math.degrees(pitch), "deg")
+    ctx.quality("roll", math.degrees(roll), "deg")
+    ctx.quality("up uncertainty", math.degrees(up.sigma_rad), "deg", "lower")
+    return CameraEstimate(
+        intrinsics=Intrinsics.centered(focal_px, clip.width_px, clip.height_px),
+        focal_source=source,
+        focal_sigma_ratio=sigma,
+        up_camera=up.up,
+        up_source="human",
+        up_sigma_rad=up.sigma_rad,
+        is_static=clip.camera_is_static,
+        R_first_camera=np.tile(np.eye(3), (clip.frame_count, 1, 1)),
+    )
+
+
+def _focal(
+    clip: VideoClip, track: PersonTrack, frames: np.ndarray, config: CameraConfig, ctx: StageContext
+) -> tuple[float, float, str, FittedBody]:
+    """Focal length, its relative sigma, where it comes from, and the body fitted under it."""
+    from video2anim.fitting.objective import FitConfig
+    from video2anim.fitting.observe import observations
+    from video2anim.fitting.optimize import fit_body
+
+    fit_config = FitConfig()
+    if config.height_m is not None:
+        fit_config = replace(fit_config, stature_m=config.height_m, stature_sigma_m=0.01)
+    long_side = max(clip.width_px, clip.height_px)
+    diagonal = math.hypot(clip.width_px, clip.height_px)
+    known = config.focal_px
+    source, sigma = "user", 0.01
+    if known is None and clip.source.focal_35mm > 0:
+        known, source, sigma = clip.source.focal_35mm * diagonal / FULL_FRAME_DIAGONAL_MM, "metadata", 0.05
+    start = known if known is not None else fit_config.focal_ratio * long_side
+
+    def fit(focal_px: float, free: bool) -> FittedBody:
+        intrinsics = Intrinsics.centered(focal_px, clip.width_px, clip.height_px)
+        observed = observations(track, clip.frame_time_s, intrinsics, frames)
+        return fit_body(
+            observed, fit_focal=free, config=fit_config, iterations=config.iterations, on_step=ctx.progress
+        )
+
+    body = fit(start, free=known is None)
+    if known is not None:
+        return known, sigma, source, body
+    best = body.focal_px
+    ratio = 1.25
+    costs = [fit(best / ratio, free=False).cost, body.cost, fit(best * ratio, free=False).cost]
+    curvature = (costs[0] - 2 * costs[1] + costs[2]) / math.log(ratio) ** 2
+    # The posterior is tempered as the fit's priors are: errors of one clip do not average out.
+    per_frame = max(1.0, fit_config.prior_share * len(frames))
+    tempered = curvature / per_frame
+    prior = fit_config.focal_log_sigma
+    sigma = prior if tempered <= prior**-2 else tempered**-0.5
+    return best, sigma, "human", body
+
+
+def _spread(valid: np.ndarray, count: int) -> np.ndarray:
+    """At most `count` of the valid frames, evenly spread."""
+    return valid[np.unique(np.linspace(0, len(valid) - 1, min(count, len(valid))).round().astype(int))]
+
+
+def _pitch_roll(up_camera: np.ndarray) -> tuple[float, float]:
+    """Pitch (positive looks up) and roll of a camera whose up vector is given in its own axes."""
+    return math.asin(float(np.clip(up_camera[2], -1, 1))), math.atan2(float(up_camera[0]), float(-up_camera[1]))
+
+
+def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
+    long_side = max(clip.width_px, clip.height_px)
+    if config.focal_px is not None and not 0.2 * long_side <= config.focal_px <= 20 * long_side:
+        raise UsageError(
+            f"--focal-px: want {0.2 * long_side:.0f} to {20 * long_side:.0f} for this video of "
+            f"{clip.width_px}x{clip.height_px}, got {config.focal_px:g}"
+        )
+    if config.height_m is not None and not 0.5 <= config.height_m <= 2.5:
+        raise UsageError(f"--height-m: want 0.5 to 2.5 metres, got {config.height_m:g}")
+
+
+STAGE = StageSpec("camera", estimate_camera, version=1)

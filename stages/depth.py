@@ -1,0 +1,196 @@
+"""Stage depth: depth of the plate and of the person in sampled frames, up to one scale and offset for the clip.
+
+Provider `geometric` needs no network: gravity and the floor under the feet make a stage set (floor, upright things,
+upright background). Provider `depth-anything-v2-small` runs a network whose uncertainty comes from hue jitter
+(paper 8.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from video2anim.errors import StageError
+from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.types import BackgroundPlate, BodyTracks, CameraEstimate, DepthClip, VideoClip
+
+if TYPE_CHECKING:
+    from video2anim.geometry.plane_depth import StageSet
+
+_SAME_VIEW = 0.01
+"""Camera motion, in metres and radians, below which the plate still is the frame's background."""
+
+
+@dataclass(frozen=True)
+class DepthConfig:
+    """Provider of depth and its limits."""
+
+    provider: Literal["geometric", "depth-anything-v2-small"] = "geometric"
+    """`geometric`, or a network's name."""
+    far_m: float = 30.0
+    """Geometric: nothing is placed beyond this distance."""
+    contact_threshold: float = 0.5
+    """Geometric: contact probability from which a foot stands."""
+    hue_shifts_rad: tuple[float, ...] = (-0.6, -0.3, 0.3, 0.6)
+    """Network: hue shifts of the copies that give the uncertainty."""
+    unreliable_ratio: float = 0.04
+    """Network: pixels with a deviation above this share of the range of values are dropped."""
+
+
+class DisparityModel(Protocol):
+    """A network in slot `depth`."""
+
+    def disparity(self, image_rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
+        """Relative disparity (large = near), at the size of the picture."""
+        ...
+
+
+def estimate_depth(
+    clip: VideoClip,
+    plate: BackgroundPlate,
+    bodies: BodyTracks,
+    camera: CameraEstimate,
+    config: DepthConfig,
+    ctx: StageContext,
+) -> DepthClip:
+    """Relative depth of the plate and of every sampled frame, with uncertainty.
+
+    The camera's place over the floor is taken from the fitted bodies; `camera` says whether it moves.
+
+    Raises:
+        StageError: there is no body.
+    """
+    if not bodies.people:
+        raise StageError("depth: want at least one fitted body, got none; check stage humans")
+    if config.provider == "geometric":
+        depth = _geometric(plate, bodies, camera, config, ctx)
+    else:
+        depth = _network(clip, plate, config, ctx)
+    on_person = plate.selected_mask & depth.valid
+    ctx.quality("background_valid_ratio", float(depth.background_valid.mean()), "1", "higher")
+    ctx.quality("person_valid_ratio", on_person.sum() / max(int(plate.selected_mask.sum()), 1), "1", "higher")
+    sigma = depth.sigma[depth.valid] / np.maximum(np.abs(depth.value[depth.valid]), 1e-6)
+    ctx.quality("median_sigma_ratio", float(np.median(sigma)) if sigma.size else 1.0, "1", "lower")
+    return depth
+
+
+def _geometric(
+    plate: BackgroundPlate, bodies: BodyTracks, camera: CameraEstimate, config: DepthConfig, ctx: StageContext
+) -> DepthClip:
+    import cv2
+
+    from video2anim.geometry.figure_depth import standing_feet
+    from video2anim.geometry.plane_depth import StageSetConfig, stage_set_depth
+
+    height, width = plate.seen_ratio.shape
+    main = bodies.people[0]
+    small_rgb = cv2.resize(plate.plate_rgb, (width, height), interpolation=cv2.INTER_AREA)
+    stands = [standing_feet(body, config.contact_threshold) for body in bodies.people]
+    spots = np.concatenate([feet[on] for feet, on in stands]) * np.array([1.0, 0.0, 1.0])
+    intrinsics = main.intrinsics.resized(width, height)
+    settings = StageSetConfig(far_m=config.far_m)
+    stage_set = stage_set_depth(small_rgb, main.T_world_camera[0], intrinsics, spots, settings)
+    ctx.quality("standing_spots", len(spots), "frames x feet", "higher")
+    if stage_set is None:
+        ctx.warn("depth: no foot stands on floor that the picture shows; background depth is unknown")
+        stage_set = _nothing_known(height, width)
+    return _with_people(plate, bodies, stage_set, camera.is_static, config)
+
+
+def _nothing_known(height: int, width: int) -> StageSet:
+    from video2anim.geometry.plane_depth import StageSet
+
+    unknown = np.zeros((height, width), dtype=bool)
+    return StageSet(np.ones((height, width)), np.ones((height, width)), unknown, np.zeros((height, width), np.int32))
+
+
+def _with_people(
+    plate: BackgroundPlate, bodies: BodyTracks, stage_set: StageSet, is_static: bool, config: DepthConfig
+) -> DepthClip:
+    """Stage set behind, the person as an upright figure before it, in every sampled frame."""
+    from video2anim.geometry.cylinder import GravityView
+    from video2anim.geometry.figure_depth import figure_distance, standing_feet
+
+    main = bodies.people[0]
+    height, width = plate.seen_ratio.shape
+    intrinsics = main.intrinsics.resized(width, height)
+    feet_world_m, standing = standing_feet(main, config.contact_threshold)
+    samples = len(plate.frame_index)
+    depth_m = np.repeat(stage_set.depth_m[None].astype(np.float32), samples, axis=0)
+    sigma_m = np.repeat(stage_set.sigma_m[None].astype(np.float32), samples, axis=0)
+    valid = np.repeat(stage_set.valid[None], samples, axis=0) & ~plate.person_mask
+    view = GravityView.of_camera(main.T_world_camera[0], intrinsics)
+    for sample, frame in enumerate(plate.frame_index):
+        if not is_static:
+            valid[sample] &= _same_view(main.T_world_camera[frame], main.T_world_camera[0])
+            view = GravityView.of_camera(main.T_world_camera[frame], intrinsics)
+        mask = plate.selected_mask[sample]
+        found = figure_distance(view, mask, feet_world_m[frame][standing[frame]])
+        if found is None or view.camera_height_m <= 0.05:
+            continue
+        depth_m[sample][mask] = found[0] / view.ray_horizontal[mask]
+        sigma_m[sample][mask] = found[1] / view.ray_horizontal[mask]
+        valid[sample] |= mask
+    known = depth_m[valid] if valid.any() else np.ones(1)
+    unit_m = float(np.median(stage_set.depth_m[stage_set.valid])) if stage_set.valid.any() else float(np.median(known))
+    return DepthClip(
+        kind="depth",
+        provider="geometric",
+        frame_index=plate.frame_index,
+        value=depth_m / np.float32(unit_m),
+        sigma=sigma_m / np.float32(unit_m),
+        valid=valid,
+        background_value=(stage_set.depth_m / unit_m).astype(np.float32),
+        background_valid=stage_set.valid,
+    )
+
+
+def _same_view(T_world_a: Float[np.ndarray, "4 4"], T_world_b: Float[np.ndarray, "4 4"]) -> bool:
+    turn = np.abs(T_world_a[:3, :3] - T_world_b[:3, :3]).max()
+    return bool(max(turn, np.abs(T_world_a[:3, 3] - T_world_b[:3, 3]).max()) < _SAME_VIEW)
+
+
+def _network(clip: VideoClip, plate: BackgroundPlate, config: DepthConfig, ctx: StageContext) -> DepthClip:
+    from video2anim.video import read_frames
+
+    model: DisparityModel = ctx.model("depth")
+    shape = plate.seen_ratio.shape
+    background = _jittered(model, plate.plate_rgb, shape, config)
+    wanted = {int(frame): sample for sample, frame in enumerate(plate.frame_index)}
+    maps = np.zeros((2, len(wanted), *shape), dtype=np.float32)
+    valid = np.zeros((len(wanted), *shape), dtype=bool)
+    for frame, image_rgb in enumerate(read_frames(clip, 0, int(plate.frame_index.max()) + 1)):
+        if frame in wanted:
+            sample = wanted[frame]
+            maps[0, sample], maps[1, sample], valid[sample] = _jittered(model, image_rgb, shape, config)
+            ctx.progress(sample + 1, len(wanted))
+    return DepthClip(
+        kind="disparity",
+        provider=config.provider,
+        frame_index=plate.frame_index,
+        value=maps[0],
+        sigma=maps[1],
+        valid=valid,
+        background_value=background[0],
+        background_valid=background[2],
+    )
+
+
+def _jittered(
+    model: DisparityModel, image_rgb: np.ndarray, shape: tuple[int, int], config: DepthConfig
+) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, "small_height small_width"]]:
+    """Disparity, its deviation and reliable pixels, at the working resolution."""
+    import cv2
+
+    from video2anim.geometry.hue_jitter import jittered_disparity, reliable
+
+    value, sigma = jittered_disparity(model.disparity, image_rgb, config.hue_shifts_rad)
+    size = (shape[1], shape[0])
+    small = [cv2.resize(m.astype(np.float32), size, interpolation=cv2.INTER_AREA) for m in (value, sigma)]
+    return small[0], small[1], reliable(small[0], small[1], config.unreliable_ratio)
+
+
+STAGE = StageSpec("depth", estimate_depth, version=1, models=("depth",))

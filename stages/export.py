@@ -1,0 +1,106 @@
+"""Stage 15: the files that other programs open, and the preview."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from video2anim.errors import UsageError
+from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.types import (
+    BodyTracks,
+    CameraEstimate,
+    ExportedFiles,
+    KeyframedMotion,
+    PayloadFile,
+    PersonTracks,
+    RefinedMotion,
+    SceneModel,
+    VideoClip,
+)
+
+STAGE_FORMATS = ("glb", "usd", "bvh", "amass")
+"""Formats that every run writes; the others are made on demand by `video2anim export`."""
+
+
+@dataclass(frozen=True)
+class ExportConfig:
+    """Settings of the stage."""
+
+    formats: tuple[str, ...] = STAGE_FORMATS
+    """Any of `glb`, `usd`, `bvh`, `amass`, `fbx-ready`."""
+    preview: bool = True
+    """Whether to make `preview.mp4`."""
+    preview_height_px: int = 360
+    """Height of the preview's panels."""
+    overlay_frames: int = 4
+    """Still overlays made for the report."""
+
+
+def export_scene(
+    clip: VideoClip,
+    camera: CameraEstimate,
+    tracks: PersonTracks,
+    bodies: BodyTracks,
+    keyframed: KeyframedMotion,
+    refined: RefinedMotion,
+    scene: SceneModel,
+    config: ExportConfig,
+    ctx: StageContext,
+) -> ExportedFiles:
+    """Write motion, scene, objects, preview and overlay pictures into the stage's folder.
+
+    A format whose library is missing is left out with a warning that names the command to install it.
+
+    Raises:
+        UsageError: the configuration names an unknown format.
+        InputError: the disk is full or the clip cannot be read.
+    """
+    from video2anim.artifacts.motion_io import write_motion
+    from video2anim.export.formats import FORMATS, ExportScene, MissingLibraryError, person_file, write_format
+
+    unknown = sorted(set(config.formats) - set(FORMATS))
+    if unknown:
+        raise UsageError(f"export.formats: want any of {', '.join(FORMATS)}, got {', '.join(unknown)}")
+    written: list[Path] = []
+    for index, motion in enumerate(refined.people):
+        written.append(ctx.work_dir / person_file("motion", motion, index, ".npz"))
+        write_motion(written[-1], motion)
+    content = ExportScene(refined.people, scene)
+    for name in config.formats:
+        try:
+            written += write_format(name, content, ctx.work_dir)
+        except MissingLibraryError as error:
+            ctx.warn(f"{name}: {error}")
+    written += _write_pictures(clip, refined, scene, config, ctx)
+    ctx.quality("files", len(written), "", "none")
+    ctx.quality("size", sum(path.stat().st_size for path in written) / 1e6, "MB", "none")
+    return ExportedFiles(tuple(PayloadFile(path) for path in written))
+
+
+def _write_pictures(
+    clip: VideoClip, refined: RefinedMotion, scene: SceneModel, config: ExportConfig, ctx: StageContext
+) -> list[Path]:
+    from video2anim.artifacts.images import write_png
+    from video2anim.export.preview import PreviewConfig, overlay_frame, write_preview
+
+    written: list[Path] = []
+    if config.preview:
+        written.append(ctx.work_dir / "preview.mp4")
+        size = PreviewConfig(panel_height_px=config.preview_height_px)
+        write_preview(written[-1], clip, refined.people, scene, size, ctx.progress)
+    for frame in _spread(refined.people[0].valid.nonzero()[0].tolist(), config.overlay_frames):
+        written.append(ctx.work_dir / f"overlay_{frame:05d}.png")
+        write_png(written[-1], overlay_frame(clip, refined.people, frame))
+    return written
+
+
+def _spread(frames: list[int], count: int) -> list[int]:
+    """Up to `count` of the frames, evenly spread, ends left out."""
+    if not frames or count < 1:
+        return []
+    steps = [(2 * i + 1) / (2 * count) for i in range(count)]
+    return sorted({frames[int(share * len(frames))] for share in steps})
+
+
+STAGE = StageSpec("export", export_scene, version=1)

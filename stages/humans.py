@@ -1,0 +1,143 @@
+"""Stage 4: bodies in metres, fitted to the landmarks of all frames together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.types import BodyMotion, BodyTracks, CameraEstimate, PersonTrack, PersonTracks, VideoClip
+
+if TYPE_CHECKING:
+    from video2anim.fitting.problem import FittedBody
+
+
+@dataclass(frozen=True)
+class HumansConfig:
+    """Settings of the stage."""
+
+    height_m: float | None = None
+    """Known standing height of the person; else the adult mean under the evidence of the picture."""
+    iterations: int = 250
+    """Steps of the fit."""
+
+
+def recover_humans(
+    clip: VideoClip, tracks: PersonTracks, camera: CameraEstimate, config: HumansConfig, ctx: StageContext
+) -> BodyTracks:
+    """Fit the selected persons and put them into a world with +Y up and the floor under the main person's feet."""
+    fits = [_fit(clip, track, camera, config, ctx) for track in tracks.selected()]
+    valid = [track.valid for track in tracks.selected()]
+    R_world_camera = _R_world_camera(camera)
+    T_world_camera, spread_m = _world(fits[0], valid[0], R_world_camera, clip.fps)
+    people = tuple(
+        _motion(clip, track, fit, camera, T_world_camera)
+        for track, fit in zip(tracks.selected(), fits, strict=True)
+    )
+    reprojection = tuple(float(np.nanmedian(fit.reprojection_px)) for fit in fits)
+    _record(people[0], fits[0], reprojection[0], spread_m, ctx)
+    return BodyTracks(people, reprojection)
+
+
+def _fit(
+    clip: VideoClip, track: PersonTrack, camera: CameraEstimate, config: HumansConfig, ctx: StageContext
+) -> FittedBody:
+    from video2anim.fitting.objective import FitConfig
+    from video2anim.fitting.observe import observations
+    from video2anim.fitting.optimize import fit_body
+
+    fit_config = FitConfig()
+    if config.height_m is not None:
+        fit_config = replace(fit_config, stature_m=config.height_m, stature_sigma_m=0.01)
+    observed = observations(track, clip.frame_time_s, camera.intrinsics)
+    return fit_body(
+        observed, fit_focal=False, config=fit_config, iterations=config.iterations, on_step=ctx.progress
+    )
+
+
+def _R_world_camera(camera: CameraEstimate) -> np.ndarray:
+    """(T, 3, 3)"""
+    from video2anim.fitting.ground import level_frame
+
+    return level_frame(camera.up_camera) @ camera.R_first_camera
+
+
+def _world(
+    fit: FittedBody, valid: np.ndarray, R_world_camera: np.ndarray, fps: float
+) -> tuple[np.ndarray, float]:
+    """T_world_camera (T, 4, 4) with the floor at y = 0 and the first valid root over the origin; floor spread."""
+    from video2anim.fitting.ground import floor_height, foot_contact
+
+    joints = np.einsum("tab,tjb->tja", R_world_camera, fit.joints_camera_m)
+    contact = foot_contact(joints, valid, fps)
+    soles = _sole_heights(fit, R_world_camera)
+    feet = np.stack([contact[:, [7, 10]].max(1), contact[:, [8, 11]].max(1)], 1)
+    floor_m, spread_m = floor_height(soles[valid], feet[valid])
+    first = int(np.flatnonzero(valid)[0])
+    T_world_camera = np.tile(np.eye(4), (len(valid), 1, 1))
+    T_world_camera[:, :3, :3] = R_world_camera
+    T_world_camera[:, :3, 3] = [-joints[first, 0, 0], -floor_m, -joints[first, 0, 2]]
+    return T_world_camera, spread_m
+
+
+def _sole_heights(fit: FittedBody, R_world_camera: np.ndarray) -> np.ndarray:
+    """(T, 2) height of the lowest point of the left and the right foot above the camera."""
+    from video2anim.body.anny_body import shaped_body
+    from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
+
+    body = shaped_body(fit.shape)
+    R_parent_joint = fit.R_parent_joint.copy()
+    R_parent_joint[:, 0] = R_world_camera @ R_parent_joint[:, 0]
+    translation = np.einsum("tab,tb->ta", R_world_camera, fit.translation_camera_m)
+    joints, R_world_joint = forward_kinematics(R_parent_joint, translation, body.rest_joints_m)
+    heights = []
+    for side in ("left", "right"):
+        own = [JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"]]
+        index = np.flatnonzero(np.isin(body.vertex_part, own))
+        heights.append(body.vertices(R_world_joint, joints, index)[..., 1].min(1))
+    return np.stack(heights, 1)
+
+
+def _motion(
+    clip: VideoClip, track: PersonTrack, fit: FittedBody, camera: CameraEstimate, T_world_camera: np.ndarray
+) -> BodyMotion:
+    from video2anim.fitting.ground import foot_contact
+
+    R_world_camera, t_world_camera = T_world_camera[:, :3, :3], T_world_camera[:, :3, 3]
+    R_parent_joint = fit.R_parent_joint.copy()
+    R_parent_joint[:, 0] = R_world_camera @ R_parent_joint[:, 0]
+    translation = np.einsum("tab,tb->ta", R_world_camera, fit.translation_camera_m) + t_world_camera
+    blank = BodyMotion(
+        person_id=track.person_id,
+        frame_time_s=clip.frame_time_s,
+        valid=track.valid,
+        T_world_root=T_world_camera,
+        R_parent_joint=R_parent_joint,
+        T_world_camera=T_world_camera,
+        intrinsics=camera.intrinsics,
+        contact=np.zeros((clip.frame_count, 22)),
+        shape=fit.shape,
+        rest_joints_m=fit.rest_joints_m,
+        joints_world_m=np.zeros((clip.frame_count, 22, 3)),
+    )
+    posed = blank.with_pose(translation_world_m=translation, R_parent_joint=R_parent_joint)
+    return replace(posed, contact=foot_contact(posed.joints_world_m, track.valid, clip.fps))
+
+
+def _record(motion: BodyMotion, fit: FittedBody, reprojection_px: float, spread_m: float, ctx: StageContext) -> None:
+    from scenemi.metrics import jerk_m_s3
+
+    ctx.quality("reprojection", reprojection_px, "px", "lower")
+    ctx.quality("valid frames", 100 * float(motion.valid.mean()), "%", "higher")
+    ctx.quality("jerk", jerk_m_s3(motion.joints_world_m, 1 / float(np.diff(motion.frame_time_s).mean())), "m/s3", "lower")
+    ctx.quality("planted foot", 100 * float((motion.contact.max(1) > 0.5).mean()), "% of frames")
+    ctx.quality("floor spread", spread_m, "m", "lower")
+    size = float(np.ptp(fit.rest_joints_m[:, 1]))
+    ctx.quality("skeleton height", size, "m")
+    if motion.valid.mean() < 0.5:
+        ctx.warn(f"the person is seen in {motion.valid.mean():.0%} of the frames only; the rest is bridged")
+
+
+STAGE = StageSpec("humans", recover_humans, version=1)

@@ -1,0 +1,210 @@
+"""Stage metric: one scale and one offset make the clip's relative depth metric (paper 8.1).
+
+The body is the yardstick: its visible vertices and the person's reliable depth pixels are brought together by Chamfer
+distance over all sampled frames at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.errors import StageError
+from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.types import BackgroundPlate, BodyTracks, DepthClip, MetricDepth
+
+if TYPE_CHECKING:
+    from video2anim.geometry.depth_fit import DepthFit, FrameEvidence
+
+
+@dataclass(frozen=True)
+class MetricConfig:
+    """Samples and limits of the fit."""
+
+    frames: int = 24
+    """At most so many frames enter the fit, spread over the clip."""
+    points: int = 300
+    """At most so many vertices and so many pixels per frame."""
+    least_pixels: int = 40
+    """Frames with fewer reliable person pixels are left out."""
+    least_frames: int = 3
+    """Fewer frames than this do not fix the scale."""
+    least_range_ratio: float = 0.15
+    """Range of the person's depth, as a share of its median, that is needed to tell offset from scale."""
+    largest_chamfer_m: float = 0.35
+    """A worse agreement than this is not trusted."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Verdict:
+    fit: DepthFit
+    trusted: bool
+    reason: str
+    metric: bool = True
+    """False where not even the floor says how large things are."""
+
+
+def fit_metric(
+    depth: DepthClip, plate: BackgroundPlate, bodies: BodyTracks, config: MetricConfig, ctx: StageContext
+) -> MetricDepth:
+    """Metric depth of plate and samples.
+
+    Where the person covers too small a range of depth, the offset stays 0 and only the scale is fitted; where the person
+    gives too little evidence, the floor plane of the body's world gives the scale and the result is not trusted. The
+    reason says which.
+
+    Raises:
+        StageError: there is no body.
+    """
+    if not bodies.people:
+        raise StageError("metric: want at least one fitted body, got none; check stage humans")
+    frames = _evidence(depth, plate, bodies, config, ctx)
+    verdict = _fit_to_person(frames, depth.kind, config, ctx)
+    if verdict is None:
+        verdict = _fit_to_floor(depth, bodies, len(frames))
+    fit = verdict.fit
+    if not verdict.trusted:
+        ctx.warn(f"metric: depth scale is not trusted: {verdict.reason}")
+    if fit.chamfer_before_m > 0:
+        ctx.quality("chamfer_before", fit.chamfer_before_m, "m", "lower")
+        ctx.quality("chamfer_after", fit.chamfer_after_m, "m", "lower")
+    ctx.quality("scale_sigma_ratio", fit.scale_sigma / fit.scale, "1", "lower")
+    ctx.quality("frames_used", len(frames), "frames", "higher")
+    ctx.quality("trusted", verdict.trusted, "1", "higher")
+    return _apply(depth, bodies, verdict)
+
+
+def _evidence(
+    depth: DepthClip, plate: BackgroundPlate, bodies: BodyTracks, config: MetricConfig, ctx: StageContext
+) -> list[FrameEvidence]:
+    """Frames in which both the body and enough reliable person pixels are known."""
+    from video2anim.body.anny_body import shaped_body
+    from video2anim.body.skeleton import forward_kinematics
+    from video2anim.geometry.depth_fit import FrameEvidence
+    from video2anim.geometry.projection import invert_rigid, pixel_rays, transform_points
+    from video2anim.geometry.visible import visible_vertices
+
+    body = bodies.people[0]
+    reliable = plate.selected_mask & depth.valid
+    usable = (reliable.sum((1, 2)) >= config.least_pixels) & body.valid[depth.frame_index]
+    samples = np.flatnonzero(usable)
+    if not len(samples):
+        return []
+    samples = samples[np.unique(np.linspace(0, len(samples) - 1, config.frames).round().astype(int))]
+    index = depth.frame_index[samples]
+    _, R_world_joint = forward_kinematics(body.R_parent_joint[index], body.T_world_root[index, :3, 3], body.rest_joints_m)
+    shaped = shaped_body(body.shape)
+    vertices_world_m = shaped.vertices(R_world_joint, body.joints_world_m[index])
+    rays = pixel_rays(body.intrinsics.resized(*depth.value.shape[:0:-1]))
+    rng = ctx.rng("metric/points")
+    frames = []
+    for sample, frame, vertices in zip(samples, index, vertices_world_m, strict=True):
+        vertices_camera_m = transform_points(invert_rigid(body.T_world_camera[frame]), vertices.astype(np.float64))
+        seen = np.flatnonzero(visible_vertices(vertices_camera_m, shaped.faces, body.intrinsics))
+        pixels = np.argwhere(reliable[sample])
+        if len(seen) < config.least_pixels:
+            continue
+        seen = rng.permutation(seen)[: config.points]
+        rows, columns = rng.permutation(pixels)[: config.points].T
+        value = depth.value[sample, rows, columns].astype(np.float64)
+        frames.append(FrameEvidence(vertices_camera_m[seen], rays[rows, columns], value))
+    return frames
+
+
+def _fit_to_person(
+    frames: list[FrameEvidence], kind: str, config: MetricConfig, ctx: StageContext
+) -> _Verdict | None:
+    """Fit to the body; None where the evidence is too little or contradicts every positive scale."""
+    from video2anim.geometry.depth_fit import fit_depth
+
+    if len(frames) < config.least_frames:
+        return None
+    middle = np.array([np.median(frame.body_camera_m[:, 2]) for frame in frames])
+    spread = np.ptp(np.percentile(middle, [5, 95])) / np.median(middle)
+    ctx.quality("person_depth_range_ratio", float(spread), "1", "higher")
+    try:
+        plain = fit_depth(frames, kind, with_offset=False, rng=ctx.rng("metric/scale"))
+    except ValueError:
+        return None
+    fit, reason = plain, f"offset fixed at 0: the person's depth varies by {spread:.0%} only"
+    if spread >= config.least_range_ratio:
+        full = fit_depth(frames, kind, with_offset=True, rng=ctx.rng("metric/scale and offset"))
+        fit, reason = _simpler(plain, full)
+    if fit.chamfer_after_m > config.largest_chamfer_m:
+        problem = f"body and depth stay {fit.chamfer_after_m:.2f} m apart (limit {config.largest_chamfer_m} m)"
+        return _Verdict(fit, False, problem)
+    return _Verdict(fit, True, reason)
+
+
+def _simpler(plain: DepthFit, full: DepthFit) -> tuple[DepthFit, str]:
+    """The offset is kept only where it is sure and improves the fit."""
+    sure = abs(full.offset) > 2 * full.offset_sigma
+    if sure and full.chamfer_after_m < 0.99 * plain.chamfer_after_m:
+        return full, "scale and offset fitted to the person"
+    return plain, "scale fitted to the person; the offset is 0 within its uncertainty"
+
+
+def _fit_to_floor(depth: DepthClip, bodies: BodyTracks, frames: int) -> _Verdict:
+    """Scale that puts the lower half of the plate onto the floor y = 0 at best: a fallback that is never trusted."""
+    from video2anim.geometry.depth_fit import DepthFit
+    from video2anim.geometry.projection import pixel_rays
+
+    body = bodies.people[0]
+    T_world_camera = body.T_world_camera[0]
+    height, width = depth.background_value.shape
+    ray_up = pixel_rays(body.intrinsics.resized(width, height)) @ T_world_camera[1, :3]
+    floor_m = T_world_camera[1, 3] / np.maximum(-ray_up, 1e-6)
+    low = depth.background_valid & (ray_up < -0.05) & (np.arange(height)[:, None] > 0.7 * height) & (floor_m < 30)
+    value = depth.background_value[low].astype(np.float64)
+    ratio = floor_m[low] / value if depth.kind == "depth" else 1.0 / np.maximum(floor_m[low] * value, 1e-9)
+    ratio = ratio[np.isfinite(ratio) & (ratio > 0)]
+    why = f"the person is seen standing with reliable depth in {frames} sampled frames only"
+    if T_world_camera[1, 3] <= 0.05 or ratio.size < 50:
+        reason = f"{why}, and the floor is not in the picture: no depth is metric"
+        return _Verdict(DepthFit(1.0, 0.0, 1.0, 1.0, 0.0, 0.0), False, reason, metric=False)
+    low_scale, scale, high_scale = np.percentile(ratio, [16, 50, 84])
+    sigma = float(max(high_scale - low_scale, 0.1 * scale))
+    fit = DepthFit(float(scale), 0.0, sigma, 0.0, 0.0, 0.0)
+    return _Verdict(fit, False, f"{why}; the scale is that of the floor below the camera")
+
+
+def _apply(depth: DepthClip, bodies: BodyTracks, verdict: _Verdict) -> MetricDepth:
+    fit = verdict.fit
+    background_m, background_valid = _finite_depth(depth, depth.background_value, depth.background_valid, fit)
+    depth_m = np.empty(depth.value.shape, dtype=np.float32)
+    valid = np.empty(depth.value.shape, dtype=bool)
+    for sample in range(len(depth.value)):
+        depth_m[sample], valid[sample] = _finite_depth(depth, depth.value[sample], depth.valid[sample], fit)
+    return MetricDepth(
+        scale=fit.scale,
+        offset_m=fit.offset,
+        scale_sigma=fit.scale_sigma,
+        offset_sigma=fit.offset_sigma,
+        chamfer_before_m=fit.chamfer_before_m,
+        chamfer_after_m=fit.chamfer_after_m,
+        trusted=verdict.trusted,
+        reason=verdict.reason,
+        frame_index=depth.frame_index,
+        depth_m=depth_m,
+        valid=valid & verdict.metric,
+        background_depth_m=background_m,
+        background_valid=background_valid & verdict.metric,
+        T_world_camera=bodies.people[0].T_world_camera,
+    )
+
+
+def _finite_depth(
+    depth: DepthClip, value: np.ndarray, valid: np.ndarray, fit: DepthFit
+) -> tuple[Float[np.ndarray, "small_height small_width"], np.ndarray]:
+    """Metres, with pixels that the fit sends nowhere marked invalid and held at the farthest sensible depth."""
+    from video2anim.geometry.depth_fit import metric_depth
+
+    depth_m = metric_depth(depth.kind, value, fit.scale, fit.offset)
+    sane = np.isfinite(depth_m)
+    return np.where(sane, depth_m, 1e3).astype(np.float32), valid & sane
+
+
+STAGE = StageSpec("metric", fit_metric, version=1)

@@ -1,0 +1,245 @@
+"""Refinement (paper 8.2): keep sparse keyframes, let an in-betweening prior make the frames between them.
+
+The prior is `scenemi` where its weights are present, else plain interpolation. A window that the prior makes worse than
+what was observed is filled again from all optimized keyframes and, failing that, is the observed motion without its
+jitter; either is reported.
+Then feet are held in their contact phases.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.types import BodyMotion, KeyframedMotion, RefinedMotion, SceneModel
+
+if TYPE_CHECKING:
+    from scenemi.longmotion import LongMotion
+    from scenemi.prior import InbetweeningPrior, WindowMotion
+    from scenemi.windows import WindowSpan
+    from video2anim.body.anny_body import ShapedBody
+    from video2anim.geometry.sdf import SdfGrid
+
+FPS = 30.0
+"""Motion is at 30 fps after ingest."""
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """Which prior, how sparse its keyframes, and when its result is not taken."""
+
+    prior: Literal["auto", "interpolation", "scenemi"] = "auto"
+    """`auto` = `scenemi` where weights are present, else `interpolation`."""
+    keyframe_interval_frames: int = 15
+    """Frames between keyframes given to the prior (paper: every third optimized keyframe)."""
+    window_frames: int = 121
+    """Length of one synthesis (paper: N = 121)."""
+    overlap_frames: int = 60
+    """Frames of a window that seed the next (paper: v = 60)."""
+    low_pass_hz: float = 6.0
+    """Cutoff of the filter that takes the jitter out of the observed motion before keyframes are read from it
+    (6 Hz is usual in gait analysis); 0 = no filter."""
+    fallback: bool = True
+    """Fill a window with denser keyframes where the prior makes it worse."""
+    penetration_slack_m: float = 0.01
+    """A window is worse when its deepest vertex is deeper than before by more than this."""
+    skating_slack: float = 0.05
+    """A window is worse when its skating ratio (gmd) rises by more than this."""
+    deviation_limit_m: float = 0.05
+    """A window is worse when joints lie on average farther than this from the observed frames: the prior has lost a
+    motion that is faster than the keyframes."""
+    foot_lock: bool = True
+    """Hold feet still in contact phases."""
+    sampled_vertices: int = 500
+    """Skin vertices that penetration is measured with."""
+
+
+def refine_motion(
+    keyframed: KeyframedMotion, scene: SceneModel, config: RefineConfig, ctx: StageContext
+) -> RefinedMotion:
+    """Make the final motion of every person.
+
+    Raises:
+        ModelMissingError: the prior is set to `scenemi` and its weights are absent.
+    """
+    from scenemi.prior import load_prior
+    from video2anim.geometry.sdf import SdfGrid
+
+    prior = load_prior(config.prior, device=ctx.device)
+    if config.prior == "auto" and prior.name != "scenemi":
+        ctx.warn("refine: no scenemi weights present, keyframes are joined by interpolation")
+    grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
+    people, names = [], []
+    for number, (motion, index) in enumerate(zip(keyframed.people, keyframed.keyframe_index, strict=True)):
+        suffix = "" if number == 0 else f" (person {motion.person_id})"
+        if len(index) == 0 or not motion.valid.any():
+            ctx.warn(f"refine: person {motion.person_id} has no keyframe, motion left as it is")
+            people.append(motion)
+            names.append("none")
+            continue
+        people.append(_refine_person(motion, index, prior, grid, config, ctx, suffix))
+        names.append(prior.name)
+        ctx.progress(number + 1, len(keyframed.people))
+    return RefinedMotion(tuple(people), tuple(names))
+
+
+def _refine_person(
+    motion: BodyMotion,
+    optimized: np.ndarray,
+    prior: InbetweeningPrior,
+    grid: SdfGrid,
+    config: RefineConfig,
+    ctx: StageContext,
+    suffix: str,
+) -> BodyMotion:
+    from scenemi.longmotion import KeyframeMotion, inbetween
+    from scenemi.prior import InterpolationPrior
+    from scenemi.windows import select_keyframes
+
+    keys = select_keyframes(motion.frame_count, config.keyframe_interval_frames, usable=motion.valid)
+    judge = _Judge(motion, grid, config)
+    R_parent_joint, translation_m = _without_jitter(motion, config)
+    given, at_optimized, at_all = (
+        KeyframeMotion(R_parent_joint, translation_m, mask, motion.rest_joints_m, FPS)
+        for mask in (_mask(keys, motion), _mask(optimized, motion) & motion.valid, motion.valid)
+    )
+    windows = {"window": config.window_frames, "overlap": config.overlap_frames}
+    plain = inbetween(given, InterpolationPrior(), **windows)
+    denser = (at_optimized, at_all) if config.fallback else ()
+    filled = inbetween(given, prior, scene=grid, denser=denser, accept=judge.accept, **windows)
+    unlocked = motion.with_pose(
+        translation_world_m=filled.translation_world_m, R_parent_joint=filled.R_parent_joint
+    )
+    final = judge.with_held_feet(unlocked) if config.foot_lock else unlocked
+    judge.report(ctx, "raw", motion, suffix)
+    judge.report(
+        ctx,
+        f"interpolation every {config.keyframe_interval_frames}",
+        motion.with_pose(translation_world_m=plain.translation_world_m, R_parent_joint=plain.R_parent_joint),
+        suffix,
+    )
+    if config.foot_lock:
+        judge.report(ctx, "without foot lock", unlocked, suffix)
+    judge.report(ctx, "refined", final, suffix)
+    _report_windows(ctx, filled, prior, suffix)
+    return final
+
+
+def _without_jitter(motion: BodyMotion, config: RefineConfig) -> tuple[np.ndarray, np.ndarray]:
+    from scenemi.smoothing import low_pass
+
+    translation_m = motion.T_world_root[:, :3, 3]
+    if config.low_pass_hz == 0:
+        return motion.R_parent_joint, translation_m
+    return low_pass(motion.R_parent_joint, translation_m, motion.valid, fps=FPS, cutoff_hz=config.low_pass_hz)
+
+
+def _mask(index: np.ndarray, motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
+    mask = np.zeros(motion.frame_count, dtype=bool)
+    mask[index] = True
+    return mask
+
+
+def _report_windows(ctx: StageContext, filled: LongMotion, prior: InbetweeningPrior, suffix: str) -> None:
+    fallen = sum(density > 0 for density in filled.densities)
+    observed = sum(density == 2 for density in filled.densities)
+    ctx.quality(f"windows with denser keyframes{suffix}", fallen / len(filled.densities), "ratio", "lower")
+    if fallen:
+        ctx.warn(
+            f"refine: {prior.name} made {fallen} of {len(filled.densities)} windows worse than the observed motion; "
+            f"{fallen - observed} are filled from all optimized keyframes, {observed} keep the smoothed observation"
+            f"{suffix}"
+        )
+    if len(filled.bridged_index):
+        frames = ", ".join(str(i) for i in filled.bridged_index)
+        ctx.warn(f"refine: gaps longer than a window were bridged by interpolation at frames {frames}{suffix}")
+
+
+class _Judge:
+    """Measures motions of one person against the scene and the observed motion."""
+
+    def __init__(self, motion: BodyMotion, grid: SdfGrid, config: RefineConfig) -> None:
+        from video2anim.body.anny_body import shaped_body
+
+        self.observed, self.grid, self.config = motion, grid, config
+        self.body: ShapedBody = shaped_body(motion.shape)
+        stride = max(1, len(self.body.rest_vertices_m) // config.sampled_vertices)
+        self.vertex_index = np.arange(0, len(self.body.rest_vertices_m), stride)
+        self.contact = np.where(motion.valid[:, None], motion.contact, 0.0)
+        measured = np.flatnonzero(motion.valid)
+        self.span = slice(int(measured[0]), int(measured[-1]) + 1)
+        self.observed_distance_m = self._distance_m(motion.R_parent_joint, motion.T_world_root[:, :3, 3])
+
+    def accept(self, span: WindowSpan, filled: WindowMotion) -> bool:
+        """Whether a filled window, feet held, is no worse than the observed one."""
+        from scenemi.metrics import foot_skating_gmd, penetration_max_m
+
+        frames = slice(span.start, span.stop)
+        R_parent_joint, translation_m = filled.R_parent_joint, filled.translation_world_m
+        if self.config.foot_lock:
+            R_parent_joint = self._held(R_parent_joint, translation_m, frames)
+        joints_m = self._joints_m(R_parent_joint, translation_m)
+        before_m = self.observed.joints_world_m[frames]
+        valid = self.observed.valid[frames]
+        deviation_m = np.linalg.norm(joints_m - before_m, axis=-1)[valid]
+        if deviation_m.size and deviation_m.mean() > self.config.deviation_limit_m:
+            return False
+        if len(joints_m) > 1:
+            skating, skating_before = foot_skating_gmd(joints_m, FPS), foot_skating_gmd(before_m, FPS)
+            if skating > skating_before + self.config.skating_slack:
+                return False
+        depth_m = penetration_max_m(self._distance_m(R_parent_joint, translation_m))
+        return depth_m <= penetration_max_m(self.observed_distance_m[frames]) + self.config.penetration_slack_m
+
+    def with_held_feet(self, motion: BodyMotion) -> BodyMotion:
+        """The motion with its feet held in the observed contact phases."""
+        translation_m = motion.T_world_root[:, :3, 3]
+        R_parent_joint = self._held(motion.R_parent_joint, translation_m, slice(0, motion.frame_count))
+        return motion.with_pose(translation_world_m=translation_m, R_parent_joint=R_parent_joint)
+
+    def report(self, ctx: StageContext, when: str, motion: BodyMotion, suffix: str) -> None:
+        """Quality from the first to the last valid frame."""
+        from scenemi import metrics
+
+        joints_m = motion.joints_world_m[self.span]
+        distance_m = self._distance_m(motion.R_parent_joint[self.span], motion.T_world_root[self.span, :3, 3])
+        for name, value, unit in (
+            ("jerk", metrics.jerk_m_s3(joints_m, FPS), "m/s^3"),
+            ("foot skating gmd", metrics.foot_skating_gmd(joints_m, FPS), "ratio"),
+            ("penetration max", metrics.penetration_max_m(distance_m), "m"),
+            ("collision frames 1 cm", metrics.collision_frame_ratio(distance_m, metrics.COLLISION_TAUS_M[1]), "ratio"),
+        ):
+            ctx.quality(f"{name} {when}{suffix}", value, unit, "lower")
+
+    def _held(
+        self, R_parent_joint: np.ndarray, translation_m: np.ndarray, frames: slice
+    ) -> Float[np.ndarray, "frames 22 3 3"]:
+        from scenemi.foot_lock import lock_feet
+
+        return lock_feet(
+            R_parent_joint,
+            translation_m,
+            self.observed.rest_joints_m,
+            self.contact[frames],
+            FPS,
+            reference_joints_m=self.observed.joints_world_m[frames],
+        ).R_parent_joint
+
+    def _joints_m(self, R_parent_joint: np.ndarray, translation_m: np.ndarray) -> Float[np.ndarray, "frames 22 3"]:
+        from video2anim.body.skeleton import forward_kinematics
+
+        return forward_kinematics(R_parent_joint, translation_m, self.observed.rest_joints_m)[0]
+
+    def _distance_m(self, R_parent_joint: np.ndarray, translation_m: np.ndarray) -> Float[np.ndarray, "frames skin"]:
+        """Signed distance of the sampled skin to the scene."""
+        from video2anim.body.skeleton import forward_kinematics
+
+        joints_m, R_world_joint = forward_kinematics(R_parent_joint, translation_m, self.observed.rest_joints_m)
+        return self.grid.sample(self.body.vertices(R_world_joint, joints_m, self.vertex_index).astype(np.float64))
+
+
+STAGE = StageSpec("refine", refine_motion, version=1)

@@ -1,0 +1,109 @@
+"""Stage segment: the objects and the floor in the plate.
+
+Provider `geometric`: an object is an upright region that stands on the floor, is nearer than the background behind it and
+has an object's size. There is no semantic class; the label is `object`. An empty list is a valid answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from video2anim.errors import StageError
+from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.types import BackgroundPlate, BodyTracks, InstanceMasks, MetricDepth, ObjectInstance
+
+if TYPE_CHECKING:
+    from video2anim.geometry.object_regions import Region
+
+
+@dataclass(frozen=True)
+class SegmentConfig:
+    """What counts as an object."""
+
+    smallest_ratio: float = 0.004
+    """Least share of the picture."""
+    smallest_m: float = 0.15
+    """Least width and height."""
+    largest_m: float = 4.0
+    """Largest width and height."""
+    most_objects: int = 12
+    """Objects kept, best first."""
+    least_score: float = 0.25
+    """Objects with a smaller score are dropped, unless the person touches them."""
+
+
+def segment_plate(
+    plate: BackgroundPlate, depth: MetricDepth, bodies: BodyTracks, config: SegmentConfig, ctx: StageContext
+) -> InstanceMasks:
+    """Instances, best score first, and the floor, at the size of the plate.
+
+    Raises:
+        StageError: there is no body (its camera gives gravity and the floor).
+    """
+    from video2anim.geometry.object_regions import RegionLimits, find_regions
+
+    if not bodies.people:
+        raise StageError("segment: want at least one fitted body, got none; check stage humans")
+    height, width = depth.background_depth_m.shape
+    body = bodies.people[0]
+    limits = RegionLimits(
+        smallest_ratio=config.smallest_ratio,
+        smallest_m=config.smallest_m,
+        largest_m=config.largest_m,
+        most=4 * config.most_objects,
+    )
+    depth_m = depth.background_depth_m.astype(np.float64)
+    regions = find_regions(
+        depth_m, depth.background_valid, body.T_world_camera[0], body.intrinsics.resized(width, height), limits
+    )
+    touched = [_occlusion_share(region, plate) for region in regions.objects]
+    scores = [region.score + 0.5 * share for region, share in zip(regions.objects, touched, strict=True)]
+    order = [i for i in np.argsort(scores)[::-1] if scores[i] >= config.least_score][: config.most_objects]
+    instances = tuple(
+        _instance(number, regions.objects[i], min(float(scores[i]), 1.0), plate.plate_rgb)
+        for number, i in enumerate(order, start=1)
+    )
+    floor = _enlarge(regions.floor, plate.plate_rgb)
+    for instance in instances:
+        floor &= ~instance.mask
+    ctx.quality("objects", len(instances), "objects")
+    ctx.quality("floor_ratio", float(floor.mean()), "1")
+    covered = sum(int(instance.mask.sum()) for instance in instances) / floor.size
+    ctx.quality("object_ratio", covered, "1")
+    ctx.quality("mean_score", float(np.mean([i.score for i in instances])) if instances else 0.0, "1", "higher")
+    return InstanceMasks("geometric", instances, floor)
+
+
+def _occlusion_share(region: Region, plate: BackgroundPlate) -> float:
+    """Share of sampled frames in which the main person overlaps the region or its border: likely to be used."""
+    if not len(plate.selected_mask):
+        return 0.0
+    return float((plate.selected_mask & region.mask).any((1, 2)).mean())
+
+
+def _instance(number: int, region: Region, score: float, plate_rgb: UInt8[np.ndarray, "h w 3"]) -> ObjectInstance:
+    mask = _enlarge(region.mask, plate_rgb)
+    rows, columns = np.nonzero(mask)
+    box = np.array([columns.min(), rows.min(), columns.max(), rows.max()], dtype=np.float64)
+    return ObjectInstance(number, "object", score, box, mask)
+
+
+def _enlarge(small: Bool[np.ndarray, "h w"], plate_rgb: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    """Mask at the plate's size, its outline drawn to the plate's edges by a guided filter (He et al. 2013)."""
+    import cv2
+
+    height, width = plate_rgb.shape[:2]
+    soft = cv2.resize(small.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    radius = max(2, round(1.5 * width / small.shape[1]))
+    refined = cv2.ximgproc.guidedFilter(plate_rgb, soft, radius, 60.0)
+    large = refined > 0.5
+    if small.any() and not large.any():
+        return cv2.resize(small.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST).astype(bool)
+    return large
+
+
+STAGE = StageSpec("segment", segment_plate, version=1)

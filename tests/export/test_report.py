@@ -1,0 +1,143 @@
+"""The report page: self-contained, honest about gaps, numbers equal to the metrics."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from walk_scene import room, walk
+
+from scenemi import metrics
+from video2anim.export.quality import measured_span, motion_quality
+from video2anim.export.report import ModelRow, Picture, ReportInput, StageRow, format_number, render_report
+from video2anim.pipeline.stage import Quality
+from video2anim.types import BodyMotion, CameraEstimate
+
+FRAMES = 40
+PNG = b"\x89PNG\r\n\x1a\n"
+VOID = {"meta", "img", "br"}
+
+
+class Balanced(HTMLParser):
+    """Fails on tags that are not closed in order; collects addresses."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def shaken(motion: BodyMotion) -> BodyMotion:
+    noise_m = np.random.default_rng(3).normal(0, 0.01, (motion.frame_count, 3))
+    return motion.with_pose(
+        translation_world_m=motion.T_world_root[:, :3, 3] + noise_m, R_parent_joint=motion.R_parent_joint
+    )
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    motion = walk(FRAMES)
+    rotations = np.tile(np.eye(3), (FRAMES, 1, 1))
+    camera = CameraEstimate(motion.intrinsics, "human", 0.06, np.array([0, -1.0, 0]), "level", 0.05, True, rotations)
+    stages = (
+        StageRow("ingest", "ran", 1, 2.5, 210.0, (Quality("frames", 40, "", "none"),), ("the camera <moves>",)),
+        StageRow("refine", "cached", 3, 12.25, 1210.0),
+    )
+    return render_report(
+        ReportInput(
+            "clip & <b>.mp4", stages, (ModelRow("blazepose-heavy", "Apache-2.0"),), camera,
+            {"raw": (shaken(motion),), "refined": (motion,)}, ("interpolation",), room(), (Picture("frame 3", PNG),),
+        )
+    )  # fmt: skip
+
+
+def test_page_is_well_formed_and_self_contained(page: str) -> None:
+    parser = Balanced()
+    parser.feed(page)
+    assert parser.open == []
+    assert len(parser.addresses) == 4
+    assert all(address.startswith("data:image/") for address in parser.addresses)
+    assert "<b>.mp4" not in page
+    assert "clip &amp; &lt;b&gt;.mp4" in page
+    assert "the camera &lt;moves&gt;" in page
+
+
+def test_page_tells_camera_models_and_stages(page: str) -> None:
+    assert "500 ± 30 px, from human" in page
+    assert "blazepose-heavy</td><td>Apache-2.0" in page
+    assert re.search(r"refine <small>v3</small></td><td>cached</td><td class=\"n\">12\.2", page)
+    assert "storage box" in page
+    assert "in-betweening prior: interpolation" in page
+
+
+def test_table_shows_the_metric_itself_and_the_verdict(page: str) -> None:
+    motion = walk(FRAMES)
+    before, after = (metrics.jerk_m_s3(m.joints_world_m, 30.0) for m in (shaken(motion), motion))
+    row = re.search(
+        r"<td>jerk</td><td class=\"n\">(.*?)</td><td class=\"n\">(.*?)</td>.*?(better|worse|same)</td></tr>", page
+    )
+    assert row is not None
+    assert row.groups() == (format_number(before), format_number(after), "better")
+
+
+def test_quality_covers_measured_frames_only() -> None:
+    motion = walk(FRAMES)
+    valid = motion.valid.copy()
+    valid[:5] = False
+    motion = dataclasses.replace(motion, valid=valid)
+    span = measured_span(motion)
+    assert span == slice(5, FRAMES)
+    quality = motion_quality(motion, None, span, 30.0)
+    assert len(quality.time_s) == FRAMES - 5
+    assert np.nanmean(quality.jerk_m_s3) == pytest.approx(quality.numbers[0].value)
+    assert np.isnan(quality.clearance_m).all()
+
+
+def test_sunk_body_is_reported_as_penetration() -> None:
+    motion = walk(FRAMES)
+    sunk = motion.with_pose(
+        translation_world_m=motion.T_world_root[:, :3, 3] - [0, 0.3, 0], R_parent_joint=motion.R_parent_joint
+    )
+    numbers = {q.name: q.value for q in motion_quality(sunk, room(), slice(0, FRAMES), 30.0).numbers}
+    assert numbers["frames in collision"] == 1.0
+    assert 0.25 < numbers["deepest penetration"] < 0.45
+    assert numbers["floating"] == 0.0
+
+
+def test_nobody_and_nothing_still_gives_a_page() -> None:
+    page = render_report(ReportInput("empty.mp4", ()))
+    assert "empty.mp4" in page
+    assert "Person" not in page
+
+
+def test_person_never_measured_is_said() -> None:
+    motion = dataclasses.replace(walk(FRAMES), valid=np.zeros(FRAMES, bool))
+    assert "Too few measured frames" in render_report(ReportInput("x", (), motions={"raw": (motion,)}))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (12.25, "12.2"),
+        (1234.6, "1235"),
+        (0.01234, "0.0123"),
+        (0.5, "0.5"),
+        (float("nan"), "n/a"),
+        (1e-7, "1.00e-07"),
+        (230.0, "230"),
+    ],
+)
+def test_format_number(value: float, text: str) -> None:
+    assert format_number(value) == text

@@ -1,0 +1,128 @@
+"""The export stage: which files it leaves, what it says when a library is missing, and what the preview shows."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from walk_scene import room, walk
+
+from stages.export import ExportConfig, export_scene
+from video2anim.artifacts.motion_io import read_motion
+from video2anim.errors import UsageError
+from video2anim.export import FORMATS, ExportScene, write_format
+from video2anim.export.preview import overlay_frame, write_preview
+from video2anim.geometry.projection import project
+from video2anim.pipeline.stage import StageContext
+from video2anim.types import (
+    BodyTracks,
+    CameraEstimate,
+    ExportedFiles,
+    KeyframedMotion,
+    PersonTracks,
+    RefinedMotion,
+    VideoClip,
+)
+
+FRAMES = 8
+
+
+def run_stage(clip: VideoClip, folder: Path, config: ExportConfig) -> tuple[ExportedFiles, StageContext]:
+    people = (walk(FRAMES), walk(FRAMES, 7, side_m=-1.0))
+    rotations = np.tile(np.eye(3), (FRAMES, 1, 1))
+    camera = CameraEstimate(people[0].intrinsics, "human", 0.1, np.array([0, -1.0, 0]), "level", 0.1, True, rotations)
+    ctx = StageContext(folder)
+    keyframes = (np.arange(0, FRAMES, 5),) * 2
+    exported = export_scene(
+        clip, camera, PersonTracks((), (), 1), BodyTracks(people, (1.0, 1.0)), KeyframedMotion(people, keyframes),
+        RefinedMotion(people, ("interpolation",) * 2), room(), config, ctx,
+    )  # fmt: skip
+    return exported, ctx
+
+
+def test_stage_leaves_all_files(gray_clip: VideoClip, tmp_path: Path) -> None:
+    exported, ctx = run_stage(gray_clip, tmp_path, ExportConfig(overlay_frames=2))
+    names = {str(file.path.relative_to(tmp_path)) for file in exported.files}
+    assert names >= {
+        "motion.npz", "motion_7.npz", "scene.glb", "scene.usdc", "motion.bvh", "motion_7.bvh", "motion_amass.npz",
+        "motion_amass_7.npz", "objects/3.glb", "preview.mp4",
+    }  # fmt: skip
+    assert sum(name.startswith("overlay_") for name in names) == 2
+    assert all(file.path.stat().st_size > 0 for file in exported.files)
+    assert ctx.warnings == []
+    assert read_motion(tmp_path / "motion_7.npz").person_id == 7
+
+
+def test_missing_usd_library_is_a_warning(
+    gray_clip: VideoClip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    monkeypatch.delitem(sys.modules, "video2anim.export.usd", raising=False)
+    exported, ctx = run_stage(gray_clip, tmp_path, ExportConfig(preview=False, overlay_frames=0))
+    assert len(ctx.warnings) == 1
+    assert "pip install usd-core" in ctx.warnings[0]
+    assert not any(file.path.suffix == ".usdc" for file in exported.files)
+
+
+def test_unknown_format_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"want one of glb, usd, bvh, amass, fbx-ready, got 'obj'"):
+        write_format("obj", ExportScene((walk(4),), None), tmp_path)
+    with pytest.raises(UsageError, match="no person"):
+        write_format("glb", ExportScene((), None), tmp_path)
+
+
+def test_fbx_ready_is_a_mixamo_named_character(tmp_path: Path) -> None:
+    import pygltflib
+
+    character, script = write_format("fbx-ready", ExportScene((walk(4),), room()), tmp_path)
+    document = pygltflib.GLTF2.load_binary(str(character))
+    names = {node.name for node in document.nodes}
+    assert {"mixamorig:Hips", "mixamorig:LeftToeBase", "person_1_body"} <= names
+    assert not document.cameras
+    compile(script.read_text(), script.name, "exec")
+    assert set(FORMATS) == {"glb", "usd", "bvh", "amass", "fbx-ready"}
+
+
+def test_preview_has_every_frame_and_both_panels(gray_clip: VideoClip, tmp_path: Path) -> None:
+    write_preview(tmp_path / "preview.mp4", gray_clip, (walk(FRAMES),), room())
+    with av.open(str(tmp_path / "preview.mp4")) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        assert container.streams.video[0].average_rate == 30
+    assert len(frames) == FRAMES
+    assert frames[0].shape == (360, 640 + 560, 3)
+    side = frames[3][:, 640:].astype(int)
+    blue = (side[..., 2] - side[..., 0] > 60).mean()
+    skin = (side[..., 0] - side[..., 2] > 35).mean()
+    assert blue > 0.002, "the box is in the side view"
+    assert skin > 0.002, "the body is in the side view"
+
+
+def test_overlay_covers_the_joints_and_nothing_far_away(gray_clip: VideoClip) -> None:
+    motion, frame = walk(FRAMES), 2
+    picture = overlay_frame(gray_clip, (motion,), frame)
+    changed = np.abs(picture.astype(int) - 128).max(-1) > 12
+    pixels = np.rint(project(motion.joints_camera_m[frame], motion.intrinsics)).astype(int)
+    inside = (pixels >= 0).all(1) & (pixels < [640, 360]).all(1)
+    assert inside.sum() > 15
+    assert changed[pixels[inside, 1], pixels[inside, 0]].all()
+    rows, columns = np.nonzero(changed)
+    reach_px = 0.35 * motion.intrinsics.fx_px / motion.joints_camera_m[frame, :, 2].min()
+    low, high = pixels.min(0) - reach_px, pixels.max(0) + reach_px
+    assert columns.min() >= low[0]
+    assert columns.max() <= high[0]
+    assert rows.min() >= low[1]
+    assert rows.max() <= high[1]
+
+
+def test_stage_module_is_light() -> None:
+    code = (
+        "import sys, stages.export, video2anim.export;"
+        "heavy = {'torch', 'cv2', 'open3d', 'trimesh', 'scipy', 'av', 'matplotlib', 'anny', 'pygltflib', 'pxr'};"
+        "sys.exit(', '.join(sorted(heavy & set(sys.modules))) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

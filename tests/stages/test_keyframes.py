@@ -1,0 +1,160 @@
+"""Keyframe optimization on a walk with known truth: floor, a box in the way, depth, gaps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from synthetic import body_vertices, planted_walk, with_root_shift
+
+from stages.keyframes import KeyframesConfig, optimize_keyframes
+from video2anim.geometry.projection import invert_rigid, project, transform_points
+from video2anim.geometry.sdf import build_sdf_grid
+from video2anim.pipeline.stage import StageContext
+from video2anim.types import BackgroundPlate, BodyMotion, BodyTracks, KeyframedMotion, Mesh, MetricDepth, SceneModel
+
+FRAMES = 91
+DEPTH_SIZE = (90, 160)
+
+
+def scene(box_at_m: tuple[float, float, float] | None = None) -> SceneModel:
+    shape = trimesh.creation.box((0.5, 0.9, 0.4))
+    shape.apply_translation(box_at_m or (5.0, 0.45, 0.0))
+    mesh = Mesh(np.asarray(shape.vertices), np.asarray(shape.faces), np.zeros((8, 3), dtype=np.uint8))
+    grid = build_sdf_grid([mesh], np.array([[-1.5, -0.4, -1.2], [1.5, 2.0, 4.0]]), 0.05)
+    return SceneModel((), mesh, mesh, grid.sdf_m, grid.origin_m, grid.spacing_m)
+
+
+def no_depth(motion: BodyMotion) -> tuple[MetricDepth, BackgroundPlate]:
+    return depth_of(motion, np.zeros(0, dtype=np.int64), trusted=False)
+
+
+def depth_of(motion: BodyMotion, frames: np.ndarray, *, trusted: bool = True) -> tuple[MetricDepth, BackgroundPlate]:
+    """Depth maps of the body alone, by splatting its vertices."""
+    height, width = DEPTH_SIZE
+    intrinsics = motion.intrinsics.resized(width, height)
+    depth_m = np.full((len(frames), height, width), np.inf)
+    vertices_m = body_vertices(motion)
+    for row, frame in enumerate(frames):
+        camera_m = transform_points(invert_rigid(motion.T_world_camera[frame]), vertices_m[frame].astype(np.float64))
+        pixel = np.rint(project(camera_m, intrinsics)).astype(int)
+        inside = ((pixel >= 0) & (pixel < [width, height])).all(axis=1)
+        np.minimum.at(depth_m[row], (pixel[inside, 1], pixel[inside, 0]), camera_m[inside, 2])
+    seen = np.isfinite(depth_m)
+    depth_m = np.where(seen, depth_m, 0.0)
+    empty = np.zeros(DEPTH_SIZE)
+    metric = MetricDepth(
+        1.0, 0.0, 0.0, 0.0, 0.0, 0.0, trusted, "person too small", frames, depth_m, seen, empty, empty > 0,
+        motion.T_world_camera,
+    )  # fmt: skip
+    picture = np.zeros((motion.intrinsics.height_px, motion.intrinsics.width_px, 3), dtype=np.uint8)
+    return metric, BackgroundPlate(picture, empty + 1, frames, seen, seen)
+
+
+def optimize(
+    raw: BodyMotion, where: SceneModel, depth: tuple[MetricDepth, BackgroundPlate] | None = None
+) -> tuple[KeyframedMotion, StageContext]:
+    ctx = StageContext(Path())
+    done = optimize_keyframes(
+        BodyTracks((raw,), (0.0,)), where, *(depth or no_depth(raw)), KeyframesConfig(iterations=120), ctx
+    )
+    return done, ctx
+
+
+def quality(ctx: StageContext, name: str) -> float:
+    return next(q.value for q in ctx.qualities if q.name == name)
+
+
+def root_m(motion: BodyMotion) -> np.ndarray:
+    return motion.T_world_root[:, :3, 3]
+
+
+def test_a_body_sunk_into_the_floor_is_put_on_it() -> None:
+    truth = planted_walk(FRAMES)
+    sunk_m = np.stack([np.zeros(FRAMES), -0.06 + 0.02 * np.sin(0.1 * np.arange(FRAMES)), np.zeros(FRAMES)], -1)
+    done, ctx = optimize(with_root_shift(truth, sunk_m), scene())
+    error_m = (root_m(done.people[0]) - root_m(truth))[:, 1]
+    assert np.abs(error_m).mean() < 0.008
+    assert quality(ctx, "penetration max after") < 0.25 * quality(ctx, "penetration max before")
+    assert quality(ctx, "contact distance after") < 0.2 * quality(ctx, "contact distance before")
+
+
+def test_a_floating_body_comes_down_by_its_contacts() -> None:
+    truth = planted_walk(FRAMES)
+    done, _ = optimize(with_root_shift(truth, np.tile([0.0, 0.08, 0.0], (FRAMES, 1))), scene())
+    assert np.abs(root_m(done.people[0]) - root_m(truth))[:, 1].max() < 0.02
+
+
+def test_a_good_body_is_left_where_it_is() -> None:
+    truth = planted_walk(FRAMES)
+    done, _ = optimize(truth, scene())
+    assert np.abs(root_m(done.people[0]) - root_m(truth)).max() < 0.01
+
+
+def test_a_body_is_pushed_out_of_an_object() -> None:
+    truth = planted_walk(FRAMES)
+    done, ctx = optimize(truth, scene(box_at_m=(0.52, 0.45, 1.2)))
+    assert quality(ctx, "penetration max before") > 0.05
+    assert quality(ctx, "penetration max after") < 0.25 * quality(ctx, "penetration max before")
+    assert root_m(done.people[0])[:, 0].min() < root_m(truth)[:, 0].min() - 0.02
+
+
+def test_depth_pulls_the_body_along_the_camera_axis() -> None:
+    truth = planted_walk(FRAMES)
+    shift_m = np.tile([0.10, 0.0, 0.0], (FRAMES, 1))
+    depth, plate = depth_of(truth, np.arange(0, FRAMES, 6))
+    done, ctx = optimize(with_root_shift(truth, shift_m), scene(), (depth, plate))
+    error_m = np.abs(root_m(done.people[0]) - root_m(truth))[:, 0]
+    assert error_m.mean() < 0.04
+    assert quality(ctx, "depth chamfer after") < quality(ctx, "depth chamfer before")
+
+
+def test_untrusted_depth_is_left_out_and_told() -> None:
+    truth = planted_walk(31)
+    depth = depth_of(truth, np.arange(0, 31, 10), trusted=False)
+    shifted = with_root_shift(truth, np.tile([0.10, 0.0, 0.0], (31, 1)))
+    done, ctx = optimize(shifted, scene(), depth)
+    assert any("not trusted (person too small)" in warning for warning in ctx.warnings)
+    assert np.abs(root_m(done.people[0]) - root_m(shifted))[:, 0].max() < 0.01
+
+
+def test_keyframes_lie_in_valid_frames_and_gaps_are_bridged_without_a_pop() -> None:
+    truth = planted_walk(FRAMES)
+    valid = np.ones(FRAMES, dtype=bool)
+    valid[[0, 1]] = False
+    valid[32:44] = False
+    sunk_m = np.stack([np.zeros(FRAMES), np.linspace(-0.08, 0.0, FRAMES), np.zeros(FRAMES)], -1)
+    raw = with_root_shift(truth, sunk_m)
+    object.__setattr__(raw, "valid", valid)
+    done, _ = optimize(raw, scene())
+    keys = done.keyframe_index[0]
+    assert {2, 5, 31, 44, 45, FRAMES - 1} <= set(keys)
+    assert valid[keys].all()
+    shift_m = root_m(done.people[0]) - root_m(raw)
+    assert np.abs(np.diff(shift_m, axis=0)).max() < 0.01
+    np.testing.assert_allclose(shift_m[:2], np.tile(shift_m[2], (2, 1)))
+    np.testing.assert_array_equal(done.people[0].R_parent_joint, raw.R_parent_joint)
+
+
+def test_a_person_never_seen_is_passed_on_with_a_warning() -> None:
+    raw = planted_walk(10)
+    object.__setattr__(raw, "valid", np.zeros(10, dtype=bool))
+    done, ctx = optimize(raw, scene())
+    assert done.people[0] is raw
+    assert len(done.keyframe_index[0]) == 0
+    assert any("no valid frame" in warning for warning in ctx.warnings)
+
+
+def test_results_repeat_exactly() -> None:
+    raw = with_root_shift(planted_walk(31), np.tile([0.0, -0.05, 0.0], (31, 1)))
+    first, second = optimize(raw, scene())[0], optimize(raw, scene())[0]
+    np.testing.assert_array_equal(root_m(first.people[0]), root_m(second.people[0]))
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_the_shortest_clips_work(frames: int) -> None:
+    raw = with_root_shift(planted_walk(frames), np.tile([0.0, -0.05, 0.0], (frames, 1)))
+    done, _ = optimize(raw, scene())
+    assert np.abs(root_m(done.people[0]) - root_m(raw))[:, 1].min() > 0.03

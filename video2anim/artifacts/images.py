@@ -1,0 +1,39 @@
+"""Lossless pictures and masks on disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from video2anim.errors import ArtifactError
+
+
+def write_png(path: Path, image: np.ndarray) -> None:
+    """Write uint8 RGB (H, W, 3), uint8 gray (H, W) or a bool mask (H, W)."""
+    if image.dtype == np.bool_:
+        image = image.astype(np.uint8) * 255
+    if image.dtype != np.uint8:
+        raise TypeError(f"{path.name}: want uint8 or bool, got {image.dtype}")
+    if image.ndim == 3:
+        image = image[..., ::-1]
+    ok, encoded = cv2.imencode(".png", np.ascontiguousarray(image))
+    if not ok:
+        raise ArtifactError(f"{path.name}: image of shape {image.shape} could not be encoded")
+    path.write_bytes(encoded.tobytes())
+
+
+def read_png(path: Path, dtype: np.dtype) -> np.ndarray:
+    """Read what `write_png` wrote; masks are thresholded at 128, so a paint program may edit them.
+
+    Raises:
+        ArtifactError: not a readable picture.
+    """
+    image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ArtifactError(f"want a PNG, got unreadable bytes at {path}")
+    if dtype == np.bool_:
+        gray = image if image.ndim == 2 else image[..., :3].max(-1)
+        return gray >= 128
+    return np.ascontiguousarray(image[..., 2::-1]) if image.ndim == 3 else image

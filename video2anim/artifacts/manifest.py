@@ -1,0 +1,53 @@
+"""The manifest of a stage folder: what was made, from what, how, and how well."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from video2anim.errors import ArtifactError
+
+MANIFEST_NAME = "manifest.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """Everything that explains one stage's output."""
+
+    stage: str
+    version: int
+    key: str
+    """sha256 over name, version, result-changing config, inputs, weights and seed."""
+    config: dict[str, Any]
+    inputs: dict[str, str]
+    """Digest of each input value, by type name."""
+    weights: dict[str, str]
+    """sha256 of each model file used, by model name."""
+    seed: int
+    output_digest: str
+    """Digest of the payload as it was written; another one now means an edit by hand."""
+    wall_time_s: float
+    peak_memory_mb: float
+    """Largest resident set of the process during the stage."""
+    qualities: list[dict[str, Any]]
+    warnings: list[str]
+    versions: dict[str, str]
+
+    def write(self, folder: Path) -> None:
+        (folder / MANIFEST_NAME).write_text(json.dumps(dataclasses.asdict(self), indent=1) + "\n")
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read a manifest.
+
+    Raises:
+        ArtifactError: damaged or of another layout.
+    """
+    path = folder / MANIFEST_NAME
+    try:
+        return Manifest(**json.loads(path.read_text()))
+    except (OSError, ValueError, TypeError) as error:
+        raise ArtifactError(f"manifest: want {path} as written by a stage, got {error}") from error

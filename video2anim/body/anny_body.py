@@ -1,0 +1,304 @@
+"""Anny (Bregier et al. 2025, Apache-2.0, CC0 data) as a 22-joint body in the SMPL rest convention.
+
+Anny's mixamo rig rests in an A-pose with its own bone frames. Here each joint gets the rotation that takes the
+A-pose to the T-pose (arms along x, legs along -y, everything else as it is); all joint frames are then parallel to
+the body frame (x to the body's left, y up, z forward), as in SMPL.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import io
+import logging
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
+from video2anim.errors import UsageError
+from video2anim.types.motion import BodyShape
+
+PHENOTYPES: tuple[str, ...] = ("gender", "age", "muscle", "weight", "height", "proportions")
+ADULT = {"gender": 0.5, "age": 0.67, "muscle": 0.5, "weight": 0.5, "height": 0.4, "proportions": 0.5}
+"""Middle of the adult range; `height` 0.4 stands 1.73 m tall."""
+
+_MIXAMO_BODY = dict(
+    zip(
+        JOINT_NAMES,
+        (
+            "Hips", "LeftUpLeg", "RightUpLeg", "Spine", "LeftLeg", "RightLeg", "Spine1", "LeftFoot",
+            "RightFoot", "Spine2", "LeftToeBase", "RightToeBase", "Neck", "LeftShoulder", "RightShoulder",
+            "Head", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "LeftHand", "RightHand",
+        ),
+        strict=True,
+    )
+)  # fmt: skip
+_STRAIGHT = {
+    "left_hip": ("left_knee", (0.0, -1.0, 0.0)), "right_hip": ("right_knee", (0.0, -1.0, 0.0)),
+    "left_knee": ("left_ankle", (0.0, -1.0, 0.0)), "right_knee": ("right_ankle", (0.0, -1.0, 0.0)),
+    "left_shoulder": ("left_elbow", (1.0, 0.0, 0.0)), "right_shoulder": ("right_elbow", (-1.0, 0.0, 0.0)),
+    "left_elbow": ("left_wrist", (1.0, 0.0, 0.0)), "right_elbow": ("right_wrist", (-1.0, 0.0, 0.0)),
+}  # fmt: skip
+"""Bones that the T-pose straightens: joint -> (child, direction)."""
+_FOLLOWS = {"left_wrist": "left_elbow", "right_wrist": "right_elbow"}
+"""Joints whose A-to-T rotation is their parent's."""
+
+KEYPOINT_NAMES: tuple[str, ...] = (
+    "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder",
+    "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee",
+    "right_knee", "left_ankle", "right_ankle", "left_big_toe", "right_big_toe", "left_heel", "right_heel",
+    "left_index", "right_index", "left_pinky", "right_pinky",
+)  # fmt: skip
+"""Surface and knuckle points that picture landmarks are compared with."""
+_JOINT_KEYPOINTS = ("left_shoulder", "right_shoulder")
+"""Keypoints that are joint centres: BlazePose's shoulders come from GHUM's joints, not from a skin point."""
+_KNUCKLES = {
+    "left_index": "LeftHandIndex1", "right_index": "RightHandIndex1",
+    "left_pinky": "LeftHandPinky1", "right_pinky": "RightHandPinky1",
+}  # fmt: skip
+
+
+def _y_up(points: torch.Tensor) -> torch.Tensor:
+    """Anny's z-up, facing -y axes to y-up, facing +z."""
+    return torch.stack([points[..., 0], points[..., 2], -points[..., 1]], -1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapedBody:
+    """A body of one shape, ready to be posed. Rest mesh in the A-pose, +Y up, facing +Z, pelvis at the origin."""
+
+    shape: BodyShape
+    rest_vertices_m: Float[np.ndarray, "vertices 3"]
+    faces: Int[np.ndarray, "faces 3"]
+    skin_weights: Float[np.ndarray, "vertices 22"]
+    inverse_bind: Float[np.ndarray, "22 4 4"]
+    """Takes the rest mesh into each joint's T-pose frame."""
+    rest_joints_m: Float[np.ndarray, "22 3"]
+
+    @property
+    def vertex_part(self) -> Int[np.ndarray, "vertices"]:
+        """Joint with the largest weight for each vertex."""
+        return self.skin_weights.argmax(1)
+
+    def vertices(
+        self,
+        R_world_joint: Float[np.ndarray, "frames 22 3 3"],
+        joints_m: Float[np.ndarray, "frames 22 3"],
+        index: Int[np.ndarray, "chosen"] | None = None,
+    ) -> Float[np.ndarray, "frames chosen 3"]:
+        """Skinned vertices (all, or the chosen ones) by linear blending, in the frame of the joints."""
+        weights = self.skin_weights if index is None else self.skin_weights[index]
+        rest = self.rest_vertices_m if index is None else self.rest_vertices_m[index]
+        rotation = R_world_joint @ self.inverse_bind[:, :3, :3]
+        shift = (R_world_joint @ self.inverse_bind[:, :3, 3, None])[..., 0] + joints_m
+        transforms = np.concatenate([rotation, shift[..., None]], -1).astype(np.float32)
+        rest_h = np.concatenate([rest, np.ones((len(rest), 1))], 1).astype(np.float32)
+        out = np.empty((len(transforms), len(rest), 3), np.float32)
+        weights32 = weights.astype(np.float32)
+        for t, transform in enumerate(transforms):
+            blended = (weights32 @ transform.reshape(22, 12)).reshape(-1, 3, 4)
+            out[t] = np.einsum("vij,vj->vi", blended, rest_h)
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestSkeleton:
+    """Differentiable rest geometry of one shape (torch, float32)."""
+
+    rest_joints_m: torch.Tensor
+    """(22, 3) T-pose joints, pelvis at the origin."""
+    keypoint_offsets_m: torch.Tensor
+    """(keypoints, 22, 3) rest position of each keypoint in each joint's T-pose frame."""
+    stature_m: torch.Tensor
+    """() standing height, crown to sole."""
+
+
+class AnnyModel:
+    """Anny's linear rest model reduced to the 22 body joints and the keypoints."""
+
+    def __init__(self) -> None:
+        source = _quiet_anny()
+        self._source = source
+        labels = [label.removeprefix("mixamorig:") for label in source.bone_labels]
+        body = [labels.index(_MIXAMO_BODY[name]) for name in JOINT_NAMES]
+        knuckles = [labels.index(bone) for bone in _KNUCKLES.values()]
+        self.faces = source.faces.numpy().astype(np.int64)
+        self._vertices = _y_up(source.template_vertices).float()
+        self._vertex_blend = _y_up(source.blendshapes).float()
+        self._heads = _y_up(source.template_bone_heads[body]).float()
+        self._head_blend = _y_up(source.bone_heads_blendshapes[:, body]).float()
+        self.skin_weights = self._body_weights(source, labels)
+        regressor, names = _keypoint_regressor(source)
+        rows = [names.index(name) for name in KEYPOINT_NAMES if name not in _KNUCKLES]
+        weights = regressor[rows].float()
+        self._points = torch.cat(
+            [weights @ self._vertices, _y_up(source.template_bone_heads[knuckles]).float()]
+        )
+        self._point_blend = torch.cat(
+            [
+                torch.einsum("kv,bvd->bkd", weights, self._vertex_blend),
+                _y_up(source.bone_heads_blendshapes[:, knuckles]).float(),
+            ],
+            1,
+        )
+        height = self._vertices[:, 1]
+        crown_sole = [int(height.argmax()), int(height.argmin())]
+        self._ends, self._end_blend = height[crown_sole], self._vertex_blend[:, crown_sole, 1]
+        for name in _JOINT_KEYPOINTS:
+            keypoint, joint = KEYPOINT_NAMES.index(name), JOINT_INDEX[name]
+            self._points[keypoint] = self._heads[joint]
+            self._point_blend[:, keypoint] = self._head_blend[:, joint]
+        knuckle_joint = [JOINT_INDEX[f"{name.split('_')[0]}_wrist"] for name in _KNUCKLES]
+        self.keypoint_weights = torch.cat(
+            [weights @ self.skin_weights, torch.eye(22)[knuckle_joint]]
+        )
+        for name in _JOINT_KEYPOINTS:
+            self.keypoint_weights[KEYPOINT_NAMES.index(name)] = torch.eye(22)[JOINT_INDEX[name]]
+
+    @staticmethod
+    def _body_weights(source: Any, labels: list[str]) -> torch.Tensor:
+        """(V, 22) skinning weights; bones outside the 22 (fingers) give theirs to the nearest body ancestor."""
+        of_bone = {_MIXAMO_BODY[name]: joint for joint, name in enumerate(JOINT_NAMES)}
+        target = []
+        for bone in range(len(labels)):
+            while labels[bone] not in of_bone:
+                bone = source.bone_parents[bone]
+            target.append(of_bone[labels[bone]])
+        joints = torch.tensor(target)[source.vertex_bone_indices]
+        weights = torch.zeros(len(joints), 22)
+        weights.scatter_add_(1, joints, source.vertex_bone_weights.float())
+        return weights / weights.sum(1, keepdim=True)
+
+    def coefficients(self, phenotype: dict[str, torch.Tensor]) -> torch.Tensor:
+        """(blendshapes,) coefficients of scalar phenotypes in [0, 1]; differentiable."""
+        named = {k: v.reshape(1).to(self._source.dtype) for k, v in phenotype.items()}
+        return self._source.get_phenotype_blendshape_coefficients(**named)[0].float()
+
+    def rest_skeleton(self, phenotype: dict[str, torch.Tensor]) -> RestSkeleton:
+        """T-pose joints and keypoints of a shape; differentiable with respect to the phenotypes."""
+        coefficients = self.coefficients(phenotype)
+        heads = self._heads + torch.einsum("b,bjd->jd", coefficients, self._head_blend)
+        points = self._points + torch.einsum("b,bkd->kd", coefficients, self._point_blend)
+        rotations = _tpose_rotations(heads)
+        offsets = torch.einsum("jab,kjb->kja", rotations, points[:, None] - heads[None])
+        ends = self._ends + coefficients @ self._end_blend
+        return RestSkeleton(_tpose_joints(heads, rotations), offsets, ends[0] - ends[1])
+
+    def shaped(self, shape: BodyShape) -> ShapedBody:
+        """Rest mesh, weights and bind matrices of a shape.
+
+        Raises:
+            UsageError: the shape is not Anny's or names an unknown phenotype.
+        """
+        unknown = set(shape.parameters) - set(PHENOTYPES)
+        if shape.model != "anny" or unknown:
+            raise UsageError(f"body shape: want model 'anny' with {PHENOTYPES}, got {shape.model!r} {sorted(unknown)}")
+        phenotype = {k: torch.tensor(float(v)) for k, v in shape.parameters.items()}
+        with torch.no_grad():
+            coefficients = self.coefficients(phenotype)
+            vertices = self._vertices + torch.einsum("b,bvd->vd", coefficients, self._vertex_blend)
+            heads = self._heads + torch.einsum("b,bjd->jd", coefficients, self._head_blend)
+            rotations = _tpose_rotations(heads)
+            joints = _tpose_joints(heads, rotations)
+        inverse_bind = torch.eye(4).repeat(22, 1, 1)
+        inverse_bind[:, :3, :3] = rotations
+        inverse_bind[:, :3, 3] = -torch.einsum("jab,jb->ja", rotations, heads - heads[0])
+        return ShapedBody(
+            shape,
+            (vertices - heads[0]).numpy().astype(np.float64),
+            self.faces,
+            self.skin_weights.numpy().astype(np.float64),
+            inverse_bind.numpy().astype(np.float64),
+            joints.numpy().astype(np.float64),
+        )
+
+
+def _tpose_rotations(heads: torch.Tensor) -> torch.Tensor:
+    """(22, 3, 3) smallest rotations that straighten the limbs of the A-pose."""
+    rotations = [torch.eye(3)] * 22
+    for name, (child, direction) in _STRAIGHT.items():
+        bone = heads[JOINT_INDEX[child]] - heads[JOINT_INDEX[name]]
+        rotations[JOINT_INDEX[name]] = _smallest_rotation(bone, torch.tensor(direction))
+    for name, leader in _FOLLOWS.items():
+        rotations[JOINT_INDEX[name]] = rotations[JOINT_INDEX[leader]]
+    return torch.stack(rotations)
+
+
+def _smallest_rotation(start: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
+    """Rotation of unit(start) onto the unit vector goal, I + K + K^2 / (1 + cos); differentiable."""
+    unit = start / start.norm()
+    x, y, z = torch.linalg.cross(unit, goal)
+    zero = torch.zeros(())
+    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
+    return torch.eye(3) + skew + skew @ skew / (1 + unit @ goal)
+
+
+def _tpose_joints(heads: torch.Tensor, rotations: torch.Tensor) -> torch.Tensor:
+    """(22, 3) joints after each bone is turned by its parent joint's rotation; pelvis at the origin."""
+    joints = [torch.zeros(3)]
+    for joint in range(1, 22):
+        parent = int(PARENTS[joint])
+        joints.append(joints[parent] + rotations[parent] @ (heads[joint] - heads[parent]))
+    return torch.stack(joints)
+
+
+def _quiet_anny() -> Any:
+    """The Anny model without the banners of its skinning backend."""
+    logging.getLogger("anny").setLevel(logging.ERROR)
+    with contextlib.redirect_stdout(io.StringIO()), _native_stderr_closed():
+        import warp
+
+        warp.config.quiet = True
+        import anny
+
+        return anny.Anny(rig="mixamo")
+
+
+@contextlib.contextmanager
+def _native_stderr_closed() -> Iterator[None]:
+    """Send file descriptor 2 to nowhere: the backend's native code warns there about a missing GPU."""
+    kept = os.dup(2)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def _keypoint_regressor(source: Any) -> tuple[torch.Tensor, list[str]]:
+    """(keypoints, V) weights of Anny's own COCO-style keypoints, and their names."""
+    from anny.keypoints import KeypointsRegressor
+
+    regressor = KeypointsRegressor.coco(source)
+    weights = torch.zeros(len(regressor.labels), source.template_vertices.shape[0], dtype=source.dtype)
+    dense = regressor.regression_weights
+    indices = getattr(regressor, "regression_indices", None)
+    if indices is None:
+        weights = dense
+    else:
+        weights.scatter_add_(1, indices, dense)
+    return weights, list(regressor.labels)
+
+
+@functools.lru_cache(maxsize=1)
+def anny_model() -> AnnyModel:
+    """The model, loaded once per process (about 2 s)."""
+    return AnnyModel()
+
+
+def shaped_body(shape: BodyShape) -> ShapedBody:
+    """Body of a shape. Raises `UsageError` for a shape that is not Anny's."""
+    return _shaped_cached(shape.model, tuple(sorted(shape.parameters.items())))
+
+
+@functools.lru_cache(maxsize=8)
+def _shaped_cached(model: str, parameters: tuple[tuple[str, float], ...]) -> ShapedBody:
+    return anny_model().shaped(BodyShape(model, dict(parameters)))

@@ -1,0 +1,206 @@
+"""Commands, options and exit codes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from video2anim import __version__
+from video2anim.errors import Video2AnimError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Turn a video of a person among things into a metric 3D scene with a skinned, animated human.",
+    epilog="Exit codes: 0 fine, 2 usage or configuration, 3 bad input, 4 model missing, 5 stage failed.",
+)
+models_app = typer.Typer(no_args_is_help=True, help="Models: what there is, fetch it, check it.")
+app.add_typer(models_app, name="models")
+
+SceneDir = Annotated[Path, typer.Argument(help="Scene folder made by `run`.", metavar="DIR")]
+Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    context.obj = {"debug": debug}
+    if version:
+        typer.echo(f"video2anim {__version__}")
+        raise typer.Exit
+
+
+@app.command("run")
+def run_command(
+    video: Annotated[Path, typer.Argument(help="Input video.", metavar="VIDEO")],
+    out: Annotated[Path, typer.Option(help="Scene folder to make or bring up to date.")],
+    preset: Annotated[str, typer.Option(help="Shipped preset, or a YAML file.")] = "embedded",
+    sets: Annotated[list[str] | None, typer.Option("--set", help="STAGE.OPTION=VALUE, repeatable.")] = None,
+    start: Annotated[str | None, typer.Option("--from", help="Run this stage and all after it again.")] = None,
+    until: Annotated[str | None, typer.Option(help="Stop after this stage.")] = None,
+    person: Annotated[str | None, typer.Option(help="largest, all, or an ID of the track stage.")] = None,
+    focal_px: Annotated[float | None, typer.Option(help="Known focal length in pixels of the upright video.")] = None,
+    height_m: Annotated[float | None, typer.Option(help="Known standing height of the person.")] = None,
+    device: Device = "auto",
+    overwrite: Annotated[bool, typer.Option(help="Replace the results of another video.")] = False,
+) -> None:
+    """Bring the scene folder of a video up to date; what is cached is not run again."""
+    from video2anim.cli import compose, show
+    from video2anim.pipeline.config import parse_set
+
+    shortcuts: dict[str, dict[str, Any]] = {}
+    if person is not None:
+        shortcuts["track"] = {"person": person}
+    if focal_px is not None:
+        shortcuts["camera"] = {"focal_px": focal_px}
+    if height_m is not None:
+        shortcuts.setdefault("camera", {})["height_m"] = height_m
+        shortcuts["humans"] = {"height_m": height_m}
+    with show.progress() as on_event:
+        _, rows = compose.run_video(
+            video, out, preset=preset, overrides=[("--set", parse_set(sets or [])), ("option", shortcuts)],
+            start=start, until=until, overwrite=overwrite, device=_device(device), on_event=on_event,
+        )  # fmt: skip
+    show.stage_table(rows)
+    show.results(out)
+
+
+@app.command("stage")
+def stage_command(
+    name: Annotated[str, typer.Argument(help="Stage to run again.")], scene_dir: SceneDir, device: Device = "auto"
+) -> None:
+    """Run one stage again from cached inputs."""
+    from video2anim.cli import compose, show
+
+    with show.progress() as on_event:
+        rows = compose.rerun_stage(scene_dir, name, device=_device(device), on_event=on_event)
+    show.stage_table(rows)
+
+
+@app.command("status")
+def status_command(scene_dir: SceneDir) -> None:
+    """Which stages are up to date, edited by hand, or stale."""
+    from video2anim.cli import compose, show
+
+    runner, _ = compose.open_scene(scene_dir)
+    show.stage_table(runner.status())
+
+
+@app.command("show")
+def show_command(scene_dir: SceneDir, stage: Annotated[str, typer.Argument(help="Stage.", metavar="STAGE")]) -> None:
+    """Everything known of one stage: inputs, configuration, weights, quality."""
+    from video2anim.artifacts.manifest import read_manifest
+    from video2anim.cli import compose, show
+    from video2anim.errors import InputError
+
+    runner, _ = compose.open_scene(scene_dir)
+    folder = runner.folder(runner.node(stage))
+    if not folder.is_dir():
+        raise InputError(f"stage {stage}: not run yet in {scene_dir}; run `video2anim run VIDEO --out {scene_dir}`")
+    show.manifest(folder, read_manifest(folder))
+
+
+@app.command("export")
+def export_command(
+    scene_dir: SceneDir,
+    format_name: Annotated[str, typer.Option("--format", help="glb, usd, bvh, amass or fbx-ready.")],
+    out: Annotated[Path | None, typer.Option(help="File to write (default: in the scene folder).")] = None,
+) -> None:
+    """Write the result in one more format."""
+    from video2anim.cli import results
+
+    for path in results.export_format(scene_dir, format_name, out):
+        typer.echo(str(path))
+
+
+@app.command("view")
+def view_command(
+    scene_dir: SceneDir,
+    screenshot: Annotated[Path | None, typer.Option(help="Render one frame to this PNG, without a window.")] = None,
+    frame: Annotated[int, typer.Option(help="Frame to start with or to render.")] = 0,
+    motion: Annotated[str, typer.Option(help="raw, keyframes or refined.")] = "refined",
+) -> None:
+    """Look at the scene: play and scrub, raw / keyframes / refined, camera, objects."""
+    from video2anim.cli import results
+
+    results.view(scene_dir, frame=frame, motion=motion, screenshot=screenshot)
+
+
+@app.command("demo")
+def demo_command(
+    out: Annotated[Path, typer.Option(help="Scene folder.")] = Path("demo_out"),
+    device: Device = "auto",
+) -> None:
+    """Fetch a small real clip (BSD-3, from the Sports2D wheel) and run the whole pipeline on it."""
+    from video2anim.cli import results
+
+    clip = results.demo_clip(lambda text: typer.echo(text, err=True))
+    run_command(clip, out, device=device)
+
+
+@models_app.command("list")
+def models_list() -> None:
+    """All models with slot, runtime, size, licence, and whether the weights are here."""
+    from video2anim.cli import show
+    from video2anim.models import verify
+
+    show.models_table(verify())
+
+
+@models_app.command("pull")
+def models_pull(
+    name: Annotated[str, typer.Argument(help="Model, or preset: embedded, standard.")] = "embedded",
+) -> None:
+    """Fetch a model, or all models of a preset, and check their digests."""
+    from video2anim.cli import show
+
+    show.pull(name)
+
+
+@models_app.command("verify")
+def models_verify() -> None:
+    """Check the digest of every model that is here."""
+    from video2anim.cli import show
+    from video2anim.models import verify
+
+    states = verify()
+    show.models_table(states)
+    show.fail_on_damage(states)
+
+
+def _device(wanted: str) -> str:
+    from video2anim.errors import UsageError
+
+    if wanted not in ("auto", "cpu", "cuda"):
+        raise UsageError(f"--device: want auto, cpu or cuda, got {wanted!r}")
+    if wanted == "cpu":
+        return "cpu"
+    import torch
+
+    if torch.cuda.is_available():
+        return "cuda"
+    if wanted == "cuda":
+        raise UsageError("--device: want cuda, but this PyTorch sees no CUDA device; use --device cpu")
+    return "cpu"
+
+
+def run() -> None:
+    """Entry point: expected failures become one line and an exit code."""
+    try:
+        app(standalone_mode=True)
+    except Video2AnimError as error:
+        if "--debug" in sys.argv:
+            raise
+        typer.echo(f"video2anim: {' '.join(str(error).split())}", err=True)
+        sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    run()

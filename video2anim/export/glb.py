@@ -1,0 +1,219 @@
+"""glTF 2.0 binary files: the whole scene with skinned, animated people, and single objects.
+
+Metres, +Y up, 30 fps, which are glTF's own conventions; cameras are turned from OpenCV's axes to glTF's.
+Each person is one skin over 22 joint nodes named in SMPL order. Joint rotations are linear (slerp) channels.
+Vertices keep their four strongest joints, so a skinned vertex differs slightly from the body model's.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pygltflib as gltf
+
+from video2anim import __version__
+from video2anim.body.skeleton import JOINT_NAMES, PARENTS
+from video2anim.export.character import Character
+from video2anim.export.frames import is_still, linear_from_srgb, opengl_camera_poses, vertical_fov_rad
+from video2anim.export.gltf_buffer import GltfBuffer
+from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
+from video2anim.types import BodyMotion, Mesh, PlacedObject, SceneModel
+from video2anim.viewer.normals import vertex_normals
+
+SKIN_RGB = (205, 163, 138)
+_NEAR_M = 0.05
+_UNLIT = "KHR_materials_unlit"
+
+
+def write_scene_glb(
+    path: Path,
+    characters: tuple[Character, ...],
+    scene: SceneModel | None,
+    *,
+    camera: bool = True,
+    joint_names: tuple[str, ...] = JOINT_NAMES,
+) -> None:
+    """Write people, objects, floor, background and camera to one `.glb`.
+
+    Args:
+        path: File to make.
+        characters: People, main person first; the camera is the one their motions carry.
+        scene: Static geometry, or None for people alone.
+        camera: Whether to write the filming camera.
+        joint_names: Names of the 22 joint nodes, in SMPL order.
+    """
+    writer = _GlbWriter(joint_names)
+    if scene is not None:
+        writer.add_mesh("floor", scene.floor, unlit=False)
+        writer.add_mesh("background", scene.background, unlit=True)
+        for placed in scene.objects:
+            writer.add_object(placed, np.asarray(placed.T_world_object))
+    for character in characters:
+        writer.add_character(character)
+    if characters and camera:
+        writer.add_camera(characters[0].motion)
+    writer.save(path)
+
+
+def write_object_glb(path: Path, placed: PlacedObject) -> None:
+    """Write one object in metres in its own frame (resting on y = 0); its world pose is in the node's extras."""
+    writer = _GlbWriter()
+    writer.add_object(placed, np.eye(4))
+    writer.save(path)
+
+
+def object_name(placed: PlacedObject) -> str:
+    """Node name of an object: its number and label, in letters, digits and underscores."""
+    return re.sub(r"\W+", "_", f"object_{placed.object_id}_{placed.label}", flags=re.ASCII)
+
+
+class _GlbWriter:
+    def __init__(self, joint_names: tuple[str, ...] = JOINT_NAMES) -> None:
+        self.joint_names = joint_names
+        self.document = gltf.GLTF2(
+            asset=gltf.Asset(version="2.0", generator=f"video2anim {__version__}"),
+            scene=0,
+        )
+        self.roots: list[int] = []
+        self.buffer = GltfBuffer(self.document)
+        self.animation = gltf.Animation(name="motion", channels=[], samplers=[])
+        self.materials: dict[str, int] = {}
+        self.time_accessors: dict[bytes, int] = {}
+
+    def add_mesh(
+        self, name: str, mesh: Mesh, *, unlit: bool, T: np.ndarray | None = None, scale: float = 1.0
+    ) -> int | None:
+        """Static mesh with vertex colours as its own node; None where it has no faces."""
+        if len(mesh.faces) == 0:
+            return None
+        vertices_m = np.asarray(mesh.vertices_m, np.float64)
+        alpha = np.full((len(vertices_m), 1), 1.0)
+        rgba = np.concatenate([linear_from_srgb(mesh.vertex_rgb), alpha], 1)
+        rgba_uint16 = np.rint(rgba * np.iinfo(np.uint16).max).astype(np.uint16)
+        attributes = gltf.Attributes(
+            POSITION=self.buffer.add(vertices_m, target=gltf.ARRAY_BUFFER, bounds=True),
+            NORMAL=self.buffer.add(vertex_normals(vertices_m, mesh.faces), target=gltf.ARRAY_BUFFER),
+            COLOR_0=self.buffer.add(rgba_uint16, target=gltf.ARRAY_BUFFER, normalized=True),
+        )
+        mesh_index = self._add_primitive(name, attributes, mesh.faces, self._material("photo" if unlit else "matte"))
+        node = gltf.Node(name=name, mesh=mesh_index)
+        if T is not None:
+            _set_pose(node, T)
+            node.scale = [float(scale)] * 3
+        return self._add_root(node)
+
+    def add_object(self, placed: PlacedObject, T: np.ndarray) -> None:
+        index = self.add_mesh(object_name(placed), placed.mesh, unlit=False, T=T, scale=placed.scale)
+        if index is not None:
+            self.document.nodes[index].extras = {
+                "object_id": int(placed.object_id),
+                "label": placed.label,
+                "trusted": bool(placed.trusted),
+                "T_world_object": np.asarray(placed.T_world_object, float).tolist(),
+            }
+
+    def add_character(self, character: Character) -> None:
+        motion = character.motion
+        joints = self._add_joints(character)
+        target = gltf.ARRAY_BUFFER
+        attributes = gltf.Attributes(
+            POSITION=self.buffer.add(character.vertices_m, target=target, bounds=True),
+            NORMAL=self.buffer.add(character.normals, target=target),
+            JOINTS_0=self.buffer.add(character.joint_index.astype(np.uint8), target=target),
+            WEIGHTS_0=self.buffer.add(character.joint_weight, target=target),
+        )
+        name = f"person_{motion.person_id}"
+        mesh = self._add_primitive(f"{name}_body", attributes, character.faces, self._material("skin"))
+        inverse_bind = self.buffer.add(character.inverse_bind)
+        self.document.skins.append(
+            gltf.Skin(name=f"{name}_skin", joints=joints, skeleton=joints[0], inverseBindMatrices=inverse_bind)
+        )
+        self._add_root(gltf.Node(name=f"{name}_body", mesh=mesh, skin=len(self.document.skins) - 1))
+        armature = gltf.Node(name=name, children=[joints[0]])
+        armature.extras = {
+            "person_id": int(motion.person_id),
+            "frames_without_measurement": np.flatnonzero(~motion.valid).tolist(),
+            "shape": {"model": motion.shape.model, "parameters": motion.shape.parameters},
+        }
+        self._add_root(armature)
+        self._animate(motion.frame_time_s, joints[0], "translation", character.root_translation_m)
+        xyzw = np.roll(character.quaternions_wxyz(), -1, axis=-1)
+        for joint, node in enumerate(joints):
+            self._animate(motion.frame_time_s, node, "rotation", xyzw[:, joint])
+
+    def add_camera(self, motion: BodyMotion) -> None:
+        intrinsics = motion.intrinsics
+        lens = gltf.Perspective(
+            yfov=vertical_fov_rad(intrinsics),
+            aspectRatio=(intrinsics.width_px / intrinsics.fx_px) / (intrinsics.height_px / intrinsics.fy_px),
+            znear=_NEAR_M,
+        )
+        self.document.cameras.append(gltf.Camera(name="camera", type="perspective", perspective=lens))
+        poses = opengl_camera_poses(motion.T_world_camera)
+        node = gltf.Node(name="camera", camera=len(self.document.cameras) - 1)
+        _set_pose(node, poses[0])
+        index = self._add_root(node)
+        if not is_still(poses):
+            wxyz = continuous_quaternions(quaternion_from_matrix(poses[:, :3, :3]))
+            self._animate(motion.frame_time_s, index, "translation", poses[:, :3, 3])
+            self._animate(motion.frame_time_s, index, "rotation", np.roll(wxyz, -1, axis=-1))
+
+    def save(self, path: Path) -> None:
+        if self.animation.channels:
+            self.document.animations.append(self.animation)
+        self.document.scenes.append(gltf.Scene(name="scene", nodes=self.roots))
+        self.buffer.finish()
+        path.write_bytes(b"".join(self.document.save_to_bytes()))
+
+    def _add_joints(self, character: Character) -> list[int]:
+        first = len(self.document.nodes)
+        for joint, name in enumerate(self.joint_names):
+            node = gltf.Node(name=name, translation=character.joint_offsets_m[joint].tolist(), children=[])
+            self.document.nodes.append(node)
+            if PARENTS[joint] >= 0:
+                self.document.nodes[first + int(PARENTS[joint])].children.append(first + joint)
+        return list(range(first, first + len(self.joint_names)))
+
+    def _add_primitive(self, name: str, attributes: gltf.Attributes, faces: np.ndarray, material: int) -> int:
+        indices = self.buffer.add(faces.reshape(-1).astype(np.uint32), target=gltf.ELEMENT_ARRAY_BUFFER)
+        primitive = gltf.Primitive(attributes=attributes, indices=indices, material=material, mode=gltf.TRIANGLES)
+        self.document.meshes.append(gltf.Mesh(name=name, primitives=[primitive]))
+        return len(self.document.meshes) - 1
+
+    def _add_root(self, node: gltf.Node) -> int:
+        self.document.nodes.append(node)
+        index = len(self.document.nodes) - 1
+        self.roots.append(index)
+        return index
+
+    def _animate(self, time_s: np.ndarray, node: int, path: str, values: np.ndarray) -> None:
+        key = np.asarray(time_s, np.float32).tobytes()
+        if key not in self.time_accessors:
+            self.time_accessors[key] = self.buffer.add(np.asarray(time_s, np.float32), bounds=True)
+        sampler = gltf.AnimationSampler(
+            input=self.time_accessors[key], output=self.buffer.add(values), interpolation="LINEAR"
+        )
+        self.animation.samplers.append(sampler)
+        target = gltf.AnimationChannelTarget(node=node, path=path)
+        self.animation.channels.append(gltf.AnimationChannel(sampler=len(self.animation.samplers) - 1, target=target))
+
+    def _material(self, name: str) -> int:
+        """Index of a shared material: `skin`, `matte` (lit vertex colours) or `photo` (colours hold the light)."""
+        if name not in self.materials:
+            rgba = [*linear_from_srgb(np.array(SKIN_RGB)).tolist(), 1.0] if name == "skin" else [1.0] * 4
+            surface = gltf.PbrMetallicRoughness(baseColorFactor=rgba, metallicFactor=0.0, roughnessFactor=0.7)
+            material = gltf.Material(name=name, pbrMetallicRoughness=surface, doubleSided=name != "skin")
+            if name == "photo":
+                material.extensions = {_UNLIT: {}}
+                self.document.extensionsUsed.append(_UNLIT)
+            self.document.materials.append(material)
+            self.materials[name] = len(self.document.materials) - 1
+        return self.materials[name]
+
+
+def _set_pose(node: gltf.Node, T: np.ndarray) -> None:
+    wxyz = quaternion_from_matrix(np.asarray(T, np.float64)[None, :3, :3])[0]
+    node.translation = np.asarray(T, np.float64)[:3, 3].tolist()
+    node.rotation = np.roll(wxyz, -1).tolist()

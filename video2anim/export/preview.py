@@ -1,0 +1,115 @@
+"""The preview video: the body over the input on the left, the scene from the side on the right. Software rendered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from video2anim.types import BodyMotion, Intrinsics, SceneModel, VideoClip
+from video2anim.video import FrameWriter, read_frame, read_frames
+from video2anim.viewer.bodies import PosedBodies
+from video2anim.viewer.drawing import draw_frustum, draw_static
+from video2anim.viewer.raster import Canvas
+from video2anim.viewer.software import framed_points
+from video2anim.viewer.viewpoint import Viewpoint, fit_viewpoint, looking
+
+_BODY_OPACITY = 0.8
+_SIDE_ELEVATION_RAD = 0.25
+_TEXT_RGB = (40, 44, 52)
+
+
+@dataclass(frozen=True, slots=True)
+class PreviewConfig:
+    """Size of the preview."""
+
+    panel_height_px: int = 360
+    """Height of both panels; the left one keeps the shape of the video."""
+    side_width_px: int = 560
+    """Width of the side view."""
+
+
+def write_preview(
+    path: Path,
+    clip: VideoClip,
+    people: tuple[BodyMotion, ...],
+    scene: SceneModel,
+    config: PreviewConfig | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write `preview.mp4` at the clip's rate, all frames.
+
+    Args:
+        path: File to make.
+        clip: The input; its pictures are the left panel.
+        people: Motions to show, main person first.
+        scene: Floor and objects of the side view.
+        config: Panel sizes.
+        on_progress: Called with frames done and in all.
+
+    Raises:
+        InputError: the clip cannot be read or the disk is full.
+    """
+    size = config or PreviewConfig()
+    bodies = PosedBodies(people)
+    width_px, height_px = _panel_size(clip, size.panel_height_px)
+    lens = people[0].intrinsics.resized(width_px, height_px)
+    side = side_viewpoint(people, scene, size.side_width_px, height_px)
+    side_empty = Canvas.blank(size.side_width_px, height_px)
+    draw_static(side_empty, side, scene, background=False, objects=True)
+    total = min(clip.frame_count, people[0].frame_count)
+    with FrameWriter(
+        path, width_px=width_px + size.side_width_px, height_px=height_px, fps=round(clip.fps), crf=20
+    ) as writer:
+        for frame, (picture, meshes) in enumerate(
+            zip(read_frames(clip, 0, total), bodies.frames(0, total), strict=True)
+        ):
+            small = cv2.resize(picture, (width_px, height_px), interpolation=cv2.INTER_AREA)
+            left = _overlay(small, bodies, meshes, frame, lens)
+            right = side_empty.copy()
+            draw_frustum(right, side, people[0].T_world_camera[frame], people[0].intrinsics)
+            bodies.draw(right, side, meshes, frame)
+            both = np.concatenate([left, right.rgb], axis=1)
+            label = f"{frame}  {clip.frame_time_s[frame]:.2f} s"
+            cv2.putText(both, label, (width_px + 10, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _TEXT_RGB, 1, cv2.LINE_AA)
+            writer.write(both)
+            if on_progress is not None:
+                on_progress(frame + 1, total)
+
+
+def overlay_frame(
+    clip: VideoClip, people: tuple[BodyMotion, ...], frame: int, height_px: int = 360
+) -> UInt8[np.ndarray, "height width 3"]:
+    """One frame of the input with the bodies drawn over it."""
+    bodies = PosedBodies(people)
+    width_px, height_px = _panel_size(clip, height_px)
+    small = cv2.resize(read_frame(clip, frame), (width_px, height_px), interpolation=cv2.INTER_AREA)
+    (meshes,) = bodies.frames(frame, frame + 1)
+    return _overlay(small, bodies, meshes, frame, people[0].intrinsics.resized(width_px, height_px))
+
+
+def side_viewpoint(people: tuple[BodyMotion, ...], scene: SceneModel, width_px: int, height_px: int) -> Viewpoint:
+    """A camera at right angles to the filming one that sees all bodies and the objects near them."""
+    forward = people[0].T_world_camera[0, :3, 2]
+    sideways = np.cross([0.0, 1.0, 0.0], forward)
+    return fit_viewpoint(
+        framed_points(people, scene), looking(sideways, _SIDE_ELEVATION_RAD), width_px=width_px, height_px=height_px
+    )
+
+
+def _overlay(
+    picture: np.ndarray, bodies: PosedBodies, meshes: tuple[np.ndarray, ...], frame: int, lens: Intrinsics
+) -> UInt8[np.ndarray, "height width 3"]:
+    canvas = Canvas.over(picture)
+    bodies.draw(canvas, Viewpoint(bodies.people[0].T_world_camera[frame], lens), meshes, frame)
+    return cv2.addWeighted(canvas.rgb, _BODY_OPACITY, picture, 1.0 - _BODY_OPACITY, 0.0)
+
+
+def _panel_size(clip: VideoClip, height_px: int) -> tuple[int, int]:
+    """Even panel size of the clip's shape."""
+    even_height_px = 2 * (height_px // 2)
+    return max(2, 2 * round(0.5 * even_height_px * clip.width_px / clip.height_px)), even_height_px

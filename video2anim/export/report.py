@@ -1,0 +1,162 @@
+"""`report.html`: one self-contained page that explains a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from video2anim import __version__
+from video2anim.export import report_plots
+from video2anim.export.quality import VERTEX_STRIDE, MotionQuality, measured_span, motion_quality
+from video2anim.pipeline.stage import Quality
+from video2anim.types import BodyMotion, CameraEstimate, SceneModel
+
+STAGE_ORDER = ("raw", "keyframes", "refined")
+_FPS = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class StageRow:
+    """One stage as its manifest tells it."""
+
+    name: str
+    state: str
+    """`ran`, `cached` or `not run`."""
+    version: int
+    wall_time_s: float
+    peak_memory_mb: float
+    qualities: tuple[Quality, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ModelRow:
+    """A model that the run used."""
+
+    name: str
+    licence: str
+    source: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture with its caption."""
+
+    caption: str
+    png: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportInput:
+    """Everything the page shows. What is absent is left out of the page, not made up."""
+
+    title: str
+    """Name of the input."""
+    stages: tuple[StageRow, ...]
+    models: tuple[ModelRow, ...] = ()
+    camera: CameraEstimate | None = None
+    motions: Mapping[str, tuple[BodyMotion, ...]] = field(default_factory=dict)
+    """People by stage: any of `raw`, `keyframes`, `refined`, the same persons in the same order."""
+    priors: tuple[str, ...] = ()
+    """In-betweening prior of each person of `refined`."""
+    scene: SceneModel | None = None
+    pictures: tuple[Picture, ...] = ()
+
+
+def render_report(report: ReportInput) -> str:
+    """The page as HTML text, with pictures and plots inside."""
+    environment = Environment(
+        loader=PackageLoader("video2anim.export"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters["number"] = format_number
+    return environment.get_template("report.html.j2").render(
+        version=__version__,
+        report=report,
+        camera=_camera_facts(report.camera),
+        people=[_person(report, index) for index in range(_person_count(report))],
+        pictures=[(picture.caption, report_plots.data_uri(picture.png, "image/png")) for picture in report.pictures],
+        total_s=sum(stage.wall_time_s for stage in report.stages),
+        peak_mb=max((stage.peak_memory_mb for stage in report.stages), default=0.0),
+        warnings=[(stage.name, text) for stage in report.stages for text in stage.warnings],
+        vertex_stride=VERTEX_STRIDE,
+    )
+
+
+def format_number(value: float) -> str:
+    """Three significant digits without an exponent for everyday sizes; `n/a` for NaN."""
+    if not math.isfinite(value):
+        return "n/a"
+    if value == 0 or 1e-4 <= abs(value) < 1e6:
+        digits = 0 if value == 0 else max(0, 2 - math.floor(math.log10(abs(value))))
+        text = f"{value:.{digits}f}"
+        return text.rstrip("0").rstrip(".") if "." in text else text
+    return f"{value:.2e}"
+
+
+def _person_count(report: ReportInput) -> int:
+    return max((len(people) for people in report.motions.values()), default=0)
+
+
+def _person(report: ReportInput, index: int) -> dict[str, Any]:
+    """Table and plots of one person."""
+    motions = {name: report.motions[name][index] for name in STAGE_ORDER if len(report.motions.get(name, ())) > index}
+    first = next(iter(motions.values()))
+    span = measured_span(first)
+    facts = {
+        "id": first.person_id,
+        "prior": report.priors[index] if index < len(report.priors) else "",
+        "frames": first.frame_count,
+        "unmeasured": int((~first.valid).sum()),
+        "stages": list(motions),
+        "rows": [],
+        "plots": [],
+    }
+    if span is None:
+        return facts
+    qualities = {name: motion_quality(motion, report.scene, span, _FPS) for name, motion in motions.items()}
+    facts["rows"] = _comparison(qualities)
+    facts["plots"] = [("Jerk over time", report_plots.jerk_plot(qualities))]
+    if report.scene is not None:
+        facts["plots"].append(("Body against scene", report_plots.clearance_plot(qualities)))
+    facts["plots"].append(("Path of the pelvis from above", report_plots.path_plot(motions, report.scene)))
+    return facts
+
+
+def _comparison(qualities: Mapping[str, MotionQuality]) -> list[dict[str, Any]]:
+    """One row per number: its value at each stage, and whether the last is better than the first."""
+    rows = []
+    for numbers in zip(*(quality.numbers for quality in qualities.values()), strict=True):
+        first, last = numbers[0], numbers[-1]
+        sign = {"lower": -1.0, "higher": 1.0, "none": 0.0}[first.better]
+        gain = sign * (last.value - first.value)
+        verdict = "better" if gain > 0 else "worse" if gain < 0 else "same"
+        rows.append(
+            {
+                "name": first.name,
+                "unit": first.unit,
+                "better": first.better,
+                "values": [number.value for number in numbers],
+                "verdict": verdict if math.isfinite(gain) and len(numbers) > 1 else "",
+            }
+        )
+    return rows
+
+
+def _camera_facts(camera: CameraEstimate | None) -> list[tuple[str, str]]:
+    if camera is None:
+        return []
+    lens = camera.intrinsics
+    fov_y_deg = math.degrees(2.0 * math.atan2(0.5 * lens.height_px, lens.fy_px))
+    sigma_px = camera.focal_sigma_ratio * lens.fy_px
+    return [
+        ("focal length", f"{lens.fy_px:.0f} ± {sigma_px:.0f} px, from {camera.focal_source}"),
+        ("vertical field of view", f"{fov_y_deg:.1f}°"),
+        ("picture", f"{lens.width_px} x {lens.height_px} px"),
+        ("up direction", f"± {math.degrees(camera.up_sigma_rad):.1f}°, from {camera.up_source}"),
+        ("motion", "static" if camera.is_static else "moving"),
+    ]

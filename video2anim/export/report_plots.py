@@ -1,0 +1,98 @@
+"""Plots of the report as SVG pictures. Uses matplotlib's object interface: no global state, no display."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from video2anim.export.quality import MotionQuality
+from video2anim.types import BodyMotion, SceneModel
+from video2anim.viewer.drawing import world_vertices
+
+STAGE_COLORS = {"raw": "#8a8f98", "keyframes": "#d9822b", "refined": "#1f6fb2"}
+_WIDTH_IN, _HEIGHT_IN = 8.0, 2.5
+_CENTIMETRES_PER_METRE = 100.0
+
+
+def data_uri(content: bytes, media_type: str) -> str:
+    """A `data:` address that carries the content itself."""
+    return f"data:{media_type};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def jerk_plot(qualities: Mapping[str, MotionQuality]) -> str:
+    """Jerk over time, one line per stage, as a `data:` address."""
+    figure, axes = _figure("jerk (m/s³)", "time (s)")
+    for stage, quality in qualities.items():
+        axes.plot(quality.time_s, quality.jerk_m_s3, color=STAGE_COLORS[stage], lw=1.2, label=stage)
+    axes.set_ylim(bottom=0)
+    return _finish(figure, axes)
+
+
+def clearance_plot(qualities: Mapping[str, MotionQuality]) -> str:
+    """Distance of the body's nearest vertex to the scene over time; below zero the body is inside something."""
+    figure, axes = _figure("distance (cm)", "time (s)")
+    axes.axhspan(-1e3, 0, color="#c0392b", alpha=0.07, lw=0)
+    axes.axhline(0, color="#c0392b", lw=0.8)
+    lows, highs = [0.0], [0.0]
+    for stage, quality in qualities.items():
+        clearance_cm = quality.clearance_m * _CENTIMETRES_PER_METRE
+        axes.plot(quality.time_s, clearance_cm, color=STAGE_COLORS[stage], lw=1.2, label=stage)
+        finite = clearance_cm[np.isfinite(clearance_cm)]
+        lows += finite.tolist()
+        highs += finite.tolist()
+    margin = 0.08 * (max(highs) - min(lows)) + 0.5
+    axes.set_ylim(min(lows) - margin, max(highs) + margin)
+    return _finish(figure, axes)
+
+
+def path_plot(motions: Mapping[str, BodyMotion], scene: SceneModel | None) -> str:
+    """The pelvis from above with the outlines of the objects (convex)."""
+    figure, axes = _figure("z (m), towards the viewer", "x (m)", height_in=4.0)
+    for placed in scene.objects if scene is not None else ():
+        vertices_m = world_vertices(placed)
+        if len(vertices_m):
+            outline = _hull(vertices_m[:, [0, 2]])
+            axes.fill(outline[:, 0], outline[:, 1], color="#4b5563", alpha=0.25, lw=0)
+            axes.annotate(placed.label, outline.mean(0), ha="center", va="center", fontsize=8)
+    for stage, motion in motions.items():
+        pelvis_m = np.where(motion.valid[:, None], motion.joints_world_m[:, 0], np.nan)
+        axes.plot(pelvis_m[:, 0], pelvis_m[:, 2], color=STAGE_COLORS[stage], lw=1.3, label=stage)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.invert_yaxis()
+    return _finish(figure, axes)
+
+
+def _figure(y_label: str, x_label: str, height_in: float = _HEIGHT_IN) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(_WIDTH_IN, height_in), layout="constrained")
+    axes = figure.add_subplot()
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    axes.grid(color="#e3e6ea", lw=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def _finish(figure: Figure, axes: Axes) -> str:
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, ncols=3, loc="upper right", fontsize=9)
+    target = io.BytesIO()
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "video2anim", "font.family": "sans-serif"}):
+        figure.savefig(target, format="svg", metadata={"Date": None})
+    return data_uri(target.getvalue(), "image/svg+xml")
+
+
+def _hull(points: np.ndarray) -> np.ndarray:
+    """Convex outline of 2D points; the points themselves where they span no area."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:
+        return points

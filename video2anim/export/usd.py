@@ -1,0 +1,179 @@
+"""USD: the whole scene as one `.usdc` with UsdSkel people. Metres, +Y up, 30 time codes per second.
+
+Needs usd-core, which is imported when this module is.
+"""
+# usd-core ships no type stubs: its names exist only at run time.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+
+from video2anim.body.skeleton import JOINT_NAMES, PARENTS
+from video2anim.export.character import INFLUENCES, Character
+from video2anim.export.frames import is_still, linear_from_srgb, opengl_camera_poses
+from video2anim.export.glb import SKIN_RGB, object_name
+from video2anim.types import BodyMotion, Mesh, PlacedObject, SceneModel
+
+FPS = 30.0
+_APERTURE = 36.0
+"""Width of the picture in USD's lens units; only its ratio to the focal length matters."""
+_BODY_REACH_M = 0.4
+"""Skin never lies farther than this from the nearest joint of the 22 (fingertips)."""
+
+
+def write_usd(path: Path, characters: tuple[Character, ...], scene: SceneModel | None) -> None:
+    """Write people, objects, floor, background and camera. `path` ends in `.usdc`, `.usda` or `.usd`."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    stage.SetTimeCodesPerSecond(FPS)
+    stage.SetFramesPerSecond(FPS)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    material = _vertex_color_material(stage)
+    if scene is not None:
+        for name, mesh in (("floor", scene.floor), ("background", scene.background)):
+            if len(mesh.faces):
+                _define_mesh(stage, f"/World/{name}", mesh, material)
+        for placed in scene.objects:
+            _define_object(stage, placed, material)
+    for character in characters:
+        _define_character(stage, character, material)
+    if characters:
+        _define_camera(stage, characters[0].motion)
+        stage.SetStartTimeCode(float(characters[0].motion.frame_time_s[0]) * FPS)
+        stage.SetEndTimeCode(float(characters[0].motion.frame_time_s[-1]) * FPS)
+    stage.GetRootLayer().Save()
+
+
+def _define_mesh(stage: Usd.Stage, path: str, mesh: Mesh, material: UsdShade.Material) -> UsdGeom.Mesh:
+    colors = linear_from_srgb(mesh.vertex_rgb)
+    return _define_triangles(stage, path, np.asarray(mesh.vertices_m), np.asarray(mesh.faces), colors, material)
+
+
+def _define_triangles(
+    stage: Usd.Stage,
+    path: str,
+    vertices_m: np.ndarray,
+    faces: np.ndarray,
+    colors: np.ndarray,
+    material: UsdShade.Material,
+) -> UsdGeom.Mesh:
+    """Mesh prim; `colors` has one row, or one for each vertex."""
+    prim = UsdGeom.Mesh.Define(stage, path)
+    prim.CreatePointsAttr(_vec3f(vertices_m))
+    prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
+    prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.reshape(-1).astype(np.int32)))
+    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    prim.CreateExtentAttr(_vec3f(np.stack([vertices_m.min(0), vertices_m.max(0)])))
+    prim.CreateDoubleSidedAttr(True)
+    interpolation = UsdGeom.Tokens.constant if len(colors) == 1 else UsdGeom.Tokens.vertex
+    prim.CreateDisplayColorPrimvar(interpolation).Set(_vec3f(colors))
+    UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
+    return prim
+
+
+def _define_object(stage: Usd.Stage, placed: PlacedObject, material: UsdShade.Material) -> None:
+    if len(placed.mesh.faces) == 0:
+        return
+    node = _define_mesh(stage, f"/World/objects/{object_name(placed)}", placed.mesh, material)
+    scaling = np.diag([placed.scale, placed.scale, placed.scale, 1.0])
+    node.AddTransformOp().Set(_matrix(np.asarray(placed.T_world_object) @ scaling))
+    node.GetPrim().SetCustomDataByKey("label", placed.label)
+    node.GetPrim().SetCustomDataByKey("trusted", bool(placed.trusted))
+
+
+def _define_character(stage: Usd.Stage, character: Character, material: UsdShade.Material) -> None:
+    motion = character.motion
+    name = f"person_{motion.person_id}"
+    root = UsdSkel.Root.Define(stage, f"/World/{name}")
+    joints_m = motion.joints_world_m.reshape(-1, 3)
+    root.CreateExtentAttr(_vec3f(np.stack([joints_m.min(0) - _BODY_REACH_M, joints_m.max(0) + _BODY_REACH_M])))
+    root.GetPrim().SetCustomDataByKey("framesWithoutMeasurement", _ints(np.flatnonzero(~motion.valid)))
+    paths = _joint_paths()
+    skeleton = UsdSkel.Skeleton.Define(stage, f"{root.GetPath()}/{name}_skeleton")
+    skeleton.CreateJointsAttr(paths)
+    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray([_matrix(np.linalg.inv(m)) for m in character.inverse_bind]))
+    rest = np.tile(np.eye(4), (len(paths), 1, 1))
+    rest[:, :3, 3] = character.joint_offsets_m
+    skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray([_matrix(m) for m in rest]))
+    animation = _define_animation(stage, f"{skeleton.GetPath()}/animation", character, paths)
+    UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation])
+    skin = linear_from_srgb(np.array([SKIN_RGB]))
+    path = f"{root.GetPath()}/{name}_body"
+    mesh = _define_triangles(stage, path, character.vertices_m, character.faces, skin, material)
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+    binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
+    weights = character.joint_weight.reshape(-1).astype(np.float32)
+    binding.CreateJointIndicesPrimvar(False, INFLUENCES).Set(_ints(character.joint_index.reshape(-1)))
+    binding.CreateJointWeightsPrimvar(False, INFLUENCES).Set(Vt.FloatArray.FromNumpy(weights))
+
+
+def _define_animation(stage: Usd.Stage, path: str, character: Character, joint_paths: list[str]) -> Sdf.Path:
+    animation = UsdSkel.Animation.Define(stage, path)
+    animation.CreateJointsAttr(joint_paths)
+    animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1.0)] * len(joint_paths)))
+    translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
+    quaternions = character.quaternions_wxyz()
+    offsets_m = character.joint_offsets_m.copy()
+    for frame, time_s in enumerate(character.motion.frame_time_s):
+        code = Usd.TimeCode(float(time_s) * FPS)
+        offsets_m[0] = character.root_translation_m[frame]
+        translations.Set(_vec3f(offsets_m), code)
+        rotations.Set(Vt.QuatfArray([Gf.Quatf(*q) for q in quaternions[frame].tolist()]), code)
+    return animation.GetPath()
+
+
+def _define_camera(stage: Usd.Stage, motion: BodyMotion) -> None:
+    lens = motion.intrinsics
+    camera = UsdGeom.Camera.Define(stage, "/World/camera")
+    camera.CreateHorizontalApertureAttr(_APERTURE)
+    camera.CreateFocalLengthAttr(_APERTURE * lens.fx_px / lens.width_px)
+    camera.CreateVerticalApertureAttr(_APERTURE * lens.fx_px / lens.width_px * lens.height_px / lens.fy_px)
+    camera.CreateClippingRangeAttr(Gf.Vec2f(0.05, 1000.0))
+    transform = camera.AddTransformOp()
+    poses = opengl_camera_poses(motion.T_world_camera)
+    if is_still(poses):
+        transform.Set(_matrix(poses[0]))
+        return
+    for time_s, pose in zip(motion.frame_time_s, poses, strict=True):
+        transform.Set(_matrix(pose), Usd.TimeCode(float(time_s) * FPS))
+
+
+def _vertex_color_material(stage: Usd.Stage) -> UsdShade.Material:
+    """Matte surface that shows `displayColor`."""
+    material = UsdShade.Material.Define(stage, "/World/materials/vertex_color")
+    reader = UsdShade.Shader.Define(stage, f"{material.GetPath()}/color")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+    surface = UsdShade.Shader.Define(stage, f"{material.GetPath()}/surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.7)
+    color = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    color.ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float3))
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    return material
+
+
+def _joint_paths() -> list[str]:
+    paths: list[str] = []
+    for joint, name in enumerate(JOINT_NAMES):
+        paths.append(name if PARENTS[joint] < 0 else f"{paths[PARENTS[joint]]}/{name}")
+    return paths
+
+
+def _vec3f(rows: np.ndarray) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rows, np.float32))
+
+
+def _ints(values: np.ndarray) -> Vt.IntArray:
+    return Vt.IntArray.FromNumpy(np.ascontiguousarray(values, np.int32))
+
+
+def _matrix(T: np.ndarray) -> Gf.Matrix4d:
+    """USD multiplies row vectors from the left, so its matrices are transposed."""
+    return Gf.Matrix4d(np.asarray(T, np.float64).T.tolist())

@@ -1,0 +1,135 @@
+"""Up direction, floor and contacts from a moving body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from video2anim.body.skeleton import JOINT_INDEX
+
+_SEGMENTS = (
+    ("pelvis", "spine3", 0.43), ("neck", "head", 0.08),
+    ("left_shoulder", "left_elbow", 0.028), ("right_shoulder", "right_elbow", 0.028),
+    ("left_elbow", "left_wrist", 0.022), ("right_elbow", "right_wrist", 0.022),
+    ("left_hip", "left_knee", 0.100), ("right_hip", "right_knee", 0.100),
+    ("left_knee", "left_ankle", 0.061), ("right_knee", "right_ankle", 0.061),
+)  # fmt: skip
+"""Mass share of body segments (Winter 2009, table 4.1), each at the middle of its joints."""
+_FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpEstimate:
+    up: Float[np.ndarray, "3"]
+    """Unit vector, in the frame of the joints."""
+    sigma_rad: float
+    support: float
+    """Share of frames that agree within 20 degrees."""
+
+
+def center_of_mass(joints_m: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "frames 3"]:
+    """Whole-body centre of mass from segment masses."""
+    total = np.zeros((len(joints_m), 3))
+    mass = sum(share for _, _, share in _SEGMENTS)
+    for start, end, share in _SEGMENTS:
+        total += share / mass * 0.5 * (joints_m[:, JOINT_INDEX[start]] + joints_m[:, JOINT_INDEX[end]])
+    return total
+
+
+def up_from_balance(
+    joints_camera_m: Float[np.ndarray, "frames 22 3"],
+    *,
+    prior_up: Float[np.ndarray, "3"] | None = None,
+    prior_sigma_rad: float = 0.25,
+    frame_sigma_rad: float = 0.3,
+) -> UpEstimate:
+    """Direction against gravity: a body that stands or walks has, on average, its centre of mass over its feet.
+
+    Iteratively re-weighted mean of the directions feet -> centre of mass, so lying, bending or airborne frames lose
+    their say, combined with a weak belief that cameras are held level. Errors of single frames are strongly
+    correlated; ten frames count as one.
+    """
+    feet = joints_camera_m[:, [JOINT_INDEX[name] for name in _FEET]].mean(1)
+    direction = center_of_mass(joints_camera_m) - feet
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    level = np.array([0.0, -1.0, 0.0]) if prior_up is None else prior_up
+    share = 0.1 / frame_sigma_rad**2
+    up = np.median(direction, axis=0)
+    up /= np.linalg.norm(up)
+    for _ in range(20):
+        off = np.arccos(np.clip(direction @ up, -1, 1))
+        weight = 1.0 / (1.0 + (off / frame_sigma_rad) ** 2) ** 2
+        total = share * (weight[:, None] * direction).sum(0) + level / prior_sigma_rad**2
+        up = total / np.linalg.norm(total)
+    off = np.arccos(np.clip(direction @ up, -1, 1))
+    weight = 1.0 / (1.0 + (off / frame_sigma_rad) ** 2) ** 2
+    information = share * weight.sum() + 1.0 / prior_sigma_rad**2
+    return UpEstimate(up, float(information**-0.5), float((off < np.radians(20.0)).mean()))
+
+
+def level_frame(up_camera: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """R_world_camera with `up_camera` on +Y and the camera's horizontal forward direction on -Z.
+
+    A camera that looks straight up or down has no horizontal forward; its image x axis then gives +X.
+    """
+    y = up_camera / np.linalg.norm(up_camera)
+    forward = np.array([0.0, 0.0, 1.0]) - y[2] * y
+    if np.linalg.norm(forward) > 1e-3:
+        z = -forward / np.linalg.norm(forward)
+        x = np.cross(y, z)
+    else:
+        x = np.array([1.0, 0.0, 0.0]) - y[0] * y
+        x /= np.linalg.norm(x)
+        z = np.cross(x, y)
+    return np.stack([x, y, z])
+
+
+def foot_contact(
+    joints_world_m: Float[np.ndarray, "frames 22 3"],
+    valid: Bool[np.ndarray, "frames"],
+    fps: float,
+    *,
+    speed_m_s: float = 0.35,
+    softness_m_s: float = 0.1,
+) -> Float[np.ndarray, "frames 22"]:
+    """Contact probability of each joint; only feet are judged, all others are 0.
+
+    A foot joint is in contact while it moves slower than `speed_m_s` and is not much higher than the other foot:
+    a planted foot carries the body, so it is the lower one or both rest.
+    """
+    contact = np.zeros(joints_world_m.shape[:2])
+    if len(joints_world_m) < 3:
+        return contact
+    speed = np.linalg.norm(np.gradient(joints_world_m, 1.0 / fps, axis=0), axis=-1)
+    for name in _FEET:
+        joint = JOINT_INDEX[name]
+        other = JOINT_INDEX[name.replace("left", "right") if "left" in name else name.replace("right", "left")]
+        slow = 1.0 / (1.0 + np.exp((speed[:, joint] - speed_m_s) / softness_m_s))
+        above = joints_world_m[:, joint, 1] - joints_world_m[:, other, 1]
+        low = 1.0 / (1.0 + np.exp((above - 0.12) / 0.03))
+        contact[:, joint] = slow * low * valid
+    return contact
+
+
+def floor_height(
+    sole_height_m: Float[np.ndarray, "frames feet"], contact: Float[np.ndarray, "frames feet"]
+) -> tuple[float, float]:
+    """Height of the lowest support that carries the body for a fair share of the time, and its spread.
+
+    Supports may lie at several heights (steps, a roof, a bed); the floor is the lowest one that holds at least a
+    tenth of all contact. Without contact the low end of the soles is taken, with the spread of all of them.
+    """
+    weight = np.where(contact > 0.5, contact, 0.0).ravel()
+    heights = sole_height_m.ravel()
+    if weight.sum() < 3.0:
+        return float(np.percentile(heights, 5)), float(heights.std())
+    order = np.argsort(heights)
+    heights, weight = heights[order], weight[order]
+    reached = np.cumsum(weight) / weight.sum()
+    tenth = heights[np.searchsorted(reached, 0.1)]
+    near = np.abs(heights - tenth) < 0.06
+    center = np.average(heights[near], weights=weight[near] + 1e-9)
+    spread = np.sqrt(np.average((heights[near] - center) ** 2, weights=weight[near] + 1e-9))
+    return float(center), float(spread)

@@ -1,0 +1,210 @@
+"""The objective of the body fit: a negative log posterior in torch.
+
+Every term is a squared (or Huber) residual over a standard deviation with a physical unit, so weights can be read
+and questioned. Landmark errors of one clip are not independent; `FitConfig.landmark_share` says how much each counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from video2anim.body.anny_body import AnnyModel
+from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
+from video2anim.fitting.initial import ray_rotation
+from video2anim.fitting.landmarks import KEYPOINT_INDEX, KEYPOINT_TRUST
+from video2anim.fitting.problem import Observations
+from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d
+from video2anim.types.camera import Intrinsics
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """Standard deviations of the fit's terms."""
+
+    landmark_2d_ratio: float = 0.006
+    """Pixel error of a limb landmark as a share of the person's box diagonal."""
+    landmark_3d_m: float = 0.05
+    """Error of a 3D landmark across the line of sight."""
+    landmark_3d_depth_m: float = 0.10
+    """Error of a 3D landmark along the line of sight."""
+    landmark_share: float = 0.3
+    """Weight of each 3D landmark; below 1 because their errors are strongly correlated over time."""
+    acceleration_m_s2: float = 8.0
+    """Joint acceleration that is nothing special; larger ones count linearly."""
+    angular_rate_rad_s: float = 8.0
+    """Joint angle rate that is nothing special."""
+    stature_m: float = 1.70
+    """Mean standing height of adults (NCD-RisC 2016: women 1.59 to 1.65 m, men 1.71 to 1.78 m in most regions)."""
+    stature_sigma_m: float = 0.09
+    prior_share: float = 0.6
+    """Weight of the shape and lens priors per frame: a detector's bias is the same in every frame, so the evidence of
+    a long clip on shape and lens does not grow with its length as independent errors would let it."""
+    focal_ratio: float = 0.9
+    """Median of focal length over the longer image side for phones, webcams and camcorders (24 to 45 mm equivalent)."""
+    focal_log_sigma: float = 0.3
+
+
+_ANGLE_SIGMA_RAD = {
+    "spine": 0.35, "neck": 0.45, "head": 0.5, "collar": 0.22, "wrist": 0.6, "foot": 0.3,
+    "ankle": 0.75, "hip": 1.5, "shoulder": 1.8, "knee": 0.22, "elbow": 0.3,
+}  # fmt: skip
+"""Prior spread of joint angles about rest; for knees and elbows off their hinge axis."""
+_HINGES = {"left_knee": (0, 1.0), "right_knee": (0, 1.0), "left_elbow": (1, -1.0), "right_elbow": (1, 1.0)}
+"""Hinge joints: axis of flexion in the joint frame and its positive sense."""
+_HINGE_SIGMA_RAD, _OVERSTRETCH_SIGMA_RAD, _FOREARM_TWIST_SIGMA_RAD = 3.0, 0.1, 0.8
+_SHAPE_SIGMA = 0.15
+SHAPE_PARAMETERS = ("height", "gender", "weight", "proportions")
+"""Phenotypes that are fitted; age and muscle cannot be told from landmarks."""
+
+
+@dataclass(slots=True)
+class Parameters:
+    """Free variables of the fit (torch leaves)."""
+
+    root_rot6d: torch.Tensor
+    """(T, 6)"""
+    angles_rad: torch.Tensor
+    """(T, 21, 3) rotation vectors of joints 1 to 21."""
+    translation_m: torch.Tensor
+    """(T, 3) in the camera."""
+    shape_offset: torch.Tensor
+    """(4,) offsets of `SHAPE_PARAMETERS` from the adult mean, in units of 1."""
+    log_focal: torch.Tensor
+    """() logarithm of the focal length in pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    joints_m: torch.Tensor
+    keypoints_m: torch.Tensor
+    R_camera_joint: torch.Tensor
+    R_parent_joint: torch.Tensor
+    rest_joints_m: torch.Tensor
+    stature_m: torch.Tensor
+
+
+class Objective:
+    """Negative log posterior of `Parameters` given `Observations`."""
+
+    def __init__(self, observed: Observations, model: AnnyModel, base_shape: dict[str, float], config: FitConfig) -> None:
+        self.observed, self.model, self.config = observed, model, config
+        self._base_shape = base_shape
+        k = observed.intrinsics
+        self._center = torch.tensor([k.cx_px, k.cy_px], dtype=torch.float32)
+        self._long_side = max(k.width_px, k.height_px)
+        weight = observed.weight * KEYPOINT_TRUST
+        self._weight = torch.from_numpy(weight).float()
+        self._pixels = torch.from_numpy(np.nan_to_num(observed.keypoints_px)).float()
+        size = np.where(observed.valid, observed.size_px, np.nan)
+        typical = np.nanmedian(size)
+        self._sigma_px = torch.from_numpy(config.landmark_2d_ratio * np.where(np.isfinite(size), size, typical)).float()
+        # NaN rows carry zero weight.
+        self._points = torch.from_numpy(np.nan_to_num(observed.keypoints_m)).float()
+        step_s = np.diff(observed.frame_time_s)
+        self._step_s = torch.from_numpy(step_s).float()
+        self._angle_sigma, self._hinge = _angle_prior()
+        self._prior_weight = max(1.0, config.prior_share * int(observed.valid.sum()))
+        self.set_focal(float(k.fx_px))
+
+    def set_focal(self, focal_px: float) -> None:
+        """Recompute what depends on the focal length only weakly: the viewing rays of the 3D landmarks."""
+        k = self.observed.intrinsics
+        here = Intrinsics(focal_px, focal_px, k.cx_px, k.cy_px, k.width_px, k.height_px)
+        hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
+        center = np.nan_to_num(self.observed.keypoints_px[:, hips].mean(1), nan=0.5 * k.width_px)
+        self._R_camera_ray = torch.from_numpy(ray_rotation(center, here)).float()
+
+    def shape(self, parameters: Parameters) -> dict[str, torch.Tensor]:
+        """Phenotypes in [0, 1]."""
+        values = {name: torch.tensor(value) for name, value in self._base_shape.items()}
+        for i, name in enumerate(SHAPE_PARAMETERS):
+            values[name] = (values[name] + parameters.shape_offset[i]).clamp(0.0, 1.0)
+        return values
+
+    def predict(self, parameters: Parameters) -> Prediction:
+        """Pose the body."""
+        rest = self.model.rest_skeleton(self.shape(parameters))
+        R_root = matrix_from_rot6d(parameters.root_rot6d)
+        R = torch.cat([R_root[:, None], matrix_from_axis_angle(parameters.angles_rad)], 1)
+        joints, R_camera_joint = forward_kinematics(R, parameters.translation_m, rest.rest_joints_m)
+        blended = self.model.keypoint_weights
+        rotated = torch.einsum("tjab,kjb,kj->tka", R_camera_joint, rest.keypoint_offsets_m, blended)
+        keypoints = rotated + torch.einsum("kj,tja->tka", blended, joints)
+        return Prediction(joints, keypoints, R_camera_joint, R, rest.rest_joints_m, rest.stature_m)
+
+    def residual_px(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
+        """(T, K, 2) projected minus observed keypoints."""
+        z = prediction.keypoints_m[..., 2:].clamp_min(0.1)
+        projected = torch.exp(parameters.log_focal) * prediction.keypoints_m[..., :2] / z + self._center
+        return projected - self._pixels
+
+    def cost(self, parameters: Parameters) -> torch.Tensor:
+        """The negative log posterior, up to a constant."""
+        prediction = self.predict(parameters)
+        c = self.config
+        error = self.residual_px(prediction, parameters) / self._sigma_px[:, None, None]
+        data = (self._weight * _huber((error**2).sum(-1), 2.0)).sum()
+        data = data + c.landmark_share * self._landmarks_3d(prediction)
+        return data + self._motion(prediction, parameters) + self._pose(parameters) + self._shape(prediction, parameters)
+
+    def _landmarks_3d(self, prediction: Prediction) -> torch.Tensor:
+        hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
+        relative = prediction.keypoints_m - prediction.keypoints_m[:, hips].mean(1, keepdim=True)
+        in_ray = torch.einsum("tba,tkb->tka", self._R_camera_ray, relative)
+        wanted = self._points - self._points[:, hips].mean(1, keepdim=True)
+        sigma = torch.tensor([self.config.landmark_3d_m, self.config.landmark_3d_m, self.config.landmark_3d_depth_m])
+        return (self._weight * _huber((((in_ray - wanted) / sigma) ** 2).sum(-1), 2.0)).sum()
+
+    def _motion(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
+        """Accelerations of joints and rates of angles; frames may be any time apart."""
+        if len(self._step_s) < 2:
+            return torch.zeros(())
+        step = self._step_s[:, None, None]
+        velocity = prediction.joints_m.diff(dim=0) / step
+        between = 0.5 * (step[1:] + step[:-1])
+        acceleration = velocity.diff(dim=0) / between / self.config.acceleration_m_s2
+        rate = parameters.angles_rad.diff(dim=0) / step / self.config.angular_rate_rad_s
+        # Joints move together: 22 accelerations say about as much as 7 independent ones.
+        return 0.3 * (_huber((acceleration**2).sum(-1), 1.5).sum() + _huber((rate**2).sum(-1), 1.5).sum())
+
+    def _pose(self, parameters: Parameters) -> torch.Tensor:
+        angles = parameters.angles_rad
+        total = ((angles / self._angle_sigma) ** 2).sum()
+        for joint, axis, sense in self._hinge:
+            total = total + (torch.relu(-sense * angles[:, joint, axis]) / _OVERSTRETCH_SIGMA_RAD).square().sum()
+        return 0.5 * total
+
+    def _shape(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
+        c = self.config
+        spread = (parameters.shape_offset[1:] / _SHAPE_SIGMA).square().sum()
+        stature = ((prediction.stature_m - c.stature_m) / c.stature_sigma_m).square()
+        prior_focal = np.log(c.focal_ratio * self._long_side)
+        focal = ((parameters.log_focal - prior_focal) / c.focal_log_sigma).square()
+        return 0.5 * self._prior_weight * (spread + stature + focal)
+
+
+def _huber(square: torch.Tensor, knee: float) -> torch.Tensor:
+    """0.5 x square up to the knee (in sigmas), linear beyond."""
+    root = (square + 1e-12).sqrt()
+    return torch.where(root < knee, 0.5 * square, knee * root - 0.5 * knee * knee)
+
+
+def _angle_prior() -> tuple[torch.Tensor, list[tuple[int, int, float]]]:
+    """(21, 3) prior spreads, and hinges as (row, axis, sense)."""
+    sigma = torch.empty(21, 3)
+    hinges = []
+    for name, joint in JOINT_INDEX.items():
+        if joint == 0:
+            continue
+        part = name.split("_")[-1].rstrip("123")
+        sigma[joint - 1] = _ANGLE_SIGMA_RAD[part]
+        if name in _HINGES:
+            axis, sense = _HINGES[name]
+            sigma[joint - 1, axis] = _HINGE_SIGMA_RAD
+            if part == "elbow":
+                sigma[joint - 1, 0] = _FOREARM_TWIST_SIGMA_RAD
+            hinges.append((joint - 1, axis, sense))
+    return sigma, hinges

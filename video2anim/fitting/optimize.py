@@ -1,0 +1,113 @@
+"""Run the body fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from video2anim.body.anny_body import ADULT, anny_model
+from video2anim.errors import StageError
+from video2anim.fitting.initial import (
+    ray_rotation,
+    rotations_from_keypoints,
+    translation_from_projection,
+)
+from video2anim.fitting.landmarks import KEYPOINT_INDEX
+from video2anim.fitting.objective import FitConfig, Objective, Parameters, SHAPE_PARAMETERS
+from video2anim.fitting.problem import FittedBody, Observations
+from video2anim.geometry.rotations import axis_angle_from_matrix, rot6d_from_matrix
+from video2anim.types.motion import BodyShape
+
+
+def fit_body(
+    observed: Observations,
+    *,
+    fit_focal: bool,
+    shape: dict[str, float] | None = None,
+    config: FitConfig | None = None,
+    iterations: int = 250,
+    on_step: Callable[[int, int], None] | None = None,
+) -> FittedBody:
+    """Fit rotations, translation and shape (and the focal length, if asked) to landmarks over time.
+
+    Args:
+        observed: landmarks; its intrinsics give the centre and the first focal length.
+        fit_focal: treat the focal length as unknown under the prior of `config`.
+        shape: Anny phenotypes to start from (default: mean adult).
+
+    Raises:
+        StageError: fewer than one valid frame.
+    """
+    if not observed.valid.any():
+        raise StageError("body fit: want at least one frame with landmarks, got none")
+    base = dict(shape or ADULT)
+    objective = Objective(observed, anny_model(), base, config or FitConfig())
+    parameters = _start(observed, objective)
+    leaves = [parameters.root_rot6d, parameters.angles_rad, parameters.translation_m, parameters.shape_offset]
+    rates = [0.02, 0.02, 0.02, 0.01]
+    if fit_focal:
+        leaves.append(parameters.log_focal)
+        rates.append(0.02)
+    for leaf in leaves:
+        leaf.requires_grad_(True)
+    groups = [{"params": [leaf], "lr": rate} for leaf, rate in zip(leaves, rates, strict=True)]
+    optimizer = torch.optim.Adam(groups, betas=(0.9, 0.98))
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, max_lr=[2 * r for r in rates], total_steps=iterations, pct_start=0.15, cycle_momentum=False
+    )
+    for step in range(iterations):
+        optimizer.zero_grad()
+        cost = objective.cost(parameters)
+        cost.backward()
+        optimizer.step()
+        schedule.step()
+        if fit_focal and step % 25 == 24:
+            objective.set_focal(float(parameters.log_focal.detach().exp()))
+        if on_step is not None:
+            on_step(step + 1, iterations)
+    return _finish(objective, parameters, base)
+
+
+def _start(observed: Observations, objective: Objective) -> Parameters:
+    valid = np.flatnonzero(observed.valid)
+    hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
+    center = observed.keypoints_px[valid][:, hips].mean(1)
+    R_camera_ray = ray_rotation(center, observed.intrinsics)
+    points = np.einsum("tab,tkb->tka", R_camera_ray, observed.keypoints_m[valid])
+    rest = objective.model.rest_skeleton({k: torch.tensor(v) for k, v in ADULT.items()})
+    local = rotations_from_keypoints(points, rest.rest_joints_m.numpy().astype(np.float64))
+    translation = translation_from_projection(
+        points, observed.keypoints_px[valid], observed.weight[valid], observed.intrinsics
+    )
+    behind = translation[:, 2] < 0.3
+    translation[behind] = np.median(translation[~behind], axis=0) if (~behind).any() else [0.0, 0.0, 3.0]
+    nearest = np.abs(np.arange(len(observed.valid))[:, None] - valid[None]).argmin(1)
+    angles = axis_angle_from_matrix(local[:, 1:])
+
+    def leaf(array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array[nearest])).float()
+
+    return Parameters(
+        leaf(rot6d_from_matrix(local[:, 0])), leaf(angles), leaf(translation),
+        torch.zeros(len(SHAPE_PARAMETERS)), torch.tensor(float(np.log(observed.intrinsics.fx_px))),
+    )  # fmt: skip
+
+
+def _finish(objective: Objective, parameters: Parameters, base: dict[str, float]) -> FittedBody:
+    with torch.no_grad():
+        prediction = objective.predict(parameters)
+        error = objective.residual_px(prediction, parameters).norm(dim=-1).numpy().astype(np.float64)
+        cost = float(objective.cost(parameters))
+        shape = {name: float(value) for name, value in objective.shape(parameters).items()}
+    return FittedBody(
+        prediction.R_parent_joint.numpy().astype(np.float64),
+        parameters.translation_m.detach().numpy().astype(np.float64),
+        prediction.joints_m.numpy().astype(np.float64),
+        prediction.rest_joints_m.numpy().astype(np.float64),
+        BodyShape("anny", base | shape),
+        float(parameters.log_focal.detach().exp()),
+        np.where(objective.observed.weight > 0, error, np.nan),
+        cost,
+    )

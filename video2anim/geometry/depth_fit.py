@@ -1,0 +1,153 @@
+"""Scale and offset of a clip's depth by Chamfer distance to bodies of known size (paper 8.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from video2anim.geometry.chamfer import ChamferConfig, ChamferLoss, chamfer_m
+
+_FACTORS = (0.7, 1.0, 1.4)
+"""Starts, as multiples of the scale at which median depths agree."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameEvidence:
+    """One frame: the body in metres and the person's relative depth."""
+
+    body_camera_m: Float[np.ndarray, "vertices 3"]
+    """Visible vertices."""
+    ray: Float[np.ndarray, "pixels 3"]
+    """Rays of unit z-depth through the person's reliable pixels."""
+    value: Float[np.ndarray, "pixels"]
+    """Relative depth or disparity there."""
+
+
+@dataclass(frozen=True, slots=True)
+class DepthFit:
+    """Scale and offset with standard deviations over resampled frames."""
+
+    scale: float
+    offset: float
+    scale_sigma: float
+    offset_sigma: float
+    chamfer_before_m: float
+    """With the scale that makes median depths agree, and no offset."""
+    chamfer_after_m: float
+
+
+def metric_depth(kind: str, value: np.ndarray, scale: float, offset: float) -> Float[np.ndarray, "..."]:
+    """Metres of relative depth or disparity; what the model sends behind the camera or beyond 1 km is NaN."""
+    line = scale * np.asarray(value, dtype=np.float64) + offset
+    depth_m = line if kind == "depth" else 1.0 / np.where(line > 1e-3, line, np.nan)
+    return np.where((depth_m > 0.02) & (depth_m < 1e3), depth_m, np.nan)
+
+
+def fit_depth(
+    frames: Sequence[FrameEvidence],
+    kind: str,
+    *,
+    with_offset: bool,
+    rng: np.random.Generator,
+    resamples: int = 8,
+    huber_m: float = 0.1,
+    trim_ratio: float = 0.1,
+) -> DepthFit:
+    """The scale (and offset) of least robust Chamfer distance between bodies and lifted depth, over all frames.
+
+    Raises:
+        ValueError: there is no frame, or no positive scale makes the medians agree.
+    """
+    if not frames:
+        raise ValueError("fit_depth: no frame with both body and depth")
+    start = _median_scale(frames, kind)
+    config = ChamferConfig(huber_m=huber_m, trim_ratio=trim_ratio)
+    solutions = [_descend(frames, kind, factor * start, 0.0, with_offset, config, 40) for factor in _FACTORS]
+    best = min(solutions, key=lambda found: found[2])
+    scale, offset, _ = best
+    spread = []
+    for _ in range(resamples if len(frames) > 1 else 0):
+        chosen = [frames[i] for i in rng.integers(0, len(frames), len(frames))]
+        spread.append(_descend(chosen, kind, scale, offset, with_offset, config, 12)[:2])
+    deviation = np.std(spread, axis=0, ddof=1) if spread else np.array([scale, abs(offset)])
+    return DepthFit(
+        scale=scale,
+        offset=offset,
+        scale_sigma=float(deviation[0]),
+        offset_sigma=float(deviation[1]),
+        chamfer_before_m=_mean_chamfer(frames, kind, start, 0.0),
+        chamfer_after_m=_mean_chamfer(frames, kind, scale, offset),
+    )
+
+
+def _median_scale(frames: Sequence[FrameEvidence], kind: str) -> float:
+    ratios = []
+    for frame in frames:
+        depth_m, value = float(np.median(frame.body_camera_m[:, 2])), float(np.median(frame.value))
+        ratios.append(depth_m / value if kind == "depth" else 1.0 / (depth_m * value))
+    scale = float(np.median(ratios))
+    if not np.isfinite(scale) or scale <= 0:
+        raise ValueError(f"fit_depth: no positive scale makes median depths agree (got {scale})")
+    return scale
+
+
+def _descend(
+    frames: Sequence[FrameEvidence],
+    kind: str,
+    scale: float,
+    offset: float,
+    with_offset: bool,
+    config: ChamferConfig,
+    steps: int,
+) -> tuple[float, float, float]:
+    """Scale, offset and loss after a few L-BFGS rounds, with neighbours looked up anew before each round.
+
+    The offset is optimised in units that move the person as far as the scale does.
+    """
+    unit = scale * float(np.median(np.concatenate([frame.value for frame in frames])))
+    state = torch.tensor([np.log(scale), offset / unit], dtype=torch.float64, requires_grad=True)
+    rays = [torch.as_tensor(frame.ray, dtype=torch.float64) for frame in frames]
+    values = [torch.as_tensor(frame.value, dtype=torch.float64) for frame in frames]
+    mask = torch.tensor([1.0, 1.0 if with_offset else 0.0], dtype=torch.float64)
+
+    def objective(losses: Sequence[ChamferLoss]) -> torch.Tensor:
+        total = torch.zeros((), dtype=torch.float64)
+        for loss, ray, value in zip(losses, rays, values, strict=True):
+            line = torch.exp(state[0]) * value + state[1] * unit
+            depth = line if kind == "depth" else 1.0 / torch.clamp(line, min=1e-3)
+            total = total + loss(ray * torch.clamp(depth, min=0.02, max=1e3)[:, None])
+        return total / len(losses)
+
+    held = ChamferConfig(config.sides, config.huber_m, config.trim_ratio, requery_every=10**9)
+    value = float("inf")
+    for _ in range(max(steps // 4, 1)):
+        losses = [ChamferLoss(frame.body_camera_m, held) for frame in frames]
+        optimizer = torch.optim.LBFGS([state], max_iter=4, line_search_fn="strong_wolfe")
+        before = state.detach().clone()
+
+        def closure(losses: Sequence[ChamferLoss] = losses, optimizer: torch.optim.LBFGS = optimizer) -> float:
+            optimizer.zero_grad()
+            result = objective(losses)
+            result.backward()
+            state.grad *= mask
+            return result.item()
+
+        value = float(optimizer.step(closure))
+        if float((state.detach() - before).abs().max()) < 1e-4:
+            break
+    log_scale, relative_offset = state.detach().tolist()
+    return float(np.exp(log_scale)), float(relative_offset * unit), value
+
+
+def _mean_chamfer(frames: Sequence[FrameEvidence], kind: str, scale: float, offset: float) -> float:
+    distances = []
+    for frame in frames:
+        depth_m = metric_depth(kind, frame.value, scale, offset)
+        points = (frame.ray * depth_m[:, None])[np.isfinite(depth_m)]
+        if len(points):
+            distances.append(chamfer_m(points, frame.body_camera_m, trim_ratio=0.05))
+    return float(np.mean(distances)) if distances else float("inf")

@@ -1,0 +1,40 @@
+"""Uncertainty of a depth network: how much its answer changes when the colors of the picture do (paper 8.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import kornia
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+
+
+def jittered_disparity(
+    predict: Callable[[UInt8[np.ndarray, "h w 3"]], np.ndarray],
+    image_rgb: UInt8[np.ndarray, "h w 3"],
+    hue_shifts_rad: Sequence[float],
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Disparity of the picture, and its standard deviation over hue-shifted copies.
+
+    A network's disparity is free up to scale and offset, so each copy's answer is first fitted to the original's.
+    """
+    reference = np.asarray(predict(image_rgb), dtype=np.float64)
+    answers = [reference]
+    tensor = torch.from_numpy(image_rgb).permute(2, 0, 1).float() / 255
+    for shift in hue_shifts_rad:
+        shifted = kornia.enhance.adjust_hue(tensor, float(shift)).clamp(0, 1)
+        copy = (shifted.permute(1, 2, 0) * 255).round().byte().numpy()
+        answer = np.asarray(predict(copy), dtype=np.float64)
+        design = np.stack([answer.ravel(), np.ones(answer.size)], 1)
+        solution = np.linalg.lstsq(design, reference.ravel(), rcond=None)[0]
+        answers.append(answer * solution[0] + solution[1])
+    return reference, np.std(np.stack(answers), axis=0)
+
+
+def reliable(
+    value: Float[np.ndarray, "h w"], sigma: Float[np.ndarray, "h w"], limit_ratio: float
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels whose deviation is below a share of the picture's range of values."""
+    low, high = np.percentile(value, [2, 98])
+    return np.isfinite(value) & (sigma < limit_ratio * max(high - low, 1e-9))

@@ -1,0 +1,61 @@
+"""Pinhole projection and its inverse. Camera axes are OpenCV's; pixel (0, 0) is the centre of the top-left pixel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.types.camera import Intrinsics
+
+
+def project(points_camera_m: Any, intrinsics: Intrinsics) -> Any:
+    """Pixels (..., 2) of points (..., 3) in front of the camera. numpy or torch.
+
+    Points at or behind the camera plane give meaningless values; callers mask by z > 0.
+    """
+    x, y, z = points_camera_m[..., 0], points_camera_m[..., 1], points_camera_m[..., 2]
+    u = intrinsics.fx_px * x / z + intrinsics.cx_px
+    v = intrinsics.fy_px * y / z + intrinsics.cy_px
+    if isinstance(points_camera_m, np.ndarray):
+        return np.stack([u, v], -1)
+    import torch
+
+    return torch.stack([u, v], -1)
+
+
+def pixel_rays(intrinsics: Intrinsics) -> Float[np.ndarray, "height width 3"]:
+    """Camera-frame direction through every pixel centre, with z = 1."""
+    u, v = np.meshgrid(np.arange(intrinsics.width_px), np.arange(intrinsics.height_px))
+    x = (u - intrinsics.cx_px) / intrinsics.fx_px
+    y = (v - intrinsics.cy_px) / intrinsics.fy_px
+    return np.stack([x, y, np.ones_like(x)], -1)
+
+
+def backproject(
+    depth_m: Float[np.ndarray, "height width"], intrinsics: Intrinsics
+) -> Float[np.ndarray, "height width 3"]:
+    """Camera-frame points of a z-depth map that has the size the intrinsics say."""
+    if depth_m.shape != (intrinsics.height_px, intrinsics.width_px):
+        raise ValueError(
+            f"depth map is {depth_m.shape}, intrinsics are for ({intrinsics.height_px}, {intrinsics.width_px})"
+        )
+    return pixel_rays(intrinsics) * depth_m[..., None]
+
+
+def transform_points(T_a_b: Any, points_b: Any) -> Any:
+    """Points (..., N, 3) of frame b in frame a; T_a_b is (..., 4, 4)."""
+    rotation, translation = T_a_b[..., :3, :3], T_a_b[..., None, :3, 3]
+    swapped = rotation.swapaxes(-1, -2) if isinstance(T_a_b, np.ndarray) else rotation.transpose(-1, -2)
+    return points_b @ swapped + translation
+
+
+def invert_rigid(T_a_b: Float[np.ndarray, "... 4 4"]) -> Float[np.ndarray, "... 4 4"]:
+    """Inverse of rigid transforms, exact to rounding."""
+    T_b_a = np.zeros_like(T_a_b)
+    R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
+    T_b_a[..., :3, :3] = R_b_a
+    T_b_a[..., :3, 3] = -np.einsum("...ij,...j->...i", R_b_a, T_a_b[..., :3, 3])
+    T_b_a[..., 3, 3] = 1.0
+    return T_b_a

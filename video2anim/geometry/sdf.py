@@ -1,0 +1,267 @@
+"""Signed distance on a regular grid: build it from solid meshes and a floor, sample it with gradients.
+
+Positive in free space, negative inside a solid. Node (i, j, k) lies at origin + spacing * (i, j, k).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from video2anim.types.scene import Mesh
+
+_QUERY_NODES = 200_000
+"""Nodes handled at once, bounding memory."""
+_NEAREST_SAMPLES = 6
+"""Surface samples whose triangles are tried per node."""
+_RAY_SHIFT = np.array([7.3e-5, 3.1e-5])
+"""Share of the spacing by which parity rays miss the grid nodes, so that no ray runs along an edge of an
+axis-aligned mesh."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SdfGrid:
+    """A signed-distance field."""
+
+    sdf_m: Float[np.ndarray, "x y z"]
+    origin_m: Float[np.ndarray, "3"]
+    spacing_m: float
+
+    def sample(self, points_m: Any) -> Any:
+        """Distance at points (..., 3), numpy or torch; see `sample_sdf`."""
+        return sample_sdf(self.sdf_m, self.origin_m, self.spacing_m, points_m)
+
+
+def sample_sdf(sdf_m: Any, origin_m: Any, spacing_m: float, points_m: Any) -> Any:
+    """Trilinear distance at world points (..., 3): numpy array or differentiable torch tensor, as the points are.
+
+    A point outside the grid gets the value v at the nearest point of the grid's box and its distance d to that box:
+    v + d where v is free (an upper bound of the true distance), v - d where v is solid (a point under the floor stays
+    under it, and the gradient leads back up).
+    """
+    if isinstance(points_m, np.ndarray):
+        return _sample(np, np.asarray(sdf_m), np.asarray(origin_m), spacing_m, points_m)
+    import torch
+
+    grid = torch.as_tensor(sdf_m, dtype=points_m.dtype, device=points_m.device)
+    origin = torch.as_tensor(origin_m, dtype=points_m.dtype, device=points_m.device)
+    return _sample(torch, grid, origin, spacing_m, points_m)
+
+
+def _sample(module: Any, grid: Any, origin: Any, spacing_m: float, points_m: Any) -> Any:
+    last = [n - 1 for n in grid.shape]
+    node = (points_m - origin) / spacing_m
+    parts = [module.clip(node[..., axis], 0.0, float(last[axis])) for axis in range(3)]
+    stack = {"axis": -1} if module is np else {"dim": -1}
+    inside = module.stack(parts, **stack)
+    beyond = (node - inside) * spacing_m
+    outside_m = ((beyond * beyond).sum(-1) + 1e-24) ** 0.5 - 1e-12
+    # The cell's lower corner; the last node belongs to the last cell.
+    low = [module.clip(_floor_index(module, p), 0, max(n - 1, 0)) for p, n in zip(parts, last, strict=True)]
+    high = [module.clip(i + 1, 0, n) for i, n in zip(low, last, strict=True)]
+    fraction = [p - i for p, i in zip(parts, low, strict=True)]
+    value = 0.0
+    for corner in np.ndindex(2, 2, 2):
+        index = tuple(high[a] if corner[a] else low[a] for a in range(3))
+        weight = 1.0
+        for a in range(3):
+            weight = weight * (fraction[a] if corner[a] else 1 - fraction[a])
+        value = value + weight * grid[index]
+    return value + module.where(value < 0, -outside_m, outside_m)
+
+
+def _floor_index(module: Any, position: Any) -> Any:
+    return position.astype(np.int64) if module is np else position.detach().long()
+
+
+def build_sdf_grid(
+    solids: Sequence[Mesh],
+    bounds_m: Float[np.ndarray, "2 3"],
+    spacing_m: float,
+    *,
+    floor_y_m: float | None = 0.0,
+) -> SdfGrid:
+    """Signed distance to the union of solid meshes and the half space under the floor.
+
+    The distance at a node is exact to the triangles of the 6 nearest surface samples; samples lie at most one spacing
+    apart, so it is never too small and too large by less than half a spacing (in tests: under 0.1 mm). The sign comes
+    from six axis-parallel rays by majority, so a mesh with small holes still has an inside. Inside overlapping solids
+    the union's value is a lower bound of the depth, as for any union by minimum.
+
+    Args:
+        solids: meshes in world coordinates, ideally watertight; a mesh without faces is skipped.
+        bounds_m: lowest and highest corner of the grid; the highest is rounded up to a whole spacing.
+        floor_y_m: height of the floor plane, None for none.
+
+    Raises:
+        ValueError: bounds without extent or a spacing that is not positive.
+    """
+    low_m, high_m = np.asarray(bounds_m, dtype=np.float64)
+    if not spacing_m > 0 or not (high_m > low_m).all():
+        raise ValueError(f"build_sdf_grid: want low < high and spacing > 0, got {low_m}, {high_m}, {spacing_m}")
+    shape = tuple(int(n) for n in np.ceil((high_m - low_m) / spacing_m - 1e-9).astype(int) + 1)
+    axes = [low_m[a] + spacing_m * np.arange(shape[a]) for a in range(3)]
+    sdf_m = np.full(shape, np.inf)
+    if floor_y_m is not None:
+        sdf_m = np.minimum(sdf_m, (axes[1] - floor_y_m)[None, :, None])
+    for solid in solids:
+        if len(solid.faces):
+            _lower_by_solid(sdf_m, solid, axes, spacing_m)
+    if not np.isfinite(sdf_m).all():
+        raise ValueError("build_sdf_grid: neither a solid with faces nor a floor was given")
+    return SdfGrid(sdf_m.astype(np.float32), low_m, spacing_m)
+
+
+def _lower_by_solid(
+    sdf_m: Float[np.ndarray, "x y z"], solid: Mesh, axes: list[np.ndarray], spacing_m: float
+) -> None:
+    """Take the minimum with one solid's signed distance, in place.
+
+    Nodes whose present value is below the distance to the solid's box cannot change and are left out.
+    """
+    triangles_m = np.asarray(solid.vertices_m, dtype=np.float64)[solid.faces]
+    corners_m = triangles_m.reshape(-1, 3)
+    box_m = np.stack([corners_m.min(0), corners_m.max(0)])
+    gaps = [np.maximum(np.maximum(box_m[0, a] - axes[a], axes[a] - box_m[1, a]), 0.0) ** 2 for a in range(3)]
+    box_distance_m = np.sqrt(gaps[0][:, None, None] + gaps[1][None, :, None] + gaps[2][None, None, :])
+    near = np.nonzero(box_distance_m < sdf_m)
+    inner = [slice(*np.searchsorted(axes[a], box_m[:, a])) for a in range(3)]
+    votes = np.zeros(sdf_m.shape, dtype=np.int8)
+    if all(s.stop > s.start for s in inner):
+        inner_axes = [ax[s] for ax, s in zip(axes, inner, strict=True)]
+        votes[tuple(inner)] = _inside_votes(triangles_m, inner_axes, spacing_m)
+        near = np.nonzero((box_distance_m < sdf_m) | (votes > 3))
+    if not len(near[0]):
+        return
+    nodes_m = np.stack([axes[a][near[a]] for a in range(3)], -1)
+    distance_m = unsigned_distance(nodes_m, triangles_m, spacing_m)
+    signed_m = np.where(votes[near] > 3, -distance_m, distance_m)
+    sdf_m[near] = np.minimum(sdf_m[near], signed_m)
+
+
+def unsigned_distance(
+    points_m: Float[np.ndarray, "points 3"], triangles_m: Float[np.ndarray, "faces 3 3"], sample_step_m: float
+) -> Float[np.ndarray, "points"]:
+    """Distance from points to a triangle soup, by exact distance to the triangles of the nearest surface samples."""
+    samples_m, owner = _surface_samples(triangles_m, sample_step_m)
+    tree = cKDTree(samples_m)
+    count = min(_NEAREST_SAMPLES, len(samples_m))
+    result = np.empty(len(points_m))
+    for start in range(0, len(points_m), _QUERY_NODES):
+        chunk = points_m[start : start + _QUERY_NODES]
+        _, nearest = tree.query(chunk, k=count, workers=-1)
+        faces = owner[nearest.reshape(len(chunk), count)]
+        best = point_triangle_distance(chunk, triangles_m[faces[:, 0]])
+        for k in range(1, count):
+            # Most of the nearest samples share their triangle with the first: only others cost anything.
+            other = np.flatnonzero((faces[:, k] != faces[:, :k].T).all(axis=0))
+            found = point_triangle_distance(chunk[other], triangles_m[faces[other, k]])
+            best[other] = np.minimum(best[other], found)
+        result[start : start + len(chunk)] = best
+    return result
+
+
+def _surface_samples(
+    triangles_m: np.ndarray, step_m: float
+) -> tuple[Float[np.ndarray, "samples 3"], Int[np.ndarray, "samples"]]:
+    """Centroids of equal sub-triangles with edges up to `step_m`, and the triangle each belongs to.
+
+    Centroids, not corners: a corner is shared, so its nearest samples could all belong to the wrong neighbors.
+    """
+    edges_m = np.linalg.norm(triangles_m - np.roll(triangles_m, 1, axis=1), axis=-1).max(axis=1)
+    divisions = np.maximum(1, np.ceil(edges_m / step_m)).astype(int)
+    samples, owners = [], []
+    for n in np.unique(divisions):
+        chosen = np.flatnonzero(divisions == n)
+        i, j = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+        upright = np.stack([i, j], -1)[i + j < n] + 1 / 3
+        flipped = np.stack([i, j], -1)[i + j < n - 1] + 2 / 3
+        uv = np.concatenate([upright, flipped]) / n
+        weights = np.column_stack([uv, 1 - uv.sum(-1)])
+        samples.append(np.einsum("sk,fkd->fsd", weights, triangles_m[chosen]).reshape(-1, 3))
+        owners.append(np.repeat(chosen, len(weights)))
+    return np.concatenate(samples), np.concatenate(owners)
+
+
+def point_triangle_distance(
+    points_m: Float[np.ndarray, "pairs 3"], triangles_m: Float[np.ndarray, "pairs 3 3"]
+) -> Float[np.ndarray, "pairs"]:
+    """Exact distance of each point to its own triangle, degenerate triangles included."""
+    corners = [triangles_m[:, k] for k in range(3)]
+    edge_distances = [
+        _point_segment_distance(points_m, corners[k], corners[(k + 1) % 3]) for k in range(3)
+    ]
+    best = np.minimum.reduce(edge_distances)
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    area2 = np.linalg.norm(normal, axis=-1)
+    unit = normal / np.maximum(area2, 1e-300)[:, None]
+    above = np.einsum("nd,nd->n", points_m - corners[0], unit)
+    foot = points_m - above[:, None] * unit
+    over = area2 > 1e-14
+    for k in range(3):
+        edge = corners[(k + 1) % 3] - corners[k]
+        over &= np.einsum("nd,nd->n", np.cross(edge, foot - corners[k]), normal) >= 0
+    return np.where(over, np.minimum(best, np.abs(above)), best)
+
+
+def _point_segment_distance(points_m: np.ndarray, start_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
+    along = end_m - start_m
+    length2 = np.maximum(np.einsum("nd,nd->n", along, along), 1e-300)
+    t = np.clip(np.einsum("nd,nd->n", points_m - start_m, along) / length2, 0.0, 1.0)
+    return np.linalg.norm(points_m - start_m - t[:, None] * along, axis=-1)
+
+
+def _inside_votes(triangles_m: np.ndarray, axes: list[np.ndarray], spacing_m: float) -> Int[np.ndarray, "x y z"]:
+    """How many of six axis-parallel rays from each node cross the surface an odd number of times."""
+    votes = np.zeros([len(a) for a in axes], dtype=np.int8)
+    for axis in range(3):
+        across = [a for a in range(3) if a != axis]
+        below = _crossings_below(triangles_m, axes, axis, across, spacing_m)
+        total = below[..., -1:]
+        parity = (below[..., :-1] % 2).astype(np.int8) + ((total - below[..., :-1]) % 2).astype(np.int8)
+        votes += np.moveaxis(parity, -1, axis)
+    return votes
+
+
+def _crossings_below(
+    triangles_m: np.ndarray, axes: list[np.ndarray], axis: int, across: list[int], spacing_m: float
+) -> Int[np.ndarray, "u v along_and_total"]:
+    """Number of surface crossings below each node on its ray; the last entry of a ray counts all of them."""
+    u_axis, v_axis = (axes[a] + shift * spacing_m for a, shift in zip(across, _RAY_SHIFT, strict=True))
+    along = axes[axis]
+    counts = np.zeros((len(u_axis), len(v_axis), len(along) + 1), dtype=np.int32)
+    plane = triangles_m[:, :, across]
+    first = np.stack([np.searchsorted(ax, plane[..., k].min(1)) for k, ax in enumerate((u_axis, v_axis))], -1)
+    last = np.stack([np.searchsorted(ax, plane[..., k].max(1)) for k, ax in enumerate((u_axis, v_axis))], -1)
+    size = np.maximum(last - first, 0)
+    covered = size[:, 0] * size[:, 1]
+    face = np.repeat(np.arange(len(triangles_m)), covered)
+    local = np.arange(len(face)) - np.repeat(np.cumsum(covered) - covered, covered)
+    u = first[face, 0] + local // np.maximum(size[face, 1], 1)
+    v = first[face, 1] + local % np.maximum(size[face, 1], 1)
+    hit, height = _ray_hits(plane[face], triangles_m[face, :, axis], u_axis[u], v_axis[v])
+    # A crossing below node k adds to entries k, k+1, ...; one above all nodes only to the total.
+    entry = np.searchsorted(along, height[hit])
+    np.add.at(counts, (u[hit], v[hit], entry), 1)
+    return np.cumsum(counts, axis=-1)
+
+
+def _ray_hits(
+    plane: np.ndarray, along: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> tuple[Bool[np.ndarray, "pairs"], Float[np.ndarray, "pairs"]]:
+    """Whether the ray at (u, v) passes through each projected triangle (pairs, 3, 2), and at what height."""
+    point = np.stack([u, v], -1)
+    weight = []
+    for k in range(3):
+        a, b = plane[:, (k + 1) % 3], plane[:, (k + 2) % 3]
+        weight.append((b[:, 0] - a[:, 0]) * (point[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (point[:, 0] - a[:, 0]))
+    weights = np.stack(weight, -1)
+    area2 = weights.sum(-1)
+    hit = ((weights > 0).all(-1) | (weights < 0).all(-1)) & (area2 != 0)
+    height = (weights * along).sum(-1) / np.where(area2 == 0, 1.0, area2)
+    return hit, height

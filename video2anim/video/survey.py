@@ -1,0 +1,96 @@
+"""First pass over a source: when its pictures are shown, where its shots begin, and what is broken."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.video.decode import DecodeReport, SourceHeader, decode
+from video2anim.video.shots import THUMBNAIL_SIDE_PX, ShotDetector
+
+LONGEST_HOLE_S = 2.0
+"""A hole in the time stamps longer than this ends a shot: holding a picture over it would invent footage."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """The pictures of a source between `start_s` and `stop_s`."""
+
+    time_s: Float[np.ndarray, "pictures"]
+    """Time stamps as the source has them, strictly increasing; may be empty."""
+    shot_start: tuple[int, ...]
+    """Index of the first picture of every shot."""
+    report: DecodeReport
+    reached_end: bool
+    """False where the pass ended at `stop_s`, so that the rest of the source is unknown."""
+
+    @property
+    def period_s(self) -> float:
+        """Median time between pictures, 0 for fewer than two."""
+        return float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else 0.0
+
+    def shot_time_s(self, shot: int) -> Float[np.ndarray, "shot_pictures"]:
+        """Time stamps of one shot's pictures."""
+        bounds = (*self.shot_start, len(self.time_s))
+        return self.time_s[bounds[shot] : bounds[shot + 1]]
+
+    def shots_s(self) -> tuple[tuple[float, float], ...]:
+        """Start and end of every shot; the end is that of its last picture."""
+        spans = []
+        for shot in range(len(self.shot_start)):
+            time_s = self.shot_time_s(shot)
+            end_s = float(time_s[-1]) + self.period_s
+            if shot + 1 < len(self.shot_start):
+                end_s = min(end_s, float(self.time_s[self.shot_start[shot + 1]]))
+            spans.append((float(time_s[0]), end_s))
+        return tuple(spans)
+
+
+def survey_source(
+    path: Path,
+    header: SourceHeader,
+    *,
+    start_s: float = 0.0,
+    stop_s: float | None = None,
+    on_picture: Callable[[int], None] | None = None,
+) -> Survey:
+    """Decode the source once, keeping nothing of its pictures but a few thumbnails at a time.
+
+    Args:
+        path: The source.
+        header: What `probe` said of it.
+        start_s: Pictures earlier than this after the first one are left out.
+        stop_s: Pictures this late or later after the first one are left out; None for none.
+        on_picture: Called with the number of pictures decoded so far.
+
+    Raises:
+        InputError: the file cannot be opened.
+    """
+    report = DecodeReport()
+    detector = ShotDetector()
+    size_px = header.upright_size_px(THUMBNAIL_SIDE_PX)
+    stamps_s = array("d")
+    hole_starts: list[int] = []
+    first_s: float | None = None
+    reached_end = True
+    for picture in decode(path, header, report):
+        first_s = picture.time_s if first_s is None else first_s
+        if stop_s is not None and picture.time_s - first_s >= stop_s:
+            reached_end = False
+            break
+        if picture.time_s - first_s < start_s:
+            continue
+        if stamps_s and picture.time_s - stamps_s[-1] > LONGEST_HOLE_S:
+            hole_starts.append(len(stamps_s))
+        stamps_s.append(picture.time_s)
+        detector.add(picture.rgb(*size_px))
+        if on_picture is not None:
+            on_picture(report.frames)
+    cuts = detector.finish()
+    starts = sorted({0, *cuts, *hole_starts}) if stamps_s else []
+    return Survey(np.array(stamps_s, dtype=np.float64), tuple(starts), report, reached_end)

@@ -1,0 +1,49 @@
+"""Skinned bodies over time, for drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.skeleton import forward_kinematics
+from video2anim.types import BodyMotion
+from video2anim.viewer.drawing import draw_body
+from video2anim.viewer.raster import Canvas
+from video2anim.viewer.viewpoint import Viewpoint
+
+PERSON_RGB = ((214, 164, 134), (134, 176, 214), (168, 206, 140), (206, 150, 200))
+UNMEASURED_RGB = (160, 160, 160)
+"""Bodies at frames without a measurement are gray."""
+_CHUNK_FRAMES = 30
+
+
+class PosedBodies:
+    """Skinned meshes of all people, made a few frames at a time."""
+
+    def __init__(self, people: tuple[BodyMotion, ...]) -> None:
+        self.people = people
+        self.bodies: tuple[ShapedBody, ...] = tuple(shaped_body(motion.shape) for motion in people)
+
+    def frames(self, start: int, stop: int) -> Iterator[tuple[Float[np.ndarray, "vertices 3"], ...]]:
+        """World vertices of every person at frames start..stop-1."""
+        for first in range(start, stop, _CHUNK_FRAMES):
+            chunk = slice(first, min(first + _CHUNK_FRAMES, stop))
+            meshes = []
+            for motion, body in zip(self.people, self.bodies, strict=True):
+                joints_m, R_world_joint = forward_kinematics(
+                    motion.R_parent_joint[chunk], motion.T_world_root[chunk, :3, 3], motion.rest_joints_m
+                )
+                meshes.append(body.vertices(R_world_joint, joints_m))
+            yield from zip(*meshes, strict=True)
+
+    def color(self, person: int, frame: int) -> tuple[int, int, int]:
+        """Color of a body; gray where the frame was not measured."""
+        return PERSON_RGB[person % len(PERSON_RGB)] if self.people[person].valid[frame] else UNMEASURED_RGB
+
+    def draw(self, canvas: Canvas, viewpoint: Viewpoint, meshes: tuple[np.ndarray, ...], frame: int) -> None:
+        """Draw every person at one frame."""
+        for person, (body, vertices_m) in enumerate(zip(self.bodies, meshes, strict=True)):
+            draw_body(canvas, viewpoint, vertices_m, body.faces, self.color(person, frame))

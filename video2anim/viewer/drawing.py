@@ -1,0 +1,95 @@
+"""Drawing the parts of a scene onto a canvas: static meshes, bodies, floor grid, camera frustum."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from video2anim.geometry.projection import transform_points
+from video2anim.types import Intrinsics, Mesh, PlacedObject, SceneModel
+from video2anim.viewer.raster import Canvas, Light, draw_lines, draw_mesh
+from video2anim.viewer.viewpoint import Viewpoint
+
+_GRID_RGB = (176, 182, 190)
+_FRUSTUM_RGB = (40, 70, 160)
+_GRID_STEP_M = 1.0
+_GRID_LIMIT = 60
+"""Lines per direction at most; the step grows for larger floors."""
+
+
+def world_vertices(placed: PlacedObject) -> Float[np.ndarray, "vertices 3"]:
+    """Vertices of a placed object in the world."""
+    return transform_points(np.asarray(placed.T_world_object), placed.scale * np.asarray(placed.mesh.vertices_m))
+
+
+def draw_static(canvas: Canvas, viewpoint: Viewpoint, scene: SceneModel, *, background: bool, objects: bool) -> None:
+    """Draw the floor with a metre grid, and on demand the room surface and the objects."""
+    _draw(canvas, viewpoint, scene.floor, np.asarray(scene.floor.vertices_m), light="none")
+    if len(scene.floor.vertices_m):
+        _draw_grid(canvas, viewpoint, np.asarray(scene.floor.vertices_m))
+    if background:
+        _draw(canvas, viewpoint, scene.background, np.asarray(scene.background.vertices_m), light="none")
+    if objects:
+        for placed in scene.objects:
+            _draw(canvas, viewpoint, placed.mesh, world_vertices(placed), light="flat")
+
+
+def draw_body(
+    canvas: Canvas,
+    viewpoint: Viewpoint,
+    vertices_world_m: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    rgb: tuple[int, int, int],
+) -> None:
+    """Draw a skinned body in one colour."""
+    colors = np.broadcast_to(np.array(rgb, np.uint8), vertices_world_m.shape)
+    corners_m = viewpoint.to_camera(vertices_world_m)
+    draw_mesh(canvas, corners_m, faces, colors, viewpoint.intrinsics, closed=True, light="smooth")
+
+
+def draw_frustum(
+    canvas: Canvas, viewpoint: Viewpoint, T_world_camera: Float[np.ndarray, "4 4"], lens: Intrinsics
+) -> None:
+    """Draw the filming camera as a pyramid."""
+    apex_m, corners_m = frustum(T_world_camera, lens)
+    starts_m = np.concatenate([np.repeat(apex_m[None], 4, 0), corners_m])
+    ends_m = np.concatenate([corners_m, np.roll(corners_m, -1, 0)])
+    draw_lines(canvas, viewpoint.to_camera(starts_m), viewpoint.to_camera(ends_m), _FRUSTUM_RGB, viewpoint.intrinsics)
+
+
+def frustum(
+    T_world_camera: Float[np.ndarray, "4 4"], lens: Intrinsics, depth_m: float = 0.35
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4 3"]]:
+    """Apex and the four corners of the picture plane at `depth_m`, in the world."""
+    right_px, bottom_px = lens.width_px - 1, lens.height_px - 1
+    pixels = np.array([[0, 0], [right_px, 0], [right_px, bottom_px], [0, bottom_px]])
+    rays = np.ones((4, 3))
+    rays[:, 0] = (pixels[:, 0] - lens.cx_px) / lens.fx_px
+    rays[:, 1] = (pixels[:, 1] - lens.cy_px) / lens.fy_px
+    return T_world_camera[:3, 3], transform_points(T_world_camera, depth_m * rays)
+
+
+def _draw(canvas: Canvas, viewpoint: Viewpoint, mesh: Mesh, vertices_world_m: np.ndarray, *, light: Light) -> None:
+    if len(mesh.faces):
+        corners_m = viewpoint.to_camera(vertices_world_m)
+        draw_mesh(canvas, corners_m, np.asarray(mesh.faces), mesh.vertex_rgb, viewpoint.intrinsics, light=light)
+
+
+def _draw_grid(canvas: Canvas, viewpoint: Viewpoint, floor_m: np.ndarray) -> None:
+    low, high = floor_m.min(0)[[0, 2]], floor_m.max(0)[[0, 2]]
+    step_m = _GRID_STEP_M * max(1.0, np.ceil((high - low).max() / _GRID_LIMIT))
+    starts, ends = [], []
+    for axis in (0, 1):
+        at = np.arange(np.ceil(low[axis] / step_m), np.floor(high[axis] / step_m) + 1) * step_m
+        for side, store in ((low, starts), (high, ends)):
+            points = np.zeros((len(at), 3))
+            points[:, 2 * axis] = at
+            points[:, 2 - 2 * axis] = side[1 - axis]
+            store.append(points)
+    draw_lines(
+        canvas,
+        viewpoint.to_camera(np.concatenate(starts)),
+        viewpoint.to_camera(np.concatenate(ends)),
+        _GRID_RGB,
+        viewpoint.intrinsics,
+    )

@@ -1,0 +1,64 @@
+"""open3d geometry of a scene's parts. Importing this module needs open3d and its system libraries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from video2anim.errors import UsageError
+from video2anim.types import Intrinsics, Mesh, SceneModel
+from video2anim.viewer.drawing import frustum, world_vertices
+
+SYSTEM_PACKAGES = "libusb-1.0-0 libgl1 libegl1 libgomp1"
+
+try:
+    import open3d as o3d
+except (ImportError, OSError) as error:
+    raise UsageError(
+        f"the viewer needs open3d and its system libraries, but importing it failed ({error}); run "
+        f"`pip install 'video2anim[viewer]'` and, on Debian or Ubuntu, `apt-get install {SYSTEM_PACKAGES}`"
+    ) from error
+
+
+def triangle_mesh(vertices_m: np.ndarray, faces: np.ndarray, rgb: np.ndarray) -> Any:
+    """Lit mesh; `rgb` is one color or one per vertex, uint8."""
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(np.asarray(vertices_m, np.float64)),
+        o3d.utility.Vector3iVector(np.asarray(faces, np.int32)),
+    )
+    colors = np.broadcast_to(np.asarray(rgb, np.float64) / 255.0, np.shape(vertices_m))
+    mesh.vertex_colors = o3d.utility.Vector3dVector(colors.copy())
+    mesh.compute_vertex_normals()
+    return mesh
+
+
+def move_mesh(mesh: Any, vertices_m: np.ndarray, rgb: tuple[int, int, int]) -> None:
+    """Give a mesh other vertex positions and one color."""
+    mesh.vertices = o3d.utility.Vector3dVector(np.asarray(vertices_m, np.float64))
+    mesh.paint_uniform_color(np.asarray(rgb, np.float64) / 255.0)
+    mesh.compute_vertex_normals()
+
+
+def static_meshes(scene: SceneModel | None) -> dict[str, list[Any]]:
+    """Meshes of a scene by the group that keys switch: `floor`, `background`, `objects`."""
+    if scene is None:
+        return {"floor": [], "background": [], "objects": []}
+    return {
+        "floor": _static(scene.floor, np.asarray(scene.floor.vertices_m)),
+        "background": _static(scene.background, np.asarray(scene.background.vertices_m)),
+        "objects": [part for placed in scene.objects for part in _static(placed.mesh, world_vertices(placed))],
+    }
+
+
+def camera_lines(T_world_camera: np.ndarray, lens: Intrinsics) -> Any:
+    """The filming camera as a pyramid of lines."""
+    apex_m, corners_m = frustum(T_world_camera, lens)
+    lines = [[0, 1], [0, 2], [0, 3], [0, 4], [1, 2], [2, 3], [3, 4], [4, 1]]
+    return o3d.geometry.LineSet(
+        o3d.utility.Vector3dVector(np.concatenate([apex_m[None], corners_m])), o3d.utility.Vector2iVector(lines)
+    )
+
+
+def _static(mesh: Mesh, vertices_world_m: np.ndarray) -> list[Any]:
+    return [triangle_mesh(vertices_world_m, mesh.faces, mesh.vertex_rgb)] if len(mesh.faces) else []

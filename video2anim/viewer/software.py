@@ -1,0 +1,60 @@
+"""One picture of a scene by the software renderer: the default of `--screenshot`."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from video2anim.types import BodyMotion, SceneModel
+from video2anim.viewer.bodies import PosedBodies
+from video2anim.viewer.drawing import draw_frustum, draw_static, world_vertices
+from video2anim.viewer.raster import Canvas
+from video2anim.viewer.viewpoint import Viewpoint, fit_viewpoint, looking
+
+_ELEVATION_RAD = 0.35
+_TURN_RAD = 0.6
+_SUPERSAMPLING = 2
+_HEADROOM_M = 0.25
+
+
+def render_software(
+    people: tuple[BodyMotion, ...], scene: SceneModel | None, frame: int, width_px: int, height_px: int
+) -> UInt8[np.ndarray, "height width 3"]:
+    """Bodies at one frame, objects, floor, room and filming camera, from behind and beside that camera."""
+    viewpoint = oblique_viewpoint(people, scene, _SUPERSAMPLING * width_px, _SUPERSAMPLING * height_px)
+    canvas = Canvas.blank(_SUPERSAMPLING * width_px, _SUPERSAMPLING * height_px)
+    if scene is not None:
+        draw_static(canvas, viewpoint, scene, background=True, objects=True)
+    bodies = PosedBodies(people)
+    (meshes,) = bodies.frames(frame, frame + 1)
+    bodies.draw(canvas, viewpoint, meshes, frame)
+    draw_frustum(canvas, viewpoint, people[0].T_world_camera[frame], people[0].intrinsics)
+    return cv2.resize(canvas.rgb, (width_px, height_px), interpolation=cv2.INTER_AREA)
+
+
+def oblique_viewpoint(
+    people: tuple[BodyMotion, ...], scene: SceneModel | None, width_px: int, height_px: int
+) -> Viewpoint:
+    """A camera turned and raised from the filming one that sees the whole path and the objects near it."""
+    points_m = framed_points(people, scene)
+    forward = people[0].T_world_camera[0, :3, 2]
+    turn = np.array([[np.cos(_TURN_RAD), 0, np.sin(_TURN_RAD)], [0, 1, 0], [-np.sin(_TURN_RAD), 0, np.cos(_TURN_RAD)]])
+    return fit_viewpoint(points_m, looking(turn @ forward, _ELEVATION_RAD), width_px=width_px, height_px=height_px)
+
+
+def framed_points(
+    people: tuple[BodyMotion, ...], scene: SceneModel | None, object_reach_m: float = 4.0
+) -> Float[np.ndarray, "points 3"]:
+    """Points a picture of the scene must hold: bodies at all measured frames, the floor below, near objects."""
+    measured = [motion.joints_world_m[motion.valid].reshape(-1, 3) for motion in people]
+    paths_m = np.concatenate(measured)
+    if len(paths_m) == 0:
+        paths_m = np.concatenate([motion.joints_world_m.reshape(-1, 3) for motion in people])
+    points = [paths_m + np.array([0.0, _HEADROOM_M, 0.0]), paths_m * [1.0, 0.0, 1.0]]
+    middle_m = np.median(paths_m, axis=0)
+    for placed in scene.objects if scene is not None else ():
+        vertices_m = world_vertices(placed)
+        if len(vertices_m) and np.linalg.norm(vertices_m.mean(0) - middle_m) < object_reach_m:
+            points.append(vertices_m)
+    return np.concatenate(points)

@@ -1,0 +1,96 @@
+"""Entry points of the viewer: a window to play in, and single pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from video2anim.errors import InputError, UsageError
+from video2anim.types import BodyMotion, SceneModel
+
+STAGES = ("raw", "keyframes", "refined")
+Renderer = Literal["software", "open3d"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneView:
+    """What can be looked at: motions by stage, and the scene where there is one."""
+
+    motions: dict[str, tuple[BodyMotion, ...]]
+    """Any of `raw`, `keyframes`, `refined`, main person first; at least one, all of the same length."""
+    scene: SceneModel | None
+
+    def people(self, stage: str | None = None) -> tuple[BodyMotion, ...]:
+        """Motions of a stage; of the last one made where `stage` is None.
+
+        Raises:
+            UsageError: there is no such stage here.
+        """
+        present = [name for name in STAGES if name in self.motions]
+        if stage is None and present:
+            return self.motions[present[-1]]
+        if stage not in self.motions:
+            raise UsageError(f"view stage: want one of {', '.join(present) or 'none (no motion yet)'}, got {stage!r}")
+        return self.motions[stage]
+
+    @property
+    def frame_count(self) -> int:
+        return self.people()[0].frame_count
+
+
+def view(view_of: SceneView, *, title: str = "video2anim") -> None:
+    """Open the open3d window; returns when it is closed.
+
+    Raises:
+        UsageError: open3d, its system libraries or a display are missing; the message names what to install.
+    """
+    from video2anim.viewer.window import run_window
+
+    run_window(view_of, title)
+
+
+def screenshot(
+    view_of: SceneView,
+    frame: int,
+    out_png: Path,
+    *,
+    stage: str | None = None,
+    renderer: Renderer = "software",
+    width_px: int = 1280,
+    height_px: int = 720,
+    timeout_s: float = 60.0,
+) -> None:
+    """Render one frame of the scene, seen obliquely, without a window on the screen.
+
+    Args:
+        view_of: Motions and scene.
+        frame: Frame number, from 0.
+        out_png: File to make.
+        stage: `raw`, `keyframes` or `refined`; None for the last one made.
+        renderer: `software` (numpy, needs nothing) or `open3d` (a hidden window, on a virtual display where there
+            is none; needs open3d, its libraries and Xvfb).
+        width_px: Width of the picture.
+        height_px: Height of the picture.
+        timeout_s: Limit for the open3d renderer, which runs in a process of its own.
+
+    Raises:
+        UsageError: no such frame or stage, or the renderer's requirements are missing.
+        InputError: the picture cannot be written.
+    """
+    people = view_of.people(stage)
+    if not 0 <= frame < people[0].frame_count:
+        raise UsageError(f"frame: want 0 to {people[0].frame_count - 1}, got {frame}")
+    if renderer == "open3d":
+        from video2anim.viewer.offscreen import render_open3d
+
+        render_open3d(people, view_of.scene, frame, out_png, width_px, height_px, timeout_s)
+        return
+    from video2anim.artifacts.images import write_png
+    from video2anim.viewer.software import render_software
+
+    picture = render_software(people, view_of.scene, frame, width_px, height_px)
+    try:
+        write_png(out_png, picture)
+    except OSError as error:
+        raise InputError(f"cannot write picture {out_png}: {error}; choose a writable .png path") from error
