@@ -1,8 +1,8 @@
 """Scene-aware motion in-betweening: fill the frames between keyframes of a body in a scene (SceneMI, ICCV 2025).
 
-    from scenemi import KeyframeMotion, inbetween, load_prior
+from scenemi import KeyframeMotion, inbetween, load_prior
 
-    filled = inbetween(KeyframeMotion(R_parent_joint, translation_m, is_keyframe, rest_joints_m), load_prior("auto"))
+filled = inbetween(KeyframeMotion(R_parent_joint, translation_m, is_keyframe, rest_joints_m), load_prior("auto"))
 """
 
 from scenemi.foot_lock import FootLockConfig, lock_feet

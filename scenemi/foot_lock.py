@@ -67,7 +67,9 @@ def lock_feet(
     for leg in LEGS:
         touching = contact[:, (leg.ankle, leg.toe)] >= config.contact_threshold
         shifts, bad = [], 0
-        for start, stop in contact_phases(touching.any(axis=1), max(1, round(config.shortest_phase_s * fps))):
+        for start, stop in contact_phases(
+            np.asarray(touching.any(axis=1)), max(1, round(config.shortest_phase_s * fps))
+        ):
             phase, toe_down = slice(start, stop), touching[start:stop, 1]
             hold_m, drift_m = _holding_shift(joints_m[phase], reference_m[phase], leg, toe_down)
             if drift_m > config.max_drift_m or np.linalg.norm(hold_m, axis=1).max() > config.max_shift_m:

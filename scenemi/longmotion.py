@@ -78,11 +78,10 @@ def inbetween(
     densities = []
     for span in spans:
         done = WindowMotion(R_parent_joint, translation_m)
-        for density, candidate in enumerate(candidates):
-            given = _window(span, candidate, done, scene)
-            filled = _join(given, prior.fill(given))
-            if accept is None or density == len(candidates) - 1 or accept(span, filled):
-                break
+        density, filled = 0, _filled(span, candidates[0], done, prior, scene)
+        while accept is not None and density + 1 < len(candidates) and not accept(span, filled):
+            density += 1
+            filled = _filled(span, candidates[density], done, prior, scene)
         densities.append(density)
         R_parent_joint[span.start : span.stop] = filled.R_parent_joint
         translation_m[span.start : span.stop] = filled.translation_world_m
@@ -125,6 +124,13 @@ def _with_keyframes_of(more: KeyframeMotion, base: KeyframeMotion) -> KeyframeMo
         translation_world_m=np.where(only_base[:, None], base.translation_world_m, more.translation_world_m),
         is_keyframe=more.is_keyframe | only_base,
     )
+
+
+def _filled(
+    span: WindowSpan, motion: KeyframeMotion, done: WindowMotion, prior: InbetweeningPrior, scene: SdfGrid | None
+) -> WindowMotion:
+    given = _window(span, motion, done, scene)
+    return _join(given, prior.fill(given))
 
 
 def _window(span: WindowSpan, motion: KeyframeMotion, done: WindowMotion, scene: SdfGrid | None) -> KeyframeWindow:

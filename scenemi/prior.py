@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -58,6 +59,27 @@ class WindowMotion:
     translation_world_m: Float[np.ndarray, "frames 3"]
 
 
+def padded(window: KeyframeWindow, frame_count: int) -> KeyframeWindow:
+    """The window made `frame_count` frames long by holding its last pose, for priors of fixed length.
+
+    The added frames are keyframes; the caller cuts them off again.
+
+    Raises:
+        ValueError: the window is longer than that.
+    """
+    missing = frame_count - len(window.is_keyframe)
+    if missing < 0:
+        raise ValueError(f"padded: the window has {len(window.is_keyframe)} frames, more than {frame_count}")
+    return replace(
+        window,
+        R_parent_joint=np.concatenate([window.R_parent_joint, np.repeat(window.R_parent_joint[-1:], missing, 0)]),
+        translation_world_m=np.concatenate(
+            [window.translation_world_m, np.repeat(window.translation_world_m[-1:], missing, 0)]
+        ),
+        is_keyframe=np.concatenate([window.is_keyframe, np.ones(missing, dtype=bool)]),
+    )
+
+
 class InbetweeningPrior(Protocol):
     """Fills the frames between keyframes."""
 
@@ -107,9 +129,8 @@ def load_prior(choice: PriorChoice = "auto", *, device: str = "cpu") -> Inbetwee
         raise ModelMissingError(
             "prior scenemi: no weights (*.safetensors) in scenemi/weights; set the prior to 'interpolation' or 'auto'"
         )
-    from scenemi.model.prior import load_diffusion_prior
-
-    return load_diffusion_prior(WEIGHTS_FOLDER, device=device)
+    model = importlib.import_module("scenemi.model.prior")
+    return model.load_diffusion_prior(WEIGHTS_FOLDER, device=device)
 
 
 def scenemi_available() -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.signal import butter, filtfilt
+from scipy.signal import butter, sosfiltfilt
 
 from video2anim.geometry.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
 
@@ -27,8 +27,8 @@ def low_pass(
     """
     if not 0 < cutoff_hz < 0.5 * fps:
         raise ValueError(f"low_pass: want 0 < cutoff_hz < {0.5 * fps}, got {cutoff_hz}")
-    numerator, denominator = butter(_ORDER, cutoff_hz, fs=fps)
-    shortest = 3 * max(len(numerator), len(denominator)) + 1
+    sections = butter(_ORDER, cutoff_hz, fs=fps, output="sos")
+    shortest = 3 * (_ORDER + 1) + 1
     R_smooth, translation_m = R_parent_joint.copy(), translation_world_m.copy()
     edges = np.flatnonzero(np.diff(np.concatenate([[False], valid, [False]]).astype(np.int8)))
     for start, stop in edges.reshape(-1, 2):
@@ -36,6 +36,6 @@ def low_pass(
             continue
         run = slice(start, stop)
         quaternions = continuous_quaternions(quaternion_from_matrix(R_parent_joint[run]))
-        R_smooth[run] = matrix_from_quaternion(filtfilt(numerator, denominator, quaternions, axis=0))
-        translation_m[run] = filtfilt(numerator, denominator, translation_world_m[run], axis=0)
+        R_smooth[run] = matrix_from_quaternion(sosfiltfilt(sections, quaternions, axis=0))
+        translation_m[run] = sosfiltfilt(sections, translation_world_m[run], axis=0)
     return R_smooth, translation_m

@@ -80,7 +80,8 @@ def plan_windows(
 
     Each ends on a keyframe, since the model is trained with the first and the last frame given, and shares at least
     `overlap` frames with the one before wherever the keyframes are dense enough (61 for a regular interval of 15: 60 is
-    no multiple of it plus one). A motion shorter than a window is one shorter span, which the prior pads.
+    no multiple of it plus one). A motion shorter than a window is one shorter span; priors of fixed length pad it
+    (`scenemi.prior.padded`).
 
     Raises:
         ValueError: two keyframes lie `window` frames or more apart; `split_long_gaps` says where to bridge.

@@ -228,7 +228,7 @@ def _warnings(
     if report.dropped_stamps:
         texts.append(f"{report.dropped_stamps} pictures left out: their time stamps do not advance")
     if len(shot_time_s) > 1:
-        fps = (len(shot_time_s) - 1) / float(shot_time_s[-1] - shot_time_s[0])
+        fps = 1.0 / float(np.median(np.diff(shot_time_s)))
         if fps < _LOW_FPS:
             texts.append(f"low frame rate: {fps:.1f} fps (want {_LOW_FPS:.0f} or more); fast motion will be lost")
         elif largest_hole_s(shot_time_s) > _LONG_HOLE_S:

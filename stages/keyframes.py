@@ -267,9 +267,7 @@ def _root_problem(
     valid = np.flatnonzero(motion.valid)
     skin_m = points.spread_m[valid] + motion.T_world_root[valid, None, :3, 3]
     row, vertex = np.nonzero(grid.sample(skin_m) < config.penetration_reach_m)
-    return RootProblem(
-        keyframes, root_m, skin_m[row, vertex], valid[row], tuple(contacts), tuple(targets), grid
-    )
+    return RootProblem(keyframes, root_m, skin_m[row, vertex], valid[row], tuple(contacts), tuple(targets), grid)
 
 
 def _between_keyframes(

@@ -107,13 +107,11 @@ def _refine_person(
         KeyframeMotion(R_parent_joint, translation_m, mask, motion.rest_joints_m, FPS)
         for mask in (_mask(keys, motion), _mask(optimized, motion) & motion.valid, motion.valid)
     )
-    windows = {"window": config.window_frames, "overlap": config.overlap_frames}
-    plain = inbetween(given, InterpolationPrior(), **windows)
+    window, overlap = config.window_frames, config.overlap_frames
+    plain = inbetween(given, InterpolationPrior(), window=window, overlap=overlap)
     denser = (at_optimized, at_all) if config.fallback else ()
-    filled = inbetween(given, prior, scene=grid, denser=denser, accept=judge.accept, **windows)
-    unlocked = motion.with_pose(
-        translation_world_m=filled.translation_world_m, R_parent_joint=filled.R_parent_joint
-    )
+    filled = inbetween(given, prior, scene=grid, denser=denser, accept=judge.accept, window=window, overlap=overlap)
+    unlocked = motion.with_pose(translation_world_m=filled.translation_world_m, R_parent_joint=filled.R_parent_joint)
     final = judge.with_held_feet(unlocked) if config.foot_lock else unlocked
     judge.report(ctx, "raw", motion, suffix)
     judge.report(

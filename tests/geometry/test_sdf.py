@@ -65,9 +65,7 @@ def test_distance_agrees_with_brute_force_over_all_triangles() -> None:
     shape = trimesh.creation.torus(0.4, 0.15, major_sections=24, minor_sections=10)
     triangles_m = np.asarray(shape.triangles)
     points_m = np.random.default_rng(0).uniform(-0.8, 0.8, (400, 3))
-    brute_m = np.min(
-        [point_triangle_distance(points_m, np.broadcast_to(t, (400, 3, 3))) for t in triangles_m], axis=0
-    )
+    brute_m = np.min([point_triangle_distance(points_m, np.broadcast_to(t, (400, 3, 3))) for t in triangles_m], axis=0)
     np.testing.assert_allclose(unsigned_distance(points_m, triangles_m, 0.05), brute_m, atol=1e-4)
 
 

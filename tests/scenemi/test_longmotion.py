@@ -16,9 +16,7 @@ from video2anim.types import BodyMotion
 def keyframe_motion(motion: BodyMotion, keys: np.ndarray) -> KeyframeMotion:
     is_keyframe = np.zeros(motion.frame_count, dtype=bool)
     is_keyframe[keys] = True
-    return KeyframeMotion(
-        motion.R_parent_joint, motion.T_world_root[:, :3, 3], is_keyframe, motion.rest_joints_m, FPS
-    )
+    return KeyframeMotion(motion.R_parent_joint, motion.T_world_root[:, :3, 3], is_keyframe, motion.rest_joints_m, FPS)
 
 
 class ShiftingPrior:
@@ -32,7 +30,9 @@ class ShiftingPrior:
     def fill(self, window: KeyframeWindow) -> WindowMotion:
         self.windows += 1
         filled = InterpolationPrior().fill(window)
-        return WindowMotion(filled.R_parent_joint, filled.translation_world_m + np.array([0.02 * (self.windows % 2), 0, 0]))
+        return WindowMotion(
+            filled.R_parent_joint, filled.translation_world_m + np.array([0.02 * (self.windows % 2), 0, 0])
+        )
 
 
 @pytest.mark.parametrize("frames", [1, 2, 50, 121, 122, 300])
@@ -50,9 +50,7 @@ def test_windows_agree_with_one_interpolation_over_the_whole_motion() -> None:
     given = keyframe_motion(motion, select_keyframes(300, 15))
     filled = inbetween(given, InterpolationPrior())
     whole = InterpolationPrior().fill(
-        KeyframeWindow(
-            given.R_parent_joint, given.translation_world_m, given.is_keyframe, given.rest_joints_m, FPS
-        )
+        KeyframeWindow(given.R_parent_joint, given.translation_world_m, given.is_keyframe, given.rest_joints_m, FPS)
     )
     assert len(filled.spans) == 4
     # Rotations are the same; the root's spline knows less of the future at a window's end.

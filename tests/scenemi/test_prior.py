@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 import scenemi.prior
-from scenemi.prior import InterpolationPrior, KeyframeWindow, load_prior
+from scenemi.prior import InterpolationPrior, KeyframeWindow, load_prior, padded
 from video2anim.errors import ModelMissingError, UsageError
 
 KEYS = np.array([0, 7, 15, 31, 40])
@@ -69,3 +69,14 @@ def test_without_weights_auto_is_interpolation_and_scenemi_is_refused(
         load_prior("scenemi")
     with pytest.raises(UsageError, match="got 'best'"):
         load_prior("best")  # type: ignore[arg-type]
+
+
+def test_padding_holds_the_last_pose_and_does_not_change_the_rest() -> None:
+    given = window()
+    longer = padded(given, 121)
+    assert longer.is_keyframe[41:].all()
+    np.testing.assert_array_equal(longer.R_parent_joint[120], given.R_parent_joint[40])
+    filled, filled_longer = InterpolationPrior().fill(given), InterpolationPrior().fill(longer)
+    np.testing.assert_allclose(filled_longer.R_parent_joint[:41], filled.R_parent_joint, atol=1e-9)
+    with pytest.raises(ValueError, match="more than 40"):
+        padded(given, 40)

@@ -71,8 +71,11 @@ def write_video(
 
 
 def gray(value: int, width: int = 96, height: int = 64) -> np.ndarray:
-    """A picture of one gray value, with a corner that tells up from down."""
-    picture = np.full((height, width, 3), value, np.uint8)
+    """A checkered wall over a floor of one gray value, with a corner that tells up from down."""
+    y, x = np.indices((height, width))
+    checker = np.where((x // 8 + y // 8) % 2, 60, 180).astype(np.uint8)
+    picture = np.repeat(checker[..., None], 3, axis=2)
+    picture[height // 2 :] = value
     picture[: height // 4, : width // 4] = (220, 30, 30)
     return picture
 

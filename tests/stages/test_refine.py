@@ -77,9 +77,7 @@ def test_the_papers_baseline_is_there_without_fallback_and_foot_lock() -> None:
     config = RefineConfig(fallback=False, foot_lock=False, low_pass_hz=0)
     refined, ctx = refine(truth, config)
     keys = np.union1d(np.arange(0, FRAMES, 15), [FRAMES - 1])
-    np.testing.assert_allclose(
-        refined.people[0].joints_world_m[keys], truth.joints_world_m[keys], atol=1e-9
-    )
+    np.testing.assert_allclose(refined.people[0].joints_world_m[keys], truth.joints_world_m[keys], atol=1e-9)
     assert quality(ctx, "jerk refined") == pytest.approx(quality(ctx, "jerk interpolation every 15"))
     assert quality(ctx, "windows with denser keyframes") == 0.0
 

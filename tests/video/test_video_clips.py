@@ -108,19 +108,21 @@ def test_frames_of_another_shape_are_refused(tmp_path: Path) -> None:
         writer.write(np.zeros((32, 64, 3), np.uint8))
 
 
+def write_noise(path: Path) -> None:
+    rng = np.random.default_rng(0)
+    with FrameWriter(path, width_px=320, height_px=240) as writer:
+        for _ in range(20):
+            writer.write(rng.integers(0, 256, (240, 320, 3), dtype=np.uint8))
+
+
 def test_full_disk_is_named(tmp_path: Path) -> None:
     device = Path("/dev/full")
     if not device.exists():
         pytest.skip("no /dev/full here")
     link = tmp_path / "clip.mp4"
     link.symlink_to(device)
-    rng = np.random.default_rng(0)
-    with (
-        pytest.raises(InputError, match="no space left on device at") as caught,
-        FrameWriter(link, width_px=320, height_px=240) as writer,
-    ):
-        for _ in range(20):
-            writer.write(rng.integers(0, 256, (240, 320, 3), dtype=np.uint8))
+    with pytest.raises(InputError, match="no space left on device at") as caught:
+        write_noise(link)
     assert isinstance(caught.value.__cause__, OSError)
     assert caught.value.__cause__.errno == errno.ENOSPC
 

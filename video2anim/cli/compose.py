@@ -66,7 +66,7 @@ class TableModels:
         from video2anim.models import load_model
 
         if slot not in self._loaded:
-            self._loaded[slot] = load_model(slot)
+            self._loaded[slot] = load_model(slot, on_progress=self._on_fetch)
         return self._loaded[slot]
 
     @staticmethod
@@ -177,3 +177,20 @@ def _expect_same_input(scene_dir: Path, source: SourceVideo, overwrite: bool) ->
             f"--out: {scene_dir} holds the results of another video ({before.input_path}); "
             "choose another folder, or --overwrite to replace them"
         )
+
+
+def preset_models(name: str) -> list[str]:
+    """Models of a preset, or the one model of that name."""
+    from video2anim.pipeline.config import preset_names
+
+    if name not in preset_names():
+        return [name]
+    nodes = pipeline_nodes()
+    config = resolve(nodes, name, [(f"preset {name}", load_preset(name))])
+    wanted = []
+    for node in nodes:
+        for slot in node.spec.models:
+            model = TableModels._name(slot, config.stages[node.name])
+            if model != NO_NETWORK:
+                wanted.append(model)
+    return wanted

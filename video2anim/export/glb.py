@@ -170,10 +170,9 @@ class _GlbWriter:
     def _add_joints(self, character: Character) -> list[int]:
         first = len(self.document.nodes)
         for joint, name in enumerate(self.joint_names):
-            node = gltf.Node(name=name, translation=character.joint_offsets_m[joint].tolist(), children=[])
-            self.document.nodes.append(node)
-            if PARENTS[joint] >= 0:
-                self.document.nodes[first + int(PARENTS[joint])].children.append(first + joint)
+            children = [first + int(child) for child in np.flatnonzero(joint == PARENTS)]
+            offset_m = character.joint_offsets_m[joint].tolist()
+            self.document.nodes.append(gltf.Node(name=name, translation=offset_m, children=children))
         return list(range(first, first + len(self.joint_names)))
 
     def _add_primitive(self, name: str, attributes: gltf.Attributes, faces: np.ndarray, material: int) -> int:

@@ -42,7 +42,7 @@ def up_from_balance(
     joints_camera_m: Float[np.ndarray, "frames 22 3"],
     *,
     prior_up: Float[np.ndarray, "3"] | None = None,
-    prior_sigma_rad: float = 0.25,
+    prior_sigma_rad: float = 0.35,
     frame_sigma_rad: float = 0.3,
 ) -> UpEstimate:
     """Direction against gravity: a body that stands or walks has, on average, its centre of mass over its feet.

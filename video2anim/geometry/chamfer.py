@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 if TYPE_CHECKING:
     import torch
@@ -43,7 +43,7 @@ class ChamferLoss:
     def __init__(self, target_m: Float[np.ndarray, "targets 3"], config: ChamferConfig | None = None) -> None:
         self.config = config or ChamferConfig()
         self._target_m = _expect_points(np.asarray(target_m, dtype=np.float64), "target_m")
-        self._tree = cKDTree(self._target_m)
+        self._tree = KDTree(self._target_m)
         self._step = 0
         self._target_of_source: Int[np.ndarray, "sources"] | None = None
         self._source_of_target: Int[np.ndarray, "targets"] | None = None
@@ -66,9 +66,9 @@ class ChamferLoss:
     def _look_up(self, source_m: np.ndarray) -> None:
         _expect_points(source_m, "source_m")
         if self.config.sides in ("both", "source"):
-            self._target_of_source = self._tree.query(source_m)[1]
+            self._target_of_source = np.asarray(self._tree.query(source_m)[1])
         if self.config.sides in ("both", "target"):
-            self._source_of_target = cKDTree(source_m).query(self._target_m)[1]
+            self._source_of_target = np.asarray(KDTree(source_m).query(self._target_m)[1])
 
     def _robust_mean(self, difference_m: torch.Tensor) -> torch.Tensor:
         square = (difference_m * difference_m).sum(-1)
@@ -100,9 +100,9 @@ def chamfer_m(
     source_m, target_m = _expect_points(source_m, "source_m"), _expect_points(target_m, "target_m")
     terms = []
     if sides in ("both", "source"):
-        terms.append(_trimmed_mean(cKDTree(target_m).query(source_m)[0], trim_ratio))
+        terms.append(_trimmed_mean(KDTree(target_m).query(source_m)[0], trim_ratio))
     if sides in ("both", "target"):
-        terms.append(_trimmed_mean(cKDTree(source_m).query(target_m)[0], trim_ratio))
+        terms.append(_trimmed_mean(KDTree(source_m).query(target_m)[0], trim_ratio))
     return float(np.mean(terms))
 
 

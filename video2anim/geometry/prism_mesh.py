@@ -70,6 +70,18 @@ def pixel_outline(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class OutlineCells:
+    """An outline as cells of the front plane."""
+
+    cells: Bool[np.ndarray, "rows columns"]
+    """Row 0 is the lowest, column 0 the leftmost."""
+    corner_m: Float[np.ndarray, "2"]
+    """Lower-left corner."""
+    size_m: Float[np.ndarray, "2"]
+    """Width and height of a cell."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Prism:
     """Closed mesh on a grid of cells, in front-plane coordinates."""
 
@@ -79,14 +91,13 @@ class Prism:
 
 def outline_cells(
     outline_m: Float[np.ndarray, "pixels 2"], most_cells: int
-) -> tuple[Bool[np.ndarray, "rows columns"], Float[np.ndarray, "2"], float]:
-    """Cells that the outline covers (row 0 lowest), the lower-left corner, and the size of a cell in metres.
+) -> OutlineCells:
+    """Cells that the outline covers.
 
     One connected piece without holes and without cells that touch at a corner only, so that its prism is watertight.
     """
     finite = outline_m[np.isfinite(outline_m).all(1)]
     low, high = np.percentile(finite, [0.5, 99.5], axis=0)
-    low[1] = min(low[1], max(0.0, low[1]))
     extent = np.maximum(high - low, 0.02)
     cell_m = float(np.sqrt(extent.prod() / most_cells))
     shape = np.maximum(np.round(extent / cell_m).astype(int), 1)
@@ -99,53 +110,69 @@ def outline_cells(
     pieces, _ = label(cells)
     if pieces.max() > 1:
         cells = pieces == 1 + np.argmax(np.bincount(pieces.ravel())[1:])
-    return _no_pinches(binary_fill_holes(cells)), low, float(extent[0] / shape[0])
+    return OutlineCells(_no_pinches(cells), low, extent / shape)
 
 
 def _no_pinches(cells: np.ndarray) -> np.ndarray:
-    """Fill one of the empty cells wherever two cells touch at a corner only."""
-    cells = cells.copy()
+    """Fill holes, and one of the empty cells wherever two cells touch at a corner only."""
     while True:
+        cells = binary_fill_holes(cells)
         a, b, c, d = cells[:-1, :-1], cells[:-1, 1:], cells[1:, :-1], cells[1:, 1:]
         falling, rising = a & d & ~b & ~c, b & c & ~a & ~d
         if not falling.any() and not rising.any():
-            return binary_fill_holes(cells)
+            return cells
         rows, columns = np.nonzero(falling)
         cells[rows, columns + 1] = True
         rows, columns = np.nonzero(rising)
         cells[rows, columns] = True
 
 
-def prism_of_cells(
-    cells: Bool[np.ndarray, "rows columns"],
-    corner_m: Float[np.ndarray, "2"],
-    size_m: Float[np.ndarray, "2"],
-    thickness_m: float,
+def cell_relief(
+    outline: OutlineCells, pixels_m: Float[np.ndarray, "pixels 2"], relief_m: Float[np.ndarray, "pixels"]
+) -> Float[np.ndarray, "rows columns"]:
+    """Median height of visible points over the front plane, per cell; 0 where a cell has none."""
+    index = np.floor((pixels_m - outline.corner_m) / outline.size_m).astype(int)
+    rows, columns = outline.cells.shape
+    inside = ((index >= 0) & (index < [columns, rows])).all(1) & np.isfinite(relief_m)
+    key, height = index[inside, 1] * columns + index[inside, 0], relief_m[inside]
+    relief = np.zeros(rows * columns)
+    order = np.argsort(key, kind="stable")
+    cell, start = np.unique(key[order], return_index=True)
+    for k, values in zip(cell, np.split(height[order], start[1:]), strict=True):
+        relief[k] = np.median(values)
+    return relief.reshape(rows, columns)
+
+
+def prism_of_outline(
+    outline: OutlineCells, thickness_m: float, relief_m: Float[np.ndarray, "rows columns"] | None = None
 ) -> Prism:
-    """Front at z = 0 facing +z, back at z = -thickness; each cell is `size_m` wide and high.
+    """Watertight mesh: front near z = 0 facing +z, raised by the relief, and a flat back at z = -thickness.
+
+    The first half of the vertices is the front, the second half the same places on the back.
 
     Raises:
         ValueError: no cell is set.
     """
+    cells = outline.cells
     if not cells.any():
-        raise ValueError("prism_of_cells: want at least one cell, got none")
+        raise ValueError("prism_of_outline: want at least one cell, got none")
     thickness_m = max(thickness_m, _LEAST_THICKNESS_M)
     rows, columns = np.nonzero(cells)
     wide = cells.shape[1] + 1
-    corner = np.stack([rows * wide + columns, rows * wide + columns + 1,
-                       (rows + 1) * wide + columns + 1, (rows + 1) * wide + columns], -1)  # fmt: skip
+    low_left = rows * wide + columns
+    corner = np.stack([low_left, low_left + 1, low_left + wide + 1, low_left + wide], -1)
     used, local = np.unique(corner, return_inverse=True)
-    quad = local.reshape(corner.shape)
-    count = len(used)
+    quad, count = local.reshape(corner.shape), len(used)
     front = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
-    back = front[:, ::-1] + count
     edges = np.concatenate([quad[:, [k, (k + 1) % 4]] for k in range(4)])
-    key, reverse = edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]
-    rim = edges[~np.isin(key, reverse)]
-    sides = np.concatenate(
-        [np.stack([rim[:, 1], rim[:, 0], rim[:, 0] + count], -1),
-         np.stack([rim[:, 1], rim[:, 0] + count, rim[:, 1] + count], -1)]
-    )  # fmt: skip
-    flat = np.stack([used % wide, used // wide], -1) * size_m + corner_m
-    vertices = np.concatenate([np.column_stack([flat, np.zeros(count)]), np.column_stack([flat, np.full(count, -thickness_m)])])
-    return Prism(vertices, np.concatenate([front, back, sides]).astype(np.int64))
+    rim = edges[~np.isin(edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0])]
+    start, stop = rim[:, 0], rim[:, 1]
+    sides = [np.stack([stop, start, start + count], -1), np.stack([stop, start + count, stop + count], -1)]
+    flat = np.stack([used % wide, used // wide], -1) * outline.size_m + outline.corner_m
+    raised = np.zeros(count)
+    if relief_m is not None:
+        np.add.at(raised, quad.ravel(), np.repeat(relief_m[rows, columns], 4))
+        raised /= np.bincount(quad.ravel(), minlength=count)
+    raised = np.clip(raised, 0.3 * _LEAST_THICKNESS_M - thickness_m, thickness_m)
+    vertices = np.concatenate([np.column_stack([flat, raised]), np.column_stack([flat, np.full(count, -thickness_m)])])
+    return Prism(vertices, np.concatenate([front, front[:, ::-1] + count, *sides]).astype(np.int64))

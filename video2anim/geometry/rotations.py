@@ -14,7 +14,7 @@ _TINY = 1e-12
 
 
 def _module(array: Any) -> Any:
-    if isinstance(array, np.ndarray):
+    if isinstance(array, np.ndarray | np.generic):
         return np
     import torch
 

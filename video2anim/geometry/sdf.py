@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from video2anim.types.scene import Mesh
 
@@ -117,9 +117,7 @@ def build_sdf_grid(
     return SdfGrid(sdf_m.astype(np.float32), low_m, spacing_m)
 
 
-def _lower_by_solid(
-    sdf_m: Float[np.ndarray, "x y z"], solid: Mesh, axes: list[np.ndarray], spacing_m: float
-) -> None:
+def _lower_by_solid(sdf_m: Float[np.ndarray, "x y z"], solid: Mesh, axes: list[np.ndarray], spacing_m: float) -> None:
     """Take the minimum with one solid's signed distance, in place.
 
     Nodes whose present value is below the distance to the solid's box cannot change and are left out.
@@ -149,7 +147,7 @@ def unsigned_distance(
 ) -> Float[np.ndarray, "points"]:
     """Distance from points to a triangle soup, by exact distance to the triangles of the nearest surface samples."""
     samples_m, owner = _surface_samples(triangles_m, sample_step_m)
-    tree = cKDTree(samples_m)
+    tree = KDTree(samples_m)
     count = min(_NEAREST_SAMPLES, len(samples_m))
     result = np.empty(len(points_m))
     for start in range(0, len(points_m), _QUERY_NODES):
@@ -193,9 +191,7 @@ def point_triangle_distance(
 ) -> Float[np.ndarray, "pairs"]:
     """Exact distance of each point to its own triangle, degenerate triangles included."""
     corners = [triangles_m[:, k] for k in range(3)]
-    edge_distances = [
-        _point_segment_distance(points_m, corners[k], corners[(k + 1) % 3]) for k in range(3)
-    ]
+    edge_distances = [_point_segment_distance(points_m, corners[k], corners[(k + 1) % 3]) for k in range(3)]
     best = np.minimum.reduce(edge_distances)
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     area2 = np.linalg.norm(normal, axis=-1)

@@ -205,5 +205,3 @@ def _pictures(
             yield from packet.decode()
         except av.FFmpegError:
             report.damaged_packets += 1
-
-

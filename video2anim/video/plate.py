@@ -65,7 +65,10 @@ def updated_plate(
     before: Bool[np.ndarray, "samples small_height small_width"],
     after: Bool[np.ndarray, "samples small_height small_width"],
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """What `median_plate(samples, after)` gives, from `plate = median_plate(samples, before)`; quick for small changes."""
+    """What `median_plate(samples, after)` gives, made from `plate`, which is `median_plate(samples, before)`.
+
+    Only pixels whose exclusion changed are worked on.
+    """
     height, width = plate.shape[:2]
     rows, columns = _nearest(height, before.shape[1]), _nearest(width, before.shape[2])
     changed = (before != after).any(axis=0)

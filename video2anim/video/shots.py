@@ -24,6 +24,8 @@ _CUT_DISTANCE = 0.30
 """Smallest distance (0 to 1) between the sides of a cut."""
 _STANDS_OUT = 2.5
 """How many times the usual step between neighbours the distance across a cut must be."""
+_DETAIL_FLOOR = 0.01
+"""Root mean square of log luminance detail below which a picture counts as blank."""
 _BINS = (8, 17, 17)
 """Bins of relative luminance, a and b."""
 _GRID = (32, 18)
@@ -35,7 +37,7 @@ class Descriptor:
     """What a picture looks like, little of which depends on exposure."""
 
     structure: Float[np.ndarray, "cells"]
-    """Log luminance on a coarse grid, slow shading removed, zero mean and unit norm (or zero)."""
+    """Log luminance on a coarse grid, slow shading removed, zero mean, unit norm (less for a blank picture)."""
     colours: Float[np.ndarray, "bins"]
     """Square root of the histogram of chromaticity and relative luminance; unit norm."""
 
@@ -48,9 +50,8 @@ def describe(thumbnail_rgb: UInt8[np.ndarray, "height width 3"]) -> Descriptor:
     log_luminance = np.log(grid + 8.0)
     detail = log_luminance - cv2.GaussianBlur(log_luminance, (0, 0), 4.0)
     detail -= detail.mean()
-    norm = float(np.linalg.norm(detail))
-    # Less than one gray level of detail is noise: a blank picture is like nothing but itself.
-    structure = detail.ravel() / norm if norm > 0.01 * np.sqrt(detail.size) else np.zeros(detail.size, np.float32)
+    # Where there is less detail than noise, the structure fades out instead of being blown up.
+    structure = detail.ravel() / max(float(np.linalg.norm(detail)), _DETAIL_FLOOR * np.sqrt(detail.size))
     median = max(float(np.median(lab[..., 0])), 1.0)
     # The median luminance and gray lie in the middle of their bins, where noise does not tip them over.
     relative = np.clip(lab[..., 0] / median * 64.0 + 16.0, 0, 255).astype(np.uint8)
@@ -73,9 +74,9 @@ def _softened(histogram: Float[np.ndarray, "luminance a b"], axis: int) -> Float
 
 def distance(a: Descriptor, b: Descriptor) -> float:
     """How unlike two pictures are, 0 (same) to 1: mean of the structures' and the colours' difference."""
-    structure = 0.5 * (1.0 - float(a.structure @ b.structure))
+    structure = 0.5 * float(np.sum((a.structure - b.structure) ** 2))
     colours = np.sqrt(max(0.0, 1.0 - float(a.colours @ b.colours)))
-    return float(0.5 * (min(1.0, 2.0 * structure) + colours))
+    return float(0.5 * (min(1.0, structure) + colours))
 
 
 class ShotDetector:

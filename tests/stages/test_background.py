@@ -1,0 +1,199 @@
+"""The plate recovers a known background; masks recover known people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from stages.background import BackgroundConfig, make_background
+from video2anim.errors import UsageError
+from video2anim.pipeline.stage import StageContext
+from video2anim.types import PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
+from video2anim.video import FrameWriter
+
+WIDTH, HEIGHT, COUNT = 320, 200, 48
+PERSON_W, PERSON_H, TOP = 36, 110, 60
+
+
+def textured(seed: int, width: int, height: int) -> np.ndarray:
+    """A gray wall, since the clip's chroma is stored at half the resolution."""
+    rng = np.random.default_rng(seed)
+    picture = np.full((height, width, 3), 110, np.uint8)
+    for _ in range(width * height // 300):
+        x, y = int(rng.integers(0, width)), int(rng.integers(0, height))
+        w, h = (int(v) for v in rng.integers(4, 30, 2))
+        cv2.rectangle(picture, (x, y), (x + w, y + h), [int(rng.integers(40, 180))] * 3, -1)
+    return cv2.GaussianBlur(picture, (0, 0), 1.0)
+
+
+def track_of(lefts: list[int | None], person_id: int, *, with_mask: bool = True) -> PersonTrack:
+    """A track whose masks are a little too small and blurred, as a network's are."""
+    count = len(lefts)
+    valid = np.array([left is not None for left in lefts])
+    boxes = np.full((count, 4), np.nan)
+    masks = np.zeros((count, 64, 64), np.uint8)
+    T_image_crop = np.full((count, 2, 3), np.nan)
+    side = 160.0
+    for frame, left in enumerate(lefts):
+        if left is None:
+            continue
+        boxes[frame] = (left, TOP, left + PERSON_W - 1, TOP + PERSON_H - 1)
+        x0, y0 = left + PERSON_W / 2 - side / 2, TOP + PERSON_H / 2 - side / 2
+        T_image_crop[frame] = [[side, 0, x0 - 0.5], [0, side, y0 - 0.5]]
+        if with_mask:
+            scale = 64 / side
+            cx, half_w, half_h = 32.0, scale * PERSON_W / 2, scale * PERSON_H / 2
+            crop = np.zeros((64, 64), np.float32)
+            crop[round(32 - half_h) : round(32 + half_h), round(cx - half_w) : round(cx + half_w)] = 255
+            masks[frame] = cv2.GaussianBlur(crop, (0, 0), 1.5).astype(np.uint8)
+    landmarks = np.full((count, 33, 2), np.nan)
+    return PersonTrack(
+        person_id=person_id,
+        valid=valid,
+        score=np.where(valid, 0.9, np.nan),
+        box_px=boxes,
+        landmarks_px=landmarks,
+        landmarks_m=np.full((count, 33, 3), np.nan),
+        visibility=np.zeros((count, 33)),
+        mask_crop=masks,
+        T_image_crop=T_image_crop,
+    )
+
+
+def make_clip(
+    path: Path, wall: np.ndarray, people: list[list[int | None]], *, shift_px: float = 0.0
+) -> tuple[VideoClip, list[np.ndarray]]:
+    """A clip of people walking before a wall, and the truth of each person's mask, (people, frames, H, W)."""
+    colours = [(210, 40, 40), (40, 60, 210)]
+    rng = np.random.default_rng(11)
+    count = len(people[0])
+    truth = [np.zeros((count, HEIGHT, WIDTH), bool) for _ in people]
+    with FrameWriter(path, width_px=WIDTH, height_px=HEIGHT) as writer:
+        for frame in range(count):
+            M = np.array([[1, 0, -shift_px * frame], [0, 1, 0.0]])
+            picture = cv2.warpAffine(wall, M, (WIDTH, HEIGHT), flags=cv2.INTER_LINEAR)
+            for person, lefts in enumerate(people):
+                left = lefts[frame]
+                if left is not None:
+                    truth[person][frame, TOP : TOP + PERSON_H, max(left, 0) : left + PERSON_W] = True
+                    picture[truth[person][frame]] = colours[person]
+            writer.write(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
+    info = SourceInfo("h264", "yuv420p", WIDTH, HEIGHT, 0, 1.0, 30.0, count, count, count / 30, 0.0)
+    time_s = np.arange(count) / 30
+    drift = shift_px * count / WIDTH
+    clip = VideoClip(
+        PayloadFile(path), WIDTH, HEIGHT, 30.0, time_s, time_s, info, ((0.0, count / 30),), 0, drift == 0, drift, ()
+    )  # fmt: skip
+    return clip, truth
+
+
+def walk(start: int, stop: int, count: int = COUNT) -> list[int | None]:
+    return [round(x) for x in np.linspace(start, stop, count)]
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / max((a | b).sum(), 1))
+
+
+@pytest.mark.parametrize("with_mask", [True, False])
+def test_plate_and_masks_of_one_walker(tmp_path: Path, with_mask: bool) -> None:
+    wall = textured(1, WIDTH, HEIGHT)
+    lefts = walk(10, 270)
+    clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts])
+    tracks = PersonTracks((track_of(lefts, 1, with_mask=with_mask),), (1,), 1)
+    ctx = StageContext(tmp_path)
+    found = make_background(clip, tracks, BackgroundConfig(), ctx)
+    assert np.abs(found.plate_rgb.astype(int) - wall).mean() < 2.0
+    assert np.percentile(np.abs(found.plate_rgb.astype(int) - wall), 99) < 8
+    assert found.frame_index.tolist() == [0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 47]
+    assert found.person_mask.shape == found.selected_mask.shape == (11, HEIGHT, WIDTH)
+    assert iou(found.person_mask, truth[0][found.frame_index]) > 0.93
+    assert np.array_equal(found.person_mask, found.selected_mask)
+    assert found.seen_ratio.min() > 0
+    assert found.seen_ratio[:30].min() == 1.0
+    assert ctx.warnings == []
+
+
+def test_other_people_leave_the_plate_but_are_not_selected(tmp_path: Path) -> None:
+    wall = textured(2, WIDTH, HEIGHT)
+    main, other = walk(0, 120), walk(280, 170)
+    clip, truth = make_clip(tmp_path / "clip.mp4", wall, [main, other])
+    tracks = PersonTracks((track_of(main, 4), track_of(other, 7)), (7, 4), 1)
+    found = make_background(clip, tracks, BackgroundConfig(), StageContext(tmp_path))
+    index = found.frame_index
+    assert np.abs(found.plate_rgb.astype(int) - wall).mean() < 2.0
+    assert iou(found.selected_mask, truth[1][index]) > 0.9
+    assert iou(found.person_mask, truth[0][index] | truth[1][index]) > 0.9
+    assert not np.any(found.selected_mask & ~found.person_mask)
+
+
+def test_a_person_who_never_moves_leaves_a_hole_that_is_marked(tmp_path: Path) -> None:
+    wall = textured(3, WIDTH, HEIGHT)
+    lefts = walk(100, 100, 12)
+    clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts])
+    ctx = StageContext(tmp_path)
+    found = make_background(clip, PersonTracks((track_of(lefts, 1),), (1,), 1), BackgroundConfig(), ctx)
+    hidden = truth[0][0]
+    assert np.mean(found.seen_ratio[hidden] == 0) > 0.99
+    assert np.mean(found.seen_ratio[~hidden] == 1) > 0.9
+    assert iou(found.person_mask[0], hidden) > 0.8
+    # Painted from the surroundings: no red person left.
+    red = np.abs(found.plate_rgb.astype(int) - (210, 40, 40)).max(axis=-1) < 40
+    assert red[hidden].mean() < 0.02
+    assert any("never seen" in text for text in ctx.warnings)
+
+
+def test_frames_without_the_person(tmp_path: Path) -> None:
+    wall = textured(4, WIDTH, HEIGHT)
+    lefts: list[int | None] = [None] * 20 + [round(x) for x in np.linspace(0, 200, 21)]
+    clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts])
+    tracks = PersonTracks((track_of(lefts, 1),), (1,), 1)
+    found = make_background(clip, tracks, BackgroundConfig(), StageContext(tmp_path))
+    absent = found.frame_index < 20
+    assert not found.person_mask[absent].any()
+    assert iou(found.person_mask[~absent], truth[0][found.frame_index][~absent]) > 0.9
+
+
+def test_nobody(tmp_path: Path) -> None:
+    wall = textured(5, WIDTH, HEIGHT)
+    clip, _ = make_clip(tmp_path / "clip.mp4", wall, [[None] * 7])
+    found = make_background(clip, PersonTracks((), (), 1), BackgroundConfig(), StageContext(tmp_path))
+    assert not found.person_mask.any()
+    assert np.all(found.seen_ratio == 1)
+    assert np.abs(found.plate_rgb.astype(int) - wall).mean() < 2.0
+
+
+def test_moving_camera_is_aligned_to_the_first_frame(tmp_path: Path) -> None:
+    wall = textured(6, 2 * WIDTH, HEIGHT)
+    lefts = walk(20, 260)
+    clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts], shift_px=1.0)
+    ctx = StageContext(tmp_path)
+    found = make_background(clip, PersonTracks((track_of(lefts, 1),), (1,), 1), BackgroundConfig(), ctx)
+    seen = found.seen_ratio > 0.2
+    assert seen.mean() > 0.9
+    assert np.abs(found.plate_rgb.astype(int) - wall[:, :WIDTH])[seen].mean() < 3.0
+    assert iou(found.person_mask, truth[0][found.frame_index]) > 0.9
+    assert any("camera moves" in text for text in ctx.warnings)
+
+
+def test_work_is_done_at_reduced_size_and_in_few_samples(tmp_path: Path) -> None:
+    wall = textured(7, WIDTH, HEIGHT)
+    lefts = walk(10, 270)
+    clip, _ = make_clip(tmp_path / "clip.mp4", wall, [lefts])
+    tracks = PersonTracks((track_of(lefts, 1),), (1,), 1)
+    ctx = StageContext(tmp_path)
+    found = make_background(clip, tracks, BackgroundConfig(frame_step=2, max_samples=9, long_side_px=96), ctx)
+    assert found.person_mask.shape == (25, 60, 96)
+    assert found.seen_ratio.shape == (60, 96)
+    assert found.plate_rgb.shape == (HEIGHT, WIDTH, 3)
+    assert next(q.value for q in ctx.qualities if q.name == "plate_samples") == 9
+    assert np.abs(found.plate_rgb.astype(int) - wall).mean() < 3.0
+
+
+@pytest.mark.parametrize("options", [{"frame_step": 0}, {"max_samples": 256}, {"long_side_px": 1}])
+def test_config_is_checked(options: dict[str, int]) -> None:
+    with pytest.raises(UsageError, match="background: want"):
+        BackgroundConfig(**options)

@@ -1,0 +1,126 @@
+"""What the command line prints: progress, tables, model states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from video2anim.artifacts.manifest import Manifest
+from video2anim.errors import ModelMissingError
+from video2anim.pipeline.runner import Event, StageStatus
+
+if TYPE_CHECKING:
+    from video2anim.models import ModelState
+
+_out = Console()
+_err = Console(stderr=True)
+RESULT_NAMES = ("motion.npz", "scene.glb", "scene.usdc", "motion.bvh", "motion_amass.npz", "preview.mp4", "report.html")
+
+
+@contextmanager
+def progress() -> Iterator[Callable[[Event], None]]:
+    """Shows events as they come: a bar on a terminal, one line per stage elsewhere."""
+    columns = (TextColumn("{task.description:<12}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
+    with Progress(*columns, TimeRemainingColumn(), console=_err, transient=True, disable=not _err.is_terminal) as bar:
+        task = bar.add_task("", total=None)
+
+        def on_event(event: Event) -> None:
+            if event.kind == "start":
+                bar.reset(task, description=event.stage, total=None)
+            elif event.kind == "progress":
+                bar.update(task, completed=event.done, total=event.total)
+            elif event.kind == "warning":
+                _err.print(f"[yellow]warning[/yellow] {event.stage}: {escape(event.text)}", soft_wrap=True)
+            elif event.kind == "done" and event.manifest is not None:
+                _err.print(f"{event.stage:<12} {event.manifest.wall_time_s:7.1f} s", highlight=False)
+
+        yield on_event
+
+
+def stage_table(rows: Sequence[StageStatus]) -> None:
+    """Stages with state, time, memory, key and their first quality numbers."""
+    table = Table("stage", "state", "time", "peak", "key", "quality", box=None, pad_edge=False)
+    for row in rows:
+        m = row.manifest
+        if m is None:
+            table.add_row(row.name, row.state, "-", "-", "-", escape(row.reason))
+            continue
+        note = ", ".join(f"{q['name']} {_number(q['value'])} {q['unit']}".strip() for q in m.qualities[:3])
+        note = f"{row.reason}; {note}" if row.reason else note
+        table.add_row(
+            row.name, row.state, f"{m.wall_time_s:.1f} s", f"{m.peak_memory_mb:.0f} MB", m.key[:8], escape(note)
+        )
+    _out.print(table)
+
+
+def results(scene_dir: Path) -> None:
+    """Where to look."""
+    for name in RESULT_NAMES:
+        if (scene_dir / name).exists():
+            _out.print(str(scene_dir / name), soft_wrap=True, highlight=False)
+
+
+def manifest(folder: Path, found: Manifest) -> None:
+    """Everything a stage's manifest says, and its files."""
+    data = asdict(found)
+    qualities, warnings = data.pop("qualities"), data.pop("warnings")
+    for key, value in data.items():
+        _out.print(f"{key}: {value}", soft_wrap=True, highlight=False, markup=False)
+    for quality in qualities:
+        hint = "" if quality["better"] == "none" else f" ({quality['better']} is better)"
+        line = f"{quality['name']}: {_number(quality['value'])} {quality['unit']}{hint}"
+        _out.print(line, soft_wrap=True, highlight=False, markup=False)
+    for text in warnings:
+        _out.print(f"warning: {text}", soft_wrap=True, highlight=False, markup=False)
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        _out.print(f"{path}  {path.stat().st_size} bytes", soft_wrap=True, highlight=False, markup=False)
+
+
+def models_table(states: Sequence[ModelState]) -> None:
+    """The model table with what lies in the cache."""
+    table = Table("slot", "model", "runtime", "size", "licence", "verified", "here", "source", box=None, pad_edge=False)
+    for state in states:
+        e = state.entry
+        size = f"{e.size_bytes / 1e6:.1f} MB"
+        table.add_row(e.slot, e.name, e.runtime, size, e.licence, e.verified, state.state, escape(e.source.text))
+    _out.print(table)
+
+
+def fail_on_damage(states: Sequence[ModelState]) -> None:
+    """Raise for the first model whose file is not the one the table names."""
+    for state in states:
+        if state.state == "damaged":
+            raise ModelMissingError(
+                f"model {state.entry.name}: want sha256 {state.entry.sha256}, got another file at {state.path}; "
+                f"run `video2anim models pull {state.entry.name}`"
+            )
+
+
+def pull(name: str) -> None:
+    """Fetch a model or all models of a preset."""
+    from video2anim.cli.compose import preset_models
+    from video2anim.models import pull as fetch
+
+    with Progress(console=_err, disable=not _err.is_terminal) as bar:
+        tasks = {}
+
+        def on_progress(model: str, done: int, total: int) -> None:
+            if model not in tasks:
+                tasks[model] = bar.add_task(model, total=total or None)
+            bar.update(tasks[model], completed=done, total=total or None)
+
+        for model in preset_models(name):
+            for path in fetch(model, on_progress):
+                _out.print(str(path), soft_wrap=True, highlight=False)
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}"
