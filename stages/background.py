@@ -84,11 +84,11 @@ def make_background(
 
     excluded = _excluded(generous, samples, raster)
     median = median_plate(samples.rgb, excluded)
-    unseen = excluded.all(axis=0)
+    unseen = np.all(excluded, axis=0)
     people = _masks(clip, tracks, frame_index, samples, fill_unseen(median, unseen), ~unseen, raster, ctx)
 
     sharper = _excluded(_grown(people.any_person, tracks, frame_index, raster), samples, raster)
-    unseen = sharper.all(axis=0)
+    unseen = np.all(sharper, axis=0)
     plate = fill_unseen(updated_plate(median, samples.rgb, excluded, sharper), unseen)
     seen_ratio = 1.0 - sharper.mean(axis=0, dtype=np.float32)
     _report(clip, samples, unseen, people, ctx)
@@ -231,7 +231,7 @@ def _masks(
     for row, (frame, picture) in enumerate(zip(frame_index, _mask_frames(clip, frame_index), strict=True)):
         ctx.progress(shape[0] + row + 1, 2 * shape[0])
         by_id = {t.person_id: person_probability(t, frame, raster) for t in tracks.people}
-        main = by_id.pop(main_id, nobody)
+        main = nobody if main_id is None else by_id.pop(main_id, nobody)
         others = np.max([nobody, *by_id.values()], axis=0)
         ground, ground_known = _plate_in_frame(small_plate, known, samples.H_reference_frame[row], raster)
         difference = lab_difference(raster.reduce(picture), ground)

@@ -93,3 +93,39 @@ def _bridge(distance_m: np.ndarray, azimuth_rad: np.ndarray, start: int, stop: i
     bridged = (x0 * (z1 - z0) - z0 * (x1 - x0)) / np.where(np.abs(across) < 1e-9, 1e-9, across)
     low, high = sorted((distance_m[ends[0]], distance_m[ends[1]]))
     distance_m[start:stop] = np.clip(bridged, 0.7 * low, high)
+
+
+def foot_line(
+    distance_m: Float[np.ndarray, "seen_columns"],
+    azimuth_rad: Float[np.ndarray, "seen_columns"],
+    all_azimuth_rad: Float[np.ndarray, "columns"],
+) -> Float[np.ndarray, "columns"]:
+    """Distance of an upright thing in every column, from the foot line in the columns where it is seen.
+
+    A foot line that is straight on the floor, but for outliers, is taken as straight (a flat front); any other one is
+    only cleared of outliers.
+    """
+    steady_m = _median_along(distance_m)
+    points = distance_m[:, None] * np.stack([np.sin(azimuth_rad), np.cos(azimuth_rad)], -1)
+    weight = np.ones(len(points))
+    for _ in range(10):
+        middle = np.average(points, axis=0, weights=weight)
+        _, vectors = np.linalg.eigh(np.cov(points.T, aweights=weight) + 1e-12 * np.eye(2))
+        normal = vectors[:, 0]
+        off_m = np.abs((points - middle) @ normal)
+        weight = 1 / np.maximum(off_m, 0.01 * np.median(distance_m))
+    towards = np.stack([np.sin(all_azimuth_rad), np.cos(all_azimuth_rad)], -1) @ normal
+    reach = float(middle @ normal) / np.where(np.abs(towards) < 1e-6, 1e-6, towards)
+    seen = (all_azimuth_rad >= azimuth_rad.min()) & (all_azimuth_rad <= azimuth_rad.max())
+    sane = (reach[seen] > 0.7 * distance_m.min()).all() and (reach[seen] < 1.3 * distance_m.max()).all()
+    if sane and np.median(off_m) < 0.03 * np.median(distance_m):
+        held = np.clip(all_azimuth_rad, azimuth_rad.min(), azimuth_rad.max())
+        return np.interp(held, all_azimuth_rad, np.clip(reach, 0.5 * distance_m.min(), 1.5 * distance_m.max()))
+    return np.interp(all_azimuth_rad, azimuth_rad, steady_m)
+
+
+def _median_along(distance_m: np.ndarray) -> np.ndarray:
+    """Running median over an eighth of the columns."""
+    width = min(len(distance_m) // 8 * 2 + 1, 15)
+    padded = np.pad(distance_m, width // 2, mode="edge")
+    return np.median(np.lib.stride_tricks.sliding_window_view(padded, width), -1)

@@ -29,7 +29,10 @@ class BoundaryConfig:
     ratio_limit: float = 3.0
     """Largest log-likelihood ratio of a pixel."""
     evidence_needed: float = 0.7
-    """Log-likelihood ratio at which a pixel counts neither way: what merely could be floor is not taken for it."""
+    """Log-likelihood ratio at which a pixel beyond the standing places counts neither way: what merely could be floor is
+    not taken for it."""
+    near_bonus: float = 1.0
+    """So much less is needed of pixels nearer than the standing places: there is mostly floor in front of people."""
     edge_weight: float = 4.0
     """Gain of a boundary on the strongest edges."""
     jump_weight: float = 0.6
@@ -81,12 +84,16 @@ def find_floor_boundary(
     boundary = np.zeros(image_rgb.shape[1], dtype=np.int64)
     sigma = np.zeros(image_rgb.shape[1])
     log_ratio = np.zeros(image_rgb.shape[:2])
+    seed_rows = np.flatnonzero(seed.any(1))
+    middle, lowest = float(np.median(seed_rows)), float(seed_rows[-1])
+    nearness = np.clip((rows - middle) / max(lowest - middle, 1.0), 0, 1)
+    needed = config.evidence_needed - config.near_bonus * nearness
     for _ in range(config.rounds):
         log_ratio = look_log_ratio(codes, floor, other, seed, config.ratio_limit, picture=seen & ~seed)
-        evidence = np.where(seed, 2 * config.ratio_limit, log_ratio - config.evidence_needed)
+        evidence = np.where(seed, 2 * config.ratio_limit, log_ratio - needed)
         unary = _column_costs(evidence, gradient, seen, first_row, config)
         boundary, sigma = best_path(unary, config)
-        floor = seed | (seen & (rows >= boundary[None, :]) & (log_ratio > config.evidence_needed))
+        floor = seed | (seen & (rows >= boundary[None, :]) & (log_ratio > needed))
         other = seen & (rows < boundary[None, :])
         if not other.any() or not floor.any():
             break

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import binary_opening, label
 
-from video2anim.geometry.column_layers import background_distance
+from video2anim.geometry.column_layers import background_distance, foot_line
 from video2anim.geometry.cutout import grow_cutout
 from video2anim.geometry.cylinder import GravityView, remap
 from video2anim.geometry.floor_boundary import BoundaryConfig, FloorBoundary, find_floor_boundary
@@ -153,16 +153,10 @@ def _cutouts(
         reach = np.arctan2(4.0 - view.camera_height_m, float(np.median(near_m)))
         top = int(np.clip((view.elevation_top_rad - min(reach, tallest)) / view.step_rad, 0, view.rows - 1))
         mask = grow_cutout(image, seen, part, ~strange & area, top)
-        per_column = np.interp(np.arange(view.columns), columns, _steady(near_m))
+        per_column = foot_line(near_m, view.azimuth_rad(columns), view.azimuth_rad(np.arange(view.columns)))
+        mask &= rows <= view.floor_row(per_column)[None, :] + 1
         found.append((mask, per_column))
     return sorted(found, key=lambda item: -float(np.median(item[1])))
-
-
-def _steady(distance_m: np.ndarray) -> np.ndarray:
-    """Foot line without single-column outliers."""
-    width = min(len(distance_m) // 8 * 2 + 1, 15)
-    padded = np.pad(distance_m, width // 2, mode="edge")
-    return np.median(np.lib.stride_tricks.sliding_window_view(padded, width), -1)
 
 
 def _compose(

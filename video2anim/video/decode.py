@@ -12,6 +12,8 @@ from pathlib import Path
 
 import av
 import numpy as np
+from av.container import InputContainer
+from av.error import FFmpegError
 from av.stream import Disposition
 from av.video.reformatter import Colorspace, Interpolation
 from jaxtyping import UInt8
@@ -161,7 +163,7 @@ def decode(path: Path, header: SourceHeader, report: DecodeReport) -> Iterator[S
             yield SourcePicture(time_s=time_s, frame=frame, rotation_deg=header.rotation_deg)
 
 
-def _open(path: Path) -> av.container.InputContainer:
+def _open(path: Path) -> InputContainer:
     if path.is_dir():
         raise InputError(f"{path} is a directory; want a video file")
     if not path.exists():
@@ -172,12 +174,12 @@ def _open(path: Path) -> av.container.InputContainer:
         return av.open(str(path))
     except PermissionError as error:
         raise InputError(f"{path} cannot be read: permission denied") from error
-    except (av.FFmpegError, OSError, ValueError) as error:
+    except (FFmpegError, OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{path} is not a readable video, or it is cut off before its index ({reason})") from error
 
 
-def _video_stream(container: av.container.InputContainer, path: Path) -> av.VideoStream:
+def _video_stream(container: InputContainer, path: Path) -> av.VideoStream:
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
     if not streams:
         kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
@@ -188,20 +190,18 @@ def _video_stream(container: av.container.InputContainer, path: Path) -> av.Vide
     return streams[0]
 
 
-def _pictures(
-    container: av.container.InputContainer, stream: av.VideoStream, report: DecodeReport
-) -> Iterator[av.VideoFrame]:
+def _pictures(container: InputContainer, stream: av.VideoStream, report: DecodeReport) -> Iterator[av.VideoFrame]:
     """Decoded frames of the stream; damage is counted, never raised."""
     packets = container.demux(stream)
     while True:
         try:
             packet = next(packets, None)
-        except (av.FFmpegError, OSError) as error:
+        except (FFmpegError, OSError) as error:
             report.stopped_by = getattr(error, "strerror", None) or str(error)
             return
         if packet is None:
             return
         try:
             yield from packet.decode()
-        except av.FFmpegError:
+        except FFmpegError:
             report.damaged_packets += 1

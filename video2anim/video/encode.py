@@ -10,6 +10,7 @@ from typing import Self
 
 import av
 import numpy as np
+from av.error import FFmpegError
 from av.video.reformatter import ColorRange, Colorspace
 from jaxtyping import UInt8
 
@@ -77,7 +78,7 @@ class FrameWriter:
         frame.pts, frame.time_base = self.frame_count, self._time_base
         try:
             self._container.mux(self._stream.encode(frame))
-        except (av.FFmpegError, OSError) as error:
+        except (FFmpegError, OSError) as error:
             raise _write_error(self.path, error) from error
         self.frame_count += 1
 
@@ -92,7 +93,7 @@ class FrameWriter:
             if self.frame_count:
                 self._container.mux(self._stream.encode(None))
             self._container.close()
-        except (av.FFmpegError, OSError) as error:
+        except (FFmpegError, OSError) as error:
             raise _write_error(self.path, error) from error
 
     def __enter__(self) -> Self:
@@ -107,7 +108,7 @@ class FrameWriter:
         # The first error is the one to report; the unfinished file is the caller's to remove.
         try:
             self._container.close()
-        except (av.FFmpegError, OSError) as second:
+        except (FFmpegError, OSError) as second:
             assert error is not None
             error.add_note(f"closing {self.path} failed too: {second}")
 

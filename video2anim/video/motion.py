@@ -58,7 +58,7 @@ class BackgroundRegistration:
         """Take the first frame; `background` says where features may be taken (non-zero), everywhere by default."""
         self._height_px, self._width_px = reference_rgb.shape[:2]
         self._scale = min(1.0, _WORK_SIDE_PX / max(self._height_px, self._width_px))
-        self._detector = cv2.SIFT_create(nfeatures=_FEATURES, contrastThreshold=0.02)
+        self._detector = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=0.02)
         self._reference = self._features(reference_rgb, background)
         self._link = self._reference
         self._H_reference_link = np.eye(3)

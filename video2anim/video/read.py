@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import av
 import numpy as np
+from av.error import FFmpegError
 from jaxtyping import UInt8
 
 from video2anim.errors import InputError
@@ -71,7 +72,7 @@ def _read(clip: VideoClip, wanted: range) -> Iterator[UInt8[np.ndarray, "height 
                 position += 1
                 if position == len(wanted):
                     return
-    except (av.FFmpegError, IndexError) as error:
+    except (FFmpegError, IndexError) as error:
         raise InputError(f"cannot read the clip's video {clip.video.path}: {error}; run ingest again") from error
     raise InputError(
         f"want frame {wanted[position]} of {clip.video.path}, but it is not there "
