@@ -1,7 +1,7 @@
 """Stage complete: the hidden parts of objects, in outline and color.
 
-Outlines grow only where a nearer object or never-seen ground can hide the object (convexity, mirror symmetry, support on
-the floor); colors there are inpainted from the object itself.
+Outlines grow only where a nearer object or never-seen ground can hide the object (convexity, mirror symmetry,
+support on the floor); colors there are inpainted from the object itself.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class DepthConfig:
 class DisparityModel(Protocol):
     """A network in slot `depth`."""
 
-    def disparity(self, image_rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
+    def infer(self, image_rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
         """Relative disparity (large = near), at the size of the picture."""
         ...
 
@@ -187,7 +187,7 @@ def _jittered(
 
     from video2anim.geometry.hue_jitter import jittered_disparity, reliable
 
-    value, sigma = jittered_disparity(model.disparity, image_rgb, config.hue_shifts_rad)
+    value, sigma = jittered_disparity(model.infer, image_rgb, config.hue_shifts_rad)
     size = (shape[1], shape[0])
     small = [cv2.resize(m.astype(np.float32), size, interpolation=cv2.INTER_AREA) for m in (value, sigma)]
     return small[0], small[1], reliable(small[0], small[1], config.unreliable_ratio)

@@ -68,13 +68,10 @@ def _world(
     fit: FittedBody, valid: np.ndarray, R_world_camera: np.ndarray, fps: float
 ) -> tuple[np.ndarray, float]:
     """T_world_camera (T, 4, 4) with the floor at y = 0 and the first valid root over the origin; floor spread."""
-    from video2anim.fitting.ground import floor_height, foot_contact
+    from video2anim.fitting.ground import floor_height
 
     joints = np.einsum("tab,tjb->tja", R_world_camera, fit.joints_camera_m)
-    contact = foot_contact(joints, valid, fps)
-    soles = _sole_heights(fit, R_world_camera)
-    feet = np.stack([contact[:, [7, 10]].max(1), contact[:, [8, 11]].max(1)], 1)
-    floor_m, spread_m = floor_height(soles[valid], feet[valid])
+    floor_m, spread_m = floor_height(_sole_heights(fit, R_world_camera)[valid], fps)
     first = int(np.flatnonzero(valid)[0])
     T_world_camera = np.tile(np.eye(4), (len(valid), 1, 1))
     T_world_camera[:, :3, :3] = R_world_camera
@@ -123,7 +120,7 @@ def _motion(
         joints_world_m=np.zeros((clip.frame_count, 22, 3)),
     )
     posed = blank.with_pose(translation_world_m=translation, R_parent_joint=R_parent_joint)
-    return replace(posed, contact=foot_contact(posed.joints_world_m, track.valid, clip.fps))
+    return replace(posed, contact=foot_contact(posed.joints_world_m, track.valid, clip.fps, t_world_camera))
 
 
 def _record(motion: BodyMotion, fit: FittedBody, reprojection_px: float, spread_m: float, ctx: StageContext) -> None:
@@ -140,4 +137,4 @@ def _record(motion: BodyMotion, fit: FittedBody, reprojection_px: float, spread_
         ctx.warn(f"the person is seen in {motion.valid.mean():.0%} of the frames only; the rest is bridged")
 
 
-STAGE = StageSpec("humans", recover_humans, version=1)
+STAGE = StageSpec("humans", recover_humans, version=2)

@@ -53,7 +53,9 @@ class KeyframesConfig:
     contact_points: int = 5
     """Nearest vertices of a part whose mean distance is brought to zero."""
     weight_regularization: float = 1.0
-    """On the mean squared displacement (m^2)."""
+    """On the mean squared displacement along the line of sight (m^2): depth is what one camera knows least."""
+    weight_regularization_across: float = 4.0
+    """On the mean squared displacement across the line of sight (m^2), which would leave the picture."""
     weight_contact: float = 20.0
     """On the mean Huber cost of the contact distance (m^2)."""
     penetration_reach_m: float = 0.2
@@ -267,7 +269,9 @@ def _root_problem(
     valid = np.flatnonzero(motion.valid)
     skin_m = points.spread_m[valid] + motion.T_world_root[valid, None, :3, 3]
     row, vertex = np.nonzero(grid.sample(skin_m) < config.penetration_reach_m)
-    return RootProblem(keyframes, root_m, skin_m[row, vertex], valid[row], tuple(contacts), tuple(targets), grid)
+    sight = root_m - motion.T_world_camera[keyframes, :3, 3]
+    sight /= np.maximum(np.linalg.norm(sight, axis=-1, keepdims=True), 1e-6)
+    return RootProblem(keyframes, root_m, sight, skin_m[row, vertex], valid[row], tuple(contacts), tuple(targets), grid)
 
 
 def _between_keyframes(
@@ -322,6 +326,7 @@ def _weights(config: KeyframesConfig) -> RootWeights:
 
     return RootWeights(
         regularization=config.weight_regularization,
+        regularization_across=config.weight_regularization_across,
         contact=config.weight_contact,
         penetration=config.weight_penetration,
         displacement_change=config.weight_displacement_change,
@@ -332,4 +337,4 @@ def _weights(config: KeyframesConfig) -> RootWeights:
     )
 
 
-STAGE = StageSpec("keyframes", optimize_keyframes, version=1)
+STAGE = StageSpec("keyframes", optimize_keyframes, version=2)

@@ -52,7 +52,7 @@ def fit_metric(
 ) -> MetricDepth:
     """Metric depth of plate and samples.
 
-    Where the person covers too small a range of depth, the offset stays 0 and only the scale is fitted; where the person
+    Where the person covers too small a range of depth, the offset stays 0 and only the scale is fitted; where it
     gives too little evidence, the floor plane of the body's world gives the scale and the result is not trusted. The
     reason says which.
 
@@ -95,7 +95,9 @@ def _evidence(
         return []
     samples = samples[np.unique(np.linspace(0, len(samples) - 1, config.frames).round().astype(int))]
     index = depth.frame_index[samples]
-    _, R_world_joint = forward_kinematics(body.R_parent_joint[index], body.T_world_root[index, :3, 3], body.rest_joints_m)
+    _, R_world_joint = forward_kinematics(
+        body.R_parent_joint[index], body.T_world_root[index, :3, 3], body.rest_joints_m
+    )
     shaped = shaped_body(body.shape)
     vertices_world_m = shaped.vertices(R_world_joint, body.joints_world_m[index])
     rays = pixel_rays(body.intrinsics.resized(*depth.value.shape[:0:-1]))
@@ -114,9 +116,7 @@ def _evidence(
     return frames
 
 
-def _fit_to_person(
-    frames: list[FrameEvidence], kind: str, config: MetricConfig, ctx: StageContext
-) -> _Verdict | None:
+def _fit_to_person(frames: list[FrameEvidence], kind: str, config: MetricConfig, ctx: StageContext) -> _Verdict | None:
     """Fit to the body; None where the evidence is too little or contradicts every positive scale."""
     from video2anim.geometry.depth_fit import fit_depth
 

@@ -1,7 +1,7 @@
 """Stage reconstruct: a closed, colored mesh of every object.
 
-Method `extrusion`: the completed outline on an upright front plane, with the relief that the depth shows, carried back by
-a thickness. The thickness is measured where the object's side is seen, and otherwise assumed from its width.
+Method `extrusion`: the completed outline on an upright front plane, with the relief that the depth shows, carried back
+by a thickness. The thickness is measured where the object's side is seen, and otherwise assumed from its width.
 """
 
 from __future__ import annotations
@@ -147,6 +147,8 @@ def _vertex_colors(
     prism: Prism, plane: FrontPlane, found: CompletedObject, plate: BackgroundPlate, body: BodyMotion
 ) -> UInt8[np.ndarray, "vertices 3"]:
     """Colors of the completed picture under the front's vertices; the back has the front's."""
+    import cv2
+
     from video2anim.geometry.projection import invert_rigid, project, transform_points
 
     front = prism.vertices_m[: len(prism.vertices_m) // 2]
@@ -158,11 +160,14 @@ def _vertex_colors(
     crop_mask = found.amodal_mask[y : y + h, x : x + w]
     picture[y : y + h, x : x + w][crop_mask] = found.image_rgb[crop_mask]
     pixels = project(camera_m, body.intrinsics)
-    rows, columns = np.nonzero(found.amodal_mask)
+    # Colors right at the outline mix with the background.
+    inner = cv2.erode(found.amodal_mask.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool)
+    trusted = inner if inner.any() else found.amodal_mask
+    rows, columns = np.nonzero(trusted)
     # Vertices on the outline may fall just outside it: they take the nearest color inside its box.
     u = np.clip(np.round(pixels[:, 0]), columns.min(), columns.max()).astype(int)
     v = np.clip(np.round(pixels[:, 1]), rows.min(), rows.max()).astype(int)
-    u, v = _pulled_inside(found.amodal_mask, u, v)
+    u, v = _pulled_inside(trusted, u, v)
     return np.concatenate([picture[v, u]] * 2)
 
 

@@ -15,9 +15,13 @@ from video2anim.types import (
     InstanceMasks,
     Mesh,
     MetricDepth,
+    PlacedObject,
     PlacedObjects,
     SceneModel,
 )
+
+SUPPORT = "support"
+"""Label of solids that are known by the feet on them alone."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,14 @@ class SceneConfig:
     """Room surface beyond this depth is left out."""
     background_long_side_px: int = 192
     """Resolution of the room surface."""
+    free_depth_m: float = 0.08
+    """The trunk deeper than this inside an object speaks against the object's place."""
+    free_share: float = 0.15
+    """Share of trunk and thigh skin that must be that deep for a frame to count."""
+    free_frames: int = 3
+    """Frames of that kind that refute an object (every second frame is looked at)."""
+    supports: bool = True
+    """Put a solid under places well above the floor where feet rested and no object was found."""
 
 
 def build_scene(
@@ -57,7 +69,10 @@ def build_scene(
 
     motion_m = _motion_bounds(bodies)
     body = bodies.people[0]
-    solids = [world_mesh(p.mesh, p.T_world_object, p.scale) for p in placed.objects]
+    objects = _not_refuted(placed, bodies, config, ctx)
+    if config.supports:
+        objects += _supports(objects, bodies, ctx)
+    solids = [world_mesh(p.mesh, p.T_world_object, p.scale) for p in objects]
     bounds_m = _field_bounds(motion_m, solids, config)
     spacing_m = _field_spacing(bounds_m, config)
     near = [solid for solid in solids if _overlap(solid, bounds_m)]
@@ -65,12 +80,82 @@ def build_scene(
     low, high = bounds_m[:, [0, 2]]
     floor = floor_patch(low, high, plate.plate_rgb, masks.floor_mask, body.T_world_camera[0], body.intrinsics)
     background = _background(depth, masks, plate, bodies, config)
-    ctx.quality("objects", len(placed.objects), "objects")
+    ctx.quality("objects", len(objects), "objects")
+    ctx.quality("refuted", len(placed.objects) - sum(p.label != SUPPORT for p in objects), "objects", "lower")
     ctx.quality("objects_in_field", len(near), "objects")
     ctx.quality("sdf_spacing", spacing_m, "m", "lower")
     ctx.quality("sdf_nodes", grid.sdf_m.size, "nodes")
     ctx.quality("background_faces", len(background.faces), "faces")
-    return SceneModel(placed.objects, floor, background, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
+    return SceneModel(tuple(objects), floor, background, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
+
+
+def _not_refuted(
+    placed: PlacedObjects, bodies: BodyTracks, config: SceneConfig, ctx: StageContext
+) -> list[PlacedObject]:
+    """Objects whose place the observed bodies do not contradict by walking through them."""
+    from video2anim.body.anny_body import shaped_body
+    from video2anim.fitting.free_space import passed_through
+    from video2anim.geometry.scene_mesh import world_mesh
+    from video2anim.geometry.sdf import build_sdf_grid
+
+    kept = []
+    for item in placed.objects:
+        solid = world_mesh(item.mesh, item.T_world_object, item.scale)
+        bounds_m = np.stack([solid.vertices_m.min(0) - 0.2, solid.vertices_m.max(0) + 0.2])
+        spacing_m = max(config.sdf_spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
+        field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None)
+        crossed = sum(
+            int(
+                passed_through(
+                    field, m, shaped_body(m.shape), deep_m=config.free_depth_m, share=config.free_share
+                ).sum()
+            )
+            for m in bodies.people
+        )
+        if crossed < config.free_frames:
+            kept.append(item)
+        else:
+            ctx.warn(
+                f"object {item.object_id} ({item.label}) is left out: the observed body passes through it in "
+                f"{crossed} frames, so its place or depth is wrong"
+            )
+    return kept
+
+
+def _supports(objects: list[PlacedObject], bodies: BodyTracks, ctx: StageContext) -> list[PlacedObject]:
+    """Boxes from the floor up to raised places where feet rested, unless an object already reaches there."""
+    from video2anim.body.anny_body import shaped_body
+    from video2anim.fitting.free_space import supports_from_feet
+    from video2anim.geometry.scene_mesh import box_mesh, world_mesh
+
+    made: list[PlacedObject] = []
+    number = max((item.object_id for item in objects), default=0)
+    for motion in bodies.people:
+        for support in supports_from_feet(motion, shaped_body(motion.shape)):
+            middle = 0.5 * (support.low_m + support.high_m)
+            if any(
+                _holds(world_mesh(o.mesh, o.T_world_object, o.scale), middle, support.top_m) for o in [*objects, *made]
+            ):
+                continue
+            number += 1
+            size = support.high_m - support.low_m
+            T_world_object = np.eye(4)
+            T_world_object[[0, 2], 3] = middle
+            mesh = box_mesh(float(size[0]), support.top_m, float(size[1]))
+            reason = f"inferred: feet rested here in {support.frames} foot-frames"
+            made.append(PlacedObject(number, SUPPORT, mesh, 1.0, T_world_object, 0.0, 0.0, True, reason))
+            ctx.warn(
+                f"a support of {support.top_m:.2f} m height is inferred from where the feet of person "
+                f"{motion.person_id} rested; its sides are unknown"
+            )
+    return made
+
+
+def _holds(solid: Mesh, middle_m: np.ndarray, top_m: float) -> bool:
+    """Whether a solid lies under a point and reaches up to about the given height."""
+    low, high = solid.vertices_m.min(0), solid.vertices_m.max(0)
+    under = low[0] <= middle_m[0] <= high[0] and low[2] <= middle_m[1] <= high[2]
+    return bool(under and abs(high[1] - top_m) < 0.15)
 
 
 def _motion_bounds(bodies: BodyTracks) -> Float[np.ndarray, "2 3"]:
@@ -85,7 +170,7 @@ def _motion_bounds(bodies: BodyTracks) -> Float[np.ndarray, "2 3"]:
 def _field_bounds(
     motion_m: Float[np.ndarray, "2 3"], solids: list[Mesh], config: SceneConfig
 ) -> Float[np.ndarray, "2 3"]:
-    """Motion with a margin, and the objects within reach of it; from just under the floor to above the highest joint."""
+    """Motion with a margin, and the objects within reach of it; from under the floor to above the highest joint."""
     low, high = motion_m[0] - config.margin_m, motion_m[1] + config.margin_m
     for solid in solids:
         box_low, box_high = solid.vertices_m.min(0).astype(float), solid.vertices_m.max(0).astype(float)
@@ -131,9 +216,7 @@ def _background(
     wanted = valid & (depth_m < config.far_m) & ~_touches(masks.floor_mask, size, 0.75) & ~_touches(objects, size, 0.25)
     rgb = cv2.resize(plate.plate_rgb, size, interpolation=cv2.INTER_AREA)
     body = bodies.people[0]
-    return room_surface(
-        depth_m.astype(np.float64), wanted, rgb, body.T_world_camera[0], body.intrinsics.resized(*size)
-    )
+    return room_surface(depth_m.astype(np.float64), wanted, rgb, body.T_world_camera[0], body.intrinsics.resized(*size))
 
 
 def _touches(mask: Bool[np.ndarray, "height width"], size: tuple[int, int], share: float) -> np.ndarray:
@@ -142,4 +225,4 @@ def _touches(mask: Bool[np.ndarray, "height width"], size: tuple[int, int], shar
     return cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > share
 
 
-STAGE = StageSpec("scene", build_scene, version=1)
+STAGE = StageSpec("scene", build_scene, version=2)

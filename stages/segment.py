@@ -1,7 +1,7 @@
 """Stage segment: the objects and the floor in the plate.
 
-Provider `geometric`: an object is an upright region that stands on the floor, is nearer than the background behind it and
-has an object's size. There is no semantic class; the label is `object`. An empty list is a valid answer.
+Provider `geometric`: an object is an upright region that stands on the floor, is nearer than the background behind it
+and has an object's size. There is no semantic class; the label is `object`. An empty list is a valid answer.
 """
 
 from __future__ import annotations

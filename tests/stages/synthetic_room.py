@@ -20,7 +20,7 @@ BOX_YAW_RAD = 0.0
 FLOOR, WALL, BOX = 1, 2, 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Room:
     """Everything the stages take, and the truth they should find."""
 

@@ -90,11 +90,14 @@ def foot_contact(
     joints_world_m: Float[np.ndarray, "frames 22 3"],
     valid: Bool[np.ndarray, "frames"],
     fps: float,
+    camera_world_m: Float[np.ndarray, "frames 3"],
     *,
     speed_m_s: float = 0.35,
     softness_m_s: float = 0.1,
 ) -> Float[np.ndarray, "frames 22"]:
     """Contact probability of each joint; only feet are judged, all others are 0.
+
+    Motion along the line of sight counts a quarter: one camera sees it badly, and its jitter would hide contact.
 
     A foot joint is in contact while it moves slower than `speed_m_s` and is not much higher than the other foot:
     a planted foot carries the body, so it is the lower one or both rest.
@@ -102,7 +105,11 @@ def foot_contact(
     contact = np.zeros(joints_world_m.shape[:2])
     if len(joints_world_m) < 3:
         return contact
-    speed = np.linalg.norm(np.gradient(joints_world_m, 1.0 / fps, axis=0), axis=-1)
+    velocity = np.gradient(joints_world_m, 1.0 / fps, axis=0)
+    sight = joints_world_m - camera_world_m[:, None]
+    sight /= np.maximum(np.linalg.norm(sight, axis=-1, keepdims=True), 1e-6)
+    along = (velocity * sight).sum(-1, keepdims=True) * sight
+    speed = np.linalg.norm(velocity - 0.75 * along, axis=-1)
     for name in _FEET:
         joint = JOINT_INDEX[name]
         other = JOINT_INDEX[name.replace("left", "right") if "left" in name else name.replace("right", "left")]
@@ -114,22 +121,22 @@ def foot_contact(
 
 
 def floor_height(
-    sole_height_m: Float[np.ndarray, "frames feet"], contact: Float[np.ndarray, "frames feet"]
+    sole_height_m: Float[np.ndarray, "frames feet"], fps: float, *, window_s: float = 0.6, level_gap_m: float = 0.25
 ) -> tuple[float, float]:
-    """Height of the lowest support that carries the body for a fair share of the time, and its spread.
+    """Height of the lowest level that carries the body again and again, and the spread of that level.
 
-    Supports may lie at several heights (steps, a roof, a bed); the floor is the lowest one that holds at least a
-    tenth of all contact. Without contact the low end of the soles is taken, with the spread of all of them.
+    Somebody who stands, walks or runs has a foot down at least once in about 0.6 s, so the low end of the soles in
+    every such window is a support, unless the body is in the air or lies. Supports may lie at several heights (steps,
+    a roof, a bed): they are parted where nothing lies within `level_gap_m`, and the lowest level seen in at least two
+    windows (and a twelfth of all) is the floor.
+
+    Args:
+        sole_height_m: lowest point of each foot, valid frames in order of time.
     """
-    weight = np.where(contact > 0.5, contact, 0.0).ravel()
-    heights = sole_height_m.ravel()
-    if weight.sum() < 3.0:
-        return float(np.percentile(heights, 5)), float(heights.std())
-    order = np.argsort(heights)
-    heights, weight = heights[order], weight[order]
-    reached = np.cumsum(weight) / weight.sum()
-    tenth = heights[np.searchsorted(reached, 0.1)]
-    near = np.abs(heights - tenth) < 0.06
-    center = np.average(heights[near], weights=weight[near] + 1e-9)
-    spread = np.sqrt(np.average((heights[near] - center) ** 2, weights=weight[near] + 1e-9))
-    return float(center), float(spread)
+    lowest = sole_height_m.min(1)
+    windows = max(1, round(len(lowest) / max(1.0, window_s * fps)))
+    supports = np.sort([np.percentile(part, 10) for part in np.array_split(lowest, windows)])
+    levels = np.split(supports, np.flatnonzero(np.diff(supports) > level_gap_m) + 1)
+    wanted = max(2, len(supports) / 12)
+    level = next((one for one in levels if len(one) >= wanted), max(levels, key=len))
+    return float(np.median(level)), float(np.std(level))

@@ -20,6 +20,9 @@ class RootWeights:
     """Weights of the losses, all of which are mean squares in m^2."""
 
     regularization: float
+    """On displacement along the line of sight, where a single camera is least certain."""
+    regularization_across: float
+    """On displacement across it, which the picture fixes."""
     contact: float
     penetration: float
     displacement_change: float
@@ -54,6 +57,8 @@ class RootProblem:
 
     frame: Int[np.ndarray, "keyframes"]
     root_m: Float[np.ndarray, "keyframes 3"]
+    sight: Float[np.ndarray, "keyframes 3"]
+    """Unit vector from the camera to the root."""
     skin_m: Float[np.ndarray, "points 3"]
     """Vertices to be kept out of solids, of keyframes and of frames between them."""
     skin_frame: Int[np.ndarray, "points"]
@@ -92,6 +97,7 @@ class _Losses:
 
     def __init__(self, problem: RootProblem, weights: RootWeights) -> None:
         self.weights, self.problem = weights, problem
+        self.sight = _tensor(problem.sight)
         self.root_m, self.skin_m = _tensor(problem.root_m), _tensor(problem.skin_m)
         frames, rows = np.unique(problem.skin_frame, return_inverse=True)
         self.frames, self.skin_row = max(len(frames), 1), torch.as_tensor(rows)
@@ -114,7 +120,10 @@ class _Losses:
 
     def __call__(self, displacement_m: torch.Tensor) -> torch.Tensor:
         w = self.weights
-        total = w.regularization * (displacement_m**2).sum(-1).mean()
+        along_m = (displacement_m * self.sight).sum(-1, keepdim=True)
+        across_m = displacement_m - along_m * self.sight
+        total = w.regularization * (along_m**2).mean()
+        total = total + w.regularization_across * (across_m**2).sum(-1).mean()
         total = total + w.penetration * self._penetration(displacement_m)
         if self.contacts:
             total = total + w.contact * self._contact(displacement_m)

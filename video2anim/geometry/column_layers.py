@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -45,7 +47,7 @@ def background_distance(
 def _nearest_run(distance_m: np.ndarray, jump_ratio: float, widest_ratio: float) -> tuple[int, int] | None:
     edges = [0, *_jumps(distance_m, jump_ratio), len(distance_m)]
     best: tuple[float, int, int] | None = None
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+    for start, stop in pairwise(edges):
         if stop - start > widest_ratio * len(distance_m) or len(edges) == 2:
             continue
         inside = np.median(distance_m[start:stop])
@@ -107,21 +109,28 @@ def foot_line(
     """
     steady_m = _median_along(distance_m)
     points = distance_m[:, None] * np.stack([np.sin(azimuth_rad), np.cos(azimuth_rad)], -1)
-    weight = np.ones(len(points))
-    for _ in range(10):
-        middle = np.average(points, axis=0, weights=weight)
-        _, vectors = np.linalg.eigh(np.cov(points.T, aweights=weight) + 1e-12 * np.eye(2))
-        normal = vectors[:, 0]
-        off_m = np.abs((points - middle) @ normal)
-        weight = 1 / np.maximum(off_m, 0.01 * np.median(distance_m))
+    normal, level_m = _robust_line(points, 0.01 * float(np.median(distance_m)))
+    off_m = np.abs(points @ normal - level_m)
     towards = np.stack([np.sin(all_azimuth_rad), np.cos(all_azimuth_rad)], -1) @ normal
-    reach = float(middle @ normal) / np.where(np.abs(towards) < 1e-6, 1e-6, towards)
+    reach = level_m / np.where(np.abs(towards) < 1e-6, 1e-6, towards)
     seen = (all_azimuth_rad >= azimuth_rad.min()) & (all_azimuth_rad <= azimuth_rad.max())
     sane = (reach[seen] > 0.7 * distance_m.min()).all() and (reach[seen] < 1.3 * distance_m.max()).all()
     if sane and np.median(off_m) < 0.03 * np.median(distance_m):
         held = np.clip(all_azimuth_rad, azimuth_rad.min(), azimuth_rad.max())
         return np.interp(held, all_azimuth_rad, np.clip(reach, 0.5 * distance_m.min(), 1.5 * distance_m.max()))
     return np.interp(all_azimuth_rad, azimuth_rad, steady_m)
+
+
+def _robust_line(points_m: np.ndarray, scale_m: float) -> tuple[np.ndarray, float]:
+    """Unit normal and level (normal . x = level) of the line with the least sum of distances, by reweighting."""
+    weight, normal, level_m = np.ones(len(points_m)), np.array([0.0, 1.0]), 0.0
+    for _ in range(10):
+        middle = np.average(points_m, axis=0, weights=weight)
+        _, vectors = np.linalg.eigh(np.cov(points_m.T, aweights=weight) + 1e-12 * np.eye(2))
+        normal = vectors[:, 0]
+        level_m = float(middle @ normal)
+        weight = 1 / np.maximum(np.abs(points_m @ normal - level_m), scale_m)
+    return normal, level_m
 
 
 def _median_along(distance_m: np.ndarray) -> np.ndarray:

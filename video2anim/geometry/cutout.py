@@ -13,7 +13,9 @@ _MARGIN_RATIO = 0.08
 """Room left and right of the known part, as a share of its width: roofs and crowns stick out."""
 _SPIKE_RATIO = 0.2
 """Peaks narrower than this share of the width are taken for background of the same color."""
-_CONFIG = BoundaryConfig(jump_weight=1.5, jump_limit=18.0, edge_weight=8.0, ratio_limit=2.0, evidence_needed=0.3, pixel_weight=0.15)
+_CONFIG = BoundaryConfig(
+    jump_weight=1.5, jump_limit=18.0, edge_weight=8.0, ratio_limit=2.0, evidence_needed=0.3, pixel_weight=0.15
+)
 
 
 def grow_cutout(
@@ -55,12 +57,12 @@ def grow_cutout(
         own[:, wide] |= (row >= top[None, :]) & (row <= first[wide]) & part[:, wide].any(0)
         mask = own.copy()
         mask[:, wide] |= _overhang(ratio[:, wide], top, part[:, wide])
-    return binary_fill_holes(mask & seen & ~floor)
+    return np.asarray(binary_fill_holes(mask & seen & ~floor), dtype=bool)
 
 
 def _without_spikes(top: np.ndarray, width: int) -> np.ndarray:
     """Upper edge without peaks narrower than `width` columns (a row counts down, so peaks are dips in it)."""
-    return grey_closing(top, size=min(width, len(top)), mode="nearest")
+    return np.asarray(grey_closing(top, size=min(width, len(top)), mode="nearest"))
 
 
 def _top_costs(

@@ -103,7 +103,7 @@ class GravityView:
     def pixels_of_grid(
         self, T_world_camera: Float[np.ndarray, "4 4"]
     ) -> tuple[Float[np.ndarray, "rows columns 2"], Bool[np.ndarray, "rows columns"]]:
-        """Pixel under every node of the cylinder, held at the picture's edge, and whether the picture shows the node."""
+        """Pixel under every node of the cylinder, held at the picture's edge, and whether the picture shows it."""
         azimuth = self.azimuth_rad(np.arange(self.columns))[None, :]
         elevation = self.elevation_rad(np.arange(self.rows))[:, None]
         flat = np.cos(azimuth)[..., None] * self.heading_world + np.sin(azimuth)[..., None] * self.right_world

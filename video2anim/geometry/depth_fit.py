@@ -133,7 +133,8 @@ def _descend(
             optimizer.zero_grad()
             result = objective(losses)
             result.backward()
-            state.grad *= mask
+            if state.grad is not None:
+                state.grad *= mask
             return result.item()
 
         value = float(optimizer.step(closure))

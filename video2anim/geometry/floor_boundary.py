@@ -29,8 +29,8 @@ class BoundaryConfig:
     ratio_limit: float = 3.0
     """Largest log-likelihood ratio of a pixel."""
     evidence_needed: float = 0.7
-    """Log-likelihood ratio at which a pixel beyond the standing places counts neither way: what merely could be floor is
-    not taken for it."""
+    """Log-likelihood ratio at which a pixel beyond the standing places counts neither way: what merely could be floor
+    is not taken for it."""
     near_bonus: float = 1.0
     """So much less is needed of pixels nearer than the standing places: there is mostly floor in front of people."""
     edge_weight: float = 4.0

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import binary_dilation, binary_opening, label, maximum_filter
+from scipy.ndimage import minimum_filter
 
 from video2anim.geometry.column_layers import background_distance
 from video2anim.geometry.cylinder import GravityView, remap
@@ -68,10 +69,11 @@ def find_regions(
         return Regions((), floor)
     background_m = _background(view, T_world_camera, distance_m, upright)
     near = upright & (distance_m < limits.nearer_ratio * background_m)
-    near = binary_opening(near & ~_breaks(depth_m, limits.break_ratio), np.ones((2, 2)))
-    parts, count = label(near)
+    solid = (near & ~_breaks(depth_m, limits.break_ratio)).astype(np.uint8)
+    near = cv2.morphologyEx(solid, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)).astype(bool)
+    count, parts = cv2.connectedComponents(near.astype(np.uint8), connectivity=4)
     found = []
-    for index in range(1, count + 1):
+    for index in range(1, count):
         region = _judge(parts == index, near, floor, view, depth_m, distance_m / background_m, limits)
         if region is not None:
             found.append(region)
@@ -107,7 +109,7 @@ def _background(
 def _breaks(depth_m: np.ndarray, ratio: float) -> Bool[np.ndarray, "height width"]:
     """Far side of every step in depth."""
     log = np.log(np.maximum(depth_m, 1e-3))
-    return log - (-maximum_filter(-log, size=2)) > np.log1p(ratio)
+    return log - minimum_filter(log, size=2) > np.log1p(ratio)
 
 
 def _judge(
@@ -136,6 +138,6 @@ def _judge(
     on_floor = float(stands.mean())
     if on_floor < 0.3 or not floor[below, columns].any():
         return None
-    mask = binary_dilation(part, iterations=1) & (near | part)
+    mask = cv2.dilate(part.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & (near | part)
     contrast = float(np.clip((1 - np.median(share[part])) / 0.3, 0, 1))
     return Region(mask, contrast * on_floor, width_m, height_m)

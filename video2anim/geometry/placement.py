@@ -83,6 +83,7 @@ class _Problem:
         values = torch.tensor([state.x_m, state.z_m, state.yaw_rad, np.log(state.scale)], dtype=torch.float64)
         values.requires_grad_(True)
         optimizer = torch.optim.Adam([values], lr=0.03)
+        reached = np.inf
         for step in range(25):
             optimizer.param_groups[0]["lr"] = 0.03 * (1 - step / 30)
             optimizer.zero_grad()
@@ -91,11 +92,12 @@ class _Problem:
             z = scale * (c * visible[:, 2] - s * visible[:, 0]) + values[1]
             cost = loss(torch.stack([x, scale * visible[:, 1], z], -1))
             cost.backward()
+            reached = float(cost.detach())
             optimizer.step()
         x_m, z_m, yaw_rad, log_scale = values.detach().tolist()
         limit = np.log(_LARGEST_FACTOR)
         log_scale = float(np.clip(log_scale, np.log(start.scale) - limit, np.log(start.scale) + limit))
-        return _State(x_m, z_m, yaw_rad, float(np.exp(log_scale)), float(cost.detach()))
+        return _State(x_m, z_m, yaw_rad, float(np.exp(log_scale)), reached)
 
 
 def place(

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from scipy.ndimage import binary_opening, label
 
 from video2anim.geometry.column_layers import background_distance, foot_line
 from video2anim.geometry.cutout import grow_cutout
@@ -82,9 +81,7 @@ def stage_set_depth(
     return _compose(view, seen, background_m, sigma_m, known | hidden, cutouts, config)
 
 
-def _floor_seeds(
-    view: GravityView, standing_world_m: np.ndarray, radius_m: float
-) -> Bool[np.ndarray, "rows columns"]:
+def _floor_seeds(view: GravityView, standing_world_m: np.ndarray, radius_m: float) -> Bool[np.ndarray, "rows columns"]:
     """Nodes on the floor near a standing spot, or before it: a foot that is seen has free floor in front of it."""
     seed = np.zeros((view.rows, view.columns), dtype=np.uint8)
     spots = np.unique(np.round(standing_world_m[:, [0, 2]] / 0.1).astype(int), axis=0) * 0.1
@@ -137,10 +134,10 @@ def _cutouts(
     unlike = (above & (boundary.log_ratio < 1.0)) | (below & (boundary.log_ratio < -1.5))
     strange = area & ~seed & unlike
     size = max(3, round(0.01 * view.columns))
-    strange = binary_opening(strange, np.ones((size, size)))
-    parts, count = label(strange)
+    strange = cv2.morphologyEx(strange.astype(np.uint8), cv2.MORPH_OPEN, np.ones((size, size), np.uint8)).astype(bool)
+    count, parts = cv2.connectedComponents(strange.astype(np.uint8), connectivity=4)
     found = []
-    for index in range(1, count + 1):
+    for index in range(1, count):
         part = parts == index
         if part.sum() < config.smallest_ratio * seen.sum():
             continue

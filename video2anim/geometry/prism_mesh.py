@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import binary_fill_holes, label
+from scipy.ndimage import binary_fill_holes
 
 _LEAST_THICKNESS_M = 0.08
 
@@ -29,9 +30,7 @@ class FrontPlane:
         return float(np.arctan2(self.R_world_front[0, 2], self.R_world_front[2, 2]))
 
 
-def front_plane(
-    points_world_m: Float[np.ndarray, "points 3"], camera_world_m: Float[np.ndarray, "3"]
-) -> FrontPlane:
+def front_plane(points_world_m: Float[np.ndarray, "points 3"], camera_world_m: Float[np.ndarray, "3"]) -> FrontPlane:
     """Upright plane through the visible points: its direction is their main horizontal one, unless they form a blob,
     which faces the camera.
 
@@ -89,9 +88,7 @@ class Prism:
     faces: Int[np.ndarray, "faces 3"]
 
 
-def outline_cells(
-    outline_m: Float[np.ndarray, "pixels 2"], most_cells: int
-) -> OutlineCells:
+def outline_cells(outline_m: Float[np.ndarray, "pixels 2"], most_cells: int) -> OutlineCells:
     """Cells that the outline covers.
 
     One connected piece without holes and without cells that touch at a corner only, so that its prism is watertight.
@@ -107,8 +104,8 @@ def outline_cells(
     np.add.at(counts, (index[:, 1], index[:, 0]), 1)
     usual = np.median(counts[counts > 0]) if counts.any() else 1
     cells = counts >= 0.4 * usual
-    pieces, _ = label(cells)
-    if pieces.max() > 1:
+    count, pieces = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)
+    if count > 2:
         cells = pieces == 1 + np.argmax(np.bincount(pieces.ravel())[1:])
     return OutlineCells(_no_pinches(cells), low, extent / shape)
 
@@ -116,7 +113,7 @@ def outline_cells(
 def _no_pinches(cells: np.ndarray) -> np.ndarray:
     """Fill holes, and one of the empty cells wherever two cells touch at a corner only."""
     while True:
-        cells = binary_fill_holes(cells)
+        cells = np.asarray(binary_fill_holes(cells), dtype=bool)
         a, b, c, d = cells[:-1, :-1], cells[:-1, 1:], cells[1:, :-1], cells[1:, 1:]
         falling, rising = a & d & ~b & ~c, b & c & ~a & ~d
         if not falling.any() and not rising.any():

@@ -79,3 +79,12 @@ def world_mesh(mesh: Mesh, T_world_object: Float[np.ndarray, "4 4"], scale: floa
     """An object's mesh in the world."""
     vertices = transform_points(T_world_object, scale * mesh.vertices_m.astype(np.float64))
     return Mesh(vertices.astype(np.float32), mesh.faces, mesh.vertex_rgb)
+
+
+def box_mesh(width_m: float, height_m: float, depth_m: float, rgb: tuple[int, int, int] = (150, 150, 150)) -> Mesh:
+    """Watertight box on y = 0, centered in x and z."""
+    import trimesh
+
+    box = trimesh.creation.box(extents=(width_m, height_m, depth_m))
+    vertices = np.asarray(box.vertices, np.float64) + [0.0, 0.5 * height_m, 0.0]
+    return Mesh(vertices, np.asarray(box.faces, np.int64), np.tile(np.array(rgb, np.uint8), (len(vertices), 1)))

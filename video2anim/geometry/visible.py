@@ -8,6 +8,8 @@ from jaxtyping import Bool, Float, Int
 from video2anim.geometry.projection import project
 from video2anim.types.camera import Intrinsics
 
+_NEAR_M = 0.05
+
 
 def vertex_normals(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
@@ -15,13 +17,10 @@ def vertex_normals(
     """Area-weighted unit normals; zero for vertices of no face."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     face_normal = np.cross(b - a, c - a)
-    normals = np.stack(
-        [
-            sum(np.bincount(faces[:, k], face_normal[:, axis], minlength=len(vertices)) for k in range(3))
-            for axis in range(3)
-        ],
-        -1,
-    )
+    normals = np.zeros((len(vertices), 3))
+    for k in range(3):
+        for axis in range(3):
+            normals[:, axis] += np.bincount(faces[:, k], face_normal[:, axis], minlength=len(vertices))
     return normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
 
 
@@ -34,26 +33,38 @@ def visible_vertices(
 ) -> Bool[np.ndarray, "vertices"]:
     """Vertices in front of the camera, inside the picture, facing it, and not behind another vertex.
 
-    The z-buffer's cells hold the nearest facing vertex; a vertex deeper than that by more than the tolerance is hidden.
-    Cells are as large as the spacing of the vertices, so that a surface has no holes in the buffer.
+    The cells of a z-buffer hold the nearest point of the surface; a vertex deeper than that by more than the tolerance
+    is hidden. Cells are a little larger than the spacing of the vertices, so that a surface has no holes in the buffer.
     """
     z = vertices_camera_m[:, 2]
     normals = vertex_normals(vertices_camera_m, faces)
     facing = np.einsum("ij,ij->i", normals, vertices_camera_m) < 0
-    candidate = np.flatnonzero((z > 0.05) & facing)
+    seen = np.zeros(len(z), dtype=bool)
+    candidate = np.flatnonzero((z > _NEAR_M) & facing)
     if not len(candidate):
-        return np.zeros(len(z), dtype=bool)
+        return seen
     pixels = project(vertices_camera_m[candidate], intrinsics)
     inside = (pixels >= -0.5).all(-1) & (pixels < [intrinsics.width_px - 0.5, intrinsics.height_px - 0.5]).all(-1)
     candidate, pixels = candidate[inside], pixels[inside]
-    seen = np.zeros(len(z), dtype=bool)
     if not len(candidate):
         return seen
+    low = pixels.min(0)
     extent = np.maximum(np.ptp(pixels, axis=0), 1e-6)
     cell_px = max(1.5 * float(np.sqrt(extent.prod() / len(candidate))), 1e-6)
-    cell = np.floor((pixels - pixels.min(0)) / cell_px).astype(np.int64)
-    key = cell[:, 0] * (int(cell[:, 1].max()) + 1) + cell[:, 1]
-    nearest = np.full(int(key.max()) + 1, np.inf)
-    np.minimum.at(nearest, key, z[candidate])
-    seen[candidate[z[candidate] <= nearest[key] + tolerance_m]] = True
+    shape = np.floor(extent / cell_px).astype(np.int64) + 1
+    surface = _surface_points(vertices_camera_m, faces)
+    index = np.floor((project(surface, intrinsics) - low) / cell_px).astype(np.int64)
+    kept = ((index >= 0) & (index < shape)).all(-1)
+    nearest = np.full(int(shape.prod()), np.inf)
+    np.minimum.at(nearest, index[kept, 0] * shape[1] + index[kept, 1], surface[kept, 2])
+    own = np.floor((pixels - low) / cell_px).astype(np.int64)
+    seen[candidate[z[candidate] <= nearest[own[:, 0] * shape[1] + own[:, 1]] + tolerance_m]] = True
     return seen
+
+
+def _surface_points(vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "points 3"]:
+    """Corners, middles of the edges and centroids of the triangles before the camera."""
+    corners = vertices[faces]
+    corners = corners[(corners[..., 2] > _NEAR_M).all(-1)]
+    middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
+    return np.concatenate([corners.reshape(-1, 3), middles.reshape(-1, 3), corners.mean(1)])

@@ -1,0 +1,57 @@
+"""The body's path as evidence about the scene: supports under raised feet, objects refuted by a walk through them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import planted_walk
+
+from stages.scene import SUPPORT, SceneConfig, _not_refuted, _supports
+from video2anim.geometry.scene_mesh import box_mesh
+from video2anim.pipeline.stage import StageContext
+from video2anim.types import BodyMotion, BodyTracks, PlacedObject, PlacedObjects
+
+
+def raised(motion: BodyMotion, height_m: float) -> BodyMotion:
+    root_m = motion.T_world_root[:, :3, 3] + [0.0, height_m, 0.0]
+    return motion.with_pose(translation_world_m=root_m, R_parent_joint=motion.R_parent_joint)
+
+
+def box_at(x_m: float, z_m: float) -> PlacedObject:
+    T_world_object = np.eye(4)
+    T_world_object[[0, 2], 3] = x_m, z_m
+    return PlacedObject(1, "object", box_mesh(1.0, 1.5, 1.0), 1.0, T_world_object, 0.0, 0.0, True, "")
+
+
+def test_feet_on_a_roof_put_a_support_under_them(tmp_path: Path) -> None:
+    motion = raised(planted_walk(90), 1.6)
+    made = _supports([], BodyTracks((motion,), (1.0,)), StageContext(tmp_path))
+    assert [item.label for item in made] == [SUPPORT]
+    assert made[0].mesh.vertices_m[:, 1].max() == pytest.approx(1.6, abs=0.05)
+    assert made[0].mesh.vertices_m[:, 1].min() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_feet_on_the_floor_need_no_support(tmp_path: Path) -> None:
+    assert _supports([], BodyTracks((planted_walk(90),), (1.0,)), StageContext(tmp_path)) == []
+
+
+def test_feet_in_the_air_without_contact_claim_nothing(tmp_path: Path) -> None:
+    motion = raised(planted_walk(90), 1.6)
+    motion = replace(motion, contact=np.zeros_like(motion.contact))
+    assert _supports([], BodyTracks((motion,), (1.0,)), StageContext(tmp_path)) == []
+
+
+@pytest.mark.parametrize(("aside_m", "kept"), [(0.0, 0), (2.5, 1)])
+def test_only_an_object_that_is_walked_through_is_refuted(tmp_path: Path, aside_m: float, kept: int) -> None:
+    motion = planted_walk(90)
+    middle = motion.T_world_root[45, :3, 3]
+    forward = motion.T_world_root[-1, :3, 3] - motion.T_world_root[0, :3, 3]
+    side = np.cross(forward / np.linalg.norm(forward), [0.0, 1.0, 0.0])
+    place = middle + aside_m * side
+    ctx = StageContext(tmp_path)
+    placed = PlacedObjects((box_at(place[0], place[2]),))
+    assert len(_not_refuted(placed, BodyTracks((motion,), (1.0,)), SceneConfig(), ctx)) == kept
+    assert len(ctx.warnings) == 1 - kept

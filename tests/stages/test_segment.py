@@ -1,0 +1,61 @@
+"""Objects and floor in the plate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scene_chain import run_chain
+from synthetic_room import BOX, FLOOR, make_room
+
+from stages.segment import SegmentConfig, segment_plate
+from video2anim.geometry.object_regions import RegionLimits, find_regions
+from video2anim.pipeline.stage import StageContext
+
+
+def _iou(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / (a | b).sum())
+
+
+@pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(14.0, 0.0), (22.0, 12.0)])
+def test_box_and_floor_are_found(pitch_deg: float, roll_deg: float) -> None:
+    room = make_room(pitch_deg=pitch_deg, roll_deg=roll_deg)
+    masks = run_chain(room).masks
+    assert len(masks.instances) == 1
+    box = masks.instances[0]
+    assert _iou(box.mask, room.surface_full == BOX) > 0.8
+    assert _iou(masks.floor_mask, room.surface_full == FLOOR) > 0.95
+    assert not (box.mask & masks.floor_mask).any()
+    rows, columns = np.nonzero(box.mask)
+    assert box.box_px.tolist() == [columns.min(), rows.min(), columns.max(), rows.max()]
+    assert 0 < box.score <= 1
+
+
+def test_empty_room_has_no_objects() -> None:
+    masks = run_chain(make_room(with_box=False)).masks
+    assert masks.instances == ()
+    assert masks.floor_mask.any()
+
+
+def test_true_depth_of_any_provider_segments_as_well() -> None:
+    room = make_room()
+    body = room.bodies.people[0]
+    height, width = room.depth_m.shape
+    regions = find_regions(
+        room.depth_m,
+        np.ones(room.depth_m.shape, dtype=bool),
+        body.T_world_camera[0],
+        body.intrinsics.resized(width, height),
+        RegionLimits(),
+    )
+    assert len(regions.objects) == 1
+    assert _iou(regions.objects[0].mask, room.surface == BOX) > 0.8
+    assert regions.objects[0].height_m == pytest.approx(0.9, abs=0.1)
+
+
+def test_size_limits_are_obeyed() -> None:
+    room = make_room()
+    chain = run_chain(room)
+    masks = segment_plate(room.plate, chain.metric, room.bodies, SegmentConfig(largest_m=0.5), StageContext(Path()))
+    assert masks.instances == ()
