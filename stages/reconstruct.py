@@ -172,12 +172,12 @@ def _vertex_colors(
 
 
 def _pulled_inside(mask: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     outside = ~mask[v, u]
     if outside.any():
         inside = np.argwhere(mask)
-        _, nearest = cKDTree(inside).query(np.stack([v[outside], u[outside]], -1))
+        _, nearest = KDTree(inside).query(np.stack([v[outside], u[outside]], -1))
         v[outside], u[outside] = inside[nearest].T
     return u, v
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,6 +12,7 @@ from video2anim.errors import StageError
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
+    BodyMotion,
     BodyTracks,
     InstanceMasks,
     Mesh,
@@ -19,6 +21,9 @@ from video2anim.types import (
     PlacedObjects,
     SceneModel,
 )
+
+if TYPE_CHECKING:
+    from video2anim.geometry.sdf import SdfGrid
 
 SUPPORT = "support"
 """Label of solids that are known by the feet on them alone."""
@@ -40,12 +45,12 @@ class SceneConfig:
     """Room surface beyond this depth is left out."""
     background_long_side_px: int = 192
     """Resolution of the room surface."""
-    free_depth_m: float = 0.08
-    """The trunk deeper than this inside an object speaks against the object's place."""
-    free_share: float = 0.15
-    """Share of trunk and thigh skin that must be that deep for a frame to count."""
-    free_frames: int = 3
-    """Frames of that kind that refute an object (every second frame is looked at)."""
+    free_depth_m: float = 0.05
+    """Skin deeper than this inside an object speaks against the object's place."""
+    free_share: float = 0.02
+    """Share of the skin (hands and feet left out) that must be that deep for a frame to count."""
+    free_frames_ratio: float = 0.2
+    """Share of the frames that refutes an object; a body that touches or sits may sink in now and then."""
     supports: bool = True
     """Put a solid under places well above the floor where feet rested and no object was found."""
 
@@ -93,8 +98,6 @@ def _not_refuted(
     placed: PlacedObjects, bodies: BodyTracks, config: SceneConfig, ctx: StageContext
 ) -> list[PlacedObject]:
     """Objects whose place the observed bodies do not contradict by walking through them."""
-    from video2anim.body.anny_body import shaped_body
-    from video2anim.fitting.free_space import passed_through
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
 
@@ -104,22 +107,25 @@ def _not_refuted(
         bounds_m = np.stack([solid.vertices_m.min(0) - 0.2, solid.vertices_m.max(0) + 0.2])
         spacing_m = max(config.sdf_spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
         field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None)
-        crossed = sum(
-            int(
-                passed_through(
-                    field, m, shaped_body(m.shape), deep_m=config.free_depth_m, share=config.free_share
-                ).sum()
-            )
-            for m in bodies.people
-        )
-        if crossed < config.free_frames:
+        crossed = max(_crossed_ratio(field, motion, config) for motion in bodies.people)
+        if crossed < config.free_frames_ratio:
             kept.append(item)
         else:
             ctx.warn(
-                f"object {item.object_id} ({item.label}) is left out: the observed body passes through it in "
-                f"{crossed} frames, so its place or depth is wrong"
+                f"object {item.object_id} ({item.label}) is left out: the observed body is inside it in "
+                f"{crossed:.0%} of the frames, so its place or depth is wrong"
             )
     return kept
+
+
+def _crossed_ratio(field: SdfGrid, motion: BodyMotion, config: SceneConfig) -> float:
+    """Share of the looked-at frames in which the body is inside a solid."""
+    from video2anim.body.anny_body import shaped_body
+    from video2anim.fitting.free_space import passed_through
+
+    body = shaped_body(motion.shape)
+    inside = passed_through(field, motion, body, deep_m=config.free_depth_m, share=config.free_share)
+    return float(2 * inside.sum() / max(1, motion.valid.sum()))
 
 
 def _supports(objects: list[PlacedObject], bodies: BodyTracks, ctx: StageContext) -> list[PlacedObject]:
@@ -225,4 +231,4 @@ def _touches(mask: Bool[np.ndarray, "height width"], size: tuple[int, int], shar
     return cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > share
 
 
-STAGE = StageSpec("scene", build_scene, version=2)
+STAGE = StageSpec("scene", build_scene, version=3)

@@ -18,9 +18,9 @@ def _iou(a: np.ndarray, b: np.ndarray) -> float:
     return float((a & b).sum() / (a | b).sum())
 
 
-@pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(14.0, 0.0), (22.0, 12.0)])
-def test_box_and_floor_are_found(pitch_deg: float, roll_deg: float) -> None:
-    room = make_room(pitch_deg=pitch_deg, roll_deg=roll_deg)
+@pytest.mark.parametrize(("pitch_deg", "roll_deg", "height_m"), [(14.0, 0.0, 1.6), (22.0, 12.0, 1.6), (35.0, 0.0, 2.4)])
+def test_box_and_floor_are_found(pitch_deg: float, roll_deg: float, height_m: float) -> None:
+    room = make_room(pitch_deg=pitch_deg, roll_deg=roll_deg, height_m=height_m)
     masks = run_chain(room).masks
     assert len(masks.instances) == 1
     box = masks.instances[0]

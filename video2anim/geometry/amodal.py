@@ -27,12 +27,16 @@ def amodal_mask(
     """
     if not visible.any():
         return visible.copy()
-    mask = binary_fill_holes(visible)
+    mask = _filled(visible)
     mask |= _hull(mask) & hidden
     mirrored = _mirrored(mask)
     if (mirrored & mask).sum() > _MIRROR_OVERLAP * (mirrored | mask).sum():
         mask |= mirrored & hidden
-    return binary_fill_holes(mask | _down_to_floor(mask, hidden))
+    return _filled(mask | _down_to_floor(mask, hidden))
+
+
+def _filled(mask: np.ndarray) -> Bool[np.ndarray, "height width"]:
+    return np.asarray(binary_fill_holes(mask), dtype=bool)
 
 
 def _hull(mask: np.ndarray) -> np.ndarray:

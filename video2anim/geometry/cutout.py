@@ -71,7 +71,7 @@ def _top_costs(
     """Cost of the thing's highest row being t, in 0..rows (rows = nothing of it in the column)."""
     weighed = np.where(seen & ~part, ratio - _CONFIG.evidence_needed, 0.0) * _CONFIG.pixel_weight
     known = part.any(0)
-    first = np.where(known, np.argmax(part, axis=0), part.shape[0] - np.argmax(part.any(1)[::-1]))
+    first = np.where(known, np.argmax(part, axis=0), part.shape[0] - np.argmax(np.any(part, axis=1)[::-1]))
     row = np.arange(part.shape[0] + 1)[:, None]
     above = np.concatenate([np.zeros((1, ratio.shape[1])), np.cumsum(np.where(row[:-1] < first, weighed, 0), axis=0)])
     edge = np.concatenate([np.where(seen, gradient, 0.0), np.zeros((1, ratio.shape[1]))])
@@ -83,7 +83,7 @@ def _top_costs(
 
 def _overhang(ratio: np.ndarray, top: np.ndarray, part: np.ndarray) -> Bool[np.ndarray, "rows columns"]:
     """Parts beside the known columns that look like the thing, between its top and its foot."""
-    beside = ~part.any(0)
+    beside = ~np.any(part, axis=0)
     row = np.arange(part.shape[0])[:, None]
     looks = cv2.morphologyEx((ratio > 0.5).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).astype(bool)
     return looks & beside[None, :] & (row >= top[None, :]) & (row < np.argmax(part.any(1)))

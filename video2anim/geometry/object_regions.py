@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import minimum_filter
+from scipy.ndimage import binary_opening, minimum_filter
 
 from video2anim.geometry.column_layers import background_distance
 from video2anim.geometry.cylinder import GravityView, remap
@@ -69,8 +69,7 @@ def find_regions(
         return Regions((), floor)
     background_m = _background(view, T_world_camera, distance_m, upright)
     near = upright & (distance_m < limits.nearer_ratio * background_m)
-    solid = (near & ~_breaks(depth_m, limits.break_ratio)).astype(np.uint8)
-    near = cv2.morphologyEx(solid, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)).astype(bool)
+    near = np.asarray(binary_opening(near & ~_breaks(depth_m, limits.break_ratio), np.ones((2, 2))), dtype=bool)
     count, parts = cv2.connectedComponents(near.astype(np.uint8), connectivity=4)
     found = []
     for index in range(1, count):

@@ -133,7 +133,7 @@ def _cutouts(
     below = rows >= boundary.row[None, :] + _EDGE_ROWS
     unlike = (above & (boundary.log_ratio < 1.0)) | (below & (boundary.log_ratio < -1.5))
     strange = area & ~seed & unlike
-    size = max(3, round(0.01 * view.columns))
+    size = max(3, round(0.01 * view.columns) | 1)
     strange = cv2.morphologyEx(strange.astype(np.uint8), cv2.MORPH_OPEN, np.ones((size, size), np.uint8)).astype(bool)
     count, parts = cv2.connectedComponents(strange.astype(np.uint8), connectivity=4)
     found = []

@@ -1,0 +1,359 @@
+"""The whole pipeline on two seconds of a real clip, with the real models, through the real command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command import FOLDERS, STAGE_NAMES, Answer, command_line, payload_digests, process, video2anim
+
+from video2anim.artifacts.folder import file_digest
+from video2anim.artifacts.motion_io import read_motion, write_motion
+from video2anim.body.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
+from video2anim.geometry.projection import transform_points
+
+sys.path.insert(0, str(Path(__file__).parent / "export"))
+from test_bvh import bvh_joints_cm
+from test_glb import Reread
+
+pytestmark = pytest.mark.slow
+
+RESULTS = ("motion.npz", "scene.glb", "scene.usdc", "motion.bvh", "motion_amass.npz", "preview.mp4", "report.html", "run.json")
+SETTINGS = {
+    "ingest.start_s": "4.6", "ingest.stop_s": "6.6", "ingest.max_long_side_px": "640", "export.preview_height_px": "180",
+}  # fmt: skip
+"""Two seconds in which a man lands from a flip and a woman walks by, small enough to be quick."""
+TOLERANCE_M = 1e-3
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A finished scene folder that tests must leave as it is."""
+
+    video: Path
+    folder: Path
+    first: Answer
+    second: Answer
+    digests: dict[str, str]
+    """Of every stage's payload after the first run."""
+
+    def words(self, folder: Path, **changed: str) -> list[str]:
+        """The `run` command of this scene for another folder, with some settings changed (`stage__option`)."""
+        settings = SETTINGS | {key.replace("__", "."): value for key, value in changed.items()}
+        return ["run", str(self.video), "--out", str(folder), "--device", "cpu"] + [
+            word for key, value in settings.items() for word in ("--set", f"{key}={value}")
+        ]
+
+
+def result_digests(folder: Path) -> dict[str, str]:
+    paths = [folder / name for name in RESULTS if name != "run.json"] + sorted((folder / "objects").glob("*"))
+    return {str(path.relative_to(folder)): file_digest(path) for path in paths}
+
+
+@pytest.fixture(scope="session")
+def scene(shared_media: Path, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The clip run twice, as processes of their own."""
+    folder = tmp_path_factory.mktemp("end_to_end") / "scene"
+    empty = Answer(0, "", "")
+    draft = Scene(shared_media / "videos" / "sports2d_demo.mp4", folder, empty, empty, {})
+    first = process(*draft.words(folder))
+    assert first.code == 0, first.err
+    digests, results = payload_digests(folder), result_digests(folder)
+    second = process(*draft.words(folder))
+    assert second.code == 0, second.err
+    assert result_digests(folder) == results, "a run that has nothing to do must not touch the results"
+    return Scene(draft.video, folder, first, second, digests)
+
+
+@pytest.fixture
+def copy(scene: Scene, tmp_path: Path) -> Path:
+    """A scene folder to change."""
+    shutil.copytree(scene.folder, tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+def test_all_stages_ran_and_left_their_files(scene: Scene) -> None:
+    assert scene.first.states == dict.fromkeys(STAGE_NAMES, "ran")
+    assert scene.first.errors == []
+    assert sorted(path.name for path in (scene.folder / "stages").iterdir()) == sorted(FOLDERS)
+    for name in RESULTS:
+        assert (scene.folder / name).stat().st_size > 0, name
+        assert name == "run.json" or str(scene.folder / name) in scene.first.out
+    placed = json.loads((scene.folder / "stages" / "12_scene" / "value.json").read_text())["objects"]
+    assert {path.name for path in (scene.folder / "objects").iterdir()} == {f"{o['object_id']}.glb" for o in placed}
+    known = {*RESULTS, "objects", "stages", ".lock"}
+    assert {path.name for path in scene.folder.iterdir()} <= known
+
+
+def test_second_run_is_all_cached(scene: Scene) -> None:
+    assert scene.second.states == dict.fromkeys(STAGE_NAMES, "cached")
+    table = json.loads((scene.folder / "run.json").read_text())["stages"]
+    assert [(row["stage"], row["state"]) for row in table] == [(name, "cached") for name in STAGE_NAMES]
+    assert payload_digests(scene.folder) == scene.digests
+
+
+def test_manifests_explain_every_stage(scene: Scene) -> None:
+    record = json.loads((scene.folder / "run.json").read_text())
+    assert record["input_digest"] == file_digest(scene.video)
+    assert record["config"]["ingest"]["stop_s"] == 6.6
+    assert {"numpy", "torch", "python", "video2anim"} <= set(record["versions"])
+    for name, folder in zip(STAGE_NAMES, FOLDERS, strict=True):
+        manifest = json.loads((scene.folder / "stages" / folder / "manifest.json").read_text())
+        assert manifest["stage"] == name
+        assert len(manifest["key"]) == len(manifest["output_digest"]) == 64
+        assert manifest["output_digest"] == scene.digests[folder]
+        assert manifest["wall_time_s"] > 0
+        assert manifest["peak_memory_mb"] > 10
+        assert manifest["qualities"], f"{name} reports no number"
+        assert manifest["inputs"]
+    track = json.loads((scene.folder / "stages" / "02_track" / "manifest.json").read_text())
+    assert {"blazepose-heavy", "blazepose-detector"} <= set(track["weights"])
+
+
+def test_no_value_is_a_path_of_this_machine(scene: Scene) -> None:
+    """A scene folder can be moved: only `run.json` knows where the video was."""
+    for path in (scene.folder / "stages").rglob("*.json"):
+        assert str(scene.folder) not in path.read_text(), path
+
+
+@pytest.mark.parametrize("where", ["motion.npz", "stages/04_humans/motion.npz", "stages/13_keyframes/motion.npz"])
+def test_motion_file_keeps_its_promises(scene: Scene, where: str) -> None:
+    with np.load(scene.folder / where, allow_pickle=False) as archive:
+        m = {key: archive[key] for key in archive.files}
+    frames = 60
+    shapes = {
+        "frame_time_s": (frames,), "valid": (frames,), "T_world_root": (frames, 4, 4), "contact": (frames, 22),
+        "R_parent_joint": (frames, 22, 3, 3), "joints_world_m": (frames, 22, 3), "joints_camera_m": (frames, 22, 3),
+        "T_world_camera": (frames, 4, 4), "intrinsics": (6,), "rest_joints_m": (22, 3), "parents": (22,),
+    }  # fmt: skip
+    for key, shape in shapes.items():
+        assert m[key].shape == shape, key
+        assert np.isfinite(m[key]).all(), key
+    assert tuple(m["joint_names"]) == JOINT_NAMES
+    np.testing.assert_array_equal(m["parents"], PARENTS)
+    np.testing.assert_allclose(np.diff(m["frame_time_s"]), 1 / 30, atol=1e-9)
+    assert {"person_id", "shape_model"} <= set(m)
+    np.testing.assert_allclose(m["R_parent_joint"] @ np.swapaxes(m["R_parent_joint"], -1, -2), np.tile(np.eye(3), (frames, 22, 1, 1)), atol=1e-5)  # fmt: skip
+    np.testing.assert_allclose(m["T_world_root"][:, :3, :3], m["R_parent_joint"][:, 0], atol=1e-6)
+    joints_m, _ = forward_kinematics(m["R_parent_joint"], m["T_world_root"][:, :3, 3], m["rest_joints_m"])
+    np.testing.assert_allclose(joints_m, m["joints_world_m"], atol=1e-5)
+    again_m = transform_points(m["T_world_camera"], m["joints_camera_m"])
+    np.testing.assert_allclose(again_m, m["joints_world_m"], atol=1e-6)
+    assert (m["joints_camera_m"][m["valid"].astype(bool), :, 2] > 0).all(), "the body is in front of the camera"
+    assert (m["contact"].min(), m["contact"].max()) >= (0.0, 0.0)
+    assert m["contact"].max() <= 1.0
+    assert m["intrinsics"][4:].tolist() == [640, 360]
+
+
+def test_world_is_upright_and_starts_under_the_person(scene: Scene) -> None:
+    motion = read_motion(scene.folder / "stages" / "04_humans" / "motion.npz")
+    first = int(np.flatnonzero(motion.valid)[0])
+    np.testing.assert_allclose(motion.joints_world_m[first, 0, [0, 2]], 0.0, atol=1e-6)
+    up_camera = motion.T_world_camera[0, 1, :3]
+    assert up_camera[1] < -0.9, "the picture is upright, so image up is near world up"
+    head, foot = motion.joints_world_m[-10:, 15, 1], motion.joints_world_m[-10:, [7, 8, 10, 11], 1].min(1)
+    assert (head - foot > 0.7).all(), "he runs at the end"
+    assert np.abs(foot).max() < 0.6, "feet are near the floor at y = 0"
+
+
+def test_glb_says_what_the_motion_says(scene: Scene) -> None:
+    motion, reread = read_motion(scene.folder / "motion.npz"), Reread(scene.folder / "scene.glb")
+    skin = reread.document.skins[0]
+    assert [reread.document.nodes[joint].name for joint in skin.joints] == list(JOINT_NAMES)
+    for frame in (0, 17, 30, 59):
+        world = reread.world(frame)
+        joints_m = np.stack([world[joint][:3, 3] for joint in skin.joints])
+        np.testing.assert_allclose(joints_m, motion.joints_world_m[frame], atol=TOLERANCE_M)
+    names = {node.name for node in reread.document.nodes}
+    assert {"camera", "floor"} <= names
+    assert len([name for name in names if name.startswith("object_")]) == len(list((scene.folder / "objects").iterdir()))
+
+
+@pytest.mark.filterwarnings("ignore:Gimbal lock")
+def test_bvh_says_what_the_motion_says(scene: Scene) -> None:
+    motion = read_motion(scene.folder / "motion.npz")
+    names, joints_cm = bvh_joints_cm((scene.folder / "motion.bvh").read_text())
+    order = [names.index(name) for name in JOINT_NAMES]
+    np.testing.assert_allclose(joints_cm[:, order] / 100, motion.joints_world_m, atol=TOLERANCE_M)
+
+
+def test_preview_and_report_can_be_opened(scene: Scene) -> None:
+    preview = cv2.VideoCapture(str(scene.folder / "preview.mp4"))
+    assert preview.get(cv2.CAP_PROP_FRAME_COUNT) == 60
+    ok, picture = preview.read()
+    assert ok
+    assert picture.std() > 5
+    report = (scene.folder / "report.html").read_text()
+    assert all(name in report for name in STAGE_NAMES)
+    assert "blazepose-heavy" in report
+    outside = ('src="http', "src='http", '<link rel="stylesheet" href="http')
+    assert not any(mark in report for mark in outside), "the report is self-contained"
+
+
+def test_painting_a_mask_makes_exactly_what_follows_stale(scene: Scene, copy: Path) -> None:
+    mask_path = sorted((copy / "stages" / "08_segment").glob("instances.*.mask.png"))[0]
+    mask = cv2.imread(str(mask_path), cv2.IMREAD_UNCHANGED)
+    rows, columns = np.nonzero(mask)
+    mask[: (rows.min() + rows.max()) // 2] = 0
+    assert cv2.imwrite(str(mask_path), mask)
+    painted = file_digest(mask_path)
+    before = dict.fromkeys(STAGE_NAMES[:7], "cached") | {"segment": "edited"}
+    assert video2anim("status", copy).states == before | dict.fromkeys(STAGE_NAMES[8:], "stale")
+    rerun = video2anim(*scene.words(copy), "--until", "place")
+    assert rerun.code == 0, rerun.err
+    assert rerun.states == before | dict.fromkeys(STAGE_NAMES[8:11], "ran")
+    assert file_digest(mask_path) == painted
+    after = payload_digests(copy)
+    assert {name for name in FOLDERS if after[name] != scene.digests[name]} == set(FOLDERS[7:11])
+    states = video2anim("status", copy).states
+    assert states["place"] == "cached"
+    assert states["scene"] == states["export"] == "stale"
+
+
+def test_editing_a_keyframe_keeps_the_edit(scene: Scene, copy: Path) -> None:
+    path = copy / "stages" / "13_keyframes" / "motion.npz"
+    motion = read_motion(path)
+    raised = motion.with_pose(
+        translation_world_m=motion.T_world_root[:, :3, 3] + [0.0, 0.5, 0.0], R_parent_joint=motion.R_parent_joint
+    )
+    write_motion(path, raised)
+    edited = file_digest(path)
+    rerun = video2anim(*scene.words(copy))
+    assert rerun.code == 0, rerun.err
+    expected = dict.fromkeys(STAGE_NAMES[:12], "cached") | {"keyframes": "edited", "refine": "ran", "export": "ran"}
+    assert rerun.states == expected
+    assert file_digest(path) == edited
+    lift_m = read_motion(copy / "motion.npz").joints_world_m - read_motion(scene.folder / "motion.npz").joints_world_m
+    assert 0.2 < np.median(lift_m[:, 0, 1]) < 0.6, "the result follows the edited keyframes"
+    again = video2anim(*scene.words(copy))
+    assert again.states == expected | {"refine": "cached", "export": "cached"}
+
+
+def test_late_option_reruns_late_stages_only(scene: Scene, copy: Path) -> None:
+    changed = video2anim(*scene.words(copy, refine__low_pass_hz="5.0"))
+    assert changed.code == 0, changed.err
+    assert changed.states == dict.fromkeys(STAGE_NAMES[:13], "cached") | {"refine": "ran", "export": "ran"}
+    assert json.loads((copy / "run.json").read_text())["config"]["refine"]["low_pass_hz"] == 5.0
+    # `stage` and `status` use the settings the folder was made with.
+    assert set(video2anim("status", copy).states.values()) == {"cached"}
+
+
+def test_from_until_and_stage(scene: Scene, copy: Path) -> None:
+    rerun = video2anim(*scene.words(copy), "--from", "complete", "--until", "place")
+    assert rerun.code == 0, rerun.err
+    assert rerun.states == dict.fromkeys(STAGE_NAMES[:8], "cached") | dict.fromkeys(STAGE_NAMES[8:11], "ran")
+    one = video2anim("stage", "segment", copy)
+    assert one.code == 0, one.err
+    assert one.states == dict.fromkeys(STAGE_NAMES[:7], "cached") | {"segment": "ran"}
+    assert payload_digests(copy) == scene.digests, "the same work gives the same bytes"
+    assert set(video2anim("status", copy).states.values()) == {"cached"}
+
+
+def test_works_where_the_video_is_gone(copy: Path) -> None:
+    """`status`, `show`, `export` and `stage` after `ingest` need only the folder."""
+    record = json.loads((copy / "run.json").read_text())
+    record["input_path"] = "/nowhere/clip.mp4"
+    (copy / "run.json").write_text(json.dumps(record))
+    assert set(video2anim("status", copy).states.values()) == {"cached"}
+    assert video2anim("stage", "segment", copy).code == 0
+    gone = video2anim("stage", "ingest", copy)
+    assert gone.code == 3
+    assert "/nowhere/clip.mp4" in gone.err
+    assert set(video2anim("status", copy).states.values()) == {"cached"}, "the failed stage kept its old result"
+
+
+@pytest.mark.parametrize("stage", STAGE_NAMES)
+def test_show(scene: Scene, stage: str) -> None:
+    answer = video2anim("show", scene.folder, stage)
+    assert answer.code == 0, answer.err
+    assert f"stage: {stage}" in answer.out
+    assert "key: " in answer.out
+    assert "value.json" in answer.out
+
+
+@pytest.mark.parametrize(
+    ("name", "made"),
+    [("glb", "scene.glb"), ("bvh", "motion.bvh"), ("amass", "motion_amass.npz"), ("usd", "scene.usdc"), ("fbx-ready", ".glb")],
+)
+def test_export_format(scene: Scene, tmp_path: Path, name: str, made: str) -> None:
+    answer = video2anim("export", scene.folder, "--format", name, "--out", tmp_path / "new")
+    assert answer.code == 0, answer.err
+    written = [path for path in (tmp_path / "new").rglob("*") if path.is_file()]
+    assert any(path.name.endswith(made) for path in written), written
+    assert all(path.stat().st_size for path in written)
+    if name in ("bvh", "amass"):
+        assert file_digest(tmp_path / "new" / made) == file_digest(scene.folder / made)
+
+
+def test_screenshots_of_all_motions(scene: Scene, tmp_path: Path) -> None:
+    pictures = {}
+    for motion in ("raw", "keyframes", "refined"):
+        path = tmp_path / f"{motion}.png"
+        answer = video2anim("view", scene.folder, "--screenshot", path, "--frame", "20", "--motion", motion)
+        assert answer.code == 0, answer.err
+        pictures[motion] = cv2.imread(str(path))
+        assert pictures[motion].std() > 5
+    assert (pictures["raw"] != pictures["refined"]).any()
+
+
+MOMENTS = (
+    ".unfinished-02_track-*",
+    "03_camera",
+    ".unfinished-04_humans-*",
+    ".unfinished-12_scene-*",
+    ".unfinished-15_export-*/preview.mp4",
+    "15_export",
+)
+"""While tracking, right after a rename, in two fits, in a half-written stage, and before results are placed."""
+
+
+def kill_when(words: list[str], folder: Path, pattern: str) -> None:
+    """Start a run and SIGKILL it with all its children as soon as a path appears under `stages/`."""
+    command, environment = command_line(*words)
+    run = subprocess.Popen(
+        command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    deadline = time.monotonic() + 200
+    while not any((folder / "stages").glob(pattern)):
+        assert run.poll() is None, f"the run ended before {pattern} appeared"
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    os.killpg(run.pid, signal.SIGKILL)
+    assert run.wait() == -signal.SIGKILL
+
+
+def test_killed_runs_resume_to_the_same_result(scene: Scene, tmp_path: Path) -> None:
+    folder = tmp_path / "killed"
+    for pattern in MOMENTS:
+        kill_when(scene.words(folder), folder, pattern)
+        whole = {path.name for path in (folder / "stages").iterdir() if not path.name.startswith(".")}
+        for name, digest in payload_digests(folder).items():
+            assert not (name in whole and digest != scene.digests[name]), f"{name} is there but not whole"
+    last = process(*scene.words(folder))
+    assert last.code == 0, last.err
+    assert last.states == dict.fromkeys(STAGE_NAMES, "cached"), "what was whole is not made again"
+    assert payload_digests(folder) == scene.digests
+    assert not list(folder.rglob(".unfinished-*"))
+    assert {path.name for path in folder.iterdir()} == {path.name for path in scene.folder.iterdir()}
+    for name in RESULTS:
+        if name not in ("run.json", "report.html"):  # these tell wall times
+            assert file_digest(folder / name) == file_digest(scene.folder / name), name
+
+
+def test_two_runs_do_not_meet_in_one_folder(scene: Scene, copy: Path) -> None:
+    from video2anim.pipeline.scene_folder import locked
+
+    with locked(copy):
+        answer = video2anim(*scene.words(copy))
+    assert answer.code == 2
+    assert "another video2anim run" in answer.err
