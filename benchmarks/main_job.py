@@ -1,0 +1,156 @@
+"""The main job on real clips: time, memory and, where a reference exists, the accuracy of the humans stage.
+
+    python benchmarks/main_job.py --media ../shared/media --out benchmarks/results
+
+Every clip runs in a fresh process and a fresh scene folder with the embedded preset. Pose numbers are against the
+triangulated reference of the Pose2Sim clips: 12 limb joints, millimetres, mean over frames; raw BlazePose world
+landmarks of the same run stand beside them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from scenemi.metrics import mpjpe_m, pa_mpjpe_m, root_relative_mpjpe_m
+from video2anim.artifacts.codec import read_value
+from video2anim.artifacts.motion_io import read_motion
+from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.types import PersonTracks, VideoClip
+
+LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+JOINTS = [JOINT_INDEX[f"{side}_{part}"] for part in LIMBS for side in ("left", "right")]
+LANDMARKS = [11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28]
+HIPS = slice(6, 8)
+CLIPS = ("sports2d_demo", "pose2sim_single_cam01", "pose2sim_single_cam02", "sam2_bedroom")
+
+
+def main() -> None:
+    """Run the clips, print the tables, write the JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--media", type=Path, default=Path("../shared/media"))
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
+    parser.add_argument("--clips", nargs="*", default=CLIPS)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="main_job-") as work:
+        rows = [measure(options.media, name, Path(work) / name) for name in options.clips]
+    report = {
+        "date": datetime.date.today().isoformat(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "seed": 0,
+        "clips": rows,
+    }
+    options.out.mkdir(parents=True, exist_ok=True)
+    target = options.out / f"main_job-{report['date']}.json"
+    target.write_text(json.dumps(report, indent=1) + "\n")
+    sys.stdout.write(tables(report) + f"\n{target}\n")
+
+
+def measure(media: Path, name: str, scene_dir: Path) -> dict[str, object]:
+    """One clip: wall time of the whole command, stage table, peak memory, accuracy, and the time of a cached run."""
+    command = [sys.executable, "-m", "video2anim.cli.main", "run", str(media / "videos" / f"{name}.mp4")]
+    command += ["--out", str(scene_dir)]
+    started = time.perf_counter()
+    subprocess.run(command, check=True, capture_output=True)
+    wall_s = time.perf_counter() - started
+    peak_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e6
+    started = time.perf_counter()
+    subprocess.run(command, check=True, capture_output=True)
+    cached_s = time.perf_counter() - started
+    stages = [json.loads(p.read_text()) for p in sorted(scene_dir.glob("stages/*/manifest.json"))]
+    clip = read_value(VideoClip, scene_dir / "stages" / "01_ingest")
+    row: dict[str, object] = {
+        "clip": name,
+        "frames": clip.frame_count,
+        "wall_s": wall_s,
+        "frames_per_s": clip.frame_count / wall_s,
+        "peak_mb_so_far": peak_mb,
+        "peak_mb": max(s["peak_memory_mb"] for s in stages),
+        "cached_s": cached_s,
+        "stages": {s["stage"]: {"wall_s": s["wall_time_s"], "peak_mb": s["peak_memory_mb"]} for s in stages},
+        "quality": {s["stage"]: {q["name"]: q["value"] for q in s["qualities"]} for s in stages},
+    }
+    reference = media / "reference" / f"{name}_joints.npz"
+    if reference.is_file():
+        row["accuracy"] = accuracy(scene_dir, clip, reference)
+    return row
+
+
+def accuracy(scene_dir: Path, clip: VideoClip, reference: Path) -> dict[str, float]:
+    """Humans stage and raw landmarks against the reference, at the reference frames nearest in time."""
+    with np.load(reference, allow_pickle=False) as archive:
+        nearest = np.abs(archive["frame_time_s"][None] - clip.frame_time_s[:, None]).argmin(1)
+        truth = archive["landmarks_camera_m"][nearest][:, LANDMARKS]
+    camera = json.loads(reference.with_name(reference.name.replace("_joints.npz", ".json")).read_text())
+    motion = read_motion(scene_dir / "stages" / "04_humans" / "motion.npz")
+    raw = read_value(PersonTracks, scene_dir / "stages" / "02_track").selected()[0].landmarks_m[:, LANDMARKS]
+    fitted = motion.joints_camera_m[:, JOINTS]
+    keep = np.isfinite(truth).all((1, 2)) & motion.valid
+    up_camera = motion.T_world_camera[0, 1, :3]
+    true_up = np.array(camera["R_camera_world"])[:, 2]
+    root_error_m = np.linalg.norm((fitted - truth)[keep][:, HIPS].mean(1), axis=-1)
+    found = {
+        "focal_error_percent": 100 * abs(motion.intrinsics.fx_px / camera["fx"] - 1),
+        "up_error_deg": float(np.degrees(np.arccos(np.clip(up_camera @ true_up, -1, 1)))),
+        "root_error_m": float(np.median(root_error_m)),
+        "compared_frames": int(keep.sum()),
+    }
+    for label, joints in (("fit", fitted), ("raw", raw)):
+        found[f"pa_mpjpe_mm_{label}"] = 1000 * pa_mpjpe_m(joints[keep], truth[keep])
+        found[f"root_relative_mpjpe_mm_{label}"] = 1000 * mpjpe_m(centered(joints[keep]), centered(truth[keep]))
+        found[f"acceleration_error_m_s2_{label}"] = acceleration_error(centered(joints), centered(truth), clip.fps)
+    return found
+
+
+def centered(joints_m: np.ndarray) -> np.ndarray:
+    """Joints against the middle of the hips."""
+    return joints_m - joints_m[:, HIPS].mean(1, keepdims=True)
+
+
+def acceleration_error(joints_m: np.ndarray, truth_m: np.ndarray, fps: float) -> float:
+    """Mean norm of the difference of accelerations; frames with a missing joint are left out."""
+    difference = (np.diff(joints_m, 2, axis=0) - np.diff(truth_m, 2, axis=0)) * fps**2
+    return float(np.nanmean(np.linalg.norm(difference, axis=-1)))
+
+
+def tables(report: dict[str, object]) -> str:
+    """Markdown for the README."""
+    lines = [f"{report['machine']}, {report['date']}, seed {report['seed']}", ""]
+    rows = report["clips"]
+    lines += ["| clip | frames | whole run | frames/s | peak memory | second run |", "|---|---|---|---|---|---|"]
+    for r in rows:  # type: ignore[attr-defined]
+        lines.append(
+            f"| {r['clip']} | {r['frames']} | {r['wall_s']:.0f} s | {r['frames_per_s']:.1f} | "
+            f"{r['peak_mb'] / 1000:.2f} GB | {r['cached_s']:.1f} s |"
+        )
+    lines += ["", "| clip | PA-MPJPE (raw) | root-relative MPJPE (raw) | root | focal | up | acceleration (raw) |"]
+    lines += ["|---|---|---|---|---|---|---|"]
+    for r in rows:  # type: ignore[attr-defined]
+        if "accuracy" in r:
+            a = r["accuracy"]
+            lines.append(
+                f"| {r['clip']} | {a['pa_mpjpe_mm_fit']:.1f} ({a['pa_mpjpe_mm_raw']:.1f}) mm | "
+                f"{a['root_relative_mpjpe_mm_fit']:.1f} ({a['root_relative_mpjpe_mm_raw']:.1f}) mm | "
+                f"{a['root_error_m']:.2f} m | {a['focal_error_percent']:.1f} % | {a['up_error_deg']:.1f} deg | "
+                f"{a['acceleration_error_m_s2_fit']:.1f} ({a['acceleration_error_m_s2_raw']:.1f}) m/s2 |"
+            )
+    stages = list(rows[0]["stages"])  # type: ignore[index]
+    lines += ["", "| stage | " + " | ".join(r["clip"] for r in rows) + " |", "|---" * (len(rows) + 1) + "|"]  # type: ignore[attr-defined]
+    for stage in stages:
+        lines.append(f"| {stage} | " + " | ".join(f"{r['stages'][stage]['wall_s']:.1f} s" for r in rows) + " |")  # type: ignore[attr-defined]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
