@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scenemi.metrics import mpjpe_m, pa_mpjpe_m, root_relative_mpjpe_m
+from scenemi.metrics import mpjpe, pa_mpjpe
 from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.body.skeleton import JOINT_INDEX
@@ -107,8 +107,8 @@ def accuracy(scene_dir: Path, clip: VideoClip, reference: Path) -> dict[str, flo
         "compared_frames": int(keep.sum()),
     }
     for label, joints in (("fit", fitted), ("raw", raw)):
-        found[f"pa_mpjpe_mm_{label}"] = 1000 * pa_mpjpe_m(joints[keep], truth[keep])
-        found[f"root_relative_mpjpe_mm_{label}"] = 1000 * mpjpe_m(centered(joints[keep]), centered(truth[keep]))
+        found[f"pa_mpjpe_mm_{label}"] = 1000 * pa_mpjpe(joints[keep], truth[keep])
+        found[f"root_relative_mpjpe_mm_{label}"] = 1000 * mpjpe(centered(joints[keep]), centered(truth[keep]))
         found[f"acceleration_error_m_s2_{label}"] = acceleration_error(centered(joints), centered(truth), clip.fps)
     return found
 
