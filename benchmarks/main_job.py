@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scenemi.metrics import mpjpe, pa_mpjpe
+from scenemi.metrics import align_similarity
 from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.body.skeleton import JOINT_INDEX
@@ -96,21 +96,34 @@ def accuracy(scene_dir: Path, clip: VideoClip, reference: Path) -> dict[str, flo
     motion = read_motion(scene_dir / "stages" / "04_humans" / "motion.npz")
     raw = read_value(PersonTracks, scene_dir / "stages" / "02_track").selected()[0].landmarks_m[:, LANDMARKS]
     fitted = motion.joints_camera_m[:, JOINTS]
-    keep = np.isfinite(truth).all((1, 2)) & motion.valid
+    truth[~motion.valid] = np.nan
     up_camera = motion.T_world_camera[0, 1, :3]
     true_up = np.array(camera["R_camera_world"])[:, 2]
-    root_error_m = np.linalg.norm((fitted - truth)[keep][:, HIPS].mean(1), axis=-1)
+    root_error_m = np.linalg.norm((fitted - truth)[:, HIPS].mean(1), axis=-1)
     found = {
         "focal_error_percent": 100 * abs(motion.intrinsics.fx_px / camera["fx"] - 1),
         "up_error_deg": float(np.degrees(np.arccos(np.clip(up_camera @ true_up, -1, 1)))),
-        "root_error_m": float(np.median(root_error_m)),
-        "compared_frames": int(keep.sum()),
+        "root_error_m": float(np.nanmedian(root_error_m)),
+        "compared_joints": int(np.isfinite(truth[..., 0]).sum()),
     }
     for label, joints in (("fit", fitted), ("raw", raw)):
-        found[f"pa_mpjpe_mm_{label}"] = 1000 * pa_mpjpe(joints[keep], truth[keep])
-        found[f"root_relative_mpjpe_mm_{label}"] = 1000 * mpjpe(centered(joints[keep]), centered(truth[keep]))
+        found[f"pa_mpjpe_mm_{label}"] = pa_mpjpe_mm(joints, truth)
+        found[f"root_relative_mpjpe_mm_{label}"] = 1000 * float(
+            np.nanmean(np.linalg.norm(centered(joints) - centered(truth), axis=-1))
+        )
         found[f"acceleration_error_m_s2_{label}"] = acceleration_error(centered(joints), centered(truth), clip.fps)
     return found
+
+
+def pa_mpjpe_mm(joints_m: np.ndarray, truth_m: np.ndarray) -> float:
+    """Mean over frames of the error after a similarity alignment of the joints that the reference has."""
+    errors = []
+    for joints, truth in zip(joints_m, truth_m, strict=True):
+        seen = np.isfinite(truth[:, 0])
+        if seen.sum() >= 4:
+            aligned = align_similarity(joints[seen], truth[seen], with_scale=True)(joints[seen])
+            errors.append(np.linalg.norm(aligned - truth[seen], axis=-1).mean())
+    return 1000 * float(np.mean(errors))
 
 
 def centered(joints_m: np.ndarray) -> np.ndarray:

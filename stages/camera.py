@@ -29,7 +29,7 @@ class CameraConfig:
     """Known standing height of the person."""
     frames: int = 36
     """Frames the lens is fitted to, spread over the clip."""
-    iterations: int = 160
+    iterations: int = 300
     """Steps of the fit."""
 
 
@@ -95,11 +95,11 @@ def _focal(
         known, source, sigma = clip.source.focal_35mm * diagonal / FULL_FRAME_DIAGONAL_MM, "metadata", 0.05
     start = known if known is not None else fit_config.focal_ratio * long_side
 
-    def fit(focal_px: float, free: bool) -> FittedBody:
+    def fit(focal_px: float, free: bool, warm: FittedBody | None = None) -> FittedBody:
         intrinsics = Intrinsics.centered(focal_px, clip.width_px, clip.height_px)
         observed = observations(track, clip.frame_time_s, intrinsics, frames)
         return fit_body(
-            observed, fit_focal=free, config=fit_config, iterations=config.iterations, on_step=ctx.progress
+            observed, fit_focal=free, config=fit_config, iterations=config.iterations, warm=warm, on_step=ctx.progress
         )
 
     body = fit(start, free=known is None)
@@ -107,7 +107,7 @@ def _focal(
         return known, sigma, source, body
     best = body.focal_px
     ratio = 1.25
-    costs = [fit(best / ratio, free=False).cost, body.cost, fit(best * ratio, free=False).cost]
+    costs = [fit(best * step, free=False, warm=body).cost for step in (1 / ratio, 1.0, ratio)]
     curvature = (costs[0] - 2 * costs[1] + costs[2]) / math.log(ratio) ** 2
     # The posterior is tempered as the fit's priors are: errors of one clip do not average out.
     per_frame = max(1.0, fit_config.prior_share * len(frames))
@@ -138,4 +138,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         raise UsageError(f"--height-m: want 0.5 to 2.5 metres, got {config.height_m:g}")
 
 
-STAGE = StageSpec("camera", estimate_camera, version=1)
+STAGE = StageSpec("camera", estimate_camera, version=2)

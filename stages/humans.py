@@ -20,7 +20,7 @@ class HumansConfig:
 
     height_m: float | None = None
     """Known standing height of the person; else the adult mean under the evidence of the picture."""
-    iterations: int = 250
+    iterations: int = 400
     """Steps of the fit."""
 
 
@@ -137,4 +137,4 @@ def _record(motion: BodyMotion, fit: FittedBody, reprojection_px: float, spread_
         ctx.warn(f"the person is seen in {motion.valid.mean():.0%} of the frames only; the rest is bridged")
 
 
-STAGE = StageSpec("humans", recover_humans, version=2)
+STAGE = StageSpec("humans", recover_humans, version=3)

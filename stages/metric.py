@@ -68,7 +68,7 @@ def fit_metric(
     fit = verdict.fit
     if not verdict.trusted:
         ctx.warn(f"metric: depth scale is not trusted: {verdict.reason}")
-    if fit.chamfer_before_m > 0:
+    if np.isfinite(fit.chamfer_before_m):
         ctx.quality("chamfer_before", fit.chamfer_before_m, "m", "lower")
         ctx.quality("chamfer_after", fit.chamfer_after_m, "m", "lower")
     ctx.quality("scale_sigma_ratio", fit.scale_sigma / fit.scale, "1", "lower")
@@ -164,10 +164,10 @@ def _fit_to_floor(depth: DepthClip, bodies: BodyTracks, frames: int) -> _Verdict
     why = f"the person is seen standing with reliable depth in {frames} sampled frames only"
     if T_world_camera[1, 3] <= 0.05 or ratio.size < 50:
         reason = f"{why}, and the floor is not in the picture: no depth is metric"
-        return _Verdict(DepthFit(1.0, 0.0, 1.0, 1.0, 0.0, 0.0), False, reason, metric=False)
+        return _Verdict(DepthFit(1.0, 0.0, 1.0, 1.0, np.nan, np.nan), False, reason, metric=False)
     low_scale, scale, high_scale = np.percentile(ratio, [16, 50, 84])
     sigma = float(max(high_scale - low_scale, 0.1 * scale))
-    fit = DepthFit(float(scale), 0.0, sigma, 0.0, 0.0, 0.0)
+    fit = DepthFit(float(scale), 0.0, sigma, 0.0, np.nan, np.nan)
     return _Verdict(fit, False, f"{why}; the scale is that of the floor below the camera")
 
 
@@ -183,8 +183,8 @@ def _apply(depth: DepthClip, bodies: BodyTracks, verdict: _Verdict) -> MetricDep
         offset_m=fit.offset,
         scale_sigma=fit.scale_sigma,
         offset_sigma=fit.offset_sigma,
-        chamfer_before_m=fit.chamfer_before_m,
-        chamfer_after_m=fit.chamfer_after_m,
+        chamfer_before_m=_if_measured(fit.chamfer_before_m),
+        chamfer_after_m=_if_measured(fit.chamfer_after_m),
         trusted=verdict.trusted,
         reason=verdict.reason,
         frame_index=depth.frame_index,
@@ -205,6 +205,10 @@ def _finite_depth(
     depth_m = metric_depth(depth.kind, value, fit.scale, fit.offset)
     sane = np.isfinite(depth_m)
     return np.where(sane, depth_m, 1e3).astype(np.float32), valid & sane
+
+
+def _if_measured(value_m: float) -> float | None:
+    return float(value_m) if np.isfinite(value_m) else None
 
 
 STAGE = StageSpec("metric", fit_metric, version=1)

@@ -62,12 +62,12 @@ def place_objects(
         points_m = _depth_points(visible[found.object_id], depth, bodies.people[0])
         placed.append(_place_one(found, points_m, depth, bodies.people[0], config, ctx))
         ctx.progress(done + 1, len(meshes.objects))
-    measured = [p for p in placed if p.chamfer_before_m > 0]
+    measured = [(p.chamfer_before_m, p.chamfer_after_m) for p in placed if p.chamfer_before_m is not None]
     ctx.quality("objects", len(placed), "objects")
     ctx.quality("trusted", sum(p.trusted for p in placed), "objects", "higher")
     if measured:
-        ctx.quality("chamfer_before", float(np.mean([p.chamfer_before_m for p in measured])), "m", "lower")
-        ctx.quality("chamfer_after", float(np.mean([p.chamfer_after_m for p in measured])), "m", "lower")
+        ctx.quality("chamfer_before", float(np.mean([before for before, _ in measured])), "m", "lower")
+        ctx.quality("chamfer_after", float(np.mean([after for _, after in measured])), "m", "lower")
     return PlacedObjects(tuple(placed))
 
 
@@ -82,7 +82,7 @@ def _place_one(
     from video2anim.geometry.placement import Placement, place
 
     if len(points_m) < config.least_points:
-        fit = Placement(found.T_world_object, 1.0, 0.0, 0.0)
+        fit = Placement(found.T_world_object, 1.0, np.nan, np.nan)
         problem = f"only {len(points_m)} reliable depth pixels (want {config.least_points}); pose is the first guess"
     else:
         turns = config.extrusion_yaw_starts_deg if found.method.startswith("extrusion") else config.yaw_starts_deg
@@ -107,8 +107,8 @@ def _place_one(
         mesh=found.mesh,
         scale=fit.scale,
         T_world_object=fit.T_world_object,
-        chamfer_before_m=fit.chamfer_before_m,
-        chamfer_after_m=fit.chamfer_after_m,
+        chamfer_before_m=fit.chamfer_before_m if np.isfinite(fit.chamfer_before_m) else None,
+        chamfer_after_m=fit.chamfer_after_m if np.isfinite(fit.chamfer_after_m) else None,
         trusted=not problem,
         reason=problem or f"fitted to {len(points_m)} depth points",
     )

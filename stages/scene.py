@@ -149,7 +149,7 @@ def _supports(objects: list[PlacedObject], bodies: BodyTracks, ctx: StageContext
             T_world_object[[0, 2], 3] = middle
             mesh = box_mesh(float(size[0]), support.top_m, float(size[1]))
             reason = f"inferred: feet rested here in {support.frames} foot-frames"
-            made.append(PlacedObject(number, SUPPORT, mesh, 1.0, T_world_object, 0.0, 0.0, True, reason))
+            made.append(PlacedObject(number, SUPPORT, mesh, 1.0, T_world_object, None, None, True, reason))
             ctx.warn(
                 f"a support of {support.top_m:.2f} m height is inferred from where the feet of person "
                 f"{motion.person_id} rested; its sides are unknown"

@@ -84,8 +84,7 @@ class _Reader:
         self.arrays: dict[str, np.ndarray] = {}
         for name in (_ARRAYS, _MASKS):
             if (folder / name).exists():
-                with np.load(folder / name, allow_pickle=False) as archive:
-                    self.arrays.update({key: archive[key] for key in archive.files})
+                self.arrays |= _read_arrays(folder / name)
 
     def decode(self, data: Any, hint: Any) -> Any:
         if isinstance(data, dict) and "$array" in data:
@@ -112,6 +111,22 @@ class _Reader:
         return data
 
 
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    try:
+        # Opened here: where the archive is damaged, `np.load` would leave its own handle open.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
+            return {key: archive[key] for key in archive.files}
+    except Exception as error:  # zipfile and zlib raise classes of their own
+        raise ValueError(f"{path.name} is damaged ({error})") from error
+
+
+def _read_structure(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise ValueError(f"{path.name} is damaged ({error})") from error
+
+
 def read_value(kind: type, folder: Path) -> Any:
     """Read a dataclass of the given type from a stage folder.
 
@@ -119,7 +134,7 @@ def read_value(kind: type, folder: Path) -> Any:
         ArtifactError: a file is missing, damaged or does not fit the type.
     """
     try:
-        return _Reader(folder).decode(json.loads((folder / _JSON).read_text()), kind)
+        return _Reader(folder).decode(_read_structure(folder / _JSON), kind)
     except ArtifactError:
         raise
     except Exception as error:  # damaged zip, PNG, PLY and JSON raise many classes

@@ -50,4 +50,6 @@ def read_manifest(folder: Path) -> Manifest:
     try:
         return Manifest(**json.loads(path.read_text()))
     except (OSError, ValueError, TypeError) as error:
-        raise ArtifactError(f"manifest: want {path} as written by a stage, got {error}") from error
+        raise ArtifactError(
+            f"manifest: want {path} as written by a stage, got {error}; delete the folder {folder} and run again"
+        ) from error

@@ -49,7 +49,8 @@ def read_motion(path: Path) -> BodyMotion:
         ArtifactError: the file is missing, unreadable, lacks a key, has a wrong shape or holds NaN.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # Opened here: where the archive is damaged, `np.load` would leave its own handle open.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             arrays = {key: archive[key] for key in archive.files}
     except (OSError, ValueError, EOFError, KeyError) as error:
         raise ArtifactError(f"motion file: want a readable .npz, got {error} at {path}") from error

@@ -193,10 +193,11 @@ def _device(wanted: str) -> str:
 
 def run() -> None:
     """Entry point: expected failures become one line and an exit code."""
+    debug = "--debug" in sys.argv  # wherever it stands
     try:
-        app(standalone_mode=True)
+        app(args=[word for word in sys.argv[1:] if word != "--debug"], standalone_mode=True)
     except Video2AnimError as error:
-        if "--debug" in sys.argv:
+        if debug:
             raise
         typer.echo(f"video2anim: {' '.join(str(error).split())}", err=True)
         sys.exit(error.exit_code)

@@ -16,7 +16,7 @@ from video2anim.artifacts.folder import file_digest
 from video2anim.cli.compose import open_scene
 from video2anim.errors import InputError, ModelMissingError, UsageError
 from video2anim.pipeline.runner import Runner, StageStatus
-from video2anim.pipeline.scene_folder import RunRecord
+from video2anim.pipeline.scene_folder import RESULT_ASIDE, RunRecord
 from video2anim.types import (
     BodyTracks,
     CameraEstimate,
@@ -169,7 +169,7 @@ def _replace_text(target: Path, text: str) -> None:
 
 def _into_place(target: Path, write: Callable[[str], Any]) -> None:
     """Write aside and rename, so that a result file is never half there."""
-    handle, name = tempfile.mkstemp(prefix=".new-", dir=target.parent)
+    handle, name = tempfile.mkstemp(prefix=RESULT_ASIDE, dir=target.parent)
     os.close(handle)
     try:
         write(name)

@@ -28,6 +28,7 @@ def fit_body(
     shape: dict[str, float] | None = None,
     config: FitConfig | None = None,
     iterations: int = 250,
+    warm: FittedBody | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> FittedBody:
     """Fit rotations, translation and shape (and the focal length, if asked) to landmarks over time.
@@ -36,6 +37,7 @@ def fit_body(
         observed: landmarks; its intrinsics give the centre and the first focal length.
         fit_focal: treat the focal length as unknown under the prior of `config`.
         shape: Anny phenotypes to start from (default: mean adult).
+        warm: an earlier fit of the same frames to start from, possibly under another focal length.
 
     Raises:
         StageError: fewer than one valid frame.
@@ -44,7 +46,7 @@ def fit_body(
         raise StageError("body fit: want at least one frame with landmarks, got none")
     base = dict(shape or ADULT)
     objective = Objective(observed, anny_model(), base, config or FitConfig())
-    parameters = _start(observed, objective)
+    parameters = _start(observed, objective) if warm is None else _start_warm(observed, warm, base)
     leaves = [parameters.root_rot6d, parameters.angles_rad, parameters.translation_m, parameters.shape_offset]
     rates = [0.02, 0.02, 0.02, 0.01]
     if fit_focal:
@@ -92,6 +94,23 @@ def _start(observed: Observations, objective: Objective) -> Parameters:
     return Parameters(
         leaf(rot6d_from_matrix(local[:, 0])), leaf(angles), leaf(translation),
         torch.zeros(len(SHAPE_PARAMETERS)), torch.tensor(float(np.log(observed.intrinsics.fx_px))),
+    )  # fmt: skip
+
+
+def _start_warm(observed: Observations, warm: FittedBody, base: dict[str, float]) -> Parameters:
+    """The earlier body, moved along the line of sight so that it keeps its size in the picture."""
+    translation = warm.translation_camera_m.copy()
+    translation[:, 2] *= observed.intrinsics.fx_px / warm.focal_px
+    offset = [warm.shape.parameters[name] - base[name] for name in SHAPE_PARAMETERS]
+
+    def leaf(array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).float()
+
+    return Parameters(
+        leaf(rot6d_from_matrix(warm.R_parent_joint[:, 0])),
+        leaf(axis_angle_from_matrix(warm.R_parent_joint[:, 1:])),
+        leaf(translation), torch.tensor(offset, dtype=torch.float32),
+        torch.tensor(float(np.log(observed.intrinsics.fx_px))),
     )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import typing
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,7 +82,10 @@ def parse_set(assignments: Iterable[str]) -> dict[str, Any]:
         parts = key.split(".")
         if not sign or len(parts) > 2 or not all(parts):
             raise UsageError(f"--set: want STAGE.OPTION=VALUE, got {text!r}")
-        parsed = yaml.safe_load(value)
+        try:
+            parsed = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise UsageError(f"--set: want STAGE.OPTION=VALUE with a YAML value, got {text!r}") from error
         if len(parts) == 1:
             overrides[parts[0]] = parsed
         else:
@@ -112,7 +116,7 @@ def resolve(nodes: Sequence[Node], preset: str, layers: Sequence[tuple[str, Mapp
                 if option not in known:
                     near = _suggest(option, known, prefix=f"{key}.")
                     raise UsageError(f"{source}: unknown key '{key}.{option}'{near}")
-            merged[key].update(value)
+            merged[key].update(_names_as_text(types[key], value))
     stages = {name: _checked(types[name], options, name) for name, options in merged.items()}
     return PipelineConfig(preset, seed, stages)
 
@@ -124,6 +128,15 @@ def _checked(kind: type, value: Any, where: str) -> Any:
         first = error.errors()[0]
         location = ".".join([where, *(str(part) for part in first["loc"])])
         raise UsageError(f"{location}: {first['msg'].lower()}, got {first['input']!r}") from error
+
+
+def _names_as_text(kind: type, options: Mapping[str, Any]) -> dict[str, Any]:
+    """YAML reads a name such as the person ID `1` as a number; options that want text get it as text."""
+    hints = typing.get_type_hints(kind)
+    return {
+        name: str(value) if hints[name] is str and type(value) in (int, float) else value
+        for name, value in options.items()
+    }
 
 
 def _suggest(key: str, known: Sequence[str], prefix: str = "") -> str:

@@ -15,6 +15,8 @@ from typing import Any
 from video2anim.errors import ArtifactError, InputError, UsageError
 
 STAGES = "stages"
+RECORD_ASIDE, RESULT_ASIDE = ".run-", ".new-"
+"""How the names of files begin that are written aside, to be renamed when whole."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +46,32 @@ def read_record(scene_dir: Path) -> RunRecord:
     try:
         return RunRecord(**json.loads(path.read_text()))
     except (ValueError, TypeError) as error:
-        raise ArtifactError(f"run.json: damaged ({error}) at {path}; run `video2anim run VIDEO --out {scene_dir}`") from error
+        raise ArtifactError(
+            f"run.json: damaged ({error}) at {path}; delete that file and run `video2anim run VIDEO --out {scene_dir}`, "
+            "finished stages are kept"
+        ) from error
 
 
 def write_record(scene_dir: Path, record: RunRecord) -> None:
-    """Replace `run.json` in one rename."""
-    handle, name = tempfile.mkstemp(prefix=".run-", dir=scene_dir)
-    with os.fdopen(handle, "w") as stream:
-        stream.write(json.dumps(asdict(record), indent=1) + "\n")
-    os.chmod(name, 0o644)
-    os.replace(name, scene_dir / "run.json")
+    """Replace `run.json` in one rename.
+
+    Raises:
+        InputError: it cannot be written, for example because the disk is full.
+    """
+    name = ""
+    try:
+        handle, name = tempfile.mkstemp(prefix=RECORD_ASIDE, dir=scene_dir)
+        with os.fdopen(handle, "w") as stream:
+            stream.write(json.dumps(asdict(record), indent=1) + "\n")
+        os.chmod(name, 0o644)
+        os.replace(name, scene_dir / "run.json")
+    except OSError as error:
+        if name:
+            Path(name).unlink(missing_ok=True)
+        raise InputError(
+            f"--out: could not write run.json ({(error.strerror or str(error)).lower()}) in {scene_dir}; "
+            "free space or choose another folder, finished stages are kept"
+        ) from error
 
 
 def prepare(scene_dir: Path) -> None:
@@ -76,10 +94,24 @@ def locked(scene_dir: Path) -> Iterator[None]:
 
     Raises:
         UsageError: another run holds it.
+        InputError: the folder cannot be written.
     """
-    with (scene_dir / ".lock").open("w") as stream:
+    try:
+        held = (scene_dir / ".lock").open("w")
+    except OSError as error:
+        raise InputError(f"--out: want a folder that can be written, got {error.strerror} at {scene_dir}") from error
+    with held as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise UsageError(f"{scene_dir}: another video2anim run is at work here; wait for it to end") from error
+        _remove_leftovers(scene_dir)
         yield
+
+
+def _remove_leftovers(scene_dir: Path) -> None:
+    """Delete the files that a killed run was writing aside."""
+    for folder in (scene_dir, scene_dir / "objects"):
+        for prefix in (RECORD_ASIDE, RESULT_ASIDE):
+            for path in folder.glob(f"{prefix}*"):
+                path.unlink(missing_ok=True)

@@ -62,8 +62,9 @@ class MetricDepth:
     """Metres for kind `depth`, 1/metres for `disparity`."""
     scale_sigma: float
     offset_sigma: float
-    chamfer_before_m: float
-    chamfer_after_m: float
+    chamfer_before_m: float | None
+    """None where no fit was possible."""
+    chamfer_after_m: float | None
     trusted: bool
     """False where the person covers too little to fix the scale."""
     reason: str
@@ -142,8 +143,9 @@ class PlacedObject:
     mesh: Mesh
     scale: float
     T_world_object: Float[np.ndarray, "4 4"]
-    chamfer_before_m: float
-    chamfer_after_m: float
+    chamfer_before_m: float | None
+    """None where no fit was possible or needed."""
+    chamfer_after_m: float | None
     trusted: bool
     reason: str
 
