@@ -27,15 +27,13 @@ class CameraConfig:
     """Known focal length in pixels of the upright video; nothing is estimated then."""
     height_m: float | None = None
     """Known standing height of the person."""
-    frames: int = 36
+    frames: int = 24
     """Frames the lens is fitted to, spread over the clip."""
     iterations: int = 300
     """Steps of the fit."""
 
 
-def estimate_camera(
-    clip: VideoClip, tracks: PersonTracks, config: CameraConfig, ctx: StageContext
-) -> CameraEstimate:
+def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig, ctx: StageContext) -> CameraEstimate:
     """Intrinsics and gravity of the first frame's camera.
 
     The focal length of a person's video shows in the perspective of the body itself and in how its size changes with
@@ -99,8 +97,9 @@ def _focal(
         intrinsics = Intrinsics.centered(focal_px, clip.width_px, clip.height_px)
         observed = observations(track, clip.frame_time_s, intrinsics, frames)
         return fit_body(
-            observed, fit_focal=free, config=fit_config, iterations=config.iterations, warm=warm, on_step=ctx.progress
-        )
+            observed, fit_focal=free, config=fit_config, warm=warm, on_step=ctx.progress,
+            iterations=config.iterations if warm is None else config.iterations // 2,
+        )  # fmt: skip
 
     body = fit(start, free=known is None)
     if known is not None:

@@ -33,8 +33,7 @@ def recover_humans(
     R_world_camera = _R_world_camera(camera)
     T_world_camera, spread_m = _world(fits[0], valid[0], R_world_camera, clip.fps)
     people = tuple(
-        _motion(clip, track, fit, camera, T_world_camera)
-        for track, fit in zip(tracks.selected(), fits, strict=True)
+        _motion(clip, track, fit, camera, T_world_camera) for track, fit in zip(tracks.selected(), fits, strict=True)
     )
     reprojection = tuple(float(np.nanmedian(fit.reprojection_px)) for fit in fits)
     _record(people[0], fits[0], reprojection[0], spread_m, ctx)
@@ -52,9 +51,7 @@ def _fit(
     if config.height_m is not None:
         fit_config = replace(fit_config, stature_m=config.height_m, stature_sigma_m=0.01)
     observed = observations(track, clip.frame_time_s, camera.intrinsics)
-    return fit_body(
-        observed, fit_focal=False, config=fit_config, iterations=config.iterations, on_step=ctx.progress
-    )
+    return fit_body(observed, fit_focal=False, config=fit_config, iterations=config.iterations, on_step=ctx.progress)
 
 
 def _R_world_camera(camera: CameraEstimate) -> np.ndarray:
@@ -64,9 +61,7 @@ def _R_world_camera(camera: CameraEstimate) -> np.ndarray:
     return level_frame(camera.up_camera) @ camera.R_first_camera
 
 
-def _world(
-    fit: FittedBody, valid: np.ndarray, R_world_camera: np.ndarray, fps: float
-) -> tuple[np.ndarray, float]:
+def _world(fit: FittedBody, valid: np.ndarray, R_world_camera: np.ndarray, fps: float) -> tuple[np.ndarray, float]:
     """T_world_camera (T, 4, 4) with the floor at y = 0 and the first valid root over the origin; floor spread."""
     from video2anim.fitting.ground import floor_height
 
@@ -128,7 +123,9 @@ def _record(motion: BodyMotion, fit: FittedBody, reprojection_px: float, spread_
 
     ctx.quality("reprojection", reprojection_px, "px", "lower")
     ctx.quality("valid frames", 100 * float(motion.valid.mean()), "%", "higher")
-    ctx.quality("jerk", jerk_m_s3(motion.joints_world_m, 1 / float(np.diff(motion.frame_time_s).mean())), "m/s3", "lower")
+    ctx.quality(
+        "jerk", jerk_m_s3(motion.joints_world_m, 1 / float(np.diff(motion.frame_time_s).mean())), "m/s3", "lower"
+    )
     ctx.quality("planted foot", 100 * float((motion.contact.max(1) > 0.5).mean()), "% of frames")
     ctx.quality("floor spread", spread_m, "m", "lower")
     size = float(np.ptp(fit.rest_joints_m[:, 1]))

@@ -137,9 +137,7 @@ class AnnyModel:
         regressor, names = _keypoint_regressor(source)
         rows = [names.index(name) for name in KEYPOINT_NAMES if name not in _KNUCKLES]
         weights = regressor[rows].float()
-        self._points = torch.cat(
-            [weights @ self._vertices, _y_up(source.template_bone_heads[knuckles]).float()]
-        )
+        self._points = torch.cat([weights @ self._vertices, _y_up(source.template_bone_heads[knuckles]).float()])
         self._point_blend = torch.cat(
             [
                 torch.einsum("kv,bvd->bkd", weights, self._vertex_blend),
@@ -155,9 +153,7 @@ class AnnyModel:
             self._points[keypoint] = self._heads[joint]
             self._point_blend[:, keypoint] = self._head_blend[:, joint]
         knuckle_joint = [JOINT_INDEX[f"{name.split('_')[0]}_wrist"] for name in _KNUCKLES]
-        self.keypoint_weights = torch.cat(
-            [weights @ self.skin_weights, torch.eye(22)[knuckle_joint]]
-        )
+        self.keypoint_weights = torch.cat([weights @ self.skin_weights, torch.eye(22)[knuckle_joint]])
         for name in _JOINT_KEYPOINTS:
             self.keypoint_weights[KEYPOINT_NAMES.index(name)] = torch.eye(22)[JOINT_INDEX[name]]
 

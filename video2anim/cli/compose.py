@@ -117,9 +117,7 @@ def run_video(
         for name in (start, until):
             if name is not None:
                 runner.node(name)
-        record = RunRecord(
-            str(source.path), source.digest, preset, config.seed, config.as_dict(), library_versions()
-        )
+        record = RunRecord(str(source.path), source.digest, preset, config.seed, config.as_dict(), library_versions())
         write_record(scene_dir, record)
         rows = runner.run(start=start, until=until)
         finish(scene_dir, runner, record, rows)
@@ -141,9 +139,7 @@ def open_scene(
     return Runner(scene_dir, nodes, config, source, TableModels(), device=device, on_event=on_event), record
 
 
-def rerun_stage(
-    scene_dir: Path, name: str, *, device: str, on_event: Callable[[Event], None]
-) -> list[StageStatus]:
+def rerun_stage(scene_dir: Path, name: str, *, device: str, on_event: Callable[[Event], None]) -> list[StageStatus]:
     """`video2anim stage NAME DIR`: one stage again, from cached inputs."""
     runner, record = open_scene(scene_dir, device=device, on_event=on_event)
     runner.node(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -193,6 +194,8 @@ def _device(wanted: str) -> str:
 
 def run() -> None:
     """Entry point: expected failures become one line and an exit code."""
+    # Idle OpenMP workers otherwise spin and slow down whatever shares the machine. Read when torch is loaded.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     debug = "--debug" in sys.argv  # wherever it stands
     try:
         app(args=[word for word in sys.argv[1:] if word != "--debug"], standalone_mode=True)

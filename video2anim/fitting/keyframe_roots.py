@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from video2anim.fitting.optimize import one_thread
 from video2anim.geometry.chamfer import ChamferConfig, ChamferLoss, huber_of_square
 from video2anim.geometry.sdf import SdfGrid
 
@@ -68,6 +69,7 @@ class RootProblem:
     scene: SdfGrid
 
 
+@one_thread()
 def solve_root_displacements(
     problem: RootProblem, weights: RootWeights, *, iterations: int, learning_rate_m: float
 ) -> Float[np.ndarray, "keyframes 3"]:

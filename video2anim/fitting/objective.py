@@ -89,7 +89,9 @@ class Prediction:
 class Objective:
     """Negative log posterior of `Parameters` given `Observations`."""
 
-    def __init__(self, observed: Observations, model: AnnyModel, base_shape: dict[str, float], config: FitConfig) -> None:
+    def __init__(
+        self, observed: Observations, model: AnnyModel, base_shape: dict[str, float], config: FitConfig
+    ) -> None:
         self.observed, self.model, self.config = observed, model, config
         self._base_shape = base_shape
         k = observed.intrinsics
@@ -148,7 +150,9 @@ class Objective:
         error = self.residual_px(prediction, parameters) / self._sigma_px[:, None, None]
         data = (self._weight * _huber((error**2).sum(-1), 2.0)).sum()
         data = data + c.landmark_share * self._landmarks_3d(prediction)
-        return data + self._motion(prediction, parameters) + self._pose(parameters) + self._shape(prediction, parameters)
+        return (
+            data + self._motion(prediction, parameters) + self._pose(parameters) + self._shape(prediction, parameters)
+        )
 
     def _landmarks_3d(self, prediction: Prediction) -> torch.Tensor:
         hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]

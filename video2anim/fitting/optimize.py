@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -15,12 +16,24 @@ from video2anim.fitting.initial import (
     translation_from_projection,
 )
 from video2anim.fitting.landmarks import KEYPOINT_INDEX
-from video2anim.fitting.objective import FitConfig, Objective, Parameters, SHAPE_PARAMETERS
+from video2anim.fitting.objective import SHAPE_PARAMETERS, FitConfig, Objective, Parameters
 from video2anim.fitting.problem import FittedBody, Observations
 from video2anim.geometry.rotations import axis_angle_from_matrix, rot6d_from_matrix
 from video2anim.types.motion import BodyShape
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Run torch on one core: these tensors are too small to share, and idle workers spin against other programs."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@one_thread()
 def fit_body(
     observed: Observations,
     *,

@@ -86,5 +86,5 @@ def box_mesh(width_m: float, height_m: float, depth_m: float, rgb: tuple[int, in
     import trimesh
 
     box = trimesh.creation.box(extents=(width_m, height_m, depth_m))
-    vertices = np.asarray(box.vertices, np.float64) + [0.0, 0.5 * height_m, 0.0]
+    vertices = np.asarray(box.vertices, np.float64) + np.array([0.0, 0.5 * height_m, 0.0])
     return Mesh(vertices, np.asarray(box.faces, np.int64), np.tile(np.array(rgb, np.uint8), (len(vertices), 1)))

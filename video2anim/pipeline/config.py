@@ -35,9 +35,7 @@ class PipelineConfig:
 
 def result_config(config: Any) -> dict[str, Any]:
     """The fields of a stage config that can change its result; speed knobs (`in_key` False) are left out."""
-    return {
-        f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.metadata.get("in_key", True)
-    }
+    return {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.metadata.get("in_key", True)}
 
 
 def presets_dir() -> Path:

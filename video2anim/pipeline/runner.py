@@ -159,7 +159,9 @@ class Runner:
             if node.name == only or (only is None and (forced or row.state not in ("cached", "edited"))):
                 row = self._execute(node)
             elif only is not None and row.state not in ("cached", "edited"):
-                raise UsageError(f"stage {only}: earlier stage '{node.name}' is {row.state}; use `video2anim run` first")
+                raise UsageError(
+                    f"stage {only}: earlier stage '{node.name}' is {row.state}; use `video2anim run` first"
+                )
             else:
                 self._on_event(Event("cached", node.name, manifest=row.manifest))
             rows.append(row)

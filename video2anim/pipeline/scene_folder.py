@@ -47,7 +47,7 @@ def read_record(scene_dir: Path) -> RunRecord:
         return RunRecord(**json.loads(path.read_text()))
     except (ValueError, TypeError) as error:
         raise ArtifactError(
-            f"run.json: damaged ({error}) at {path}; delete that file and run `video2anim run VIDEO --out {scene_dir}`, "
+            f"run.json: damaged ({error}) at {path}; delete it and run `video2anim run VIDEO --out {scene_dir}`, "
             "finished stages are kept"
         ) from error
 

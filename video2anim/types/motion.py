@@ -61,9 +61,7 @@ class BodyMotion:
         T_world_root = np.tile(np.eye(4), (len(translation_world_m), 1, 1))
         T_world_root[:, :3, :3] = R_parent_joint[:, 0]
         T_world_root[:, :3, 3] = translation_world_m
-        return replace(
-            self, T_world_root=T_world_root, R_parent_joint=R_parent_joint, joints_world_m=joints_world_m
-        )
+        return replace(self, T_world_root=T_world_root, R_parent_joint=R_parent_joint, joints_world_m=joints_world_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
