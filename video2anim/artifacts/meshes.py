@@ -44,8 +44,9 @@ def read_ply(path: Path) -> Mesh:
     loaded = trimesh.load_mesh(path, process=False)
     if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
         raise ArtifactError(f"want a triangle mesh, got {type(loaded).__name__} at {path}")
-    if loaded.visual.kind == "vertex":
-        rgb = np.asarray(loaded.visual.vertex_colors)[:, :3].astype(np.uint8)
+    visual = loaded.visual
+    if isinstance(visual, trimesh.visual.ColorVisuals) and visual.kind == "vertex":
+        rgb = np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)
     else:
         rgb = np.full((len(loaded.vertices), 3), 160, np.uint8)
     return Mesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64), rgb)

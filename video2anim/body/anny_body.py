@@ -250,7 +250,7 @@ def _quiet_anny() -> Any:
     with contextlib.redirect_stdout(io.StringIO()), _native_stderr_closed():
         import warp
 
-        warp.config.quiet = True
+        warp.config.quiet = True  # pyright: ignore[reportAttributeAccessIssue]
         import anny
 
         return anny.Anny(rig="mixamo")

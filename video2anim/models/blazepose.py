@@ -40,7 +40,7 @@ class PoseEstimate:
     """In the picture's pixels."""
     landmarks_m: Float[np.ndarray, "33 3"]
     """Metres, origin between the hips, axes of the picture (x right, y down, z away)."""
-    visibility: Float[np.ndarray, 33]
+    visibility: Float[np.ndarray, "33"]
     """Probability that the landmark is in the picture and not hidden."""
     mask_crop: UInt8[np.ndarray, "64 64"]
     """Person probability x 255 in the crop."""
@@ -49,7 +49,7 @@ class PoseEstimate:
     next_roi: SquareRoi
     """The crop that fits the person found."""
 
-    def box_px(self) -> Float[np.ndarray, 4]:
+    def box_px(self) -> Float[np.ndarray, "4"]:
         """x0, y0, x1, y1 around the landmarks."""
         return np.concatenate([self.landmarks_px.min(axis=0), self.landmarks_px.max(axis=0)])
 
@@ -106,8 +106,8 @@ def roi_of_detection(found: Detections, index: int) -> SquareRoi:
 
 
 def decode_landmarks(
-    values: Float[np.ndarray, 195], input_size: int
-) -> tuple[Float[np.ndarray, "39 2"], Float[np.ndarray, 39]]:
+    values: Float[np.ndarray, "195"], input_size: int
+) -> tuple[Float[np.ndarray, "39 2"], Float[np.ndarray, "39"]]:
     """Landmarks in crop coordinates [0, 1] and their visibility (hidden or outside the picture = 0)."""
     rows = values.astype(np.float64).reshape(_ALL, 5)
     return rows[:, :2] / input_size, _sigmoid(rows[:, 3])

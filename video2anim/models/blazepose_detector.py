@@ -28,7 +28,7 @@ _NMS_IOU = 0.3
 class Detections:
     """People in one picture, best first, in pixels."""
 
-    score: Float[np.ndarray, people]
+    score: Float[np.ndarray, "people"]
     face_box_px: Float[np.ndarray, "people 4"]
     """x0, y0, x1, y1 of the head."""
     keypoints_px: Float[np.ndarray, "people 4 2"]
@@ -66,7 +66,7 @@ def anchor_centers(input_size: int = 224) -> Float[np.ndarray, "anchors 2"]:
 
 def decode(
     values: Float[np.ndarray, "anchors 12"],
-    logits: Float[np.ndarray, anchors],
+    logits: Float[np.ndarray, "anchors"],
     centers: Float[np.ndarray, "anchors 2"],
     min_score: float,
 ) -> Detections:
@@ -101,7 +101,7 @@ def suppress_weighted(found: Detections, iou: float = _NMS_IOU) -> Detections:
     return concatenate(kept)
 
 
-def box_iou(box: Float[np.ndarray, 4], boxes: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, n]:
+def box_iou(box: Float[np.ndarray, "4"], boxes: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n"]:
     """Intersection over union of one box with several."""
     low, high = np.maximum(box[:2], boxes[:, :2]), np.minimum(box[2:], boxes[:, 2:])
     shared = np.prod(np.clip(high - low, 0.0, None), axis=1)

@@ -113,7 +113,7 @@ def mask_share(inner: PoseEstimate, outer: PoseEstimate) -> float:
     return float((outer.mask_crop[row[inside], column[inside]] > _MASK_ON).sum() / len(rows))
 
 
-def hips_px(found: PoseEstimate) -> Float[np.ndarray, 2]:
+def hips_px(found: PoseEstimate) -> Float[np.ndarray, "2"]:
     """Middle of the hips in pixels."""
     return found.landmarks_px[list(_HIPS)].mean(axis=0)
 
@@ -151,7 +151,7 @@ def overlaps(roi: SquareRoi, other: SquareRoi) -> bool:
     return gap_px < 0.2 * large and large < 1.5 * small
 
 
-def _boxes_meet(box: Float[np.ndarray, 4], other: Float[np.ndarray, 4]) -> bool:
+def _boxes_meet(box: Float[np.ndarray, "4"], other: Float[np.ndarray, "4"]) -> bool:
     return bool(np.all(np.minimum(box[2:], other[2:]) > np.maximum(box[:2], other[:2])))
 
 

@@ -27,8 +27,8 @@ class SquareRoi:
     @classmethod
     def from_circle(
         cls,
-        center_px: Float[np.ndarray, 2],
-        rim_px: Float[np.ndarray, 2],
+        center_px: Float[np.ndarray, "2"],
+        rim_px: Float[np.ndarray, "2"],
         margin: float = CROP_MARGIN,
     ) -> SquareRoi:
         """Square around the circle of a body: its centre (mid hips) and the point of its rim above the head."""

@@ -1,5 +1,8 @@
 """The scene: background plate, depth, object masks and meshes, floor and walls."""
 
+# `stored()` marks how a field lies on disk; it is no default, though it stands where one would.
+# pyright: reportGeneralTypeIssues=false
+
 from __future__ import annotations
 
 from dataclasses import dataclass
