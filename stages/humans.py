@@ -61,7 +61,7 @@ def _R_world_camera(camera: CameraEstimate) -> np.ndarray:
     return level_frame(camera.up_camera) @ camera.R_first_camera
 
 
-def _world(fit: FittedBody, valid: np.ndarray, R_world_camera: np.ndarray, fps: float) -> tuple[np.ndarray, "float"]:
+def _world(fit: FittedBody, valid: np.ndarray, R_world_camera: np.ndarray, fps: float) -> tuple[np.ndarray, float]:
     """T_world_camera (T, 4, 4) with the floor at y = 0 and the first valid root over the origin; floor spread."""
     from video2anim.fitting.ground import floor_height
 

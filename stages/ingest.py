@@ -143,7 +143,7 @@ def _choose_shot(path: Path, survey: Survey, config: IngestConfig) -> int:
 
 def _frames(
     path: Path, header: SourceHeader, wanted_s: Float[np.ndarray, "frames"], size_px: tuple[int, int]
-) -> Iterator[tuple[np.ndarray, "bool"]]:
+) -> Iterator[tuple[np.ndarray, bool]]:
     """One RGB picture per wanted time stamp, and whether it is the right one.
 
     Where the decoder, on damaged input, does not return a picture that it returned before, the last one is held.

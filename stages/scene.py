@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -74,9 +75,8 @@ def build_scene(
 
     motion_m = _motion_bounds(bodies)
     body = bodies.people[0]
-    objects = _not_refuted(placed, bodies, config, ctx)
-    if config.supports:
-        objects += _supports(objects, bodies, ctx)
+    objects = _with_supports(placed.objects, bodies, ctx) if config.supports else list(placed.objects)
+    objects = _not_refuted(objects, bodies, config, ctx)
     solids = [world_mesh(p.mesh, p.T_world_object, p.scale) for p in objects]
     bounds_m = _field_bounds(motion_m, solids, config)
     spacing_m = _field_spacing(bounds_m, config)
@@ -86,7 +86,7 @@ def build_scene(
     floor = floor_patch(low, high, plate.plate_rgb, masks.floor_mask, body.T_world_camera[0], body.intrinsics)
     background = _background(depth, masks, plate, bodies, config)
     ctx.quality("objects", len(objects), "objects")
-    ctx.quality("refuted", len(placed.objects) - sum(p.label != SUPPORT for p in objects), "objects", "lower")
+    ctx.quality("refuted", len(placed.objects) - sum(p.label != SUPPORT for p in objects), "objects")
     ctx.quality("objects_in_field", len(near), "objects")
     ctx.quality("sdf_spacing", spacing_m, "m", "lower")
     ctx.quality("sdf_nodes", grid.sdf_m.size, "nodes")
@@ -95,14 +95,14 @@ def build_scene(
 
 
 def _not_refuted(
-    placed: PlacedObjects, bodies: BodyTracks, config: SceneConfig, ctx: StageContext
+    objects: list[PlacedObject], bodies: BodyTracks, config: SceneConfig, ctx: StageContext
 ) -> list[PlacedObject]:
     """Objects whose place the observed bodies do not contradict by walking through them."""
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
 
     kept = []
-    for item in placed.objects:
+    for item in objects:
         solid = world_mesh(item.mesh, item.T_world_object, item.scale)
         bounds_m = np.stack([solid.vertices_m.min(0) - 0.2, solid.vertices_m.max(0) + 0.2])
         spacing_m = max(config.sdf_spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
@@ -128,40 +128,35 @@ def _crossed_ratio(field: SdfGrid, motion: BodyMotion, config: SceneConfig) -> f
     return float(2 * inside.sum() / max(1, motion.valid.sum()))
 
 
-def _supports(objects: list[PlacedObject], bodies: BodyTracks, ctx: StageContext) -> list[PlacedObject]:
-    """Boxes from the floor up to raised places where feet rested, unless an object already reaches there."""
+def _with_supports(objects: Sequence[PlacedObject], bodies: BodyTracks, ctx: StageContext) -> list[PlacedObject]:
+    """Objects brought under feet that rested high up; where none is near, a box from the floor up to the soles."""
     from video2anim.body.anny_body import shaped_body
     from video2anim.fitting.free_space import supports_from_feet
-    from video2anim.geometry.scene_mesh import box_mesh, world_mesh
+    from video2anim.geometry.scene_mesh import box_mesh
+    from video2anim.geometry.support_fit import fit_under_feet
 
-    made: list[PlacedObject] = []
-    number = max((item.object_id for item in objects), default=0)
+    kept = list(objects)
+    number = max((item.object_id for item in kept), default=0)
     for motion in bodies.people:
+        camera_m = motion.T_world_camera[0, [0, 2], 3]
         for support in supports_from_feet(motion, shaped_body(motion.shape)):
-            middle = 0.5 * (support.low_m + support.high_m)
-            if any(
-                _holds(world_mesh(o.mesh, o.T_world_object, o.scale), middle, support.top_m) for o in [*objects, *made]
-            ):
+            fitted = [fit_under_feet(o, support.low_m, support.high_m, support.top_m, camera_m) for o in kept]
+            found = next((i for i, item in enumerate(fitted) if item is not None), None)
+            if found is not None:
+                kept[found] = fitted[found]  # type: ignore[call-overload]
                 continue
             number += 1
-            size = support.high_m - support.low_m
+            size, middle = support.high_m - support.low_m, 0.5 * (support.low_m + support.high_m)
             T_world_object = np.eye(4)
             T_world_object[[0, 2], 3] = middle
             mesh = box_mesh(float(size[0]), support.top_m, float(size[1]))
             reason = f"inferred: feet rested here in {support.frames} foot-frames"
-            made.append(PlacedObject(number, SUPPORT, mesh, 1.0, T_world_object, None, None, True, reason))
+            kept.append(PlacedObject(number, SUPPORT, mesh, 1.0, T_world_object, None, None, True, reason))
             ctx.warn(
                 f"a support of {support.top_m:.2f} m height is inferred from where the feet of person "
                 f"{motion.person_id} rested; its sides are unknown"
             )
-    return made
-
-
-def _holds(solid: Mesh, middle_m: np.ndarray, top_m: float) -> bool:
-    """Whether a solid lies under a point and reaches up to about the given height."""
-    low, high = solid.vertices_m.min(0), solid.vertices_m.max(0)
-    under = low[0] <= middle_m[0] <= high[0] and low[2] <= middle_m[1] <= high[2]
-    return bool(under and abs(high[1] - top_m) < 0.15)
+    return kept
 
 
 def _motion_bounds(bodies: BodyTracks) -> Float[np.ndarray, "2 3"]:
@@ -231,4 +226,4 @@ def _touches(mask: Bool[np.ndarray, "height width"], size: tuple[int, int], shar
     return cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > share
 
 
-STAGE = StageSpec("scene", build_scene, version=3)
+STAGE = StageSpec("scene", build_scene, version=4)

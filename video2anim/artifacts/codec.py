@@ -133,13 +133,13 @@ def read_value(kind: type, folder: Path) -> Any:
     Raises:
         ArtifactError: a file is missing, damaged or does not fit the type.
     """
+    remedy = f"make it again with `video2anim stage {folder.name.split('_', 1)[-1]} {folder.parent.parent}`"
     try:
         return _Reader(folder).decode(_read_structure(folder / _JSON), kind)
-    except ArtifactError:
-        raise
+    except ArtifactError as error:
+        raise ArtifactError(f"{error}; {remedy}") from error
     except Exception as error:  # damaged zip, PNG, PLY and JSON raise many classes
         detail = f"{type(error).__name__}: {error}".splitlines()[0]
         raise ArtifactError(
-            f"stage folder: want a readable {kind.__name__}, got {detail} in {folder}; "
-            f"make it again with `video2anim stage {folder.name.split('_', 1)[-1]} {folder.parent.parent}`"
+            f"stage folder: want a readable {kind.__name__}, got {detail} in {folder}; {remedy}"
         ) from error

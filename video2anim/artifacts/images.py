@@ -9,6 +9,8 @@ import numpy as np
 
 from video2anim.errors import ArtifactError
 
+_ERRORS_ONLY = cv2.utils.logging.LOG_LEVEL_ERROR
+
 
 def write_png(path: Path, image: np.ndarray) -> None:
     """Write uint8 RGB (H, W, 3), uint8 gray (H, W) or a bool mask (H, W)."""
@@ -30,7 +32,15 @@ def read_png(path: Path, dtype: np.dtype) -> np.ndarray:
     Raises:
         ArtifactError: not a readable picture.
     """
-    image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    data = np.frombuffer(path.read_bytes(), np.uint8)
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(
+        _ERRORS_ONLY
+    )  # a cut-off file is told by the exception, not by a line of OpenCV's own
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
     if image is None:
         raise ArtifactError(f"want a PNG, got unreadable bytes at {path}")
     if dtype == np.bool_:

@@ -45,8 +45,8 @@ def read_ply(path: Path) -> Mesh:
     if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
         raise ArtifactError(f"want a triangle mesh, got {type(loaded).__name__} at {path}")
     visual = loaded.visual
-    if isinstance(visual, trimesh.visual.ColorVisuals) and visual.kind == "vertex":
-        rgb = np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)
+    if visual is not None and visual.kind == "vertex":
+        rgb = np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)  # pyright: ignore
     else:
         rgb = np.full((len(loaded.vertices), 3), 160, np.uint8)
     return Mesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64), rgb)

@@ -55,7 +55,7 @@ def read_motion(path: Path) -> BodyMotion:
     except (OSError, ValueError, EOFError, KeyError) as error:
         raise ArtifactError(f"motion file: want a readable .npz, got {error} at {path}") from error
     except Exception as error:  # zipfile and zlib raise classes of their own
-        raise ArtifactError(f"motion file: damaged ({error}) at {path}; make it again with `video2anim run`") from error
+        raise ArtifactError(f"motion file: damaged ({error}) at {path}") from error
     try:
         return _motion_from(arrays, path)
     except KeyError as error:

@@ -69,7 +69,7 @@ class Parameters:
     angles_rad: torch.Tensor
     """(T, 21, 3) rotation vectors of joints 1 to 21."""
     translation_m: torch.Tensor
-    """(T, 3) in the camera."""
+    """(T, 3) in the camera, for the focal length that the fit starts with; see `Objective.translation_m`."""
     shape_offset: torch.Tensor
     """(4,) offsets of `SHAPE_PARAMETERS` from the adult mean, in units of 1."""
     log_focal: torch.Tensor
@@ -109,6 +109,7 @@ class Objective:
         self._step_s = torch.from_numpy(step_s).float()
         self._angle_sigma, self._hinge = _angle_prior()
         self._prior_weight = max(1.0, config.prior_share * int(observed.valid.sum()))
+        self._start_log_focal = float(np.log(k.fx_px))
         self.set_focal(float(k.fx_px))
 
     def set_focal(self, focal_px: float) -> None:
@@ -126,12 +127,19 @@ class Objective:
             values[name] = (values[name] + parameters.shape_offset[i]).clamp(0.0, 1.0)
         return values
 
+    def translation_m(self, parameters: Parameters) -> torch.Tensor:
+        """(T, 3) root translations. Depth grows with the focal length, which leaves the body's place and size in the
+        picture as they are: the focal length can then move without fighting every frame's translation.
+        """
+        zoom = torch.exp(parameters.log_focal - self._start_log_focal)
+        return parameters.translation_m * torch.stack([torch.ones(()), torch.ones(()), zoom])
+
     def predict(self, parameters: Parameters) -> Prediction:
         """Pose the body."""
         rest = self.model.rest_skeleton(self.shape(parameters))
         R_root = matrix_from_rot6d(parameters.root_rot6d)
         R = torch.cat([R_root[:, None], matrix_from_axis_angle(parameters.angles_rad)], 1)
-        joints, R_camera_joint = forward_kinematics(R, parameters.translation_m, rest.rest_joints_m)
+        joints, R_camera_joint = forward_kinematics(R, self.translation_m(parameters), rest.rest_joints_m)
         blended = self.model.keypoint_weights
         rotated = torch.einsum("tjab,kjb,kj->tka", R_camera_joint, rest.keypoint_offsets_m, blended)
         keypoints = rotated + torch.einsum("kj,tja->tka", blended, joints)

@@ -132,10 +132,11 @@ def _finish(objective: Objective, parameters: Parameters, base: dict[str, float]
         prediction = objective.predict(parameters)
         error = objective.residual_px(prediction, parameters).norm(dim=-1).numpy().astype(np.float64)
         cost = float(objective.cost(parameters))
+        translation = objective.translation_m(parameters).numpy().astype(np.float64)
         shape = {name: float(value) for name, value in objective.shape(parameters).items()}
     return FittedBody(
         prediction.R_parent_joint.numpy().astype(np.float64),
-        parameters.translation_m.detach().numpy().astype(np.float64),
+        translation,
         prediction.joints_m.numpy().astype(np.float64),
         prediction.rest_joints_m.numpy().astype(np.float64),
         BodyShape("anny", base | shape),

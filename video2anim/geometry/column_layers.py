@@ -121,7 +121,7 @@ def foot_line(
     return np.interp(all_azimuth_rad, azimuth_rad, steady_m)
 
 
-def _robust_line(points_m: np.ndarray, scale_m: float) -> tuple[np.ndarray, "float"]:
+def _robust_line(points_m: np.ndarray, scale_m: float) -> tuple[np.ndarray, float]:
     """Unit normal and level (normal . x = level) of the line with the least sum of distances, by reweighting."""
     weight, normal, level_m = np.ones(len(points_m)), np.array([0.0, 1.0]), 0.0
     for _ in range(10):

@@ -1,0 +1,193 @@
+"""The body fit against known truth: a known body, moving in a known way, seen by a known camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from synthetic import planted_walk
+
+from video2anim.body.anny_body import anny_model
+from video2anim.body.skeleton import forward_kinematics
+from video2anim.errors import StageError
+from video2anim.fitting.initial import ray_rotation, translation_from_projection
+from video2anim.fitting.landmarks import BLAZEPOSE_OF_KEYPOINT, KEYPOINT_INDEX, LANDMARK_ORDER
+from video2anim.fitting.optimize import fit_body
+from video2anim.fitting.problem import FittedBody, Observations
+from video2anim.geometry.projection import invert_rigid, project
+from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.types import BodyMotion, Intrinsics
+
+FOCAL_PX = 1100.0
+LENS = Intrinsics.centered(FOCAL_PX, 1280, 720)
+LIMBS = [16, 17, 18, 19, 20, 21, 1, 2, 4, 5, 7, 8]
+NOISE_PX, NOISE_M = 1.5, 0.02
+
+
+@dataclass(frozen=True)
+class Filmed:
+    """A walk through the picture, and its truth in the camera."""
+
+    observed: Observations
+    joints_camera_m: np.ndarray
+
+
+def true_keypoints(motion: BodyMotion) -> np.ndarray:
+    """Keypoints (T, K, 3) of a motion in the world, by the body model's own rest points."""
+    model = anny_model()
+    rest = model.rest_skeleton({k: torch.tensor(v) for k, v in motion.shape.parameters.items()})
+    offsets, blend = rest.keypoint_offsets_m.numpy(), model.keypoint_weights.numpy()
+    _, R = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
+    rotated = np.einsum("tjab,kjb,kj->tka", R, offsets, blend)
+    return rotated + np.einsum("kj,tja->tka", blend, motion.joints_world_m)
+
+
+@pytest.fixture(scope="module")
+def filmed() -> Filmed:
+    """A walk towards a camera that looks down a little, every third frame, with detector-like noise."""
+    motion = planted_walk(75)
+    tilt = np.radians(12.0)
+    T_world_camera = np.eye(4)
+    T_world_camera[:3, :3] = np.diag([-1.0, -1.0, 1.0]) @ np.diag([1.0, 1.0, -1.0]) @ np.diag([1.0, 1.0, 1.0])
+    T_world_camera[:3, :3] = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]]) @ matrix_from_axis_angle(np.array([-tilt, 0, 0]))
+    T_world_camera[:3, 3] = [0.6, 1.7, 5.5]
+    T_camera_world = invert_rigid(T_world_camera)
+    frames = np.arange(0, 75, 3)
+    points = true_keypoints(motion)[frames] @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
+    joints = motion.joints_world_m[frames] @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
+    rng = np.random.default_rng(11)
+    pixels = project(points, LENS)
+    hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
+    # A landmark model sees a crop, as if the camera looked straight at the person.
+    R_camera_ray = ray_rotation(pixels[:, hips].mean(1), LENS)
+    seen = np.einsum("tba,tkb->tka", R_camera_ray, points - points[:, hips].mean(1, keepdims=True))
+    observed = Observations(
+        motion.frame_time_s[frames], np.ones(len(frames), bool),
+        pixels + rng.normal(0, NOISE_PX, pixels.shape), seen + rng.normal(0, NOISE_M, seen.shape),
+        np.ones(pixels.shape[:2]), LENS,
+    )  # fmt: skip
+    assert (points[..., 2] > 1).all()
+    return Filmed(observed, joints)
+
+
+@pytest.fixture(scope="module")
+def fitted(filmed: Filmed) -> FittedBody:
+    return fit_body(filmed.observed, fit_focal=False, iterations=150)
+
+
+def root_relative_error_m(fit: FittedBody, truth_m: np.ndarray) -> float:
+    a, b = fit.joints_camera_m - fit.joints_camera_m[:, :1], truth_m - truth_m[:, :1]
+    return float(np.linalg.norm((a - b)[:, LIMBS], axis=-1).mean())
+
+
+def test_joints_are_recovered(filmed: Filmed, fitted: FittedBody) -> None:
+    assert root_relative_error_m(fitted, filmed.joints_camera_m) < 0.03
+    distance_m = np.linalg.norm(filmed.joints_camera_m[:, 0], axis=-1)
+    root_m = np.linalg.norm(fitted.joints_camera_m[:, 0] - filmed.joints_camera_m[:, 0], axis=-1)
+    assert (root_m / distance_m).max() < 0.06, "depth follows the stature prior within its 5 %"
+    across = np.abs(fitted.joints_camera_m[:, 0, :2] - filmed.joints_camera_m[:, 0, :2] * (fitted.joints_camera_m[:, 0, 2:] / filmed.joints_camera_m[:, 0, 2:]))
+    assert across.max() < 0.03
+
+
+def test_fit_is_consistent_in_itself(fitted: FittedBody) -> None:
+    joints_m, _ = forward_kinematics(fitted.R_parent_joint, fitted.translation_camera_m, fitted.rest_joints_m)
+    np.testing.assert_allclose(joints_m, fitted.joints_camera_m, atol=1e-4)
+    identity = np.tile(np.eye(3), (len(joints_m), 22, 1, 1))
+    np.testing.assert_allclose(fitted.R_parent_joint @ np.swapaxes(fitted.R_parent_joint, -1, -2), identity, atol=1e-5)
+    assert fitted.focal_px == pytest.approx(FOCAL_PX, rel=1e-5)
+    assert np.nanmedian(fitted.reprojection_px) < 3 * NOISE_PX
+    assert fitted.shape.model == "anny"
+    assert all(0 <= value <= 1 for value in fitted.shape.parameters.values())
+
+
+def test_fit_is_repeatable(filmed: Filmed) -> None:
+    again = [fit_body(filmed.observed, fit_focal=False, iterations=5).joints_camera_m for _ in range(2)]
+    np.testing.assert_array_equal(*again)
+
+
+def test_focal_length_is_recovered_within_its_prior(filmed: Filmed) -> None:
+    """A walk of 2 m towards the camera shows the lens: the estimate leaves the wrong start for the truth."""
+    o = filmed.observed
+    start = Observations(o.frame_time_s, o.valid, o.keypoints_px, o.keypoints_m, o.weight, Intrinsics.centered(800.0, 1280, 720))
+    fit = fit_body(start, fit_focal=True, iterations=150)
+    assert abs(np.log(fit.focal_px / FOCAL_PX)) < 0.2
+    assert root_relative_error_m(fit, filmed.joints_camera_m) < 0.035
+
+
+def test_camera_stage_states_an_uncertainty_that_holds(filmed: Filmed) -> None:
+    """The focal length found by the stage is within two of its stated standard deviations."""
+    from pathlib import Path
+
+    from stages.camera import CameraConfig, estimate_camera
+    from video2anim.pipeline.stage import StageContext
+    from video2anim.types import PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
+
+    o, count = filmed.observed, len(filmed.observed.valid)
+    landmarks_px, landmarks_m = np.zeros((count, 33, 2)), np.zeros((count, 33, 3))
+    landmarks_px[:, LANDMARK_ORDER], landmarks_m[:, LANDMARK_ORDER] = o.keypoints_px, o.keypoints_m
+    track = PersonTrack(
+        1, o.valid, np.ones(count), np.zeros((count, 4)), landmarks_px, landmarks_m, np.ones((count, 33)),
+        np.zeros((count, 64, 64), np.uint8), np.zeros((count, 2, 3)),
+    )  # fmt: skip
+    source = SourceInfo("h264", "yuv420p", 1280, 720, 0, 1.0, 30.0, count, count, 2.5, 0.0)
+    clip = VideoClip(
+        PayloadFile(Path("none.mp4")), 1280, 720, 10.0, o.frame_time_s, o.frame_time_s, source, ((0.0, 2.5),), 0, True, 0.0, ()
+    )
+    ctx = StageContext(Path())
+    camera = estimate_camera(clip, PersonTracks((track,), (1,), 1), CameraConfig(frames=15, iterations=100), ctx)
+    assert camera.focal_source == "human"
+    assert 0.02 < camera.focal_sigma_ratio <= 0.3
+    assert abs(np.log(camera.intrinsics.fx_px / FOCAL_PX)) < 2 * camera.focal_sigma_ratio
+    up = matrix_from_axis_angle(np.array([np.radians(12.0), 0, 0])) @ [0, -1.0, 0]
+    assert np.arccos(camera.up_camera @ up) < 2 * camera.up_sigma_rad
+    known = estimate_camera(clip, PersonTracks((track,), (1,), 1), CameraConfig(focal_px=900.0, frames=6, iterations=5), ctx)
+    assert (known.intrinsics.fx_px, known.focal_source) == (900.0, "user")
+
+
+def test_frames_without_landmarks_are_bridged(filmed: Filmed) -> None:
+    o = filmed.observed
+    valid = o.valid.copy()
+    valid[[0, 10, 11]] = False
+    pixels, points, weight = o.keypoints_px.copy(), o.keypoints_m.copy(), o.weight.copy()
+    pixels[~valid], points[~valid], weight[~valid] = np.nan, np.nan, 0.0
+    fit = fit_body(Observations(o.frame_time_s, valid, pixels, points, weight, LENS), fit_focal=False, iterations=120)
+    assert np.isfinite(fit.joints_camera_m).all()
+    assert np.isnan(fit.reprojection_px[~valid]).all()
+    assert np.isfinite(fit.reprojection_px[valid]).all()
+    gap_m = np.linalg.norm(fit.joints_camera_m[10:12, 0] - filmed.joints_camera_m[10:12, 0], axis=-1)
+    assert gap_m.max() < 0.4
+
+
+def test_nobody_is_refused(filmed: Filmed) -> None:
+    o = filmed.observed
+    with pytest.raises(StageError, match="at least one frame"):
+        fit_body(Observations(o.frame_time_s, ~o.valid, o.keypoints_px, o.keypoints_m, 0 * o.weight, LENS), fit_focal=False)
+
+
+def test_translation_solves_exact_projections() -> None:
+    rng = np.random.default_rng(0)
+    points, translation = rng.normal(0, 0.5, (4, 25, 3)), np.array([[0.3, -0.2, 4.0]] * 4)
+    pixels = project(points + translation[:, None], LENS)
+    found = translation_from_projection(points, pixels, np.ones((4, 25)), LENS)
+    np.testing.assert_allclose(found, translation, atol=1e-8)
+    spoiled, weight = pixels.copy(), np.ones((4, 25))
+    spoiled[:, 3], weight[:, 3] = 9999.0, 0.0
+    np.testing.assert_allclose(translation_from_projection(points, spoiled, weight, LENS), translation, atol=1e-8)
+
+
+def test_viewing_ray_rotation() -> None:
+    pixels = np.array([[LENS.cx_px, LENS.cy_px], [100.0, 600.0], [1200.0, 10.0]])
+    R = ray_rotation(pixels, LENS)
+    np.testing.assert_allclose(R[0], np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(project(R @ [0, 0, 1.0], LENS), pixels, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0)
+
+
+def test_landmark_table() -> None:
+    """BlazePose GHUM numbering: left is even-odd paired, 11/12 shoulders, 23/24 hips, 31/32 toes."""
+    for name, number in BLAZEPOSE_OF_KEYPOINT.items():
+        if name.startswith("left") and "eye" not in name:
+            assert BLAZEPOSE_OF_KEYPOINT[name.replace("left", "right")] == number + 1
+    assert len(set(LANDMARK_ORDER)) == len(KEYPOINT_INDEX)

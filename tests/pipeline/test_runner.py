@@ -1,0 +1,346 @@
+"""Graph, configuration, keys and the runner, with small stages of their own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from video2anim.artifacts.codec import read_value
+from video2anim.artifacts.manifest import read_manifest
+from video2anim.errors import ArtifactError, StageError, UsageError
+from video2anim.pipeline.config import load_preset, parse_set, resolve, result_config
+from video2anim.pipeline.graph import GraphError, Node, build_graph
+from video2anim.pipeline.runner import Event, Runner
+from video2anim.pipeline.scene_folder import RunRecord, locked, prepare, read_record, write_record
+from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.types import SourceVideo
+
+
+@dataclass(frozen=True)
+class Seeds:
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Doubled:
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Total:
+    value: float
+
+
+@dataclass(frozen=True)
+class SeedsConfig:
+    count: int = 3
+    noise: float = 0.0
+    name: str = "x"
+    workers: int = field(default=1, metadata={"in_key": False})
+
+
+@dataclass(frozen=True)
+class PlainConfig:
+    factor: float = 2.0
+    fail: str = ""
+
+
+calls: list[str] = []
+
+
+def make_seeds(source: SourceVideo, config: SeedsConfig, ctx: StageContext) -> Seeds:
+    calls.append("seeds")
+    ctx.quality("count", config.count, "", "higher")
+    return Seeds(np.arange(config.count) + config.noise * ctx.rng("seeds").normal(size=config.count))
+
+
+def double(seeds: Seeds, config: PlainConfig, ctx: StageContext) -> Doubled:
+    calls.append("double")
+    if config.fail == "crash":
+        raise ZeroDivisionError("by\nzero")
+    if config.fail == "full":
+        raise OSError(28, "No space left on device")
+    if config.fail == "said":
+        raise StageError("double: want less, got more")
+    ctx.warn("twice as much")
+    ctx.progress(1, 2)
+    return Doubled(seeds.values * config.factor)
+
+
+def add(doubled: Doubled, seeds: Seeds, config: PlainConfig, ctx: StageContext) -> Total:
+    calls.append("add")
+    return Total(float(doubled.values.sum() + seeds.values.sum()))
+
+
+SPECS = (StageSpec("seeds", make_seeds, 1), StageSpec("double", double, 1, ("net",)), StageSpec("add", add, 1))
+
+
+class Weights:
+    """A model provider whose digest a test may change."""
+
+    digest = "d1"
+
+    def digests(self, slots: Sequence[str], config: Any) -> dict[str, str]:
+        return {slot: self.digest for slot in slots}
+
+    def load(self, slot: str, config: Any) -> Any:
+        return slot
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Callable[..., dict[str, str]]:
+    """Run (or look at) a scene folder; gives stage -> state."""
+
+    def go(
+        *, source: str = "s1", specs: Sequence[StageSpec] = SPECS, weights: str = "d1", seed: int = 0,
+        look: bool = False, start: str | None = None, until: str | None = None, only: str | None = None,
+        events: list[Event] | None = None, **options: dict[str, Any],
+    ) -> dict[str, str]:  # fmt: skip
+        calls.clear()
+        nodes = build_graph(specs, [SourceVideo])
+        config = resolve(nodes, "p", [("test", {"seed": seed, **options})])
+        provider = Weights()
+        provider.digest = weights
+        video = SourceVideo(Path("v.mp4"), source)
+        collect = events.append if events is not None else lambda event: None
+        runner = Runner(tmp_path, nodes, config, video, provider, on_event=collect)
+        rows = runner.status() if look else runner.run(start=start, until=until, only=only)
+        return {row.name: row.state for row in rows}
+
+    return go
+
+
+RAN = {"seeds": "ran", "double": "ran", "add": "ran"}
+CACHED = {"seeds": "cached", "double": "cached", "add": "cached"}
+
+
+def test_runs_once(run: Callable, tmp_path: Path) -> None:
+    assert run(look=True) == dict.fromkeys(RAN, "missing")
+    assert run() == RAN
+    assert calls == ["seeds", "double", "add"]
+    assert run() == CACHED == run(look=True)
+    assert calls == []
+    assert read_value(Total, tmp_path / "stages" / "03_add").value == 9.0
+
+
+@pytest.mark.parametrize(
+    ("change", "again"),
+    [
+        ({"source": "s2"}, {"seeds": "ran"}),  # same numbers come out, so what follows stays
+        ({"seeds": {"count": 4}}, RAN),
+        ({"seeds": {"name": "y"}}, {"seeds": "ran"}),
+        ({"seeds": {"workers": 8}}, {}),
+        ({"double": {"factor": 3.0}}, {"double": "ran", "add": "ran"}),
+        ({"add": {"factor": 3.0}}, {"add": "ran"}),
+        ({"weights": "d2"}, {"double": "ran"}),
+        ({"seed": 1}, {"seeds": "ran", "double": "ran", "add": "ran"}),
+    ],
+)
+def test_a_change_reruns_what_it_can_change(run: Callable, change: dict[str, Any], again: dict[str, str]) -> None:
+    run()
+    assert run(**change) == CACHED | again
+
+
+def test_new_version_of_a_stage(run: Callable) -> None:
+    run()
+    newer = (SPECS[0], StageSpec("double", double, 2, ("net",)), SPECS[2])
+    assert run(specs=newer, look=True) == {"seeds": "cached", "double": "stale", "add": "stale"}
+    assert run(specs=newer) == {"seeds": "cached", "double": "ran", "add": "cached"}
+
+
+def test_edit_by_hand(run: Callable, tmp_path: Path) -> None:
+    run()
+    path = tmp_path / "stages" / "02_double" / "arrays.npz"
+    np.savez(path, **{"values": np.array([100.0])})
+    assert run(look=True) == {"seeds": "cached", "double": "edited", "add": "stale"}
+    assert run() == {"seeds": "cached", "double": "edited", "add": "ran"}
+    assert read_value(Total, tmp_path / "stages" / "03_add").value == 103.0
+    assert run() == {"seeds": "cached", "double": "edited", "add": "cached"}
+    assert run(double={"factor": 5.0})["double"] == "ran", "a changed option beats an old edit"
+
+
+def test_start_until_only(run: Callable) -> None:
+    assert run(until="double") == {"seeds": "ran", "double": "ran"}
+    assert run(look=True)["add"] == "missing"
+    assert run(start="double") == {"seeds": "cached", "double": "ran", "add": "ran"}
+    assert run(only="double") == {"seeds": "cached", "double": "ran"}
+    assert calls == ["double"]
+    for words in ({"start": "no"}, {"until": "no"}, {"only": "no"}):
+        with pytest.raises(UsageError, match="want one of seeds, double, add"):
+            run(**words)
+
+
+def test_only_needs_its_inputs(run: Callable) -> None:
+    with pytest.raises(UsageError, match="earlier stage 'seeds' is missing"):
+        run(only="add")
+
+
+def test_randomness_depends_on_seed_and_label_alone(run: Callable, tmp_path: Path) -> None:
+    def noisy(seed: int) -> np.ndarray:
+        run(seeds={"noise": 1.0}, seed=seed, start="seeds")
+        return read_value(Seeds, tmp_path / "stages" / "01_seeds").values
+
+    first = noisy(1)
+    np.testing.assert_array_equal(first, noisy(1))
+    assert (first != noisy(2)).all()
+    ctx = StageContext(tmp_path, seed=3)
+    assert ctx.rng("a").random() == ctx.rng("a").random() != ctx.rng("b").random()
+
+
+@pytest.mark.parametrize(
+    ("fail", "said"),
+    [("crash", "stage 'double' failed: ZeroDivisionError: by"), ("full", "no space left"), ("said", "want less, got more")],
+)
+def test_failing_stage_keeps_what_was_there(run: Callable, tmp_path: Path, fail: str, said: str) -> None:
+    run()
+    kept = (tmp_path / "stages" / "02_double" / "manifest.json").read_bytes()
+    with pytest.raises(StageError, match=said) as caught:
+        run(double={"fail": fail})
+    assert "\n" not in str(caught.value)
+    assert (tmp_path / "stages" / "02_double" / "manifest.json").read_bytes() == kept
+    assert run() == CACHED
+    assert not list((tmp_path / "stages").glob(".*"))
+
+
+def test_damaged_input_is_named(run: Callable, tmp_path: Path) -> None:
+    run()
+    (tmp_path / "stages" / "01_seeds" / "arrays.npz").write_bytes(b"PK")
+    with pytest.raises(ArtifactError, match=r"arrays\.npz.*video2anim stage seeds"):
+        run()
+    assert run(only="seeds") == {"seeds": "ran"}
+    assert run() == CACHED
+
+
+def test_manifest_and_events(run: Callable, tmp_path: Path) -> None:
+    events: list[Event] = []
+    run(events=events, seeds={"workers": 7})
+    assert [(e.kind, e.stage) for e in events if e.stage == "double"] == [
+        ("start", "double"), ("progress", "double"), ("warning", "double"), ("done", "double")
+    ]  # fmt: skip
+    manifest = read_manifest(tmp_path / "stages" / "01_seeds")
+    assert manifest.config == {"count": 3, "noise": 0.0, "name": "x"}
+    assert manifest.qualities == [{"name": "count", "value": 3.0, "unit": "", "better": "higher"}]
+    second = read_manifest(tmp_path / "stages" / "02_double")
+    assert second.inputs == {"Seeds": manifest.output_digest}
+    assert second.weights == {"net": "d1"}
+    assert second.warnings == ["twice as much"]
+    assert second.wall_time_s >= 0
+    assert second.peak_memory_mb > 1
+
+
+def test_unfinished_folders_are_removed(run: Callable, tmp_path: Path) -> None:
+    left = tmp_path / "stages" / ".unfinished-02_double-abc"
+    left.mkdir(parents=True)
+    run()
+    assert not left.exists()
+
+
+# The graph is checked before anything runs.
+
+
+def test_graph_reads_signatures() -> None:
+    nodes = build_graph(SPECS, [SourceVideo])
+    assert [node.folder_name for node in nodes] == ["01_seeds", "02_double", "03_add"]
+    assert nodes[2].inputs == (("doubled", Doubled), ("seeds", Seeds))
+    assert (nodes[2].output, nodes[2].config_type) == (Total, PlainConfig)
+
+
+def test_graph_refuses_what_does_not_fit() -> None:
+    def no_config(seeds: Seeds, ctx: StageContext) -> Total: ...
+    def no_result(config: PlainConfig, ctx: StageContext): ...  # noqa: ANN202
+    def plain_result(config: PlainConfig, ctx: StageContext) -> int: ...
+
+    with pytest.raises(GraphError, match="needs Seeds"):
+        build_graph(SPECS[1:], [SourceVideo])
+    with pytest.raises(GraphError, match="both make Seeds"):
+        build_graph([SPECS[0], StageSpec("again", make_seeds, 1)], [SourceVideo])
+    for function in (no_config, no_result, plain_result):
+        spec = StageSpec("bad", function, 1)
+        with pytest.raises(GraphError, match="stage 'bad'"):
+            build_graph([spec], [Seeds])
+
+
+# Configuration.
+
+
+def nodes() -> tuple[Node, ...]:
+    return build_graph(SPECS, [SourceVideo])
+
+
+def test_later_layers_win() -> None:
+    config = resolve(nodes(), "p", [("a", {"seeds": {"count": 5, "noise": 1.0}}), ("b", {"seeds": {"count": 6}, "seed": 4})])
+    assert config.stages["seeds"] == SeedsConfig(count=6, noise=1.0)
+    assert config.seed == 4
+    assert resolve(nodes(), "p", [("run.json", json.loads(json.dumps(config.as_dict())))]) == config
+
+
+def test_speed_knobs_stay_out_of_the_key() -> None:
+    assert result_config(SeedsConfig(workers=8)) == result_config(SeedsConfig())
+
+
+def test_parse_set() -> None:
+    assert parse_set(["a.b=1", "a.c=x", "seed=3", "a.d=[1, 2]", "a.e=null", "a.f="]) == {
+        "a": {"b": 1, "c": "x", "d": [1, 2], "e": None, "f": None}, "seed": 3
+    }  # fmt: skip
+    for text in ("a.b", "=1", "a.=1", ".b=1", "a.b.c=1", "a.b=[1"):
+        with pytest.raises(UsageError, match="--set"):
+            parse_set([text])
+
+
+@pytest.mark.parametrize(
+    ("layer", "said"),
+    [
+        ({"seds": {}}, "unknown key 'seds' .did you mean 'seeds'"),
+        ({"seeds": {"cont": 1}}, "unknown key 'seeds.cont' .did you mean 'seeds.count'"),
+        ({"seeds": {"zzz": 1}}, "known: count, noise, name, workers"),
+        ({"seeds": 3}, "wants a mapping"),
+        ({"seeds": {"count": "many"}}, "seeds.count: .*'many'"),
+        ({"seeds": {"count": 2.5}}, "seeds.count"),
+        ({"seed": "x"}, "seed: .*'x'"),
+    ],
+)
+def test_wrong_configuration_is_one_line(layer: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError, match=said) as caught:
+        resolve(nodes(), "p", [("--set", layer)])
+    assert "\n" not in str(caught.value)
+
+
+def test_numbers_are_text_where_text_is_wanted() -> None:
+    assert resolve(nodes(), "p", [("--set", {"seeds": {"name": 7}})]).stages["seeds"].name == "7"
+    with pytest.raises(UsageError, match=r"seeds\.name"):
+        resolve(nodes(), "p", [("--set", {"seeds": {"name": [7]}})])
+
+
+def test_unknown_preset() -> None:
+    with pytest.raises(UsageError, match="embedded"):
+        load_preset("none")
+
+
+# The folder.
+
+
+def record() -> RunRecord:
+    return RunRecord("v.mp4", "d", "embedded", 0, {}, {})
+
+
+def test_record_round_trip(tmp_path: Path) -> None:
+    write_record(tmp_path, record())
+    assert read_record(tmp_path) == record()
+    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
+
+
+def test_lock_keeps_others_out_and_clears_leftovers(tmp_path: Path) -> None:
+    prepare(tmp_path)
+    (tmp_path / ".run-old").touch()
+    (tmp_path / ".new-old").touch()
+    with locked(tmp_path), pytest.raises(UsageError, match="another video2anim run"), locked(tmp_path):
+        pass
+    assert not list(tmp_path.glob(".run-*")) + list(tmp_path.glob(".new-*"))
+    with locked(tmp_path):
+        pass
