@@ -1,0 +1,60 @@
+"""Commands that need no scene: help, version, models, and how settings reach the stages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from command import video2anim
+from test_public_api import COMMANDS
+
+from video2anim import __version__
+from video2anim.cli.compose import TableModels, pipeline_nodes
+from video2anim.errors import UsageError
+from video2anim.pipeline.config import resolve
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help(name: str) -> None:
+    answer = video2anim(*name.split(), "--help")
+    assert answer.code == 0
+    assert "Usage" in answer.out
+
+
+def test_root_help_tells_commands_and_exit_codes() -> None:
+    text = " ".join(video2anim("--help").out.split())
+    for name in COMMANDS:
+        assert name.split(" ")[0] in text
+    assert "2 usage or configuration, 3 bad input, 4 model missing, 5 stage failed" in text
+
+
+def test_version() -> None:
+    assert video2anim("--version").out.strip() == f"video2anim {__version__}"
+
+
+def test_models_list_tells_licences_and_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VIDEO2ANIM_CACHE", str(tmp_path))
+    monkeypatch.setenv("COLUMNS", "300")
+    answer = video2anim("models", "list")
+    assert answer.code == 0
+    for word in ("blazepose-heavy", "depth-anything-v2-small", "Apache-2.0", "absent"):
+        assert word in answer.out
+    assert video2anim("models", "verify").code == 0, "what is absent is not damaged"
+    assert list(tmp_path.iterdir()) == [], "looking fetches nothing"
+
+
+def test_weights_in_the_key_follow_the_chosen_model() -> None:
+    def digests(**options: str) -> dict[str, str]:
+        config = resolve(pipeline_nodes(), "p", [("test", {"track": options})]).stages["track"]
+        return TableModels().digests(("pose",), config)
+
+    assert set(digests(model="blazepose-heavy")) == {"blazepose-heavy", "blazepose-detector"}
+    assert digests(model="blazepose-full") != digests(model="blazepose-heavy")
+    with pytest.raises(UsageError, match="nopose"):
+        digests(model="nopose")
+
+
+def test_geometric_depth_needs_no_weights() -> None:
+    node = next(node for node in pipeline_nodes() if node.name == "depth")
+    config = resolve(pipeline_nodes(), "p", [("test", {"depth": {"provider": "geometric"}})]).stages["depth"]
+    assert TableModels().digests(node.spec.models, config) == {}
