@@ -160,12 +160,7 @@ def test_scenemi_meets_the_pipeline_in_few_stages() -> None:
 
 @pytest.mark.parametrize("library", HOMES)
 def test_library_stays_at_home(library: str) -> None:
-    users = {
-        relative(path)
-        for path in sources()
-        for name, _, _ in imported(path)
-        if name.split(".")[0] == library
-    }
+    users = {relative(path) for path in sources() for name, _, _ in imported(path) if name.split(".")[0] == library}
     assert users, f"nobody imports {library}: is the rule out of date?"
     assert all(user.startswith(HOMES[library]) for user in users), users
 
@@ -192,9 +187,9 @@ def test_only_the_command_line_prints() -> None:
     for path in sources():
         if relative(path).startswith("video2anim/cli/"):
             continue
-        for node in ast.walk(tree(path)):
-            if isinstance(node, ast.Call) and ast.unparse(node.func) in ("print", "sys.stdout.write", "sys.stderr.write"):
-                wrong.append(f"{relative(path)}:{node.lineno}")
+        called = [node for node in ast.walk(tree(path)) if isinstance(node, ast.Call)]
+        printing = ("print", "sys.stdout.write", "sys.stderr.write")
+        wrong += [f"{relative(path)}:{node.lineno}" for node in called if ast.unparse(node.func) in printing]
         wrong += [
             f"{relative(path)}:{line} imports {name}"
             for name, line, _ in imported(path)
@@ -224,7 +219,9 @@ def test_files_and_functions_stay_short() -> None:
                 assert node.end_lineno is not None
                 length = node.end_lineno - node.lineno + 1
                 if length > FUNCTION_LINES:
-                    wrong.append(f"{relative(path)}:{node.lineno} {node.name}: {length} lines, at most {FUNCTION_LINES}")
+                    wrong.append(
+                        f"{relative(path)}:{node.lineno} {node.name}: {length} lines, at most {FUNCTION_LINES}"
+                    )
     assert not wrong
 
 

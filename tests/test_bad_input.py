@@ -93,7 +93,12 @@ def test_unusable_file(shared_media: Path, tmp_path: Path, name: str, said: str)
     ],
 )
 def test_odd_file_works_and_says_what_is_odd(
-    shared_media: Path, tmp_path: Path, name: str, size_px: tuple[int, int] | None, frames: tuple[int, int] | None, warning: str
+    shared_media: Path,
+    tmp_path: Path,
+    name: str,
+    size_px: tuple[int, int] | None,
+    frames: tuple[int, int] | None,
+    warning: str,
 ) -> None:
     answer = video2anim("run", shared_media / "bad" / f"{name}.mp4", "--out", tmp_path, "--until", "ingest")
     assert answer.code == 0, answer.err
@@ -181,7 +186,9 @@ def test_output_folder_is_not_writable(shared_media: Path) -> None:
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     disk = tmp_path / "disk"
     disk.mkdir()
-    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(disk)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(disk)], capture_output=True, text=True, check=False
+    )
     if done.returncode:
         pytest.skip(f"cannot mount a small disk: {done.stderr.strip()}")
     yield disk
@@ -250,7 +257,9 @@ def test_wrong_preset_file(shared_media: Path, tmp_path: Path, text: str) -> Non
     assert_one_line(answer, USAGE, "mine.yaml")
 
 
-@pytest.mark.parametrize("words", [("run",), ("run", "a.mp4"), ("fly",), ("run", "a.mp4", "--out", "b", "--fast"), ("models", "drop")])
+@pytest.mark.parametrize(
+    "words", [("run",), ("run", "a.mp4"), ("fly",), ("run", "a.mp4", "--out", "b", "--fast"), ("models", "drop")]
+)
 def test_wrong_command(words: tuple[str, ...]) -> None:
     answer = video2anim(*words)
     assert answer.code == USAGE
@@ -262,7 +271,9 @@ def test_unknown_person_lists_the_ids(scene: tuple[Path, Path]) -> None:
     before = payload_digests(folder)
     answer = video2anim("run", video, "--out", folder, *SMALL, "--person", "99")
     assert_one_line(answer, USAGE, "--person 99")
-    known = [str(p["person_id"]) for p in json.loads((folder / "stages" / "02_track" / "value.json").read_text())["people"]]
+    known = [
+        str(p["person_id"]) for p in json.loads((folder / "stages" / "02_track" / "value.json").read_text())["people"]
+    ]
     assert known
     assert all(person in answer.err for person in known)
     assert payload_digests(folder) == before
@@ -385,14 +396,19 @@ def test_wrong_digest(shared_media: Path, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_unknown_model(shared_media: Path, tmp_path: Path) -> None:
-    answer = video2anim("run", shared_media / "bad" / "grayscale.mp4", "--out", tmp_path / "out", "--set", "track.model=nopose")
+    answer = video2anim(
+        "run", shared_media / "bad" / "grayscale.mp4", "--out", tmp_path / "out", "--set", "track.model=nopose"
+    )
     assert_one_line(answer, USAGE, "'nopose'", "blazepose-heavy")
     assert_one_line(video2anim("models", "pull", "nopose"), USAGE, "'nopose'")
 
 
 def test_debug_shows_the_traceback(tmp_path: Path) -> None:
     """The option works where people type it: at the end too."""
-    for words in (("--debug", "run", tmp_path / "no.mp4", "--out", tmp_path / "out"), ("run", tmp_path / "no.mp4", "--out", tmp_path / "out", "--debug")):
+    for words in (
+        ("--debug", "run", tmp_path / "no.mp4", "--out", tmp_path / "out"),
+        ("run", tmp_path / "no.mp4", "--out", tmp_path / "out", "--debug"),
+    ):
         answer = process(*words)
         assert answer.code != 0
         assert "Traceback" in answer.err

@@ -70,8 +70,8 @@ def test_types() -> None:
 
 def test_motion_fields() -> None:
     assert list(BodyMotion.__dataclass_fields__) == [
-        "person_id", "frame_time_s", "valid", "T_world_root", "R_parent_joint", "T_world_camera", "intrinsics", "contact",
-        "shape", "rest_joints_m", "joints_world_m",
+        "person_id", "frame_time_s", "valid", "T_world_root", "R_parent_joint", "T_world_camera", "intrinsics",
+        "contact", "shape", "rest_joints_m", "joints_world_m",
     ]  # fmt: skip
 
 
@@ -106,7 +106,8 @@ def test_every_stage_option_is_explained() -> None:
 def test_exit_codes() -> None:
     codes = {name: kind.exit_code for name, kind in vars(errors).items() if isinstance(kind, type)}
     assert codes == {
-        "Video2AnimError": 5, "UsageError": 2, "InputError": 3, "ModelMissingError": 4, "StageError": 5, "ArtifactError": 5
+        "Video2AnimError": 5, "UsageError": 2, "InputError": 3, "ModelMissingError": 4, "StageError": 5,
+        "ArtifactError": 5,
     }  # fmt: skip
 
 

@@ -15,11 +15,16 @@ MAX_LINES = 150
 
 
 def code_lines() -> list[str]:
-    """Lines of fenced code, prompts and comments removed."""
+    """Lines of code blocks, fenced or indented, without prompts."""
     if not README.is_file():
         return []
-    blocks = re.findall(r"^```[^\n]*\n(.*?)^```", README.read_text(), re.MULTILINE | re.DOTALL)
-    return [line.strip().removeprefix("$ ") for block in blocks for line in block.splitlines()]
+    lines, fenced = [], False
+    for line in README.read_text().splitlines():
+        if line.startswith("```"):
+            fenced = not fenced
+        elif fenced or line.startswith("    "):
+            lines.append(line.strip().removeprefix("$ "))
+    return lines
 
 
 def commands_told() -> list[str]:

@@ -50,7 +50,9 @@ def test_all_modules_and_data_are_in(wheel: Path) -> None:
     assert expected <= names(wheel)
     assert {"video2anim/py.typed", "scenemi/py.typed", "stages/py.typed"} <= expected
     assert any(name.startswith("video2anim/export/templates/") for name in expected)
-    presets = {f"video2anim/configs/presets/{path.name}" for path in (REPOSITORY / "configs" / "presets").glob("*.yaml")}
+    presets = {
+        f"video2anim/configs/presets/{path.name}" for path in (REPOSITORY / "configs" / "presets").glob("*.yaml")
+    }
     assert presets
     assert presets <= names(wheel)
 
@@ -77,14 +79,31 @@ def test_metadata(wheel: Path) -> None:
 
 def test_installed_wheel_works_elsewhere(wheel: Path, tmp_path: Path) -> None:
     target = tmp_path / "site"
-    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", str(target), str(wheel)]
+    install = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--no-index",
+        "--target",
+        str(target),
+        str(wheel),
+    ]
     done = subprocess.run(install, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     environment = os.environ | {"PYTHONPATH": str(target)}
 
     def run(*words: str) -> str:
         answer = subprocess.run(
-            [sys.executable, *words], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=False
+            [sys.executable, *words],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
         )
         assert answer.returncode == 0, answer.stderr
         return answer.stdout

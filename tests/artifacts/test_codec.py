@@ -185,14 +185,21 @@ def test_meshes(tmp_path: Path) -> None:
 
 def test_folder_is_whole_or_absent(tmp_path: Path) -> None:
     final = tmp_path / "stages" / "01_a"
-    with pytest.raises(RuntimeError), whole_or_absent(final) as work:
-        (work / "x").write_text("half")
-        raise RuntimeError
+
+    def fail_half_way() -> None:
+        with whole_or_absent(final) as work:
+            (work / "x").write_text("half")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail_half_way()
     assert list(final.parent.iterdir()) == []
     for text in ("first", "second"):
         with whole_or_absent(final) as work:
             (work / "x").write_text(text)
-            assert not final.exists() or (final / "x").read_text() == "first", "the old one stays until the new is whole"
+            assert not final.exists() or (final / "x").read_text() == "first", (
+                "the old one stays until the new is whole"
+            )
         assert (final / "x").read_text() == text
     with pytest.raises(KeyboardInterrupt), whole_or_absent(final) as work:
         raise KeyboardInterrupt

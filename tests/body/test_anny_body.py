@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from video2anim.body.anny_body import ADULT, KEYPOINT_NAMES, PHENOTYPES, anny_model, shaped_body
+from video2anim.body.anny_body import ADULT, KEYPOINT_NAMES, PHENOTYPES, ShapedBody, anny_model, shaped_body
 from video2anim.body.skeleton import FEET, JOINT_INDEX, JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.errors import UsageError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyShape
 
-SHAPES = [ADULT, ADULT | {"height": 0.9, "gender": 1.0}, ADULT | {"weight": 0.9, "muscle": 0.1}, ADULT | {"gender": 0.0, "height": 0.1}]
+SHAPES = [
+    ADULT,
+    ADULT | {"height": 0.9, "gender": 1.0},
+    ADULT | {"weight": 0.9, "muscle": 0.1},
+    ADULT | {"gender": 0.0, "height": 0.1},
+]
 PAIRS = [(JOINT_INDEX[n], JOINT_INDEX[n.replace("left", "right")]) for n in JOINT_NAMES if n.startswith("left_")]
 REST = np.tile(np.eye(3), (1, 22, 1, 1))
 
@@ -23,7 +28,7 @@ def random_pose(frames: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(params=SHAPES, ids=["adult", "tall man", "heavy", "short woman"])
-def body(request: pytest.FixtureRequest):  # noqa: ANN201
+def body(request: pytest.FixtureRequest) -> ShapedBody:
     return shaped_body(BodyShape("anny", dict(request.param)))
 
 
@@ -40,15 +45,20 @@ def test_skeleton_table() -> None:
 
 def test_rest_pose_gives_rest_joints() -> None:
     rest = np.random.default_rng(1).normal(size=(22, 3))
-    joints, R = forward_kinematics(REST, np.array([[1.0, 2, 3]]), rest)
-    np.testing.assert_allclose(joints[0], rest + [1, 2, 3])
+    shift = np.array([[1.0, 2, 3]])
+    joints, R = forward_kinematics(REST, shift, rest)
+    np.testing.assert_allclose(joints[0], rest + shift)
     np.testing.assert_allclose(R, REST)
 
 
 @pytest.mark.parametrize("shape", [(), (5,), (2, 3)])
 def test_forward_kinematics_leading_axes_and_torch(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(2)
-    R, t, rest = matrix_from_axis_angle(rng.normal(size=(*shape, 22, 3))), rng.normal(size=(*shape, 3)), rng.normal(size=(22, 3))
+    R, t, rest = (
+        matrix_from_axis_angle(rng.normal(size=(*shape, 22, 3))),
+        rng.normal(size=(*shape, 3)),
+        rng.normal(size=(22, 3)),
+    )
     joints, orientations = forward_kinematics(R, t, rest)
     assert joints.shape == (*shape, 22, 3)
     assert orientations.shape == (*shape, 22, 3, 3)
@@ -72,7 +82,7 @@ def test_bones_keep_their_length_and_the_root_moves_all() -> None:
     np.testing.assert_allclose(orientations[:, 4], R[:, 0] @ R[:, 1] @ R[:, 4], atol=1e-12)
 
 
-def test_skinned_bone_heads_equal_forward_kinematics(body) -> None:  # noqa: ANN001
+def test_skinned_bone_heads_equal_forward_kinematics(body: ShapedBody) -> None:
     """A point of the rest mesh at a bone's head, skinned by that bone, lies where the skeleton says."""
     R, t = random_pose(4)
     joints, orientations = forward_kinematics(R, t, body.rest_joints_m)
@@ -89,7 +99,7 @@ def test_skinned_bone_heads_equal_forward_kinematics(body) -> None:  # noqa: ANN
             np.testing.assert_allclose(skinned, joints[:, joint], atol=1e-5)
 
 
-def test_skin_follows_rigid_motion(body) -> None:  # noqa: ANN001
+def test_skin_follows_rigid_motion(body: ShapedBody) -> None:
     R, t = random_pose(1)
     joints, orientations = forward_kinematics(R, t, body.rest_joints_m)
     vertices = body.vertices(orientations, joints)
@@ -101,7 +111,7 @@ def test_skin_follows_rigid_motion(body) -> None:  # noqa: ANN001
     np.testing.assert_allclose(body.vertices(orientations, joints, chosen), vertices[:, chosen], atol=1e-6)
 
 
-def test_every_vertex_is_a_blend(body) -> None:  # noqa: ANN001
+def test_every_vertex_is_a_blend(body: ShapedBody) -> None:
     np.testing.assert_allclose(body.skin_weights.sum(1), 1.0, atol=1e-6)
     assert (body.skin_weights >= 0).all()
     assert len(set(body.vertex_part)) >= 20, "nearly every joint leads some skin"
@@ -109,7 +119,7 @@ def test_every_vertex_is_a_blend(body) -> None:  # noqa: ANN001
     assert body.faces.max() < len(body.rest_vertices_m)
 
 
-def test_t_pose_is_straight_symmetric_and_faces_forward(body) -> None:  # noqa: ANN001
+def test_t_pose_is_straight_symmetric_and_faces_forward(body: ShapedBody) -> None:
     rest = body.rest_joints_m
     np.testing.assert_allclose(rest[0], 0.0, atol=1e-6)
     for left, right in PAIRS:
@@ -128,7 +138,7 @@ def test_t_pose_is_straight_symmetric_and_faces_forward(body) -> None:  # noqa: 
     assert rest[JOINT_INDEX["left_foot"], 2] - rest[JOINT_INDEX["left_ankle"], 2] > 0.05, "z is forward"
 
 
-def test_t_pose_skin_is_where_the_joints_are(body) -> None:  # noqa: ANN001
+def test_t_pose_skin_is_where_the_joints_are(body: ShapedBody) -> None:
     vertices = body.vertices(REST, body.rest_joints_m[None])[0]
     reach = np.ptp(vertices[:, 0])
     stature = np.ptp(vertices[:, 1])
@@ -140,7 +150,10 @@ def test_t_pose_skin_is_where_the_joints_are(body) -> None:  # noqa: ANN001
 
 def test_stature_follows_the_shape() -> None:
     model = anny_model()
-    statures = [float(model.rest_skeleton({k: torch.tensor(v) for k, v in (ADULT | {"height": h}).items()}).stature_m) for h in (0.1, 0.4, 0.9)]
+    statures = [
+        float(model.rest_skeleton({k: torch.tensor(v) for k, v in (ADULT | {"height": h}).items()}).stature_m)
+        for h in (0.1, 0.4, 0.9)
+    ]
     assert statures == sorted(statures)
     assert statures[1] == pytest.approx(1.73, abs=0.02)
     vertices = shaped_body(BodyShape("anny", dict(ADULT))).rest_vertices_m

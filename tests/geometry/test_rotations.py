@@ -144,7 +144,9 @@ def test_leading_axes_and_torch(function: Callable, trailing: tuple[int, ...], s
     result = function(values)
     assert result.shape[: len(shape)] == shape
     one_by_one = [function(v) for v in values.reshape(-1, *trailing)]
-    np.testing.assert_allclose(result.reshape(len(one_by_one), -1), np.reshape(one_by_one, (len(one_by_one), -1)), atol=1e-12)
+    np.testing.assert_allclose(
+        result.reshape(len(one_by_one), -1), np.reshape(one_by_one, (len(one_by_one), -1)), atol=1e-12
+    )
     tensor = function(torch.from_numpy(np.asarray(values)))
     assert isinstance(tensor, torch.Tensor)
     assert tensor.dtype == torch.float64

@@ -195,7 +195,11 @@ def test_randomness_depends_on_seed_and_label_alone(run: Callable, tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("fail", "said"),
-    [("crash", "stage 'double' failed: ZeroDivisionError: by"), ("full", "no space left"), ("said", "want less, got more")],
+    [
+        ("crash", "stage 'double' failed: ZeroDivisionError: by"),
+        ("full", "no space left"),
+        ("said", "want less, got more"),
+    ],
 )
 def test_failing_stage_keeps_what_was_there(run: Callable, tmp_path: Path, fail: str, said: str) -> None:
     run()
@@ -253,7 +257,7 @@ def test_graph_reads_signatures() -> None:
 
 def test_graph_refuses_what_does_not_fit() -> None:
     def no_config(seeds: Seeds, ctx: StageContext) -> Total: ...
-    def no_result(config: PlainConfig, ctx: StageContext): ...  # noqa: ANN202
+    def no_result(config: PlainConfig, ctx: StageContext): ...
     def plain_result(config: PlainConfig, ctx: StageContext) -> int: ...
 
     with pytest.raises(GraphError, match="needs Seeds"):
@@ -274,7 +278,9 @@ def nodes() -> tuple[Node, ...]:
 
 
 def test_later_layers_win() -> None:
-    config = resolve(nodes(), "p", [("a", {"seeds": {"count": 5, "noise": 1.0}}), ("b", {"seeds": {"count": 6}, "seed": 4})])
+    config = resolve(
+        nodes(), "p", [("a", {"seeds": {"count": 5, "noise": 1.0}}), ("b", {"seeds": {"count": 6}, "seed": 4})]
+    )
     assert config.stages["seeds"] == SeedsConfig(count=6, noise=1.0)
     assert config.seed == 4
     assert resolve(nodes(), "p", [("run.json", json.loads(json.dumps(config.as_dict())))]) == config
