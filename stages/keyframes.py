@@ -107,13 +107,13 @@ def optimize_keyframes(
 
     grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
     if not depth.trusted:
-        ctx.warn(f"keyframes: depth loss left out, the depth's scale is not trusted ({depth.reason})")
+        ctx.warn(f"depth loss left out, the depth's scale is not trusted ({depth.reason})")
     people, indices = [], []
     for number, motion in enumerate(bodies.people):
         keyframes = _choose_keyframes(motion.valid, config.keyframe_interval_frames)
         indices.append(keyframes)
         if len(keyframes) == 0:
-            ctx.warn(f"keyframes: person {motion.person_id} has no valid frame, motion left as it is")
+            ctx.warn(f"person {motion.person_id} has no valid frame, motion left as it is")
             people.append(motion)
             continue
         body = shaped_body(motion.shape)
@@ -194,7 +194,7 @@ def _depth_targets(
     height, width = depth.depth_m.shape[1:]
     if plate.selected_mask.shape[1:] != (height, width):
         masks = plate.selected_mask.shape[1:]
-        ctx.warn(f"keyframes: depth loss left out, masks {masks} do not fit depth {(height, width)}")
+        ctx.warn(f"depth loss left out, masks {masks} do not fit depth {(height, width)}")
         return []
     intrinsics = motion.intrinsics.resized(width, height)
     common, in_depth, in_plate = np.intersect1d(depth.frame_index, plate.frame_index, return_indices=True)

@@ -67,7 +67,7 @@ def fit_metric(
         verdict = _fit_to_floor(depth, bodies, len(frames))
     fit = verdict.fit
     if not verdict.trusted:
-        ctx.warn(f"metric: depth scale is not trusted: {verdict.reason}")
+        ctx.warn(f"depth scale is not trusted: {verdict.reason}")
     if np.isfinite(fit.chamfer_before_m):
         ctx.quality("chamfer_before", fit.chamfer_before_m, "m", "lower")
         ctx.quality("chamfer_after", fit.chamfer_after_m, "m", "lower")

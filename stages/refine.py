@@ -71,13 +71,13 @@ def refine_motion(
 
     prior = load_prior(config.prior, device=ctx.device)
     if config.prior == "auto" and prior.name != "scenemi":
-        ctx.warn("refine: no scenemi weights present, keyframes are joined by interpolation")
+        ctx.warn("no scenemi weights present, keyframes are joined by interpolation")
     grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
     people, names = [], []
     for number, (motion, index) in enumerate(zip(keyframed.people, keyframed.keyframe_index, strict=True)):
         suffix = "" if number == 0 else f" (person {motion.person_id})"
         if len(index) == 0 or not motion.valid.any():
-            ctx.warn(f"refine: person {motion.person_id} has no keyframe, motion left as it is")
+            ctx.warn(f"person {motion.person_id} has no keyframe, motion left as it is")
             people.append(motion)
             names.append("none")
             continue
@@ -154,7 +154,7 @@ def _report_windows(ctx: StageContext, filled: LongMotion, prior: InbetweeningPr
         )
     if len(filled.bridged_index):
         frames = ", ".join(str(i) for i in filled.bridged_index)
-        ctx.warn(f"refine: gaps longer than a window were bridged by interpolation at frames {frames}{suffix}")
+        ctx.warn(f"gaps longer than a window were bridged by interpolation at frames {frames}{suffix}")
 
 
 class _Judge:

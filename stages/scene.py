@@ -226,4 +226,4 @@ def _touches(mask: Bool[np.ndarray, "height width"], size: tuple[int, int], shar
     return cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > share
 
 
-STAGE = StageSpec("scene", build_scene, version=4)
+STAGE = StageSpec("scene", build_scene, version=5)

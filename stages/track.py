@@ -251,7 +251,7 @@ def _continuation_cost(track: _Track, found: PoseEstimate, frame: int, max_lost:
     radius_px = track.last.next_roi.radius_px
     away = float(np.linalg.norm(hips_px(found) - hips_px(track.last) - moved_px)) / radius_px
     growth = abs(np.log(found.next_roi.side_px / track.last.next_roi.side_px))
-    if away > 0.5 + 1.5 * gap / max(max_lost, 1) or growth > np.log(1.6):
+    if away > 0.8 + 2.0 * gap / max(max_lost, 1) or growth > np.log(1.6):
         return np.inf
     iou = float(box_iou(track.last.box_px() + np.tile(moved_px, 2), found.box_px()[None])[0])
     return away + growth + (1.0 - iou)
@@ -322,4 +322,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=1, models=("pose",))
+STAGE = StageSpec("track", track_people, version=2, models=("pose",))

@@ -167,23 +167,26 @@ def unsigned_distance(
 def _surface_samples(
     triangles_m: np.ndarray, step_m: float
 ) -> tuple[Float[np.ndarray, "samples 3"], Int[np.ndarray, "samples"]]:
-    """Centroids of equal sub-triangles with edges up to `step_m`, and the triangle each belongs to.
+    """Centroids of pieces with edges up to `step_m`, and the triangle each belongs to.
 
-    Centroids, not corners: a corner is shared, so its nearest samples could all belong to the wrong neighbors.
+    Triangles are bisected at their longest edge, so a long sliver gives few pieces. Centroids, not corners: a corner is
+    shared, so its nearest samples could all belong to the wrong neighbors.
     """
-    edges_m = np.linalg.norm(triangles_m - np.roll(triangles_m, 1, axis=1), axis=-1).max(axis=1)
-    divisions = np.maximum(1, np.ceil(edges_m / step_m)).astype(int)
-    samples, owners = [], []
-    for n in np.unique(divisions):
-        chosen = np.flatnonzero(divisions == n)
-        i, j = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
-        upright = np.stack([i, j], -1)[i + j < n] + 1 / 3
-        flipped = np.stack([i, j], -1)[i + j < n - 1] + 2 / 3
-        uv = np.concatenate([upright, flipped]) / n
-        weights = np.column_stack([uv, 1 - uv.sum(-1)])
-        samples.append(np.einsum("sk,fkd->fsd", weights, triangles_m[chosen]).reshape(-1, 3))
-        owners.append(np.repeat(chosen, len(weights)))
-    return np.concatenate(samples), np.concatenate(owners)
+    pieces, owners = triangles_m, np.arange(len(triangles_m))
+    samples, sample_owners = [], []
+    while len(pieces):
+        edges_m = np.linalg.norm(np.roll(pieces, -1, axis=1) - pieces, axis=-1)
+        done = edges_m.max(axis=1) <= step_m
+        samples.append(pieces[done].mean(axis=1))
+        sample_owners.append(owners[done])
+        pieces, owners, edges_m = pieces[~done], owners[~done], edges_m[~done]
+        longest = edges_m.argmax(axis=1)[:, None]
+        rows = np.arange(len(pieces))[:, None]
+        a, b, c = (pieces[rows, (longest + k) % 3][:, 0] for k in range(3))
+        middle = 0.5 * (a + b)
+        pieces = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+        owners = np.concatenate([owners, owners])
+    return np.concatenate(samples), np.concatenate(sample_owners)
 
 
 def point_triangle_distance(
