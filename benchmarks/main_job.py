@@ -14,7 +14,6 @@ import datetime
 import json
 import os
 import platform
-import resource
 import subprocess
 import sys
 import tempfile
@@ -62,11 +61,10 @@ def measure(media: Path, name: str, scene_dir: Path) -> dict[str, object]:
     command = [sys.executable, "-m", "video2anim.cli.main", "run", str(media / "videos" / f"{name}.mp4")]
     command += ["--out", str(scene_dir)]
     started = time.perf_counter()
-    subprocess.run(command, check=True, capture_output=True)
+    run(command)
     wall_s = time.perf_counter() - started
-    peak_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e6
     started = time.perf_counter()
-    subprocess.run(command, check=True, capture_output=True)
+    run(command)
     cached_s = time.perf_counter() - started
     stages = [json.loads(p.read_text()) for p in sorted(scene_dir.glob("stages/*/manifest.json"))]
     clip = read_value(VideoClip, scene_dir / "stages" / "01_ingest")
@@ -75,7 +73,6 @@ def measure(media: Path, name: str, scene_dir: Path) -> dict[str, object]:
         "frames": clip.frame_count,
         "wall_s": wall_s,
         "frames_per_s": clip.frame_count / wall_s,
-        "peak_mb_so_far": peak_mb,
         "peak_mb": max(s["peak_memory_mb"] for s in stages),
         "cached_s": cached_s,
         "stages": {s["stage"]: {"wall_s": s["wall_time_s"], "peak_mb": s["peak_memory_mb"]} for s in stages},
@@ -85,6 +82,13 @@ def measure(media: Path, name: str, scene_dir: Path) -> dict[str, object]:
     if reference.is_file():
         row["accuracy"] = accuracy(scene_dir, clip, reference)
     return row
+
+
+def run(command: list[str]) -> None:
+    """Run to the end or show why not."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
 
 
 def accuracy(scene_dir: Path, clip: VideoClip, reference: Path) -> dict[str, float]:

@@ -148,7 +148,7 @@ def _report_windows(ctx: StageContext, filled: LongMotion, prior: InbetweeningPr
     ctx.quality(f"windows with denser keyframes{suffix}", fallen / len(filled.densities), "ratio", "lower")
     if fallen:
         ctx.warn(
-            f"refine: {prior.name} made {fallen} of {len(filled.densities)} windows worse than the observed motion; "
+            f"{prior.name} made {fallen} of {len(filled.densities)} windows worse than the observed motion; "
             f"{fallen - observed} are filled from all optimized keyframes, {observed} keep the smoothed observation"
             f"{suffix}"
         )

@@ -141,3 +141,10 @@ def test_person_never_measured_is_said() -> None:
 )
 def test_format_number(value: float, text: str) -> None:
     assert format_number(value) == text
+
+
+def test_a_number_that_was_not_measured_is_not_a_zero() -> None:
+    from video2anim.export.report import format_number
+
+    assert format_number(None) == format_number(float("nan")) == "n/a"
+    assert format_number(0.0) == "0"

@@ -87,9 +87,9 @@ def render_report(report: ReportInput) -> str:
     )
 
 
-def format_number(value: float) -> str:
-    """Three significant digits without an exponent for everyday sizes; `n/a` for NaN."""
-    if not math.isfinite(value):
+def format_number(value: float | None) -> str:
+    """Three significant digits without an exponent for everyday sizes; `n/a` for None and NaN."""
+    if value is None or not math.isfinite(value):
         return "n/a"
     if value == 0 or 1e-4 <= abs(value) < 1e6:
         digits = 0 if value == 0 else max(0, 2 - math.floor(math.log10(abs(value))))
