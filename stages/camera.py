@@ -48,7 +48,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     focal_px, sigma, source, body = _focal(clip, main, frames, config, ctx)
     from video2anim.fitting.ground import up_from_balance
 
-    up = up_from_balance(body.joints_camera_m)
+    up = up_from_balance(body.joints_camera_m, float(np.ptp(clip.frame_time_s[frames])))
     if not clip.camera_is_static:
         ctx.warn(
             "the camera moves, but is taken as fixed: the person's path in the world will contain its motion; "
@@ -137,4 +137,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         raise UsageError(f"--height-m: want 0.5 to 2.5 metres, got {config.height_m:g}")
 
 
-STAGE = StageSpec("camera", estimate_camera, version=2)
+STAGE = StageSpec("camera", estimate_camera, version=3)

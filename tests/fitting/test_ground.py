@@ -25,7 +25,7 @@ def seen_by(joints_world_m: np.ndarray, pitch_deg: float, roll_deg: float) -> tu
 @pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(0, 0), (20, 0), (0, 13), (15, -10)])
 def test_up_of_a_walk_in_a_tilted_camera(pitch_deg: float, roll_deg: float) -> None:
     joints, up = seen_by(planted_walk(150).joints_world_m, pitch_deg, roll_deg)
-    found = up_from_balance(joints)
+    found = up_from_balance(joints, 5.0)
     assert np.linalg.norm(found.up) == pytest.approx(1.0)
     error = np.arccos(np.clip(found.up @ up, -1, 1))
     assert error < 2 * found.sigma_rad
@@ -37,7 +37,7 @@ def test_up_of_a_standing_body() -> None:
     body = shaped_body(BodyShape("anny", dict(ADULT)))
     joints, _ = forward_kinematics(np.tile(np.eye(3), (60, 22, 1, 1)), np.zeros((60, 3)), body.rest_joints_m)
     seen, up = seen_by(joints, 25, 5)
-    found = up_from_balance(seen)
+    found = up_from_balance(seen, 2.0)
     assert np.arccos(found.up @ up) < 2 * found.sigma_rad
 
 
@@ -46,12 +46,12 @@ def test_lying_frames_lose_their_say() -> None:
     lying = walk @ matrix_from_axis_angle(np.array([0, 0, np.pi / 2])).T
     mixed = np.concatenate([walk, lying[:30]])
     joints, up = seen_by(mixed, 15, 0)
-    assert np.degrees(np.arccos(up_from_balance(joints).up @ up)) < 6
+    assert np.degrees(np.arccos(up_from_balance(joints, 5.0).up @ up)) < 6
 
 
 def test_one_short_look_says_little() -> None:
     joints, _ = seen_by(planted_walk(90).joints_world_m, 10, 0)
-    assert up_from_balance(joints[:2]).sigma_rad > up_from_balance(joints).sigma_rad
+    assert up_from_balance(joints[:2], 1 / 30).sigma_rad > up_from_balance(joints, 3.0).sigma_rad
 
 
 @pytest.mark.parametrize("up", [[0, -1, 0], [0.2, -0.9, -0.3], [0, 0, -1], [0, 0, 1], [1, 0, 0]])

@@ -17,6 +17,7 @@ _SEGMENTS = (
     ("left_knee", "left_ankle", 0.061), ("right_knee", "right_ankle", 0.061),
 )  # fmt: skip
 """Mass share of body segments (Winter 2009, table 4.1), each at the middle of its joints."""
+_LOOKS_PER_S = 3.0
 _FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
 
 
@@ -40,6 +41,7 @@ def center_of_mass(joints_m: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarr
 
 def up_from_balance(
     joints_camera_m: Float[np.ndarray, "frames 22 3"],
+    duration_s: float,
     *,
     prior_up: Float[np.ndarray, "3"] | None = None,
     prior_sigma_rad: float = 0.35,
@@ -48,14 +50,15 @@ def up_from_balance(
     """Direction against gravity: a body that stands or walks has, on average, its centre of mass over its feet.
 
     Iteratively re-weighted mean of the directions feet -> centre of mass, so lying, bending or airborne frames lose
-    their say, combined with a weak belief that cameras are held level. Errors of single frames are strongly
-    correlated; ten frames count as one.
+    their say, combined with a weak belief that cameras are held level. Errors of neighboring frames are strongly
+    correlated: every third of a second of the time the frames span counts as one look, however many frames it has.
     """
     feet = joints_camera_m[:, [JOINT_INDEX[name] for name in _FEET]].mean(1)
     direction = center_of_mass(joints_camera_m) - feet
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     level = np.array([0.0, -1.0, 0.0]) if prior_up is None else prior_up
-    share = 0.1 / frame_sigma_rad**2
+    looks = max(1.0, duration_s * _LOOKS_PER_S)
+    share = min(1.0, looks / len(joints_camera_m)) / frame_sigma_rad**2
     up = np.median(direction, axis=0)
     up /= np.linalg.norm(up)
     for _ in range(20):
