@@ -19,7 +19,6 @@ from video2anim.types import (
     BackgroundPlate,
     BodyMotion,
     BodyTracks,
-    Intrinsics,
     KeyframedMotion,
     MetricDepth,
     SceneModel,
@@ -189,7 +188,8 @@ def _depth_targets(
     """Frames that have both depth and a mask of the person, with enough valid pixels in it."""
     from video2anim.body.skeleton import forward_kinematics
     from video2anim.fitting.keyframe_roots import DepthTarget
-    from video2anim.geometry.projection import backproject, transform_points
+    from video2anim.geometry.projection import backproject, invert_rigid, transform_points
+    from video2anim.geometry.visible import visible_vertices
 
     height, width = depth.depth_m.shape[1:]
     if plate.selected_mask.shape[1:] != (height, width):
@@ -210,7 +210,8 @@ def _depth_targets(
             motion.R_parent_joint[frame], motion.T_world_root[frame, :3, 3], motion.rest_joints_m
         )
         skin_m = body.vertices(R_world_joint[None], motion.joints_world_m[frame][None])[0].astype(np.float64)
-        visible_m = skin_m[_visible(skin_m, T_world_camera, intrinsics)]
+        skin_camera_m = transform_points(invert_rigid(T_world_camera), skin_m)
+        visible_m = skin_m[visible_vertices(skin_camera_m, body.faces, intrinsics)]
         if len(visible_m) < 50:
             continue
         chosen = [
@@ -219,28 +220,6 @@ def _depth_targets(
         ]
         targets.append(DepthTarget(int(frame), visible_m[chosen[0]], points_m[chosen[1]]))
     return targets
-
-
-_VISIBLE_CELL_PX = 3.0
-_VISIBLE_SLACK_M = 0.03
-"""A vertex counts as seen when it lies at most this far behind the nearest one in its cell."""
-
-
-def _visible(skin_m: np.ndarray, T_world_camera: np.ndarray, intrinsics: Intrinsics) -> Int[np.ndarray, "visible"]:
-    """Vertices in the picture that no other vertex hides, by a coarse z-buffer of points."""
-    from video2anim.geometry.projection import invert_rigid, project, transform_points
-
-    camera_m = transform_points(invert_rigid(T_world_camera), skin_m)
-    front = np.flatnonzero(camera_m[:, 2] > 0.05)
-    pixel = project(camera_m[front], intrinsics)
-    inside = ((pixel >= -0.5) & (pixel < [intrinsics.width_px - 0.5, intrinsics.height_px - 0.5])).all(axis=1)
-    front, pixel = front[inside], pixel[inside]
-    columns = int(intrinsics.width_px // _VISIBLE_CELL_PX) + 2
-    cell = np.floor((pixel[:, 1] + 0.5) / _VISIBLE_CELL_PX).astype(int) * columns
-    cell += np.floor((pixel[:, 0] + 0.5) / _VISIBLE_CELL_PX).astype(int)
-    nearest_m = np.full(cell.max(initial=0) + 1, np.inf)
-    np.minimum.at(nearest_m, cell, camera_m[front, 2])
-    return front[camera_m[front, 2] <= nearest_m[cell] + _VISIBLE_SLACK_M]
 
 
 def _root_problem(
@@ -337,4 +316,4 @@ def _weights(config: KeyframesConfig) -> RootWeights:
     )
 
 
-STAGE = StageSpec("keyframes", optimize_keyframes, version=2)
+STAGE = StageSpec("keyframes", optimize_keyframes, version=3)
