@@ -85,7 +85,7 @@ def source_video(path: Path) -> SourceVideo:
     if path.is_dir():
         raise InputError(f"input: want a video file, got a folder at {path}")
     try:
-        return SourceVideo(path.resolve(), file_digest(path))
+        return SourceVideo(path.absolute(), file_digest(path))
     except OSError as error:
         raise InputError(f"input: want a readable file, got {error.strerror} at {path}") from error
 

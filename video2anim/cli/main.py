@@ -143,7 +143,7 @@ def demo_command(
     from video2anim.cli import results
 
     clip = results.demo_clip(lambda text: typer.echo(text, err=True))
-    run_command(clip, out, device=device)
+    run_command(clip, out, person="all", device=device)
 
 
 @models_app.command("list")
