@@ -6,6 +6,7 @@ import importlib.util
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -99,3 +100,12 @@ def test_open3d_draws_the_same_scene(scene_view: SceneView, tmp_path: Path, monk
         picture = cv2.imread(str(out)).astype(int)
         masks.append(picture[..., 0] - picture[..., 2] > 40)
     assert (masks[0] & masks[1]).sum() / (masks[0] | masks[1]).sum() > 0.9
+
+
+def test_a_window_without_a_display_is_one_line(scene_view: SceneView, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "video2anim.viewer.window", SimpleNamespace(run_window=None))
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    with pytest.raises(UsageError, match="--screenshot"):
+        view(scene_view)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -20,7 +21,9 @@ from video2anim.pipeline.runner import Event, StageStatus
 if TYPE_CHECKING:
     from video2anim.models import ModelState
 
-_out = Console()
+_WIDE = 200
+"""Columns where the output is no terminal, so that tables in files and pipes are not cut."""
+_out = Console(width=None if sys.stdout.isatty() else _WIDE)
 _err = Console(stderr=True)
 RESULT_NAMES = ("motion.npz", "scene.glb", "scene.usdc", "motion.bvh", "motion_amass.npz", "preview.mp4", "report.html")
 

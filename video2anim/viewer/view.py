@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -47,6 +49,11 @@ def view(view_of: SceneView, *, title: str = "video2anim") -> None:
     """
     from video2anim.viewer.window import run_window
 
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise UsageError(
+            "view: want a display for the window, got neither DISPLAY nor WAYLAND_DISPLAY; "
+            "use `video2anim view DIR --screenshot out.png`, or run under Xvfb"
+        )
     run_window(view_of, title)
 
 
