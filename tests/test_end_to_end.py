@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,15 +15,13 @@ import cv2
 import numpy as np
 import pytest
 from command import FOLDERS, STAGE_NAMES, Answer, command_line, payload_digests, process, video2anim
+from test_bvh import bvh_joints_cm
+from test_glb import Reread
 
 from video2anim.artifacts.folder import file_digest
 from video2anim.artifacts.motion_io import read_motion, write_motion
 from video2anim.body.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.geometry.projection import transform_points
-
-sys.path.insert(0, str(Path(__file__).parent / "export"))
-from test_bvh import bvh_joints_cm
-from test_glb import Reread
 
 pytestmark = pytest.mark.slow
 
