@@ -144,6 +144,10 @@ def _with_supports(objects: Sequence[PlacedObject], bodies: BodyTracks, ctx: Sta
             found = next((i for i, item in enumerate(fitted) if item is not None), None)
             if found is not None:
                 kept[found] = fitted[found]  # type: ignore[call-overload]
+                ctx.warn(
+                    f"object {kept[found].object_id} is moved and cut to {support.top_m:.2f} m so that it meets the "
+                    f"feet of person {motion.person_id} that rested there"
+                )
                 continue
             number += 1
             size, middle = support.high_m - support.low_m, 0.5 * (support.low_m + support.high_m)

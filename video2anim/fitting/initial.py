@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.skeleton import JOINT_INDEX, PARENTS
+from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
 from video2anim.fitting.landmarks import KEYPOINT_INDEX
 from video2anim.geometry.rotations import matrix_from_axis_angle, nearest_rotation
 from video2anim.types.camera import Intrinsics
@@ -57,7 +57,7 @@ def rotations_from_keypoints(
     world[:, 0] = local[:, 0] = trunk
     for joint in range(1, 22):
         parent = int(PARENTS[joint])
-        name = _name(joint)
+        name = JOINT_NAMES[joint]
         if name == "spine3":
             world[:, joint] = chest
         elif name in _LIMBS:
@@ -99,10 +99,6 @@ def translation_from_projection(
 
 def _mid(at: object, part: str) -> np.ndarray:
     return 0.5 * (at(f"left_{part}") + at(f"right_{part}"))  # type: ignore[operator]
-
-
-def _name(joint: int) -> str:
-    return next(name for name, index in JOINT_INDEX.items() if index == joint)
 
 
 def _frame_from(left: np.ndarray, up: np.ndarray) -> np.ndarray:

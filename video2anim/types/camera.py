@@ -50,4 +50,5 @@ class CameraEstimate:
     up_sigma_rad: float
     is_static: bool
     R_first_camera: Float[np.ndarray, "frames 3 3"]
-    """Rotation of each frame's camera against the first one's; identity for a static camera."""
+    """Rotation of each frame's camera against the first one's. Identity means fixed; where `is_static` is False it is
+    an assumption, not an estimate."""
