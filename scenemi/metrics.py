@@ -6,8 +6,10 @@ frames) is NaN, never a made-up zero.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
 
 from video2anim.body.skeleton import JOINT_INDEX
@@ -178,6 +180,43 @@ def rte(estimate_root_m: Float[np.ndarray, "frames 3"], truth_root_m: Float[np.n
         return float("nan")
     aligned_m = align_similarity(estimate_root_m, truth_root_m, with_scale=False)(estimate_root_m)
     return float(np.linalg.norm(aligned_m - truth_root_m, axis=-1).mean() / path_m)
+
+
+def acceleration_error_m_s2(
+    estimate_m: Float[np.ndarray, "frames 22 3"], truth_m: Float[np.ndarray, "frames 22 3"], fps: float
+) -> float:
+    """Mean distance of the second differences of equal joints times fps^2, in m/s^2; lower is better.
+
+    Both must be in axes that agree; a constant offset does not count. NaN below 3 frames.
+    """
+    estimate_m, truth_m = expect_joints(estimate_m, "estimate_m"), expect_joints(truth_m, "truth_m")
+    if len(estimate_m) < 3:
+        return float("nan")
+    difference_m = np.diff(estimate_m - truth_m, n=2, axis=0)
+    return float(np.linalg.norm(difference_m, axis=-1).mean() * fps**2)
+
+
+@dataclass(frozen=True, slots=True)
+class BinaryScores:
+    """How well yes/no answers agree with the truth. Ratios, higher is better; NaN where nothing was to be found."""
+
+    precision: float
+    """Share of the claimed that is true."""
+    recall: float
+    """Share of the true that is claimed."""
+    f1: float
+    """2 true claims / (claims + true ones)."""
+
+
+def binary_scores(estimate: Bool[np.ndarray, "..."], truth: Bool[np.ndarray, "..."]) -> BinaryScores:
+    """Precision, recall and F1 of foot contact or any other yes/no label."""
+    both, claimed, true = (int(np.count_nonzero(x)) for x in (estimate & truth, estimate, truth))
+    nan = float("nan")
+    return BinaryScores(
+        precision=both / claimed if claimed else nan,
+        recall=both / true if true else nan,
+        f1=2 * both / (claimed + true) if claimed + true else nan,
+    )
 
 
 class Similarity:

@@ -31,6 +31,13 @@ COMMANDS = {
     "export": {"DIR", "--format", "--out"},
     "view": {"DIR", "--screenshot", "--frame", "--motion"},
     "demo": {"--out", "--device"},
+    "synth": {
+        "--out", "--preset", "--count", "--seed", "--workers", "--size", "--motion", "--noncommercial",
+        "--no-noncommercial", "--meshes", "--room-size", "--frames-only", "--no-frames-only", "--motion-only",
+        "--no-motion-only",
+    },
+    "eval": {"DIR", "--truth", "--json", "--html"},
+    "eval-set": {"RESULTS_DIR", "--truth", "--json", "--html"},
     "models list": set(),
     "models pull": {"NAME"},
     "models verify": set(),

@@ -156,3 +156,27 @@ def test_wrong_joints_are_refused(bad: np.ndarray) -> None:
 def test_different_lengths_are_refused() -> None:
     with pytest.raises(ValueError, match="frames"):
         metrics.mpjpe(cloud(0, 3), cloud(0, 4))
+
+
+def test_acceleration_error_of_a_known_acceleration() -> None:
+    """Half of the joints fall 3 m/s^2 faster; place and speed do not matter."""
+    time_s = np.arange(20) / FPS
+    truth_m = cloud(8, frames=20)
+    estimate_m = truth_m + np.array([1.0, 2.0, 3.0])
+    estimate_m[:, :11, 1] += (1.5 * time_s**2 + 4.0 * time_s)[:, None]
+    assert metrics.acceleration_error_m_s2(estimate_m, truth_m, FPS) == pytest.approx(1.5, rel=1e-6)
+    assert metrics.acceleration_error_m_s2(truth_m, truth_m, FPS) == 0
+    assert np.isnan(metrics.acceleration_error_m_s2(truth_m[:2], truth_m[:2], FPS))
+
+
+def test_binary_scores_by_hand() -> None:
+    truth = np.array([[True, True, False], [False, True, False]])
+    claim = np.array([[True, False, True], [False, False, False]])
+    scores = metrics.binary_scores(claim, truth)
+    assert (scores.precision, scores.recall, scores.f1) == pytest.approx((1 / 2, 1 / 3, 2 / 5))
+    none = np.zeros(3, bool)
+    scores = metrics.binary_scores(none, none)
+    assert np.isnan([scores.precision, scores.recall, scores.f1]).all()
+    scores = metrics.binary_scores(none, ~none)
+    assert np.isnan(scores.precision)
+    assert (scores.recall, scores.f1) == (0, 0)

@@ -18,10 +18,10 @@ _SHAPES = {
 """Trailing axes of the arrays that have one row per frame."""
 
 
-def write_motion(path: Path, motion: BodyMotion) -> None:
-    """Write a motion as `.npz` (keys: docs/scene_folder.md). Never pickled."""
+def motion_arrays(motion: BodyMotion) -> dict[str, np.ndarray]:
+    """The arrays of a `motion.npz` (keys: docs/scene_folder.md)."""
     k = motion.intrinsics
-    arrays: dict[str, np.ndarray] = {
+    return {
         "joint_names": np.array(JOINT_NAMES),
         "parents": PARENTS,
         "frame_time_s": motion.frame_time_s,
@@ -39,6 +39,11 @@ def write_motion(path: Path, motion: BodyMotion) -> None:
         "rest_joints_m": motion.rest_joints_m,
         "person_id": np.array(motion.person_id),
     }
+
+
+def write_motion(path: Path, motion: BodyMotion) -> None:
+    """Write a motion as `.npz`. Never pickled."""
+    arrays = motion_arrays(motion)
     np.savez(path, allow_pickle=False, **arrays)
 
 

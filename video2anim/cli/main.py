@@ -10,6 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from video2anim import __version__
+from video2anim.cli.evaluate import eval_command, eval_set_command
+from video2anim.cli.synth import synth_command
 from video2anim.errors import Video2AnimError
 
 app = typer.Typer(
@@ -144,6 +146,11 @@ def demo_command(
 
     clip = results.demo_clip(lambda text: typer.echo(text, err=True))
     run_command(clip, out, person="all", device=device)
+
+
+app.command("synth")(synth_command)
+app.command("eval")(eval_command)
+app.command("eval-set")(eval_set_command)
 
 
 @models_app.command("list")

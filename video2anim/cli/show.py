@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -127,3 +127,18 @@ def pull(name: str) -> None:
 
 def _number(value: float) -> str:
     return f"{value:.4g}"
+
+
+@contextmanager
+def counted(unit: str) -> Iterator[Callable[[Any, int], None]]:
+    """Shows finished things of a set: a bar on a terminal, one line each elsewhere."""
+    columns = (TextColumn(unit), BarColumn(), TextColumn("{task.completed}/{task.total}"))
+    with Progress(*columns, TimeRemainingColumn(), console=_err, transient=True, disable=not _err.is_terminal) as bar:
+        task = bar.add_task("", total=None)
+
+        def on_done(thing: Any, total: int) -> None:
+            bar.update(task, advance=1, total=total)
+            if not _err.is_terminal:
+                _err.print(f"{thing.name}{' (cached)' if thing.cached else ''}", highlight=False)
+
+        yield on_done

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import pygltflib as gltf
@@ -19,8 +20,20 @@ from video2anim.export.character import Character
 from video2anim.export.frames import is_still, linear_from_srgb, opengl_camera_poses, vertical_fov_rad
 from video2anim.export.gltf_buffer import GltfBuffer
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
-from video2anim.types import BodyMotion, Mesh, PlacedObject, SceneModel
+from video2anim.types import BodyMotion, Mesh, PlacedObject
 from video2anim.viewer.normals import vertex_normals
+
+
+class SceneMeshes(Protocol):
+    """What `write_scene_glb` needs of a scene; a `SceneModel` has it."""
+
+    @property
+    def objects(self) -> tuple[PlacedObject, ...]: ...
+    @property
+    def floor(self) -> Mesh: ...
+    @property
+    def background(self) -> Mesh: ...
+
 
 SKIN_RGB = (205, 163, 138)
 _NEAR_M = 0.05
@@ -30,7 +43,7 @@ _UNLIT = "KHR_materials_unlit"
 def write_scene_glb(
     path: Path,
     characters: tuple[Character, ...],
-    scene: SceneModel | None,
+    scene: SceneMeshes | None,
     *,
     camera: bool = True,
     joint_names: tuple[str, ...] = JOINT_NAMES,

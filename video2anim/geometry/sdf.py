@@ -85,6 +85,7 @@ def build_sdf_grid(
     spacing_m: float,
     *,
     floor_y_m: float | None = 0.0,
+    reach_m: float = np.inf,
 ) -> SdfGrid:
     """Signed distance to the union of solid meshes and the half space under the floor.
 
@@ -97,6 +98,8 @@ def build_sdf_grid(
         solids: meshes in world coordinates, ideally watertight; a mesh without faces is skipped.
         bounds_m: lowest and highest corner of the grid; the highest is rounded up to a whole spacing.
         floor_y_m: height of the floor plane, None for none.
+        reach_m: solids farther from a node than this are not looked for, which is much faster: the node keeps the
+            distance to the floor and nearer solids, and inside a solid it is at least this deep.
 
     Raises:
         ValueError: bounds without extent or a spacing that is not positive.
@@ -111,13 +114,15 @@ def build_sdf_grid(
         sdf_m = np.minimum(sdf_m, (axes[1] - floor_y_m)[None, :, None])
     for solid in solids:
         if len(solid.faces):
-            _lower_by_solid(sdf_m, solid, axes, spacing_m)
+            _lower_by_solid(sdf_m, solid, axes, spacing_m, reach_m)
     if not np.isfinite(sdf_m).all():
         raise ValueError("build_sdf_grid: neither a solid with faces nor a floor was given")
     return SdfGrid(sdf_m.astype(np.float32), low_m, spacing_m)
 
 
-def _lower_by_solid(sdf_m: Float[np.ndarray, "x y z"], solid: Mesh, axes: list[np.ndarray], spacing_m: float) -> None:
+def _lower_by_solid(
+    sdf_m: Float[np.ndarray, "x y z"], solid: Mesh, axes: list[np.ndarray], spacing_m: float, reach_m: float
+) -> None:
     """Take the minimum with one solid's signed distance, in place.
 
     Nodes whose present value is below the distance to the solid's box cannot change and are left out.
@@ -127,40 +132,49 @@ def _lower_by_solid(sdf_m: Float[np.ndarray, "x y z"], solid: Mesh, axes: list[n
     box_m = np.stack([corners_m.min(0), corners_m.max(0)])
     gaps = [np.maximum(np.maximum(box_m[0, a] - axes[a], axes[a] - box_m[1, a]), 0.0) ** 2 for a in range(3)]
     box_distance_m = np.sqrt(gaps[0][:, None, None] + gaps[1][None, :, None] + gaps[2][None, None, :])
-    near = np.nonzero(box_distance_m < sdf_m)
+    near = np.nonzero(box_distance_m < np.minimum(sdf_m, reach_m))
     inner = [slice(*np.searchsorted(axes[a], box_m[:, a])) for a in range(3)]
     votes = np.zeros(sdf_m.shape, dtype=np.int8)
     if all(s.stop > s.start for s in inner):
         inner_axes = [ax[s] for ax, s in zip(axes, inner, strict=True)]
         votes[tuple(inner)] = _inside_votes(triangles_m, inner_axes, spacing_m)
-        near = np.nonzero((box_distance_m < sdf_m) | (votes > 3))
+        near = np.nonzero((box_distance_m < np.minimum(sdf_m, reach_m)) | (votes > 3))
     if not len(near[0]):
         return
     nodes_m = np.stack([axes[a][near[a]] for a in range(3)], -1)
-    distance_m = unsigned_distance(nodes_m, triangles_m, spacing_m)
-    signed_m = np.where(votes[near] > 3, -distance_m, distance_m)
+    distance_m = unsigned_distance(nodes_m, triangles_m, spacing_m, reach_m)
+    signed_m = np.where(votes[near] > 3, -np.minimum(distance_m, reach_m), distance_m)
     sdf_m[near] = np.minimum(sdf_m[near], signed_m)
 
 
 def unsigned_distance(
-    points_m: Float[np.ndarray, "points 3"], triangles_m: Float[np.ndarray, "faces 3 3"], sample_step_m: float
+    points_m: Float[np.ndarray, "points 3"],
+    triangles_m: Float[np.ndarray, "faces 3 3"],
+    sample_step_m: float,
+    reach_m: float = np.inf,
 ) -> Float[np.ndarray, "points"]:
-    """Distance from points to a triangle soup, by exact distance to the triangles of the nearest surface samples."""
+    """Distance from points to a triangle soup, by exact distance to the triangles of the nearest surface samples.
+
+    Infinite where no sample lies within reach.
+    """
     samples_m, owner = _surface_samples(triangles_m, sample_step_m)
     tree = KDTree(samples_m)
     count = min(_NEAREST_SAMPLES, len(samples_m))
     result = np.empty(len(points_m))
     for start in range(0, len(points_m), _QUERY_NODES):
         chunk = points_m[start : start + _QUERY_NODES]
-        _, nearest = tree.query(chunk, k=count, workers=-1)
-        faces = owner[nearest.reshape(len(chunk), count)]
+        gap_m, nearest = tree.query(chunk, k=count, distance_upper_bound=reach_m, workers=-1)
+        nearest = nearest.reshape(len(chunk), count)
+        lost = np.isinf(gap_m.reshape(len(chunk), count)[:, 0])
+        nearest = np.where(nearest < len(owner), nearest, np.where(lost, 0, nearest[:, 0])[:, None])
+        faces = owner[nearest]
         best = point_triangle_distance(chunk, triangles_m[faces[:, 0]])
         for k in range(1, count):
             # Most of the nearest samples share their triangle with the first: only others cost anything.
             other = np.flatnonzero((faces[:, k] != faces[:, :k].T).all(axis=0))
             found = point_triangle_distance(chunk[other], triangles_m[faces[other, k]])
             best[other] = np.minimum(best[other], found)
-        result[start : start + len(chunk)] = best
+        result[start : start + len(chunk)] = np.where(lost, np.inf, best)
     return result
 
 

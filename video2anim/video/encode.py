@@ -33,7 +33,15 @@ class FrameWriter:
     """
 
     def __init__(
-        self, path: Path, *, width_px: int, height_px: int, fps: int = 30, crf: int = 14, preset: str = "veryfast"
+        self,
+        path: Path,
+        *,
+        width_px: int,
+        height_px: int,
+        fps: int = 30,
+        crf: int = 14,
+        preset: str = "veryfast",
+        threads: int = 0,
     ) -> None:
         """Prepare to write `path`; its folder must exist. The file is made once there is something to write.
 
@@ -44,6 +52,7 @@ class FrameWriter:
             fps: Frames per second.
             crf: x264 quality, lower is better: 14 is visually lossless, 23 suits previews.
             preset: x264 speed preset.
+            threads: Encoder threads, 0 = as many as there are cores; the bytes depend on it.
         """
         self.path = path
         self.frame_count = 0
@@ -56,6 +65,7 @@ class FrameWriter:
         stream.time_base = self._time_base
         context = stream.codec_context
         context.gop_size, context.max_b_frames = KEY_FRAME_EVERY, 0
+        context.thread_count = threads
         context.color_primaries = context.color_trc = context.colorspace = _BT709
         context.color_range = int(ColorRange.MPEG)
         context.options = {"crf": str(crf), "preset": preset, "sc_threshold": "0"}

@@ -1,0 +1,1 @@
+"""Motion data: reading, retargeting, writing."""

@@ -1,0 +1,63 @@
+"""`video2anim synth`: clips, pictures and motions with known truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from video2anim.errors import UsageError
+
+
+def synth_command(
+    out: Annotated[Path, typer.Option(help="Folder to make or complete (a file with --motion-only).")],
+    preset: Annotated[str, typer.Option(help="bench (V2A-Bench, 24 clips) or random.")] = "bench",
+    count: Annotated[int | None, typer.Option(help="How many clips or pictures (default: all of the preset).")] = None,
+    seed: Annotated[int, typer.Option(help="Same seed, same bytes; bench with seed 0 is V2A-Bench.")] = 0,
+    workers: Annotated[int, typer.Option(help="Processes.")] = 1,
+    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "640x480",
+    motion: Annotated[
+        list[Path] | None, typer.Option(help="Archive of captured motion or folder of archives, repeatable.")
+    ] = None,
+    noncommercial: Annotated[bool, typer.Option(help="Use sources under non-commercial licences too.")] = False,
+    meshes: Annotated[Path | None, typer.Option(help="Folder of GLB, OBJ or PLY meshes to mix in.")] = None,
+    room_size: Annotated[str | None, typer.Option(help="Fix the room: WIDTHxDEPTH in metres.")] = None,
+    frames_only: Annotated[bool, typer.Option(help="Single labelled pictures in shards, instead of clips.")] = False,
+    motion_only: Annotated[bool, typer.Option(help="Acted motions only, as one motion archive.")] = False,
+) -> None:
+    """Make clips of people in furnished rooms with exact truth of everything."""
+    from video2anim.cli import show
+    from video2anim.synth.generate import SynthConfig, generate
+
+    if workers < 1:
+        raise UsageError(f"--workers: want 1 or more, got {workers}")
+    width_px, height_px = (int(x) for x in _pair(size, "--size", "640x480", 64, 4096))
+    room_m = _pair(room_size, "--room-size", "5x4", 0.5, 100.0) if room_size is not None else None
+    config = SynthConfig(preset, count, seed, width_px, height_px, tuple(motion or ()), noncommercial, meshes, room_m)
+    if frames_only and motion_only:
+        raise UsageError("--frames-only and --motion-only exclude each other; give one")
+    if motion_only:
+        from video2anim.synth.motions import write_acted
+
+        written = write_acted(out, count=24 if count is None else count, seed=seed)
+        typer.echo(f"{out}: {written} motions")
+        return
+    with show.counted("clips" if not frames_only else "shards") as on_done:
+        if frames_only:
+            from video2anim.synth.frames import generate_frames
+
+            generate_frames(config, out, workers=workers, on_done=on_done)
+        else:
+            generate(config, out, workers=workers, on_done=on_done)
+    typer.echo(str(out))
+
+
+def _pair(text: str, option: str, example: str, low: float, high: float) -> tuple[float, float]:
+    try:
+        a, b = (float(x) for x in text.lower().split("x"))
+    except ValueError:
+        raise UsageError(f"{option}: want two numbers such as {example}, got {text!r}") from None
+    if not (low <= a <= high and low <= b <= high):
+        raise UsageError(f"{option}: want numbers from {low:g} to {high:g}, got {text!r}")
+    return a, b

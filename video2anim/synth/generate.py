@@ -1,0 +1,192 @@
+"""Many clips: cached by specification, made in parallel processes, each whole or absent."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from video2anim import __version__
+from video2anim.artifacts.folder import file_digest
+from video2anim.errors import InputError
+from video2anim.synth.presets import V2A_BENCH, ClipSpec, clip_specs
+
+SET_NAME = "set.json"
+GENERATOR_VERSION = 1
+"""Raised when the same specification gives another clip."""
+
+
+@dataclass(frozen=True, slots=True)
+class SynthConfig:
+    """One call of `video2anim synth`."""
+
+    preset: str = "bench"
+    count: int | None = None
+    seed: int = 0
+    width_px: int = 640
+    height_px: int = 480
+    motion: tuple[Path, ...] = ()
+    """Archives of captured motion or folders of such; without them walking comes from the gait model."""
+    noncommercial: bool = False
+    meshes: Path | None = None
+    """Folder of external meshes to mix in."""
+    room_size_m: tuple[float, float] | None = None
+    label_stride: int = 5
+
+
+@dataclass(frozen=True, slots=True)
+class ClipDone:
+    """What became of one clip."""
+
+    name: str
+    cached: bool
+    digests: dict[str, str]
+    """sha256 of `truth.npz` and `video.mp4`."""
+
+
+def generate(
+    config: SynthConfig, out: Path, *, workers: int = 1, on_done: Callable[[ClipDone, int], None] = lambda d, n: None
+) -> tuple[ClipDone, ...]:
+    """Make the clips of a set in `out/<clip name>` and the table `out/set.json`.
+
+    A clip that is there already with the same specification, sources and generator version is kept.
+
+    Args:
+        config: What to make.
+        out: Folder of the set.
+        workers: Processes.
+        on_done: Called with each finished clip and the number of clips in all.
+
+    Raises:
+        UsageError: the preset or a count is wrong.
+        InputError: motion archives or meshes cannot be used, the output folder cannot be written, or a clip has no
+            suitable scene; clips that are finished stay.
+    """
+    specs = clip_specs(config.preset, config.count, config.seed)
+    sources = _source_digests(config)
+    _check_sources(config)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out: cannot make folder {out}: {error.strerror}; choose another") from error
+    done: dict[str, ClipDone] = {}
+    missing: list[ClipSpec] = []
+    for spec in specs:
+        key = _key(spec, config, sources)
+        if _key_of(out / spec.name) == key:
+            done[spec.name] = ClipDone(spec.name, True, _digests(out / spec.name))
+            on_done(done[spec.name], len(specs))
+        else:
+            missing.append(spec)
+    for result in _made(missing, config, sources, out, workers):
+        done[result.name] = result
+        on_done(result, len(specs))
+    results = tuple(done[spec.name] for spec in specs)
+    _write_set(out, config, sources, results)
+    return results
+
+
+def _made(
+    specs: Sequence[ClipSpec], config: SynthConfig, sources: dict[str, str], out: Path, workers: int
+) -> Iterator[ClipDone]:
+    if workers <= 1 or len(specs) <= 1:
+        for spec in specs:
+            yield _make(spec, config, sources, out)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(specs)), mp_context=context) as pool:
+        waiting: set[Future[ClipDone]] = {pool.submit(_make, spec, config, sources, out) for spec in specs}
+        try:
+            while waiting:
+                finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    yield future.result()
+        except BaseException:
+            for future in waiting:
+                future.cancel()
+            raise
+
+
+def _make(spec: ClipSpec, config: SynthConfig, sources: dict[str, str], out: Path) -> ClipDone:
+    from video2anim.synth.compose import ComposeOptions, compose
+    from video2anim.synth.library import MotionLibrary
+    from video2anim.synth.rooms import load_meshes
+    from video2anim.synth.store import write_clip
+
+    library = MotionLibrary.read(config.motion, noncommercial=config.noncommercial) if config.motion else None
+    meshes = load_meshes(config.meshes) if config.meshes is not None else ()
+    options = ComposeOptions(config.width_px, config.height_px, config.room_size_m, meshes, library)
+    shot = compose(spec, options)
+    facts = {
+        "name": spec.name, "preset": spec.preset, "seed": spec.seed, "index": spec.index,
+        "key": _key(spec, config, sources), "generator": f"video2anim {__version__}",
+    }  # fmt: skip
+    try:
+        write_clip(shot, out / spec.name, facts, spec.rng("noise"), label_stride=config.label_stride)
+    except OSError as error:
+        raise InputError(f"clip {spec.name}: cannot write in {out}: {error.strerror or error}") from error
+    return ClipDone(spec.name, False, _digests(out / spec.name))
+
+
+def _source_digests(config: SynthConfig) -> dict[str, str]:
+    files: list[Path] = []
+    for path in config.motion:
+        files += sorted(path.glob("*.npz")) if path.is_dir() else [path]
+    if config.meshes is not None and config.meshes.is_dir():
+        files += sorted(path for path in config.meshes.iterdir() if path.is_file())
+    missing = [path for path in files if not path.is_file()]
+    if missing:
+        raise InputError(f"motion: want an archive (.npz) or a folder of them, found nothing at {missing[0]}")
+    return {path.name: file_digest(path) for path in files}
+
+
+def _check_sources(config: SynthConfig) -> None:
+    """Fail before anything is made."""
+    from video2anim.synth.library import MotionLibrary
+    from video2anim.synth.rooms import load_meshes
+
+    if config.motion:
+        MotionLibrary.read(config.motion, noncommercial=config.noncommercial)
+    if config.meshes is not None:
+        load_meshes(config.meshes)
+
+
+def _key(spec: ClipSpec, config: SynthConfig, sources: dict[str, str]) -> str:
+    facts: dict[str, Any] = {
+        "version": GENERATOR_VERSION, "spec": asdict(spec), "size": (config.width_px, config.height_px),
+        "room": config.room_size_m, "stride": config.label_stride, "sources": sources,
+        "noncommercial": config.noncommercial,
+    }  # fmt: skip
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _key_of(folder: Path) -> str | None:
+    try:
+        return str(json.loads((folder / "meta.json").read_text())["key"])
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    return {name: file_digest(folder / name) for name in ("truth.npz", "video.mp4")}
+
+
+def _write_set(out: Path, config: SynthConfig, sources: dict[str, str], clips: Sequence[ClipDone]) -> None:
+    table = {
+        "format_version": 1,
+        "benchmark": V2A_BENCH if config.preset == "bench" and config.seed == 0 else None,
+        "preset": config.preset,
+        "seed": config.seed,
+        "generator": f"video2anim {__version__}",
+        "generator_version": GENERATOR_VERSION,
+        "motion_sources": sources,
+        "clips": [{"name": clip.name, **clip.digests} for clip in clips],
+    }
+    aside = out / f".{SET_NAME}.tmp"
+    aside.write_text(json.dumps(table, indent=1) + "\n")
+    aside.replace(out / SET_NAME)

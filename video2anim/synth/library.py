@@ -1,0 +1,62 @@
+"""Captured motion for synthetic clips, from archives in the motion container format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from scenemi.data.container import MotionArchive
+from scenemi.data.retarget import RetargetedMotion, retarget
+from video2anim.body.anny_body import ShapedBody
+from video2anim.errors import InputError
+
+NONCOMMERCIAL_SOURCES = ("bandai1", "bandai2", "sie")
+"""Sources whose licence forbids commercial use; left out unless asked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionLibrary:
+    """Clips of several archives, drawn by kind."""
+
+    archives: tuple[MotionArchive, ...]
+    clips: tuple[tuple[int, str, str, str], ...]
+    """(archive, name, kind, source), sorted by name."""
+
+    @classmethod
+    def read(cls, paths: Sequence[Path], *, noncommercial: bool = False) -> MotionLibrary:
+        """Open archives, or all archives of a folder.
+
+        Raises:
+            InputError: a file is missing, no archive, or without clips.
+        """
+        files: list[Path] = []
+        for path in paths:
+            found = sorted(path.glob("*.npz")) if path.is_dir() else [path]
+            if not found:
+                raise InputError(f"motion: want at least one .npz archive, found none in {path}")
+            files += found
+        archives = tuple(MotionArchive.read(path) for path in files)
+        rows = [
+            (number, name, kind, source)
+            for number, archive in enumerate(archives)
+            for name, kind, source in zip(archive.names, archive.kinds, archive.sources, strict=True)
+            if noncommercial or source not in NONCOMMERCIAL_SOURCES
+        ]
+        if not rows:
+            raise InputError(f"motion: only clips under non-commercial licences in {files[0]}; add --noncommercial")
+        return cls(archives, tuple(sorted(rows, key=lambda row: row[1])))
+
+    def draw(
+        self, kind: str, body: ShapedBody, rng: np.random.Generator, *, least_s: float = 1.5
+    ) -> RetargetedMotion | None:
+        """A random clip of a kind (at least `least_s` long) on a body; None where there is none."""
+        names = [row for row in self.clips if row[2] == kind]
+        for number in rng.permutation(len(names)):
+            archive, name, _, _ = names[int(number)]
+            clip = self.archives[archive].clip(name)
+            if len(clip.root_position_m) / clip.fps >= least_s and not clip.uneven:
+                return retarget(clip, body)
+        return None

@@ -1,0 +1,71 @@
+"""Which clips a preset holds."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from video2anim.errors import UsageError
+
+V2A_BENCH = "V2A-Bench 1"
+"""Name and version of the frozen benchmark: preset `bench`, seed 0, 24 clips. Other clips, another number."""
+_BENCH: tuple[tuple[str, ...], ...] = (
+    ("walk",), ("sit",), ("step_up",), ("pick_up",), ("turn",), ("lean",), ("walk", "sit"), ("walk",),
+    ("sit",), ("step_up",), ("pick_up",), ("walk", "walk"), ("turn",), ("reach",), ("sit",), ("walk",),
+    ("lean",), ("step_up",), ("pick_up", "walk"), ("walk",), ("lie",), ("turn",), ("sit", "reach"), ("walk",),
+)  # fmt: skip
+ACTED = ("walk", "sit", "lie", "step_up", "pick_up", "lean", "reach")
+CAPTURED = ("walk", "walk_turn", "chore", "gesture", "pickup", "dance", "sport", "arms")
+PRESETS = ("bench", "random")
+
+
+@dataclass(frozen=True, slots=True)
+class ClipSpec:
+    """What one clip is to show; everything else is drawn from `rng()`."""
+
+    name: str
+    preset: str
+    seed: int
+    index: int
+    kinds: tuple[str, ...]
+    """One per person: an acted kind, `turn` (captured walk with turns), or a captured kind."""
+    duration_s: tuple[float, float]
+    handheld: bool = False
+    harsh: bool = False
+    """Strong noise, blur, distortion and compression may occur."""
+
+    def rng(self, label: str, attempt: int = 0) -> np.random.Generator:
+        """Independent stream for one purpose."""
+        return np.random.default_rng([self.seed, self.index, zlib.crc32(f"{self.preset}/{label}".encode()), attempt])
+
+
+def clip_specs(preset: str, count: int | None, seed: int) -> tuple[ClipSpec, ...]:
+    """The clips of a preset; `bench` has 24, `random` as many as asked (default 24).
+
+    Raises:
+        UsageError: unknown preset, or a count that it does not have.
+    """
+    if preset not in PRESETS:
+        raise UsageError(f"--preset: want one of {', '.join(PRESETS)}, got {preset!r}")
+    most = len(_BENCH) if preset == "bench" else 1_000_000
+    count = len(_BENCH) if count is None else count
+    if not 1 <= count <= most:
+        raise UsageError(f"--count: want 1 to {most} for preset {preset}, got {count}")
+    if seed < 0:
+        raise UsageError(f"--seed: want 0 or more, got {seed}")
+    return tuple((_bench if preset == "bench" else _random)(seed, index) for index in range(count))
+
+
+def _bench(seed: int, index: int) -> ClipSpec:
+    kinds = _BENCH[index]
+    return ClipSpec(f"{index:02d}_{'_and_'.join(kinds)}", "bench", seed, index, kinds, (6.0, 9.0))
+
+
+def _random(seed: int, index: int) -> ClipSpec:
+    rng = np.random.default_rng([seed, index, zlib.crc32(b"random")])
+    people = 2 if rng.random() < 0.2 else 1
+    kinds = tuple(str(rng.choice((*ACTED, *CAPTURED))) for _ in range(people))
+    name = f"{index:05d}_{'_and_'.join(kinds)}"
+    return ClipSpec(name, "random", seed, index, kinds, (4.0, 12.0), bool(rng.random() < 0.2), bool(rng.random() < 0.5))

@@ -1,0 +1,73 @@
+"""Ray casting on the CPU: a thin layer over embree (through embreex). No display and no GL are needed.
+
+Embree's robust mode is on: no ray slips through an edge that two triangles share, and it costs nothing measurable.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore import EmbreeDevice
+from embreex.rtcore_scene import EmbreeScene
+from jaxtyping import Bool, Float, Int
+
+_FAR = np.float32(1e9)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hits:
+    """First hits of a bundle of rays."""
+
+    face: Int[np.ndarray, "rays"]
+    """Triangle, -1 where nothing was hit."""
+    distance: Float[np.ndarray, "rays"]
+    """In lengths of the ray's direction; infinite where nothing was hit."""
+    barycentric: Float[np.ndarray, "rays 2"]
+    """Weights of the triangle's second and third corner."""
+
+
+class Caster:
+    """A triangle mesh that rays can be sent into."""
+
+    def __init__(self, vertices_m: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]) -> None:
+        self.face_count = len(faces)
+        self._scene = None
+        if self.face_count:
+            self._scene = EmbreeScene(_device(), robust=True)
+            self._vertices = np.ascontiguousarray(vertices_m, np.float32)
+            TriangleMesh(self._scene, self._vertices, np.ascontiguousarray(faces, np.int32))
+
+    def first_hits(self, origins_m: Float[np.ndarray, "rays 3"], directions: Float[np.ndarray, "rays 3"]) -> Hits:
+        """Nearest triangle along each ray; directions need not be unit vectors."""
+        count = len(directions)
+        if self._scene is None or not count:
+            nothing = np.full(count, -1, np.int32)
+            return Hits(nothing, np.full(count, np.inf, np.float32), np.zeros((count, 2), np.float32))
+        found = self._scene.run(_rays(origins_m), _rays(directions), query="INTERSECT", output=1)
+        face = found["primID"]
+        distance = np.where(face >= 0, found["tfar"], np.float32(np.inf))
+        return Hits(face, distance, np.stack([found["u"], found["v"]], -1))
+
+    def blocked(
+        self,
+        origins_m: Float[np.ndarray, "rays 3"],
+        directions: Float[np.ndarray, "rays 3"],
+        reach: float | Float[np.ndarray, "rays"] = float(_FAR),
+    ) -> Bool[np.ndarray, "rays"]:
+        """Whether anything lies on a ray within `reach` lengths of its direction."""
+        if self._scene is None or not len(directions):
+            return np.zeros(len(directions), bool)
+        reaches = np.broadcast_to(np.asarray(reach, np.float32), len(directions)).copy()
+        return self._scene.run(_rays(origins_m), _rays(directions), reaches, query="OCCLUDED") == 0
+
+
+def _rays(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float32)
+
+
+@functools.lru_cache(maxsize=1)
+def _device() -> EmbreeDevice:
+    return EmbreeDevice()

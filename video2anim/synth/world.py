@@ -1,0 +1,237 @@
+"""What a synthetic clip consists of, before it is drawn. World: metres, +Y up, floor at y = 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from video2anim.types import BodyMotion, Intrinsics
+
+MATERIAL_KINDS = (
+    "plain", "plaster", "wood", "planks", "parquet", "tiles", "carpet", "fabric", "stripes", "checks", "leather",
+    "metal", "brick", "leaf", "picture", "screen", "paper", "skin", "hair",
+)  # fmt: skip
+"""Procedural textures that the renderer knows."""
+
+FURNITURE_LABELS = (
+    "chair", "armchair", "sofa", "bed", "table", "desk", "shelf", "cabinet", "stool", "plant", "lamp", "box", "step",
+)  # fmt: skip
+STRUCTURE_LABELS = ("floor", "wall", "ceiling", "door", "window", "picture", "rug", "skirting")
+CLUTTER_LABELS = ("book", "cup", "vase", "toy", "cushion", "monitor", "bag", "clutter")
+LABELS = ("none", "person", *STRUCTURE_LABELS, *FURNITURE_LABELS, *CLUTTER_LABELS, "mesh")
+"""Semantic classes; a pixel's class number is the index in this tuple. `mesh` = external mesh without a known class."""
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """A procedural solid texture: a colour for each point of an object's own frame, so that no UVs are needed."""
+
+    kind: str
+    """One of `MATERIAL_KINDS`."""
+    rgb: tuple[float, float, float]
+    """Main colour, sRGB 0 to 1."""
+    rgb2: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    """Second colour (grain, joints, stripes), sRGB 0 to 1."""
+    scale_m: float = 0.1
+    """Size of the pattern: plank width, tile edge, stripe period."""
+    gloss: float = 0.0
+    """Strength of the highlight, 0 (matt) to 1."""
+    emission: float = 0.0
+    """Radiance sent out in units of `rgb` (lamp shades, screens, window panes)."""
+    stain: float = 0.0
+    """Amount of large-scale dirt and fading, 0 to 1."""
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """A closed surface of one material (open only for labels floor, wall, ceiling, leaf), in the object's frame."""
+
+    vertices_m: Float[np.ndarray, "vertices 3"]
+    faces: Int[np.ndarray, "faces 3"]
+    """Counter-clockwise from outside."""
+    material: Material
+    smooth: bool = False
+    """Shade with interpolated vertex normals (round things) instead of face normals."""
+    vertex_rgb: UInt8[np.ndarray, "vertices 3"] | None = None
+    """Baked colours of external meshes; used instead of the material's."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A horizontal rectangle things or people can rest on, in the object's frame."""
+
+    kind: str
+    """`seat`, `top`, `bed` or `tread`."""
+    height_m: float
+    center_m: tuple[float, float]
+    """x, z of the middle."""
+    size_m: tuple[float, float]
+    """Extent along x and z."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneObject:
+    """One thing. Own frame: +Y up, resting on y = 0, origin under the middle, front towards +Z."""
+
+    object_id: int
+    """Unique in the world, from 1; structure and furniture alike."""
+    label: str
+    """One of `LABELS`."""
+    parts: tuple[Part, ...]
+    T_world_object: Float[np.ndarray, "4 4"]
+    surfaces: tuple[Surface, ...] = ()
+    note: str = ""
+    """Where it came from: generator variant or file name."""
+
+    def moved(self, T_world_object: np.ndarray, object_id: int | None = None) -> SceneObject:
+        """The same thing at another pose."""
+        number = self.object_id if object_id is None else object_id
+        return replace(self, T_world_object=np.asarray(T_world_object, float), object_id=number)
+
+    def merged(self) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
+        """All parts as one triangle list, in the world frame."""
+        vertices, faces, count = [], [], 0
+        R, t = self.T_world_object[:3, :3], self.T_world_object[:3, 3]
+        for part in self.parts:
+            vertices.append(part.vertices_m @ R.T + t)
+            faces.append(np.asarray(part.faces, np.int64) + count)
+            count += len(part.vertices_m)
+        return np.concatenate(vertices), np.concatenate(faces)
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """A lamp: a glowing sphere (`radius_m`) or, with a `direction`, a parallel sun through the windows."""
+
+    position_m: tuple[float, float, float]
+    rgb: tuple[float, float, float]
+    """Linear radiant intensity per channel; irradiance at distance d is rgb * cos / d^2 (for a sun: rgb * cos)."""
+    radius_m: float = 0.1
+    direction: tuple[float, float, float] | None = None
+    """Unit vector of travel, for a sun."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Room:
+    """Everything that stands still but the camera. The room is the box `bounds_m` (x0, x1, z0, z1) of `height_m`."""
+
+    bounds_m: tuple[float, float, float, float]
+    height_m: float
+    structure: tuple[SceneObject, ...]
+    """Floor, walls (with holes or insets for doors and windows), ceiling, pictures, rugs."""
+    furniture: tuple[SceneObject, ...]
+    """Furniture and clutter."""
+    lights: tuple[Light, ...]
+    ambient_rgb: tuple[float, float, float]
+    """Linear irradiance from everywhere, before ambient occlusion."""
+
+    @property
+    def objects(self) -> tuple[SceneObject, ...]:
+        return (*self.structure, *self.furniture)
+
+
+@dataclass(frozen=True, slots=True)
+class Prop:
+    """A thing an acted motion needs, in the world frame; the furniture maker builds it to measure."""
+
+    kind: str
+    """`seat`, `bed`, `table` (something to reach to or lean on at `height_m`), `step`, `wall` (to lean against),
+    `item` (small thing picked up; it lies at `height_m`)."""
+    position_m: tuple[float, float, float]
+    """Middle of the surface the body uses (seat: under the pelvis; table: at the hand; step: under the foot;
+    wall: the point touched; item: middle of its underside), y = height of that surface."""
+    yaw_rad: float
+    """Direction in which the thing faces: the +Z of its frame is (sin yaw, 0, cos yaw). For a seat the way the sitter
+    looks; for table, step and wall the side from which the person comes."""
+    size_m: tuple[float, float]
+    """Least width (x) and depth (z) of the surface."""
+    frames: tuple[int, int]
+    """First and last frame of use."""
+    back: bool = False
+    """Seat: the sitter leans back against a rest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingObject:
+    """A rigid thing that somebody carries."""
+
+    thing: SceneObject
+    T_world_object: Float[np.ndarray, "frames 4 4"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ActedMotion:
+    """A motion of the 22 joints for one body shape with its truth about contact, in the world frame at 30 fps."""
+
+    name: str
+    kind: str
+    """`walk`, `walk_turn`, `sit`, `lie`, `step_up`, `pick_up`, `lean`, `reach`, or the kind of the source clip."""
+    source: str
+    """`synthetic`, or the source of the captured clip."""
+    translation_m: Float[np.ndarray, "frames 3"]
+    R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
+    contact: Bool[np.ndarray, "frames 22"]
+    """Joint touches something and stands still: ankle = heel, foot = ball of the foot, wrist = hand, pelvis = seat,
+    spine3 = back."""
+    props: tuple[Prop, ...] = ()
+    item_pose: Float[np.ndarray, "frames 4 4"] | None = None
+    """World pose of the `item` prop while it is carried (before and after it rests)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Actor:
+    """A body with its motion and its looks."""
+
+    motion: BodyMotion
+    """Truth in the clip's own world; `contact` holds 0 or 1; camera fields are those of the clip."""
+    face_material: Int[np.ndarray, "faces"]
+    """Index into `materials` for each face of the body mesh. Textures are evaluated on the rest mesh."""
+    materials: tuple[Material, ...]
+    kind: str = ""
+    """What the motion shows."""
+    source: str = ""
+    """`synthetic`, or where the captured clip comes from."""
+    clip: str = ""
+    """Name of the motion."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorModel:
+    """What the camera does to the light."""
+
+    exposure: float = 1.0
+    noise_electrons: float = 0.0
+    """Read-and-shot noise level: standard deviation in 8-bit steps at mid grey; 0 = none."""
+    blur_s: float = 0.0
+    """Shutter time of motion blur; 0 = none."""
+    k1: float = 0.0
+    """Radial distortion (Brown), on normalised coordinates; labels are distorted alike."""
+    k2: float = 0.0
+    vignette: float = 0.0
+    white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    jpeg_quality: int | None = None
+    crf: int = 18
+    """x264 quality of the clip's video."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A whole clip, ready to be drawn."""
+
+    name: str
+    room: Room
+    actors: tuple[Actor, ...]
+    intrinsics: Intrinsics
+    T_world_camera: Float[np.ndarray, "frames 4 4"]
+    is_static: bool
+    sensor: SensorModel
+    moving: tuple[MovingObject, ...] = ()
+    facts: dict[str, str | float | int] = field(default_factory=dict)
+    """For `meta.json`."""
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.T_world_camera)
