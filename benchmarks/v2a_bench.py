@@ -61,7 +61,9 @@ def main() -> None:
     target.write_text(json.dumps(report, indent=1) + "\n")
     if options.record:
         RECORDED.write_text(json.dumps({k: made[k] for k in ("benchmark", "motion_sources", "clips")}, indent=1) + "\n")
-    sys.stdout.write(f"{target}\n{report_html}\n")
+    if not options.count:
+        put_table(Path("README.md"), tables(report))
+    sys.stdout.write(f"{tables(report)}\n{target}\n{report_html}\n")
 
 
 def make(options: argparse.Namespace, truth: Path) -> dict[str, Any]:
@@ -98,6 +100,74 @@ def cost(results: Path, names: list[str]) -> dict[str, float]:
         walls.append(sum(stage["wall_time_s"] for stage in stages))
         peaks.append(max(stage["peak_memory_mb"] for stage in stages))
     return {"median_wall_s": statistics.median(walls), "peak_mb": max(peaks)}
+
+
+MOTION_ROWS = (
+    ("motion", "mpjpe", "root-relative MPJPE, mm", 1000), ("motion", "pa_mpjpe", "PA-MPJPE, mm", 1000),
+    ("motion", "w_mpjpe", "W-MPJPE, mm", 1000), ("motion", "root_error", "root, absolute, m", 1),
+    ("motion", "acceleration_error", "acceleration error, m/s²", 1), ("motion", "jerk", "jerk, m/s³", 1),
+    ("motion", "skating_gmd", "foot skating `gmd`", 1), ("motion", "contact_f1", "foot contact F1", 1),
+    ("true_scene_laid", "collision_frames_1cm", "frames over 1 cm inside the true scene", 1),
+    ("true_scene_laid", "penetration_max", "deepest penetration, true scene, m", 1),
+    ("own_scene", "collision_frames_1cm", "frames over 1 cm inside the own scene", 1),
+)  # fmt: skip
+STAGE_ROWS = (
+    ("track", "main_recall", "person frames found"), ("track", "id_switches", "identity switches"),
+    ("camera", "fov_error", "vertical field of view, degrees off"), ("camera", "gravity_error", "gravity, degrees off"),
+    ("background", "mask_iou", "person mask IoU"), ("depth", "abs_rel", "background AbsRel, own scale"),
+    ("depth", "delta1", "background δ < 1.25, own scale"), ("segment", "floor_iou", "floor IoU"),
+    ("segment", "f1", "furniture F1 at IoU 0.5"), ("objects", "reconstructed", "furniture with a shape"),
+    ("objects", "chamfer", "object Chamfer, m"), ("objects", "center_error", "object middle, m off"),
+)  # fmt: skip
+STAGE_COLUMN = {"depth": "metric", "objects": "placed"}
+"""Column of groups with several; the last one otherwise."""
+
+
+def tables(report: dict[str, Any]) -> str:
+    """Markdown for the README: motion stages side by side, then one number per stage."""
+    groups = {group["key"]: group for group in report["evaluation"]["groups"]}
+    count, failed = len(report["evaluation"]["clips"]), len(report["evaluation"]["failures"])
+    lines = [
+        f"{report['benchmark'] or 'not V2A-Bench'}, {count} clips, {failed} failed; {report['machine']}, "
+        f"{report['date']}, "
+        f"seed {report['seed']}; median {report['cost']['median_wall_s']:.0f} s and at most "
+        f"{report['cost']['peak_mb'] / 1000:.1f} GB a clip. Means over clips with 95 % intervals.",
+        "",
+        "| | raw | keyframes | refined | truth |",
+        "|---|---|---|---|---|",
+    ]
+    for key, name, title, factor in MOTION_ROWS:
+        row = row_of(groups[key], name)
+        cells = [cell(statistic, factor) for statistic in row["statistics"][-3:]]
+        true = "" if row["truth_mean"] is None else number(factor * row["truth_mean"])
+        lines.append(f"| {title} | {' | '.join(cells)} | {true} |")
+    lines += ["", "| stage | mean | median |", "|---|---|---|"]
+    for key, name, title in STAGE_ROWS:
+        group = groups[key]
+        wanted = STAGE_COLUMN.get(key)
+        column = group["columns"].index(wanted) if wanted in group["columns"] else len(group["columns"]) - 1
+        statistic = row_of(group, name)["statistics"][column]
+        median = "" if statistic is None else number(statistic["median"])
+        lines.append(f"| {key}: {title} | {cell(statistic, 1)} | {median} |")
+    return "\n".join(lines)
+
+
+def row_of(group: dict[str, Any], key: str) -> dict[str, Any]:
+    """A row of a group by its key."""
+    return next(row for row in group["rows"] if row["key"] == key)
+
+
+def cell(statistic: dict[str, Any] | None, factor: float) -> str:
+    """Mean with interval, as text."""
+    if statistic is None:
+        return "-"
+    mean, low, high = (number(factor * statistic[key]) for key in ("mean", "low", "high"))
+    return f"{mean} [{low}, {high}]"
+
+
+def number(value: float) -> str:
+    """Three digits that mean something."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def put_table(readme: Path, table: str) -> None:

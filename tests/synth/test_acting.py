@@ -189,3 +189,15 @@ def test_round_trip_through_the_motion_archive(tmp_path: Path) -> None:
 def test_unknown_kind_is_refused_in_one_line() -> None:
     with pytest.raises(UsageError, match="want one of walk, sit"):
         act("swim", adult(0.45), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("kind", ["reach", "lean", "pick_up"])
+@pytest.mark.parametrize("height", HEIGHTS)
+@pytest.mark.parametrize("seed", [1, 4])
+def test_nobody_reaches_or_walks_through_a_table_top(kind: str, height: float, seed: int) -> None:
+    motion = made(kind, height, seed)
+    points = skin(motion, height)
+    for prop in motion.props:
+        if prop.kind == "table":
+            depth = prop.position_m[1] - points[..., 1]
+            assert not (over(points, prop) & (depth > 0.004) & (depth < 0.03)).any()

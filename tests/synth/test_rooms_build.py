@@ -232,3 +232,18 @@ def test_external_things_stand_in_the_room():
     thing = make_furniture("armchair", np.random.default_rng(3))
     room = build_room(np.random.default_rng(0), swept_m=still(), meshes=(thing,), room_size_m=(7.0, 7.0))
     assert any(t.parts is thing.parts for t in room.furniture)
+
+
+@pytest.mark.parametrize("end", [-1, 1])
+def test_headboard_stands_at_the_head(end):
+    """Lying body along x: most of its points in the upper half; the board rises beyond that end."""
+    rng = np.random.default_rng(0)
+    trunk = rng.uniform([0.0, 0.5, -0.3], [0.8, 0.75, 0.3], (3000, 3)) * [end, 1, 1]
+    legs = rng.uniform([-0.9, 0.5, -0.15], [0.0, 0.65, 0.15], (1000, 3)) * [end, 1, 1]
+    bed = Prop("bed", (0.0, 0.498, 0.0), 0.0, (2.1, 0.9), (0, 50))
+    room = build_room(np.random.default_rng(2), swept_m=np.concatenate([trunk, legs]), props=(bed,))
+    (thing,) = [t for t in room.furniture if t.note.startswith("prop 0")]
+    vertices, _ = thing.merged()
+    high = vertices[vertices[:, 1] > 0.6]
+    assert (np.sign(high[:, 0]) == end).all()
+    assert np.abs(high[:, 0]).min() > 1.04

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-
 from command import video2anim
-from video2anim.body.anny_body import shaped_body
+
+from video2anim.body.anny_body import ShapedBody, shaped_body
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.types import BodyShape
 
@@ -40,11 +40,17 @@ class Clip:
         v, u = np.mgrid[: self.meta["height_px"], : self.meta["width_px"]]
         return np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(u.shape)], -1)
 
-    def vertices(self, frames: np.ndarray) -> np.ndarray:
+    @property
+    def body(self) -> ShapedBody:
         z = self.truth
         shape = dict(zip(z["shape_names"].tolist(), z["shape_values"].tolist(), strict=True))
-        body = shaped_body(BodyShape("anny", shape))
-        joints, R = forward_kinematics(z["R_parent_joint"][frames], z["T_world_root"][frames, :3, 3], z["rest_joints_m"])
+        return shaped_body(BodyShape("anny", shape))
+
+    def vertices(self, frames: np.ndarray) -> np.ndarray:
+        z, body = self.truth, self.body
+        joints, R = forward_kinematics(
+            z["R_parent_joint"][frames], z["T_world_root"][frames, :3, 3], z["rest_joints_m"]
+        )
         return body.vertices(R, joints)
 
     def mesh(self, entry: dict, *, world: bool = True) -> trimesh.Trimesh:
@@ -58,7 +64,9 @@ class Clip:
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory: pytest.TempPathFactory) -> tuple[Clip, ...]:
     out = tmp_path_factory.mktemp("synth") / "set"
-    done = video2anim("synth", "--preset", "bench", "--count", "4", "--size", "320x240", "--out", str(out), "--workers", "2")
+    done = video2anim(
+        "synth", "--preset", "bench", "--count", "4", "--size", "320x240", "--out", str(out), "--workers", "2"
+    )
     assert done.code == 0, done.err
     table = json.loads((out / "set.json").read_text())
     assert [clip["name"] for clip in table["clips"]][1:] == list(NAMES)
@@ -67,6 +75,16 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> tuple[Clip, ...]:
         with np.load(out / name / "truth.npz", allow_pickle=False) as archive:
             found.append(Clip(out / name, dict(archive), json.loads((out / name / "meta.json").read_text())))
     return tuple(found)
+
+
+def test_the_set_is_kept(clips: tuple[Clip, ...]) -> None:
+    """Made again with the same options, nothing is drawn anew."""
+    out = clips[0].folder.parent
+    before = {path: path.stat().st_mtime_ns for path in out.glob("*/*.*")}
+    done = video2anim("synth", "--preset", "bench", "--count", "4", "--size", "320x240", "--out", str(out))
+    assert done.code == 0
+    assert done.err.count("(cached)") == 4
+    assert {path: path.stat().st_mtime_ns for path in out.glob("*/*.*")} == before
 
 
 def test_every_promised_file_is_there(clips: tuple[Clip, ...]) -> None:
@@ -106,11 +124,16 @@ def test_depth_of_visible_vertices_is_the_rendered_depth(clips: tuple[Clip, ...]
             t = int(z["label_frame_index"][k])
             vertices = clip.vertices(np.array([t]))[0]
             T = z["T_world_camera"][t]
-            camera = (vertices - T[:3, 3]) @ T[:3, :3]
-            errors.append(_depth_errors(clip.project(camera), camera[:, 2], z["depth_mm"][k] / 1000.0, z["instance"][k]))
+            seen = seen_from(trimesh.Trimesh(vertices, clip.body.faces, process=False), T[:3, 3])
+            camera = (vertices[seen] - T[:3, 3]) @ T[:3, :3]
+            errors.append(
+                _depth_errors(clip.project(camera), camera[:, 2], z["depth_mm"][k] / 1000.0, z["instance"][k])
+            )
         error = np.concatenate(errors)
         assert len(error) > 500
-        assert np.mean(np.abs(error) <= 0.005) >= 0.99, np.percentile(np.abs(error), [50, 90, 99])
+        # Between four pixels 8 to 12 mm apart; a fold or a finger's edge leaves its own error.
+        assert np.mean(np.abs(error) <= 0.005) >= 0.95, np.percentile(np.abs(error), [50, 90, 99])
+        assert np.median(np.abs(error)) < 0.001
 
 
 def _depth_errors(pixel: np.ndarray, depth: np.ndarray, picture_m: np.ndarray, instance: np.ndarray) -> np.ndarray:
@@ -125,7 +148,34 @@ def _depth_errors(pixel: np.ndarray, depth: np.ndarray, picture_m: np.ndarray, i
     smooth = np.ptp(four, axis=1) < 0.012
     weights = np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b], 1)
     error = depth - (four * weights).sum(1)
-    return error[seen & smooth & (error < 0.02)]  # farther ones are behind the visible surface
+    return error[seen & smooth]
+
+
+def test_depth_of_the_body_at_pixel_centres_is_that_of_its_mesh(clips: tuple[Clip, ...]) -> None:
+    for clip in clips:
+        z = clip.truth
+        for k in range(0, len(z["label_frame_index"]), 12):
+            t = int(z["label_frame_index"][k])
+            body = trimesh.Trimesh(clip.vertices(np.array([t]))[0], clip.body.faces, process=False)
+            T = z["T_world_camera"][t]
+            of_person = z["instance"][k] == PERSON
+            rays = clip.rays()[of_person] @ T[:3, :3].T
+            eye = np.broadcast_to(T[:3, 3], rays.shape)
+            hit, index, _ = body.ray.intersects_location(eye, rays, multiple_hits=False)
+            assert len(index) / len(rays) > 0.999
+            depth_m = ((hit - T[:3, 3]) @ T[:3, :3])[:, 2]
+            error = np.abs(depth_m - z["depth_mm"][k][of_person][index] / 1000.0)
+            assert np.mean(error <= 0.005) > 0.999
+            assert np.median(error) < 0.001
+
+
+def seen_from(body: trimesh.Trimesh, eye: np.ndarray) -> np.ndarray:
+    """Vertices in front of which the body itself has nothing; other things are told apart by the instance map."""
+    ray = body.vertices - eye
+    hit, index, _ = body.ray.intersects_location(np.broadcast_to(eye, ray.shape), ray, multiple_hits=False)
+    free = np.ones(len(ray), bool)
+    free[index] = np.linalg.norm(hit - eye, axis=1) > np.linalg.norm(ray[index], axis=1) - 0.002
+    return free
 
 
 def test_objects_alone_match_their_amodal_masks(clips: tuple[Clip, ...]) -> None:
@@ -193,25 +243,19 @@ def test_contacts_touch_something(clips: tuple[Clip, ...]) -> None:
     for clip in clips:
         z = clip.truth
         frames = z["label_frame_index"][::2]
-        vertices, body_part = clip.vertices(frames), shaped_part(clip)
-        scene = trimesh.util.concatenate(
-            [clip.mesh(entry) for entry in clip.meta["objects"] if not entry["is_moving"]]
-        )
+        vertices, body_part = clip.vertices(frames), clip.body.vertex_part
+        scene = trimesh.util.concatenate([clip.mesh(entry) for entry in clip.meta["objects"] if not entry["is_moving"]])
         for side in ("left", "right"):
             ball, heel = JOINT_INDEX[f"{side}_foot"], JOINT_INDEX[f"{side}_ankle"]
             sole = vertices[:, np.isin(body_part, (ball, heel))]
             touching = np.flatnonzero(z["contact"][frames][:, ball] > 0.5)
             lowest = sole[touching, sole[touching, :, 1].argmin(1)].astype(float)
-            start = lowest + (0, 0.03, 0)
-            hits, ray, _ = scene.ray.intersects_location(start, np.tile((0.0, -1.0, 0.0), (len(start), 1)), multiple_hits=False)
+            start = lowest + np.array([0, 0.03, 0])
+            hits, ray, _ = scene.ray.intersects_location(
+                start, np.tile((0.0, -1.0, 0.0), (len(start), 1)), multiple_hits=False
+            )
             assert set(ray.tolist()) == set(range(len(start)))
             assert np.abs(hits[:, 1] - lowest[ray, 1]).max() < 0.03
-
-
-def shaped_part(clip: Clip) -> np.ndarray:
-    z = clip.truth
-    shape = dict(zip(z["shape_names"].tolist(), z["shape_values"].tolist(), strict=True))
-    return shaped_body(BodyShape("anny", shape)).vertex_part
 
 
 def test_the_camera_is_the_one_of_the_labels(clips: tuple[Clip, ...]) -> None:
@@ -220,5 +264,6 @@ def test_the_camera_is_the_one_of_the_labels(clips: tuple[Clip, ...]) -> None:
         fy, height = z["intrinsics"][1], clip.meta["height_px"]
         assert camera["fov_y_rad"] == pytest.approx(2 * np.arctan(height / 2 / fy))
         assert np.deg2rad(34) <= camera["fov_y_rad"] <= np.deg2rad(91)
-        assert 0.8 <= camera["height_m"] == pytest.approx(z["T_world_camera"][0, 1, 3]) <= 2.6
+        assert camera["height_m"] == pytest.approx(z["T_world_camera"][0, 1, 3])
+        assert 0.8 <= camera["height_m"] <= 2.6
         np.testing.assert_allclose(z["T_world_camera"], z["T_world_camera"][:1].repeat(clip.meta["frames"], 0))

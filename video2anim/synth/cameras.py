@@ -19,6 +19,10 @@ _FRAME_STEP = 10
 """Every how many frames the view is checked."""
 _FROM_THING_M = 0.3
 _FROM_WALL_M = 0.2
+_CHOICES = 12
+"""Suitable places among which the best one is taken."""
+_USUAL_FOV_RAD = float(np.deg2rad(55.0))
+"""Vertical field of view of a telephone's or camcorder's wide end, held level."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,20 +79,26 @@ def place_camera(
         seen = _seen_share(caster, candidate.position_m, points)
         if seen >= request.least_seen:
             found.append(_Candidate(candidate.position_m, candidate.R_world_camera, candidate.fov_y_rad, seen))
-        if len(found) >= 6:
+        if len(found) >= _CHOICES:
             break
     if not found:
         x0, x1, z0, z1 = room.bounds_m
         raise InputError(
             f"camera: no place in the room of {x1 - x0:.1f} x {z1 - z0:.1f} m sees the whole motion; use a larger room"
         )
-    best = max(found, key=lambda candidate: candidate.seen)
+    best = max(found, key=_liking)
     return _lens(best, request), _poses(rng, best, frames, request)
 
 
 def _furniture_boxes(room: Room) -> Float[np.ndarray, "things 2 3"]:
     boxes = [(vertices.min(0), vertices.max(0)) for vertices, _ in (thing.merged() for thing in room.furniture)]
     return np.array(boxes).reshape(-1, 2, 3)
+
+
+def _liking(candidate: _Candidate) -> float:
+    """High where the people are seen and the lens is a usual one."""
+    unusual = abs(np.log(np.tan(0.5 * candidate.fov_y_rad) / np.tan(0.5 * _USUAL_FOV_RAD)))
+    return candidate.seen - 0.4 * unusual
 
 
 def _obstacles(room: Room) -> Caster:

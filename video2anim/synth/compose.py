@@ -75,10 +75,10 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
     people = _performances(spec, options, attempt)
     rng = spec.rng("room", attempt)
     props = tuple(prop for person in people for prop in person.acted.props)
-    swept = np.concatenate([person.vertices_m[::2, ::5].reshape(-1, 3) for person in people]).astype(np.float64)
+    swept = np.concatenate([person.vertices_m[::2].reshape(-1, 3) for person in people]).astype(np.float64)
     furnished = build_room(
         rng, swept_m=swept, props=props, room_size_m=options.room_size_m,
-        clutter=float(rng.uniform(0.2, 0.9)), meshes=options.meshes,
+        clutter=float(rng.uniform(0.2, 0.9)), meshes=options.meshes, prop_depth_m=0.8 * DEEPEST_M,
     )  # fmt: skip
     room, items = split_items(furnished)
     room = _without_offenders(people, room)
@@ -124,8 +124,13 @@ def _performances(spec: ClipSpec, options: ComposeOptions, attempt: int) -> list
     if frames < spec.duration_s[0] * FPS * 0.75:
         raise _Unsuitable(f"motion of {frames / FPS:.1f} s is too short")
     performed = [_perform(body, _cut(acted, frames)) for body, acted in people]
-    shift = -performed[0].acted.translation_m[0] * (1.0, 0.0, 1.0)
-    placed = [_moved(performed[0], np.eye(3), shift)]
+    for person in performed:
+        lowest_m = float(person.vertices_m[::2, :, 1].min())
+        if lowest_m < -DEEPEST_M:
+            raise _Unsuitable(f"the body is {-100 * lowest_m:.1f} cm under the floor")
+    R = _facing_walls(performed[0].acted)
+    shift = -(R @ performed[0].acted.translation_m[0]) * (1.0, 0.0, 1.0)
+    placed = [_moved(performed[0], R, shift)]
     for number, other in enumerate(performed[1:], 1):
         placed.append(_beside(placed, other, spec.rng(f"place {number}", attempt)))
     return placed
@@ -190,11 +195,23 @@ def _moved(person: Performance, R: np.ndarray, shift: np.ndarray) -> Performance
     return Performance(person.body, moved, person.joints_m @ R.T + shift, vertices)
 
 
+def _facing_walls(acted: ActedMotion) -> Float[np.ndarray, "3 3"]:
+    """Turn about the vertical that makes a wall the motion leans on parallel to the room's walls."""
+    yaw = next((-prop.yaw_rad for prop in acted.props if prop.kind == "wall"), 0.0)
+    return turn_y(yaw)
+
+
+def turn_y(yaw_rad: float) -> Float[np.ndarray, "3 3"]:
+    """Rotation about +Y that takes +Z towards +X."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
 def _beside(placed: list[Performance], person: Performance, rng: np.random.Generator) -> Performance:
     """Turn and shift a person so that nobody comes closer than `_APART_M`, but all stay together."""
     for distance in np.linspace(0.8, 4.0, 40):
         yaw, bearing = rng.uniform(-np.pi, np.pi, 2)
-        R = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
+        R = turn_y(float(yaw))
         middle = np.mean([other.joints_m[:, 0].mean(0) for other in placed], 0)
         goal = middle + distance * np.array([np.sin(bearing), 0, np.cos(bearing)])
         shift = (goal - R @ person.joints_m[:, 0].mean(0)) * (1.0, 0.0, 1.0)

@@ -13,12 +13,13 @@ from video2anim.geometry.rotations import (
     quaternion_from_matrix,
     slerp,
 )
-from video2anim.synth.acting.curves import axis_rotation, turned, window
+from video2anim.synth.acting.curves import axis_rotation, smooth_lift, turned, window
 from video2anim.synth.acting.limbs import arm_rotations
 from video2anim.synth.acting.measure import ARM, LEG
 from video2anim.synth.acting.script import HandGoal, Script
 
 _STRAIGHT, _SOFT = 0.96, 0.035
+_PASSING = 0.55
 _FOLDED, _FOLD = 0.42, 0.1
 _FREE_WRIST_RAD, _WRIST_SLACK_RAD = 1.0, 0.45
 _FOREARM_SHARE = 0.6
@@ -56,6 +57,7 @@ def place_hands(
         fore = np.linalg.norm(rest[wrist] - rest[elbow])
         if side in script.hand_lift_m:
             target = target + script.hand_lift_m[side][:, None] * np.array([0.0, 1.0, 0.0])
+        target = _around_shoulder(joints[:, shoulder], target, R_world[:, 0], side, float(upper + fore))
         target = _within_reach(joints[:, shoulder], target, float(upper + fore))
         R_upper, R_fore = arm_rotations(joints[:, shoulder], target, pole, float(upper), float(fore), side)
         R[:, shoulder] = np.swapaxes(R_world[:, collar], -1, -2) @ R_upper
@@ -65,6 +67,15 @@ def place_hands(
         )
         R[:, elbow], R[:, wrist] = _pronated(R[:, elbow], matrix_from_quaternion(free))
     return R
+
+
+def _around_shoulder(
+    shoulder_m: np.ndarray, target_m: np.ndarray, R_pelvis: np.ndarray, side: int, arm_m: float
+) -> Float[np.ndarray, "frames 3"]:
+    """Hands on their way past the shoulder swing out ahead of it."""
+    near = _PASSING * arm_m - np.linalg.norm(target_m - shoulder_m, axis=1)
+    away = R_pelvis @ np.array([0.5 if side == 0 else -0.5, 0.0, 0.85])
+    return target_m + smooth_lift(near, 0.3)[:, None] * away
 
 
 def _within_reach(shoulder_m: np.ndarray, target_m: np.ndarray, arm_m: float) -> Float[np.ndarray, "frames 3"]:
@@ -107,7 +118,7 @@ def _goal(
 
 
 def _pronated(R_elbow: np.ndarray, R_wrist: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Moves part of the twist about the forearm from the wrist to the elbow joint; the wrist stays within 83 degrees."""
+    """Moves part of the twist about the forearm from wrist to elbow joint; the wrist stays within 83 degrees."""
     q = quaternion_from_matrix(R_wrist)
     twist = 2.0 * np.arctan2(q[:, 1], q[:, 0])
     twist = (twist + np.pi) % (2 * np.pi) - np.pi

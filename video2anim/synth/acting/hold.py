@@ -167,22 +167,22 @@ def _turn_away(script: Script) -> None:
 
 def _touch(
     script: Script, side: int, times: tuple[float, float, float, float], hand_m: np.ndarray, R: np.ndarray, *,
-    elbow: tuple[float, float, float], back_m: float, contact: bool = True,
+    elbow: tuple[float, float, float], back_m: float, up_m: float = 0.13,
 ) -> None:  # fmt: skip
     """A hand comes down on a surface from above its front edge, and goes the same way back.
 
-    `times`: start, touch, leave, end. `back_m`: how far before the place the hand rises (middle adult).
+    `times`: start, touch, leave, end. `back_m`: how far before the place the hand rises, by `up_m` (middle adult).
     """
     start, touch, off, end = times
     above = (
         hand_m
         - turned(script.yaw_rad)[:, 2] * back_m * script.size.scale
-        + np.array([0.0, 0.13 * script.size.scale, 0.0])
+        + np.array([0.0, up_m * script.size.scale, 0.0])
     )
     down, up = touch - start, end - off
-    script.hands.append(HandGoal(side, start, start + 0.6 * down, off + 0.4 * up, end, above, "world", R, elbow))
+    script.hands.append(HandGoal(side, start, start + 0.55 * down, off + 0.45 * up, end, above, "world", R, elbow))
     script.hands.append(
-        HandGoal(side, start + 0.5 * down, touch, off, off + 0.5 * up, hand_m, "world", R, elbow, contact)
+        HandGoal(side, start + 0.52 * down, touch, off, off + 0.48 * up, hand_m, "world", R, elbow, contact=True)
     )
 
 
@@ -238,13 +238,15 @@ def act_reach(script: Script) -> ActedMotion:
     if high:
         shoulder = size.stand_m + float(size.rest_m[16, 1])
         height = shoulder * float(rng.uniform(0.88, 1.24))
-        ahead = np.sqrt(max((0.86 * size.arm_m) ** 2 - (height - shoulder) ** 2, (0.14 * size.scale) ** 2))
-        span, stay = rng.uniform(0.9, 1.15), rng.uniform(0.4, 0.9)
+        ahead = np.sqrt(max((0.86 * size.arm_m) ** 2 - (height - shoulder) ** 2, (0.26 * size.scale) ** 2))
+        span, stay = rng.uniform(1.1, 1.3), rng.uniform(0.4, 0.9)
         hand = script.center_m + turned(yaw) @ np.array([out * 0.16 * size.scale, 0.0, ahead])
         hand[1] = height + size.hand_below_m
         key(start, span, spine_side=-0.1 * out, spine_flex=-0.04, neck_flex=-0.3, **{f"{n}_lift": 0.25})
         times = (start, start + span, start + span + stay, start + 2 * span + stay)
-        _touch(script, side, times, hand, turned(yaw) @ palm_down(side, 0.0), elbow=(0.7, -0.6, 0.2), back_m=0.2)
+        _touch(
+            script, side, times, hand, turned(yaw) @ palm_down(side, 0.0), elbow=(0.8, -0.6, 0.2), back_m=0.3, up_m=0.14
+        )
         script.keyed.rest(start + span + stay, span, "spine_side", "spine_flex", "neck_flex", f"{n}_lift")
         touch, end = start + span, start + span + stay
         script.now_s = start + 2 * span + stay - 0.2
@@ -262,6 +264,7 @@ def act_reach(script: Script) -> ActedMotion:
     frames = (int(np.ceil(touch * FPS)), int(end * FPS))
     points = probes(done, size, slice(*frames))
     top = float(points[:, size.probe_part == 20 + side, 1].min()) - 0.002
-    place = hand + turned(yaw)[:, 2] * (0.13 + 0.025 * size.scale)
-    prop = Prop("table", (float(place[0]), top, float(place[2])), float(yaw + np.pi), (0.4, 0.26), frames)
+    depth = 0.2 if high else 0.26  # fingers only lie on a high shelf
+    place = hand + turned(yaw)[:, 2] * (0.5 * depth + (0.115 if high else 0.025) * size.scale)
+    prop = Prop("table", (float(place[0]), top, float(place[2])), float(yaw + np.pi), (0.4, depth), frames)
     return motion_of("reach", done, (prop,))

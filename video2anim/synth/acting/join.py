@@ -65,13 +65,12 @@ def joined(
 
 
 def _still(R: np.ndarray, translation: np.ndarray, rest: np.ndarray) -> Bool[np.ndarray, "frames 22"]:
-    """False where a joint moves too fast for a contact; only near the seam."""
+    """False where a joint moves too fast for a contact."""
     joints, _ = forward_kinematics(R, translation, rest)
     step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
     fast = np.zeros(joints.shape[:2], bool)
     fast[1:] |= step > _STILL_M
     fast[:-1] |= step > _STILL_M
-    fast[round(2 * BLEND_S * FPS) :] = False
     return ~fast
 
 
@@ -171,11 +170,11 @@ def _stand(
         hip_m = translation + rest[0] + R[:, 0] @ rest[hip]
         gap = targets[side][0] - hip_m
         room = np.sqrt(np.maximum((_REACH * (thigh + shin)) ** 2 - gap[:, 0] ** 2 - gap[:, 2] ** 2, 1e-4))
-        deficit = np.maximum(deficit, -gap[:, 1] - room)
-    fade = 1.0 - ease((np.arange(len(R)) / FPS - 2.0) / 0.5)
+        short = -gap[:, 1] - room
+        deficit = np.maximum(deficit, np.where(short > 1e-3, short, 0.0))
     translation = (
         translation
-        - np.array([0.0, 1.0, 0.0]) * (smooth_lift(deficit, 0.3) * fade * ease((np.arange(len(R)) + 1) / 5))[:, None]
+        - np.array([0.0, 1.0, 0.0]) * (smooth_lift(deficit, 0.3) * ease((np.arange(len(R)) + 1) / 5))[:, None]
     )
     joints, world = forward_kinematics(R, translation, rest)
     R = R.copy()

@@ -186,13 +186,13 @@ def _fitted_back(
 
 
 def _beds(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.ndarray) -> Iterator[SceneObject]:
-    """The edge one sits on (+Z) stays; the bed grows away from it. Its head is at either end of the longer side."""
+    """The edge one sits on (+Z) stays; the bed grows away from it. Its head is at the end where the heads lie."""
     (w, d), h = prop.size_m, prop.position_m[1]
     across = w > d
+    first = np.pi if _heads_up(prop, local, 0 if across else 2) else 0.0
     for grow in (0.6, 0.3, 0.1, 0.0, 0.0):
         more = float(rng.uniform(0, grow)) if grow else 0.0
         size = (d + more, w) if across else (w + more, d)
-        first = pick(rng, (0.0, np.pi))
         for turn in (first, np.pi - first):
             bed = make_bed(rng, palette, size, h, flat=True)
             cx, cz = bed.surfaces[0].center_m
@@ -203,6 +203,17 @@ def _beds(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.ndar
     m.add(soft_box(w, min(0.2, 0.6 * h), d, 0.04, y=h - min(0.2, 0.6 * h), steps=4), palette.fabric, True)
     m.add(soft_box(w - 0.1, h - min(0.2, 0.6 * h), d - 0.1, 0.01), palette.wood)
     yield _onto(m.done("bed", "divan"), 0.0, 0.0)
+
+
+def _heads_up(prop: Prop, local: np.ndarray, axis: int) -> bool:
+    """Whether lying people's heads are towards the positive end: trunk, head and arms have more points than legs."""
+    (w, d), h = prop.size_m, prop.position_m[1]
+    over = (np.abs(local[:, 0]) < w / 2) & (np.abs(local[:, 2]) < d / 2)
+    over &= (local[:, 1] > h - 0.03) & (local[:, 1] < h + 0.3)
+    along = local[over, axis]
+    if len(along) == 0:
+        return False
+    return bool(along.mean() > np.percentile(along, [1, 99]).mean())
 
 
 def _tables(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.ndarray) -> Iterator[SceneObject]:
