@@ -31,7 +31,7 @@ types: $(VENV)/.dev
 	$(BIN)/pyright
 
 bench: $(VENV)/.dev
-	$(BIN)/python benchmarks/main_job.py
+	$(BIN)/python benchmarks/v2a_bench.py $(if $(MOTION),--motion $(MOTION))
 
 clean:
 	rm -rf $(VENV) demo_out dist build

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from command import video2anim
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -16,3 +17,13 @@ def shared_media() -> Path:
     if not media.is_dir():
         pytest.skip(f"test media not found at {media}")
     return media
+
+
+@pytest.fixture(scope="session")
+def bench_clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first four clips of preset `bench` at 320 x 240, walking from the gait model."""
+    out = tmp_path_factory.mktemp("synth") / "set"
+    words = ("synth", "--preset", "bench", "--count", "4", "--size", "320x240", "--out", out, "--workers", "2")
+    done = video2anim(*words)
+    assert done.code == 0, done.err
+    return out

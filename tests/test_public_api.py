@@ -33,8 +33,8 @@ COMMANDS = {
     "demo": {"--out", "--device"},
     "synth": {
         "--out", "--preset", "--count", "--seed", "--workers", "--size", "--motion", "--noncommercial",
-        "--no-noncommercial", "--meshes", "--room-size", "--frames-only", "--no-frames-only", "--motion-only",
-        "--no-motion-only",
+        "--no-noncommercial", "--meshes", "--room-size", "--longest", "--frames-only", "--no-frames-only",
+        "--motion-only", "--no-motion-only",
     },
     "eval": {"DIR", "--truth", "--json", "--html"},
     "eval-set": {"RESULTS_DIR", "--truth", "--json", "--html"},

@@ -15,7 +15,7 @@ from video2anim.body.anny_body import ShapedBody, shaped_body
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.types import BodyShape
 
-NAMES = ("01_sit", "02_step_up", "03_pick_up")
+NAMES = ("00_walk", "01_sit", "02_step_up", "03_pick_up")
 FEET = [JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right") for part in ("ankle", "foot")]
 PERSON = 1000
 
@@ -62,18 +62,15 @@ class Clip:
 
 
 @pytest.fixture(scope="module")
-def clips(tmp_path_factory: pytest.TempPathFactory) -> tuple[Clip, ...]:
-    out = tmp_path_factory.mktemp("synth") / "set"
-    done = video2anim(
-        "synth", "--preset", "bench", "--count", "4", "--size", "320x240", "--out", str(out), "--workers", "2"
-    )
-    assert done.code == 0, done.err
-    table = json.loads((out / "set.json").read_text())
-    assert [clip["name"] for clip in table["clips"]][1:] == list(NAMES)
+def clips(bench_clips: Path) -> tuple[Clip, ...]:
+    table = json.loads((bench_clips / "set.json").read_text())
+    assert [clip["name"] for clip in table["clips"]] == list(NAMES)
     found = []
     for name in NAMES:
-        with np.load(out / name / "truth.npz", allow_pickle=False) as archive:
-            found.append(Clip(out / name, dict(archive), json.loads((out / name / "meta.json").read_text())))
+        with np.load(bench_clips / name / "truth.npz", allow_pickle=False) as archive:
+            found.append(
+                Clip(bench_clips / name, dict(archive), json.loads((bench_clips / name / "meta.json").read_text()))
+            )
     return tuple(found)
 
 

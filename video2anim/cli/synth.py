@@ -23,6 +23,7 @@ def synth_command(
     noncommercial: Annotated[bool, typer.Option(help="Use sources under non-commercial licences too.")] = False,
     meshes: Annotated[Path | None, typer.Option(help="Folder of GLB, OBJ or PLY meshes to mix in.")] = None,
     room_size: Annotated[str | None, typer.Option(help="Fix the room: WIDTHxDEPTH in metres.")] = None,
+    longest: Annotated[float | None, typer.Option(help="Cut clips to so many seconds.")] = None,
     frames_only: Annotated[bool, typer.Option(help="Single labelled pictures in shards, instead of clips.")] = False,
     motion_only: Annotated[bool, typer.Option(help="Acted motions only, as one motion archive.")] = False,
 ) -> None:
@@ -34,7 +35,11 @@ def synth_command(
         raise UsageError(f"--workers: want 1 or more, got {workers}")
     width_px, height_px = (int(x) for x in _pair(size, "--size", "640x480", 64, 4096))
     room_m = _pair(room_size, "--room-size", "5x4", 0.5, 100.0) if room_size is not None else None
-    config = SynthConfig(preset, count, seed, width_px, height_px, tuple(motion or ()), noncommercial, meshes, room_m)
+    if longest is not None and longest <= 0:
+        raise UsageError(f"--longest: want more than 0 seconds, got {longest:g}")
+    config = SynthConfig(
+        preset, count, seed, width_px, height_px, tuple(motion or ()), noncommercial, meshes, room_m, longest_s=longest
+    )
     if frames_only and motion_only:
         raise UsageError("--frames-only and --motion-only exclude each other; give one")
     if motion_only:

@@ -36,6 +36,8 @@ class ComposeOptions:
     room_size_m: tuple[float, float] | None = None
     meshes: tuple[SceneObject, ...] = ()
     library: MotionLibrary | None = None
+    longest_s: float | None = None
+    """Clips are cut to this length after everything else is drawn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +125,8 @@ def _performances(spec: ClipSpec, options: ComposeOptions, attempt: int) -> list
     frames = min(len(acted.translation_m) for _, acted in people)
     if frames < spec.duration_s[0] * FPS * 0.75:
         raise _Unsuitable(f"motion of {frames / FPS:.1f} s is too short")
+    if options.longest_s is not None:
+        frames = min(frames, max(int(options.longest_s * FPS), 2))
     performed = [_perform(body, _cut(acted, frames)) for body, acted in people]
     for person in performed:
         lowest_m = float(person.vertices_m[::2, :, 1].min())

@@ -37,6 +37,8 @@ class SynthConfig:
     """Folder of external meshes to mix in."""
     room_size_m: tuple[float, float] | None = None
     label_stride: int = 5
+    longest_s: float | None = None
+    """Clips are cut to this length."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,7 @@ def _made(
             yield _make(spec, config, sources, out)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(specs)), mp_context=context) as pool:
+    with ProcessPoolExecutor(min(workers, len(specs)), mp_context=context, initializer=one_thread) as pool:
         waiting: set[Future[ClipDone]] = {pool.submit(_make, spec, config, sources, out) for spec in specs}
         try:
             while waiting:
@@ -112,6 +114,15 @@ def _made(
             raise
 
 
+def one_thread() -> None:
+    """Keep a worker to one core: with several workers, threads inside each only get in each other's way."""
+    import cv2
+    import torch
+
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+
+
 def _make(spec: ClipSpec, config: SynthConfig, sources: dict[str, str], out: Path) -> ClipDone:
     from video2anim.synth.compose import ComposeOptions, compose
     from video2anim.synth.library import MotionLibrary
@@ -120,7 +131,7 @@ def _make(spec: ClipSpec, config: SynthConfig, sources: dict[str, str], out: Pat
 
     library = MotionLibrary.read(config.motion, noncommercial=config.noncommercial) if config.motion else None
     meshes = load_meshes(config.meshes) if config.meshes is not None else ()
-    options = ComposeOptions(config.width_px, config.height_px, config.room_size_m, meshes, library)
+    options = ComposeOptions(config.width_px, config.height_px, config.room_size_m, meshes, library, config.longest_s)
     shot = compose(spec, options)
     facts = {
         "name": spec.name, "preset": spec.preset, "seed": spec.seed, "index": spec.index,
@@ -162,6 +173,8 @@ def _key(spec: ClipSpec, config: SynthConfig, sources: dict[str, str]) -> str:
         "room": config.room_size_m, "stride": config.label_stride, "sources": sources,
         "noncommercial": config.noncommercial,
     }  # fmt: skip
+    if config.longest_s is not None:
+        facts["longest_s"] = config.longest_s
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -1,0 +1,43 @@
+"""One frame of every clip of a synthetic set as one PNG, for looking at.
+
+python benchmarks/contact_sheet.py bench_work/truth docs/synthetic_clips.png
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from video2anim.artifacts.images import write_png
+from video2anim.video import read_frame
+
+TILE = (256, 192)
+COLUMNS = 6
+
+
+def main() -> None:
+    """Read the middle frame of each video and write the sheet."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--at", type=float, default=0.55, help="share of the clip")
+    options = parser.parse_args()
+    names = [clip["name"] for clip in json.loads((options.folder / "set.json").read_text())["clips"]]
+    tiles = [tile(options.folder / name, options.at) for name in names]
+    tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % COLUMNS)
+    rows = [np.concatenate(tiles[k : k + COLUMNS], 1) for k in range(0, len(tiles), COLUMNS)]
+    write_png(options.out, np.concatenate(rows, 0))
+
+
+def tile(folder: Path, at: float) -> np.ndarray:
+    """A frame at the size of a tile."""
+    frames = json.loads((folder / "meta.json").read_text())["frames"]
+    return cv2.resize(read_frame(folder / "video.mp4", int(at * (frames - 1))), TILE, interpolation=cv2.INTER_AREA)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""`video2anim synth` as a user has it: what it refuses, that it repeats itself, what it writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from command import video2anim
+
+from scenemi.data.container import MotionArchive, write_archive
+from video2anim.artifacts.folder import folder_digest
+
+MOTION = Path(__file__).resolve().parents[3] / "shared" / "motion"
+SMALL = ("--size", "96x72", "--longest", "0.3")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("--preset", "nice"), 2, "--preset: want one of bench, random"),
+        (("--count", "25"), 2, "--count: want 1 to 24"),
+        (("--count", "0"), 2, "--count"),
+        (("--seed", "-1"), 2, "--seed"),
+        (("--workers", "0"), 2, "--workers"),
+        (("--size", "huge"), 2, "--size: want two numbers"),
+        (("--size", "10x10"), 2, "--size: want numbers from 64"),
+        (("--room-size", "x"), 2, "--room-size"),
+        (("--longest", "0"), 2, "--longest: want more than 0"),
+        (("--frames-only", "--motion-only"), 2, "exclude each other"),
+        (("--motion", "absent.npz"), 3, "absent.npz"),
+        (("--meshes", "absent"), 3, "absent"),
+        (("--preset", "bench", "--count", "1", "--room-size", "1x1.5"), 3, "needs a room of"),
+    ],
+)
+def test_a_wrong_wish_is_one_line_and_leaves_nothing(
+    tmp_path: Path, words: tuple[str, ...], code: int, said: str
+) -> None:
+    answer = video2anim("synth", "--out", tmp_path / "out", *words, *(() if "--size" in words else SMALL[:2]))
+    assert answer.code == code
+    assert len(answer.errors) == 1
+    assert said in answer.err
+    assert not list(tmp_path.rglob("*.*"))
+
+
+def test_unreadable_meshes(tmp_path: Path) -> None:
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    (folder / "chair.glb").write_bytes(b"no mesh at all")
+    answer = video2anim("synth", "--out", tmp_path / "out", "--count", "1", "--meshes", folder, *SMALL)
+    assert answer.code == 3
+    assert len(answer.errors) == 1
+    assert "chair.glb" in answer.err
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+def test_motion_that_cannot_be_used(tmp_path: Path) -> None:
+    acted = tmp_path / "acted.npz"
+    assert video2anim("synth", "--motion-only", "--count", "1", "--out", acted).code == 0
+    with np.load(acted, allow_pickle=False) as archive:
+        arrays = dict(archive)
+    empty = {key: value[:0] if key.startswith("clip_") and key not in ("clip_start", "clip_rot_start") else value
+             for key, value in arrays.items()}  # fmt: skip
+    empty |= {"clip_start": arrays["clip_start"][:1], "clip_rot_start": arrays["clip_rot_start"][:1]}
+    empty |= {"root_pos": arrays["root_pos"][:0], "rot": arrays["rot"][:0]}
+    np.savez(tmp_path / "empty.npz", allow_pickle=False, **empty)
+    (tmp_path / "text.npz").write_text("no archive")
+    (tmp_path / "folder").mkdir()
+    for name in ("empty.npz", "text.npz", "folder"):
+        answer = video2anim("synth", "--out", tmp_path / "out", "--count", "1", "--motion", tmp_path / name, *SMALL)
+        assert answer.code == 3, name
+        assert len(answer.errors) == 1
+        assert name in answer.err
+        assert not (tmp_path / "out").exists()
+
+
+def test_acted_motions_are_an_archive_marked_synthetic(tmp_path: Path) -> None:
+    path = tmp_path / "acted.npz"
+    for target in (path, tmp_path / "again.npz"):
+        assert video2anim("synth", "--motion-only", "--count", "7", "--seed", "5", "--out", target).code == 0
+    assert path.read_bytes() == (tmp_path / "again.npz").read_bytes()
+    archive = MotionArchive.read(path)
+    assert set(archive.sources) == {"synthetic"}
+    assert set(archive.kinds) == {"walk", "sit", "lie", "step_up", "pick_up", "lean", "reach"}
+    clip = archive.clip(archive.names[0])
+    assert clip.fps == 30
+    write_archive(tmp_path / "copy.npz", [archive.clip(name) for name in archive.names])
+    assert (tmp_path / "copy.npz").read_bytes() == path.read_bytes()
+
+
+def test_same_seed_same_bytes(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("one", "two")]
+    for out in folders:
+        assert video2anim("synth", "--count", "1", "--seed", "3", "--out", out, *SMALL).code == 0
+    one, two = ([folder_digest(out / "00_walk"), (out / "set.json").read_text()] for out in folders)
+    assert one == two
+    assert video2anim("synth", "--count", "1", "--seed", "4", "--out", tmp_path / "other", *SMALL).code == 0
+    assert folder_digest(tmp_path / "other" / "00_walk") != one[0]
+
+
+def test_pictures_in_shards(tmp_path: Path) -> None:
+    words = ("synth", "--frames-only", "--count", "9", "--seed", "2", "--size", "96x72")
+    for out in (tmp_path / "a", tmp_path / "b"):
+        assert video2anim(*words, "--out", out).code == 0
+    shard = tmp_path / "a" / "shard_00000"
+    meta = json.loads((shard / "meta.json").read_text())
+    arrays = {path.stem: np.load(path, mmap_mode="r", allow_pickle=False) for path in sorted(shard.glob("*.npy"))}
+    assert arrays["rgb"].shape == (9, 72, 96, 3)
+    assert arrays["rgb"].dtype == np.uint8
+    for name, array in arrays.items():
+        assert len(array) == meta["pictures"] == 9
+        assert np.array_equal(array, np.load(tmp_path / "b" / "shard_00000" / f"{name}.npy", allow_pickle=False))
+    person = meta["labels"].index("person")
+    assert ((arrays["instance"] >= 1000) == (arrays["label"] == person)).all()
+    assert ((arrays["label"] == person).mean((1, 2)) > 0.001).all()
+    assert np.allclose(np.linalg.norm(arrays["up_camera"], axis=1), 1, atol=1e-5)
+    seen = arrays["depth_mm"] > 0
+    assert np.allclose(np.linalg.norm(arrays["normal_camera"][seen] / 127.0, axis=-1), 1, atol=0.02)
+    assert seen.mean() > 0.99
+
+
+def test_meshes_of_ones_own(tmp_path: Path) -> None:
+    """A box from a file stands in the room, as a piece of furniture."""
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    trimesh.creation.box((0.6, 0.9, 0.4)).export(folder / "cabinet.glb")
+    out = tmp_path / "out"
+    answer = video2anim("synth", "--count", "2", "--out", out, "--meshes", folder, *SMALL)
+    assert answer.code == 0, answer.err
+    notes = [
+        entry["note"]
+        for meta in out.glob("*/meta.json")
+        for entry in json.loads(meta.read_text())["objects"]
+        if entry["is_furniture"]
+    ]
+    assert any("cabinet.glb" in note for note in notes), notes
+
+
+@pytest.mark.skipif(not MOTION.is_dir(), reason="captured motion is not beside the checkout")
+def test_captured_motion(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    answer = video2anim("synth", "--count", "5", "--out", out, "--motion", MOTION / "deepmimic.npz", *SMALL)
+    assert answer.code == 0, answer.err
+    sources = {
+        person["source"] for meta in out.glob("*/meta.json") for person in json.loads(meta.read_text())["persons"]
+    }
+    assert any("deepmimic" in source for source in sources)
+    assert not any("sie" in source for source in sources)
