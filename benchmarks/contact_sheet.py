@@ -6,14 +6,15 @@ python benchmarks/contact_sheet.py bench_work/truth docs/synthetic_clips.png
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 
 from video2anim.artifacts.images import write_png
-from video2anim.video import read_frame
 
 TILE = (256, 192)
 COLUMNS = 6
@@ -36,7 +37,9 @@ def main() -> None:
 def tile(folder: Path, at: float) -> np.ndarray:
     """A frame at the size of a tile."""
     frames = json.loads((folder / "meta.json").read_text())["frames"]
-    return cv2.resize(read_frame(folder / "video.mp4", int(at * (frames - 1))), TILE, interpolation=cv2.INTER_AREA)
+    with av.open(str(folder / "video.mp4")) as container:
+        frame = next(itertools.islice(container.decode(video=0), int(at * (frames - 1)), None))
+        return cv2.resize(frame.to_ndarray(format="rgb24"), TILE, interpolation=cv2.INTER_AREA)
 
 
 if __name__ == "__main__":

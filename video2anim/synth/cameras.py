@@ -23,6 +23,8 @@ _CHOICES = 12
 """Suitable places among which the best one is taken."""
 _USUAL_FOV_RAD = float(np.deg2rad(55.0))
 """Vertical field of view of a telephone's or camcorder's wide end, held level."""
+_FOV_SPREAD = 0.3
+"""Standard deviation of the logarithm of the field of view that a clip's camera is wished to have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,7 @@ def place_camera(
     points = joints_m[:, :: min(_FRAME_STEP, max(frames - 1, 1))].reshape(-1, 22, 3)
     boxes = _furniture_boxes(room)
     caster = _obstacles(room)
+    wished = float(np.clip(_USUAL_FOV_RAD * np.exp(rng.normal(0.0, _FOV_SPREAD)), *request.fov_y_rad))
     found: list[_Candidate] = []
     for _ in range(tries):
         candidate = _draw(rng, room, points, boxes, request)
@@ -86,7 +89,7 @@ def place_camera(
         raise InputError(
             f"camera: no place in the room of {x1 - x0:.1f} x {z1 - z0:.1f} m sees the whole motion; use a larger room"
         )
-    best = max(found, key=_liking)
+    best = max(found, key=lambda candidate: _liking(candidate, wished))
     return _lens(best, request), _poses(rng, best, frames, request)
 
 
@@ -95,10 +98,10 @@ def _furniture_boxes(room: Room) -> Float[np.ndarray, "things 2 3"]:
     return np.array(boxes).reshape(-1, 2, 3)
 
 
-def _liking(candidate: _Candidate) -> float:
-    """High where the people are seen and the lens is a usual one."""
-    unusual = abs(np.log(np.tan(0.5 * candidate.fov_y_rad) / np.tan(0.5 * _USUAL_FOV_RAD)))
-    return candidate.seen - 0.4 * unusual
+def _liking(candidate: _Candidate, wished_fov_rad: float) -> float:
+    """High where the people are seen and the lens is near the wished one."""
+    other = abs(np.log(np.tan(0.5 * candidate.fov_y_rad) / np.tan(0.5 * wished_fov_rad)))
+    return candidate.seen - 0.4 * other
 
 
 def _obstacles(room: Room) -> Caster:
