@@ -14,7 +14,7 @@ import numpy as np
 from video2anim import __version__
 from video2anim.artifacts.folder import whole_or_absent
 from video2anim.errors import InputError
-from video2anim.synth.generate import SynthConfig, one_thread
+from video2anim.synth.generate import SynthConfig, start_worker
 from video2anim.synth.presets import ClipSpec, clip_specs
 from video2anim.synth.world import LABELS, SensorModel, Shot
 from video2anim.types import Intrinsics
@@ -80,7 +80,7 @@ def _made(
             yield _shard(name, specs, size, config, out)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=one_thread) as pool:
+    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=start_worker) as pool:
         for future in [pool.submit(_shard, name, specs, size, config, out) for name, specs, size in jobs]:
             yield future.result()
 

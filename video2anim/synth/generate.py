@@ -5,6 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import multiprocessing.connection
+import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass
@@ -12,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from video2anim import __version__
-from video2anim.artifacts.folder import file_digest
+from video2anim.artifacts.folder import file_digest, remove_unfinished
 from video2anim.errors import InputError
 from video2anim.synth.presets import V2A_BENCH, ClipSpec, clip_specs
 
@@ -56,7 +59,8 @@ def generate(
 ) -> tuple[ClipDone, ...]:
     """Make the clips of a set in `out/<clip name>` and the table `out/set.json`.
 
-    A clip that is there already with the same specification, sources and generator version is kept.
+    A clip that is there already with the same specification, sources and generator version is kept; what a killed run
+    left unfinished is removed, so only one process may work on a folder.
 
     Args:
         config: What to make.
@@ -76,6 +80,7 @@ def generate(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"--out: cannot make folder {out}: {error.strerror}; choose another") from error
+    remove_unfinished(out)
     done: dict[str, ClipDone] = {}
     missing: list[ClipSpec] = []
     for spec in specs:
@@ -101,7 +106,7 @@ def _made(
             yield _make(spec, config, sources, out)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(specs)), mp_context=context, initializer=one_thread) as pool:
+    with ProcessPoolExecutor(min(workers, len(specs)), mp_context=context, initializer=start_worker) as pool:
         waiting: set[Future[ClipDone]] = {pool.submit(_make, spec, config, sources, out) for spec in specs}
         try:
             while waiting:
@@ -114,13 +119,21 @@ def _made(
             raise
 
 
-def one_thread() -> None:
-    """Keep a worker to one core: with several workers, threads inside each only get in each other's way."""
+def start_worker() -> None:
+    """Keep a worker to one core (threads of several only get in each other's way), and end it with its parent."""
     import cv2
     import torch
 
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        multiprocessing.connection.wait([parent.sentinel])
+        os._exit(1)
 
 
 def _make(spec: ClipSpec, config: SynthConfig, sources: dict[str, str], out: Path) -> ClipDone:
