@@ -19,6 +19,7 @@ import re
 import statistics
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -34,16 +35,18 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=Path("bench_work"))
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--count", type=int, help="only the first so many clips; no README table then")
-    parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 2) // 2))
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="clips made, run and judged at a time")
     parser.add_argument("--record", action="store_true", help="write the digests of the clips beside this script")
     options = parser.parse_args()
     truth, results = options.work / "truth", options.work / "results"
     made = make(options, truth)
-    for clip in made["clips"]:
-        scene_dir = results / clip["name"]
-        call("run", str(truth / clip["name"] / "video.mp4"), "--out", str(scene_dir), "--person", "all", "--overwrite")
+    with ThreadPoolExecutor(options.workers) as pool:
+        jobs = [pool.submit(run_pipeline, truth / clip["name"], results / clip["name"]) for clip in made["clips"]]
+        for job in jobs:
+            job.result()
     report_json, report_html = options.work / "eval.json", options.work / "eval.html"
-    call("eval-set", str(results), "--truth", str(truth), "--json", str(report_json), "--html", str(report_html))
+    words = ["--workers", str(options.workers), "--json", str(report_json), "--html", str(report_html)]
+    call("eval-set", str(results), "--truth", str(truth), *words)
     report = {
         "date": datetime.date.today().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
@@ -75,6 +78,12 @@ def make(options: argparse.Namespace, truth: Path) -> dict[str, Any]:
         words += ["--count", str(options.count)]
     call(*words)
     return json.loads((truth / "set.json").read_text())
+
+
+def run_pipeline(truth: Path, scene_dir: Path) -> None:
+    """All stages that are judged, for everybody in the clip."""
+    words = ("--person", "all", "--until", "refine", "--overwrite")
+    call("run", str(truth / "video.mp4"), "--out", str(scene_dir), *words)
 
 
 def call(*words: str) -> None:

@@ -37,7 +37,7 @@ COMMANDS = {
         "--motion-only", "--no-motion-only",
     },
     "eval": {"DIR", "--truth", "--json", "--html"},
-    "eval-set": {"RESULTS_DIR", "--truth", "--json", "--html"},
+    "eval-set": {"RESULTS_DIR", "--truth", "--workers", "--json", "--html"},
     "models list": set(),
     "models pull": {"NAME"},
     "models verify": set(),

@@ -10,7 +10,7 @@ import trimesh
 from video2anim.synth.render import Sensor, distort, sampling, tone, undistort
 from video2anim.synth.render.caster import Caster
 from video2anim.synth.render.denoise import Links, link, smooth_tiles
-from video2anim.synth.render.lens import pixel_directions, project_distorted
+from video2anim.synth.render.lens import covers_picture, pixel_directions, project_distorted
 from video2anim.synth.render.lighting import AMBIENT_REACH_M, ambient_reach, lamp_reach
 from video2anim.synth.render.texture import Spot, groups, material_rgb
 from video2anim.synth.world import MATERIAL_KINDS, Light, Material, SensorModel
@@ -221,3 +221,15 @@ def test_exposure_vignette_white_balance_and_jpeg() -> None:
     warm = out(SensorModel(white_balance=(1.2, 1.0, 0.8)))[0, 0]
     assert warm[0] > 100 > warm[2]
     assert np.abs(out(SensorModel(jpeg_quality=90)) - 100).max() <= 2
+
+
+@pytest.mark.parametrize(
+    ("fov_deg", "k1", "k2", "whole"), [(35, -0.12, 0.0, True), (90, -0.35, 0.0, False), (60, 0.1, 0.02, True)]
+)
+def test_lens_that_covers_the_picture(fov_deg: float, k1: float, k2: float, whole: bool) -> None:
+    """A cubic turns back at r = 1 / sqrt(-3 k1); beyond that a corner has no ray."""
+    lens = Intrinsics.centered(240 / np.tan(np.deg2rad(fov_deg) / 2), 640, 480)
+    assert covers_picture(lens, k1, k2) == whole
+    if whole:
+        corner = np.array([[lens.cx_px / lens.fx_px, lens.cy_px / lens.fy_px]])
+        np.testing.assert_allclose(distort(undistort(corner, k1, k2), k1, k2), corner, atol=1e-9)

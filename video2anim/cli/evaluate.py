@@ -44,6 +44,7 @@ def eval_command(
 def eval_set_command(
     results_dir: Annotated[Path, typer.Argument(help="Folder of scene folders, one per clip.", metavar="RESULTS_DIR")],
     truth: Annotated[Path, typer.Option(help="Folder of truth folders of the same names.")],
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
@@ -54,7 +55,7 @@ def eval_set_command(
     _expect_writable(json_file, html_file)
     pairs, strangers = paired_folders(results_dir, truth)
     with _progress() as on_clip:
-        evaluation = evaluate_set(pairs, on_clip=on_clip)
+        evaluation = evaluate_set(pairs, workers=workers, on_clip=on_clip)
     _show_set(evaluation)
     for name in strangers:
         _say(f"left out: {results_dir / name} has no truth folder of that name in {truth}")

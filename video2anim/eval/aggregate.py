@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +39,7 @@ def evaluate_set(
     pairs: Sequence[tuple[Path, Path]],
     *,
     seed: int = 0,
+    workers: int = 1,
     on_clip: Callable[[int, int], None] = lambda done, total: None,
 ) -> SetEvaluation:
     """Evaluate (scene folder, truth folder) of many clips. A clip that cannot be evaluated is a failure, not an error.
@@ -44,21 +47,37 @@ def evaluate_set(
     Args:
         pairs: folders; a clip goes by the name of its truth folder.
         seed: of the bootstrap.
+        workers: processes.
         on_clip: called with the number of clips done.
     """
     evaluated: list[tuple[str, Evaluation]] = []
     failures: list[tuple[str, str]] = []
-    for done, (scene_dir, truth_dir) in enumerate(pairs):
-        on_clip(done, len(pairs))
-        name = Path(truth_dir).name
-        try:
-            if not (Path(scene_dir) / "run.json").is_file():
-                raise InputError(f"{NO_RESULT}: {scene_dir} is not a scene folder")
-            evaluated.append((name, evaluate(scene_dir, truth_dir)))
-        except Video2AnimError as error:
-            failures.append((name, str(error)))
-    on_clip(len(pairs), len(pairs))
+    for done, (name, outcome) in enumerate(_outcomes(pairs, workers)):
+        on_clip(done + 1, len(pairs))
+        if isinstance(outcome, str):
+            failures.append((name, outcome))
+        else:
+            evaluated.append((name, outcome))
     return summarize(evaluated, failures, seed=seed)
+
+
+def _outcomes(pairs: Sequence[tuple[Path, Path]], workers: int) -> Iterator[tuple[str, Evaluation | str]]:
+    """Name and evaluation, or the reason why there is none, in the order of the pairs."""
+    if workers <= 1 or len(pairs) <= 1:
+        yield from map(_outcome, pairs)
+        return
+    with ProcessPoolExecutor(min(workers, len(pairs)), mp_context=get_context("spawn")) as pool:
+        yield from pool.map(_outcome, pairs)
+
+
+def _outcome(pair: tuple[Path, Path]) -> tuple[str, Evaluation | str]:
+    scene_dir, truth_dir = map(Path, pair)
+    try:
+        if not (scene_dir / "run.json").is_file():
+            raise InputError(f"{NO_RESULT}: {scene_dir} is not a scene folder")
+        return truth_dir.name, evaluate(scene_dir, truth_dir)
+    except Video2AnimError as error:
+        return truth_dir.name, str(error)
 
 
 def summarize(

@@ -15,6 +15,7 @@ from video2anim.synth.cameras import CameraRequest, place_camera
 from video2anim.synth.library import MotionLibrary
 from video2anim.synth.looks import make_looks
 from video2anim.synth.presets import ACTED, ClipSpec
+from video2anim.synth.render.lens import covers_picture
 from video2anim.synth.rooms import build_room, penetration_m, split_items
 from video2anim.synth.world import ActedMotion, Actor, MovingObject, Room, SceneObject, SensorModel, Shot
 from video2anim.types import BodyMotion, BodyShape, Intrinsics
@@ -98,7 +99,7 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
     facts: dict[str, str | float | int] = {"attempt": attempt, "kind": "+".join(spec.kinds)}
     return Shot(
         spec.name, room, tuple(actors), lens, T_world_camera, not spec.handheld,
-        draw_sensor(spec.rng("sensor", attempt), spec), _carried(people, items), facts,
+        draw_sensor(spec.rng("sensor", attempt), spec, lens), _carried(people, items), facts,
     )  # fmt: skip
 
 
@@ -292,8 +293,8 @@ def _body_motion(number: int, person: Performance, T_world_camera: np.ndarray, l
     )  # fmt: skip
 
 
-def draw_sensor(rng: np.random.Generator, spec: ClipSpec) -> SensorModel:
-    """A camera's faults: mild, or anything from mild to strong for a harsh clip."""
+def draw_sensor(rng: np.random.Generator, spec: ClipSpec, lens: Intrinsics) -> SensorModel:
+    """A camera's faults: mild, or from mild to strong for a harsh clip. Distortion is weaker on wide lenses."""
     tint = rng.normal(0, 0.03, 3)
     base = SensorModel(
         exposure=float(np.exp(rng.normal(0, 0.12))), noise_electrons=float(rng.uniform(0.5, 2.5)),
@@ -302,8 +303,11 @@ def draw_sensor(rng: np.random.Generator, spec: ClipSpec) -> SensorModel:
     )  # fmt: skip
     if not spec.harsh:
         return base
+    k1, k2 = float(rng.uniform(-0.12, 0.06)), float(rng.uniform(-0.02, 0.02))
+    while not covers_picture(lens, k1, k2):
+        k1, k2 = 0.8 * k1, 0.8 * k2
     return replace(
         base, exposure=float(np.exp(rng.normal(0, 0.35))), noise_electrons=float(rng.uniform(1, 8)),
-        blur_s=float(rng.uniform(0, 1 / 30)), k1=float(rng.uniform(-0.12, 0.06)), k2=float(rng.uniform(-0.02, 0.02)),
+        blur_s=float(rng.uniform(0, 1 / 30)), k1=k1, k2=k2,
         jpeg_quality=int(rng.integers(40, 95)), crf=int(rng.integers(18, 32)),
     )  # fmt: skip

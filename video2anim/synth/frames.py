@@ -146,7 +146,7 @@ def _pictures(spec: ClipSpec, config: SynthConfig, count: int) -> Iterator[dict[
             lens, pose = place_camera(rng, shot.room, joints, request)
         except InputError:
             lens, pose = shot.intrinsics, shot.T_world_camera[t : t + 1]
-        sensor = draw_sensor(rng, replace(spec, harsh=True))
+        sensor = draw_sensor(rng, replace(spec, harsh=True), lens)
         single = _frozen(shot, t, lens, pose, sensor)
         picture = Renderer(single).frame(0)
         label = np.zeros(picture.instance.shape, np.uint8)

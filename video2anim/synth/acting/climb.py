@@ -17,6 +17,7 @@ _LEAST_STAIR_SCALE = 0.8
 
 
 def act_step_up(script: Script) -> ActedMotion:
+    """Walk up to a step or a small flight, climb it, turn on top and come down."""
     size, rng = script.size, script.rng
     approach(script, rng.uniform(0.5, 0.8))
     count = int(rng.choice([1, 1, 2, 3])) if size.scale > _LEAST_STAIR_SCALE else 1

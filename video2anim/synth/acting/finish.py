@@ -43,6 +43,7 @@ def lowest_over(points_m: np.ndarray, prop: Prop, parts: np.ndarray | None = Non
 
 
 def at_height(prop: Prop, height_m: float) -> Prop:
+    """The prop with its surface at another height."""
     x, _, z = prop.position_m
     return replace(prop, position_m=(x, float(height_m), z))
 

@@ -19,6 +19,7 @@ _ITEM_HALF_M = 0.06
 
 
 def act_pick_up(script: Script) -> ActedMotion:
+    """Walk up to a small thing, bend or crouch, grasp it, rise and carry it along."""
     size, rng = script.size, script.rng
     approach(script, rng.uniform(1.2, 1.9))
     side = int(rng.integers(2))
@@ -119,6 +120,7 @@ def palm_inward(side: int) -> Float[np.ndarray, "3 3"]:
 
 
 def act_lean(script: Script) -> ActedMotion:
+    """Walk up to a table or a wall and rest a hand or the back on it for a while."""
     return _lean_on_table(script) if script.rng.random() < 0.5 else _lean_on_wall(script)
 
 
@@ -228,6 +230,7 @@ def _lean_on_wall(script: Script) -> ActedMotion:
 
 
 def act_reach(script: Script) -> ActedMotion:
+    """Walk up to a shelf and reach for one of its boards, high or low."""
     size, rng, key = script.size, script.rng, script.keyed.key
     approach(script, rng.uniform(1.3, 2.0))
     side = int(rng.integers(2))

@@ -20,6 +20,7 @@ _LARGEST_DROP_M = 0.01
 
 
 def act_lie(script: Script) -> ActedMotion:
+    """Sit down on the edge of a bed, lie down, stay, and rise again."""
     size, rng = script.size, script.rng
     height = float(np.clip(rng.uniform(0.82, 0.95) * size.knee_height_m, 0.33, 0.56))
     approach(script, rng.uniform(0.9, 1.3))

@@ -98,6 +98,7 @@ def rise(script: Script, hold: PelvisHold) -> None:
 
 
 def act_sit(script: Script) -> ActedMotion:
+    """Walk up to a seat, turn, sit down, stay with small movements, rise and walk off."""
     size, rng = script.size, script.rng
     height = float(np.clip(rng.uniform(0.84, 0.96) * size.knee_height_m, 0.33, 0.55))
     approach(script, rng.uniform(1.2, 1.9))

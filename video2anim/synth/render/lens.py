@@ -30,6 +30,18 @@ def undistort(xy: Float[np.ndarray, "... 2"], k1: float, k2: float) -> Float[np.
     return xy * (radius / np.maximum(seen, 1e-12))
 
 
+def covers_picture(intrinsics: Intrinsics, k1: float, k2: float) -> bool:
+    """Whether the lens shows something at every corner: its radial curve rises until it gets there."""
+    corner = np.hypot(
+        max(intrinsics.cx_px, intrinsics.width_px - 1 - intrinsics.cx_px) / intrinsics.fx_px,
+        max(intrinsics.cy_px, intrinsics.height_px - 1 - intrinsics.cy_px) / intrinsics.fy_px,
+    )
+    radius = np.linspace(0.0, 2.0 * corner, 400)
+    slope = 1.0 + radius**2 * (3.0 * k1 + 5.0 * k2 * radius**2)
+    rising = radius[: int(np.argmax(slope < 0.2)) or None]
+    return bool((rising * (1.0 + rising**2 * (k1 + k2 * rising**2))).max() > 1.01 * corner)
+
+
 def pixel_directions(
     pixels: Float[np.ndarray, "... 2"], intrinsics: Intrinsics, k1: float = 0.0, k2: float = 0.0
 ) -> Float[np.ndarray, "... 3"]:

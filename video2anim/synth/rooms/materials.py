@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -70,11 +71,14 @@ class Palette:
     rug: Material
 
 
+Choice = TypeVar("Choice")
+
+
 def _number(rng: np.random.Generator) -> int:
     return int(rng.integers(2**31))
 
 
-def pick(rng: np.random.Generator, choices: tuple):
+def pick(rng: np.random.Generator, choices: tuple[Choice, ...]) -> Choice:
     """One of them."""
     return choices[int(rng.integers(len(choices)))]
 
@@ -107,6 +111,7 @@ def plain(rng: np.random.Generator, rgb: Rgb, gloss: float = 0.1, amount: float 
 
 
 def metal(rng: np.random.Generator) -> Material:
+    """Bare or painted metal."""
     rgb = pick(rng, METALS)
     return Material("metal", varied(rng, rgb), shaded(rgb, 0.8), 0.02, float(rng.uniform(0.4, 0.8)), 0, 0, _number(rng))
 
@@ -122,11 +127,13 @@ def fabric(rng: np.random.Generator, rgb: Rgb, rgb2: Rgb | None = None, patterne
 
 
 def leather(rng: np.random.Generator) -> Material:
+    """Leather of a colour."""
     rgb = pick(rng, LEATHERS)
     return Material("leather", varied(rng, rgb), shaded(rgb, 0.75), 0.01, 0.3, 0.0, 0.1, _number(rng))
 
 
 def paper(rng: np.random.Generator, rgb: Rgb) -> Material:
+    """Paper or card of a colour."""
     return Material("paper", varied(rng, rgb), shaded(rgb, 0.9), 0.02, 0.0, 0.0, 0.0, _number(rng))
 
 

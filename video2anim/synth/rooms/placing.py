@@ -220,5 +220,6 @@ def wall_frame(bounds_m: Bounds, side: int) -> Float[np.ndarray, "4 4"]:
 
 
 def wall_length(bounds_m: Bounds, side: int) -> float:
+    """Length in metres of a wall (0 = -Z, 1 = +X, 2 = +Z, 3 = -X)."""
     x0, x1, z0, z1 = bounds_m
     return x1 - x0 if side % 2 == 0 else z1 - z0

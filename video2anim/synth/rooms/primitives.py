@@ -48,7 +48,16 @@ def _rounded_rectangle(width: float, depth: float, radius: float, steps: int) ->
 
 
 def soft_box(
-    width: float, height: float, depth: float, radius: float, *, x=0.0, y=0.0, z=0.0, steps: int = 2, flat_base=False
+    width: float,
+    height: float,
+    depth: float,
+    radius: float,
+    *,
+    x: float = 0.0,
+    y: float = 0.0,
+    z: float = 0.0,
+    steps: int = 2,
+    flat_base: bool = False,
 ) -> Mesh:
     """Box with rounded edges; its top and bottom are flat and lie exactly at y and y + height. Convex."""
     radius = min(radius, 0.49 * min(width, height, depth))
@@ -63,12 +72,14 @@ def soft_box(
     return loft(np.stack(rings))
 
 
-def block(width: float, height: float, depth: float, *, x=0.0, y=0.0, z=0.0, edge: float = 0.004) -> Mesh:
+def block(
+    width: float, height: float, depth: float, *, x: float = 0.0, y: float = 0.0, z: float = 0.0, edge: float = 0.004
+) -> Mesh:
     """Board or leg: a box with slightly broken edges."""
     return soft_box(width, height, depth, min(edge, 0.2 * min(width, height, depth)), x=x, y=y, z=z, steps=1)
 
 
-def plain_box(width: float, height: float, depth: float, *, x=0.0, y=0.0, z=0.0) -> Mesh:
+def plain_box(width: float, height: float, depth: float, *, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Mesh:
     """Box of 12 triangles."""
     ring = np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]]) / 2 * [width, depth]
     rings = [np.stack([ring[:, 0] + x, np.full(4, level), ring[:, 1] + z], 1) for level in (y, y + height)]
@@ -79,7 +90,14 @@ def plain_box(width: float, height: float, depth: float, *, x=0.0, y=0.0, z=0.0)
 
 
 def taper(
-    bottom: tuple[float, float], top: tuple[float, float], height: float, *, x=0.0, y=0.0, z=0.0, lean=(0.0, 0.0)
+    bottom: tuple[float, float],
+    top: tuple[float, float],
+    height: float,
+    *,
+    x: float = 0.0,
+    y: float = 0.0,
+    z: float = 0.0,
+    lean: tuple[float, float] = (0.0, 0.0),
 ) -> Mesh:
     """Square leg of other size (x, z) at the bottom than at the top; the foot is `lean` away from under the top."""
     ring = np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]]) / 2
@@ -90,7 +108,15 @@ def taper(
     return loft(np.stack(rings))
 
 
-def lathe(profile: Sequence[tuple[float, float]], sides: int = 20, *, x=0.0, y=0.0, z=0.0, closed=False) -> Mesh:
+def lathe(
+    profile: Sequence[tuple[float, float]],
+    sides: int = 20,
+    *,
+    x: float = 0.0,
+    y: float = 0.0,
+    z: float = 0.0,
+    closed: bool = False,
+) -> Mesh:
     """Solid of revolution about the vertical through (x, z); profile of (radius, height), from below.
 
     `closed`: the profile is a loop counter-clockwise in the (radius, height) plane: a ring, like a lamp shade.
@@ -103,7 +129,16 @@ def lathe(profile: Sequence[tuple[float, float]], sides: int = 20, *, x=0.0, y=0
     return loft(np.stack(rings), closed_loop=closed)
 
 
-def cylinder(radius: float, height: float, *, x=0.0, y=0.0, z=0.0, sides: int = 20, top: float | None = None) -> Mesh:
+def cylinder(
+    radius: float,
+    height: float,
+    *,
+    x: float = 0.0,
+    y: float = 0.0,
+    z: float = 0.0,
+    sides: int = 20,
+    top: float | None = None,
+) -> Mesh:
     """Round leg, pot or column; `top` is the radius at the upper end. Edges a little broken."""
     top = radius if top is None else top
     edge = min(0.003, 0.2 * height, 0.3 * radius, 0.3 * top)
@@ -146,7 +181,9 @@ def ribbon(line_xz: Float[np.ndarray, "points 2"], thickness: float, height: flo
     return oriented(loft(np.array(rings)))
 
 
-def pillow(width: float, height: float, depth: float, *, x=0.0, y=0.0, z=0.0, power: float = 0.45) -> Mesh:
+def pillow(
+    width: float, height: float, depth: float, *, x: float = 0.0, y: float = 0.0, z: float = 0.0, power: float = 0.45
+) -> Mesh:
     """Stuffed cushion: a squashed ball with four corners, lying flat."""
     across = np.arange(24) / 24 * 2 * np.pi
     up = np.linspace(-np.pi / 2, np.pi / 2, 9)[1:-1]
@@ -181,7 +218,16 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
     return np.concatenate([v for v, _ in meshes]), np.concatenate(faces)
 
 
-def moved(mesh: Mesh, *, x=0.0, y=0.0, z=0.0, yaw=0.0, pitch=0.0, roll=0.0) -> Mesh:
+def moved(
+    mesh: Mesh,
+    *,
+    x: float = 0.0,
+    y: float = 0.0,
+    z: float = 0.0,
+    yaw: float = 0.0,
+    pitch: float = 0.0,
+    roll: float = 0.0,
+) -> Mesh:
     """Turned about Z (roll), X (pitch), Y (yaw), in this order, then shifted."""
     vertices, faces = mesh
     return vertices @ rotation(yaw, pitch, roll).T + np.array([x, y, z]), faces
