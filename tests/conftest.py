@@ -23,7 +23,7 @@ def shared_media() -> Path:
 def bench_clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first four clips of preset `bench` at 320 x 240, walking from the gait model."""
     out = tmp_path_factory.mktemp("synth") / "set"
-    words = ("synth", "--preset", "bench", "--count", "4", "--size", "320x240", "--out", out, "--workers", "2")
-    done = video2anim(*words)
+    words = ("synth", "--preset", "bench", "--count", "4", "--size", "320x240", "--longest", "5", "--out", out)
+    done = video2anim(*words, "--workers", "2")
     assert done.code == 0, done.err
     return out

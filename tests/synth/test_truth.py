@@ -78,7 +78,8 @@ def test_the_set_is_kept(clips: tuple[Clip, ...]) -> None:
     """Made again with the same options, nothing is drawn anew."""
     out = clips[0].folder.parent
     before = {path: path.stat().st_mtime_ns for path in out.glob("*/*.*")}
-    done = video2anim("synth", "--preset", "bench", "--count", "4", "--size", "320x240", "--out", str(out))
+    words = ("synth", "--preset", "bench", "--count", "4", "--size", "320x240", "--longest", "5", "--out", out)
+    done = video2anim(*words)
     assert done.code == 0
     assert done.err.count("(cached)") == 4
     assert {path: path.stat().st_mtime_ns for path in out.glob("*/*.*")} == before
