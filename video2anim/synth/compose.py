@@ -38,7 +38,7 @@ class ComposeOptions:
     meshes: tuple[SceneObject, ...] = ()
     library: MotionLibrary | None = None
     longest_s: float | None = None
-    """Clips are cut to this length after everything else is drawn."""
+    """Clips are cut to this length."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
