@@ -41,7 +41,7 @@ class FrameWriter:
         fps: int = 30,
         crf: int = 14,
         preset: str = "veryfast",
-        threads: int = 0,
+        threads: int = 1,
     ) -> None:
         """Prepare to write `path`; its folder must exist. The file is made once there is something to write.
 
@@ -52,7 +52,8 @@ class FrameWriter:
             fps: Frames per second.
             crf: x264 quality, lower is better: 14 is visually lossless, 23 suits previews.
             preset: x264 speed preset.
-            threads: Encoder threads, 0 = as many as there are cores; the bytes depend on it.
+            threads: Encoder threads, 0 = as many as there are cores. With several, x264 may give other bytes for the
+                same frames, which would make cached stages look edited.
         """
         self.path = path
         self.frame_count = 0
