@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from command import video2anim
 
 from scenemi.data.container import MotionArchive, write_archive
 from video2anim.artifacts.folder import folder_digest
+from video2anim.synth.generate import SynthConfig, clip_key
+from video2anim.synth.presets import clip_specs
 
 MOTION = Path(__file__).resolve().parents[3] / "shared" / "motion"
 SMALL = ("--size", "96x72", "--longest", "0.3")
@@ -148,3 +151,17 @@ def test_captured_motion(tmp_path: Path) -> None:
     }
     assert any("deepmimic" in source for source in sources)
     assert not any("sie" in source for source in sources)
+
+
+def test_a_key_holds_all_that_decides_a_clip() -> None:
+    """A shard or clip made with other sources or another room is not taken for this one."""
+    spec, base = clip_specs("random", 1, 0)[0], SynthConfig()
+    others = [
+        clip_key(spec, base, {"walks.npz": "0"}),
+        clip_key(spec, replace(base, room_size_m=(5.0, 4.0)), {}),
+        clip_key(spec, replace(base, noncommercial=True), {}),
+        clip_key(spec, replace(base, longest_s=1.0), {}),
+        clip_key(spec, replace(base, width_px=320), {}),
+        clip_key(clip_specs("random", 1, 1)[0], base, {}),
+    ]
+    assert len({clip_key(spec, base, {}), *others}) == len(others) + 1

@@ -14,7 +14,7 @@ import numpy as np
 from video2anim import __version__
 from video2anim.artifacts.folder import whole_or_absent
 from video2anim.errors import InputError
-from video2anim.synth.generate import SynthConfig, start_worker
+from video2anim.synth.generate import SynthConfig, checked_sources, clip_key, compose_options, start_worker
 from video2anim.synth.presets import ClipSpec, clip_specs
 from video2anim.synth.world import LABELS, SensorModel, Shot
 from video2anim.types import Intrinsics
@@ -55,7 +55,8 @@ def generate_frames(
     """
     count = SHARD_SIZE if config.count is None else config.count
     rooms = -(-count // PER_ROOM)
-    specs = clip_specs("random", max(rooms, 1), config.seed)
+    specs = clip_specs("random", rooms, config.seed)
+    sources = checked_sources(config)
     jobs = []
     for shard, first in enumerate(range(0, count, SHARD_SIZE)):
         size = min(SHARD_SIZE, count - first)
@@ -66,31 +67,37 @@ def generate_frames(
     except OSError as error:
         raise InputError(f"--out: cannot make folder {out}: {error.strerror}; choose another") from error
     results = []
-    for result in _made(jobs, config, out, workers):
+    for result in _made(jobs, config, sources, out, workers):
         results.append(result)
         on_done(result, len(jobs))
     return tuple(sorted(results, key=lambda shard: shard.name))
 
 
 def _made(
-    jobs: list[tuple[str, tuple[ClipSpec, ...], int]], config: SynthConfig, out: Path, workers: int
+    jobs: list[tuple[str, tuple[ClipSpec, ...], int]],
+    config: SynthConfig,
+    sources: dict[str, str],
+    out: Path,
+    workers: int,
 ) -> Iterator[ShardDone]:
     if workers <= 1 or len(jobs) <= 1:
         for name, specs, size in jobs:
-            yield _shard(name, specs, size, config, out)
+            yield _shard(name, specs, size, config, sources, out)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=start_worker) as pool:
-        for future in [pool.submit(_shard, name, specs, size, config, out) for name, specs, size in jobs]:
+        for future in [pool.submit(_shard, name, specs, size, config, sources, out) for name, specs, size in jobs]:
             yield future.result()
 
 
-def _shard(name: str, specs: tuple[ClipSpec, ...], size: int, config: SynthConfig, out: Path) -> ShardDone:
+def _shard(
+    name: str, specs: tuple[ClipSpec, ...], size: int, config: SynthConfig, sources: dict[str, str], out: Path
+) -> ShardDone:
     folder = out / name
     meta = {
         "format_version": 1, "preset": "random", "seed": config.seed, "first_room": specs[0].index, "pictures": size,
         "width_px": config.width_px, "height_px": config.height_px, "labels": list(LABELS),
-        "generator": f"video2anim {__version__}",
+        "generator": f"video2anim {__version__}", "key": clip_key(specs[0], config, sources),
     }  # fmt: skip
     try:
         if json.loads((folder / "meta.json").read_text()) == meta:
@@ -124,16 +131,11 @@ def _shard(name: str, specs: tuple[ClipSpec, ...], size: int, config: SynthConfi
 
 def _pictures(spec: ClipSpec, config: SynthConfig, count: int) -> Iterator[dict[str, np.ndarray]]:
     from video2anim.synth.cameras import CameraRequest, place_camera
-    from video2anim.synth.compose import ComposeOptions, compose, draw_sensor
-    from video2anim.synth.library import MotionLibrary
-    from video2anim.synth.render.renderer import Renderer
-    from video2anim.synth.render.sensor import Sensor
-    from video2anim.synth.rooms import load_meshes
+    from video2anim.synth.compose import compose, draw_sensor
+    from video2anim.synth.render import PERSON_ID, Renderer, Sensor
     from video2anim.synth.store import depth_code, normal_code
 
-    library = MotionLibrary.read(config.motion, noncommercial=config.noncommercial) if config.motion else None
-    meshes = load_meshes(config.meshes) if config.meshes is not None else ()
-    shot = compose(spec, ComposeOptions(config.width_px, config.height_px, config.room_size_m, meshes, library))
+    shot = compose(spec, compose_options(config))
     request = CameraRequest(
         config.width_px, config.height_px, pitch_rad=(-0.9, 0.35), roll_sigma_rad=0.06, nearest_m=1.0,
         figure_ratio=(0.1, 2.0), least_seen=0.3,
@@ -152,7 +154,7 @@ def _pictures(spec: ClipSpec, config: SynthConfig, count: int) -> Iterator[dict[
         label = np.zeros(picture.instance.shape, np.uint8)
         for thing in (*shot.room.objects, *(moving.thing for moving in shot.moving)):
             label[picture.instance == thing.object_id] = LABELS.index(thing.label)
-        label[picture.instance >= 1000] = LABELS.index("person")
+        label[picture.instance >= PERSON_ID] = LABELS.index("person")
         yield {
             "rgb": Sensor(sensor, rng).apply(picture.rgb, 0),
             "depth_mm": depth_code(picture.depth_m),

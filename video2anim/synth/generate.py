@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import multiprocessing
@@ -12,12 +13,15 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from video2anim import __version__
 from video2anim.artifacts.folder import file_digest, remove_unfinished
 from video2anim.errors import InputError
 from video2anim.synth.presets import V2A_BENCH, ClipSpec, clip_specs
+
+if TYPE_CHECKING:
+    from video2anim.synth.compose import ComposeOptions
 
 SET_NAME = "set.json"
 GENERATOR_VERSION = 1
@@ -74,8 +78,7 @@ def generate(
             suitable scene; clips that are finished stay.
     """
     specs = clip_specs(config.preset, config.count, config.seed)
-    sources = _source_digests(config)
-    _check_sources(config)
+    sources = checked_sources(config)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -84,7 +87,7 @@ def generate(
     done: dict[str, ClipDone] = {}
     missing: list[ClipSpec] = []
     for spec in specs:
-        key = _key(spec, config, sources)
+        key = clip_key(spec, config, sources)
         if _key_of(out / spec.name) == key:
             done[spec.name] = ClipDone(spec.name, True, _digests(out / spec.name))
             on_done(done[spec.name], len(specs))
@@ -137,18 +140,13 @@ def _end_with_parent() -> None:
 
 
 def _make(spec: ClipSpec, config: SynthConfig, sources: dict[str, str], out: Path) -> ClipDone:
-    from video2anim.synth.compose import ComposeOptions, compose
-    from video2anim.synth.library import MotionLibrary
-    from video2anim.synth.rooms import load_meshes
+    from video2anim.synth.compose import compose
     from video2anim.synth.store import write_clip
 
-    library = MotionLibrary.read(config.motion, noncommercial=config.noncommercial) if config.motion else None
-    meshes = load_meshes(config.meshes) if config.meshes is not None else ()
-    options = ComposeOptions(config.width_px, config.height_px, config.room_size_m, meshes, library, config.longest_s)
-    shot = compose(spec, options)
+    shot = compose(spec, compose_options(config))
     facts = {
         "name": spec.name, "preset": spec.preset, "seed": spec.seed, "index": spec.index,
-        "key": _key(spec, config, sources), "generator": f"video2anim {__version__}",
+        "key": clip_key(spec, config, sources), "generator": f"video2anim {__version__}",
     }  # fmt: skip
     try:
         write_clip(shot, out / spec.name, facts, spec.rng("noise"), label_stride=config.label_stride)
@@ -157,7 +155,12 @@ def _make(spec: ClipSpec, config: SynthConfig, sources: dict[str, str], out: Pat
     return ClipDone(spec.name, False, _digests(out / spec.name))
 
 
-def _source_digests(config: SynthConfig) -> dict[str, str]:
+def checked_sources(config: SynthConfig) -> dict[str, str]:
+    """sha256 of every file that clips are made from, by name; fails before anything is made.
+
+    Raises:
+        InputError: an archive or mesh is missing or cannot be used.
+    """
     files: list[Path] = []
     for path in config.motion:
         files += sorted(path.glob("*.npz")) if path.is_dir() else [path]
@@ -166,28 +169,29 @@ def _source_digests(config: SynthConfig) -> dict[str, str]:
     missing = [path for path in files if not path.is_file()]
     if missing:
         raise InputError(f"motion: want an archive (.npz) or a folder of them, found nothing at {missing[0]}")
+    compose_options(config)
     return {path.name: file_digest(path) for path in files}
 
 
-def _check_sources(config: SynthConfig) -> None:
-    """Fail before anything is made."""
+@functools.lru_cache(maxsize=1)
+def compose_options(config: SynthConfig) -> ComposeOptions:
+    """What the configuration fixes for every clip; sources are read once in a process."""
+    from video2anim.synth.compose import ComposeOptions
     from video2anim.synth.library import MotionLibrary
     from video2anim.synth.rooms import load_meshes
 
-    if config.motion:
-        MotionLibrary.read(config.motion, noncommercial=config.noncommercial)
-    if config.meshes is not None:
-        load_meshes(config.meshes)
+    library = MotionLibrary.read(config.motion, noncommercial=config.noncommercial) if config.motion else None
+    meshes = load_meshes(config.meshes) if config.meshes is not None else ()
+    return ComposeOptions(config.width_px, config.height_px, config.room_size_m, meshes, library, config.longest_s)
 
 
-def _key(spec: ClipSpec, config: SynthConfig, sources: dict[str, str]) -> str:
+def clip_key(spec: ClipSpec, config: SynthConfig, sources: dict[str, str]) -> str:
+    """Digest of everything that decides what a clip looks like."""
     facts: dict[str, Any] = {
         "version": GENERATOR_VERSION, "spec": asdict(spec), "size": (config.width_px, config.height_px),
         "room": config.room_size_m, "stride": config.label_stride, "sources": sources,
-        "noncommercial": config.noncommercial,
+        "noncommercial": config.noncommercial, "longest_s": config.longest_s,
     }  # fmt: skip
-    if config.longest_s is not None:
-        facts["longest_s"] = config.longest_s
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -43,7 +42,6 @@ def write_clip(
     rng: np.random.Generator,
     *,
     label_stride: int = 5,
-    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Draw a shot and write its folder; an older folder of that name is replaced by one rename at the end.
 
@@ -53,7 +51,6 @@ def write_clip(
         facts: Entries of `meta.json` known to the caller (name, preset, seed, index).
         rng: Randomness of the sensor.
         label_stride: Depth, normals and instances are kept for every such frame.
-        progress: Called after each frame.
     """
     with whole_or_absent(folder) as work:
         renderer, sensor = Renderer(shot), Sensor(shot.sensor, rng)
@@ -66,7 +63,6 @@ def write_clip(
                 picture = renderer.frame(t)
                 labels.add(t, picture)
                 video.write(sensor.apply(picture.rgb, t))
-                progress(t + 1, shot.frame_count)
         write_png(work / "plate.png", labels.plate_rgb)
         _write_truth(work, shot, labels)
         _write_meshes(work, shot)
