@@ -1,7 +1,8 @@
-"""Speed and memory of the synthetic renderer in the tests' room, one process.
+"""Speed and memory of the synthetic renderer on clips of V2A-Bench (with the gait model's walks).
 
     python benchmarks/render_speed.py --out benchmarks/results
 
+One process for each core draws the same frames at the same time, as `synth --workers` does; `frames/s` is their sum.
 `ray casts` compares first hits of one 640 x 480 picture by trimesh's ray interface and by the renderer's own layer over
 embree. `frames` are medians over consecutive frames, with shadows, occlusion, labels and anti-aliased edges.
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
+import multiprocessing
 import os
 import platform
 import resource
@@ -18,26 +20,31 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "synth"))
-
-from render_room import make_room, make_shot
-
+from video2anim.synth.compose import compose
+from video2anim.synth.generate import SynthConfig, compose_options, start_worker
+from video2anim.synth.presets import clip_specs
 from video2anim.synth.render import Renderer
 from video2anim.synth.render.surfaces import of_objects
 from video2anim.synth.render.view import Eye
+from video2anim.synth.world import Shot
 
+SEED = 0
 CASES = (
-    ("still camera, one person", 640, 480, 1, False),
-    ("still camera, two people", 640, 480, 2, False),
-    ("still camera, one person", 320, 240, 1, False),
-    ("moving camera, one person", 320, 240, 1, True),
-    ("moving camera, one person", 640, 480, 1, True),
+    ("01_sit", 640, 480, False),
+    ("11_walk_and_walk", 640, 480, False),
+    ("01_sit", 320, 240, False),
+    ("01_sit", 320, 240, True),
+    ("01_sit", 640, 480, True),
 )
+"""Clip of the set, size in pixels, hand-held."""
 
 
 def main() -> None:
@@ -45,13 +52,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--frames", type=int, default=9)
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args()
     report = {
         "date": datetime.date.today().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "seed": SEED,
         "ray_casts_s": ray_casts(),
-        "frames": [measure(*case, options.frames) for case in CASES],
-        "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
+        "processes": options.processes,
+        "frames": [together(case, options.frames, options.processes) for case in CASES],
     }
     options.out.mkdir(parents=True, exist_ok=True)
     target = options.out / f"render_speed-{report['date']}.json"
@@ -61,7 +70,8 @@ def main() -> None:
 
 def ray_casts() -> dict[str, float]:
     """Seconds for the first hits of a 640 x 480 picture with the points hit."""
-    shot, surfaces = make_shot(640, 480, people=0), of_objects(make_room().objects)
+    shot = bench_shot("01_sit", 640, 480)
+    surfaces = of_objects(shot.room.objects)
     eye = Eye(shot.intrinsics, shot.T_world_camera[0])
     directions = eye.directions(np.arange(640 * 480))
     origins = np.tile(eye.origin_m, (len(directions), 1))
@@ -87,9 +97,28 @@ def median(action: Callable[[], object], count: int = 7) -> float:
     return round(statistics.median(times), 4)
 
 
-def measure(name: str, width_px: int, height_px: int, people: int, handheld: bool, frames: int) -> dict[str, object]:
+def bench_shot(name: str, width_px: int, height_px: int, handheld: bool = False) -> Shot:
+    """A clip of the benchmark."""
+    spec = next(spec for spec in clip_specs("bench", None, SEED) if spec.name == name)
+    options = compose_options(SynthConfig(width_px=width_px, height_px=height_px, seed=SEED))
+    return compose(replace(spec, handheld=handheld), options)
+
+
+def together(case: tuple[str, int, int, bool], frames: int, processes: int) -> dict[str, Any]:
+    """The same measurement in several processes at once: medians, and the frames of all per second."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context, initializer=start_worker) as pool:
+        rows = [job.result() for job in [pool.submit(measure, *case, frames) for _ in range(processes)]]
+    return {
+        **rows[0],
+        "frame_s": round(statistics.median(row["frame_s"] for row in rows), 4),
+        "frames_per_s": round(sum(1 / row["frame_s"] for row in rows), 2),
+    }
+
+
+def measure(name: str, width_px: int, height_px: int, handheld: bool, frames: int) -> dict[str, Any]:
     """One kind of shot: time of the first picture of the room, and the median over frames."""
-    shot = make_shot(width_px, height_px, frames=frames + 1, people=people, handheld=handheld)
+    shot = bench_shot(name, width_px, height_px, handheld)
     renderer = Renderer(shot)
     start = time.perf_counter()
     renderer.plate()
@@ -103,11 +132,14 @@ def measure(name: str, width_px: int, height_px: int, people: int, handheld: boo
     frame_s = statistics.median(times)
     return {
         "name": name,
+        "camera": "moving" if handheld else "still",
+        "people": len(shot.actors),
+        "shutter_blur": shot.sensor.blur_s > 0,
         "size_px": [width_px, height_px],
         "plate_s": round(plate_s, 3),
         "frame_s": round(frame_s, 4),
         "frame_cpu_s": round(statistics.median(busy), 4),
-        "frames_per_s": round(1 / frame_s, 2),
+        "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
     }
 
 
@@ -117,10 +149,11 @@ def table(report: dict) -> str:
     for row in report["frames"]:
         size = "x".join(str(n) for n in row["size_px"])
         lines.append(
-            f"{row['name']}, {size}: room {row['plate_s']:.2f} s, frame {1000 * row['frame_s']:.0f} ms "
-            f"= {row['frames_per_s']:.1f} frames/s (CPU {1000 * row['frame_cpu_s']:.0f} ms)"
+            f"{row['camera']} camera, {row['people']} person(s), {size}: room {row['plate_s']:.2f} s, "
+            f"frame {1000 * row['frame_s']:.0f} ms (CPU {1000 * row['frame_cpu_s']:.0f} ms), "
+            f"{row['frames_per_s']:.1f} frames/s in {report['processes']} processes of {row['peak_memory_mib']} MiB"
         )
-    return "\n".join([*lines, f"peak memory {report['peak_memory_mib']} MiB"])
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

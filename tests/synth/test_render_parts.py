@@ -198,16 +198,14 @@ def test_plain_sensor_changes_nothing() -> None:
 
 
 def test_noise_has_the_strength_asked_for_and_repeats() -> None:
-    sensor = Sensor(SensorModel(noise_electrons=4.0), np.random.default_rng(1))
+    sensor = Sensor(SensorModel(noise_steps=4.0), np.random.default_rng(1))
     first = sensor.apply(gray(), 7)
     assert first.astype(float).std() == pytest.approx(4.0, rel=0.06)
     assert abs(first.mean() - 128) < 0.5
     sensor.apply(gray(), 8)
     assert np.array_equal(sensor.apply(gray(), 7), first)
     assert not np.array_equal(sensor.apply(gray(), 8), first)
-    assert not np.array_equal(
-        Sensor(SensorModel(noise_electrons=4.0), np.random.default_rng(2)).apply(gray(), 7), first
-    )
+    assert not np.array_equal(Sensor(SensorModel(noise_steps=4.0), np.random.default_rng(2)).apply(gray(), 7), first)
 
 
 def test_exposure_vignette_white_balance_and_jpeg() -> None:

@@ -21,8 +21,6 @@ _FIRST_PERSON_VALUE = 1000
 """Pixels of person p hold 1000 + p."""
 _NEEDED = ("up_camera", "label_frame_index", "depth_mm", "instance", "background_depth_mm", "background_instance")
 _FLOOR_LABELS = ("floor", "rug")
-_CLUTTER_LABELS = ("book", "cup", "vase", "toy", "cushion", "monitor", "bag", "clutter")
-"""Small things: never furniture, whatever their size in the picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +40,7 @@ class TrueObject:
     @property
     def stands(self) -> bool:
         """Furniture proper: neither clutter nor carried."""
-        return self.is_furniture and not self.is_moving and self.label not in _CLUTTER_LABELS
+        return self.is_furniture and not self.is_moving
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,5 +31,9 @@ def vertical_fov_rad(intrinsics: Intrinsics) -> float:
 
 def linear_from_srgb(rgb: np.ndarray) -> Float[np.ndarray, "... 3"]:
     """uint8 sRGB to linear light in [0, 1] (IEC 61966-2-1)."""
-    value = rgb.astype(np.float64) / 255.0
+    return linear_light(rgb.astype(np.float64) / 255.0)
+
+
+def linear_light(value: np.ndarray) -> Float[np.ndarray, "... 3"]:
+    """sRGB in [0, 1] to linear light in [0, 1] (IEC 61966-2-1)."""
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)

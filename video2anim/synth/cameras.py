@@ -10,6 +10,7 @@ from jaxtyping import Float
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.synth.render.caster import Caster
+from video2anim.synth.render.surfaces import of_objects
 from video2anim.synth.world import Room
 from video2anim.types import Intrinsics
 
@@ -72,7 +73,7 @@ def place_camera(
     frames = joints_m.shape[1]
     points = joints_m[:, :: min(_FRAME_STEP, max(frames - 1, 1))].reshape(-1, 22, 3)
     boxes = _furniture_boxes(room)
-    caster = _obstacles(room)
+    caster = of_objects(thing for thing in room.objects if thing.label not in _NEVER_HIDES).caster()
     wished = float(np.clip(_USUAL_FOV_RAD * np.exp(rng.normal(0.0, _FOV_SPREAD)), *request.fov_y_rad))
     found: list[_Candidate] = []
     for _ in range(tries):
@@ -102,19 +103,6 @@ def _liking(candidate: _Candidate, wished_fov_rad: float) -> float:
     """High where the people are seen and the lens is near the wished one."""
     other = abs(np.log(np.tan(0.5 * candidate.fov_y_rad) / np.tan(0.5 * wished_fov_rad)))
     return candidate.seen - 0.4 * other
-
-
-def _obstacles(room: Room) -> Caster:
-    vertices, faces, count = [], [], 0
-    for thing in room.objects:
-        if thing.label not in _NEVER_HIDES:
-            points, triangles = thing.merged()
-            vertices.append(points)
-            faces.append(triangles + count)
-            count += len(points)
-    if not vertices:
-        return Caster(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-    return Caster(np.concatenate(vertices), np.concatenate(faces))
 
 
 def _draw(

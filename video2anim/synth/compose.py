@@ -11,6 +11,7 @@ from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError
 from video2anim.synth.acting import act, joined
+from video2anim.synth.acting.curves import turned
 from video2anim.synth.cameras import CameraRequest, place_camera
 from video2anim.synth.library import MotionLibrary
 from video2anim.synth.looks import make_looks
@@ -203,20 +204,14 @@ def _moved(person: Performance, R: np.ndarray, shift: np.ndarray) -> Performance
 def _facing_walls(acted: ActedMotion) -> Float[np.ndarray, "3 3"]:
     """Turn about the vertical that makes a wall the motion leans on parallel to the room's walls."""
     yaw = next((-prop.yaw_rad for prop in acted.props if prop.kind == "wall"), 0.0)
-    return turn_y(yaw)
-
-
-def turn_y(yaw_rad: float) -> Float[np.ndarray, "3 3"]:
-    """Rotation about +Y that takes +Z towards +X."""
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    return turned(yaw)
 
 
 def _beside(placed: list[Performance], person: Performance, rng: np.random.Generator) -> Performance:
     """Turn and shift a person so that nobody comes closer than `_APART_M`, but all stay together."""
     for distance in np.linspace(0.8, 4.0, 40):
         yaw, bearing = rng.uniform(-np.pi, np.pi, 2)
-        R = turn_y(float(yaw))
+        R = turned(float(yaw))
         middle = np.mean([other.joints_m[:, 0].mean(0) for other in placed], 0)
         goal = middle + distance * np.array([np.sin(bearing), 0, np.cos(bearing)])
         shift = (goal - R @ person.joints_m[:, 0].mean(0)) * (1.0, 0.0, 1.0)
@@ -297,7 +292,7 @@ def draw_sensor(rng: np.random.Generator, spec: ClipSpec, lens: Intrinsics) -> S
     """A camera's faults: mild, or from mild to strong for a harsh clip. Distortion is weaker on wide lenses."""
     tint = rng.normal(0, 0.03, 3)
     base = SensorModel(
-        exposure=float(np.exp(rng.normal(0, 0.12))), noise_electrons=float(rng.uniform(0.5, 2.5)),
+        exposure=float(np.exp(rng.normal(0, 0.12))), noise_steps=float(rng.uniform(0.5, 2.5)),
         blur_s=float(rng.choice([0.0, 1 / 120, 1 / 60])), vignette=float(rng.uniform(0, 0.25)),
         white_balance=(float(np.exp(tint[0])), 1.0, float(np.exp(tint[2]))), crf=int(rng.integers(16, 24)),
     )  # fmt: skip
@@ -307,7 +302,7 @@ def draw_sensor(rng: np.random.Generator, spec: ClipSpec, lens: Intrinsics) -> S
     while not covers_picture(lens, k1, k2):
         k1, k2 = 0.8 * k1, 0.8 * k2
     return replace(
-        base, exposure=float(np.exp(rng.normal(0, 0.35))), noise_electrons=float(rng.uniform(1, 8)),
+        base, exposure=float(np.exp(rng.normal(0, 0.35))), noise_steps=float(rng.uniform(1, 8)),
         blur_s=float(rng.uniform(0, 1 / 30)), k1=k1, k2=k2,
         jpeg_quality=int(rng.integers(40, 95)), crf=int(rng.integers(18, 32)),
     )  # fmt: skip

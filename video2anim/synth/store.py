@@ -17,7 +17,7 @@ from video2anim.export.character import character_of
 from video2anim.export.glb import write_object_glb, write_scene_glb
 from video2anim.geometry.scene_mesh import empty_mesh
 from video2anim.synth.render import PERSON_ID, Picture, Renderer, Sensor
-from video2anim.synth.render.texture import Spot, material_rgb
+from video2anim.synth.render.texture import material_rgb, unrolled
 from video2anim.synth.world import FURNITURE_LABELS, LABELS, STRUCTURE_LABELS, Part, SceneObject, Shot
 from video2anim.types import Mesh, PlacedObject
 from video2anim.video import FrameWriter
@@ -173,11 +173,8 @@ def _baked(part: Part) -> UInt8[np.ndarray, "vertices 3"]:
     if part.vertex_rgb is not None:
         return part.vertex_rgb
     points, normal = np.asarray(part.vertices_m, np.float32), np.abs(vertex_normals(part.vertices_m, part.faces))
-    level = (normal[:, 1] >= normal[:, 0]) & (normal[:, 1] >= normal[:, 2])
-    side = ~level & (normal[:, 0] > normal[:, 2])
-    u, v = np.where(side, points[:, 2], points[:, 0]), np.where(level, points[:, 2], points[:, 1])
-    footprint = np.full(len(points), _BAKED_DETAIL_M, np.float32)
-    linear = np.clip(material_rgb(part.material, Spot(u, v, footprint, level.astype(np.float32))), 0, 1)
+    spot = unrolled(points, normal, np.full(len(points), _BAKED_DETAIL_M, np.float32))
+    linear = np.clip(material_rgb(part.material, spot), 0, 1)
     srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.rint(255 * srgb).astype(np.uint8)
 

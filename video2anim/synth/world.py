@@ -203,7 +203,7 @@ class SensorModel:
     """What the camera does to the light."""
 
     exposure: float = 1.0
-    noise_electrons: float = 0.0
+    noise_steps: float = 0.0
     """Read-and-shot noise level: standard deviation in 8-bit steps at mid grey; 0 = none."""
     blur_s: float = 0.0
     """Shutter time of motion blur; 0 = none."""

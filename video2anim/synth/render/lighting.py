@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from video2anim.export.frames import linear_light
 from video2anim.synth.render import sampling
 from video2anim.synth.render.caster import Caster
-from video2anim.synth.render.surfaces import Points, linear_rgb
+from video2anim.synth.render.surfaces import Points
 from video2anim.synth.render.texture import albedo
 from video2anim.synth.render.vectors import dot, length, unit
 from video2anim.synth.world import Light, Material
@@ -173,7 +174,7 @@ def response_of(
     emission = np.array([*(m.emission for m in materials), 0.0], np.float32)[points.material]
     shining = np.flatnonzero(emission > 0)
     if len(shining):
-        colour = np.array([linear_rgb(np.asarray(m.rgb)) for m in materials], np.float32)[points.material[shining]]
+        colour = np.array([linear_light(np.asarray(m.rgb)) for m in materials], np.float32)[points.material[shining]]
         screen = np.array([m.kind == "screen" for m in materials])[points.material[shining], None]
         glow[shining] = np.where(screen, diffuse[shining], colour) * emission[shining, None]
     return Response(lamp, ambient, glow)

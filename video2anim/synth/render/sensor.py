@@ -29,7 +29,7 @@ class Sensor:
         gain = model.exposure * np.asarray(model.white_balance, np.float32)
         light = light * (self._vignette(rgb.shape[:2])[..., None] * gain).astype(np.float32)
         value = 255 * tone.to_srgb(np.clip(tone.curve(light), 0, 1))
-        if model.noise_electrons > 0:
+        if model.noise_steps > 0:
             value = value + self._noise(light, t)
         stored = np.clip(np.round(value), 0, 255).astype(np.uint8)
         return stored if model.jpeg_quality is None else _jpeg(stored, model.jpeg_quality)
@@ -45,7 +45,7 @@ class Sensor:
         relative = np.clip(light, 0, 2) / _MIDDLE_GREY
         slope = np.clip(relative, 0.05, None) ** (1 / 2.4 - 1)
         sigma = np.sqrt(_READ_SHARE + (1 - _READ_SHARE) * relative) * np.minimum(slope, 2.5)
-        return self._model.noise_electrons * sigma * rng.standard_normal(light.shape, dtype=np.float32)
+        return self._model.noise_steps * sigma * rng.standard_normal(light.shape, dtype=np.float32)
 
 
 def _jpeg(rgb: np.ndarray, quality: int) -> np.ndarray:

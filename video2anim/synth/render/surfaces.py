@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
+from video2anim.export.frames import linear_light
 from video2anim.geometry.visible import vertex_normals
 from video2anim.synth.render.caster import Caster, Hits
 from video2anim.synth.render.garments import Borders, material_at, no_borders
@@ -105,11 +106,6 @@ def _vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return vertex_normals(vertices_m, faces).astype(np.float32)
 
 
-def linear_rgb(srgb: np.ndarray) -> np.ndarray:
-    """sRGB (0 to 1) to linear light."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
 def join(pieces: Sequence[Surfaces]) -> Surfaces:
     """One list of several, each material listed once."""
     if not pieces:
@@ -151,7 +147,7 @@ def of_mesh(
     count = len(faces)
     baked = np.zeros((len(vertices_m), 3), np.float32)
     if vertex_rgb is not None:
-        baked = linear_rgb(np.asarray(vertex_rgb)[:, :3] / 255.0).astype(np.float32)
+        baked = linear_light(np.asarray(vertex_rgb)[:, :3] / 255.0).astype(np.float32)
         face_material = np.full(count, SEEN_BAKED)
     faces = np.asarray(faces, np.int64)
     return Surfaces(

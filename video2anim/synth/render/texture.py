@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from video2anim.export.frames import linear_light
 from video2anim.synth.render.noise import cell_values, fractal, noise, seen
 from video2anim.synth.render.picture import PERSON_ID
-from video2anim.synth.render.surfaces import SEEN_BAKED, Points, linear_rgb
+from video2anim.synth.render.surfaces import SEEN_BAKED, Points
 from video2anim.synth.render.vectors import dot
 from video2anim.synth.world import Material
 
@@ -49,12 +50,18 @@ def spot_of(points: Points, index: np.ndarray) -> Spot:
     at, facing = points.texture_m[index], np.abs(points.texture_normal[index])
     slant = np.abs(dot(points.face_normal[index], points.view[index]))
     footprint = points.footprint_m[index] / np.sqrt(np.maximum(slant, 0.05))
-    level = (facing[:, 1] >= facing[:, 0]) & (facing[:, 1] >= facing[:, 2])
-    level &= points.object_id[index] < PERSON_ID
+    return unrolled(at, facing, footprint, points.object_id[index] < PERSON_ID)
+
+
+def unrolled(
+    at_m: np.ndarray, facing: np.ndarray, footprint_m: np.ndarray, may_be_level: np.ndarray | bool = True
+) -> Spot:
+    """Surface coordinates of points (n, 3) by the axis that their absolute normals (n, 3) are largest along."""
+    level = (facing[:, 1] >= facing[:, 0]) & (facing[:, 1] >= facing[:, 2]) & may_be_level
     side = ~level & (facing[:, 0] > facing[:, 2])
-    u = np.where(side, at[:, 2], at[:, 0])
-    v = np.where(level, at[:, 2], at[:, 1])
-    return Spot(u, v, footprint, level.astype(np.float32))
+    u = np.where(side, at_m[:, 2], at_m[:, 0])
+    v = np.where(level, at_m[:, 2], at_m[:, 1])
+    return Spot(u, v, footprint_m, level.astype(np.float32))
 
 
 def material_rgb(material: Material, spot: Spot) -> Float[np.ndarray, "points 3"]:
@@ -65,7 +72,7 @@ def material_rgb(material: Material, spot: Spot) -> Float[np.ndarray, "points 3"
     if material.stain > 0:
         dirt = fractal(spot.u / 0.9, spot.v / 0.9, spot.footprint / 0.9, material.seed + 77, 5)
         tint = tint * (1 - 0.6 * material.stain * np.clip(dirt - 0.45, 0, 1))
-    return linear_rgb(np.clip(colour * tint[:, None], 0, 1)).astype(np.float32)
+    return linear_light(np.clip(colour * tint[:, None], 0, 1)).astype(np.float32)
 
 
 Pattern = tuple[np.ndarray, np.ndarray]
