@@ -47,7 +47,7 @@ def test_carried_things_and_clutter_do_not_count(tmp_path: Path, truth_dir: Path
     meta = json.loads((folder / "meta.json").read_text())
     for entry in meta["objects"]:
         entry["is_moving"] = entry["object_id"] == TABLE_ID
-        entry["is_furniture"] = entry["object_id"] != BOX_ID
+        entry["is_furniture"] &= entry["object_id"] != BOX_ID
     (folder / "meta.json").write_text(json.dumps(meta))
     assert read_truth(folder).furniture(1) == ()
 
