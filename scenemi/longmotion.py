@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,6 +17,12 @@ from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow,
 from scenemi.windows import OVERLAP_FRAMES, WINDOW_FRAMES, WindowSpan, plan_windows, split_long_gaps
 from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from video2anim.geometry.sdf import SdfGrid
+
+if TYPE_CHECKING:
+    from scenemi.scene.geometry import SceneGeometry
+    from video2anim.body.anny_body import ShapedBody
+
+    Scene = SdfGrid | SceneGeometry
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +34,10 @@ class KeyframeMotion:
     is_keyframe: Bool[np.ndarray, "frames"]
     rest_joints_m: Float[np.ndarray, "22 3"]
     fps: float = 30.0
+    body: ShapedBody | None = None
+    """Whose skin meets the scene, for priors that look at it."""
+    noise_level: float = 0.0
+    """Paper's l of the keyframes (`KeyframeWindow.noise_level`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +60,7 @@ def inbetween(
     motion: KeyframeMotion,
     prior: InbetweeningPrior,
     *,
-    scene: SdfGrid | None = None,
+    scene: Scene | None = None,
     window: int = WINDOW_FRAMES,
     overlap: int = OVERLAP_FRAMES,
     denser: tuple[KeyframeMotion, ...] = (),
@@ -112,7 +123,8 @@ def _bridged(motion: KeyframeMotion, window: int) -> tuple[KeyframeMotion, Int[n
     translation_m[bridges] = plain.translation_world_m[bridges - keyframes[0]]
     is_keyframe = motion.is_keyframe.copy()
     is_keyframe[bridges] = True
-    return KeyframeMotion(R_parent_joint, translation_m, is_keyframe, motion.rest_joints_m, motion.fps), bridges
+    bridged = replace(motion, R_parent_joint=R_parent_joint, translation_world_m=translation_m, is_keyframe=is_keyframe)
+    return bridged, bridges
 
 
 def _with_keyframes_of(more: KeyframeMotion, base: KeyframeMotion) -> KeyframeMotion:
@@ -127,13 +139,13 @@ def _with_keyframes_of(more: KeyframeMotion, base: KeyframeMotion) -> KeyframeMo
 
 
 def _filled(
-    span: WindowSpan, motion: KeyframeMotion, done: WindowMotion, prior: InbetweeningPrior, scene: SdfGrid | None
+    span: WindowSpan, motion: KeyframeMotion, done: WindowMotion, prior: InbetweeningPrior, scene: Scene | None
 ) -> WindowMotion:
     given = _window(span, motion, done, scene)
     return _join(given, prior.fill(given))
 
 
-def _window(span: WindowSpan, motion: KeyframeMotion, done: WindowMotion, scene: SdfGrid | None) -> KeyframeWindow:
+def _window(span: WindowSpan, motion: KeyframeMotion, done: WindowMotion, scene: Scene | None) -> KeyframeWindow:
     """Keyframes of one span: frames done so far as they were synthesized, the rest as given."""
     frames, seed = slice(span.start, span.stop), span.seed_stop - span.start
     R_parent_joint, translation_m = motion.R_parent_joint[frames].copy(), motion.translation_world_m[frames].copy()
@@ -142,8 +154,9 @@ def _window(span: WindowSpan, motion: KeyframeMotion, done: WindowMotion, scene:
     is_keyframe = motion.is_keyframe[frames].copy()
     is_keyframe[:seed] = True
     return KeyframeWindow(
-        R_parent_joint, translation_m, is_keyframe, motion.rest_joints_m, motion.fps, scene, seed_frames=seed
-    )
+        R_parent_joint, translation_m, is_keyframe, motion.rest_joints_m, motion.fps, scene,
+        seed_frames=seed, body=motion.body, noise_level=motion.noise_level,
+    )  # fmt: skip
 
 
 def _join(given: KeyframeWindow, filled: WindowMotion) -> WindowMotion:

@@ -6,7 +6,7 @@ import importlib
 import importlib.util
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,6 +16,10 @@ from video2anim.body.skeleton import PARENTS
 from video2anim.errors import ModelMissingError, UsageError
 from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from video2anim.geometry.sdf import SdfGrid
+
+if TYPE_CHECKING:
+    from scenemi.scene.geometry import SceneGeometry
+    from video2anim.body.anny_body import ShapedBody
 
 PriorChoice = Literal["auto", "interpolation", "scenemi"]
 WEIGHTS_FOLDER = Path(__file__).parent / "weights"
@@ -34,10 +38,14 @@ class KeyframeWindow:
     """First and last frame included."""
     rest_joints_m: Float[np.ndarray, "22 3"]
     fps: float
-    scene: SdfGrid | None = None
-    """Signed distance around the body; None = no scene known."""
+    scene: SdfGrid | SceneGeometry | None = None
+    """Solids around the body; None = no scene known."""
     seed_frames: int = 0
     """How many leading frames come from the window before; they are keyframes without noise."""
+    body: ShapedBody | None = None
+    """Whose skin meets the scene; None = an adult of about the stature of `rest_joints_m`."""
+    noise_level: float = 0.0
+    """Paper's l: the keyframes (but the seed) are about l degrees and l centimetres off; 0 = exact."""
 
     def __post_init__(self) -> None:
         frames = len(self.is_keyframe)
@@ -49,6 +57,11 @@ class KeyframeWindow:
         given = np.isfinite(self.R_parent_joint[self.is_keyframe]).all()
         if not given or not np.isfinite(self.translation_world_m[self.is_keyframe]).all():
             raise ValueError("KeyframeWindow: keyframes hold NaN or infinity; leave such frames out")
+        if not 0 <= self.noise_level < np.inf or not 0 <= self.seed_frames <= frames:
+            raise ValueError(
+                f"KeyframeWindow: want a noise level >= 0 and up to {frames} seed frames, "
+                f"got {self.noise_level} and {self.seed_frames}"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

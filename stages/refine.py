@@ -36,6 +36,8 @@ class RefineConfig:
     """`auto` = `scenemi` where weights are present, else `interpolation`."""
     keyframe_interval_frames: int = 15
     """Frames between keyframes given to the prior (paper: every third optimized keyframe)."""
+    keyframe_noise_level: float = 1.0
+    """How far keyframes from video are off, in degrees and centimetres (paper's l); 0 = they are met exactly."""
     window_frames: int = 121
     """Length of one synthesis (paper: N = 121)."""
     overlap_frames: int = 60
@@ -103,9 +105,15 @@ def _refine_person(
     keys = select_keyframes(motion.frame_count, config.keyframe_interval_frames, usable=motion.valid)
     judge = _Judge(motion, grid, config)
     R_parent_joint, translation_m = _without_jitter(motion, config)
+    noise = config.keyframe_noise_level
+    # The last resort is the observed motion itself, so there its frames count as exact.
     given, at_optimized, at_all = (
-        KeyframeMotion(R_parent_joint, translation_m, mask, motion.rest_joints_m, FPS)
-        for mask in (_mask(keys, motion), _mask(optimized, motion) & motion.valid, motion.valid)
+        KeyframeMotion(R_parent_joint, translation_m, mask, motion.rest_joints_m, FPS, judge.body, level)
+        for mask, level in (
+            (_mask(keys, motion), noise),
+            (_mask(optimized, motion) & motion.valid, noise),
+            (motion.valid, 0.0),
+        )
     )
     window, overlap = config.window_frames, config.overlap_frames
     plain = inbetween(given, InterpolationPrior(), window=window, overlap=overlap)

@@ -11,7 +11,7 @@ import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from scenemi.data.body_measure import BodyMeasure, measure_body
 from scenemi.data.contacts import ContactConfig, foot_contacts
@@ -75,7 +75,7 @@ def retarget(clip: SourceClip, body: ShapedBody, config: RetargetConfig | None =
         raise InputError(f"clip {clip.name!r}: want at least 2 frames to retarget, got {len(clip.root_position_m)}")
     joints_m, R_source = clip.forward()
     named_m = joints_m[:, clip.skeleton.smpl_position]
-    R_world = _carried_over(R_source, clip.skeleton)
+    R_world = carried_over(R_source, clip.skeleton.smpl_rotation, rest_axes(clip.skeleton))
     measure = measure_body(body)
     has_floor = not clip.uneven
     blend, settle = (max(2, round(time_s * clip.fps)) for time_s in (config.blend_s, config.settle_s))
@@ -104,10 +104,19 @@ def retarget(clip: SourceClip, body: ShapedBody, config: RetargetConfig | None =
     return RetargetedMotion(root_m, _local(R_world), contact, clip.name, clip.kind, clip.source)
 
 
-def _carried_over(R_source: np.ndarray, skeleton: SourceSkeleton) -> Float[np.ndarray, "frames 22 3 3"]:
-    """World orientations of the 22 joints; joints that the source lacks are filled from their neighbors."""
-    axes = rest_axes(skeleton)
-    R_world = R_source[:, skeleton.smpl_rotation] @ np.where(np.isnan(axes), 0.0, axes)
+def carried_over(
+    R_source: Float[np.ndarray, "frames joints 3 3"],
+    smpl_rotation: Int[np.ndarray, "22"],
+    axes: Float[np.ndarray, "22 3 3"],
+) -> Float[np.ndarray, "frames 22 3 3"]:
+    """World orientations of the 22 joints; joints that the source lacks are filled from their neighbors.
+
+    Args:
+        R_source: world orientations of the source's joints.
+        smpl_rotation: source joint of each SMPL joint.
+        axes: change of rest pose as from `rest_axes`, NaN where the source has none.
+    """
+    R_world = R_source[:, smpl_rotation] @ np.where(np.isnan(axes), 0.0, axes)
     known = ~np.isnan(axes[:, 0, 0])
     for chain in _CHAINS:
         numbers = [JOINT_INDEX[name] for name in chain]

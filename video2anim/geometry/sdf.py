@@ -157,7 +157,7 @@ def unsigned_distance(
 
     Infinite where no sample lies within reach.
     """
-    samples_m, owner = _surface_samples(triangles_m, sample_step_m)
+    samples_m, owner = surface_samples(triangles_m, sample_step_m)
     tree = KDTree(samples_m)
     count = min(_NEAREST_SAMPLES, len(samples_m))
     result = np.empty(len(points_m))
@@ -178,7 +178,7 @@ def unsigned_distance(
     return result
 
 
-def _surface_samples(
+def surface_samples(
     triangles_m: np.ndarray, step_m: float
 ) -> tuple[Float[np.ndarray, "samples 3"], Int[np.ndarray, "samples"]]:
     """Centroids of pieces with edges up to `step_m`, and the triangle each belongs to.

@@ -1,0 +1,344 @@
+"""The paper's tables on the test split of the CMU clips, each one command.
+
+    python benchmarks/scenemi/tables.py 1 --motion cmu.npz --split split.json
+    python benchmarks/scenemi/tables.py reach --weights small research ...
+
+Tables: 1 (clean keyframes every 60 frames, scene ablations), 2 (the same, frames close to the scene), 3 (noisy
+keyframes every 3 frames, T*), 6 (keyframe selection), 7 (time), 8 (one row for each weights file given with
+`--variant NAME=FILE`), 9 (20 seeds), `reach` (keyframes every 15, 30, 60 frames, and noisy ones, against the baseline).
+Writes JSON and Markdown.
+
+`at sampling` marks rows in which a trained model is sampled without a condition; rows of `--variant` are other models.
+Every number is the mean over windows; FID is this package's own (not comparable with other papers').
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import hashlib
+import platform
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from scenemi.choice import INTERPOLATION, choose_prior
+from scenemi.data.container import MotionArchive, read_split
+from scenemi.evaluation.ablation import AblatedPrior
+from scenemi.evaluation.fid import FID_DIGEST, shipped_features
+from scenemi.evaluation.protocol import Evaluation, evaluate
+from scenemi.evaluation.scenes import SCENE_SEED, Obstacles, with_pseudo_scenes
+from scenemi.evaluation.scores import mean_of, over_seeds
+from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol, cut_windows
+from scenemi.files import file_digest, write_json
+from scenemi.prior import InbetweeningPrior
+
+TABLES = ("1", "2", "3", "6", "7", "8", "9", "reach")
+CLEAN = KeyframeProtocol(60)
+NOISY = KeyframeProtocol(3, noise=1.0)
+ABLATIONS: dict[str, dict[str, bool]] = {
+    "w/o c_g (at sampling)": {"use_global": False},
+    "w/o c_l (at sampling)": {"use_local": False},
+    "w/o c_g, c_l (at sampling)": {"use_global": False, "use_local": False},
+}
+QUALITY = ("fid", "skating_gmd", "jerk_m_s3", "mjpe_key_m", "mjpe_all_m", "collision_frame_ratio", "penetration_max_m")
+CLOSE = ("close_collision_frame_ratio", "close_collision_frame_ratio_1cm", "close_collision_vertex_ratio",
+         "close_penetration_max_m")  # fmt: skip
+SELECTIONS = {
+    "uniform r = 1": KeyframeProtocol(1, noise=1.0),
+    "uniform r = 3": NOISY,
+    "uniform r = 15": KeyframeProtocol(15, noise=1.0),
+    "uniform r = 60": KeyframeProtocol(60, noise=1.0),
+    "random p = 0.2": KeyframeProtocol(None, 0.2, noise=1.0),
+    "random p = 0.5": KeyframeProtocol(None, 0.5, noise=1.0),
+}
+
+
+@dataclass
+class Table:
+    """Rows that grow while a table is made."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, name: str, found: Evaluation, **more: Any) -> None:
+        """One row, all its numbers and intervals kept."""
+        self.rows.append({"row": name, **found.details(), **more})
+        sys.stderr.write(f"{self.title}: {name} done\n")
+
+
+def label(weights: str) -> str:
+    """Short name of weights: a file's stem, never its folder."""
+    return Path(weights).stem if weights.endswith(".safetensors") else weights
+
+
+class Bench:
+    """What all tables share: windows, features, how priors are made."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+        names = read_split(options.split)[options.part] if options.split else None
+        windows = with_pseudo_scenes(cut_windows([MotionArchive.read(path) for path in options.motion], names))
+        self.windows: tuple[EvaluationWindow, ...] = windows[: options.limit] if options.limit else windows
+        self.features = None if options.no_fid else shipped_features()
+
+    def prior(self, weights: str, **sampler: Any) -> InbetweeningPrior:
+        """A prior by its weights, with this run's steps unless others are asked for."""
+        return choose_prior(weights, device=self.options.device, **{"steps": self.options.steps} | sampler)
+
+    def run(self, prior: InbetweeningPrior, protocol: KeyframeProtocol, seed: int | None = None) -> Evaluation:
+        """Evaluate on all windows."""
+        sampling_seed: int = self.options.seed if seed is None else seed
+        return evaluate(self.windows, prior, protocol, seed=sampling_seed, features=self.features)
+
+    def trained(self) -> list[str]:
+        """Weights other than the baseline."""
+        return [name for name in self.options.weights if name != INTERPOLATION]
+
+
+def ablations(bench: Bench, title: str, columns: tuple[str, ...]) -> Table:
+    """Tables 1 and 2: the full model, without parts of the scene, models trained without them, interpolation."""
+    table = Table(title, columns)
+    for weights in bench.trained():
+        full = bench.prior(weights)
+        table.add(label(weights), bench.run(full, CLEAN))
+        for name, parts in ABLATIONS.items():
+            table.add(f"{label(weights)} {name}", bench.run(AblatedPrior(full, **parts), CLEAN))  # type: ignore[arg-type]
+    for name, path in bench.options.variant:
+        table.add(f"{name} (trained so)", bench.run(bench.prior(path), CLEAN))
+    table.add(INTERPOLATION, bench.run(bench.prior(INTERPOLATION), CLEAN))
+    return table
+
+
+def table_1(bench: Bench) -> Table:
+    """Clean keyframes every 60 frames."""
+    return ablations(bench, "Table 1: exact keyframes, r = 60", QUALITY)
+
+
+def table_2(bench: Bench) -> Table:
+    """The frames of Table 1 in which the true body is within 8 cm of the scene."""
+    return ablations(bench, "Table 2: frames close to the scene, r = 60", CLOSE)
+
+
+def table_3(bench: Bench) -> Table:
+    """Noisy keyframes every 3 frames; where imputation stops."""
+    table = Table("Table 3: noisy keyframes, r = 3, l = 1", QUALITY)
+    for weights in bench.trained():
+        for stop_step in (0, 10, 20, 40, 60):
+            found = bench.run(bench.prior(weights, stop_step=stop_step), NOISY)
+            table.add(f"{label(weights)} T* = {stop_step}", found)
+        for name, parts in ABLATIONS.items():
+            table.add(f"{label(weights)} {name}", bench.run(AblatedPrior(bench.prior(weights), **parts), NOISY))  # type: ignore[arg-type]
+    baseline = bench.run(bench.prior(INTERPOLATION), NOISY)
+    table.add(INTERPOLATION, baseline)
+    return table
+
+
+def table_6(bench: Bench) -> Table:
+    """Which frames are keyframes."""
+    table = Table("Table 6: keyframe selection, l = 1", ("fid", "jerk_m_s3", "mjpe_all_m"))
+    for weights in (*bench.trained(), INTERPOLATION):
+        for name, protocol in SELECTIONS.items():
+            table.add(f"{label(weights)} {name}", bench.run(bench.prior(weights), protocol))
+    return table
+
+
+def table_7(bench: Bench) -> Table:
+    """Seconds for one window alone, median of five, scene encoding included; quality of the same sampler."""
+    table = Table("Table 7: time for one window", ("median_s", "mjpe_all_m", "jerk_m_s3"))
+    from scenemi.evaluation.windows import give_keyframes
+
+    one = give_keyframes(bench.windows[0], CLEAN).keyframes
+    for weights in bench.trained():
+        for steps in bench.options.time_steps:
+            prior = bench.prior(weights, steps=steps)
+            prior.fill(one)
+            times = []
+            for _ in range(5 if steps < 200 else 1):
+                start = time.perf_counter()
+                prior.fill(one)
+                times.append(time.perf_counter() - start)
+            table.add(f"{label(weights)} {steps} steps", bench.run(prior, CLEAN), median_s=float(np.median(times)))
+    return table
+
+
+def table_8(bench: Bench) -> Table:
+    """Other sizes of the conditions, each a model of its own."""
+    table = Table("Table 8: configurations, r = 60", QUALITY)
+    for weights in bench.trained():
+        table.add(label(weights), bench.run(bench.prior(weights), CLEAN))
+        table.add(
+            f"{label(weights)} w/o body shape (at sampling)",
+            bench.run(AblatedPrior(bench.prior(weights), use_body=False), CLEAN),  # type: ignore[arg-type]
+        )
+    for name, path in bench.options.variant:
+        table.add(f"{name} (trained so)", bench.run(bench.prior(path), CLEAN))
+    return table
+
+
+def table_9(bench: Bench) -> Table:
+    """Repeated with other seeds of the sampling: mean and 95 % interval of the mean."""
+    names = ("fid", "jerk_m_s3", "mjpe_all_m", "collision_frame_ratio")
+    table = Table("Table 9: over seeds", names)
+    for weights in bench.trained():
+        for title, protocol in (("Table 1", CLEAN), ("Table 3", NOISY)):
+            runs = [bench.run(bench.prior(weights), protocol, seed) for seed in range(bench.options.seeds)]
+            table.add(f"{label(weights)} {title}, seed 0", runs[0])
+            spread = {name: over_seeds([_value(run.details(), name) for run in runs]) for name in names}
+            row: dict[str, Any] = {"row": f"{label(weights)} {title}, {len(runs)} seeds"}
+            row["prior"] = {name: found.mean for name, found in spread.items()}
+            row["fid"] = spread["fid"].mean
+            row["half_width_95"] = {name: 0.5 * (found.high - found.low) for name, found in spread.items()}
+            table.rows.append(row)
+    return table
+
+
+def table_reach(bench: Bench) -> Table:
+    """What the model has to reach, against the baseline and the truth."""
+    columns = ("mjpe_all_m", "baseline_mjpe_all_m", "mjpe_ratio", "mjpe_key_m", "jerk_m_s3", "jerk_truth_m_s3",
+               "jerk_ratio", "skating_gmd", "skating_gmd_truth")  # fmt: skip
+    table = Table("Must reach", columns)
+    protocols = {f"r = {r}": KeyframeProtocol(r) for r in (15, 30, 60)} | {"r = 3, l = 1": NOISY}
+    for weights in bench.trained() or [INTERPOLATION]:
+        for name, protocol in protocols.items():
+            found = bench.run(bench.prior(weights), protocol)
+            summary = found.summary()
+            more: dict[str, Any] = {key: summary[key] for key in columns if key in summary}
+            more["mjpe_ratio"] = summary["mjpe_all_m"] / summary["baseline_mjpe_all_m"]
+            more["jerk_ratio"] = summary["jerk_m_s3"] / summary["jerk_truth_m_s3"]
+            if protocol.noise > 0:
+                more["noisy_input_mjpe_all_m"] = mean_of(found.noisy_input, "mjpe_all_m")
+                more["noisy_input_mjpe_key_m"] = mean_of(found.noisy_input, "mjpe_key_m")
+                more["noisy_input_jerk_m_s3"] = mean_of(found.noisy_input, "jerk_m_s3")
+            table.add(f"{label(weights)} {name}", found, **more)
+    return table
+
+
+MAKERS: dict[str, Callable[[Bench], Table]] = {
+    "1": table_1, "2": table_2, "3": table_3, "6": table_6, "7": table_7, "8": table_8, "9": table_9,
+    "reach": table_reach,
+}  # fmt: skip
+
+
+def main() -> None:
+    """Make one table."""
+    options = arguments()
+    torch.manual_seed(options.seed)
+    bench = Bench(options)
+    start = time.perf_counter()
+    table = MAKERS[options.table](bench)
+    report = {
+        "title": table.title, "columns": list(table.columns), "rows": table.rows,
+        "wall_s": round(time.perf_counter() - start, 1), **provenance(bench),
+    }  # fmt: skip
+    options.out.mkdir(parents=True, exist_ok=True)
+    stem = options.out / f"table_{options.table}"
+    write_json(stem.with_suffix(".json"), report)
+    text = markdown(report)
+    stem.with_suffix(".md").write_text(text)
+    sys.stdout.write(f"{text}\n{stem.with_suffix('.json')}\n")
+
+
+def arguments() -> argparse.Namespace:
+    """Options."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("table", choices=TABLES)
+    parser.add_argument("--motion", type=Path, nargs="+", required=True)
+    parser.add_argument("--split", type=Path, help="without it, all clips are used")
+    parser.add_argument("--part", default="test")
+    parser.add_argument("--weights", nargs="+", default=["small"], help="small, research, files")
+    parser.add_argument("--variant", action="append", default=[], type=_named, help="NAME=FILE of a retrained model")
+    parser.add_argument("--steps", type=int, default=20)
+    parser.add_argument("--time-steps", type=int, nargs="+", default=[10, 20, 50, 1000])
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--limit", type=int, help="use only so many windows")
+    parser.add_argument("--no-fid", action="store_true")
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/scenemi/results"))
+    return parser.parse_args()
+
+
+def _named(text: str) -> tuple[str, str]:
+    name, _, path = text.partition("=")
+    if not path:
+        raise argparse.ArgumentTypeError(f"want NAME=FILE, got {text!r}")
+    return name, path
+
+
+def provenance(bench: Bench) -> dict[str, Any]:
+    """Everything the numbers depend on."""
+    options = bench.options
+    files = {name: path for name, path in options.variant}
+    digests = {name: file_digest(Path(path)) for name, path in files.items()}
+    for name in bench.trained():
+        digests[label(name)] = file_digest(bench.prior(name).model.path)  # type: ignore[attr-defined]
+    scenes = hashlib.sha256()
+    for window in bench.windows:
+        assert isinstance(window.obstacles, Obstacles)
+        scenes.update(np.round(window.obstacles.boxes.center_m, 6).tobytes())
+    return {
+        "machine": f"{platform.machine()}, {torch.get_num_threads()} threads, Python {platform.python_version()}",
+        "device": options.device,
+        "date": datetime.date.today().isoformat(),
+        "seed": options.seed,
+        "steps": options.steps,
+        "weights_sha256": digests,
+        "fid_sha256": FID_DIGEST,
+        "windows": len(bench.windows),
+        "clips": [path.name for path in options.motion],
+        "clips_sha256": {path.name: file_digest(path) for path in options.motion},
+        "part": options.part if options.split else "all",
+        "scene_seed": SCENE_SEED,
+        "scenes_sha256": scenes.hexdigest(),
+    }
+
+
+def markdown(report: dict[str, Any]) -> str:
+    """The report as text."""
+    columns: Sequence[str] = report["columns"]
+    lines = [f"# {report['title']}", ""]
+    lines.append(
+        f"{report['windows']} windows of {', '.join(report['clips'])} ({report['part']}), {report['steps']} steps "
+        f"unless said otherwise, seed {report['seed']}; {report['machine']}, {report['device']}, {report['date']}. "
+        "Means, with 95 % intervals over windows where they are known."
+    )
+    weights = ", ".join(f"{name} {digest[:12]}" for name, digest in report["weights_sha256"].items())
+    lines += ["", f"Weights: {weights or 'none'}.", ""]
+    lines += ["| | " + " | ".join(columns) + " |", "|---|" + "---|" * len(columns)]
+    for row in report["rows"]:
+        lines.append(f"| {row['row']} | " + " | ".join(_cell(row, name) for name in columns) + " |")
+    truth = next((row["truth"] for row in report["rows"] if "truth" in row), {})
+    lines.append("| truth | " + " | ".join(_text(truth.get(name)) for name in columns) + " |")
+    noisy = next((row["noisy_input"] for row in report["rows"] if "noisy_input" in row), {})
+    if noisy and noisy != truth:
+        lines.append("| noisy input, all frames | " + " | ".join(_text(noisy.get(name)) for name in columns) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _value(row: dict[str, Any], name: str) -> Any:
+    return row[name] if name in row else row.get("prior", {}).get(name)
+
+
+def _cell(row: dict[str, Any], name: str) -> str:
+    value = _text(_value(row, name))
+    half = row.get("half_width_95", {}).get(name)
+    if half is not None:
+        return f"{value} ± {_text(half)}"
+    low_high = row.get("prior_95", {}).get(name)
+    return f"{value} [{_text(low_high[0])}, {_text(low_high[1])}]" if low_high and name not in row else value
+
+
+def _text(value: Any) -> str:
+    return "" if value is None or not np.isfinite(value) else f"{value:.4g}"
+
+
+if __name__ == "__main__":
+    main()

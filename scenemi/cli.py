@@ -1,0 +1,285 @@
+"""`scenemi`: sample, evaluate, train, data."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from video2anim.errors import UsageError, Video2AnimError
+
+if TYPE_CHECKING:
+    from scenemi.evaluation.windows import EvaluationWindow
+    from scenemi.training.loop import Progress
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Fill the motion between keyframes of a person in a 3D scene.",
+    epilog="Exit codes: 0 fine, 2 usage or configuration, 3 bad input, 4 model missing, 5 no usable result.",
+)
+Weights = Annotated[str, typer.Option(help="small, research, a .safetensors file, or interpolation.")]
+Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
+Steps = Annotated[int | None, typer.Option(min=1, max=1000, help="Sampling steps; 1000 is the paper's sampler.")]
+DEFAULT_INTERVAL = 15
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    if version:
+        from video2anim import __version__
+
+        typer.echo(f"scenemi {__version__}")
+        raise typer.Exit
+
+
+@app.command("sample")
+def sample_command(
+    keyframes: Annotated[Path, typer.Option(help="Keyframes: .npz, .json, .bvh, or a motion.npz.")],
+    out: Annotated[Path, typer.Option(help="Motion to write (.npz).")],
+    scene: Annotated[Path | None, typer.Option(help="Room: .glb, .ply, .obj, .npz. Default: a bare floor.")] = None,
+    interval: Annotated[
+        int, typer.Option(min=1, help="Frames between keyframes, where the file does not say it.")
+    ] = DEFAULT_INTERVAL,
+    noisy: Annotated[bool, typer.Option("--noisy", help="Keyframes are inexact (1 degree, 1 cm): clean them.")] = False,
+    noise: Annotated[float | None, typer.Option(help="The same with another size, degrees and cm.")] = None,
+    steps: Steps = None,
+    length: Annotated[int | None, typer.Option(min=2, help="Frames of the result.")] = None,
+    samples: Annotated[int, typer.Option(min=1, max=100, help="Motions to make, each with its own seed.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Of the first motion.")] = 0,
+    weights: Weights = "small",
+    device: Device = "auto",
+) -> None:
+    """Make a motion that goes through keyframes, in a scene."""
+    from scenemi.choice import choose_prior
+    from scenemi.files import expect_writable, read_keyframes, read_scene, write_motion
+    from scenemi.sample_motion import sample_motion
+    from scenemi.scene_field import geometry_of, notes_on
+
+    targets = [out if i == 0 else out.with_name(f"{out.stem}_{i + 1}{out.suffix}") for i in range(samples)]
+    if out.suffix != ".npz":
+        raise UsageError(f"--out: want a .npz file, got {out}")
+    for target in targets:
+        expect_writable(target)
+    given = read_keyframes(keyframes, interval=interval, length=length)
+    parts = None if scene is None else read_scene(scene)
+    notes = [] if parts is None else notes_on(parts, given.translation_m)
+    solids = geometry_of(parts or (), given.translation_m)
+    level = noise if noise is not None else 1.0 if noisy else 0.0
+    prior_device = _device(device)
+    for number, target in enumerate(targets):
+        prior = choose_prior(weights, device=prior_device, steps=steps, seed=seed + number)
+        made = sample_motion(given, prior, scene=solids, length=length, noise=level)
+        for note in (*notes, *made.notes):
+            _note(note)
+        notes = []
+        write_motion(
+            target, made.motion.R_parent_joint, made.motion.translation_world_m, made.is_keyframe, made.contact, given
+        )
+        typer.echo(str(target))
+
+
+@app.command("evaluate")
+def evaluate_command(
+    clips: Annotated[list[Path], typer.Option(help="Motion archive (.npz), repeatable.")],
+    interval: Annotated[int | None, typer.Option(min=1, help="Frames between keyframes.")] = None,
+    probability: Annotated[float | None, typer.Option(help="Random keyframes with this chance, instead.")] = None,
+    noise: Annotated[float, typer.Option(help="Noise of the keyframes in degrees and cm.")] = 0.0,
+    steps: Steps = None,
+    weights: Weights = "small",
+    split: Annotated[Path | None, typer.Option(help="JSON with lists of clip names; default: all clips.")] = None,
+    part: Annotated[str, typer.Option(help="Part of the split.")] = "test",
+    scenes: Annotated[bool, typer.Option(help="Put a random scene around every window (fixed seed).")] = True,
+    seed: Annotated[int, typer.Option(min=0, help="Of sampling.")] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the numbers to this file.")] = None,
+    details: Annotated[Path | None, typer.Option(help="Write all numbers with intervals to this file.")] = None,
+    device: Device = "auto",
+) -> None:
+    """Fill every 121-frame window of the clips from some of its frames, and compare with the truth."""
+    from scenemi.choice import choose_prior
+    from scenemi.evaluation.fid import shipped_features
+    from scenemi.evaluation.protocol import evaluate
+    from scenemi.evaluation.windows import KeyframeProtocol
+    from scenemi.files import expect_writable, write_json
+
+    for path in (json_file, details):
+        if path is not None:
+            expect_writable(path)
+    protocol = KeyframeProtocol(60 if interval is None and probability is None else interval, probability, noise)
+    prior = choose_prior(weights, device=_device(device), steps=steps)
+    windows = _windows(clips, split, part, scenes)
+    with _progress("windows") as on_window:
+        found = evaluate(
+            windows, prior, protocol, seed=seed, features=shipped_features() if details else None, on_window=on_window
+        )
+    summary = found.summary()
+    for name, value in summary.items():
+        typer.echo(f"{name} {value:.6g}")
+    if json_file is not None:
+        write_json(json_file, summary)
+        typer.echo(str(json_file))
+    if details is not None:
+        write_json(details, found.details())
+        typer.echo(str(details))
+
+
+def _windows(clips: Sequence[Path], split: Path | None, part: str, scenes: bool) -> Sequence[EvaluationWindow]:
+    from scenemi.data.container import MotionArchive, read_split
+    from scenemi.evaluation.scenes import with_pseudo_scenes
+    from scenemi.evaluation.windows import cut_windows
+
+    names = None
+    if split is not None:
+        table = read_split(split)
+        if part not in table:
+            raise UsageError(f"--part: want one of {', '.join(table)}, got {part!r}")
+        names = table[part]
+    windows = cut_windows([MotionArchive.read(path) for path in clips], names)
+    return with_pseudo_scenes(windows) if scenes else windows
+
+
+@app.command("train")
+def train_command(
+    motion: Annotated[list[Path], typer.Option(help="Motion archive (.npz) or folder of them, repeatable.")],
+    out: Annotated[Path, typer.Option(help="Folder for checkpoint, logs and weights.")],
+    config: Annotated[Path | None, typer.Option(help="JSON of the run (default: the shipped model's).")] = None,
+    split: Annotated[Path | None, typer.Option(help="JSON with lists of clip names.")] = None,
+    cache: Annotated[Path | None, typer.Option(help="Folder for retargeted motion, so that it is made once.")] = None,
+    resume: Annotated[bool, typer.Option(help="Go on from the checkpoint in --out.")] = True,
+    minutes: Annotated[float | None, typer.Option(min=0.01, help="Stop after this time; resume later.")] = None,
+    device: Device = "auto",
+) -> None:
+    """Train a model, or go on training it. Several processes: `torchrun --nproc-per-node N -m scenemi.cli train`."""
+    from scenemi.data.split import Split
+    from scenemi.data.windows import MotionSet, MotionSetConfig
+    from scenemi.model.denoiser import Denoiser
+    from scenemi.model.weights import save_weights
+    from scenemi.training.config import TrainConfig
+    from scenemi.training.loop import train
+
+    run_config = TrainConfig() if config is None else TrainConfig.read(config)
+    parts = None if split is None else Split.read(split)
+    use = MotionSetConfig(noncommercial=run_config.noncommercial)
+    motions = MotionSet.build(motion, parts, "train", run_config.bodies, use, cache=cache)
+    watched = MotionSet.build(motion, parts, "val", 1, use, cache=cache)
+    if int(os.environ.get("RANK", "0")) == 0:
+        _note(f"{motions.minutes:.1f} minutes of motion, {len(motions.shapes)} bodies")
+    state = train(
+        run_config, motions, out, validation=watched, device=_device(device), resume=resume,
+        time_limit_s=None if minutes is None else 60 * minutes, on_progress=_say_progress,
+    )  # fmt: skip
+    if int(os.environ.get("RANK", "0")) == 0:
+        target = out / "weights.safetensors"
+        sources = sorted(set(map(str, motions.store.clip_source)))
+        card = {"steps": state.step, "minutes": motions.minutes, "sources": sources, "config": run_config.to_json()}
+        model = Denoiser(state.config.model)
+        model.load_state_dict({name: value.cpu() for name, value in state.ema.items()})
+        save_weights(target, model, state.statistics, card)
+        typer.echo(str(target))
+
+
+@app.command("data")
+def data_command(
+    files: Annotated[
+        list[Path], typer.Argument(help="Motion archives, or BVH, AMC, AMASS files and folders.", metavar="FILE...")
+    ],
+    split: Annotated[Path | None, typer.Option(help="JSON with lists of clip names: count its parts.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write all clips to this motion archive.")] = None,
+    unit: Annotated[str | None, typer.Option(help="Unit of BVH files: m, cm, mm, inch (default: guessed).")] = None,
+    mapping: Annotated[Path | None, typer.Option(help="JSON: SMPL joint to joint of BVH files.")] = None,
+    kind: Annotated[str, typer.Option(help="Kind of motion where a file does not say.")] = "unknown",
+) -> None:
+    """Show what motion files hold; with --out, convert them to one motion archive."""
+    from scenemi.data.container import read_split, write_archive
+    from scenemi.data.readers import read_clips
+    from scenemi.data_summary import summarize
+    from scenemi.files import expect_writable, read_mapping
+
+    if out is not None:
+        expect_writable(out)
+    table = None if split is None else read_split(split)
+    names = None if mapping is None else read_mapping(mapping)
+    everything = []
+    for path in files:
+        clips = read_clips(path, unit=unit, mapping=names, kind=kind)
+        typer.echo(f"{path}")
+        _print_table(*summarize(clips, table))
+        for clip in clips[:3] if clips and clips[0].description else []:
+            typer.echo(f"  {clip.name}: {clip.description}")
+        everything += clips
+    if out is not None:
+        write_archive(out, everything)
+        typer.echo(str(out))
+
+
+def _device(wanted: str) -> str:
+    if wanted not in ("auto", "cpu", "cuda"):
+        raise UsageError(f"--device: want auto, cpu or cuda, got {wanted!r}")
+    if wanted == "cpu":
+        return "cpu"
+    import torch
+
+    if torch.cuda.is_available():
+        return "cuda"
+    if wanted == "cuda":
+        raise UsageError("--device: want cuda, but this PyTorch sees no CUDA device; use --device cpu")
+    return "cpu"
+
+
+def _print_table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
+    widths = [max(len(row[i]) for row in (heads, *lines)) for i in range(len(heads))]
+    for row in (heads, *lines):
+        others = (text.rjust(width) for text, width in zip(row[1:], widths[1:], strict=True))
+        typer.echo("  ".join((row[0].ljust(widths[0]), *others)))
+
+
+def _say_progress(found: Progress) -> None:
+    rows = "".join(
+        f"; r = {row.interval}: MJPE {100 * row.mjpe_m:.2f} cm (interpolated keyframes {100 * row.base_mjpe_m:.2f}), "
+        f"jerk x {row.jerk_ratio:.2f}"
+        for row in found.validation
+    )
+    speed = f", {found.windows_per_s:.0f} windows/s" if found.windows_per_s else ""
+    typer.echo(f"step {found.step}/{found.steps}: loss {found.total:.4f}{speed}{rows}", err=True)
+
+
+def _note(text: str) -> None:
+    typer.echo(f"note: {text}", err=True)
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def run() -> None:
+    """Entry point: expected failures become one line and an exit code."""
+    # Idle OpenMP workers otherwise spin and slow down whatever shares the machine. Read when torch is loaded.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    debug = "--debug" in sys.argv  # wherever it stands
+    try:
+        app(args=[word for word in sys.argv[1:] if word != "--debug"], standalone_mode=True)
+    except Video2AnimError as error:
+        if debug:
+            raise
+        typer.echo(f"scenemi: {' '.join(str(error).split())}", err=True)
+        sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,1 @@
+"""Evaluation of in-betweening priors by the paper's protocols."""

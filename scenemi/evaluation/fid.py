@@ -1,0 +1,28 @@
+"""The FID features that come with the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scenemi.evaluation.motion_autoencoder import FidFeatures, from_tensors
+from scenemi.evaluation.windows import adult_body
+from scenemi.files import file_digest, read_tensors
+from video2anim.errors import ModelMissingError
+
+FID_FILE = Path(__file__).parents[1] / "weights" / "fid" / "features.safetensors"
+FID_DIGEST = "b9057eb63b58f30ff48b277a5995e2fbd4ee7373e783318acd140eeec3be4a9d"
+"""SHA-256 of the file: numbers made with other features are not comparable."""
+
+
+def shipped_features(path: Path = FID_FILE, digest: str = FID_DIGEST) -> FidFeatures:
+    """Features for the evaluation's body.
+
+    Raises:
+        ModelMissingError: the file is absent or not the one that comes with this version.
+    """
+    if not path.is_file():
+        raise ModelMissingError(f"FID features: no file {path}; install the package again, or run tools/train_fid.py")
+    found = file_digest(path)
+    if found != digest:
+        raise ModelMissingError(f"FID features: {path} has digest {found[:12]}, want {digest[:12]}; install again")
+    return FidFeatures(from_tensors(*read_tensors(path)), adult_body().rest_joints_m)

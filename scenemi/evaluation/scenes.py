@@ -1,0 +1,65 @@
+"""Random scenes around evaluation windows: the same for a window whatever else is evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from scenemi.evaluation.windows import EvaluationWindow, window_seed
+from scenemi.scene.basis_points import anchor_vertices
+from scenemi.scene.boxes import Boxes
+from scenemi.scene.pseudo import PseudoConfig, PseudoScenes
+from video2anim.body.skeleton import forward_kinematics
+
+SCENE_SEED = 20_251
+EVALUATION_SCENES = PseudoConfig(empty_share=0.0)
+"""Scenes of training, but never empty: a window without anything to hit tells nothing of collisions."""
+
+
+REACH_M = 0.3
+"""Solids farther from a body than this are not looked at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Obstacles:
+    """A random scene without its floor."""
+
+    boxes: Boxes
+
+    def signed_distance(self, points_m: Float[np.ndarray, "frames skin 3"]) -> Float[np.ndarray, "frames skin"]:
+        """See `ObstacleField`; at most 0.3 m."""
+        distance_m = np.full(points_m.shape[:2], REACH_M)
+        low_m, high_m = points_m.min(axis=1) - REACH_M, points_m.max(axis=1) + REACH_M
+        for number in range(len(self.boxes)):
+            center_m, half_m = self.boxes.center_m[number], self.boxes.half_m[number]
+            # Bounds that hold for any turn about the vertical.
+            across_m = float(np.hypot(half_m[0], half_m[2]))
+            reach_m = np.array([across_m, half_m[1], across_m])
+            near = ((center_m - reach_m < high_m) & (center_m + reach_m > low_m)).all(axis=1)
+            if near.any():
+                one = Boxes(center_m[None], half_m[None], self.boxes.yaw_rad[[number]])
+                distance_m[near] = np.minimum(distance_m[near], one.signed_distance(points_m[near]))
+        return distance_m
+
+
+def with_pseudo_scenes(
+    windows: Sequence[EvaluationWindow], *, seed: int = SCENE_SEED, config: PseudoConfig = EVALUATION_SCENES
+) -> tuple[EvaluationWindow, ...]:
+    """The windows, each in a scene in which its true motion could have happened.
+
+    Windows of clips on ground that was not captured get one too: they are few and keep the set whole.
+    """
+    scenes = PseudoScenes(config)
+    found = []
+    for window in windows:
+        joints_m, R_world_joint = forward_kinematics(
+            window.R_parent_joint, window.translation_m, window.body.rest_joints_m
+        )
+        anchors_m = window.body.vertices(R_world_joint, joints_m, anchor_vertices(window.body))
+        rng = np.random.default_rng(window_seed(window.name, seed))
+        scene = scenes.draw(rng, joints_m, R_world_joint, anchors_m, window.contact)
+        found.append(replace(window, obstacles=Obstacles(scene.boxes), scene=scene.geometry()))
+    return tuple(found)

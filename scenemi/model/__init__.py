@@ -1,0 +1,1 @@
+"""The denoiser, its diffusion process, samplers and weights."""

@@ -1,0 +1,216 @@
+"""From noise to motion: DDPM, DDIM and DPM-Solver++ over any denoiser that predicts the clean window (paper 3.2).
+
+Keyframes are imputed into what the denoiser sees, x' = m s + (1 - m) x_t, while t > T* (paper 3.2.1). The chain itself
+is not imputed: at the step where imputation ends, the keyframe rows are as noisy as all others, which is what the
+denoiser was trained on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from scenemi.model.denoiser import Conditions, impute
+from scenemi.model.diffusion import CosineSchedule
+from scenemi.prior import DEFAULT_STOP_STEP
+
+Method = Literal["ddpm", "ddim", "dpm-solver++"]
+Denoise = Callable[[Tensor, Tensor, Conditions], Tensor]
+"""`Denoiser` or anything called alike: (x (B, N, F), t (B,), conditions) -> clean window."""
+Predict = Callable[[Tensor, int], Tensor]
+"""Estimate of the clean window at one step."""
+Adjust = Callable[[Tensor], Tensor]
+"""Moves an estimate of the clean window (normalized) to lower some cost (`scenemi.model.guidance`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class SamplerConfig:
+    """How windows are sampled."""
+
+    method: Method = "dpm-solver++"
+    steps: int = 20
+    """Evaluations of the denoiser; the schedule's T (1000) is the paper's sampler."""
+    guidance_weight: float = 2.5
+    """w of classifier-free guidance on the global scene; 1 = none, at half the cost."""
+    stop_step: int | None = None
+    """T*: keyframes are imputed while t > T*. None = 20 for noisy keyframes, 0 for exact ones."""
+    eta: float = 0.0
+    """Noise of `ddim`: 0 = deterministic, 1 = DDPM."""
+    hard_keyframes: bool = True
+    """Exact keyframes are met to 1e-6 (`scenemi.model.keyframe_fit`); noisy ones never are, save the seed frames."""
+    spacing: float = 1.5
+    """Power by which steps are denser near t = 0, where detail is made; 1 = even."""
+    contact_weight: float = 0.0
+    """Extra cost while sampling: standing feet stay (`scenemi.model.guidance`)."""
+    penetration_weight: float = 0.0
+    """Extra cost: bones stay out of solids; for scenes with a signed distance."""
+    keyframe_weight: float = 0.0
+    """Extra cost: joints at keyframes are the keyframes'."""
+
+    def __post_init__(self) -> None:
+        if self.method not in ("ddpm", "ddim", "dpm-solver++"):
+            raise ValueError(f"SamplerConfig: want ddpm, ddim or dpm-solver++, got {self.method!r}")
+        if self.steps < 1 or not 0 <= self.eta <= 1 or self.spacing < 1:
+            raise ValueError(
+                "SamplerConfig: want steps >= 1, 0 <= eta <= 1, spacing >= 1, "
+                f"got {self.steps}, {self.eta}, {self.spacing}"
+            )
+        if self.stop_step is not None and self.stop_step < 0:
+            raise ValueError(f"SamplerConfig: want stop_step >= 0, got {self.stop_step}")
+
+    def stop_for(self, noisy: bool) -> int:
+        """T* of a window."""
+        return self.stop_step if self.stop_step is not None else DEFAULT_STOP_STEP if noisy else 0
+
+
+def time_steps(total: int, steps: int, *, stop_step: int = 0, spacing: float = 1.0) -> Int[np.ndarray, "steps_and_one"]:
+    """Falling steps from T to 0 at which the denoiser is evaluated (the last, 0, is not).
+
+    With `steps` = T all of them. With fewer, step T* is one of them and at least one in ten (two, where there are more
+    than four) lies at or below it, since there the keyframes themselves are cleaned.
+    """
+    if steps >= total:
+        return np.arange(total, -1, -1)
+    stop = min(stop_step, total - 1)
+    if stop == 0:
+        return _falling(total, 0, steps, spacing)
+    low = min(stop, max(1, round(0.1 * steps), 2 if steps > 4 else 1), steps)
+    if low == steps:
+        return _falling(total, 0, steps, spacing)
+    # One curve from T to 0, cut where T* lies on it, keeps steps near T* equally long on both sides.
+    high = _falling(total - stop, 0, steps - low, spacing) + stop
+    return np.concatenate([high[:-1], _falling(stop, 0, low, 1.0)])
+
+
+def _falling(top: int, bottom: int, pieces: int, spacing: float) -> Int[np.ndarray, "pieces_and_one"]:
+    """`pieces` + 1 falling integers, all different, dense at the bottom."""
+    pieces = min(pieces, top - bottom)
+    curve = bottom + (top - bottom) * np.linspace(1.0, 0.0, pieces + 1) ** spacing
+    whole = np.rint(curve).astype(np.int64)
+    least = bottom + np.arange(pieces, -1, -1)
+    return np.maximum(whole, least)
+
+
+def sample(
+    denoiser: Denoise,
+    schedule: CosineSchedule,
+    x_keys: Float[Tensor, "batch frames features"],
+    conditions: Conditions,
+    config: SamplerConfig,
+    generators: Sequence[torch.Generator],
+    *,
+    stop_step: int = 0,
+    adjust: Adjust | None = None,
+) -> Float[Tensor, "batch frames features"]:
+    """Windows from noise.
+
+    Args:
+        denoiser: predicts clean windows.
+        schedule: forward process it was trained with.
+        x_keys: normalized features; rows with `conditions.mask` = 1 are the keyframes, others are not read.
+        conditions: of the batch; the scene is encoded in them already, so it costs nothing per step.
+        config: method and steps.
+        generators: one per window, so that a window's result does not depend on its neighbors in the batch.
+        stop_step: T*.
+        adjust: applied to every estimate of the clean window.
+    """
+    x = torch.stack([_noise(x_keys, generator) for generator in generators])
+    predict = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, adjust)
+    steps = time_steps(schedule.steps, config.steps, stop_step=stop_step, spacing=config.spacing)
+    with torch.no_grad():
+        if config.method == "dpm-solver++":
+            return _dpm_solver(predict, x, schedule.alpha_bar, steps, stop_step)
+        eta = 1.0 if config.method == "ddpm" else config.eta
+        return _ancestral(predict, x, schedule.alpha_bar, steps, eta, generators)
+
+
+def guided(
+    denoiser: Denoise,
+    x_keys: Tensor,
+    conditions: Conditions,
+    weight: float,
+    stop_step: int,
+    adjust: Adjust | None = None,
+) -> Predict:
+    """The clean estimate as a function of x_t and t alone: imputation, guidance, extra costs.
+
+    x0 = w D(scene) + (1 - w) D(no scene), both halves in one batch; one half where w is 1 or no scene is given.
+    """
+    batch = len(x_keys)
+    double = weight != 1 and bool((conditions.scene_known > 0).any())
+    given = conditions.joined(conditions.without_global_scene()) if double else conditions
+
+    def predict(x: Tensor, t: int) -> Tensor:
+        seen = impute(x, x_keys, conditions.mask) if t > stop_step else x
+        if double:
+            both = denoiser(torch.cat([seen, seen]), torch.full((2 * batch,), t, device=x.device), given)
+            x0 = weight * both[:batch] + (1 - weight) * both[batch:]
+        else:
+            x0 = denoiser(seen, torch.full((batch,), t, device=x.device), given)
+        return x0 if adjust is None else adjust(x0)
+
+    return predict
+
+
+def posterior(alpha_bar_t: float, alpha_bar_s: float, eta: float) -> tuple[float, float, float]:
+    """Weights of x_0 and of x_t in the mean of x_s, and its standard deviation, for a step from t down to s.
+
+    eta = 1 is DDPM's posterior with the variance beta~ = (1 - alpha_bar_s) / (1 - alpha_bar_t) beta (paper Table 5);
+    eta = 0 is DDIM (Song et al. 2021, eq. 12).
+    """
+    beta = 1 - alpha_bar_t / alpha_bar_s
+    deviation = eta * math.sqrt((1 - alpha_bar_s) / (1 - alpha_bar_t) * beta)
+    of_noise = math.sqrt(max(1 - alpha_bar_s - deviation**2, 0.0)) / math.sqrt(1 - alpha_bar_t)
+    return math.sqrt(alpha_bar_s) - math.sqrt(alpha_bar_t) * of_noise, of_noise, deviation
+
+
+def _ancestral(
+    predict: Predict,
+    x: Tensor,
+    alpha_bar: np.ndarray,
+    steps: np.ndarray,
+    eta: float,
+    generators: Sequence[torch.Generator],
+) -> Tensor:
+    for t, s in pairwise(steps):
+        x0 = predict(x, int(t))
+        of_clean, of_noisy, deviation = posterior(float(alpha_bar[t]), float(alpha_bar[s]), eta)
+        x = of_clean * x0 + of_noisy * x
+        if deviation > 0:
+            x = x + deviation * torch.stack([_noise(x, generator) for generator in generators])
+    return x
+
+
+def _dpm_solver(predict: Predict, x: Tensor, alpha_bar: np.ndarray, steps: np.ndarray, stop_step: int) -> Tensor:
+    """DPM-Solver++(2M) in the form that predicts x_0 (Lu et al. 2022, algorithm 2).
+
+    The estimate has a jump where imputation ends, and no slope is taken over it; the last step is of first order.
+    """
+    before: Tensor | None = None
+    h_before = 0.0
+    for t, s in pairwise(steps):
+        x0 = predict(x, int(t))
+        if s == 0:
+            return x0
+        ab_t, ab_s = float(alpha_bar[t]), float(alpha_bar[s])
+        h = 0.5 * (math.log(ab_s / (1 - ab_s)) - math.log(ab_t / (1 - ab_t)))
+        slope = x0
+        if before is not None and t != stop_step:
+            ratio = h / (2 * h_before)
+            slope = (1 + ratio) * x0 - ratio * before
+        x = math.sqrt((1 - ab_s) / (1 - ab_t)) * x - math.sqrt(ab_s) * math.expm1(-h) * slope
+        before, h_before = x0, h
+    return x
+
+
+def _noise(like: Tensor, generator: torch.Generator) -> Tensor:
+    """Noise of one window, drawn on the CPU so that every device gives the same motion."""
+    return torch.randn(like.shape[1:], generator=generator, dtype=torch.float32).to(like)

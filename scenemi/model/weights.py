@@ -1,0 +1,82 @@
+"""Weights on disk: safetensors (fp16 when shipped) with configuration and card in the header. No pickle."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from scenemi.features import Statistics
+from scenemi.model.config import ModelConfig
+from scenemi.model.denoiser import Denoiser
+from video2anim.errors import InputError, ModelMissingError
+
+WEIGHTS_FOLDER = Path(__file__).parent.parent / "weights"
+FORMAT = "scenemi-weights-1"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadedModel:
+    """A denoiser ready for use."""
+
+    denoiser: Denoiser
+    """In evaluation mode, float32."""
+    config: ModelConfig
+    statistics: Statistics
+    card: dict[str, Any]
+    """Data, steps, licence, numbers."""
+    path: Path
+
+
+def save_weights(
+    path: str | Path, denoiser: Denoiser, statistics: Statistics, card: dict[str, Any], *, half: bool = True
+) -> None:
+    """Write weights, statistics and card to one file.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    dtype = torch.float16 if half else torch.float32
+    tensors = {f"model.{name}": value.detach().to(dtype).contiguous() for name, value in denoiser.state_dict().items()}
+    for item in fields(Statistics):
+        tensors[f"statistics.{item.name}"] = torch.from_numpy(getattr(statistics, item.name).copy())
+    header = {"format": FORMAT, "config": json.dumps(denoiser.config.to_json()), "card": json.dumps(card)}
+    try:
+        save_file(tensors, str(path), header)
+    except (OSError, SafetensorError) as error:
+        raise InputError(f"weights: cannot write {path}: {error}") from error
+
+
+def load_weights(name: str | Path = "small", *, device: str = "cpu") -> LoadedModel:
+    """Weights by name (a file in `scenemi/weights`) or path.
+
+    Raises:
+        ModelMissingError: no such file.
+        InputError: the file is not one of these.
+    """
+    path = Path(name) if str(name).endswith(".safetensors") else WEIGHTS_FOLDER / f"{name}.safetensors"
+    if not path.is_file():
+        there = ", ".join(sorted(file.stem for file in WEIGHTS_FOLDER.glob("*.safetensors"))) or "none"
+        raise ModelMissingError(f"scenemi weights: found no {path.name} in {path.parent}; present are: {there}")
+    try:
+        with safe_open(str(path), "pt", device=device) as file:
+            header = file.metadata() or {}
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
+    except SafetensorError as error:
+        raise InputError(f"scenemi weights: want a safetensors file at {path}: {error}") from error
+    if header.get("format") != FORMAT:
+        raise InputError(f"scenemi weights: want format {FORMAT} in {path}, got {header.get('format')}")
+    config = ModelConfig.from_json(json.loads(header["config"]))
+    denoiser = Denoiser(config).to(device)
+    state = {key.removeprefix("model."): value.float() for key, value in tensors.items() if key.startswith("model.")}
+    try:
+        denoiser.load_state_dict(state)
+    except RuntimeError as error:
+        raise InputError(f"scenemi weights: {path} does not fit its own configuration: {error}") from error
+    statistics = Statistics(*(tensors[f"statistics.{item.name}"].float().cpu().numpy() for item in fields(Statistics)))
+    return LoadedModel(denoiser.eval(), config, statistics, json.loads(header["card"]), path)

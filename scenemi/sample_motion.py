@@ -1,0 +1,91 @@
+"""From keyframes and a scene to a whole motion: what `scenemi sample` does between reading and writing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from scenemi.keyframes import FPS, Keyframes
+from scenemi.longmotion import LongMotion, inbetween
+from scenemi.metrics import ANKLES, ROHM_ANKLE_HEIGHT_M, ROHM_TOE_HEIGHT_M, TOES, UP
+from scenemi.prior import InbetweeningPrior
+from scenemi.scene.geometry import SceneGeometry
+from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.skeleton import forward_kinematics
+from video2anim.errors import UsageError
+
+_STANCE_SPEED_M_S = 0.3
+"""A low foot slower than this stands."""
+_BODY_TOLERANCE_M = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledMotion:
+    """A motion of `Keyframes.to_motion` length."""
+
+    motion: LongMotion
+    is_keyframe: Bool[np.ndarray, "frames"]
+    contact: Float[np.ndarray, "frames 22"]
+    """1 where an ankle or a toe is low and slow, else 0."""
+    notes: tuple[str, ...]
+
+
+def sample_motion(
+    keyframes: Keyframes,
+    prior: InbetweeningPrior,
+    *,
+    scene: SceneGeometry | None = None,
+    length: int | None = None,
+    noise: float = 0.0,
+) -> SampledMotion:
+    """Fill keyframes to a motion.
+
+    Args:
+        keyframes: checked poses.
+        prior: fills windows.
+        scene: in the world frame, floor included.
+        length: frames of the result; after the last keyframe its pose is held.
+        noise: paper's l, how inexact the keyframes are; 0 = they are met.
+
+    Raises:
+        InputError: a length that leaves keyframes out.
+        UsageError: impossible noise.
+    """
+    if not 0 <= noise <= 100:
+        raise UsageError(f"noise: want degrees and centimetres from 0 to 100, got {noise}")
+    given = replace(keyframes.to_motion(length), body=body_of(keyframes), noise_level=noise)
+    filled = inbetween(given, prior, scene=scene)
+    notes = []
+    if len(filled.bridged_index):
+        frames = ", ".join(str(frame) for frame in filled.bridged_index)
+        notes.append(f"gaps longer than a window were bridged by interpolation at frames {frames}")
+    first, last = int(keyframes.frame_index[0]), int(keyframes.frame_index[-1])
+    if first > 0:
+        notes.append(f"frames 0 to {first - 1} hold the first keyframe's pose")
+    if last + 1 < len(given.is_keyframe):
+        notes.append(f"frames {last + 1} to {len(given.is_keyframe) - 1} hold the last keyframe's pose")
+    joints_m, _ = forward_kinematics(filled.R_parent_joint, filled.translation_world_m, keyframes.rest_joints_m)
+    return SampledMotion(filled, given.is_keyframe, standing_feet(joints_m), tuple(notes))
+
+
+def body_of(keyframes: Keyframes) -> ShapedBody | None:
+    """The body whose skeleton the keyframes have; None where theirs is another, and the prior finds one like it."""
+    if keyframes.shape.model != "anny":
+        return None
+    body = shaped_body(keyframes.shape)
+    alike = np.abs(body.rest_joints_m - keyframes.rest_joints_m).max() <= _BODY_TOLERANCE_M
+    return body if alike else None
+
+
+def standing_feet(joints_m: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "frames 22"]:
+    """Ankles and toes that are low and slow, 1 or 0."""
+    contact = np.zeros(joints_m.shape[:2])
+    if len(joints_m) < 2:
+        return contact
+    for joints, height_m in ((ANKLES, ROHM_ANKLE_HEIGHT_M), (TOES, ROHM_TOE_HEIGHT_M)):
+        for joint in joints:
+            speed = np.linalg.norm(np.gradient(joints_m[:, joint], axis=0), axis=-1) * FPS
+            contact[:, joint] = (joints_m[:, joint, UP] < height_m) & (speed < _STANCE_SPEED_M_S)
+    return contact

@@ -1,0 +1,85 @@
+"""Everything a run needs to go on as if it had never stopped, in one safetensors file."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from scenemi.features import Statistics
+from scenemi.training.config import TrainConfig
+from video2anim.errors import InputError
+
+FORMAT = "scenemi-checkpoint-1"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Checkpoint:
+    """State after `step` steps."""
+
+    step: int
+    config: TrainConfig
+    statistics: Statistics
+    model: dict[str, Tensor]
+    ema: dict[str, Tensor]
+    optimizer: dict[str, Any]
+    """As `Optimizer.state_dict`."""
+    rng: Tensor
+    """torch's generator (dropout); everything else is drawn from (seed, step)."""
+    seconds: float
+    """Time trained so far."""
+
+
+def save_checkpoint(path: Path, state: Checkpoint) -> None:
+    """Write aside and move into place: a broken run leaves the last whole checkpoint."""
+    tensors = {f"model.{k}": v for k, v in state.model.items()} | {f"ema.{k}": v for k, v in state.ema.items()}
+    for number, values in state.optimizer["state"].items():
+        tensors |= {f"optimizer.{number}.{k}": torch.as_tensor(v) for k, v in values.items()}
+    for item in fields(Statistics):
+        tensors[f"statistics.{item.name}"] = torch.from_numpy(getattr(state.statistics, item.name).copy())
+    tensors["rng"] = state.rng
+    header = {
+        "format": FORMAT, "step": str(state.step), "seconds": repr(state.seconds),
+        "config": json.dumps(state.config.to_json()), "groups": json.dumps(state.optimizer["param_groups"]),
+    }  # fmt: skip
+    aside = path.with_suffix(".partial")
+    save_file({key: value.detach().cpu().contiguous().clone() for key, value in tensors.items()}, str(aside), header)
+    os.replace(aside, path)
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Read what `save_checkpoint` wrote.
+
+    Raises:
+        InputError: the file is missing or not a checkpoint.
+    """
+    try:
+        with safe_open(str(path), "pt") as file:
+            header = file.metadata() or {}
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (OSError, SafetensorError) as error:
+        raise InputError(f"checkpoint: cannot read {path}: {error}") from error
+    if header.get("format") != FORMAT:
+        raise InputError(f"checkpoint: want format {FORMAT} in {path}, got {header.get('format')}")
+    state: dict[int, dict[str, Tensor]] = {}
+    for key, value in tensors.items():
+        if key.startswith("optimizer."):
+            _, number, name = key.split(".", 2)
+            state.setdefault(int(number), {})[name] = value
+    return Checkpoint(
+        step=int(header["step"]),
+        config=TrainConfig.from_json(json.loads(header["config"])),
+        statistics=Statistics(*(tensors[f"statistics.{item.name}"].numpy() for item in fields(Statistics))),
+        model={key.removeprefix("model."): value for key, value in tensors.items() if key.startswith("model.")},
+        ema={key.removeprefix("ema."): value for key, value in tensors.items() if key.startswith("ema.")},
+        optimizer={"state": state, "param_groups": json.loads(header["groups"])},
+        rng=tensors["rng"],
+        seconds=float(header["seconds"]),
+    )

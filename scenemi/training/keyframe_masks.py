@@ -1,0 +1,35 @@
+"""Which frames of a training window are keyframes."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool
+
+_REGULAR, _SEEDED = 0.35, 0.15
+"""Shares of windows with regular intervals, and with a known beginning, in the mixed law."""
+
+
+def draw_mask(
+    rng: np.random.Generator, frames: int, law: Literal["paper", "mixed"] = "mixed"
+) -> Bool[np.ndarray, "frames"]:
+    """Keyframes of one window, first and last frame always among them.
+
+    `paper`: k ~ U{2..N} frames at random (3.2). `mixed`: half of the windows so; 35 % every r-th frame, r log-uniform
+    from 2 to N - 1, sometimes with the phase shifted; 15 % a known beginning as in long motion (8.2) followed by
+    regular keyframes.
+    """
+    mask = np.zeros(frames, bool)
+    kind = rng.random() if law == "mixed" else 1.0
+    if kind >= _REGULAR + _SEEDED:
+        count = int(rng.integers(2, frames + 1))
+        mask[1 + rng.permutation(frames - 2)[: count - 2]] = True
+    else:
+        interval = round(float(np.exp(rng.uniform(np.log(2), np.log(frames - 1)))))
+        phase = int(rng.integers(0, interval)) if rng.random() < 0.3 else 0
+        mask[phase::interval] = True
+        if kind < _SEEDED:
+            mask[: int(rng.integers(2, frames - 10))] = True
+    mask[[0, -1]] = True
+    return mask

@@ -1,0 +1,108 @@
+"""The training objective (paper eqs. 1 to 4, and 3.2.1 for noisy keyframes)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from scenemi.features import Statistics
+from scenemi.model.base import join_keyframes
+from scenemi.model.denoiser import Conditions, Denoiser, impute
+from scenemi.model.diffusion import CosineSchedule
+from scenemi.model.kinematics import joints_of, posed_joints
+from scenemi.training.batches import Batch
+from scenemi.training.config import TrainConfig
+from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Losses:
+    """Means over the batch."""
+
+    total: Tensor
+    simple: Tensor
+    """Squared error of normalized features, mean over features."""
+    joints: Tensor
+    """Squared distance of joints, m^2, summed over the 22 joints."""
+    velocity: Tensor
+    """Squared difference of the joints' displacements from frame to frame, m^2, summed over the 22 joints."""
+
+
+class TrainingLoss(nn.Module):
+    """Noises a batch, denoises it, and compares."""
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, denoiser: Denoiser, statistics: Statistics, config: TrainConfig) -> None:
+        super().__init__()
+        self.denoiser, self.config = denoiser, config
+        self.schedule = CosineSchedule()
+        self.register_buffer("mean", torch.from_numpy(statistics.mean), persistent=False)
+        self.register_buffer("std", torch.from_numpy(statistics.std), persistent=False)
+
+    def forward(self, batch: Batch) -> Losses:
+        """Losses of one batch."""
+        config = self.config
+        with torch.no_grad():
+            x0 = (features_of(batch.R_parent_joint, batch.translation_m, batch.rest_joints_m) - self.mean) / self.std
+            keys = (noisy_keyframes(batch) - self.mean) / self.std
+            x = self.schedule.add_noise(x0, batch.step, batch.noise)
+            steered = (batch.noise_level == 0) | (batch.step > config.stop_step)
+            x = impute(x, keys, batch.mask * steered[:, None])
+            base = join_keyframes(keys, batch.mask)
+        given = Conditions(
+            mask=batch.mask,
+            base=base,
+            local=shifted_local(batch),
+            body=batch.body,
+            noise_level=batch.noise_level,
+            scene=self.denoiser.encode_scene(batch.occupancy.float()),
+            scene_known=batch.scene_known,
+            local_known=batch.local_known,
+        )
+        estimate = self.denoiser(x, batch.step, given).float()
+        return self._compared(estimate, x0, batch)
+
+    def _compared(self, estimate: Tensor, x0: Tensor, batch: Batch) -> Losses:
+        config, valid = self.config, batch.valid
+        joints = joints_of(estimate * self.std + self.mean, batch.rest_joints_m)
+        with torch.no_grad():
+            true = posed_joints(batch.R_parent_joint, batch.translation_m, batch.rest_joints_m)
+        simple = per_window((estimate - x0).square().mean(-1), valid)
+        off = per_window((joints - true).square().sum((-1, -2)), valid)
+        moves = (joints.diff(dim=1) - true.diff(dim=1)).square().sum((-1, -2))
+        velocity = per_window(moves, valid[:, 1:])
+        total = simple + config.joints_weight * off + config.velocity_weight * velocity
+        return Losses(total, simple, off, velocity)
+
+
+def per_window(error: Float[Tensor, "batch frames"], valid: Float[Tensor, "batch frames"]) -> Tensor:
+    """Mean over the valid frames of each window, then over windows: every window weighs the same, so that processes
+    that share a batch have the same gradient as one."""
+    return ((error * valid).sum(1) / valid.sum(1).clamp(min=1)).mean()
+
+
+def features_of(R_parent_joint: Tensor, translation_m: Tensor, rest_joints_m: Tensor) -> Tensor:
+    """Features (B, N, 201) of a motion in the canonical frame, not normalized."""
+    joints = posed_joints(R_parent_joint, translation_m, rest_joints_m)
+    return torch.cat([translation_m, rot6d_from_matrix(R_parent_joint).flatten(2), joints.flatten(2)], -1)
+
+
+def noisy_keyframes(batch: Batch) -> Float[Tensor, "batch frames 201"]:
+    """Features with Gaussian noise of l degrees on every joint's rotation and l centimeters on the translation."""
+    level = batch.noise_level[:, None, None]
+    turn = matrix_from_axis_angle(batch.turn_noise * (level[..., None] * torch.pi / 180))
+    noisy = (batch.R_parent_joint[..., :, :, None] * turn[..., None, :, :]).sum(-2)
+    return features_of(noisy, batch.translation_m + 0.01 * level * batch.shift_noise, batch.rest_joints_m)
+
+
+def shifted_local(batch: Batch) -> Float[Tensor, "batch frames anchors 3"]:
+    """Offsets to the scene as a body that stands off by the translation's noise has them (to first order, for surfaces
+    that face the anchor)."""
+    shift = 0.01 * batch.noise_level[:, None, None] * batch.shift_noise
+    local = batch.local.float()
+    return local - shift[:, :, None]

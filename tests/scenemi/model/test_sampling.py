@@ -1,0 +1,222 @@
+"""Samplers against data whose best denoiser is known in closed form: a Gaussian process over the frames."""
+
+from __future__ import annotations
+
+import functools
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from scenemi.model.denoiser import Conditions
+from scenemi.model.diffusion import CosineSchedule
+from scenemi.model.sampling import Method, SamplerConfig, guided, posterior, sample, time_steps
+
+FRAMES, FEATURES = 12, 2
+SCHEDULE = CosineSchedule()
+KEYS = torch.tensor([0, 5, 11])
+
+
+def covariance() -> Tensor:
+    index = torch.arange(FRAMES, dtype=torch.float64)
+    return torch.exp(-0.5 * ((index[:, None] - index[None]) / 3.0) ** 2) + 1e-3 * torch.eye(FRAMES, dtype=torch.float64)
+
+
+MEAN = torch.linspace(-1.0, 1.0, FRAMES, dtype=torch.float64)[:, None].expand(FRAMES, FEATURES)
+
+
+def conditions(batch: int, keys: bool) -> Conditions:
+    mask = torch.zeros(batch, FRAMES)
+    if keys:
+        mask[:, KEYS] = 1
+    zero = torch.zeros(batch)
+    return Conditions(
+        mask, torch.zeros(batch, FRAMES, FEATURES), torch.zeros(batch, FRAMES, 1, 3), torch.zeros(batch, 7), zero,
+        torch.zeros(batch, 4), zero, zero,
+    )  # fmt: skip
+
+
+@functools.cache
+def gain(t: int, keys: bool) -> tuple[Tensor, Tensor]:
+    """E[x_0 | x_t] - MEAN = gain (x_t - signal MEAN); keyframe rows are seen without noise."""
+    alpha_bar = float(SCHEDULE.alpha_bar[t])
+    exact = torch.zeros(FRAMES, dtype=torch.bool)
+    exact[KEYS] = keys
+    signal = torch.where(exact, 1.0, math.sqrt(alpha_bar)).double()
+    noise = torch.where(exact, 1e-10, 1 - alpha_bar).double()
+    S = covariance()
+    seen = signal[:, None] * S * signal[None] + torch.diag(noise)
+    return torch.linalg.solve(seen, signal[:, None] * S).T, signal
+
+
+def oracle(x: Tensor, t: Tensor, given: Conditions) -> Tensor:
+    """The best denoiser."""
+    matrix, signal = gain(int(t[0]), bool(given.mask.any()))
+    return (MEAN + matrix @ (x.double() - signal[:, None] * MEAN)).float()
+
+
+def generators(count: int, seed: int = 0) -> list[torch.Generator]:
+    return [torch.Generator().manual_seed(1000 * seed + i) for i in range(count)]
+
+
+def truth(keys: bool, values: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean (N, F) and covariance (N, N) of the data, given its keyframes or not."""
+    S = covariance()
+    if not keys:
+        return MEAN, S
+    gain = torch.linalg.solve(S[KEYS][:, KEYS], S[KEYS]).T
+    return MEAN + gain @ (values[KEYS] - MEAN[KEYS]), S - gain @ S[KEYS]
+
+
+METHODS: list[tuple[Method, int, float]] = [
+    ("ddpm", 1000, 0.0), ("ddpm", 250, 0.0), ("ddim", 250, 0.0), ("ddim", 250, 0.5), ("dpm-solver++", 50, 0.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("keys", [False, True])
+@pytest.mark.parametrize(("method", "steps", "eta"), METHODS)
+def test_samples_have_the_mean_and_covariance_of_the_data(method: Method, steps: int, eta: float, keys: bool) -> None:
+    count = 400 if steps == 1000 else 1500
+    values = MEAN + torch.linalg.cholesky(covariance()) @ torch.randn(
+        FRAMES, FEATURES, generator=torch.Generator().manual_seed(3), dtype=torch.float64
+    )
+    x_keys = values.float().expand(count, -1, -1)
+    config = SamplerConfig(method, steps, guidance_weight=1.0, eta=eta)
+    made = sample(oracle, SCHEDULE, x_keys, conditions(count, keys), config, generators(count)).double()
+    mean, spread = truth(keys, values)
+    centered = made - mean
+    # Three and a half standard errors, and the 6 % of variance that large steps of first order lose.
+    assert (made.mean(0) - mean).abs().max() < 3.5 / math.sqrt(count)
+    found = torch.einsum("bif,bjf->ij", centered, centered) / (count * FEATURES)
+    assert (found - spread).abs().max() < 3.5 * math.sqrt(2 / (count * FEATURES)) + 0.06
+    assert found.trace() == pytest.approx(float(spread.trace()), rel=0.1)
+    if keys:
+        assert (made[:, KEYS] - values[KEYS]).abs().max() < 1e-3
+
+
+@pytest.mark.parametrize("method", ["ddim", "dpm-solver++"])
+def test_twenty_steps_are_close_to_a_thousand_from_the_same_noise(method: Method) -> None:
+    x_keys = MEAN.float().expand(64, -1, -1)
+    given = conditions(64, True)
+    runs = [
+        sample(
+            oracle,
+            SCHEDULE,
+            x_keys,
+            given,
+            SamplerConfig(method, steps, guidance_weight=1.0, hard_keyframes=False),
+            generators(64),
+        )
+        for steps in (20, 1000)
+    ]
+    error = (runs[0] - runs[1]).square().mean().sqrt()
+    # DDIM is of first order, DPM-Solver++ 2M of second; the data's deviation is about 0.5 between these keyframes.
+    assert error < (0.03 if method == "ddim" else 0.02)
+
+
+def test_second_order_is_nearer_the_limit_than_first_order() -> None:
+    x_keys, given = MEAN.float().expand(64, -1, -1), conditions(64, False)
+
+    def run(method: Method, steps: int) -> Tensor:
+        config = SamplerConfig(method, steps, guidance_weight=1.0)
+        return sample(oracle, SCHEDULE, x_keys, given, config, generators(64))
+
+    limit = run("ddim", 1000)
+    assert (run("dpm-solver++", 20) - limit).abs().mean() < 0.6 * (run("ddim", 20) - limit).abs().mean()
+
+
+def test_deterministic_methods_repeat_and_ancestral_noise_follows_the_seed() -> None:
+    x_keys, given = MEAN.float().expand(2, -1, -1), conditions(2, False)
+    methods: tuple[Method, ...] = ("ddim", "dpm-solver++", "ddpm")
+    for method in methods:
+        config = SamplerConfig(method, 10, guidance_weight=1.0)
+        first, again, other = (sample(oracle, SCHEDULE, x_keys, given, config, generators(2, s)) for s in (0, 0, 1))
+        torch.testing.assert_close(first, again, rtol=0, atol=0)
+        assert (first - other).abs().max() > 0.1
+
+
+def test_a_window_does_not_depend_on_its_neighbors() -> None:
+    config = SamplerConfig("ddpm", 10, guidance_weight=1.0)
+    x_keys = MEAN.float().expand(3, -1, -1)
+    three = sample(oracle, SCHEDULE, x_keys, conditions(3, True), config, generators(3))
+    last = sample(oracle, SCHEDULE, x_keys[:1], conditions(1, True), config, generators(3)[2:])
+    torch.testing.assert_close(three[2:], last, rtol=0, atol=1e-6)
+
+
+def test_ddpm_step_is_the_posterior_of_the_schedule() -> None:
+    """With s = t - 1: mean (Ho et al. 2020, eq. 7) and the variance beta~ of the paper's Table 5."""
+    for t in (2, 20, 500, 999, 1000):
+        ab, ab_before, beta = SCHEDULE.alpha_bar[t], SCHEDULE.alpha_bar[t - 1], SCHEDULE.beta[t]
+        of_clean, of_noisy, deviation = posterior(float(ab), float(ab_before), 1.0)
+        assert of_clean == pytest.approx(math.sqrt(ab_before) * beta / (1 - ab), rel=1e-9)
+        assert of_noisy == pytest.approx(math.sqrt(1 - beta) * (1 - ab_before) / (1 - ab), rel=1e-9)
+        assert deviation**2 == pytest.approx((1 - ab_before) / (1 - ab) * beta, rel=1e-9)
+
+
+def test_a_ddim_step_keeps_the_noise_level() -> None:
+    for eta in (0.0, 0.3, 1.0):
+        of_clean, of_noisy, deviation = posterior(0.2, 0.6, eta)
+        # x_t = sqrt(0.2) x_0 + sqrt(0.8) noise gives x_s = sqrt(0.6) x_0 + sqrt(0.4) noise.
+        assert of_clean + of_noisy * math.sqrt(0.2) == pytest.approx(math.sqrt(0.6))
+        assert of_noisy**2 * 0.8 + deviation**2 == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("stop", [0, 10, 20, 60])
+@pytest.mark.parametrize("steps", [1, 2, 5, 10, 20, 50, 999, 1000])
+@pytest.mark.parametrize("spacing", [1.0, 2.0])
+def test_steps_fall_from_T_to_0_and_meet_the_end_of_imputation(stop: int, steps: int, spacing: float) -> None:
+    grid = time_steps(1000, steps, stop_step=stop, spacing=spacing)
+    assert grid[0] == 1000
+    assert grid[-1] == 0
+    assert len(grid) == steps + 1
+    assert (np.diff(grid) < 0).all()
+    if stop and steps > 1:
+        assert stop in grid
+        assert (grid[:-1] <= stop).sum() >= (2 if steps > 4 else 1)
+
+
+def test_keyframes_are_imputed_above_the_stop_step_only() -> None:
+    seen: list[tuple[int, float]] = []
+
+    def spy(x: Tensor, t: Tensor, given: Conditions) -> Tensor:
+        seen.append((int(t[0]), float((x[:, KEYS] - 7.0).abs().max())))
+        return torch.zeros_like(x)
+
+    x_keys = torch.full((2, FRAMES, FEATURES), 7.0)
+    config = SamplerConfig("ddim", 20, guidance_weight=1.0)
+    sample(spy, SCHEDULE, x_keys, conditions(2, True), config, generators(2), stop_step=20)
+    assert {t <= 20 for t, _ in seen} == {True, False}
+    for t, off in seen:
+        assert (off == 0) == (t > 20)
+
+
+def test_guidance_is_two_halves_of_one_batch_and_w_1_is_one_half() -> None:
+    batches: list[int] = []
+
+    def scene_or_not(x: Tensor, t: Tensor, given: Conditions) -> Tensor:
+        batches.append(len(x))
+        return torch.where(given.scene_known[:, None, None] > 0, 1.0, 0.25).expand_as(x)
+
+    x = torch.zeros(3, FRAMES, FEATURES)
+    known = Conditions(*(getattr(conditions(3, True), name) for name in Conditions.__slots__))
+    with_scene = conditions(3, True).chosen(slice(None))
+    with_scene.scene_known[:] = 1
+    predict = guided(scene_or_not, x, with_scene, 2.5, 0)
+    torch.testing.assert_close(predict(x, 500), torch.full_like(x, 2.5 - 1.5 * 0.25))
+    assert batches == [6]
+    guided(scene_or_not, x, with_scene, 1.0, 0)(x, 500)
+    guided(scene_or_not, x, known, 2.5, 0)(x, 500)
+    assert batches == [6, 3, 3]
+
+
+def test_bad_settings_are_refused() -> None:
+    for bad in ({"method": "euler"}, {"steps": 0}, {"eta": 1.5}, {"stop_step": -1}, {"spacing": 0.5}):
+        with pytest.raises(ValueError, match="SamplerConfig"):
+            SamplerConfig(**bad)  # type: ignore[arg-type]
+
+
+def test_noise_steps_are_not_repeated() -> None:
+    assert all(a > b for a, b in pairwise(time_steps(1000, 37, stop_step=20, spacing=3.0)))

@@ -1,0 +1,208 @@
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from scenemi.data.container import write_archive
+from scenemi.data.windows import MotionSet, MotionSetConfig
+from scenemi.features import Statistics
+from scenemi.model.config import SIZES
+from scenemi.training.batches import StepBatches, statistics_of
+from scenemi.training.checkpoint import load_checkpoint
+from scenemi.training.config import TrainConfig
+from scenemi.training.keyframe_masks import draw_mask
+from scenemi.training.loop import CHECKPOINT, LOG, train
+from scenemi.training.losses import TrainingLoss
+from scenemi.training.validate import Validator
+from video2anim.errors import InputError
+from video2anim.synth.acting import act, to_source_clip
+
+CONFIG = TrainConfig(
+    model=SIZES["tiny"], steps=6, batch=4, workers=0, log_every=1, save_every=2, warmup=2, bodies=1, validate_every=100
+)
+PLAIN = MotionSetConfig(mirror=0.0, warp=0.0)
+
+
+@pytest.fixture(scope="session")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four acted clips."""
+    from video2anim.body.anny_body import ADULT, shaped_body
+    from video2anim.types import BodyShape
+
+    body = shaped_body(BodyShape("anny", dict(ADULT)))
+    clips = [
+        to_source_clip(act(kind, body, np.random.default_rng(i), duration_s=(4.5, 5.5)), body, f"{kind}_{i}")
+        for i, kind in enumerate(("walk", "sit", "reach", "pick_up"))
+    ]
+    path = tmp_path_factory.mktemp("acted") / "acted.npz"
+    write_archive(path, clips)
+    return path
+
+
+@pytest.fixture(scope="session")
+def motions(archive: Path) -> MotionSet:
+    return MotionSet.build([archive], None, None, bodies=1, config=PLAIN)
+
+
+@pytest.fixture(scope="session")
+def statistics(motions: MotionSet) -> Statistics:
+    return statistics_of(motions, CONFIG.seed)
+
+
+def losses(folder: Path) -> list[float]:
+    with (folder / LOG).open(newline="") as file:
+        return [float(row["total"]) for row in csv.DictReader(file)]
+
+
+def test_masks_have_both_ends_and_every_density() -> None:
+    rng = np.random.default_rng(0)
+    for law in ("paper", "mixed"):
+        masks = np.stack([draw_mask(rng, 121, law) for _ in range(500)])
+        assert masks[:, [0, -1]].all()
+        assert masks.sum(1).min() <= 4
+        assert masks.sum(1).max() >= 115
+    share = np.mean([draw_mask(rng, 121, "mixed").sum() <= 10 for _ in range(1000)])
+    assert share > 0.15, "sparse keyframes are common in the mixed law"
+
+
+@torch.no_grad()
+def test_a_step_is_the_same_whenever_it_is_drawn(motions: MotionSet, statistics: Statistics) -> None:
+    data = StepBatches(motions, statistics, CONFIG)
+    a, b, c = data[3], data[3], data[4]
+    assert torch.equal(a.noise, b.noise)
+    assert torch.equal(a.occupancy, b.occupancy)
+    assert not torch.equal(a.noise, c.noise)
+
+
+@torch.no_grad()
+def test_processes_share_the_same_global_batch(motions: MotionSet, statistics: Statistics) -> None:
+    whole = StepBatches(motions, statistics, CONFIG)[2]
+    halves = [StepBatches(motions, statistics, CONFIG, rank=rank, world=2)[2] for rank in range(2)]
+    assert torch.equal(whole.translation_m[[0, 2]], halves[0].translation_m)
+    assert torch.equal(whole.mask[[1, 3]], halves[1].mask)
+
+
+@torch.no_grad()
+def test_frames_beyond_the_clip_are_given_and_do_not_count(motions: MotionSet, statistics: Statistics) -> None:
+    data = StepBatches(motions, statistics, CONFIG)
+    batch = data[0]
+    valid = batch.valid.clone()
+    valid[:, 80:] = 0
+    loss = TrainingLoss(tiny(), statistics, CONFIG)
+    torch.manual_seed(0)
+    short = loss(replace(batch, valid=valid))
+    moved = batch.translation_m.clone()
+    moved[:, 90:] += 1.0
+    given = replace(batch, valid=valid, translation_m=moved)
+    assert not torch.allclose(short.total, loss(batch).total)
+    assert torch.isfinite(loss(given).total)
+
+
+def tiny() -> torch.nn.Module:
+    from scenemi.model.denoiser import Denoiser
+
+    torch.manual_seed(1)
+    return Denoiser(CONFIG.model)
+
+
+@torch.no_grad()
+def test_losses_of_a_perfect_answer_are_zero(motions: MotionSet, statistics: Statistics) -> None:
+    """With every frame an exact keyframe the untrained model answers with the truth: every loss vanishes."""
+    batch = StepBatches(motions, statistics, CONFIG)[1]
+    exact = replace(batch, mask=torch.ones_like(batch.mask), noise_level=torch.zeros_like(batch.noise_level))
+    out = TrainingLoss(tiny(), statistics, CONFIG)(exact)
+    assert float(out.simple) < 1e-8
+    assert float(out.joints) < 1e-8
+    assert float(out.velocity) < 1e-8
+
+
+@torch.no_grad()
+def test_losses_of_shifted_joints_are_in_metres(motions: MotionSet, statistics: Statistics) -> None:
+    batch = StepBatches(motions, statistics, CONFIG)[1]
+    loss = TrainingLoss(tiny(), statistics, CONFIG)
+    x0 = torch.zeros(4, 121, 201)
+    true = (x0, batch)
+    from scenemi.training.losses import features_of
+
+    clean = (features_of(batch.R_parent_joint, batch.translation_m, batch.rest_joints_m) - loss.mean) / loss.std
+    shifted = clean.clone()
+    shifted[..., 0] += 0.1 / loss.std[0]
+    out = loss._compared(shifted, clean, replace(true[1], valid=torch.ones(4, 121)))
+    assert float(out.joints) == pytest.approx(22 * 0.01, rel=1e-3)
+    assert float(out.velocity) == pytest.approx(0.0, abs=1e-7)
+
+
+def test_resuming_changes_nothing(motions: MotionSet, tmp_path: Path) -> None:
+    whole = train(CONFIG, motions, tmp_path / "whole")
+    train(CONFIG, motions, tmp_path / "cut", stop_at=3)
+    assert load_checkpoint(tmp_path / "cut" / CHECKPOINT).step == 3
+    cut = train(CONFIG, motions, tmp_path / "cut")
+    assert losses(tmp_path / "whole") == losses(tmp_path / "cut")
+    for name, value in whole.ema.items():
+        assert torch.equal(value, cut.ema[name]), name
+
+
+def test_another_configuration_does_not_resume(motions: MotionSet, tmp_path: Path) -> None:
+    train(CONFIG, motions, tmp_path, stop_at=1)
+    with pytest.raises(InputError, match="trained with other learning_rate"):
+        train(replace(CONFIG, learning_rate=1.0), motions, tmp_path)
+    train(replace(CONFIG, log_every=5), motions, tmp_path, stop_at=2)
+
+
+def test_two_processes_learn_what_one_learns(archive: Path, motions: MotionSet, tmp_path: Path) -> None:
+    train(CONFIG, motions, tmp_path / "one", stop_at=4)
+    script = tmp_path / "two.py"
+    script.write_text(
+        "import sys\nfrom pathlib import Path\n"
+        "from test_training import CONFIG, PLAIN\n"
+        "from scenemi.data.windows import MotionSet\nfrom scenemi.training.loop import train\n"
+        f"motions = MotionSet.build([{str(archive)!r}], None, None, bodies=1, config=PLAIN)\n"
+        f"train(CONFIG, motions, Path({str(tmp_path / 'two')!r}), stop_at=4)\n"
+    )
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    subprocess.run(
+        [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", str(script)],
+        check=True, timeout=300, capture_output=True, env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    np.testing.assert_allclose(losses(tmp_path / "two"), losses(tmp_path / "one"), rtol=1e-4)
+
+
+def test_a_tiny_model_overfits_four_clips(motions: MotionSet, tmp_path: Path) -> None:
+    """Sparse keyframes are met far better than by interpolation once four clips are known by heart."""
+    config = replace(
+        CONFIG, steps=250, batch=16, learning_rate=3e-3, warmup=20, log_every=50, save_every=1000, noisy_share=0.0,
+        ema=0.95,
+    )  # fmt: skip
+    state = train(config, motions, tmp_path)
+    from scenemi.model.denoiser import Denoiser
+
+    model = Denoiser(config.model)
+    model.load_state_dict(state.ema)
+    rows = Validator(motions, state.statistics)(model)
+    assert rows[2].mjpe_m < 0.75 * rows[2].base_mjpe_m
+    assert rows[0].mjpe_m < rows[0].base_mjpe_m
+
+
+def test_configurations_come_from_files(tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    path.write_text('{"model": {"size": "tiny", "residual": false}, "steps": 7}')
+    config = TrainConfig.read(path)
+    assert config.model == replace(SIZES["tiny"], residual=False)
+    assert config.steps == 7
+    assert TrainConfig.from_json(config.to_json()) == config
+    for text, match in (
+        ('{"stepps": 1}', "unknown stepps"),
+        ('{"model": "huge"}', "model: want"),
+        ("[", "cannot read"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=match):
+            TrainConfig.read(path)
