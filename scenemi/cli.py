@@ -159,6 +159,7 @@ def train_command(
     device: Device = "auto",
 ) -> None:
     """Train a model, or go on training it. Several processes: `torchrun --nproc-per-node N -m scenemi.cli train`."""
+    from scenemi.data.balance import BalanceConfig
     from scenemi.data.split import Split
     from scenemi.data.windows import MotionSet, MotionSetConfig
     from scenemi.model.denoiser import Denoiser
@@ -168,7 +169,8 @@ def train_command(
 
     run_config = TrainConfig() if config is None else TrainConfig.read(config)
     parts = None if split is None else Split.read(split)
-    use = MotionSetConfig(noncommercial=run_config.noncommercial)
+    balance = BalanceConfig(source_share={"synthetic": run_config.synthetic_share})
+    use = MotionSetConfig(noncommercial=run_config.noncommercial, balance=balance)
     motions = MotionSet.build(motion, parts, "train", run_config.bodies, use, cache=cache)
     watched = MotionSet.build(motion, parts, "val", 1, use, cache=cache)
     if int(os.environ.get("RANK", "0")) == 0:

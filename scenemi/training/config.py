@@ -17,10 +17,10 @@ class TrainConfig:
     may be another when a run is resumed."""
 
     model: ModelConfig = field(default_factory=lambda: SIZES["small"])
-    steps: int = 20_000
-    batch: int = 64
+    steps: int = 30_000
+    batch: int = 32
     """Windows of a step, over all processes."""
-    learning_rate: float = 5e-4
+    learning_rate: float = 4e-4
     """Rises over `warmup` steps, stays, and falls linearly to zero over the last `cooldown` share of the steps (paper:
     1e-4, batch 256, constant). A run may be given another end: until the fall begins, `steps` decides nothing."""
     warmup: int = 300
@@ -34,6 +34,9 @@ class TrainConfig:
     """Adult bodies the clips are put on."""
     noncommercial: bool = False
     """Also train on sources that are free for research only."""
+    synthetic_share: float = 0.3
+    """Share of the windows drawn from acted (synthetic) clips, where there are any: captured ones have no sitting,
+    lying, stepping up or reaching."""
     keyframes: Literal["paper", "mixed"] = "mixed"
     """`paper`: 2 to N random ones. `mixed`: half of the windows so, else regular intervals, log-uniform, and known
     beginnings as in long motion: sparse keyframes are rare in the paper's draw."""
@@ -48,8 +51,8 @@ class TrainConfig:
     workers: int = 1
     """Processes that make batches."""
     log_every: int = 20
-    save_every: int = 200
-    validate_every: int = 1000
+    save_every: int = 100
+    validate_every: int = 500
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
