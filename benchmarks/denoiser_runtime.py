@@ -103,6 +103,7 @@ def inputs(denoiser: Denoiser) -> tuple[torch.Tensor, torch.Tensor, Conditions]:
     frames, features = config.window_frames, config.feature_count
     given = Conditions(
         mask=(torch.arange(frames) % 15 == 0).float().repeat(BATCH, 1),
+        imputed=(torch.arange(frames) % 15 == 0).float().repeat(BATCH, 1),
         base=torch.randn(BATCH, frames, features),
         local=torch.randn(BATCH, frames, config.bps_anchors, 3),
         body=torch.randn(BATCH, config.body_lengths),

@@ -27,7 +27,8 @@ class ModelConfig:
     dimension"), added to the embedding that scales and shifts the normalizations, or both."""
     residual: bool = True
     """Predict the difference to the interpolated keyframes (the idea of Oreshkin et al. 2023), which are also an
-    input."""
+    input; in units of the size that difference has at each distance from the keyframes, and on top of what x_t itself
+    tells (as Karras et al. 2022 precondition)."""
     noise_channel: bool = True
     """The noise level of the keyframes is an input, so that exact keyframes are not mistrusted."""
     bps_anchors: int = 64

@@ -10,9 +10,17 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
+from scenemi.features import JOINTS, TRANSLATION
 from scenemi.model.config import ModelConfig
+from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.scene_encoder import SceneEncoder
 from scenemi.model.unet import UNet1D
+
+REACH = 60
+"""Longest distance from a keyframe in a window of 121 frames."""
+MOVES = 69
+_MOVE_GAIN = 30.0
+"""Frames per second: steps become speeds, whose normalized size is about 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,6 +29,8 @@ class Conditions:
 
     mask: Float[Tensor, "batch frames"]
     """1 at keyframes."""
+    imputed: Float[Tensor, "batch frames"]
+    """1 where the noisy window holds the keyframe itself: `mask` while t > T*, nowhere below (paper 3.2.1)."""
     base: Float[Tensor, "batch frames 201"]
     """The keyframes joined by interpolation (`scenemi.model.base`)."""
     local: Float[Tensor, "batch frames anchors 3"]
@@ -51,7 +61,21 @@ class Conditions:
 
 
 class Denoiser(nn.Module):
-    """U-Net over time, conditioned on keyframes, local and global scene, and body shape."""
+    """U-Net over time, conditioned on keyframes, local and global scene, and body shape.
+
+    With `config.residual`, let b be the interpolated keyframes and s the size of x_0 - b at a frame's distance from
+    the keyframes. x_t says x_0 = x_t / sqrt(a) within v = sqrt(1 - a) / sqrt(a), b says it within s; the two weighed
+    against each other are the best linear guess, and the network adds a correction in units of its error,
+
+        x_0 = b + s^2 / (s^2 + v^2) (x_t / sqrt(a) - b) + s v / sqrt(s^2 + v^2) F,
+
+    so that its inputs and outputs have size 1 at every step and for every density of keyframes. At imputed keyframes
+    x_t says nothing new; exact ones are returned as they are.
+    """
+
+    alpha_bar: Tensor
+    residual_std: Tensor
+    keyframe_std: Tensor
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -66,7 +90,10 @@ class Denoiser(nn.Module):
             )
             channels += config.local_channels
         if config.residual:
-            channels += features
+            channels += features + MOVES
+            self.register_buffer("alpha_bar", torch.from_numpy(CosineSchedule().alpha_bar).float(), persistent=False)
+            self.register_buffer("residual_std", torch.ones(REACH + 1, features))
+            self.register_buffer("keyframe_std", torch.ones(features))
         if config.noise_channel:
             channels += 1
         if config.use_global:
@@ -107,12 +134,13 @@ class Denoiser(nn.Module):
         """
         config, frames = self.config, x.shape[1]
         mask = given.mask[..., None]
-        parts = [x, mask]
+        scale = self._scales(given) if config.residual else None
+        parts = [x if scale is None else self._standing(x, t, given, scale), mask]
         if config.use_local:
             near = torch.cat([given.local.flatten(2), torch.ones_like(mask)], -1)
             parts.append(self.local(near) * mask * given.local_known[:, None, None])
         if config.residual:
-            parts.append(given.base)
+            parts += [given.base, _MOVE_GAIN * moves(given.base)]
         if config.noise_channel:
             parts.append(mask * given.noise_level[:, None, None])
         wide = torch.cat(parts, -1).transpose(1, 2)
@@ -133,7 +161,47 @@ class Denoiser(nn.Module):
         missing = -(lead + frames) % multiple
         wide = functional.pad(wide, (0, missing))
         out = self.unet(wide, functional.silu(embedding))[..., lead : lead + frames].transpose(1, 2)
-        return given.base + out if config.residual else out
+        return out if scale is None else self._composed(out, x, t, given, scale)
+
+    def set_scales(self, residual_std: Float[Tensor, "distances 201"], keyframe_std: Float[Tensor, "201"]) -> None:
+        """What training measured: size of x_0 - b by distance from the nearest keyframe, and of the noise of keyframes
+        at l = 1, both normalized."""
+        self.residual_std.copy_(residual_std)
+        self.keyframe_std.copy_(keyframe_std)
+
+    def _scales(self, given: Conditions) -> Float[Tensor, "batch frames 201"]:
+        """s: how far the truth may be from the interpolation."""
+        between = self.residual_std[distance_to_keyframes(given.mask).clamp(max=REACH)]
+        return (between**2 + (given.noise_level[:, None, None] * self.keyframe_std) ** 2).sqrt()
+
+    def _standing(self, x: Tensor, t: Tensor, given: Conditions, scale: Tensor) -> Tensor:
+        """How far x_t is from the interpolation, in units of how far it may be; 0 where it is the keyframe."""
+        a = self.alpha_bar[t][:, None, None]
+        free = (1 - given.imputed)[..., None]
+        return free * (x - a.sqrt() * given.base) / (a * scale**2 + 1 - a).sqrt()
+
+    def _composed(self, out: Tensor, x: Tensor, t: Tensor, given: Conditions, scale: Tensor) -> Tensor:
+        a = self.alpha_bar[t][:, None, None]
+        free = (1 - given.imputed)[..., None]
+        variance = a * scale**2 + 1 - a
+        told = a.sqrt() * scale**2 / variance * (x - a.sqrt() * given.base)
+        unknown = scale * ((1 - a) / variance).sqrt()
+        return given.base + free * told + (free * unknown + (1 - free) * scale) * out
+
+
+def moves(base: Float[Tensor, "batch frames 201"]) -> Float[Tensor, "batch frames 69"]:
+    """Steps of translation and joints from frame to frame: tiny beside positions, so given by themselves."""
+    positions = torch.cat([base[..., TRANSLATION], base[..., JOINTS]], -1)
+    return functional.pad(positions[:, 1:] - positions[:, :-1], (0, 0, 1, 0))
+
+
+def distance_to_keyframes(mask: Float[Tensor, "batch frames"]) -> Int[Tensor, "batch frames"]:
+    """Frames to the nearest keyframe."""
+    index = torch.arange(mask.shape[1], device=mask.device).expand_as(mask)
+    far = 2 * mask.shape[1]
+    before = torch.where(mask > 0, index, -far).cummax(1).values
+    after = torch.where(mask > 0, index, far).flip(1).cummin(1).values.flip(1)
+    return torch.minimum(index - before, after - index)
 
 
 def step_embedding(t: Int[Tensor, "batch"], channels: int) -> Float[Tensor, "batch channels"]:

@@ -48,7 +48,7 @@ def to_onnx(denoiser: Denoiser) -> bytes:
     config, batch = denoiser.config, 2
     frames = config.window_frames
     shapes = {
-        "x": (frames, config.feature_count), "mask": (frames,), "base": (frames, config.feature_count),
+        "x": (frames, config.feature_count), "mask": (frames,), "imputed": (frames,), "base": (frames, config.feature_count),
         "local": (frames, config.bps_anchors, 3), "body": (config.body_lengths,), "noise_level": (),
         "scene": (config.embedding,), "scene_known": (), "local_known": (),
     }  # fmt: skip

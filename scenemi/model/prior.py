@@ -136,6 +136,7 @@ class DiffusionPrior:
         known = self._tensor(np.array([one.occupancy is not None for one in inputs]))
         conditions = Conditions(
             mask=mask,
+            imputed=mask,
             base=join_keyframes(x_keys, mask),
             local=self._tensor(np.stack([one.local_m for one in inputs])),
             body=self._tensor(np.stack([statistics.normalize_body(one.lengths_m) for one in inputs])),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -146,10 +146,12 @@ def guided(
     """
     batch = len(x_keys)
     double = weight != 1 and bool((conditions.scene_known > 0).any())
-    given = conditions.joined(conditions.without_global_scene()) if double else conditions
+    steered = conditions.joined(conditions.without_global_scene()) if double else conditions
+    steered = replace(steered, imputed=steered.mask)
+    free = replace(steered, imputed=torch.zeros_like(steered.mask))
 
     def predict(x: Tensor, t: int) -> Tensor:
-        seen = impute(x, x_keys, conditions.mask) if t > stop_step else x
+        seen, given = (impute(x, x_keys, conditions.mask), steered) if t > stop_step else (x, free)
         if double:
             both = denoiser(torch.cat([seen, seen]), torch.full((2 * batch,), t, device=x.device), given)
             x0 = weight * both[:batch] + (1 - weight) * both[batch:]

@@ -21,7 +21,7 @@ from scenemi.model.denoiser import Denoiser
 from scenemi.training.batches import StepBatches, batches, statistics_of
 from scenemi.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from scenemi.training.config import TrainConfig
-from scenemi.training.losses import Losses, TrainingLoss
+from scenemi.training.losses import Losses, TrainingLoss, measure_scales
 from scenemi.training.validate import Validation, Validator
 from video2anim.errors import InputError
 
@@ -91,6 +91,8 @@ def train(
         out.mkdir(parents=True, exist_ok=True)
     run = _Run(config, held.statistics if held else statistics_of(motions, config.seed), device, held, world)
     data = StepBatches(motions, run.statistics, config, rank=rank, world=world)
+    if held is None:
+        run.measure(data)
     check = Validator(validation, run.statistics) if validation is not None and rank == 0 else None
     log, curve = _Table(out / LOG, _COLUMNS, run.step), _Table(out / VALIDATION, _validation_columns(), run.step)
 
@@ -122,6 +124,10 @@ def train(
     return run.state(time.perf_counter() - begun)
 
 
+_SCALE_STEPS, _SCALE_WINDOWS = 1_000_000_000, 512
+"""Scales are measured on batches of steps that training never reaches."""
+
+
 class _Run:
     """Model, average, optimizer and schedule of one process."""
 
@@ -141,10 +147,22 @@ class _Run:
             self.optimizer.load_state_dict(held.optimizer)
             self.step, self.seconds = held.step, held.seconds
             torch.set_rng_state(held.rng)
-        self.loss: torch.nn.Module = TrainingLoss(self.model, statistics, config).to(self.device)
+        self.plain = TrainingLoss(self.model, statistics, config).to(self.device)
+        self.loss: torch.nn.Module = self.plain
         if world > 1:
-            self.loss = DistributedDataParallel(self.loss, find_unused_parameters=True)
+            self.loss = DistributedDataParallel(self.plain, find_unused_parameters=True)
         self.world = world
+
+    def measure(self, data: StepBatches) -> None:
+        """Set the scales of a new model; alike in every process."""
+        if not self.config.model.residual:
+            return
+        whole = StepBatches(data.motions, self.statistics, self.config)
+        count = max(1, _SCALE_WINDOWS // self.config.batch)
+        drawn = [whole[_SCALE_STEPS + i].to(self.device) for i in range(count)]
+        size, noise = measure_scales(self.plain, drawn)
+        self.model.set_scales(size, noise)
+        self.average = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
 
     def rate(self, step: int) -> float:
         """Learning rate of a step: linear rise, level, linear fall."""

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.ndimage import uniform_filter1d
 from torch import Tensor, nn
 
 from scenemi.features import Statistics
 from scenemi.model.base import join_keyframes
-from scenemi.model.denoiser import Conditions, Denoiser, impute
+from scenemi.model.denoiser import REACH, Conditions, Denoiser, distance_to_keyframes, impute
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.kinematics import joints_of, posed_joints
 from scenemi.training.batches import Batch
 from scenemi.training.config import TrainConfig
 from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
+
+_SMOOTHING = 3
+"""Distances averaged over: far ones are rare."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +62,7 @@ class TrainingLoss(nn.Module):
             base = join_keyframes(keys, batch.mask)
         given = Conditions(
             mask=batch.mask,
+            imputed=batch.mask * steered[:, None],
             base=base,
             local=shifted_local(batch),
             body=batch.body,
@@ -78,6 +85,30 @@ class TrainingLoss(nn.Module):
         velocity = per_window(moves, valid[:, 1:])
         total = simple + config.joints_weight * off + config.velocity_weight * velocity
         return Losses(total, simple, off, velocity)
+
+
+@torch.no_grad()
+def measure_scales(loss: TrainingLoss, batches: Sequence[Batch]) -> tuple[Tensor, Tensor]:
+    """What `Denoiser.set_scales` wants, from batches as training draws them: RMS of the normalized difference between
+    truth and interpolated exact keyframes for each distance from the nearest keyframe, and of the noise at l = 1."""
+    total = torch.zeros(REACH + 1, loss.mean.numel(), dtype=torch.float64)
+    noise = torch.zeros(loss.mean.numel(), dtype=torch.float64)
+    count = torch.zeros(REACH + 1, dtype=torch.float64)
+    for batch in batches:
+        x0 = (features_of(batch.R_parent_joint, batch.translation_m, batch.rest_joints_m) - loss.mean) / loss.std
+        off = (x0 - join_keyframes(x0, batch.mask)).double().square().flatten(0, 1)
+        distance = distance_to_keyframes(batch.mask).flatten()
+        total.index_add_(0, distance.cpu(), off.cpu())
+        count.index_add_(0, distance.cpu(), torch.ones(len(distance), dtype=torch.float64))
+        keys = noisy_keyframes(replace(batch, noise_level=torch.ones_like(batch.noise_level)))
+        noise += ((keys - loss.mean) / loss.std - x0).double().square().mean((0, 1)).cpu()
+    seen = torch.nonzero(count > 0)[:, 0]
+    size = (total[seen] / count[seen, None]).sqrt().numpy()
+    grid = np.arange(REACH + 1)
+    filled = np.stack([np.interp(grid, seen.numpy(), column) for column in size.T], 1)
+    smooth = uniform_filter1d(filled, _SMOOTHING, axis=0, mode="nearest")
+    smooth[0] = 0.0
+    return torch.from_numpy(smooth).float(), (noise / max(1, len(batches))).sqrt().float()
 
 
 def per_window(error: Float[Tensor, "batch frames"], valid: Float[Tensor, "batch frames"]) -> Tensor:

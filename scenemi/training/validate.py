@@ -74,6 +74,7 @@ class Validator:
         config = denoiser.config
         given = Conditions(
             mask=mask,
+            imputed=mask,
             base=join_keyframes(keys, mask),
             local=torch.zeros(count, frames, config.bps_anchors, 3, device=device),
             body=self.body.to(device),

@@ -10,7 +10,7 @@ import torch
 from scenemi.features import Statistics
 from scenemi.model.base import join_keyframes
 from scenemi.model.config import SIZES, ModelConfig
-from scenemi.model.denoiser import Conditions, Denoiser, impute
+from scenemi.model.denoiser import Conditions, Denoiser, distance_to_keyframes, impute
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.kinematics import joints_of, matrices, posed_joints
 from scenemi.model.weights import load_weights, save_weights
@@ -25,6 +25,7 @@ def conditions(config: ModelConfig, batch: int, seed: int = 0) -> Conditions:
     mask[:, ::15] = 1
     return Conditions(
         mask=mask,
+        imputed=mask,
         base=torch.randn(batch, frames, 201, generator=g),
         local=torch.randn(batch, frames, config.bps_anchors, 3, generator=g),
         body=torch.randn(batch, 7, generator=g),
@@ -45,11 +46,44 @@ def awake(config: ModelConfig, seed: int = 0) -> Denoiser:
     return denoiser.eval()
 
 
-def test_an_untrained_denoiser_answers_with_the_interpolation() -> None:
+def test_an_untrained_denoiser_is_the_best_linear_guess() -> None:
+    """Data that differs from the interpolation by Gaussians of the stated size: the posterior mean, in closed form."""
     config = SIZES["tiny"]
-    given = conditions(config, 2)
-    x = torch.randn(2, 121, 201)
-    assert torch.equal(Denoiser(config)(x, torch.tensor([5, 900]), given), given.base)
+    denoiser, given = Denoiser(config), replace(conditions(config, 3), noise_level=torch.zeros(3))
+    size = torch.linspace(0, 1.2, 61)[:, None].expand(61, 201)
+    denoiser.set_scales(size, torch.full((201,), 0.3))
+    x, t = torch.randn(3, 121, 201), torch.tensor([5, 500, 1000])
+    answer = denoiser(x, t, given)
+    a = torch.tensor(CosineSchedule().alpha_bar[t.numpy()]).float()[:, None, None]
+    s = size[distance_to_keyframes(given.mask)]
+    gain = a.sqrt() * s**2 / (a * s**2 + 1 - a)
+    torch.testing.assert_close(answer, given.base + gain * (x - a.sqrt() * given.base), atol=1e-4, rtol=1e-4)
+    assert torch.equal(answer[:, ::15], given.base[:, ::15]), "exact keyframes are kept"
+    torch.testing.assert_close(answer[2], given.base[2], atol=1e-3, rtol=0)
+
+
+def test_noisy_keyframes_are_read_where_they_are_no_longer_imputed() -> None:
+    config = SIZES["tiny"]
+    given = replace(conditions(config, 1), noise_level=torch.ones(1))
+    denoiser = Denoiser(config)
+    x, t = torch.randn(1, 121, 201), torch.tensor([3])
+    assert torch.equal(denoiser(x, t, given)[:, 15], given.base[:, 15])
+    free = denoiser(x, t, replace(given, imputed=torch.zeros_like(given.mask)))
+    torch.testing.assert_close(free, x, atol=0.05, rtol=0)
+
+
+def test_distances_to_keyframes() -> None:
+    mask = torch.zeros(1, 8)
+    mask[0, [1, 6]] = 1
+    assert distance_to_keyframes(mask)[0].tolist() == [1, 0, 1, 2, 2, 1, 0, 1]
+
+
+def test_without_residual_the_answer_is_free_of_the_interpolation() -> None:
+    config = replace(SIZES["tiny"], residual=False)
+    given, other = conditions(config, 2), conditions(config, 2, seed=1)
+    x, t = torch.randn(2, 121, 201), torch.tensor([100, 600])
+    denoiser = awake(config)
+    assert torch.equal(denoiser(x, t, given), denoiser(x, t, replace(given, base=other.base)))
 
 
 @pytest.mark.parametrize("condition", ["token", "adagn", "both"])

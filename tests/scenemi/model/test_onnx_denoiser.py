@@ -23,8 +23,9 @@ def drawn(config: ModelConfig, batch: int, seed: int) -> tuple[torch.Tensor, tor
     def normal(*shape: int) -> torch.Tensor:
         return torch.randn(*shape, generator=g)
 
+    mask = (normal(batch, frames) > 1).float()
     given = Conditions(
-        mask=(normal(batch, frames) > 1).float(), base=normal(batch, frames, features),
+        mask=mask, imputed=mask * (normal(batch)[:, None] > 0), base=normal(batch, frames, features),
         local=normal(batch, frames, config.bps_anchors, 3), body=normal(batch, config.body_lengths),
         noise_level=normal(batch).abs(), scene=normal(batch, config.embedding),
         scene_known=torch.arange(batch).remainder(2).float(), local_known=torch.ones(batch),

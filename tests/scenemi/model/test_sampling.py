@@ -34,7 +34,7 @@ def conditions(batch: int, keys: bool) -> Conditions:
         mask[:, KEYS] = 1
     zero = torch.zeros(batch)
     return Conditions(
-        mask, torch.zeros(batch, FRAMES, FEATURES), torch.zeros(batch, FRAMES, 1, 3), torch.zeros(batch, 7), zero,
+        mask, mask, torch.zeros(batch, FRAMES, FEATURES), torch.zeros(batch, FRAMES, 1, 3), torch.zeros(batch, 7), zero,
         torch.zeros(batch, 4), zero, zero,
     )  # fmt: skip
 
