@@ -197,11 +197,9 @@ def moves(base: Float[Tensor, "batch frames 201"]) -> Float[Tensor, "batch frame
 
 def distance_to_keyframes(mask: Float[Tensor, "batch frames"]) -> Int[Tensor, "batch frames"]:
     """Frames to the nearest keyframe."""
-    index = torch.arange(mask.shape[1], device=mask.device).expand_as(mask)
-    far = 2 * mask.shape[1]
-    before = torch.where(mask > 0, index, -far).cummax(1).values
-    after = torch.where(mask > 0, index, far).flip(1).cummin(1).values.flip(1)
-    return torch.minimum(index - before, after - index)
+    index = torch.arange(mask.shape[1], device=mask.device)
+    apart = (index[:, None] - index).abs()
+    return torch.where(mask[:, None] > 0, apart, mask.shape[1]).amin(2)
 
 
 def step_embedding(t: Int[Tensor, "batch"], channels: int) -> Float[Tensor, "batch channels"]:

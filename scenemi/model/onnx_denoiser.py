@@ -48,9 +48,10 @@ def to_onnx(denoiser: Denoiser) -> bytes:
     config, batch = denoiser.config, 2
     frames = config.window_frames
     shapes = {
-        "x": (frames, config.feature_count), "mask": (frames,), "imputed": (frames,), "base": (frames, config.feature_count),
-        "local": (frames, config.bps_anchors, 3), "body": (config.body_lengths,), "noise_level": (),
-        "scene": (config.embedding,), "scene_known": (), "local_known": (),
+        "x": (frames, config.feature_count), "mask": (frames,), "imputed": (frames,),
+        "base": (frames, config.feature_count), "local": (frames, config.bps_anchors, 3),
+        "body": (config.body_lengths,), "noise_level": (), "scene": (config.embedding,), "scene_known": (),
+        "local_known": (),
     }  # fmt: skip
     example = {name: torch.zeros(batch, *shape) for name, shape in shapes.items()}
     example["t"] = torch.ones(batch, dtype=torch.int64)
