@@ -27,8 +27,7 @@ class ModelConfig:
     dimension"), added to the embedding that scales and shifts the normalizations, or both."""
     residual: bool = True
     """Predict the difference to the interpolated keyframes (the idea of Oreshkin et al. 2023), which are also an
-    input; in units of the size that difference has at each distance from the keyframes, and on top of what x_t itself
-    tells (as Karras et al. 2022 precondition)."""
+    input; in units of the size that difference has at each distance from the keyframes."""
     noise_channel: bool = True
     """The noise level of the keyframes is an input, so that exact keyframes are not mistrusted."""
     bps_anchors: int = 64
@@ -37,8 +36,8 @@ class ModelConfig:
     grid: tuple[int, int, int] = (48, 24, 48)
     patch: tuple[int, int, int] = (8, 8, 8)
     """Voxels of a token of the scene encoder."""
-    scene_width: int = 128
-    scene_layers: int = 3
+    scene_width: int = 64
+    scene_layers: int = 2
     scene_heads: int = 4
     dropout: float = 0.0
     use_body: bool = True

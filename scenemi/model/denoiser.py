@@ -64,13 +64,10 @@ class Denoiser(nn.Module):
     """U-Net over time, conditioned on keyframes, local and global scene, and body shape.
 
     With `config.residual`, let b be the interpolated keyframes and s the size of x_0 - b at a frame's distance from
-    the keyframes. x_t says x_0 = x_t / sqrt(a) within v = sqrt(1 - a) / sqrt(a), b says it within s; the two weighed
-    against each other are the best linear guess, and the network adds a correction in units of its error,
-
-        x_0 = b + s^2 / (s^2 + v^2) (x_t / sqrt(a) - b) + s v / sqrt(s^2 + v^2) F,
-
-    so that its inputs and outputs have size 1 at every step and for every density of keyframes. At imputed keyframes
-    x_t says nothing new; exact ones are returned as they are.
+    the keyframes. The network sees how far x_t is from where b would put it, in units of how far that may be, and
+    answers in units of s: x_0 = b + s F. So its inputs and outputs have size 1 at every step and for every density of
+    keyframes, and exact keyframes are returned as they are. (Adding the linear estimate of x_0 from x_t, as Karras et
+    al. 2022 do, was tried: it passes on noise that is white in time, which the network must then take out again.)
     """
 
     alpha_bar: Tensor
@@ -161,7 +158,7 @@ class Denoiser(nn.Module):
         missing = -(lead + frames) % multiple
         wide = functional.pad(wide, (0, missing))
         out = self.unet(wide, functional.silu(embedding))[..., lead : lead + frames].transpose(1, 2)
-        return out if scale is None else self._composed(out, x, t, given, scale)
+        return out if scale is None else given.base + scale * out
 
     def set_scales(self, residual_std: Float[Tensor, "distances 201"], keyframe_std: Float[Tensor, "201"]) -> None:
         """What training measured: size of x_0 - b by distance from the nearest keyframe, and of the noise of keyframes
@@ -179,14 +176,6 @@ class Denoiser(nn.Module):
         a = self.alpha_bar[t][:, None, None]
         free = (1 - given.imputed)[..., None]
         return free * (x - a.sqrt() * given.base) / (a * scale**2 + 1 - a).sqrt()
-
-    def _composed(self, out: Tensor, x: Tensor, t: Tensor, given: Conditions, scale: Tensor) -> Tensor:
-        a = self.alpha_bar[t][:, None, None]
-        free = (1 - given.imputed)[..., None]
-        variance = a * scale**2 + 1 - a
-        told = a.sqrt() * scale**2 / variance * (x - a.sqrt() * given.base)
-        unknown = scale * ((1 - a) / variance).sqrt()
-        return given.base + free * told + (free * unknown + (1 - free) * scale) * out
 
 
 def moves(base: Float[Tensor, "batch frames 201"]) -> Float[Tensor, "batch frames 69"]:
