@@ -15,6 +15,7 @@ from scenemi.data.container import write_archive
 from scenemi.data.windows import MotionSet, MotionSetConfig
 from scenemi.features import Statistics
 from scenemi.model.config import SIZES
+from scenemi.model.denoiser import Denoiser
 from scenemi.training.batches import StepBatches, statistics_of
 from scenemi.training.checkpoint import load_checkpoint
 from scenemi.training.config import TrainConfig
@@ -105,9 +106,7 @@ def test_frames_beyond_the_clip_are_given_and_do_not_count(motions: MotionSet, s
     assert torch.isfinite(loss(given).total)
 
 
-def tiny() -> torch.nn.Module:
-    from scenemi.model.denoiser import Denoiser
-
+def tiny() -> Denoiser:
     torch.manual_seed(1)
     return Denoiser(CONFIG.model)
 
