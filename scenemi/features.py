@@ -29,8 +29,11 @@ ROTATIONS = slice(3, 135)
 JOINTS = slice(135, 201)
 FEATURE_COUNT = 201
 BODY_LENGTHS = 7
-_LEAST_STD = 1e-2
-"""Columns that hardly vary in training (in their own units) are not blown up."""
+_LEAST_STD = np.where(np.arange(FEATURE_COUNT) < 3, 0.05, 0.1)
+_LEAST_STD[JOINTS] = 0.05
+"""Columns that hardly vary in most clips (collars, say) are not blown up where they do: metres, and 6D entries (0.1 is
+6 degrees)."""
+_LEAST_BODY_STD = 0.01
 
 
 def canonical_frame(R_root: np.ndarray, root_m: np.ndarray) -> Float[np.ndarray, "... 4 4"]:
@@ -117,7 +120,7 @@ class Statistics:
             features.mean(0).astype(np.float32),
             np.maximum(std, _LEAST_STD).astype(np.float32),
             lengths_m.mean(0).astype(np.float32),
-            np.maximum(body_std, _LEAST_STD).astype(np.float32),
+            np.maximum(body_std, _LEAST_BODY_STD).astype(np.float32),
         )
 
     def normalize(self, features: Any) -> Any:

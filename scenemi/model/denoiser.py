@@ -131,7 +131,7 @@ class Denoiser(nn.Module):
         """
         config, frames = self.config, x.shape[1]
         mask = given.mask[..., None]
-        scale = self._scales(given) if config.residual else None
+        scale = self.scales(given) if config.residual else None
         parts = [x if scale is None else self._standing(x, t, given, scale), mask]
         if config.use_local:
             near = torch.cat([given.local.flatten(2), torch.ones_like(mask)], -1)
@@ -166,7 +166,7 @@ class Denoiser(nn.Module):
         self.residual_std.copy_(residual_std)
         self.keyframe_std.copy_(keyframe_std)
 
-    def _scales(self, given: Conditions) -> Float[Tensor, "batch frames 201"]:
+    def scales(self, given: Conditions) -> Float[Tensor, "batch frames 201"]:
         """s: how far the truth may be from the interpolation."""
         between = self.residual_std[distance_to_keyframes(given.mask).clamp(max=REACH)]
         return (between**2 + (given.noise_level[:, None, None] * self.keyframe_std) ** 2).sqrt()

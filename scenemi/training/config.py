@@ -20,7 +20,7 @@ class TrainConfig:
     steps: int = 30_000
     batch: int = 32
     """Windows of a step, over all processes."""
-    learning_rate: float = 4e-4
+    learning_rate: float = 1e-3
     """Rises over `warmup` steps, stays, and falls linearly to zero over the last `cooldown` share of the steps (paper:
     1e-4, batch 256, constant). A run may be given another end: until the fall begins, `steps` decides nothing."""
     warmup: int = 300
@@ -48,6 +48,9 @@ class TrainConfig:
     drop_local: float = 0.1
     joints_weight: float = 2.0
     velocity_weight: float = 10.0
+    relative: bool = True
+    """Errors count relative to those of interpolation at the same distance from the keyframes. Else (the paper's eq.
+    4) the loss is ruled by the sparsest keyframes, where most of the error cannot be known. Needs `model.residual`."""
     workers: int = 1
     """Processes that make batches."""
     log_every: int = 20

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.ndimage import uniform_filter1d
 from torch import Tensor, nn
 
-from scenemi.features import Statistics
+from scenemi.features import JOINTS, TRANSLATION, Statistics
 from scenemi.model.base import join_keyframes
 from scenemi.model.denoiser import REACH, Conditions, Denoiser, distance_to_keyframes, impute
 from scenemi.model.diffusion import CosineSchedule
@@ -20,6 +20,8 @@ from scenemi.training.batches import Batch
 from scenemi.training.config import TrainConfig
 from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
 
+_LEAST_FEATURE, _LEAST_JOINT_M = 0.02, 0.01
+"""Errors below these (standard deviations; metres for each joint) need not become smaller."""
 _SMOOTHING = 3
 """Distances averaged over: far ones are rare."""
 
@@ -72,9 +74,19 @@ class TrainingLoss(nn.Module):
             local_known=batch.local_known,
         )
         estimate = self.denoiser(x, batch.step, given).float()
-        return self._compared(estimate, x0, batch)
+        return self.compared(estimate, x0, batch, self._expected(given) if config.relative else None)
 
-    def _compared(self, estimate: Tensor, x0: Tensor, batch: Batch) -> Losses:
+    @torch.no_grad()
+    def _expected(self, given: Conditions) -> tuple[Tensor, Tensor]:
+        """Squared errors that interpolation makes at each frame: of features, and of a joint in m^2 (mean)."""
+        scale = self.denoiser.scales(given)
+        joint = (scale[..., JOINTS] * self.std[JOINTS]).square().sum(-1) / 22
+        return scale.square() + _LEAST_FEATURE**2, joint + _LEAST_JOINT_M**2
+
+    def compared(
+        self, estimate: Tensor, x0: Tensor, batch: Batch, expected: tuple[Tensor, Tensor] | None = None
+    ) -> Losses:
+        """Losses of an estimate (B, N, 201), normalized; relative to the expected squared errors where given."""
         config, valid = self.config, batch.valid
         joints = joints_of(estimate * self.std + self.mean, batch.rest_joints_m)
         with torch.no_grad():
@@ -83,7 +95,16 @@ class TrainingLoss(nn.Module):
         off = per_window((joints - true).square().sum((-1, -2)), valid)
         moves = (joints.diff(dim=1) - true.diff(dim=1)).square().sum((-1, -2))
         velocity = per_window(moves, valid[:, 1:])
-        total = simple + config.joints_weight * off + config.velocity_weight * velocity
+        if expected is None:
+            total = simple + config.joints_weight * off + config.velocity_weight * velocity
+        else:
+            of_features, of_joint = expected
+            share = config.velocity_weight / config.joints_weight
+            relative = (joints - true).square().sum(-1) / of_joint[..., None]
+            relative_moves = (joints.diff(dim=1) - true.diff(dim=1)).square().sum(-1) / of_joint[:, 1:, None]
+            total = per_window(robust((estimate - x0).square() / of_features).mean(-1), valid)
+            total = total + per_window(robust(relative).mean(-1), valid)
+            total = total + share * per_window(robust(relative_moves).mean(-1), valid[:, 1:])
         return Losses(total, simple, off, velocity)
 
 
@@ -103,12 +124,28 @@ def measure_scales(loss: TrainingLoss, batches: Sequence[Batch]) -> tuple[Tensor
         keys = noisy_keyframes(replace(batch, noise_level=torch.ones_like(batch.noise_level)))
         noise += ((keys - loss.mean) / loss.std - x0).double().square().mean((0, 1)).cpu()
     seen = torch.nonzero(count > 0)[:, 0]
-    size = (total[seen] / count[seen, None]).sqrt().numpy()
+    size = _pooled((total[seen] / count[seen, None]).numpy(), loss.std.cpu().numpy())
     grid = np.arange(REACH + 1)
     filled = np.stack([np.interp(grid, seen.numpy(), column) for column in size.T], 1)
     smooth = uniform_filter1d(filled, _SMOOTHING, axis=0, mode="nearest")
     smooth[0] = 0.0
     return torch.from_numpy(smooth).float(), (noise / max(1, len(batches))).sqrt().float()
+
+
+def _pooled(square: Float[np.ndarray, "distances 201"], std: Float[np.ndarray, "201"]) -> np.ndarray:
+    """RMS in which half of each column's square is its own and half that of all columns of its kind (translation, root
+    orientation, rotations, joints), in their common unit: what hardly moved in the windows seen may move in others."""
+    raw = square * std**2
+    pooled = raw.copy()
+    for kind in (TRANSLATION, slice(3, 9), slice(9, 135), JOINTS):
+        pooled[:, kind] = 0.5 * raw[:, kind] + 0.5 * raw[:, kind].mean(1, keepdims=True)
+    return np.sqrt(pooled) / std
+
+
+def robust(square: Tensor) -> Tensor:
+    """Square of small relative errors, twice the absolute value of large ones (Charbonnier): clips whose movement no
+    keyframe tells do not rule the gradient."""
+    return 2 * ((1 + square).sqrt() - 1)
 
 
 def per_window(error: Float[Tensor, "batch frames"], valid: Float[Tensor, "batch frames"]) -> Tensor:

@@ -133,7 +133,7 @@ def test_losses_of_shifted_joints_are_in_metres(motions: MotionSet, statistics: 
     clean = (features_of(batch.R_parent_joint, batch.translation_m, batch.rest_joints_m) - loss.mean) / loss.std
     shifted = clean.clone()
     shifted[..., 0] += 0.1 / loss.std[0]
-    out = loss._compared(shifted, clean, replace(true[1], valid=torch.ones(4, 121)))
+    out = loss.compared(shifted, clean, replace(true[1], valid=torch.ones(4, 121)))
     assert float(out.joints) == pytest.approx(22 * 0.01, rel=1e-3)
     assert float(out.velocity) == pytest.approx(0.0, abs=1e-7)
 
