@@ -64,10 +64,10 @@ class Denoiser(nn.Module):
     """U-Net over time, conditioned on keyframes, local and global scene, and body shape.
 
     With `config.residual`, let b be the interpolated keyframes and s the size of x_0 - b at a frame's distance from
-    the keyframes. The network sees how far x_t is from where b would put it, in units of how far that may be, and
-    answers in units of s: x_0 = b + s F. So its inputs and outputs have size 1 at every step and for every density of
-    keyframes, and exact keyframes are returned as they are. (Adding the linear estimate of x_0 from x_t, as Karras et
-    al. 2022 do, was tried: it passes on noise that is white in time, which the network must then take out again.)
+    the keyframes. The network answers in units of s, x_0 = b + s F, and of x_t it sees the best linear guess
+    of F. So its inputs and outputs have size 1 at most for every density of keyframes, noise that tells nothing does
+    not come in, and exact keyframes are returned as they are. (Adding the linear guess to the answer, as Karras et al.
+    2022 do, was tried: it passes on noise that is white in time, which the network must then take out again.)
     """
 
     alpha_bar: Tensor
@@ -172,10 +172,11 @@ class Denoiser(nn.Module):
         return (between**2 + (given.noise_level[:, None, None] * self.keyframe_std) ** 2).sqrt()
 
     def _standing(self, x: Tensor, t: Tensor, given: Conditions, scale: Tensor) -> Tensor:
-        """How far x_t is from the interpolation, in units of how far it may be; 0 where it is the keyframe."""
+        """The best linear guess of (x_0 - b) / s from x_t: of size 1 where x_t tells it, 0 where x_t is all noise or is
+        the keyframe."""
         a = self.alpha_bar[t][:, None, None]
         free = (1 - given.imputed)[..., None]
-        return free * (x - a.sqrt() * given.base) / (a * scale**2 + 1 - a).sqrt()
+        return free * a.sqrt() * scale * (x - a.sqrt() * given.base) / (a * scale**2 + 1 - a)
 
 
 def moves(base: Float[Tensor, "batch frames 201"]) -> Float[Tensor, "batch frames 69"]:
