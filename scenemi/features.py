@@ -26,7 +26,12 @@ from video2anim.geometry.rotations import matrix_from_rot6d, rot6d_from_matrix
 TRANSLATION = slice(0, 3)
 ROTATIONS = slice(3, 135)
 """Root and body 6D rotations together: 22 x 6."""
+ROOT_ROTATION = slice(3, 9)
+BODY_ROTATIONS = slice(9, 135)
 JOINTS = slice(135, 201)
+LEVEL_X = [0, 3, 6, *range(135, 201, 3)]
+LEVEL_Z = [2, 5, 8, *range(137, 201, 3)]
+"""Columns that are the x and z of a direction or position: translation, two of root orientation, 22 joints."""
 FEATURE_COUNT = 201
 BODY_LENGTHS = 7
 _LEAST_STD = np.where(np.arange(FEATURE_COUNT) < 3, 0.05, 0.1)
@@ -114,8 +119,10 @@ class Statistics:
 
     @classmethod
     def of(cls, features: Float[np.ndarray, "frames 201"], lengths_m: Float[np.ndarray, "bodies 7"]) -> Statistics:
-        """From training data only; floors keep nearly constant columns from being blown up."""
+        """From training data only; floors keep nearly constant columns from being blown up. x and z have the same
+        deviation, so that directions can be turned when normalized."""
         std, body_std = features.std(0), lengths_m.std(0)
+        std[LEVEL_X] = std[LEVEL_Z] = np.sqrt((std[LEVEL_X] ** 2 + std[LEVEL_Z] ** 2) / 2)
         return cls(
             features.mean(0).astype(np.float32),
             np.maximum(std, _LEAST_STD).astype(np.float32),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -10,17 +11,20 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from scenemi.features import JOINTS, TRANSLATION
+from scenemi.features import FEATURE_COUNT
 from scenemi.model.config import ModelConfig
 from scenemi.model.diffusion import CosineSchedule
+from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
 from scenemi.model.scene_encoder import SceneEncoder
 from scenemi.model.unet import UNet1D
 
 REACH = 60
 """Longest distance from a keyframe in a window of 121 frames."""
-MOVES = 69
-_MOVE_GAIN = 30.0
-"""Frames per second: steps become speeds, whose normalized size is about 1."""
+SCALES = {
+    "residual_std": (REACH + 1, FEATURE_COUNT), "keyframe_std": (FEATURE_COUNT,), "view_mean": (VIEW,),
+    "view_std": (VIEW,), "feature_mean": (FEATURE_COUNT,), "feature_std": (FEATURE_COUNT,),
+}  # fmt: skip
+"""Measured before training (`scenemi.training.losses.measure_scales`), kept with the weights."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,16 +67,21 @@ class Conditions:
 class Denoiser(nn.Module):
     """U-Net over time, conditioned on keyframes, local and global scene, and body shape.
 
-    With `config.residual`, let b be the interpolated keyframes and s the size of x_0 - b at a frame's distance from
-    the keyframes. The network answers in units of s, x_0 = b + s F, and of x_t it sees the best linear guess
-    of F. So its inputs and outputs have size 1 at most for every density of keyframes, noise that tells nothing does
-    not come in, and exact keyframes are returned as they are. (Adding the linear guess to the answer, as Karras et al.
-    2022 do, was tried: it passes on noise that is white in time, which the network must then take out again.)
+    With `config.residual`, let b be the interpolated keyframes, seen by the network as `scenemi.model.heading` says,
+    and s the size of x_0 - b at a frame's distance from the keyframes. The network answers in units of s, x_0 = b + s F,
+    and of x_t it sees the best linear guess of F. So its inputs and outputs have size 1 at most for every density of
+    keyframes, noise that tells nothing does not come in, and exact keyframes are returned as they are. (Adding the
+    linear guess to the answer, as Karras et al. 2022 do, was tried: it passes on noise that is white in time, which
+    the network must then take out again.)
     """
 
     alpha_bar: Tensor
     residual_std: Tensor
     keyframe_std: Tensor
+    view_mean: Tensor
+    view_std: Tensor
+    feature_mean: Tensor
+    feature_std: Tensor
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -87,10 +96,10 @@ class Denoiser(nn.Module):
             )
             channels += config.local_channels
         if config.residual:
-            channels += features + MOVES
+            channels += VIEW + 2
             self.register_buffer("alpha_bar", torch.from_numpy(CosineSchedule().alpha_bar).float(), persistent=False)
-            self.register_buffer("residual_std", torch.ones(REACH + 1, features))
-            self.register_buffer("keyframe_std", torch.ones(features))
+            for name, shape in SCALES.items():
+                self.register_buffer(name, torch.zeros(shape) if name.endswith("_mean") else torch.ones(shape))
         if config.noise_channel:
             channels += 1
         if config.use_global:
@@ -131,13 +140,17 @@ class Denoiser(nn.Module):
         """
         config, frames = self.config, x.shape[1]
         mask = given.mask[..., None]
-        scale = self.scales(given) if config.residual else None
-        parts = [x if scale is None else self._standing(x, t, given, scale), mask]
+        scale = heading = None
+        if config.residual:
+            raw = given.base * self.feature_std + self.feature_mean
+            scale, heading = self.scales(given), headings(raw)
+            parts = [self._standing(x, t, given, scale, heading), mask]
+            parts += [(view(raw, heading) - self.view_mean) / self.view_std, gap(given.mask)]
+        else:
+            parts = [x, mask]
         if config.use_local:
             near = torch.cat([given.local.flatten(2), torch.ones_like(mask)], -1)
             parts.append(self.local(near) * mask * given.local_known[:, None, None])
-        if config.residual:
-            parts += [given.base, _MOVE_GAIN * moves(given.base)]
         if config.noise_channel:
             parts.append(mask * given.noise_level[:, None, None])
         wide = torch.cat(parts, -1).transpose(1, 2)
@@ -158,31 +171,39 @@ class Denoiser(nn.Module):
         missing = -(lead + frames) % multiple
         wide = functional.pad(wide, (0, missing))
         out = self.unet(wide, functional.silu(embedding))[..., lead : lead + frames].transpose(1, 2)
-        return out if scale is None else given.base + scale * out
+        return out if scale is None or heading is None else given.base + from_heading(scale * out, heading)
 
-    def set_scales(self, residual_std: Float[Tensor, "distances 201"], keyframe_std: Float[Tensor, "201"]) -> None:
-        """What training measured: size of x_0 - b by distance from the nearest keyframe, and of the noise of keyframes
-        at l = 1, both normalized."""
-        self.residual_std.copy_(residual_std)
-        self.keyframe_std.copy_(keyframe_std)
+    def set_scales(self, measured: Mapping[str, Tensor]) -> None:
+        """What training measured, by the names of `SCALES`.
+
+        `residual_std`: size of x_0 - b by distance from the nearest keyframe, and `keyframe_std` of the noise of
+        keyframes at l = 1, both normalized and in the heading of b; mean and deviation of `view` and of the features.
+        """
+        for name in SCALES:
+            self.get_buffer(name).copy_(measured[name])
 
     def scales(self, given: Conditions) -> Float[Tensor, "batch frames 201"]:
         """s: how far the truth may be from the interpolation."""
         between = self.residual_std[distance_to_keyframes(given.mask).clamp(max=REACH)]
         return (between**2 + (given.noise_level[:, None, None] * self.keyframe_std) ** 2).sqrt()
 
-    def _standing(self, x: Tensor, t: Tensor, given: Conditions, scale: Tensor) -> Tensor:
-        """The best linear guess of (x_0 - b) / s from x_t: of size 1 where x_t tells it, 0 where x_t is all noise or is
-        the keyframe."""
+    def _standing(self, x: Tensor, t: Tensor, given: Conditions, scale: Tensor, heading: Tensor) -> Tensor:
+        """The best linear guess of (x_0 - b) / s from x_t, in the heading of b: of size 1 where x_t tells it, 0 where
+        x_t is all noise or is the keyframe."""
         a = self.alpha_bar[t][:, None, None]
         free = (1 - given.imputed)[..., None]
-        return free * a.sqrt() * scale * (x - a.sqrt() * given.base) / (a * scale**2 + 1 - a)
+        off = to_heading(x - a.sqrt() * given.base, heading)
+        return free * a.sqrt() * scale * off / (a * scale**2 + 1 - a)
 
 
-def moves(base: Float[Tensor, "batch frames 201"]) -> Float[Tensor, "batch frames 69"]:
-    """Steps of translation and joints from frame to frame: tiny beside positions, so given by themselves."""
-    positions = torch.cat([base[..., TRANSLATION], base[..., JOINTS]], -1)
-    return functional.pad(positions[:, 1:] - positions[:, :-1], (0, 0, 1, 0))
+def gap(mask: Float[Tensor, "batch frames"]) -> Float[Tensor, "batch frames 2"]:
+    """Frames since the last keyframe and until the next, as shares of half a window."""
+    index = torch.arange(mask.shape[1], device=mask.device)
+    since = index[:, None] - index
+    given, far = mask[:, None] > 0, mask.shape[1]
+    last = torch.where(given & (since >= 0), since, far).amin(2)
+    following = torch.where(given & (since <= 0), -since, far).amin(2)
+    return torch.stack([last, following], -1).to(mask.dtype) / REACH
 
 
 def distance_to_keyframes(mask: Float[Tensor, "batch frames"]) -> Int[Tensor, "batch frames"]:

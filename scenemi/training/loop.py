@@ -160,8 +160,7 @@ class _Run:
         whole = StepBatches(data.motions, self.statistics, self.config)
         count = max(1, _SCALE_WINDOWS // self.config.batch)
         drawn = [whole[_SCALE_STEPS + i].to(self.device) for i in range(count)]
-        size, noise = measure_scales(self.plain, drawn)
-        self.model.set_scales(size, noise)
+        self.model.set_scales(measure_scales(self.plain, drawn))
         self.average = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
 
     def rate(self, step: int) -> float:

@@ -15,6 +15,7 @@ from scenemi.features import JOINTS, TRANSLATION, Statistics
 from scenemi.model.base import join_keyframes
 from scenemi.model.denoiser import REACH, Conditions, Denoiser, distance_to_keyframes, impute
 from scenemi.model.diffusion import CosineSchedule
+from scenemi.model.heading import headings, to_heading, view
 from scenemi.model.kinematics import joints_of, posed_joints
 from scenemi.training.batches import Batch
 from scenemi.training.config import TrainConfig
@@ -22,6 +23,7 @@ from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_mat
 
 _LEAST_FEATURE, _LEAST_JOINT_M = 0.02, 0.01
 """Errors below these (standard deviations; metres for each joint) need not become smaller."""
+_LEAST_VIEW = 0.1
 _SMOOTHING = 3
 """Distances averaged over: far ones are rare."""
 
@@ -109,27 +111,39 @@ class TrainingLoss(nn.Module):
 
 
 @torch.no_grad()
-def measure_scales(loss: TrainingLoss, batches: Sequence[Batch]) -> tuple[Tensor, Tensor]:
-    """What `Denoiser.set_scales` wants, from batches as training draws them: RMS of the normalized difference between
-    truth and interpolated exact keyframes for each distance from the nearest keyframe, and of the noise at l = 1."""
+def measure_scales(loss: TrainingLoss, batches: Sequence[Batch]) -> dict[str, Tensor]:
+    """What `Denoiser.set_scales` wants, from batches as training draws them."""
     total = torch.zeros(REACH + 1, loss.mean.numel(), dtype=torch.float64)
     noise = torch.zeros(loss.mean.numel(), dtype=torch.float64)
     count = torch.zeros(REACH + 1, dtype=torch.float64)
+    views = []
     for batch in batches:
         x0 = (features_of(batch.R_parent_joint, batch.translation_m, batch.rest_joints_m) - loss.mean) / loss.std
-        off = (x0 - join_keyframes(x0, batch.mask)).double().square().flatten(0, 1)
+        base = join_keyframes(x0, batch.mask)
+        raw = base * loss.std + loss.mean
+        heading = headings(raw)
+        off = to_heading(x0 - base, heading).double().square().flatten(0, 1)
         distance = distance_to_keyframes(batch.mask).flatten()
         total.index_add_(0, distance.cpu(), off.cpu())
         count.index_add_(0, distance.cpu(), torch.ones(len(distance), dtype=torch.float64))
-        keys = noisy_keyframes(replace(batch, noise_level=torch.ones_like(batch.noise_level)))
-        noise += ((keys - loss.mean) / loss.std - x0).double().square().mean((0, 1)).cpu()
+        keys = (noisy_keyframes(replace(batch, noise_level=torch.ones_like(batch.noise_level))) - loss.mean) / loss.std
+        noise += to_heading(keys - x0, heading).double().square().mean((0, 1)).cpu()
+        views.append(view(raw, heading).flatten(0, 1).cpu())
     seen = torch.nonzero(count > 0)[:, 0]
     size = _pooled((total[seen] / count[seen, None]).numpy(), loss.std.cpu().numpy())
     grid = np.arange(REACH + 1)
     filled = np.stack([np.interp(grid, seen.numpy(), column) for column in size.T], 1)
     smooth = uniform_filter1d(filled, _SMOOTHING, axis=0, mode="nearest")
     smooth[0] = 0.0
-    return torch.from_numpy(smooth).float(), (noise / max(1, len(batches))).sqrt().float()
+    every = torch.cat(views)
+    return {
+        "residual_std": torch.from_numpy(smooth).float(),
+        "keyframe_std": (noise / max(1, len(batches))).sqrt().float(),
+        "view_mean": every.mean(0),
+        "view_std": every.std(0).clamp(min=_LEAST_VIEW),
+        "feature_mean": loss.mean,
+        "feature_std": loss.std,
+    }
 
 
 def _pooled(square: Float[np.ndarray, "distances 201"], std: Float[np.ndarray, "201"]) -> np.ndarray:

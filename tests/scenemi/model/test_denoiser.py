@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from scenemi.features import Statistics
+from scenemi.features import LEVEL_X, LEVEL_Z, Statistics
 from scenemi.model.base import join_keyframes
 from scenemi.model.config import SIZES, ModelConfig
-from scenemi.model.denoiser import Conditions, Denoiser, distance_to_keyframes, impute
+from scenemi.model.denoiser import SCALES, Conditions, Denoiser, distance_to_keyframes, gap, impute
 from scenemi.model.diffusion import CosineSchedule
+from scenemi.model.heading import from_heading, headings, to_heading, view
 from scenemi.model.kinematics import joints_of, matrices, posed_joints
 from scenemi.model.weights import load_weights, save_weights
 from video2anim.body.skeleton import forward_kinematics
@@ -36,6 +37,12 @@ def conditions(config: ModelConfig, batch: int, seed: int = 0) -> Conditions:
     )
 
 
+def scales(denoiser: Denoiser, residual_std: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Measured scales with other sizes of the correction."""
+    kept = {name: denoiser.get_buffer(name).clone() for name in SCALES}
+    return kept | {"residual_std": residual_std, "keyframe_std": torch.full((201,), 0.3)}
+
+
 def awake(config: ModelConfig, seed: int = 0) -> Denoiser:
     """A denoiser whose zero-initialized layers are not zero."""
     torch.manual_seed(seed)
@@ -58,7 +65,7 @@ def test_answers_differ_from_the_interpolation_by_the_scales() -> None:
     config = SIZES["tiny"]
     denoiser = awake(config)
     size = torch.linspace(0, 1.2, 61)[:, None].expand(61, 201)
-    denoiser.set_scales(size, torch.full((201,), 0.3))
+    denoiser.set_scales(scales(denoiser, size))
     x, t = torch.randn(2, 121, 201), torch.tensor([500, 500])
     given = conditions(config, 2)
     given = replace(given, noise_level=torch.tensor([0.0, 1.0]))
@@ -66,7 +73,7 @@ def test_answers_differ_from_the_interpolation_by_the_scales() -> None:
     assert torch.equal(change[0, ::15], torch.zeros(9, 201))
     assert (change[1, ::15] > 0).any()
     doubled = awake(config)
-    doubled.set_scales(2 * size, torch.full((201,), 0.3))
+    doubled.set_scales(scales(doubled, 2 * size))
     same_input = replace(given, imputed=torch.ones_like(given.mask))
     a, b = (model(x, t, same_input)[0] - given.base[0] for model in (denoiser, doubled))
     torch.testing.assert_close(b, 2 * a, atol=1e-5, rtol=1e-4)
@@ -243,3 +250,38 @@ def test_missing_and_broken_weights_say_so(tmp_path: Any) -> None:
     (tmp_path / "bad.safetensors").write_bytes(b"no")
     with pytest.raises(InputError, match="want a safetensors file"):
         load_weights(tmp_path / "bad.safetensors")
+
+
+def turned(x: torch.Tensor, yaw: float, shift: tuple[float, float]) -> torch.Tensor:
+    """Features of the same motion elsewhere and facing elsewhere."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    out = x.clone()
+    out[..., LEVEL_X] = c * x[..., LEVEL_X] + s * x[..., LEVEL_Z]
+    out[..., LEVEL_Z] = -s * x[..., LEVEL_X] + c * x[..., LEVEL_Z]
+    for columns, by in ((LEVEL_X, shift[0]), (LEVEL_Z, shift[1])):
+        out[..., [columns[0], *columns[3:]]] += by
+    return out
+
+
+def test_the_view_is_the_same_wherever_the_body_is() -> None:
+    x = torch.randn(2, 20, 201, generator=torch.Generator().manual_seed(0))
+    there = turned(x, 1.1, (3.0, -2.0))
+    a, b = view(x, headings(x)), view(there, headings(there))
+    torch.testing.assert_close(a[..., :-4], b[..., :-4], atol=1e-4, rtol=1e-4)
+    assert not torch.allclose(a[..., -4:], b[..., -4:], atol=0.1)
+
+
+def test_headings_are_the_way_the_root_faces_and_turn_back() -> None:
+    x = torch.randn(1, 5, 201)
+    x[..., 3:9] = torch.tensor([1.0, 0, 0, 0, 1, 0])
+    torch.testing.assert_close(
+        headings(turned(x, 0.7, (0, 0))), torch.tensor([np.sin(0.7), np.cos(0.7)]).float().expand(1, 5, 2)
+    )
+    heading = headings(torch.randn(1, 5, 201))
+    torch.testing.assert_close(from_heading(to_heading(x, heading), heading), x)
+
+
+def test_gaps_count_from_keyframe_to_keyframe() -> None:
+    mask = torch.zeros(1, 6)
+    mask[0, [0, 4, 5]] = 1
+    assert (60 * gap(mask))[0].round().tolist() == [[0, 0], [1, 3], [2, 2], [3, 1], [0, 0], [0, 0]]
