@@ -69,10 +69,10 @@ class Denoiser(nn.Module):
 
     With `config.residual`, let b be the interpolated keyframes, seen by the network as `scenemi.model.heading` says,
     and s the size of x_0 - b at a frame's distance from the keyframes. The network answers in units of s,
-    x_0 = b + s F, and of x_t it sees the best linear guess of F. So its inputs and outputs have size 1 at most for every
-    density of keyframes, noise that tells nothing does not come in, and exact keyframes are returned as they are.
-    (Adding the linear guess to the answer, as Karras et al. 2022 do, was tried: it passes on noise that is white in
-    time, which the network must then take out again.)
+    x_0 = b + s F, and of x_t it sees the best linear guess of F. So its inputs and outputs have size 1 at most for
+    every density of keyframes, noise that tells nothing does not come in, and exact keyframes are returned as they
+    are. (Adding the linear guess to the answer, as Karras et al. 2022 do, was tried: it passes on noise that is white
+    in time, which the network must then take out again.)
     """
 
     alpha_bar: Tensor
