@@ -16,6 +16,8 @@ class ModelConfig:
     """Base channels of the U-Net."""
     multipliers: tuple[int, ...] = (2, 2, 2, 2)
     """Channels of each level in units of `width`; each level below the first halves the frame rate."""
+    fold: int = 1
+    """Frames that are one for the U-Net: 4 cost a third with the same channels."""
     kernel: int = 5
     groups: int = 8
     """Groups of the group normalization."""

@@ -120,6 +120,7 @@ class Denoiser(nn.Module):
             kernel=config.kernel,
             groups=config.groups,
             dropout=config.dropout,
+            fold=config.fold,
         )
 
     def encode_scene(self, occupancy: Float[Tensor, "batch x y z"]) -> Float[Tensor, "batch embedding"]:
@@ -167,7 +168,7 @@ class Denoiser(nn.Module):
             wide, lead = torch.cat([tokens, wide], -1), 2
         if config.condition != "token":
             embedding = embedding + body + scene
-        multiple = 2 ** (len(config.multipliers) - 1)
+        multiple = config.fold * 2 ** (len(config.multipliers) - 1)
         missing = -(lead + frames) % multiple
         wide = functional.pad(wide, (0, missing))
         out = self.unet(wide, functional.silu(embedding))[..., lead : lead + frames].transpose(1, 2)

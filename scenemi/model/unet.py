@@ -41,8 +41,8 @@ def _zero(layer: nn.Conv1d) -> None:
 
 
 class UNet1D(nn.Module):
-    """Levels of two residual blocks; each level below the first has half the frames. Frames must divide by
-    2 ** (levels - 1)."""
+    """Levels of two residual blocks; each level below the first has half the frames. `fold` frames side by side are one
+    at the first level already. Frames must divide by fold * 2 ** (levels - 1)."""
 
     def __init__(
         self,
@@ -55,6 +55,7 @@ class UNet1D(nn.Module):
         kernel: int,
         groups: int,
         dropout: float,
+        fold: int = 1,
     ) -> None:
         super().__init__()
 
@@ -62,7 +63,8 @@ class UNet1D(nn.Module):
             return ResidualBlock(a, b, embedding, kernel, groups, dropout)
 
         channels = [width * m for m in multipliers]
-        self.first = nn.Conv1d(channels_in, channels[0], kernel, padding=kernel // 2)
+        self.fold = fold
+        self.first = nn.Conv1d(channels_in * fold, channels[0], kernel, padding=kernel // 2)
         self.down, self.shrink = nn.ModuleList(), nn.ModuleList()
         before = channels[0]
         for level, count in enumerate(channels):
@@ -77,13 +79,15 @@ class UNet1D(nn.Module):
             self.grow.append(nn.Identity() if level == 0 else nn.ConvTranspose1d(count, count, 4, stride=2, padding=1))
             before = count
         self.norm = nn.GroupNorm(groups, before)
-        self.last = nn.Conv1d(before, channels_out, kernel, padding=kernel // 2)
+        self.last = nn.Conv1d(before, channels_out * fold, kernel, padding=kernel // 2)
         _zero(self.last)
 
     def forward(
         self, x: Float[Tensor, "batch channels frames"], embedding: Float[Tensor, "batch embedding"]
     ) -> Float[Tensor, "batch out frames"]:
         """Output with as many frames as the input."""
+        batch, count, frames = x.shape
+        x = x.reshape(batch, count, frames // self.fold, self.fold).transpose(2, 3).flatten(1, 2)
         x = self.first(x)
         kept: list[Tensor] = []
         for blocks, shrink in zip(self.down, self.shrink, strict=True):
@@ -98,4 +102,5 @@ class UNet1D(nn.Module):
             for block in blocks:  # type: ignore[attr-defined]
                 x = block(x, embedding)
             x = grow(x)
-        return self.last(functional.silu(self.norm(x)))
+        out = self.last(functional.silu(self.norm(x)))
+        return out.unflatten(1, (-1, self.fold)).transpose(2, 3).flatten(2)

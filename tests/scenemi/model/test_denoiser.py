@@ -105,9 +105,10 @@ def test_without_residual_the_answer_is_free_of_the_interpolation() -> None:
 
 
 @pytest.mark.parametrize("condition", ["token", "adagn", "both"])
+@pytest.mark.parametrize("fold", [1, 4])
 @pytest.mark.parametrize("frames", [121, 122, 40])
-def test_any_length_keeps_its_shape(condition: Any, frames: int) -> None:
-    config = replace(SIZES["tiny"], condition=condition, window_frames=frames)
+def test_any_length_keeps_its_shape(condition: Any, fold: int, frames: int) -> None:
+    config = replace(SIZES["tiny"], condition=condition, fold=fold, window_frames=frames)
     assert awake(config)(torch.randn(2, frames, 201), torch.tensor([1, 1000]), conditions(config, 2)).shape == (
         2,
         frames,
