@@ -246,12 +246,17 @@ def _print_table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
 
 def _say_progress(found: Progress) -> None:
     rows = "".join(
-        f"; r = {row.interval}: MJPE {100 * row.mjpe_m:.2f} cm (interpolated keyframes {100 * row.base_mjpe_m:.2f}), "
+        f"; r = {row.interval}: MJPE {100 * row.mjpe_m:.2f} cm (joined keyframes {100 * row.base_mjpe_m:.2f}, "
+        f"interpolated {100 * row.interpolated_mjpe_m:.2f}), "
         f"jerk x {row.jerk_ratio:.2f}"
         for row in found.validation
     )
     speed = f", {found.windows_per_s:.0f} windows/s" if found.windows_per_s else ""
-    typer.echo(f"step {found.step}/{found.steps}: loss {found.total:.4f}{speed}{rows}", err=True)
+    stage = f"{found.stage}: " if found.stage else ""
+    typer.echo(
+        f"{stage}step {found.step}/{found.steps}: loss {found.total:.4f}{speed}{rows}",
+        err=True,
+    )
 
 
 def _note(text: str) -> None:

@@ -34,26 +34,28 @@ LEVEL_Z = [2, 5, 8, *range(137, 201, 3)]
 """Columns that are the x and z of a direction or position: translation, two of root orientation, 22 joints."""
 FEATURE_COUNT = 201
 BODY_LENGTHS = 7
-_LEAST_STD = np.where(np.arange(FEATURE_COUNT) < 3, 0.05, 0.1)
-_LEAST_STD[JOINTS] = 0.05
+LEAST_STD = np.where(np.arange(FEATURE_COUNT) < 3, 0.05, 0.1)
+LEAST_STD[JOINTS] = 0.05
 """Columns that hardly vary in most clips (collars, say) are not blown up where they do: metres, and 6D entries (0.1 is
 6 degrees)."""
 _LEAST_BODY_STD = 0.01
+LYING = 0.1
+"""A root that faces up or down within this (sine) also counts by where its head points."""
 
 
 def canonical_frame(R_root: np.ndarray, root_m: np.ndarray) -> Float[np.ndarray, "... 4 4"]:
     """`T_world_canonical` of a root pose: origin below the root on the ground, +Z where the body faces.
 
-    A body that faces straight up or down (lying) takes the direction of its head (or, face down, of its feet).
+    A body that faces nearly straight up or down (lying) also counts by the direction of its feet (face down: its head),
+    the more so the straighter.
 
     Args:
         R_root: (..., 3, 3) root orientation in the world (+Y up).
         root_m: (..., 3) root position in the world.
     """
     facing, upward = R_root[..., [0, 2], 2], R_root[..., [0, 2], 1]
-    sign = -np.sign(R_root[..., 1, 2])[..., None]
-    level = np.linalg.norm(facing, axis=-1, keepdims=True)
-    heading = np.where(level > 1e-3, facing, sign * upward)
+    lying = np.maximum(0.0, 1.0 - np.linalg.norm(facing, axis=-1, keepdims=True) / LYING)
+    heading = facing - lying * np.sign(R_root[..., 1, 2, None]) * upward
     heading = heading / np.maximum(np.linalg.norm(heading, axis=-1, keepdims=True), 1e-12)
     s, c = heading[..., 0], heading[..., 1]
     T = np.zeros((*R_root.shape[:-2], 4, 4))
@@ -61,6 +63,20 @@ def canonical_frame(R_root: np.ndarray, root_m: np.ndarray) -> Float[np.ndarray,
     T[..., 1, 1] = T[..., 3, 3] = 1.0
     T[..., 0, 3], T[..., 2, 3] = root_m[..., 0], root_m[..., 2]
     return T
+
+
+def to_canonical(
+    R_parent_joint: Float[np.ndarray, "... frames 22 3 3"],
+    translation_m: Float[np.ndarray, "... frames 3"],
+    T_world_canonical: Float[np.ndarray, "... 4 4"] | None = None,
+) -> tuple[Float[np.ndarray, "... frames 22 3 3"], Float[np.ndarray, "... frames 3"]]:
+    """A motion of the world in a canonical frame, that of its first pose unless given; inverse of `to_world`."""
+    if T_world_canonical is None:
+        T_world_canonical = canonical_frame(R_parent_joint[..., 0, 0, :, :], translation_m[..., 0, :])
+    R = np.swapaxes(T_world_canonical[..., None, :3, :3], -1, -2)
+    local = R_parent_joint.copy()
+    local[..., 0, :, :] = R @ R_parent_joint[..., 0, :, :]
+    return local, (R @ (translation_m - T_world_canonical[..., None, :3, 3])[..., None])[..., 0]
 
 
 def encode(
@@ -77,13 +93,7 @@ def encode(
         rest_joints_m: T-pose joints of the body.
         T_world_canonical: frame to express the motion in.
     """
-    if T_world_canonical is None:
-        T_world_canonical = canonical_frame(R_parent_joint[..., 0, 0, :, :], translation_m[..., 0, :])
-    R = np.swapaxes(T_world_canonical[..., :3, :3], -1, -2)[..., None, :, :]
-    local = R_parent_joint.copy()
-    local[..., 0, :, :] = R @ R_parent_joint[..., 0, :, :]
-    moved = translation_m - T_world_canonical[..., None, :3, 3]
-    moved = (R @ moved[..., None])[..., 0]
+    local, moved = to_canonical(R_parent_joint, translation_m, T_world_canonical)
     joints_m, _ = forward_kinematics(local, moved, rest_joints_m[..., None, :, :])
     lead = moved.shape[:-1]
     return np.concatenate([moved, rot6d_from_matrix(local).reshape(*lead, 132), joints_m.reshape(*lead, 66)], -1)
@@ -125,7 +135,7 @@ class Statistics:
         std[LEVEL_X] = std[LEVEL_Z] = np.sqrt((std[LEVEL_X] ** 2 + std[LEVEL_Z] ** 2) / 2)
         return cls(
             features.mean(0).astype(np.float32),
-            np.maximum(std, _LEAST_STD).astype(np.float32),
+            np.maximum(std, LEAST_STD).astype(np.float32),
             lengths_m.mean(0).astype(np.float32),
             np.maximum(body_std, _LEAST_BODY_STD).astype(np.float32),
         )

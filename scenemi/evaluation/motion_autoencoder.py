@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from scenemi.features import JOINTS, encode
+from scenemi.features import JOINTS, LEAST_STD, encode
 from scenemi.prior import WindowMotion
 from scenemi.windows import WINDOW_FRAMES
 from video2anim.errors import InputError
@@ -23,7 +23,8 @@ from video2anim.errors import InputError
 FORMAT = "scenemi-fid-1"
 CHANNELS = 201 + 66
 _BATCH = 64
-_LEAST_STD = 1e-3
+_LEAST_STEP_M = 0.005
+"""Steps of joints that hardly move in the training windows are not blown up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,8 @@ class MotionAutoencoder(nn.Module):
         """Take mean and standard deviation of each channel from training windows."""
         flat = windows.transpose(1, 2).reshape(-1, CHANNELS)
         self.mean.copy_(flat.mean(0)[:, None])
-        self.std.copy_(flat.std(0).clamp(min=_LEAST_STD)[:, None])
+        least = np.concatenate([LEAST_STD, np.full(CHANNELS - len(LEAST_STD), _LEAST_STEP_M)])
+        self.std.copy_(flat.std(0).maximum(torch.from_numpy(least).float())[:, None])
 
 
 def motion_channels(

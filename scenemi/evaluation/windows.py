@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from scenemi.data.container import MotionArchive
 from scenemi.data.retarget import retarget
-from scenemi.features import canonical_frame
+from scenemi.features import to_canonical
 from scenemi.prior import KeyframeWindow
 from scenemi.scene.geometry import SceneGeometry
 from scenemi.windows import WINDOW_FRAMES, select_keyframes
@@ -134,7 +134,7 @@ def _windows_of(archive: MotionArchive, name: str, body: ShapedBody) -> list[Eva
     windows = []
     for start in range(0, len(motion.translation_m) - WINDOW_FRAMES + 1, WINDOW_FRAMES):
         frames = slice(start, start + WINDOW_FRAMES)
-        R_parent_joint, translation_m = centered(motion.R_parent_joint[frames], motion.translation_m[frames])
+        R_parent_joint, translation_m = to_canonical(motion.R_parent_joint[frames], motion.translation_m[frames])
         joints_m, _ = forward_kinematics(R_parent_joint, translation_m, body.rest_joints_m)
         windows.append(
             EvaluationWindow(
@@ -143,17 +143,6 @@ def _windows_of(archive: MotionArchive, name: str, body: ShapedBody) -> list[Eva
             )
         )  # fmt: skip
     return windows
-
-
-def centered(
-    R_parent_joint: Float[np.ndarray, "frames 22 3 3"], translation_m: Float[np.ndarray, "frames 3"]
-) -> tuple[Float[np.ndarray, "frames 22 3 3"], Float[np.ndarray, "frames 3"]]:
-    """The motion in its own canonical frame: first root over the origin, facing +Z."""
-    T_world_canonical = canonical_frame(R_parent_joint[0, 0], translation_m[0])
-    R_world_canonical = T_world_canonical[:3, :3]
-    moved = R_parent_joint.copy()
-    moved[:, 0] = R_world_canonical.T @ R_parent_joint[:, 0]
-    return moved, (translation_m - T_world_canonical[:3, 3]) @ R_world_canonical
 
 
 def window_seed(name: str, seed: int) -> int:

@@ -12,13 +12,13 @@ from scenemi.features import BODY_LENGTHS, FEATURE_COUNT
 class ModelConfig:
     """Architecture (paper Table 5). Everything here decides the shape of the weights or what they mean."""
 
-    width: int = 64
+    width: int = 96
     """Base channels of the U-Net."""
-    multipliers: tuple[int, ...] = (2, 2, 2, 2)
+    multipliers: tuple[int, ...] = (2, 2, 2)
     """Channels of each level in units of `width`; each level below the first halves the frame rate."""
-    fold: int = 1
+    fold: int = 4
     """Frames that are one for the U-Net: 4 cost a third with the same channels."""
-    kernel: int = 5
+    kernel: int = 3
     groups: int = 8
     """Groups of the group normalization."""
     embedding: int = 512
@@ -32,6 +32,11 @@ class ModelConfig:
     input; in units of the size that difference has at each distance from the keyframes."""
     noise_channel: bool = True
     """The noise level of the keyframes is an input, so that exact keyframes are not mistrusted."""
+    joiners: int = 3
+    """Networks of the learned interpolation, each trained without one part of the clips; 0 = interpolation alone."""
+    joiner_width: int = 512
+    smooth_output: bool = True
+    """The answer passes a fixed low-pass in time, so that noise which is white in time does not come through."""
     bps_anchors: int = 64
     local_channels: int = 64
     """Channels of the embedded local scene."""
@@ -51,6 +56,11 @@ class ModelConfig:
             raise ValueError(f"ModelConfig: want a grid of whole patches, got {self.grid} and {self.patch}")
         if (self.width * min(self.multipliers)) % self.groups:
             raise ValueError(f"ModelConfig: want channels in {self.groups} groups, got width {self.width}")
+
+    @property
+    def members(self) -> int:
+        """Networks of the learned interpolation that there are: what it makes is the base of `residual`."""
+        return self.joiners if self.residual else 0
 
     @property
     def feature_count(self) -> int:
@@ -79,11 +89,14 @@ class ModelConfig:
 
 
 SIZES: dict[str, ModelConfig] = {
-    "tiny": ModelConfig(width=16, embedding=64, scene_width=32, scene_layers=1, scene_heads=2, local_channels=16),
+    "tiny": ModelConfig(
+        width=16, embedding=64, scene_width=32, scene_layers=1, scene_heads=2, local_channels=16,
+        joiners=1, joiner_width=64,
+    ),
     "small": ModelConfig(),
     "paper": ModelConfig(
-        width=256, condition="token", residual=False, noise_channel=False, scene_width=512, scene_layers=12,
-        scene_heads=8, local_channels=256,
+        width=256, multipliers=(2, 2, 2, 2), fold=1, kernel=5, condition="token", residual=False, noise_channel=False,
+        smooth_output=False, scene_width=512, scene_layers=12, scene_heads=8, local_channels=256,
     ),
 }  # fmt: skip
 """`paper` follows the paper's Table 5; `small` is what ships; `tiny` is for tests."""

@@ -12,9 +12,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from scenemi.features import FEATURE_COUNT
+from scenemi.model.base import join_keyframes
 from scenemi.model.config import ModelConfig
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
+from scenemi.model.joiner import KeyframeJoiner
 from scenemi.model.scene_encoder import SceneEncoder
 from scenemi.model.unet import UNet1D
 
@@ -111,6 +113,9 @@ class Denoiser(nn.Module):
         self.body = nn.Linear(config.body_lengths, embedding)
         if config.condition != "adagn":
             self.tokens = nn.Linear(2 * embedding, 2 * channels)
+        if config.members:
+            self.joiners = nn.ModuleList(KeyframeJoiner(config.joiner_width) for _ in range(config.members))
+            self.joiners.requires_grad_(False)
         self.unet = UNet1D(
             channels,
             features,
@@ -122,6 +127,43 @@ class Denoiser(nn.Module):
             dropout=config.dropout,
             fold=config.fold,
         )
+
+    @torch.no_grad()
+    def join(
+        self,
+        keys: Float[Tensor, "batch frames 201"],
+        mask: Float[Tensor, "batch frames"],
+        body: Float[Tensor, "batch 7"],
+        noise_level: Float[Tensor, "batch"],
+        part: Int[Tensor, "batch"] | None = None,
+    ) -> Float[Tensor, "batch frames 201"]:
+        """The keyframes joined: b, for `Conditions.base`. Exact at keyframes.
+
+        Args:
+            keys: normalized features; rows that are no keyframes are not read.
+            mask: 1 at keyframes.
+            body: normalized body lengths.
+            noise_level: l of the keyframes.
+            part: network to use for each window (in training: the one that did not see its clip); None = their mean.
+        """
+        base = join_keyframes(keys, mask)
+        if not self.config.members:
+            return base
+        raw = torch.where(mask[..., None] > 0, keys, 0) * self.feature_std + self.feature_mean
+        correction = torch.zeros_like(base)
+        for k, joiner in enumerate(self.joiners):
+            rows = torch.arange(len(keys), device=keys.device) if part is None else torch.nonzero(part == k)[:, 0]
+            if len(rows):
+                made = joiner(raw[rows], mask[rows], body[rows], noise_level[rows])
+                correction[rows] += made / (len(self.joiners) if part is None else 1)
+        return base + correction / self.feature_std
+
+    def train(self, mode: bool = True) -> Denoiser:
+        """Training mode, save for the learned interpolation, which is trained by itself."""
+        super().train(mode)
+        if self.config.members:
+            self.joiners.eval()
+        return self
 
     def encode_scene(self, occupancy: Float[Tensor, "batch x y z"]) -> Float[Tensor, "batch embedding"]:
         """The global scene vector c_g; zeros for a model without one."""
@@ -172,6 +214,8 @@ class Denoiser(nn.Module):
         missing = -(lead + frames) % multiple
         wide = functional.pad(wide, (0, missing))
         out = self.unet(wide, functional.silu(embedding))[..., lead : lead + frames].transpose(1, 2)
+        if config.smooth_output:
+            out = smoothed(out)
         return out if scale is None or heading is None else given.base + from_heading(scale * out, heading)
 
     def set_scales(self, measured: Mapping[str, Tensor]) -> None:
@@ -197,21 +241,34 @@ class Denoiser(nn.Module):
         return free * a.sqrt() * scale * off / (a * scale**2 + 1 - a)
 
 
+def smoothed(values: Float[Tensor, "batch frames channels"]) -> Float[Tensor, "batch frames channels"]:
+    """Binomial filter 1 4 6 4 1 over time: passes 0.8 of 3 Hz at 30 fps, and less than a hundredth
+    of the energy that white noise has in jerk. The ends are held."""
+    for _ in range(2):
+        padded = torch.cat([values[:, :1], values, values[:, -1:]], 1)
+        values = 0.25 * padded[:, :-2] + 0.5 * padded[:, 1:-1] + 0.25 * padded[:, 2:]
+    return values
+
+
 def gap(mask: Float[Tensor, "batch frames"]) -> Float[Tensor, "batch frames 2"]:
     """Frames since the last keyframe and until the next, as shares of half a window."""
-    index = torch.arange(mask.shape[1], device=mask.device)
-    since = index[:, None] - index
-    given, far = mask[:, None] > 0, mask.shape[1]
-    last = torch.where(given & (since >= 0), since, far).amin(2)
-    following = torch.where(given & (since <= 0), -since, far).amin(2)
-    return torch.stack([last, following], -1).to(mask.dtype) / REACH
+    return since_and_until(mask).to(mask.dtype) / REACH
 
 
 def distance_to_keyframes(mask: Float[Tensor, "batch frames"]) -> Int[Tensor, "batch frames"]:
     """Frames to the nearest keyframe."""
-    index = torch.arange(mask.shape[1], device=mask.device)
-    apart = (index[:, None] - index).abs()
-    return torch.where(mask[:, None] > 0, apart, mask.shape[1]).amin(2)
+    return since_and_until(mask).amin(-1)
+
+
+def since_and_until(mask: Float[Tensor, "batch frames"]) -> Int[Tensor, "batch frames 2"]:
+    """Frames since the last keyframe and until the next; the number of frames where there is none."""
+    frames = mask.shape[1]
+    index = torch.arange(frames, device=mask.device)
+    since = index[:, None] - index
+    given = mask[:, None] > 0  # compared pair by pair: cumulative extrema have no ONNX operator
+    last = torch.where(given & (since >= 0), since, frames).amin(2)
+    following = torch.where(given & (since <= 0), -since, frames).amin(2)
+    return torch.stack([last, following], -1)
 
 
 def step_embedding(t: Int[Tensor, "batch"], channels: int) -> Float[Tensor, "batch channels"]:

@@ -12,14 +12,12 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from scenemi.features import BODY_ROTATIONS, FEATURE_COUNT, JOINTS, LEVEL_X, LEVEL_Z, ROOT_ROTATION, TRANSLATION
+from scenemi.features import BODY_ROTATIONS, FEATURE_COUNT, JOINTS, LEVEL_X, LEVEL_Z, LYING, ROOT_ROTATION, TRANSLATION
 from scenemi.model.kinematics import matrices
 
 VIEW = 274
 """Channels of `view`: height 1, root 6, body 126, joints 66, speeds 69, turn 2, place 2, heading 2."""
 _FPS = 30.0
-_LEVEL = 0.1
-"""A root that faces up or down within this (sine) also counts by where its head points."""
 
 
 def _columns(columns: list[int], value: float = 1.0) -> Tensor:
@@ -36,10 +34,10 @@ _PARTNER[LEVEL_X], _PARTNER[LEVEL_Z] = torch.tensor(LEVEL_Z), torch.tensor(LEVEL
 
 
 def headings(raw: Float[Tensor, "batch frames 201"]) -> Float[Tensor, "batch frames 2"]:
-    """Unit direction (x, z) that the root faces; of a lying body, of its head (or feet, face down)."""
+    """Unit direction (x, z) that the root faces; of a lying body, of its feet (face down: its head)."""
     R = matrices(raw[..., ROOT_ROTATION])
     facing, upward, rise = R[..., [0, 2], 2], R[..., [0, 2], 1], R[..., 1, 2, None]
-    lying = (1 - facing.norm(dim=-1, keepdim=True) / _LEVEL).clamp(min=0)
+    lying = (1 - facing.norm(dim=-1, keepdim=True) / LYING).clamp(min=0)
     return functional.normalize(facing - lying * rise.sign() * upward, dim=-1, eps=1e-6)
 
 

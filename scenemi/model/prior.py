@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from scenemi.features import canonical_frame, decode, encode, to_world
-from scenemi.model.base import join_keyframes
 from scenemi.model.denoiser import Conditions
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.guidance import ContactCost, Cost, Guidance, KeyframeCost, PenetrationCost
@@ -134,13 +133,15 @@ class DiffusionPrior:
         x_keys = self._tensor(np.stack(features))
         mask = self._tensor(np.stack([window.is_keyframe for window in windows]))
         known = self._tensor(np.array([one.occupancy is not None for one in inputs]))
+        body = self._tensor(np.stack([statistics.normalize_body(one.lengths_m) for one in inputs]))
+        noise_level = self._tensor(np.array([min(window.noise_level, TRAINED_NOISE) for window in windows]))
         conditions = Conditions(
             mask=mask,
             imputed=mask,
-            base=join_keyframes(x_keys, mask),
+            base=self._denoiser.join(x_keys, mask, body, noise_level),
             local=self._tensor(np.stack([one.local_m for one in inputs])),
-            body=self._tensor(np.stack([statistics.normalize_body(one.lengths_m) for one in inputs])),
-            noise_level=self._tensor(np.array([min(window.noise_level, TRAINED_NOISE) for window in windows])),
+            body=body,
+            noise_level=noise_level,
             scene=self._encoded(inputs),
             scene_known=known,
             local_known=known,

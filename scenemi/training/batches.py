@@ -5,17 +5,18 @@ The whole global batch is drawn alike in every process; each keeps its share.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from scenemi.features import Statistics, body_lengths, canonical_frame, encode
+from scenemi.features import Statistics, body_lengths, encode, to_canonical
 from scenemi.model.diffusion import STEPS
 from scenemi.scene.basis_points import anchor_vertices
 from scenemi.scene.body_balls import fit_balls
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from scenemi.data.windows import MotionSet, WindowBatch
 
 _STATISTICS_WINDOWS = 1024
+LOOKED_AT = 31
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +58,14 @@ class Batch:
     """Diffusion step, int64."""
     noise: Float[Tensor, "batch frames 201"]
     """Of the forward process."""
+    looked_at: Int[Tensor, "batch"]
+    """First of the `LOOKED_AT` frames in which joints are compared."""
+    part: Int[Tensor, "batch"]
+    """Which part of the clips a window is of (`scenemi.training.joiner`)."""
+
+    def chosen(self, index: Tensor) -> Batch:
+        """Some of the windows."""
+        return Batch(*(getattr(self, item.name)[index] for item in fields(self)))
 
     def to(self, device: torch.device) -> Batch:
         """On a device."""
@@ -78,6 +88,7 @@ class StepBatches(Dataset[Batch]):
         self.anchors = anchor_vertices(bodies[0], config.model.bps_anchors)
         self.balls = [fit_balls(body) for body in bodies]
         self.scenes = PseudoScenes()
+        self.clip_part = parts_of(motions.store.clip_name, max(1, config.model.members))
 
     def __len__(self) -> int:
         return self.config.steps
@@ -90,14 +101,13 @@ class StepBatches(Dataset[Batch]):
 
     def made(self, windows: WindowBatch, rows: np.ndarray, step: int) -> Batch:
         """The chosen rows of a batch of windows, with conditions and noise."""
-        R, translation_m = canonical(windows.R_parent_joint[rows], windows.translation_m[rows])
+        R, translation_m = to_canonical(windows.R_parent_joint[rows], windows.translation_m[rows])
         body = windows.body_index[rows]
         columns: dict[str, list[Any]] = {name: [] for name in _DRAWN}
         for i, row in enumerate(rows):
             rng = np.random.default_rng([self.config.seed, step, int(row)])
-            drawn = self._drawn(rng, R[i], translation_m[i], int(body[i]), windows.contact[row], windows.valid[row])
-            if windows.uneven[row]:
-                drawn["scene_known"] = drawn["local_known"] = np.float32(0)
+            pose = R[i], translation_m[i], int(body[i])
+            drawn = self._drawn(rng, *pose, windows.contact[row], windows.valid[row], bool(windows.uneven[row]))
             for name in _DRAWN:
                 columns[name].append(drawn[name])
         return Batch(
@@ -106,6 +116,7 @@ class StepBatches(Dataset[Batch]):
             rest_joints_m=torch.from_numpy(self.motions.rest_joints_m[body]),
             body=torch.from_numpy(self.lengths[body]),
             valid=torch.from_numpy(windows.valid[rows].astype(np.float32)),
+            part=torch.from_numpy(self.clip_part[windows.clip[rows]]),
             **{name: torch.from_numpy(np.stack(values)) for name, values in columns.items()},
         )
 
@@ -117,39 +128,37 @@ class StepBatches(Dataset[Batch]):
         body_index: int,
         contact: np.ndarray,
         valid: np.ndarray,
+        uneven: bool,
     ) -> dict[str, Any]:
         config, frames = self.config, len(translation_m)
-        joints_m, R_world = forward_kinematics(R, translation_m, self.motions.rest_joints_m[body_index])
-        anchors_m = self.bodies[body_index].vertices(R_world, joints_m, self.anchors)
-        scene = self.scenes.draw(rng, joints_m, R_world, anchors_m, contact, balls=self.balls[body_index])
+        with_scene = not uneven and rng.random() < config.scene_share
+        occupancy = np.zeros(config.model.grid, np.uint8)
+        local = np.zeros((frames, config.model.bps_anchors, 3), np.float16)
+        if with_scene:
+            joints_m, R_world = forward_kinematics(R, translation_m, self.motions.rest_joints_m[body_index])
+            anchors_m = self.bodies[body_index].vertices(R_world, joints_m, self.anchors)
+            scene = self.scenes.draw(rng, joints_m, R_world, anchors_m, contact, balls=self.balls[body_index])
+            occupancy, local = scene.occupancy.astype(np.uint8), scene.bps.astype(np.float16)
         noisy = rng.random() < config.noisy_share
         return {
             "mask": (draw_mask(rng, frames, config.keyframes) | ~valid).astype(np.float32),
-            "occupancy": scene.occupancy.astype(np.uint8),
-            "local": scene.bps.astype(np.float16),
-            "scene_known": np.float32(rng.random() >= config.drop_global),
-            "local_known": np.float32(rng.random() >= config.drop_local),
+            "occupancy": occupancy,
+            "local": local,
+            "scene_known": np.float32(with_scene and rng.random() >= config.drop_global),
+            "local_known": np.float32(with_scene and rng.random() >= config.drop_local),
             "noise_level": np.float32(rng.random() if noisy else 0.0),
             "turn_noise": rng.standard_normal((frames, 22, 3), np.float32),
             "shift_noise": rng.standard_normal((frames, 3), np.float32),
             "step": np.int64(rng.integers(1, STEPS + 1)),
+            "looked_at": np.int64(rng.integers(0, max(1, frames - LOOKED_AT + 1))),
             "noise": rng.standard_normal((frames, config.model.feature_count), np.float32),
         }
 
 
 _DRAWN = (
     "mask", "occupancy", "local", "scene_known", "local_known", "noise_level", "turn_noise", "shift_noise", "step",
-    "noise",
+    "looked_at", "noise",
 )  # fmt: skip
-
-
-def canonical(R_parent_joint: np.ndarray, translation_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """World windows in the frame of their first pose: (B, N, 22, 3, 3) and (B, N, 3)."""
-    T = canonical_frame(R_parent_joint[:, 0, 0], translation_m[:, 0])
-    R = np.swapaxes(T[:, None, :3, :3], -1, -2)
-    turned = R_parent_joint.copy()
-    turned[:, :, 0] = R @ R_parent_joint[:, :, 0]
-    return turned, (R @ (translation_m - T[:, None, :3, 3])[..., None])[..., 0]
 
 
 def statistics_of(motions: MotionSet, seed: int) -> Statistics:
@@ -165,21 +174,28 @@ def statistics_of(motions: MotionSet, seed: int) -> Statistics:
     return Statistics.of(np.concatenate(features), lengths)
 
 
-def batches(data: StepBatches, first_step: int, last_step: int) -> Iterator[Batch]:
-    """Batches of steps [first, last), made ahead by worker processes."""
-    steps = range(first_step, last_step)
-    if data.config.workers == 0:
+def parts_of(names: Sequence[str] | np.ndarray, parts: int) -> Int[np.ndarray, "clips"]:
+    """Part of each clip, by its name: alike on every machine and whatever other clips there are."""
+    digests = (hashlib.sha256(str(name).encode()).digest() for name in names)
+    return np.array([int.from_bytes(digest[:4], "little") % parts for digest in digests], dtype=np.int64)
+
+
+Drawn = TypeVar("Drawn")
+
+
+def load_in_order(data: Dataset[Drawn], steps: range, workers: int) -> Iterator[Drawn]:
+    """Batches of some steps, made ahead by worker processes."""
+    if workers == 0:
         yield from (data[step] for step in steps)
         return
-    loader = DataLoader(
+    yield from DataLoader(
         data,
         batch_size=None,
         sampler=list(steps),
-        num_workers=data.config.workers,
+        num_workers=workers,
         prefetch_factor=4,
         worker_init_fn=_one_thread,
     )
-    yield from loader
 
 
 def _one_thread(_: int) -> None:

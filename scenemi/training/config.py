@@ -44,13 +44,22 @@ class TrainConfig:
     """Share of windows with noisy keyframes, l ~ U(0, 1) (paper 3.2.1); the others have exact ones."""
     stop_step: int = 20
     """T*: noisy keyframes are imputed above this step only."""
+    scene_share: float = 0.6
+    """Share of windows around which a scene is drawn; the others have none, as many uses have none."""
     drop_global: float = 0.1
+    """Share of the scenes of which only the local part is given; `drop_local`: only the global part."""
     drop_local: float = 0.1
     joints_weight: float = 2.0
     velocity_weight: float = 10.0
     relative: bool = True
     """Errors count relative to those of interpolation at the same distance from the keyframes. Else (the paper's eq.
     4) the loss is ruled by the sparsest keyframes, where most of the error cannot be known. Needs `model.residual`."""
+    joiner_steps: int = 2000
+    """Steps of each network of the learned interpolation, before the denoiser's."""
+    joiner_batch: int = 48
+    joiner_rate: float = 1e-3
+    joiner_decay: float = 0.05
+    """Weight decay."""
     workers: int = 1
     """Processes that make batches."""
     log_every: int = 20

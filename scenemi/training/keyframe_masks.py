@@ -33,3 +33,18 @@ def draw_mask(
             mask[: int(rng.integers(2, frames - 10))] = True
     mask[[0, -1]] = True
     return mask
+
+
+def draw_sparse_mask(rng: np.random.Generator, frames: int) -> Bool[np.ndarray, "frames"]:
+    """Keyframes some 5 to 90 frames apart, log-uniform: half regular with any phase, half at random; 15 % begin with
+    known frames."""
+    mask = np.zeros(frames, bool)
+    interval = round(float(np.exp(rng.uniform(np.log(5), np.log(90)))))
+    if rng.random() < 0.5:
+        mask[int(rng.integers(0, interval)) :: interval] = True
+    else:
+        mask |= rng.random(frames) < 1 / interval
+    if rng.random() < _SEEDED:
+        mask[: int(rng.integers(2, frames - 10))] = True
+    mask[[0, -1]] = True
+    return mask

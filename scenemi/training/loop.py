@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,10 @@ from torch.nn.parallel import DistributedDataParallel
 from scenemi.data.windows import MotionSet
 from scenemi.features import Statistics
 from scenemi.model.denoiser import Denoiser
-from scenemi.training.batches import StepBatches, batches, statistics_of
+from scenemi.training.batches import StepBatches, load_in_order, statistics_of
 from scenemi.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from scenemi.training.config import TrainConfig
+from scenemi.training.joiner import holds_joiner, load_joiner, save_joiner, train_joiner
 from scenemi.training.losses import Losses, TrainingLoss, measure_scales
 from scenemi.training.validate import Validation, Validator
 from video2anim.errors import InputError
@@ -50,6 +52,8 @@ class Progress:
     total: float
     windows_per_s: float
     validation: tuple[Validation, ...] = ()
+    stage: str = ""
+    """What is trained; empty = the denoiser."""
 
 
 def train(
@@ -92,13 +96,14 @@ def train(
     run = _Run(config, held.statistics if held else statistics_of(motions, config.seed), device, held, world)
     data = StepBatches(motions, run.statistics, config, rank=rank, world=world)
     if held is None:
+        run.join(motions, out, fresh=not resume, on_progress=on_progress if rank == 0 else None)
         run.measure(data)
     check = Validator(validation, run.statistics) if validation is not None and rank == 0 else None
     log, curve = _Table(out / LOG, _COLUMNS, run.step), _Table(out / VALIDATION, _validation_columns(), run.step)
 
     last = min(config.steps, stop_at or config.steps)
     begun, since, done = time.perf_counter(), time.perf_counter(), 0
-    for batch in batches(data, run.step, last):
+    for batch in load_in_order(data, range(run.step, last), config.workers):
         losses, norm = run.advance(batch.to(torch.device(device)))
         done += 1
         elapsed = time.perf_counter() - begun
@@ -114,7 +119,7 @@ def train(
                 since, done = time.perf_counter(), 0
             if check is not None and (run.step % config.validate_every == 0 or run.step == config.steps):
                 rows = check(run.averaged())
-                curve.add(run.step, *(value for row in rows for value in (row.mjpe_m, row.base_mjpe_m, row.jerk_ratio)))
+                curve.add(run.step, *(getattr(row, name) for row in rows for name in _VALIDATED))
                 on_progress(Progress(run.step, config.steps, float(losses.total), 0.0, rows))
                 since, done = time.perf_counter(), 0
             if run.step % config.save_every == 0 or run.step == last or out_of_time:
@@ -138,8 +143,9 @@ class _Run:
         self.model = Denoiser(config.model).to(self.device)
         self.average = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
         self.step, self.seconds = 0, 0.0
+        learned = [parameter for parameter in self.model.parameters() if parameter.requires_grad]
         self.optimizer = torch.optim.AdamW(
-            self.model.parameters(), config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
+            learned, config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
         )
         if held is not None:
             self.model.load_state_dict(held.model)
@@ -152,6 +158,22 @@ class _Run:
         if world > 1:
             self.loss = DistributedDataParallel(self.plain, find_unused_parameters=True)
         self.world = world
+
+    def join(
+        self, motions: MotionSet, out: Path, *, fresh: bool, on_progress: Callable[[Progress], None] | None
+    ) -> None:
+        """Train the learned interpolation, or take from `out` what is trained already; alike in every process."""
+        count = self.config.model.members
+        for k in range(count):
+            path = out / f"joiner_{k}.safetensors"
+            if on_progress is not None and (fresh or not holds_joiner(path, self.config)):
+                say = _every(self.config, k, count, on_progress)
+                joiner = train_joiner(motions, self.statistics, self.config, k, device=self.device.type, on_step=say)
+                save_joiner(path, joiner, self.config)
+        if self.world > 1:
+            distributed.barrier()
+        for k in range(count):
+            self.model.joiners[k].load_state_dict(load_joiner(out / f"joiner_{k}.safetensors"))
 
     def measure(self, data: StepBatches) -> None:
         """Set the scales of a new model; alike in every process."""
@@ -213,16 +235,37 @@ class _Run:
         )  # fmt: skip
 
 
+def _every(
+    config: TrainConfig, member: int, members: int, on_progress: Callable[[Progress], None]
+) -> Callable[[int, float], None]:
+    """Tells of every so many steps of the learned interpolation."""
+    total, begun = 0.0, time.perf_counter()
+
+    def say(step: int, loss: float) -> None:
+        nonlocal total, begun
+        total += loss
+        if step % config.log_every == 0:
+            speed = config.joiner_batch * config.log_every / (time.perf_counter() - begun)
+            stage = f"learned interpolation {member + 1}/{members}"
+            on_progress(Progress(step, config.joiner_steps, total / config.log_every, speed, stage=stage))
+            total, begun = 0.0, time.perf_counter()
+
+    return say
+
+
 def _processes() -> tuple[int, int]:
     """Rank and number of processes; joins the group that torchrun describes."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if world == 1:
         return 0, 1
     if not distributed.is_initialized():
-        distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+        backend = "nccl" if torch.cuda.is_available() else "gloo"
+        distributed.init_process_group(backend, timeout=_PATIENCE)
     return distributed.get_rank(), world
 
 
+_PATIENCE = timedelta(hours=4)
+"""How long processes wait for the one that trains the learned interpolation."""
 _FREE = ("steps", "workers", "log_every", "save_every", "validate_every")
 """Settings in which a resumed run may differ."""
 
@@ -238,10 +281,13 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
+_VALIDATED = ("mjpe_m", "base_mjpe_m", "interpolated_mjpe_m", "jerk_ratio")
+
+
 def _validation_columns() -> tuple[str, ...]:
     from scenemi.training.validate import INTERVALS
 
-    return ("step", *(f"{name}_{r}" for r in INTERVALS for name in ("mjpe_m", "base_mjpe_m", "jerk_ratio")))
+    return ("step", *(f"{name}_{r}" for r in INTERVALS for name in _VALIDATED))
 
 
 class _Table:

@@ -11,13 +11,12 @@ from jaxtyping import Float
 from scipy.ndimage import uniform_filter1d
 from torch import Tensor, nn
 
-from scenemi.features import JOINTS, TRANSLATION, Statistics
-from scenemi.model.base import join_keyframes
+from scenemi.features import BODY_ROTATIONS, FEATURE_COUNT, JOINTS, ROOT_ROTATION, TRANSLATION, Statistics
 from scenemi.model.denoiser import REACH, Conditions, Denoiser, distance_to_keyframes, impute
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.heading import headings, to_heading, view
 from scenemi.model.kinematics import joints_of, posed_joints
-from scenemi.training.batches import Batch
+from scenemi.training.batches import LOOKED_AT, Batch
 from scenemi.training.config import TrainConfig
 from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
 
@@ -59,11 +58,11 @@ class TrainingLoss(nn.Module):
         config = self.config
         with torch.no_grad():
             x0 = (features_of(batch.R_parent_joint, batch.translation_m, batch.rest_joints_m) - self.mean) / self.std
-            keys = (noisy_keyframes(batch) - self.mean) / self.std
+            keys = self._keyframes(batch, x0)
             x = self.schedule.add_noise(x0, batch.step, batch.noise)
             steered = (batch.noise_level == 0) | (batch.step > config.stop_step)
             x = impute(x, keys, batch.mask * steered[:, None])
-            base = join_keyframes(keys, batch.mask)
+            base = self.denoiser.join(keys, batch.mask, batch.body, batch.noise_level, batch.part)
         given = Conditions(
             mask=batch.mask,
             imputed=batch.mask * steered[:, None],
@@ -71,12 +70,27 @@ class TrainingLoss(nn.Module):
             local=shifted_local(batch),
             body=batch.body,
             noise_level=batch.noise_level,
-            scene=self.denoiser.encode_scene(batch.occupancy.float()),
+            scene=self._scene(batch),
             scene_known=batch.scene_known,
             local_known=batch.local_known,
         )
         estimate = self.denoiser(x, batch.step, given).float()
         return self.compared(estimate, x0, batch, self._expected(given) if config.relative else None)
+
+    def _scene(self, batch: Batch) -> Tensor:
+        """Global scene vectors of the windows that have one."""
+        known = torch.nonzero(batch.scene_known > 0)[:, 0]
+        if not len(known):
+            return batch.mask.new_zeros(len(batch.mask), self.denoiser.config.embedding)
+        found = self.denoiser.encode_scene(batch.occupancy[known].float())
+        return found.new_zeros(len(batch.mask), found.shape[1]).index_copy(0, known, found)
+
+    def _keyframes(self, batch: Batch, x0: Tensor) -> Tensor:
+        """Normalized features with the noise of the keyframes; most windows have none."""
+        noisy = torch.nonzero(batch.noise_level > 0)[:, 0]
+        keys = x0.clone()
+        keys[noisy] = (noisy_keyframes(batch.chosen(noisy)) - self.mean) / self.std
+        return keys
 
     @torch.no_grad()
     def _expected(self, given: Conditions) -> tuple[Tensor, Tensor]:
@@ -88,56 +102,48 @@ class TrainingLoss(nn.Module):
     def compared(
         self, estimate: Tensor, x0: Tensor, batch: Batch, expected: tuple[Tensor, Tensor] | None = None
     ) -> Losses:
-        """Losses of an estimate (B, N, 201), normalized; relative to the expected squared errors where given."""
-        config, valid = self.config, batch.valid
-        joints = joints_of(estimate * self.std + self.mean, batch.rest_joints_m)
-        with torch.no_grad():
-            true = posed_joints(batch.R_parent_joint, batch.translation_m, batch.rest_joints_m)
-        simple = per_window((estimate - x0).square().mean(-1), valid)
-        off = per_window((joints - true).square().sum((-1, -2)), valid)
-        moves = (joints.diff(dim=1) - true.diff(dim=1)).square().sum((-1, -2))
-        velocity = per_window(moves, valid[:, 1:])
+        """Losses of an estimate (B, N, 201), normalized; relative to the expected squared errors where given. Joints by
+        forward kinematics are compared in a piece of each window: it costs as much as the network."""
+        config = self.config
+        frames = batch.looked_at[:, None] + torch.arange(min(LOOKED_AT, x0.shape[1]), device=x0.device)
+        row = torch.arange(len(x0), device=x0.device)[:, None]
+        some, valid = estimate[row, frames] * self.std + self.mean, batch.valid[row, frames]
+        joints = joints_of(some, batch.rest_joints_m)
+        true = (x0[row, frames] * self.std + self.mean)[..., JOINTS].unflatten(-1, (22, 3))
+        apart = (joints - true).square().sum(-1)
+        moves = (joints.diff(dim=1) - true.diff(dim=1)).square().sum(-1)
+        simple = per_window((estimate - x0).square().mean(-1), batch.valid)
+        off = per_window(apart.sum(-1), valid)
+        velocity = per_window(moves.sum(-1), valid[:, 1:])
         if expected is None:
             total = simple + config.joints_weight * off + config.velocity_weight * velocity
         else:
             of_features, of_joint = expected
+            of_joint = of_joint[row, frames][..., None]
             share = config.velocity_weight / config.joints_weight
-            relative = (joints - true).square().sum(-1) / of_joint[..., None]
-            relative_moves = (joints.diff(dim=1) - true.diff(dim=1)).square().sum(-1) / of_joint[:, 1:, None]
-            total = per_window(robust((estimate - x0).square() / of_features).mean(-1), valid)
-            total = total + per_window(robust(relative).mean(-1), valid)
-            total = total + share * per_window(robust(relative_moves).mean(-1), valid[:, 1:])
+            total = per_window(robust((estimate - x0).square() / of_features).mean(-1), batch.valid)
+            total = total + per_window(robust(apart / of_joint).mean(-1), valid)
+            total = total + share * per_window(robust(moves / of_joint[:, 1:]).mean(-1), valid[:, 1:])
         return Losses(total, simple, off, velocity)
 
 
 @torch.no_grad()
 def measure_scales(loss: TrainingLoss, batches: Sequence[Batch]) -> dict[str, Tensor]:
     """What `Denoiser.set_scales` wants, from batches as training draws them."""
-    total = torch.zeros(REACH + 1, loss.mean.numel(), dtype=torch.float64)
     noise = torch.zeros(loss.mean.numel(), dtype=torch.float64)
-    count = torch.zeros(REACH + 1, dtype=torch.float64)
-    views = []
+    views, triples = [], []
     for batch in batches:
         x0 = (features_of(batch.R_parent_joint, batch.translation_m, batch.rest_joints_m) - loss.mean) / loss.std
-        base = join_keyframes(x0, batch.mask)
-        raw = base * loss.std + loss.mean
+        exact = torch.zeros_like(batch.noise_level)
+        raw = loss.denoiser.join(x0, batch.mask, batch.body, exact, batch.part) * loss.std + loss.mean
         heading = headings(raw)
-        off = to_heading(x0 - base, heading).double().square().flatten(0, 1)
-        distance = distance_to_keyframes(batch.mask).flatten()
-        total.index_add_(0, distance.cpu(), off.cpu())
-        count.index_add_(0, distance.cpu(), torch.ones(len(distance), dtype=torch.float64))
+        triples.append((x0 * loss.std + loss.mean, raw, batch.mask))
         keys = (noisy_keyframes(replace(batch, noise_level=torch.ones_like(batch.noise_level))) - loss.mean) / loss.std
         noise += to_heading(keys - x0, heading).double().square().mean((0, 1)).cpu()
         views.append(view(raw, heading).flatten(0, 1).cpu())
-    seen = torch.nonzero(count > 0)[:, 0]
-    size = _pooled((total[seen] / count[seen, None]).numpy(), loss.std.cpu().numpy())
-    grid = np.arange(REACH + 1)
-    filled = np.stack([np.interp(grid, seen.numpy(), column) for column in size.T], 1)
-    smooth = uniform_filter1d(filled, _SMOOTHING, axis=0, mode="nearest")
-    smooth[0] = 0.0
     every = torch.cat(views)
     return {
-        "residual_std": torch.from_numpy(smooth).float(),
+        "residual_std": residual_size(triples) / loss.std.cpu(),
         "keyframe_std": (noise / max(1, len(batches))).sqrt().float(),
         "view_mean": every.mean(0),
         "view_std": every.std(0).clamp(min=_LEAST_VIEW),
@@ -146,14 +152,36 @@ def measure_scales(loss: TrainingLoss, batches: Sequence[Batch]) -> dict[str, Te
     }
 
 
-def _pooled(square: Float[np.ndarray, "distances 201"], std: Float[np.ndarray, "201"]) -> np.ndarray:
+def residual_size(drawn: Sequence[tuple[Tensor, Tensor, Tensor]]) -> Float[Tensor, "distances 201"]:
+    """How far the truth is from a curve through the keyframes, by frames from the nearest one (0 to `REACH`): RMS of
+    each feature in the heading of the curve, metres and 6D entries.
+
+    Args:
+        drawn: truth and curve (B, N, 201), denormalized, and mask (B, N) of batches.
+    """
+    total = torch.zeros(REACH + 1, FEATURE_COUNT, dtype=torch.float64)
+    count = torch.zeros(REACH + 1, dtype=torch.float64)
+    for truth, curve, mask in drawn:
+        off = to_heading(truth - curve, headings(curve)).double().square().flatten(0, 1)
+        distance = distance_to_keyframes(mask).flatten().cpu()
+        total.index_add_(0, distance, off.cpu())
+        count.index_add_(0, distance, torch.ones(len(distance), dtype=torch.float64))
+    seen = torch.nonzero(count > 0)[:, 0]
+    size = _pooled((total[seen] / count[seen, None]).numpy())
+    grid = np.arange(REACH + 1)
+    filled = np.stack([np.interp(grid, seen.numpy(), column) for column in size.T], 1)
+    smooth = uniform_filter1d(filled, _SMOOTHING, axis=0, mode="nearest")
+    smooth[0] = 0.0
+    return torch.from_numpy(smooth).float()
+
+
+def _pooled(square: Float[np.ndarray, "distances 201"]) -> np.ndarray:
     """RMS in which half of each column's square is its own and half that of all columns of its kind (translation, root
-    orientation, rotations, joints), in their common unit: what hardly moved in the windows seen may move in others."""
-    raw = square * std**2
-    pooled = raw.copy()
-    for kind in (TRANSLATION, slice(3, 9), slice(9, 135), JOINTS):
-        pooled[:, kind] = 0.5 * raw[:, kind] + 0.5 * raw[:, kind].mean(1, keepdims=True)
-    return np.sqrt(pooled) / std
+    orientation, rotations, joints): what hardly moved in the windows seen may move in others."""
+    pooled = square.copy()
+    for kind in (TRANSLATION, ROOT_ROTATION, BODY_ROTATIONS, JOINTS):
+        pooled[:, kind] = 0.5 * square[:, kind] + 0.5 * square[:, kind].mean(1, keepdims=True)
+    return np.sqrt(pooled)
 
 
 def robust(square: Tensor) -> Tensor:
@@ -175,11 +203,24 @@ def features_of(R_parent_joint: Tensor, translation_m: Tensor, rest_joints_m: Te
 
 
 def noisy_keyframes(batch: Batch) -> Float[Tensor, "batch frames 201"]:
+    """`noisy_features` of a batch."""
+    pose = batch.R_parent_joint, batch.translation_m, batch.rest_joints_m
+    return noisy_features(*pose, batch.noise_level, batch.turn_noise, batch.shift_noise)
+
+
+def noisy_features(
+    R_parent_joint: Tensor,
+    translation_m: Tensor,
+    rest_joints_m: Tensor,
+    noise_level: Float[Tensor, "batch"],
+    turn_noise: Float[Tensor, "batch frames 22 3"],
+    shift_noise: Float[Tensor, "batch frames 3"],
+) -> Float[Tensor, "batch frames 201"]:
     """Features with Gaussian noise of l degrees on every joint's rotation and l centimeters on the translation."""
-    level = batch.noise_level[:, None, None]
-    turn = matrix_from_axis_angle(batch.turn_noise * (level[..., None] * torch.pi / 180))
-    noisy = (batch.R_parent_joint[..., :, :, None] * turn[..., None, :, :]).sum(-2)
-    return features_of(noisy, batch.translation_m + 0.01 * level * batch.shift_noise, batch.rest_joints_m)
+    level = noise_level[:, None, None]
+    turn = matrix_from_axis_angle(turn_noise * (level[..., None] * torch.pi / 180))
+    noisy = (R_parent_joint[..., :, :, None] * turn[..., None, :, :]).sum(-2)
+    return features_of(noisy, translation_m + 0.01 * level * shift_noise, rest_joints_m)
 
 
 def shifted_local(batch: Batch) -> Float[Tensor, "batch frames anchors 3"]:

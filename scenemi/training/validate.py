@@ -10,13 +10,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from scenemi.data.windows import MotionSet, WindowBatch
-from scenemi.features import Statistics, body_lengths
+from scenemi.features import Statistics, body_lengths, to_canonical
 from scenemi.model.base import join_keyframes
 from scenemi.model.denoiser import Conditions, Denoiser
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.kinematics import joints_of
 from scenemi.model.sampling import SamplerConfig, sample
-from scenemi.training.batches import canonical
 from scenemi.training.losses import features_of
 
 INTERVALS = (15, 30, 60)
@@ -31,7 +30,9 @@ class Validation:
     interval: int
     mjpe_m: float
     base_mjpe_m: float
-    """Of the interpolation that the denoiser corrects."""
+    """Of the joined keyframes that the denoiser corrects."""
+    interpolated_mjpe_m: float
+    """Of plain cubic curves."""
     jerk_ratio: float
     """Jerk over that of the truth."""
 
@@ -43,7 +44,7 @@ class Validator:
         batches = list(motions.fixed_windows(full_only=True, body=0)) or list(motions.fixed_windows(body=0))
         rows = [(batch, row) for batch in batches for row in range(len(batch))]
         chosen = [rows[i] for i in np.linspace(0, len(rows) - 1, min(_WINDOWS, len(rows))).astype(int)]
-        R, translation_m = canonical(*(np.stack(arrays) for arrays in zip(*map(_poses, chosen), strict=True)))
+        R, translation_m = to_canonical(*(np.stack(arrays) for arrays in zip(*map(_poses, chosen), strict=True)))
         body = np.array([batch.body_index[row] for batch, row in chosen])
         lengths = np.stack(
             [statistics.normalize_body(body_lengths(motions.body(i))) for i in range(len(motions.shapes))]
@@ -75,7 +76,7 @@ class Validator:
         given = Conditions(
             mask=mask,
             imputed=mask,
-            base=join_keyframes(keys, mask),
+            base=denoiser.join(keys, mask, self.body.to(device), none),
             local=torch.zeros(count, frames, config.bps_anchors, 3, device=device),
             body=self.body.to(device),
             noise_level=none,
@@ -90,6 +91,7 @@ class Validator:
             interval,
             float((self._joints(made) - true).norm(dim=-1).mean()),
             float((self._joints(given.base) - true).norm(dim=-1).mean()),
+            float((self._joints(join_keyframes(keys, mask)) - true).norm(dim=-1).mean()),
             float(_jerk(self._joints(made)) / _jerk(true)),
         )
 

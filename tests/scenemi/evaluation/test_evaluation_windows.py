@@ -13,11 +13,11 @@ from scenemi.evaluation.scores import WindowJudge
 from scenemi.evaluation.windows import (
     EvaluationWindow,
     KeyframeProtocol,
-    centered,
     cut_windows,
     give_keyframes,
     with_noise,
 )
+from scenemi.features import to_canonical
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
@@ -54,7 +54,7 @@ def test_centering_undoes_a_turn_and_a_shift(windows: Windows) -> None:
     turned = window.R_parent_joint.copy()
     turned[:, 0] = R_world_old @ turned[:, 0]
     moved_m = window.translation_m @ R_world_old.T + [3.0, 0.0, -7.0]
-    R_parent_joint, translation_m = centered(turned, moved_m)
+    R_parent_joint, translation_m = to_canonical(turned, moved_m)
     joints_m, _ = forward_kinematics(R_parent_joint, translation_m, window.body.rest_joints_m)
     np.testing.assert_allclose(joints_m, window.joints_m, atol=1e-9)
 
