@@ -44,6 +44,9 @@ class SamplerConfig:
     """T*: keyframes are imputed while t > T*. None = 20 for noisy keyframes, 0 for exact ones."""
     eta: float = 0.0
     """Noise of `ddim`: 0 = deterministic, 1 = DDPM."""
+    temperature: float = 1.0
+    """Size of the noise that sampling starts from (and adds). Less gives motions nearer to the expected one: smaller
+    error, less detail; several samples differ less."""
     hard_keyframes: bool = True
     """Exact keyframes are met to 1e-6 (`scenemi.model.keyframe_fit`); noisy ones never are, save the seed frames."""
     spacing: float = 1.5
@@ -63,6 +66,8 @@ class SamplerConfig:
                 "SamplerConfig: want steps >= 1, 0 <= eta <= 1, spacing >= 1, "
                 f"got {self.steps}, {self.eta}, {self.spacing}"
             )
+        if not 0 <= self.temperature <= 1:
+            raise ValueError(f"SamplerConfig: want temperature from 0 to 1, got {self.temperature}")
         if self.stop_step is not None and self.stop_step < 0:
             raise ValueError(f"SamplerConfig: want stop_step >= 0, got {self.stop_step}")
 
@@ -122,14 +127,14 @@ def sample(
         stop_step: T*.
         adjust: applied to every estimate of the clean window.
     """
-    x = torch.stack([_noise(x_keys, generator) for generator in generators])
+    x = config.temperature * torch.stack([_noise(x_keys, generator) for generator in generators])
     predict = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, adjust)
     steps = time_steps(schedule.steps, config.steps, stop_step=stop_step, spacing=config.spacing)
     with torch.no_grad():
         if config.method == "dpm-solver++":
             return _dpm_solver(predict, x, schedule.alpha_bar, steps, stop_step)
         eta = 1.0 if config.method == "ddpm" else config.eta
-        return _ancestral(predict, x, schedule.alpha_bar, steps, eta, generators)
+        return _ancestral(predict, x, schedule.alpha_bar, steps, eta, config.temperature, generators)
 
 
 def guided(
@@ -180,6 +185,7 @@ def _ancestral(
     alpha_bar: np.ndarray,
     steps: np.ndarray,
     eta: float,
+    temperature: float,
     generators: Sequence[torch.Generator],
 ) -> Tensor:
     for t, s in pairwise(steps):
@@ -187,7 +193,7 @@ def _ancestral(
         of_clean, of_noisy, deviation = posterior(float(alpha_bar[t]), float(alpha_bar[s]), eta)
         x = of_clean * x0 + of_noisy * x
         if deviation > 0:
-            x = x + deviation * torch.stack([_noise(x, generator) for generator in generators])
+            x = x + temperature * deviation * torch.stack([_noise(x, generator) for generator in generators])
     return x
 
 

@@ -128,6 +128,22 @@ def test_second_order_is_nearer_the_limit_than_first_order() -> None:
     assert (run("dpm-solver++", 20) - limit).abs().mean() < 0.6 * (run("ddim", 20) - limit).abs().mean()
 
 
+@pytest.mark.parametrize("method", ["ddpm", "ddim", "dpm-solver++"])
+def test_temperature_shrinks_the_spread_and_keeps_the_mean(method: Method) -> None:
+    """For Gaussian data the samples' deviation is the temperature times the data's."""
+    count, steps = 800, 200 if method == "ddpm" else 20
+
+    def run(temperature: float) -> Tensor:
+        config = SamplerConfig(method, steps, guidance_weight=1.0, temperature=temperature)
+        x_keys = MEAN.float().expand(count, -1, -1)
+        return sample(oracle, SCHEDULE, x_keys, conditions(count, False), config, generators(count)).double()
+
+    half, full = run(0.5), run(1.0)
+    assert half.std(0).mean() == pytest.approx(0.5 * float(full.std(0).mean()), rel=0.06)
+    assert (half.mean(0) - MEAN).abs().max() < 0.08
+    assert run(0.0).std(0).max() < 1e-5
+
+
 def test_deterministic_methods_repeat_and_ancestral_noise_follows_the_seed() -> None:
     x_keys, given = MEAN.float().expand(2, -1, -1), conditions(2, False)
     methods: tuple[Method, ...] = ("ddim", "dpm-solver++", "ddpm")
@@ -213,7 +229,14 @@ def test_guidance_is_two_halves_of_one_batch_and_w_1_is_one_half() -> None:
 
 
 def test_bad_settings_are_refused() -> None:
-    for bad in ({"method": "euler"}, {"steps": 0}, {"eta": 1.5}, {"stop_step": -1}, {"spacing": 0.5}):
+    for bad in (
+        {"method": "euler"},
+        {"steps": 0},
+        {"eta": 1.5},
+        {"stop_step": -1},
+        {"spacing": 0.5},
+        {"temperature": 2},
+    ):
         with pytest.raises(ValueError, match="SamplerConfig"):
             SamplerConfig(**bad)  # type: ignore[arg-type]
 
