@@ -10,7 +10,7 @@ from scenemi.files import file_digest, read_tensors
 from video2anim.errors import ModelMissingError
 
 FID_FILE = Path(__file__).parents[1] / "weights" / "fid" / "features.safetensors"
-FID_DIGEST = "b9057eb63b58f30ff48b277a5995e2fbd4ee7373e783318acd140eeec3be4a9d"
+FID_DIGEST = "5558cd8daa9210571cbf273dccfa10e6ec8a9f0b4ea5ec25c2b49e79be7cc9e1"
 """SHA-256 of the file: numbers made with other features are not comparable."""
 
 
