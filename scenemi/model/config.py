@@ -41,6 +41,8 @@ class ModelConfig:
     local_channels: int = 64
     """Channels of the embedded local scene."""
     grid: tuple[int, int, int] = (48, 24, 48)
+    voxel_m: float = 0.1
+    """Edge of a voxel; the paper's finer grid is (96, 48, 96) at 0.05 (Table 8)."""
     patch: tuple[int, int, int] = (8, 8, 8)
     """Voxels of a token of the scene encoder."""
     scene_width: int = 64

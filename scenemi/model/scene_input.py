@@ -59,7 +59,7 @@ class SceneReader:
         )
         anchors_m = body.vertices(R_world_joint, joints_m, anchor_vertices(body, config.bps_anchors))
         local_m[keys] = bps(geometry, anchors_m.astype(np.float64), T_world_canonical[:3, :3])
-        voxels = occupancy(geometry, T_world_canonical, GridSpec(config.grid))
+        voxels = occupancy(geometry, T_world_canonical, GridSpec(config.grid, config.voxel_m))
         return SceneInput(lengths_m, voxels, local_m)
 
     def geometry(self, window: KeyframeWindow) -> SceneGeometry | None:

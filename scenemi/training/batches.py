@@ -20,7 +20,8 @@ from scenemi.features import Statistics, body_lengths, encode, to_canonical
 from scenemi.model.diffusion import STEPS
 from scenemi.scene.basis_points import anchor_vertices
 from scenemi.scene.body_balls import fit_balls
-from scenemi.scene.pseudo import PseudoScenes
+from scenemi.scene.pseudo import PseudoConfig, PseudoScenes
+from scenemi.scene.voxels import GridSpec
 from scenemi.training.config import TrainConfig
 from scenemi.training.keyframe_masks import draw_mask
 from video2anim.body.skeleton import forward_kinematics
@@ -87,7 +88,7 @@ class StepBatches(Dataset[Batch]):
         self.lengths = np.stack([statistics.normalize_body(body_lengths(body)) for body in bodies]).astype(np.float32)
         self.anchors = anchor_vertices(bodies[0], config.model.bps_anchors)
         self.balls = [fit_balls(body) for body in bodies]
-        self.scenes = PseudoScenes()
+        self.scenes = PseudoScenes(PseudoConfig(grid=GridSpec(config.model.grid, config.model.voxel_m)))
         self.clip_part = parts_of(motions.store.clip_name, max(1, config.model.members))
 
     def __len__(self) -> int:
