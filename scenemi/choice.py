@@ -12,7 +12,13 @@ INTERPOLATION = "interpolation"
 
 
 def choose_prior(
-    weights: str = "small", *, device: str = "cpu", steps: int | None = None, seed: int = 0, **sampler: Any
+    weights: str = "small",
+    *,
+    device: str = "cpu",
+    steps: int | None = None,
+    temperature: float | None = None,
+    seed: int = 0,
+    **sampler: Any,
 ) -> InbetweeningPrior:
     """The diffusion prior with weights `small`, `research` or a file, or `interpolation`.
 
@@ -20,6 +26,7 @@ def choose_prior(
         weights: name or path of the weights.
         device: cpu or cuda.
         steps: of the sampler; its whole schedule (1000) is sampled by DDPM, as in the paper.
+        temperature: of the sampler; None = its default.
         seed: of `fill`.
         sampler: other fields of `SamplerConfig`.
 
@@ -35,6 +42,8 @@ def choose_prior(
 
     try:
         config = SamplerConfig(**sampler)
+        if temperature is not None:
+            config = replace(config, temperature=temperature)
         if steps is not None:
             method = "ddpm" if steps >= STEPS else config.method
             config = replace(config, steps=steps, method=method)

@@ -27,6 +27,10 @@ app = typer.Typer(
 Weights = Annotated[str, typer.Option(help="small, research, a .safetensors file, or interpolation.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 Steps = Annotated[int | None, typer.Option(min=1, max=1000, help="Sampling steps; 1000 is the paper's sampler.")]
+Temperature = Annotated[
+    float | None,
+    typer.Option(min=0, max=1, help="1 = motions as varied as the data; less = nearer to the expected one."),
+]
 DEFAULT_INTERVAL = 15
 
 
@@ -53,6 +57,7 @@ def sample_command(
     noisy: Annotated[bool, typer.Option("--noisy", help="Keyframes are inexact (1 degree, 1 cm): clean them.")] = False,
     noise: Annotated[float | None, typer.Option(help="The same with another size, degrees and cm.")] = None,
     steps: Steps = None,
+    temperature: Temperature = None,
     length: Annotated[int | None, typer.Option(min=2, help="Frames of the result.")] = None,
     samples: Annotated[int, typer.Option(min=1, max=100, help="Motions to make, each with its own seed.")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Of the first motion.")] = 0,
@@ -77,7 +82,7 @@ def sample_command(
     level = noise if noise is not None else 1.0 if noisy else 0.0
     prior_device = _device(device)
     for number, target in enumerate(targets):
-        prior = choose_prior(weights, device=prior_device, steps=steps, seed=seed + number)
+        prior = choose_prior(weights, device=prior_device, steps=steps, seed=seed + number, temperature=temperature)
         made = sample_motion(given, prior, scene=solids, length=length, noise=level)
         for note in (*notes, *made.notes):
             _note(note)
@@ -95,6 +100,7 @@ def evaluate_command(
     probability: Annotated[float | None, typer.Option(help="Random keyframes with this chance, instead.")] = None,
     noise: Annotated[float, typer.Option(help="Noise of the keyframes in degrees and cm.")] = 0.0,
     steps: Steps = None,
+    temperature: Temperature = None,
     weights: Weights = "small",
     split: Annotated[Path | None, typer.Option(help="JSON with lists of clip names; default: all clips.")] = None,
     part: Annotated[str, typer.Option(help="Part of the split.")] = "test",
@@ -115,7 +121,7 @@ def evaluate_command(
         if path is not None:
             expect_writable(path)
     protocol = KeyframeProtocol(60 if interval is None and probability is None else interval, probability, noise)
-    prior = choose_prior(weights, device=_device(device), steps=steps)
+    prior = choose_prior(weights, device=_device(device), steps=steps, temperature=temperature)
     windows = _windows(clips, split, part, scenes)
     with _progress("windows") as on_window:
         found = evaluate(

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import distributed
+from torch import Tensor, distributed
 from torch.nn.parallel import DistributedDataParallel
 
 from scenemi.data.windows import MotionSet
@@ -102,26 +102,28 @@ def train(
     log, curve = _Table(out / LOG, _COLUMNS, run.step), _Table(out / VALIDATION, _validation_columns(), run.step)
 
     last = min(config.steps, stop_at or config.steps)
-    begun, since, done = time.perf_counter(), time.perf_counter(), 0
+    begun, since = time.perf_counter(), time.perf_counter()
+    recent: list[Tensor] = []  # losses of the steps since the last line of the log
     for batch in load_in_order(data, range(run.step, last), config.workers):
         losses, norm = run.advance(batch.to(torch.device(device)))
-        done += 1
         elapsed = time.perf_counter() - begun
         out_of_time = time_limit_s is not None and elapsed > time_limit_s
         if rank == 0:
+            recent.append(torch.stack([losses.total, losses.simple, losses.joints, losses.velocity]))
             if run.step % config.log_every == 0:
-                speed = done * config.batch / (time.perf_counter() - since)
-                values = [float(x) for x in (losses.total, losses.simple, losses.joints, losses.velocity)]
+                speed = len(recent) * config.batch / (time.perf_counter() - since)
+                values = torch.stack(recent).mean(0).tolist()
                 log.add(
                     run.step, *values, run.rate(run.step - 1), norm, round(speed, 2), round(run.seconds + elapsed, 1)
                 )
                 on_progress(Progress(run.step, config.steps, values[0], speed))
-                since, done = time.perf_counter(), 0
+                since = time.perf_counter()
+                recent.clear()
             if check is not None and (run.step % config.validate_every == 0 or run.step == config.steps):
                 rows = check(run.averaged())
                 curve.add(run.step, *(getattr(row, name) for row in rows for name in _VALIDATED))
                 on_progress(Progress(run.step, config.steps, float(losses.total), 0.0, rows))
-                since, done = time.perf_counter(), 0
+                since = time.perf_counter()
             if run.step % config.save_every == 0 or run.step == last or out_of_time:
                 save_checkpoint(out / CHECKPOINT, run.state(elapsed))
         if out_of_time:
