@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from video2anim.errors import UsageError, Video2AnimError
+from video2anim.errors import InputError, UsageError, Video2AnimError
 
 if TYPE_CHECKING:
     from scenemi.evaluation.windows import EvaluationWindow
@@ -178,14 +178,20 @@ def train_command(
     balance = BalanceConfig(source_share={"synthetic": run_config.synthetic_share})
     use = MotionSetConfig(noncommercial=run_config.noncommercial, balance=balance)
     motions = MotionSet.build(motion, parts, "train", run_config.bodies, use, cache=cache)
-    watched = MotionSet.build(motion, parts, "val", 1, use, cache=cache)
-    if int(os.environ.get("RANK", "0")) == 0:
+    leads = int(os.environ.get("RANK", "0")) == 0
+    try:
+        watched = MotionSet.build(motion, parts, "val", 1, use, cache=cache)
+    except InputError:
+        watched = None
+        if leads:
+            _note("no clip is for validation (--split), so none is sampled while training")
+    if leads:
         _note(f"{motions.minutes:.1f} minutes of motion, {len(motions.shapes)} bodies")
     state = train(
         run_config, motions, out, validation=watched, device=_device(device), resume=resume,
         time_limit_s=None if minutes is None else 60 * minutes, on_progress=_say_progress,
     )  # fmt: skip
-    if int(os.environ.get("RANK", "0")) == 0:
+    if leads:
         target = out / "weights.safetensors"
         sources = sorted(set(map(str, motions.store.clip_source)))
         card = {"steps": state.step, "minutes": motions.minutes, "sources": sources, "config": run_config.to_json()}

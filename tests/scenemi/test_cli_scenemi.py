@@ -444,21 +444,26 @@ def test_train_writes_weights_that_sample_and_can_go_on(keyframes: Path, tmp_pat
     split = tmp_path / "split.json"
     split.write_text(json.dumps({"train": ["walk"], "val": ["walk_val"], "test": []}))
     config = tmp_path / "run.json"
-    config.write_text(json.dumps({"model": "tiny", "steps": 4, "batch": 2, "bodies": 1, "log_every": 2, "workers": 0}))
+    small = {"model": "tiny", "steps": 4, "batch": 2, "bodies": 1, "log_every": 2, "workers": 0}
+    config.write_text(json.dumps(small | {"joiner_steps": 2, "joiner_batch": 2}))
     val = MotionArchive.read(archive).clip("walk")
     write_archive(tmp_path / "val.npz", [replace(val, name="walk_val")])
     words = ("train", "--motion", archive, "--motion", tmp_path / "val.npz", "--split", split, "--config", config)
     done = scenemi(*words, "--out", tmp_path / "run", "--device", "cpu")
     assert done.code == 0, done.err
+    assert "learned interpolation 1/1: step 2/2" in done.err
     assert "step 4/4" in done.err
     weights = tmp_path / "run" / "weights.safetensors"
     assert load_weights(weights).card["steps"] == 4
-    made = scenemi(
-        "sample", "--keyframes", keyframes, "--out", tmp_path / "m.npz", "--weights", weights, "--steps", "2",
-        "--device", "cpu",
-    )  # fmt: skip
-    assert made.code == 0, made.err
-    assert read_motion(tmp_path / "m.npz").frame_count == 61
+    for more, frames in (((), 61), (("--noisy", "--temperature", "0.5"), 61), (("--length", "690"), 690)):
+        made = scenemi(
+            "sample", "--keyframes", keyframes, "--out", tmp_path / "m.npz", "--weights", weights, "--steps", "2",
+            "--device", "cpu", *more,
+        )  # fmt: skip
+        assert made.code == 0, made.err
+        motion = read_motion(tmp_path / "m.npz")
+        assert motion.frame_count == frames
+        assert np.isfinite(motion.joints_world_m).all()
 
 
 def test_unknown_training_options_are_refused(tmp_path: Path) -> None:

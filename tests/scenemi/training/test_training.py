@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import subprocess
 import sys
@@ -132,21 +133,24 @@ def test_another_configuration_does_not_resume(motions: MotionSet, tmp_path: Pat
     train(replace(CONFIG, log_every=5), motions, tmp_path, stop_at=2)
 
 
-def test_two_processes_learn_what_one_learns(archive: Path, motions: MotionSet, tmp_path: Path) -> None:
-    train(CONFIG, motions, tmp_path / "one", stop_at=4)
-    script = tmp_path / "two.py"
-    script.write_text(
-        "import sys\nfrom pathlib import Path\n"
-        "from small_run import CONFIG, PLAIN\n"
-        "from scenemi.data.windows import MotionSet\nfrom scenemi.training.loop import train\n"
-        f"motions = MotionSet.build([{str(archive)!r}], None, None, bodies=1, config=PLAIN)\n"
-        f"train(CONFIG, motions, Path({str(tmp_path / 'two')!r}), stop_at=4)\n"
-    )
-    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    subprocess.run(
-        [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", str(script)],
-        check=True, timeout=300, capture_output=True, env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+def test_two_processes_learn_what_one_learns(archive: Path, tmp_path: Path) -> None:
+    """On the command line, with torchrun and without."""
+    config = tmp_path / "run.json"
+    values = {"model": "tiny", "steps": 4, "batch": 4, "bodies": 1, "workers": 0, "log_every": 1, "warmup": 2}
+    config.write_text(json.dumps(values | {"joiner_steps": 2, "joiner_batch": 4}))
+    split = tmp_path / "split.json"
+    split.write_text(json.dumps({"train": ["walk_0", "sit_1", "reach_2", "pick_up_3"], "val": [], "test": []}))
+    words = ["-m", "scenemi.cli", "train", "--motion", archive, "--split", split, "--config", config, "--device", "cpu"]
+    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"}
+    for out, run in (("one", words), ("two", torchrun + words)):
+        done = subprocess.run(
+            [sys.executable, *map(str, run), "--out", str(tmp_path / out)],
+            timeout=300, capture_output=True, text=True, env=env, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert done.stderr.count("no clip is for validation") == 1
+    assert len(losses(tmp_path / "two")) == 4
     np.testing.assert_allclose(losses(tmp_path / "two"), losses(tmp_path / "one"), rtol=1e-4)
 
 
