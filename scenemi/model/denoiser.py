@@ -17,14 +17,16 @@ from scenemi.model.config import ModelConfig
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
 from scenemi.model.joiner import KeyframeJoiner
+from scenemi.model.linear_guess import correlation, linear_guess
 from scenemi.model.scene_encoder import SceneEncoder
 from scenemi.model.unet import UNet1D
 
 REACH = 60
 """Longest distance from a keyframe in a window of 121 frames."""
+_LEAST_SCALE = 1e-6
 SCALES = {
-    "residual_std": (REACH + 1, FEATURE_COUNT), "keyframe_std": (FEATURE_COUNT,), "view_mean": (VIEW,),
-    "view_std": (VIEW,), "feature_mean": (FEATURE_COUNT,), "feature_std": (FEATURE_COUNT,),
+    "residual_std": (REACH + 1, FEATURE_COUNT), "residual_frames": (2 * REACH + 1,), "keyframe_std": (FEATURE_COUNT,),
+    "view_mean": (VIEW,), "view_std": (VIEW,), "feature_mean": (FEATURE_COUNT,), "feature_std": (FEATURE_COUNT,),
 }  # fmt: skip
 """Measured before training (`scenemi.training.losses.measure_scales`), kept with the weights."""
 
@@ -70,15 +72,16 @@ class Denoiser(nn.Module):
     """U-Net over time, conditioned on keyframes, local and global scene, and body shape.
 
     With `config.residual`, let b be the interpolated keyframes, seen by the network as `scenemi.model.heading` says,
-    and s the size of x_0 - b at a frame's distance from the keyframes. The network answers in units of s,
-    x_0 = b + s F, and of x_t it sees the best linear guess of F. So its inputs and outputs have size 1 at most for
-    every density of keyframes, noise that tells nothing does not come in, and exact keyframes are returned as they
-    are. (Adding the linear guess to the answer, as Karras et al. 2022 do, was tried: it passes on noise that is white
-    in time, which the network must then take out again.)
+    s the size of x_0 - b at a frame's distance from the keyframes, and g the best linear guess of x_0 - b from x_t
+    (`scenemi.model.linear_guess`). The network sees g / s and answers x_0 = b + g + c F, where c is s reduced by what
+    x_t tells: all of it has size 1 at most for every density of keyframes, and exact keyframes are returned as they
+    are. Karras et al. 2022 scale alike frame by frame; with a guess over time, noise that is white in time is not
+    passed on.
     """
 
     alpha_bar: Tensor
     residual_std: Tensor
+    residual_frames: Tensor
     keyframe_std: Tensor
     view_mean: Tensor
     view_std: Tensor
@@ -181,16 +184,22 @@ class Denoiser(nn.Module):
             t: diffusion step, 1 to T.
             given: conditions.
         """
-        config, frames = self.config, x.shape[1]
+        return self.answer(self.guess(x, t, given) if self.config.residual else x, t, given)
+
+    def answer(
+        self, seen: Float[Tensor, "batch frames 201"], t: Int[Tensor, "batch"], given: Conditions
+    ) -> Float[Tensor, "batch frames 201"]:
+        """`forward` from `guess` (or, without `residual`, the noisy window) on: what the network itself does."""
+        config, frames = self.config, seen.shape[1]
         mask = given.mask[..., None]
         scale = heading = None
         if config.residual:
             raw = given.base * self.feature_std + self.feature_mean
             scale, heading = self.scales(given), headings(raw)
-            parts = [self._standing(x, t, given, scale, heading), mask]
+            parts = [seen / scale.clamp(min=_LEAST_SCALE), mask]
             parts += [(view(raw, heading) - self.view_mean) / self.view_std, gap(given.mask)]
         else:
-            parts = [x, mask]
+            parts = [seen, mask]
         if config.use_local:
             near = torch.cat([given.local.flatten(2), torch.ones_like(mask)], -1)
             parts.append(self.local(near) * mask * given.local_known[:, None, None])
@@ -199,7 +208,7 @@ class Denoiser(nn.Module):
         wide = torch.cat(parts, -1).transpose(1, 2)
 
         body = self.body(given.body) if config.use_body else torch.zeros_like(given.scene)
-        embedding = self.step(step_embedding(t, config.embedding).to(x.dtype))
+        embedding = self.step(step_embedding(t, config.embedding).to(seen.dtype))
         scene = torch.zeros_like(embedding)
         if config.use_global:
             known = given.scene_known[:, None]
@@ -216,7 +225,11 @@ class Denoiser(nn.Module):
         out = self.unet(wide, functional.silu(embedding))[..., lead : lead + frames].transpose(1, 2)
         if config.smooth_output:
             out = smoothed(out)
-        return out if scale is None or heading is None else given.base + from_heading(scale * out, heading)
+        if scale is None or heading is None:
+            return out
+        a = self.alpha_bar[t][:, None, None]
+        left = scale * ((1 - a) / (a * scale**2 + 1 - a)).sqrt()
+        return given.base + from_heading(seen + left * out, heading)
 
     def set_scales(self, measured: Mapping[str, Tensor]) -> None:
         """What training measured, by the names of `SCALES`.
@@ -232,13 +245,17 @@ class Denoiser(nn.Module):
         between = self.residual_std[distance_to_keyframes(given.mask).clamp(max=REACH)]
         return (between**2 + (given.noise_level[:, None, None] * self.keyframe_std) ** 2).sqrt()
 
-    def _standing(self, x: Tensor, t: Tensor, given: Conditions, scale: Tensor, heading: Tensor) -> Tensor:
-        """The best linear guess of (x_0 - b) / s from x_t, in the heading of b: of size 1 where x_t tells it, 0 where
-        x_t is all noise or is the keyframe."""
-        a = self.alpha_bar[t][:, None, None]
+    @torch.no_grad()
+    def guess(
+        self, x: Float[Tensor, "batch frames 201"], t: Int[Tensor, "batch"], given: Conditions
+    ) -> Float[Tensor, "batch frames 201"]:
+        """g: best linear guess of x_0 - b from x_t, in the heading of b; nothing where x_t is the keyframe."""
+        a = self.alpha_bar[t]
         free = (1 - given.imputed)[..., None]
-        off = to_heading(x - a.sqrt() * given.base, heading)
-        return free * a.sqrt() * scale * off / (a * scale**2 + 1 - a)
+        heading = headings(given.base * self.feature_std + self.feature_mean)
+        off = free * to_heading(x - a.sqrt()[:, None, None] * given.base, heading)
+        C = correlation(since_and_until(given.mask).sum(-1), self.residual_frames)
+        return linear_guess(off, free * self.scales(given), a, C, self.residual_std.mean(0).argsort())
 
 
 def smoothed(values: Float[Tensor, "batch frames channels"]) -> Float[Tensor, "batch frames channels"]:

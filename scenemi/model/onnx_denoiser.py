@@ -19,7 +19,7 @@ from video2anim.errors import ModelMissingError
 
 OPSET = 17
 CONDITION_NAMES = tuple(item.name for item in fields(Conditions))
-INPUT_NAMES = ("x", "t", *CONDITION_NAMES)
+INPUT_NAMES = ("seen", "t", *CONDITION_NAMES)
 OUTPUT_NAME = "x0"
 
 
@@ -30,12 +30,15 @@ class _Flat(nn.Module):
         super().__init__()
         self.denoiser = denoiser
 
-    def forward(self, x: Tensor, t: Tensor, *conditions: Tensor) -> Tensor:
-        return self.denoiser(x, t, Conditions(*conditions))
+    def forward(self, seen: Tensor, t: Tensor, *conditions: Tensor) -> Tensor:
+        return self.denoiser.answer(seen, t, Conditions(*conditions))
 
 
 def to_onnx(denoiser: Denoiser) -> bytes:
     """The denoiser as an ONNX file: inputs `INPUT_NAMES` (batch free, float32, `t` int64), output `x0`.
+
+    `seen` is `Denoiser.guess` of the noisy window (its matrix factors have no ONNX operator), or the noisy window
+    itself for a model without `residual`.
 
     Inputs that the configuration does not use are left out. The exporter by tracing is taken: it needs the package
     `onnx` only, and a graph without control flow gains nothing from the newer one.
@@ -48,7 +51,7 @@ def to_onnx(denoiser: Denoiser) -> bytes:
     config, batch = denoiser.config, 2
     frames = config.window_frames
     shapes = {
-        "x": (frames, config.feature_count), "mask": (frames,), "imputed": (frames,),
+        "seen": (frames, config.feature_count), "mask": (frames,), "imputed": (frames,),
         "base": (frames, config.feature_count), "local": (frames, config.bps_anchors, 3),
         "body": (config.body_lengths,), "noise_level": (), "scene": (config.embedding,), "scene_known": (),
         "local_known": (),
@@ -96,7 +99,8 @@ class OnnxDenoiser:
         self, x: Float[Tensor, "batch frames 201"], t: Int[Tensor, "batch"], given: Conditions
     ) -> Float[Tensor, "batch frames 201"]:
         """Estimate of the clean window."""
-        values = {"x": x, "t": t, **{name: getattr(given, name) for name in CONDITION_NAMES}}
+        seen = self._torch.guess(x, t, given) if self._torch.config.residual else x
+        values = {"seen": seen, "t": t, **{name: getattr(given, name) for name in CONDITION_NAMES}}
         feed = {name: np.ascontiguousarray(values[name].detach().numpy()) for name in self._read}
         (x0,) = self._session.run([OUTPUT_NAME], feed)
         return torch.from_numpy(x0)

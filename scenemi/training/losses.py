@@ -12,10 +12,11 @@ from scipy.ndimage import uniform_filter1d
 from torch import Tensor, nn
 
 from scenemi.features import BODY_ROTATIONS, FEATURE_COUNT, JOINTS, ROOT_ROTATION, TRANSLATION, Statistics
-from scenemi.model.denoiser import REACH, Conditions, Denoiser, distance_to_keyframes, impute
+from scenemi.model.denoiser import REACH, Conditions, Denoiser, distance_to_keyframes, impute, since_and_until
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.heading import headings, to_heading, view
 from scenemi.model.kinematics import joints_of, posed_joints
+from scenemi.model.linear_guess import fitted_length
 from scenemi.training.batches import LOOKED_AT, Batch
 from scenemi.training.config import TrainConfig
 from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
@@ -23,6 +24,8 @@ from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_mat
 _LEAST_FEATURE, _LEAST_JOINT_M = 0.02, 0.01
 """Errors below these (standard deviations; metres for each joint) need not become smaller."""
 _LEAST_VIEW = 0.1
+_SPANS = (2, 4, 8, 15, 30, 60, 120)
+"""Distances of keyframes for which correlation lengths are measured; between them they are interpolated."""
 _SMOOTHING = 3
 """Distances averaged over: far ones are rare."""
 
@@ -143,7 +146,8 @@ def measure_scales(loss: TrainingLoss, batches: Sequence[Batch]) -> dict[str, Te
         views.append(view(raw, heading).flatten(0, 1).cpu())
     every = torch.cat(views)
     return {
-        "residual_std": residual_size(triples) / loss.std.cpu(),
+        "residual_std": residual_size(triples, typical=True) / loss.std.cpu(),
+        "residual_frames": residual_frames(triples),
         "keyframe_std": (noise / max(1, len(batches))).sqrt().float(),
         "view_mean": every.mean(0),
         "view_std": every.std(0).clamp(min=_LEAST_VIEW),
@@ -152,27 +156,62 @@ def measure_scales(loss: TrainingLoss, batches: Sequence[Batch]) -> dict[str, Te
     }
 
 
-def residual_size(drawn: Sequence[tuple[Tensor, Tensor, Tensor]]) -> Float[Tensor, "distances 201"]:
+def residual_size(
+    drawn: Sequence[tuple[Tensor, Tensor, Tensor]], *, typical: bool = False
+) -> Float[Tensor, "distances 201"]:
     """How far the truth is from a curve through the keyframes, by frames from the nearest one (0 to `REACH`): RMS of
     each feature in the heading of the curve, metres and 6D entries.
 
     Args:
         drawn: truth and curve (B, N, 201), denormalized, and mask (B, N) of batches.
+        typical: the standard deviation that a Gaussian with the same mean absolute value has, which a few large
+            errors do not rule.
     """
     total = torch.zeros(REACH + 1, FEATURE_COUNT, dtype=torch.float64)
     count = torch.zeros(REACH + 1, dtype=torch.float64)
     for truth, curve, mask in drawn:
-        off = to_heading(truth - curve, headings(curve)).double().square().flatten(0, 1)
+        off = to_heading(truth - curve, headings(curve)).double().abs().flatten(0, 1)
+        off = off * (0.5 * torch.pi) ** 0.5 if typical else off.square()
         distance = distance_to_keyframes(mask).flatten().cpu()
         total.index_add_(0, distance, off.cpu())
         count.index_add_(0, distance, torch.ones(len(distance), dtype=torch.float64))
     seen = torch.nonzero(count > 0)[:, 0]
-    size = _pooled((total[seen] / count[seen, None]).numpy())
+    square = (total[seen] / count[seen, None]).numpy()
+    size = _pooled(square**2 if typical else square)
     grid = np.arange(REACH + 1)
     filled = np.stack([np.interp(grid, seen.numpy(), column) for column in size.T], 1)
     smooth = uniform_filter1d(filled, _SMOOTHING, axis=0, mode="nearest")
     smooth[0] = 0.0
     return torch.from_numpy(smooth).float()
+
+
+def residual_frames(drawn: Sequence[tuple[Tensor, Tensor, Tensor]]) -> Float[Tensor, "spans"]:
+    """How long errors of a curve through the keyframes last: correlation length in frames, by the frames from keyframe
+    to keyframe (0 to 2 `REACH`). Arguments as of `residual_size`."""
+    lags = 8
+    products = torch.zeros(len(_SPANS), lags + 1, dtype=torch.float64)
+    edges = torch.tensor(_SPANS)
+    for truth, curve, mask in drawn:
+        off = to_heading(truth - curve, headings(curve)).cpu()[..., JOINTS]
+        off = off / off.square().mean(1, keepdim=True).sqrt().clamp(min=1e-4)
+        apart = since_and_until(mask.cpu())
+        bin_of = torch.bucketize(apart.sum(-1), edges).clamp(max=len(_SPANS) - 1)
+        for lag in range(lags + 1):
+            count = off.shape[1] - lag
+            inside = (apart[:, :count, 1] > lag) & (apart[:, :count, 0] > 0)
+            both = (off[:, :count] * off[:, lag:]).mean(-1)
+            # Correlations are of pairs in one segment, against the mean square of their own frames.
+            squares = 0.5 * (off[:, :count].square() + off[:, lag:].square()).mean(-1)
+            ratio = torch.stack([both, squares], -1)[inside]
+            found = torch.zeros(len(_SPANS), 2).index_add_(0, bin_of[:, :count][inside], ratio)
+            products[:, lag] += found[:, 0] / found[:, 1].clamp(min=1e-9) * (found[:, 1] > 0)
+    measured = products / max(1, len(drawn))
+    lengths = [
+        fitted_length(row[1 : max(2, min(lags, span // 2) + 1)].float())
+        for row, span in zip(measured, _SPANS, strict=True)
+    ]
+    grid = np.arange(2 * REACH + 1)
+    return torch.from_numpy(np.interp(grid, _SPANS, lengths)).float()
 
 
 def _pooled(square: Float[np.ndarray, "distances 201"]) -> np.ndarray:
