@@ -34,9 +34,14 @@ from scenemi.data.sources import is_free
 from scenemi.data.split import Part, Split
 from scenemi.windows import WINDOW_FRAMES
 from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.skeleton import JOINT_NAMES
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_quaternion
 from video2anim.types import BodyShape
+
+_OF_ARMS_AND_HEAD = ("neck", "head", "collar", "shoulder", "elbow", "wrist")
+ARMS_AND_HEAD = np.array([i for i, name in enumerate(JOINT_NAMES) if name.endswith(_OF_ARMS_AND_HEAD)])
+"""Joints above the trunk."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +61,10 @@ class MotionSetConfig:
     warp: float = 0.5
     """Probability that a window is played at another speed."""
     warping: WarpConfig = field(default_factory=WarpConfig)
+    reverse: float = 0.0
+    """Probability that a window runs backward in time."""
+    mix: float = 0.0
+    """Probability that a window gets the arms and the head of another window."""
     frames: int = WINDOW_FRAMES
 
 
@@ -193,7 +202,12 @@ class MotionSet:
         times = np.where(warp[:, None], random_times(rng, count, frames, self.config.warping), np.arange(frames))
         slack = np.maximum(length - 1 - np.ceil(times[:, -1]).astype(np.int64), 0)
         start = rng.integers(0, slack + 1)
-        return self._gathered(pieces, start[:, None] + times, warp, rng.random(count) < self.config.mirror)
+        drawn = self._gathered(pieces, start[:, None] + times, warp, rng.random(count) < self.config.mirror)
+        if self.config.reverse > 0:
+            drawn = _reversed(drawn, rng.random(count) < self.config.reverse)
+        if self.config.mix > 0:
+            drawn = _mixed(drawn, rng.random(count) < self.config.mix, rng.permutation(count))
+        return drawn
 
     def fixed_windows(
         self, batch: int = 64, stride: int | None = None, *, full_only: bool = False, body: int | None = None
@@ -244,6 +258,24 @@ class MotionSet:
             clip=np.asarray(store.piece_clip[pieces]),
             uneven=np.asarray(store.clip_uneven[store.piece_clip[pieces]]),
         )
+
+
+def _reversed(batch: WindowBatch, chosen: Bool[np.ndarray, "batch"]) -> WindowBatch:
+    """Chosen windows backward in time, but for those that hold their last pose."""
+    rows = np.flatnonzero(chosen & batch.valid.all(1))
+    for values in (batch.R_parent_joint, batch.translation_m, batch.contact):
+        values[rows] = values[rows, ::-1]
+    return batch
+
+
+def _mixed(batch: WindowBatch, chosen: Bool[np.ndarray, "batch"], donor: Int[np.ndarray, "batch"]) -> WindowBatch:
+    """Chosen windows with arms and head of their donor: how these move hangs little on how the legs do, so there are
+    many more combinations than were captured."""
+    rows = np.flatnonzero(chosen & batch.valid[donor].all(1))
+    for values in (batch.R_parent_joint, batch.contact):
+        taken = values[donor[rows]][:, :, ARMS_AND_HEAD]
+        values[rows[:, None], :, ARMS_AND_HEAD] = np.moveaxis(taken, 2, 1)
+    return batch
 
 
 def _archives(paths: Sequence[str | Path]) -> list[Path]:

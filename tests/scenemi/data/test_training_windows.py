@@ -15,7 +15,7 @@ from scenemi.data.container import write_archive
 from scenemi.data.motion_store import StoreConfig, load_store
 from scenemi.data.source_clip import SourceClip
 from scenemi.data.split import Split
-from scenemi.data.windows import MotionSet, MotionSetConfig
+from scenemi.data.windows import ARMS_AND_HEAD, MotionSet, MotionSetConfig
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError
@@ -112,6 +112,35 @@ def test_warped_windows_are_rotations_of_other_speed(clips: MotionSet) -> None:
     usual = np.linalg.norm(np.diff(plain.translation_m[:, :, [0, 2]], axis=1), axis=-1).mean(1)[plain.valid.all(1)]
     assert speed.max() > 1.1 * np.median(usual)
     assert speed.min() < 0.9 * np.median(usual)
+
+
+def test_reversed_windows_are_clips_run_backward(clips: MotionSet) -> None:
+    one = MotionSet(clips.store, clips.shapes, replace(clips.config, mirror=0.0, warp=0.0))
+    back = MotionSet(clips.store, clips.shapes, replace(one.config, reverse=1.0))
+    a, b = (motions.sample_batch(np.random.default_rng(3), 16) for motions in (one, back))
+    whole = a.valid.all(1)
+    assert whole.any()
+    np.testing.assert_array_equal(b.R_parent_joint[whole], a.R_parent_joint[whole, ::-1])
+    np.testing.assert_array_equal(b.translation_m[whole], a.translation_m[whole, ::-1])
+    np.testing.assert_array_equal(b.translation_m[~whole], a.translation_m[~whole])
+
+
+def test_mixed_windows_have_the_arms_of_another_and_their_own_legs(clips: MotionSet) -> None:
+    one = MotionSet(clips.store, clips.shapes, replace(clips.config, mirror=0.0, warp=0.0))
+    mixing = MotionSet(clips.store, clips.shapes, replace(one.config, mix=1.0))
+    a, b = (motions.sample_batch(np.random.default_rng(4), 16) for motions in (one, mixing))
+    legs = np.setdiff1d(np.arange(22), ARMS_AND_HEAD)
+    assert len(ARMS_AND_HEAD) == 10
+    np.testing.assert_array_equal(b.translation_m, a.translation_m)
+    np.testing.assert_array_equal(b.R_parent_joint[:, :, legs], a.R_parent_joint[:, :, legs])
+    changed = 0
+    for row in range(16):
+        arms = b.R_parent_joint[row][:, ARMS_AND_HEAD]
+        sources = [i for i in range(16) if np.array_equal(arms, a.R_parent_joint[i][:, ARMS_AND_HEAD])]
+        assert sources
+        changed += row not in sources
+        np.testing.assert_array_equal(b.contact[row][:, ARMS_AND_HEAD], a.contact[sources[0]][:, ARMS_AND_HEAD])
+    assert changed > 4
 
 
 def test_feet_stay_on_the_ground_of_their_body(clips: MotionSet) -> None:
