@@ -72,11 +72,11 @@ class Denoiser(nn.Module):
     """U-Net over time, conditioned on keyframes, local and global scene, and body shape.
 
     With `config.residual`, let b be the interpolated keyframes, seen by the network as `scenemi.model.heading` says,
-    s the size of x_0 - b at a frame's distance from the keyframes, and g the best linear guess of x_0 - b from x_t
-    (`scenemi.model.linear_guess`). The network sees g / s and answers x_0 = b + g + c F, where c is s reduced by what
-    x_t tells: all of it has size 1 at most for every density of keyframes, and exact keyframes are returned as they
-    are. Karras et al. 2022 scale alike frame by frame; with a guess over time, noise that is white in time is not
-    passed on.
+    s the size of x_0 - b at a frame's distance from the keyframes. The network answers in units of s, x_0 = b + s F,
+    and of x_t it sees g / s, where g is the best linear guess of x_0 - b (`scenemi.model.linear_guess`). So its inputs
+    and outputs have size 1 at most for every density of keyframes, noise does not come in as such, and exact keyframes
+    are returned as they are. (Adding g to the answer, in the way of Karras et al. 2022, was tried: the sampled motion
+    is then as varied as independent channels are until the network has learnt how they belong together.)
     """
 
     alpha_bar: Tensor
@@ -227,9 +227,7 @@ class Denoiser(nn.Module):
             out = smoothed(out)
         if scale is None or heading is None:
             return out
-        a = self.alpha_bar[t][:, None, None]
-        left = scale * ((1 - a) / (a * scale**2 + 1 - a)).sqrt()
-        return given.base + from_heading(seen + left * out, heading)
+        return given.base + from_heading(scale * out, heading)
 
     def set_scales(self, measured: Mapping[str, Tensor]) -> None:
         """What training measured, by the names of `SCALES`.

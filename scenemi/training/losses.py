@@ -146,7 +146,7 @@ def measure_scales(loss: TrainingLoss, batches: Sequence[Batch]) -> dict[str, Te
         views.append(view(raw, heading).flatten(0, 1).cpu())
     every = torch.cat(views)
     return {
-        "residual_std": residual_size(triples, typical=True) / loss.std.cpu(),
+        "residual_std": residual_size(triples) / loss.std.cpu(),
         "residual_frames": residual_frames(triples),
         "keyframe_std": (noise / max(1, len(batches))).sqrt().float(),
         "view_mean": every.mean(0),
@@ -156,28 +156,22 @@ def measure_scales(loss: TrainingLoss, batches: Sequence[Batch]) -> dict[str, Te
     }
 
 
-def residual_size(
-    drawn: Sequence[tuple[Tensor, Tensor, Tensor]], *, typical: bool = False
-) -> Float[Tensor, "distances 201"]:
+def residual_size(drawn: Sequence[tuple[Tensor, Tensor, Tensor]]) -> Float[Tensor, "distances 201"]:
     """How far the truth is from a curve through the keyframes, by frames from the nearest one (0 to `REACH`): RMS of
     each feature in the heading of the curve, metres and 6D entries.
 
     Args:
         drawn: truth and curve (B, N, 201), denormalized, and mask (B, N) of batches.
-        typical: the standard deviation that a Gaussian with the same mean absolute value has, which a few large
-            errors do not rule.
     """
     total = torch.zeros(REACH + 1, FEATURE_COUNT, dtype=torch.float64)
     count = torch.zeros(REACH + 1, dtype=torch.float64)
     for truth, curve, mask in drawn:
-        off = to_heading(truth - curve, headings(curve)).double().abs().flatten(0, 1)
-        off = off * (0.5 * torch.pi) ** 0.5 if typical else off.square()
+        off = to_heading(truth - curve, headings(curve)).double().square().flatten(0, 1)
         distance = distance_to_keyframes(mask).flatten().cpu()
         total.index_add_(0, distance, off.cpu())
         count.index_add_(0, distance, torch.ones(len(distance), dtype=torch.float64))
     seen = torch.nonzero(count > 0)[:, 0]
-    square = (total[seen] / count[seen, None]).numpy()
-    size = _pooled(square**2 if typical else square)
+    size = _pooled((total[seen] / count[seen, None]).numpy())
     grid = np.arange(REACH + 1)
     filled = np.stack([np.interp(grid, seen.numpy(), column) for column in size.T], 1)
     smooth = uniform_filter1d(filled, _SMOOTHING, axis=0, mode="nearest")
