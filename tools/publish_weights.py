@@ -41,7 +41,7 @@ Use: filling motion between keyframes of adults walking, turning, sitting, picki
 seen little running, dancing and sport, no children, no slopes, and rooms of boxes only. Its motions are samples:
 plausible, not measured.
 
-{numbers}
+{note}{numbers}
 {attribution}
 ```json
 {config}
@@ -66,6 +66,7 @@ def main() -> None:
     parser.add_argument("--split", type=Path, required=True)
     parser.add_argument("--name", default="small")
     parser.add_argument("--machine", default="2 CPU cores")
+    parser.add_argument("--note", default="", help="What else is to be said of the run.")
     parser.add_argument("--numbers", type=Path, help="JSON of benchmarks/scenemi/tables.py reach")
     options = parser.parse_args()
     state = load_checkpoint(options.checkpoint)
@@ -97,6 +98,7 @@ def main() -> None:
         machine=options.machine,
         licence=facts["licence"],
         digest=file_digest(target),
+        note=f"{options.note}\n\n" if options.note else "",
         numbers=table(options.numbers) if options.numbers else "",
         attribution=ATTRIBUTION + ("" if free else NONCOMMERCIAL),
         config=json.dumps(config.to_json(), indent=1),

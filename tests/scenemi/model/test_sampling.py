@@ -16,6 +16,7 @@ from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.sampling import Method, SamplerConfig, guided, posterior, sample, time_steps
 
 FRAMES, FEATURES = 12, 2
+sampler = functools.partial(SamplerConfig, temperature=1.0)
 SCHEDULE = CosineSchedule()
 KEYS = torch.tensor([0, 5, 11])
 
@@ -84,7 +85,7 @@ def test_samples_have_the_mean_and_covariance_of_the_data(method: Method, steps:
         FRAMES, FEATURES, generator=torch.Generator().manual_seed(3), dtype=torch.float64
     )
     x_keys = values.float().expand(count, -1, -1)
-    config = SamplerConfig(method, steps, guidance_weight=1.0, eta=eta)
+    config = sampler(method, steps, guidance_weight=1.0, eta=eta)
     made = sample(oracle, SCHEDULE, x_keys, conditions(count, keys), config, generators(count)).double()
     mean, spread = truth(keys, values)
     centered = made - mean
@@ -107,7 +108,7 @@ def test_twenty_steps_are_close_to_a_thousand_from_the_same_noise(method: Method
             SCHEDULE,
             x_keys,
             given,
-            SamplerConfig(method, steps, guidance_weight=1.0, hard_keyframes=False),
+            sampler(method, steps, guidance_weight=1.0, hard_keyframes=False),
             generators(64),
         )
         for steps in (20, 1000)
@@ -121,7 +122,7 @@ def test_second_order_is_nearer_the_limit_than_first_order() -> None:
     x_keys, given = MEAN.float().expand(64, -1, -1), conditions(64, False)
 
     def run(method: Method, steps: int) -> Tensor:
-        config = SamplerConfig(method, steps, guidance_weight=1.0)
+        config = sampler(method, steps, guidance_weight=1.0)
         return sample(oracle, SCHEDULE, x_keys, given, config, generators(64))
 
     limit = run("ddim", 1000)
@@ -148,14 +149,14 @@ def test_deterministic_methods_repeat_and_ancestral_noise_follows_the_seed() -> 
     x_keys, given = MEAN.float().expand(2, -1, -1), conditions(2, False)
     methods: tuple[Method, ...] = ("ddim", "dpm-solver++", "ddpm")
     for method in methods:
-        config = SamplerConfig(method, 10, guidance_weight=1.0)
+        config = sampler(method, 10, guidance_weight=1.0)
         first, again, other = (sample(oracle, SCHEDULE, x_keys, given, config, generators(2, s)) for s in (0, 0, 1))
         torch.testing.assert_close(first, again, rtol=0, atol=0)
         assert (first - other).abs().max() > 0.1
 
 
 def test_a_window_does_not_depend_on_its_neighbors() -> None:
-    config = SamplerConfig("ddpm", 10, guidance_weight=1.0)
+    config = sampler("ddpm", 10, guidance_weight=1.0)
     x_keys = MEAN.float().expand(3, -1, -1)
     three = sample(oracle, SCHEDULE, x_keys, conditions(3, True), config, generators(3))
     last = sample(oracle, SCHEDULE, x_keys[:1], conditions(1, True), config, generators(3)[2:])
@@ -202,7 +203,7 @@ def test_keyframes_are_imputed_above_the_stop_step_only() -> None:
         return torch.zeros_like(x)
 
     x_keys = torch.full((2, FRAMES, FEATURES), 7.0)
-    config = SamplerConfig("ddim", 20, guidance_weight=1.0)
+    config = sampler("ddim", 20, guidance_weight=1.0)
     sample(spy, SCHEDULE, x_keys, conditions(2, True), config, generators(2), stop_step=20)
     assert {t <= 20 for t, _ in seen} == {True, False}
     for t, off in seen:
