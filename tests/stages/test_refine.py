@@ -61,6 +61,11 @@ def test_jitter_goes_and_the_motion_stays() -> None:
     assert quality(ctx, "foot skating gmd refined") <= quality(ctx, "foot skating gmd raw") + 0.05
     assert quality(ctx, "penetration max refined") <= quality(ctx, "penetration max raw") + 0.01
     assert mpjpe(result.joints_world_m, truth.joints_world_m) < 0.015
+
+
+def test_without_weights_auto_is_interpolation_and_says_so() -> None:
+    refined, ctx = refine(planted_walk(40), RefineConfig(prior="auto"))
+    assert refined.prior == ("interpolation",)
     assert any("no scenemi weights" in warning for warning in ctx.warnings)
 
 

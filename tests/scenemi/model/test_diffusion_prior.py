@@ -136,7 +136,7 @@ def test_batches_give_what_single_windows_give_and_seeds_differ(prior: Diffusion
     for i, window in enumerate(windows):
         (alone,) = prior.fill_many([window], [i])
         assert off(together[i], alone) < 1e-4
-    assert off(together[0], together[4]) > 1e-3
+    assert off(together[0], together[4]) > 1e-4
 
 
 def test_a_window_of_exact_keyframes_only_comes_back_unchanged(prior: DiffusionPrior) -> None:
