@@ -176,7 +176,9 @@ def train_command(
     run_config = TrainConfig() if config is None else TrainConfig.read(config)
     parts = None if split is None else Split.read(split)
     balance = BalanceConfig(source_share={"synthetic": run_config.synthetic_share})
-    use = MotionSetConfig(noncommercial=run_config.noncommercial, balance=balance)
+    use = MotionSetConfig(
+        noncommercial=run_config.noncommercial, balance=balance, reverse=run_config.reverse, mix=run_config.mix
+    )
     motions = MotionSet.build(motion, parts, "train", run_config.bodies, use, cache=cache)
     leads = int(os.environ.get("RANK", "0")) == 0
     try:

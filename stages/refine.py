@@ -1,6 +1,6 @@
 """Refinement (paper 8.2): keep sparse keyframes, let an in-betweening prior make the frames between them.
 
-The prior is interpolation, or `scenemi` on request. A window that the prior makes worse than
+The prior is `scenemi`, or interpolation where its weights are absent. A window that the prior makes worse than
 what was observed is filled again from all optimized keyframes and, failing that, is the observed motion without its
 jitter; either is reported.
 Then feet are held in their contact phases.
@@ -32,9 +32,8 @@ FPS = 30.0
 class RefineConfig:
     """Which prior, how sparse its keyframes, and when its result is not taken."""
 
-    prior: Literal["auto", "interpolation", "scenemi"] = "interpolation"
-    """`auto` = `scenemi` where weights are present, else `interpolation`. The first weights leave noisy keyframes with
-    more jerk than interpolation does (scenemi/weights/small.md), so they are not the default yet."""
+    prior: Literal["auto", "interpolation", "scenemi"] = "auto"
+    """`auto` = `scenemi` where weights are present, else `interpolation`."""
     keyframe_interval_frames: int = 15
     """Frames between keyframes given to the prior (paper: every third optimized keyframe)."""
     keyframe_noise_level: float = 1.0

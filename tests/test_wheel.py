@@ -62,7 +62,7 @@ def test_nothing_else_is_in(wheel: Path) -> None:
     assert {top for top in tops if not top.endswith(".dist-info")} == {"video2anim", "scenemi", "stages"}
     wrong = (".mp4", ".tflite", ".pkl", ".pyc", ".ipynb")
     assert not [name for name in names(wheel) if name.endswith(wrong) or "test" in name.split("/")[-1]]
-    assert wheel.stat().st_size < 60e6
+    assert wheel.stat().st_size < 95e6, "package indexes refuse files over 100 MB"
 
 
 def test_metadata(wheel: Path) -> None:

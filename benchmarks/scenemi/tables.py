@@ -1,12 +1,12 @@
 """The paper's tables on the test split of the CMU clips, each one command.
 
-    python benchmarks/scenemi/tables.py 1 --motion cmu.npz --split split.json
+    python benchmarks/scenemi/tables.py 1 2 --motion cmu.npz --split split.json
     python benchmarks/scenemi/tables.py reach --weights small research ...
 
 Tables: 1 (clean keyframes every 60 frames, scene ablations), 2 (the same, frames close to the scene), 3 (noisy
 keyframes every 3 frames, T*), 6 (keyframe selection), 7 (time), 8 (one row for each weights file given with
 `--variant NAME=FILE`), 9 (20 seeds), `reach` (keyframes every 15, 30, 60 frames, and noisy ones, against the baseline).
-Writes JSON and Markdown.
+Writes JSON and Markdown. Tables of one command share what they have in common.
 
 `at sampling` marks rows in which a trained model is sampled without a condition; rows of `--variant` are other models.
 Every number is the mean over windows; FID is this package's own (not comparable with other papers').
@@ -45,7 +45,8 @@ NOISY = KeyframeProtocol(3, noise=1.0)
 ABLATIONS: dict[str, dict[str, bool]] = {
     "w/o c_g (at sampling)": {"use_global": False},
     "w/o c_l (at sampling)": {"use_local": False},
-    "w/o c_g, c_l (at sampling)": {"use_global": False, "use_local": False},
+    "w/o clearing (at sampling)": {"use_clearing": False},
+    "w/o scene: c_g, c_l, clearing (at sampling)": {"use_global": False, "use_local": False, "use_clearing": False},
 }
 QUALITY = ("fid", "skating_gmd", "jerk_m_s3", "mjpe_key_m", "mjpe_all_m", "collision_frame_ratio", "penetration_max_m")
 CLOSE = ("close_collision_frame_ratio", "close_collision_frame_ratio_1cm", "close_collision_vertex_ratio",
@@ -86,17 +87,32 @@ class Bench:
         self.options = options
         names = read_split(options.split)[options.part] if options.split else None
         windows = with_pseudo_scenes(cut_windows([MotionArchive.read(path) for path in options.motion], names))
-        self.windows: tuple[EvaluationWindow, ...] = windows[: options.limit] if options.limit else windows
+        self.windows: tuple[EvaluationWindow, ...] = windows[:: options.every]
         self.features = None if options.no_fid else shipped_features()
+        self._found: dict[tuple[object, ...], Evaluation] = {}
 
     def prior(self, weights: str, **sampler: Any) -> InbetweeningPrior:
         """A prior by its weights, with this run's steps unless others are asked for."""
         return choose_prior(weights, device=self.options.device, **{"steps": self.options.steps} | sampler)
 
-    def run(self, prior: InbetweeningPrior, protocol: KeyframeProtocol, seed: int | None = None) -> Evaluation:
-        """Evaluate on all windows."""
+    def run(
+        self,
+        weights: str,
+        protocol: KeyframeProtocol,
+        *,
+        seed: int | None = None,
+        without: dict[str, bool] | None = None,
+        **sampler: Any,
+    ) -> Evaluation:
+        """Evaluate on all windows, or give what was found before; `without` is for `AblatedPrior`."""
         sampling_seed: int = self.options.seed if seed is None else seed
-        return evaluate(self.windows, prior, protocol, seed=sampling_seed, features=self.features)
+        key = (weights, protocol, sampling_seed, *sorted((without or {}).items()), *sorted(sampler.items()))
+        if key not in self._found:
+            prior = self.prior(weights, **sampler)
+            if without:
+                prior = AblatedPrior(prior, **without)  # type: ignore[arg-type]
+            self._found[key] = evaluate(self.windows, prior, protocol, seed=sampling_seed, features=self.features)
+        return self._found[key]
 
     def trained(self) -> list[str]:
         """Weights other than the baseline."""
@@ -107,13 +123,12 @@ def ablations(bench: Bench, title: str, columns: tuple[str, ...]) -> Table:
     """Tables 1 and 2: the full model, without parts of the scene, models trained without them, interpolation."""
     table = Table(title, columns)
     for weights in bench.trained():
-        full = bench.prior(weights)
-        table.add(label(weights), bench.run(full, CLEAN))
+        table.add(label(weights), bench.run(weights, CLEAN))
         for name, parts in ABLATIONS.items():
-            table.add(f"{label(weights)} {name}", bench.run(AblatedPrior(full, **parts), CLEAN))  # type: ignore[arg-type]
+            table.add(f"{label(weights)} {name}", bench.run(weights, CLEAN, without=parts))
     for name, path in bench.options.variant:
-        table.add(f"{name} (trained so)", bench.run(bench.prior(path), CLEAN))
-    table.add(INTERPOLATION, bench.run(bench.prior(INTERPOLATION), CLEAN))
+        table.add(f"{name} (trained so)", bench.run(path, CLEAN))
+    table.add(INTERPOLATION, bench.run(INTERPOLATION, CLEAN))
     return table
 
 
@@ -132,12 +147,10 @@ def table_3(bench: Bench) -> Table:
     table = Table("Table 3: noisy keyframes, r = 3, l = 1", QUALITY)
     for weights in bench.trained():
         for stop_step in (0, 10, 20, 40, 60):
-            found = bench.run(bench.prior(weights, stop_step=stop_step), NOISY)
-            table.add(f"{label(weights)} T* = {stop_step}", found)
+            table.add(f"{label(weights)} T* = {stop_step}", bench.run(weights, NOISY, stop_step=stop_step))
         for name, parts in ABLATIONS.items():
-            table.add(f"{label(weights)} {name}", bench.run(AblatedPrior(bench.prior(weights), **parts), NOISY))  # type: ignore[arg-type]
-    baseline = bench.run(bench.prior(INTERPOLATION), NOISY)
-    table.add(INTERPOLATION, baseline)
+            table.add(f"{label(weights)} {name}", bench.run(weights, NOISY, without=parts))
+    table.add(INTERPOLATION, bench.run(INTERPOLATION, NOISY))
     return table
 
 
@@ -146,7 +159,7 @@ def table_6(bench: Bench) -> Table:
     table = Table("Table 6: keyframe selection, l = 1", ("fid", "jerk_m_s3", "mjpe_all_m"))
     for weights in (*bench.trained(), INTERPOLATION):
         for name, protocol in SELECTIONS.items():
-            table.add(f"{label(weights)} {name}", bench.run(bench.prior(weights), protocol))
+            table.add(f"{label(weights)} {name}", bench.run(weights, protocol))
     return table
 
 
@@ -165,7 +178,8 @@ def table_7(bench: Bench) -> Table:
                 start = time.perf_counter()
                 prior.fill(one)
                 times.append(time.perf_counter() - start)
-            table.add(f"{label(weights)} {steps} steps", bench.run(prior, CLEAN), median_s=float(np.median(times)))
+            found = bench.run(weights, CLEAN, steps=steps)
+            table.add(f"{label(weights)} {steps} steps", found, median_s=float(np.median(times)))
     return table
 
 
@@ -173,13 +187,11 @@ def table_8(bench: Bench) -> Table:
     """Other sizes of the conditions, each a model of its own."""
     table = Table("Table 8: configurations, r = 60", QUALITY)
     for weights in bench.trained():
-        table.add(label(weights), bench.run(bench.prior(weights), CLEAN))
-        table.add(
-            f"{label(weights)} w/o body shape (at sampling)",
-            bench.run(AblatedPrior(bench.prior(weights), use_body=False), CLEAN),  # type: ignore[arg-type]
-        )
+        table.add(label(weights), bench.run(weights, CLEAN))
+        bare = bench.run(weights, CLEAN, without={"use_body": False})
+        table.add(f"{label(weights)} w/o body shape (at sampling)", bare)
     for name, path in bench.options.variant:
-        table.add(f"{name} (trained so)", bench.run(bench.prior(path), CLEAN))
+        table.add(f"{name} (trained so)", bench.run(path, CLEAN))
     return table
 
 
@@ -189,7 +201,7 @@ def table_9(bench: Bench) -> Table:
     table = Table("Table 9: over seeds", names)
     for weights in bench.trained():
         for title, protocol in (("Table 1", CLEAN), ("Table 3", NOISY)):
-            runs = [bench.run(bench.prior(weights), protocol, seed) for seed in range(bench.options.seeds)]
+            runs = [bench.run(weights, protocol, seed=seed) for seed in range(bench.options.seeds)]
             table.add(f"{label(weights)} {title}, seed 0", runs[0])
             spread = {name: over_seeds([_value(run.details(), name) for run in runs]) for name in names}
             row: dict[str, Any] = {"row": f"{label(weights)} {title}, {len(runs)} seeds"}
@@ -208,7 +220,7 @@ def table_reach(bench: Bench) -> Table:
     protocols = {f"r = {r}": KeyframeProtocol(r) for r in (15, 30, 60)} | {"r = 3, l = 1": NOISY}
     for weights in bench.trained() or [INTERPOLATION]:
         for name, protocol in protocols.items():
-            found = bench.run(bench.prior(weights), protocol)
+            found = bench.run(weights, protocol)
             summary = found.summary()
             more: dict[str, Any] = {key: summary[key] for key in columns if key in summary}
             more["mjpe_ratio"] = summary["mjpe_all_m"] / summary["baseline_mjpe_all_m"]
@@ -228,18 +240,25 @@ MAKERS: dict[str, Callable[[Bench], Table]] = {
 
 
 def main() -> None:
-    """Make one table."""
+    """Make the tables."""
     options = arguments()
     torch.manual_seed(options.seed)
     bench = Bench(options)
+    for number in options.tables:
+        write_table(bench, number)
+
+
+def write_table(bench: Bench, number: str) -> None:
+    """Make one table and its two files."""
+    options = bench.options
     start = time.perf_counter()
-    table = MAKERS[options.table](bench)
+    table = MAKERS[number](bench)
     report = {
         "title": table.title, "columns": list(table.columns), "rows": table.rows,
         "wall_s": round(time.perf_counter() - start, 1), **provenance(bench),
     }  # fmt: skip
     options.out.mkdir(parents=True, exist_ok=True)
-    stem = options.out / f"table_{options.table}"
+    stem = options.out / f"table_{number}"
     write_json(stem.with_suffix(".json"), report)
     text = markdown(report)
     stem.with_suffix(".md").write_text(text)
@@ -249,7 +268,7 @@ def main() -> None:
 def arguments() -> argparse.Namespace:
     """Options."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("table", choices=TABLES)
+    parser.add_argument("tables", nargs="+", choices=TABLES)
     parser.add_argument("--motion", type=Path, nargs="+", required=True)
     parser.add_argument("--split", type=Path, help="without it, all clips are used")
     parser.add_argument("--part", default="test")
@@ -259,7 +278,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--time-steps", type=int, nargs="+", default=[10, 20, 50, 1000])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--limit", type=int, help="use only so many windows")
+    parser.add_argument("--every", type=int, default=1, help="use every so manyth window")
     parser.add_argument("--no-fid", action="store_true")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/scenemi/results"))

@@ -60,18 +60,28 @@ def bend_leg(
 
     Beyond 99.5 % of its length the leg yields softly and the ankle falls short.
     """
-    thigh, shin = float(np.linalg.norm(bones.thigh_m)), float(np.linalg.norm(bones.shin_m))
     aim_m = ankle_m - hip_m
     wanted = np.linalg.norm(aim_m, axis=-1)
     soft, longest = _SOFT * bones.length_m, _LONGEST * bones.length_m
     eased = soft + (longest - soft) * (1 - np.exp(-np.maximum(wanted - soft, 0.0) / (longest - soft)))
     distance = np.maximum(np.where(wanted > soft, eased, wanted), _SHORTEST * bones.length_m)
-    cosine = (distance**2 - thigh**2 - shin**2) / (2 * thigh * shin)
-    flexion = np.arccos(np.clip(cosine, -1.0, 1.0))
+    flexion = _flexion_for(distance, bones)
     R_hip_knee = matrix_from_axis_angle(np.stack([flexion, 0 * flexion, 0 * flexion], -1))
     bent_m = (R_world_hip @ (bones.thigh_m + R_hip_knee @ bones.shin_m)[..., None])[..., 0]
     R_hip = _smallest_turn(bent_m, aim_m) @ R_world_hip
     return R_hip, R_hip @ R_hip_knee
+
+
+def _flexion_for(distance_m: Float[np.ndarray, "frames"], bones: LegBones) -> Float[np.ndarray, "frames"]:
+    """Turn of the shin about x at which hip and ankle are so far apart; bones need not lie in the plane of the turn.
+
+    |thigh + R_x shin| squared is constant + A cos + B sin of the turn; where no turn gives the distance, the nearest.
+    """
+    (x, *thigh), (shin_x, *shin) = bones.thigh_m, bones.shin_m
+    A, B = np.dot(thigh, shin), thigh[1] * shin[0] - thigh[0] * shin[1]
+    fixed = np.dot(bones.thigh_m, bones.thigh_m) + np.dot(bones.shin_m, bones.shin_m) + 2 * x * shin_x
+    cosine = (distance_m**2 - fixed) / (2 * np.hypot(A, B))
+    return np.arctan2(B, A) + np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
 def move_wrist(

@@ -22,9 +22,17 @@ class AblatedPrior(DiffusionPrior):
     """`DiffusionPrior` that does not look at some of its conditions."""
 
     def __init__(
-        self, prior: DiffusionPrior, *, use_global: bool = True, use_local: bool = True, use_body: bool = True
+        self,
+        prior: DiffusionPrior,
+        *,
+        use_global: bool = True,
+        use_local: bool = True,
+        use_body: bool = True,
+        use_clearing: bool = True,
     ) -> None:
-        super().__init__(prior.model, prior.sampler, device=prior.device)
+        """`use_clearing`: whether sampled bodies are moved out of solids (`scenemi.model.cleanup`)."""
+        sampler = prior.sampler if use_clearing else replace(prior.sampler, clear_rounds=0)
+        super().__init__(prior.model, sampler, device=prior.device)
         self.seed = prior.seed
         self._use_global, self._use_local, self._use_body = use_global, use_local, use_body
 

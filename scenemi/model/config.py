@@ -35,6 +35,8 @@ class ModelConfig:
     joiners: int = 3
     """Networks of the learned interpolation, each trained without one part of the clips; 0 = interpolation alone."""
     joiner_width: int = 512
+    smooth_keyframes: bool = True
+    """Noisy keyframes are smoothed before they are joined (`scenemi.model.keyframe_smoothing`). With `residual`."""
     smooth_output: bool = True
     """The answer passes a fixed low-pass in time, so that noise which is white in time does not come through."""
     bps_anchors: int = 64
@@ -63,6 +65,11 @@ class ModelConfig:
     def members(self) -> int:
         """Networks of the learned interpolation that there are: what it makes is the base of `residual`."""
         return self.joiners if self.residual else 0
+
+    @property
+    def smooths(self) -> bool:
+        """Whether noisy keyframes are smoothed."""
+        return self.residual and self.smooth_keyframes
 
     @property
     def feature_count(self) -> int:

@@ -17,12 +17,15 @@ from scenemi.model.config import ModelConfig
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
 from scenemi.model.joiner import KeyframeJoiner
+from scenemi.model.keyframe_smoothing import EXACT, smooth_keyframes
 from scenemi.model.linear_guess import correlation, linear_guess
 from scenemi.model.scene_encoder import SceneEncoder
 from scenemi.model.unet import UNet1D
 
 REACH = 60
 """Longest distance from a keyframe in a window of 121 frames."""
+TRAINED_NOISE = 1.0
+"""The largest l in training (paper 3.2.1); the networks take noisier keyframes for this noisy."""
 _LEAST_SCALE = 1e-6
 SCALES = {
     "residual_std": (REACH + 1, FEATURE_COUNT), "residual_frames": (2 * REACH + 1,), "keyframe_std": (FEATURE_COUNT,),
@@ -40,7 +43,7 @@ class Conditions:
     imputed: Float[Tensor, "batch frames"]
     """1 where the noisy window holds the keyframe itself: `mask` while t > T*, nowhere below (paper 3.2.1)."""
     base: Float[Tensor, "batch frames 201"]
-    """The keyframes joined by interpolation (`scenemi.model.base`)."""
+    """The keyframes joined, without some of their noise (`Denoiser.join`)."""
     local: Float[Tensor, "batch frames anchors 3"]
     """Offsets from the body's anchors to the nearest solid point, m; read at keyframes only."""
     body: Float[Tensor, "batch 7"]
@@ -71,17 +74,19 @@ class Conditions:
 class Denoiser(nn.Module):
     """U-Net over time, conditioned on keyframes, local and global scene, and body shape.
 
-    With `config.residual`, let b be the interpolated keyframes, seen by the network as `scenemi.model.heading` says,
+    With `config.residual`, let b be the joined keyframes, seen by the network as `scenemi.model.heading` says,
     s the size of x_0 - b at a frame's distance from the keyframes. The network answers in units of s, x_0 = b + s F,
-    and of x_t it sees g / s, where g is the best linear guess of x_0 - b (`scenemi.model.linear_guess`). So its inputs
-    and outputs have size 1 at most for every density of keyframes, noise does not come in as such, and exact keyframes
-    are returned as they are. (Adding g to the answer, in the way of Karras et al. 2022, was tried: the sampled motion
-    is then as varied as independent channels are until the network has learnt how they belong together.)
+    and of x_t it sees g / s, where g is the best linear guess of x_0 - b (`scenemi.model.linear_guess`); of imputed
+    keyframes, the noise that was taken out of them. So its inputs and outputs have size 1 at most for every density of
+    keyframes, noise does not come in as such, and exact keyframes are returned as they are. (Adding g to the answer,
+    in the way of Karras et al. 2022, was tried: the sampled motion is then as varied as independent channels are until
+    the network has learnt how they belong together.)
     """
 
     alpha_bar: Tensor
     residual_std: Tensor
     residual_frames: Tensor
+    noise_std: Tensor
     keyframe_std: Tensor
     view_mean: Tensor
     view_std: Tensor
@@ -105,6 +110,8 @@ class Denoiser(nn.Module):
             self.register_buffer("alpha_bar", torch.from_numpy(CosineSchedule().alpha_bar).float(), persistent=False)
             for name, shape in SCALES.items():
                 self.register_buffer(name, torch.zeros(shape) if name.endswith("_mean") else torch.ones(shape))
+            if config.smooths:
+                self.register_buffer("noise_std", torch.ones(features))
         if config.noise_channel:
             channels += 1
         if config.use_global:
@@ -139,8 +146,9 @@ class Denoiser(nn.Module):
         body: Float[Tensor, "batch 7"],
         noise_level: Float[Tensor, "batch"],
         part: Int[Tensor, "batch"] | None = None,
+        exact: Float[Tensor, "batch frames"] | None = None,
     ) -> Float[Tensor, "batch frames 201"]:
-        """The keyframes joined: b, for `Conditions.base`. Exact at keyframes.
+        """The keyframes joined: b, for `Conditions.base`. Exact at keyframes without noise.
 
         Args:
             keys: normalized features; rows that are no keyframes are not read.
@@ -148,7 +156,9 @@ class Denoiser(nn.Module):
             body: normalized body lengths.
             noise_level: l of the keyframes.
             part: network to use for each window (in training: the one that did not see its clip); None = their mean.
+            exact: 1 at keyframes without noise in windows whose others have some.
         """
+        keys = self.smoothed_keys(keys, mask, noise_level, exact)
         base = join_keyframes(keys, mask)
         if not self.config.members:
             return base
@@ -157,9 +167,27 @@ class Denoiser(nn.Module):
         for k, joiner in enumerate(self.joiners):
             rows = torch.arange(len(keys), device=keys.device) if part is None else torch.nonzero(part == k)[:, 0]
             if len(rows):
-                made = joiner(raw[rows], mask[rows], body[rows], noise_level[rows])
+                made = joiner(raw[rows], mask[rows], body[rows], noise_level[rows].clamp(max=TRAINED_NOISE))
                 correction[rows] += made / (len(self.joiners) if part is None else 1)
         return base + correction / self.feature_std
+
+    def smoothed_keys(
+        self,
+        keys: Float[Tensor, "batch frames 201"],
+        mask: Float[Tensor, "batch frames"],
+        noise_level: Float[Tensor, "batch"],
+        exact: Float[Tensor, "batch frames"] | None = None,
+    ) -> Float[Tensor, "batch frames 201"]:
+        """Noisy keyframes smoothed, exact ones as they are. Arguments as of `join`."""
+        noisy = torch.nonzero(noise_level > 0)[:, 0]
+        if not self.config.smooths or not len(noisy):
+            return keys
+        weight = mask[noisy].clone()
+        if exact is not None:
+            weight[(weight > 0) & (exact[noisy] > 0)] = EXACT
+        smooth = keys.clone()
+        smooth[noisy] = smooth_keyframes(keys[noisy], weight, noise_level[noisy, None] * self.noise_std)
+        return smooth
 
     def train(self, mode: bool = True) -> Denoiser:
         """Training mode, save for the learned interpolation, which is trained by itself."""
@@ -232,8 +260,8 @@ class Denoiser(nn.Module):
     def set_scales(self, measured: Mapping[str, Tensor]) -> None:
         """What training measured, by the names of `SCALES`.
 
-        `residual_std`: size of x_0 - b by distance from the nearest keyframe, and `keyframe_std` of the noise of
-        keyframes at l = 1, both normalized and in the heading of b; mean and deviation of `view` and of the features.
+        `residual_std`: size of x_0 - b by distance from the nearest keyframe, and `keyframe_std` at keyframes with
+        noise l = 1, both normalized and in the heading of b; mean and deviation of `view` and of the features.
         """
         for name in SCALES:
             self.get_buffer(name).copy_(measured[name])
@@ -247,13 +275,18 @@ class Denoiser(nn.Module):
     def guess(
         self, x: Float[Tensor, "batch frames 201"], t: Int[Tensor, "batch"], given: Conditions
     ) -> Float[Tensor, "batch frames 201"]:
-        """g: best linear guess of x_0 - b from x_t, in the heading of b; nothing where x_t is the keyframe."""
+        """g: best linear guess of x_0 - b from x_t, in the heading of b; where x_t is the keyframe, its own x_t - b."""
         a = self.alpha_bar[t]
         free = (1 - given.imputed)[..., None]
         heading = headings(given.base * self.feature_std + self.feature_mean)
-        off = free * to_heading(x - a.sqrt()[:, None, None] * given.base, heading)
+        share = torch.where(free > 0, a.sqrt()[:, None, None], 1.0)
+        off = to_heading(x - share * given.base, heading)
         C = correlation(since_and_until(given.mask).sum(-1), self.residual_frames)
-        return linear_guess(off, free * self.scales(given), a, C, self.residual_std.mean(0).argsort())
+        g = linear_guess(free * off, free * self.scales(given), a, C, self.residual_std.mean(0).argsort())
+        if not self.config.smooths:
+            return g
+        noisy = (given.noise_level > 0)[:, None, None]  # of exact keyframes nothing was taken out but rounding
+        return torch.where((free == 0) & noisy, off, g)
 
 
 def smoothed(values: Float[Tensor, "batch frames channels"]) -> Float[Tensor, "batch frames channels"]:

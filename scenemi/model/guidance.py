@@ -1,7 +1,7 @@
 """Extra costs while sampling: each estimate of the clean window takes a few descent steps before it is used.
 
 A cost sees joints by forward kinematics of the decoded features, in metres, in the canonical frame of each window. The
-descent direction is smoothed over time and its length found by halving until the cost falls, so no cost needs a tuned
+descent direction is smoothed over time and its length found by trying halves of the longest, so no cost needs a tuned
 step size and none can make a motion jitter.
 """
 
@@ -12,22 +12,29 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
 from scenemi.features import Statistics
 from scenemi.metrics import ANKLES, GMD_SPEED_M_S, GMD_TOE_HEIGHT_M, ROHM_ANKLE_HEIGHT_M, TOES
-from scenemi.model.kinematics import joints_of
-from video2anim.body.skeleton import PARENTS
+from scenemi.model.kinematics import Pose, pose_of
+from scenemi.scene.body_balls import BodyBalls
 
 _LONGEST_STEP = 0.2
 """Largest change of a feature in one descent step, in standard deviations."""
 _HALVINGS = 5
+_NEARLY = 0.05
+"""Share of the largest gain by which a step may gain less and still count."""
+_LOW_WITHIN_M = 0.005
+"""A foot is taken for low more and more over so many metres: rounding must not decide."""
+_NEAR_M = 0.15
+"""A descent does not move a ball farther."""
 
-Value = Callable[[Tensor], Tensor]
-"""Joints (B, N, 22, 3) to one cost per window (B,)."""
+Value = Callable[[Pose], Tensor]
+"""Poses to one cost per window (B,)."""
 
 
 class Cost(Protocol):
@@ -38,8 +45,8 @@ class Cost(Protocol):
         """Makes costs of different units comparable."""
         ...
 
-    def about(self, joints_m: Tensor) -> Value:
-        """The cost near some joints (B, N, 22, 3): what it treats as fixed (which feet stand) is read off there."""
+    def about(self, pose: Pose) -> Value:
+        """The cost near some poses: what it treats as fixed (which feet stand) is read off there."""
         ...
 
 
@@ -50,15 +57,15 @@ class ContactCost:
     fps: float
     weight: float = 1.0
 
-    def about(self, joints_m: Tensor) -> Value:
-        feet = joints_m[:, :, (*ANKLES, *TOES)].detach()
+    def about(self, pose: Pose) -> Value:
+        feet = pose.joints_m[:, :, (*ANKLES, *TOES)].detach()
         limit_m = feet.new_tensor([ROHM_ANKLE_HEIGHT_M] * len(ANKLES) + [GMD_TOE_HEIGHT_M] * len(TOES))
-        low = feet[..., 1] < limit_m
+        low = torch.sigmoid((limit_m - feet[..., 1]) / _LOW_WITHIN_M)
         speed = self._velocity(feet).norm(dim=-1)
-        stands = (low[:, 1:] & low[:, :-1]) * torch.exp(-((speed / GMD_SPEED_M_S) ** 2))
+        stands = low[:, 1:] * low[:, :-1] * torch.exp(-((speed / GMD_SPEED_M_S) ** 2))
 
-        def value(joints_m: Tensor) -> Tensor:
-            velocity = self._velocity(joints_m[:, :, (*ANKLES, *TOES)])
+        def value(pose: Pose) -> Tensor:
+            velocity = self._velocity(pose.joints_m[:, :, (*ANKLES, *TOES)])
             return (stands * (velocity**2).sum(-1)).mean((1, 2))
 
         return value
@@ -69,34 +76,67 @@ class ContactCost:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PenetrationCost:
-    """Bones keep out of solids: mean squared depth, in cm^2, of joints and bone middles with a flesh radius."""
+    """The body keeps out of solids: squared depth of its balls (`scenemi.scene.body_balls`) in cm^2, summed over balls,
+    mean over frames."""
 
     distances: Sequence[Callable[[Tensor], Tensor] | None]
-    """Per window, signed distance at world points (..., 3), differentiable, positive in free space; None = no scene."""
-    T_world_canonical: Float[Tensor, "batch 4 4"]
+    """Per window, signed distance at canonical points (..., 3), differentiable, positive in free space; None = no
+    scene."""
+    balls: Sequence[BodyBalls]
+    """Per window."""
+    allowed_m: Sequence[Float[Tensor, "balls"]]
+    """Per window, how deep each ball may be."""
     weight: float = 1.0
-    radius_m: float = 0.06
-    """Flesh around bones: of the order of a forearm's or a shin's; the trunk's is larger."""
 
-    def about(self, joints_m: Tensor) -> Value:
-        parents = [int(parent) for parent in PARENTS[1:]]
+    def about(self, pose: Pose) -> Value:
+        """Only balls that come near a solid are looked at."""
+        near = []
+        for i, distance in enumerate(self.distances):
+            if distance is None:
+                near.append(torch.zeros(0, dtype=torch.long))
+                continue
+            clear_m = self.clearance_m(pose, i).amin(0)
+            near.append(torch.nonzero(clear_m < _NEAR_M)[:, 0].cpu())
 
-        def value(joints_m: Tensor) -> Tensor:
-            # Feet stand on the floor with less flesh below them than the radius: they are left out.
-            middles = 0.5 * (joints_m[:, :, 1:] + joints_m[:, :, parents])
-            feet = {*ANKLES, *TOES}
-            joints = joints_m[:, :, [j for j in range(len(PARENTS)) if j not in feet]]
-            bones = middles[:, :, [j - 1 for j in range(1, len(PARENTS)) if j not in feet]]
-            points = torch.cat([joints, bones], 2)
-            T = self.T_world_canonical.to(points)
-            world = points @ T[:, None, :3, :3].transpose(-1, -2) + T[:, None, None, :3, 3]
-            depths = [
-                torch.zeros_like(at[..., 0]) if distance is None else functional.relu(self.radius_m - distance(at))
-                for at, distance in zip(world, self.distances, strict=True)
-            ]
-            return 1e4 * (torch.stack(depths) ** 2).mean((1, 2))
+        def value(pose: Pose) -> Tensor:
+            return torch.stack([self._total(pose, i, chosen) for i, chosen in enumerate(near)])
 
         return value
+
+    def depth_m(self, pose: Pose) -> Float[Tensor, "batch"]:
+        """The deepest that a ball of each window is in a solid, beyond what it may."""
+        depths = []
+        for i, distance in enumerate(self.distances):
+            none = pose.joints_m.new_zeros(())
+            depths.append(none if distance is None else functional.relu(-self.clearance_m(pose, i)).max())
+        return torch.stack(depths)
+
+    def _total(self, pose: Pose, i: int, chosen: Tensor) -> Tensor:
+        if not len(chosen):
+            return pose.joints_m.new_zeros(())
+        return 1e4 * (functional.relu(-self.clearance_m(pose, i, chosen)) ** 2).sum(-1).mean()
+
+    def clearance_m(
+        self, pose: Pose, i: int, chosen: Int[Tensor, "chosen"] | None = None
+    ) -> Float[Tensor, "frames chosen"]:
+        """How far balls of window `i`, which has a scene, are from solids; less than zero: deeper than they may be."""
+        distance = self.distances[i]
+        assert distance is not None
+        chosen = torch.arange(len(self.balls[i].joint)) if chosen is None else chosen
+        rows = chosen.numpy()
+        radius_m = torch.from_numpy(self.balls[i].radius_m[rows]).to(pose.joints_m)
+        allowed_m = self.allowed_m[i].to(pose.joints_m)[chosen]
+        return distance(placed_balls(self.balls[i], pose, i, rows)) - radius_m + allowed_m
+
+
+def placed_balls(
+    balls: BodyBalls, pose: Pose, window: int, rows: Int[np.ndarray, "chosen"]
+) -> Float[Tensor, "frames chosen 3"]:
+    """Centers of some balls of one window."""
+    joint = balls.joint[rows]
+    center = torch.from_numpy(balls.center_joint_m[rows]).to(pose.joints_m)
+    turned = (pose.R_world_joint[window][:, joint] * center[:, None, :]).sum(-1)
+    return pose.joints_m[window][:, joint] + turned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,11 +147,11 @@ class KeyframeCost:
     mask: Float[Tensor, "batch frames"]
     weight: float = 1.0
 
-    def about(self, joints_m: Tensor) -> Value:
+    def about(self, pose: Pose) -> Value:
         share = self.mask / self.mask.sum(1, keepdim=True)
 
-        def value(joints_m: Tensor) -> Tensor:
-            return 1e4 * (share * ((joints_m - self.joints_m) ** 2).sum(-1).mean(-1)).sum(1)
+        def value(pose: Pose) -> Tensor:
+            return 1e4 * (share * ((pose.joints_m - self.joints_m) ** 2).sum(-1).mean(-1)).sum(1)
 
         return value
 
@@ -127,22 +167,31 @@ class Guidance:
         *,
         iterations: int = 3,
         smooth_frames: float = 2.0,
+        moved: Float[Tensor, "201"] | None = None,
+        stay: float = 0.0,
     ) -> None:
+        """`moved` is 1 at features that may change, 0 at the others; None = all may. `stay` weighs the mean squared
+        displacement of joints, in cm^2: without it a step that is longer than needed costs nothing."""
+        self.moved, self.stay = moved, stay
         self.statistics, self.rest_joints_m, self.costs = statistics, rest_joints_m, tuple(costs)
         self.iterations, self.smooth_frames = iterations, smooth_frames
 
-    def joints_m(self, x0: Float[Tensor, "batch frames 201"]) -> Float[Tensor, "batch frames 22 3"]:
+    def pose(self, x0: Float[Tensor, "batch frames 201"]) -> Pose:
         """Joints of normalized features, in the canonical frame."""
-        return joints_of(self.statistics.denormalize(x0), self.rest_joints_m.to(x0))
+        return pose_of(self.statistics.denormalize(x0), self.rest_joints_m.to(x0))
 
     def __call__(self, x0: Float[Tensor, "batch frames 201"]) -> Float[Tensor, "batch frames 201"]:
         """The window after a few descent steps; windows whose cost no step lowers stay as they are."""
         with torch.no_grad():
-            values = [(cost.weight, cost.about(self.joints_m(x0))) for cost in self.costs]
+            given = self.pose(x0)
+            values = [(cost.weight, cost.about(given)) for cost in self.costs]
 
         def total(x: Tensor) -> Tensor:
-            joints_m = self.joints_m(x)
-            return torch.stack([weight * value(joints_m) for weight, value in values]).sum(0)
+            pose = self.pose(x)
+            costs = [weight * value(pose) for weight, value in values]
+            if self.stay:
+                costs.append(1e4 * self.stay * (pose.joints_m - given.joints_m).square().sum(-1).mean((1, 2)))
+            return torch.stack(costs).sum(0)
 
         x = x0.detach()
         for _ in range(self.iterations):
@@ -157,17 +206,19 @@ class Guidance:
                 return x
             (gradient,) = torch.autograd.grad(cost.sum(), free)
         direction = smoothed_over_time(gradient, self.smooth_frames)
+        if self.moved is not None:
+            direction = direction * self.moved.to(direction)
         peak = direction.abs().amax((1, 2), keepdim=True)
         length = _LONGEST_STEP / peak.clamp(min=1e-12)
         with torch.no_grad():
-            best, lowest = x, cost.detach()
-            for halving in range(_HALVINGS):
-                tried = x - length * 0.5**halving * direction
-                now = total(tried)
-                better = now < lowest
-                best = torch.where(better[:, None, None], tried, best)
-                lowest = torch.where(better, now, lowest)
-        return best
+            tried = [length * 0.5**halving for halving in range(_HALVINGS)]
+            costs = torch.stack([total(x - step * direction) for step in tried])
+            gain = (cost.detach() - costs).clamp(min=0)
+            # Lengths that gain nearly as much as the best one share in it: rounding must not choose between them.
+            share = torch.exp((gain / gain.amax(0).clamp(min=1e-30) - 1) / _NEARLY) * (gain > 0)
+            mean = (share[:, :, None, None] * torch.stack(tried)).sum(0) / share.sum(0).clamp(min=1e-30)[:, None, None]
+            moved = x - mean * direction
+            return torch.where((total(moved) < cost)[:, None, None], moved, x)
 
 
 def smoothed_over_time(x: Float[Tensor, "batch frames features"], sigma_frames: float) -> Tensor:

@@ -145,7 +145,7 @@ class KeyframeJoiner(nn.Module):
         body: Float[Tensor, "batch 7"],
         noise_level: Float[Tensor, "batch"],
     ) -> Float[Tensor, "batch frames 201"]:
-        """Correction of every frame; zero at keyframes.
+        """Correction of every frame; zero at keyframes, and without a kink there.
 
         Args:
             keys: features; rows that are no keyframes are not read.
@@ -162,9 +162,34 @@ class KeyframeJoiner(nn.Module):
         inside = segments.span - 1
         segment = torch.repeat_interleave(torch.arange(len(inside), device=keys.device), inside)
         nth = torch.arange(len(segment), device=keys.device) - (inside.cumsum(0) - inside)[segment] + 1
-        values = self.at(curves, segment, nth / segments.span[segment])
+        phase = nth / segments.span[segment]
+        left, right = self._slope_changes(curves, segments)
+        values = self.at(curves, segment, phase)
+        values += (phase * (1 - phase) ** 2)[:, None] * left[segment]
+        values -= (phase**2 * (1 - phase))[:, None] * right[segment]
         correction[segments.window[segment], segments.left[segment] + nth] = values
         return correction
+
+    def _slope_changes(
+        self, curves: Float[Tensor, "segments harmonics 201"], segments: Segments
+    ) -> tuple[Float[Tensor, "segments 201"], Float[Tensor, "segments 201"]]:
+        """What to add to the slopes (per segment) of the corrections at left and right ends, so that neighbors agree.
+
+        Two segments meet in the mean of their slopes; beside one that is too short for a correction the slope is 0.
+        """
+        order = torch.arange(1, self.harmonics + 1, device=curves.device)
+        rise = math.pi * order.to(curves.dtype)[:, None] * curves
+        span = segments.span[:, None].to(curves.dtype)
+        left, right = rise.sum(1) / span, (rise * (1 - 2 * (order % 2))[:, None]).sum(1) / span
+        meets = (segments.window[1:] == segments.window[:-1]) & (
+            segments.keyframes[1:, NEIGHBORS - 1] == segments.keyframes[:-1, NEIGHBORS]
+        )
+        middle = (left[1:] + right[:-1]) / 2
+        ends = (~segments.known[:, NEIGHBORS - 2, None], ~segments.known[:, NEIGHBORS + 1, None])
+        wanted = [torch.where(end, slope, 0.0) for end, slope in zip(ends, (left, right), strict=True)]
+        wanted[0][1:] = torch.where(meets[:, None], middle, wanted[0][1:])
+        wanted[1][:-1] = torch.where(meets[:, None], middle, wanted[1][:-1])
+        return (wanted[0] - left) * span, (wanted[1] - right) * span
 
     def at(self, curves: Tensor, segment: Int[Tensor, "frames"], phase: Float[Tensor, "frames"]) -> Tensor:
         """Values (F, 201) of segments' curves at phases."""

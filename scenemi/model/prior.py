@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,24 +13,22 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from scenemi.features import canonical_frame, decode, encode, to_world
-from scenemi.model.denoiser import Conditions
+from scenemi.model.cleanup import Cleanup, penetration_cost
+from scenemi.model.denoiser import TRAINED_NOISE, Conditions
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.guidance import ContactCost, Cost, Guidance, KeyframeCost, PenetrationCost
 from scenemi.model.keyframe_fit import fit_keyframes
-from scenemi.model.kinematics import joints_of
+from scenemi.model.kinematics import joints_of, pose_of
 from scenemi.model.sampling import Denoise, SamplerConfig, sample
-from scenemi.model.scene_input import SceneInput, SceneReader
+from scenemi.model.scene_input import SceneInput, SceneReader, adult_like
 from scenemi.model.weights import LoadedModel, load_weights
 from scenemi.prior import KeyframeWindow, WindowMotion, padded
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import nearest_rotation
-from video2anim.geometry.sdf import SdfGrid
 
 BATCH_WINDOWS = 32
 """Windows sampled at once by `fill_many`: more take memory and no less time."""
 MODEL_FPS = 30.0
-TRAINED_NOISE = 1.0
-"""The largest l in training (paper 3.2.1); noisier keyframes are taken for this noisy."""
 Runtime = Literal["torch", "onnx"]
 """onnxruntime needs 0.7 of torch's time on a CPU, but a second and the package `onnx` for the export, which pays after
 some ten windows (benchmarks/denoiser_runtime.py): torch is the default."""
@@ -66,7 +65,8 @@ class DiffusionPrior:
         return self.fill_many([window], [self.seed])[0]
 
     def fill_many(self, windows: Sequence[KeyframeWindow], seeds: Sequence[int]) -> list[WindowMotion]:
-        """Several windows at once; a window's motion depends on its own seed only (to rounding).
+        """Several windows at once; a window's motion depends on its own seed only (to rounding, which the repairs after
+        sampling may make as large as a millimetre).
 
         Raises:
             InputError: a window longer than the model's, or another frame rate.
@@ -95,11 +95,15 @@ class DiffusionPrior:
         x_keys, conditions = self._conditions(longer, frames)
         stop_step = self.sampler.stop_for(noisy)
         generators = [torch.Generator().manual_seed(seed) for seed in seeds]
-        guidance = self._guidance(longer, frames, x_keys, conditions)
+        rest_joints_m = self._tensor(np.stack([window.rest_joints_m for window in longer]))
+        penetration = self._penetration(longer, frames, rest_joints_m, conditions)
+        guidance = self._guidance(rest_joints_m, x_keys, conditions, penetration)
         x0 = sample(
             self._denoise, self.schedule, x_keys, conditions, self.sampler, generators,
             stop_step=stop_step, adjust=guidance,
         )  # fmt: skip
+        rounds = {"foot_rounds": self.sampler.foot_rounds, "clear_rounds": self.sampler.clear_rounds}
+        x0 = Cleanup(self.model.statistics, rest_joints_m, MODEL_FPS, **rounds, clearing=penetration)(x0)
         features = self.model.statistics.denormalize(x0.cpu().double())
         local, moved = decode(features.numpy())
         R_parent_joint, translation_m = to_world(local, moved, frames)
@@ -134,14 +138,15 @@ class DiffusionPrior:
         mask = self._tensor(np.stack([window.is_keyframe for window in windows]))
         known = self._tensor(np.array([one.occupancy is not None for one in inputs]))
         body = self._tensor(np.stack([statistics.normalize_body(one.lengths_m) for one in inputs]))
-        noise_level = self._tensor(np.array([min(window.noise_level, TRAINED_NOISE) for window in windows]))
+        noise_level = self._tensor(np.array([window.noise_level for window in windows]))
+        seed = np.arange(len(windows[0].is_keyframe)) < np.array([[window.seed_frames] for window in windows])
         conditions = Conditions(
             mask=mask,
             imputed=mask,
-            base=self._denoiser.join(x_keys, mask, body, noise_level),
+            base=self._denoiser.join(x_keys, mask, body, noise_level, exact=self._tensor(seed)),
             local=self._tensor(np.stack([one.local_m for one in inputs])),
             body=body,
-            noise_level=noise_level,
+            noise_level=noise_level.clamp(max=TRAINED_NOISE),
             scene=self._encoded(inputs),
             scene_known=known,
             local_known=known,
@@ -158,17 +163,25 @@ class DiffusionPrior:
         with torch.no_grad():
             return self._denoiser.encode_scene(occupancy)
 
+    def _penetration(
+        self, windows: list[KeyframeWindow], frames: np.ndarray, rest_joints_m: Tensor, conditions: Conditions
+    ) -> PenetrationCost | None:
+        if not self.sampler.clear_rounds and not self.sampler.penetration_weight:
+            return None
+        scenes = [window.scene for window in windows]
+        bodies = [window.body or adult_like(window.rest_joints_m) for window in windows]
+        base = pose_of(self.model.statistics.denormalize(conditions.base), rest_joints_m)
+        return penetration_cost(scenes, bodies, self._tensor(frames), base, conditions.mask)
+
     def _guidance(
-        self, windows: list[KeyframeWindow], frames: np.ndarray, x_keys: Tensor, conditions: Conditions
+        self, rest_joints_m: Tensor, x_keys: Tensor, conditions: Conditions, penetration: PenetrationCost | None
     ) -> Guidance | None:
         sampler = self.sampler
-        rest_joints_m = self._tensor(np.stack([window.rest_joints_m for window in windows]))
         costs: list[Cost] = []
         if sampler.contact_weight > 0:
             costs.append(ContactCost(MODEL_FPS, sampler.contact_weight))
-        if sampler.penetration_weight > 0:
-            distances = [w.scene.sample if isinstance(w.scene, SdfGrid) else None for w in windows]
-            costs.append(PenetrationCost(distances, self._tensor(frames), sampler.penetration_weight))
+        if sampler.penetration_weight > 0 and penetration is not None:
+            costs.append(replace(penetration, weight=sampler.penetration_weight))
         if sampler.keyframe_weight > 0:
             joints_m = joints_of(self.model.statistics.denormalize(x_keys), rest_joints_m)
             costs.append(KeyframeCost(joints_m, conditions.mask, sampler.keyframe_weight))

@@ -51,10 +51,14 @@ class SamplerConfig:
     """Exact keyframes are met to 1e-6 (`scenemi.model.keyframe_fit`); noisy ones never are, save the seed frames."""
     spacing: float = 1.5
     """Power by which steps are denser near t = 0, where detail is made; 1 = even."""
+    foot_rounds: int = 3
+    """After sampling, standing feet are found and held by moving the legs alone, so many times (`cleanup`)."""
+    clear_rounds: int = 3
+    """After sampling, the body is moved out of solids, so many times."""
     contact_weight: float = 0.0
     """Extra cost while sampling: standing feet stay (`scenemi.model.guidance`)."""
     penetration_weight: float = 0.0
-    """Extra cost: bones stay out of solids; for scenes with a signed distance."""
+    """Extra cost: the body stays out of the scene's solids."""
     keyframe_weight: float = 0.0
     """Extra cost: joints at keyframes are the keyframes'."""
 
@@ -68,6 +72,10 @@ class SamplerConfig:
             )
         if not 0 <= self.temperature <= 1:
             raise ValueError(f"SamplerConfig: want temperature from 0 to 1, got {self.temperature}")
+        if min(self.foot_rounds, self.clear_rounds) < 0:
+            raise ValueError(
+                f"SamplerConfig: want foot_rounds and clear_rounds >= 0, got {self.foot_rounds}, {self.clear_rounds}"
+            )
         if self.stop_step is not None and self.stop_step < 0:
             raise ValueError(f"SamplerConfig: want stop_step >= 0, got {self.stop_step}")
 

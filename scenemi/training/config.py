@@ -37,6 +37,10 @@ class TrainConfig:
     synthetic_share: float = 0.3
     """Share of the windows drawn from acted (synthetic) clips, where there are any: captured ones have no sitting,
     lying, stepping up or reaching."""
+    reverse: float = 0.35
+    """Share of windows run backward in time, and `mix`: share with the arms and the head of another window. Captured
+    motion is scarce, and what networks learn of it by heart does not hold for other clips."""
+    mix: float = 0.35
     keyframes: Literal["paper", "mixed"] = "mixed"
     """`paper`: 2 to N random ones. `mixed`: half of the windows so, else regular intervals, log-uniform, and known
     beginnings as in long motion: sparse keyframes are rare in the paper's draw."""
@@ -54,8 +58,10 @@ class TrainConfig:
     relative: bool = True
     """Errors count relative to those of interpolation at the same distance from the keyframes. Else (the paper's eq.
     4) the loss is ruled by the sparsest keyframes, where most of the error cannot be known. Needs `model.residual`."""
-    joiner_steps: int = 2000
+    joiner_steps: int = 12_000
     """Steps of each network of the learned interpolation, before the denoiser's."""
+    joiner_windows: int = 12_000
+    """Windows drawn for it: 0.15 MB of memory each."""
     joiner_batch: int = 48
     joiner_rate: float = 1e-3
     joiner_decay: float = 0.05

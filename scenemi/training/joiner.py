@@ -15,21 +15,22 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor
-from torch.utils.data import Dataset
 
 from scenemi.data.windows import MotionSet
-from scenemi.features import JOINTS, TRANSLATION, Statistics, body_lengths, to_canonical
+from scenemi.features import FEATURE_COUNT, JOINTS, TRANSLATION, Statistics, body_lengths
 from scenemi.model.base import join_keyframes
 from scenemi.model.heading import to_heading
 from scenemi.model.joiner import KeyframeJoiner, Segments, find_segments
-from scenemi.training.batches import load_in_order, parts_of
+from scenemi.model.keyframe_smoothing import smooth_keyframes
+from scenemi.training.batches import parts_of
 from scenemi.training.config import TrainConfig
 from scenemi.training.keyframe_masks import draw_sparse_mask
-from scenemi.training.losses import features_of, noisy_features, residual_size, robust
+from scenemi.training.keyframe_noise import measured_noise, with_noise
+from scenemi.training.losses import residual_size, robust
 from video2anim.errors import InputError
 
 _SEGMENTS, _FRAMES = 400, 6
@@ -40,6 +41,8 @@ _LEAST_METRES, _LEAST_6D = 0.01, 0.01
 """Errors below these need not become smaller."""
 _LEAST_INPUT_STD = 0.05
 _MEASURED_BATCHES = 8
+_DRAWN = 96
+"""Windows of the pool that are made at once."""
 _WARMUP, _COOLDOWN = 50, 0.3
 
 
@@ -49,61 +52,83 @@ class JoinerBatch:
 
     x0: Float[Tensor, "batch frames 201"]
     keys: Float[Tensor, "batch frames 201"]
-    """With noise where the window has noisy keyframes."""
+    """With noise where the window has noisy keyframes, smoothed as `Denoiser.join` does."""
     mask: Float[Tensor, "batch frames"]
     body: Float[Tensor, "batch 7"]
     noise_level: Float[Tensor, "batch"]
 
 
-class JoinerBatches(Dataset[JoinerBatch]):
+@dataclass(frozen=True, slots=True, eq=False)
+class JoinerPool:
+    """Windows drawn once, in the canonical frame: making them takes longer than a step of so small a network. Keyframes
+    and the size of the noise are drawn anew whenever a window is used."""
+
+    x0: Float[Tensor, "windows frames 201"]
+    noise: Float[Tensor, "windows frames 201"]
+    """What noise of l = 1 adds, float16; in proportion for smaller l, as angles are small."""
+    valid: Bool[np.ndarray, "windows frames"]
+    body: Float[Tensor, "windows 7"]
+    """Normalized."""
+    part: Int[np.ndarray, "windows"]
+    """Of the clip."""
+    noise_std: Float[Tensor, "201"]
+    """Size of the noise of l = 1."""
+
+    @classmethod
+    def draw(cls, motions: MotionSet, statistics: Statistics, config: TrainConfig) -> JoinerPool:
+        """`config.joiner_windows` windows; they depend on the seed alone."""
+        lengths = [statistics.normalize_body(body_lengths(motions.body(i))) for i in range(len(motions.shapes))]
+        clip_part = parts_of(motions.store.clip_name, max(1, config.model.members))
+        total, frames = config.joiner_windows, motions.config.frames
+        x0 = torch.empty(total, frames, FEATURE_COUNT)
+        noise = torch.empty(total, frames, FEATURE_COUNT, dtype=torch.float16)
+        valid, part = np.empty((total, frames), bool), np.empty(total, np.int64)
+        body = torch.empty(total, len(lengths[0]))
+        for start in range(0, total, _DRAWN):
+            some = slice(start, min(start + _DRAWN, total))
+            rng = np.random.default_rng([config.seed, 0x701E, start])
+            windows = motions.sample_batch(rng, some.stop - start)
+            x0[some], added = with_noise(windows, motions, rng)
+            noise[some] = added.half()
+            valid[some], part[some] = windows.valid, clip_part[windows.clip]
+            body[some] = torch.from_numpy(np.stack(lengths)[windows.body_index].astype(np.float32))
+        return cls(x0, noise, valid, body, part, measured_noise(motions, config.seed))
+
+    def seen_by(self, member: int) -> Int[np.ndarray, "seen"]:
+        """Windows that a member is trained on: all but those of its part, or all where that leaves none."""
+        others = np.flatnonzero(self.part != member)
+        return others if len(others) else np.arange(len(self.part))
+
+
+class JoinerBatches:
     """The batch of each step of one member."""
 
-    def __init__(self, motions: MotionSet, statistics: Statistics, config: TrainConfig, member: int) -> None:
-        self.motions, self.config, self.member = motions, config, member
-        lengths = [statistics.normalize_body(body_lengths(motions.body(i))) for i in range(len(motions.shapes))]
-        self.lengths = np.stack(lengths).astype(np.float32)
-        parts = max(1, config.model.members)
-        clip_part = parts_of(motions.store.clip_name, parts)
-        used = np.unique(motions.store.piece_clip)
-        # One part alone, or too few clips to leave any out: all are used.
-        self.seen = clip_part != member if parts > 1 and (clip_part[used] != member).any() else clip_part >= 0
-
-    def __len__(self) -> int:
-        return self.config.joiner_steps
+    def __init__(self, pool: JoinerPool, config: TrainConfig, member: int) -> None:
+        self.pool, self.config, self.member = pool, config, member
+        self.seen = pool.seen_by(member)
 
     def __getitem__(self, step: int) -> JoinerBatch:
         """Everything random comes from (seed, member, step)."""
-        config = self.config
+        config, pool = self.config, self.pool
         rng = np.random.default_rng([config.seed, 0x701E, self.member, step])
-        windows = self.motions.sample_batch(rng, 2 * config.joiner_batch)
-        rows = np.flatnonzero(self.seen[windows.clip])[: config.joiner_batch]
-        if not len(rows):
-            rows = np.arange(min(config.joiner_batch, len(windows)))
-        R, translation_m = to_canonical(windows.R_parent_joint[rows], windows.translation_m[rows])
-        count, frames = translation_m.shape[:2]
-        body = windows.body_index[rows]
-        pose = torch.from_numpy(R.astype(np.float32)), torch.from_numpy(translation_m.astype(np.float32))
-        rest = torch.from_numpy(self.motions.rest_joints_m[body])
+        count = min(config.joiner_batch, len(self.seen))
+        rows = self.seen[rng.choice(len(self.seen), count, replace=False)]
+        frames = pool.x0.shape[1]
+        masks = [draw_sparse_mask(rng, frames) | ~pool.valid[row] for row in rows]
+        mask = torch.from_numpy(np.stack(masks).astype(np.float32))
         level = np.where(rng.random(count) < config.noisy_share, rng.random(count), 0.0).astype(np.float32)
-        turn = torch.from_numpy(rng.standard_normal((count, frames, 22, 3), np.float32))
-        shift = torch.from_numpy(rng.standard_normal((count, frames, 3), np.float32))
-        masks = [draw_sparse_mask(rng, frames) | ~windows.valid[row] for row in rows]
-        x0 = features_of(*pose, rest)
+        index = torch.from_numpy(rows)
+        x0 = pool.x0[index]
         keys, noisy = x0.clone(), torch.from_numpy(np.flatnonzero(level))
-        some = (value[noisy] for value in (*pose, rest, torch.from_numpy(level), turn, shift))
-        keys[noisy] = noisy_features(*some)
-        return JoinerBatch(
-            x0=x0,
-            keys=keys,
-            mask=torch.from_numpy(np.stack(masks).astype(np.float32)),
-            body=torch.from_numpy(self.lengths[body]),
-            noise_level=torch.from_numpy(level),
-        )
+        sizes = torch.from_numpy(level)[noisy, None]
+        keys[noisy] += sizes[..., None] * pool.noise[index[noisy]].float()
+        if config.model.smooths and len(noisy):
+            keys[noisy] = smooth_keyframes(keys[noisy], mask[noisy], sizes * pool.noise_std)
+        return JoinerBatch(x0=x0, keys=keys, mask=mask, body=pool.body[index], noise_level=torch.from_numpy(level))
 
 
 def train_joiner(
-    motions: MotionSet,
-    statistics: Statistics,
+    pool: JoinerPool,
     config: TrainConfig,
     member: int,
     *,
@@ -113,8 +138,7 @@ def train_joiner(
     """One member, averaged over the last steps.
 
     Args:
-        motions: training windows.
-        statistics: of the features; body lengths are normalized by them.
+        pool: training windows.
         config: `joiner_*`, seed, keyframes and noise.
         member: which part of the clips it does not see.
         device: of torch.
@@ -122,7 +146,7 @@ def train_joiner(
     """
     torch.manual_seed(config.seed * 1000 + member)
     model = KeyframeJoiner(config.model.joiner_width)
-    data = JoinerBatches(motions, statistics, config, member)
+    data = JoinerBatches(pool, config, member)
     _measure(model, [data[config.joiner_steps + i] for i in range(_MEASURED_BATCHES)])
     model = model.to(device)
     average = {name: value.clone() for name, value in model.state_dict().items()}
@@ -131,7 +155,8 @@ def train_joiner(
     )
     generator = torch.Generator().manual_seed(config.seed * 1000 + member)
     steps = config.joiner_steps
-    for step, batch in enumerate(load_in_order(data, range(steps), config.workers)):
+    for step in range(steps):
+        batch = data[step]
         rate = min(1.0, (step + 1) / _WARMUP, (steps - step) / (_COOLDOWN * steps))
         for group in optimizer.param_groups:
             group["lr"] = config.joiner_rate * rate
@@ -150,14 +175,15 @@ def train_joiner(
     return model.cpu().eval()
 
 
-_RULING = ("joiner_steps", "joiner_batch", "joiner_rate", "joiner_decay", "seed", "bodies", "noisy_share",
-           "synthetic_share", "noncommercial")  # fmt: skip
+_RULING = ("joiner_steps", "joiner_windows", "joiner_batch", "joiner_rate", "joiner_decay", "seed", "bodies",
+           "noisy_share", "synthetic_share", "reverse", "mix", "noncommercial")  # fmt: skip
 
 
 def _ruling(config: TrainConfig) -> str:
     """What decides a member, as text."""
     values = {name: getattr(config, name) for name in _RULING}
-    return json.dumps(values | {"joiners": config.model.joiners, "width": config.model.joiner_width})
+    model = config.model
+    return json.dumps(values | {"joiners": model.joiners, "width": model.joiner_width, "smooths": model.smooths})
 
 
 def save_joiner(path: Path, joiner: KeyframeJoiner, config: TrainConfig) -> None:

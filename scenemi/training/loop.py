@@ -22,7 +22,8 @@ from scenemi.model.denoiser import Denoiser
 from scenemi.training.batches import StepBatches, load_in_order, statistics_of
 from scenemi.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from scenemi.training.config import TrainConfig
-from scenemi.training.joiner import holds_joiner, load_joiner, save_joiner, train_joiner
+from scenemi.training.joiner import JoinerPool, holds_joiner, load_joiner, save_joiner, train_joiner
+from scenemi.training.keyframe_noise import measured_noise
 from scenemi.training.losses import Losses, TrainingLoss, measure_scales
 from scenemi.training.validate import Validation, Validator
 from video2anim.errors import InputError
@@ -166,11 +167,13 @@ class _Run:
     ) -> None:
         """Train the learned interpolation, or take from `out` what is trained already; alike in every process."""
         count = self.config.model.members
+        pool: JoinerPool | None = None
         for k in range(count):
             path = out / f"joiner_{k}.safetensors"
             if on_progress is not None and (fresh or not holds_joiner(path, self.config)):
                 say = _every(self.config, k, count, on_progress)
-                joiner = train_joiner(motions, self.statistics, self.config, k, device=self.device.type, on_step=say)
+                pool = pool or JoinerPool.draw(motions, self.statistics, self.config)
+                joiner = train_joiner(pool, self.config, k, device=self.device.type, on_step=say)
                 save_joiner(path, joiner, self.config)
         if self.world > 1:
             distributed.barrier()
@@ -182,6 +185,9 @@ class _Run:
         if not self.config.model.residual:
             return
         whole = StepBatches(data.motions, self.statistics, self.config)
+        if self.config.model.smooths:
+            noise = measured_noise(data.motions, self.config.seed).to(self.device)
+            self.model.noise_std.copy_(noise / self.plain.std)
         count = max(1, _SCALE_WINDOWS // self.config.batch)
         drawn = [whole[_SCALE_STEPS + i].to(self.device) for i in range(count)]
         self.model.set_scales(measure_scales(self.plain, drawn))

@@ -141,8 +141,11 @@ def measure_scales(loss: TrainingLoss, batches: Sequence[Batch]) -> dict[str, Te
         raw = loss.denoiser.join(x0, batch.mask, batch.body, exact, batch.part) * loss.std + loss.mean
         heading = headings(raw)
         triples.append((x0 * loss.std + loss.mean, raw, batch.mask))
-        keys = (noisy_keyframes(replace(batch, noise_level=torch.ones_like(batch.noise_level))) - loss.mean) / loss.std
-        noise += to_heading(keys - x0, heading).double().square().mean((0, 1)).cpu()
+        full = torch.ones_like(batch.noise_level)
+        keys = (noisy_keyframes(replace(batch, noise_level=full)) - loss.mean) / loss.std
+        keys = loss.denoiser.smoothed_keys(keys, batch.mask, full)
+        left = to_heading(keys - x0, heading).double().square()[batch.mask > 0]
+        noise += left.mean(0).cpu()
         views.append(view(raw, heading).flatten(0, 1).cpu())
     every = torch.cat(views)
     return {

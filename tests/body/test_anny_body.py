@@ -190,7 +190,7 @@ def test_keypoints_lie_on_the_body() -> None:
 
 
 @pytest.mark.parametrize(
-    "shape", [BodyShape("anny", {"wings": 1.0}), BodyShape("smpl", {}), BodyShape("anny", {**ADULT, "betas": 0.0})]
+    "shape", [BodyShape("anny", {"wings": 1.0}), BodyShape("star", {}), BodyShape("anny", {**ADULT, "betas": 0.0})]
 )
 def test_unknown_shape_is_refused(shape: BodyShape) -> None:
     with pytest.raises(UsageError, match="want model 'anny'"):

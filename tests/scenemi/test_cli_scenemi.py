@@ -445,7 +445,7 @@ def test_train_writes_weights_that_sample_and_can_go_on(keyframes: Path, tmp_pat
     split.write_text(json.dumps({"train": ["walk"], "val": ["walk_val"], "test": []}))
     config = tmp_path / "run.json"
     small = {"model": "tiny", "steps": 4, "batch": 2, "bodies": 1, "log_every": 2, "workers": 0}
-    config.write_text(json.dumps(small | {"joiner_steps": 2, "joiner_batch": 2}))
+    config.write_text(json.dumps(small | {"joiner_steps": 2, "joiner_batch": 2, "joiner_windows": 16}))
     val = MotionArchive.read(archive).clip("walk")
     write_archive(tmp_path / "val.npz", [replace(val, name="walk_val")])
     words = ("train", "--motion", archive, "--motion", tmp_path / "val.npz", "--split", split, "--config", config)

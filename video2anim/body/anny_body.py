@@ -71,7 +71,10 @@ def _y_up(points: torch.Tensor) -> torch.Tensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapedBody:
-    """A body of one shape, ready to be posed. Rest mesh in the A-pose, +Y up, facing +Z, pelvis at the origin."""
+    """A body of one shape, ready to be posed. Rest mesh +Y up, facing +Z, pelvis at the origin.
+
+    Anny's rest mesh is in the A-pose, that of the SMPL family in the T-pose.
+    """
 
     shape: BodyShape
     rest_vertices_m: Float[np.ndarray, "vertices 3"]
@@ -291,7 +294,16 @@ def anny_model() -> AnnyModel:
 
 
 def shaped_body(shape: BodyShape) -> ShapedBody:
-    """Body of a shape. Raises `UsageError` for a shape that is not Anny's."""
+    """Body of a shape: Anny, or SMPL, SMPL-H or SMPL-X from a file of the user's own (`smplx_body`).
+
+    Raises:
+        UsageError: unknown model or parameters, or no folder of SMPL files is named.
+        InputError: the user's SMPL file is missing or cannot be used.
+    """
+    if shape.model.startswith("smpl"):
+        from video2anim.body.smplx_body import shaped_smpl
+
+        return shaped_smpl(shape)
     return _shaped_cached(shape.model, tuple(sorted(shape.parameters.items())))
 
 

@@ -69,7 +69,8 @@ class FrameWriter:
         context.thread_count = threads
         context.color_primaries = context.color_trc = context.colorspace = _BT709
         context.color_range = int(ColorRange.MPEG)
-        context.options = {"crf": str(crf), "preset": preset, "sc_threshold": "0"}
+        # The macroblock tree reads memory that x264 has not set: the same frames would give other bytes now and then.
+        context.options = {"crf": str(crf), "preset": preset, "sc_threshold": "0", "x264-params": "mbtree=0"}
         self._stream = stream
 
     def write(self, rgb: UInt8[np.ndarray, "height width 3"]) -> None:

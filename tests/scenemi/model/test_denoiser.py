@@ -86,6 +86,9 @@ def test_the_noisy_window_is_not_seen_where_it_holds_the_keyframe() -> None:
     x, t = torch.randn(1, 121, 201), torch.tensor([300])
     other = x.clone()
     other[:, 15] += 1.0
+    noisy = replace(given, noise_level=torch.ones(1))
+    assert not torch.allclose(denoiser(x, t, noisy), denoiser(other, t, noisy)), "what was taken out of it is seen"
+    given = replace(given, noise_level=torch.zeros(1))
     assert torch.equal(denoiser(x, t, given), denoiser(other, t, given))
     free = replace(given, imputed=torch.zeros_like(given.mask))
     assert not torch.allclose(denoiser(x, t, free), denoiser(other, t, free))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
 from scenemi.features import BODY_LENGTHS, FEATURE_COUNT, Statistics, encode
 from scenemi.model.guidance import ContactCost, Cost, Guidance, KeyframeCost, PenetrationCost, smoothed_over_time
-from scenemi.model.kinematics import joints_of
+from scenemi.model.kinematics import Pose, joints_of, pose_of
+from scenemi.scene.body_balls import BodyBalls
 from video2anim.body.skeleton import JOINT_INDEX
 
 FRAMES = 40
@@ -50,6 +52,10 @@ def joints(x: Tensor) -> Tensor:
     return joints_of(STATISTICS.denormalize(x), REST)
 
 
+def pose(x: Tensor) -> Pose:
+    return pose_of(STATISTICS.denormalize(x), REST)
+
+
 def guide(x: Tensor, cost: Cost, iterations: int = 10) -> Tensor:
     return Guidance(STATISTICS, REST, [cost], iterations=iterations)(x)
 
@@ -71,24 +77,26 @@ def test_feet_in_the_air_are_left_alone() -> None:
     torch.testing.assert_close(guide(x, ContactCost(30.0)), x, rtol=0, atol=0)
 
 
-def test_a_body_in_a_wall_moves_out_of_it_in_its_own_frame() -> None:
-    """The wall fills x > 2 of the world; the canonical frame is turned and shifted, and the left arm reaches in."""
-    T = torch.eye(4)
-    T[0, 3] = 1.5
+def test_a_body_in_a_wall_moves_out_of_it() -> None:
+    """The wall fills x > 0.5, and the left arm reaches in; balls of the hand may be as deep as allowed."""
 
     def wall(points_m: Tensor) -> Tensor:
-        return 2.0 - points_m[..., 0]
+        return 0.5 - points_m[..., 0]
 
+    hand = BodyBalls(
+        np.array([JOINT_INDEX["left_wrist"], JOINT_INDEX["left_elbow"]]), np.zeros((2, 3), np.float32),
+        np.array([0.03, 0.04], np.float32),
+    )  # fmt: skip
     x = standing()
-    cost = PenetrationCost([wall], T[None], radius_m=0.0)
-
-    def depth(x: Tensor) -> float:
-        return float((joints(x)[..., 0] + 1.5 - 2.0).clamp(min=0).max())
-
+    none = torch.zeros(2)
+    cost = PenetrationCost([wall], [hand], [none])
+    assert float(cost.depth_m(pose(x))[0]) == pytest.approx(0.23, abs=1e-5)
     made = guide(x, cost, 30)
-    assert depth(x) > 0.19
-    assert depth(made) < 0.5 * depth(x)
-    torch.testing.assert_close(guide(x, PenetrationCost([None], T[None])), x, rtol=0, atol=0)
+    assert float(cost.depth_m(pose(made))[0]) < 0.5 * 0.23
+    deep = PenetrationCost([wall], [hand], [torch.full((2,), 0.3)])
+    for unmoved in (PenetrationCost([None], [hand], [none]), deep):
+        torch.testing.assert_close(guide(x, unmoved), x, rtol=0, atol=0)
+        assert float(unmoved.depth_m(pose(x))[0]) == 0
 
 
 def test_keyframes_pull_their_frames() -> None:

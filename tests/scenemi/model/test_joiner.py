@@ -62,6 +62,19 @@ def test_corrections_keep_the_keyframes_and_read_nothing_else() -> None:
 
 
 @torch.no_grad()
+def test_corrections_meet_at_keyframes_without_a_kink() -> None:
+    """Slopes of sampled corrections, from one-sided differences: exact for the cubic part, to O(1 / span) for sines."""
+    keys, mask = windows(1), mask_of(0, 40, 80, 82, 120)[None]
+    (made,) = awake()(keys, mask, torch.zeros(1, 7), torch.zeros(1))
+    before, after = made[40] - made[39], made[41] - made[40]
+    bend = (made[38] - 2 * made[39] + made[40]).abs().amax() + (made[40] - 2 * made[41] + made[42]).abs().amax()
+    assert float((after - before).abs().amax()) <= float(bend)
+    assert float(before.abs().amax()) > 4 * float((after - before).abs().amax())
+    for still in (made[80] - made[79], made[83] - made[82]):  # beside a pair without correction
+        assert float(still.abs().amax()) <= float(bend)
+
+
+@torch.no_grad()
 def test_an_untrained_joiner_adds_nothing() -> None:
     made = KeyframeJoiner(16)(windows(1), mask_of(0, 60, 120)[None], torch.zeros(1, 7), torch.zeros(1))
     assert float(made.abs().max()) == 0

@@ -237,6 +237,8 @@ def test_bad_settings_are_refused() -> None:
         {"stop_step": -1},
         {"spacing": 0.5},
         {"temperature": 2},
+        {"foot_rounds": -1},
+        {"clear_rounds": -1},
     ):
         with pytest.raises(ValueError, match="SamplerConfig"):
             SamplerConfig(**bad)  # type: ignore[arg-type]

@@ -9,14 +9,14 @@ import pytest
 
 from scenemi.data.container import MotionArchive, read_split
 from scenemi.data.retarget import RetargetedMotion, retarget
-from scenemi.evaluation.windows import adult_body
-from scenemi.longmotion import KeyframeMotion, inbetween
+from scenemi.evaluation.seams import keyframe_motion, seam_jerk
+from scenemi.evaluation.windows import FPS, adult_body
+from scenemi.longmotion import inbetween
 from scenemi.model.prior import DiffusionPrior, load_diffusion_prior
 from scenemi.prior import WEIGHTS_FOLDER, InterpolationPrior, KeyframeWindow
-from scenemi.windows import WINDOW_FRAMES, select_keyframes
+from scenemi.windows import WINDOW_FRAMES
 from video2anim.body.skeleton import forward_kinematics
 
-FPS = 30.0
 REPOSITORY = Path(__file__).resolve().parents[3]
 
 
@@ -40,26 +40,6 @@ def long_clips() -> list[RetargetedMotion]:
     return [retarget(archive.clip(name), adult_body()) for name in names[:4]]
 
 
-def keyframe_motion(clip: RetargetedMotion, interval: int, frames: int) -> KeyframeMotion:
-    body = adult_body()
-    is_keyframe = np.zeros(frames, bool)
-    is_keyframe[select_keyframes(frames, interval)] = True
-    return KeyframeMotion(
-        clip.R_parent_joint[:frames], clip.translation_m[:frames], is_keyframe, body.rest_joints_m, FPS, body
-    )
-
-
-def jerk_of_frames(R_parent_joint: np.ndarray, translation_m: np.ndarray) -> np.ndarray:
-    """Mean over the joints; entry i spans frames i to i + 3."""
-    joints_m, _ = forward_kinematics(R_parent_joint, translation_m, adult_body().rest_joints_m)
-    return np.linalg.norm(np.diff(joints_m, n=3, axis=0), axis=-1).mean(1) * FPS**3
-
-
-def spanning(frames: list[int], count: int) -> np.ndarray:
-    """Third differences that reach over one of the frames."""
-    return np.array([i for i in range(count) if any(i <= frame <= i + 3 for frame in frames)])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("interval", [15, 30])
 def test_there_is_no_pop_at_seams_and_keyframes(
@@ -68,11 +48,9 @@ def test_there_is_no_pop_at_seams_and_keyframes(
     at_seams, at_keys = [], []
     for clip in long_clips:
         motion = keyframe_motion(clip, interval, min(len(clip.translation_m), 690))
-        filled = inbetween(motion, prior)
-        jerk = jerk_of_frames(filled.R_parent_joint, filled.translation_world_m)
-        seams = [edge for span in filled.spans[1:] for edge in (span.start, span.seed_stop)]
-        at_seams.append(jerk[spanning(seams, len(jerk))] / np.median(jerk))
-        at_keys.append(jerk[spanning(np.flatnonzero(motion.is_keyframe)[1:-1].tolist(), len(jerk))] / np.median(jerk))
+        jerk = seam_jerk(motion, inbetween(motion, prior))
+        at_seams.append(jerk.at_seams)
+        at_keys.append(jerk.at_keyframes)
     assert np.median(np.concatenate(at_seams)) <= 1.2
     assert np.median(np.concatenate(at_keys)) <= 1.3
 

@@ -16,5 +16,6 @@ CONFIG = TrainConfig(
     validate_every=100,
     joiner_steps=3,
     joiner_batch=4,
+    joiner_windows=64,
 )
 PLAIN = MotionSetConfig(mirror=0.0, warp=0.0)

@@ -137,7 +137,7 @@ def test_two_processes_learn_what_one_learns(archive: Path, tmp_path: Path) -> N
     """On the command line, with torchrun and without."""
     config = tmp_path / "run.json"
     values = {"model": "tiny", "steps": 4, "batch": 4, "bodies": 1, "workers": 0, "log_every": 1, "warmup": 2}
-    config.write_text(json.dumps(values | {"joiner_steps": 2, "joiner_batch": 4}))
+    config.write_text(json.dumps(values | {"joiner_steps": 2, "joiner_batch": 4, "joiner_windows": 16}))
     split = tmp_path / "split.json"
     split.write_text(json.dumps({"train": ["walk_0", "sit_1", "reach_2", "pick_up_3"], "val": [], "test": []}))
     words = ["-m", "scenemi.cli", "train", "--motion", archive, "--split", split, "--config", config, "--device", "cpu"]
