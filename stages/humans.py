@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from video2anim.pipeline.stage import StageContext, StageSpec
-from video2anim.types import BodyMotion, BodyTracks, CameraEstimate, PersonTrack, PersonTracks, VideoClip
+from video2anim.types import (
+    BodyMotion,
+    BodyTracks,
+    CameraEstimate,
+    PersonQuality,
+    PersonTrack,
+    PersonTracks,
+    VideoClip,
+)
 
 if TYPE_CHECKING:
-    from video2anim.fitting.problem import FittedBody
+    from video2anim.fitting.problem import FittedBody, Observations
 
 
 @dataclass(frozen=True)
@@ -28,29 +36,32 @@ def recover_humans(
     clip: VideoClip, tracks: PersonTracks, camera: CameraEstimate, config: HumansConfig, ctx: StageContext
 ) -> BodyTracks:
     """Fit the selected persons and put them into a world with +Y up and the floor under the main person's feet."""
-    fits = [_fit(clip, track, camera, config, ctx) for track in tracks.selected()]
-    valid = [track.valid for track in tracks.selected()]
-    R_world_camera = _R_world_camera(camera)
-    T_world_camera, spread_m = _world(fits[0], valid[0], R_world_camera, clip.fps)
-    people = tuple(
-        _motion(clip, track, fit, camera, T_world_camera) for track, fit in zip(tracks.selected(), fits, strict=True)
-    )
-    reprojection = tuple(float(np.nanmedian(fit.reprojection_px)) for fit in fits)
-    _record(people[0], fits[0], reprojection[0], spread_m, ctx)
-    return BodyTracks(people, reprojection)
-
-
-def _fit(
-    clip: VideoClip, track: PersonTrack, camera: CameraEstimate, config: HumansConfig, ctx: StageContext
-) -> FittedBody:
-    from video2anim.fitting.objective import FitConfig
     from video2anim.fitting.observe import observations
+    from video2anim.fitting.quality import person_quality
+
+    selected = tracks.selected()
+    observed = [observations(track, clip.frame_time_s, camera.intrinsics) for track in selected]
+    fits = [_fit(one, config, ctx) for one in observed]
+    T_world_camera, spread_m = _world(fits[0], selected[0].valid, _R_world_camera(camera), clip.fps)
+    people = tuple(_motion(clip, track, fit, camera, T_world_camera) for track, fit in zip(selected, fits, strict=True))
+    quality = tuple(
+        person_quality(track, seen, fit, motion, clip.fps, **_smoothness(motion, clip.fps))
+        for track, seen, fit, motion in zip(selected, observed, fits, people, strict=True)
+    )
+    _record(people[0], quality[0], spread_m, ctx)
+    for motion, judged in zip(people, quality, strict=True):
+        for doubt in judged.doubts:
+            ctx.warn(f"person {motion.person_id} should not be trusted: {doubt}")
+    return BodyTracks(people, quality)
+
+
+def _fit(observed: Observations, config: HumansConfig, ctx: StageContext) -> FittedBody:
+    from video2anim.fitting.objective import FitConfig
     from video2anim.fitting.optimize import fit_body
 
     fit_config = FitConfig()
     if config.height_m is not None:
         fit_config = replace(fit_config, stature_m=config.height_m, stature_sigma_m=0.01)
-    observed = observations(track, clip.frame_time_s, camera.intrinsics)
     return fit_body(observed, fit_focal=False, config=fit_config, iterations=config.iterations, on_step=ctx.progress)
 
 
@@ -118,20 +129,25 @@ def _motion(
     return replace(posed, contact=foot_contact(posed.joints_world_m, track.valid, clip.fps, t_world_camera))
 
 
-def _record(motion: BodyMotion, fit: FittedBody, reprojection_px: float, spread_m: float, ctx: StageContext) -> None:
-    from scenemi.metrics import jerk_m_s3
+def _smoothness(motion: BodyMotion, fps: float) -> dict[str, float]:
+    from scenemi.metrics import foot_skating_gmd, jerk_m_s3
 
-    ctx.quality("reprojection", reprojection_px, "px", "lower")
-    ctx.quality("valid frames", 100 * float(motion.valid.mean()), "%", "higher")
-    ctx.quality(
-        "jerk", jerk_m_s3(motion.joints_world_m, 1 / float(np.diff(motion.frame_time_s).mean())), "m/s3", "lower"
-    )
+    joints_m = motion.measured_joints_m
+    if len(joints_m) < 4:
+        return {"jerk_m_s3": float("nan"), "skating_gmd": float("nan")}
+    return {"jerk_m_s3": jerk_m_s3(joints_m, fps), "skating_gmd": foot_skating_gmd(joints_m, fps)}
+
+
+def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: StageContext) -> None:
+    ctx.quality("reprojection", quality.reprojection_px, "px", "lower")
+    ctx.quality("reprojection over size", 100 * quality.reprojection_ratio, "%", "lower")
+    ctx.quality("valid frames", 100 * quality.valid_share, "%", "higher")
+    ctx.quality("jerk", quality.jerk_m_s3, "m/s3", "lower")
+    ctx.quality("foot skating (gmd)", quality.skating_gmd, "", "lower")
+    ctx.quality("bone length spread", 100 * quality.bone_spread, "%", "lower")
     ctx.quality("planted foot", 100 * float((motion.contact.max(1) > 0.5).mean()), "% of frames")
     ctx.quality("floor spread", spread_m, "m", "lower")
-    size = float(np.ptp(fit.rest_joints_m[:, 1]))
-    ctx.quality("skeleton height", size, "m")
-    if motion.valid.mean() < 0.5:
-        ctx.warn(f"the person is seen in {motion.valid.mean():.0%} of the frames only; the rest is bridged")
+    ctx.quality("skeleton height", quality.stature_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=3)
+STAGE = StageSpec("humans", recover_humans, version=4)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from video2anim.errors import StageError, UsageError
 from video2anim.pipeline.stage import StageContext, StageSpec
-from video2anim.types import PersonTrack, PersonTracks, VideoClip
+from video2anim.types import PersonTrack, PersonTracks, Thumbnail, VideoClip
 
 if TYPE_CHECKING:
     from video2anim.models.blazepose import BlazePose, PoseEstimate
@@ -26,6 +26,9 @@ _BETTER_VISIBILITY = 0.1
 _HELD_FRAMES = 5
 """A lost person is first looked for in the crop last seen, this many frames long."""
 _LOCAL_SCAN_EVERY = 3
+THUMBNAIL_PX = 128
+_CLEARLY = 1.1
+_NO_PICTURE = np.zeros((THUMBNAIL_PX, THUMBNAIL_PX, 3), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,8 @@ class _Track:
     """A person in the making: estimates by frame."""
 
     estimates: dict[int, PoseEstimate] = field(default_factory=dict)
+    best: tuple[float, int, np.ndarray] = (0.0, 0, _NO_PICTURE)
+    """How well the person is seen in the best frame, its number, and the crop."""
 
     @property
     def last_frame(self) -> int:
@@ -59,6 +64,14 @@ class _Track:
     @property
     def last(self) -> PoseEstimate:
         return self.estimates[self.last_frame]
+
+    def look_at(self, frame: int, image: np.ndarray) -> None:
+        """Keep the picture of a frame that shows the person clearly better than those before."""
+        found = self.estimates[frame]
+        seen = found.roi.side_px * float(found.visibility.mean())
+        if seen > _CLEARLY * self.best[0]:
+            upright = replace(found.roi, rotation_rad=0.0)
+            self.best = (seen, frame, upright.crop(image, THUMBNAIL_PX))
 
     def velocity_px(self) -> np.ndarray:
         """Median motion of the hips per frame over the last frames, (2,)."""
@@ -90,6 +103,9 @@ class _Tracker:
         self._part_duplicates(frame)
         if frame % self._scan_every == 0:
             self._scan(frame, image)
+        for track in self.tracks:
+            if frame in track.estimates:
+                track.look_at(frame, image)
         self._recent.append((frame, image))
 
     def _alive(self, frame: int) -> list[_Track]:
@@ -198,7 +214,9 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
         tracker.step(frame, image)
         ctx.progress(frame + 1, clip.frame_count)
     min_frames = max(1, round(min(config.min_track_s * clip.fps, 0.5 * clip.frame_count)))
-    people = _people([t for t in tracker.tracks if _is_person(t, min_frames, round(clip.fps))], clip.frame_count)
+    ranked = _ranked([t for t in tracker.tracks if _is_person(t, min_frames, round(clip.fps))])
+    people = tuple(_to_arrays(track, number, clip.frame_count) for number, track in enumerate(ranked, start=1))
+    thumbnails = tuple(Thumbnail(number, *track.best[1:]) for number, track in enumerate(ranked, start=1))
     if not people:
         raise StageError(
             f"nobody found: want a person visible for at least {config.min_track_s:g} s, came none in "
@@ -212,7 +230,7 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
     ctx.quality("mean score of main person", float(main.score[main.valid].mean()), "", "higher")
     if main.valid.mean() < 0.5:
         ctx.warn(f"person {main.person_id} is seen in only {100 * main.valid.mean():.0f} % of the frames")
-    return PersonTracks(people=people, selected_ids=selected, frame_stride=1)
+    return PersonTracks(people=people, selected_ids=selected, frame_stride=1, thumbnails=thumbnails)
 
 
 def _surprise(track: _Track, frame: int) -> float:
@@ -266,10 +284,9 @@ def _is_person(track: _Track, min_frames: int, sure_frames: int) -> bool:
     return len(estimates) >= min_frames and mean_score >= _MIN_MEAN_SCORE and mean_visibility >= min_visibility
 
 
-def _people(tracks: list[_Track], frame_count: int) -> tuple[PersonTrack, ...]:
-    """Tracks as arrays, numbered from 1 by mean box area over the whole clip, largest first."""
-    ranked = sorted(tracks, key=lambda track: -sum(_area(found) for found in track.estimates.values()))
-    return tuple(_to_arrays(track, number, frame_count) for number, track in enumerate(ranked, start=1))
+def _ranked(tracks: list[_Track]) -> list[_Track]:
+    """By mean box area over the whole clip, largest first; persons are numbered so."""
+    return sorted(tracks, key=lambda track: -sum(_area(found) for found in track.estimates.values()))
 
 
 def _area(found: PoseEstimate) -> float:
@@ -322,4 +339,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=2, models=("pose",))
+STAGE = StageSpec("track", track_people, version=3, models=("pose",))

@@ -16,8 +16,9 @@ from video2anim.types import BodyMotion
 TYPES = [
     "BackgroundPlate", "BodyMotion", "BodyShape", "BodyTracks", "CameraEstimate", "CompletedObject", "CompletedObjects",
     "DepthClip", "ExportedFiles", "InstanceMasks", "Intrinsics", "KeyframedMotion", "Mesh", "MetricDepth",
-    "ObjectInstance", "ObjectMesh", "ObjectMeshes", "PayloadFile", "PersonTrack", "PersonTracks", "PlacedObject",
-    "PlacedObjects", "RefinedMotion", "SceneModel", "SourceInfo", "SourceVideo", "Storage", "VideoClip", "stored",
+    "ObjectInstance", "ObjectMesh", "ObjectMeshes", "PayloadFile", "PersonQuality", "PersonTrack", "PersonTracks",
+    "PlacedObject", "PlacedObjects", "RefinedMotion", "SceneModel", "SourceInfo", "SourceVideo", "Storage", "Thumbnail",
+    "VideoClip", "stored",
 ]  # fmt: skip
 COMMANDS = {
     "": {"--version", "--debug"},

@@ -18,7 +18,7 @@ from video2anim.artifacts.manifest import Manifest, read_manifest
 from video2anim.artifacts.meshes import read_ply, write_ply
 from video2anim.artifacts.motion_io import read_motion, write_motion
 from video2anim.errors import ArtifactError
-from video2anim.types import BodyTracks, Mesh, PayloadFile, SceneModel, Storage, stored
+from video2anim.types import BodyTracks, Mesh, PayloadFile, PersonQuality, SceneModel, Storage, stored
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,11 @@ def test_same_value_gives_same_bytes(tmp_path: Path) -> None:
 
 def test_scene_and_motion_round_trip(tmp_path: Path) -> None:
     scene, people = room(), (walk(6, 4), walk(6, 9))
-    for name, value in (("scene", scene), ("bodies", BodyTracks(people, (1.0, 2.0)))):
+    quality = (
+        PersonQuality(2.5, 0.01, 160.0, 0.1, 0.04, 1.0, 1.55, 0.0),
+        PersonQuality(9.5, 0.06, 900.0, float("nan"), 0.3, 0.4, 1.1, 0.2, ("seen in too few frames",)),
+    )
+    for name, value in (("scene", scene), ("bodies", BodyTracks(people, quality))):
         (tmp_path / name).mkdir()
         write_value(value, tmp_path / name)
     again: SceneModel = read_value(SceneModel, tmp_path / "scene")
@@ -79,6 +83,7 @@ def test_scene_and_motion_round_trip(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.sdf_m, scene.sdf_m)
     bodies: BodyTracks = read_value(BodyTracks, tmp_path / "bodies")
     assert [motion.person_id for motion in bodies.people] == [4, 9]
+    assert repr(bodies.quality) == repr(quality)  # nan is not equal to itself
     assert {"motion.npz", "motion_9.npz"} <= {p.name for p in (tmp_path / "bodies").iterdir()}
     for before, after in zip(people, bodies.people, strict=True):
         np.testing.assert_array_equal(before.joints_world_m, after.joints_world_m)

@@ -37,7 +37,7 @@ def test_models_list_tells_licences_and_state(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setenv("COLUMNS", "300")
     answer = video2anim("models", "list")
     assert answer.code == 0
-    for word in ("blazepose-heavy", "depth-anything-v2-small", "Apache-2.0", "absent"):
+    for word in ("blazepose-heavy", "depth-anything-v2-small", "Apache-2.0", "absent", "hmr2", "non-commercial"):
         assert word in answer.out
     assert video2anim("models", "verify").code == 0, "what is absent is not damaged"
     assert list(tmp_path.iterdir()) == [], "looking fetches nothing"

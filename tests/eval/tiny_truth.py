@@ -305,7 +305,7 @@ def perfect_values(folder: Path, tiny: Tiny) -> dict[type, Any]:
     values = _seen_values(folder, tiny) | _depth_values(tiny) | _object_values(tiny)
     keyframes = tuple(np.arange(0, FRAMES, 5) for _ in people)
     motions = {
-        BodyTracks: BodyTracks(people, (1.0,) * len(people)),
+        BodyTracks: BodyTracks(people),
         KeyframedMotion: KeyframedMotion(people, keyframes),
         RefinedMotion: RefinedMotion(people, ("interpolation",) * len(people)),
     }

@@ -69,11 +69,34 @@ def test_rows_are_complete_and_names_unique() -> None:
     rows = models.list_models()
     assert len({m.name for m in rows}) == len(rows)
     for row in rows:
+        if isinstance(row.source, table.UserSource):
+            continue
         assert len(row.sha256) == 64
         assert int(row.sha256, 16) > 0
         assert row.size_bytes > 0
         assert row.licence == "Apache-2.0"
         assert all(models.find_model(name) for name in row.requires)
+
+
+def test_weights_under_other_terms_are_the_users_to_bring(tmp_path: Path, cache: Path) -> None:
+    rows = [row for row in models.list_models() if isinstance(row.source, table.UserSource)]
+    assert {row.name for row in rows} == {"hmr2", "gem-smpl"}
+    for row in rows:
+        assert "non-commercial" in row.licence
+        assert row.slot == "body-regressor"
+        assert row.verified == "contract"
+        for use in (models.ensure, models.pull, models.weight_digests):
+            with pytest.raises(ModelMissingError, match=rf"not fetched.*non-commercial.*{row.name}@PATH") as caught:
+                use(row.name)
+            assert "\n" not in str(caught.value)
+        own = tmp_path / f"{row.name}.onnx"
+        own.write_bytes(WEIGHTS)
+        assert models.ensure(f"{row.name}@{own}") == own
+        assert models.weight_digests(f"{row.name}@{own}") == {row.name: DIGEST}
+    # A file of that name in the cache is not taken for one the table vouches for.
+    cache.mkdir()
+    (cache / "hmr2.onnx").write_bytes(WEIGHTS)
+    assert {s.entry.name: s.state for s in models.verify()}["hmr2"] == "absent"
 
 
 def test_slot_gives_its_first_model_and_unknown_names_the_known() -> None:

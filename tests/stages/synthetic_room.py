@@ -160,4 +160,4 @@ def make_room(
     camera = CameraEstimate(
         motion.intrinsics, "user", 0.01, up_camera, "user", 0.01, True, np.tile(np.eye(3), (frames, 1, 1))
     )
-    return Room(plate, BodyTracks((motion,), (2.0,)), camera, depth_m, surface, surface_full)
+    return Room(plate, BodyTracks((motion,)), camera, depth_m, surface, surface_full)

@@ -55,7 +55,7 @@ def test_airborne_person_is_invalid_and_sigma_is_positive() -> None:
     body = room.bodies.people[0]
     contact = body.contact.copy()
     contact[20:] = 0.0
-    jumping = replace(room, bodies=BodyTracks((replace(body, contact=contact),), (2.0,)))
+    jumping = replace(room, bodies=BodyTracks((replace(body, contact=contact),)))
     depth = depth_of(jumping, StageContext(Path()))
     on_person = np.array([(depth.valid & room.plate.selected_mask)[s].any() for s in range(len(depth.frame_index))])
     assert (on_person == (depth.frame_index < 20)).all()

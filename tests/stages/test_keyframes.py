@@ -58,7 +58,7 @@ def optimize(
 ) -> tuple[KeyframedMotion, StageContext]:
     ctx = StageContext(Path())
     done = optimize_keyframes(
-        BodyTracks((raw,), (0.0,)), where, *(depth or no_depth(raw)), KeyframesConfig(iterations=120), ctx
+        BodyTracks((raw,)), where, *(depth or no_depth(raw)), KeyframesConfig(iterations=120), ctx
     )
     return done, ctx
 

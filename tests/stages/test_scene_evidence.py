@@ -28,20 +28,20 @@ def box_at(x_m: float, z_m: float) -> PlacedObject:
 
 def test_feet_on_a_roof_put_a_support_under_them(tmp_path: Path) -> None:
     motion = raised(planted_walk(90), 1.6)
-    made = _with_supports([], BodyTracks((motion,), (1.0,)), StageContext(tmp_path))
+    made = _with_supports([], BodyTracks((motion,)), StageContext(tmp_path))
     assert [item.label for item in made] == [SUPPORT]
     assert made[0].mesh.vertices_m[:, 1].max() == pytest.approx(1.6, abs=0.05)
     assert made[0].mesh.vertices_m[:, 1].min() == pytest.approx(0.0, abs=1e-9)
 
 
 def test_feet_on_the_floor_need_no_support(tmp_path: Path) -> None:
-    assert _with_supports([], BodyTracks((planted_walk(90),), (1.0,)), StageContext(tmp_path)) == []
+    assert _with_supports([], BodyTracks((planted_walk(90),)), StageContext(tmp_path)) == []
 
 
 def test_feet_in_the_air_without_contact_claim_nothing(tmp_path: Path) -> None:
     motion = raised(planted_walk(90), 1.6)
     motion = replace(motion, contact=np.zeros_like(motion.contact))
-    assert _with_supports([], BodyTracks((motion,), (1.0,)), StageContext(tmp_path)) == []
+    assert _with_supports([], BodyTracks((motion,)), StageContext(tmp_path)) == []
 
 
 @pytest.mark.parametrize(("aside_m", "kept"), [(0.0, 0), (2.5, 1)])
@@ -53,7 +53,7 @@ def test_only_an_object_that_is_walked_through_is_refuted(tmp_path: Path, aside_
     place = middle + aside_m * side
     ctx = StageContext(tmp_path)
     placed = [box_at(place[0], place[2])]
-    assert len(_not_refuted(placed, BodyTracks((motion,), (1.0,)), SceneConfig(), ctx)) == kept
+    assert len(_not_refuted(placed, BodyTracks((motion,)), SceneConfig(), ctx)) == kept
     assert len(ctx.warnings) == 1 - kept
 
 
@@ -68,7 +68,7 @@ def test_an_object_a_little_off_is_brought_under_the_feet(tmp_path: Path) -> Non
     T_world_object[[0, 2], 3] = middle[[0, 2]] + [0.4, 0.0]
     size = np.ptp(feet_m, axis=0)[[0, 2]] + 1.0
     shed = PlacedObject(1, "object", box_mesh(size[0], 1.45, size[1]), 1.0, T_world_object, None, None, True, "")
-    made = _with_supports([shed], BodyTracks((motion,), (1.0,)), StageContext(tmp_path))
+    made = _with_supports([shed], BodyTracks((motion,)), StageContext(tmp_path))
     assert [item.object_id for item in made] == [1]
     assert made[0].mesh.vertices_m[:, 1].max() == pytest.approx(1.6, abs=0.05)
     under = made[0].mesh.vertices_m[:, [0, 2]] + made[0].T_world_object[[0, 2], 3]

@@ -113,6 +113,18 @@ def test_two_people_who_pass_each_other_keep_their_ids(run: Callable[..., Person
         np.testing.assert_allclose(hips, [walker.place(t) for t in range(100)], atol=0.5)
 
 
+def test_everybody_has_a_picture_of_a_good_frame(run: Callable[..., PersonTracks]) -> None:
+    """Pixels of the synthetic world name their frame and place."""
+    near = Walker(lambda f: (150.0 + f, 240.0), radius_px=80.0)
+    far = Walker(lambda f: (450.0, 240.0), radius_px=40.0)
+    tracks = run(FakePose([near, far]), 40)
+    assert [thumbnail.person_id for thumbnail in tracks.thumbnails] == [person.person_id for person in tracks.people]
+    for thumbnail, walker in zip(tracks.thumbnails, (near, far), strict=True):
+        middle = thumbnail.rgb[thumbnail.rgb.shape[0] // 2, thumbnail.rgb.shape[1] // 2]
+        assert middle[0] == thumbnail.frame
+        np.testing.assert_allclose(4.0 * middle[1:], walker.place(thumbnail.frame), atol=5)
+
+
 @pytest.mark.parametrize(("hidden", "people"), [(range(40, 60), 1), (range(40, 100), 2)])
 def test_a_lost_person_keeps_the_id_for_a_second(run: Callable[..., PersonTracks], hidden: range, people: int) -> None:
     tracks = run(FakePose([Walker(lambda t: (150.0 + t, 240.0), hidden=hidden)]), 150)

@@ -14,16 +14,21 @@ _ERRORS_ONLY = cv2.utils.logging.LOG_LEVEL_ERROR
 
 def write_png(path: Path, image: np.ndarray) -> None:
     """Write uint8 RGB (H, W, 3), uint8 gray (H, W) or a bool mask (H, W)."""
+    path.write_bytes(png_bytes(image, path.name))
+
+
+def png_bytes(image: np.ndarray, name: str = "image") -> bytes:
+    """A picture as PNG; kinds as `write_png` takes them."""
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * 255
     if image.dtype != np.uint8:
-        raise TypeError(f"{path.name}: want uint8 or bool, got {image.dtype}")
+        raise TypeError(f"{name}: want uint8 or bool, got {image.dtype}")
     if image.ndim == 3:
         image = image[..., ::-1]
     ok, encoded = cv2.imencode(".png", np.ascontiguousarray(image))
     if not ok:
-        raise ArtifactError(f"{path.name}: image of shape {image.shape} could not be encoded")
-    path.write_bytes(encoded.tobytes())
+        raise ArtifactError(f"{name}: image of shape {image.shape} could not be encoded")
+    return encoded.tobytes()
 
 
 def read_png(path: Path, dtype: np.dtype) -> np.ndarray:

@@ -10,7 +10,9 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from video2anim.artifacts.folder import file_digest
 from video2anim.cli.compose import open_scene
@@ -22,9 +24,13 @@ from video2anim.types import (
     CameraEstimate,
     ExportedFiles,
     KeyframedMotion,
+    PersonTracks,
     RefinedMotion,
     SceneModel,
 )
+
+if TYPE_CHECKING:
+    from video2anim.export.report import FoundPerson
 
 REPORT = "report.html"
 _DEMO_WHEEL = ("sports2d", "0.8.34", "Sports2D/Demo/demo.mp4")
@@ -154,8 +160,26 @@ def _report(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], expo
             priors=refined.prior,
             scene=runner.value(SceneModel),
             pictures=tuple(pictures),
+            found=_found(runner.value(PersonTracks), runner.value(BodyTracks)),
         )
     )
+
+
+def _found(tracks: PersonTracks, bodies: BodyTracks) -> tuple[FoundPerson, ...]:
+    """Everybody tracked, with a picture and the verdict on those who were fitted."""
+    from video2anim.artifacts.images import png_bytes
+    from video2anim.export.report import FoundPerson
+
+    judged = {motion.person_id: found for motion, found in zip(bodies.people, bodies.quality, strict=True)}
+    picture = {thumbnail.person_id: thumbnail.rgb for thumbnail in tracks.thumbnails}
+    return tuple(
+        FoundPerson(
+            track.person_id, png_bytes(picture[track.person_id]), float(track.valid.mean()),
+            float(np.nanmean(track.score)), track.person_id in judged,
+            judged[track.person_id].doubts if track.person_id in judged else (),
+        )
+        for track in tracks.people
+    )  # fmt: skip
 
 
 def _copy_if_different(source: Path, target: Path) -> None:

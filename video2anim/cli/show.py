@@ -92,7 +92,7 @@ def models_table(states: Sequence[ModelState]) -> None:
     table = Table("slot", "model", "runtime", "size", "licence", "verified", "here", "source", box=None, pad_edge=False)
     for state in states:
         e = state.entry
-        size = f"{e.size_bytes / 1e6:.1f} MB"
+        size = f"{e.size_bytes / 1e6:.1f} MB" if e.size_bytes else "-"
         table.add_row(e.slot, e.name, e.runtime, size, e.licence, e.verified, state.state, escape(e.source.text))
     _out.print(table)
 

@@ -50,6 +50,21 @@ class Picture:
     png: bytes
 
 
+@dataclass(frozen=True, slots=True)
+class FoundPerson:
+    """A tracked person as the page lists them."""
+
+    person_id: int
+    png: bytes
+    """Thumbnail."""
+    valid_share: float
+    mean_score: float
+    used: bool
+    """Whether the later stages work on this person."""
+    doubts: tuple[str, ...] = ()
+    """Reasons not to trust the fitted motion."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportInput:
     """Everything the page shows. What is absent is left out of the page, not made up."""
@@ -65,6 +80,7 @@ class ReportInput:
     """In-betweening prior of each person of `refined`."""
     scene: SceneModel | None = None
     pictures: tuple[Picture, ...] = ()
+    found: tuple[FoundPerson, ...] = ()
 
 
 def render_report(report: ReportInput) -> str:
@@ -80,6 +96,7 @@ def render_report(report: ReportInput) -> str:
         camera=_camera_facts(report.camera),
         people=[_person(report, index) for index in range(_person_count(report))],
         pictures=[(picture.caption, report_plots.data_uri(picture.png, "image/png")) for picture in report.pictures],
+        found=[(person, report_plots.data_uri(person.png, "image/png")) for person in report.found],
         total_s=sum(stage.wall_time_s for stage in report.stages),
         peak_mb=max((stage.peak_memory_mb for stage in report.stages), default=0.0),
         warnings=[(stage.name, text) for stage in report.stages for text in stage.warnings],

@@ -24,6 +24,7 @@ from video2anim.models.table import (
     ModelEntry,
     NpmSource,
     PipSource,
+    UserSource,
     find_model,
     list_models,
 )
@@ -72,9 +73,11 @@ def weight_digests(name_or_slot: str) -> dict[str, str]:
     """Digest of each weights file a model uses, by model name; nothing is fetched. Part of a stage's cache key.
 
     Raises:
-        ModelMissingError: a file of the user's own is not there.
+        ModelMissingError: a file of the user's own is not there or not named.
     """
     entry = find_model(name_or_slot)
+    if isinstance(entry.source, UserSource):
+        raise _not_ours(entry, entry.source)
     digest = entry.sha256
     if isinstance(entry.source, FileSource):
         digest = file_digest(_user_file(entry, entry.source))
@@ -96,6 +99,8 @@ def ensure(name_or_slot: str, on_progress: OnProgress | None = None) -> Path:
     entry = find_model(name_or_slot)
     if isinstance(entry.source, FileSource):
         return _user_file(entry, entry.source)
+    if isinstance(entry.source, UserSource):
+        raise _not_ours(entry, entry.source)
     path = model_path(entry)
     if not path.is_file():
         _fetch(entry, path, on_progress)
@@ -122,7 +127,7 @@ def pull(name_or_slot: str, on_progress: OnProgress | None = None) -> tuple[Path
 
 def _state(entry: ModelEntry) -> Literal["ready", "absent", "damaged"]:
     path = model_path(entry)
-    if not path.is_file():
+    if isinstance(entry.source, UserSource) or not path.is_file():
         return "absent"
     return "ready" if file_digest(path) == entry.sha256 else "damaged"
 
@@ -159,7 +164,7 @@ def _fetch(entry: ModelEntry, path: Path, on_progress: OnProgress | None) -> Non
                     _fetch_npm(entry, source, got)
                 case HubSource() as source:
                     _fetch_hub(entry, source, got, report)
-                case FileSource():
+                case FileSource() | UserSource():
                     raise AssertionError("files of the user's own are not fetched")
             came = file_digest(got)
             if came != entry.sha256:
@@ -272,6 +277,13 @@ def _run_client(entry: ModelEntry, client: str, command: list[str], folder: Path
 def _client_missing(entry: ModelEntry, client: str) -> ModelMissingError:
     return ModelMissingError(
         f"{entry.name} comes from {entry.source.text}, but {client} is not installed; install it{_instead(entry)}"
+    )
+
+
+def _not_ours(entry: ModelEntry, source: UserSource) -> ModelMissingError:
+    return ModelMissingError(
+        f"{entry.name} is not fetched, its licence is yours to accept ({entry.licence}); "
+        f"get it ({source.origin}) and name the file as {entry.name}@PATH"
     )
 
 

@@ -70,7 +70,19 @@ class FileSource:
         return f"file:{self.path}"
 
 
-Source = PipSource | NpmSource | HubSource | FileSource
+@dataclass(frozen=True, slots=True)
+class UserSource:
+    """Weights under terms that only the user can accept: never fetched, named as NAME@PATH."""
+
+    origin: str
+    """Where the user gets or makes them."""
+
+    @property
+    def text(self) -> str:
+        return f"yours: {self.origin}"
+
+
+Source = PipSource | NpmSource | HubSource | FileSource | UserSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,9 +95,9 @@ class ModelEntry:
     runtime: Literal["onnx", "tflite"]
     source: Source
     sha256: str
-    """Digest of the weights; empty for a file of the user's own, which is taken as it is."""
+    """Digest of the weights; empty for files that the user brings, which are taken as they are."""
     size_bytes: int
-    """0 for a file of the user's own."""
+    """0 for files that the user brings."""
     licence: str
     verified: Literal["weights", "contract"]
     """`weights`: run against real pictures with these weights; `contract`: only the tensor contract is tested."""
@@ -156,6 +168,28 @@ MODELS: tuple[ModelEntry, ...] = (
         licence="Apache-2.0",
         verified="contract",
         adapter="video2anim.models.depth_anything:DepthAnything",
+    ),
+    ModelEntry(
+        slot="body-regressor",
+        name="hmr2",
+        runtime="onnx",
+        source=UserSource("export of github.com/shubham-goel/4D-Humans"),
+        sha256="",
+        size_bytes=0,
+        licence="code MIT, weights with SMPL: non-commercial",
+        verified="contract",
+        adapter="video2anim.models.hmr2:Hmr2",
+    ),
+    ModelEntry(
+        slot="body-regressor",
+        name="gem-smpl",
+        runtime="onnx",
+        source=UserSource("hub nvidia/GEM-X, gem_smpl/onnx/gem_smpl_denoiser_no_imgfeat.onnx"),
+        sha256="",
+        size_bytes=0,
+        licence="NVIDIA Open Model License, with SMPL-X: non-commercial",
+        verified="contract",
+        adapter="video2anim.models.gem_x:GemSmpl",
     ),
 )
 

@@ -5,8 +5,8 @@ Every value is a frozen dataclass of numpy arrays and plain values. `stored()` m
 
 from video2anim.types.camera import CameraEstimate, Intrinsics
 from video2anim.types.clip import SourceInfo, SourceVideo, VideoClip
-from video2anim.types.motion import BodyMotion, BodyShape, BodyTracks, KeyframedMotion, RefinedMotion
-from video2anim.types.people import PersonTrack, PersonTracks
+from video2anim.types.motion import BodyMotion, BodyShape, BodyTracks, KeyframedMotion, PersonQuality, RefinedMotion
+from video2anim.types.people import PersonTrack, PersonTracks, Thumbnail
 from video2anim.types.results import ExportedFiles
 from video2anim.types.scene import (
     BackgroundPlate,
@@ -44,6 +44,7 @@ __all__ = [
     "ObjectMesh",
     "ObjectMeshes",
     "PayloadFile",
+    "PersonQuality",
     "PersonTrack",
     "PersonTracks",
     "PlacedObject",
@@ -53,6 +54,7 @@ __all__ = [
     "SourceInfo",
     "SourceVideo",
     "Storage",
+    "Thumbnail",
     "VideoClip",
     "stored",
 ]

@@ -15,9 +15,10 @@ class BodyShape:
     """Parameters that a body model turns into a rest body."""
 
     model: str
-    """`anny`, `smpl` or `smplx`."""
+    """`anny`, or `smpl`, `smplh`, `smplx` (neutral; with `-male` or `-female` the others)."""
     parameters: dict[str, float]
-    """Named scalars; for Anny the phenotypes gender, age, muscle, weight, height, proportions in [0, 1]."""
+    """Named scalars; for Anny the phenotypes gender, age, muscle, weight, height, proportions in [0, 1]; for the SMPL
+    family `beta_0`, `beta_1`, ..."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +54,12 @@ class BodyMotion:
         R_world_camera, t = self.T_world_camera[:, :3, :3], self.T_world_camera[:, :3, 3]
         return np.einsum("tji,tkj->tki", R_world_camera, self.joints_world_m - t[:, None])
 
+    @property
+    def measured_joints_m(self) -> Float[np.ndarray, "span 22 3"]:
+        """World joints from the first to the last valid frame: where differences over time mean something."""
+        rows = np.flatnonzero(self.valid)
+        return self.joints_world_m[rows[0] : rows[-1] + 1] if len(rows) else self.joints_world_m[:0]
+
     def with_pose(self, *, translation_world_m: np.ndarray, R_parent_joint: np.ndarray) -> BodyMotion:
         """The same person in another motion; joints by forward kinematics."""
         from video2anim.body.skeleton import forward_kinematics
@@ -64,13 +71,40 @@ class BodyMotion:
         return replace(self, T_world_root=T_world_root, R_parent_joint=R_parent_joint, joints_world_m=joints_world_m)
 
 
+@dataclass(frozen=True, slots=True)
+class PersonQuality:
+    """What speaks for and against one fitted person; everything is known without truth."""
+
+    reprojection_px: float
+    """Median 2D error of the seen landmarks."""
+    reprojection_ratio: float
+    """The same as a share of the person's size in the picture."""
+    jerk_m_s3: float
+    skating_gmd: float
+    """Share of skating frames (design section 9); NaN for fewer than 4 frames."""
+    bone_spread: float
+    """Relative spread over time of the limbs' lengths in the 3D landmarks; NaN where they are hardly seen."""
+    valid_share: float
+    """Share of the clip's frames with a measurement."""
+    stature_m: float
+    """From the highest to the lowest joint of the T-pose."""
+    fast_share: float
+    """Share of the frames in which the root moves faster than anybody can."""
+    doubts: tuple[str, ...] = ()
+    """Reasons not to trust the person's motion; empty: none found."""
+
+    @property
+    def trusted(self) -> bool:
+        return not self.doubts
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyTracks:
     """Bodies as fitted to the video, before any prior repairs them ("raw" in reports)."""
 
     people: tuple[BodyMotion, ...]
-    reprojection_px: tuple[float, ...]
-    """Median 2D landmark error of each person."""
+    quality: tuple[PersonQuality, ...] = ()
+    """Of each person."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

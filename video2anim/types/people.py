@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from video2anim.types.storage import Storage, stored
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonTrack:
@@ -31,6 +33,15 @@ class PersonTrack:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Thumbnail:
+    """A person as seen in the frame that shows most of them."""
+
+    person_id: int
+    frame: int
+    rgb: UInt8[np.ndarray, "side side 3"] = stored(Storage.IMAGE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PersonTracks:
     """All people, largest mean box area first."""
 
@@ -39,6 +50,8 @@ class PersonTracks:
     """Persons the later stages work on (`--person`)."""
     frame_stride: int
     """Landmarks were run on every such frame and interpolated between; 1 = every frame."""
+    thumbnails: tuple[Thumbnail, ...] = ()
+    """One of each person, in the order of `people`."""
 
     def selected(self) -> tuple[PersonTrack, ...]:
         """Tracks of the selected persons, main person first."""

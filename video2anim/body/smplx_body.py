@@ -1,0 +1,190 @@
+"""SMPL, SMPL-H and SMPL-X bodies from model files of the user's own.
+
+The files are licensed by their makers (Loper et al. 2015, Romero et al. 2017, Pavlakos et al. 2019; non-commercial
+unless bought) and are neither shipped nor fetched. `VIDEO2ANIM_SMPL_DIR` names the folder they lie in, laid out as for
+the `smplx` package: `smplx/SMPLX_NEUTRAL.npz`, `smpl/SMPL_MALE.pkl`, or flat. With it set, `shaped_body` of a shape
+whose `model` is `smpl`, `smplh` or `smplx` (neutral), or one of these with `-male` or `-female`, gives that body.
+
+Their rest pose is the T-pose of the project with the same axes, so bind matrices are pure translations. Fingers, jaw
+and eyes move with the wrist or the head. Pose-dependent corrections of the surface (`posedirs`) are left out: skinning
+is linear, as for every body here.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from video2anim.body.anny_body import ShapedBody
+from video2anim.body.skeleton import PARENTS
+from video2anim.body.smpl_file import SmplFile, read_smpl_file
+from video2anim.errors import InputError, UsageError
+from video2anim.types.motion import BodyShape
+
+DIR_VARIABLE = "VIDEO2ANIM_SMPL_DIR"
+_NAMES = {24: "smpl", 52: "smplh", 55: "smplx"}
+"""Model by its number of joints; in all three the first 22 are the project's."""
+_GENDERS = ("neutral", "male", "female")
+_BODY = len(PARENTS)
+_SMPLX_SHAPES = 300
+"""Shape coefficients in SMPL-X files of 400; in those of 20 the first 10. The rest are expressions."""
+_BETA = re.compile(r"beta_(0|[1-9][0-9]*)")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmplModel:
+    """A model file reduced to the 22 body joints, in the model's own frame (metres, +Y up, facing +Z)."""
+
+    name: str
+    """`smpl`, `smplh` or `smplx`."""
+    template_m: Float[np.ndarray, "vertices 3"]
+    shape_basis_m: Float[np.ndarray, "vertices 3 betas"]
+    joint_regressor: Float[np.ndarray, "22 vertices"]
+    skin_weights: Float[np.ndarray, "vertices 22"]
+    faces: Int[np.ndarray, "faces 3"]
+
+    def shaped(self, shape: BodyShape) -> ShapedBody:
+        """The body of a shape, T-pose, pelvis at the origin.
+
+        Args:
+            shape: parameters `beta_0`, `beta_1`, ...; those not named are 0.
+
+        Raises:
+            UsageError: the shape is of another model or names a parameter this file does not have.
+        """
+        vertices, joints = self._rest(shape)
+        inverse_bind = np.tile(np.eye(4), (_BODY, 1, 1))
+        inverse_bind[:, :3, 3] = joints[0] - joints
+        return ShapedBody(shape, vertices - joints[0], self.faces, self.skin_weights, inverse_bind, joints - joints[0])
+
+    def pelvis_m(self, shape: BodyShape) -> Float[np.ndarray, "3"]:
+        """Pelvis joint of a shape in the model's own frame.
+
+        SMPL's translation parameter moves the origin of that frame, so the pelvis lies at `transl + pelvis_m`.
+
+        Raises:
+            UsageError: as `shaped`.
+        """
+        return self._rest(shape)[1][0]
+
+    def _rest(self, shape: BodyShape) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (V, 3) and joints (22, 3) at rest."""
+        vertices = self.template_m + self.shape_basis_m @ self._betas(shape)
+        return vertices, self.joint_regressor @ vertices
+
+    def _betas(self, shape: BodyShape) -> np.ndarray:
+        count = self.shape_basis_m.shape[2]
+        betas = np.zeros(count)
+        unknown = []
+        for name, value in shape.parameters.items():
+            match = _BETA.fullmatch(name)
+            if match and int(match[1]) < count:
+                betas[int(match[1])] = value
+            else:
+                unknown.append(name)
+        if shape.model.partition("-")[0] != self.name or unknown:
+            raise UsageError(
+                f"body shape: want model {self.name!r} with beta_0..beta_{count - 1}, got {shape.model!r} "
+                f"{sorted(unknown)}"
+            )
+        return betas
+
+
+def load_body_model(path: Path) -> SmplModel:
+    """The body model of a user's SMPL, SMPL-H or SMPL-X file (.npz or .pkl, read by `smpl_file`).
+
+    Raises:
+        InputError: the file cannot be read safely, or is not one of these three models.
+    """
+    file = read_smpl_file(path)
+    joints = len(file.parents)
+    if joints not in _NAMES:
+        known = ", ".join(f"{count} ({name})" for count, name in _NAMES.items())
+        raise InputError(f"SMPL file: want {known} joints, got {joints} in {path}; use the full body model")
+    if not np.array_equal(file.parents[:_BODY], PARENTS) or not _ordered(file.parents):
+        raise InputError(f"SMPL file: kintree_table: want SMPL's joint order, got another tree in {path}")
+    name = _NAMES[joints]
+    shapes = file.shape_basis_m.shape[2]
+    if name == "smplx":
+        shapes = _SMPLX_SHAPES if shapes > _SMPLX_SHAPES else min(shapes, 10)
+    return SmplModel(
+        name=name,
+        template_m=file.template_m,
+        shape_basis_m=np.ascontiguousarray(file.shape_basis_m[:, :, :shapes]),
+        joint_regressor=file.joint_regressor[:_BODY],
+        skin_weights=_body_weights(file, path),
+        faces=file.faces,
+    )
+
+
+def shaped_smpl(shape: BodyShape) -> ShapedBody:
+    """Body of a shape from the user's file in the folder `VIDEO2ANIM_SMPL_DIR`; files are read once per process.
+
+    Raises:
+        UsageError: there is no such model, no folder is named, or the shape has unknown parameters.
+        InputError: the folder has no such file, or the file cannot be used.
+    """
+    return _shaped(model_file(shape.model), shape.model, tuple(sorted(shape.parameters.items())))
+
+
+def model_file(model: str) -> Path:
+    """The user's file of a model, such as `smplx` or `smpl-male`.
+
+    Raises:
+        UsageError: there is no such model, or no folder is named.
+        InputError: the folder has no such file.
+    """
+    name, _, gender = model.partition("-")
+    gender = gender or "neutral"
+    if name not in _NAMES.values() or gender not in _GENDERS:
+        raise UsageError(f"body model: want smpl, smplh or smplx, alone or with -male or -female, got {model!r}")
+    if not (named := os.environ.get(DIR_VARIABLE)):
+        raise UsageError(
+            f"body model {model!r}: want the folder of your SMPL files in {DIR_VARIABLE}, it is not set; "
+            "get the files from their makers and set it"
+        )
+    folder = Path(named).expanduser()
+    stem = f"{name.upper()}_{gender.upper()}"
+    wanted = [*(f"{stem}{end}" for end in (".npz", ".pkl")), *(f"{name}/{stem}{end}" for end in (".npz", ".pkl"))]
+    wanted.append(f"{name}/{gender}/model.npz")  # the layout of SMPL-H
+    for candidate in wanted:
+        if (folder / candidate).is_file():
+            return folder / candidate
+    raise InputError(
+        f"body model {model!r}: want {' or '.join(wanted)} in {folder}, there is none; put your file there"
+    )
+
+
+@functools.lru_cache(maxsize=4)
+def _model(path: Path) -> SmplModel:
+    return load_body_model(path)
+
+
+@functools.lru_cache(maxsize=8)
+def _shaped(path: Path, model: str, parameters: tuple[tuple[str, float], ...]) -> ShapedBody:
+    return _model(path).shaped(BodyShape(model, dict(parameters)))
+
+
+def _ordered(parents: np.ndarray) -> bool:
+    """Whether every parent but the root's is a joint that came before."""
+    later = parents[1:]
+    return bool((later >= 0).all() and (later < np.arange(1, len(parents))).all())
+
+
+def _body_weights(file: SmplFile, path: Path) -> np.ndarray:
+    """(V, 22) skinning weights that sum to 1; joints outside the 22 give theirs to the nearest body ancestor."""
+    target = np.arange(len(file.parents))
+    for joint in range(_BODY, len(target)):
+        target[joint] = target[file.parents[joint]]
+    weights = np.zeros((len(file.weights), _BODY))
+    np.add.at(weights.T, target, file.weights.T)
+    total = weights.sum(1, keepdims=True)
+    if (file.weights < 0).any() or (total <= 0).any():
+        raise InputError(f"SMPL file: weights: want rows >= 0 with a positive sum, got others in {path}")
+    return weights / total
