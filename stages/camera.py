@@ -13,8 +13,13 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import CameraEstimate, Intrinsics, PersonTrack, PersonTracks, VideoClip
 
 if TYPE_CHECKING:
+    from video2anim.fitting.ground import UpEstimate
+    from video2anim.fitting.lifter_input import LiftedBody
     from video2anim.fitting.problem import FittedBody
 
+_WRONG_FACTOR = 2.0
+"""Metadata that differs from what the person's perspective says by more than this factor is wrong: estimates from a
+person alone are seldom off by more than half of it."""
 FULL_FRAME_DIAGONAL_MM = 43.267
 """Diagonal of the 36 x 24 mm frame that equivalent focal lengths refer to."""
 
@@ -29,15 +34,18 @@ class CameraConfig:
     """Known standing height of the person."""
     frames: int = 24
     """Frames the lens is fitted to, spread over the clip."""
-    iterations: int = 300
+    iterations: int = 200
     """Steps of the fit."""
+    model: str = "lifter"
+    """Model that lifts landmarks to bodies, where the fit starts and what it stays near."""
 
 
 def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig, ctx: StageContext) -> CameraEstimate:
     """Intrinsics and gravity of the first frame's camera.
 
     The focal length of a person's video shows in the perspective of the body itself and in how its size changes with
-    depth; both are weak, so it is fitted jointly with the body under a lens prior and its uncertainty is stated.
+    depth; both are weak, so it is fitted jointly with the body under a lens prior and its uncertainty is stated. A
+    focal length of the file's metadata is used unless the person's perspective contradicts it grossly.
 
     Raises:
         UsageError: a focal length or height that no camera or person has.
@@ -45,10 +53,9 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     _expect_sane(config, clip)
     main = tracks.selected()[0]
     frames = _spread(np.flatnonzero(main.valid), config.frames)
-    focal_px, sigma, source, body = _focal(clip, main, frames, config, ctx)
-    from video2anim.fitting.ground import up_from_balance
-
-    up = up_from_balance(body.joints_camera_m, float(np.ptp(clip.frame_time_s[frames])))
+    lifted = _lifted(clip, main, config, ctx)
+    focal_px, sigma, source, body = _focal(clip, main, frames, lifted, config, ctx)
+    up = _up(body, lifted, main.valid, float(np.ptp(clip.frame_time_s[frames])))
     if not clip.camera_is_static:
         ctx.warn(
             "the camera moves, but is taken as fixed: the person's path in the world will contain its motion; "
@@ -74,8 +81,35 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     )
 
 
+def _lifted(clip: VideoClip, track: PersonTrack, config: CameraConfig, ctx: StageContext) -> LiftedBody:
+    """The lifter's answer under the first guess of the lens, on which it depends little."""
+    from video2anim.fitting.lifting import lift
+    from video2anim.fitting.observe import observations
+
+    known = config.focal_px or _metadata_focal_px(clip) or _usual_focal_px(clip)
+    intrinsics = Intrinsics.centered(known, clip.width_px, clip.height_px)
+    return lift(observations(track, clip.frame_time_s, intrinsics), ctx.model(config.model))
+
+
+def _metadata_focal_px(clip: VideoClip) -> float | None:
+    if clip.source.focal_35mm <= 0:
+        return None
+    return clip.source.focal_35mm * math.hypot(clip.width_px, clip.height_px) / FULL_FRAME_DIAGONAL_MM
+
+
+def _usual_focal_px(clip: VideoClip) -> float:
+    from video2anim.fitting.objective import FitConfig
+
+    return FitConfig().focal_ratio * max(clip.width_px, clip.height_px)
+
+
 def _focal(
-    clip: VideoClip, track: PersonTrack, frames: np.ndarray, config: CameraConfig, ctx: StageContext
+    clip: VideoClip,
+    track: PersonTrack,
+    frames: np.ndarray,
+    lifted: LiftedBody,
+    config: CameraConfig,
+    ctx: StageContext,
 ) -> tuple[float, float, str, FittedBody]:
     """Focal length, its relative sigma, where it comes from, and the body fitted under it."""
     from video2anim.fitting.objective import FitConfig
@@ -85,25 +119,26 @@ def _focal(
     fit_config = FitConfig()
     if config.height_m is not None:
         fit_config = replace(fit_config, stature_m=config.height_m, stature_sigma_m=0.01)
-    long_side = max(clip.width_px, clip.height_px)
-    diagonal = math.hypot(clip.width_px, clip.height_px)
-    known = config.focal_px
-    source, sigma = "user", 0.01
-    if known is None and clip.source.focal_35mm > 0:
-        known, source, sigma = clip.source.focal_35mm * diagonal / FULL_FRAME_DIAGONAL_MM, "metadata", 0.05
-    start = known if known is not None else fit_config.focal_ratio * long_side
 
     def fit(focal_px: float, free: bool, warm: FittedBody | None = None) -> FittedBody:
         intrinsics = Intrinsics.centered(focal_px, clip.width_px, clip.height_px)
         observed = observations(track, clip.frame_time_s, intrinsics, frames)
         return fit_body(
-            observed, fit_focal=free, config=fit_config, warm=warm, on_step=ctx.progress,
+            observed, fit_focal=free, config=fit_config, warm=warm, lifted=lifted.rows(frames), on_step=ctx.progress,
             iterations=config.iterations if warm is None else config.iterations // 2,
         )  # fmt: skip
 
-    body = fit(start, free=known is None)
-    if known is not None:
-        return known, sigma, source, body
+    if config.focal_px is not None:
+        return config.focal_px, 0.01, "user", fit(config.focal_px, free=False)
+    body = fit(_usual_focal_px(clip), free=True)
+    named = _metadata_focal_px(clip)
+    if named is not None and abs(math.log(named / body.focal_px)) < math.log(_WRONG_FACTOR):
+        return named, 0.05, "metadata", fit(named, free=False)
+    if named is not None:
+        ctx.warn(
+            f"the file says focal length {named:.0f} px ({clip.source.focal_35mm:.0f} mm on full frame), which the "
+            f"person's perspective contradicts (about {body.focal_px:.0f} px): not used; --focal-px overrules this"
+        )
     best = body.focal_px
     ratio = 1.25
     costs = [fit(best * step, free=False, warm=body).cost for step in (1 / ratio, 1.0, ratio)]
@@ -114,6 +149,20 @@ def _focal(
     prior = fit_config.focal_log_sigma
     sigma = prior if tempered <= prior**-2 else tempered**-0.5
     return best, sigma, "human", body
+
+
+def _up(body: FittedBody, lifted: LiftedBody, valid: np.ndarray, duration_s: float) -> UpEstimate:
+    """Up as the body's balance and the lifter see it, with equal weight."""
+    from video2anim.fitting.ground import UpEstimate, up_from_balance
+
+    seen = np.median(lifted.up_camera[valid], axis=0)
+    seen /= np.linalg.norm(seen)
+    balance = up_from_balance(body.joints_camera_m, duration_s)
+    together = seen + balance.up
+    apart_rad = math.acos(float(np.clip(seen @ balance.up, -1, 1)))
+    # Two views of one thing: half their distance is the least that the mean may be wrong.
+    sigma_rad = math.hypot(0.5 * apart_rad, balance.sigma_rad / math.sqrt(2))
+    return UpEstimate(together / np.linalg.norm(together), sigma_rad, balance.support)
 
 
 def _spread(valid: np.ndarray, count: int) -> np.ndarray:
@@ -137,4 +186,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         raise UsageError(f"--height-m: want 0.5 to 2.5 metres, got {config.height_m:g}")
 
 
-STAGE = StageSpec("camera", estimate_camera, version=3)
+STAGE = StageSpec("camera", estimate_camera, version=4, models=("lifter",))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from video2anim.errors import UsageError
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BodyMotion,
@@ -19,17 +20,25 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
+    from video2anim.fitting.lifter_input import LiftedBody
     from video2anim.fitting.problem import FittedBody, Observations
+
+METHODS = ("both", "lifter", "optimizer")
 
 
 @dataclass(frozen=True)
 class HumansConfig:
     """Settings of the stage."""
 
+    method: str = "both"
+    """`lifter`: the network's answer as it is; `optimizer`: a fit to the landmarks alone; `both`: a fit that starts
+    from the network's answer and stays near it."""
+    model: str = "lifter"
+    """Model that lifts landmarks to bodies; `lifter@FILE` for weights of your own."""
     height_m: float | None = None
     """Known standing height of the person; else the adult mean under the evidence of the picture."""
-    iterations: int = 400
-    """Steps of the fit."""
+    iterations: int | None = None
+    """Steps of the fit (default: 400 from the landmarks, 160 from the lifter's answer)."""
 
 
 def recover_humans(
@@ -39,11 +48,16 @@ def recover_humans(
     from video2anim.fitting.observe import observations
     from video2anim.fitting.quality import person_quality
 
+    _expect_known(config)
     selected = tracks.selected()
     observed = [observations(track, clip.frame_time_s, camera.intrinsics) for track in selected]
-    fits = [_fit(one, config, ctx) for one in observed]
+    lifted = _lifted(observed, config, ctx)
+    fits = [_fit(seen, raised, config, ctx) for seen, raised in zip(observed, lifted, strict=True)]
     T_world_camera, spread_m = _world(fits[0], selected[0].valid, _R_world_camera(camera), clip.fps)
-    people = tuple(_motion(clip, track, fit, camera, T_world_camera) for track, fit in zip(selected, fits, strict=True))
+    people = tuple(
+        _motion(clip, track, fit, camera, T_world_camera, raised)
+        for track, fit, raised in zip(selected, fits, lifted, strict=True)
+    )
     quality = tuple(
         person_quality(track, seen, fit, motion, clip.fps, **_smoothness(motion, clip.fps))
         for track, seen, fit, motion in zip(selected, observed, fits, people, strict=True)
@@ -55,14 +69,34 @@ def recover_humans(
     return BodyTracks(people, quality)
 
 
-def _fit(observed: Observations, config: HumansConfig, ctx: StageContext) -> FittedBody:
+def _expect_known(config: HumansConfig) -> None:
+    if config.method not in METHODS:
+        raise UsageError(f"humans.method: want one of {', '.join(METHODS)}, got {config.method!r}")
+    if config.iterations is not None and not 1 <= config.iterations <= 100_000:
+        raise UsageError(f"humans.iterations: want 1 to 100000, got {config.iterations}")
+
+
+def _lifted(observed: list[Observations], config: HumansConfig, ctx: StageContext) -> list[LiftedBody] | list[None]:
+    """The network's answer for each person; nothing where it is not asked for."""
+    from video2anim.fitting.lifting import lift
+
+    if config.method == "optimizer":
+        return [None] * len(observed)
+    network = ctx.model(config.model)
+    return [lift(one, network) for one in observed]
+
+
+def _fit(observed: Observations, lifted: LiftedBody | None, config: HumansConfig, ctx: StageContext) -> FittedBody:
+    from video2anim.fitting.long_clip import fit_long
     from video2anim.fitting.objective import FitConfig
-    from video2anim.fitting.optimize import fit_body
+    from video2anim.fitting.optimize import place_lifted
 
     fit_config = FitConfig()
     if config.height_m is not None:
         fit_config = replace(fit_config, stature_m=config.height_m, stature_sigma_m=0.01)
-    return fit_body(observed, fit_focal=False, config=fit_config, iterations=config.iterations, on_step=ctx.progress)
+    if lifted is not None and config.method == "lifter":
+        return place_lifted(observed, lifted, fit_config)
+    return fit_long(observed, lifted, fit_config, iterations=config.iterations, on_step=ctx.progress)
 
 
 def _R_world_camera(camera: CameraEstimate) -> np.ndarray:
@@ -104,9 +138,15 @@ def _sole_heights(fit: FittedBody, R_world_camera: np.ndarray) -> np.ndarray:
 
 
 def _motion(
-    clip: VideoClip, track: PersonTrack, fit: FittedBody, camera: CameraEstimate, T_world_camera: np.ndarray
+    clip: VideoClip,
+    track: PersonTrack,
+    fit: FittedBody,
+    camera: CameraEstimate,
+    T_world_camera: np.ndarray,
+    lifted: LiftedBody | None,
 ) -> BodyMotion:
     from video2anim.fitting.ground import foot_contact
+    from video2anim.fitting.lifter_input import CONTACT_INDEX
 
     R_world_camera, t_world_camera = T_world_camera[:, :3, :3], T_world_camera[:, :3, 3]
     R_parent_joint = fit.R_parent_joint.copy()
@@ -126,7 +166,11 @@ def _motion(
         joints_world_m=np.zeros((clip.frame_count, 22, 3)),
     )
     posed = blank.with_pose(translation_world_m=translation, R_parent_joint=R_parent_joint)
-    return replace(posed, contact=foot_contact(posed.joints_world_m, track.valid, clip.fps, t_world_camera))
+    if lifted is None:
+        return replace(posed, contact=foot_contact(posed.joints_world_m, track.valid, clip.fps, t_world_camera))
+    contact = np.zeros((clip.frame_count, 22))
+    contact[:, CONTACT_INDEX] = lifted.contact * track.valid[:, None]
+    return replace(posed, contact=contact)
 
 
 def _smoothness(motion: BodyMotion, fps: float) -> dict[str, float]:
@@ -139,15 +183,17 @@ def _smoothness(motion: BodyMotion, fps: float) -> dict[str, float]:
 
 
 def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: StageContext) -> None:
+    from video2anim.body.skeleton import FEET
+
     ctx.quality("reprojection", quality.reprojection_px, "px", "lower")
     ctx.quality("reprojection over size", 100 * quality.reprojection_ratio, "%", "lower")
     ctx.quality("valid frames", 100 * quality.valid_share, "%", "higher")
     ctx.quality("jerk", quality.jerk_m_s3, "m/s3", "lower")
     ctx.quality("foot skating (gmd)", quality.skating_gmd, "", "lower")
     ctx.quality("bone length spread", 100 * quality.bone_spread, "%", "lower")
-    ctx.quality("planted foot", 100 * float((motion.contact.max(1) > 0.5).mean()), "% of frames")
+    ctx.quality("planted foot", 100 * float((motion.contact[:, list(FEET)].max(1) > 0.5).mean()), "% of frames")
     ctx.quality("floor spread", spread_m, "m", "lower")
     ctx.quality("skeleton height", quality.stature_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=4)
+STAGE = StageSpec("humans", recover_humans, version=5, models=("lifter",))

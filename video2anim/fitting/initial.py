@@ -24,6 +24,8 @@ _CHILD = {
     "left_knee": "left_ankle", "right_knee": "right_ankle", "left_ankle": "left_foot", "right_ankle": "right_foot",
 }  # fmt: skip
 _NEVER_SINGULAR = 1e-9
+_YAW_SHARE, _PITCH_SHARE = 0.75, 0.3
+"""Parts of the viewing ray's angle by which BlazePose's landmarks are turned against the camera."""
 
 
 def ray_rotation(points_px: Float[np.ndarray, "frames 2"], intrinsics: Intrinsics) -> Float[np.ndarray, "frames 3 3"]:
@@ -39,6 +41,21 @@ def ray_rotation(points_px: Float[np.ndarray, "frames 2"], intrinsics: Intrinsic
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
     angle = np.arctan2(sine, ray[:, 2:])
     return matrix_from_axis_angle(axis / np.maximum(sine, _NEVER_SINGULAR) * angle)
+
+
+def landmark_rotation(
+    points_px: Float[np.ndarray, "frames 2"], intrinsics: Intrinsics
+) -> Float[np.ndarray, "frames 3 3"]:
+    """Rotation from the axes of a person's 3D landmarks into the camera frame.
+
+    A crop does not tell where it was cut, but the landmark model takes people for upright before a level camera, and
+    so undoes a part of the viewing ray's tilt by itself. Measured over rendered people (`benchmarks/landmark_axes.py`).
+    """
+    x = (points_px[:, 0] - intrinsics.cx_px) / intrinsics.fx_px
+    y = (points_px[:, 1] - intrinsics.cy_px) / intrinsics.fy_px
+    zero = np.zeros_like(x)
+    angles = np.stack([-_PITCH_SHARE * np.arctan(y), _YAW_SHARE * np.arctan(x), zero], -1)
+    return np.asarray(matrix_from_axis_angle(angles))
 
 
 def rotations_from_keypoints(

@@ -13,8 +13,9 @@ import torch
 
 from video2anim.body.anny_body import AnnyModel
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
-from video2anim.fitting.initial import ray_rotation
+from video2anim.fitting.initial import landmark_rotation
 from video2anim.fitting.landmarks import KEYPOINT_INDEX, KEYPOINT_TRUST
+from video2anim.fitting.lifter_input import LiftedBody
 from video2anim.fitting.problem import Observations
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d
 from video2anim.types.camera import Intrinsics
@@ -26,6 +27,8 @@ class FitConfig:
 
     landmark_2d_ratio: float = 0.006
     """Pixel error of a limb landmark as a share of the person's box diagonal."""
+    landmark_2d_px: float = 1.0
+    """Error of landmarks that no size of the person can undercut: that of the pictures' own pixels."""
     landmark_3d_m: float = 0.05
     """Error of a 3D landmark across the line of sight."""
     landmark_3d_depth_m: float = 0.10
@@ -45,6 +48,18 @@ class FitConfig:
     focal_ratio: float = 0.9
     """Median of focal length over the longer image side for phones, webcams and camcorders (24 to 45 mm equivalent)."""
     focal_log_sigma: float = 0.3
+    lifted_m: float = 0.05
+    """Error of the lifter's joints, relative to the pelvis, across the line of sight."""
+    lifted_depth_m: float = 0.08
+    """The same along the line of sight."""
+    lifted_share: float = 0.5
+    """Weight of each lifted joint, as `landmark_share`."""
+    landmark_share_lifted: float = 0.2
+    """Weight of each 3D landmark where the lifter has read them already."""
+    lifted_distance_ratio: float = 0.1
+    """Error of the lifter's distance of the body, the same in all frames of a clip."""
+    lifted_angle_rad: float = 0.4
+    """Error of the lifter's joint angles."""
 
 
 _ANGLE_SIGMA_RAD = {
@@ -90,9 +105,17 @@ class Objective:
     """Negative log posterior of `Parameters` given `Observations`."""
 
     def __init__(
-        self, observed: Observations, model: AnnyModel, base_shape: dict[str, float], config: FitConfig
+        self,
+        observed: Observations,
+        model: AnnyModel,
+        base_shape: dict[str, float],
+        config: FitConfig,
+        lifted: LiftedBody | None = None,
     ) -> None:
         self.observed, self.model, self.config = observed, model, config
+        self._lifted = None if lifted is None else torch.from_numpy(lifted.R_parent_joint).float()
+        self._distance = None if lifted is None else torch.from_numpy(lifted.translation_camera_m[:, 2]).float()
+        self._believed = torch.from_numpy(observed.valid).float()
         self._base_shape = base_shape
         k = observed.intrinsics
         self._center = torch.tensor([k.cx_px, k.cy_px], dtype=torch.float32)
@@ -102,7 +125,8 @@ class Objective:
         self._pixels = torch.from_numpy(np.nan_to_num(observed.keypoints_px)).float()
         size = np.where(observed.valid, observed.size_px, np.nan)
         typical = np.nanmedian(size)
-        self._sigma_px = torch.from_numpy(config.landmark_2d_ratio * np.where(np.isfinite(size), size, typical)).float()
+        share_px = config.landmark_2d_ratio * np.where(np.isfinite(size), size, typical)
+        self._sigma_px = torch.from_numpy(np.hypot(share_px, config.landmark_2d_px)).float()
         # NaN rows carry zero weight.
         self._points = torch.from_numpy(np.nan_to_num(observed.keypoints_m)).float()
         step_s = np.diff(observed.frame_time_s)
@@ -110,15 +134,18 @@ class Objective:
         self._angle_sigma, self._hinge = _angle_prior()
         self._prior_weight = max(1.0, config.prior_share * int(observed.valid.sum()))
         self._start_log_focal = float(np.log(k.fx_px))
+        with torch.no_grad():
+            phenotype = {name: torch.tensor(value) for name, value in base_shape.items()}
+            self.start_stature_m = float(model.rest_skeleton(phenotype).stature_m)
         self.set_focal(float(k.fx_px))
 
     def set_focal(self, focal_px: float) -> None:
-        """Recompute what depends on the focal length only weakly: the viewing rays of the 3D landmarks."""
+        """Recompute what depends on the focal length only weakly: the axes of the 3D landmarks."""
         k = self.observed.intrinsics
         here = Intrinsics(focal_px, focal_px, k.cx_px, k.cy_px, k.width_px, k.height_px)
         hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
         center = np.nan_to_num(self.observed.keypoints_px[:, hips].mean(1), nan=0.5 * k.width_px)
-        self._R_camera_ray = torch.from_numpy(ray_rotation(center, here)).float()
+        self._R_camera_landmarks = torch.from_numpy(landmark_rotation(center, here)).float()
 
     def shape(self, parameters: Parameters) -> dict[str, torch.Tensor]:
         """Phenotypes in [0, 1]."""
@@ -127,19 +154,23 @@ class Objective:
             values[name] = (values[name] + parameters.shape_offset[i]).clamp(0.0, 1.0)
         return values
 
-    def translation_m(self, parameters: Parameters) -> torch.Tensor:
-        """(T, 3) root translations. Depth grows with the focal length, which leaves the body's place and size in the
-        picture as they are: the focal length can then move without fighting every frame's translation.
+    def translation_m(self, parameters: Parameters, stature_m: torch.Tensor) -> torch.Tensor:
+        """(T, 3) root translations. They grow with the body, and depth grows with the focal length, which leaves the
+        body's place and size in the picture as they are: shape and focal length can then move without fighting every
+        frame's translation.
         """
         zoom = torch.exp(parameters.log_focal - self._start_log_focal)
-        return parameters.translation_m * torch.stack([torch.ones(()), torch.ones(()), zoom])
+        grown = stature_m / self.start_stature_m
+        return parameters.translation_m * torch.stack([grown, grown, grown * zoom])
 
     def predict(self, parameters: Parameters) -> Prediction:
         """Pose the body."""
         rest = self.model.rest_skeleton(self.shape(parameters))
         R_root = matrix_from_rot6d(parameters.root_rot6d)
         R = torch.cat([R_root[:, None], matrix_from_axis_angle(parameters.angles_rad)], 1)
-        joints, R_camera_joint = forward_kinematics(R, self.translation_m(parameters), rest.rest_joints_m)
+        joints, R_camera_joint = forward_kinematics(
+            R, self.translation_m(parameters, rest.stature_m), rest.rest_joints_m
+        )
         blended = self.model.keypoint_weights
         rotated = torch.einsum("tjab,kjb,kj->tka", R_camera_joint, rest.keypoint_offsets_m, blended)
         keypoints = rotated + torch.einsum("kj,tja->tka", blended, joints)
@@ -157,18 +188,41 @@ class Objective:
         c = self.config
         error = self.residual_px(prediction, parameters) / self._sigma_px[:, None, None]
         data = (self._weight * _huber((error**2).sum(-1), 2.0)).sum()
-        data = data + c.landmark_share * self._landmarks_3d(prediction)
-        return (
-            data + self._motion(prediction, parameters) + self._pose(parameters) + self._shape(prediction, parameters)
-        )
+        if self._lifted is None:
+            data = data + c.landmark_share * self._landmarks_3d(prediction) + self._pose(parameters)
+        else:
+            data = data + c.landmark_share_lifted * self._landmarks_3d(prediction)
+            data = data + self._as_lifted(prediction, self._lifted) + self._hinges(parameters)
+        return data + self._motion(prediction, parameters) + self._shape(prediction, parameters)
+
+    def _as_lifted(self, prediction: Prediction, R_parent_joint: torch.Tensor) -> torch.Tensor:
+        """Joints (about the pelvis, of a body of this shape) and angles as the lifter has them."""
+        c = self.config
+        zero = torch.zeros_like(prediction.joints_m[:, 0])
+        wanted, _ = forward_kinematics(R_parent_joint, zero, prediction.rest_joints_m)
+        off = prediction.joints_m - prediction.joints_m[:, :1] - wanted
+        turned = torch.einsum("tba,tjb->tja", self._R_camera_landmarks, off)
+        sigma = torch.tensor([c.lifted_m, c.lifted_m, c.lifted_depth_m])
+        joints = _huber(((turned / sigma) ** 2).sum(-1), 2.0).sum(1)
+        # The squared distance of two rotation matrices is twice the squared angle, for small angles.
+        apart = (prediction.R_parent_joint - R_parent_joint).square().sum((-1, -2)) / 2
+        angles = _huber(apart / c.lifted_angle_rad**2, 2.0).sum(1)
+        return c.lifted_share * (self._believed * (joints + angles)).sum() + self._as_far(prediction)
+
+    def _as_far(self, prediction: Prediction) -> torch.Tensor:
+        """The distance that the lifter sees in the size of a body of middling build, for the lens at the start."""
+        assert self._distance is not None
+        ratio = prediction.joints_m[:, 0, 2].clamp_min(0.1) / self._distance.clamp_min(0.1)
+        off = (self._believed * ratio.log()).sum() / self._believed.sum()
+        return 0.5 * self._prior_weight * (off / self.config.lifted_distance_ratio).square()
 
     def _landmarks_3d(self, prediction: Prediction) -> torch.Tensor:
         hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
         relative = prediction.keypoints_m - prediction.keypoints_m[:, hips].mean(1, keepdim=True)
-        in_ray = torch.einsum("tba,tkb->tka", self._R_camera_ray, relative)
+        turned = torch.einsum("tba,tkb->tka", self._R_camera_landmarks, relative)
         wanted = self._points - self._points[:, hips].mean(1, keepdim=True)
         sigma = torch.tensor([self.config.landmark_3d_m, self.config.landmark_3d_m, self.config.landmark_3d_depth_m])
-        return (self._weight * _huber((((in_ray - wanted) / sigma) ** 2).sum(-1), 2.0)).sum()
+        return (self._weight * _huber((((turned - wanted) / sigma) ** 2).sum(-1), 2.0)).sum()
 
     def _motion(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
         """Accelerations of joints and rates of angles; frames may be any time apart."""
@@ -177,16 +231,22 @@ class Objective:
         step = self._step_s[:, None, None]
         velocity = prediction.joints_m.diff(dim=0) / step
         between = 0.5 * (step[1:] + step[:-1])
-        acceleration = velocity.diff(dim=0) / between / self.config.acceleration_m_s2
+        # For a body of the mean height: else the prior would make people small, since the small move less.
+        scale = self.config.acceleration_m_s2 * prediction.stature_m / self.config.stature_m
+        acceleration = velocity.diff(dim=0) / between / scale
         rate = parameters.angles_rad.diff(dim=0) / step / self.config.angular_rate_rad_s
         # Joints move together: 22 accelerations say about as much as 7 independent ones.
         return 0.3 * (_huber((acceleration**2).sum(-1), 1.5).sum() + _huber((rate**2).sum(-1), 1.5).sum())
 
     def _pose(self, parameters: Parameters) -> torch.Tensor:
-        angles = parameters.angles_rad
-        total = ((angles / self._angle_sigma) ** 2).sum()
+        rest = ((parameters.angles_rad / self._angle_sigma) ** 2).sum()
+        return 0.5 * rest + self._hinges(parameters)
+
+    def _hinges(self, parameters: Parameters) -> torch.Tensor:
+        total = torch.zeros(())
         for joint, axis, sense in self._hinge:
-            total = total + (torch.relu(-sense * angles[:, joint, axis]) / _OVERSTRETCH_SIGMA_RAD).square().sum()
+            bent = -sense * parameters.angles_rad[:, joint, axis]
+            total = total + (torch.relu(bent) / _OVERSTRETCH_SIGMA_RAD).square().sum()
         return 0.5 * total
 
     def _shape(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:

@@ -11,11 +11,12 @@ import torch
 from video2anim.body.anny_body import ADULT, anny_model
 from video2anim.errors import StageError
 from video2anim.fitting.initial import (
-    ray_rotation,
+    landmark_rotation,
     rotations_from_keypoints,
     translation_from_projection,
 )
 from video2anim.fitting.landmarks import KEYPOINT_INDEX
+from video2anim.fitting.lifter_input import LiftedBody
 from video2anim.fitting.objective import SHAPE_PARAMETERS, FitConfig, Objective, Parameters
 from video2anim.fitting.problem import FittedBody, Observations
 from video2anim.geometry.rotations import axis_angle_from_matrix, rot6d_from_matrix
@@ -38,10 +39,12 @@ def fit_body(
     observed: Observations,
     *,
     fit_focal: bool,
+    fit_shape: bool = True,
     shape: dict[str, float] | None = None,
     config: FitConfig | None = None,
     iterations: int = 250,
     warm: FittedBody | None = None,
+    lifted: LiftedBody | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> FittedBody:
     """Fit rotations, translation and shape (and the focal length, if asked) to landmarks over time.
@@ -49,8 +52,10 @@ def fit_body(
     Args:
         observed: landmarks; its intrinsics give the centre and the first focal length.
         fit_focal: treat the focal length as unknown under the prior of `config`.
+        fit_shape: treat the shape as unknown; else it stays `shape`.
         shape: Anny phenotypes to start from (default: mean adult).
         warm: an earlier fit of the same frames to start from, possibly under another focal length.
+        lifted: the lifter's answer for the same frames, to start from and to stay near.
 
     Raises:
         StageError: fewer than one valid frame.
@@ -58,10 +63,13 @@ def fit_body(
     if not observed.valid.any():
         raise StageError("body fit: want at least one frame with landmarks, got none")
     base = dict(shape or ADULT)
-    objective = Objective(observed, anny_model(), base, config or FitConfig())
-    parameters = _start(observed, objective) if warm is None else _start_warm(observed, warm, base)
-    leaves = [parameters.root_rot6d, parameters.angles_rad, parameters.translation_m, parameters.shape_offset]
-    rates = [0.02, 0.02, 0.02, 0.01]
+    objective = Objective(observed, anny_model(), base, config or FitConfig(), lifted)
+    parameters = _start(observed, objective, lifted) if warm is None else _start_warm(observed, objective, warm, base)
+    leaves = [parameters.root_rot6d, parameters.angles_rad, parameters.translation_m]
+    rates = [0.02, 0.02, 0.02]
+    if fit_shape:
+        leaves.append(parameters.shape_offset)
+        rates.append(0.01)
     if fit_focal:
         leaves.append(parameters.log_focal)
         rates.append(0.02)
@@ -85,14 +93,37 @@ def fit_body(
     return _finish(objective, parameters, base)
 
 
-def _start(observed: Observations, objective: Objective) -> Parameters:
+@one_thread()
+def place_lifted(observed: Observations, lifted: LiftedBody, config: FitConfig | None = None) -> FittedBody:
+    """The lifter's answer as it is, on an adult of middling build (of the height that `config` is sure of).
+
+    Raises:
+        StageError: fewer than one valid frame.
+    """
+    if not observed.valid.any():
+        raise StageError("body fit: want at least one frame with landmarks, got none")
+    objective = Objective(observed, anny_model(), dict(ADULT), config or FitConfig(), lifted)
+    parameters = Parameters(
+        torch.from_numpy(rot6d_from_matrix(lifted.R_parent_joint[:, 0])).float(),
+        torch.from_numpy(axis_angle_from_matrix(lifted.R_parent_joint[:, 1:])).float(),
+        torch.from_numpy(lifted.translation_camera_m).float(),
+        torch.zeros(len(SHAPE_PARAMETERS)),
+        torch.tensor(float(np.log(observed.intrinsics.fx_px))),
+    )
+    return _finish(objective, parameters, dict(ADULT))
+
+
+def _start(observed: Observations, objective: Objective, lifted: LiftedBody | None) -> Parameters:
     valid = np.flatnonzero(observed.valid)
     hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
     center = observed.keypoints_px[valid][:, hips].mean(1)
-    R_camera_ray = ray_rotation(center, observed.intrinsics)
-    points = np.einsum("tab,tkb->tka", R_camera_ray, observed.keypoints_m[valid])
+    R_camera_landmarks = landmark_rotation(center, observed.intrinsics)
+    points = np.einsum("tab,tkb->tka", R_camera_landmarks, observed.keypoints_m[valid])
     rest = objective.model.rest_skeleton({k: torch.tensor(v) for k, v in ADULT.items()})
-    local = rotations_from_keypoints(points, rest.rest_joints_m.numpy().astype(np.float64))
+    if lifted is None:
+        local = rotations_from_keypoints(points, rest.rest_joints_m.numpy().astype(np.float64))
+    else:
+        local = lifted.R_parent_joint[valid]
     translation = translation_from_projection(
         points, observed.keypoints_px[valid], observed.weight[valid], observed.intrinsics
     )
@@ -110,9 +141,13 @@ def _start(observed: Observations, objective: Objective) -> Parameters:
     )  # fmt: skip
 
 
-def _start_warm(observed: Observations, warm: FittedBody, base: dict[str, float]) -> Parameters:
+def _start_warm(observed: Observations, objective: Objective, warm: FittedBody, base: dict[str, float]) -> Parameters:
     """The earlier body, moved along the line of sight so that it keeps its size in the picture."""
-    translation = warm.translation_camera_m.copy()
+    start_m = objective.start_stature_m
+    grown = float(
+        objective.model.rest_skeleton({k: torch.tensor(v) for k, v in warm.shape.parameters.items()}).stature_m
+    )
+    translation = warm.translation_camera_m * (start_m / grown)
     translation[:, 2] *= observed.intrinsics.fx_px / warm.focal_px
     offset = [warm.shape.parameters[name] - base[name] for name in SHAPE_PARAMETERS]
 
@@ -132,7 +167,7 @@ def _finish(objective: Objective, parameters: Parameters, base: dict[str, float]
         prediction = objective.predict(parameters)
         error = objective.residual_px(prediction, parameters).norm(dim=-1).numpy().astype(np.float64)
         cost = float(objective.cost(parameters))
-        translation = objective.translation_m(parameters).numpy().astype(np.float64)
+        translation = objective.translation_m(parameters, prediction.stature_m).numpy().astype(np.float64)
         shape = {name: float(value) for name, value in objective.shape(parameters).items()}
     return FittedBody(
         prediction.R_parent_joint.numpy().astype(np.float64),

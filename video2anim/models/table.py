@@ -82,7 +82,23 @@ class UserSource:
         return f"yours: {self.origin}"
 
 
-Source = PipSource | NpmSource | HubSource | FileSource | UserSource
+@dataclass(frozen=True, slots=True)
+class WheelSource:
+    """A file that comes with this package."""
+
+    file: str
+    """Name in `video2anim/models/weights`."""
+
+    @property
+    def path(self) -> Path:
+        return Path(__file__).parent / "weights" / self.file
+
+    @property
+    def text(self) -> str:
+        return f"wheel:video2anim/models/weights/{self.file}"
+
+
+Source = PipSource | NpmSource | HubSource | FileSource | UserSource | WheelSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +169,17 @@ MODELS: tuple[ModelEntry, ...] = (
         verified="weights",
         adapter=_BLAZEPOSE,
         requires=("blazepose-detector",),
+    ),
+    ModelEntry(
+        slot="lifter",
+        name="lifter",
+        runtime="onnx",
+        source=WheelSource("lifter.onnx"),
+        sha256="aeb2de12f31d3356e3d82fdf5a5d88d14f1a8d49b6926085564cd567cb60bf22",
+        size_bytes=6_625_214,
+        licence="Apache-2.0",
+        verified="weights",
+        adapter="video2anim.models.lifter:Lifter",
     ),
     ModelEntry(
         slot="depth",

@@ -1,0 +1,152 @@
+"""Raw landmarks, the optimizer, the lifter, and both together, on the same tracks and cameras.
+
+    python benchmarks/human_fit.py --media ../shared/media --truth bench_work/truth
+
+Pose2Sim: 12 limb joints against the triangulated reference, as in `main_job.py`. V2A-Bench (clips of `video2anim synth
+--preset bench`): the rows of `video2anim eval` for the humans stage; raw landmarks have the limb joints only. Track and
+camera are made once per clip. Writes JSON and Markdown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from main_job import JOINTS, LANDMARKS, accuracy, centered, pa_mpjpe_mm
+
+from video2anim.artifacts.codec import read_value
+from video2anim.eval.truth import read_truth
+from video2anim.types import PersonTracks, VideoClip
+
+METHODS = ("optimizer", "lifter", "both")
+REAL = ("pose2sim_single_cam01", "pose2sim_single_cam02")
+REAL_ROWS = ("pa_mpjpe_mm", "root_relative_mpjpe_mm", "acceleration_error_m_s2", "root_error_m", "focal_error_percent",
+             "up_error_deg")  # fmt: skip
+TRUE_ROWS = ("pa_mpjpe", "mpjpe", "w_mpjpe", "root_error", "acceleration_error", "jerk", "skating_gmd", "contact_f1")
+
+
+def main() -> None:
+    """Run, compare, write."""
+    options = arguments()
+    rows: list[dict[str, object]] = []
+    with tempfile.TemporaryDirectory(prefix="human_fit-") as folder:
+        work = options.work or Path(folder)
+        for name in REAL if options.media else ():
+            video = options.media / "videos" / f"{name}.mp4"
+            for method in METHODS:
+                scene = fitted(video, work / name, method)
+                clip = read_value(VideoClip, scene / "stages" / "01_ingest")
+                found = accuracy(scene, clip, options.media / "reference" / f"{name}_joints.npz")
+                if method == METHODS[0]:
+                    rows.append({"set": "Pose2Sim", "clip": name, "method": "raw"} | column(found, "_raw"))
+                rows.append({"set": "Pose2Sim", "clip": name, "method": method} | column(found, "_fit"))
+        for truth in sorted(options.truth.iterdir()) if options.truth else ():
+            if not (truth / "meta.json").is_file():
+                continue
+            for method in METHODS:
+                scene = fitted(truth / "video.mp4", work / truth.name, method)
+                if method == METHODS[0]:
+                    rows.append({"set": "V2A-Bench", "clip": truth.name, "method": "raw"} | raw_numbers(scene, truth))
+                rows.append({"set": "V2A-Bench", "clip": truth.name, "method": method} | evaluated(scene, truth, work))
+    report = {
+        "date": datetime.date.today().isoformat(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "seed": 0,
+        "rows": rows,
+    }
+    options.out.mkdir(parents=True, exist_ok=True)
+    target = options.out / f"human_fit-{report['date']}.json"
+    target.write_text(json.dumps(report, indent=1) + "\n")
+    sys.stdout.write(table(rows) + f"\n{target}\n")
+
+
+def fitted(video: Path, scene: Path, method: str) -> Path:
+    """The scene folder with the humans stage by this method."""
+    words = ["run", str(video), "--out", str(scene), "--until", "humans", "--set", f"humans.method={method}"]
+    call(*words)
+    return scene
+
+
+def evaluated(scene: Path, truth: Path, work: Path) -> dict[str, float | None]:
+    """Rows of the evaluation for the humans stage, and switches of identity."""
+    target = work / "eval.json"
+    call("eval", str(scene), "--truth", str(truth), "--json", str(target))
+    groups = {group["key"]: group for group in json.loads(target.read_text())["groups"]}
+    motion = {row["key"]: row["values"].get("raw") for row in groups["motion"]["rows"]}
+    switches = {row["key"]: row["values"].get("value") for row in groups["track"]["rows"]}["id_switches"]
+    return {key: motion[key] for key in TRUE_ROWS} | {"id_switches": switches}
+
+
+def raw_numbers(scene: Path, truth: Path) -> dict[str, float]:
+    """Raw 3D landmarks of the main person's limbs against the true joints."""
+    person = read_truth(truth).main
+    track = read_value(PersonTracks, scene / "stages" / "02_track").selected()[0]
+    frames = min(len(track.valid), len(person.valid))
+    true_m = person.joints_camera_m[:frames, JOINTS]
+    true_m[~(track.valid & person.valid)[:frames]] = np.nan
+    raw_m = track.landmarks_m[:frames, LANDMARKS]
+    off_m = np.linalg.norm(centered(raw_m) - centered(true_m), axis=-1)
+    return {"pa_mpjpe": pa_mpjpe_mm(raw_m, true_m) / 1000, "mpjpe": float(np.nanmean(off_m))}
+
+
+def column(found: dict[str, float], ending: str) -> dict[str, float]:
+    """The numbers of one column of `accuracy`; raw landmarks have no place and no lens."""
+    own = {key.removesuffix(ending): value for key, value in found.items() if key.endswith(ending)}
+    shared = (
+        {} if ending == "_raw" else {key: found[key] for key in ("root_error_m", "focal_error_percent", "up_error_deg")}
+    )
+    return own | shared
+
+
+def table(rows: list[dict[str, object]]) -> str:
+    """Means over clips, a line per set and method."""
+    lines: list[str] = []
+    for title, keys in (("Pose2Sim", REAL_ROWS), ("V2A-Bench", TRUE_ROWS)):
+        own = [row for row in rows if row["set"] == title]
+        if not own:
+            continue
+        clips = sorted({str(row["clip"]) for row in own})
+        parts = [[clip] for clip in clips] if title == "Pose2Sim" else [clips]
+        lines += ["", f"| {title} | " + " | ".join(keys) + " |", "|---" * (len(keys) + 1) + "|"]
+        for part in parts:
+            for method in ("raw", *METHODS):
+                some = [row for row in own if row["method"] == method and row["clip"] in part]
+                name = method if len(part) > 1 else f"{part[0]}: {method}"
+                lines.append(f"| {name} | " + " | ".join(mean(some, key) for key in keys) + " |")
+    return "\n".join(lines)
+
+
+def mean(rows: list[dict[str, object]], key: str) -> str:
+    """Mean over the clips that have the number."""
+    values = [float(row[key]) for row in rows if isinstance(row.get(key), int | float)]  # type: ignore[arg-type]
+    return f"{np.mean(values):.3g}" if values else "n/a"
+
+
+def call(*words: str) -> None:
+    """Run a command to the end or show why not."""
+    command = [sys.executable, "-m", "video2anim.cli.main", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
+
+
+def arguments() -> argparse.Namespace:
+    """Options."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--media", type=Path, help="folder with videos/ and reference/")
+    parser.add_argument("--truth", type=Path, help="folder of clips with truth")
+    parser.add_argument("--work", type=Path, help="folder of the scenes, kept; default: a temporary one")
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

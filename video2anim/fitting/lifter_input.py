@@ -1,0 +1,149 @@
+"""What the temporal lifter sees of a person, and how its answer becomes a body.
+
+The network never sees pixels or the lens: each frame is given in the frame of the person's viewing ray (optical axis
+through the middle of the hips), as directions in units of the person's own size: one network serves all cameras.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from video2anim.body.anny_body import KEYPOINT_NAMES
+from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.fitting.initial import landmark_rotation, ray_rotation
+from video2anim.fitting.landmarks import KEYPOINT_INDEX
+from video2anim.fitting.problem import Observations
+from video2anim.geometry.rotations import matrix_from_rot6d
+
+LIFTER_FPS = 30.0
+KEYPOINTS = len(KEYPOINT_NAMES)
+CONTACT_JOINTS: tuple[str, ...] = (
+    "left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist", "pelvis", "spine3",
+)  # fmt: skip
+"""Heels, balls of the feet, hands, seat, back."""
+CONTACT_INDEX = np.array([JOINT_INDEX[name] for name in CONTACT_JOINTS])
+FEATURES = 6 * KEYPOINTS + 4
+"""Directions 2, 3D landmarks 3 and visibility 1 per keypoint; logarithm of the size, motion of the hips 2, valid 1."""
+OUTPUTS = 22 * 6 + 3 + len(CONTACT_JOINTS) + 3
+"""Rotations, place, contact logits, up."""
+_HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
+_SMALLEST = 1e-4
+_FARTHEST = 6.0
+"""Directions farther from the hips than so many sizes of the person are errors."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LifterInput:
+    """Features of frames at `LIFTER_FPS`, with what undoes their frame."""
+
+    features: Float[np.ndarray, "frames features"]
+    R_camera_ray: Float[np.ndarray, "frames 3 3"]
+    size: Float[np.ndarray, "frames"]
+    """Root mean square distance of the seen keypoints' directions from the middle of the hips, at depth 1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiftedBody:
+    """The lifter's answer, in the camera (OpenCV axes)."""
+
+    R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
+    """Joint 0 is the root orientation in the camera."""
+    translation_camera_m: Float[np.ndarray, "frames 3"]
+    """Of the pelvis, for an adult of middling build."""
+    contact: Float[np.ndarray, "frames 8"]
+    """Probabilities, in the order of `CONTACT_JOINTS`."""
+    up_camera: Float[np.ndarray, "frames 3"]
+    """Unit vector against gravity as the frame's pose tells it."""
+
+    def rows(self, frames: Int[np.ndarray, "chosen"]) -> LiftedBody:
+        """The answer for some of the frames."""
+        return LiftedBody(
+            self.R_parent_joint[frames], self.translation_camera_m[frames], self.contact[frames], self.up_camera[frames]
+        )
+
+
+def lifter_input(observed: Observations) -> LifterInput:
+    """Features of a person's frames, which must be evenly spaced at `LIFTER_FPS`."""
+    valid = observed.valid & np.isfinite(observed.keypoints_px).all((1, 2))
+    k = observed.intrinsics
+    middle_px = _carried(observed.keypoints_px[:, _HIPS].mean(1), valid)
+    R_camera_ray = ray_rotation(middle_px, k)
+    pixels = np.nan_to_num(observed.keypoints_px)
+    ray = np.stack(
+        [(pixels[..., 0] - k.cx_px) / k.fx_px, (pixels[..., 1] - k.cy_px) / k.fy_px, np.ones(pixels.shape[:2])], -1
+    )
+    R_ray_landmarks = np.swapaxes(R_camera_ray, -1, -2) @ landmark_rotation(middle_px, k)
+    points_ray_m = np.einsum("tab,tkb->tka", R_ray_landmarks, np.nan_to_num(observed.keypoints_m))
+    return ray_features(ray, R_camera_ray, points_ray_m, observed.weight, valid)
+
+
+def ray_features(
+    ray_camera: Float[np.ndarray, "frames keypoints 3"],
+    R_camera_ray: Float[np.ndarray, "frames 3 3"],
+    points_ray_m: Float[np.ndarray, "frames keypoints 3"],
+    visibility: Float[np.ndarray, "frames keypoints"],
+    valid: Bool[np.ndarray, "frames"],
+) -> LifterInput:
+    """Features from viewing rays and 3D landmarks of the keypoints.
+
+    Args:
+        ray_camera: directions in the camera, of any length.
+        R_camera_ray: `ray_rotation` of the middle of the hips.
+        points_ray_m: 3D landmarks in the frame of the ray, relative to anything.
+        visibility: 0 to 1.
+        valid: frames with a measurement; the others are marked and zero.
+    """
+    seen = np.where(valid[:, None], visibility, 0.0)
+    turned = ray_camera @ R_camera_ray  # rows: R^T ray
+    directions = turned[..., :2] / np.maximum(turned[..., 2:], 0.1)
+    directions = directions - directions[:, _HIPS].mean(1, keepdims=True)
+    weight = np.maximum(seen, 0.05)
+    size = np.sqrt((weight * (directions**2).sum(-1)).sum(1) / weight.sum(1))
+    size = np.maximum(_carried(size, valid), _SMALLEST)
+    middle = ray_camera[:, _HIPS].mean(1)
+    before = np.concatenate([middle[:1], middle[:-1]])
+    moved = np.einsum("ta,tab->tb", before, R_camera_ray)
+    hips = turned[:, _HIPS].mean(1)
+    motion = (hips[:, :2] / hips[:, 2:] - moved[:, :2] / np.maximum(moved[:, 2:], 0.1)) / size[:, None]
+    motion *= (valid & np.concatenate([valid[:1], valid[:-1]]))[:, None]
+    points = points_ray_m - points_ray_m[:, _HIPS].mean(1, keepdims=True)
+    frames = len(valid)
+    columns = [
+        np.clip(directions / size[:, None, None], -_FARTHEST, _FARTHEST).reshape(frames, -1),
+        np.clip(points, -2.0, 2.0).reshape(frames, -1),
+        seen, np.log(size)[:, None], np.clip(motion, -2.0, 2.0), np.ones((frames, 1)),
+    ]  # fmt: skip
+    features = np.concatenate(columns, 1) * valid[:, None]
+    return LifterInput(features.astype(np.float32), R_camera_ray, size)
+
+
+def lifted_body(output: Float[np.ndarray, "frames outputs"], given: LifterInput) -> LiftedBody:
+    """The network's answer as a body.
+
+    Args:
+        output: 22 rotations (6D, root in the frame of the ray), logarithm of depth x size, offset of the pelvis from
+            the ray (x, y, metres), contact logits, up in the frame of the ray.
+    """
+    output = output.astype(np.float64)
+    R = matrix_from_rot6d(output[:, :132].reshape(-1, 22, 6))
+    R[:, 0] = given.R_camera_ray @ R[:, 0]
+    depth_m = np.exp(output[:, 132]) / given.size
+    pelvis_ray_m = np.concatenate([output[:, 133:135], depth_m[:, None]], 1)
+    up_ray = output[:, -3:] / np.maximum(np.linalg.norm(output[:, -3:], axis=-1, keepdims=True), 1e-6)
+    return LiftedBody(
+        R,
+        np.einsum("tab,tb->ta", given.R_camera_ray, pelvis_ray_m),
+        1.0 / (1.0 + np.exp(-output[:, 135:-3])),
+        np.einsum("tab,tb->ta", given.R_camera_ray, up_ray),
+    )
+
+
+def _carried(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Values of the nearest valid frame where there is none; zeros if no frame is valid."""
+    rows = np.flatnonzero(valid)
+    if not len(rows):
+        return np.zeros_like(np.nan_to_num(values))
+    return values[rows[np.abs(np.arange(len(valid))[:, None] - rows[None]).argmin(1)]]

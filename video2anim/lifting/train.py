@@ -1,0 +1,183 @@
+"""The training loop of the lifter: resumable, and the same for every machine."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from video2anim.body.skeleton import PARENTS
+from video2anim.fitting.lifter_input import OUTPUTS
+from video2anim.geometry.rotations import matrix_from_rot6d
+from video2anim.lifting.network import LifterNetwork
+from video2anim.lifting.samples import LiftingBatch, LiftingSampler
+
+_CONTACT = slice(135, OUTPUTS - 3)
+
+
+@dataclass(frozen=True, slots=True)
+class LiftingConfig:
+    """One training."""
+
+    steps: int = 9500
+    batch: int = 32
+    learning_rate: float = 1e-3
+    warmup: int = 200
+    ema: float = 0.999
+    seed: int = 0
+    validate_every: int = 500
+    minutes: float | None = None
+    """Stop (with a checkpoint) after so long, for machines that are lent by the hour."""
+
+
+def losses(output: Tensor, batch: LiftingBatch) -> dict[str, Tensor]:
+    """Weighted terms: metres, radians' worth of 6D, nats."""
+    shape = output.shape[:2]
+    rot6d = output[..., :132].reshape(*shape, 22, 6)
+    R = matrix_from_rot6d(rot6d)
+    joints, _ = _posed(R, batch.rest_joints_m)
+    off = joints - batch.joints_m
+    speed = off.diff(dim=1)
+    contact = functional.binary_cross_entropy_with_logits(
+        output[..., _CONTACT], batch.contact, weight=batch.contact_known, reduction="sum"
+    ) / batch.contact_known.sum().clamp_min(1.0)
+    up = functional.normalize(output[..., -3:], dim=-1)
+    return {
+        "joints": 10.0 * off.norm(dim=-1).mean(),
+        "speed": 20.0 * speed.norm(dim=-1).mean(),
+        "rotations": 1.0 * (rot6d - batch.rot6d).abs().mean(),
+        "size": 2.0 * (output[..., 132] - batch.log_size).abs().mean(),
+        "offset": 5.0 * (output[..., 133:135] - batch.offset_m).abs().mean(),
+        "contact": 1.0 * contact,
+        "up": 2.0 * (up - batch.up).norm(dim=-1).mean(),
+    }
+
+
+def _posed(R: Tensor, rest_joints_m: Tensor) -> tuple[Tensor, Tensor]:
+    """Joints relative to the pelvis, each window on its own skeleton."""
+    offsets = rest_joints_m.clone()
+    offsets[:, 1:] -= rest_joints_m[:, torch.from_numpy(np.asarray(PARENTS[1:]))]
+    world, at = [R[..., 0, :, :]], [torch.zeros_like(R[..., 0, :, 0])]
+    for joint in range(1, 22):
+        parent = int(PARENTS[joint])
+        world.append(world[parent] @ R[..., joint, :, :])
+        at.append(at[parent] + (world[parent] @ offsets[:, None, joint, :, None])[..., 0])
+    return torch.stack(at, -2), torch.stack(world, -3)
+
+
+def measures(output: Tensor, batch: LiftingBatch) -> dict[str, float]:
+    """What a user would ask: millimetres, degrees, F1 of the feet."""
+    R = matrix_from_rot6d(output[..., :132].reshape(*output.shape[:2], 22, 6))
+    joints, _ = _posed(R, batch.rest_joints_m)
+    up = functional.normalize(output[..., -3:], dim=-1)
+    angle = torch.arccos((up * batch.up).sum(-1).clamp(-1, 1)).rad2deg()
+    touch, known = output[..., _CONTACT] > 0, batch.contact_known > 0
+    truth = batch.contact > 0.5
+    scores = {}
+    for name, part in (("feet", slice(0, 4)), ("hands", slice(4, 6)), ("seat", slice(6, 7)), ("back", slice(7, 8))):
+        both = (touch & truth & known)[..., part].sum()
+        either = (touch & known)[..., part].sum() + (truth & known)[..., part].sum()
+        scores[f"f1_{name}"] = float(2 * both / either.clamp_min(1))
+    return {
+        "mpjpe_mm": 1000 * float((joints - batch.joints_m).norm(dim=-1).mean()),
+        "depth_percent": 100 * float((output[..., 132] - batch.log_size).abs().mean()),
+        "up_deg": float(angle.mean()),
+        **scores,
+    }
+
+
+def train(
+    sampler: LiftingSampler,
+    held_out: LiftingSampler,
+    config: LiftingConfig,
+    checkpoint: Path,
+    *,
+    on_line: Callable[[str], None] = lambda text: None,
+) -> LifterNetwork:
+    """Train, or go on from the checkpoint; answers the averaged network."""
+    started = time.monotonic()
+    torch.manual_seed(config.seed)
+    network, average = LifterNetwork(), LifterNetwork()
+    optimizer = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=0.01)
+    step = 0
+    if checkpoint.is_file():
+        state = torch.load(checkpoint, weights_only=True)
+        network.load_state_dict(state["network"])
+        average.load_state_dict(state["average"])
+        optimizer.load_state_dict(state["optimizer"])
+        step = int(state["step"])
+    else:
+        _normalize(network, sampler)
+        average.load_state_dict(network.state_dict())
+    tests = [held_out.batch(number, 32) for number in range(4)]
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(sampler.batch, step, config.batch)
+        while step < config.steps:
+            batch = coming.result()
+            coming = pool.submit(sampler.batch, step + 1, config.batch)
+            for group in optimizer.param_groups:
+                group["lr"] = config.learning_rate * _rate(step, config)
+            terms = losses(network(batch.features), batch)
+            optimizer.zero_grad()
+            torch.stack(list(terms.values())).sum().backward()
+            torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+            optimizer.step()
+            step += 1
+            with torch.no_grad():
+                keep = min(config.ema, (step + 1) / (step + 10))
+                for mean, now in zip(average.parameters(), network.parameters(), strict=True):
+                    mean.lerp_(now, 1 - keep)
+            late = config.minutes is not None and time.monotonic() - started > 60 * config.minutes
+            if step % config.validate_every == 0 or step == config.steps or late:
+                _save(checkpoint, network, average, optimizer, step)
+                with torch.no_grad():
+                    rows = [measures(average(test.features), test) for test in tests]
+                means = {name: np.mean([row[name] for row in rows]) for name in rows[0]}
+                text = " ".join(f"{name} {value:.3g}" for name, value in means.items())
+                parts = " ".join(f"{name} {float(value.detach()):.3f}" for name, value in terms.items())
+                on_line(f"step {step} | {text} | {parts} | {time.monotonic() - started:.0f} s")
+            if late:
+                break
+    return average
+
+
+def _rate(step: int, config: LiftingConfig) -> float:
+    """Warm-up, then a half cosine to a hundredth."""
+    if step < config.warmup:
+        return (step + 1) / config.warmup
+    return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / config.steps))
+
+
+def _normalize(network: LifterNetwork, sampler: LiftingSampler) -> None:
+    """Statistics of inputs and middle answers from a first batch."""
+    batch = sampler.batch(10**9, 64)
+    flat = batch.features.reshape(-1, batch.features.shape[-1])
+    flat = flat[flat[:, -1] > 0]
+    network.mean.copy_(flat.mean(0))
+    network.deviation.copy_(flat.std(0).clamp_min(0.02))
+    network.mean[-1], network.deviation[-1] = 0.0, 1.0
+    network.base[:132] = batch.rot6d.reshape(-1, 132).mean(0)
+    network.base[132] = batch.log_size.mean()
+    network.base[133:135] = batch.offset_m.reshape(-1, 2).mean(0)
+    network.base[-3:] = batch.up.reshape(-1, 3).mean(0)
+
+
+def _save(
+    path: Path, network: LifterNetwork, average: LifterNetwork, optimizer: torch.optim.Optimizer, step: int
+) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    state = {
+        "network": network.state_dict(), "average": average.state_dict(),
+        "optimizer": optimizer.state_dict(), "step": step,
+    }  # fmt: skip
+    aside = path.with_suffix(".tmp")
+    torch.save(state, aside)
+    aside.replace(path)

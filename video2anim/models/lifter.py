@@ -1,0 +1,35 @@
+"""The project's own temporal lifter: landmarks of a clip -> rotations, place, contacts and up of every frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.models.onnx import open_session
+
+_INPUT, _OUTPUT = "features", "body"
+_CHUNK, _MARGIN = 1800, 40
+"""Long clips go through in pieces; a frame of the answer depends on 26 frames on each side."""
+
+
+class Lifter:
+    """Runs the network over clips of any length in constant memory.
+
+    Raises:
+        ModelMissingError: the file is not this network.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._session = open_session(path, inputs=(_INPUT,), outputs=(_OUTPUT,))
+
+    def __call__(self, features: Float[np.ndarray, "frames features"]) -> Float[np.ndarray, "frames outputs"]:
+        """Answers for consecutive frames; see `video2anim.fitting.lifter_input` for what columns mean."""
+        parts = []
+        for begin in range(0, len(features), _CHUNK):
+            low, high = max(begin - _MARGIN, 0), min(begin + _CHUNK + _MARGIN, len(features))
+            piece = features[None, low:high].astype(np.float32)
+            answer = np.asarray(self._session.run([_OUTPUT], {_INPUT: piece})[0])[0]
+            parts.append(answer[begin - low : begin - low + _CHUNK])
+        return np.concatenate(parts)
