@@ -80,9 +80,8 @@ def evaluated(scene: Path, truth: Path, work: Path) -> dict[str, float | None]:
     target = work / "eval.json"
     call("eval", str(scene), "--truth", str(truth), "--json", str(target))
     groups = {group["key"]: group for group in json.loads(target.read_text())["groups"]}
-    motion = {row["key"]: row["values"].get("raw") for row in groups["motion"]["rows"]}
-    switches = {row["key"]: row["values"].get("value") for row in groups["track"]["rows"]}["id_switches"]
-    return {key: motion[key] for key in TRUE_ROWS} | {"id_switches": switches}
+    found = {row["key"]: row["values"][0] for name in ("motion", "track", "camera") for row in groups[name]["rows"]}
+    return {key: found[key] for key in (*TRUE_ROWS, "id_switches", "focal_error", "gravity_error")}
 
 
 def raw_numbers(scene: Path, truth: Path) -> dict[str, float]:

@@ -12,7 +12,7 @@ from synthetic import planted_walk
 from video2anim.body.anny_body import anny_model
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import StageError
-from video2anim.fitting.initial import ray_rotation, translation_from_projection
+from video2anim.fitting.initial import landmark_rotation, ray_rotation, translation_from_projection
 from video2anim.fitting.landmarks import BLAZEPOSE_OF_KEYPOINT, KEYPOINT_INDEX, LANDMARK_ORDER
 from video2anim.fitting.optimize import fit_body
 from video2anim.fitting.problem import FittedBody, Observations
@@ -59,9 +59,9 @@ def filmed() -> Filmed:
     rng = np.random.default_rng(11)
     pixels = project(points, LENS)
     hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
-    # A landmark model sees a crop, as if the camera looked straight at the person.
-    R_camera_ray = ray_rotation(pixels[:, hips].mean(1), LENS)
-    seen = np.einsum("tba,tkb->tka", R_camera_ray, points - points[:, hips].mean(1, keepdims=True))
+    # A landmark model sees a crop, which hides a part of the viewing ray's tilt.
+    R_camera_landmarks = landmark_rotation(pixels[:, hips].mean(1), LENS)
+    seen = np.einsum("tba,tkb->tka", R_camera_landmarks, points - points[:, hips].mean(1, keepdims=True))
     observed = Observations(
         motion.frame_time_s[frames], np.ones(len(frames), bool),
         pixels + rng.normal(0, NOISE_PX, pixels.shape), seen + rng.normal(0, NOISE_M, seen.shape),
@@ -123,6 +123,7 @@ def test_camera_stage_states_an_uncertainty_that_holds(filmed: Filmed) -> None:
     from pathlib import Path
 
     from stages.camera import CameraConfig, estimate_camera
+    from video2anim.models import load_model
     from video2anim.pipeline.stage import StageContext
     from video2anim.types import PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
 
@@ -148,7 +149,7 @@ def test_camera_stage_states_an_uncertainty_that_holds(filmed: Filmed) -> None:
         0.0,
         (),
     )
-    ctx = StageContext(Path())
+    ctx = StageContext(Path(), load_model=load_model)
     camera = estimate_camera(clip, PersonTracks((track,), (1,), 1), CameraConfig(frames=15, iterations=100), ctx)
     assert camera.focal_source == "human"
     assert 0.02 < camera.focal_sigma_ratio <= 0.3
