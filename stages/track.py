@@ -26,6 +26,8 @@ _BETTER_VISIBILITY = 0.1
 _HELD_FRAMES = 5
 """A lost person is first looked for in the crop last seen, this many frames long."""
 _LOCAL_SCAN_EVERY = 3
+_LOOKED_BACK = 300
+"""Frames before the last one that may tell of a person's motion."""
 THUMBNAIL_PX = 128
 _CLEARLY = 1.1
 _NO_PICTURE = np.zeros((THUMBNAIL_PX, THUMBNAIL_PX, 3), np.uint8)
@@ -56,10 +58,18 @@ class _Track:
     estimates: dict[int, PoseEstimate] = field(default_factory=dict)
     best: tuple[float, int, np.ndarray] = (0.0, 0, _NO_PICTURE)
     """How well the person is seen in the best frame, its number, and the crop."""
+    last_frame: int = -1
 
-    @property
-    def last_frame(self) -> int:
-        return max(self.estimates)
+    def put(self, frame: int, found: PoseEstimate) -> None:
+        """Keep what was found in a frame."""
+        self.estimates[frame] = found
+        self.last_frame = max(self.last_frame, frame)
+
+    def drop(self, frame: int) -> None:
+        """Forget what was found in a frame."""
+        del self.estimates[frame]
+        if frame == self.last_frame:
+            self.last_frame = max(self.estimates, default=-1)
 
     @property
     def last(self) -> PoseEstimate:
@@ -77,7 +87,8 @@ class _Track:
         """Median motion of the hips per frame over the last frames, (2,)."""
         from video2anim.models.people_finder import hips_px
 
-        frames = sorted(self.estimates)[-5:]
+        last = range(self.last_frame, self.last_frame - _LOOKED_BACK, -1)
+        frames = sorted([frame for frame in last if frame in self.estimates][:5])
         if len(frames) < 2:
             return np.zeros(2)
         hips = np.array([hips_px(self.estimates[frame]) for frame in frames])
@@ -121,7 +132,7 @@ class _Tracker:
         if lost < _HELD_FRAMES:
             found = finder.follow(self._pose, image, track.last.next_roi)
             if found is not None:
-                track.estimates[frame] = found
+                track.put(frame, found)
                 return
         if lost % _LOCAL_SCAN_EVERY:
             return
@@ -139,7 +150,7 @@ class _Tracker:
                     continue
                 if finder.same_person(first.estimates[frame], second.estimates[frame]):
                     loser = max((first, second), key=lambda track: _surprise(track, frame))
-                    del loser.estimates[frame]
+                    loser.drop(frame)
         self.tracks = [track for track in self.tracks if track.estimates]
 
     def _scan(self, frame: int, image: np.ndarray) -> None:
@@ -169,7 +180,7 @@ class _Tracker:
             track = owner if owner is not None else _Track()
             if owner is None:
                 self.tracks.append(track)
-            track.estimates[frame] = found
+            track.put(frame, found)
             self._look_back(track, frame)
 
     def _is_known(self, found: PoseEstimate, frame: int, fresh: list[PoseEstimate]) -> bool:
@@ -180,7 +191,7 @@ class _Tracker:
             own = track.estimates.get(frame)
             if own is not None and finder.same_person(found, own):
                 if found.visibility.mean() > own.visibility.mean() + _BETTER_VISIBILITY:
-                    track.estimates[frame] = found
+                    track.put(frame, found)
                 return True
         return any(finder.same_person(found, other) for other in fresh)
 
@@ -194,7 +205,7 @@ class _Tracker:
             found = finder.follow(self._pose, image, track.estimates[earlier + 1].next_roi)
             if found is None or any(finder.same_person(found, other) for other in self._seen(earlier)):
                 return
-            track.estimates[earlier] = found
+            track.put(earlier, found)
 
 
 def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> PersonTracks:
@@ -208,11 +219,13 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
         ModelMissingError: the models' weights cannot be had.
     """
     from video2anim.video import read_frames
+    from video2anim.video.heap import pictures_apart
 
     tracker = _Tracker(ctx.model(config.model), config, clip.fps)
-    for frame, image in enumerate(read_frames(clip)):
-        tracker.step(frame, image)
-        ctx.progress(frame + 1, clip.frame_count)
+    with pictures_apart():
+        for frame, image in enumerate(read_frames(clip)):
+            tracker.step(frame, image)
+            ctx.progress(frame + 1, clip.frame_count)
     min_frames = max(1, round(min(config.min_track_s * clip.fps, 0.5 * clip.frame_count)))
     ranked = _ranked([t for t in tracker.tracks if _is_person(t, min_frames, round(clip.fps))])
     people = tuple(_to_arrays(track, number, clip.frame_count) for number, track in enumerate(ranked, start=1))
@@ -237,7 +250,10 @@ def _surprise(track: _Track, frame: int) -> float:
     """Distance of this frame's hips from where the motion before would put them, in body radii."""
     from video2anim.models.people_finder import hips_px
 
-    before = _Track({k: v for k, v in track.estimates.items() if k < frame})
+    before = _Track()
+    for earlier in range(frame - _LOOKED_BACK, frame):
+        if earlier in track.estimates:
+            before.put(earlier, track.estimates[earlier])
     if not before.estimates:
         return np.inf
     predicted_px = hips_px(before.last) + (frame - before.last_frame) * before.velocity_px()

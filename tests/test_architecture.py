@@ -18,7 +18,7 @@ LEVELS = {
     "scenemi": 1, "video2anim.models": 1, "video2anim.artifacts": 1, "video2anim.video": 1, "video2anim.fitting": 1,
     "video2anim.pipeline": 2, "video2anim.viewer": 2, "video2anim.export": 2,
     "video2anim.synth": 2, "video2anim.eval": 2,
-    "stages": 3,
+    "stages": 3, "video2anim.lifting": 3,
     "video2anim.cli": 4,
 }  # fmt: skip
 """Part -> level. Lower never imports higher."""
@@ -156,7 +156,7 @@ def test_only_the_command_line_imports_stages() -> None:
 
 def test_scenemi_meets_the_pipeline_in_few_stages() -> None:
     """The in-betweening model is used by `refine`; its measures (section 9 of the design) by whoever reports them; its
-    readers of motion data by whoever makes synthetic clips."""
+    readers of motion data by whoever makes synthetic clips or trains on motion."""
     users: dict[str, set[str]] = {}
     for path in sources():
         if not relative(path).startswith("scenemi/"):
@@ -165,7 +165,8 @@ def test_scenemi_meets_the_pipeline_in_few_stages() -> None:
                     users.setdefault(relative(path), set()).add(name)
     for path_name, names in users.items():
         if path_name != "stages/refine.py":
-            seen = "scenemi." if path_name.startswith("video2anim/synth/") else "scenemi.metrics"
+            reads_motion = path_name.startswith(("video2anim/synth/", "video2anim/lifting/"))
+            seen = "scenemi." if reads_motion else "scenemi.metrics"
             assert all(name.startswith(seen) for name in names), f"{path_name} imports {names}"
     assert "stages/refine.py" in users
 

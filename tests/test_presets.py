@@ -36,7 +36,7 @@ def test_default_needs_only_package_sources() -> None:
     for name in preset_models("embedded"):
         model = find_model(name)
         for part in (model, *(find_model(other) for other in model.requires)):
-            assert part.source.text.startswith("package:"), part.name
+            assert part.source.text.startswith(("package:", "wheel:")), part.name
             assert part.licence == "Apache-2.0"
 
 

@@ -6,8 +6,8 @@
     python training/lifter.py motions --motion cmu.npz deepmimic.npz --split split.json --part train --out train.npz
     python training/lifter.py motions --motion cmu.npz deepmimic.npz --split split.json --part val --acted 14 \
         --seed 900 --out val.npz
-    python training/lifter.py train --train train.npz --val val.npz --residuals residuals.npz --checkpoint lifter.pt
-    python training/lifter.py export --checkpoint lifter.pt --out video2anim/models/weights/lifter.onnx
+    python training/lifter.py train --train train.npz --val val.npz --residuals residuals.npz --checkpoint lifter.safetensors
+    python training/lifter.py export --checkpoint lifter.safetensors --out video2anim/models/weights/lifter.onnx
 
 Training goes on from the checkpoint where it was broken off. After an export the digest in `video2anim/models/table.py`
 has to follow; the command prints it.
@@ -26,10 +26,10 @@ import torch
 
 from video2anim.artifacts.codec import read_value
 from video2anim.lifting.motions import LiftingMotions, gather
-from video2anim.lifting.network import LifterNetwork, export_onnx
+from video2anim.lifting.network import export_onnx
 from video2anim.lifting.residuals import ResidualLibrary, collect
 from video2anim.lifting.samples import LiftingSampler
-from video2anim.lifting.train import LiftingConfig, train
+from video2anim.lifting.train import LiftingConfig, read_average, train
 from video2anim.types import PersonTracks
 
 VALIDATION_SEED = 77
@@ -47,9 +47,7 @@ def main() -> None:
         case "train":
             train_network(options)
         case _:
-            network = LifterNetwork()
-            network.load_state_dict(torch.load(options.checkpoint, weights_only=True)["average"])
-            export_onnx(network, options.out)
+            export_onnx(read_average(options.checkpoint), options.out)
             sys.stdout.write(f"{hashlib.sha256(options.out.read_bytes()).hexdigest()}\n")
 
 

@@ -223,7 +223,10 @@ def test_known_height_scales_the_lifted_body(walk: Walk, network: Lifter) -> Non
     lifted = lift(walk.observed, network)
     sizes = [
         fit_body(
-            walk.observed, fit_focal=False, iterations=120, lifted=lifted,
+            walk.observed,
+            fit_focal=False,
+            iterations=120,
+            lifted=lifted,
             config=replace(FitConfig(), stature_m=stature_m, stature_sigma_m=0.01),
         )  # fmt: skip
         for stature_m in (1.55, 1.85)

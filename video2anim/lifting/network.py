@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import torch
@@ -58,8 +59,11 @@ def export_onnx(network: LifterNetwork, path: Path) -> None:
     """Write the network with free numbers of clips and frames."""
     network = network.eval()
     path.parent.mkdir(parents=True, exist_ok=True)
-    torch.onnx.export(
-        network, (torch.zeros(1, 60, FEATURES),), str(path), input_names=["features"], output_names=["body"],
-        dynamic_axes={"features": {0: "batch", 1: "frames"}, "body": {0: "batch", 1: "frames"}},
-        opset_version=ONNX_OPSET, dynamo=False,
-    )  # fmt: skip
+    with warnings.catch_warnings():
+        # The exporter over TorchScript is deprecated, but its successor needs packages that nothing else here does.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            network, (torch.zeros(1, 60, FEATURES),), str(path), input_names=["features"], output_names=["body"],
+            dynamic_axes={"features": {0: "batch", 1: "frames"}, "body": {0: "batch", 1: "frames"}},
+            opset_version=ONNX_OPSET, dynamo=False,
+        )  # fmt: skip

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn import functional
 
@@ -109,11 +111,7 @@ def train(
     optimizer = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=0.01)
     step = 0
     if checkpoint.is_file():
-        state = torch.load(checkpoint, weights_only=True)
-        network.load_state_dict(state["network"])
-        average.load_state_dict(state["average"])
-        optimizer.load_state_dict(state["optimizer"])
-        step = int(state["step"])
+        step = _load(checkpoint, network, average, optimizer)
     else:
         _normalize(network, sampler)
         average.load_state_dict(network.state_dict())
@@ -174,10 +172,36 @@ def _save(
     path: Path, network: LifterNetwork, average: LifterNetwork, optimizer: torch.optim.Optimizer, step: int
 ) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    state = {
-        "network": network.state_dict(), "average": average.state_dict(),
-        "optimizer": optimizer.state_dict(), "step": step,
-    }  # fmt: skip
+    tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
+    tensors |= {f"average.{name}": value for name, value in average.state_dict().items()}
+    for number, moments in optimizer.state_dict()["state"].items():
+        tensors |= {f"optimizer.{number}.{name}": value for name, value in moments.items()}
     aside = path.with_suffix(".tmp")
-    torch.save(state, aside)
+    whole = {name: value.detach().contiguous().clone() for name, value in tensors.items()}
+    save_file(whole, str(aside), {"step": str(step)})
     aside.replace(path)
+
+
+def _load(path: Path, network: LifterNetwork, average: LifterNetwork, optimizer: torch.optim.Optimizer) -> int:
+    with safe_open(str(path), "pt") as file:
+        step = int(file.metadata()["step"])
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+
+    def part(name: str) -> dict[str, Tensor]:
+        return {key.removeprefix(name): value for key, value in tensors.items() if key.startswith(name)}
+
+    network.load_state_dict(part("network."))
+    average.load_state_dict(part("average."))
+    moments: dict[int, dict[str, Tensor]] = {}
+    for key, value in part("optimizer.").items():
+        number, _, name = key.partition(".")
+        moments.setdefault(int(number), {})[name] = value
+    optimizer.load_state_dict({"state": moments, "param_groups": optimizer.state_dict()["param_groups"]})
+    return step
+
+
+def read_average(path: Path) -> LifterNetwork:
+    """The averaged network of a checkpoint."""
+    average = LifterNetwork()
+    _load(path, LifterNetwork(), average, torch.optim.AdamW(LifterNetwork().parameters()))
+    return average
