@@ -86,8 +86,7 @@ def _lifted(clip: VideoClip, track: PersonTrack, config: CameraConfig, ctx: Stag
     from video2anim.fitting.lifting import lift
     from video2anim.fitting.observe import observations
 
-    known = config.focal_px or _metadata_focal_px(clip) or _usual_focal_px(clip)
-    intrinsics = Intrinsics.centered(known, clip.width_px, clip.height_px)
+    intrinsics = Intrinsics.centered(config.focal_px or _usual_focal_px(clip), clip.width_px, clip.height_px)
     return lift(observations(track, clip.frame_time_s, intrinsics), ctx.model(config.model))
 
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from video2anim.fitting.problem import FittedBody, Observations
 
 METHODS = ("both", "lifter", "optimizer")
+_FRAMES_AT_ONCE = 256
+"""Of meshes in memory."""
 
 
 @dataclass(frozen=True)
@@ -129,12 +131,14 @@ def _sole_heights(fit: FittedBody, R_world_camera: np.ndarray) -> np.ndarray:
     R_parent_joint[:, 0] = R_world_camera @ R_parent_joint[:, 0]
     translation = np.einsum("tab,tb->ta", R_world_camera, fit.translation_camera_m)
     joints, R_world_joint = forward_kinematics(R_parent_joint, translation, body.rest_joints_m)
-    heights = []
-    for side in ("left", "right"):
+    heights = np.empty((len(joints), 2))
+    for foot, side in enumerate(("left", "right")):
         own = [JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"]]
         index = np.flatnonzero(np.isin(body.vertex_part, own))
-        heights.append(body.vertices(R_world_joint, joints, index)[..., 1].min(1))
-    return np.stack(heights, 1)
+        for begin in range(0, len(joints), _FRAMES_AT_ONCE):
+            some = slice(begin, begin + _FRAMES_AT_ONCE)
+            heights[some, foot] = body.vertices(R_world_joint[some], joints[some], index)[..., 1].min(1)
+    return heights
 
 
 def _motion(

@@ -6,8 +6,8 @@
     python training/lifter.py motions --motion cmu.npz deepmimic.npz --split split.json --part train --out train.npz
     python training/lifter.py motions --motion cmu.npz deepmimic.npz --split split.json --part val --acted 14 \
         --seed 900 --out val.npz
-    python training/lifter.py train --train train.npz --val val.npz --residuals residuals.npz --checkpoint lifter.safetensors
-    python training/lifter.py export --checkpoint lifter.safetensors --out video2anim/models/weights/lifter.onnx
+    python training/lifter.py train --train train.npz --val val.npz --residuals residuals.npz --checkpoint lifter.ckpt
+    python training/lifter.py export --checkpoint lifter.ckpt --out video2anim/models/weights/lifter.onnx
 
 Training goes on from the checkpoint where it was broken off. After an export the digest in `video2anim/models/table.py`
 has to follow; the command prints it.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from synthetic import planted_walk
 
+from stages.camera import FULL_FRAME_DIAGONAL_MM, CameraConfig, estimate_camera
 from video2anim.body.anny_body import anny_model
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import StageError
@@ -18,7 +20,9 @@ from video2anim.fitting.optimize import fit_body
 from video2anim.fitting.problem import FittedBody, Observations
 from video2anim.geometry.projection import invert_rigid, project
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.types import BodyMotion, Intrinsics
+from video2anim.models import load_model
+from video2anim.pipeline.stage import StageContext
+from video2anim.types import BodyMotion, Intrinsics, PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
 
 FOCAL_PX = 1100.0
 LENS = Intrinsics.centered(FOCAL_PX, 1280, 720)
@@ -118,48 +122,52 @@ def test_focal_length_is_recovered_from_any_start(filmed: Filmed, start_px: floa
     assert root_relative_error_m(fit, filmed.joints_camera_m) < 0.035
 
 
-def test_camera_stage_states_an_uncertainty_that_holds(filmed: Filmed) -> None:
-    """The focal length found by the stage is within two of its stated standard deviations."""
-    from pathlib import Path
-
-    from stages.camera import CameraConfig, estimate_camera
-    from video2anim.models import load_model
-    from video2anim.pipeline.stage import StageContext
-    from video2anim.types import PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
-
-    o, count = filmed.observed, len(filmed.observed.valid)
+def as_stage_input(observed: Observations, focal_35mm: float = 0.0) -> tuple[VideoClip, PersonTracks]:
+    """A clip and its tracks as the camera stage gets them."""
+    o, count = observed, len(observed.valid)
     landmarks_px, landmarks_m = np.zeros((count, 33, 2)), np.zeros((count, 33, 3))
     landmarks_px[:, LANDMARK_ORDER], landmarks_m[:, LANDMARK_ORDER] = o.keypoints_px, o.keypoints_m
     track = PersonTrack(
         1, o.valid, np.ones(count), np.zeros((count, 4)), landmarks_px, landmarks_m, np.ones((count, 33)),
         np.zeros((count, 64, 64), np.uint8), np.zeros((count, 2, 3)),
     )  # fmt: skip
-    source = SourceInfo("h264", "yuv420p", 1280, 720, 0, 1.0, 30.0, count, count, 2.5, 0.0)
+    source = SourceInfo("h264", "yuv420p", 1280, 720, 0, 1.0, 30.0, count, count, 2.5, focal_35mm)
+    times = o.frame_time_s
     clip = VideoClip(
-        PayloadFile(Path("none.mp4")),
-        1280,
-        720,
-        10.0,
-        o.frame_time_s,
-        o.frame_time_s,
-        source,
-        ((0.0, 2.5),),
-        0,
-        True,
-        0.0,
-        (),
+        PayloadFile(Path("none.mp4")), 1280, 720, 10.0, times, times, source, ((0.0, 2.5),), 0, True, 0.0, ()
     )
+    return clip, PersonTracks((track,), (1,), 1)
+
+
+def test_camera_stage_states_an_uncertainty_that_holds(filmed: Filmed) -> None:
+    """The focal length found by the stage is within two of its stated standard deviations."""
+    clip, tracks = as_stage_input(filmed.observed)
     ctx = StageContext(Path(), load_model=load_model)
-    camera = estimate_camera(clip, PersonTracks((track,), (1,), 1), CameraConfig(frames=15, iterations=100), ctx)
+    camera = estimate_camera(clip, tracks, CameraConfig(frames=15, iterations=100), ctx)
     assert camera.focal_source == "human"
     assert 0.02 < camera.focal_sigma_ratio <= 0.3
     assert abs(np.log(camera.intrinsics.fx_px / FOCAL_PX)) < 2 * camera.focal_sigma_ratio
     up = matrix_from_axis_angle(np.array([np.radians(12.0), 0, 0])) @ [0, -1.0, 0]
     assert np.arccos(camera.up_camera @ up) < 2 * camera.up_sigma_rad
-    known = estimate_camera(
-        clip, PersonTracks((track,), (1,), 1), CameraConfig(focal_px=900.0, frames=6, iterations=5), ctx
-    )
+    known = estimate_camera(clip, tracks, CameraConfig(focal_px=900.0, frames=6, iterations=5), ctx)
     assert (known.intrinsics.fx_px, known.focal_source) == (900.0, "user")
+
+
+@pytest.mark.parametrize(("factor", "source"), [(1.0, "metadata"), (1.15, "metadata"), (4.0, "human"), (0.3, "human")])
+def test_metadata_is_used_unless_the_picture_contradicts_it(filmed: Filmed, factor: float, source: str) -> None:
+    """A file that gives the true 4 mm of a phone's lens for its equivalent on full frame is off by 6."""
+    focal_35mm = factor * FOCAL_PX * FULL_FRAME_DIAGONAL_MM / np.hypot(1280, 720)
+    clip, tracks = as_stage_input(filmed.observed, focal_35mm)
+    ctx = StageContext(Path(), load_model=load_model)
+    camera = estimate_camera(clip, tracks, CameraConfig(frames=12, iterations=80), ctx)
+    assert camera.focal_source == source
+    contradicted = [text for text in ctx.warnings if "contradicts" in text]
+    if source == "metadata":
+        assert camera.intrinsics.fx_px == pytest.approx(factor * FOCAL_PX)
+        assert not contradicted
+    else:
+        assert abs(np.log(camera.intrinsics.fx_px / FOCAL_PX)) < 0.2
+        assert len(contradicted) == 1
 
 
 def test_frames_without_landmarks_are_bridged(filmed: Filmed) -> None:

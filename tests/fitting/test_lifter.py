@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from video2anim.fitting.lifter_input import (
     FEATURES,
     OUTPUTS,
     LiftedBody,
+    _carried,
     lifted_body,
     lifter_input,
     ray_features,
@@ -94,7 +96,7 @@ def limbs_apart_m(R_parent_joint: np.ndarray, truth: Walk) -> float:
 def test_features_do_not_know_where_the_camera_looks() -> None:
     """The same person seen by a camera turned about its centre: only the rotation that undoes it differs."""
     rng = np.random.default_rng(0)
-    points = rng.normal(0, 0.4, (12, 25, 3)) + [0.3, 0.1, 4.0]
+    points = rng.normal(0, 0.4, (12, 25, 3)) + np.array([0.3, 0.1, 4.0])
     landmarks, visibility, valid = rng.normal(0, 0.4, (12, 25, 3)), rng.random((12, 25)), np.ones(12, bool)
     turn = matrix_from_axis_angle(np.array([0.2, 0.0, 0.0]))
     found = []
@@ -112,7 +114,7 @@ def test_features_do_not_know_where_the_camera_looks() -> None:
 def test_features_are_free_of_scale() -> None:
     """A person twice as big at twice the distance looks the same."""
     rng = np.random.default_rng(1)
-    points, unit = rng.normal(0, 0.4, (6, 25, 3)) + [0.2, -0.1, 3.0], Intrinsics(1.0, 1.0, 0.0, 0.0, 1, 1)
+    points, unit = rng.normal(0, 0.4, (6, 25, 3)) + np.array([0.2, -0.1, 3.0]), Intrinsics(1.0, 1.0, 0.0, 0.0, 1, 1)
     landmarks, seen = np.zeros((6, 25, 3)), np.ones((6, 25))
     middle = points[:, HIPS].mean(1)
     R = ray_rotation(middle[:, :2] / middle[:, 2:], unit)
@@ -221,16 +223,10 @@ def test_both_are_better_than_either(walk: Walk, network: Lifter) -> None:
 def test_known_height_scales_the_lifted_body(walk: Walk, network: Lifter) -> None:
     """A child of 1.2 m stands nearer than an adult who looks the same."""
     lifted = lift(walk.observed, network)
-    sizes = [
-        fit_body(
-            walk.observed,
-            fit_focal=False,
-            iterations=120,
-            lifted=lifted,
-            config=replace(FitConfig(), stature_m=stature_m, stature_sigma_m=0.01),
-        )  # fmt: skip
-        for stature_m in (1.55, 1.85)
-    ]
+    sizes = []
+    for stature_m in (1.55, 1.85):
+        config = replace(FitConfig(), stature_m=stature_m, stature_sigma_m=0.01)
+        sizes.append(fit_body(walk.observed, fit_focal=False, iterations=120, lifted=lifted, config=config))
     ratio = sizes[0].translation_camera_m[:, 2].mean() / sizes[1].translation_camera_m[:, 2].mean()
     assert ratio == pytest.approx(1.55 / 1.85, rel=0.03)
 
@@ -241,7 +237,7 @@ def test_pieces_cover_the_clip_and_share_frames() -> None:
         pieces = long_clip._pieces(valid)
         assert pieces[0][0] == 0
         assert pieces[-1][-1] == frames - 1
-        for before, after in zip(pieces, pieces[1:], strict=False):
+        for before, after in itertools.pairwise(pieces):
             assert before[-1] - after[0] + 1 == long_clip.SHARED_FRAMES
         assert max(len(piece) for piece in pieces) < 2.1 * long_clip.PIECE_FRAMES
     valid = np.zeros(2000, bool)
@@ -274,3 +270,10 @@ def test_rows_of_a_lifted_body(walk: Walk, network: Lifter) -> None:
     some = lifted.rows(np.array([3, 7]))
     assert isinstance(some, LiftedBody)
     np.testing.assert_array_equal(some.contact, lifted.contact[[3, 7]])
+
+
+def test_gaps_take_the_nearest_measurement() -> None:
+    values, valid = np.arange(8.0), np.array([False, True, False, False, False, True, False, False])
+    np.testing.assert_array_equal(_carried(values, valid), [1, 1, 1, 1, 5, 5, 5, 5])
+    np.testing.assert_array_equal(_carried(values, np.zeros(8, bool)), np.zeros(8))
+    np.testing.assert_array_equal(_carried(values, np.ones(8, bool)), values)

@@ -207,3 +207,14 @@ def test_hub_address_is_pinned() -> None:
     assert isinstance(source, table.HubSource)
     assert f"/resolve/{source.revision}/" in source.url
     assert len(source.revision) == 40
+
+
+def test_weights_of_the_package_are_there_and_never_fetched(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
+    entry = table.find_model("lifter")
+    path = fetch.ensure("lifter")
+    assert path.parent.name == "weights"
+    assert path.stat().st_size == entry.size_bytes
+    assert not any(cache.iterdir()) if cache.exists() else True
+    monkeypatch.setattr("video2anim.models.table.WheelSource.path", cache / "gone.onnx")
+    with pytest.raises(ModelMissingError, match="came with the package and is gone"):
+        fetch.ensure("lifter")

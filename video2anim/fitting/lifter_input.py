@@ -43,6 +43,8 @@ class LifterInput:
     R_camera_ray: Float[np.ndarray, "frames 3 3"]
     size: Float[np.ndarray, "frames"]
     """Root mean square distance of the seen keypoints' directions from the middle of the hips, at depth 1."""
+    focal_px: float
+    """Of the lens that the directions assume."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,12 +59,15 @@ class LiftedBody:
     """Probabilities, in the order of `CONTACT_JOINTS`."""
     up_camera: Float[np.ndarray, "frames 3"]
     """Unit vector against gravity as the frame's pose tells it."""
+    focal_px: float
+    """Of the lens assumed, with which the distance grows."""
 
     def rows(self, frames: Int[np.ndarray, "chosen"]) -> LiftedBody:
         """The answer for some of the frames."""
         return LiftedBody(
-            self.R_parent_joint[frames], self.translation_camera_m[frames], self.contact[frames], self.up_camera[frames]
-        )
+            self.R_parent_joint[frames], self.translation_camera_m[frames], self.contact[frames],
+            self.up_camera[frames], self.focal_px,
+        )  # fmt: skip
 
 
 def lifter_input(observed: Observations) -> LifterInput:
@@ -77,7 +82,7 @@ def lifter_input(observed: Observations) -> LifterInput:
     )
     R_ray_landmarks = np.swapaxes(R_camera_ray, -1, -2) @ landmark_rotation(middle_px, k)
     points_ray_m = np.einsum("tab,tkb->tka", R_ray_landmarks, np.nan_to_num(observed.keypoints_m))
-    return ray_features(ray, R_camera_ray, points_ray_m, observed.weight, valid)
+    return ray_features(ray, R_camera_ray, points_ray_m, observed.weight, valid, focal_px=k.fx_px)
 
 
 def ray_features(
@@ -86,6 +91,8 @@ def ray_features(
     points_ray_m: Float[np.ndarray, "frames keypoints 3"],
     visibility: Float[np.ndarray, "frames keypoints"],
     valid: Bool[np.ndarray, "frames"],
+    *,
+    focal_px: float = 1.0,
 ) -> LifterInput:
     """Features from viewing rays and 3D landmarks of the keypoints.
 
@@ -95,6 +102,7 @@ def ray_features(
         points_ray_m: 3D landmarks in the frame of the ray, relative to anything.
         visibility: 0 to 1.
         valid: frames with a measurement; the others are marked and zero.
+        focal_px: of the lens that the rays assume; only handed on.
     """
     seen = np.where(valid[:, None], visibility, 0.0)
     turned = ray_camera @ R_camera_ray  # rows: R^T ray
@@ -117,7 +125,7 @@ def ray_features(
         seen, np.log(size)[:, None], np.clip(motion, -2.0, 2.0), np.ones((frames, 1)),
     ]  # fmt: skip
     features = np.concatenate(columns, 1) * valid[:, None]
-    return LifterInput(features.astype(np.float32), R_camera_ray, size)
+    return LifterInput(features.astype(np.float32), R_camera_ray, size, focal_px)
 
 
 def lifted_body(output: Float[np.ndarray, "frames outputs"], given: LifterInput) -> LiftedBody:
@@ -138,6 +146,7 @@ def lifted_body(output: Float[np.ndarray, "frames outputs"], given: LifterInput)
         np.einsum("tab,tb->ta", given.R_camera_ray, pelvis_ray_m),
         1.0 / (1.0 + np.exp(-output[:, 135:-3])),
         np.einsum("tab,tb->ta", given.R_camera_ray, up_ray),
+        given.focal_px,
     )
 
 
@@ -146,4 +155,8 @@ def _carried(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
     rows = np.flatnonzero(valid)
     if not len(rows):
         return np.zeros_like(np.nan_to_num(values))
-    return values[rows[np.abs(np.arange(len(valid))[:, None] - rows[None]).argmin(1)]]
+    frames = np.arange(len(valid))
+    after = np.clip(np.searchsorted(rows, frames), 0, len(rows) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer_before = frames - rows[before] <= rows[after] - frames
+    return values[rows[np.where(nearer_before & (rows[before] <= frames), before, after)]]

@@ -114,7 +114,11 @@ class Objective:
     ) -> None:
         self.observed, self.model, self.config = observed, model, config
         self._lifted = None if lifted is None else torch.from_numpy(lifted.R_parent_joint).float()
-        self._distance = None if lifted is None else torch.from_numpy(lifted.translation_camera_m[:, 2]).float()
+        self._distance_per_px: torch.Tensor | None = None
+        if lifted is not None:
+            # Distance grows with the focal length: what the lifter sees is their ratio.
+            distance_m = torch.from_numpy(lifted.translation_camera_m[:, 2]).float().clamp_min(0.1)
+            self._distance_per_px = distance_m / lifted.focal_px
         self._believed = torch.from_numpy(observed.valid).float()
         self._base_shape = base_shape
         k = observed.intrinsics
@@ -193,6 +197,7 @@ class Objective:
         else:
             data = data + c.landmark_share_lifted * self._landmarks_3d(prediction)
             data = data + self._as_lifted(prediction, self._lifted) + self._hinges(parameters)
+            data = data + self._as_far(prediction, parameters)
         return data + self._motion(prediction, parameters) + self._shape(prediction, parameters)
 
     def _as_lifted(self, prediction: Prediction, R_parent_joint: torch.Tensor) -> torch.Tensor:
@@ -207,14 +212,15 @@ class Objective:
         # The squared distance of two rotation matrices is twice the squared angle, for small angles.
         apart = (prediction.R_parent_joint - R_parent_joint).square().sum((-1, -2)) / 2
         angles = _huber(apart / c.lifted_angle_rad**2, 2.0).sum(1)
-        return c.lifted_share * (self._believed * (joints + angles)).sum() + self._as_far(prediction)
+        return c.lifted_share * (self._believed * (joints + angles)).sum()
 
-    def _as_far(self, prediction: Prediction) -> torch.Tensor:
-        """The distance that the lifter sees in the size of a body of middling build, for the lens at the start."""
-        assert self._distance is not None
-        ratio = prediction.joints_m[:, 0, 2].clamp_min(0.1) / self._distance.clamp_min(0.1)
-        off = (self._believed * ratio.log()).sum() / self._believed.sum()
-        return 0.5 * self._prior_weight * (off / self.config.lifted_distance_ratio).square()
+    def _as_far(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
+        """The distance that the lifter sees in the size of a body of middling build."""
+        assert self._distance_per_px is not None
+        wanted = parameters.log_focal + self._distance_per_px.log()
+        off = (self._believed * (prediction.joints_m[:, 0, 2].clamp_min(0.1).log() - wanted)).sum()
+        ratio = off / self._believed.sum() / self.config.lifted_distance_ratio
+        return 0.5 * self._prior_weight * ratio.square()
 
     def _landmarks_3d(self, prediction: Prediction) -> torch.Tensor:
         hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from video2anim.body.anny_body import ShapedBody, shaped_body
 from video2anim.body.skeleton import forward_kinematics
@@ -17,6 +17,8 @@ from video2anim.viewer.viewpoint import Viewpoint
 PERSON_RGB = ((214, 164, 134), (134, 176, 214), (168, 206, 140), (206, 150, 200))
 UNMEASURED_RGB = (160, 160, 160)
 """Bodies at frames without a measurement are gray."""
+CONTACT_RGB = (205, 48, 38)
+"""Parts of the body in contact (probability 1)."""
 _CHUNK_FRAMES = 30
 
 
@@ -39,11 +41,15 @@ class PosedBodies:
                 meshes.append(body.vertices(R_world_joint, joints_m))
             yield from zip(*meshes, strict=True)
 
-    def color(self, person: int, frame: int) -> tuple[int, int, int]:
-        """Color of a body; gray where the frame was not measured."""
-        return PERSON_RGB[person % len(PERSON_RGB)] if self.people[person].valid[frame] else UNMEASURED_RGB
+    def colors(self, person: int, frame: int) -> UInt8[np.ndarray, "vertices 3"]:
+        """Color of each vertex: the person's own, red towards where the body probably touches something, gray where
+        the frame was not measured."""
+        motion, body = self.people[person], self.bodies[person]
+        own = PERSON_RGB[person % len(PERSON_RGB)] if motion.valid[frame] else UNMEASURED_RGB
+        touches = np.clip(motion.contact[frame], 0.0, 1.0)[body.vertex_part, None]
+        return np.rint((1.0 - touches) * np.array(own) + touches * np.array(CONTACT_RGB)).astype(np.uint8)
 
     def draw(self, canvas: Canvas, viewpoint: Viewpoint, meshes: tuple[np.ndarray, ...], frame: int) -> None:
         """Draw every person at one frame."""
         for person, (body, vertices_m) in enumerate(zip(self.bodies, meshes, strict=True)):
-            draw_body(canvas, viewpoint, vertices_m, body.faces, self.color(person, frame))
+            draw_body(canvas, viewpoint, vertices_m, body.faces, self.colors(person, frame))

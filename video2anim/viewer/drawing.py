@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from video2anim.geometry.projection import transform_points
 from video2anim.types import Intrinsics, Mesh, PlacedObject, SceneModel
@@ -39,12 +39,11 @@ def draw_body(
     viewpoint: Viewpoint,
     vertices_world_m: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
-    rgb: tuple[int, int, int],
+    rgb: UInt8[np.ndarray, "vertices 3"],
 ) -> None:
-    """Draw a skinned body in one colour."""
-    colors = np.broadcast_to(np.array(rgb, np.uint8), vertices_world_m.shape)
+    """Draw a skinned body."""
     corners_m = viewpoint.to_camera(vertices_world_m)
-    draw_mesh(canvas, corners_m, faces, colors, viewpoint.intrinsics, closed=True, light="smooth")
+    draw_mesh(canvas, corners_m, faces, rgb, viewpoint.intrinsics, closed=True, light="smooth")
 
 
 def draw_frustum(

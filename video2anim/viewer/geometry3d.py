@@ -33,10 +33,10 @@ def triangle_mesh(vertices_m: np.ndarray, faces: np.ndarray, rgb: np.ndarray) ->
     return mesh
 
 
-def move_mesh(mesh: Any, vertices_m: np.ndarray, rgb: tuple[int, int, int]) -> None:
-    """Give a mesh other vertex positions and one color."""
+def move_mesh(mesh: Any, vertices_m: np.ndarray, rgb: np.ndarray) -> None:
+    """Give a mesh other vertex positions and colors (one per vertex, uint8)."""
     mesh.vertices = o3d.utility.Vector3dVector(np.asarray(vertices_m, np.float64))
-    mesh.paint_uniform_color(np.asarray(rgb, np.float64) / 255.0)
+    mesh.vertex_colors = o3d.utility.Vector3dVector(np.asarray(rgb, np.float64) / 255.0)
     mesh.compute_vertex_normals()
 
 

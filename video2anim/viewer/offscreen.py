@@ -102,7 +102,7 @@ def _write_request(
     for person, (body, vertices_m) in enumerate(zip(posed.bodies, meshes, strict=True)):
         vertices.append(vertices_m)
         faces.append(body.faces)
-        colors.append(np.broadcast_to(np.array(posed.color(person, frame), np.uint8), vertices_m.shape))
+        colors.append(posed.colors(person, frame))
     if scene is not None:
         placed = [replace(part.mesh, vertices_m=world_vertices(part)) for part in scene.objects]
         for mesh in (scene.floor, scene.background, *placed):

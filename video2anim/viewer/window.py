@@ -68,7 +68,7 @@ class Player:
         self.parts["camera"] = [camera_lines(self.people[0].T_world_camera[0], self.people[0].intrinsics)]
         (meshes,) = self.posed.frames(0, 1)
         self.bodies = [
-            triangle_mesh(vertices_m, body.faces, np.array(self.posed.color(person, 0)))
+            triangle_mesh(vertices_m, body.faces, self.posed.colors(person, 0))
             for person, (body, vertices_m) in enumerate(zip(self.posed.bodies, meshes, strict=True))
         ]
         for geometry in [*self.bodies, *(part for parts in self.parts.values() for part in parts)]:
@@ -94,7 +94,7 @@ class Player:
         self.frame = int(np.clip(frame, 0, self.view_of.frame_count - 1))
         (meshes,) = self.posed.frames(self.frame, self.frame + 1)
         for person, (mesh, vertices_m) in enumerate(zip(self.bodies, meshes, strict=True)):
-            move_mesh(mesh, vertices_m, self.posed.color(person, self.frame))
+            move_mesh(mesh, vertices_m, self.posed.colors(person, self.frame))
             self.visualizer.update_geometry(mesh)
         (old,) = self.parts["camera"]
         old.points = camera_lines(self.people[0].T_world_camera[self.frame], self.people[0].intrinsics).points
