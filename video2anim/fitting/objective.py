@@ -42,7 +42,7 @@ class FitConfig:
     stature_m: float = 1.70
     """Mean standing height of adults (NCD-RisC 2016: women 1.59 to 1.65 m, men 1.71 to 1.78 m in most regions)."""
     stature_sigma_m: float = 0.09
-    prior_share: float = 0.6
+    prior_share: float = 3.0
     """Weight of the shape and lens priors per frame: a detector's bias is the same in every frame, so the evidence of
     a long clip on shape and lens does not grow with its length as independent errors would let it."""
     focal_ratio: float = 0.9
