@@ -78,7 +78,7 @@ def collect(clips: Sequence[tuple[Path, PersonTracks]]) -> ResidualLibrary:
         truth = read_truth(folder)
         for person in truth.people:
             true_m = true_keypoints(person)
-            track = _track_of(person, true_m, tracks)
+            track = track_of(person, true_m, tracks)
             if track is not None:
                 parts += _runs(track, true_m, truth)
     pixels, points, visibility, true = (
@@ -111,7 +111,7 @@ def _projected(true_m: np.ndarray, person: BodyMotion) -> np.ndarray:
     return np.stack([k.fx_px * true_m[..., 0] / z + k.cx_px, k.fy_px * true_m[..., 1] / z + k.cy_px], -1)
 
 
-def _track_of(person: BodyMotion, true_m: np.ndarray, tracks: PersonTracks) -> PersonTrack | None:
+def track_of(person: BodyMotion, true_m: np.ndarray, tracks: PersonTracks) -> PersonTrack | None:
     """The track that follows this person closest, if one does."""
     true_px = _projected(true_m, person)
     size = np.linalg.norm(np.ptp(true_px, axis=1), axis=-1)

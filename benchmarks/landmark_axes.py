@@ -1,0 +1,78 @@
+"""In which axes the landmark model answers: those of the camera, or those of the person's viewing ray?
+
+    python benchmarks/landmark_axes.py --clips clips --scenes scenes
+
+Clips are those of `video2anim synth`, scenes their folders of the same names, run until `track`. For every 15th frame
+the rotation that turns the 3D landmarks onto the true joints is set against the rotation of the viewing ray: slope 1
+would mean that landmarks come in the ray's axes, 0 that they come in the camera's. `video2anim.fitting.initial` holds
+the result.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+from main_job import JOINTS, LANDMARKS
+
+from video2anim.artifacts.codec import read_value
+from video2anim.eval.truth import read_truth
+from video2anim.fitting.initial import ray_rotation
+from video2anim.geometry.rotations import axis_angle_from_matrix, nearest_rotation
+from video2anim.lifting.residuals import track_of, true_keypoints
+from video2anim.types import PersonTracks
+
+EVERY = 15
+FARTHEST_DEG = 25.0
+"""Larger turns are wrong landmarks, not axes."""
+HIPS = [23, 24]
+
+
+def main() -> None:
+    """Collect, fit, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clips", type=Path, required=True)
+    parser.add_argument("--scenes", type=Path, required=True)
+    options = parser.parse_args()
+    rays, turns = [], []
+    for folder in sorted(options.clips.iterdir()):
+        payload = options.scenes / folder.name / "stages" / "02_track"
+        if not (folder / "meta.json").is_file() or not payload.is_dir():
+            continue
+        tracks = read_value(PersonTracks, payload)
+        for person in read_truth(folder).people:
+            track = track_of(person, true_keypoints(person), tracks)
+            if track is None:
+                continue
+            frames = np.flatnonzero(track.valid)[::EVERY]
+            middle_px = track.landmarks_px[frames][:, HIPS].mean(1)
+            rays.append(np.degrees(axis_angle_from_matrix(ray_rotation(middle_px, person.intrinsics))))
+            landmarks_m = track.landmarks_m[frames][:, LANDMARKS]
+            turns.append(
+                np.degrees(
+                    [turn(a, b) for a, b in zip(landmarks_m, person.joints_camera_m[frames][:, JOINTS], strict=True)]
+                )
+            )
+    ray, needed = np.concatenate(rays), np.concatenate(turns)
+    usual = np.abs(needed).max(1) < FARTHEST_DEG
+    for axis, name in enumerate(("pitch (x)", "yaw (y)")):
+        design = np.stack([ray[usual, axis], np.ones(usual.sum())], 1)
+        fit, rest, _, _ = np.linalg.lstsq(design, needed[usual, axis], rcond=None)
+        spread = float(
+            np.sqrt(rest[0] / (usual.sum() - 2) / np.square(ray[usual, axis] - ray[usual, axis].mean()).sum())
+        )
+        sys.stdout.write(
+            f"{name}: slope {fit[0]:.2f} +- {spread:.2f} over {usual.sum()} frames of {len(rays)} people\n"
+        )
+
+
+def turn(points_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:
+    """Rotation vector that turns points onto others about their middles."""
+    a, b = points_m - points_m.mean(0), goal_m - goal_m.mean(0)
+    return axis_angle_from_matrix(nearest_rotation((b.T @ a)[None]))[0]
+
+
+if __name__ == "__main__":
+    main()
