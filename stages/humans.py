@@ -97,6 +97,8 @@ def _fit(observed: Observations, lifted: LiftedBody | None, config: HumansConfig
     if config.height_m is not None:
         fit_config = replace(fit_config, stature_m=config.height_m, stature_sigma_m=0.01)
     if lifted is not None and config.method == "lifter":
+        if config.height_m is not None:
+            ctx.warn("humans.method=lifter knows no height: --height-m is not used, the body is an adult of 1.70 m")
         return place_lifted(observed, lifted, fit_config)
     return fit_long(observed, lifted, fit_config, iterations=config.iterations, on_step=ctx.progress)
 

@@ -132,7 +132,7 @@ class _Tracker:
         if lost < _HELD_FRAMES:
             found = finder.follow(self._pose, image, track.last.next_roi)
             if found is not None:
-                track.put(frame, found)
+                track.put(frame, finder.head_up(self._pose, image, found))
                 return
         if lost % _LOCAL_SCAN_EVERY:
             return
@@ -355,4 +355,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=3, models=("pose",))
+STAGE = StageSpec("track", track_people, version=4, models=("pose",))

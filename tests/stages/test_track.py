@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
@@ -13,8 +14,8 @@ import pytest
 import video2anim.video
 from stages.track import TrackConfig, track_people
 from video2anim.errors import ModelMissingError, StageError, UsageError
-from video2anim.models import load_model
-from video2anim.models.blazepose import PoseEstimate
+from video2anim.models import load_model, people_finder
+from video2anim.models.blazepose import BlazePose, PoseEstimate
 from video2anim.models.blazepose_detector import Detections
 from video2anim.models.roi import SquareRoi
 from video2anim.pipeline.stage import StageContext
@@ -221,3 +222,32 @@ def test_subject_of_the_lab_is_selected_and_measured(
 def test_nobody_is_invented(name: str, shared_media: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with pytest.raises(StageError, match="nobody found"):
         _real(shared_media / "bad" / f"{name}.mp4", 1, 75, monkeypatch, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "upright_presence", "upright_visibility", "head_up"),
+    [(170.0, 1.0, 0.9, True), (170.0, 0.0, 0.9, False), (170.0, 1.0, 0.5, False), (80.0, 1.0, 0.95, False)],
+)
+def test_somebody_followed_head_down_is_looked_at_head_up(
+    turn_deg: float, upright_presence: float, upright_visibility: float, head_up: bool
+) -> None:
+    """After a flip the crop would stay turned; a real handstand shows nobody head up."""
+    hips_px, image = np.array([160.0, 120.0]), np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    turn = np.radians(turn_deg)
+
+    def seen(rotation_rad: float, presence: float, visibility: float) -> PoseEstimate:
+        rim_px = hips_px + 60.0 * np.array([np.sin(rotation_rad), -np.cos(rotation_rad)])
+        roi = SquareRoi.from_circle(hips_px, rim_px)
+        landmarks = np.zeros((33, 2))
+        return PoseEstimate(
+            presence, landmarks, np.zeros((33, 3)), np.full(33, visibility), np.zeros((64, 64), np.uint8), roi, roi
+        )
+
+    class Pose:
+        def estimate(self, _: np.ndarray, roi: SquareRoi) -> PoseEstimate:
+            assert roi.rotation_rad == 0.0
+            return seen(0.0, upright_presence, upright_visibility)
+
+    tracked = seen(turn, 0.95, 0.8)
+    found = people_finder.head_up(cast(BlazePose, Pose()), image, tracked)
+    assert (found is not tracked) == head_up

@@ -95,7 +95,7 @@ def fit_body(
 
 @one_thread()
 def place_lifted(observed: Observations, lifted: LiftedBody, config: FitConfig | None = None) -> FittedBody:
-    """The lifter's answer as it is, on an adult of middling build (of the height that `config` is sure of).
+    """The lifter's answer as it is, on an adult of middling build; no height is taken into account.
 
     Raises:
         StageError: fewer than one valid frame.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -20,6 +21,7 @@ MIN_PRESENCE_NEW = 0.9
 MIN_PRESENCE_KEPT = 0.5
 MIN_VISIBILITY_NEW = 0.65
 MIN_VISIBILITY_KEPT = 0.35
+_HEAD_DOWN_RAD = math.radians(100.0)
 _MAX_FITS = 4
 _SETTLED_SHIFT = 0.06
 _SETTLED_SCALE = 0.1
@@ -77,6 +79,24 @@ def follow(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: Squ
     found = pose.estimate(image, roi)
     seen = found.presence >= MIN_PRESENCE_KEPT and found.visibility.mean() >= MIN_VISIBILITY_KEPT
     return found if seen and _continuous(roi, found.next_roi) else None
+
+
+def head_up(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], found: PoseEstimate) -> PoseEstimate:
+    """The person seen head up, where somebody followed head down looks at least as convincing so.
+
+    The crop turns with the body, so a network that lost its way in a flip would see the person head down forever.
+    """
+    if not _is_head_down(found):
+        return found
+    other = pose.estimate(image, replace(found.next_roi, rotation_rad=0.0))
+    as_sure = other.presence >= min(found.presence, MIN_PRESENCE_NEW)
+    as_clear = float(other.visibility.mean()) >= float(found.visibility.mean())
+    return other if as_sure and as_clear and not _is_head_down(other) else found
+
+
+def _is_head_down(found: PoseEstimate) -> bool:
+    turn = found.next_roi.rotation_rad
+    return abs(np.arctan2(np.sin(turn), np.cos(turn))) > _HEAD_DOWN_RAD
 
 
 def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:
