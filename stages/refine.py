@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 FPS = 30.0
 """Motion is at 30 fps after ingest."""
+_JUMP = 6.0
+"""Frames whose jerk exceeds the median by this factor are jumps of the observation."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,8 @@ class RefineConfig:
     """A window is worse when its deepest vertex is deeper than before by more than this."""
     skating_slack: float = 0.05
     """A window is worse when its skating ratio (gmd) rises by more than this."""
+    jerk_slack: float = 0.1
+    """A window is worse when its jerk rises by more than this share."""
     deviation_limit_m: float = 0.05
     """A window is worse when joints lie on average farther than this from the observed frames: the prior has lost a
     motion that is faster than the keyframes."""
@@ -102,8 +106,9 @@ def _refine_person(
     from scenemi.prior import InterpolationPrior
     from scenemi.windows import select_keyframes
 
-    keys = select_keyframes(motion.frame_count, config.keyframe_interval_frames, usable=motion.valid)
-    judge = _Judge(motion, grid, config)
+    calm = calm_frames(motion)
+    keys = select_keyframes(motion.frame_count, config.keyframe_interval_frames, usable=calm)
+    judge = _Judge(motion, calm, grid, config)
     R_parent_joint, translation_m = _without_jitter(motion, config)
     noise = config.keyframe_noise_level
     # The last resort is the observed motion itself, so there its frames count as exact.
@@ -111,7 +116,7 @@ def _refine_person(
         KeyframeMotion(R_parent_joint, translation_m, mask, motion.rest_joints_m, FPS, judge.body, level)
         for mask, level in (
             (_mask(keys, motion), noise),
-            (_mask(optimized, motion) & motion.valid, noise),
+            (_mask(optimized, motion) & calm, noise),
             (motion.valid, 0.0),
         )
     )
@@ -133,6 +138,19 @@ def _refine_person(
     judge.report(ctx, "refined", final, suffix)
     _report_windows(ctx, filled, prior, suffix)
     return final
+
+
+def calm_frames(motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
+    """Valid frames in which the observed body does not jump: where the landmark model changes its mind about left and
+    right, or front and back, the jerk is many times what it is elsewhere, and poses tell nothing."""
+    calm = motion.valid.copy()
+    jerk_m_s3 = np.linalg.norm(np.diff(motion.joints_world_m, n=3, axis=0), axis=-1).mean(1) * FPS**3
+    if not len(jerk_m_s3):
+        return calm
+    for first in np.flatnonzero(jerk_m_s3 > _JUMP * np.median(jerk_m_s3)):
+        calm[first : first + 4] = False
+    # Somebody who jumps about all the time is taken as observed.
+    return calm if calm.sum() > 0.5 * motion.valid.sum() else motion.valid
 
 
 def _without_jitter(motion: BodyMotion, config: RefineConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -168,10 +186,10 @@ def _report_windows(ctx: StageContext, filled: LongMotion, prior: InbetweeningPr
 class _Judge:
     """Measures motions of one person against the scene and the observed motion."""
 
-    def __init__(self, motion: BodyMotion, grid: SdfGrid, config: RefineConfig) -> None:
+    def __init__(self, motion: BodyMotion, calm: np.ndarray, grid: SdfGrid, config: RefineConfig) -> None:
         from video2anim.body.anny_body import shaped_body
 
-        self.observed, self.grid, self.config = motion, grid, config
+        self.observed, self.calm, self.grid, self.config = motion, calm, grid, config
         self.body: ShapedBody = shaped_body(motion.shape)
         stride = max(1, len(self.body.rest_vertices_m) // config.sampled_vertices)
         self.vertex_index = np.arange(0, len(self.body.rest_vertices_m), stride)
@@ -182,7 +200,7 @@ class _Judge:
 
     def accept(self, span: WindowSpan, filled: WindowMotion) -> bool:
         """Whether a filled window, feet held, is no worse than the observed one."""
-        from scenemi.metrics import foot_skating_gmd, penetration_max_m
+        from scenemi.metrics import foot_skating_gmd, jerk_m_s3, penetration_max_m
 
         frames = slice(span.start, span.stop)
         R_parent_joint, translation_m = filled.R_parent_joint, filled.translation_world_m
@@ -190,14 +208,15 @@ class _Judge:
             R_parent_joint = self._held(R_parent_joint, translation_m, frames)
         joints_m = self._joints_m(R_parent_joint, translation_m)
         before_m = self.observed.joints_world_m[frames]
-        valid = self.observed.valid[frames]
-        deviation_m = np.linalg.norm(joints_m - before_m, axis=-1)[valid]
+        deviation_m = np.linalg.norm(joints_m - before_m, axis=-1)[self.calm[frames]]
         if deviation_m.size and deviation_m.mean() > self.config.deviation_limit_m:
             return False
         if len(joints_m) > 1:
             skating, skating_before = foot_skating_gmd(joints_m, FPS), foot_skating_gmd(before_m, FPS)
             if skating > skating_before + self.config.skating_slack:
                 return False
+        if len(joints_m) > 3 and jerk_m_s3(joints_m, FPS) > (1 + self.config.jerk_slack) * jerk_m_s3(before_m, FPS):
+            return False
         depth_m = penetration_max_m(self._distance_m(R_parent_joint, translation_m))
         return depth_m <= penetration_max_m(self.observed_distance_m[frames]) + self.config.penetration_slack_m
 
@@ -248,4 +267,4 @@ class _Judge:
         return self.grid.sample(self.body.vertices(R_world_joint, joints_m, self.vertex_index).astype(np.float64))
 
 
-STAGE = StageSpec("refine", refine_motion, version=1)
+STAGE = StageSpec("refine", refine_motion, version=2)

@@ -11,7 +11,7 @@ from synthetic import FPS, planted_walk, with_root_shift
 
 import scenemi.prior
 from scenemi.metrics import jerk_m_s3, mpjpe
-from stages.refine import RefineConfig, refine_motion
+from stages.refine import RefineConfig, calm_frames, refine_motion
 from video2anim.errors import ModelMissingError
 from video2anim.geometry.sdf import build_sdf_grid
 from video2anim.pipeline.stage import StageContext
@@ -138,3 +138,21 @@ def test_any_length_works(frames: int) -> None:
     refined, _ = refine(planted_walk(frames))
     assert refined.people[0].frame_count == frames
     assert np.isfinite(refined.people[0].joints_world_m).all()
+
+
+def test_frames_in_which_the_observation_jumps_are_not_calm() -> None:
+    motion = planted_walk(60)
+    assert calm_frames(motion).all()
+    joints_m = motion.joints_world_m.copy()
+    joints_m[30:33, 5:9] += 0.3
+    jumped = calm_frames(replace(motion, joints_world_m=joints_m))
+    assert not jumped[30:33].any()
+    assert jumped[:24].all()
+    assert jumped[40:].all()
+    restless = (
+        joints_m + np.random.default_rng(0).normal(0, 0.2, joints_m.shape) * (np.arange(60) % 9 == 0)[:, None, None]
+    )
+    valid = np.arange(60) > 4
+    kept = calm_frames(replace(motion, joints_world_m=restless, valid=valid))
+    assert not kept[:5].any()
+    assert kept.sum() > 0.5 * valid.sum()

@@ -6,6 +6,7 @@ import numpy as np
 
 from video2anim.fitting.landmarks import LANDMARK_ORDER
 from video2anim.fitting.problem import Observations
+from video2anim.fitting.sides import MIRRORED, swapped_frames
 from video2anim.types.camera import Intrinsics
 from video2anim.types.people import PersonTrack
 
@@ -13,11 +14,15 @@ from video2anim.types.people import PersonTrack
 def observations(
     track: PersonTrack, frame_time_s: np.ndarray, intrinsics: Intrinsics, frames: np.ndarray | None = None
 ) -> Observations:
-    """Landmarks of a track (all frames, or the chosen ones) in the order of the body's keypoints."""
+    """Landmarks of a track (all frames, or the chosen ones) in the order of the body's keypoints, left and right set
+    right where they were exchanged for a moment."""
+    pixels, points = track.landmarks_px[:, LANDMARK_ORDER], track.landmarks_m[:, LANDMARK_ORDER]
+    weight = np.nan_to_num(np.where(track.valid[:, None], track.visibility[:, LANDMARK_ORDER], 0.0))
+    swapped = swapped_frames(pixels, points, weight, track.valid, frame_time_s)
+    if swapped.any():
+        for values in (pixels, points, weight):
+            values[swapped] = values[swapped][:, MIRRORED]
     chosen = np.arange(len(track.valid)) if frames is None else frames
-    valid = track.valid[chosen]
-    weight = np.where(valid[:, None], track.visibility[chosen][:, LANDMARK_ORDER], 0.0)
     return Observations(
-        frame_time_s[chosen], valid, track.landmarks_px[chosen][:, LANDMARK_ORDER],
-        track.landmarks_m[chosen][:, LANDMARK_ORDER], np.nan_to_num(weight), intrinsics,
-    )  # fmt: skip
+        frame_time_s[chosen], track.valid[chosen], pixels[chosen], points[chosen], weight[chosen], intrinsics
+    )
