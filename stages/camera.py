@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from video2anim.fitting.lifter_input import LiftedBody
     from video2anim.fitting.problem import FittedBody
 
-_WRONG_FACTOR = 2.0
-"""Metadata that differs from what the person's perspective says by more than this factor is wrong: estimates from a
-person alone are seldom off by more than half of it."""
+_WRONG_FACTOR = 3.0
+"""Metadata that differs from what the person's perspective says by more than this factor is wrong. Estimates from a
+person alone are themselves off by up to a factor of 2.2 (V2A-Bench, `benchmarks/human_fit.py`)."""
 FULL_FRAME_DIAGONAL_MM = 43.267
 """Diagonal of the 36 x 24 mm frame that equivalent focal lengths refer to."""
 
@@ -50,9 +50,11 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     Raises:
         UsageError: a focal length or height that no camera or person has.
     """
+    from video2anim.fitting.problem import evenly_spread
+
     _expect_sane(config, clip)
     main = tracks.selected()[0]
-    frames = _spread(np.flatnonzero(main.valid), config.frames)
+    frames = evenly_spread(np.flatnonzero(main.valid), config.frames)
     lifted = _lifted(clip, main, config, ctx)
     focal_px, sigma, source, body = _focal(clip, main, frames, lifted, config, ctx)
     up = _up(body, lifted, main.valid, float(np.ptp(clip.frame_time_s[frames])))
@@ -162,11 +164,6 @@ def _up(body: FittedBody, lifted: LiftedBody, valid: np.ndarray, duration_s: flo
     # Two views of one thing: half their distance is the least that the mean may be wrong.
     sigma_rad = math.hypot(0.5 * apart_rad, balance.sigma_rad / math.sqrt(2))
     return UpEstimate(together / np.linalg.norm(together), sigma_rad, balance.support)
-
-
-def _spread(valid: np.ndarray, count: int) -> np.ndarray:
-    """At most `count` of the valid frames, evenly spread."""
-    return valid[np.unique(np.linspace(0, len(valid) - 1, min(count, len(valid))).round().astype(int))]
 
 
 def _pitch_roll(up_camera: np.ndarray) -> tuple[float, float]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from scenemi.leg_ik import LEGS, move_ankles
-from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.anny_body import ADULT, anny_model, shaped_body
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.projection import invert_rigid
 from video2anim.geometry.rotations import matrix_from_axis_angle
@@ -109,3 +110,10 @@ def body_vertices(motion: BodyMotion) -> np.ndarray:
 def world_to_camera(motion: BodyMotion, frame: int) -> np.ndarray:
     """T_camera_world of one frame."""
     return invert_rigid(motion.T_world_camera[frame])
+
+
+def true_keypoints(motion: BodyMotion) -> np.ndarray:
+    """Keypoints (T, K, 3) of a motion in the world, by the body model's own rest points."""
+    rest = anny_model().rest_skeleton({name: torch.tensor(value) for name, value in motion.shape.parameters.items()})
+    _, R = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
+    return rest.keypoints_m(torch.from_numpy(motion.joints_world_m).float(), torch.from_numpy(R).float()).numpy()

@@ -1,12 +1,12 @@
 """Train the temporal lifter that ships in `video2anim/models/weights`.
 
-    video2anim synth --preset random --count 60 --seed 7001 --size 320x240 --longest 2.5 --motion cmu.npz \
+    video2anim synth --preset random --count 48 --seed 7101 --size 640x480 --longest 2.5 --motion cmu.npz \
         --motion deepmimic.npz --out clips
-    python training/lifter.py residuals --clips clips --out residuals.npz
-    python training/lifter.py motions --motion cmu.npz deepmimic.npz --split split.json --part train --out train.npz
+    python training/lifter.py residuals --clips clips --out residuals
+    python training/lifter.py motions --motion cmu.npz deepmimic.npz --split split.json --part train --out train
     python training/lifter.py motions --motion cmu.npz deepmimic.npz --split split.json --part val --acted 14 \
-        --seed 900 --out val.npz
-    python training/lifter.py train --train train.npz --val val.npz --residuals residuals.npz --checkpoint lifter.ckpt
+        --seed 900 --out val
+    python training/lifter.py train --train train --val val --residuals residuals --checkpoint lifter.ckpt
     python training/lifter.py export --checkpoint lifter.ckpt --out video2anim/models/weights/lifter.onnx
 
 Training goes on from the checkpoint where it was broken off. After an export the digest in `video2anim/models/table.py`
@@ -24,7 +24,7 @@ from pathlib import Path
 
 import torch
 
-from video2anim.artifacts.codec import read_value
+from video2anim.artifacts.codec import read_value, write_value
 from video2anim.lifting.motions import LiftingMotions, gather
 from video2anim.lifting.network import export_onnx
 from video2anim.lifting.residuals import ResidualLibrary, collect
@@ -43,12 +43,18 @@ def main() -> None:
             residuals(options)
         case "motions":
             names = json.loads(options.split.read_text())[options.part] if options.split else None
-            gather(options.motion, names, acted=options.acted, seed=options.seed).write(options.out)
+            write_value(gather(options.motion, names, acted=options.acted, seed=options.seed), made(options.out))
         case "train":
             train_network(options)
         case _:
             export_onnx(read_average(options.checkpoint), options.out)
             sys.stdout.write(f"{hashlib.sha256(options.out.read_bytes()).hexdigest()}\n")
+
+
+def made(folder: Path) -> Path:
+    """The folder, there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def residuals(options: argparse.Namespace) -> None:
@@ -61,16 +67,16 @@ def residuals(options: argparse.Namespace) -> None:
         if done.returncode == 0:
             found.append((folder, read_value(PersonTracks, scene / "stages" / "02_track")))
     library = collect(found)
-    library.write(options.out)
+    write_value(library, made(options.out))
     sys.stdout.write(f"{len(found)} clips, {len(library.pixels)} frames, {len(library.start) - 1} runs\n")
 
 
 def train_network(options: argparse.Namespace) -> None:
     """Train to the last step, or for the given time."""
     torch.set_num_threads(options.threads)
-    library = ResidualLibrary.read(options.residuals).mirrored_too()
-    sampler = LiftingSampler(LiftingMotions.read(options.train), library, seed=options.seed)
-    held_out = LiftingSampler(LiftingMotions.read(options.val), library, seed=VALIDATION_SEED, varied=False)
+    library = read_value(ResidualLibrary, options.residuals).mirrored_too()
+    sampler = LiftingSampler(read_value(LiftingMotions, options.train), library, seed=options.seed)
+    held_out = LiftingSampler(read_value(LiftingMotions, options.val), library, seed=VALIDATION_SEED, varied=False)
     config = LiftingConfig(steps=options.steps, seed=options.seed, minutes=options.minutes)
     train(sampler, held_out, config, options.checkpoint, on_line=lambda text: print(text, flush=True))
 

@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
-from synthetic import planted_walk
+from synthetic import planted_walk, true_keypoints
 
 from stages.camera import FULL_FRAME_DIAGONAL_MM, CameraConfig, estimate_camera
-from video2anim.body.anny_body import anny_model
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import StageError
 from video2anim.fitting.initial import landmark_rotation, ray_rotation, translation_from_projection
@@ -22,7 +20,7 @@ from video2anim.geometry.projection import invert_rigid, project
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.models import load_model
 from video2anim.pipeline.stage import StageContext
-from video2anim.types import BodyMotion, Intrinsics, PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
+from video2anim.types import Intrinsics, PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
 
 FOCAL_PX = 1100.0
 LENS = Intrinsics.centered(FOCAL_PX, 1280, 720)
@@ -36,16 +34,6 @@ class Filmed:
 
     observed: Observations
     joints_camera_m: np.ndarray
-
-
-def true_keypoints(motion: BodyMotion) -> np.ndarray:
-    """Keypoints (T, K, 3) of a motion in the world, by the body model's own rest points."""
-    model = anny_model()
-    rest = model.rest_skeleton({k: torch.tensor(v) for k, v in motion.shape.parameters.items()})
-    offsets, blend = rest.keypoint_offsets_m.numpy(), model.keypoint_weights.numpy()
-    _, R = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
-    rotated = np.einsum("tjab,kjb,kj->tka", R, offsets, blend)
-    return rotated + np.einsum("kj,tja->tka", blend, motion.joints_world_m)
 
 
 @pytest.fixture(scope="module")

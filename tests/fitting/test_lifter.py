@@ -7,10 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
-from synthetic import planted_walk
+from synthetic import planted_walk, true_keypoints
 
-from video2anim.body.anny_body import anny_model
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.fitting import long_clip
 from video2anim.fitting.initial import landmark_rotation, ray_rotation
@@ -31,9 +29,9 @@ from video2anim.fitting.optimize import fit_body, place_lifted
 from video2anim.fitting.problem import Observations
 from video2anim.geometry.projection import invert_rigid, project
 from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
-from video2anim.models import load_model
+from video2anim.models import lifter, load_model
 from video2anim.models.lifter import Lifter
-from video2anim.types import BodyMotion, Intrinsics
+from video2anim.types import Intrinsics
 
 LENS = Intrinsics.centered(1000.0, 1280, 720)
 HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
@@ -64,15 +62,6 @@ class Walk:
     @property
     def up_camera(self) -> np.ndarray:
         return self.R_camera_world @ [0.0, 1.0, 0.0]
-
-
-def true_keypoints(motion: BodyMotion) -> np.ndarray:
-    model = anny_model()
-    rest = model.rest_skeleton({name: torch.tensor(value) for name, value in motion.shape.parameters.items()})
-    blend = model.keypoint_weights.numpy()
-    _, R = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
-    turned = np.einsum("tjab,kjb,kj->tka", R, rest.keypoint_offsets_m.numpy(), blend)
-    return turned + np.einsum("kj,tja->tka", blend, motion.joints_world_m)
 
 
 @pytest.fixture(scope="module")
@@ -203,13 +192,13 @@ def test_very_short_clips(walk: Walk, network: Lifter, frames: int) -> None:
     assert lift(short, network).R_parent_joint.shape == (frames, 22, 3, 3)
 
 
-def test_long_clips_go_through_in_pieces(network: Lifter) -> None:
+def test_long_clips_go_through_in_pieces(network: Lifter, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pieces with margins give what one call gives."""
     features = np.random.default_rng(0).normal(0, 0.5, (4000, FEATURES)).astype(np.float32)
     features[:, -1] = 1.0
-    session = network._session
-    at_once = np.asarray(session.run(["body"], {"features": features[None]})[0])[0]
-    np.testing.assert_allclose(network(features), at_once, atol=1e-3)
+    in_pieces = network(features)
+    monkeypatch.setattr(lifter, "_CHUNK", 10_000)
+    np.testing.assert_allclose(in_pieces, network(features), atol=1e-3)
 
 
 def test_both_are_better_than_either(walk: Walk, network: Lifter) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from video2anim.body.anny_body import KEYPOINT_NAMES
-from video2anim.fitting.sides import MIRRORED, swapped_frames
+from video2anim.fitting.landmarks import MIRROR_KEYPOINT
+from video2anim.fitting.sides import swapped_frames
 
 FRAMES, FPS = 90, 30.0
 
@@ -16,7 +17,7 @@ def walker() -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
     side = np.array([-1.0 if n.startswith("right") else 1.0 if n.startswith("left") else 0.0 for n in KEYPOINT_NAMES])
     rest = np.stack([0.22 * side, rng.uniform(-0.8, 0.8, len(side)), 0.05 * rng.normal(size=len(side))], 1)
-    rest[MIRRORED, 1] = rest[:, 1]
+    rest[MIRROR_KEYPOINT, 1] = rest[:, 1]
     angle = 2 * np.pi * np.arange(FRAMES) / FRAMES
     turn = np.stack([np.cos(angle), 0 * angle, np.sin(angle), 0 * angle, 1 + 0 * angle, 0 * angle,
                      -np.sin(angle), 0 * angle, np.cos(angle)], 1).reshape(-1, 3, 3)  # fmt: skip
@@ -35,14 +36,14 @@ def found(pixels: np.ndarray, points: np.ndarray, valid: np.ndarray | None = Non
 def test_exchanged_frames_are_found_and_no_others(wrong: list[int]) -> None:
     pixels, points = walker()
     for values in (pixels, points):
-        values[wrong] = values[wrong][:, MIRRORED]
+        values[wrong] = values[wrong][:, MIRROR_KEYPOINT]
     assert found(pixels, points) == wrong
 
 
 def test_a_long_stretch_may_be_somebody_who_turned_unseen() -> None:
     pixels, points = walker()
     for values in (pixels, points):
-        values[:40] = values[:40][:, MIRRORED]
+        values[:40] = values[:40][:, MIRROR_KEYPOINT]
     assert found(pixels, points) == []
 
 

@@ -9,7 +9,9 @@ import pytest
 import torch
 from synthetic import planted_walk
 
+from video2anim.fitting.landmarks import KEYPOINT_INDEX
 from video2anim.fitting.lifter_input import CONTACT_INDEX, FEATURES
+from video2anim.lifting import samples
 from video2anim.lifting.motions import LiftingMotions, gather
 from video2anim.lifting.network import LifterNetwork, export_onnx
 from video2anim.lifting.residuals import ResidualLibrary, true_keypoints
@@ -70,6 +72,22 @@ def test_noise_moves_what_is_seen_and_not_the_truth(motions: LiftingMotions, res
     assert float((noisy.features - clean.features)[..., :125].abs().mean()) > 0.01
 
 
+def test_a_camera_held_askew_turns_what_is_seen_and_the_truth_alike(
+    motions: LiftingMotions, residuals: ResidualLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Shoulder keypoints are joints, so the line between them is known from both."""
+    spreads = []
+    for share in (0.0, 1.0):
+        monkeypatch.setattr(samples, "_ROLLED", share)
+        batch = LiftingSampler(motions, residuals, seed=2, noise=False).batch(0, 16)
+        points_m = batch.features[..., 50:125].reshape(16, 81, 25, 3)
+        seen_m = points_m[..., KEYPOINT_INDEX["left_shoulder"], :] - points_m[..., KEYPOINT_INDEX["right_shoulder"], :]
+        true_m = batch.joints_m[..., 16, :] - batch.joints_m[..., 17, :]
+        torch.testing.assert_close(seen_m, true_m, atol=1e-4, rtol=0)
+        spreads.append(float(batch.up[:, 40, 0].std()))
+    assert spreads[1] > 1.5 * spreads[0], "up leans to the side"
+
+
 def test_training_learns_and_goes_on_where_it_stopped(
     motions: LiftingMotions, residuals: ResidualLibrary, tmp_path: Path
 ) -> None:
@@ -126,7 +144,5 @@ def test_a_mirror_of_a_mirror(residuals: ResidualLibrary) -> None:
 def test_keypoints_of_a_body_lie_about_its_joints() -> None:
     walk = planted_walk(5)
     points = true_keypoints(walk)
-    from video2anim.fitting.landmarks import KEYPOINT_INDEX
-
     middle = points[:, [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]].mean(1)
     assert np.linalg.norm(middle - walk.joints_camera_m[:, 0], axis=-1).max() < 0.12

@@ -118,8 +118,21 @@ class RestSkeleton:
     """(22, 3) T-pose joints, pelvis at the origin."""
     keypoint_offsets_m: torch.Tensor
     """(keypoints, 22, 3) rest position of each keypoint in each joint's T-pose frame."""
+    keypoint_weights: torch.Tensor
+    """(keypoints, 22) share that each joint has in a keypoint's motion."""
     stature_m: torch.Tensor
     """() standing height, crown to sole."""
+
+    def keypoints_m(self, joints_m: torch.Tensor, R_frame_joint: torch.Tensor) -> torch.Tensor:
+        """(T, keypoints, 3) keypoints of the posed body.
+
+        Args:
+            joints_m: (T, 22, 3) posed joints in any frame.
+            R_frame_joint: (T, 22, 3, 3) their orientations in that frame.
+        """
+        weighted = self.keypoint_weights[..., None] * self.keypoint_offsets_m
+        turned = torch.einsum("tjab,kjb->tka", R_frame_joint, weighted)
+        return turned + torch.einsum("kj,tja->tka", self.keypoint_weights, joints_m)
 
 
 class AnnyModel:
@@ -187,7 +200,7 @@ class AnnyModel:
         rotations = _tpose_rotations(heads)
         offsets = torch.einsum("jab,kjb->kja", rotations, points[:, None] - heads[None])
         ends = self._ends + coefficients @ self._end_blend
-        return RestSkeleton(_tpose_joints(heads, rotations), offsets, ends[0] - ends[1])
+        return RestSkeleton(_tpose_joints(heads, rotations), offsets, self.keypoint_weights, ends[0] - ends[1])
 
     def shaped(self, shape: BodyShape) -> ShapedBody:
         """Rest mesh, weights and bind matrices of a shape.

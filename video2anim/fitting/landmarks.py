@@ -21,6 +21,14 @@ LANDMARK_ORDER: np.ndarray = np.array([BLAZEPOSE_OF_KEYPOINT[name] for name in K
 
 KEYPOINT_INDEX: dict[str, int] = {name: i for i, name in enumerate(KEYPOINT_NAMES)}
 
+
+def _other_side(name: str) -> str:
+    return name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
+
+
+MIRROR_KEYPOINT: np.ndarray = np.array([KEYPOINT_INDEX[_other_side(name)] for name in KEYPOINT_NAMES])
+"""Each keypoint's partner on the other side; the nose is its own."""
+
 _EXTREMITIES = ("index", "pinky", "heel", "toe", "eye", "ear", "nose")
 KEYPOINT_TRUST: np.ndarray = np.array(
     [0.5 if any(part in name for part in _EXTREMITIES) else 1.0 for name in KEYPOINT_NAMES]

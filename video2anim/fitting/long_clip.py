@@ -11,7 +11,7 @@ from jaxtyping import Int
 from video2anim.fitting.lifter_input import LiftedBody
 from video2anim.fitting.objective import FitConfig
 from video2anim.fitting.optimize import fit_body
-from video2anim.fitting.problem import FittedBody, Observations
+from video2anim.fitting.problem import FittedBody, Observations, evenly_spread
 from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 
 PIECE_FRAMES, SHARED_FRAMES = 360, 24
@@ -48,7 +48,7 @@ def fit_long(
         if on_step is not None:
             on_step(done + step, total)
 
-    spread = _spread(np.flatnonzero(observed.valid), _SHAPE_FRAMES)
+    spread = evenly_spread(np.flatnonzero(observed.valid), _SHAPE_FRAMES)
     whole = fit_body(
         _rows(observed, spread), fit_focal=False, config=config, iterations=steps,
         lifted=None if lifted is None else lifted.rows(spread), on_step=count,
@@ -82,10 +82,6 @@ def _pieces(valid: np.ndarray) -> list[Int[np.ndarray, "frames"]]:
     if found[-1][-1] != frames - 1:
         found[-1] = np.arange(found[-1][0], frames)
     return found
-
-
-def _spread(rows: np.ndarray, count: int) -> np.ndarray:
-    return rows[np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(int))]
 
 
 def _rows(observed: Observations, rows: np.ndarray) -> Observations:

@@ -175,9 +175,7 @@ class Objective:
         joints, R_camera_joint = forward_kinematics(
             R, self.translation_m(parameters, rest.stature_m), rest.rest_joints_m
         )
-        blended = self.model.keypoint_weights
-        rotated = torch.einsum("tjab,kjb,kj->tka", R_camera_joint, rest.keypoint_offsets_m, blended)
-        keypoints = rotated + torch.einsum("kj,tja->tka", blended, joints)
+        keypoints = rest.keypoints_m(joints, R_camera_joint)
         return Prediction(joints, keypoints, R_camera_joint, R, rest.rest_joints_m, rest.stature_m)
 
     def residual_px(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:

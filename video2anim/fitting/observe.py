@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from video2anim.fitting.landmarks import LANDMARK_ORDER
+from video2anim.fitting.landmarks import LANDMARK_ORDER, MIRROR_KEYPOINT
 from video2anim.fitting.problem import Observations
-from video2anim.fitting.sides import MIRRORED, swapped_frames
+from video2anim.fitting.sides import swapped_frames
 from video2anim.types.camera import Intrinsics
 from video2anim.types.people import PersonTrack
 
@@ -21,7 +21,7 @@ def observations(
     swapped = swapped_frames(pixels, points, weight, track.valid, frame_time_s)
     if swapped.any():
         for values in (pixels, points, weight):
-            values[swapped] = values[swapped][:, MIRRORED]
+            values[swapped] = values[swapped][:, MIRROR_KEYPOINT]
     chosen = np.arange(len(track.valid)) if frames is None else frames
     return Observations(
         frame_time_s[chosen], track.valid[chosen], pixels[chosen], points[chosen], weight[chosen], intrinsics

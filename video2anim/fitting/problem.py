@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from video2anim.types.camera import Intrinsics
 from video2anim.types.motion import BodyShape
@@ -33,6 +33,11 @@ class Observations:
         extent = np.nanmax(seen[rows], axis=1) - np.nanmin(seen[rows], axis=1)
         size[rows] = np.linalg.norm(extent, axis=-1)
         return size
+
+
+def evenly_spread(rows: Int[np.ndarray, "rows"], count: int) -> Int[np.ndarray, "chosen"]:
+    """At most `count` of the rows, first and last among them."""
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(int))]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,16 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from video2anim.body.anny_body import KEYPOINT_NAMES
+from video2anim.fitting.landmarks import MIRROR_KEYPOINT
 
-
-def _other_side(name: str) -> str:
-    return name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
-
-
-MIRRORED = np.array([KEYPOINT_NAMES.index(_other_side(name)) for name in KEYPOINT_NAMES])
-"""Each keypoint's partner on the other side; the nose is its own."""
-_SIDED = np.arange(len(MIRRORED)) != MIRRORED
+_SIDED = np.arange(len(MIRROR_KEYPOINT)) != MIRROR_KEYPOINT
 _LEAST_JUMP = 0.08
 """Mean jump of the keypoints from frame to frame, over the person's size, below which nothing is suspected."""
 _CLEARLY = 0.5
@@ -45,9 +38,9 @@ def swapped_frames(
     seen = np.concatenate(
         [keypoints_px[rows] / np.median(size), keypoints_m[rows] / _DEPTH_SCALE], -1
     )  # places across the picture, and relative to the hips in depth
-    both = np.minimum(weight[rows[1:]], weight[rows[:-1]][:, MIRRORED])[:, _SIDED] + 1e-3
+    both = np.minimum(weight[rows[1:]], weight[rows[:-1]][:, MIRROR_KEYPOINT])[:, _SIDED] + 1e-3
     stay = np.linalg.norm(seen[1:] - seen[:-1], axis=-1)[:, _SIDED]
-    cross = np.linalg.norm(seen[1:] - seen[:-1][:, MIRRORED], axis=-1)[:, _SIDED]
+    cross = np.linalg.norm(seen[1:] - seen[:-1][:, MIRROR_KEYPOINT], axis=-1)[:, _SIDED]
     jump, jump_crossed = ((both * part).sum(1) / both.sum(1) for part in (stay, cross))
     changes = np.flatnonzero((jump > _LEAST_JUMP) & (jump_crossed < _CLEARLY * jump)) + 1
     edges = np.concatenate([[0], changes, [len(rows)]])

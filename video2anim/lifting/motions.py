@@ -35,17 +35,6 @@ class LiftingMotions:
     contact_known: Bool[np.ndarray, "frames 8"]
     start: Int[np.ndarray, "clips+1"]
 
-    @classmethod
-    def read(cls, path: Path) -> LiftingMotions:
-        """Read what `write` wrote."""
-        with np.load(path, allow_pickle=False) as archive:
-            return cls(**{name: archive[name] for name in cls.__slots__})
-
-    def write(self, path: Path) -> None:
-        """One npz file."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, allow_pickle=False, **{name: getattr(self, name) for name in self.__slots__})
-
 
 def gather(
     archives: Sequence[Path],

@@ -10,22 +10,14 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from video2anim.body.anny_body import KEYPOINT_NAMES, anny_model
+from video2anim.body.anny_body import anny_model
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.eval.truth import Truth, read_truth
 from video2anim.fitting.initial import landmark_rotation, ray_rotation
-from video2anim.fitting.landmarks import KEYPOINT_INDEX, LANDMARK_ORDER
+from video2anim.fitting.landmarks import KEYPOINT_INDEX, LANDMARK_ORDER, MIRROR_KEYPOINT
 from video2anim.types import BodyMotion, PersonTrack, PersonTracks
 
 _HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
-_MIRRORED = np.array(
-    [
-        KEYPOINT_NAMES.index(
-            name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
-        )
-        for name in KEYPOINT_NAMES
-    ]
-)
 _SAME_BODY = 0.35
 """A track is a true person where its landmarks miss by less than this share of the person's size."""
 _LEAST_FRAMES = 12
@@ -44,25 +36,14 @@ class ResidualLibrary:
     """Where the keypoints truly were, relative to the middle of the hips: which pose the error belongs to."""
     start: Int[np.ndarray, "runs+1"]
 
-    @classmethod
-    def read(cls, path: Path) -> ResidualLibrary:
-        """Read what `write` wrote."""
-        with np.load(path, allow_pickle=False) as archive:
-            return cls(**{name: archive[name] for name in cls.__slots__})
-
-    def write(self, path: Path) -> None:
-        """One npz file."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, allow_pickle=False, **{name: getattr(self, name) for name in self.__slots__})
-
     def mirrored_too(self) -> ResidualLibrary:
         """With every run also seen in a mirror."""
         flip2, flip3 = np.array([-1.0, 1.0]), np.array([-1.0, 1.0, 1.0])
         return ResidualLibrary(
-            np.concatenate([self.pixels, self.pixels[:, _MIRRORED] * flip2]).astype(np.float32),
-            np.concatenate([self.points_m, self.points_m[:, _MIRRORED] * flip3]).astype(np.float32),
-            np.concatenate([self.visibility, self.visibility[:, _MIRRORED]]).astype(np.float32),
-            np.concatenate([self.truth_m, self.truth_m[:, _MIRRORED] * flip3]).astype(np.float32),
+            np.concatenate([self.pixels, self.pixels[:, MIRROR_KEYPOINT] * flip2]).astype(np.float32),
+            np.concatenate([self.points_m, self.points_m[:, MIRROR_KEYPOINT] * flip3]).astype(np.float32),
+            np.concatenate([self.visibility, self.visibility[:, MIRROR_KEYPOINT]]).astype(np.float32),
+            np.concatenate([self.truth_m, self.truth_m[:, MIRROR_KEYPOINT] * flip3]).astype(np.float32),
             np.concatenate([self.start, self.start[1:] + self.start[-1]]),
         )
 
@@ -93,16 +74,12 @@ def true_keypoints(person: BodyMotion) -> Float[np.ndarray, "frames keypoints 3"
     model = anny_model()
     rest = model.rest_skeleton({name: torch.tensor(float(value)) for name, value in person.shape.parameters.items()})
     R_camera_world = np.swapaxes(person.T_world_camera[:, :3, :3], -1, -2)
-    R_world_joint = _world_rotations(person)
-    blended = model.keypoint_weights.numpy()
-    turned = np.einsum("tjab,kjb,kj->tka", R_world_joint, rest.keypoint_offsets_m.numpy(), blended, optimize=True)
-    world = turned + np.einsum("kj,tja->tka", blended, person.joints_world_m)
-    return np.einsum("tab,tkb->tka", R_camera_world, world - person.T_world_camera[:, None, :3, 3])
-
-
-def _world_rotations(person: BodyMotion) -> np.ndarray:
-    _, R = forward_kinematics(person.R_parent_joint, person.joints_world_m[:, 0], person.rest_joints_m)
-    return np.asarray(R)
+    _, R_world_joint = forward_kinematics(person.R_parent_joint, person.joints_world_m[:, 0], person.rest_joints_m)
+    with torch.no_grad():
+        world = rest.keypoints_m(
+            torch.from_numpy(person.joints_world_m).float(), torch.from_numpy(R_world_joint).float()
+        )
+    return np.einsum("tab,tkb->tka", R_camera_world, world.numpy() - person.T_world_camera[:, None, :3, 3])
 
 
 def _projected(true_m: np.ndarray, person: BodyMotion) -> np.ndarray:

@@ -9,11 +9,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from scenemi.data.augment import MIRROR_JOINT
 from video2anim.body.anny_body import anny_model
-from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES, forward_kinematics
+from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.fitting.initial import ray_rotation
 from video2anim.fitting.landmarks import KEYPOINT_INDEX
-from video2anim.fitting.lifter_input import ray_features
+from video2anim.fitting.lifter_input import LIFTER_FPS, ray_features
 from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
 from video2anim.lifting.motions import LiftingMotions
 from video2anim.lifting.residuals import ResidualLibrary
@@ -21,20 +22,18 @@ from video2anim.synth.compose import draw_shape
 from video2anim.types import Intrinsics
 
 _HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
-_MIRRORED_JOINTS = np.array(
-    [
-        JOINT_INDEX[name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")]
-        for name in JOINT_NAMES
-    ]
-)
 _MIRRORED_CONTACTS = np.array([1, 0, 3, 2, 5, 4, 6, 7])
 _ARMS = np.array(
     [JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
 )
 _WIDE = np.array([JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "hip")])
+_LEGS = np.array([JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right") for part in ("hip", "knee", "ankle")])
 _NOT_HANDS = np.array([True, True, True, True, False, False, True, True])
-_OTHER_ARMS, _TURNED = 0.25, 0.3
+_NOT_FEET = np.array([False, False, False, False, True, True, False, False])
+_OTHER_ARMS, _OTHER_LEGS, _TURNED, _SWUNG, _LEANING = 0.25, 0.15, 0.3, 0.25, 0.15
 """Shares of the windows."""
+_ROLLED = 0.5
+"""Share of the windows whose camera is held askew."""
 _SHAPES = 96
 _CANDIDATES = 24
 """Of so many runs of residuals the one is taken whose pose is nearest."""
@@ -78,13 +77,10 @@ class LiftingSampler:
         rng = np.random.default_rng([seed, 0x5A])
         model = anny_model()
         with torch.no_grad():
-            rests = [
+            self._bodies = [
                 model.rest_skeleton({name: torch.tensor(value) for name, value in draw_shape(rng).parameters.items()})
                 for _ in range(_SHAPES)
             ]
-        self._rest = np.stack([rest.rest_joints_m.numpy() for rest in rests]).astype(np.float64)
-        self._offsets = np.stack([rest.keypoint_offsets_m.numpy() for rest in rests]).astype(np.float32)
-        self._blend = model.keypoint_weights.numpy()
         self._runs = np.flatnonzero(np.diff(residuals.start) >= 12)
         lengths = np.diff(motions.start)
         self._clips = np.flatnonzero(lengths >= 20)
@@ -101,18 +97,17 @@ class LiftingSampler:
         R, translation, contact, known = self._moved(rng)
         if self.varied:
             R, known = self._varied(rng, R, known)
-        shape = int(rng.integers(_SHAPES))
-        rest = self._rest[shape]
+        body = self._bodies[int(rng.integers(_SHAPES))]
+        rest = body.rest_joints_m.numpy().astype(np.float64)
         R_camera_world, up = _camera_rotation(rng)
         R[:, 0] = R_camera_world @ R[:, 0]
         joints, R_joint = forward_kinematics(R, translation @ R_camera_world.T, rest)
-        turned = np.einsum(
-            "tjab,kjb,kj->tka", R_joint.astype(np.float32), self._offsets[shape], self._blend, optimize=True
-        )
-        points = turned + np.einsum("kj,tja->tka", self._blend, joints)
-        shift = _place(rng, joints)
-        points, joints = points + shift, joints + shift
-        features, R_ray, size = self._seen(rng, points)
+        joints = joints + _place(rng, joints)
+        with torch.no_grad():
+            points = body.keypoints_m(torch.from_numpy(joints).float(), torch.from_numpy(R_joint).float()).numpy()
+        features, R_ray, size, askew = self._seen(rng, points)
+        R[:, 0] = askew @ R[:, 0]
+        joints, up = joints @ askew.T, askew @ up
         R[:, 0] = np.swapaxes(R_ray, -1, -2) @ R[:, 0]
         pelvis = np.einsum("tba,tb->ta", R_ray, joints[:, 0])
         relative = np.einsum("tba,tjb->tja", R_ray, joints - joints[:, :1])
@@ -136,7 +131,7 @@ class LiftingSampler:
         contact, known = m.contact[rows], m.contact_known[rows]
         if rng.random() < 0.5:
             flip = np.array([1.0, -1.0, -1.0])
-            R = R[:, _MIRRORED_JOINTS] * flip[:, None] * flip
+            R = R[:, MIRROR_JOINT] * flip[:, None] * flip
             translation = translation * np.array([-1.0, 1.0, 1.0])
             contact, known = contact[:, _MIRRORED_CONTACTS], known[:, _MIRRORED_CONTACTS]
         turn = matrix_from_axis_angle(np.array([0.0, rng.uniform(-np.pi, np.pi), 0.0]))
@@ -146,12 +141,22 @@ class LiftingSampler:
     def _varied(
         self, rng: np.random.Generator, R: Float[np.ndarray, "frames 22 3 3"], known: Bool[np.ndarray, "frames 8"]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Poses that the clips lack: arms of another clip, limbs and trunk turned by a steady amount. People in videos
-        do what no clip shows, and there the network has to believe its eyes."""
+        """Poses that the clips lack: arms or legs of another clip, limbs that swing wide, limbs and trunk turned by a
+        steady amount, bodies that lean. People in videos do what no clip shows, and there the network has to believe
+        its eyes."""
         if rng.random() < _OTHER_ARMS:
             arms = self._moved(rng)[0][:, _ARMS]
             R[:, _ARMS] = arms
             known = known & _NOT_HANDS
+        if rng.random() < _OTHER_LEGS:
+            R[:, _LEGS] = self._moved(rng)[0][:, _LEGS]
+            known = known & _NOT_FEET
+        if rng.random() < _SWUNG:
+            R[:, _WIDE] = R[:, _WIDE] @ _swings(rng, self.frames)
+            known = np.zeros_like(known)
+        if rng.random() < _LEANING:
+            R[:, 0] = matrix_from_axis_angle(rng.normal(0, 0.2, 3) * np.array([1.0, 0.0, 1.0])) @ R[:, 0]
+            known = np.zeros_like(known)
         if rng.random() < _TURNED:
             turned = rng.random(22) < 0.35
             turned[0] = False
@@ -163,8 +168,9 @@ class LiftingSampler:
 
     def _seen(
         self, rng: np.random.Generator, points: Float[np.ndarray, "frames keypoints 3"]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Features, ray frames and sizes."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Features, ray frames, sizes, and by how much the camera was held askew: a turn about its axis, to be applied
+        to the truth. A landmark model turns its crop upright and its answer back, so its errors turn along."""
         frames = len(points)
         ray = points / np.maximum(points[..., 2:], 0.1)
         R_true = ray_rotation(ray[:, _HIPS].mean(1)[:, :2], _UNIT)
@@ -184,15 +190,17 @@ class LiftingSampler:
             if rng.random() < 0.15:
                 gone = int(rng.integers(frames))
                 valid[gone : gone + int(rng.integers(1, 12))] = False
+        roll = rng.normal(0.0, 0.25) if self.varied and rng.random() < _ROLLED else 0.0
+        askew = matrix_from_axis_angle(np.array([0.0, 0.0, roll]))
         seen_ray = np.concatenate([directions, np.ones((*directions.shape[:2], 1))], -1)
-        camera_ray = np.einsum("tab,tkb->tka", R_true, seen_ray)
+        camera_ray = np.einsum("tab,tkb->tka", askew @ R_true, seen_ray)
         camera_ray /= np.maximum(camera_ray[..., 2:], 0.1)
         if self.noise:
             # The focal length is never known exactly.
             camera_ray[..., :2] *= np.exp(rng.normal(0, 0.08))
         R_ray = ray_rotation(camera_ray[:, _HIPS].mean(1)[:, :2], _UNIT)
-        given = ray_features(camera_ray, R_ray, relative, visibility, valid)
-        return given.features, R_ray, given.size
+        given = ray_features(camera_ray, R_ray, relative @ askew.T, visibility, valid)
+        return given.features, R_ray, given.size, askew
 
     def _errors(
         self, rng: np.random.Generator, relative_m: Float[np.ndarray, "frames keypoints 3"]
@@ -222,13 +230,22 @@ class LiftingSampler:
 
 def _camera_rotation(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """R_camera_world of a camera that looks along the ground, more often down than up, and up in it."""
-    pitch = np.clip(rng.normal(0.17, 0.2), -0.5, 1.0)
-    roll = rng.normal(0.0, 0.06) if rng.random() < 0.8 else rng.normal(0.0, 0.25)
+    pitch = np.clip(rng.normal(0.17, 0.22), -0.5, 1.1)
+    roll = rng.normal(0.0, 0.05)
     level = np.diag([1.0, -1.0, -1.0])
     down = matrix_from_axis_angle(np.array([pitch, 0.0, 0.0]))
     rolled = matrix_from_axis_angle(np.array([0.0, 0.0, roll]))
     R = rolled @ down @ level
     return R, R @ np.array([0.0, 1.0, 0.0])
+
+
+def _swings(rng: np.random.Generator, frames: int) -> Float[np.ndarray, "frames 4 3 3"]:
+    """Turns of hips and shoulders that rise and fall over the window; half of them stay as they are."""
+    time_s = np.arange(frames)[:, None, None] / LIFTER_FPS
+    axis = rng.normal(0, 0.5, (2, 4, 3)) * (rng.random((1, 4, 1)) < 0.5)
+    rate = 2 * np.pi * rng.uniform(0.1, 1.2, (1, 4, 1))
+    wave = np.sin(rate * time_s + rng.uniform(0, 2 * np.pi, (1, 4, 1)))
+    return matrix_from_axis_angle(axis[0] + axis[1] * wave)
 
 
 def _place(rng: np.random.Generator, joints: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "3"]:

@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn import functional
 
-from video2anim.body.skeleton import PARENTS
+from video2anim.body.skeleton import forward_kinematics
 from video2anim.fitting.lifter_input import OUTPUTS
 from video2anim.geometry.rotations import matrix_from_rot6d
 from video2anim.lifting.network import LifterNetwork
@@ -37,7 +37,7 @@ class LiftingConfig:
     seed: int = 0
     validate_every: int = 500
     minutes: float | None = None
-    """Stop (with a checkpoint) after so long, for machines that are lent by the hour."""
+    """Stop (with a checkpoint) after so long, for machines with a time limit."""
 
 
 def losses(output: Tensor, batch: LiftingBatch) -> dict[str, Tensor]:
@@ -45,7 +45,7 @@ def losses(output: Tensor, batch: LiftingBatch) -> dict[str, Tensor]:
     shape = output.shape[:2]
     rot6d = output[..., :132].reshape(*shape, 22, 6)
     R = matrix_from_rot6d(rot6d)
-    joints, _ = _posed(R, batch.rest_joints_m)
+    joints = _posed(R, batch.rest_joints_m)
     off = joints - batch.joints_m
     speed = off.diff(dim=1)
     contact = functional.binary_cross_entropy_with_logits(
@@ -63,22 +63,15 @@ def losses(output: Tensor, batch: LiftingBatch) -> dict[str, Tensor]:
     }
 
 
-def _posed(R: Tensor, rest_joints_m: Tensor) -> tuple[Tensor, Tensor]:
+def _posed(R: Tensor, rest_joints_m: Tensor) -> Tensor:
     """Joints relative to the pelvis, each window on its own skeleton."""
-    offsets = rest_joints_m.clone()
-    offsets[:, 1:] -= rest_joints_m[:, torch.from_numpy(np.asarray(PARENTS[1:]))]
-    world, at = [R[..., 0, :, :]], [torch.zeros_like(R[..., 0, :, 0])]
-    for joint in range(1, 22):
-        parent = int(PARENTS[joint])
-        world.append(world[parent] @ R[..., joint, :, :])
-        at.append(at[parent] + (world[parent] @ offsets[:, None, joint, :, None])[..., 0])
-    return torch.stack(at, -2), torch.stack(world, -3)
+    return forward_kinematics(R, torch.zeros_like(R[..., 0, :, 0]), rest_joints_m[:, None])[0]
 
 
 def measures(output: Tensor, batch: LiftingBatch) -> dict[str, float]:
     """What a user would ask: millimetres, degrees, F1 of the feet."""
     R = matrix_from_rot6d(output[..., :132].reshape(*output.shape[:2], 22, 6))
-    joints, _ = _posed(R, batch.rest_joints_m)
+    joints = _posed(R, batch.rest_joints_m)
     up = functional.normalize(output[..., -3:], dim=-1)
     angle = torch.arccos((up * batch.up).sum(-1).clamp(-1, 1)).rad2deg()
     touch, known = output[..., _CONTACT] > 0, batch.contact_known > 0

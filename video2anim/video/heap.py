@@ -19,8 +19,7 @@ def pictures_apart() -> Iterator[None]:
 
     glibc takes arrays of several megabytes from its heap once a few have come and gone. Whoever streams pictures and
     keeps a few small results of each then fills the holes that freed pictures leave, and the heap grows by a good part
-    of each picture: measured 2 MB a frame while people are tracked, 0.05 MB with this. Elsewhere than on glibc nothing
-    is done.
+    of each picture. Elsewhere than on glibc nothing is done.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is None:
