@@ -87,7 +87,8 @@ def evaluated(scene: Path, truth: Path, work: Path) -> dict[str, float | None]:
 def raw_numbers(scene: Path, truth: Path) -> dict[str, float]:
     """Raw 3D landmarks of the main person's limbs against the true joints."""
     person = read_truth(truth).main
-    track = read_value(PersonTracks, scene / "stages" / "02_track").selected()[0]
+    clip = read_value(VideoClip, scene / "stages" / "01_ingest")
+    track = read_value(PersonTracks, scene / "stages" / "02_track").selected()[0].whole(clip.frame_count)
     frames = min(len(track.valid), len(person.valid))
     true_m = person.joints_camera_m[:frames, JOINTS]
     true_m[~(track.valid & person.valid)[:frames]] = np.nan

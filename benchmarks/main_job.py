@@ -98,7 +98,8 @@ def accuracy(scene_dir: Path, clip: VideoClip, reference: Path) -> dict[str, flo
         truth = archive["landmarks_camera_m"][nearest][:, LANDMARKS]
     camera = json.loads(reference.with_name(reference.name.replace("_joints.npz", ".json")).read_text())
     motion = read_motion(scene_dir / "stages" / "04_humans" / "motion.npz")
-    raw = read_value(PersonTracks, scene_dir / "stages" / "02_track").selected()[0].landmarks_m[:, LANDMARKS]
+    track = read_value(PersonTracks, scene_dir / "stages" / "02_track").selected()[0]
+    raw = track.whole(clip.frame_count).landmarks_m[:, LANDMARKS]
     fitted = motion.joints_camera_m[:, JOINTS]
     truth[~motion.valid] = np.nan
     up_camera = motion.T_world_camera[0, 1, :3]

@@ -121,9 +121,10 @@ def _generous_masks(
     masks = np.zeros((len(frame_index), raster.height_px, raster.width_px), bool)
     for row, frame in enumerate(frame_index):
         for track in tracks.people:
-            if track.valid[frame]:
+            seen = track.row(int(frame))
+            if seen is not None:
                 likely = person_probability(track, frame, raster) > 0.25
-                masks[row] |= dilated(likely, _margin_px(track.box_px[frame], raster, 0.04))
+                masks[row] |= dilated(likely, _margin_px(track.box_px[seen], raster, 0.04))
     return masks
 
 
@@ -139,9 +140,10 @@ def _grown(
     grown = masks.copy()
     for row, frame in enumerate(frame_index):
         for track in tracks.people:
-            if track.valid[frame]:
+            seen = track.row(int(frame))
+            if seen is not None:
                 mask = masks[row] | (person_probability(track, frame, raster) > 0.5)
-                grown[row] |= dilated(mask, _margin_px(track.box_px[frame], raster, 0.015))
+                grown[row] |= dilated(mask, _margin_px(track.box_px[seen], raster, 0.015))
     return grown
 
 

@@ -53,7 +53,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     from video2anim.fitting.problem import evenly_spread
 
     _expect_sane(config, clip)
-    main = tracks.selected()[0]
+    main = tracks.selected()[0].whole(clip.frame_count)
     frames = evenly_spread(np.flatnonzero(main.valid), config.frames)
     lifted = _lifted(clip, main, config, ctx)
     focal_px, sigma, source, body = _focal(clip, main, frames, lifted, config, ctx)

@@ -51,7 +51,7 @@ def recover_humans(
     from video2anim.fitting.quality import person_quality
 
     _expect_known(config)
-    selected = tracks.selected()
+    selected = tuple(track.whole(clip.frame_count) for track in tracks.selected())
     observed = [observations(track, clip.frame_time_s, camera.intrinsics) for track in selected]
     lifted = _lifted(observed, config, ctx)
     fits = [_fit(seen, raised, config, ctx) for seen, raised in zip(observed, lifted, strict=True)]

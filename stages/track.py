@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +12,8 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import PersonTrack, PersonTracks, Thumbnail, VideoClip
 
 if TYPE_CHECKING:
-    from video2anim.models.blazepose import BlazePose, PoseEstimate
-    from video2anim.models.roi import SquareRoi
+    from video2anim.models.blazepose import PoseEstimate
+    from video2anim.models.tracking import Track
 
 LANDMARKS = 33
 MASK_SIZE = 64
@@ -22,15 +21,6 @@ _MIN_MEAN_SCORE = 0.7
 _MIN_MEAN_VISIBILITY = 0.5
 _MIN_MEAN_VISIBILITY_SHORT = 0.7
 """For tracks of less than a second, which may be a mixture of two bodies at an occlusion."""
-_BETTER_VISIBILITY = 0.1
-_HELD_FRAMES = 5
-"""A lost person is first looked for in the crop last seen, this many frames long."""
-_LOCAL_SCAN_EVERY = 3
-_LOOKED_BACK = 300
-"""Frames before the last one that may tell of a person's motion."""
-THUMBNAIL_PX = 128
-_CLEARLY = 1.1
-_NO_PICTURE = np.zeros((THUMBNAIL_PX, THUMBNAIL_PX, 3), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -46,166 +36,11 @@ class TrackConfig:
     min_detection_score: float = 0.5
     """Detections below are not looked at, 0 to 1."""
     max_lost_s: float = 1.0
-    """A person found again after at most this time keeps the ID."""
+    """A person found again near by after at most this time keeps the ID."""
+    max_away_s: float = 10.0
+    """So does, after at most this time and anywhere, a person in the same clothes that nobody else wears."""
     min_track_s: float = 0.3
     """People seen for less are dropped (half the clip where it is shorter than twice this)."""
-
-
-@dataclass(slots=True, eq=False)
-class _Track:
-    """A person in the making: estimates by frame."""
-
-    estimates: dict[int, PoseEstimate] = field(default_factory=dict)
-    best: tuple[float, int, np.ndarray] = (0.0, 0, _NO_PICTURE)
-    """How well the person is seen in the best frame, its number, and the crop."""
-    last_frame: int = -1
-
-    def put(self, frame: int, found: PoseEstimate) -> None:
-        """Keep what was found in a frame."""
-        self.estimates[frame] = found
-        self.last_frame = max(self.last_frame, frame)
-
-    def drop(self, frame: int) -> None:
-        """Forget what was found in a frame."""
-        del self.estimates[frame]
-        if frame == self.last_frame:
-            self.last_frame = max(self.estimates, default=-1)
-
-    @property
-    def last(self) -> PoseEstimate:
-        return self.estimates[self.last_frame]
-
-    def look_at(self, frame: int, image: np.ndarray) -> None:
-        """Keep the picture of a frame that shows the person clearly better than those before."""
-        found = self.estimates[frame]
-        seen = found.roi.side_px * float(found.visibility.mean())
-        if seen > _CLEARLY * self.best[0]:
-            upright = replace(found.roi, rotation_rad=0.0)
-            self.best = (seen, frame, upright.crop(image, THUMBNAIL_PX))
-
-    def velocity_px(self) -> np.ndarray:
-        """Median motion of the hips per frame over the last frames, (2,)."""
-        from video2anim.models.people_finder import hips_px
-
-        last = range(self.last_frame, self.last_frame - _LOOKED_BACK, -1)
-        frames = sorted([frame for frame in last if frame in self.estimates][:5])
-        if len(frames) < 2:
-            return np.zeros(2)
-        hips = np.array([hips_px(self.estimates[frame]) for frame in frames])
-        return np.median(np.diff(hips, axis=0) / np.diff(frames)[:, None], axis=0)
-
-
-class _Tracker:
-    """Follows everybody through the frames, given one after another."""
-
-    def __init__(self, pose: BlazePose, config: TrackConfig, fps: float) -> None:
-        self.tracks: list[_Track] = []
-        self._pose, self._config = pose, config
-        self._scan_every = max(1, round(config.scan_every_s * fps))
-        self._max_lost = round(config.max_lost_s * fps)
-        self._recent: deque[tuple[int, np.ndarray]] = deque(maxlen=self._scan_every)
-        """Frames since the last scan, for the time before a person was found."""
-        self._doubted: list[tuple[int, SquareRoi]] = []
-
-    def step(self, frame: int, image: np.ndarray) -> None:
-        """Take the next frame, (H, W, 3) uint8 RGB."""
-        for track in self._alive(frame):
-            self._follow(track, frame, image)
-        self._part_duplicates(frame)
-        if frame % self._scan_every == 0:
-            self._scan(frame, image)
-        for track in self.tracks:
-            if frame in track.estimates:
-                track.look_at(frame, image)
-        self._recent.append((frame, image))
-
-    def _alive(self, frame: int) -> list[_Track]:
-        return [track for track in self.tracks if frame - track.last_frame <= self._max_lost]
-
-    def _seen(self, frame: int) -> list[PoseEstimate]:
-        return [track.estimates[frame] for track in self.tracks if frame in track.estimates]
-
-    def _follow(self, track: _Track, frame: int, image: np.ndarray) -> None:
-        from video2anim.models import people_finder as finder
-
-        lost = frame - track.last_frame - 1
-        if lost < _HELD_FRAMES:
-            found = finder.follow(self._pose, image, track.last.next_roi)
-            if found is not None:
-                track.put(frame, finder.head_up(self._pose, image, found))
-                return
-        if lost % _LOCAL_SCAN_EVERY:
-            return
-        rois = finder.scan_near(self._pose, image, track.last.next_roi, min_score=self._config.min_detection_score)
-        self._admit(frame, image, rois)
-
-    def _part_duplicates(self, frame: int) -> None:
-        """Where two tracks sit on one body, the one that came there from farther away loses it."""
-        from video2anim.models import people_finder as finder
-
-        here = [track for track in self.tracks if frame in track.estimates]
-        for i, first in enumerate(here):
-            for second in here[i + 1 :]:
-                if frame not in first.estimates or frame not in second.estimates:
-                    continue
-                if finder.same_person(first.estimates[frame], second.estimates[frame]):
-                    loser = max((first, second), key=lambda track: _surprise(track, frame))
-                    loser.drop(frame)
-        self.tracks = [track for track in self.tracks if track.estimates]
-
-    def _scan(self, frame: int, image: np.ndarray) -> None:
-        from video2anim.models import people_finder as finder
-
-        rois = finder.scan(self._pose, image, min_score=self._config.min_detection_score)
-        self._admit(frame, image, rois)
-
-    def _admit(self, frame: int, image: np.ndarray, rois: list[SquareRoi]) -> None:
-        """Confirm candidates that are nobody known; give them to lost tracks or to new ones."""
-        from video2anim.models import people_finder as finder
-
-        self._doubted = [(until, roi) for until, roi in self._doubted if until > frame]
-        fresh: list[PoseEstimate] = []
-        for roi in rois:
-            known = [seen.next_roi for seen in (*self._seen(frame), *fresh)]
-            if any(finder.overlaps(roi, other) for other in (*known, *(r for _, r in self._doubted))):
-                continue
-            found = finder.confirm(self._pose, image, roi)
-            if found is None:
-                self._doubted.append((frame + 2 * self._scan_every, roi))
-            elif not self._is_known(found, frame, fresh):
-                fresh.append(found)
-        lost = [track for track in self._alive(frame) if frame not in track.estimates]
-        owners = _match_lost(lost, fresh, frame, self._max_lost)
-        for found, owner in zip(fresh, owners, strict=True):
-            track = owner if owner is not None else _Track()
-            if owner is None:
-                self.tracks.append(track)
-            track.put(frame, found)
-            self._look_back(track, frame)
-
-    def _is_known(self, found: PoseEstimate, frame: int, fresh: list[PoseEstimate]) -> bool:
-        """Whether somebody followed already has this body; a clearly better fit then replaces that person's own."""
-        from video2anim.models import people_finder as finder
-
-        for track in self.tracks:
-            own = track.estimates.get(frame)
-            if own is not None and finder.same_person(found, own):
-                if found.visibility.mean() > own.visibility.mean() + _BETTER_VISIBILITY:
-                    track.put(frame, found)
-                return True
-        return any(finder.same_person(found, other) for other in fresh)
-
-    def _look_back(self, track: _Track, frame: int) -> None:
-        """Follow a person just found backwards through the frames since the last scan."""
-        from video2anim.models import people_finder as finder
-
-        for earlier, image in reversed(self._recent):
-            if earlier >= frame or earlier in track.estimates:
-                return
-            found = finder.follow(self._pose, image, track.estimates[earlier + 1].next_roi)
-            if found is None or any(finder.same_person(found, other) for other in self._seen(earlier)):
-                return
-            track.put(earlier, found)
 
 
 def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> PersonTracks:
@@ -218,17 +53,22 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
         UsageError: `person` names nobody found.
         ModelMissingError: the models' weights cannot be had.
     """
+    from video2anim.models.tracking import Tracker, rejoined
     from video2anim.video import read_frames
     from video2anim.video.heap import pictures_apart
 
-    tracker = _Tracker(ctx.model(config.model), config, clip.fps)
+    tracker = Tracker(
+        ctx.model(config.model), clip.fps, scan_every_s=config.scan_every_s, max_lost_s=config.max_lost_s,
+        min_detection_score=config.min_detection_score,
+    )  # fmt: skip
     with pictures_apart():
         for frame, image in enumerate(read_frames(clip)):
             tracker.step(frame, image)
             ctx.progress(frame + 1, clip.frame_count)
     min_frames = max(1, round(min(config.min_track_s * clip.fps, 0.5 * clip.frame_count)))
-    ranked = _ranked([t for t in tracker.tracks if _is_person(t, min_frames, round(clip.fps))])
-    people = tuple(_to_arrays(track, number, clip.frame_count) for number, track in enumerate(ranked, start=1))
+    found = [track for track in tracker.tracks if _is_person(track, min_frames, round(clip.fps))]
+    ranked = _ranked(rejoined(found, round(config.max_away_s * clip.fps)))
+    people = tuple(_to_arrays(track, number) for number, track in enumerate(ranked, start=1))
     thumbnails = tuple(Thumbnail(number, *track.best[1:]) for number, track in enumerate(ranked, start=1))
     if not people:
         raise StageError(
@@ -239,59 +79,15 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
     selected = _select(people, config.person)
     main = next(person for person in people if person.person_id == selected[0])
     ctx.quality("people found", len(people), "", "none")
-    ctx.quality("valid frames of main person", 100.0 * float(main.valid.mean()), "%", "higher")
+    seen = float(main.valid.sum() / clip.frame_count)
+    ctx.quality("valid frames of main person", 100.0 * seen, "%", "higher")
     ctx.quality("mean score of main person", float(main.score[main.valid].mean()), "", "higher")
-    if main.valid.mean() < 0.5:
-        ctx.warn(f"person {main.person_id} is seen in only {100 * main.valid.mean():.0f} % of the frames")
+    if seen < 0.5:
+        ctx.warn(f"person {main.person_id} is seen in only {100 * seen:.0f} % of the frames")
     return PersonTracks(people=people, selected_ids=selected, frame_stride=1, thumbnails=thumbnails)
 
 
-def _surprise(track: _Track, frame: int) -> float:
-    """Distance of this frame's hips from where the motion before would put them, in body radii."""
-    from video2anim.models.people_finder import hips_px
-
-    before = _Track()
-    for earlier in range(frame - _LOOKED_BACK, frame):
-        if earlier in track.estimates:
-            before.put(earlier, track.estimates[earlier])
-    if not before.estimates:
-        return np.inf
-    predicted_px = hips_px(before.last) + (frame - before.last_frame) * before.velocity_px()
-    radius_px = before.last.next_roi.radius_px
-    return float(np.linalg.norm(hips_px(track.estimates[frame]) - predicted_px) / radius_px)
-
-
-def _match_lost(lost: list[_Track], fresh: list[PoseEstimate], frame: int, max_lost: int) -> list[_Track | None]:
-    """For each person just found the lost track it continues, by position, size and overlap, or None."""
-    from scipy.optimize import linear_sum_assignment
-
-    owners: list[_Track | None] = [None] * len(fresh)
-    if not lost or not fresh:
-        return owners
-    cost = np.array([[_continuation_cost(track, found, frame, max_lost) for found in fresh] for track in lost])
-    for row, column in zip(*linear_sum_assignment(np.minimum(cost, 1e6)), strict=True):
-        if np.isfinite(cost[row, column]):
-            owners[column] = lost[row]
-    return owners
-
-
-def _continuation_cost(track: _Track, found: PoseEstimate, frame: int, max_lost: int) -> float:
-    """Distance from the predicted place in body radii plus missing box overlap; infinite where out of reach."""
-    from video2anim.models.blazepose_detector import box_iou
-    from video2anim.models.people_finder import hips_px
-
-    gap = frame - track.last_frame
-    moved_px = gap * track.velocity_px()
-    radius_px = track.last.next_roi.radius_px
-    away = float(np.linalg.norm(hips_px(found) - hips_px(track.last) - moved_px)) / radius_px
-    growth = abs(np.log(found.next_roi.side_px / track.last.next_roi.side_px))
-    if away > 0.8 + 2.0 * gap / max(max_lost, 1) or growth > np.log(1.6):
-        return np.inf
-    iou = float(box_iou(track.last.box_px() + np.tile(moved_px, 2), found.box_px()[None])[0])
-    return away + growth + (1.0 - iou)
-
-
-def _is_person(track: _Track, min_frames: int, sure_frames: int) -> bool:
+def _is_person(track: Track, min_frames: int, sure_frames: int) -> bool:
     """Whether a track is long and convincing enough; a short appearance has to be the more convincing one."""
     estimates = track.estimates.values()
     mean_score = float(np.mean([found.presence for found in estimates]))
@@ -300,7 +96,7 @@ def _is_person(track: _Track, min_frames: int, sure_frames: int) -> bool:
     return len(estimates) >= min_frames and mean_score >= _MIN_MEAN_SCORE and mean_visibility >= min_visibility
 
 
-def _ranked(tracks: list[_Track]) -> list[_Track]:
+def _ranked(tracks: list[Track]) -> list[Track]:
     """By mean box area over the whole clip, largest first; persons are numbered so."""
     return sorted(tracks, key=lambda track: -sum(_area(found) for found in track.estimates.values()))
 
@@ -310,34 +106,26 @@ def _area(found: PoseEstimate) -> float:
     return float((x1 - x0) * (y1 - y0))
 
 
-def _to_arrays(track: _Track, person_id: int, frame_count: int) -> PersonTrack:
-    valid = np.zeros(frame_count, bool)
-    score = np.full(frame_count, np.nan)
-    box_px = np.full((frame_count, 4), np.nan)
-    landmarks_px = np.full((frame_count, LANDMARKS, 2), np.nan)
-    landmarks_m = np.full((frame_count, LANDMARKS, 3), np.nan)
-    visibility = np.full((frame_count, LANDMARKS), np.nan)
-    mask_crop = np.zeros((frame_count, MASK_SIZE, MASK_SIZE), np.uint8)
-    T_image_crop = np.full((frame_count, 2, 3), np.nan)
+def _to_arrays(track: Track, person_id: int) -> PersonTrack:
+    """Rows from the first frame to the last that shows the person."""
+    first = min(track.estimates)
+    count = max(track.estimates) - first + 1
+    valid = np.zeros(count, bool)
+    score = np.full(count, np.nan)
+    box_px = np.full((count, 4), np.nan)
+    landmarks_px = np.full((count, LANDMARKS, 2), np.nan)
+    landmarks_m = np.full((count, LANDMARKS, 3), np.nan)
+    visibility = np.full((count, LANDMARKS), np.nan)
+    mask_crop = np.zeros((count, MASK_SIZE, MASK_SIZE), np.uint8)
+    T_image_crop = np.full((count, 2, 3), np.nan)
     for frame, found in track.estimates.items():
-        valid[frame] = True
-        score[frame], visibility[frame], mask_crop[frame] = (
-            found.presence,
-            found.visibility,
-            found.mask_crop,
-        )
-        box_px[frame], T_image_crop[frame] = found.box_px(), found.roi.T_image_crop()
-        landmarks_px[frame], landmarks_m[frame] = found.landmarks_px, found.landmarks_m
+        row = frame - first
+        valid[row] = True
+        score[row], visibility[row], mask_crop[row] = found.presence, found.visibility, found.mask_crop
+        box_px[row], T_image_crop[row] = found.box_px(), found.roi.T_image_crop()
+        landmarks_px[row], landmarks_m[row] = found.landmarks_px, found.landmarks_m
     return PersonTrack(
-        person_id,
-        valid,
-        score,
-        box_px,
-        landmarks_px,
-        landmarks_m,
-        visibility,
-        mask_crop,
-        T_image_crop,
+        person_id, valid, score, box_px, landmarks_px, landmarks_m, visibility, mask_crop, T_image_crop, first
     )
 
 
@@ -355,4 +143,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=4, models=("pose",))
+STAGE = StageSpec("track", track_people, version=5, models=("pose",))

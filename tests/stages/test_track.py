@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -32,7 +32,7 @@ class Walker:
 
     place: Callable[[int], tuple[float, float]]
     radius_px: float = 60.0
-    hidden: range = range(0)
+    hidden: Container[int] = range(0)
 
 
 class FakePose:
@@ -130,7 +130,7 @@ def test_everybody_has_a_picture_of_a_good_frame(run: Callable[..., PersonTracks
 def test_a_lost_person_keeps_the_id_for_a_second(run: Callable[..., PersonTracks], hidden: range, people: int) -> None:
     tracks = run(FakePose([Walker(lambda t: (150.0 + t, 240.0), hidden=hidden)]), 150)
     assert len(tracks.people) == people
-    seen = np.any([person.valid for person in tracks.people], axis=0)
+    seen = np.any([person.whole(150).valid for person in tracks.people], axis=0)
     np.testing.assert_array_equal(np.flatnonzero(~seen), list(hidden))
     gone = tracks.people[0]
     assert np.isnan(gone.landmarks_px[~gone.valid]).all()
@@ -139,7 +139,23 @@ def test_a_lost_person_keeps_the_id_for_a_second(run: Callable[..., PersonTracks
 
 def test_a_person_is_followed_back_to_the_frame_of_entry(run: Callable[..., PersonTracks]) -> None:
     tracks = run(FakePose([Walker(lambda t: (300.0, 240.0), hidden=range(37))]), 90)
-    np.testing.assert_array_equal(np.flatnonzero(tracks.people[0].valid), np.arange(37, 90))
+    person = tracks.people[0]
+    np.testing.assert_array_equal(np.flatnonzero(person.whole(90).valid), np.arange(37, 90))
+
+
+def test_a_track_has_rows_for_its_own_frames_only(run: Callable[..., PersonTracks]) -> None:
+    """Whoever passes through a long clip costs what the passage is long."""
+    stays = Walker(lambda t: (150.0, 240.0))
+    passes = Walker(lambda t: (450.0, 240.0), hidden={*range(60), *range(100, 150)})
+    first, second = run(FakePose([stays, passes]), 150).people
+    assert (first.first_frame, len(first.valid)) == (0, 150)
+    assert (second.first_frame, len(second.valid), len(second.mask_crop)) == (60, 40, 40)
+    assert second.row(59) is None
+    assert second.row(60) == 0
+    assert second.row(100) is None
+    whole = second.whole(150)
+    np.testing.assert_array_equal(whole.landmarks_px[60:100], second.landmarks_px)
+    assert np.isnan(whole.landmarks_px[~whole.valid]).all()
 
 
 def test_what_the_landmark_model_doubts_is_nobody(run: Callable[..., PersonTracks]) -> None:

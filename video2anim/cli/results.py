@@ -27,6 +27,7 @@ from video2anim.types import (
     PersonTracks,
     RefinedMotion,
     SceneModel,
+    VideoClip,
 )
 
 if TYPE_CHECKING:
@@ -160,12 +161,12 @@ def _report(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], expo
             priors=refined.prior,
             scene=runner.value(SceneModel),
             pictures=tuple(pictures),
-            found=_found(runner.value(PersonTracks), runner.value(BodyTracks)),
+            found=_found(runner.value(PersonTracks), runner.value(BodyTracks), runner.value(VideoClip).frame_count),
         )
     )
 
 
-def _found(tracks: PersonTracks, bodies: BodyTracks) -> tuple[FoundPerson, ...]:
+def _found(tracks: PersonTracks, bodies: BodyTracks, frame_count: int) -> tuple[FoundPerson, ...]:
     """Everybody tracked, with a picture and the verdict on those who were fitted."""
     from video2anim.artifacts.images import png_bytes
     from video2anim.export.report import FoundPerson
@@ -174,7 +175,7 @@ def _found(tracks: PersonTracks, bodies: BodyTracks) -> tuple[FoundPerson, ...]:
     picture = {thumbnail.person_id: thumbnail.rgb for thumbnail in tracks.thumbnails}
     return tuple(
         FoundPerson(
-            track.person_id, png_bytes(picture[track.person_id]), float(track.valid.mean()),
+            track.person_id, png_bytes(picture[track.person_id]), float(track.valid.sum() / frame_count),
             float(np.nanmean(track.score)), track.person_id in judged,
             judged[track.person_id].doubts if track.person_id in judged else (),
         )

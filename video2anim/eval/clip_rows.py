@@ -65,7 +65,8 @@ def track_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
     size = truth.intrinsics
     scale = np.array([size.width_px / result.clip.width_px, size.height_px / result.clip.height_px])
     known = np.flatnonzero(frames.known)
-    boxes = np.array([np.where(t.valid[:, None], t.box_px, np.nan)[known] for t in tracks.people])
+    whole = [track.whole(result.clip.frame_count) for track in tracks.people]
+    boxes = np.array([np.where(t.valid[:, None], t.box_px, np.nan)[known] for t in whole])
     boxes = (boxes.reshape(len(tracks.people), len(known), 4) + 0.5) * np.tile(scale, 2) - 0.5
     found = match_boxes(truth.person_box_px[:, frames.true_index[known]], boxes)
     numbers = {

@@ -93,7 +93,7 @@ def track_of(person: BodyMotion, true_m: np.ndarray, tracks: PersonTracks) -> Pe
     true_px = _projected(true_m, person)
     size = np.linalg.norm(np.ptp(true_px, axis=1), axis=-1)
     best: tuple[float, PersonTrack | None] = (_SAME_BODY, None)
-    for track in tracks.people:
+    for track in (track.whole(len(true_m)) for track in tracks.people):
         off = np.linalg.norm(track.landmarks_px[:, LANDMARK_ORDER] - true_px, axis=-1).mean(1) / size
         miss = float(np.nanmedian(off[track.valid])) if track.valid.any() else np.inf
         if miss < best[0]:

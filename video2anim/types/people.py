@@ -12,7 +12,8 @@ from video2anim.types.storage import Storage, stored
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonTrack:
-    """One person over all frames of the clip. Where `valid` is False the other rows are NaN (masks 0)."""
+    """One person from the first frame to the last that shows them. Where `valid` is False the other rows are NaN
+    (masks 0)."""
 
     person_id: int
     valid: Bool[np.ndarray, "frames"]
@@ -30,6 +31,33 @@ class PersonTrack:
     """Person probability x 255 in the square crop."""
     T_image_crop: Float[np.ndarray, "frames 2 3"]
     """Affine map from crop coordinates in [0, 1] x [0, 1] to pixels."""
+    first_frame: int = 0
+    """The clip's frame that the first row belongs to."""
+
+    def row(self, frame: int) -> int | None:
+        """The row of a frame of the clip; None where the person is not tracked."""
+        row = frame - self.first_frame
+        return row if 0 <= row < len(self.valid) and self.valid[row] else None
+
+    def whole(self, frame_count: int) -> PersonTrack:
+        """With a row for every frame of the clip; masks and crops, the larger part by far, are left behind (0, NaN).
+
+        Args:
+            frame_count: of the clip.
+        """
+        rows = slice(self.first_frame, self.first_frame + len(self.valid))
+
+        def filled(values: np.ndarray) -> np.ndarray:
+            whole = np.full((frame_count, *values.shape[1:]), np.nan if values.dtype.kind == "f" else 0, values.dtype)
+            whole[rows] = values
+            return whole
+
+        return PersonTrack(
+            self.person_id, filled(self.valid), filled(self.score), filled(self.box_px), filled(self.landmarks_px),
+            filled(self.landmarks_m), filled(self.visibility),
+            np.broadcast_to(np.uint8(0), (frame_count, *self.mask_crop.shape[1:])),
+            np.broadcast_to(np.nan, (frame_count, 2, 3)),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +82,6 @@ class PersonTracks:
     """One of each person, in the order of `people`."""
 
     def selected(self) -> tuple[PersonTrack, ...]:
-        """Tracks of the selected persons, main person first."""
+        """Tracks of the selected persons, main person first, each over its own frames."""
         by_id = {track.person_id: track for track in self.people}
         return tuple(by_id[i] for i in self.selected_ids)

@@ -72,17 +72,18 @@ def person_probability(
     A frame whose mask is empty though the person is tracked gets an undecided landmark box.
     """
     size = (raster.width_px, raster.height_px)
-    if not track.valid[frame]:
+    row = track.row(int(frame))
+    if row is None:
         return np.zeros((raster.height_px, raster.width_px), np.float32)
-    crop = track.mask_crop[frame]
+    crop = track.mask_crop[row]
     if crop.max() >= 255 * _EMPTY_MASK:
         side = crop.shape[0]
         T_crop_mask = np.array([[1 / side, 0, 0.5 / side], [0, 1 / side, 0.5 / side], [0, 0, 1]])
-        T_image_crop = np.vstack([track.T_image_crop[frame], [0, 0, 1]])
+        T_image_crop = np.vstack([track.T_image_crop[row], [0, 0, 1]])
         T_small_mask = raster.T_small_image @ T_image_crop @ T_crop_mask
         return cv2.warpAffine(crop.astype(np.float32) / 255, T_small_mask[:2], size, flags=cv2.INTER_LINEAR)
     probability = np.zeros((raster.height_px, raster.width_px), np.float32)
-    corners = np.c_[track.box_px[frame].reshape(2, 2), np.ones(2)] @ raster.T_small_image.T
+    corners = np.c_[track.box_px[row].reshape(2, 2), np.ones(2)] @ raster.T_small_image.T
     (x0, y0), (x1, y1) = np.floor(corners[:, :2]).clip(0).astype(int)
     probability[y0 : y1 + 1, x0 : x1 + 1] = _BOX_PROBABILITY
     return probability
