@@ -36,7 +36,8 @@ class HumansConfig:
     """`lifter`: the network's answer as it is; `optimizer`: a fit to the landmarks alone; `both`: a fit that starts
     from the network's answer and stays near it."""
     model: str = "lifter"
-    """Model that lifts landmarks to bodies; `lifter@FILE` for weights of your own."""
+    """Model that lifts landmarks to bodies; `lifter@FILE` for weights of your own. `hmr2@FILE` and `gem-smpl@FILE` give
+    the rotations instead; distance and contacts stay the lifter's."""
     height_m: float | None = None
     """Known standing height of the person; else the adult mean under the evidence of the picture."""
     iterations: int | None = None
@@ -54,6 +55,8 @@ def recover_humans(
     selected = tuple(track.whole(clip.frame_count) for track in tracks.selected())
     observed = [observations(track, clip.frame_time_s, camera.intrinsics) for track in selected]
     lifted = _lifted(observed, config, ctx)
+    if _is_regressor(config):
+        lifted = _regressed(clip, selected, camera, lifted, config, ctx)
     fits = [_fit(seen, raised, config, ctx) for seen, raised in zip(observed, lifted, strict=True)]
     T_world_camera, spread_m = _world(fits[0], selected[0].valid, _R_world_camera(camera), clip.fps)
     people = tuple(
@@ -84,8 +87,36 @@ def _lifted(observed: list[Observations], config: HumansConfig, ctx: StageContex
 
     if config.method == "optimizer":
         return [None] * len(observed)
-    network = ctx.model(config.model)
+    network = ctx.model("lifter" if _is_regressor(config) else config.model)
     return [lift(one, network) for one in observed]
+
+
+def _is_regressor(config: HumansConfig) -> bool:
+    from video2anim.models import find_model
+
+    return config.method != "optimizer" and find_model(config.model).slot == "body-regressor"
+
+
+def _regressed(
+    clip: VideoClip,
+    tracks: tuple[PersonTrack, ...],
+    camera: CameraEstimate,
+    lifted: list[LiftedBody] | list[None],
+    config: HumansConfig,
+    ctx: StageContext,
+) -> list[LiftedBody]:
+    """The rotations of a body regressor, where it saw the person, on the lifter's bodies."""
+    from video2anim.models.regressors import regress
+    from video2anim.video import read_frames
+
+    network = ctx.model(config.model)
+    found = regress(network, tracks, lambda: read_frames(clip), camera.intrinsics, camera.R_first_camera)
+    turned = []
+    for own, theirs in zip(lifted, found, strict=True):
+        assert own is not None
+        seen = theirs.valid[:, None, None, None]
+        turned.append(replace(own, R_parent_joint=np.where(seen, theirs.R_parent_joint, own.R_parent_joint)))
+    return turned
 
 
 def _fit(observed: Observations, lifted: LiftedBody | None, config: HumansConfig, ctx: StageContext) -> FittedBody:

@@ -94,7 +94,7 @@ def arguments() -> argparse.Namespace:
     of["train"].add_argument("--train", type=Path, required=True)
     of["train"].add_argument("--val", type=Path, required=True)
     of["train"].add_argument("--residuals", type=Path, required=True)
-    of["train"].add_argument("--steps", type=int, default=LiftingConfig.steps)
+    of["train"].add_argument("--steps", type=int, default=LiftingConfig().steps)
     of["train"].add_argument("--minutes", type=float)
     of["train"].add_argument("--threads", type=int, default=1)
     for name in ("motions", "train"):

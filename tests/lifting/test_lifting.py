@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +12,7 @@ import pytest
 import torch
 from synthetic import planted_walk
 
+from video2anim.artifacts.codec import write_value
 from video2anim.fitting.landmarks import KEYPOINT_INDEX
 from video2anim.fitting.lifter_input import CONTACT_INDEX, FEATURES
 from video2anim.lifting import samples
@@ -110,6 +114,21 @@ def test_training_learns_and_goes_on_where_it_stopped(
         trained = torch.stack(list(losses(whole(batch.features), batch).values())).sum()
         fresh = torch.stack(list(losses(LifterNetwork()(batch.features), batch).values())).sum()
     assert trained < 0.8 * fresh
+
+
+def test_the_training_program_trains_and_exports(
+    motions: LiftingMotions, residuals: ResidualLibrary, tmp_path: Path
+) -> None:
+    for name, value in (("train", motions), ("val", motions), ("residuals", residuals)):
+        (tmp_path / name).mkdir()
+        write_value(value, tmp_path / name)
+    program = [sys.executable, str(Path(__file__).parents[2] / "training" / "lifter.py")]
+    given = [f"--{name}={tmp_path / name}" for name in ("train", "val", "residuals", "checkpoint")]
+    for words in (["train", *given, "--minutes=0"], ["export", given[-1], f"--out={tmp_path / 'lifter.onnx'}"]):
+        done = subprocess.run([*program, *words], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    digest = hashlib.sha256((tmp_path / "lifter.onnx").read_bytes()).hexdigest()
+    assert done.stdout.split() == [digest]
 
 
 def test_onnx_answers_as_the_network(tmp_path: Path) -> None:

@@ -83,7 +83,11 @@ def weight_digests(name_or_slot: str) -> dict[str, str]:
         raise _not_ours(entry, entry.source)
     digest = entry.sha256
     if isinstance(entry.source, FileSource):
-        digest = file_digest(_user_file(entry, entry.source))
+        path = _user_file(entry, entry.source)
+        digest = file_digest(path)
+        beside = path.with_suffix(".stats.npz")
+        if beside.is_file():
+            digest += file_digest(beside)
     return {entry.name: digest, **{name: find_model(name).sha256 for name in entry.requires}}
 
 
