@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from video2anim.fitting.problem import FittedBody, Observations
 
 METHODS = ("both", "lifter", "optimizer")
+_REGRESSOR_ERROR_M = 0.05
+"""Error that joints of a body regressor are taken to have about the pelvis; it tells none itself."""
 _FRAMES_AT_ONCE = 256
 """Of meshes in memory."""
 
@@ -115,7 +117,9 @@ def _regressed(
     for own, theirs in zip(lifted, found, strict=True):
         assert own is not None
         seen = theirs.valid[:, None, None, None]
-        turned.append(replace(own, R_parent_joint=np.where(seen, theirs.R_parent_joint, own.R_parent_joint)))
+        error_m = np.where(theirs.valid[:, None], _REGRESSOR_ERROR_M, own.error_m)
+        R = np.where(seen, theirs.R_parent_joint, own.R_parent_joint)
+        turned.append(replace(own, R_parent_joint=R, error_m=error_m))
     return turned
 
 

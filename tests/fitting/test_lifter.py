@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from synthetic import planted_walk, true_keypoints
 
-from video2anim.body.skeleton import forward_kinematics
+from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.fitting import long_clip
 from video2anim.fitting.initial import landmark_rotation, ray_rotation
 from video2anim.fitting.landmarks import KEYPOINT_INDEX
@@ -122,7 +122,7 @@ def test_answer_is_read_back(walk: Walk) -> None:
     logits = np.where(walk.motion.contact[:, CONTACT_INDEX] > 0.5, 20.0, -20.0)
     output = np.concatenate(
         [rot6d_from_matrix(R).reshape(len(R), -1), np.log(pelvis_ray[:, 2:] * given.size[:, None]),
-         pelvis_ray[:, :2], logits, 3.0 * up_ray], 1,
+         pelvis_ray[:, :2], logits, np.full((len(R), 22), np.log(0.07)), 3.0 * up_ray], 1,
     )  # fmt: skip
     assert output.shape[1] == OUTPUTS
     body = lifted_body(output, given)
@@ -130,6 +130,7 @@ def test_answer_is_read_back(walk: Walk) -> None:
     np.testing.assert_allclose(joints, walk.joints_camera_m, atol=1e-6)
     np.testing.assert_allclose(body.up_camera, np.tile(walk.up_camera, (len(R), 1)), atol=1e-6)
     np.testing.assert_allclose(body.contact, walk.motion.contact[:, CONTACT_INDEX], atol=1e-6)
+    np.testing.assert_allclose(body.error_m, 0.07)
 
 
 def test_shipped_weights_know_a_walk(walk: Walk, network: Lifter) -> None:
@@ -207,6 +208,23 @@ def test_both_are_better_than_either(walk: Walk, network: Lifter) -> None:
     alone = place_lifted(walk.observed, lifted)
     assert limbs_apart_m(both.R_parent_joint, walk) < limbs_apart_m(alone.R_parent_joint, walk) + 0.005
     assert np.nanmedian(both.reprojection_px) < np.nanmedian(alone.reprojection_px)
+
+
+def test_a_joint_that_the_network_doubts_follows_the_landmarks(walk: Walk, network: Lifter) -> None:
+    """An arm lifted wrongly: with the usual error expected it stays wrong, with a large one it is set right."""
+    lifted = lift(walk.observed, network)
+    R = lifted.R_parent_joint.copy()
+    shoulder, arm = JOINT_INDEX["left_shoulder"], [JOINT_INDEX["left_elbow"], JOINT_INDEX["left_wrist"]]
+    R[:, shoulder] = R[:, shoulder] @ matrix_from_axis_angle(np.array([0.0, 0.8, 0.0]))
+    missed = []
+    for expected_m in (0.03, 0.3):
+        error_m = np.full((len(R), 22), 0.03)
+        error_m[:, [shoulder, *arm]] = expected_m
+        wrong = replace(lifted, R_parent_joint=R, error_m=error_m)
+        fit = fit_body(walk.observed, fit_focal=False, iterations=100, lifted=wrong)
+        off_m = fit.joints_camera_m - fit.joints_camera_m[:, :1] - walk.joints_camera_m + walk.joints_camera_m[:, :1]
+        missed.append(float(np.linalg.norm(off_m[:, arm], axis=-1).mean()))
+    assert missed[1] < 0.6 * missed[0]
 
 
 def test_known_height_scales_the_lifted_body(walk: Walk, network: Lifter) -> None:

@@ -13,15 +13,16 @@ import torch
 from synthetic import planted_walk
 
 from video2anim.artifacts.codec import write_value
+from video2anim.errors import ModelMissingError
 from video2anim.fitting.landmarks import KEYPOINT_INDEX
-from video2anim.fitting.lifter_input import CONTACT_INDEX, FEATURES
+from video2anim.fitting.lifter_input import CONTACT_INDEX, FEATURES, OUTPUTS
 from video2anim.lifting import samples
 from video2anim.lifting.motions import LiftingMotions, gather
 from video2anim.lifting.network import LifterNetwork, export_onnx
 from video2anim.lifting.residuals import ResidualLibrary, true_keypoints
 from video2anim.lifting.samples import LiftingSampler
 from video2anim.lifting.train import LiftingConfig, losses, measures, train
-from video2anim.models.lifter import Lifter
+from video2anim.models.lifter import WIDTHS, Lifter
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +56,11 @@ def test_samples_depend_on_seed_and_step_alone(motions: LiftingMotions, residual
 def test_the_true_answer_costs_nothing(motions: LiftingMotions, residuals: ResidualLibrary) -> None:
     batch = LiftingSampler(motions, residuals, seed=1).batch(0, 4)
     logits = 40.0 * (batch.contact - 0.5)
-    truth = torch.cat([batch.rot6d.flatten(2), batch.log_size[..., None], batch.offset_m, logits, batch.up], -1)
-    assert float(torch.stack(list(losses(truth, batch).values())).sum()) < 1e-3
+    told = torch.full((*logits.shape[:2], 22), -4.0)
+    truth = torch.cat([batch.rot6d.flatten(2), batch.log_size[..., None], batch.offset_m, logits, told, batch.up], -1)
+    terms = losses(truth, batch)
+    assert float(terms.pop("error")) == pytest.approx(0.2 * -4.0, abs=1e-3)
+    assert float(torch.stack(list(terms.values())).sum()) < 1e-3
     found = measures(truth, batch)
     assert found["mpjpe_mm"] < 0.01
     assert found["up_deg"] < 0.1
@@ -140,6 +144,16 @@ def test_onnx_answers_as_the_network(tmp_path: Path) -> None:
     with torch.no_grad():
         wanted = network(torch.from_numpy(features)[None])[0].numpy()
     np.testing.assert_allclose(Lifter(tmp_path / "lifter.onnx")(features), wanted, atol=1e-4)
+
+
+def test_a_lifter_of_other_widths_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert (FEATURES, OUTPUTS) == WIDTHS
+    monkeypatch.setattr("video2anim.lifting.network.OUTPUTS", OUTPUTS - 22)
+    export_onnx(LifterNetwork(width=32), tmp_path / "old.onnx")
+    with pytest.raises(
+        ModelMissingError, match=r"old.onnx: want 154 features and 168 outputs a frame, got \(154, 146\)"
+    ):
+        Lifter(tmp_path / "old.onnx")
 
 
 def test_acted_motion_knows_all_contacts() -> None:

@@ -27,8 +27,11 @@ CONTACT_JOINTS: tuple[str, ...] = (
 CONTACT_INDEX = np.array([JOINT_INDEX[name] for name in CONTACT_JOINTS])
 FEATURES = 6 * KEYPOINTS + 4
 """Directions 2, 3D landmarks 3 and visibility 1 per keypoint; logarithm of the size, motion of the hips 2, valid 1."""
-OUTPUTS = 22 * 6 + 3 + len(CONTACT_JOINTS) + 3
-"""Rotations, place, contact logits, up."""
+OUTPUTS = 22 * 6 + 3 + len(CONTACT_JOINTS) + 22 + 3
+"""Rotations, place, contact logits, logarithms of the joints' expected errors, up."""
+CONTACT_OUTPUTS = slice(135, 135 + len(CONTACT_JOINTS))
+ERROR_OUTPUTS = slice(CONTACT_OUTPUTS.stop, CONTACT_OUTPUTS.stop + 22)
+LOG_ERROR_RANGE = (-5.0, 0.5)
 _HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
 _SMALLEST = 1e-4
 _FARTHEST = 6.0
@@ -59,6 +62,8 @@ class LiftedBody:
     """Probabilities, in the order of `CONTACT_JOINTS`."""
     up_camera: Float[np.ndarray, "frames 3"]
     """Unit vector against gravity as the frame's pose tells it."""
+    error_m: Float[np.ndarray, "frames 22"]
+    """Distance from the truth that the network expects of each joint, about the pelvis."""
     focal_px: float
     """Of the lens assumed, with which the distance grows."""
 
@@ -66,7 +71,7 @@ class LiftedBody:
         """The answer for some of the frames."""
         return LiftedBody(
             self.R_parent_joint[frames], self.translation_camera_m[frames], self.contact[frames],
-            self.up_camera[frames], self.focal_px,
+            self.up_camera[frames], self.error_m[frames], self.focal_px,
         )  # fmt: skip
 
 
@@ -133,7 +138,7 @@ def lifted_body(output: Float[np.ndarray, "frames outputs"], given: LifterInput)
 
     Args:
         output: 22 rotations (6D, root in the frame of the ray), logarithm of depth x size, offset of the pelvis from
-            the ray (x, y, metres), contact logits, up in the frame of the ray.
+            the ray (x, y, metres), contact logits, logarithms of expected errors, up in the frame of the ray.
     """
     output = output.astype(np.float64)
     R = matrix_from_rot6d(output[:, :132].reshape(-1, 22, 6))
@@ -144,8 +149,9 @@ def lifted_body(output: Float[np.ndarray, "frames outputs"], given: LifterInput)
     return LiftedBody(
         R,
         np.einsum("tab,tb->ta", given.R_camera_ray, pelvis_ray_m),
-        1.0 / (1.0 + np.exp(-output[:, 135:-3])),
+        1.0 / (1.0 + np.exp(-output[:, CONTACT_OUTPUTS])),
         np.einsum("tab,tb->ta", given.R_camera_ray, up_ray),
+        np.exp(np.clip(output[:, ERROR_OUTPUTS], *LOG_ERROR_RANGE)),
         given.focal_px,
     )
 

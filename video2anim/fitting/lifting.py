@@ -82,5 +82,5 @@ def _back(lifted: LiftedBody, grid_s: np.ndarray, times_s: np.ndarray) -> Lifted
     up = between(lifted.up_camera)
     return LiftedBody(
         np.asarray(matrix_from_quaternion(turned)), between(lifted.translation_camera_m), between(lifted.contact),
-        up / np.linalg.norm(up, axis=-1, keepdims=True), lifted.focal_px,
+        up / np.linalg.norm(up, axis=-1, keepdims=True), between(lifted.error_m), lifted.focal_px,
     )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from video2anim.body.anny_body import AnnyModel
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
+from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.fitting.initial import landmark_rotation
 from video2anim.fitting.landmarks import KEYPOINT_INDEX, KEYPOINT_TRUST
 from video2anim.fitting.lifter_input import LiftedBody
@@ -49,7 +49,8 @@ class FitConfig:
     """Median of focal length over the longer image side for phones, webcams and camcorders (24 to 45 mm equivalent)."""
     focal_log_sigma: float = 0.3
     lifted_m: float = 0.05
-    """Error of the lifter's joints, relative to the pelvis, across the line of sight."""
+    """Error of the lifter's joints, relative to the pelvis, across the line of sight, where it expects the usual one;
+    it grows with what the lifter expects."""
     lifted_depth_m: float = 0.08
     """The same along the line of sight."""
     lifted_share: float = 0.5
@@ -59,7 +60,9 @@ class FitConfig:
     lifted_distance_ratio: float = 0.1
     """Error of the lifter's distance of the body, the same in all frames of a clip."""
     lifted_angle_rad: float = 0.4
-    """Error of the lifter's joint angles."""
+    """Error of the lifter's joint angles, where it expects the usual error of the joints that they move."""
+    lifted_usual_m: float = 0.035
+    """Distance from the truth that the lifter expects of a joint on motion like that of its training."""
 
 
 _ANGLE_SIGMA_RAD = {
@@ -70,6 +73,8 @@ _ANGLE_SIGMA_RAD = {
 _HINGES = {"left_knee": (0, 1.0), "right_knee": (0, 1.0), "left_elbow": (1, -1.0), "right_elbow": (1, 1.0)}
 """Hinge joints: axis of flexion in the joint frame and its positive sense."""
 _HINGE_SIGMA_RAD, _OVERSTRETCH_SIGMA_RAD, _FOREARM_TWIST_SIGMA_RAD = 3.0, 0.1, 0.8
+_LEAST_DOUBT = 0.5
+"""Share of the usual error below which the lifter's own expectation is not believed."""
 _SHAPE_SIGMA = 0.15
 SHAPE_PARAMETERS = ("height", "gender", "weight", "proportions")
 """Phenotypes that are fitted; age and muscle cannot be told from landmarks."""
@@ -119,6 +124,11 @@ class Objective:
             # Distance grows with the focal length: what the lifter sees is their ratio.
             distance_m = torch.from_numpy(lifted.translation_camera_m[:, 2]).float().clamp_min(0.1)
             self._distance_per_px = distance_m / lifted.focal_px
+        if lifted is not None:
+            expected = np.maximum(lifted.error_m / config.lifted_usual_m, _LEAST_DOUBT)
+            self._doubt = torch.from_numpy(expected).float()
+            moved = np.stack([expected[:, np.flatnonzero(j == PARENTS)].max(1, initial=0) for j in range(22)], 1)
+            self._angle_doubt = torch.from_numpy(np.maximum(moved, expected)).float()
         self._believed = torch.from_numpy(observed.valid).float()
         self._base_shape = base_shape
         k = observed.intrinsics
@@ -206,10 +216,10 @@ class Objective:
         off = prediction.joints_m - prediction.joints_m[:, :1] - wanted
         turned = torch.einsum("tba,tjb->tja", self._R_camera_landmarks, off)
         sigma = torch.tensor([c.lifted_m, c.lifted_m, c.lifted_depth_m])
-        joints = _huber(((turned / sigma) ** 2).sum(-1), 2.0).sum(1)
+        joints = _huber(((turned / sigma / self._doubt[..., None]) ** 2).sum(-1), 2.0).sum(1)
         # The squared distance of two rotation matrices is twice the squared angle, for small angles.
         apart = (prediction.R_parent_joint - R_parent_joint).square().sum((-1, -2)) / 2
-        angles = _huber(apart / c.lifted_angle_rad**2, 2.0).sum(1)
+        angles = _huber(apart / (c.lifted_angle_rad * self._angle_doubt) ** 2, 2.0).sum(1)
         return c.lifted_share * (self._believed * (joints + angles)).sum()
 
     def _as_far(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:

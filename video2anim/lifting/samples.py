@@ -30,7 +30,7 @@ _WIDE = np.array([JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right") fo
 _LEGS = np.array([JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right") for part in ("hip", "knee", "ankle")])
 _NOT_HANDS = np.array([True, True, True, True, False, False, True, True])
 _NOT_FEET = np.array([False, False, False, False, True, True, False, False])
-_OTHER_ARMS, _OTHER_LEGS, _TURNED, _SWUNG, _LEANING = 0.25, 0.15, 0.3, 0.25, 0.15
+_OTHER_ARMS, _OTHER_LEGS, _TURNED, _SWUNG, _LEANING = 0.25, 0.15, 0.3, 0.35, 0.15
 """Shares of the windows."""
 _ROLLED = 0.5
 """Share of the windows whose camera is held askew."""
@@ -217,7 +217,7 @@ class LiftingSampler:
             length = min(int(lib.start[runs[near] + 1]) - first, frames - begin, _LONGEST_RUN)
             rows[begin : begin + length] = np.arange(first, first + length)
             begin += length
-        scale = rng.uniform(0.2, 1.1), rng.uniform(0.4, 1.1)
+        scale = rng.uniform(0.2, 1.1), rng.uniform(0.2, 1.1)
         bias = rng.normal(0, 0.012, (1, relative_m.shape[1], 3))
         jitter = rng.normal(0, 0.006, (*relative_m.shape[:2], 3))
         seen: Bool[np.ndarray, "frames keypoints"] = lib.visibility[rows]

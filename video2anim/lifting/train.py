@@ -17,12 +17,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from video2anim.body.skeleton import forward_kinematics
-from video2anim.fitting.lifter_input import OUTPUTS
+from video2anim.fitting.lifter_input import CONTACT_OUTPUTS, ERROR_OUTPUTS, LOG_ERROR_RANGE
 from video2anim.geometry.rotations import matrix_from_rot6d
 from video2anim.lifting.network import LifterNetwork
 from video2anim.lifting.samples import LiftingBatch, LiftingSampler
 
-_CONTACT = slice(135, OUTPUTS - 3)
+_TYPICAL_ERROR_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +49,14 @@ def losses(output: Tensor, batch: LiftingBatch) -> dict[str, Tensor]:
     off = joints - batch.joints_m
     speed = off.diff(dim=1)
     contact = functional.binary_cross_entropy_with_logits(
-        output[..., _CONTACT], batch.contact, weight=batch.contact_known, reduction="sum"
+        output[..., CONTACT_OUTPUTS], batch.contact, weight=batch.contact_known, reduction="sum"
     ) / batch.contact_known.sum().clamp_min(1.0)
     up = functional.normalize(output[..., -3:], dim=-1)
+    # What the network says of its errors must not move its answer, hence detached; least where it is their mean.
+    missed, told = off.detach()[..., 1:, :].norm(dim=-1), output[..., ERROR_OUTPUTS][..., 1:].clamp(*LOG_ERROR_RANGE)
     return {
         "joints": 10.0 * off.norm(dim=-1).mean(),
+        "error": 0.2 * (missed * torch.exp(-told) + told).mean(),
         "speed": 20.0 * speed.norm(dim=-1).mean(),
         "rotations": 1.0 * (rot6d - batch.rot6d).abs().mean(),
         "size": 2.0 * (output[..., 132] - batch.log_size).abs().mean(),
@@ -69,20 +72,24 @@ def _posed(R: Tensor, rest_joints_m: Tensor) -> Tensor:
 
 
 def measures(output: Tensor, batch: LiftingBatch) -> dict[str, float]:
-    """What a user would ask: millimetres, degrees, F1 of the feet."""
+    """What a user would ask: millimetres, degrees, F1 of contacts; errors over those told, and their correlation."""
     R = matrix_from_rot6d(output[..., :132].reshape(*output.shape[:2], 22, 6))
     joints = _posed(R, batch.rest_joints_m)
     up = functional.normalize(output[..., -3:], dim=-1)
     angle = torch.arccos((up * batch.up).sum(-1).clamp(-1, 1)).rad2deg()
-    touch, known = output[..., _CONTACT] > 0, batch.contact_known > 0
+    touch, known = output[..., CONTACT_OUTPUTS] > 0, batch.contact_known > 0
     truth = batch.contact > 0.5
     scores = {}
     for name, part in (("feet", slice(0, 4)), ("hands", slice(4, 6)), ("seat", slice(6, 7)), ("back", slice(7, 8))):
         both = (touch & truth & known)[..., part].sum()
         either = (touch & known)[..., part].sum() + (truth & known)[..., part].sum()
         scores[f"f1_{name}"] = float(2 * both / either.clamp_min(1))
+    missed = (joints - batch.joints_m).norm(dim=-1)
+    told = torch.exp(output[..., ERROR_OUTPUTS].clamp(*LOG_ERROR_RANGE))
     return {
-        "mpjpe_mm": 1000 * float((joints - batch.joints_m).norm(dim=-1).mean()),
+        "mpjpe_mm": 1000 * float(missed.mean()),
+        "error_told": float((missed / told)[..., 1:].mean()),
+        "error_known": float(torch.corrcoef(torch.stack([missed[..., 1:].flatten(), told[..., 1:].flatten()]))[0, 1]),
         "depth_percent": 100 * float((output[..., 132] - batch.log_size).abs().mean()),
         "up_deg": float(angle.mean()),
         **scores,
@@ -158,6 +165,7 @@ def _normalize(network: LifterNetwork, sampler: LiftingSampler) -> None:
     network.base[:132] = batch.rot6d.reshape(-1, 132).mean(0)
     network.base[132] = batch.log_size.mean()
     network.base[133:135] = batch.offset_m.reshape(-1, 2).mean(0)
+    network.base[ERROR_OUTPUTS] = math.log(_TYPICAL_ERROR_M)
     network.base[-3:] = batch.up.reshape(-1, 3).mean(0)
 
 

@@ -7,9 +7,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from video2anim.errors import ModelMissingError
 from video2anim.models.onnx import open_session
 
 _INPUT, _OUTPUT = "features", "body"
+WIDTHS = (154, 168)
+"""Features and outputs of a frame, as `video2anim.fitting.lifter_input` lists them."""
 _CHUNK, _MARGIN = 1800, 40
 """Long clips go through in pieces; a frame of the answer depends on 26 frames on each side."""
 
@@ -23,6 +26,9 @@ class Lifter:
 
     def __init__(self, path: Path) -> None:
         self._session = open_session(path, inputs=(_INPUT,), outputs=(_OUTPUT,))
+        widths = (self._session.get_inputs()[0].shape[-1], self._session.get_outputs()[0].shape[-1])
+        if widths != WIDTHS:
+            raise ModelMissingError(f"{path}: want {WIDTHS[0]} features and {WIDTHS[1]} outputs a frame, got {widths}")
 
     def __call__(self, features: Float[np.ndarray, "frames features"]) -> Float[np.ndarray, "frames outputs"]:
         """Answers for consecutive frames; see `video2anim.fitting.lifter_input` for what columns mean."""
