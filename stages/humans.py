@@ -44,6 +44,9 @@ class HumansConfig:
     """Known standing height of the person; else the adult mean under the evidence of the picture."""
     iterations: int | None = None
     """Steps of the fit (default: 400 from the landmarks, 160 from the lifter's answer)."""
+    cutoff_hz: float = 6.0
+    """Faster changes are taken out of the fitted motion (6 Hz is usual for gait; raise it for throws and strikes, 0
+    leaves all)."""
 
 
 def recover_humans(
@@ -79,6 +82,8 @@ def recover_humans(
 def _expect_known(config: HumansConfig) -> None:
     if config.method not in METHODS:
         raise UsageError(f"humans.method: want one of {', '.join(METHODS)}, got {config.method!r}")
+    if not 0 <= config.cutoff_hz <= 1000:
+        raise UsageError(f"humans.cutoff_hz: want 0 (off) to 1000 Hz, got {config.cutoff_hz:g}")
     if config.iterations is not None and not 1 <= config.iterations <= 100_000:
         raise UsageError(f"humans.iterations: want 1 to 100000, got {config.iterations}")
 
@@ -135,7 +140,23 @@ def _fit(observed: Observations, lifted: LiftedBody | None, config: HumansConfig
         if config.height_m is not None:
             ctx.warn("humans.method=lifter knows no height: --height-m is not used, the body is an adult of 1.70 m")
         return place_lifted(observed, lifted, fit_config)
-    return fit_long(observed, lifted, fit_config, iterations=config.iterations, on_step=ctx.progress)
+    fit = fit_long(observed, lifted, fit_config, iterations=config.iterations, on_step=ctx.progress)
+    return _smoothed(observed, fit, config)
+
+
+def _smoothed(observed: Observations, fit: FittedBody, config: HumansConfig) -> FittedBody:
+    """Without the jitter of the landmarks, where the frame rate shows it."""
+    from scenemi.smoothing import low_pass
+    from video2anim.fitting.optimize import reposed
+
+    frames = len(observed.valid)
+    fps = 1.0 / float(np.median(np.diff(observed.frame_time_s))) if frames > 1 else 0.0
+    if not 0 < config.cutoff_hz < 0.5 * fps:
+        return fit
+    R, translation_m = low_pass(
+        fit.R_parent_joint, fit.translation_camera_m, np.ones(frames, bool), fps=fps, cutoff_hz=config.cutoff_hz
+    )
+    return reposed(observed, fit, R, translation_m)
 
 
 def _R_world_camera(camera: CameraEstimate) -> np.ndarray:
@@ -237,4 +258,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton height", quality.stature_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=5, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=6, models=("lifter",))

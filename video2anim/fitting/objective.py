@@ -25,9 +25,9 @@ from video2anim.types.camera import Intrinsics
 class FitConfig:
     """Standard deviations of the fit's terms."""
 
-    landmark_2d_ratio: float = 0.006
+    landmark_2d_ratio: float = 0.004
     """Pixel error of a limb landmark as a share of the person's box diagonal."""
-    landmark_2d_px: float = 1.0
+    landmark_2d_px: float = 3.0
     """Error of landmarks that no size of the person can undercut: that of the pictures' own pixels."""
     landmark_3d_m: float = 0.05
     """Error of a 3D landmark across the line of sight."""
@@ -35,14 +35,18 @@ class FitConfig:
     """Error of a 3D landmark along the line of sight."""
     landmark_share: float = 0.3
     """Weight of each 3D landmark; below 1 because their errors are strongly correlated over time."""
-    acceleration_m_s2: float = 8.0
-    """Joint acceleration that is nothing special; larger ones count linearly."""
+    acceleration_m_s2: float = 25.0
+    """Joint acceleration that is nothing special; larger ones count linearly. What it leaves of jitter is for a filter
+    to take out: a tighter prior couples the frames so that the fit is slow to leave its start."""
     angular_rate_rad_s: float = 8.0
     """Joint angle rate that is nothing special."""
     stature_m: float = 1.70
     """Mean standing height of adults (NCD-RisC 2016: women 1.59 to 1.65 m, men 1.71 to 1.78 m in most regions)."""
     stature_sigma_m: float = 0.09
-    prior_share: float = 3.0
+    shape_sigma: float = 0.4
+    """Spread of the other phenotypes, whose whole range is 1. Gender lies near its ends, and the body model's whole
+    range of proportions changes the legs' share of the stature by only 1.6 points, no more than adults differ."""
+    prior_share: float = 4.0
     """Weight of the shape and lens priors per frame: a detector's bias is the same in every frame, so the evidence of
     a long clip on shape and lens does not grow with its length as independent errors would let it."""
     focal_ratio: float = 0.9
@@ -53,9 +57,9 @@ class FitConfig:
     it grows with what the lifter expects."""
     lifted_depth_m: float = 0.08
     """The same along the line of sight."""
-    lifted_share: float = 0.5
+    lifted_share: float = 0.3
     """Weight of each lifted joint, as `landmark_share`."""
-    landmark_share_lifted: float = 0.2
+    landmark_share_lifted: float = 0.3
     """Weight of each 3D landmark where the lifter has read them already."""
     lifted_distance_ratio: float = 0.1
     """Error of the lifter's distance of the body, the same in all frames of a clip."""
@@ -75,7 +79,6 @@ _HINGES = {"left_knee": (0, 1.0), "right_knee": (0, 1.0), "left_elbow": (1, -1.0
 _HINGE_SIGMA_RAD, _OVERSTRETCH_SIGMA_RAD, _FOREARM_TWIST_SIGMA_RAD = 3.0, 0.1, 0.8
 _LEAST_DOUBT = 0.5
 """Share of the usual error below which the lifter's own expectation is not believed."""
-_SHAPE_SIGMA = 0.15
 SHAPE_PARAMETERS = ("height", "gender", "weight", "proportions")
 """Phenotypes that are fitted; age and muscle cannot be told from landmarks."""
 
@@ -265,7 +268,7 @@ class Objective:
 
     def _shape(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
         c = self.config
-        spread = (parameters.shape_offset[1:] / _SHAPE_SIGMA).square().sum()
+        spread = (parameters.shape_offset[1:] / c.shape_sigma).square().sum()
         stature = ((prediction.stature_m - c.stature_m) / c.stature_sigma_m).square()
         prior_focal = np.log(c.focal_ratio * self._long_side)
         focal = ((parameters.log_focal - prior_focal) / c.focal_log_sigma).square()

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import torch
+from jaxtyping import Float
 
 from video2anim.body.anny_body import ADULT, anny_model
+from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import StageError
 from video2anim.fitting.initial import (
     landmark_rotation,
@@ -111,6 +114,26 @@ def place_lifted(observed: Observations, lifted: LiftedBody, config: FitConfig |
         torch.tensor(float(np.log(observed.intrinsics.fx_px))),
     )
     return _finish(objective, parameters, dict(ADULT))
+
+
+def reposed(
+    observed: Observations,
+    fit: FittedBody,
+    R_parent_joint: Float[np.ndarray, "frames 22 3 3"],
+    translation_camera_m: Float[np.ndarray, "frames 3"],
+) -> FittedBody:
+    """The fitted body in other poses, with their joints and reprojection errors."""
+    joints_m, R = forward_kinematics(R_parent_joint, translation_camera_m, fit.rest_joints_m)
+    with torch.no_grad():
+        rest = anny_model().rest_skeleton({k: torch.tensor(float(v)) for k, v in fit.shape.parameters.items()})
+        points_m = rest.keypoints_m(torch.from_numpy(joints_m).float(), torch.from_numpy(R).float()).numpy()
+    k = observed.intrinsics
+    shown_px = fit.focal_px * points_m[..., :2] / np.maximum(points_m[..., 2:], 0.1) + (k.cx_px, k.cy_px)
+    error_px = np.linalg.norm(shown_px - observed.keypoints_px, axis=-1)
+    return replace(
+        fit, R_parent_joint=R_parent_joint, translation_camera_m=translation_camera_m, joints_camera_m=joints_m,
+        reprojection_px=np.where(observed.weight > 0, error_px, np.nan),
+    )  # fmt: skip
 
 
 def _start(observed: Observations, objective: Objective, lifted: LiftedBody | None) -> Parameters:
