@@ -1,6 +1,6 @@
 """Train the temporal lifter that ships in `video2anim/models/weights`.
 
-    video2anim synth --preset random --count 48 --seed 7101 --size 640x480 --longest 2.5 --motion cmu.npz \
+    video2anim synth --preset random --count 38 --seed 7101 --size 640x480 --longest 2.5 --motion cmu.npz \
         --motion deepmimic.npz --out clips
     python training/lifter.py residuals --clips clips --out residuals
     python training/lifter.py motions --motion cmu.npz deepmimic.npz --split split.json --part train --out train

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from synthetic import planted_walk, true_keypoints
 
+from stages.humans import HumansConfig, _smoothed
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.fitting import long_clip
 from video2anim.fitting.initial import landmark_rotation, ray_rotation
@@ -25,7 +26,7 @@ from video2anim.fitting.lifter_input import (
 )
 from video2anim.fitting.lifting import lift
 from video2anim.fitting.objective import FitConfig
-from video2anim.fitting.optimize import fit_body, place_lifted
+from video2anim.fitting.optimize import fit_body, place_lifted, reposed
 from video2anim.fitting.problem import Observations
 from video2anim.geometry.projection import invert_rigid, project
 from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
@@ -225,6 +226,26 @@ def test_a_joint_that_the_network_doubts_follows_the_landmarks(walk: Walk, netwo
         off_m = fit.joints_camera_m - fit.joints_camera_m[:, :1] - walk.joints_camera_m + walk.joints_camera_m[:, :1]
         missed.append(float(np.linalg.norm(off_m[:, arm], axis=-1).mean()))
     assert missed[1] < 0.6 * missed[0]
+
+
+def test_other_poses_of_a_fitted_body(walk: Walk, network: Lifter) -> None:
+    """The same poses give the same body; jitter is taken out by the filter, and motion stays."""
+    lifted = lift(walk.observed, network)
+    fit = fit_body(walk.observed, fit_focal=False, iterations=40, lifted=lifted)
+    same = reposed(walk.observed, fit, fit.R_parent_joint, fit.translation_camera_m)
+    np.testing.assert_allclose(same.joints_camera_m, fit.joints_camera_m, atol=1e-4)
+    np.testing.assert_allclose(same.reprojection_px, fit.reprojection_px, atol=0.1)
+
+    shaken = fit.R_parent_joint @ matrix_from_axis_angle(np.random.default_rng(1).normal(0, 0.05, (90, 22, 3)))
+    jittery = reposed(walk.observed, fit, shaken, fit.translation_camera_m)
+    kept = _smoothed(walk.observed, jittery, HumansConfig(cutoff_hz=0.0))
+    smooth = _smoothed(walk.observed, jittery, HumansConfig())
+    np.testing.assert_array_equal(kept.R_parent_joint, shaken)
+    jerk = [float(np.linalg.norm(np.diff(one.joints_camera_m, 3, axis=0), axis=-1).mean()) for one in (jittery, smooth)]
+    assert jerk[1] < 0.2 * jerk[0]
+    off_m = [np.linalg.norm(one.joints_camera_m - fit.joints_camera_m, axis=-1).mean() for one in (jittery, smooth)]
+    assert off_m[1] < 0.75 * off_m[0]
+    assert np.nanmean(smooth.reprojection_px) < np.nanmean(jittery.reprojection_px)
 
 
 def test_known_height_scales_the_lifted_body(walk: Walk, network: Lifter) -> None:
