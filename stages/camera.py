@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _WRONG_FACTOR = 3.0
 """Metadata that differs from what the person's perspective says by more than this factor is wrong. Estimates from a
 person alone are themselves off by up to a factor of 2.2 (V2A-Bench, `benchmarks/human_fit.py`)."""
+_SURE_FRAMES = 30
+"""People seen for less tell less of gravity."""
 FULL_FRAME_DIAGONAL_MM = 43.267
 """Diagonal of the 36 x 24 mm frame that equivalent focal lengths refer to."""
 
@@ -57,7 +59,9 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     frames = evenly_spread(np.flatnonzero(main.valid), config.frames)
     lifted = _lifted(clip, main, config, ctx)
     focal_px, sigma, source, body = _focal(clip, main, frames, lifted, config, ctx)
-    up = _up(body, lifted, main.valid, float(np.ptp(clip.frame_time_s[frames])))
+    others = [track.whole(clip.frame_count) for track in tracks.people if track.person_id != main.person_id]
+    seen = _up_seen([(lifted, main), *((_lifted(clip, other, config, ctx), other) for other in others)])
+    up = _up(body, seen, float(np.ptp(clip.frame_time_s[frames])))
     if not clip.camera_is_static:
         ctx.warn(
             "the camera moves, but is taken as fixed: the person's path in the world will contain its motion; "
@@ -152,12 +156,22 @@ def _focal(
     return best, sigma, "human", body
 
 
-def _up(body: FittedBody, lifted: LiftedBody, valid: np.ndarray, duration_s: float) -> UpEstimate:
+def _up_seen(people: list[tuple[LiftedBody, PersonTrack]]) -> np.ndarray:
+    """Up as the lifter sees it in everybody, most in those whose pose it is surest of: somebody who stands by tells
+    more than somebody who turns a somersault."""
+    total = np.zeros(3)
+    for lifted, track in people:
+        up = np.median(lifted.up_camera[track.valid], axis=0)
+        share = min(int(track.valid.sum()), _SURE_FRAMES) / _SURE_FRAMES
+        # Poses that the lifter does not know mislead it about gravity more than in proportion.
+        total += share * float(np.median(lifted.error_m[track.valid])) ** -4 * up / np.linalg.norm(up)
+    return total / np.linalg.norm(total)
+
+
+def _up(body: FittedBody, seen: np.ndarray, duration_s: float) -> UpEstimate:
     """Up as the body's balance and the lifter see it, with equal weight."""
     from video2anim.fitting.ground import UpEstimate, up_from_balance
 
-    seen = np.median(lifted.up_camera[valid], axis=0)
-    seen /= np.linalg.norm(seen)
     balance = up_from_balance(body.joints_camera_m, duration_s)
     together = seen + balance.up
     apart_rad = math.acos(float(np.clip(seen @ balance.up, -1, 1)))
@@ -182,4 +196,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         raise UsageError(f"--height-m: want 0.5 to 2.5 metres, got {config.height_m:g}")
 
 
-STAGE = StageSpec("camera", estimate_camera, version=5, models=("lifter",))
+STAGE = StageSpec("camera", estimate_camera, version=6, models=("lifter",))

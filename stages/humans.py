@@ -146,8 +146,8 @@ def _fit(observed: Observations, lifted: LiftedBody | None, config: HumansConfig
 
 def _smoothed(observed: Observations, fit: FittedBody, config: HumansConfig) -> FittedBody:
     """Without the jitter of the landmarks, where the frame rate shows it."""
-    from scenemi.smoothing import low_pass
     from video2anim.fitting.optimize import reposed
+    from video2anim.geometry.smoothing import low_pass
 
     frames = len(observed.valid)
     fps = 1.0 / float(np.median(np.diff(observed.frame_time_s))) if frames > 1 else 0.0

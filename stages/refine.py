@@ -154,7 +154,7 @@ def calm_frames(motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
 
 
 def _without_jitter(motion: BodyMotion, config: RefineConfig) -> tuple[np.ndarray, np.ndarray]:
-    from scenemi.smoothing import low_pass
+    from video2anim.geometry.smoothing import low_pass
 
     translation_m = motion.T_world_root[:, :3, 3]
     if config.low_pass_hz == 0:

@@ -9,8 +9,8 @@ from synthetic import FPS, planted_walk
 from scenemi.foot_lock import contact_phases, lock_feet
 from scenemi.leg_ik import LEGS, move_ankles
 from scenemi.metrics import TOES, jerk_m_s3
-from scenemi.smoothing import low_pass
 from video2anim.body.skeleton import forward_kinematics
+from video2anim.geometry.smoothing import low_pass
 
 
 def test_ankles_reach_their_target_and_the_rest_stays() -> None:
