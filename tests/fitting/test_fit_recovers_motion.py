@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from synthetic import planted_walk, true_keypoints
 
-from stages.camera import FULL_FRAME_DIAGONAL_MM, CameraConfig, estimate_camera
+from stages.camera import FULL_FRAME_DIAGONAL_MM, CameraConfig, _up_seen, estimate_camera
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import StageError
 from video2anim.fitting.initial import landmark_rotation, ray_rotation, translation_from_projection
 from video2anim.fitting.landmarks import BLAZEPOSE_OF_KEYPOINT, KEYPOINT_INDEX, LANDMARK_ORDER
+from video2anim.fitting.lifter_input import LiftedBody
 from video2anim.fitting.optimize import fit_body
 from video2anim.fitting.problem import FittedBody, Observations
 from video2anim.geometry.projection import invert_rigid, project
@@ -156,6 +157,27 @@ def test_metadata_is_used_unless_the_picture_contradicts_it(filmed: Filmed, fact
     else:
         assert abs(np.log(camera.intrinsics.fx_px / FOCAL_PX)) < 0.2
         assert len(contradicted) == 1
+
+
+def test_gravity_is_seen_in_whom_the_lifter_is_sure_of(filmed: Filmed) -> None:
+    """Somebody in an odd pose, seen for as long, hardly turns what a walker says of gravity; neither does a glimpse."""
+    _, tracks = as_stage_input(filmed.observed)
+    track = tracks.people[0].whole(len(filmed.observed.valid))
+    frames = len(track.valid)
+    upright, aslant = np.array([0.0, -1.0, 0.0]), np.array([np.sin(0.5), -np.cos(0.5), 0.0])
+
+    def body(up: np.ndarray, error_m: float) -> LiftedBody:
+        return LiftedBody(
+            np.tile(np.eye(3), (frames, 22, 1, 1)), np.tile([0.0, 0.0, 4.0], (frames, 1)), np.zeros((frames, 8)),
+            np.tile(up, (frames, 1)), np.full((frames, 22), error_m), FOCAL_PX,
+        )  # fmt: skip
+
+    found = _up_seen([(body(aslant, 0.06), track), (body(upright, 0.03), track)])
+    assert np.arccos(found @ upright) < 0.05
+    glimpse = replace(track, valid=np.arange(frames) == 3)
+    found = _up_seen([(body(upright, 0.03), track), (body(aslant, 0.03), glimpse)])
+    assert np.arccos(found @ upright) < 0.05
+    assert np.linalg.norm(found) == pytest.approx(1.0)
 
 
 def test_frames_without_landmarks_are_bridged(filmed: Filmed) -> None:
