@@ -4,7 +4,7 @@
 
 Scenes are folders of `video2anim run` (stage track at least). Every track is cut in three, and first and last third are
 compared by `Looks.distance`: of the same track, and of different tracks of any scenes. The thresholds in
-`stages/track.py` are taken from this.
+`video2anim/models/tracking.py` are taken from this.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     frames = evenly_spread(np.flatnonzero(main.valid), config.frames)
     lifted = _lifted(clip, main, config, ctx)
     focal_px, sigma, source, body = _focal(clip, main, frames, lifted, config, ctx)
-    others = [track.whole(clip.frame_count) for track in tracks.people if track.person_id != main.person_id]
+    others = (track for track in tracks.people if track.person_id != main.person_id)
     seen = _up_seen([(lifted, main), *((_lifted(clip, other, config, ctx), other) for other in others)])
     up = _up(body, seen, float(np.ptp(clip.frame_time_s[frames])))
     if not clip.camera_is_static:
@@ -93,7 +93,8 @@ def _lifted(clip: VideoClip, track: PersonTrack, config: CameraConfig, ctx: Stag
     from video2anim.fitting.observe import observations
 
     intrinsics = Intrinsics.centered(config.focal_px or _usual_focal_px(clip), clip.width_px, clip.height_px)
-    return lift(observations(track, clip.frame_time_s, intrinsics), ctx.model(config.model))
+    times_s = clip.frame_time_s[track.first_frame : track.first_frame + len(track.valid)]
+    return lift(observations(track, times_s, intrinsics), ctx.model(config.model))
 
 
 def _metadata_focal_px(clip: VideoClip) -> float | None:
@@ -196,4 +197,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         raise UsageError(f"--height-m: want 0.5 to 2.5 metres, got {config.height_m:g}")
 
 
-STAGE = StageSpec("camera", estimate_camera, version=6, models=("lifter",))
+STAGE = StageSpec("camera", estimate_camera, version=7, models=("lifter",))

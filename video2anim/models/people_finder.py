@@ -105,7 +105,7 @@ def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:
     Either their torsos coincide, or one's mask lies mostly in the other's: a crop of the wrong size makes a small ghost
     inside a body, while masks of two people exclude each other even where one stands before the other.
     """
-    if not _boxes_meet(first.box_px(), second.box_px()):
+    if not boxes_meet(first.box_px(), second.box_px()):
         return False
     return torso_distance(first, second) < _SAME_DISTANCE or (
         max(mask_share(first, second), mask_share(second, first)) > _SAME_MASK_SHARE
@@ -171,7 +171,8 @@ def overlaps(roi: SquareRoi, other: SquareRoi) -> bool:
     return gap_px < 0.2 * large and large < 1.5 * small
 
 
-def _boxes_meet(box: Float[np.ndarray, "4"], other: Float[np.ndarray, "4"]) -> bool:
+def boxes_meet(box: Float[np.ndarray, "4"], other: Float[np.ndarray, "4"]) -> bool:
+    """Whether two boxes x0, y0, x1, y1 share a place."""
     return bool(np.all(np.minimum(box[2:], other[2:]) > np.maximum(box[:2], other[:2])))
 
 

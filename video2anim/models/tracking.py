@@ -212,8 +212,7 @@ def _surprise(track: Track, frame: int) -> float:
 
 def _near(track: Track, other: Track, frame: int) -> bool:
     """Whether another person may cover a part of this one."""
-    a, b = track.estimates[frame].box_px(), other.estimates[frame].box_px()
-    return bool(np.all(np.minimum(a[2:], b[2:]) > np.maximum(a[:2], b[:2])))
+    return finder.boxes_meet(track.estimates[frame].box_px(), other.estimates[frame].box_px())
 
 
 def _looks(image: np.ndarray, fresh: list[PoseEstimate]) -> list[Looks]:
