@@ -40,6 +40,8 @@ class ComposeOptions:
     library: MotionLibrary | None = None
     longest_s: float | None = None
     """Clips are cut to this length."""
+    skin_stride: int = 1
+    """Every how many vertices of the skin are kept clear of things; more is quicker and less exact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,13 +81,13 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
     people = _performances(spec, options, attempt)
     rng = spec.rng("room", attempt)
     props = tuple(prop for person in people for prop in person.acted.props)
-    swept = np.concatenate([person.vertices_m[::2].reshape(-1, 3) for person in people]).astype(np.float64)
+    swept = _skin(people, options.skin_stride)
     furnished = build_room(
         rng, swept_m=swept, props=props, room_size_m=options.room_size_m,
         clutter=float(rng.uniform(0.2, 0.9)), meshes=options.meshes, prop_depth_m=0.8 * DEEPEST_M,
     )  # fmt: skip
     room, items = split_items(furnished)
-    room = _without_offenders(people, room)
+    room = _without_offenders(swept, room)
     request = CameraRequest(
         options.width_px, options.height_px, handheld=spec.handheld,
         height_m=(1.0, 2.2) if spec.preset == "bench" else (0.8, 2.6),
@@ -252,13 +254,17 @@ def _carried(people: list[Performance], items: dict[int, SceneObject]) -> tuple[
     return tuple(moving)
 
 
-def _without_offenders(people: list[Performance], room: Room) -> Room:
+def _skin(people: list[Performance], stride: int) -> Float[np.ndarray, "points 3"]:
+    """Skin points of every second frame."""
+    return np.concatenate([person.vertices_m[::2, ::stride].reshape(-1, 3) for person in people]).astype(np.float64)
+
+
+def _without_offenders(points: Float[np.ndarray, "points 3"], room: Room) -> Room:
     """The room without furniture that any skin point of any second frame is inside of; what the motion needs stays.
 
     Raises:
         _Unsuitable: a body is deeper than `DEEPEST_M` in a wall or in a thing that the motion needs.
     """
-    points = np.concatenate([person.vertices_m[::2].reshape(-1, 3) for person in people]).astype(np.float64)
     low, high = points.min(0), points.max(0)
     kept = []
     for thing in room.objects:

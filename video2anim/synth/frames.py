@@ -6,7 +6,7 @@ import json
 import multiprocessing
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +16,9 @@ from video2anim.artifacts.folder import whole_or_absent
 from video2anim.errors import InputError
 from video2anim.synth.generate import SynthConfig, checked_sources, clip_key, compose_options, start_worker
 from video2anim.synth.presets import ClipSpec, clip_specs
-from video2anim.synth.world import LABELS, SensorModel, Shot
-from video2anim.types import Intrinsics
+from video2anim.synth.world import LABELS
 
-PER_ROOM = 8
+PER_ROOM = 32
 """Pictures made of one room, each from another camera and at another moment."""
 SHARD_SIZE = 64
 ARRAYS = {
@@ -93,9 +92,11 @@ def _made(
 def _shard(
     name: str, specs: tuple[ClipSpec, ...], size: int, config: SynthConfig, sources: dict[str, str], out: Path
 ) -> ShardDone:
+    from video2anim.synth.pictures import room_pictures
+
     folder = out / name
     meta = {
-        "format_version": 1, "preset": "random", "seed": config.seed, "first_room": specs[0].index, "pictures": size,
+        "format_version": 2, "preset": "random", "seed": config.seed, "first_room": specs[0].index, "pictures": size,
         "width_px": config.width_px, "height_px": config.height_px, "labels": list(LABELS),
         "generator": f"video2anim {__version__}", "key": clip_key(specs[0], config, sources),
     }  # fmt: skip
@@ -113,9 +114,9 @@ def _shard(
         facts: dict[str, list[np.ndarray]] = {
             k: [] for k in ("intrinsics", "distortion", "up_camera", "camera_height_m")
         }
-        row = 0
+        options, row = compose_options(config), 0
         for spec in specs:
-            for values in _pictures(spec, config, min(PER_ROOM, size - row)):
+            for values in room_pictures(spec, options, min(PER_ROOM, size - row)):
                 for key in ARRAYS:
                     maps[key][row] = values[key]
                 for key, rows in facts.items():
@@ -127,60 +128,3 @@ def _shard(
             np.save(work / f"{key}.npy", np.stack(rows).astype(np.float32), allow_pickle=False)
         (work / "meta.json").write_text(json.dumps(meta, indent=1) + "\n")
     return ShardDone(name, size, False)
-
-
-def _pictures(spec: ClipSpec, config: SynthConfig, count: int) -> Iterator[dict[str, np.ndarray]]:
-    from video2anim.synth.cameras import CameraRequest, place_camera
-    from video2anim.synth.compose import compose, draw_sensor
-    from video2anim.synth.render import PERSON_ID, Renderer, Sensor
-    from video2anim.synth.store import depth_code, normal_code
-
-    shot = compose(spec, compose_options(config))
-    request = CameraRequest(
-        config.width_px, config.height_px, pitch_rad=(-0.9, 0.35), roll_sigma_rad=0.06, nearest_m=1.0,
-        figure_ratio=(0.1, 2.0), least_seen=0.3,
-    )  # fmt: skip
-    for number in range(count):
-        rng = spec.rng(f"picture {number}")
-        t = int(rng.integers(0, shot.frame_count))
-        joints = np.stack([actor.motion.joints_world_m[t : t + 1] for actor in shot.actors])
-        try:
-            lens, pose = place_camera(rng, shot.room, joints, request)
-        except InputError:
-            lens, pose = shot.intrinsics, shot.T_world_camera[t : t + 1]
-        sensor = draw_sensor(rng, replace(spec, harsh=True), lens)
-        single = _frozen(shot, t, lens, pose, sensor)
-        picture = Renderer(single).frame(0)
-        label = np.zeros(picture.instance.shape, np.uint8)
-        for thing in (*shot.room.objects, *(moving.thing for moving in shot.moving)):
-            label[picture.instance == thing.object_id] = LABELS.index(thing.label)
-        label[picture.instance >= PERSON_ID] = LABELS.index("person")
-        yield {
-            "rgb": Sensor(sensor, rng).apply(picture.rgb, 0),
-            "depth_mm": depth_code(picture.depth_m),
-            "normal_camera": normal_code(picture.normal_camera),
-            "instance": picture.instance,
-            "label": label,
-            "intrinsics": np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px]),
-            "distortion": np.array([sensor.k1, sensor.k2]),
-            "up_camera": pose[0, 1, :3],
-            "camera_height_m": pose[0, 1, 3],
-        }
-
-
-def _frozen(shot: Shot, t: int, lens: Intrinsics, pose: np.ndarray, sensor: SensorModel) -> Shot:
-    """One moment of a shot from another camera. Without neighbours in time there is no motion blur."""
-    actors = []
-    for actor in shot.actors:
-        motion = actor.motion
-        still = replace(
-            motion, frame_time_s=motion.frame_time_s[:1], valid=motion.valid[t : t + 1],
-            T_world_root=motion.T_world_root[t : t + 1], R_parent_joint=motion.R_parent_joint[t : t + 1],
-            T_world_camera=pose, intrinsics=lens, contact=motion.contact[t : t + 1],
-            joints_world_m=motion.joints_world_m[t : t + 1],
-        )  # fmt: skip
-        actors.append(replace(actor, motion=still))
-    moving = tuple(replace(item, T_world_object=item.T_world_object[t : t + 1]) for item in shot.moving)
-    return replace(
-        shot, actors=tuple(actors), intrinsics=lens, T_world_camera=pose, is_static=True, sensor=sensor, moving=moving
-    )
