@@ -9,8 +9,9 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
+from video2anim import models
 from video2anim.errors import ModelMissingError
-from video2anim.models.depth_anything import DepthAnything, input_size, to_pixel_values
+from video2anim.models.depth_anything import DepthAnything, DepthAnythingMetric, input_size, to_pixel_values
 
 RED_MEAN, RED_STD = 0.485, 0.229
 
@@ -78,3 +79,22 @@ def test_garbage_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ModelMissingError, match="cannot load") as caught:
         DepthAnything(path)
     assert "\n" not in str(caught.value)
+
+
+def test_metric_values_are_metres_and_nothing_else_is(tmp_path: Path) -> None:
+    """The same tensors; a normalised red of 0.8 is 1.4 m here, of 0 a negative number, which is no depth."""
+    net = DepthAnythingMetric(_red_channel_graph(tmp_path / "tiny.onnx"), short_side_px=28)
+    assert (net.kind, net.name) == ("metric", "depth-anything-v2-metric-indoor-small")
+    assert DepthAnything.kind == "disparity"
+    image = np.zeros((40, 60, 3), np.uint8)
+    image[:, 30:, 0] = 204
+    depth_m = net.infer(image)
+    assert depth_m.dtype == np.float32
+    assert np.isnan(depth_m[:, :20]).all()
+    np.testing.assert_allclose(depth_m[:, 40:], (0.8 - RED_MEAN) / RED_STD, atol=1e-5)
+
+
+def test_table_loads_the_metric_variant_of_the_users_own(tmp_path: Path) -> None:
+    path = _red_channel_graph(tmp_path / "mine.onnx")
+    assert isinstance(models.load_model(f"depth-anything-v2-metric-indoor-small@{path}"), DepthAnythingMetric)
+    assert type(models.load_model(f"depth-anything-v2-small@{path}")) is DepthAnything

