@@ -1,4 +1,8 @@
-"""Stage 3: focal length and up direction, from the user, metadata, or the person's own geometry."""
+"""Stage 3: focal length and up direction, from the user, metadata, the picture's perspective and the person's geometry.
+
+A network's perspective field (paper 8.1) says what lens and gravity the room suggests, with its uncertainty. It is the
+prior of the fit to the person, whose perspective, motion and balance are further evidence.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +20,12 @@ if TYPE_CHECKING:
     from video2anim.fitting.ground import UpEstimate
     from video2anim.fitting.lifter_input import LiftedBody
     from video2anim.fitting.problem import FittedBody
+    from video2anim.geometry.perspective_field import FieldCamera
 
 _WRONG_FACTOR = 3.0
 """Metadata that differs from what the person's perspective says by more than this factor is wrong. Estimates from a
 person alone are themselves off by up to a factor of 2.2 (V2A-Bench, `benchmarks/human_fit.py`)."""
+NO_MODEL = "none"
 _SURE_FRAMES = 30
 """People seen for less tell less of gravity."""
 FULL_FRAME_DIAGONAL_MM = 43.267
@@ -40,6 +46,10 @@ class CameraConfig:
     """Steps of the fit."""
     model: str = "lifter"
     """Model that lifts landmarks to bodies, where the fit starts and what it stays near."""
+    camera_model: str = "room-camera"
+    """Model of slot `camera` that gives perspective fields; `none` leaves the camera to the person alone."""
+    field_frames: int = 3
+    """Pictures whose fields are fitted together; one for a moving camera."""
 
 
 def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig, ctx: StageContext) -> CameraEstimate:
@@ -58,15 +68,19 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     main = tracks.selected()[0].whole(clip.frame_count)
     frames = evenly_spread(np.flatnonzero(main.valid), config.frames)
     lifted = _lifted(clip, main, config, ctx)
-    focal_px, sigma, source, body = _focal(clip, main, frames, lifted, config, ctx)
+    picture = _picture_camera(clip, config, ctx)
+    focal_px, sigma, source, body = _focal(clip, main, frames, lifted, picture, config, ctx)
     others = (track for track in tracks.people if track.person_id != main.person_id)
     seen = _up_seen([(lifted, main), *((_lifted(clip, other, config, ctx), other) for other in others)])
-    up = _up(body, seen, float(np.ptp(clip.frame_time_s[frames])))
+    up = _with_picture(_up(body, seen, float(np.ptp(clip.frame_time_s[frames]))), picture)
     if not clip.camera_is_static:
         ctx.warn(
             "the camera moves, but is taken as fixed: the person's path in the world will contain its motion; "
             "film from a tripod for a true path"
         )
+    if picture is not None:
+        ctx.quality("focal of picture", picture.focal_ratio * clip.height_px, "px")
+        ctx.quality("focal of picture uncertainty", picture.focal_log_sigma, "ratio", "lower")
     if sigma > 0.2:
         ctx.warn(f"focal length is uncertain ({sigma:.0%}); give --focal-px if you know it")
     pitch, roll = _pitch_roll(up.up)
@@ -80,7 +94,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
         focal_source=source,
         focal_sigma_ratio=sigma,
         up_camera=up.up,
-        up_source="human",
+        up_source="human" if picture is None else "picture",
         up_sigma_rad=up.sigma_rad,
         is_static=clip.camera_is_static,
         R_first_camera=np.tile(np.eye(3), (clip.frame_count, 1, 1)),
@@ -95,6 +109,46 @@ def _lifted(clip: VideoClip, track: PersonTrack, config: CameraConfig, ctx: Stag
     intrinsics = Intrinsics.centered(config.focal_px or _usual_focal_px(clip), clip.width_px, clip.height_px)
     times_s = clip.frame_time_s[track.first_frame : track.first_frame + len(track.valid)]
     return lift(observations(track, times_s, intrinsics), ctx.model(config.model))
+
+
+def _picture_camera(clip: VideoClip, config: CameraConfig, ctx: StageContext) -> FieldCamera | None:
+    """Lens and gravity by the perspective fields of a few pictures of the same view."""
+    from video2anim.geometry.perspective_field import fit_camera
+    from video2anim.video import read_frames
+
+    if config.camera_model == NO_MODEL:
+        return None
+    model = ctx.model(config.camera_model)
+    count = config.field_frames if clip.camera_is_static else 1
+    fields = []
+    for frame in np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int)):
+        picture = next(iter(read_frames(clip, int(frame), int(frame) + 1)))
+        fields.append(model.field(picture))
+    return fit_camera(fields, clip.width_px / clip.height_px)
+
+
+def _focal_prior(clip: VideoClip, picture: FieldCamera | None) -> tuple[float, float]:
+    """Focal length over the longer side before the person is looked at, and the deviation of its logarithm."""
+    from video2anim.fitting.objective import FitConfig
+
+    usual, sigma = math.log(FitConfig().focal_ratio), FitConfig().focal_log_sigma
+    if picture is None:
+        return math.exp(usual), sigma
+    seen = math.log(picture.focal_ratio * clip.height_px / max(clip.width_px, clip.height_px))
+    weights = np.array([sigma**-2, picture.focal_log_sigma**-2])
+    return math.exp(float(weights @ [usual, seen] / weights.sum())), float(weights.sum() ** -0.5)
+
+
+def _with_picture(up: UpEstimate, picture: FieldCamera | None) -> UpEstimate:
+    """Up of the person and of the picture, each by its certainty."""
+    if picture is None:
+        return up
+    weights = np.array([up.sigma_rad**-2, picture.up_sigma_rad**-2])
+    together = weights @ np.stack([up.up, picture.up_camera]) / weights.sum()
+    apart_rad = math.acos(float(np.clip(up.up @ picture.up_camera, -1, 1)))
+    # Where the two contradict each other, neither is as sure as it says.
+    sigma_rad = max(float(weights.sum() ** -0.5), 0.5 * apart_rad * float(min(weights) / max(weights)) ** 0.5)
+    return replace(up, up=together / np.linalg.norm(together), sigma_rad=sigma_rad)
 
 
 def _metadata_focal_px(clip: VideoClip) -> float | None:
@@ -114,6 +168,7 @@ def _focal(
     track: PersonTrack,
     frames: np.ndarray,
     lifted: LiftedBody,
+    picture: FieldCamera | None,
     config: CameraConfig,
     ctx: StageContext,
 ) -> tuple[float, float, str, FittedBody]:
@@ -122,7 +177,8 @@ def _focal(
     from video2anim.fitting.observe import observations
     from video2anim.fitting.optimize import fit_body
 
-    fit_config = FitConfig()
+    ratio, log_sigma = _focal_prior(clip, picture)
+    fit_config = replace(FitConfig(), focal_ratio=ratio, focal_log_sigma=log_sigma)
     if config.height_m is not None:
         fit_config = replace(fit_config, stature_m=config.height_m, stature_sigma_m=0.01)
 
@@ -136,7 +192,7 @@ def _focal(
 
     if config.focal_px is not None:
         return config.focal_px, 0.01, "user", fit(config.focal_px, free=False)
-    body = fit(_usual_focal_px(clip), free=True)
+    body = fit(ratio * max(clip.width_px, clip.height_px), free=True)
     named = _metadata_focal_px(clip)
     if named is not None and abs(math.log(named / body.focal_px)) < math.log(_WRONG_FACTOR):
         return named, 0.05, "metadata", fit(named, free=False)
@@ -146,15 +202,15 @@ def _focal(
             f"person's perspective contradicts (about {body.focal_px:.0f} px): not used; --focal-px overrules this"
         )
     best = body.focal_px
-    ratio = 1.25
-    costs = [fit(best * step, free=False, warm=body).cost for step in (1 / ratio, 1.0, ratio)]
-    curvature = (costs[0] - 2 * costs[1] + costs[2]) / math.log(ratio) ** 2
+    step = 1.25
+    costs = [fit(best * factor, free=False, warm=body).cost for factor in (1 / step, 1.0, step)]
+    curvature = (costs[0] - 2 * costs[1] + costs[2]) / math.log(step) ** 2
     # The posterior is tempered as the fit's priors are: errors of one clip do not average out.
     per_frame = max(1.0, fit_config.prior_share * len(frames))
     tempered = curvature / per_frame
     prior = fit_config.focal_log_sigma
     sigma = prior if tempered <= prior**-2 else tempered**-0.5
-    return best, sigma, "human", body
+    return best, sigma, "human" if picture is None else "picture", body
 
 
 def _up_seen(people: list[tuple[LiftedBody, PersonTrack]]) -> np.ndarray:
@@ -197,4 +253,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         raise UsageError(f"--height-m: want 0.5 to 2.5 metres, got {config.height_m:g}")
 
 
-STAGE = StageSpec("camera", estimate_camera, version=7, models=("lifter",))
+STAGE = StageSpec("camera", estimate_camera, version=8, models=("lifter", "camera"))

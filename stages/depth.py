@@ -1,14 +1,15 @@
 """Stage depth: depth of the plate and of the person in sampled frames, up to one scale and offset for the clip.
 
 Provider `geometric` needs no network: gravity and the floor under the feet make a stage set (floor, upright things,
-upright background). Provider `depth-anything-v2-small` runs a network whose uncertainty comes from hue jitter
-(paper 8.1).
+upright background). Any other provider is a model of slot `depth`, whose uncertainty comes from hue jitter (paper 8.1).
+With a still camera the background is that of the plate in every frame, and only people are taken from the frame's own
+answer, brought to the plate's: so nothing flickers.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -28,23 +29,28 @@ _SAME_VIEW = 0.01
 class DepthConfig:
     """Provider of depth and its limits."""
 
-    provider: Literal["geometric", "depth-anything-v2-small"] = "geometric"
-    """`geometric`, or a network's name."""
+    provider: str = "geometric"
+    """`geometric`, or a model of slot `depth`, by its name or as NAME@PATH."""
     far_m: float = 30.0
     """Geometric: nothing is placed beyond this distance."""
     contact_threshold: float = 0.5
     """Geometric: contact probability from which a foot stands."""
     hue_shifts_rad: tuple[float, ...] = (-0.6, -0.3, 0.3, 0.6)
-    """Network: hue shifts of the copies that give the uncertainty."""
+    """Network: hue shifts of the plate's copies that give its uncertainty."""
+    frame_hue_shifts_rad: tuple[float, ...] = (-0.45, 0.45)
+    """Network: the same for each sampled frame."""
     unreliable_ratio: float = 0.04
     """Network: pixels with a deviation above this share of the range of values are dropped."""
 
 
-class DisparityModel(Protocol):
+class DepthModel(Protocol):
     """A network in slot `depth`."""
 
+    kind: str
+    """`disparity` (relative, large = near), `depth` (relative) or `metric`."""
+
     def infer(self, image_rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
-        """Relative disparity (large = near), at the size of the picture."""
+        """Depth or disparity at the size of the picture; NaN where unknown."""
         ...
 
 
@@ -68,7 +74,7 @@ def estimate_depth(
     if config.provider == "geometric":
         depth = _geometric(plate, bodies, camera, config, ctx)
     else:
-        depth = _network(clip, plate, config, ctx)
+        depth = _network(clip, plate, camera.is_static, config, ctx)
     on_person = plate.selected_mask & depth.valid
     ctx.quality("background_valid_ratio", float(depth.background_valid.mean()), "1", "higher")
     ctx.quality("person_valid_ratio", on_person.sum() / max(int(plate.selected_mask.sum()), 1), "1", "higher")
@@ -153,22 +159,34 @@ def _same_view(T_world_a: Float[np.ndarray, "4 4"], T_world_b: Float[np.ndarray,
     return bool(max(turn, np.abs(T_world_a[:3, 3] - T_world_b[:3, 3]).max()) < _SAME_VIEW)
 
 
-def _network(clip: VideoClip, plate: BackgroundPlate, config: DepthConfig, ctx: StageContext) -> DepthClip:
+def _network(
+    clip: VideoClip, plate: BackgroundPlate, is_static: bool, config: DepthConfig, ctx: StageContext
+) -> DepthClip:
     from video2anim.video import read_frames
 
-    model: DisparityModel = ctx.model("depth")
+    model: DepthModel = ctx.model(config.provider)
     shape = plate.seen_ratio.shape
-    background = _jittered(model, plate.plate_rgb, shape, config)
+    background = _jittered(model, plate.plate_rgb, shape, config.hue_shifts_rad, config)
     wanted = {int(frame): sample for sample, frame in enumerate(plate.frame_index)}
     maps = np.zeros((2, len(wanted), *shape), dtype=np.float32)
     valid = np.zeros((len(wanted), *shape), dtype=bool)
     for frame, image_rgb in enumerate(read_frames(clip, 0, int(plate.frame_index.max()) + 1)):
         if frame in wanted:
             sample = wanted[frame]
-            maps[0, sample], maps[1, sample], valid[sample] = _jittered(model, image_rgb, shape, config)
+            answer = _jittered(model, image_rgb, shape, config.frame_hue_shifts_rad, config)
+            maps[0, sample], maps[1, sample], valid[sample] = answer
             ctx.progress(sample + 1, len(wanted))
+    if is_static:
+        _steady(maps, valid, background, plate.person_mask, ctx)
+    if model.kind == "disparity":
+        # Its zero is anywhere: put it a little beyond the farthest thing, so that all values are positive.
+        known = background[0][background[2]] if background[2].any() else background[0]
+        low, high = np.percentile(known, [0.5, 98])
+        zero = np.float32(low - 0.05 * (high - low))
+        maps[0] -= zero
+        background = (background[0] - zero, background[1], background[2])
     return DepthClip(
-        kind="disparity",
+        kind="disparity" if model.kind == "disparity" else "depth",
         provider=config.provider,
         frame_index=plate.frame_index,
         value=maps[0],
@@ -179,18 +197,58 @@ def _network(clip: VideoClip, plate: BackgroundPlate, config: DepthConfig, ctx: 
     )
 
 
+def _steady(
+    maps: Float[np.ndarray, "2 samples h w"],
+    valid: Bool[np.ndarray, "samples h w"],
+    background: tuple[np.ndarray, np.ndarray, np.ndarray],
+    person_mask: Bool[np.ndarray, "samples h w"],
+    ctx: StageContext,
+) -> None:
+    """Bring every sample to the plate, in place: people from their own picture, all else from the plate."""
+    from video2anim.geometry.steady_depth import fitted_line, flicker
+
+    value, sigma, known = background
+    still = known & ~person_mask.any(0)
+    before = flicker(maps[0], still) if still.any() else 0.0
+    lost = 0
+    for sample, people in enumerate(person_mask):
+        line = fitted_line(maps[0, sample], value, known & ~people)
+        if line is None:
+            lost += 1
+            valid[sample] &= False
+            line = (1.0, 0.0)
+        maps[0, sample] = np.where(people, line[0] * maps[0, sample] + line[1], value)
+        maps[1, sample] = np.where(people, line[0] * maps[1, sample], sigma)
+        valid[sample] = np.where(people, valid[sample], known)
+    if lost:
+        ctx.warn(
+            f"depth: {lost} of {len(person_mask)} sampled frames could not be brought to the plate: no person depth"
+        )
+    if still.any():
+        ctx.quality("flicker_before", before, "share of range", "lower")
+        ctx.quality("flicker_after", flicker(maps[0], still), "share of range", "lower")
+
+
 def _jittered(
-    model: DisparityModel, image_rgb: np.ndarray, shape: tuple[int, int], config: DepthConfig
+    model: DepthModel, image_rgb: np.ndarray, shape: tuple[int, int], shifts_rad: tuple[float, ...], config: DepthConfig
 ) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, "small_height small_width"]]:
-    """Disparity, its deviation and reliable pixels, at the working resolution."""
+    """Value, its deviation and reliable pixels, at the working resolution."""
     import cv2
 
     from video2anim.geometry.hue_jitter import jittered_disparity, reliable
 
-    value, sigma = jittered_disparity(model.infer, image_rgb, config.hue_shifts_rad)
     size = (shape[1], shape[0])
+    small_rgb = cv2.resize(image_rgb, _shrunk(image_rgb, size), interpolation=cv2.INTER_AREA)
+    value, sigma = jittered_disparity(model.infer, small_rgb, shifts_rad)
     small = [cv2.resize(m.astype(np.float32), size, interpolation=cv2.INTER_AREA) for m in (value, sigma)]
-    return small[0], small[1], reliable(small[0], small[1], config.unreliable_ratio)
+    good = reliable(small[0], small[1], config.unreliable_ratio)
+    return np.where(np.isfinite(small[0]), small[0], 0), np.where(np.isfinite(small[1]), small[1], 1e3), good
 
 
-STAGE = StageSpec("depth", estimate_depth, version=1, models=("depth",))
+def _shrunk(image_rgb: np.ndarray, size: tuple[int, int]) -> tuple[int, int]:
+    """Width and height at which a network looks: no network gains from more than a few times the working size."""
+    factor = min(1.0, 3 * size[0] / image_rgb.shape[1])
+    return round(image_rgb.shape[1] * factor), round(image_rgb.shape[0] * factor)
+
+
+STAGE = StageSpec("depth", estimate_depth, version=2, models=("depth",))

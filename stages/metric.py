@@ -1,23 +1,25 @@
 """Stage metric: one scale and one offset make the clip's relative depth metric (paper 8.1).
 
 The body is the yardstick: its visible vertices and the person's reliable depth pixels are brought together by Chamfer
-distance over all sampled frames at once.
+distance over all sampled frames at once. For networks' depth the floor is further evidence: pixels that a segmentation
+network calls floor, and the places where feet stood, must lie on it. That fixes the offset where the person stays at
+one distance, which the person alone cannot.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from video2anim.errors import StageError
 from video2anim.pipeline.stage import StageContext, StageSpec
-from video2anim.types import BackgroundPlate, BodyTracks, DepthClip, MetricDepth
+from video2anim.types import BackgroundPlate, BodyTracks, DepthClip, Intrinsics, MetricDepth
 
 if TYPE_CHECKING:
-    from video2anim.geometry.depth_fit import DepthFit, FrameEvidence
+    from video2anim.geometry.depth_fit import DepthFit, FrameEvidence, GroundEvidence
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,20 @@ class MetricConfig:
     """Range of the person's depth, as a share of its median, that is needed to tell offset from scale."""
     largest_chamfer_m: float = 0.35
     """A worse agreement than this is not trusted."""
+    evidence: Literal["body", "ground", "both"] = "both"
+    """What the fit rests on; depth of provider `geometric` contains the floor already and takes `body` always."""
+    segment_model: str = "room-segment"
+    """Model of slot `segment` that tells where the floor is."""
+    ground_weight: float = 1.0
+    """Weight of the floor's mean miss beside the body's."""
+    ground_pixels: int = 1500
+    """At most so many floor pixels."""
+    least_ground_ratio: float = 0.02
+    """Less floor than this share of the picture is no evidence."""
+    largest_ground_miss_m: float = 0.3
+    """Floor that stays farther than this from the floor, in the median, contradicts itself."""
+    farthest_ground_m: float = 12.0
+    """Floor beyond this tells nothing of scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +77,11 @@ def fit_metric(
     """
     if not bodies.people:
         raise StageError("metric: want at least one fitted body, got none; check stage humans")
-    frames = _evidence(depth, plate, bodies, config, ctx)
-    verdict = _fit_to_person(frames, depth.kind, config, ctx)
+    ground = _ground(depth, plate, bodies, config, ctx)
+    frames = [] if ground is not None and config.evidence == "ground" else _evidence(depth, plate, bodies, config, ctx)
+    verdict = _fit_to_person(frames, depth.kind, config, ctx) if ground is None else None
+    if ground is not None:
+        verdict = _fit_with_ground(frames, ground, depth.kind, config, ctx)
     if verdict is None:
         verdict = _fit_to_floor(depth, bodies, len(frames))
     fit = verdict.fit
@@ -72,6 +91,8 @@ def fit_metric(
         ctx.quality("chamfer_before", fit.chamfer_before_m, "m", "lower")
         ctx.quality("chamfer_after", fit.chamfer_after_m, "m", "lower")
     ctx.quality("scale_sigma_ratio", fit.scale_sigma / fit.scale, "1", "lower")
+    if np.isfinite(fit.ground_miss_m):
+        ctx.quality("ground_miss", fit.ground_miss_m, "m", "lower")
     ctx.quality("frames_used", len(frames), "frames", "higher")
     ctx.quality("trusted", verdict.trusted, "1", "higher")
     return _apply(depth, bodies, verdict)
@@ -137,6 +158,82 @@ def _fit_to_person(frames: list[FrameEvidence], kind: str, config: MetricConfig,
         problem = f"body and depth stay {fit.chamfer_after_m:.2f} m apart (limit {config.largest_chamfer_m} m)"
         return _Verdict(fit, False, problem)
     return _Verdict(fit, True, reason)
+
+
+def _ground(
+    depth: DepthClip, plate: BackgroundPlate, bodies: BodyTracks, config: MetricConfig, ctx: StageContext
+) -> GroundEvidence | None:
+    """Floor pixels of the plate near enough to tell, and what stood on them; None where there are too few."""
+    import cv2
+
+    from video2anim.geometry.depth_fit import GroundEvidence
+    from video2anim.geometry.projection import pixel_rays
+    from video2anim.models.segmentation import CLASSES
+
+    if depth.provider == "geometric" or config.evidence == "body":
+        return None
+    body = bodies.people[0]
+    T_world_camera = body.T_world_camera[0]
+    height, width = depth.background_value.shape
+    intrinsics = body.intrinsics.resized(width, height)
+    ray_up = pixel_rays(intrinsics) @ T_world_camera[1, :3]
+    reach_m = T_world_camera[1, 3] / np.maximum(-ray_up, 1e-6)
+    if T_world_camera[1, 3] <= 0.05:
+        return None
+    semantic = ctx.model(config.segment_model).segment(plate.plate_rgb).semantic
+    named = (semantic == CLASSES.index("floor")).astype(np.uint8)
+    floor = (
+        cv2.erode(cv2.resize(named, (width, height), interpolation=cv2.INTER_NEAREST), np.ones((5, 5), np.uint8)) > 0
+    )
+    stood = _stood_on(bodies, intrinsics)
+    chosen = depth.background_valid & (ray_up < -0.02) & (reach_m < config.farthest_ground_m) & (floor | stood)
+    ctx.quality("floor_seen_ratio", float(chosen.mean()), "1", "higher")
+    if chosen.mean() < config.least_ground_ratio:
+        return None
+    pixels = np.flatnonzero(chosen)
+    pixels = pixels[np.unique(np.linspace(0, len(pixels) - 1, config.ground_pixels).round().astype(int))]
+    value = depth.background_value.reshape(-1)[pixels].astype(np.float64)
+    return GroundEvidence(ray_up.reshape(-1)[pixels], value, float(T_world_camera[1, 3]), config.ground_weight)
+
+
+def _stood_on(bodies: BodyTracks, intrinsics: Intrinsics) -> Bool[np.ndarray, "small_height small_width"]:
+    """Plate pixels where somebody's foot stood."""
+    import cv2
+
+    from video2anim.geometry.figure_depth import standing_feet
+    from video2anim.geometry.projection import invert_rigid, project, transform_points
+
+    there = np.zeros((intrinsics.height_px, intrinsics.width_px), np.uint8)
+    for body in bodies.people:
+        feet, on = standing_feet(body, 0.5)
+        camera_m = transform_points(invert_rigid(body.T_world_camera[0]), feet[on] * np.array([1.0, 0.0, 1.0]))
+        for x, y in project(camera_m[camera_m[:, 2] > 0.1], intrinsics):
+            if 0 <= x < intrinsics.width_px and 0 <= y < intrinsics.height_px:
+                cv2.circle(there, (round(float(x)), round(float(y))), 2, 1, -1)
+    return there > 0
+
+
+def _fit_with_ground(
+    frames: list[FrameEvidence], ground: GroundEvidence, kind: str, config: MetricConfig, ctx: StageContext
+) -> _Verdict | None:
+    """Fit to the floor and, given enough frames, the body; None where they contradict every positive scale."""
+    from video2anim.geometry.depth_fit import fit_depth
+
+    frames = frames if len(frames) >= config.least_frames else []
+    try:
+        fit = fit_depth(frames, kind, with_offset=True, rng=ctx.rng("metric/with ground"), ground=ground)
+    except ValueError:
+        return None
+    if fit.ground_miss_m > config.largest_ground_miss_m:
+        problem = (
+            f"the floor's depth stays {fit.ground_miss_m:.2f} m off the floor (limit {config.largest_ground_miss_m} m)"
+        )
+        return _Verdict(fit, False, problem)
+    if frames and fit.chamfer_after_m > config.largest_chamfer_m:
+        problem = f"body and depth stay {fit.chamfer_after_m:.2f} m apart (limit {config.largest_chamfer_m} m)"
+        return _Verdict(fit, False, problem)
+    on = "person and floor" if frames else "floor; the person's depth is reliable in too few frames"
+    return _Verdict(fit, True, f"scale and offset fitted to the {on}")
 
 
 def _simpler(plain: DepthFit, full: DepthFit) -> tuple[DepthFit, str]:
@@ -211,4 +308,4 @@ def _if_measured(value_m: float) -> float | None:
     return float(value_m) if np.isfinite(value_m) else None
 
 
-STAGE = StageSpec("metric", fit_metric, version=1)
+STAGE = StageSpec("metric", fit_metric, version=2, models=("segment",))

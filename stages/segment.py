@@ -1,7 +1,9 @@
 """Stage segment: the objects and the floor in the plate.
 
 Provider `geometric`: an object is an upright region that stands on the floor, is nearer than the background behind it
-and has an object's size. There is no semantic class; the label is `object`. An empty list is a valid answer.
+and has an object's size. There is no semantic class; the label is `object`. Any other provider is a model of slot
+`segment`: what it recognises in the plate is held to an object's size by the metric depth, and joined by the regions of
+depth that it does not explain. An empty list is a valid answer.
 """
 
 from __future__ import annotations
@@ -17,13 +19,19 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import BackgroundPlate, BodyTracks, InstanceMasks, MetricDepth, ObjectInstance
 
 if TYPE_CHECKING:
-    from video2anim.geometry.object_regions import Region
+    from video2anim.geometry.joined_objects import Joined
+    from video2anim.geometry.object_regions import RegionLimits, Regions
+
+_FLOOR_TOLERANCE_M = 0.3
+"""Recognised floor may lie so far off the floor by its depth."""
 
 
 @dataclass(frozen=True)
 class SegmentConfig:
     """What counts as an object."""
 
+    provider: str = "geometric"
+    """`geometric`, or a model of slot `segment`, by its name or as NAME@PATH."""
     smallest_ratio: float = 0.004
     """Least share of the picture."""
     smallest_m: float = 0.15
@@ -44,6 +52,7 @@ def segment_plate(
     Raises:
         StageError: there is no body (its camera gives gravity and the floor).
     """
+    from video2anim.geometry.joined_objects import Joined
     from video2anim.geometry.object_regions import RegionLimits, find_regions
 
     if not bodies.people:
@@ -60,14 +69,17 @@ def segment_plate(
     regions = find_regions(
         depth_m, depth.background_valid, body.T_world_camera[0], body.intrinsics.resized(width, height), limits
     )
-    touched = [_occlusion_share(region, plate) for region in regions.objects]
-    scores = [region.score + 0.5 * share for region, share in zip(regions.objects, touched, strict=True)]
+    if config.provider == "geometric":
+        found, floor = [Joined("object", r.score, r.mask) for r in regions.objects], regions.floor
+    else:
+        found, floor = _with_network(plate, depth, regions, limits, bodies, config, ctx)
+    scores = [item.score + 0.5 * _occlusion_share(item, plate) for item in found]
     order = [i for i in np.argsort(scores)[::-1] if scores[i] >= config.least_score][: config.most_objects]
     instances = tuple(
-        _instance(number, regions.objects[i], min(float(scores[i]), 1.0), plate.plate_rgb)
+        _instance(number, found[i], min(float(scores[i]), 1.0), plate.plate_rgb)
         for number, i in enumerate(order, start=1)
     )
-    floor = _enlarge(regions.floor, plate.plate_rgb)
+    floor = _enlarge(floor, plate.plate_rgb)
     for instance in instances:
         floor &= ~instance.mask
     ctx.quality("objects", len(instances), "objects")
@@ -75,21 +87,56 @@ def segment_plate(
     covered = sum(int(instance.mask.sum()) for instance in instances) / floor.size
     ctx.quality("object_ratio", covered, "1")
     ctx.quality("mean_score", float(np.mean([i.score for i in instances])) if instances else 0.0, "1", "higher")
-    return InstanceMasks("geometric", instances, floor)
+    return InstanceMasks(config.provider, instances, floor)
 
 
-def _occlusion_share(region: Region, plate: BackgroundPlate) -> float:
+def _with_network(
+    plate: BackgroundPlate,
+    depth: MetricDepth,
+    regions: Regions,
+    limits: RegionLimits,
+    bodies: BodyTracks,
+    config: SegmentConfig,
+    ctx: StageContext,
+) -> tuple[list[Joined], Bool[np.ndarray, "small_height small_width"]]:
+    """What the network recognises, joined with the regions of depth; and the floor by both."""
+    import cv2
+
+    from video2anim.geometry.joined_objects import Recognised, joined_objects
+    from video2anim.geometry.projection import backproject, transform_points
+    from video2anim.models.segmentation import CLASSES
+
+    seen = ctx.model(config.provider).segment(plate.plate_rgb)
+    height, width = depth.background_depth_m.shape
+
+    def small(mask: np.ndarray) -> np.ndarray:
+        return cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.5
+
+    recognised = [Recognised(i.label, i.score, small(i.mask)) for i in seen.instances if i.kind == "furniture"]
+    built = small(np.isin(seen.semantic, [CLASSES.index(name) for name in ("floor", "wall", "ceiling")]))
+    body = bodies.people[0]
+    camera_m = backproject(depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height))
+    world_m = transform_points(body.T_world_camera[0], camera_m.reshape(-1, 3)).reshape(camera_m.shape)
+    found = joined_objects(recognised, regions.objects, built, world_m, depth.background_valid, limits)
+    ctx.quality("recognised", len(recognised), "objects")
+    named = small(seen.semantic == CLASSES.index("floor"))
+    # Where depth says flat and low and the network has no other idea, or where it says floor and depth does not object.
+    low = ~depth.background_valid | (np.abs(world_m[..., 1]) < _FLOOR_TOLERANCE_M)
+    return found, (named & low) | (regions.floor & built)
+
+
+def _occlusion_share(region: Joined, plate: BackgroundPlate) -> float:
     """Share of sampled frames in which the main person overlaps the region or its border: likely to be used."""
     if not len(plate.selected_mask):
         return 0.0
     return float((plate.selected_mask & region.mask).any((1, 2)).mean())
 
 
-def _instance(number: int, region: Region, score: float, plate_rgb: UInt8[np.ndarray, "h w 3"]) -> ObjectInstance:
+def _instance(number: int, region: Joined, score: float, plate_rgb: UInt8[np.ndarray, "h w 3"]) -> ObjectInstance:
     mask = _enlarge(region.mask, plate_rgb)
     rows, columns = np.nonzero(mask)
     box = np.array([columns.min(), rows.min(), columns.max(), rows.max()], dtype=np.float64)
-    return ObjectInstance(number, "object", score, box, mask)
+    return ObjectInstance(number, region.label, score, box, mask)
 
 
 def _enlarge(small: Bool[np.ndarray, "h w"], plate_rgb: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
@@ -106,4 +153,4 @@ def _enlarge(small: Bool[np.ndarray, "h w"], plate_rgb: UInt8[np.ndarray, "h w 3
     return large
 
 
-STAGE = StageSpec("segment", segment_plate, version=1)
+STAGE = StageSpec("segment", segment_plate, version=2, models=("segment",))

@@ -18,7 +18,7 @@ LEVELS = {
     "scenemi": 1, "video2anim.models": 1, "video2anim.artifacts": 1, "video2anim.video": 1, "video2anim.fitting": 1,
     "video2anim.pipeline": 2, "video2anim.viewer": 2, "video2anim.export": 2,
     "video2anim.synth": 2, "video2anim.eval": 2,
-    "stages": 3, "video2anim.lifting": 3,
+    "stages": 3, "video2anim.lifting": 3, "video2anim.perception": 3,
     "video2anim.cli": 4,
 }  # fmt: skip
 """Part -> level. Lower never imports higher."""

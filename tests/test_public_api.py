@@ -40,6 +40,7 @@ COMMANDS = {
     "eval": {"DIR", "--truth", "--json", "--html"},
     "eval-set": {"RESULTS_DIR", "--truth", "--workers", "--json", "--html"},
     "models list": set(),
+    "models run": {"SLOT", "IMAGE...", "--out", "--model"},
     "models pull": {"NAME"},
     "models verify": set(),
 }  # fmt: skip

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from video2anim.errors import ArtifactError
+from video2anim.errors import ArtifactError, InputError
 
 _ERRORS_ONLY = cv2.utils.logging.LOG_LEVEL_ERROR
 
@@ -52,3 +52,25 @@ def read_png(path: Path, dtype: np.dtype) -> np.ndarray:
         gray = image if image.ndim == 2 else image[..., :3].max(-1)
         return gray >= 128
     return np.ascontiguousarray(image[..., 2::-1]) if image.ndim == 3 else image
+
+
+def read_picture(path: Path) -> np.ndarray:
+    """A photograph of any common format as uint8 RGB (H, W, 3), upright by its EXIF orientation.
+
+    Raises:
+        InputError: missing, or not a picture that can be read.
+    """
+    if not path.is_file():
+        raise InputError(f"pictures: want an image file, found {'a folder' if path.is_dir() else 'nothing'} at {path}")
+    data = np.frombuffer(path.read_bytes(), np.uint8)
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(_ERRORS_ONLY)
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB) if len(data) else None
+    except cv2.error:
+        image = None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    if image is None:
+        raise InputError(f"pictures: want a JPEG, PNG or other common image, got unreadable bytes at {path}")
+    return image

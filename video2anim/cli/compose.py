@@ -36,8 +36,8 @@ MODULES = (
     ingest, track, camera, humans, background, depth, metric, segment,
     complete, reconstruct, place, scene, keyframes, refine, export,
 )  # fmt: skip
-NO_NETWORK = "geometric"
-"""Provider name of stages that use no network."""
+NO_NETWORK = ("geometric", "none")
+"""Names of stages' models and providers that use no network."""
 
 
 def pipeline_nodes() -> tuple[Node, ...]:
@@ -46,7 +46,10 @@ def pipeline_nodes() -> tuple[Node, ...]:
 
 
 class TableModels:
-    """Models by the table of `video2anim.models`; a stage config's `model` or `provider` names one."""
+    """Models by the table of `video2anim.models`.
+
+    A stage's config names the model of a slot as `<slot>_model`, else as `model` or `provider`.
+    """
 
     def __init__(self, on_fetch: Callable[[str, int, int], None] | None = None) -> None:
         self._on_fetch = on_fetch
@@ -58,7 +61,7 @@ class TableModels:
         found: dict[str, str] = {}
         for slot in slots:
             name = self._name(slot, config)
-            if name != NO_NETWORK:
+            if name not in NO_NETWORK:
                 found |= weight_digests(name)
         return found
 
@@ -71,7 +74,8 @@ class TableModels:
 
     @staticmethod
     def _name(slot: str, config: Any) -> str:
-        return getattr(config, "model", None) or getattr(config, "provider", None) or slot
+        own = getattr(config, f"{slot}_model", None)
+        return own or getattr(config, "model", None) or getattr(config, "provider", None) or slot
 
 
 def source_video(path: Path) -> SourceVideo:
@@ -187,6 +191,6 @@ def preset_models(name: str) -> list[str]:
     for node in nodes:
         for slot in node.spec.models:
             model = TableModels._name(slot, config.stages[node.name])
-            if model != NO_NETWORK:
+            if model not in NO_NETWORK:
                 wanted.append(model)
     return wanted

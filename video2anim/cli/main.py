@@ -11,6 +11,7 @@ import typer
 
 from video2anim import __version__
 from video2anim.cli.evaluate import eval_command, eval_set_command
+from video2anim.cli.pictures import models_run
 from video2anim.cli.synth import synth_command
 from video2anim.errors import Video2AnimError
 
@@ -181,6 +182,9 @@ def models_verify() -> None:
     states = verify()
     show.models_table(states)
     show.fail_on_damage(states)
+
+
+models_app.command("run")(models_run)
 
 
 def _device(wanted: str) -> str:

@@ -1,4 +1,4 @@
-"""Scale and offset of a clip's depth by Chamfer distance to bodies of known size (paper 8.1)."""
+"""Scale and offset of a clip's depth by Chamfer distance to bodies of known size (paper 8.1), and by the floor."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from video2anim.geometry.chamfer import ChamferConfig, ChamferLoss, chamfer_m
+from video2anim.geometry.chamfer import ChamferConfig, ChamferLoss, chamfer_m, huber_of_square
+from video2anim.geometry.steady_depth import fitted_line
 
+_GROUND_BLOCKS = 12
 _FACTORS = (0.7, 1.0, 1.4)
 """Starts, as multiples of the scale at which median depths agree."""
 
@@ -27,6 +29,30 @@ class FrameEvidence:
     """Relative depth or disparity there."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundEvidence:
+    """Plate pixels that show the floor, or places on it where feet stood."""
+
+    ray_up: Float[np.ndarray, "pixels"]
+    """World height that is won along a ray of unit z-depth; negative."""
+    value: Float[np.ndarray, "pixels"]
+    """Relative depth or disparity there."""
+    camera_height_m: float
+    weight: float = 1.0
+    """Weight of the mean miss of the floor beside that of the bodies."""
+
+    @property
+    def depth_m(self) -> Float[np.ndarray, "pixels"]:
+        """z-depth of the floor."""
+        return self.camera_height_m / np.maximum(-self.ray_up, 1e-6)
+
+    def resampled(self, rng: np.random.Generator) -> GroundEvidence:
+        """As many pixels, drawn in blocks: neighbours err together."""
+        blocks = np.array_split(np.arange(len(self.value)), min(_GROUND_BLOCKS, len(self.value)))
+        chosen = np.concatenate([blocks[i] for i in rng.integers(0, len(blocks), len(blocks))])
+        return GroundEvidence(self.ray_up[chosen], self.value[chosen], self.camera_height_m, self.weight)
+
+
 @dataclass(frozen=True, slots=True)
 class DepthFit:
     """Scale and offset with standard deviations over resampled frames."""
@@ -38,6 +64,8 @@ class DepthFit:
     chamfer_before_m: float
     """With the scale that makes median depths agree, and no offset."""
     chamfer_after_m: float
+    ground_miss_m: float = float("nan")
+    """Median height of the floor's pixels over (or under) the floor; NaN without floor."""
 
 
 def metric_depth(kind: str, value: np.ndarray, scale: float, offset: float) -> Float[np.ndarray, "..."]:
@@ -56,23 +84,31 @@ def fit_depth(
     resamples: int = 8,
     huber_m: float = 0.1,
     trim_ratio: float = 0.1,
+    ground: GroundEvidence | None = None,
 ) -> DepthFit:
     """The scale (and offset) of least robust Chamfer distance between bodies and lifted depth, over all frames.
 
+    With `ground`, the height that lifted floor pixels miss the floor by counts as well, under the same robust cost; it
+    may stand alone, without frames.
+
     Raises:
-        ValueError: there is no frame, or no positive scale makes the medians agree.
+        ValueError: there is neither a frame nor ground, or no positive scale makes the medians agree.
     """
-    if not frames:
-        raise ValueError("fit_depth: no frame with both body and depth")
-    start = _median_scale(frames, kind)
+    if not frames and ground is None:
+        raise ValueError("fit_depth: no frame with both body and depth, and no floor")
+    start = _median_scale(frames, kind, ground)
     config = ChamferConfig(huber_m=huber_m, trim_ratio=trim_ratio)
-    solutions = [_descend(frames, kind, factor * start, 0.0, with_offset, config, 40) for factor in _FACTORS]
+    starts = [(factor * start, 0.0) for factor in _FACTORS]
+    if with_offset and (line := _line_start(frames, kind, ground)) is not None:
+        starts.append(line)
+    solutions = [_descend(frames, kind, *at, with_offset, config, 40, ground) for at in starts]
     best = min(solutions, key=lambda found: found[2])
     scale, offset, _ = best
     spread = []
-    for _ in range(resamples if len(frames) > 1 else 0):
-        chosen = [frames[i] for i in rng.integers(0, len(frames), len(frames))]
-        spread.append(_descend(chosen, kind, scale, offset, with_offset, config, 12)[:2])
+    for _ in range(resamples if len(frames) > 1 or ground is not None else 0):
+        chosen = [frames[i] for i in rng.integers(0, len(frames), len(frames))] if frames else []
+        floor = ground.resampled(rng) if ground is not None else None
+        spread.append(_descend(chosen, kind, scale, offset, with_offset, config, 12, floor)[:2])
     deviation = np.std(spread, axis=0, ddof=1) if spread else np.array([scale, abs(offset)])
     return DepthFit(
         scale=scale,
@@ -81,11 +117,21 @@ def fit_depth(
         offset_sigma=float(deviation[1]),
         chamfer_before_m=_mean_chamfer(frames, kind, start, 0.0),
         chamfer_after_m=_mean_chamfer(frames, kind, scale, offset),
+        ground_miss_m=ground_miss_m(ground, kind, scale, offset) if ground is not None else float("nan"),
     )
 
 
-def _median_scale(frames: Sequence[FrameEvidence], kind: str) -> float:
+def ground_miss_m(ground: GroundEvidence, kind: str, scale: float, offset: float) -> float:
+    """Median distance of lifted floor pixels from the floor, metres; infinite where most go nowhere."""
+    height_m = ground.camera_height_m + metric_depth(kind, ground.value, scale, offset) * ground.ray_up
+    return float(np.median(np.where(np.isfinite(height_m), np.abs(height_m), np.inf)))
+
+
+def _median_scale(frames: Sequence[FrameEvidence], kind: str, ground: GroundEvidence | None) -> float:
     ratios = []
+    if not frames and ground is not None:
+        ratio = ground.depth_m / ground.value if kind == "depth" else 1.0 / (ground.depth_m * ground.value)
+        ratios = ratio[np.isfinite(ratio) & (ratio > 0)].tolist() or [float("nan")]
     for frame in frames:
         depth_m, value = float(np.median(frame.body_camera_m[:, 2])), float(np.median(frame.value))
         ratios.append(depth_m / value if kind == "depth" else 1.0 / (depth_m * value))
@@ -93,6 +139,18 @@ def _median_scale(frames: Sequence[FrameEvidence], kind: str) -> float:
     if not np.isfinite(scale) or scale <= 0:
         raise ValueError(f"fit_depth: no positive scale makes median depths agree (got {scale})")
     return scale
+
+
+def _line_start(
+    frames: Sequence[FrameEvidence], kind: str, ground: GroundEvidence | None
+) -> tuple[float, float] | None:
+    """Scale and offset of the line through the frames' medians and the floor; None where no rising line fits."""
+    x = [float(np.median(frame.value)) for frame in frames]
+    y = [float(np.median(frame.body_camera_m[:, 2])) for frame in frames]
+    if ground is not None:
+        x, y = x + ground.value.tolist(), y + ground.depth_m.tolist()
+    values, goals = np.array(x), np.array(y) if kind == "depth" else 1.0 / np.array(y)
+    return fitted_line(values, goals, np.isfinite(values) & np.isfinite(goals), least=2)
 
 
 def _descend(
@@ -103,24 +161,35 @@ def _descend(
     with_offset: bool,
     config: ChamferConfig,
     steps: int,
+    ground: GroundEvidence | None = None,
 ) -> tuple[float, float, float]:
     """Scale, offset and loss after a few L-BFGS rounds, with neighbours looked up anew before each round.
 
     The offset is optimised in units that move the person as far as the scale does.
     """
-    unit = scale * float(np.median(np.concatenate([frame.value for frame in frames])))
+    every = [frame.value for frame in frames] + ([] if ground is None else [ground.value])
+    unit = scale * float(np.median(np.abs(np.concatenate(every))))
     state = torch.tensor([np.log(scale), offset / unit], dtype=torch.float64, requires_grad=True)
     rays = [torch.as_tensor(frame.ray, dtype=torch.float64) for frame in frames]
     values = [torch.as_tensor(frame.value, dtype=torch.float64) for frame in frames]
     mask = torch.tensor([1.0, 1.0 if with_offset else 0.0], dtype=torch.float64)
 
+    def lifted(value: torch.Tensor) -> torch.Tensor:
+        line = torch.exp(state[0]) * value + state[1] * unit
+        depth = line if kind == "depth" else 1.0 / torch.clamp(line, min=1e-3)
+        return torch.clamp(depth, min=0.02, max=1e3)
+
+    floor = None if ground is None else [torch.as_tensor(x, dtype=torch.float64) for x in (ground.value, ground.ray_up)]
+
     def objective(losses: Sequence[ChamferLoss]) -> torch.Tensor:
         total = torch.zeros((), dtype=torch.float64)
         for loss, ray, value in zip(losses, rays, values, strict=True):
-            line = torch.exp(state[0]) * value + state[1] * unit
-            depth = line if kind == "depth" else 1.0 / torch.clamp(line, min=1e-3)
-            total = total + loss(ray * torch.clamp(depth, min=0.02, max=1e3)[:, None])
-        return total / len(losses)
+            total = total + loss(ray * lifted(value)[:, None])
+        total = total / max(len(losses), 1)
+        if ground is not None and floor is not None:
+            height = ground.camera_height_m + lifted(floor[0]) * floor[1]
+            total = total + ground.weight * huber_of_square(height * height, config.huber_m).mean()
+        return total
 
     held = ChamferConfig(config.sides, config.huber_m, config.trim_ratio, requery_every=10**9)
     value = float("inf")

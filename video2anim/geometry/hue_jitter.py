@@ -18,16 +18,19 @@ def jittered_disparity(
     """Disparity of the picture, and its standard deviation over hue-shifted copies.
 
     A network's disparity is free up to scale and offset, so each copy's answer is first fitted to the original's.
+    Pixels that any answer leaves out (NaN) stay out.
     """
     reference = np.asarray(predict(image_rgb), dtype=np.float64)
     answers = [reference]
+    known = np.isfinite(reference)
     tensor = torch.from_numpy(image_rgb).permute(2, 0, 1).float() / 255
     for shift in hue_shifts_rad:
         shifted = kornia.enhance.adjust_hue(tensor, float(shift)).clamp(0, 1)
         copy = (shifted.permute(1, 2, 0) * 255).round().byte().numpy()
         answer = np.asarray(predict(copy), dtype=np.float64)
-        design = np.stack([answer.ravel(), np.ones(answer.size)], 1)
-        solution = np.linalg.lstsq(design, reference.ravel(), rcond=None)[0]
+        both = known & np.isfinite(answer)
+        design = np.stack([answer[both], np.ones(int(both.sum()))], 1)
+        solution = np.linalg.lstsq(design, reference[both], rcond=None)[0]
         answers.append(answer * solution[0] + solution[1])
     return reference, np.std(np.stack(answers), axis=0)
 
@@ -36,5 +39,7 @@ def reliable(
     value: Float[np.ndarray, "h w"], sigma: Float[np.ndarray, "h w"], limit_ratio: float
 ) -> Bool[np.ndarray, "h w"]:
     """Pixels whose deviation is below a share of the picture's range of values."""
-    low, high = np.percentile(value, [2, 98])
+    if not np.isfinite(value).any():
+        return np.zeros(value.shape, dtype=bool)
+    low, high = np.nanpercentile(value, [2, 98])
     return np.isfinite(value) & (sigma < limit_ratio * max(high - low, 1e-9))

@@ -40,13 +40,15 @@ class CameraEstimate:
 
     intrinsics: Intrinsics
     focal_source: str
-    """`user`, `metadata` or `human` (fitted to the person's geometry under a lens prior)."""
+    """`user`, `metadata`, `picture` (the room's perspective together with the person's geometry) or `human` (the
+    person's geometry under a lens prior)."""
     focal_sigma_ratio: float
     """Standard deviation of the focal length as a share of it."""
     up_camera: Float[np.ndarray, "3"]
     """Unit vector against gravity in camera axes, first frame."""
     up_source: str
-    """`user`, `human` or `level` (the camera is taken as level: nothing spoke against it)."""
+    """`user`, `picture` (perspective and the person's balance), `human` or `level` (the camera is taken as level: nothing
+    spoke against it)."""
     up_sigma_rad: float
     is_static: bool
     R_first_camera: Float[np.ndarray, "frames 3 3"]

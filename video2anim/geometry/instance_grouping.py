@@ -1,0 +1,85 @@
+"""Instances from cues: pixels vote for the middle of their thing (Panoptic-DeepLab, Cheng et al. 2020)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+_LEAST_HEAT = 0.12
+"""Middles below this are none."""
+_APART = 0.06
+"""Least distance of two middles, in picture heights."""
+_MOST = 40
+_FARTHEST = 0.35
+"""Pixels whose vote misses every middle by more picture heights belong to nothing found."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InstanceCues:
+    """What a network says about where things are."""
+
+    middle: Float[np.ndarray, "rows columns"]
+    """Probability that a thing's middle is here."""
+    offset: Float[np.ndarray, "rows columns 2"]
+    """From here to the middle of the thing that is seen here (x, y), in picture heights."""
+    boundary: Float[np.ndarray, "rows columns"]
+    """Probability that a thing ends here."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Pixels of one thing."""
+
+    mask: Bool[np.ndarray, "rows columns"]
+    score: float
+    """0 to 1: how clear its middle is, and how well its pixels agree on it."""
+
+    @property
+    def share(self) -> Float[np.ndarray, "rows columns"]:
+        """The mask as numbers, to be resized."""
+        return self.mask.astype(np.float32)
+
+
+def grouped(cues: InstanceCues, wanted: Bool[np.ndarray, "rows columns"], smallest_ratio: float = 0.002) -> list[Group]:
+    """Split the wanted pixels into things, best score first.
+
+    Args:
+        cues: Where things are.
+        wanted: Pixels that belong to some thing.
+        smallest_ratio: Least share of the picture for a thing.
+    """
+    rows, columns = wanted.shape
+    middles = _middles(cues.middle, wanted)
+    if not len(middles) or not wanted.any():
+        return []
+    y, x = np.nonzero(wanted)
+    vote = np.stack([x, y], 1) + cues.offset[y, x] * rows
+    far = np.linalg.norm(vote[:, None] - middles[None, :, :2], axis=-1)
+    nearest = far.argmin(1)
+    miss = far[np.arange(len(far)), nearest]
+    nearest[miss > _FARTHEST * rows] = -1
+    groups = []
+    for number, (middle_x, middle_y) in enumerate(middles[:, :2].astype(int)):
+        own = nearest == number
+        if own.sum() < smallest_ratio * wanted.size:
+            continue
+        mask = np.zeros((rows, columns), bool)
+        mask[y[own], x[own]] = True
+        agreement = float(np.exp(-np.median(miss[own]) / (0.08 * rows)))
+        groups.append(Group(mask, float(np.sqrt(cues.middle[middle_y, middle_x] * agreement))))
+    return sorted(groups, key=lambda group: -group.score)
+
+
+def _middles(heat: np.ndarray, wanted: np.ndarray) -> Float[np.ndarray, "middles 3"]:
+    """Peaks x, y, height near wanted pixels."""
+    rows = heat.shape[0]
+    smooth = cv2.GaussianBlur(heat.astype(np.float32), (0, 0), max(0.008 * rows, 0.6))
+    size = 2 * max(1, round(0.5 * _APART * rows)) + 1
+    peak = (smooth == cv2.dilate(smooth, np.ones((size, size), np.uint8))) & (smooth > _LEAST_HEAT)
+    near = cv2.dilate(wanted.astype(np.uint8), np.ones((2 * size + 1, 2 * size + 1), np.uint8)) > 0
+    y, x = np.nonzero(peak & near)
+    order = np.argsort(-smooth[y, x])[:_MOST]
+    return np.stack([x, y, smooth[y, x]], 1)[order].astype(np.float64)

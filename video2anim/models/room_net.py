@@ -1,0 +1,193 @@
+"""The project's own network for rooms: depth, normals, classes, instances and perspective field of one picture.
+
+Tensor contract: input `picture` (1, 3, H, W) float32, RGB in 0 to 255, H and W multiples of 32; outputs at half that
+size: `disparity` (1, 1, H/2, W/2) up to scale and offset, larger is nearer, `normal` (1, 3, ..) in camera axes, not
+normalised, `classes` (1, 6, ..) logits of `CLASSES`, `cues` (1, 4, ..) logit of a thing's middle, offset to the middle
+(x, y in picture heights), logit of a boundary; at an eighth: `camera` (1, 5, H/8, W/8) up (x, y), latitude in radians,
+logs of the expected errors of both in radians. Trained by `training/room_net.py` on renders of `video2anim synth`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from video2anim.errors import ModelMissingError
+from video2anim.geometry.instance_grouping import Group, InstanceCues, grouped
+from video2anim.geometry.perspective_field import PerspectiveField
+from video2anim.models.onnx import open_session
+from video2anim.models.segmentation import CLASSES, SeenInstance, Segmentation
+
+INPUT = "picture"
+OUTPUTS = ("disparity", "normal", "classes", "cues", "camera")
+CHANNELS = (1, 3, len(CLASSES), 4, 5)
+AREA_PX = 256 * 192
+"""Area of the network's input; the picture's ratio is kept."""
+STRIDE = 32
+_SIGMA_RANGE_RAD = (0.005, 1.5)
+_SMALLEST_PERSON = 0.003
+"""Least share of the picture."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoomView:
+    """One picture as the network sees it; maps at half the network's input size."""
+
+    disparity: Float[np.ndarray, "rows columns"]
+    """Up to scale and offset; larger is nearer."""
+    normal_camera: Float[np.ndarray, "rows columns 3"]
+    """Unit normals."""
+    class_logits: Float[np.ndarray, "rows columns 6"]
+    cues: InstanceCues
+    field: PerspectiveField
+
+
+class RoomNet:
+    """All heads. Each picture is shown as it is and mirrored, and the answers are averaged."""
+
+    name = "room-net"
+
+    def __init__(self, path: Path, *, area_px: int = AREA_PX) -> None:
+        """Load the weights.
+
+        Raises:
+            ModelMissingError: the file is no network of that contract.
+        """
+        self._path, self._area_px = path, area_px
+        self._session = open_session(path, inputs=(INPUT,), outputs=OUTPUTS)
+
+    def see(self, image: UInt8[np.ndarray, "height width 3"]) -> RoomView:
+        """Everything about one picture.
+
+        Raises:
+            ModelMissingError: the network's outputs are not of the contract's shapes.
+        """
+        height, width = input_size(image.shape[0], image.shape[1], self._area_px)
+        shrinks = width < image.shape[1]
+        small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
+        picture = np.ascontiguousarray(small.astype(np.float32).transpose(2, 0, 1)[None])
+        plain = self._run(picture)
+        mirrored = {
+            name: value[..., ::-1] for name, value in self._run(np.ascontiguousarray(picture[..., ::-1])).items()
+        }
+        mean = {name: 0.5 * (plain[name] + mirrored[name] * _mirror_signs(name)) for name in OUTPUTS}
+        return _view_of(mean)
+
+    def _run(self, picture: np.ndarray) -> dict[str, np.ndarray]:
+        answers = self._session.run(list(OUTPUTS), {INPUT: picture})
+        found = {}
+        for name, channels, answer in zip(OUTPUTS, CHANNELS, answers, strict=True):
+            value = np.asarray(answer, np.float32)
+            step = 8 if name == "camera" else 2
+            want = (1, channels, picture.shape[2] // step, picture.shape[3] // step)
+            if value.shape != want:
+                raise ModelMissingError(f"{self._path}: want {name} of shape {want}, got {value.shape}")
+            found[name] = value[0]
+        return found
+
+
+def input_size(height: int, width: int, area_px: int = AREA_PX) -> tuple[int, int]:
+    """Height and width of the network's input: about the area, the picture's ratio, multiples of the stride."""
+    scale = (area_px / (height * width)) ** 0.5
+    return _to_stride(height * scale), _to_stride(width * scale)
+
+
+def _to_stride(length_px: float) -> int:
+    return max(STRIDE, round(length_px / STRIDE) * STRIDE)
+
+
+def _mirror_signs(name: str) -> np.ndarray:
+    """Signs that undo a mirror, per channel."""
+    signs = {"normal": (-1, 1, 1), "cues": (1, -1, 1, 1), "camera": (-1, 1, 1, 1, 1)}.get(name, (1,))
+    return np.array(signs, np.float32)[:, None, None]
+
+
+def _view_of(maps: dict[str, np.ndarray]) -> RoomView:
+    normal = maps["normal"].transpose(1, 2, 0)
+    up = maps["camera"][:2].transpose(1, 2, 0).astype(np.float64)
+    sigma = np.clip(np.exp(np.clip(maps["camera"][3:5], -9, 3)), *_SIGMA_RANGE_RAD).astype(np.float64)
+    return RoomView(
+        disparity=maps["disparity"][0],
+        normal_camera=normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6),
+        class_logits=maps["classes"].transpose(1, 2, 0),
+        cues=InstanceCues(_logistic(maps["cues"][0]), maps["cues"][1:3].transpose(1, 2, 0), _logistic(maps["cues"][3])),
+        field=PerspectiveField(
+            up / np.maximum(np.linalg.norm(up, axis=-1, keepdims=True), 1e-9),
+            maps["camera"][2].astype(np.float64),
+            sigma[0],
+            sigma[1],
+        ),
+    )
+
+
+def _logistic(x: np.ndarray) -> np.ndarray:
+    return 1 / (1 + np.exp(-np.clip(x, -30, 30)))
+
+
+def _pieces(mask: np.ndarray, logits: np.ndarray) -> list[Group]:
+    """Connected parts of people's pixels, each as one person."""
+    count, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    weight = np.exp(logits - logits.max(-1, keepdims=True))
+    probability = (weight / weight.sum(-1, keepdims=True))[..., CLASSES.index("person")]
+    pieces = [parts == number for number in range(1, count)]
+    return [Group(piece, float(probability[piece].mean())) for piece in pieces if piece.mean() > _SMALLEST_PERSON]
+
+
+class RoomDepth:
+    """Slot `depth`: disparity."""
+
+    kind = "disparity"
+    name = "room-depth"
+
+    def __init__(self, path: Path) -> None:
+        """Load the weights; errors as of `RoomNet`."""
+        self._net = RoomNet(path)
+
+    def infer(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
+        """Disparity at the picture's own size, float32, up to scale and offset."""
+        disparity = self._net.see(image).disparity
+        return cv2.resize(disparity, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR)
+
+
+class RoomCamera:
+    """Slot `camera`: perspective field."""
+
+    name = "room-camera"
+
+    def __init__(self, path: Path) -> None:
+        """Load the weights; errors as of `RoomNet`."""
+        self._net = RoomNet(path)
+
+    def field(self, image: UInt8[np.ndarray, "height width 3"]) -> PerspectiveField:
+        """Up and latitude in cells of an eighth of the network's input."""
+        return self._net.see(image).field
+
+
+class RoomSegment:
+    """Slot `segment`: six classes, and instances of furniture and people."""
+
+    name = "room-segment"
+
+    def __init__(self, path: Path) -> None:
+        """Load the weights; errors as of `RoomNet`."""
+        self._net = RoomNet(path)
+
+    def segment(self, image: UInt8[np.ndarray, "height width 3"]) -> Segmentation:
+        """Classes and instances at the picture's own size."""
+        view = self._net.see(image)
+        size = (image.shape[1], image.shape[0])
+        logits = cv2.resize(view.class_logits, size, interpolation=cv2.INTER_LINEAR)
+        semantic = logits.argmax(-1).astype(np.uint8)
+        instances = []
+        for kind in ("furniture", "person"):
+            mask = view.class_logits.argmax(-1) == CLASSES.index(kind)
+            wanted = semantic == CLASSES.index(kind)
+            for group in grouped(view.cues, mask) if kind == "furniture" else _pieces(mask, view.class_logits):
+                near = cv2.resize(group.share, size, interpolation=cv2.INTER_LINEAR)
+                instances.append(SeenInstance(kind, kind, group.score, (near > 0.5) & wanted))
+        kept = [instance for instance in instances if instance.mask.any()]
+        return Segmentation(semantic, tuple(sorted(kept, key=lambda instance: -instance.score)))
