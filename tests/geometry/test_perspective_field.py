@@ -121,8 +121,8 @@ def test_cells_count_by_their_expected_errors() -> None:
     """The left half is 20 degrees off in latitude and says so; the fit follows the right half."""
     up = up_vector(-10, 3)
     field = perfect(0.9, up, 4 / 3, 0.01)
-    left = np.zeros(field.latitude_rad.shape, bool)
-    left[:, : left.shape[1] // 2] = True
+    rows, columns = field.latitude_rad.shape
+    left = np.broadcast_to(np.arange(columns) < columns // 2, (rows, columns))
     off = np.where(left, np.deg2rad(20), 0.0)
     honest = PerspectiveField(
         field.up, field.latitude_rad + off, field.up_sigma_rad, np.where(left, 3.0, field.latitude_sigma_rad)

@@ -36,10 +36,10 @@ class _SameConv(nn.Conv2d):
         self._after = size - stride - (size - stride) // 2 if stride > 1 else 0
         self._before = (size - stride) // 2 if stride > 1 else 0
 
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, input: Tensor) -> Tensor:
         if self._after or self._before:
-            x = functional.pad(x, (self._before, self._after, self._before, self._after))
-        return super().forward(x)
+            input = functional.pad(input, (self._before, self._after, self._before, self._after))
+        return super().forward(input)
 
 
 class _Block(nn.Module):

@@ -47,8 +47,8 @@ class CameraEstimate:
     up_camera: Float[np.ndarray, "3"]
     """Unit vector against gravity in camera axes, first frame."""
     up_source: str
-    """`user`, `picture` (perspective and the person's balance), `human` or `level` (the camera is taken as level: nothing
-    spoke against it)."""
+    """`user`, `picture` (perspective and the person's balance), `human` or `level` (taken as level: nothing spoke
+    against it)."""
     up_sigma_rad: float
     is_static: bool
     R_first_camera: Float[np.ndarray, "frames 3 3"]
