@@ -69,7 +69,7 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
         for meta in sorted(folder.glob("shard_*/meta.json")):
             maps = {p.stem: np.load(p, mmap_mode="r") for p in meta.parent.glob("*.npy")}
             for row in range(len(maps["rgb"])):
-                rgb = np.ascontiguousarray(maps["rgb"][row])
+                rgb = np.array(maps["rgb"][row])
                 view = net.see(rgb)
                 truth = inverse_depth(maps["depth_mm"][row])
                 rows.append(compared(enlarged(view.disparity, truth.shape), truth) | plane_numbers(truth))

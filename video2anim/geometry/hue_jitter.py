@@ -15,7 +15,7 @@ def jittered_disparity(
     image_rgb: UInt8[np.ndarray, "h w 3"],
     hue_shifts_rad: Sequence[float],
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """Disparity of the picture, and its standard deviation over hue-shifted copies.
+    """Mean of the picture's and its hue-shifted copies' disparity, and the standard deviation over them.
 
     A network's disparity is free up to scale and offset, so each copy's answer is first fitted to the original's.
     Pixels that any answer leaves out (NaN) stay out.
@@ -32,7 +32,7 @@ def jittered_disparity(
         design = np.stack([answer[both], np.ones(int(both.sum()))], 1)
         solution = np.linalg.lstsq(design, reference[both], rcond=None)[0]
         answers.append(answer * solution[0] + solution[1])
-    return reference, np.std(np.stack(answers), axis=0)
+    return np.mean(np.stack(answers), axis=0), np.std(np.stack(answers), axis=0)
 
 
 def reliable(

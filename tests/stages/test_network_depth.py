@@ -1,0 +1,173 @@
+"""Depth by a network whose answers are right up to a scale and offset that change with every picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from synthetic_room import BOX, FLOOR, WALL, Room, make_room
+
+import video2anim.video
+from stages.depth import DepthConfig, estimate_depth
+from stages.metric import MetricConfig, fit_metric
+from stages.segment import SegmentConfig, segment_plate
+from video2anim.models.segmentation import CLASSES, SeenInstance, Segmentation
+from video2anim.pipeline.stage import StageContext
+from video2anim.types import DepthClip, MetricDepth
+
+PLATE = 255
+"""Red value of the plate's first pixel; a frame has its sample's number there."""
+
+
+class TrueUpToALine:
+    """Disparity of the room and of the person in the picture, each time under another scale and offset."""
+
+    kind = "disparity"
+
+    def __init__(self, room: Room, moody: bool = True) -> None:
+        self._room, self._moody = room, moody
+        self._rng = np.random.default_rng(3)
+        self._line = (1.0, 0.0)
+
+    def infer(self, image_rgb: np.ndarray) -> np.ndarray:
+        room, number = self._room, int(image_rgb[0, 0, 0])
+        depth_m = room.depth_m.copy()
+        if number != PLATE:
+            frame = int(room.plate.frame_index[number])
+            joints = room.bodies.people[0].joints_camera_m[frame, :, 2]
+            depth_m[room.plate.selected_mask[number]] = np.median(joints)
+        scale, offset = (self._rng.uniform(0.6, 1.5), self._rng.uniform(-0.2, 0.3)) if self._moody else (1.0, 0.0)
+        disparity = scale / depth_m + offset
+        return cv2.resize(disparity, image_rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+
+
+class TrueClasses:
+    """Floor, wall and the box as they are."""
+
+    def __init__(self, room: Room) -> None:
+        self._room = room
+
+    def segment(self, image_rgb: np.ndarray) -> Segmentation:
+        surface = cv2.resize(
+            self._room.surface.astype(np.uint8), image_rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST
+        )
+        semantic = np.full(surface.shape, CLASSES.index("other"), np.uint8)
+        for number, name in ((FLOOR, "floor"), (WALL, "wall"), (BOX, "furniture")):
+            semantic[surface == number] = CLASSES.index(name)
+        box = SeenInstance("cabinet", "furniture", 0.9, surface == BOX)
+        return Segmentation(semantic, (box,) if box.mask.any() else ())
+
+
+@pytest.fixture
+def room(monkeypatch: pytest.MonkeyPatch) -> Room:
+    """A room whose pictures name themselves by their first pixel."""
+    made = make_room()
+    plate_rgb = made.plate.plate_rgb.copy()
+    plate_rgb[:24, :24, 0] = PLATE
+    made = replace(made, plate=replace(made.plate, plate_rgb=plate_rgb))
+
+    def frames(clip: Any, start: int, end: int) -> Iterator[np.ndarray]:
+        samples = {int(frame): sample for sample, frame in enumerate(made.plate.frame_index)}
+        for frame in range(start, end):
+            picture = made.plate.plate_rgb.copy()
+            picture[:24, :24, 0] = samples.get(frame, 0)
+            yield picture
+
+    monkeypatch.setattr(video2anim.video, "read_frames", frames)
+    return made
+
+
+def _context(room: Room, moody: bool = True) -> StageContext:
+    models = {"fake": TrueUpToALine(room, moody), "floor": TrueClasses(room)}
+    return StageContext(Path(), load_model=models.__getitem__)
+
+
+def _depth(room: Room, ctx: StageContext) -> DepthClip:
+    config = DepthConfig(provider="fake", hue_shifts_rad=(), frame_hue_shifts_rad=())
+    return estimate_depth(None, room.plate, room.bodies, room.camera, config, ctx)  # type: ignore[arg-type]
+
+
+def _metric(room: Room, ctx: StageContext, **changes: Any) -> MetricDepth:
+    config = MetricConfig(segment_model="floor", **changes)
+    return fit_metric(_depth(room, ctx), room.plate, room.bodies, config, ctx)
+
+
+def _quality(ctx: StageContext, name: str) -> float:
+    return next(q.value for q in ctx.qualities if q.name == name)
+
+
+def test_the_background_of_a_still_camera_is_the_plates(room: Room) -> None:
+    ctx = _context(room)
+    depth = _depth(room, ctx)
+    assert depth.kind == "disparity"
+    for sample, people in enumerate(room.plate.person_mask):
+        np.testing.assert_array_equal(depth.value[sample][~people], depth.background_value[~people])
+    assert _quality(ctx, "flicker_before") > 0.02
+    assert _quality(ctx, "flicker_after") == 0
+
+
+def test_people_come_from_their_own_picture_in_the_plates_units(room: Room) -> None:
+    steady, moody = _depth(room, _context(room, moody=False)), _depth(room, _context(room))
+    for sample, people in enumerate(room.plate.person_mask):
+        at = people & moody.valid[sample]
+        assert at.any()
+        line = np.polyfit(steady.background_value.ravel(), moody.background_value.ravel(), 1)
+        np.testing.assert_allclose(moody.value[sample][at], np.polyval(line, steady.value[sample][at]), atol=2e-3)
+
+
+def test_a_moving_camera_keeps_every_pictures_own_answer(room: Room) -> None:
+    still = replace(room, camera=replace(room.camera, is_static=False))
+    ctx = _context(still)
+    depth = _depth(still, ctx)
+    assert not any(q.name.startswith("flicker") for q in ctx.qualities)
+    assert (
+        np.ptp([value[~people].mean() for value, people in zip(depth.value, room.plate.person_mask, strict=True)]) > 0
+    )
+
+
+def test_floor_and_body_give_scale_and_offset(room: Room) -> None:
+    metric = _metric(room, _context(room))
+    assert metric.trusted, metric.reason
+    ratio = metric.background_depth_m / room.depth_m
+    known = metric.background_valid & (room.depth_m < 8)
+    assert np.median(np.abs(ratio[known] - 1)) < 0.03
+    assert "floor" in metric.reason
+
+
+def test_the_floor_alone_does_too(room: Room) -> None:
+    metric = _metric(room, _context(room), evidence="ground")
+    assert metric.trusted, metric.reason
+    known = metric.background_valid & (room.depth_m < 8)
+    assert np.median(np.abs(metric.background_depth_m / room.depth_m - 1)[known]) < 0.03
+
+
+def test_a_floor_that_contradicts_itself_is_not_trusted(room: Room) -> None:
+    class Walls(TrueClasses):
+        def segment(self, image_rgb: np.ndarray) -> Segmentation:
+            seen = super().segment(image_rgb)
+            swapped = np.where(seen.semantic == CLASSES.index("wall"), CLASSES.index("floor"), 0).astype(np.uint8)
+            return Segmentation(swapped, ())
+
+    models = {"fake": TrueUpToALine(room), "floor": Walls(room)}
+    ctx = StageContext(Path(), load_model=models.__getitem__)
+    metric = _metric(room, ctx, evidence="ground", largest_ground_miss_m=0.05)
+    assert not metric.trusted
+    assert any("not trusted" in text for text in ctx.warnings)
+
+
+def test_recognised_furniture_has_its_name_and_a_clean_floor(room: Room) -> None:
+    ctx = _context(room)
+    metric = _metric(room, ctx)
+    masks = segment_plate(room.plate, metric, room.bodies, SegmentConfig(provider="floor"), ctx)
+    assert [instance.label for instance in masks.instances] == ["cabinet"]
+    truth = room.surface_full == BOX
+    found = masks.instances[0].mask
+    assert (found & truth).sum() / (found | truth).sum() > 0.8
+    floor = room.surface_full == FLOOR
+    assert (masks.floor_mask & floor).sum() / (masks.floor_mask | floor).sum() > 0.9
+    assert masks.provider == "floor"
