@@ -141,9 +141,10 @@ def test_labels_are_those_of_the_pixels_below(shards: PictureShards, number: int
 
     depth_m = np.where(truth["depth_mm"] > 0, truth["depth_mm"] / 1000, np.inf)
     classes = np.array([CLASSES.index(SEEN_CLASS[int(i)]) for i in truth["instance"].ravel()])
+    normal = truth["normal_camera"] / np.maximum(np.linalg.norm(truth["normal_camera"], axis=-1, keepdims=True), 1)
     for found, whole in (
         (batch.disparity[0].numpy()[..., None], 1 / depth_m),
-        (batch.normal[0].numpy().transpose(1, 2, 0), truth["normal_camera"] / 127),
+        (batch.normal[0].numpy().transpose(1, 2, 0), normal),
         (batch.classes[0].numpy()[..., None], classes),
     ):
         near = np.abs(blocks(whole) - found[:, :, None]).max(-1).min(-1)

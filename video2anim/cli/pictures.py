@@ -43,14 +43,17 @@ def models_run(
         if picture.shape != pictures[0].shape:
             have, want = (f"{shape[1]}x{shape[0]}" for shape in (picture.shape, pictures[0].shape))
             raise InputError(f"pictures: want one size, {want} as {images[0]}, got {have} at {path}; run them apart")
+    aside = out.with_name(f".{out.name}.part")
+    if out.is_dir() or not out.parent.is_dir():
+        raise InputError(f"--out: cannot write {out}: want a file in a folder that is there; choose another")
     answer = ANSWERS[slot](load_model(model or slot), pictures)
+    arrays: dict[str, Any] = {"frames": np.array(names), "model": np.array(entry.name), **answer}
     try:
-        aside = out.with_name(f".{out.name}.part")
         with aside.open("wb") as file:
-            arrays: dict[str, Any] = {"frames": np.array(names), "model": np.array(entry.name), **answer}
             np.savez_compressed(file, **arrays)
         aside.replace(out)
     except OSError as error:
+        aside.unlink(missing_ok=True)
         raise InputError(f"--out: cannot write {out}: {error.strerror}; choose another") from error
     typer.echo(str(out))
 
@@ -89,7 +92,7 @@ def camera_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.nd
         "focal_log_sigma": np.array([camera.focal_log_sigma for camera in cameras]),
         "up_camera": up,
         "pitch_rad": np.arcsin(np.clip(up[:, 2], -1, 1)),
-        "roll_rad": np.arctan2(up[:, 0], -up[:, 1]),
+        "roll_rad": np.arctan2(-up[:, 0], -up[:, 1]),
         "up_sigma_rad": np.array([camera.up_sigma_rad for camera in cameras]),
         "up_field": np.stack([field.up for field in fields]).astype(np.float32),
         "latitude_rad": np.stack([field.latitude_rad for field in fields]).astype(np.float32),

@@ -62,7 +62,7 @@ class DepthFit:
     scale_sigma: float
     offset_sigma: float
     chamfer_before_m: float
-    """With the scale that makes median depths agree, and no offset."""
+    """With the scale that makes median depths agree, and no offset where such a scale exists."""
     chamfer_after_m: float
     ground_miss_m: float = float("nan")
     """Median height of the floor's pixels over (or under) the floor; NaN without floor."""
@@ -96,11 +96,13 @@ def fit_depth(
     """
     if not frames and ground is None:
         raise ValueError("fit_depth: no frame with both body and depth, and no floor")
+    line = _line_start(frames, kind, ground) if with_offset else None
     start = _median_scale(frames, kind, ground)
+    if not (np.isfinite(start) and start > 0) and line is None:
+        raise ValueError(f"fit_depth: no positive scale makes median depths agree (got {start})")
     config = ChamferConfig(huber_m=huber_m, trim_ratio=trim_ratio)
-    starts = [(factor * start, 0.0) for factor in _FACTORS]
-    if with_offset and (line := _line_start(frames, kind, ground)) is not None:
-        starts.append(line)
+    starts = [(factor * start, 0.0) for factor in _FACTORS if np.isfinite(start) and start > 0]
+    starts += [line] if line is not None else []
     solutions = [_descend(frames, kind, *at, with_offset, config, 40, ground) for at in starts]
     best = min(solutions, key=lambda found: found[2])
     scale, offset, _ = best
@@ -115,7 +117,7 @@ def fit_depth(
         offset=offset,
         scale_sigma=float(deviation[0]),
         offset_sigma=float(deviation[1]),
-        chamfer_before_m=_mean_chamfer(frames, kind, start, 0.0),
+        chamfer_before_m=_mean_chamfer(frames, kind, *starts[0]),
         chamfer_after_m=_mean_chamfer(frames, kind, scale, offset),
         ground_miss_m=ground_miss_m(ground, kind, scale, offset) if ground is not None else float("nan"),
     )
@@ -135,10 +137,7 @@ def _median_scale(frames: Sequence[FrameEvidence], kind: str, ground: GroundEvid
     for frame in frames:
         depth_m, value = float(np.median(frame.body_camera_m[:, 2])), float(np.median(frame.value))
         ratios.append(depth_m / value if kind == "depth" else 1.0 / (depth_m * value))
-    scale = float(np.median(ratios))
-    if not np.isfinite(scale) or scale <= 0:
-        raise ValueError(f"fit_depth: no positive scale makes median depths agree (got {scale})")
-    return scale
+    return float(np.median(ratios))
 
 
 def _line_start(

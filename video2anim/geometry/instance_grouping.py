@@ -77,9 +77,12 @@ def _middles(heat: np.ndarray, wanted: np.ndarray) -> Float[np.ndarray, "middles
     """Peaks x, y, height near wanted pixels."""
     rows = heat.shape[0]
     smooth = cv2.GaussianBlur(heat.astype(np.float32), (0, 0), max(0.008 * rows, 0.6))
-    size = 2 * max(1, round(0.5 * _APART * rows)) + 1
-    peak = (smooth == cv2.dilate(smooth, np.ones((size, size), np.uint8))) & (smooth > _LEAST_HEAT)
-    near = cv2.dilate(wanted.astype(np.uint8), np.ones((2 * size + 1, 2 * size + 1), np.uint8)) > 0
-    y, x = np.nonzero(peak & near)
+    reach = max(1, round(_APART * rows))
+    around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    peak = (smooth == cv2.dilate(smooth, around)) & (smooth > _LEAST_HEAT)
+    peak &= cv2.dilate(wanted.astype(np.uint8), around) > 0
+    # A flat top is one middle: its centre.
+    count, _, _, centre = cv2.connectedComponentsWithStats(peak.astype(np.uint8), connectivity=8)
+    x, y = np.round(centre[1:count]).astype(int).T
     order = np.argsort(-smooth[y, x])[:_MOST]
     return np.stack([x, y, smooth[y, x]], 1)[order].astype(np.float64)

@@ -45,7 +45,7 @@ def joined_objects(
     valid: Bool[np.ndarray, "height width"],
     limits: RegionLimits,
 ) -> list[Joined]:
-    """Recognised things of an object's size first, then regions of depth that no recognised thing explains.
+    """Recognised things of an object's size, and regions of depth that none of them explains; best score first.
 
     Args:
         recognised: By a network, best first.

@@ -18,7 +18,8 @@ from scipy.optimize import least_squares
 _STARTS = (0.55, 0.95, 1.7)
 """Focal lengths, in picture heights, that the fit starts from."""
 _INDEPENDENT_CELLS = 2.0
-"""So many independent observations a field is worth; calibrated on held-out renders (`benchmarks/room_net.py`)."""
+"""So many independent observations all fields of a view are worth together; calibrated on held-out renders
+(`benchmarks/room_net.py`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,7 +24,7 @@ def fitted_line(
     Returns None where fewer than `least` pixels are chosen, or no positive scale fits.
     """
     x, y = value[chosen].astype(np.float64), reference[chosen].astype(np.float64)
-    if x.size < least or np.ptp(x) == 0:
+    if x.size < least or np.ptp(x) == 0 or np.ptp(y) == 0:
         return None
     weight = np.ones_like(x)
     scale, offset = 1.0, 0.0

@@ -19,7 +19,7 @@ from jaxtyping import Float, UInt8
 from video2anim.errors import ModelMissingError
 from video2anim.geometry.instance_grouping import Group, InstanceCues, grouped
 from video2anim.geometry.perspective_field import PerspectiveField
-from video2anim.models.onnx import open_session
+from video2anim.models.onnx import LOAD_ERRORS, open_session
 from video2anim.models.segmentation import CLASSES, SeenInstance, Segmentation
 
 INPUT = "picture"
@@ -74,15 +74,21 @@ class RoomNet:
         shrinks = width < image.shape[1]
         small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
         picture = np.ascontiguousarray(small.astype(np.float32).transpose(2, 0, 1)[None])
+        # The ratio changes a little with the stride: directions are those of the picture, not of the input.
+        stretch = (image.shape[1] / width, image.shape[0] / height)
         plain = self._run(picture)
-        mirrored = {
-            name: value[..., ::-1] for name, value in self._run(np.ascontiguousarray(picture[..., ::-1])).items()
-        }
-        mean = {name: 0.5 * (plain[name] + mirrored[name] * _mirror_signs(name)) for name in OUTPUTS}
-        return _view_of(mean)
+        if not mirrored:
+            return _view_of(plain, stretch)
+        turned = self._run(np.ascontiguousarray(picture[..., ::-1]))
+        back = {name: value[..., ::-1] * _mirror_signs(name) for name, value in turned.items()}
+        return _view_of({name: 0.5 * (plain[name] + back[name]) for name in OUTPUTS}, stretch)
 
     def _run(self, picture: np.ndarray) -> dict[str, np.ndarray]:
-        answers = self._session.run(list(OUTPUTS), {INPUT: picture})
+        try:
+            answers = self._session.run(list(OUTPUTS), {INPUT: picture})
+        except LOAD_ERRORS as error:
+            reason = " ".join(str(error).split())[:200]
+            raise ModelMissingError(f"{self._path}: want a network of pictures {picture.shape}: {reason}") from error
         found = {}
         for name, channels, answer in zip(OUTPUTS, CHANNELS, answers, strict=True):
             value = np.asarray(answer, np.float32)
@@ -110,9 +116,9 @@ def _mirror_signs(name: str) -> np.ndarray:
     return np.array(signs, np.float32)[:, None, None]
 
 
-def _view_of(maps: dict[str, np.ndarray]) -> RoomView:
+def _view_of(maps: dict[str, np.ndarray], stretch: tuple[float, float]) -> RoomView:
     normal = maps["normal"].transpose(1, 2, 0)
-    up = maps["camera"][:2].transpose(1, 2, 0).astype(np.float64)
+    up = maps["camera"][:2].transpose(1, 2, 0).astype(np.float64) * stretch
     sigma = np.clip(np.exp(np.clip(maps["camera"][3:5], -9, 3)), *_SIGMA_RANGE_RAD).astype(np.float64)
     return RoomView(
         disparity=maps["disparity"][0],

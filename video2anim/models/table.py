@@ -52,7 +52,7 @@ class ModelEntry:
 
 
 _MEDIAPIPE = "0.10.21"
-_ROOM_NET = "9f022e31c4f57ef5422da4c27fd8bc2f4edfba3d9e8cc78f8e81bbe76796140a"
+_ROOM_NET = "a42f25d1ca8085a019abc707c1dc4240b1848550927f2b3b7336457a7fc48d61"
 """Digest of the room network: one file for three slots."""
 _ROOM_NET_BYTES = 11_280_767
 _BLAZEPOSE = "video2anim.models.blazepose:BlazePose"

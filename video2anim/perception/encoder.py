@@ -74,6 +74,7 @@ class Encoder(nn.Module):
                 inputs = outputs
             stages.append(nn.Sequential(*blocks))
         self.stages = nn.ModuleList(stages)
+        self.train()
 
     def train(self, mode: bool = True) -> Encoder:
         """Batch normalisation never leaves evaluation."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from pathlib import Path
 
@@ -21,7 +22,7 @@ _LEAST_VALUES = 256
 
 def export_onnx(network: RoomNetwork, path: Path) -> None:
     """Write the network with a free picture size. Weights are stored in half precision and computed with in single."""
-    network = _folded(network.eval())
+    network = _folded(copy.deepcopy(network).cpu().eval())
     path.parent.mkdir(parents=True, exist_ok=True)
     with warnings.catch_warnings():
         # The exporter over TorchScript is deprecated, but its successor needs packages that nothing else here does.

@@ -104,7 +104,8 @@ class PictureShards:
         columns = np.round(x0 + (np.arange(half[1]) + 0.5) * width / half[1] - 0.5).astype(int)
         at = np.ix_(rows, columns.clip(0, rgb.shape[1] - 1))
         depth_mm = shard.maps["depth_mm"][row][at].astype(np.float32)
-        normal = shard.maps["normal_camera"][row][at].astype(np.float32) / 127.0
+        normal = shard.maps["normal_camera"][row][at].astype(np.float32)
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1.0)
         label, instance = shard.maps["label"][row][at], shard.maps["instance"][row][at].astype(np.int64)
         values = {
             "disparity": np.where(depth_mm > 0, 1000.0 / np.maximum(depth_mm, 1.0), 0.0).astype(np.float32),
@@ -157,7 +158,7 @@ def camera_targets(
     cells: tuple[int, int],
     have: tuple[int, int],
 ) -> dict[str, np.ndarray]:
-    """Up and latitude at the middles of cells of a crop."""
+    """Up and latitude at the middles of cells of a crop, for the lens without its distortion: what a fit wants."""
     x0, y0, width, height = crop
     x = x0 + (np.arange(cells[1]) + 0.5) * width / cells[1] - 0.5
     y = y0 + (np.arange(cells[0]) + 0.5) * height / cells[0] - 0.5

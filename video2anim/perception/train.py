@@ -124,7 +124,8 @@ def measures(answer: RoomAnswer, batch: PictureBatch) -> dict[str, float]:
     scores = {}
     for name, number in (("floor", 1), ("furniture", 4), ("person", 5)):
         mine, theirs = classes == number, batch.classes == number
-        scores[f"iou_{name}"] = float((mine & theirs).sum() / (mine | theirs).sum().clamp_min(1))
+        either = int((mine | theirs).sum())
+        scores[f"iou_{name}"] = float((mine & theirs).sum()) / either if either else 1.0
     return {
         "absrel": float(((depth - true_depth).abs() / true_depth)[seen].mean()),
         "delta1": float((ratio < 1.25).float().mean()),
@@ -149,7 +150,7 @@ def train(
 
     Args:
         shards: Pictures to learn from.
-        held_out: At least 64 pictures of other rooms.
+        held_out: Pictures of other rooms; the first 64 are measured.
         config: How.
         checkpoint: File to go on from and to write.
         encoder: Published weights that the encoder starts from.
@@ -167,7 +168,10 @@ def train(
     step = _load(checkpoint, network, average, optimizer) if checkpoint.is_file() else 0
     if step == 0:
         average.load_state_dict(network.state_dict())
-    tests = [held_out.plain(range(start, start + 32), (192, 256)) for start in (0, 32)]
+    network.train()
+    average.eval()
+    asked = range(min(len(held_out), 64))
+    tests = [held_out.plain(asked[start : start + 32], (192, 256)) for start in range(0, len(asked), 32)]
 
     def coming(number: int) -> PictureBatch:
         large = number >= (1 - config.large_share) * config.steps
@@ -215,12 +219,9 @@ def _optimizer(network: RoomNetwork, config: PerceptionConfig) -> torch.optim.Op
 
 
 def _measured(average: RoomNetwork, test: PictureBatch, device: str) -> dict[str, float]:
-    average.eval()
     batch = _on(test, device)
     with torch.no_grad():
-        answer = average(batch.picture)
-    average.train()
-    return measures(answer, batch)
+        return measures(average(batch.picture), batch)
 
 
 def _on(batch: PictureBatch, device: str) -> PictureBatch:
