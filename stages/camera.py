@@ -124,7 +124,8 @@ def _picture_camera(clip: VideoClip, config: CameraConfig, ctx: StageContext) ->
     for frame in np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int)):
         picture = next(iter(read_frames(clip, int(frame), int(frame) + 1)))
         fields.append(model.field(picture))
-    return fit_camera(fields, clip.width_px / clip.height_px)
+    known = None if config.focal_px is None else config.focal_px / clip.height_px
+    return fit_camera(fields, clip.width_px / clip.height_px, focal_ratio=known)
 
 
 def _focal_prior(clip: VideoClip, picture: FieldCamera | None) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from synthetic import planted_walk, true_keypoints
 
+import video2anim.video
 from stages.camera import FULL_FRAME_DIAGONAL_MM, CameraConfig, _up_seen, estimate_camera
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import StageError
@@ -17,6 +18,7 @@ from video2anim.fitting.landmarks import BLAZEPOSE_OF_KEYPOINT, KEYPOINT_INDEX, 
 from video2anim.fitting.lifter_input import LiftedBody
 from video2anim.fitting.optimize import fit_body
 from video2anim.fitting.problem import FittedBody, Observations
+from video2anim.geometry.perspective_field import PerspectiveField, field_of_camera
 from video2anim.geometry.projection import invert_rigid, project
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.models import load_model
@@ -132,13 +134,15 @@ def test_camera_stage_states_an_uncertainty_that_holds(filmed: Filmed) -> None:
     """The focal length found by the stage is within two of its stated standard deviations."""
     clip, tracks = as_stage_input(filmed.observed)
     ctx = StageContext(Path(), load_model=load_model)
-    camera = estimate_camera(clip, tracks, CameraConfig(frames=15, iterations=100), ctx)
+    camera = estimate_camera(clip, tracks, CameraConfig(frames=15, iterations=100, camera_model="none"), ctx)
     assert camera.focal_source == "human"
     assert 0.02 < camera.focal_sigma_ratio <= 0.3
     assert abs(np.log(camera.intrinsics.fx_px / FOCAL_PX)) < 2 * camera.focal_sigma_ratio
     up = matrix_from_axis_angle(np.array([np.radians(12.0), 0, 0])) @ [0, -1.0, 0]
     assert np.arccos(camera.up_camera @ up) < 2 * camera.up_sigma_rad
-    known = estimate_camera(clip, tracks, CameraConfig(focal_px=900.0, frames=6, iterations=5), ctx)
+    known = estimate_camera(
+        clip, tracks, CameraConfig(focal_px=900.0, frames=6, iterations=5, camera_model="none"), ctx
+    )
     assert (known.intrinsics.fx_px, known.focal_source) == (900.0, "user")
 
 
@@ -148,7 +152,7 @@ def test_metadata_is_used_unless_the_picture_contradicts_it(filmed: Filmed, fact
     focal_35mm = factor * FOCAL_PX * FULL_FRAME_DIAGONAL_MM / np.hypot(1280, 720)
     clip, tracks = as_stage_input(filmed.observed, focal_35mm)
     ctx = StageContext(Path(), load_model=load_model)
-    camera = estimate_camera(clip, tracks, CameraConfig(frames=12, iterations=80), ctx)
+    camera = estimate_camera(clip, tracks, CameraConfig(frames=12, iterations=80, camera_model="none"), ctx)
     assert camera.focal_source == source
     contradicted = [text for text in ctx.warnings if "contradicts" in text]
     if source == "metadata":
@@ -157,6 +161,42 @@ def test_metadata_is_used_unless_the_picture_contradicts_it(filmed: Filmed, fact
     else:
         assert abs(np.log(camera.intrinsics.fx_px / FOCAL_PX)) < 0.2
         assert len(contradicted) == 1
+
+
+class SeenField:
+    """A network that sees one camera in every picture."""
+
+    def __init__(self, focal_px: float, up: np.ndarray, sigma_rad: float) -> None:
+        ratio = focal_px / 720
+        self._field = PerspectiveField(
+            *field_of_camera(12, 20, 1280 / 720, ratio, up), np.full((12, 20), sigma_rad), np.full((12, 20), sigma_rad)
+        )
+
+    def field(self, image_rgb: np.ndarray) -> PerspectiveField:
+        return self._field
+
+
+@pytest.mark.parametrize(("factor", "sigma_rad", "share"), [(1.4, 0.005, 0.9), (1.4, 1.0, 0.0)])
+def test_the_picture_is_believed_as_far_as_it_is_sure(
+    filmed: Filmed, monkeypatch: pytest.MonkeyPatch, factor: float, sigma_rad: float, share: float
+) -> None:
+    """A sure field of another lens pulls the estimate most of the way to it, an unsure one leaves it alone."""
+    monkeypatch.setattr(video2anim.video, "read_frames", lambda *_: iter([np.zeros((720, 1280, 3), np.uint8)]))
+    clip, tracks = as_stage_input(filmed.observed)
+    up = matrix_from_axis_angle(np.array([np.radians(12.0), 0, 0])) @ [0, -1.0, 0]
+    seen = SeenField(factor * FOCAL_PX, up, sigma_rad)
+    ctx = StageContext(Path(), load_model=lambda name: seen if name == "seen" else load_model(name))
+    found = {}
+    for name in ("none", "seen"):
+        config = CameraConfig(frames=12, iterations=60, camera_model=name)
+        found[name] = estimate_camera(clip, tracks, config, ctx)
+    assert found["seen"].focal_source == found["seen"].up_source == "picture"
+    moved = np.log(found["seen"].intrinsics.fx_px / found["none"].intrinsics.fx_px)
+    whole = np.log(factor * FOCAL_PX / found["none"].intrinsics.fx_px)
+    assert moved / whole == pytest.approx(share, abs=0.2)
+    off = [np.arccos(np.clip(found[name].up_camera @ up, -1, 1)) for name in ("none", "seen")]
+    assert off[1] < (0.5 * off[0] + 1e-3 if sigma_rad < 0.1 else off[0] + 0.01)
+    assert found["seen"].focal_sigma_ratio <= found["none"].focal_sigma_ratio + 1e-6
 
 
 def test_gravity_is_seen_in_whom_the_lifter_is_sure_of(filmed: Filmed) -> None:

@@ -17,6 +17,8 @@ from scipy.optimize import least_squares
 
 _STARTS = (0.55, 0.95, 1.7)
 """Focal lengths, in picture heights, that the fit starts from."""
+_HELD = 1e-3
+"""A known focal length may move by this share, for the sake of the solver."""
 _INDEPENDENT_CELLS = 2.0
 """So many independent observations all fields of a view are worth together; calibrated on held-out renders
 (`benchmarks/room_net.py`)."""
@@ -73,7 +75,7 @@ def field_of_camera(
     return in_picture, np.arcsin(np.clip(along / np.sqrt(1 + ray_x**2 + ray_y**2), -1, 1))
 
 
-def fit_camera(fields: Sequence[PerspectiveField], aspect: float) -> FieldCamera:
+def fit_camera(fields: Sequence[PerspectiveField], aspect: float, *, focal_ratio: float | None = None) -> FieldCamera:
     """The one camera that explains the fields of one or several pictures of the same view best.
 
     Robust (soft L1) least squares of up directions and latitudes over their expected errors, from several starts.
@@ -83,6 +85,7 @@ def fit_camera(fields: Sequence[PerspectiveField], aspect: float) -> FieldCamera
     Args:
         fields: Perspective fields.
         aspect: Width over height of the pictures.
+        focal_ratio: Focal length in picture heights where it is known; only gravity is fitted then.
 
     Raises:
         ValueError: there is no field, or one holds values that are not finite.
@@ -104,20 +107,23 @@ def fit_camera(fields: Sequence[PerspectiveField], aspect: float) -> FieldCamera
     middle = np.mean([_middle_up(field) for field in fields], axis=0)
     roll = math.atan2(middle[0], -middle[1])
     best = None
-    for focal_ratio in _STARTS:
-        start = np.array([math.log(focal_ratio), float(latitude), roll])
-        low, high = [math.log(0.2), -1.5, roll - 1.5], [math.log(8.0), 1.5, roll + 1.5]
-        found = least_squares(residuals, start, loss="soft_l1", bounds=(low, high), x_scale=[0.1, 0.05, 0.05])
+    for start_ratio in _STARTS if focal_ratio is None else (focal_ratio,):
+        middle_log = math.log(start_ratio)
+        start = np.array([middle_log, float(latitude), roll])
+        lens = (math.log(0.2), math.log(8.0)) if focal_ratio is None else (middle_log - _HELD, middle_log + _HELD)
+        bounds = ([lens[0], -1.5, roll - 1.5], [lens[1], 1.5, roll + 1.5])
+        found = least_squares(residuals, start, loss="soft_l1", bounds=bounds, x_scale=[0.1, 0.05, 0.05])
         if best is None or found.cost < best.cost:
             best = found
     assert best is not None
-    cells = best.fun.size / 2
     # What the cells miss beyond what they expected is shared by all of them.
     spread = max(1.0, float(np.median(np.abs(best.fun))) / 0.6)
-    information = best.jac.T @ best.jac / cells * _INDEPENDENT_CELLS / spread**2
+    information = best.jac.T @ best.jac / (best.fun.size / 2) * _INDEPENDENT_CELLS / spread**2
+    if focal_ratio is not None:
+        information[0, 0] += _HELD**-2
     covariance = np.linalg.inv(information + 1e-9 * np.eye(3))
     return FieldCamera(
-        focal_ratio=math.exp(best.x[0]),
+        focal_ratio=math.exp(best.x[0]) if focal_ratio is None else focal_ratio,
         focal_log_sigma=float(math.sqrt(covariance[0, 0])),
         up_camera=_up_of(best.x[1], best.x[2]),
         up_sigma_rad=float(math.sqrt(covariance[1, 1] + covariance[2, 2])),
