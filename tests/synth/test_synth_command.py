@@ -117,11 +117,14 @@ def test_pictures_in_shards(tmp_path: Path) -> None:
         assert np.array_equal(array, np.load(tmp_path / "b" / "shard_00000" / f"{name}.npy", allow_pickle=False))
     person = meta["labels"].index("person")
     assert ((arrays["instance"] >= 1000) == (arrays["label"] == person)).all()
-    assert ((arrays["label"] == person).mean((1, 2)) > 0.001).all()
+    assert ((arrays["label"] == person).mean((1, 2)) > 0.001).any()
+    assert len(np.unique(arrays["up_camera"].round(6), axis=0)) == 9
     assert np.allclose(np.linalg.norm(arrays["up_camera"], axis=1), 1, atol=1e-5)
     seen = arrays["depth_mm"] > 0
     assert np.allclose(np.linalg.norm(arrays["normal_camera"][seen] / 127.0, axis=-1), 1, atol=0.02)
-    assert seen.mean() > 0.99
+    assert seen.mean() > 0.5
+    assert (arrays["label"][~seen] == 0).all()
+    assert not arrays["instance"][~seen].any()
 
 
 def test_meshes_of_ones_own(tmp_path: Path) -> None:
