@@ -8,7 +8,7 @@ one distance, which the person alone cannot.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -50,8 +50,20 @@ class MetricConfig:
     """Less floor than this share of the picture is no evidence."""
     largest_ground_miss_m: float = 0.3
     """Floor that stays farther than this from the floor, in the median, contradicts itself."""
+    snap_ratio: float = 0.25
+    """Recognised floor whose depth is off the floor's by less than this share is put onto it; 0 leaves all as it is."""
     farthest_ground_m: float = 12.0
     """Floor beyond this tells nothing of scale."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Floor:
+    """The floor in the plate, at the working resolution."""
+
+    evidence: GroundEvidence
+    seen: Bool[np.ndarray, "small_height small_width"]
+    depth_m: Float[np.ndarray, "small_height small_width"]
+    """Depth of the floor's plane, seen or not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +93,7 @@ def fit_metric(
     frames = [] if ground is not None and config.evidence == "ground" else _evidence(depth, plate, bodies, config, ctx)
     verdict = _fit_to_person(frames, depth.kind, config, ctx) if ground is None else None
     if ground is not None:
-        verdict = _fit_with_ground(frames, ground, depth.kind, config, ctx)
+        verdict = _fit_with_ground(frames, ground.evidence, depth.kind, config, ctx)
     if verdict is None:
         verdict = _fit_to_floor(depth, bodies, len(frames))
     fit = verdict.fit
@@ -95,7 +107,8 @@ def fit_metric(
         ctx.quality("ground_miss", fit.ground_miss_m, "m", "lower")
     ctx.quality("frames_used", len(frames), "frames", "higher")
     ctx.quality("trusted", verdict.trusted, "1", "higher")
-    return _apply(depth, bodies, verdict)
+    metric = _apply(depth, bodies, verdict)
+    return metric if ground is None or not verdict.trusted else _on_the_floor(metric, ground, config)
 
 
 def _evidence(
@@ -162,7 +175,7 @@ def _fit_to_person(frames: list[FrameEvidence], kind: str, config: MetricConfig,
 
 def _ground(
     depth: DepthClip, plate: BackgroundPlate, bodies: BodyTracks, config: MetricConfig, ctx: StageContext
-) -> GroundEvidence | None:
+) -> _Floor | None:
     """Floor pixels of the plate near enough to tell, and what stood on them; None where there are too few."""
     import cv2
 
@@ -182,18 +195,18 @@ def _ground(
         return None
     semantic = ctx.model(config.segment_model).segment(plate.plate_rgb).semantic
     named = (semantic == CLASSES.index("floor")).astype(np.uint8)
-    floor = (
-        cv2.erode(cv2.resize(named, (width, height), interpolation=cv2.INTER_NEAREST), np.ones((5, 5), np.uint8)) > 0
-    )
-    stood = _stood_on(bodies, intrinsics)
-    chosen = depth.background_valid & (ray_up < -0.02) & (reach_m < config.farthest_ground_m) & (floor | stood)
+    named = cv2.resize(named, (width, height), interpolation=cv2.INTER_NEAREST)
+    sure = (cv2.erode(named, np.ones((5, 5), np.uint8)) > 0) | _stood_on(bodies, intrinsics)
+    near = depth.background_valid & (ray_up < -0.02) & (reach_m < config.farthest_ground_m)
+    chosen = near & sure
     ctx.quality("floor_seen_ratio", float(chosen.mean()), "1", "higher")
     if chosen.mean() < config.least_ground_ratio:
         return None
     pixels = np.flatnonzero(chosen)
     pixels = pixels[np.unique(np.linspace(0, len(pixels) - 1, config.ground_pixels).round().astype(int))]
     value = depth.background_value.reshape(-1)[pixels].astype(np.float64)
-    return GroundEvidence(ray_up.reshape(-1)[pixels], value, float(T_world_camera[1, 3]), config.ground_weight)
+    evidence = GroundEvidence(ray_up.reshape(-1)[pixels], value, float(T_world_camera[1, 3]), config.ground_weight)
+    return _Floor(evidence, near & (named > 0), reach_m)
 
 
 def _stood_on(bodies: BodyTracks, intrinsics: Intrinsics) -> Bool[np.ndarray, "small_height small_width"]:
@@ -291,6 +304,19 @@ def _apply(depth: DepthClip, bodies: BodyTracks, verdict: _Verdict) -> MetricDep
         background_valid=background_valid & verdict.metric,
         T_world_camera=bodies.people[0].T_world_camera,
     )
+
+
+def _on_the_floor(metric: MetricDepth, floor: _Floor, config: MetricConfig) -> MetricDepth:
+    """Recognised floor that lies near the floor is put onto it: its plane is known better than any network's depth."""
+    off = np.abs(metric.background_depth_m / floor.depth_m - 1)
+    snapped = floor.seen & (off < config.snap_ratio)
+    background_m = np.where(snapped, floor.depth_m, metric.background_depth_m).astype(np.float32)
+    depth_m = metric.depth_m.copy()
+    for own in depth_m:
+        # A still camera's frames have the plate's depth where nobody stands; those of a moving one are left alone.
+        same = snapped & (own == metric.background_depth_m)
+        own[same] = background_m[same]
+    return replace(metric, background_depth_m=background_m, depth_m=depth_m)
 
 
 def _finite_depth(

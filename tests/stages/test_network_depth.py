@@ -139,6 +139,19 @@ def test_floor_and_body_give_scale_and_offset(room: Room) -> None:
     assert "floor" in metric.reason
 
 
+def test_recognised_floor_lies_on_the_floor(room: Room) -> None:
+    """With a still camera in frames too; people and furniture keep their own depth."""
+    snapped, free = _metric(room, _context(room)), _metric(room, _context(room), snap_ratio=0.0)
+    floor = (room.surface == FLOOR) & free.background_valid & (room.depth_m < 8)
+    off = np.abs(snapped.background_depth_m - room.depth_m)
+    assert off[floor].max() < 0.05
+    assert (snapped.background_depth_m == free.background_depth_m)[room.surface == BOX].all()
+    for sample, people in enumerate(room.plate.person_mask):
+        assert (snapped.depth_m[sample] == free.depth_m[sample])[people].all()
+        seen = floor & ~people
+        np.testing.assert_allclose(snapped.depth_m[sample][seen], snapped.background_depth_m[seen])
+
+
 def test_the_floor_alone_does_too(room: Room) -> None:
     metric = _metric(room, _context(room), evidence="ground")
     assert metric.trusted, metric.reason

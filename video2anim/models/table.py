@@ -52,7 +52,7 @@ class ModelEntry:
 
 
 _MEDIAPIPE = "0.10.21"
-_ROOM_NET = "a42f25d1ca8085a019abc707c1dc4240b1848550927f2b3b7336457a7fc48d61"
+_ROOM_NET = "24dd3b40ce2e083394f6ed2954a0422cc180703ac2fc15ab799e2d688d3c6f74"
 """Digest of the room network: one file for three slots."""
 _ROOM_NET_BYTES = 11_280_767
 _BLAZEPOSE = "video2anim.models.blazepose:BlazePose"
