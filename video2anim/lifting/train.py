@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn import functional
 
+from video2anim.artifacts.checkpoint import read_checkpoint, write_checkpoint
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.fitting.lifter_input import CONTACT_OUTPUTS, ERROR_OUTPUTS, LOG_ERROR_RANGE
 from video2anim.geometry.rotations import matrix_from_rot6d
@@ -108,10 +107,11 @@ def train(
     started = time.monotonic()
     torch.manual_seed(config.seed)
     network, average = LifterNetwork(), LifterNetwork()
+    networks = {"network": network, "average": average}
     optimizer = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=0.01)
     step = 0
     if checkpoint.is_file():
-        step = _load(checkpoint, network, average, optimizer)
+        step = read_checkpoint(checkpoint, networks, optimizer)
     else:
         _normalize(network, sampler)
         average.load_state_dict(network.state_dict())
@@ -135,7 +135,7 @@ def train(
                     mean.lerp_(now, 1 - keep)
             late = config.minutes is not None and time.monotonic() - started > 60 * config.minutes
             if step % config.validate_every == 0 or step == config.steps or late:
-                _save(checkpoint, network, average, optimizer, step)
+                write_checkpoint(checkpoint, networks, optimizer, step)
                 with torch.no_grad():
                     rows = [measures(average(test.features), test) for test in tests]
                 means = {name: np.mean([row[name] for row in rows]) for name in rows[0]}
@@ -169,40 +169,8 @@ def _normalize(network: LifterNetwork, sampler: LiftingSampler) -> None:
     network.base[-3:] = batch.up.reshape(-1, 3).mean(0)
 
 
-def _save(
-    path: Path, network: LifterNetwork, average: LifterNetwork, optimizer: torch.optim.Optimizer, step: int
-) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
-    tensors |= {f"average.{name}": value for name, value in average.state_dict().items()}
-    for number, moments in optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{number}.{name}": value for name, value in moments.items()}
-    aside = path.with_suffix(".tmp")
-    whole = {name: value.detach().contiguous().clone() for name, value in tensors.items()}
-    save_file(whole, str(aside), {"step": str(step)})
-    aside.replace(path)
-
-
-def _load(path: Path, network: LifterNetwork, average: LifterNetwork, optimizer: torch.optim.Optimizer) -> int:
-    with safe_open(str(path), "pt") as file:
-        step = int(file.metadata()["step"])
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-
-    def part(name: str) -> dict[str, Tensor]:
-        return {key.removeprefix(name): value for key, value in tensors.items() if key.startswith(name)}
-
-    network.load_state_dict(part("network."))
-    average.load_state_dict(part("average."))
-    moments: dict[int, dict[str, Tensor]] = {}
-    for key, value in part("optimizer.").items():
-        number, _, name = key.partition(".")
-        moments.setdefault(int(number), {})[name] = value
-    optimizer.load_state_dict({"state": moments, "param_groups": optimizer.state_dict()["param_groups"]})
-    return step
-
-
 def read_average(path: Path) -> LifterNetwork:
     """The averaged network of a checkpoint."""
     average = LifterNetwork()
-    _load(path, LifterNetwork(), average, torch.optim.AdamW(LifterNetwork().parameters()))
+    read_checkpoint(path, {"average": average})
     return average

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from safetensors import safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn import functional
 
+from video2anim.artifacts.checkpoint import read_checkpoint, write_checkpoint
 from video2anim.perception.network import RoomAnswer, RoomNetwork
 from video2anim.perception.samples import PictureBatch, PictureShards
 
@@ -165,7 +164,8 @@ def train(
     if encoder is not None:
         network.encoder.read_published(encoder)
     optimizer = _optimizer(network, config)
-    step = _load(checkpoint, network, average, optimizer) if checkpoint.is_file() else 0
+    networks = {"network": network, "average": average}
+    step = read_checkpoint(checkpoint, networks, optimizer) if checkpoint.is_file() else 0
     if step == 0:
         average.load_state_dict(network.state_dict())
     network.train()
@@ -196,7 +196,7 @@ def train(
             _follow(average, network, min(config.ema, (step + 1) / (step + 10)))
             late = config.minutes is not None and time.monotonic() - started > 60 * config.minutes
             if step % config.save_every == 0 or step == config.steps or late:
-                _save(checkpoint, network, average, optimizer, step)
+                write_checkpoint(checkpoint, networks, optimizer, step)
                 rows = [_measured(average, test, device) for test in tests]
                 text = " ".join(f"{name} {sum(row[name] for row in rows) / len(rows):.3f}" for name in rows[0])
                 parts = " ".join(f"{name} {float(value.detach()):.2f}" for name, value in terms.items())
@@ -243,40 +243,8 @@ def _rate(step: int, config: PerceptionConfig) -> float:
     return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / config.steps))
 
 
-def _save(path: Path, network: RoomNetwork, average: RoomNetwork, optimizer: torch.optim.Optimizer, step: int) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
-    tensors |= {f"average.{name}": value for name, value in average.state_dict().items()}
-    for number, moments in optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{number}.{name}": value for name, value in moments.items()}
-    aside = path.with_suffix(".tmp")
-    whole = {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}
-    save_file(whole, str(aside), {"step": str(step)})
-    aside.replace(path)
-
-
-def _load(path: Path, network: RoomNetwork, average: RoomNetwork, optimizer: torch.optim.Optimizer | None) -> int:
-    with safe_open(str(path), "pt") as file:
-        step = int(file.metadata()["step"])
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-
-    def part(name: str) -> dict[str, Tensor]:
-        return {key.removeprefix(name): value for key, value in tensors.items() if key.startswith(name)}
-
-    network.load_state_dict(part("network."))
-    average.load_state_dict(part("average."))
-    if optimizer is None:
-        return step
-    moments: dict[int, dict[str, Tensor]] = {}
-    for key, value in part("optimizer.").items():
-        number, _, name = key.partition(".")
-        moments.setdefault(int(number), {})[name] = value
-    optimizer.load_state_dict({"state": moments, "param_groups": optimizer.state_dict()["param_groups"]})
-    return step
-
-
 def read_average(path: Path) -> RoomNetwork:
     """The averaged network of a checkpoint."""
-    average, network = RoomNetwork(), RoomNetwork()
-    _load(path, network, average, None)
+    average = RoomNetwork()
+    read_checkpoint(path, {"average": average})
     return average.eval()
