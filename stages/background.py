@@ -18,8 +18,10 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import BackgroundPlate, PersonTracks, VideoClip
 
 if TYPE_CHECKING:
+    from video2anim.models.segmentation import SegmentModel
     from video2anim.video.figure import Raster
 
+NO_MODEL = "none"
 _SAMPLE_BYTES = 256 * 2**20
 """Memory for full-size samples of the plate."""
 _FEWEST_SAMPLES = 9
@@ -35,6 +37,9 @@ class BackgroundConfig:
     """Most frames that the median takes; fewer where they would need too much memory."""
     long_side_px: int = 384
     """Working resolution of masks, and of all depth that follows."""
+    segment_model: str = "none"
+    """Model of slot `segment` that sees people beside the person model; `none` leaves masks to the latter, for the room
+    network's are no better: IoU 0.884, 0.931, 0.884 without and 0.890, 0.928, 0.887 with it on three clips."""
 
     def __post_init__(self) -> None:
         if self.frame_step < 1 or not 1 <= self.max_samples <= 255 or self.long_side_px < 16:
@@ -85,7 +90,9 @@ def make_background(
     excluded = _excluded(generous, samples, raster)
     median = median_plate(samples.rgb, excluded)
     unseen = np.all(excluded, axis=0)
-    people = _masks(clip, tracks, frame_index, samples, fill_unseen(median, unseen), ~unseen, raster, ctx)
+    model = None if config.segment_model == NO_MODEL else ctx.model(config.segment_model)
+    known = (fill_unseen(median, unseen), ~unseen)
+    people = _masks(clip, tracks, frame_index, samples, known, raster, model, ctx)
 
     sharper = _excluded(_grown(people.any_person, tracks, frame_index, raster), samples, raster)
     unseen = np.all(sharper, axis=0)
@@ -217,17 +224,17 @@ def _masks(
     tracks: PersonTracks,
     frame_index: Int[np.ndarray, "samples"],
     samples: _Samples,
-    plate: UInt8[np.ndarray, "height width 3"],
-    known: Bool[np.ndarray, "small_height small_width"],
+    plate_known: tuple[UInt8[np.ndarray, "height width 3"], Bool[np.ndarray, "small_height small_width"]],
     raster: Raster,
+    model: SegmentModel | None,
     ctx: StageContext,
 ) -> _People:
-    """Masks by figure and ground."""
+    """Masks by figure and ground, and by what a network sees."""
     from video2anim.video.figure import lab_difference, person_probability, refine_mask
 
     shape = (len(frame_index), raster.height_px, raster.width_px)
     people = _People(np.zeros(shape, bool), np.zeros(shape, bool))
-    small_plate = raster.reduce(plate)
+    small_plate, known = raster.reduce(plate_known[0]), plate_known[1]
     main_id = tracks.selected_ids[0] if tracks.selected_ids else None
     nobody = np.zeros(shape[1:], np.float32)
     for row, (frame, picture) in enumerate(zip(frame_index, _mask_frames(clip, frame_index), strict=True)):
@@ -237,10 +244,24 @@ def _masks(
         others = np.max([nobody, *by_id.values()], axis=0)
         ground, ground_known = _plate_in_frame(small_plate, known, samples.H_reference_frame[row], raster)
         difference = lab_difference(raster.reduce(picture), ground)
-        people.any_person[row] = refine_mask(np.maximum(main, others), difference, ground_known)
-        people.selected[row] = refine_mask(main, difference, ground_known) & (main >= others)
+        named = None if model is None else _named_people(model, picture, raster)
+        people.any_person[row] = refine_mask(np.maximum(main, others), difference, ground_known, named)
+        people.selected[row] = refine_mask(main, difference, ground_known, named) & (main >= others)
         people.any_person[row] |= people.selected[row]
     return people
+
+
+def _named_people(
+    model: SegmentModel, picture: UInt8[np.ndarray, "height width 3"], raster: Raster
+) -> Bool[np.ndarray, "small_height small_width"]:
+    """Where the network sees people, on the reduced picture."""
+    import cv2
+
+    from video2anim.models.segmentation import CLASSES
+
+    semantic = model.segment(raster.reduce(picture)).semantic
+    size = (raster.width_px, raster.height_px)
+    return cv2.resize(semantic, size, interpolation=cv2.INTER_NEAREST) == CLASSES.index("person")
 
 
 def _plate_in_frame(
@@ -286,4 +307,4 @@ def _report(
         )
 
 
-STAGE = StageSpec("background", make_background, version=1)
+STAGE = StageSpec("background", make_background, version=2, models=("segment",))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, UInt8
@@ -32,3 +33,11 @@ class Segmentation:
     """Index into `CLASSES`."""
     instances: tuple[SeenInstance, ...]
     """Best score first."""
+
+
+class SegmentModel(Protocol):
+    """A network in slot `segment`."""
+
+    def segment(self, image: UInt8[np.ndarray, "height width 3"]) -> Segmentation:
+        """Classes and instances of a picture, at its own size."""
+        ...

@@ -99,10 +99,15 @@ def lab_difference(
     return np.linalg.norm(delta, axis=-1)
 
 
+NAMED_LOG_ODDS = 0.3
+"""What the word of a segmentation network counts, for a person or against one."""
+
+
 def refine_mask(
     probability: Float32[np.ndarray, "small_height small_width"],
     difference: Float32[np.ndarray, "small_height small_width"],
     plate_known: Bool[np.ndarray, "small_height small_width"],
+    named: Bool[np.ndarray, "small_height small_width"] | None = None,
 ) -> Bool[np.ndarray, "small_height small_width"]:
     """Pixels that show a person.
 
@@ -110,6 +115,7 @@ def refine_mask(
         probability: Of a person, from the person model.
         difference: From the plate, as `lab_difference` gives it.
         plate_known: Where the plate shows real background.
+        named: Where a segmentation network sees people.
     """
     if not probability.any():
         return np.zeros(probability.shape, bool)
@@ -122,6 +128,8 @@ def refine_mask(
     noise_lab = np.maximum(usual / np.maximum(total, 1e-4), _NOISE_FLOOR_LAB)
     evidence = _EVIDENCE_GAIN * np.log(np.maximum(difference, 1e-3) / (_NEUTRAL_NOISE * noise_lab))
     evidence = np.clip(evidence, -_EVIDENCE_LIMIT, _EVIDENCE_LIMIT)
+    if named is not None:
+        log_odds = log_odds + NAMED_LOG_ODDS * np.where(named, 1.0, -1.0)
     mask = log_odds + np.where(plate_known, evidence, 0.0) > 0
     return _without_crumbs(mask)
 
