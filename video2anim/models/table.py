@@ -52,7 +52,7 @@ class ModelEntry:
 
 
 _MEDIAPIPE = "0.10.21"
-_ROOM_NET = "24dd3b40ce2e083394f6ed2954a0422cc180703ac2fc15ab799e2d688d3c6f74"
+_ROOM_NET = "76f9ede9eff2184b03ba3282dffdf02414ac8cba4a0303e3f57a8acf90ec3356"
 """Digest of the room network: one file for three slots."""
 _ROOM_NET_BYTES = 11_280_767
 _BLAZEPOSE = "video2anim.models.blazepose:BlazePose"
