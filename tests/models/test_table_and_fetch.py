@@ -216,7 +216,7 @@ def test_digests_of_a_model_name_all_its_files() -> None:
 
 
 def test_hub_address_is_pinned() -> None:
-    source = models.find_model("depth").source
+    source = models.find_model("depth-anything-v2-small").source
     assert isinstance(source, table.HubSource)
     assert f"/resolve/{source.revision}/" in source.url
     assert len(source.revision) == 40
