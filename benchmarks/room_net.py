@@ -2,10 +2,10 @@
 
     video2anim synth --frames-only --preset random --count 256 --size 256x192 --seed 900 --motion cmu.npz \
         --motion deepmimic.npz --out shards/900
-    python benchmarks/room_net.py --held-out shards/900 --media ../shared/media [--model NAME@PATH]
+    python benchmarks/room_net.py --held-out shards/900 --media ../shared/media [--model FILE.onnx]
 
 Depth is compared after the one scale and offset in inverse depth that fit best (least squares), for the network and for
-the plane (inverse depth linear in the pixel) alike. Writes JSON and Markdown.
+the plane (inverse depth linear in the pixel) alike. Writes JSON.
 """
 
 from __future__ import annotations

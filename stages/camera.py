@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from video2anim.errors import UsageError
-from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import CameraEstimate, Intrinsics, PersonTrack, PersonTracks, VideoClip
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 _WRONG_FACTOR = 3.0
 """Metadata that differs from what the person's perspective says by more than this factor is wrong. Estimates from a
 person alone are themselves off by up to a factor of 2.2 (V2A-Bench, `benchmarks/human_fit.py`)."""
-NO_MODEL = "none"
 _SURE_FRAMES = 30
 """People seen for less tell less of gravity."""
 FULL_FRAME_DIAGONAL_MM = 43.267

@@ -19,7 +19,7 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import BackgroundPlate, BodyTracks, InstanceMasks, MetricDepth, ObjectInstance
 
 if TYPE_CHECKING:
-    from video2anim.geometry.joined_objects import Joined
+    from video2anim.geometry.joined_objects import SeenThing
     from video2anim.geometry.object_regions import RegionLimits, Regions
 
 _FLOOR_TOLERANCE_M = 0.3
@@ -52,7 +52,7 @@ def segment_plate(
     Raises:
         StageError: there is no body (its camera gives gravity and the floor).
     """
-    from video2anim.geometry.joined_objects import Joined
+    from video2anim.geometry.joined_objects import SeenThing
     from video2anim.geometry.object_regions import RegionLimits, find_regions
 
     if not bodies.people:
@@ -70,7 +70,7 @@ def segment_plate(
         depth_m, depth.background_valid, body.T_world_camera[0], body.intrinsics.resized(width, height), limits
     )
     if config.provider == "geometric":
-        found, floor = [Joined("object", r.score, r.mask) for r in regions.objects], regions.floor
+        found, floor = [SeenThing("object", r.score, r.mask) for r in regions.objects], regions.floor
     else:
         found, floor = _with_network(plate, depth, regions, limits, bodies, config, ctx)
     scores = [item.score + 0.5 * _occlusion_share(item, plate) for item in found]
@@ -98,11 +98,11 @@ def _with_network(
     bodies: BodyTracks,
     config: SegmentConfig,
     ctx: StageContext,
-) -> tuple[list[Joined], Bool[np.ndarray, "small_height small_width"]]:
+) -> tuple[list[SeenThing], Bool[np.ndarray, "small_height small_width"]]:
     """What the network recognises, joined with the regions of depth; and the floor by both."""
     import cv2
 
-    from video2anim.geometry.joined_objects import Recognised, joined_objects
+    from video2anim.geometry.joined_objects import SeenThing, joined_objects
     from video2anim.geometry.projection import backproject, transform_points
     from video2anim.models.segmentation import CLASSES
 
@@ -112,7 +112,7 @@ def _with_network(
     def small(mask: np.ndarray) -> np.ndarray:
         return cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.5
 
-    recognised = [Recognised(i.label, i.score, small(i.mask)) for i in seen.instances if i.kind == "furniture"]
+    recognised = [SeenThing(i.label, i.score, small(i.mask)) for i in seen.instances if i.kind == "furniture"]
     built = small(np.isin(seen.semantic, [CLASSES.index(name) for name in ("floor", "wall", "ceiling")]))
     body = bodies.people[0]
     camera_m = backproject(depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height))
@@ -125,14 +125,14 @@ def _with_network(
     return found, (named & low) | (regions.floor & built)
 
 
-def _occlusion_share(region: Joined, plate: BackgroundPlate) -> float:
+def _occlusion_share(region: SeenThing, plate: BackgroundPlate) -> float:
     """Share of sampled frames in which the main person overlaps the region or its border: likely to be used."""
     if not len(plate.selected_mask):
         return 0.0
     return float((plate.selected_mask & region.mask).any((1, 2)).mean())
 
 
-def _instance(number: int, region: Joined, score: float, plate_rgb: UInt8[np.ndarray, "h w 3"]) -> ObjectInstance:
+def _instance(number: int, region: SeenThing, score: float, plate_rgb: UInt8[np.ndarray, "h w 3"]) -> ObjectInstance:
     mask = _enlarge(region.mask, plate_rgb)
     rows, columns = np.nonzero(mask)
     box = np.array([columns.min(), rows.min(), columns.max(), rows.max()], dtype=np.float64)

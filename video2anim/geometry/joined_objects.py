@@ -20,17 +20,8 @@ _LEAST_PART = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recognised:
-    """A thing that a network names."""
-
-    label: str
-    score: float
-    mask: Bool[np.ndarray, "height width"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Joined:
-    """An object of either source, at the size of the depth map."""
+class SeenThing:
+    """An object of either source, at the size of the depth map; `object` where no network names it."""
 
     label: str
     score: float
@@ -38,13 +29,13 @@ class Joined:
 
 
 def joined_objects(
-    recognised: Sequence[Recognised],
+    recognised: Sequence[SeenThing],
     regions: Sequence[Region],
     built: Bool[np.ndarray, "height width"],
     points_world_m: Float[np.ndarray, "height width 3"],
     valid: Bool[np.ndarray, "height width"],
     limits: RegionLimits,
-) -> list[Joined]:
+) -> list[SeenThing]:
     """Recognised things of an object's size, and regions of depth that none of them explains; best score first.
 
     Args:
@@ -55,13 +46,13 @@ def joined_objects(
         valid: Pixels whose depth is known.
         limits: Least and largest size of an object.
     """
-    found: list[Joined] = []
+    found: list[SeenThing] = []
     taken = np.zeros(built.shape, bool)
     for thing in recognised:
         mask = _main_parts(thing.mask & ~taken)
         if mask.mean() < limits.smallest_ratio or not _has_object_size(points_world_m[mask & valid], limits):
             continue
-        found.append(Joined(thing.label, thing.score, mask))
+        found.append(SeenThing(thing.label, thing.score, mask))
         taken |= mask
     for region in regions:
         size = max(int(region.mask.sum()), 1)
@@ -70,7 +61,7 @@ def joined_objects(
         mask = _main_parts(region.mask & ~taken)
         if mask.mean() >= limits.smallest_ratio:
             # Nobody recognised it: less sure than a thing that both see.
-            found.append(Joined("object", 0.7 * region.score, mask))
+            found.append(SeenThing("object", 0.7 * region.score, mask))
             taken |= mask
     return sorted(found, key=lambda item: -item.score)
 

@@ -16,10 +16,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from video2anim.errors import ModelMissingError
 from video2anim.geometry.instance_grouping import Group, InstanceCues, grouped
 from video2anim.geometry.perspective_field import PerspectiveField
-from video2anim.models.onnx import LOAD_ERRORS, open_session
+from video2anim.models.network import Network
 from video2anim.models.segmentation import CLASSES, SeenInstance, Segmentation
 
 INPUT = "picture"
@@ -57,8 +56,8 @@ class RoomNet:
         Raises:
             ModelMissingError: the file is no network of that contract.
         """
-        self._path, self._area_px = path, area_px
-        self._session = open_session(path, inputs=(INPUT,), outputs=OUTPUTS)
+        self._area_px = area_px
+        self._network = Network(path, inputs=(INPUT,), outputs=OUTPUTS)
 
     def see(self, image: UInt8[np.ndarray, "height width 3"], *, mirrored: bool = True) -> RoomView:
         """Everything about one picture.
@@ -84,20 +83,12 @@ class RoomNet:
         return _view_of({name: 0.5 * (plain[name] + back[name]) for name in OUTPUTS}, stretch)
 
     def _run(self, picture: np.ndarray) -> dict[str, np.ndarray]:
-        try:
-            answers = self._session.run(list(OUTPUTS), {INPUT: picture})
-        except LOAD_ERRORS as error:
-            reason = " ".join(str(error).split())[:200]
-            raise ModelMissingError(f"{self._path}: want a network of pictures {picture.shape}: {reason}") from error
-        found = {}
-        for name, channels, answer in zip(OUTPUTS, CHANNELS, answers, strict=True):
-            value = np.asarray(answer, np.float32)
+        found = self._network.run({INPUT: picture}, OUTPUTS)
+        for name, channels in zip(OUTPUTS, CHANNELS, strict=True):
             step = 8 if name == "camera" else 2
-            want = (1, channels, picture.shape[2] // step, picture.shape[3] // step)
-            if value.shape != want:
-                raise ModelMissingError(f"{self._path}: want {name} of shape {want}, got {value.shape}")
-            found[name] = value[0]
-        return found
+            wanted = (1, channels, picture.shape[2] // step, picture.shape[3] // step)
+            self._network.expect_shape(name, found[name], wanted)
+        return {name: value[0] for name, value in found.items()}
 
 
 def input_size(height: int, width: int, area_px: int = AREA_PX) -> tuple[int, int]:

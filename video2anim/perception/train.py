@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from video2anim.artifacts.checkpoint import read_checkpoint, write_checkpoint
 from video2anim.perception.network import RoomAnswer, RoomNetwork
+from video2anim.perception.restart import read_exported, settle
 from video2anim.perception.samples import PictureBatch, PictureShards
 
 SMALL_SIZES = ((128, 192), (128, 160), (160, 160), (192, 128), (96, 192))
@@ -142,6 +143,7 @@ def train(
     checkpoint: Path,
     *,
     encoder: Mapping[str, Tensor] | None = None,
+    start: Path | None = None,
     device: str = "cpu",
     on_line: Callable[[str], None] = lambda text: None,
 ) -> RoomNetwork:
@@ -153,16 +155,20 @@ def train(
         config: How.
         checkpoint: File to go on from and to write.
         encoder: Published weights that the encoder starts from.
+        start: File of an earlier training, by `export_onnx`, that the whole network starts from instead.
         device: `cpu` or `cuda`.
         on_line: Called with a line of numbers at every checkpoint.
     """
     started = time.monotonic()
     torch.manual_seed(config.seed)
-    network, average = RoomNetwork().to(device), RoomNetwork().to(device)
+    network, average = RoomNetwork() if start is None else read_exported(start), RoomNetwork().to(device)
+    if start is not None:
+        settle(network, shards.batch(0, 4 * config.batch, LARGE_SIZES[0]).picture)
+    elif encoder is not None:
+        network.encoder.read_published(encoder)
+    network = network.to(device)
     if device == "cpu":
         network = network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    if encoder is not None:
-        network.encoder.read_published(encoder)
     optimizer = _optimizer(network, config)
     networks = {"network": network, "average": average}
     step = read_checkpoint(checkpoint, networks, optimizer) if checkpoint.is_file() else 0

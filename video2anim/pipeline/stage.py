@@ -11,6 +11,8 @@ from typing import Any, Literal
 import numpy as np
 
 Better = Literal["lower", "higher", "none"]
+NO_MODEL = "none"
+"""Name in a stage's configuration of a model that is left out."""
 
 
 @dataclass(frozen=True, slots=True)
