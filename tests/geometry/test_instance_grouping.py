@@ -123,3 +123,12 @@ def test_a_flat_top_is_one_middle() -> None:
     flat = InstanceCues(np.where(rectangle(44, 44, 12, 12), 1.0, 0.0), 0.3 * cues.offset, cues.boundary)
     (group,) = grouped(flat, thing)
     assert np.array_equal(group.mask, thing)
+
+
+def test_unlikely_things_score_less() -> None:
+    """Equally clear middles; of one thing the network is half sure that it is any."""
+    sure, unsure = rectangle(30, 10, 40, 30), rectangle(30, 80, 40, 30)
+    probability = np.where(unsure, 0.5, 1.0)
+    first, second = grouped(cues_of([unsure, sure]), sure | unsure, probability)
+    assert np.array_equal(first.mask, sure)
+    assert second.score == pytest.approx(0.5 * first.score, rel=0.01)

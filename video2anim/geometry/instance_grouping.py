@@ -35,7 +35,7 @@ class Group:
 
     mask: Bool[np.ndarray, "rows columns"]
     score: float
-    """0 to 1: how clear its middle is, and how well its pixels agree on it."""
+    """0 to 1: how clear its middle is, how well its pixels agree on it, and how likely they belong to any thing."""
 
     @property
     def share(self) -> Float[np.ndarray, "rows columns"]:
@@ -43,12 +43,18 @@ class Group:
         return self.mask.astype(np.float32)
 
 
-def grouped(cues: InstanceCues, wanted: Bool[np.ndarray, "rows columns"], smallest_ratio: float = 0.002) -> list[Group]:
+def grouped(
+    cues: InstanceCues,
+    wanted: Bool[np.ndarray, "rows columns"],
+    probability: Float[np.ndarray, "rows columns"] | None = None,
+    smallest_ratio: float = 0.002,
+) -> list[Group]:
     """Split the wanted pixels into things, best score first.
 
     Args:
         cues: Where things are.
         wanted: Pixels that belong to some thing.
+        probability: That they do; 1 if not given.
         smallest_ratio: Least share of the picture for a thing.
     """
     rows, columns = wanted.shape
@@ -69,7 +75,8 @@ def grouped(cues: InstanceCues, wanted: Bool[np.ndarray, "rows columns"], smalle
         mask = np.zeros((rows, columns), bool)
         mask[y[own], x[own]] = True
         agreement = float(np.exp(-np.median(miss[own]) / (0.08 * rows)))
-        groups.append(Group(mask, float(np.sqrt(cues.middle[middle_y, middle_x] * agreement))))
+        likely = 1.0 if probability is None else float(probability[mask].mean())
+        groups.append(Group(mask, float(np.sqrt(cues.middle[middle_y, middle_x] * agreement)) * likely))
     return sorted(groups, key=lambda group: -group.score)
 
 
