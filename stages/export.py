@@ -35,6 +35,8 @@ class ExportConfig:
     """Height of the preview's panels."""
     overlay_frames: int = 4
     """Still overlays made for the report."""
+    worst_moments: bool = True
+    """Whether to picture the worst moments of the main person for the report."""
 
 
 def export_scene(
@@ -73,6 +75,8 @@ def export_scene(
         except MissingLibraryError as error:
             ctx.warn(f"{name}: {error}")
     written += _write_pictures(clip, refined, scene, config, ctx)
+    if config.worst_moments:
+        written += _write_worst(clip, bodies, refined, scene, ctx)
     ctx.quality("files", len(written), "", "none")
     ctx.quality("size", sum(path.stat().st_size for path in written) / 1e6, "MB", "none")
     return ExportedFiles(tuple(PayloadFile(path) for path in written))
@@ -95,6 +99,26 @@ def _write_pictures(
     return written
 
 
+def _write_worst(
+    clip: VideoClip, bodies: BodyTracks, refined: RefinedMotion, scene: SceneModel, ctx: StageContext
+) -> list[Path]:
+    from video2anim.artifacts.images import write_png
+    from video2anim.export.preview import moment_picture
+    from video2anim.export.quality import measured_span, motion_quality, worst_moments
+
+    main = refined.people[0]
+    span = measured_span(main)
+    if span is None:
+        return []
+    written = []
+    for moment in worst_moments(motion_quality(main, scene, span, clip.fps), span):
+        name = moment.what.replace(" ", "-")
+        ctx.quality(moment.what, moment.value, moment.unit, "lower")
+        written.append(ctx.work_dir / f"worst_{name}_{moment.frame:05d}.png")
+        write_png(written[-1], moment_picture(clip, bodies.people[0], main, scene, moment.frame))
+    return written
+
+
 def _spread(frames: list[int], count: int) -> list[int]:
     """Up to `count` of the frames, evenly spread, ends left out."""
     if not frames or count < 1:
@@ -103,4 +127,4 @@ def _spread(frames: list[int], count: int) -> list[int]:
     return sorted({frames[int(share * len(frames))] for share in steps})
 
 
-STAGE = StageSpec("export", export_scene, version=1)
+STAGE = StageSpec("export", export_scene, version=2)

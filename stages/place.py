@@ -1,12 +1,12 @@
 """Stage place: metric pose of every object mesh (paper 8.1).
 
 Visible mesh points and the object's depth points are brought together by Chamfer distance over horizontal position, yaw
-and scale. Objects stay upright and rest on the floor.
+and scale. Objects stay upright, rest on the floor or on each other, and do not run into each other.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -31,14 +31,18 @@ class PlaceConfig:
 
     yaw_starts_deg: tuple[float, ...] = (-60.0, -30.0, 30.0, 60.0, 90.0, 180.0)
     """Yaws tried besides the first guess, relative to it, for meshes whose front is unknown."""
-    extrusion_yaw_starts_deg: tuple[float, ...] = (-25.0, 25.0)
-    """The same for extrusions, whose front comes from the picture."""
+    own_yaw_starts_deg: tuple[float, ...] = ()
+    """The same for meshes that stage reconstruct made in their place: their yaw comes from the picture."""
     points: int = 300
     """At most so many mesh points and depth points."""
     least_points: int = 30
     """Objects with fewer reliable depth pixels are not trusted."""
     largest_chamfer_m: float = 0.25
     """Objects that stay farther from their depth are not trusted."""
+    overlap_m: float = 0.03
+    """Objects deeper in each other than this are moved apart."""
+    largest_overlap_m: float = 0.1
+    """Objects that stay deeper in another than this are not trusted."""
 
 
 def place_objects(
@@ -59,15 +63,17 @@ def place_objects(
     visible = {instance.object_id: instance.mask for instance in masks.instances}
     placed = []
     for done, found in enumerate(meshes.objects):
-        points_m = _depth_points(visible[found.object_id], depth, bodies.people[0])
+        points_m = _depth_points(visible[found.object_id], masks.floor_mask, depth, bodies.people[0])
         placed.append(_place_one(found, points_m, depth, bodies.people[0], config, ctx))
         ctx.progress(done + 1, len(meshes.objects))
-    measured = [(p.chamfer_before_m, p.chamfer_after_m) for p in placed if p.chamfer_before_m is not None]
+    placed = _arranged(placed, config, ctx)
+    before_m = [p.chamfer_before_m for p in placed if p.chamfer_before_m is not None]
+    after_m = [p.chamfer_after_m for p in placed if p.chamfer_after_m is not None]
     ctx.quality("objects", len(placed), "objects")
     ctx.quality("trusted", sum(p.trusted for p in placed), "objects", "higher")
-    if measured:
-        ctx.quality("chamfer_before", float(np.mean([before for before, _ in measured])), "m", "lower")
-        ctx.quality("chamfer_after", float(np.mean([after for _, after in measured])), "m", "lower")
+    if before_m and after_m:
+        ctx.quality("chamfer_before", float(np.mean(before_m)), "m", "lower")
+        ctx.quality("chamfer_after", float(np.mean(after_m)), "m", "lower")
     return PlacedObjects(tuple(placed))
 
 
@@ -85,7 +91,8 @@ def _place_one(
         fit = Placement(found.T_world_object, 1.0, np.nan, np.nan)
         problem = f"only {len(points_m)} reliable depth pixels (want {config.least_points}); pose is the first guess"
     else:
-        turns = config.extrusion_yaw_starts_deg if found.method.startswith("extrusion") else config.yaw_starts_deg
+        made_here = found.method.startswith(("box", "carved"))
+        turns = config.own_yaw_starts_deg if made_here else config.yaw_starts_deg
         fit = place(
             found.mesh.vertices_m.astype(np.float64),
             found.mesh.faces,
@@ -111,22 +118,71 @@ def _place_one(
         chamfer_after_m=fit.chamfer_after_m if np.isfinite(fit.chamfer_after_m) else None,
         trusted=not problem,
         reason=problem or f"fitted to {len(points_m)} depth points",
+        position_sigma_m=_known(fit.position_sigma_m),
+        yaw_sigma_rad=_known(fit.yaw_sigma_rad),
+        scale_sigma=_known(fit.scale_sigma),
     )
 
 
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _arranged(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext) -> list[PlacedObject]:
+    """Objects on what carries them, and apart."""
+    from video2anim.geometry.arrangement import Standing, arrange
+    from video2anim.geometry.scene_mesh import world_mesh
+
+    standing = [
+        Standing(
+            world_mesh(item.mesh, item.T_world_object, item.scale),
+            # What was not fitted gives way to what was.
+            1.0 if item.position_sigma_m is None else item.position_sigma_m,
+            raised=bool(item.T_world_object[1, 3] > 0.05),
+        )
+        for item in placed
+    ]
+    found = arrange(standing, config.overlap_m)
+    moved = []
+    for item, state in zip(placed, found, strict=True):
+        notes, trusted = [item.reason], item.trusted
+        if state.rests_on is not None:
+            notes.append(f"rests on object {placed[state.rests_on].object_id}")
+        flat_m = float(np.hypot(*state.shift_m[[0, 2]]))
+        if flat_m > 0:
+            notes.append(f"moved by {flat_m:.2f} m out of its neighbour")
+        if state.inside_of is not None and state.overlap_after_m > config.largest_overlap_m:
+            trusted = False
+            notes.append(f"still {state.overlap_after_m:.2f} m inside object {placed[state.inside_of].object_id}")
+        T_world_object = item.T_world_object.copy()
+        T_world_object[:3, 3] += state.shift_m
+        moved.append(replace(item, T_world_object=T_world_object, trusted=trusted, reason="; ".join(notes)))
+    ctx.quality("deepest overlap before", max((s.overlap_before_m for s in found), default=0.0), "m", "lower")
+    ctx.quality("deepest overlap", max((s.overlap_after_m for s in found), default=0.0), "m", "lower")
+    return moved
+
+
 def _depth_points(
-    visible: Bool[np.ndarray, "height width"], depth: MetricDepth, body: BodyMotion
+    visible: Bool[np.ndarray, "height width"],
+    floor_mask: Bool[np.ndarray, "height width"],
+    depth: MetricDepth,
+    body: BodyMotion,
 ) -> Float[np.ndarray, "points 3"]:
-    """Reliable plate depth of the object in the world."""
+    """Reliable plate depth of the object in the world, at the distance that its feet tell."""
     import cv2
 
+    from video2anim.geometry.foot_line import floor_factor
     from video2anim.geometry.projection import backproject, transform_points
 
     height, width = depth.background_depth_m.shape
-    share = cv2.resize(visible.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
-    chosen = (share > 0.5) & depth.background_valid
-    points = backproject(depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height))[chosen]
+    own, floor = (
+        cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.5
+        for mask in (visible, floor_mask)
+    )
+    depth_m, lens = depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height)
+    factor = floor_factor(own, depth_m, depth.background_valid, floor, body.T_world_camera[0], lens)
+    points = backproject(factor * depth_m, lens)[own & depth.background_valid]
     return transform_points(body.T_world_camera[0], points)
 
 
-STAGE = StageSpec("place", place_objects, version=1)
+STAGE = StageSpec("place", place_objects, version=2)

@@ -1,18 +1,21 @@
 """Stage reconstruct: a closed, colored mesh of every object.
 
-Method `extrusion`: the completed outline on an upright front plane, with the relief that the depth shows, carried back
-by a thickness. The thickness is measured where the object's side is seen, and otherwise assumed from its width.
+Everything in the object's box that the camera does not see to be free is solid; what is free on one side is free on the
+other where the object is symmetric. Sides that nothing shows are assumed, and the method says so. Meshes of the
+user, or of a program of theirs, take the place of these.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, UInt8
 
-from video2anim.errors import StageError
+from video2anim.errors import InputError, StageError
+from video2anim.pipeline.config import user_path
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
@@ -28,7 +31,7 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
-    from video2anim.geometry.prism_mesh import FrontPlane, Prism
+    from video2anim.geometry.object_solid import ObjectSolid
 
 
 @dataclass(frozen=True)
@@ -37,14 +40,21 @@ class ReconstructConfig:
 
     most_faces: int = 4000
     """Upper limit of faces per object."""
-    thickness_ratio: float = 0.6
-    """Assumed thickness as a share of the width, where no side is seen."""
-    thickest_m: float = 1.5
+    cubes_along: int = 40
+    """Cubes along the longest side of an object."""
+    thickness_ratio: float = 0.35
+    """Assumed thickness of what is seen from the front alone, as a share of the root of width times height."""
+    thickest_m: float = 0.8
     """Largest assumed thickness."""
+    depth_error_ratio: float = 0.01
+    """Error of depth within an object, as a share of its distance; nothing nearer than that is called free."""
     least_points: int = 30
     """Objects with fewer reliable depth pixels are dropped."""
-    relief: bool = True
-    """Whether the depth's relief shapes the front."""
+    meshes: str = user_path()
+    """Folder of the user's meshes, named by object (`3.glb`; +Y up, front towards +Z)."""
+    command: str = ""
+    """Program that makes a mesh of a picture, for the other objects: its words with {image} and {mesh}."""
+    command_timeout_s: float = 600.0
 
 
 def reconstruct_objects(
@@ -60,139 +70,145 @@ def reconstruct_objects(
 
     Raises:
         StageError: there is no body (its camera lifts pixels into the world).
+        InputError: the user's meshes cannot be read.
     """
     if not bodies.people:
         raise StageError("reconstruct: want at least one fitted body, got none; check stage humans")
     visible = {instance.object_id: instance.mask for instance in masks.instances}
-    meshes = []
+    foreign = _user_meshes(config)
+    meshes, boxes = [], 0
     for done, found in enumerate(completed.objects):
-        mesh = _object_mesh(found, visible[found.object_id], depth, plate, bodies.people[0], config)
-        if mesh is None:
+        solid = _solid(found, visible[found.object_id], masks.floor_mask, depth, bodies.people[0], config)
+        if solid is None:
             ctx.warn(f"reconstruct: object {found.object_id} has too little reliable depth and is dropped")
         else:
-            meshes.append(mesh)
+            meshes.append(_foreign(found, solid, foreign, config, ctx) or _mesh(found, solid, plate, config))
+            boxes += meshes[-1].method.startswith("box")
         ctx.progress(done + 1, len(completed.objects))
     ctx.quality("meshes", len(meshes), "objects")
+    ctx.quality("boxes", boxes, "objects")
     ctx.quality("dropped", len(completed.objects) - len(meshes), "objects", "lower")
     ctx.quality("most_faces", max((len(m.mesh.faces) for m in meshes), default=0), "faces")
     return ObjectMeshes(tuple(meshes))
 
 
-def _object_mesh(
+def _user_meshes(config: ReconstructConfig) -> dict[int, Path]:
+    from video2anim.artifacts.user_files import mesh_files
+
+    return mesh_files(Path(config.meshes)) if config.meshes else {}
+
+
+def _foreign(
+    found: CompletedObject, solid: ObjectSolid, files: dict[int, Path], config: ReconstructConfig, ctx: StageContext
+) -> ObjectMesh | None:
+    """The user's mesh of the object, or that of the user's program; None if there is neither."""
+    from video2anim.artifacts.user_files import read_mesh_file
+    from video2anim.models.external_mesh import mesh_by_program
+
+    if found.object_id in files:
+        return _adopted(found, solid, read_mesh_file(files[found.object_id]), "user mesh")
+    if not config.command:
+        return None
+    try:
+        with mesh_by_program(config.command, found.image_rgb, config.command_timeout_s) as file:
+            return _adopted(found, solid, read_mesh_file(file), "program")
+    except (StageError, InputError) as error:
+        ctx.warn(f"reconstruct: object {found.object_id} is made of what is seen instead: {error}")
+        return None
+
+
+def _adopted(found: CompletedObject, solid: ObjectSolid, mesh: Mesh, method: str) -> ObjectMesh:
+    """A mesh of any unit in the place of what was seen: as high as that, or of its own size where that is near."""
+    low, high = mesh.vertices_m.min(0), mesh.vertices_m.max(0)
+    base = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
+    box = solid.box
+    ratio = float(box.size_m[1] / max(high[1] - low[1], 1e-6))
+    scale = 1.0 if 0.75 < ratio < 1.33 else ratio
+    T_world_object = np.eye(4)
+    T_world_object[:3, :3] = box.R_world_box
+    T_world_object[:3, 3] = box.R_world_box @ np.array([box.middle_m[0], box.low_m[1], box.middle_m[2]])
+    own = Mesh((scale * (mesh.vertices_m - base)).astype(np.float32), mesh.faces, mesh.vertex_rgb)
+    return ObjectMesh(found.object_id, found.label, method, own, T_world_object)
+
+
+def _solid(
     found: CompletedObject,
     visible: Bool[np.ndarray, "height width"],
+    floor_mask: Bool[np.ndarray, "height width"],
     depth: MetricDepth,
-    plate: BackgroundPlate,
     body: BodyMotion,
     config: ReconstructConfig,
-) -> ObjectMesh | None:
-    from video2anim.geometry.prism_mesh import (
-        cell_relief,
-        front_plane,
-        outline_cells,
-        pixel_outline,
-        prism_of_outline,
-    )
+) -> ObjectSolid | None:
+    from video2anim.geometry.carving import ObjectView
+    from video2anim.geometry.object_solid import SolidLimits, object_solid
 
-    T_world_camera = body.T_world_camera[0]
-    points_m = _visible_points(visible, depth, body)
-    if len(points_m) < config.least_points:
+    own, whole, floor = (_small(mask, depth) for mask in (visible, found.amodal_mask, floor_mask))
+    if (own & depth.background_valid).sum() < config.least_points:
         return None
-    plane = front_plane(points_m, T_world_camera[:3, 3])
-    rays = _mask_rays(found.amodal_mask, body)
-    outline_m = pixel_outline(rays, T_world_camera[:3, 3], plane)
-    if np.isfinite(outline_m).all(1).sum() < config.least_points:
-        return None
-    # A cell costs 4 triangles, and each of its rim edges 2 more.
-    outline = outline_cells(outline_m, most_cells=max(config.most_faces // 6, 4))
-    in_front = (points_m - plane.origin_world_m) @ plane.R_world_front
-    width_m = float(outline.cells.any(0).sum() * outline.size_m[0])
-    depth_range_m = float(np.ptp(np.percentile(in_front[:, 2], [5, 95])))
-    seen_side = depth_range_m > 0.3 * width_m
-    thickness_m = depth_range_m if seen_side else min(config.thickness_ratio * width_m, config.thickest_m)
-    relief_m = cell_relief(outline, in_front[:, :2], in_front[:, 2]) if config.relief else None
-    prism = prism_of_outline(outline, thickness_m, relief_m)
-    rgb = _vertex_colors(prism, plane, found, plate, body)
-    method = "extrusion, measured thickness" if seen_side else "extrusion, assumed thickness"
-    return _in_own_frame(found, prism, plane, rgb, method)
-
-
-def _visible_points(
-    visible: Bool[np.ndarray, "height width"], depth: MetricDepth, body: BodyMotion
-) -> Float[np.ndarray, "points 3"]:
-    """Reliable plate depth of the object in the world, without the outline's border, where depths mix."""
-    import cv2
-
-    from video2anim.geometry.projection import backproject, transform_points
+    from video2anim.geometry.foot_line import floor_factor
 
     height, width = depth.background_depth_m.shape
-    share = cv2.resize(visible.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
-    inner = cv2.erode((share > 0.5).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-    chosen = (inner if inner.sum() >= 30 else share > 0.5) & depth.background_valid
-    points = backproject(depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height))[chosen]
-    return transform_points(body.T_world_camera[0], points)
+    added, lens = whole & ~own, body.intrinsics.resized(width, height)
+    depth_m = depth.background_depth_m.astype(np.float64)
+    factor = floor_factor(own, depth_m, depth.background_valid, floor, body.T_world_camera[0], lens)
+    depth_m = np.where(own, factor * depth_m, depth_m)
+    view = ObjectView(
+        depth_m, depth.background_valid & ~added, own, floor & ~own, body.T_world_camera[0], lens
+    )  # fmt: skip
+    limits = SolidLimits(
+        most_along=config.cubes_along, thickness_ratio=config.thickness_ratio, thickest_m=config.thickest_m
+    )
+    distance_m = float(np.median(depth_m[own & depth.background_valid]))
+    return object_solid(own, added, view, limits, blur_m=config.depth_error_ratio * distance_m)
 
 
-def _mask_rays(mask: Bool[np.ndarray, "height width"], body: BodyMotion) -> Float[np.ndarray, "pixels 3"]:
-    """World rays through the mask's pixels, thinned to about 40 000."""
-    rows, columns = np.nonzero(mask)
-    step = max(1, int(np.sqrt(len(rows) / 40_000)))
-    kept = (rows % step == 0) & (columns % step == 0)
-    k = body.intrinsics
-    x, y = (columns[kept] - k.cx_px) / k.fx_px, (rows[kept] - k.cy_px) / k.fy_px
-    return np.stack([x, y, np.ones(kept.sum())], -1) @ body.T_world_camera[0, :3, :3].T
-
-
-def _vertex_colors(
-    prism: Prism, plane: FrontPlane, found: CompletedObject, plate: BackgroundPlate, body: BodyMotion
-) -> UInt8[np.ndarray, "vertices 3"]:
-    """Colors of the completed picture under the front's vertices; the back has the front's."""
+def _small(mask: Bool[np.ndarray, "height width"], depth: MetricDepth) -> Bool[np.ndarray, "rows columns"]:
     import cv2
 
-    from video2anim.geometry.projection import invert_rigid, project, transform_points
-
-    front = prism.vertices_m[: len(prism.vertices_m) // 2]
-    world_m = front @ plane.R_world_front.T + plane.origin_world_m
-    camera_m = transform_points(invert_rigid(body.T_world_camera[0]), world_m)
-    camera_m[:, 2] = np.maximum(camera_m[:, 2], 0.05)
-    picture = plate.plate_rgb.copy()
-    (x, y), (h, w) = found.crop_xy_px, found.image_rgb.shape[:2]
-    crop_mask = found.amodal_mask[y : y + h, x : x + w]
-    picture[y : y + h, x : x + w][crop_mask] = found.image_rgb[crop_mask]
-    pixels = project(camera_m, body.intrinsics)
-    # Colors right at the outline mix with the background.
-    inner = cv2.erode(found.amodal_mask.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool)
-    trusted = inner if inner.any() else found.amodal_mask
-    rows, columns = np.nonzero(trusted)
-    # Vertices on the outline may fall just outside it: they take the nearest color inside its box.
-    u = np.clip(np.round(pixels[:, 0]), columns.min(), columns.max()).astype(int)
-    v = np.clip(np.round(pixels[:, 1]), rows.min(), rows.max()).astype(int)
-    u, v = _pulled_inside(trusted, u, v)
-    return np.concatenate([picture[v, u]] * 2)
+    height, width = depth.background_depth_m.shape
+    return cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.5
 
 
-def _pulled_inside(mask: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    from scipy.spatial import KDTree
+def _mesh(found: CompletedObject, solid: ObjectSolid, plate: BackgroundPlate, config: ReconstructConfig) -> ObjectMesh:
+    from video2anim.geometry.solid_mesh import box_surface, mesh_of_voxels, surface_colors
 
-    outside = ~mask[v, u]
-    if outside.any():
-        inside = np.argwhere(mask)
-        _, nearest = KDTree(inside).query(np.stack([v[outside], u[outside]], -1))
-        v[outside], u[outside] = inside[nearest].T
-    return u, v
-
-
-def _in_own_frame(
-    found: CompletedObject, prism: Prism, plane: FrontPlane, rgb: UInt8[np.ndarray, "vertices 3"], method: str
-) -> ObjectMesh:
-    low, high = prism.vertices_m.min(0), prism.vertices_m.max(0)
+    box = solid.box
+    if solid.method.startswith("box"):
+        vertices_m, faces = box_surface(box.low_m, box.high_m, config.most_faces)
+    else:
+        vertices_m, faces = mesh_of_voxels(solid.voxels, config.most_faces)
+    world_m = vertices_m @ box.R_world_box.T
+    rgb = surface_colors(
+        world_m, _completed_picture(found, plate), solid.view, box, solid.voxels.mirrored, 3 * solid.voxels.spacing_m
+    )
+    low, high = vertices_m.min(0), vertices_m.max(0)
     base = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
     T_world_object = np.eye(4)
-    T_world_object[:3, :3] = plane.R_world_front
-    center = plane.R_world_front @ np.array([base[0], 0.0, base[2]]) + plane.origin_world_m
-    T_world_object[:3, 3] = (center[0], 0.0, center[2])
-    mesh = Mesh((prism.vertices_m - base).astype(np.float32), prism.faces, rgb)
-    return ObjectMesh(found.object_id, found.label, method, mesh, T_world_object)
+    T_world_object[:3, :3], T_world_object[:3, 3] = box.R_world_box, box.R_world_box @ base
+    mesh = Mesh((vertices_m - base).astype(np.float32), faces, rgb)
+    return ObjectMesh(found.object_id, found.label, solid.method, mesh, T_world_object)
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=1)
+def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[np.ndarray, "height width 3"]:
+    """The plate with the object's hidden parts inpainted; its outline's colors, which mix, are those further in."""
+    import cv2
+
+    picture = plate.plate_rgb.copy()
+    (x, y), (h, w) = found.crop_xy_px, found.image_rgb.shape[:2]
+    mask = found.amodal_mask[y : y + h, x : x + w]
+    around = np.pad(mask.astype(np.uint8), 2)
+    inner = cv2.erode(around, np.ones((5, 5), np.uint8))[2:-2, 2:-2].astype(bool)
+    if not inner.any():
+        inner = mask
+    labels = np.asarray(
+        cv2.distanceTransformWithLabels(
+            (~inner).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+        )[1], np.int64,
+    )  # fmt: skip
+    color_of = np.zeros((int(labels.max()) + 1, 3), np.uint8)
+    color_of[labels[inner]] = found.image_rgb[inner]
+    picture[y : y + h, x : x + w][mask] = color_of[labels][mask]
+    return picture
+
+
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=2)

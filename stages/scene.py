@@ -1,15 +1,20 @@
-"""Stage scene: objects, floor, room surface and a signed distance field, in one world frame."""
+"""Stage scene: objects, floor, room surface and a signed distance field, in one world frame.
+
+A scan of the user's takes the place of all that.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.errors import StageError
+from video2anim.pipeline.config import user_path
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
@@ -26,6 +31,8 @@ from video2anim.types import (
 if TYPE_CHECKING:
     from video2anim.geometry.sdf import SdfGrid
 
+_FAR_SCAN_M = 0.25
+"""A scan that stays farther from the video's depth is probably not in place."""
 SUPPORT = "support"
 """Label of solids that are known by the feet on them alone."""
 
@@ -54,6 +61,16 @@ class SceneConfig:
     """Share of the frames that refutes an object; a body that touches or sits may sink in now and then."""
     supports: bool = True
     """Put a solid under places well above the floor where feet rested and no object was found."""
+    scan: str = user_path()
+    """Mesh file of the room (metres, triangles facing the room), in place of what the video shows."""
+    scan_up: Literal["y", "z"] = "y"
+    """The scan's upward axis."""
+    scan_yaw_deg: float = 0.0
+    """Turn of the scan about the vertical that brings it roughly into the video's world."""
+    scan_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Shift after that turn; the world's origin is the floor under the person's first place."""
+    scan_register: bool = True
+    """Fit yaw and shift to the video's depth from there on."""
 
 
 def build_scene(
@@ -69,12 +86,15 @@ def build_scene(
 
     Raises:
         StageError: no body has a valid frame (the scene is built around the motion).
+        InputError: the scan cannot be read.
     """
     from video2anim.geometry.scene_mesh import floor_patch, world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
 
     motion_m = _motion_bounds(bodies)
     body = bodies.people[0]
+    if config.scan:
+        return _scanned(motion_m, depth, bodies, config, ctx)
     objects = _with_supports(placed.objects, bodies, ctx) if config.supports else list(placed.objects)
     objects = _not_refuted(objects, bodies, config, ctx)
     solids = [world_mesh(p.mesh, p.T_world_object, p.scale) for p in objects]
@@ -92,6 +112,48 @@ def build_scene(
     ctx.quality("sdf_nodes", grid.sdf_m.size, "nodes")
     ctx.quality("background_faces", len(background.faces), "faces")
     return SceneModel(tuple(objects), floor, background, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
+
+
+def _scanned(
+    motion_m: Float[np.ndarray, "2 3"], depth: MetricDepth, bodies: BodyTracks, config: SceneConfig, ctx: StageContext
+) -> SceneModel:
+    """The user's scan as the only surface of the scene."""
+    from dataclasses import replace
+
+    from video2anim.artifacts.user_files import read_mesh_file
+    from video2anim.geometry.projection import backproject, transform_points
+    from video2anim.geometry.rotations import matrix_from_axis_angle
+    from video2anim.geometry.scan import registered, scan_field
+    from video2anim.geometry.scene_mesh import empty_mesh
+
+    scan = read_mesh_file(Path(config.scan))
+    T_world_scan = np.eye(4)
+    T_world_scan[:3, :3] = matrix_from_axis_angle(np.array([0.0, np.deg2rad(config.scan_yaw_deg), 0.0]))
+    if config.scan_up == "z":
+        T_world_scan[:3, :3] = T_world_scan[:3, :3] @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    T_world_scan[:3, 3] = config.scan_shift_m
+    scan = replace(scan, vertices_m=transform_points(T_world_scan, scan.vertices_m))
+    if config.scan_register:
+        height, width = depth.background_depth_m.shape
+        body, known = bodies.people[0], depth.background_valid & (depth.background_depth_m < config.far_m)
+        seen_m = backproject(depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height))[known]
+        if len(seen_m):
+            found = registered(scan, transform_points(body.T_world_camera[0], seen_m), ctx.rng("scene/scan"))
+            scan = replace(scan, vertices_m=transform_points(found.T_world_scan, scan.vertices_m))
+            ctx.quality("scan to depth before", found.before_m, "m", "lower")
+            ctx.quality("scan to depth", found.after_m, "m", "lower")
+            if found.after_m > _FAR_SCAN_M:
+                ctx.warn(
+                    f"the scan stays {found.after_m:.2f} m from the video's depth (median); bring it nearer by "
+                    "scene.scan_up, scene.scan_yaw_deg and scene.scan_shift_m, and look at `video2anim view`"
+                )
+    bounds_m = np.stack([motion_m[0] - config.margin_m, motion_m[1] + config.margin_m])
+    bounds_m[0, 1], bounds_m[1, 1] = -0.3, max(bounds_m[1, 1], 2.0)
+    spacing_m = _field_spacing(bounds_m, config)
+    grid = scan_field(scan, bounds_m, spacing_m)
+    ctx.quality("sdf_spacing", spacing_m, "m", "lower")
+    ctx.quality("scan_faces", len(scan.faces), "faces")
+    return SceneModel((), empty_mesh(), scan, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
 
 
 def _not_refuted(
@@ -230,4 +292,4 @@ def _touches(mask: Bool[np.ndarray, "height width"], size: tuple[int, int], shar
     return cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > share
 
 
-STAGE = StageSpec("scene", build_scene, version=5)
+STAGE = StageSpec("scene", build_scene, version=6)

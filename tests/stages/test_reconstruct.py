@@ -1,67 +1,257 @@
-"""Closed meshes from outlines."""
+"""Closed, colored meshes of objects in their own frames."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scene_chain import run_chain
-from synthetic_room import BOX_SIZE_M, make_room
+from synthetic_room import BOX, BOX_CENTER_M, BOX_SIZE_M, FLOOR, Room, camera_pose, make_room
 
-from video2anim.geometry.prism_mesh import OutlineCells, front_plane, outline_cells, prism_of_outline
+from stages.reconstruct import ReconstructConfig, reconstruct_objects
+from video2anim.errors import StageError
+from video2anim.geometry.amodal import object_picture
+from video2anim.geometry.projection import transform_points
+from video2anim.pipeline.stage import StageContext
+from video2anim.types import (
+    BodyTracks,
+    CompletedObject,
+    CompletedObjects,
+    InstanceMasks,
+    MetricDepth,
+    ObjectInstance,
+    ObjectMesh,
+    ObjectMeshes,
+)
+
+ROOM_RGB, RIM_RGB, THING_RGB = (80, 90, 80), (0, 250, 0), (200, 30, 30)
 
 
-def test_box_mesh_is_closed_and_stands_in_its_frame() -> None:
-    found = run_chain(make_room()).meshes.objects[0]
+def metric_depth(room: Room, depth_m: np.ndarray) -> MetricDepth:
+    """Depth without error; 0 is unknown."""
+    none = np.zeros((0, *depth_m.shape))
+    return MetricDepth(
+        1.0, 0.0, 0.0, 0.0, None, None, True, "truth", np.zeros(0, np.int64), none, none.astype(bool),
+        depth_m, (depth_m > 0) & (depth_m < 50), room.bodies.people[0].T_world_camera,
+    )  # fmt: skip
+
+
+def reconstruct(
+    room: Room,
+    masks: list[np.ndarray],
+    *,
+    depth_m: np.ndarray | None = None,
+    floor: np.ndarray | None = None,
+    config: ReconstructConfig | None = None,
+    ctx: StageContext | None = None,
+    bodies: BodyTracks | None = None,
+) -> ObjectMeshes:
+    """The stage on things whose outlines are known and not hidden."""
+    instances, completed = [], []
+    for number, mask in enumerate(masks, 1):
+        instances.append(ObjectInstance(number, "object", 1.0, np.zeros(4), mask))
+        crop, corner = object_picture(room.plate.plate_rgb, mask, mask)
+        completed.append(CompletedObject(number, "object", mask, crop, corner, 0.0))
+    return reconstruct_objects(
+        CompletedObjects(tuple(completed)),
+        InstanceMasks("truth", tuple(instances), room.surface_full == FLOOR if floor is None else floor),
+        metric_depth(room, room.depth_m if depth_m is None else depth_m),
+        room.plate,
+        room.bodies if bodies is None else bodies,
+        config or ReconstructConfig(),
+        ctx or StageContext(Path()),
+    )
+
+
+def checked(found: ObjectMesh) -> trimesh.Trimesh:
+    """The mesh, if it is closed and lies in its own frame: +Y up, resting on y = 0, centered."""
     mesh = trimesh.Trimesh(found.mesh.vertices_m, found.mesh.faces, process=False)
+    assert np.isfinite(found.mesh.vertices_m).all()
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert mesh.volume > 0
     low, high = mesh.bounds
     assert low[1] == pytest.approx(0, abs=1e-6)
     assert np.abs(low + high)[[0, 2]].max() < 1e-5
-    assert len(found.mesh.faces) <= 5000
-    assert found.method.startswith("extrusion")
-    # The outline holds a sliver of side and top: up to a quarter larger than the front.
-    assert 0.9 < mesh.extents[0] / BOX_SIZE_M[0] < 1.25
-    assert 0.9 < mesh.extents[1] / BOX_SIZE_M[1] < 1.25
+    R_world_object = found.T_world_object[:3, :3]
+    np.testing.assert_allclose(R_world_object @ R_world_object.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(R_world_object) == pytest.approx(1.0)
+    np.testing.assert_allclose(R_world_object[:, 1], [0, 1, 0], atol=1e-9)
+    assert found.mesh.vertex_rgb.shape == found.mesh.vertices_m.shape
+    return mesh
+
+
+def level_room() -> Room:
+    """A level camera one metre above the floor."""
+    room = make_room()
+    body = room.bodies.people[0]
+    level = replace(body, T_world_camera=np.tile(camera_pose(1.0, 0.0), (body.frame_count, 1, 1)))
+    return replace(room, bodies=BodyTracks((level,)))
+
+
+def facing_plane(
+    room: Room, z_m: float = 4.0, *, wall_z_m: float = 40.0, below_z_m: float = 2.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Outline, at the clip's size, and depth of an upright rectangle across the view.
+
+    It is 1.2 m wide and reaches from 0.7 m to 1.5 m above the floor. What is seen below it is as far as `below_z_m`,
+    what is seen around it as far as `wall_z_m`.
+    """
+    k = room.bodies.people[0].intrinsics
+    x = (np.arange(k.width_px) - k.cx_px) / k.fx_px * z_m
+    y = 1.0 - (np.arange(k.height_px) - k.cy_px) / k.fy_px * z_m
+    mask = (np.abs(x) < 0.6)[None] & ((y > 0.7) & (y < 1.5))[:, None]
+    height, width = room.depth_m.shape
+    small = mask.reshape(height, mask.shape[0] // height, width, -1).mean((1, 3)) > 0.5
+    rows, columns = np.nonzero(small)
+    depth_m = np.where(small, z_m, wall_z_m)
+    depth_m[rows.max() + 1 :, columns.min() : columns.max() + 1] = below_z_m
+    return mask, depth_m
+
+
+def test_box_of_the_chain_is_closed_blue_and_stands_in_its_frame() -> None:
+    found = run_chain(make_room(pitch_deg=14.0, roll_deg=0.0)).meshes.objects[0]
+    mesh = checked(found)
+    assert found.method.startswith("box")
+    assert found.T_world_object[1, 3] == pytest.approx(0, abs=1e-6)
+    assert mesh.extents[0] == pytest.approx(BOX_SIZE_M[0], rel=0.25)
+    assert mesh.extents[1] == pytest.approx(BOX_SIZE_M[1], rel=0.15)
     # The outline is a few pixels too wide, so some of its rim has the wall's and the floor's colors.
-    blue = found.mesh.vertex_rgb.astype(int)
-    assert (blue[:, 2] > blue[:, 0] + 20).mean() > 0.8
+    rgb = found.mesh.vertex_rgb.astype(int)
+    assert (rgb[:, 2] > rgb[:, 0] + 20).mean() > 0.8
 
 
-@settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.3, 0.95))
-def test_any_outline_gives_a_watertight_prism(seed: int, share: float) -> None:
-    rng = np.random.default_rng(seed)
-    cells = rng.random((9, 11)) < share
-    cells[4, 5] = True
-    rows, columns = np.nonzero(cells)
-    centers = np.stack([columns + 0.5, rows + 0.5], -1) * 0.1
-    outline_m = (centers[:, None] + rng.uniform(-0.05, 0.05, (1, 30, 2))).reshape(-1, 2)
-    outline = outline_cells(outline_m, most_cells=100)
-    relief = rng.normal(0, 0.05, outline.cells.shape)
-    prism = prism_of_outline(outline, 0.4, relief)
-    mesh = trimesh.Trimesh(prism.vertices_m, prism.faces, process=False)
-    assert mesh.is_watertight
-    assert mesh.is_winding_consistent
-    assert mesh.volume > 0
+@pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(14.0, 0.0), (22.0, 12.0)])
+def test_true_outline_and_depth_give_the_true_box(pitch_deg: float, roll_deg: float) -> None:
+    """Side and top are seen at a slant from 4.4 m: up to 0.2 m of the far edge is lost."""
+    room = make_room(pitch_deg=pitch_deg, roll_deg=roll_deg)
+    (found,) = reconstruct(room, [room.surface_full == BOX]).objects
+    mesh = checked(found)
+    assert found.object_id == 1
+    assert found.method == "box"
+    yaw = np.arctan2(found.T_world_object[0, 2], found.T_world_object[2, 2])
+    assert abs(np.sin(2 * yaw)) < 0.06, "a multiple of a quarter turn"
+    np.testing.assert_allclose(mesh.extents[:2], BOX_SIZE_M[:2], atol=0.06)
+    assert mesh.extents[2] == pytest.approx(BOX_SIZE_M[2], abs=0.22)
+    middle_m = transform_points(found.T_world_object, np.array([[0.0, 0.5 * mesh.extents[1], 0.0]]))[0]
+    np.testing.assert_allclose(middle_m[:2], BOX_CENTER_M[:2], atol=0.05)
+    assert middle_m[2] == pytest.approx(BOX_CENTER_M[2], abs=0.12)
+    rgb = found.mesh.vertex_rgb.astype(int)
+    assert (rgb[:, 2] > rgb[:, 0] + 20).mean() > 0.95
 
 
-def test_prism_volume() -> None:
-    outline = OutlineCells(np.ones((3, 2), dtype=bool), np.zeros(2), np.array([0.5, 0.2]))
-    prism = prism_of_outline(outline, 0.3)
-    assert trimesh.Trimesh(prism.vertices_m, prism.faces, process=False).volume == pytest.approx(1.0 * 0.6 * 0.3)
+@pytest.mark.parametrize(
+    ("config", "thickness_m"),
+    [
+        (ReconstructConfig(), 0.35 * np.sqrt(1.2 * 1.5)),
+        (ReconstructConfig(thickness_ratio=0.2), 0.2 * np.sqrt(1.2 * 1.5)),
+        (ReconstructConfig(thickest_m=0.3), 0.3),
+    ],
+)
+def test_thickness_of_a_front_is_what_the_configuration_says(config: ReconstructConfig, thickness_m: float) -> None:
+    """Something near hides its lower end, so it reaches down to the floor: 1.2 m wide, 1.5 m high."""
+    room = level_room()
+    mask, depth_m = facing_plane(room)
+    (found,) = reconstruct(room, [mask], depth_m=depth_m, floor=np.zeros_like(mask), config=config).objects
+    mesh = checked(found)
+    assert found.method == "box, assumed thickness"
+    np.testing.assert_allclose(mesh.extents, [1.2, 1.5, thickness_m], atol=0.05)
+    assert found.T_world_object[2, 3] + 0.5 * mesh.extents[2] == pytest.approx(-4.0, abs=0.01), "the front is seen"
 
 
-@pytest.mark.parametrize("yaw", [-0.5, 0.0, 0.6])
-def test_front_plane_finds_the_yaw(yaw: float) -> None:
-    rng = np.random.default_rng(1)
-    along = rng.uniform(-0.6, 0.6, 500)
-    points = np.stack([along * np.cos(yaw), rng.uniform(0, 1, 500), -4 - along * np.sin(yaw)], -1)
-    points += rng.normal(0, 0.02, points.shape)
-    plane = front_plane(points, np.array([0.0, 1.6, 0.0]))
-    assert plane.yaw_rad == pytest.approx(yaw, abs=0.05)
-    assert np.linalg.det(plane.R_world_front) == pytest.approx(1.0)
+def test_a_wall_close_behind_is_the_back() -> None:
+    room = level_room()
+    mask, depth_m = facing_plane(room, wall_z_m=4.5)
+    (found,) = reconstruct(room, [mask], depth_m=depth_m, floor=np.zeros_like(mask)).objects
+    assert found.method == "box, to the wall"
+    assert checked(found).extents[2] == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_raised_object_keeps_its_height_in_the_pose() -> None:
+    """Its lower edge, 0.7 m high, touches the front of what stands under it; the mesh itself rests on y = 0."""
+    room = level_room()
+    mask, depth_m = facing_plane(room, below_z_m=3.95)
+    (found,) = reconstruct(room, [mask], depth_m=depth_m, floor=np.zeros_like(mask)).objects
+    mesh = checked(found)
+    assert found.T_world_object[1, 3] == pytest.approx(0.7, abs=0.05)
+    assert mesh.extents[1] == pytest.approx(0.8, abs=0.08)
+
+
+@pytest.mark.parametrize("most_faces", [300, 1000])
+def test_carved_objects_keep_the_limit_of_faces(most_faces: int) -> None:
+    """The upper half is 0.4 m farther back than the lower one: a bench with a back."""
+    room = level_room()
+    mask, depth_m = facing_plane(room)
+    rows = np.flatnonzero((depth_m == 4.0).any(1))
+    upper = depth_m[: (rows.min() + rows.max()) // 2]
+    upper[upper == 4.0] = 4.4
+    config = ReconstructConfig(most_faces=most_faces)
+    ctx = StageContext(Path())
+    (found,) = reconstruct(room, [mask], depth_m=depth_m, floor=np.zeros_like(mask), config=config, ctx=ctx).objects
+    checked(found)
+    assert found.method.startswith("carved")
+    assert len(found.mesh.faces) <= most_faces
+    told = {quality.name: quality.value for quality in ctx.qualities}
+    assert told["most_faces"] == len(found.mesh.faces)
+
+
+def test_boxes_keep_the_limit_of_faces() -> None:
+    room = make_room(pitch_deg=22.0, roll_deg=12.0)
+    for most_faces in (300, 1000, 4000):
+        config = ReconstructConfig(most_faces=most_faces)
+        (found,) = reconstruct(room, [room.surface_full == BOX], config=config).objects
+        assert len(found.mesh.faces) <= most_faces
+
+
+def painted(mask: np.ndarray, rim_px: int) -> Room:
+    """A thing of one color in a room of another; its outermost pixels have a third one."""
+    room = level_room()
+    rows, columns = np.nonzero(mask)
+    picture = np.full_like(room.plate.plate_rgb, ROOM_RGB)
+    picture[mask] = RIM_RGB
+    inside = np.zeros_like(mask)
+    inside[rows.min() + rim_px : rows.max() + 1 - rim_px, columns.min() + rim_px : columns.max() + 1 - rim_px] = True
+    picture[inside] = THING_RGB
+    return replace(room, plate=replace(room.plate, plate_rgb=picture))
+
+
+def test_colors_come_from_the_picture() -> None:
+    """Hidden parts have the colors of the seen ones; nothing has those of the room."""
+    mask, depth_m = facing_plane(level_room())
+    (found,) = reconstruct(painted(mask, 0), [mask], depth_m=depth_m, floor=np.zeros_like(mask)).objects
+    assert (found.mesh.vertex_rgb == THING_RGB).all()
+
+
+def test_colors_of_the_outline_are_those_further_in() -> None:
+    mask, depth_m = facing_plane(level_room())
+    (found,) = reconstruct(painted(mask, 2), [mask], depth_m=depth_m, floor=np.zeros_like(mask)).objects
+    assert not (found.mesh.vertex_rgb == RIM_RGB).all(1).any()
+
+
+def test_objects_without_depth_are_dropped_and_told() -> None:
+    room = make_room()
+    whole = room.surface_full == BOX
+    small = np.zeros_like(whole)
+    rows, columns = np.nonzero(whole)
+    small[rows.min() : rows.min() + 4, columns.min() : columns.min() + 8] = True
+    unknown = np.where(room.surface == BOX, 0.0, room.depth_m)
+    ctx = StageContext(Path())
+    assert reconstruct(room, [whole, small], depth_m=unknown, ctx=ctx).objects == ()
+    assert ["too little reliable depth" in warning for warning in ctx.warnings] == [True, True]
+    ctx = StageContext(Path())
+    (kept,) = reconstruct(room, [small, whole], ctx=ctx).objects
+    assert kept.object_id == 2
+    told = {quality.name: quality.value for quality in ctx.qualities}
+    assert (told["meshes"], told["boxes"], told["dropped"]) == (1, 1, 1)
+    assert len(ctx.warnings) == 1
+    assert "object 1" in ctx.warnings[0]
+
+
+def test_no_objects_and_no_body() -> None:
+    room = make_room()
+    assert reconstruct(room, []).objects == ()
+    with pytest.raises(StageError, match="at least one fitted body"):
+        reconstruct(room, [room.surface_full == BOX], bodies=BodyTracks(()))

@@ -145,9 +145,19 @@ def open_scene(
 
 
 def rerun_stage(scene_dir: Path, name: str, *, device: str, on_event: Callable[[Event], None]) -> list[StageStatus]:
-    """`video2anim stage NAME DIR`: one stage again, from cached inputs."""
+    """`video2anim stage NAME DIR`: one stage again, from cached inputs.
+
+    Raises:
+        UsageError: no such stage, or the folder's configuration names a program: who runs one says so themselves.
+    """
     runner, record = open_scene(scene_dir, device=device, on_event=on_event)
     runner.node(name)
+    program = record.config.get(name, {}).get("command")
+    if program:
+        raise UsageError(
+            f"{scene_dir}: its configuration runs a program ({program!r}); give it yourself by "
+            f"`video2anim run VIDEO --out {scene_dir} --from {name} --set {name}.command=...`"
+        )
     prepare(scene_dir)
     with locked(scene_dir):
         rows = runner.run(only=name)

@@ -45,7 +45,7 @@ def place_results(scene_dir: Path, runner: Runner, record: RunRecord, rows: Sequ
     exported: ExportedFiles = runner.value(ExportedFiles)
     for item in exported.files:
         relative = item.path.relative_to(folder)
-        if relative.name.startswith("overlay_"):
+        if relative.name.startswith(("overlay_", "worst_")):
             continue
         _copy_if_different(item.path, scene_dir / relative)
     if any(row.state == "ran" for row in rows) or not (scene_dir / REPORT).exists():
@@ -150,6 +150,10 @@ def _report(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], expo
         for item in exported.files
         if item.path.name.startswith("overlay_")
     ]
+    moments = []
+    for path in (item.path for item in exported.files if item.path.name.startswith("worst_")):
+        _, what, frame = path.stem.split("_")
+        moments.append(Picture(f"{what.replace('-', ' ')}: frame {int(frame)}", path.read_bytes()))
     refined: RefinedMotion = runner.value(RefinedMotion)
     return render_report(
         ReportInput(
@@ -161,6 +165,7 @@ def _report(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], expo
             priors=refined.prior,
             scene=runner.value(SceneModel),
             pictures=tuple(pictures),
+            moments=tuple(moments),
             found=_found(runner.value(PersonTracks), runner.value(BodyTracks), runner.value(VideoClip).frame_count),
         )
     )

@@ -21,6 +21,8 @@ from video2anim.viewer.viewpoint import Viewpoint, fit_viewpoint, looking
 _BODY_OPACITY = 0.8
 _SIDE_ELEVATION_RAD = 0.25
 _TEXT_RGB = (40, 44, 52)
+_AROUND_M = tuple(np.array([x, 0.0, z]) for x in (-0.4, 0.4) for z in (-0.4, 0.4))
+"""Room left around a body in a close view."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +92,26 @@ def overlay_frame(
     small = cv2.resize(read_frame(clip, frame), (width_px, height_px), interpolation=cv2.INTER_AREA)
     (meshes,) = bodies.frames(frame, frame + 1)
     return _overlay(small, bodies, meshes, frame, people[0].intrinsics.resized(width_px, height_px))
+
+
+def moment_picture(
+    clip: VideoClip, raw: BodyMotion, refined: BodyMotion, scene: SceneModel, frame: int, height_px: int = 300
+) -> UInt8[np.ndarray, "height width 3"]:
+    """One frame of one person: refined over the input, and raw and refined from the side, near by."""
+    panels = [overlay_frame(clip, (refined,), frame, height_px)]
+    sideways = np.cross([0.0, 1.0, 0.0], refined.T_world_camera[frame, :3, 2])
+    around = [motion.joints_world_m[frame] for motion in (raw, refined)]
+    points_m = np.concatenate([a + shift for a in around for shift in _AROUND_M])
+    size_px = panels[0].shape[0]
+    for motion in (raw, refined):
+        viewpoint = fit_viewpoint(points_m, looking(sideways, _SIDE_ELEVATION_RAD), width_px=size_px, height_px=size_px)
+        canvas = Canvas.blank(size_px, size_px)
+        draw_static(canvas, viewpoint, scene, background=False, objects=True)
+        bodies = PosedBodies((motion,))
+        (meshes,) = bodies.frames(frame, frame + 1)
+        bodies.draw(canvas, viewpoint, meshes, frame)
+        panels.append(canvas.rgb)
+    return np.concatenate(panels, axis=1)
 
 
 def side_viewpoint(people: tuple[BodyMotion, ...], scene: SceneModel, width_px: int, height_px: int) -> Viewpoint:

@@ -17,6 +17,7 @@ from video2anim.types import BodyMotion, SceneModel
 VERTEX_STRIDE = 8
 """Every such vertex of the body is tested against the scene."""
 _CHUNK_FRAMES = 60
+_WORTH_A_LOOK_M = 0.01
 _SHORTEST_SPAN = 4
 """Frames below which a third difference does not exist."""
 
@@ -31,6 +32,18 @@ class MotionQuality:
     """Mean over joints, centred on its four frames; NaN at the ends."""
     clearance_m: Float[np.ndarray, "span"]
     """Signed distance of the nearest (or deepest) body vertex to the scene; NaN without a scene."""
+    skating_m_s: Float[np.ndarray, "span"]
+    """Horizontal speed of the faster toe that is near the floor (`gmd`); NaN where neither is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A frame to look at."""
+
+    frame: int
+    what: str
+    value: float
+    unit: str
 
 
 def motion_quality(motion: BodyMotion, scene: SceneModel | None, span: slice, fps: float) -> MotionQuality:
@@ -55,7 +68,24 @@ def motion_quality(motion: BodyMotion, scene: SceneModel | None, span: slice, fp
             Quality("deepest penetration", metrics.penetration_max_m(distance_m), "m", "lower"),
             Quality("floating", metrics.floating_m(distance_m), "m", "lower"),
         ]
-    return MotionQuality(tuple(numbers), motion.frame_time_s[span], _jerk_curve(joints_m, fps), clearance_m)
+    return MotionQuality(
+        tuple(numbers), motion.frame_time_s[span], _jerk_curve(joints_m, fps), clearance_m,
+        _skating_curve(joints_m, fps),
+    )  # fmt: skip
+
+
+def worst_moments(quality: MotionQuality, span: slice) -> tuple[Moment, ...]:
+    """The deepest penetration, the fastest skating and the strongest jerk, where there is any."""
+    found = []
+    for what, curve, least, sign, unit in (
+        ("deepest penetration", quality.clearance_m, _WORTH_A_LOOK_M, -1.0, "m"),
+        ("fastest skating", quality.skating_m_s, metrics.KIMODO_SPEED_M_S, 1.0, "m/s"),
+        ("strongest jerk", quality.jerk_m_s3, 0.0, 1.0, "m/s³"),
+    ):
+        bad = np.where(np.isfinite(curve), sign * curve, -np.inf)
+        if len(bad) and bad.max() > least:
+            found.append(Moment(span.start + int(bad.argmax()), what, float(bad.max()), unit))
+    return tuple(found)
 
 
 def measured_span(motion: BodyMotion) -> slice | None:
@@ -85,3 +115,11 @@ def _jerk_curve(joints_m: np.ndarray, fps: float) -> np.ndarray:
     curve = np.full(len(joints_m), np.nan)
     curve[2:-1] = np.linalg.norm(np.diff(joints_m, n=3, axis=0), axis=-1).mean(1) * fps**3
     return curve
+
+
+def _skating_curve(joints_m: np.ndarray, fps: float) -> np.ndarray:
+    toes = joints_m[:, metrics.TOES]
+    low = toes[..., metrics.UP] < metrics.GMD_TOE_HEIGHT_M
+    speed = np.linalg.norm(np.diff(toes[..., metrics.HORIZONTAL], axis=0), axis=-1) * fps
+    speed = np.where(low[1:] & low[:-1], speed, -1.0).max(1, initial=-1.0)
+    return np.concatenate([[np.nan], np.where(speed < 0, np.nan, speed)])[: len(joints_m)]

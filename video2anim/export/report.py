@@ -80,6 +80,8 @@ class ReportInput:
     """In-betweening prior of each person of `refined`."""
     scene: SceneModel | None = None
     pictures: tuple[Picture, ...] = ()
+    moments: tuple[Picture, ...] = ()
+    """The worst moments of the refined motion."""
     found: tuple[FoundPerson, ...] = ()
 
 
@@ -96,6 +98,7 @@ def render_report(report: ReportInput) -> str:
         camera=_camera_facts(report.camera),
         people=[_person(report, index) for index in range(_person_count(report))],
         pictures=[(picture.caption, report_plots.data_uri(picture.png, "image/png")) for picture in report.pictures],
+        moments=[(moment.caption, report_plots.data_uri(moment.png, "image/png")) for moment in report.moments],
         found=[(person, report_plots.data_uri(person.png, "image/png")) for person in report.found],
         total_s=sum(stage.wall_time_s for stage in report.stages),
         peak_mb=max((stage.peak_memory_mb for stage in report.stages), default=0.0),
@@ -137,7 +140,10 @@ def _person(report: ReportInput, index: int) -> dict[str, Any]:
         return facts
     qualities = {name: motion_quality(motion, report.scene, span, _FPS) for name, motion in motions.items()}
     facts["rows"] = _comparison(qualities)
-    facts["plots"] = [("Jerk over time", report_plots.jerk_plot(qualities))]
+    facts["plots"] = [
+        ("Jerk over time", report_plots.jerk_plot(qualities)),
+        ("Feet near the floor: speed over time (over the line: skating)", report_plots.skating_plot(qualities)),
+    ]
     if report.scene is not None:
         facts["plots"].append(("Body against scene", report_plots.clearance_plot(qualities)))
     facts["plots"].append(("Path of the pelvis from above", report_plots.path_plot(motions, report.scene)))

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from scenemi.metrics import GMD_SPEED_M_S
 from video2anim.export.quality import MotionQuality
 from video2anim.types import BodyMotion, SceneModel
 from video2anim.viewer.drawing import world_vertices
@@ -48,6 +49,16 @@ def clearance_plot(qualities: Mapping[str, MotionQuality]) -> str:
         highs += finite.tolist()
     margin = 0.08 * (max(highs) - min(lows)) + 0.5
     axes.set_ylim(min(lows) - margin, max(highs) + margin)
+    return _finish(figure, axes)
+
+
+def skating_plot(qualities: Mapping[str, MotionQuality]) -> str:
+    """Speed of the toes near the floor over time; gaps where neither foot is near it."""
+    figure, axes = _figure("toe speed (m/s)", "time (s)")
+    axes.axhline(GMD_SPEED_M_S, color="#c0392b", lw=0.8)
+    for stage, quality in qualities.items():
+        axes.plot(quality.time_s, quality.skating_m_s, color=STAGE_COLORS[stage], lw=1.2, label=stage)
+    axes.set_ylim(bottom=0)
     return _finish(figure, axes)
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import pydantic
 import yaml
 
+from video2anim.artifacts.user_files import content_digest
 from video2anim.errors import UsageError
 from video2anim.pipeline.graph import Node
 
@@ -34,8 +35,23 @@ class PipelineConfig:
 
 
 def result_config(config: Any) -> dict[str, Any]:
-    """The fields of a stage config that can change its result; speed knobs (`in_key` False) are left out."""
-    return {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.metadata.get("in_key", True)}
+    """The fields of a stage config that can change its result; speed knobs (`in_key` False) are left out.
+
+    Of the user's files and folders (`user_path`) it is the content that counts.
+
+    Raises:
+        InputError: such a file is missing or unreadable.
+    """
+    found = {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.metadata.get("in_key", True)}
+    for field in dataclasses.fields(config):
+        if field.metadata.get("user_path") and found.get(field.name):
+            found[field.name] = content_digest(Path(found[field.name]))
+    return found
+
+
+def user_path() -> Any:
+    """Field of a stage config: a file or folder of the user, empty for none."""
+    return dataclasses.field(default="", metadata={"user_path": True})
 
 
 def presets_dir() -> Path:
@@ -115,6 +131,11 @@ def resolve(nodes: Sequence[Node], preset: str, layers: Sequence[tuple[str, Mapp
                     near = _suggest(option, known, prefix=f"{key}.")
                     raise UsageError(f"{source}: unknown key '{key}.{option}'{near}")
             merged[key].update(_names_as_text(types[key], value))
+    for name, options in merged.items():
+        for field in dataclasses.fields(types[name]):
+            if field.metadata.get("user_path") and options.get(field.name):
+                # A later command may be given from another folder.
+                options[field.name] = str(Path(str(options[field.name])).expanduser().absolute())
     stages = {name: _checked(types[name], options, name) for name, options in merged.items()}
     return PipelineConfig(preset, seed, stages)
 

@@ -126,7 +126,7 @@ class ObjectMesh:
     object_id: int
     label: str
     method: str
-    """How the hidden side was made, for example `extrusion`."""
+    """How it was made: `box` or `carved` with its assumptions, `user mesh`, `program`."""
     mesh: Mesh
     T_world_object: Float[np.ndarray, "4 4"]
     """First guess of the pose."""
@@ -151,6 +151,10 @@ class PlacedObject:
     chamfer_after_m: float | None
     trusted: bool
     reason: str
+    position_sigma_m: float | None = None
+    """Standard deviation of the horizontal place; None where nothing was fitted."""
+    yaw_sigma_rad: float | None = None
+    scale_sigma: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

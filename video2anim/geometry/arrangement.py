@@ -1,0 +1,193 @@
+"""Objects that rest on each other and do not run into each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.geometry.sdf import SdfGrid, build_sdf_grid, surface_samples
+from video2anim.types.scene import Mesh
+
+_SAMPLE_M = 0.04
+"""Distance of the surface points that are tested."""
+_LARGEST_SHIFT_M = 0.3
+"""Objects that overlap are moved by no more than this."""
+_ROUNDS = 12
+_UNDER_M = 0.25
+"""An object is put down or lifted by at most this to rest on what is below it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """One object in the world."""
+
+    mesh: Mesh
+    """World coordinates."""
+    sigma_m: float
+    """How uncertain its place is; of two that overlap the less certain one gives way."""
+    raised: bool = False
+    """Seen to rest on something else than the floor."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arranged:
+    """What was done to an object, and what is left."""
+
+    shift_m: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    rests_on: int | None = None
+    """Number of the object under it."""
+    overlap_before_m: float = 0.0
+    """Deepest point inside another object."""
+    overlap_after_m: float = 0.0
+    inside_of: int | None = None
+    """The object it still runs into most."""
+
+
+def arrange(objects: Sequence[Standing], tolerance_m: float = 0.03) -> list[Arranged]:
+    """Put raised objects onto what is under them, then part those that overlap by more than the tolerance.
+
+    Objects move horizontally, away from each other, each in proportion to the variance of its place.
+    """
+    done = [Arranged() for _ in objects]
+    for number, item in enumerate(objects):
+        if item.raised:
+            done[number] = _put_down(number, objects)
+    pairs = _pairs(objects, done)
+    for pair in pairs:
+        depth_m, _ = pair.depth(done)
+        done[pair.one] = replace(done[pair.one], overlap_before_m=max(done[pair.one].overlap_before_m, depth_m))
+        done[pair.other] = replace(done[pair.other], overlap_before_m=max(done[pair.other].overlap_before_m, depth_m))
+    for _ in range(_ROUNDS):
+        moved = False
+        for pair in pairs:
+            depth_m, away = pair.depth(done)
+            if depth_m <= tolerance_m:
+                continue
+            one, other = objects[pair.one].sigma_m ** 2, objects[pair.other].sigma_m ** 2
+            share = one / max(one + other, 1e-12) if one + other > 0 else 0.5
+            step = away * (0.7 * depth_m)
+            moved |= _move(done, pair.one, share * step) | _move(done, pair.other, -(1 - share) * step)
+        if not moved:
+            break
+    for pair in pairs:
+        depth_m, _ = pair.depth(done)
+        if depth_m > tolerance_m:
+            for number, partner in ((pair.one, pair.other), (pair.other, pair.one)):
+                if depth_m > done[number].overlap_after_m:
+                    done[number] = replace(done[number], overlap_after_m=depth_m, inside_of=partner)
+    return done
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pair:
+    """Two objects that may overlap: fields and surface points of both, where they stood at first."""
+
+    one: int
+    other: int
+    one_field: SdfGrid
+    other_field: SdfGrid
+    one_points_m: np.ndarray
+    other_points_m: np.ndarray
+
+    def depth(self, done: list[Arranged]) -> tuple[float, np.ndarray]:
+        """Deepest point of one in the other, and the horizontal way out for `one`."""
+        apart_m = done[self.one].shift_m - done[self.other].shift_m
+        deep_one, way_one = _deepest(self.other_field, self.one_points_m + apart_m)
+        deep_other, way_other = _deepest(self.one_field, self.other_points_m - apart_m)
+        away = deep_one * way_one - deep_other * way_other
+        length = float(np.linalg.norm(away))
+        if length < 1e-6:
+            away = (self.one_points_m.mean(0) + apart_m - self.other_points_m.mean(0)) * np.array([1.0, 0.0, 1.0])
+            length = max(float(np.linalg.norm(away)), 1e-6)
+        return max(deep_one, deep_other), away / length
+
+
+def _deepest(solid: SdfGrid, points_m: np.ndarray) -> tuple[float, np.ndarray]:
+    """Depth of the deepest point, and the mean horizontal way to the surface from all points inside."""
+    inside_m = -solid.sample(points_m)
+    within = inside_m > 0
+    if not within.any():
+        return 0.0, np.zeros(3)
+    at, h = points_m[within], 0.5 * solid.spacing_m
+    way = np.zeros((len(at), 3))
+    for axis in (0, 2):
+        step = np.eye(3)[axis] * h
+        way[:, axis] = solid.sample(at + step) - solid.sample(at - step)
+    mean = (way * inside_m[within, None]).sum(0)
+    return float(inside_m.max()), mean / max(float(np.linalg.norm(mean)), 1e-9)
+
+
+def _pairs(objects: Sequence[Standing], done: Sequence[Arranged]) -> list[_Pair]:
+    bounds = [_bounds(item.mesh, state.shift_m) for item, state in zip(objects, done, strict=True)]
+    near = [
+        (i, j)
+        for i in range(len(objects))
+        for j in range(i)
+        if bounds[i] is not None and bounds[j] is not None and _meet(bounds[i], bounds[j])
+    ]
+    fields: dict[int, tuple[SdfGrid, np.ndarray]] = {}
+    for number in {k for pair in near for k in pair}:
+        own = bounds[number]
+        assert own is not None
+        own_m = own - done[number].shift_m
+        margin = _LARGEST_SHIFT_M + 0.1
+        spacing_m = max(0.02, float(np.ptp(own_m, axis=0).max()) / 40)
+        grid_bounds = np.stack([own_m[0] - margin, own_m[1] + margin])
+        grid = build_sdf_grid([objects[number].mesh], grid_bounds, spacing_m, floor_y_m=None)
+        triangles_m = objects[number].mesh.vertices_m.astype(np.float64)[objects[number].mesh.faces]
+        fields[number] = (grid, surface_samples(triangles_m, _SAMPLE_M)[0])
+    return [_Pair(i, j, fields[i][0], fields[j][0], fields[i][1], fields[j][1]) for i, j in near]
+
+
+def _bounds(mesh: Mesh, shift_m: np.ndarray) -> Float[np.ndarray, "2 3"] | None:
+    if not len(mesh.faces):
+        return None
+    return np.stack([mesh.vertices_m.min(0), mesh.vertices_m.max(0)]).astype(np.float64) + shift_m
+
+
+def _meet(a: np.ndarray | None, b: np.ndarray | None) -> bool:
+    return a is not None and b is not None and bool((a[0] < b[1]).all() and (b[0] < a[1]).all())
+
+
+def _move(done: list[Arranged], number: int, step_m: np.ndarray) -> bool:
+    """Move one object within the limit; whether it moved."""
+    before = done[number].shift_m
+    flat = (before + step_m) * np.array([1.0, 0.0, 1.0])
+    length = float(np.linalg.norm(flat))
+    flat = flat * min(1.0, _LARGEST_SHIFT_M / max(length, 1e-9))
+    after = np.array([flat[0], before[1], flat[2]])
+    if np.linalg.norm(after - before) < 1e-4:
+        return False
+    done[number] = replace(done[number], shift_m=after)
+    return True
+
+
+def _put_down(number: int, objects: Sequence[Standing]) -> Arranged:
+    """The object on the highest surface under its footprint that is near its lower end."""
+    import trimesh
+
+    vertices_m = objects[number].mesh.vertices_m.astype(np.float64)
+    if not len(vertices_m):
+        return Arranged()
+    low, high = vertices_m.min(0), vertices_m.max(0)
+    middle, half = 0.5 * (low + high), 0.3 * (high - low)
+    starts = np.array([[middle[0] + a * half[0], low[1] + _UNDER_M, middle[2] + b * half[2]]
+                       for a in (-1, 0, 1) for b in (-1, 0, 1)])  # fmt: skip
+    best, under = -np.inf, None
+    for other, item in enumerate(objects):
+        if other == number or not len(item.mesh.faces):
+            continue
+        mesh = trimesh.Trimesh(item.mesh.vertices_m, item.mesh.faces, process=False)
+        hits, rays, _ = mesh.ray.intersects_location(
+            starts, np.tile([0.0, -1.0, 0.0], (len(starts), 1)), multiple_hits=False
+        )
+        if len(np.unique(rays)) >= 0.3 * len(starts):
+            top_m = float(np.median(hits[:, 1]))
+            if abs(top_m - low[1]) <= _UNDER_M and top_m > best:
+                best, under = top_m, other
+    if under is None:
+        return Arranged()
+    return Arranged(shift_m=np.array([0.0, best - low[1], 0.0]), rests_on=under)

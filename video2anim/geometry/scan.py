@@ -1,0 +1,122 @@
+"""A scan of the room in place of what the video shows: brought to the video's world, and its distance field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from video2anim.geometry.projection import transform_points
+from video2anim.geometry.sdf import SdfGrid, surface_samples
+from video2anim.types.scene import Mesh
+
+_SAMPLE_M = 0.04
+_NEAREST = 8
+"""Surface samples that vote on the side of a point."""
+_MOST_SAMPLES = 400_000
+_POINTS = 3000
+_ROUNDS = 40
+_KEPT = 0.7
+"""Share of the points that a registration trusts: people, and what was moved since the scan, are not in it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """Where a scan lies in the video's world."""
+
+    T_world_scan: Float[np.ndarray, "4 4"]
+    before_m: float
+    """Median distance of the video's points to the scan, before and after."""
+    after_m: float
+
+
+def registered(scan: Mesh, points_world_m: Float[np.ndarray, "points 3"], rng: np.random.Generator) -> Registration:
+    """Yaw and horizontal shift, with a small lift, that bring the scan to points of the video (trimmed ICP, Chetverikov
+    et al. 2005). The scan must be roughly in place: within about a metre and 30 degrees.
+
+    Raises:
+        ValueError: no points or no faces.
+    """
+    if not len(points_world_m) or not len(scan.faces):
+        raise ValueError(f"registered: want points and faces, got {len(points_world_m)} and {len(scan.faces)}")
+    samples_m, _ = _samples(scan)
+    tree = KDTree(samples_m)
+    points_m = points_world_m[rng.permutation(len(points_world_m))[:_POINTS]]
+    before_m = float(np.median(tree.query(points_m)[0]))
+    best, best_cost = np.eye(4), np.inf
+    for turn in np.deg2rad([0.0, -20.0, 20.0]):
+        # The video's points move to the scan; the scan's pose is the inverse.
+        T_scan_world = _about(_turned(turn), points_m.mean(0))
+        cost = np.inf
+        for _ in range(_ROUNDS):
+            moved = transform_points(T_scan_world, points_m)
+            gap_m, nearest = (np.asarray(found) for found in tree.query(moved))
+            kept = gap_m <= np.quantile(gap_m, _KEPT)
+            step = _rigid_upright(moved[kept], samples_m[nearest[kept]])
+            T_scan_world = step @ T_scan_world
+            reached = float(np.sort(gap_m)[: int(_KEPT * len(gap_m))].mean())
+            if cost - reached < 1e-5:
+                break
+            cost = reached
+        if cost < best_cost:
+            best, best_cost = T_scan_world, cost
+    after_m = float(np.median(tree.query(transform_points(best, points_m))[0]))
+    if after_m >= before_m:
+        return Registration(np.eye(4), before_m, before_m)
+    return Registration(np.linalg.inv(best), before_m, after_m)
+
+
+def _turned(yaw_rad: float) -> np.ndarray:
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1.0]])
+
+
+def _about(T: np.ndarray, place: np.ndarray) -> np.ndarray:
+    there, back = np.eye(4), np.eye(4)
+    there[:3, 3], back[:3, 3] = place, -place
+    return there @ T @ back
+
+
+def _rigid_upright(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Yaw and shift of least squares that bring source points to target points."""
+    a, b = source.mean(0), target.mean(0)
+    p, q = source - a, target - b
+    yaw = np.arctan2((p[:, 2] * q[:, 0] - p[:, 0] * q[:, 2]).sum(), (p[:, 0] * q[:, 0] + p[:, 2] * q[:, 2]).sum())
+    T = _turned(float(yaw))
+    T[:3, 3] = b - T[:3, :3] @ a
+    return T
+
+
+def scan_field(scan: Mesh, bounds_m: Float[np.ndarray, "2 3"], spacing_m: float, floor_y_m: float = 0.0) -> SdfGrid:
+    """Signed distance to an open surface whose triangles face the free side, and to the floor.
+
+    The side is that on which most of the nearest samples' normals see a node; distance is to samples 4 cm apart, so it
+    is too large by at most 2 cm on the surface and by less off it.
+    """
+    low_m, high_m = np.asarray(bounds_m, np.float64)
+    shape = np.ceil((high_m - low_m) / spacing_m - 1e-9).astype(int) + 1
+    axes = [low_m[a] + spacing_m * np.arange(shape[a]) for a in range(3)]
+    nodes_m = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    samples_m, normals = _samples(scan)
+    gap_m, nearest = KDTree(samples_m).query(nodes_m, k=min(_NEAREST, len(samples_m)), workers=-1)
+    gap_m, nearest = gap_m.reshape(len(nodes_m), -1), nearest.reshape(len(nodes_m), -1)
+    away = nodes_m[:, None] - samples_m[nearest]
+    above = np.einsum("nkd,nkd->nk", away, normals[nearest])
+    weight = 1.0 / np.maximum(gap_m, 1e-3)
+    side = np.sign((np.sign(above) * weight).sum(1))
+    signed = np.where(side < 0, -gap_m[:, 0], gap_m[:, 0])
+    return SdfGrid(
+        np.minimum(signed, nodes_m[:, 1] - floor_y_m).reshape(tuple(shape)).astype(np.float32), low_m, spacing_m
+    )
+
+
+def _samples(scan: Mesh) -> tuple[Float[np.ndarray, "samples 3"], Float[np.ndarray, "samples 3"]]:
+    """Points on the surface and the normals of their triangles."""
+    triangles_m = scan.vertices_m.astype(np.float64)[scan.faces]
+    normal = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
+    area = np.linalg.norm(normal, axis=-1)
+    step_m = max(_SAMPLE_M, float(np.sqrt(0.5 * area.sum() / _MOST_SAMPLES)))
+    samples_m, owner = surface_samples(triangles_m, step_m)
+    return samples_m, (normal / np.maximum(area, 1e-12)[:, None])[owner]

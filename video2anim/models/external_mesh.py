@@ -1,0 +1,74 @@
+"""A user's own program that turns a picture of an object into a mesh: the hook for InstantMesh, Hunyuan3D and the like.
+
+Contract: the program gets a PNG (512 x 512, the object centred and whole, gray around it) and writes a GLB with +Y up
+and the side that the picture shows towards +Z, in any unit.
+"""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from video2anim.errors import StageError, UsageError
+
+PICTURE_PX = 512
+FILL = 0.8
+"""Share of the picture that the object's longer side takes."""
+GRAY = 127
+
+
+@contextmanager
+def mesh_by_program(command: str, picture_rgb: UInt8[np.ndarray, "height width 3"], timeout_s: float) -> Iterator[Path]:
+    """The mesh file that a command makes of a picture; it is gone after the block.
+
+    Args:
+        command: With the words {image} and {mesh}, which become paths.
+        picture_rgb: The object, gray (127) around it.
+        timeout_s: Longer is a failure.
+
+    Raises:
+        UsageError: the command lacks a word, or there is no such program.
+        StageError: it failed, took too long, or left no file.
+    """
+    words = shlex.split(command)
+    for want in ("{image}", "{mesh}"):
+        if not any(want in word for word in words):
+            raise UsageError(f"reconstruct.command: want {{image}} and {{mesh}} in the command, got {command!r}")
+    with tempfile.TemporaryDirectory() as folder:
+        image, mesh = Path(folder, "object.png"), Path(folder, "object.glb")
+        cv2.imwrite(str(image), object_square(picture_rgb)[..., ::-1])
+        call = [word.replace("{image}", str(image)).replace("{mesh}", str(mesh)) for word in words]
+        try:
+            done = subprocess.run(call, capture_output=True, text=True, timeout=timeout_s, check=False)
+        except FileNotFoundError as error:
+            raise UsageError(f"reconstruct.command: want a program, found no {words[0]}") from error
+        except subprocess.TimeoutExpired as error:
+            raise StageError(f"{words[0]}: no mesh after {timeout_s:.0f} s") from error
+        if done.returncode != 0:
+            told = (done.stderr or done.stdout).strip().splitlines()
+            raise StageError(
+                f"{words[0]}: exit code {done.returncode}: {told[-1][:200] if told else 'it said nothing'}"
+            )
+        if not mesh.is_file():
+            raise StageError(f"{words[0]}: want a mesh written to {{mesh}}, found none")
+        yield mesh
+
+
+def object_square(picture_rgb: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "512 512 3"]:
+    """The picture in the middle of a gray square."""
+    height, width = picture_rgb.shape[:2]
+    scale = FILL * PICTURE_PX / max(height, width)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    small = cv2.resize(picture_rgb, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    square = np.full((PICTURE_PX, PICTURE_PX, 3), GRAY, np.uint8)
+    top, left = (PICTURE_PX - size[1]) // 2, (PICTURE_PX - size[0]) // 2
+    square[top : top + size[1], left : left + size[0]] = small
+    return square
