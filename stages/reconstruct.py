@@ -122,7 +122,9 @@ def _adopted(found: CompletedObject, solid: ObjectSolid, mesh: Mesh, method: str
     low, high = mesh.vertices_m.min(0), mesh.vertices_m.max(0)
     base = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
     box = solid.box
-    ratio = float(box.size_m[1] / max(high[1] - low[1], 1e-6))
+    # By height; what lies flat has none to go by.
+    tall = high[1] - low[1] > 0.1 * (high - low).max()
+    ratio = float(box.size_m[1] / (high[1] - low[1]) if tall else box.size_m.max() / max((high - low).max(), 1e-6))
     scale = 1.0 if 0.75 < ratio < 1.33 else ratio
     T_world_object = np.eye(4)
     T_world_object[:3, :3] = box.R_world_box

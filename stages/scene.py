@@ -58,7 +58,15 @@ class SceneConfig:
     free_share: float = 0.02
     """Share of the skin (hands and feet left out) that must be that deep for a frame to count."""
     free_frames_ratio: float = 0.2
-    """Share of the frames that refutes an object; a body that touches or sits may sink in now and then."""
+    """Share of the frames that speaks against an object; a body that touches or sits may sink in now and then."""
+    hollow_margin_m: float = 0.02
+    """What is taken out where the body was stops so far from its skin."""
+    walked_m: float = 0.5
+    """An object in which the pelvis makes a longer way is in the wrong place, and left out."""
+    least_left_ratio: float = 0.4
+    """So is an object of which less is left without the places where the body was."""
+    most_faces: int = 4000
+    """Of an object whose shape the body's path changes."""
     supports: bool = True
     """Put a solid under places well above the floor where feet rested and no object was found."""
     scan: str = user_path()
@@ -159,7 +167,9 @@ def _scanned(
 def _not_refuted(
     objects: list[PlacedObject], bodies: BodyTracks, config: SceneConfig, ctx: StageContext
 ) -> list[PlacedObject]:
-    """Objects whose place the observed bodies do not contradict by walking through them."""
+    """Objects without what the observed bodies contradict: where a body was for long, there is no solid."""
+    from video2anim.fitting.free_space import walked_inside_m
+    from video2anim.fitting.hollow import hollowed
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
 
@@ -172,12 +182,31 @@ def _not_refuted(
         crossed = max(_crossed_ratio(field, motion, config) for motion in bodies.people)
         if crossed < config.free_frames_ratio:
             kept.append(item)
-        else:
-            ctx.warn(
-                f"object {item.object_id} ({item.label}) is left out: the observed body is inside it in "
-                f"{crossed:.0%} of the frames, so its place or depth is wrong"
-            )
+            continue
+        walked_m = max(walked_inside_m(field, motion) for motion in bodies.people)
+        told = f"object {item.object_id} ({item.label}): the observed body is inside it in {crossed:.0%} of the frames"
+        if walked_m > config.walked_m:
+            ctx.warn(f"{told} and walks {walked_m:.1f} m there, so its place or depth is wrong; it is left out")
+            continue
+        left = hollowed(solid, bodies.people, margin_m=config.hollow_margin_m, most_faces=config.most_faces)
+        share = 0.0 if left is None else left.left_ratio
+        if left is None or share < config.least_left_ratio:
+            ctx.warn(f"{told}, so its place or depth is wrong; it is left out ({share:.0%} would be left)")
+            continue
+        ctx.warn(f"{told}; {1 - share:.0%} of it, where the body was, is taken out")
+        kept.append(_reshaped(item, left.mesh))
     return kept
+
+
+def _reshaped(item: PlacedObject, solid_world: Mesh) -> PlacedObject:
+    """The same object with another shape, given in the world."""
+    from dataclasses import replace
+
+    from video2anim.geometry.projection import invert_rigid, transform_points
+
+    own_m = transform_points(invert_rigid(item.T_world_object), solid_world.vertices_m.astype(np.float64)) / item.scale
+    mesh = replace(solid_world, vertices_m=own_m.astype(np.float32))
+    return replace(item, mesh=mesh, reason=f"{item.reason}; hollowed where the body was".lstrip("; "))
 
 
 def _crossed_ratio(field: SdfGrid, motion: BodyMotion, config: SceneConfig) -> float:
@@ -292,4 +321,4 @@ def _touches(mask: Bool[np.ndarray, "height width"], size: tuple[int, int], shar
     return cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > share
 
 
-STAGE = StageSpec("scene", build_scene, version=6)
+STAGE = StageSpec("scene", build_scene, version=7)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from video2anim.artifacts.folder import file_digest, folder_digest
 from video2anim.errors import InputError
 from video2anim.types.scene import Mesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 
@@ -37,7 +41,7 @@ def mesh_files(folder: Path) -> dict[int, Path]:
         raise InputError(f"want a folder of meshes named by object, such as 3.glb, found none at {folder}")
     found: dict[int, Path] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in MESH_SUFFIXES and path.stem.isdigit():
+        if path.suffix.lower() in MESH_SUFFIXES and path.stem.isascii() and path.stem.isdigit():
             if int(path.stem) in found:
                 raise InputError(f"want one mesh per object, got {found[int(path.stem)].name} and {path.name}")
             found[int(path.stem)] = path
@@ -55,17 +59,34 @@ def read_mesh_file(path: Path) -> Mesh:
     if path.suffix.lower() not in MESH_SUFFIXES or not path.is_file():
         raise InputError(f"want a mesh file ({', '.join(MESH_SUFFIXES)}), got {path}")
     try:
-        loaded = trimesh.load_scene(path).to_mesh()
+        parts = [part for part in trimesh.load_scene(path).dump() if isinstance(part, trimesh.Trimesh)]
     except Exception as error:  # the loaders raise what their parsers raise
         raise InputError(f"want a mesh, got {type(error).__name__} at {path}") from error
-    vertices = np.asarray(loaded.vertices, np.float64)
-    if not len(loaded.faces) or not np.isfinite(vertices).all():
-        raise InputError(f"want a mesh with triangles and finite vertices, got {len(loaded.faces)} faces at {path}")
+    parts = [part for part in parts if len(part.faces)]
+    if not parts or not all(np.isfinite(part.vertices).all() for part in parts):
+        raise InputError(f"want a mesh with triangles and finite vertices, got {len(parts)} parts at {path}")
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    return Mesh(
+        np.concatenate([np.asarray(part.vertices, np.float64) for part in parts]),
+        np.concatenate([np.asarray(part.faces, np.int64) + start for part, start in zip(parts, starts, strict=True)]),
+        np.concatenate([_vertex_rgb(part) for part in parts]),
+    )
+
+
+def _vertex_rgb(part: trimesh.Trimesh) -> np.ndarray:
+    """Colors of vertices, faces, texture or material, in this order; gray if there are none."""
+    plain = np.full((len(part.vertices), 3), 160, np.uint8)
     try:
-        colors = loaded.visual if loaded.visual.kind == "vertex" else loaded.visual.to_color()
-        rgb = np.asarray(colors.vertex_colors)[:, :3].astype(np.uint8)
-    except Exception:  # no texture, or one that cannot be read
-        rgb = np.zeros((0, 3), np.uint8)
-    if len(rgb) != len(vertices):
-        rgb = np.full((len(vertices), 3), 160, np.uint8)
-    return Mesh(vertices, np.asarray(loaded.faces, np.int64), rgb)
+        visual = part.visual
+        if visual is None or visual.kind is None:
+            return plain
+        if visual.kind == "texture":
+            material = visual.material  # type: ignore[union-attr]
+            image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+            if image is None or visual.uv is None:  # type: ignore[union-attr]
+                return np.tile(np.asarray(material.main_color)[:3].astype(np.uint8), (len(part.vertices), 1))
+            visual = visual.to_color()  # type: ignore[union-attr]
+        rgb = np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)  # type: ignore[union-attr]
+    except Exception:  # a texture that cannot be read
+        return plain
+    return rgb if len(rgb) == len(plain) else plain

@@ -26,7 +26,7 @@ from stages import (
 )
 from video2anim.artifacts.folder import file_digest
 from video2anim.errors import InputError, UsageError
-from video2anim.pipeline.config import PipelineConfig, load_preset, resolve
+from video2anim.pipeline.config import PipelineConfig, expect_user_paths, load_preset, resolve
 from video2anim.pipeline.graph import Node, build_graph
 from video2anim.pipeline.runner import Event, Runner, StageStatus, library_versions
 from video2anim.pipeline.scene_folder import RunRecord, locked, prepare, read_record, write_record
@@ -114,6 +114,7 @@ def run_video(
     """
     nodes = pipeline_nodes()
     config = resolve(nodes, preset, [(f"preset {preset}", load_preset(preset)), *overrides])
+    expect_user_paths(config)
     source = source_video(video)
     prepare(scene_dir)
     with locked(scene_dir):

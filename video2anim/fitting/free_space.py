@@ -44,6 +44,14 @@ def passed_through(
     return inside
 
 
+def walked_inside_m(solid: SdfGrid, motion: BodyMotion) -> float:
+    """Horizontal way that the pelvis makes inside a solid: nobody walks in furniture."""
+    pelvis_m = motion.joints_world_m[:, JOINT_INDEX["pelvis"]].astype(np.float64)
+    inside = motion.valid & (solid.sample(pelvis_m) < 0)
+    step_m = np.linalg.norm(np.diff(pelvis_m[:, [0, 2]], axis=0), axis=-1)
+    return float(step_m[inside[1:] & inside[:-1]].sum())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Support:
     """A raised surface on which feet rested."""

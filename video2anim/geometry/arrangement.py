@@ -52,10 +52,12 @@ def arrange(objects: Sequence[Standing], tolerance_m: float = 0.03) -> list[Arra
     Objects move horizontally, away from each other, each in proportion to the variance of its place.
     """
     done = [Arranged() for _ in objects]
-    for number, item in enumerate(objects):
-        if item.raised:
-            done[number] = _put_down(number, objects)
-    pairs = _pairs(objects, done)
+    lowest = [float(item.mesh.vertices_m[:, 1].min()) if len(item.mesh.vertices_m) else 0.0 for item in objects]
+    for number in np.argsort(lowest):
+        if objects[number].raised:
+            done[number] = _put_down(int(number), objects, done)
+    pairs = [pair for pair in _pairs(objects, done) if not _stacked(pair, done)]
+    at_first = [pair.depth(done)[0] for pair in pairs]
     for pair in pairs:
         depth_m, _ = pair.depth(done)
         done[pair.one] = replace(done[pair.one], overlap_before_m=max(done[pair.one].overlap_before_m, depth_m))
@@ -72,6 +74,8 @@ def arrange(objects: Sequence[Standing], tolerance_m: float = 0.03) -> list[Arra
             moved |= _move(done, pair.one, share * step) | _move(done, pair.other, -(1 - share) * step)
         if not moved:
             break
+    _undo_useless(pairs, at_first, done, tolerance_m)
+    _carry_along(done)
     for pair in pairs:
         depth_m, _ = pair.depth(done)
         if depth_m > tolerance_m:
@@ -79,6 +83,30 @@ def arrange(objects: Sequence[Standing], tolerance_m: float = 0.03) -> list[Arra
                 if depth_m > done[number].overlap_after_m:
                     done[number] = replace(done[number], overlap_after_m=depth_m, inside_of=partner)
     return done
+
+
+def _stacked(pair: _Pair, done: Sequence[Arranged]) -> bool:
+    return done[pair.one].rests_on == pair.other or done[pair.other].rests_on == pair.one
+
+
+def _undo_useless(pairs: Sequence[_Pair], at_first: Sequence[float], done: list[Arranged], tolerance_m: float) -> None:
+    """Objects whose overlap did not get smaller by moving stand where they stood."""
+    for pair, before_m in zip(pairs, at_first, strict=True):
+        after_m, _ = pair.depth(done)
+        if after_m > max(tolerance_m, 0.7 * before_m):
+            for number in (pair.one, pair.other):
+                done[number] = replace(done[number], shift_m=done[number].shift_m * np.array([0.0, 1.0, 0.0]))
+
+
+def _carry_along(done: list[Arranged]) -> None:
+    """What rests on an object moves with it."""
+    for number, state in enumerate(done):
+        under, seen = state.rests_on, {number}
+        while under is not None and under not in seen:
+            flat_m = done[under].shift_m * np.array([1.0, 0.0, 1.0])
+            done[number] = replace(done[number], shift_m=done[number].shift_m + flat_m)
+            seen.add(under)
+            under = done[under].rests_on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +177,9 @@ def _bounds(mesh: Mesh, shift_m: np.ndarray) -> Float[np.ndarray, "2 3"] | None:
 
 
 def _meet(a: np.ndarray | None, b: np.ndarray | None) -> bool:
-    return a is not None and b is not None and bool((a[0] < b[1]).all() and (b[0] < a[1]).all())
+    """Whether two boxes overlap or may once their objects have moved."""
+    reach = 2 * _LARGEST_SHIFT_M * np.array([1.0, 0.0, 1.0])
+    return a is not None and b is not None and bool((a[0] < b[1] + reach).all() and (b[0] < a[1] + reach).all())
 
 
 def _move(done: list[Arranged], number: int, step_m: np.ndarray) -> bool:
@@ -165,8 +195,8 @@ def _move(done: list[Arranged], number: int, step_m: np.ndarray) -> bool:
     return True
 
 
-def _put_down(number: int, objects: Sequence[Standing]) -> Arranged:
-    """The object on the highest surface under its footprint that is near its lower end."""
+def _put_down(number: int, objects: Sequence[Standing], done: Sequence[Arranged]) -> Arranged:
+    """The object on the highest top under its footprint that is near its lower end."""
     import trimesh
 
     vertices_m = objects[number].mesh.vertices_m.astype(np.float64)
@@ -180,11 +210,12 @@ def _put_down(number: int, objects: Sequence[Standing]) -> Arranged:
     for other, item in enumerate(objects):
         if other == number or not len(item.mesh.faces):
             continue
-        mesh = trimesh.Trimesh(item.mesh.vertices_m, item.mesh.faces, process=False)
-        hits, rays, _ = mesh.ray.intersects_location(
+        mesh = trimesh.Trimesh(item.mesh.vertices_m + done[other].shift_m, item.mesh.faces, process=False)
+        hits, _, faces = mesh.ray.intersects_location(
             starts, np.tile([0.0, -1.0, 0.0], (len(starts), 1)), multiple_hits=False
         )
-        if len(np.unique(rays)) >= 0.3 * len(starts):
+        hits = hits[mesh.face_normals[faces, 1] > 0.5]
+        if len(hits) >= 0.3 * len(starts):
             top_m = float(np.median(hits[:, 1]))
             if abs(top_m - low[1]) <= _UNDER_M and top_m > best:
                 best, under = top_m, other

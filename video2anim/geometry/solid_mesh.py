@@ -60,23 +60,25 @@ def _halved(filled: np.ndarray) -> Bool[np.ndarray, "x y z"]:
     """Cubes of twice the size, filled where any of their eight is."""
     padded = np.pad(filled, [(0, n % 2) for n in filled.shape])
     x, y, z = (n // 2 for n in padded.shape)
-    return padded.reshape(x, 2, y, 2, z, 2).any((1, 3, 5))
+    return np.asarray(padded.reshape(x, 2, y, 2, z, 2).any((1, 3, 5)), bool)
 
 
-def simplified(vertices_m: np.ndarray, faces: np.ndarray, most_faces: int) -> tuple[np.ndarray, np.ndarray]:
-    """Fewer faces by quadric error; as it was where that would tear a closed surface."""
+def simplified(
+    vertices_m: np.ndarray, faces: np.ndarray, most_faces: int, *, keep_closed: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fewer faces by quadric error; as it was where that would tear a closed surface that is to be kept closed."""
     import fast_simplification
     import trimesh
 
     if len(faces) <= most_faces:
         return vertices_m, faces
-    closed = trimesh.Trimesh(vertices_m, faces, process=False).is_watertight
+    closed = keep_closed and trimesh.Trimesh(vertices_m, faces, process=False).is_watertight
     # Single precision around the middle, not around the world's origin.
     middle = vertices_m.mean(0)
-    for share in (1.0, 0.85, 0.6, 0.4):
+    for share, eagerness in ((1.0, 3), (1.0, 5), (0.85, 5), (0.6, 5), (0.6, 7), (0.4, 7)):
         fewer = fast_simplification.simplify(
             (vertices_m - middle).astype(np.float32), faces.astype(np.int32), target_count=int(share * most_faces),
-            agg=3,
+            agg=eagerness,
         )  # fmt: skip
         kept = trimesh.Trimesh(fewer[0] + middle, fewer[1], process=True)
         if len(kept.faces) <= most_faces and (kept.is_watertight or not closed):

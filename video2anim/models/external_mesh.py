@@ -6,7 +6,9 @@ and the side that the picture shows towards +Z, in any unit.
 
 from __future__ import annotations
 
+import os
 import shlex
+import signal
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -38,7 +40,10 @@ def mesh_by_program(command: str, picture_rgb: UInt8[np.ndarray, "height width 3
         UsageError: the command lacks a word, or there is no such program.
         StageError: it failed, took too long, or left no file.
     """
-    words = shlex.split(command)
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise UsageError(f"reconstruct.command: {str(error).lower()} in {command!r}") from error
     for want in ("{image}", "{mesh}"):
         if not any(want in word for word in words):
             raise UsageError(f"reconstruct.command: want {{image}} and {{mesh}} in the command, got {command!r}")
@@ -46,20 +51,30 @@ def mesh_by_program(command: str, picture_rgb: UInt8[np.ndarray, "height width 3
         image, mesh = Path(folder, "object.png"), Path(folder, "object.glb")
         cv2.imwrite(str(image), object_square(picture_rgb)[..., ::-1])
         call = [word.replace("{image}", str(image)).replace("{mesh}", str(mesh)) for word in words]
-        try:
-            done = subprocess.run(call, capture_output=True, text=True, timeout=timeout_s, check=False)
-        except FileNotFoundError as error:
-            raise UsageError(f"reconstruct.command: want a program, found no {words[0]}") from error
-        except subprocess.TimeoutExpired as error:
-            raise StageError(f"{words[0]}: no mesh after {timeout_s:.0f} s") from error
-        if done.returncode != 0:
-            told = (done.stderr or done.stdout).strip().splitlines()
-            raise StageError(
-                f"{words[0]}: exit code {done.returncode}: {told[-1][:200] if told else 'it said nothing'}"
-            )
+        code, told = _called(call, timeout_s)
+        if code != 0:
+            raise StageError(f"{words[0]}: exit code {code}: {told}")
         if not mesh.is_file():
             raise StageError(f"{words[0]}: want a mesh written to {{mesh}}, found none")
         yield mesh
+
+
+def _called(call: list[str], timeout_s: float) -> tuple[int, str]:
+    """Exit code and last line of a program, which is ended with all that it started when its time is over."""
+    try:
+        program = subprocess.Popen(
+            call, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
+        )
+    except OSError as error:
+        raise UsageError(f"reconstruct.command: cannot run {call[0]} ({error.strerror})") from error
+    try:
+        said, _ = program.communicate(timeout=timeout_s)
+    except subprocess.TimeoutExpired as error:
+        os.killpg(program.pid, signal.SIGKILL)
+        program.communicate()
+        raise StageError(f"{call[0]}: no mesh after {timeout_s:.0f} s") from error
+    lines = said.decode(errors="replace").strip().splitlines()
+    return program.returncode, lines[-1][:200] if lines else "it said nothing"
 
 
 def object_square(picture_rgb: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "512 512 3"]:

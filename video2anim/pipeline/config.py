@@ -37,16 +37,27 @@ class PipelineConfig:
 def result_config(config: Any) -> dict[str, Any]:
     """The fields of a stage config that can change its result; speed knobs (`in_key` False) are left out.
 
-    Of the user's files and folders (`user_path`) it is the content that counts.
-
-    Raises:
-        InputError: such a file is missing or unreadable.
+    Of the user's files and folders (`user_path`) it is the content that counts; one that is gone counts as changed.
     """
     found = {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.metadata.get("in_key", True)}
     for field in dataclasses.fields(config):
         if field.metadata.get("user_path") and found.get(field.name):
-            found[field.name] = content_digest(Path(found[field.name]))
+            path = Path(found[field.name])
+            found[field.name] = content_digest(path) if path.exists() else "missing"
     return found
+
+
+def expect_user_paths(config: PipelineConfig) -> None:
+    """Find missing files before anything is run.
+
+    Raises:
+        UsageError: one is missing.
+    """
+    for name, stage in config.stages.items():
+        for field in dataclasses.fields(stage):
+            path = getattr(stage, field.name)
+            if field.metadata.get("user_path") and path and not Path(path).exists():
+                raise UsageError(f"{name}.{field.name}: want a file or folder, found nothing at {path}")
 
 
 def user_path() -> Any:
@@ -133,6 +144,8 @@ def resolve(nodes: Sequence[Node], preset: str, layers: Sequence[tuple[str, Mapp
             merged[key].update(_names_as_text(types[key], value))
     for name, options in merged.items():
         for field in dataclasses.fields(types[name]):
+            if field.metadata.get("user_path") and field.name in options and options[field.name] is None:
+                options[field.name] = ""
             if field.metadata.get("user_path") and options.get(field.name):
                 # A later command may be given from another folder.
                 options[field.name] = str(Path(str(options[field.name])).expanduser().absolute())
