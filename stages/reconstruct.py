@@ -55,6 +55,7 @@ class ReconstructConfig:
     command: str = ""
     """Program that makes a mesh of a picture, for the other objects: its words with {image} and {mesh}."""
     command_timeout_s: float = 600.0
+    """A program that takes longer for one object is ended, and the object made of what is seen."""
 
 
 def reconstruct_objects(
