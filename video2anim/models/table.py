@@ -52,7 +52,7 @@ class ModelEntry:
 
 
 _MEDIAPIPE = "0.10.21"
-_ROOM_NET = "76f9ede9eff2184b03ba3282dffdf02414ac8cba4a0303e3f57a8acf90ec3356"
+_ROOM_NET = "b826aea5026a1be5ee129d185c246d19f9b5d50489294cf42db182d2f32bb969"
 """Digest of the room network: one file for three slots."""
 _ROOM_NET_BYTES = 11_280_767
 _BLAZEPOSE = "video2anim.models.blazepose:BlazePose"
