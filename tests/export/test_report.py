@@ -11,7 +11,7 @@ import pytest
 from walk_scene import room, walk
 
 from scenemi import metrics
-from video2anim.export.quality import measured_span, motion_quality
+from video2anim.export.quality import measured_span, motion_quality, worst_moments
 from video2anim.export.report import ModelRow, Picture, ReportInput, StageRow, format_number, render_report
 from video2anim.pipeline.stage import Quality
 from video2anim.types import BodyMotion, CameraEstimate
@@ -58,6 +58,7 @@ def page() -> str:
         ReportInput(
             "clip & <b>.mp4", stages, (ModelRow("blazepose-heavy", "Apache-2.0"),), camera,
             {"raw": (shaken(motion),), "refined": (motion,)}, ("interpolation",), room(), (Picture("frame 3", PNG),),
+            (Picture("deepest penetration: frame 5", PNG),),
         )
     )  # fmt: skip
 
@@ -66,7 +67,8 @@ def test_page_is_well_formed_and_self_contained(page: str) -> None:
     parser = Balanced()
     parser.feed(page)
     assert parser.open == []
-    assert len(parser.addresses) == 4
+    assert len(parser.addresses) == 6, "two pictures, and plots of jerk, toes, clearance and path"
+    assert "deepest penetration: frame 5" in page
     assert all(address.startswith("data:image/") for address in parser.addresses)
     assert "<b>.mp4" not in page
     assert "clip &amp; &lt;b&gt;.mp4" in page
@@ -113,6 +115,40 @@ def test_sunk_body_is_reported_as_penetration() -> None:
     assert numbers["frames in collision"] == 1.0
     assert 0.25 < numbers["deepest penetration"] < 0.45
     assert numbers["floating"] == 0.0
+
+
+def test_worst_moments_are_the_frames_that_are_worst() -> None:
+    """One frame 0.3 m under the floor, and a jump of 0.5 m to the side between two others."""
+    motion = walk(FRAMES)
+    root_m = motion.T_world_root[:, :3, 3].copy()
+    root_m[12, 1] -= 0.3
+    root_m[20:, 0] += 0.5
+    bad = motion.with_pose(translation_world_m=root_m, R_parent_joint=motion.R_parent_joint)
+    span = slice(4, FRAMES)
+    moments = {moment.what: moment for moment in worst_moments(motion_quality(bad, room(), span, 30.0), span)}
+    assert moments["deepest penetration"].frame == 12
+    assert 0.25 < moments["deepest penetration"].value < 0.45
+    assert abs(moments["strongest jerk"].frame - 20) <= 2
+    assert [m.what for m in worst_moments(motion_quality(motion, None, span, 30.0), span)].count(
+        "deepest penetration"
+    ) == 0, "without a scene nothing is penetrated"
+
+
+def test_skating_is_the_horizontal_speed_of_a_low_toe() -> None:
+    """Somebody who stands and slides by 1 m/s; half a metre up the toes are not near the floor."""
+    motion = walk(FRAMES)
+    still = np.repeat(motion.R_parent_joint[:1], FRAMES, axis=0)
+    root_m = np.repeat(motion.T_world_root[:1, :3, 3], FRAMES, axis=0)
+    root_m[:, 0] += np.arange(FRAMES) / 30.0
+    low_m = motion.joints_world_m[0, [10, 11], 1].min()
+    on_floor, raised = (
+        motion.with_pose(translation_world_m=root_m + [0, lift - low_m, 0], R_parent_joint=still)
+        for lift in (0.01, 0.5)
+    )
+    found = motion_quality(on_floor, None, slice(0, FRAMES), 30.0).skating_m_s
+    np.testing.assert_allclose(found[1:], 1.0, atol=1e-6)
+    assert np.isnan(found[0])
+    assert np.isnan(motion_quality(raised, None, slice(0, FRAMES), 30.0).skating_m_s).all()
 
 
 def test_nobody_and_nothing_still_gives_a_page() -> None:

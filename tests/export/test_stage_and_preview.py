@@ -15,7 +15,7 @@ from stages.export import ExportConfig, export_scene
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.errors import UsageError
 from video2anim.export import FORMATS, ExportScene, write_format
-from video2anim.export.preview import overlay_frame, write_preview
+from video2anim.export.preview import moment_picture, overlay_frame, write_preview
 from video2anim.geometry.projection import project
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
@@ -52,6 +52,7 @@ def test_stage_leaves_all_files(gray_clip: VideoClip, tmp_path: Path) -> None:
         "motion_amass_7.npz", "objects/3.glb", "preview.mp4",
     }  # fmt: skip
     assert sum(name.startswith("overlay_") for name in names) == 2
+    assert any(name.startswith("worst_strongest-jerk_") for name in names)
     assert all(file.path.stat().st_size > 0 for file in exported.files)
     assert ctx.warnings == []
     assert read_motion(tmp_path / "motion_7.npz").person_id == 7
@@ -116,6 +117,20 @@ def test_overlay_covers_the_joints_and_nothing_far_away(gray_clip: VideoClip) ->
     assert columns.max() <= high[0]
     assert rows.min() >= low[1]
     assert rows.max() <= high[1]
+
+
+def test_a_moment_is_shown_over_the_input_and_from_the_side(gray_clip: VideoClip) -> None:
+    """Raw is in the middle panel and refined in the right one: the raw body was moved out of its panel's middle."""
+    motion = walk(FRAMES)
+    root_m = motion.T_world_root[:, :3, 3] + [0.0, 0.0, 1.0]
+    raw = motion.with_pose(translation_world_m=root_m, R_parent_joint=motion.R_parent_joint)
+    picture = moment_picture(gray_clip, raw, motion, room(), 3, height_px=200)
+    assert picture.shape[0] == 200
+    assert picture.shape[1] == round(200 * 640 / 360) + 2 * 200 or abs(picture.shape[1] - 755) <= 2
+    middle, right = picture[:, -400:-200].astype(int), picture[:, -200:].astype(int)
+    for panel in (middle, right):
+        assert (panel[..., 0] - panel[..., 2] > 35).mean() > 0.01, "a body in each"
+    assert np.abs(middle - right).max(-1).mean() > 5
 
 
 def test_stage_module_is_light() -> None:
