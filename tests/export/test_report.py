@@ -142,7 +142,7 @@ def test_skating_is_the_horizontal_speed_of_a_low_toe() -> None:
     root_m[:, 0] += np.arange(FRAMES) / 30.0
     low_m = motion.joints_world_m[0, [10, 11], 1].min()
     on_floor, raised = (
-        motion.with_pose(translation_world_m=root_m + [0, lift - low_m, 0], R_parent_joint=still)
+        motion.with_pose(translation_world_m=root_m + np.array([0, lift - low_m, 0]), R_parent_joint=still)
         for lift in (0.01, 0.5)
     )
     found = motion_quality(on_floor, None, slice(0, FRAMES), 30.0).skating_m_s
