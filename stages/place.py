@@ -169,16 +169,12 @@ def _depth_points(
     body: BodyMotion,
 ) -> Float[np.ndarray, "points 3"]:
     """Reliable plate depth of the object in the world, at the distance that its feet tell."""
-    import cv2
-
     from video2anim.geometry.foot_line import floor_factor
+    from video2anim.geometry.masks import shrunk
     from video2anim.geometry.projection import backproject, transform_points
 
     height, width = depth.background_depth_m.shape
-    own, floor = (
-        cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.5
-        for mask in (visible, floor_mask)
-    )
+    own, floor = (shrunk(mask, (height, width)) for mask in (visible, floor_mask))
     depth_m, lens = depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height)
     factor = floor_factor(own, depth_m, depth.background_valid, floor, body.T_world_camera[0], lens)
     points = backproject(factor * depth_m, lens)[own & depth.background_valid]

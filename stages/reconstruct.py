@@ -143,14 +143,16 @@ def _solid(
     config: ReconstructConfig,
 ) -> ObjectSolid | None:
     from video2anim.geometry.carving import ObjectView
+    from video2anim.geometry.masks import shrunk
     from video2anim.geometry.object_solid import SolidLimits, object_solid
 
-    own, whole, floor = (_small(mask, depth) for mask in (visible, found.amodal_mask, floor_mask))
+    shape = depth.background_depth_m.shape
+    own, whole, floor = (shrunk(mask, shape) for mask in (visible, found.amodal_mask, floor_mask))
     if (own & depth.background_valid).sum() < config.least_points:
         return None
     from video2anim.geometry.foot_line import floor_factor
 
-    height, width = depth.background_depth_m.shape
+    height, width = shape
     added, lens = whole & ~own, body.intrinsics.resized(width, height)
     depth_m = depth.background_depth_m.astype(np.float64)
     factor = floor_factor(own, depth_m, depth.background_valid, floor, body.T_world_camera[0], lens)
@@ -163,13 +165,6 @@ def _solid(
     )
     distance_m = float(np.median(depth_m[own & depth.background_valid]))
     return object_solid(own, added, view, limits, blur_m=config.depth_error_ratio * distance_m)
-
-
-def _small(mask: Bool[np.ndarray, "height width"], depth: MetricDepth) -> Bool[np.ndarray, "rows columns"]:
-    import cv2
-
-    height, width = depth.background_depth_m.shape
-    return cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.5
 
 
 def _mesh(found: CompletedObject, solid: ObjectSolid, plate: BackgroundPlate, config: ReconstructConfig) -> ObjectMesh:

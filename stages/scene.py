@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from video2anim.errors import StageError
 from video2anim.pipeline.config import user_path
@@ -299,6 +299,7 @@ def _background(
     """Room surface: reliable plate depth that is neither floor nor object nor far away."""
     import cv2
 
+    from video2anim.geometry.masks import shrunk
     from video2anim.geometry.scene_mesh import room_surface
 
     height, width = depth.background_depth_m.shape
@@ -309,16 +310,15 @@ def _background(
         objects |= instance.mask
     depth_m = cv2.resize(depth.background_depth_m.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
     valid = cv2.resize(depth.background_valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
-    wanted = valid & (depth_m < config.far_m) & ~_touches(masks.floor_mask, size, 0.75) & ~_touches(objects, size, 0.25)
+    wanted = (
+        valid
+        & (depth_m < config.far_m)
+        & ~shrunk(masks.floor_mask, size[::-1], 0.75)
+        & ~shrunk(objects, size[::-1], 0.25)
+    )
     rgb = cv2.resize(plate.plate_rgb, size, interpolation=cv2.INTER_AREA)
     body = bodies.people[0]
     return room_surface(depth_m.astype(np.float64), wanted, rgb, body.T_world_camera[0], body.intrinsics.resized(*size))
-
-
-def _touches(mask: Bool[np.ndarray, "height width"], size: tuple[int, int], share: float) -> np.ndarray:
-    import cv2
-
-    return cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > share
 
 
 STAGE = StageSpec("scene", build_scene, version=7)

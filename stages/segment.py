@@ -100,26 +100,22 @@ def _with_network(
     ctx: StageContext,
 ) -> tuple[list[SeenThing], Bool[np.ndarray, "small_height small_width"]]:
     """What the network recognises, joined with the regions of depth; and the floor by both."""
-    import cv2
-
     from video2anim.geometry.joined_objects import SeenThing, joined_objects
+    from video2anim.geometry.masks import shrunk
     from video2anim.geometry.projection import backproject, transform_points
     from video2anim.models.segmentation import CLASSES
 
     seen = ctx.model(config.provider).segment(plate.plate_rgb)
     height, width = depth.background_depth_m.shape
-
-    def small(mask: np.ndarray) -> np.ndarray:
-        return cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.5
-
-    recognised = [SeenThing(i.label, i.score, small(i.mask)) for i in seen.instances if i.kind == "furniture"]
-    built = small(np.isin(seen.semantic, [CLASSES.index(name) for name in ("floor", "wall", "ceiling")]))
+    shape = (height, width)
+    recognised = [SeenThing(i.label, i.score, shrunk(i.mask, shape)) for i in seen.instances if i.kind == "furniture"]
+    built = shrunk(np.isin(seen.semantic, [CLASSES.index(name) for name in ("floor", "wall", "ceiling")]), shape)
     body = bodies.people[0]
     camera_m = backproject(depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height))
     world_m = transform_points(body.T_world_camera[0], camera_m.reshape(-1, 3)).reshape(camera_m.shape)
     found = joined_objects(recognised, regions.objects, built, world_m, depth.background_valid, limits)
     ctx.quality("recognised", len(recognised), "objects")
-    named = small(seen.semantic == CLASSES.index("floor"))
+    named = shrunk(seen.semantic == CLASSES.index("floor"), shape)
     # Where depth says flat and low and the network has no other idea, or where it says floor and depth does not object.
     low = ~depth.background_valid | (np.abs(world_m[..., 1]) < _FLOOR_TOLERANCE_M)
     return found, (named & low) | (regions.floor & built)

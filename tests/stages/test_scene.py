@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scene_chain import all_finite, run_chain
-from synthetic_room import BOX_CENTER_M, WALL_Z_M, make_room
+from synthetic_room import BOX_CENTER_M, BOX_SIZE_M, WALL_Z_M, make_room
 
 from stages.scene import SceneConfig, build_scene
 from video2anim.errors import StageError
@@ -20,9 +20,11 @@ def test_scene_has_floor_box_and_wall() -> None:
     room = make_room()
     chain = run_chain(room)
     scene = chain.scene
-    probe = np.array([BOX_CENTER_M, [-0.5, 0.5, -4.5], [-0.5, -0.1, -4.5]])
+    # From the front alone the thickness is assumed: what is surely inside is right behind the front.
+    behind_front_m = BOX_CENTER_M + np.array([0.0, 0.0, 0.5 * BOX_SIZE_M[2] - 0.15])
+    probe = np.array([behind_front_m, [-0.5, 0.5, -4.5], [-0.5, -0.1, -4.5]])
     inside_box, free, under_floor = sample_sdf(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m, probe)
-    assert inside_box < 0
+    assert inside_box < -0.1
     assert free == pytest.approx(0.5, abs=0.02)
     assert under_floor == pytest.approx(-0.1, abs=0.02)
     assert (scene.floor.vertices_m[:, 1] == 0).all()

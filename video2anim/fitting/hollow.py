@@ -53,8 +53,6 @@ def hollowed(solid: Mesh, motions: Sequence[BodyMotion], *, margin_m: float, mos
     solid_nodes = np.argwhere(field.sdf_m < 2 * spacing_m)
     places_m = field.origin_m + spacing_m * solid_nodes
     body_m = np.concatenate([_deepest(places_m, motion) for motion in motions], 1)
-    if body_m.shape[1] < _VOTES:
-        return Hollowed(solid, 1.0)
     inside_m = np.partition(body_m, _VOTES - 1, axis=1)[:, _VOTES - 1]
     free = field.sdf_m.astype(np.float64).copy()
     at = tuple(solid_nodes.T)

@@ -20,11 +20,11 @@ import numpy as np
 from jaxtyping import UInt8
 
 from video2anim.errors import StageError, UsageError
+from video2anim.geometry.amodal import GRAY
 
 PICTURE_PX = 512
 FILL = 0.8
 """Share of the picture that the object's longer side takes."""
-GRAY = 127
 
 
 @contextmanager
