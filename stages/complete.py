@@ -1,17 +1,19 @@
 """Stage complete: the hidden parts of objects, in outline and color.
 
 Outlines grow only where a nearer object or never-seen ground can hide the object (convexity, mirror symmetry,
-support on the floor); colors there are inpainted from the object itself.
+support on the floor); colors there are inpainted from the object itself. A network of the user's may do both instead.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, UInt8
 
-from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.errors import StageError, UsageError
+from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
     CompletedObject,
@@ -20,6 +22,11 @@ from video2anim.types import (
     MetricDepth,
     ObjectInstance,
 )
+
+if TYPE_CHECKING:
+    from video2anim.models.mask_completer import MaskCompleter
+
+SLOT = "completer"
 
 
 @dataclass(frozen=True)
@@ -30,16 +37,34 @@ class CompleteConfig:
     """Pixels that are free of people in a smaller share of the frames count as never seen."""
     largest_completed_ratio: float = 0.5
     """If more than this share of the completed outline were invented, the visible outline is kept instead."""
+    model: str = NO_MODEL
+    """Network that completes outlines and colors, `completer@FILE`; `none` leaves them to geometry."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Completion:
+    """An outline with its hidden part, and what is known of its colors."""
+
+    amodal: Bool[np.ndarray, "height width"]
+    picture_rgb: UInt8[np.ndarray, "height width 3"]
+    known: Bool[np.ndarray, "height width"]
+    """Pixels of the outline whose color the picture has; the others are inpainted."""
 
 
 def complete_objects(
     plate: BackgroundPlate, masks: InstanceMasks, depth: MetricDepth, config: CompleteConfig, ctx: StageContext
 ) -> CompletedObjects:
-    """Amodal mask and picture of every instance."""
+    """Amodal mask and picture of every instance.
+
+    Raises:
+        UsageError: `model` names one of another slot.
+        ModelMissingError: its weights are absent, or no network of its contract.
+    """
     import cv2
 
-    from video2anim.geometry.amodal import amodal_mask, object_picture
+    from video2anim.geometry.amodal import object_picture
 
+    completer = _completer(config, ctx)
     height, width = plate.plate_rgb.shape[:2]
     seen = cv2.resize(plate.seen_ratio.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
     unseen = seen < config.unseen_ratio
@@ -50,12 +75,13 @@ def complete_objects(
             continue
         nearer = [m for m in masks.instances if distance_m[m.object_id] < distance_m[instance.object_id]]
         hidden = unseen | _union([m.mask for m in nearer], instance.mask)
-        amodal = amodal_mask(instance.mask, hidden & ~instance.mask)
+        made = _completed(plate.plate_rgb, instance, hidden & ~instance.mask, completer, ctx)
+        amodal = made.amodal
         ratio = 1.0 - instance.mask.sum() / max(int(amodal.sum()), 1)
         if ratio > config.largest_completed_ratio:
             ctx.warn(f"complete: object {instance.object_id} would be {ratio:.0%} invented; its visible part is kept")
             amodal, ratio = instance.mask.copy(), 0.0
-        image_rgb, corner = object_picture(plate.plate_rgb, instance.mask, amodal)
+        image_rgb, corner = object_picture(made.picture_rgb, made.known, amodal)
         found = CompletedObject(instance.object_id, instance.label, amodal, image_rgb, corner, float(ratio))
         objects.append(found)
         ctx.progress(done + 1, len(masks.instances))
@@ -64,6 +90,36 @@ def complete_objects(
     ctx.quality("mean_completed_ratio", float(np.mean(ratios)), "1")
     ctx.quality("largest_completed_ratio", max(ratios), "1", "lower")
     return CompletedObjects(tuple(objects))
+
+
+def _completer(config: CompleteConfig, ctx: StageContext) -> MaskCompleter | None:
+    from video2anim.models import find_model
+
+    if config.model == NO_MODEL:
+        return None
+    if find_model(config.model).slot != SLOT:
+        raise UsageError(f"complete.model: want a model of slot {SLOT}, such as completer@FILE, got {config.model!r}")
+    return ctx.model(config.model)
+
+
+def _completed(
+    plate_rgb: UInt8[np.ndarray, "height width 3"],
+    instance: ObjectInstance,
+    hidden: Bool[np.ndarray, "height width"],
+    completer: MaskCompleter | None,
+    ctx: StageContext,
+) -> _Completion:
+    """What the network says; where there is none or it fails, what geometry says."""
+    from video2anim.geometry.amodal import amodal_mask
+
+    if completer is not None:
+        try:
+            said = completer.complete(plate_rgb, instance.mask, hidden)
+        except StageError as error:
+            ctx.warn(f"complete: object {instance.object_id} is completed by geometry instead: {error}")
+        else:
+            return _Completion(said.amodal, said.rgb, said.amodal)
+    return _Completion(amodal_mask(instance.mask, hidden), plate_rgb, instance.mask)
 
 
 def _union(masks: list[np.ndarray], like: np.ndarray) -> Bool[np.ndarray, "height width"]:
@@ -83,4 +139,4 @@ def _distance_m(instance: ObjectInstance, depth: MetricDepth) -> float:
     return float(np.median(depth.background_depth_m[known])) if known.any() else float("inf")
 
 
-STAGE = StageSpec("complete", complete_objects, version=1)
+STAGE = StageSpec("complete", complete_objects, version=2, models=(SLOT,))

@@ -2,7 +2,7 @@
 
 Everything in the object's box that the camera does not see to be free is solid; what is free on one side is free on the
 other where the object is symmetric. Sides that nothing shows are assumed, and the method says so. Meshes of the
-user, or of a program of theirs, take the place of these.
+user, of a network, or of a program of theirs, take the place of these, in this order.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from video2anim.errors import InputError, StageError
+from video2anim.errors import InputError, StageError, UsageError
 from video2anim.pipeline.config import user_path
-from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
     BodyMotion,
@@ -32,6 +32,10 @@ from video2anim.types import (
 
 if TYPE_CHECKING:
     from video2anim.geometry.object_solid import ObjectSolid
+
+SLOT = "object-mesh"
+FINEST = 256
+"""Most samples of a network's field along a side: what TripoSR's own program takes."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +56,12 @@ class ReconstructConfig:
     """Objects with fewer reliable depth pixels are dropped."""
     meshes: str = user_path()
     """Folder of the user's meshes, named by object (`3.glb`; +Y up, front towards +Z)."""
+    model: str = NO_MODEL
+    """Network that makes a mesh of a picture, for the other objects: `triposr@FOLDER`; `none` for no network."""
+    model_resolution: int = 96
+    """Samples of the network's field along a side; time grows with the third power."""
     command: str = ""
-    """Program that makes a mesh of a picture, for the other objects: its words with {image} and {mesh}."""
+    """Program that makes a mesh of a picture, for objects still without one: its words with {image} and {mesh}."""
     command_timeout_s: float = 600.0
     """A program that takes longer for one object is ended, and the object made of what is seen."""
 
@@ -72,7 +80,10 @@ def reconstruct_objects(
     Raises:
         StageError: there is no body (its camera lifts pixels into the world).
         InputError: the user's meshes cannot be read.
+        UsageError: `model` names one of another slot, or an option is out of range.
+        ModelMissingError: the network's weights are absent, or no network of its contract.
     """
+    _expect_known(config)
     if not bodies.people:
         raise StageError("reconstruct: want at least one fitted body, got none; check stage humans")
     visible = {instance.object_id: instance.mask for instance in masks.instances}
@@ -93,6 +104,17 @@ def reconstruct_objects(
     return ObjectMeshes(tuple(meshes))
 
 
+def _expect_known(config: ReconstructConfig) -> None:
+    from video2anim.models import find_model
+
+    if config.model != NO_MODEL and find_model(config.model).slot != SLOT:
+        raise UsageError(
+            f"reconstruct.model: want a model of slot {SLOT}, such as triposr@FOLDER, got {config.model!r}"
+        )
+    if not 16 <= config.model_resolution <= FINEST:
+        raise UsageError(f"reconstruct.model_resolution: want 16 to {FINEST}, got {config.model_resolution}")
+
+
 def _user_meshes(config: ReconstructConfig) -> dict[int, Path]:
     from video2anim.artifacts.user_files import mesh_files
 
@@ -102,12 +124,20 @@ def _user_meshes(config: ReconstructConfig) -> dict[int, Path]:
 def _foreign(
     found: CompletedObject, solid: ObjectSolid, files: dict[int, Path], config: ReconstructConfig, ctx: StageContext
 ) -> ObjectMesh | None:
-    """The user's mesh of the object, or that of the user's program; None if there is neither."""
+    """The user's mesh of the object, that of the network or that of the user's program; None if there is none."""
     from video2anim.artifacts.user_files import read_mesh_file
     from video2anim.models.external_mesh import mesh_by_program
 
     if found.object_id in files:
         return _adopted(found, solid, read_mesh_file(files[found.object_id]), "user mesh")
+    if config.model != NO_MODEL:
+        network = ctx.model(config.model)
+        try:
+            mesh = network.mesh(found.image_rgb, most_faces=config.most_faces, resolution=config.model_resolution)
+            return _adopted(found, solid, mesh, network.name, in_metres=False)
+        except StageError as error:
+            instead = "by the program" if config.command else "of what is seen"
+            ctx.warn(f"reconstruct: object {found.object_id} is made {instead} instead: {error}")
     if not config.command:
         return None
     try:
@@ -118,15 +148,20 @@ def _foreign(
         return None
 
 
-def _adopted(found: CompletedObject, solid: ObjectSolid, mesh: Mesh, method: str) -> ObjectMesh:
-    """A mesh of any unit in the place of what was seen: as high as that, or of its own size where that is near."""
+def _adopted(
+    found: CompletedObject, solid: ObjectSolid, mesh: Mesh, method: str, *, in_metres: bool = True
+) -> ObjectMesh:
+    """A mesh of any unit in the place of what was seen: as high as that.
+
+    It keeps its own size where that is near and may be in metres.
+    """
     low, high = mesh.vertices_m.min(0), mesh.vertices_m.max(0)
     base = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
     box = solid.box
     # By height; what lies flat has none to go by.
     tall = high[1] - low[1] > 0.1 * (high - low).max()
     ratio = float(box.size_m[1] / (high[1] - low[1]) if tall else box.size_m.max() / max((high - low).max(), 1e-6))
-    scale = 1.0 if 0.75 < ratio < 1.33 else ratio
+    scale = 1.0 if in_metres and 0.75 < ratio < 1.33 else ratio
     T_world_object = np.eye(4)
     T_world_object[:3, :3] = box.R_world_box
     T_world_object[:3, 3] = box.R_world_box @ np.array([box.middle_m[0], box.low_m[1], box.middle_m[2]])
@@ -209,4 +244,4 @@ def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[
     return picture
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=2)
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=3, models=(SLOT,))

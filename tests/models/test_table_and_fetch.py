@@ -92,10 +92,16 @@ def test_rows_are_complete_and_names_unique() -> None:
 def test_weights_under_other_terms_are_the_users_to_bring(tmp_path: Path, cache: Path) -> None:
     rows = [row for row in models.list_models() if isinstance(row.source, table.UserSource)]
     free = "depth-anything-v2-metric-indoor-small"
-    assert {row.name for row in rows} == {"hmr2", "gem-smpl", "maskformer-swin-small-ade", free}
-    with pytest.raises(ModelMissingError, match=rf"not fetched, no public export .*Apache-2.0.*{free}@PATH"):
-        models.ensure(free)
-    for row in (row for row in rows if row.name != free):
+    others = {
+        free: "no public export .*Apache-2.0",
+        "triposr": "no official export .*MIT",
+        "completer": "none is public",
+    }
+    assert {row.name for row in rows} == {"hmr2", "gem-smpl", "maskformer-swin-small-ade", *others}
+    for name, why in others.items():
+        with pytest.raises(ModelMissingError, match=rf"not fetched, {why}.*{name}@PATH"):
+            models.ensure(name)
+    for row in (row for row in rows if row.name not in others):
         assert "non-commercial" in row.licence
         assert row.verified == "contract"
         for use in (models.ensure, models.pull, models.weight_digests):

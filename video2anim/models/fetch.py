@@ -87,10 +87,12 @@ def weight_digests(name_or_slot: str) -> dict[str, str]:
         raise _not_ours(entry, entry.source)
     digest = entry.sha256
     if isinstance(entry.source, FileSource):
-        path = _user_file(entry, entry.source)
-        digest = file_digest(path)
-        beside = (path.with_suffix(".stats.npz"), *(Path(f"{path}{tail}") for tail in _DATA_TAILS))
-        digest += "".join(file_digest(file) for file in beside if file.is_file())
+        named = _user_files(entry, entry.source)
+        beside = (
+            named[0].with_suffix(".stats.npz"),
+            *(Path(f"{path}{tail}") for path in named for tail in _DATA_TAILS),
+        )
+        digest = "".join(file_digest(file) for file in (*named, *(file for file in beside if file.is_file())))
     elif data := _data_file(entry):
         digest += data[1]
     return {entry.name: digest, **{name: find_model(name).sha256 for name in entry.requires}}
@@ -110,7 +112,7 @@ def ensure(name_or_slot: str, on_progress: OnProgress | None = None) -> Path:
     """
     entry = find_model(name_or_slot)
     if isinstance(entry.source, FileSource):
-        return _user_file(entry, entry.source)
+        return _user_files(entry, entry.source)[0]
     if isinstance(entry.source, UserSource):
         raise _not_ours(entry, entry.source)
     path = model_path(entry)
@@ -162,12 +164,15 @@ def _files(entry: ModelEntry) -> tuple[tuple[Path, str], ...]:
     return ((model_path(entry), entry.sha256), *(() if data is None else (data,)))
 
 
-def _user_file(entry: ModelEntry, source: FileSource) -> Path:
-    if not source.path.is_file():
-        raise ModelMissingError(
-            f"weights for {entry.name}: want a .{entry.runtime} file at {source.path}, there is none; correct the path"
-        )
-    return source.path
+def _user_files(entry: ModelEntry, source: FileSource) -> tuple[Path, ...]:
+    """The user's file, and those that belong to it, which are all there."""
+    files = (source.path, *(source.path.with_name(name) for name in entry.files[1:]))
+    for path in files:
+        if not path.is_file():
+            raise ModelMissingError(
+                f"weights for {entry.name}: want a .{entry.runtime} file at {path}, there is none; correct the path"
+            )
+    return files
 
 
 def _check_digest(entry: ModelEntry) -> None:

@@ -42,6 +42,8 @@ class ModelEntry:
     """Other models the adapter needs."""
     instead: str = ""
     """Advice where the source's client is absent."""
+    files: tuple[str, ...] = ()
+    """Names of the user's files where a model has several: PATH is their folder, the adapter gets the first."""
 
     @property
     def file_name(self) -> str:
@@ -260,6 +262,29 @@ MODELS: tuple[ModelEntry, ...] = (
         verified="contract",
         adapter="video2anim.models.gem_x:GemSmpl",
     ),
+    ModelEntry(
+        slot="completer",
+        name="completer",
+        runtime="onnx",
+        source=UserSource("any network of the contract in video2anim/models/mask_completer.py", why="none is public"),
+        sha256="",
+        size_bytes=0,
+        licence="that of your network",
+        verified="contract",
+        adapter="video2anim.models.mask_completer:MaskCompleter",
+    ),
+    ModelEntry(
+        slot="object-mesh",
+        name="triposr",
+        runtime="onnx",
+        source=UserSource("export of github.com/VAST-AI-Research/TripoSR", why="no official export of it exists"),
+        sha256="",
+        size_bytes=0,
+        licence="MIT",
+        verified="contract",
+        adapter="video2anim.models.triposr:TripoSR",
+        files=("encoder.onnx", "field.onnx"),
+    ),
 )
 
 
@@ -271,7 +296,8 @@ def list_models() -> tuple[ModelEntry, ...]:
 def find_model(name_or_slot: str) -> ModelEntry:
     """The row of a name, or the first row of a slot.
 
-    `NAME@PATH` is the row of NAME with weights of the user's own: source `file:`, no digest to hold them to.
+    `NAME@PATH` is the row of NAME with weights of the user's own: source `file:`, no digest to hold them to. PATH may
+    be the folder of a model of several files.
 
     Raises:
         UsageError: there is neither a model nor a slot of that name.
@@ -283,7 +309,9 @@ def find_model(name_or_slot: str) -> ModelEntry:
     ):
         if not at:
             return entry
-        source = FileSource(Path(path).expanduser())
-        return replace(entry, source=source, sha256="", size_bytes=0, verified="contract")
+        own = Path(path).expanduser()
+        if entry.files and own.name != entry.files[0]:
+            own /= entry.files[0]
+        return replace(entry, source=FileSource(own), sha256="", size_bytes=0, verified="contract")
     known = ", ".join(model.name for model in MODELS)
     raise UsageError(f"unknown model {name_or_slot!r}; known: {known}; or NAME@PATH for weights of your own")

@@ -126,7 +126,7 @@ class ObjectMesh:
     object_id: int
     label: str
     method: str
-    """How it was made: `box` or `carved` with its assumptions, `user mesh`, `program`."""
+    """How it was made: `box` or `carved` with its assumptions, `user mesh`, `triposr`, `program`."""
     mesh: Mesh
     T_world_object: Float[np.ndarray, "4 4"]
     """First guess of the pose."""
