@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import CubicHermiteSpline
 
-from scenemi.leg_ik import LEGS, Leg, move_ankles
 from scenemi.metrics import HORIZONTAL
+from video2anim.body.leg_ik import LEGS, Leg, move_ankles
 from video2anim.body.skeleton import forward_kinematics
 
 

@@ -2,8 +2,9 @@
 
 Five losses over the root displacements of the keyframes, all in square meters so that weights carry no unit:
 regularization (small displacements), contact (touching parts meet the surface), penetration (other vertices stay out),
-temporal smoothness, and the Chamfer distance between visible skin and metric depth. Poses are not touched; between
-keyframes the displacement, not the motion, is interpolated, so the raw motion keeps its detail and nothing pops.
+temporal smoothness, and the Chamfer distance between visible skin and metric depth. No weight moves a root away from
+where the picture shows it. Poses are not touched, unless turns (`yaw`) or leg inverse kinematics (`leg_ik`) are asked
+for; between keyframes the move, not the motion, is interpolated, so the raw motion keeps its detail and nothing pops.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from video2anim.errors import UsageError
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
@@ -25,14 +27,15 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
-    from video2anim.body.anny_body import ShapedBody
-    from video2anim.fitting.keyframe_roots import ContactPart, DepthTarget, RootProblem, RootWeights
+    from video2anim.fitting.keyframe_depth import DepthTarget
+    from video2anim.fitting.keyframe_moves import RootMoves
+    from video2anim.fitting.keyframe_points import SkinPoints
+    from video2anim.fitting.keyframe_roots import ContactPart, RootProblem, RootWeights
+    from video2anim.fitting.keyframe_sight import Sight
     from video2anim.geometry.sdf import SdfGrid
 
-CONTACT_JOINTS = (
-    "pelvis", "left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist",
-)  # fmt: skip
-"""Parts that may be pulled to a surface."""
+_LEFT_INSIDE_M = 0.01
+"""Penetration that is told where the picture kept a body from leaving a solid."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,9 @@ class KeyframesConfig:
     """On the mean squared displacement along the line of sight (m^2): depth is what one camera knows least."""
     weight_regularization_across: float = 4.0
     """On the mean squared displacement across the line of sight (m^2), which would leave the picture."""
+    picture_limit_ratio: float = 0.05
+    """No displacement across the line of sight is longer than this share of the body's height, plus the landmarks' 2D
+    error at the root's depth; what a body penetrates then is left, and told."""
     weight_contact: float = 20.0
     """On the mean Huber cost of the contact distance (m^2)."""
     penetration_reach_m: float = 0.2
@@ -70,21 +76,23 @@ class KeyframesConfig:
     """On the robust Chamfer cost (m^2)."""
     depth_points: int = 800
     """Depth points, and as many visible vertices, per sampled frame."""
+    yaw: bool = False
+    """Also turn the body about the vertical through its root, per keyframe."""
+    weight_yaw: float = 4.0
+    """On the mean squared way (m^2) of a point at `yaw_lever_m`, as across the line of sight; its change from keyframe
+    to keyframe costs `weight_displacement_change`, and it is limited as a displacement across is."""
+    yaw_lever_m: float = 0.3
+    """Distance from the vertical at which a turn counts as way: that of a hand at the side or a foot in mid-stride."""
+    leg_ik: bool = False
+    """Then bring touching feet that are still off the surface under them onto it, by leg inverse kinematics."""
+    leg_ik_limit_m: float = 0.1
+    """Feet farther from an upward surface than this are left alone."""
     huber_m: float = 0.05
     """Contact and depth distances above this count linearly."""
     iterations: int = 200
     """Adam steps."""
     learning_rate_m: float = 0.01
     """First step size; it falls to zero along a cosine."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _BodyPoints:
-    """Skin samples relative to the root, and which of them belong to parts that may touch."""
-
-    spread_m: Float[np.ndarray, "frames spread 3"]
-    parts_m: dict[int, Float[np.ndarray, "frames part 3"]]
-    """By contact joint."""
 
 
 def optimize_keyframes(
@@ -100,13 +108,17 @@ def optimize_keyframes(
     Keyframes lie in valid frames only; invalid stretches are bridged. Depth is used for the main person, whose mask the
     plate holds, and only where the depth's scale is trusted.
     """
-    from video2anim.body.anny_body import shaped_body
-    from video2anim.fitting.keyframe_roots import solve_root_displacements
     from video2anim.geometry.sdf import SdfGrid
 
+    _expect_possible(config)
     grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
+    masks_fit = plate.selected_mask.shape[1:] == depth.depth_m.shape[1:]
+    usable = depth.trusted and masks_fit
     if not depth.trusted:
         ctx.warn(f"depth loss left out, the depth's scale is not trusted ({depth.reason})")
+    elif not masks_fit:
+        masks, maps = plate.selected_mask.shape[1:], depth.depth_m.shape[1:]
+        ctx.warn(f"depth loss left out, masks {masks} do not fit depth {maps}")
     people, indices = [], []
     for number, motion in enumerate(bodies.people):
         keyframes = _choose_keyframes(motion.valid, config.keyframe_interval_frames)
@@ -115,24 +127,83 @@ def optimize_keyframes(
             ctx.warn(f"person {motion.person_id} has no valid frame, motion left as it is")
             people.append(motion)
             continue
-        body = shaped_body(motion.shape)
-        points = _body_points(motion, body, config)
-        targets = _depth_targets(motion, body, depth, plate, config, ctx) if number == 0 and depth.trusted else []
-        problem = _root_problem(motion, keyframes, points, grid, targets, config)
-        found_m = solve_root_displacements(
-            problem, _weights(config), iterations=config.iterations, learning_rate_m=config.learning_rate_m
-        )
-        shift_m = _between_keyframes(keyframes, found_m, motion.frame_count)
-        moved = motion.with_pose(
-            translation_world_m=motion.T_world_root[:, :3, 3] + shift_m, R_parent_joint=motion.R_parent_joint
-        )
-        skin_m = points.spread_m[motion.valid] + motion.T_world_root[motion.valid, None, :3, 3]
+        seen = (depth, plate) if number == 0 and usable else None
+        error_px = bodies.quality[number].reprojection_px if bodies.quality else 0.0
         name = "" if number == 0 else f" (person {motion.person_id})"
-        _report(ctx, name, skin_m, shift_m[motion.valid], grid)
-        _report_keyframes(ctx, name, problem, found_m, config)
-        people.append(moved)
+        people.append(_optimize_person(motion, keyframes, grid, seen, error_px, config, ctx, name))
         ctx.progress(number + 1, len(bodies.people))
     return KeyframedMotion(tuple(people), tuple(indices))
+
+
+def _expect_possible(config: KeyframesConfig) -> None:
+    for name in ("yaw_lever_m", "leg_ik_limit_m"):
+        if not getattr(config, name) > 0:
+            raise UsageError(f"keyframes.{name}: want more than 0 m, got {getattr(config, name):g}")
+    if not config.picture_limit_ratio >= 0:
+        raise UsageError(f"keyframes.picture_limit_ratio: want 0 or more, got {config.picture_limit_ratio:g}")
+
+
+def _optimize_person(
+    motion: BodyMotion,
+    keyframes: Int[np.ndarray, "keyframes"],
+    grid: SdfGrid,
+    seen: tuple[MetricDepth, BackgroundPlate] | None,
+    error_px: float,
+    config: KeyframesConfig,
+    ctx: StageContext,
+    name: str,
+) -> BodyMotion:
+    """One person moved; `error_px` is the 2D error of its fit, `name` ends the names of its quality numbers."""
+    from video2anim.body.anny_body import shaped_body
+    from video2anim.fitting.keyframe_depth import depth_targets
+    from video2anim.fitting.keyframe_legs import plant_feet
+    from video2anim.fitting.keyframe_points import SkinSample
+    from video2anim.fitting.keyframe_roots import solve_root_moves
+    from video2anim.fitting.keyframe_sight import sight_of
+
+    body = shaped_body(motion.shape)
+    sample = SkinSample(body, spread=config.sampled_vertices, per_part=config.vertices_per_contact_part)
+    before = sample.on(motion)
+    sight = sight_of(
+        motion,
+        keyframes,
+        stature_m=float(np.ptp(body.rest_vertices_m[:, 1])),
+        limit_ratio=config.picture_limit_ratio,
+        reprojection_px=error_px,
+    )
+    targets = (
+        depth_targets(motion, body, *seen, points=config.depth_points, rng=ctx.rng("depth points")) if seen else ()
+    )
+    problem = _root_problem(motion, keyframes, before, sight, grid, targets, config)
+    found = solve_root_moves(
+        problem,
+        _weights(config),
+        iterations=config.iterations,
+        learning_rate_m=config.learning_rate_m,
+        yaw=config.yaw,
+    )
+    moves = found.at_all_frames(keyframes, motion.frame_count)
+    moved = moves.apply(motion)
+    after = sample.on(moved)
+    if config.leg_ik:
+        planted = plant_feet(
+            moved,
+            keyframes,
+            after,
+            grid,
+            contact_threshold=config.contact_threshold,
+            contact_points=config.contact_points,
+            limit_m=config.leg_ik_limit_m,
+        )
+        ctx.quality(f"feet brought to their surface{name}", planted.moved, "count", "none")
+        ctx.quality(f"feet left off their surface{name}", planted.left, "count", "lower")
+        ctx.quality(f"foot correction max{name}", planted.largest_m, "m", "none")
+        moved, after = planted.motion, sample.on(planted.motion)
+    _report(ctx, name, before, after, motion.valid, grid)
+    _report_moves(ctx, name, motion, moves)
+    _report_keyframes(ctx, name, problem, moves, after, config)
+    _report_held(ctx, name, problem, found, after)
+    return moved
 
 
 def _choose_keyframes(valid: Bool[np.ndarray, "frames"], interval: int) -> Int[np.ndarray, "keyframes"]:
@@ -145,159 +216,108 @@ def _choose_keyframes(valid: Bool[np.ndarray, "frames"], interval: int) -> Int[n
     return np.flatnonzero(on_grid & valid)
 
 
-def _body_points(motion: BodyMotion, body: ShapedBody, config: KeyframesConfig) -> _BodyPoints:
-    from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
-
-    spread = _farthest_points(body.rest_vertices_m, config.sampled_vertices)
-    part_index = {}
-    for name in CONTACT_JOINTS:
-        members = np.flatnonzero(body.vertex_part == JOINT_INDEX[name])
-        chosen = _farthest_points(body.rest_vertices_m[members], config.vertices_per_contact_part)
-        part_index[JOINT_INDEX[name]] = members[chosen]
-    index = np.concatenate([spread, *part_index.values()])
-    root_m = motion.T_world_root[:, :3, 3]
-    joints_m, R_world_joint = forward_kinematics(motion.R_parent_joint, np.zeros_like(root_m), motion.rest_joints_m)
-    relative_m = body.vertices(R_world_joint, joints_m, index).astype(np.float64)
-    parts, at = {}, len(spread)
-    for joint, chosen in part_index.items():
-        parts[joint] = relative_m[:, at : at + len(chosen)]
-        at += len(chosen)
-    return _BodyPoints(relative_m[:, : len(spread)], parts)
-
-
-def _farthest_points(points_m: Float[np.ndarray, "points 3"], count: int) -> Int[np.ndarray, "chosen"]:
-    """Farthest-point sampling from point 0; all points where there are no more than `count`."""
-    if len(points_m) <= count:
-        return np.arange(len(points_m))
-    chosen = [0]
-    nearest = np.linalg.norm(points_m - points_m[0], axis=1)
-    while len(chosen) < count:
-        chosen.append(int(nearest.argmax()))
-        nearest = np.minimum(nearest, np.linalg.norm(points_m - points_m[chosen[-1]], axis=1))
-    return np.array(chosen)
-
-
-def _depth_targets(
-    motion: BodyMotion,
-    body: ShapedBody,
-    depth: MetricDepth,
-    plate: BackgroundPlate,
-    config: KeyframesConfig,
-    ctx: StageContext,
-) -> list[DepthTarget]:
-    """Frames that have both depth and a mask of the person, with enough valid pixels in it."""
-    from video2anim.body.skeleton import forward_kinematics
-    from video2anim.fitting.keyframe_roots import DepthTarget
-    from video2anim.geometry.projection import backproject, invert_rigid, transform_points
-    from video2anim.geometry.visible import visible_vertices
-
-    height, width = depth.depth_m.shape[1:]
-    if plate.selected_mask.shape[1:] != (height, width):
-        masks = plate.selected_mask.shape[1:]
-        ctx.warn(f"depth loss left out, masks {masks} do not fit depth {(height, width)}")
-        return []
-    intrinsics = motion.intrinsics.resized(width, height)
-    common, in_depth, in_plate = np.intersect1d(depth.frame_index, plate.frame_index, return_indices=True)
-    rng = ctx.rng("depth points")
-    targets: list[DepthTarget] = []
-    for frame, d, p in zip(common, in_depth, in_plate, strict=True):
-        seen = plate.selected_mask[p] & depth.valid[d] & (depth.depth_m[d] > 0)
-        if not motion.valid[frame] or seen.sum() < 50:
-            continue
-        T_world_camera = depth.T_world_camera[frame]
-        points_m = transform_points(T_world_camera, backproject(depth.depth_m[d], intrinsics)[seen])
-        _, R_world_joint = forward_kinematics(
-            motion.R_parent_joint[frame], motion.T_world_root[frame, :3, 3], motion.rest_joints_m
-        )
-        skin_m = body.vertices(R_world_joint[None], motion.joints_world_m[frame][None])[0].astype(np.float64)
-        skin_camera_m = transform_points(invert_rigid(T_world_camera), skin_m)
-        visible_m = skin_m[visible_vertices(skin_camera_m, body.faces, intrinsics)]
-        if len(visible_m) < 50:
-            continue
-        chosen = [
-            rng.choice(len(array), min(len(array), config.depth_points), replace=False)
-            for array in (visible_m, points_m)
-        ]
-        targets.append(DepthTarget(int(frame), visible_m[chosen[0]], points_m[chosen[1]]))
-    return targets
-
-
 def _root_problem(
     motion: BodyMotion,
     keyframes: Int[np.ndarray, "keyframes"],
-    points: _BodyPoints,
+    points: SkinPoints,
+    sight: Sight,
     grid: SdfGrid,
-    targets: list[DepthTarget],
+    targets: tuple[DepthTarget, ...],
     config: KeyframesConfig,
 ) -> RootProblem:
     """World-frame arrays at the keyframes; touches whose surface is out of reach are left out."""
     from video2anim.fitting.keyframe_roots import ContactPart, RootProblem, contact_distance_m
 
-    root_m = motion.T_world_root[keyframes, :3, 3]
-    still = np.zeros_like(root_m)
     contacts: list[ContactPart] = []
-    for joint, relative_m in points.parts_m.items():
+    for joint, part_m in points.parts_m.items():
         probability = motion.contact[keyframes, joint]
         rows = np.flatnonzero(probability >= config.contact_threshold)
-        if len(rows) == 0 or relative_m.shape[1] == 0:
+        if len(rows) == 0 or part_m.shape[1] == 0:
             continue
-        part = ContactPart(rows, relative_m[keyframes[rows]] + root_m[rows, None], probability[rows])
-        near = np.abs(contact_distance_m(part, still, grid, config.contact_points)) <= config.contact_reach_m
+        skin_m = part_m[keyframes[rows]]
+        near = np.abs(contact_distance_m(skin_m, grid, config.contact_points)) <= config.contact_reach_m
         if near.any():
-            contacts.append(ContactPart(rows[near], part.skin_m[near], probability[rows][near]))
+            contacts.append(ContactPart(joint, rows[near], skin_m[near], probability[rows][near]))
     valid = np.flatnonzero(motion.valid)
-    skin_m = points.spread_m[valid] + motion.T_world_root[valid, None, :3, 3]
+    skin_m = points.spread_m[valid]
     row, vertex = np.nonzero(grid.sample(skin_m) < config.penetration_reach_m)
-    sight = root_m - motion.T_world_camera[keyframes, :3, 3]
-    sight /= np.maximum(np.linalg.norm(sight, axis=-1, keepdims=True), 1e-6)
-    return RootProblem(keyframes, root_m, sight, skin_m[row, vertex], valid[row], tuple(contacts), tuple(targets), grid)
-
-
-def _between_keyframes(
-    keyframes: Int[np.ndarray, "keyframes"], displacement_m: Float[np.ndarray, "keyframes 3"], frame_count: int
-) -> Float[np.ndarray, "frames 3"]:
-    """Displacement of every frame: monotone cubic between keyframes (no overshoot), constant beyond them."""
-    from scipy.interpolate import PchipInterpolator
-
-    if len(keyframes) == 1:
-        return np.tile(displacement_m, (frame_count, 1))
-    frames = np.clip(np.arange(frame_count), keyframes[0], keyframes[-1])
-    return PchipInterpolator(keyframes, displacement_m)(frames)
+    root_m = motion.T_world_root[:, :3, 3]
+    return RootProblem(keyframes, root_m, sight, skin_m[row, vertex], valid[row], tuple(contacts), targets, grid)
 
 
 def _report(
     ctx: StageContext,
     name: str,
-    skin_m: Float[np.ndarray, "frames vertices 3"],
-    shift_m: Float[np.ndarray, "frames 3"],
+    before: SkinPoints,
+    after: SkinPoints,
+    valid: Bool[np.ndarray, "frames"],
     grid: SdfGrid,
 ) -> None:
-    """Quality over all valid frames, keyframes and others."""
-    for when, moved_m in (("before", skin_m), ("after", skin_m + shift_m[:, None])):
-        deepest_m = np.maximum(0.0, -grid.sample(moved_m).min(axis=1))
+    """Penetration over all valid frames, keyframes and others."""
+    for when, points in (("before", before), ("after", after)):
+        deepest_m = _deepest_m(points.spread_m[valid], grid)
         ctx.quality(f"penetration max {when}{name}", float(deepest_m.max()), "m", "lower")
         ctx.quality(f"penetration mean {when}{name}", float(deepest_m.mean()), "m", "lower")
+
+
+def _deepest_m(skin_m: Float[np.ndarray, "frames vertices 3"], grid: SdfGrid) -> Float[np.ndarray, "frames"]:
+    return np.maximum(0.0, -grid.sample(skin_m).min(axis=1))
+
+
+def _report_moves(ctx: StageContext, name: str, motion: BodyMotion, moves: RootMoves) -> None:
+    """How far bodies went, over all valid frames."""
+    shift_m = moves.displacement_m[motion.valid]
     ctx.quality(f"root displacement mean{name}", float(np.linalg.norm(shift_m, axis=1).mean()), "m", "none")
+    if moves.yaw_rad.any():
+        yaw_deg = float(np.rad2deg(np.abs(moves.yaw_rad[motion.valid])).mean())
+        ctx.quality(f"turn mean{name}", yaw_deg, "deg", "none")
 
 
 def _report_keyframes(
-    ctx: StageContext, name: str, problem: RootProblem, found_m: np.ndarray, config: KeyframesConfig
+    ctx: StageContext, name: str, problem: RootProblem, moves: RootMoves, after: SkinPoints, config: KeyframesConfig
 ) -> None:
-    """Contact distance and depth agreement before and after."""
+    """Contact distance and depth agreement before and after; corrections of legs do not count in the latter."""
+    from video2anim.fitting.keyframe_moves import turned_about_y
     from video2anim.fitting.keyframe_roots import contact_distance_m
     from video2anim.geometry.chamfer import chamfer_m
 
-    for when, shift_m in (("before", np.zeros_like(found_m)), ("after", found_m)):
-        if problem.contacts:
-            gaps_m = [contact_distance_m(c, shift_m, problem.scene, config.contact_points) for c in problem.contacts]
+    frames = problem.frame
+    touching = {
+        "before": [part.skin_m for part in problem.contacts],
+        "after": [after.parts_m[part.joint][frames[part.keyframe]] for part in problem.contacts],
+    }
+    visible: dict[str, list[np.ndarray]] = {"before": [], "after": []}
+    for target in problem.depth:
+        at = target.frame
+        turned_m = turned_about_y(target.visible_m, problem.frame_root_m[at], moves.yaw_rad[at : at + 1])
+        visible["before"].append(target.visible_m)
+        visible["after"].append(turned_m + moves.displacement_m[at])
+    for when, skins_m in touching.items():
+        if skins_m:
+            gaps_m = [contact_distance_m(skin_m, problem.scene, config.contact_points) for skin_m in skins_m]
             ctx.quality(f"contact distance {when}{name}", float(np.abs(np.concatenate(gaps_m)).mean()), "m", "lower")
-        if problem.depth:
-            rows = [int(np.abs(problem.frame - target.frame).argmin()) for target in problem.depth]
-            distances_m = [
-                chamfer_m(target.visible_m + shift_m[row], target.depth_m)
-                for row, target in zip(rows, problem.depth, strict=True)
-            ]
+        if visible[when]:
+            pairs = zip(visible[when], problem.depth, strict=True)
+            distances_m = [chamfer_m(skin_m, target.depth_m) for skin_m, target in pairs]
             ctx.quality(f"depth chamfer {when}{name}", float(np.mean(distances_m)), "m", "lower")
+
+
+def _report_held(ctx: StageContext, name: str, problem: RootProblem, found: RootMoves, after: SkinPoints) -> None:
+    """Keyframes that went as far across the sight as the picture lets them, and how deep they still are inside."""
+    from video2anim.fitting.keyframe_sight import across_sight_m
+
+    across_m = across_sight_m(found.displacement_m, problem.sight.direction)
+    held = across_m >= 0.99 * problem.sight.limit_m
+    left_m = np.where(held, _deepest_m(after.spread_m[problem.frame], problem.scene), 0.0)
+    inside = left_m > _LEFT_INSIDE_M
+    ctx.quality(f"root displacement across the sight max{name}", float(across_m.max()), "m", "none")
+    ctx.quality(f"keyframes held in their picture{name}", float(held.mean()), "ratio", "lower")
+    ctx.quality(f"penetration left for the picture{name}", float(left_m.max()), "m", "lower")
+    if inside.any():
+        ctx.warn(
+            f"{inside.sum()} of {len(held)} keyframes stay up to {left_m.max():.2f} m inside solids, because moving on "
+            f"would take the body from where the picture shows it; the scene may be wrong there{name}"
+        )
 
 
 def _weights(config: KeyframesConfig) -> RootWeights:
@@ -311,9 +331,11 @@ def _weights(config: KeyframesConfig) -> RootWeights:
         displacement_change=config.weight_displacement_change,
         acceleration=config.weight_acceleration,
         depth=config.weight_depth,
+        yaw=config.weight_yaw,
         huber_m=config.huber_m,
         contact_points=config.contact_points,
+        yaw_lever_m=config.yaw_lever_m,
     )
 
 
-STAGE = StageSpec("keyframes", optimize_keyframes, version=3)
+STAGE = StageSpec("keyframes", optimize_keyframes, version=4)

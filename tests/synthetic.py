@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from scenemi.leg_ik import LEGS, move_ankles
 from video2anim.body.anny_body import ADULT, anny_model, shaped_body
+from video2anim.body.leg_ik import LEGS, move_ankles
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.projection import invert_rigid
 from video2anim.geometry.rotations import matrix_from_axis_angle

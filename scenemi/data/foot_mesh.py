@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from scenemi.leg_ik import Leg
 from video2anim.body.anny_body import ShapedBody
+from video2anim.body.leg_ik import Leg
 
 
 @dataclass(frozen=True, slots=True, eq=False)

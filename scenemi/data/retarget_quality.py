@@ -9,9 +9,9 @@ from jaxtyping import Float
 
 from scenemi.data.container import SourceClip
 from scenemi.data.retarget import RetargetedMotion
-from scenemi.leg_ik import LEGS
 from scenemi.metrics import jerk_m_s3
 from video2anim.body.anny_body import ShapedBody
+from video2anim.body.leg_ik import LEGS
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 
 _SIDES = ("left", "right")

@@ -7,8 +7,8 @@ import pytest
 from synthetic import FPS, planted_walk
 
 from scenemi.foot_lock import contact_phases, lock_feet
-from scenemi.leg_ik import LEGS, move_ankles
 from scenemi.metrics import TOES, jerk_m_s3
+from video2anim.body.leg_ik import LEGS, move_ankles
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.geometry.smoothing import low_pass
 

@@ -2,73 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import trimesh
-from synthetic import body_vertices, planted_walk, with_root_shift
-
-from stages.keyframes import KeyframesConfig, optimize_keyframes
-from video2anim.geometry.projection import invert_rigid, project, transform_points
-from video2anim.geometry.sdf import build_sdf_grid
-from video2anim.pipeline.stage import StageContext
-from video2anim.types import BackgroundPlate, BodyMotion, BodyTracks, KeyframedMotion, Mesh, MetricDepth, SceneModel
+from keyframe_problem import depth_of, optimize, quality, root_m, scene
+from synthetic import planted_walk, with_root_shift
 
 FRAMES = 91
-DEPTH_SIZE = (90, 160)
-
-
-def scene(box_at_m: tuple[float, float, float] | None = None) -> SceneModel:
-    shape = trimesh.creation.box((0.5, 0.9, 0.4))
-    shape.apply_translation(box_at_m or (5.0, 0.45, 0.0))
-    mesh = Mesh(np.asarray(shape.vertices), np.asarray(shape.faces), np.zeros((8, 3), dtype=np.uint8))
-    grid = build_sdf_grid([mesh], np.array([[-1.5, -0.4, -1.2], [1.5, 2.0, 4.0]]), 0.05)
-    return SceneModel((), mesh, mesh, grid.sdf_m, grid.origin_m, grid.spacing_m)
-
-
-def no_depth(motion: BodyMotion) -> tuple[MetricDepth, BackgroundPlate]:
-    return depth_of(motion, np.zeros(0, dtype=np.int64), trusted=False)
-
-
-def depth_of(motion: BodyMotion, frames: np.ndarray, *, trusted: bool = True) -> tuple[MetricDepth, BackgroundPlate]:
-    """Depth maps of the body alone, by splatting its vertices."""
-    height, width = DEPTH_SIZE
-    intrinsics = motion.intrinsics.resized(width, height)
-    depth_m = np.full((len(frames), height, width), np.inf)
-    vertices_m = body_vertices(motion)
-    for row, frame in enumerate(frames):
-        camera_m = transform_points(invert_rigid(motion.T_world_camera[frame]), vertices_m[frame].astype(np.float64))
-        pixel = np.rint(project(camera_m, intrinsics)).astype(int)
-        inside = ((pixel >= 0) & (pixel < [width, height])).all(axis=1)
-        np.minimum.at(depth_m[row], (pixel[inside, 1], pixel[inside, 0]), camera_m[inside, 2])
-    seen = np.isfinite(depth_m)
-    depth_m = np.where(seen, depth_m, 0.0)
-    empty = np.zeros(DEPTH_SIZE)
-    metric = MetricDepth(
-        1.0, 0.0, 0.0, 0.0, 0.0, 0.0, trusted, "person too small", frames, depth_m, seen, empty, empty > 0,
-        motion.T_world_camera,
-    )  # fmt: skip
-    picture = np.zeros((motion.intrinsics.height_px, motion.intrinsics.width_px, 3), dtype=np.uint8)
-    return metric, BackgroundPlate(picture, empty + 1, frames, seen, seen)
-
-
-def optimize(
-    raw: BodyMotion, where: SceneModel, depth: tuple[MetricDepth, BackgroundPlate] | None = None
-) -> tuple[KeyframedMotion, StageContext]:
-    ctx = StageContext(Path())
-    done = optimize_keyframes(
-        BodyTracks((raw,)), where, *(depth or no_depth(raw)), KeyframesConfig(iterations=120), ctx
-    )
-    return done, ctx
-
-
-def quality(ctx: StageContext, name: str) -> float:
-    return next(q.value for q in ctx.qualities if q.name == name)
-
-
-def root_m(motion: BodyMotion) -> np.ndarray:
-    return motion.T_world_root[:, :3, 3]
 
 
 def test_a_body_sunk_into_the_floor_is_put_on_it() -> None:

@@ -1,4 +1,4 @@
-"""Root displacements of keyframes from five losses (paper 8.2): the maths behind the keyframes stage."""
+"""Root displacements (and turns) of keyframes from five losses (paper 8.2): the maths behind the keyframes stage."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from video2anim.fitting.keyframe_depth import DepthLoss, DepthTarget
+from video2anim.fitting.keyframe_moves import RootMoves, turned_about_y
+from video2anim.fitting.keyframe_sight import Sight, split_by_sight
 from video2anim.fitting.optimize import one_thread
-from video2anim.geometry.chamfer import ChamferConfig, ChamferLoss, huber_of_square
+from video2anim.geometry.chamfer import huber_of_square
 from video2anim.geometry.sdf import SdfGrid
-
-_DEPTH_TRIM_RATIO = 0.1
-"""Share of the farthest depth and skin points left out: hair, clothes, mask borders."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,27 +29,22 @@ class RootWeights:
     displacement_change: float
     acceleration: float
     depth: float
+    yaw: float
+    """On the turn about the vertical, as the way of a point at `yaw_lever_m`."""
     huber_m: float
     contact_points: int
+    yaw_lever_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactPart:
     """Skin of one part at the keyframes where it touches."""
 
+    joint: int
     keyframe: Int[np.ndarray, "touches"]
-    """Rows of `RootProblem.root_m`."""
+    """Rows of `RootProblem.frame`."""
     skin_m: Float[np.ndarray, "touches vertices 3"]
     probability: Float[np.ndarray, "touches"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DepthTarget:
-    """One frame's visible skin and depth points; the frame need not be a keyframe."""
-
-    frame: int
-    visible_m: Float[np.ndarray, "vertices 3"]
-    depth_m: Float[np.ndarray, "points 3"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,9 +52,10 @@ class RootProblem:
     """One person's keyframes, world frame."""
 
     frame: Int[np.ndarray, "keyframes"]
-    root_m: Float[np.ndarray, "keyframes 3"]
-    sight: Float[np.ndarray, "keyframes 3"]
-    """Unit vector from the camera to the root."""
+    frame_root_m: Float[np.ndarray, "frames 3"]
+    """Root of every frame of the clip."""
+    sight: Sight
+    """Of the keyframes."""
     skin_m: Float[np.ndarray, "points 3"]
     """Vertices to be kept out of solids, of keyframes and of frames between them."""
     skin_frame: Int[np.ndarray, "points"]
@@ -70,37 +66,53 @@ class RootProblem:
 
 
 @one_thread()
-def solve_root_displacements(
-    problem: RootProblem, weights: RootWeights, *, iterations: int, learning_rate_m: float
-) -> Float[np.ndarray, "keyframes 3"]:
-    """Displacements that minimize the weighted losses: Adam from zero, step size falling along a cosine."""
+def solve_root_moves(
+    problem: RootProblem, weights: RootWeights, *, iterations: int, learning_rate_m: float, yaw: bool = False
+) -> RootMoves:
+    """Moves that minimize the weighted losses: Adam from zero, step size falling along a cosine.
+
+    After every step, displacements are cut back to what the picture lets them be across the sight (see `Sight`), and
+    so are turns, as ways at the lever. Without `yaw` nothing turns.
+    """
     losses = _Losses(problem, weights)
+    limit_m, direction = _tensor(problem.sight.limit_m[:, None]), _tensor(problem.sight.direction)
     displacement_m = torch.zeros(len(problem.frame), 3, requires_grad=True)
-    optimizer = torch.optim.Adam([displacement_m], lr=learning_rate_m)
+    turn_m = torch.zeros(len(problem.frame), 1, requires_grad=True) if yaw else None
+    leaves = [displacement_m] if turn_m is None else [displacement_m, turn_m]
+    optimizer = torch.optim.Adam(leaves, lr=learning_rate_m)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, T_max=max(1, iterations))
     for _ in range(iterations):
         optimizer.zero_grad()
-        losses(displacement_m).backward()
+        losses(displacement_m, turn_m).backward()
         optimizer.step()
         schedule.step()
-    return displacement_m.detach().numpy().astype(np.float64)
+        with torch.no_grad():
+            along_m, across_m = split_by_sight(displacement_m, direction)
+            excess = across_m.norm(dim=-1, keepdim=True) / limit_m.clamp(min=1e-9)
+            cut_m = along_m * direction + across_m / excess.clamp(min=1.0)
+            displacement_m.copy_(torch.where(excess > 1, cut_m, displacement_m))
+            if turn_m is not None:
+                turn_m.copy_(torch.maximum(torch.minimum(turn_m, limit_m), -limit_m))
+    yaw_rad = np.zeros(len(problem.frame)) if turn_m is None else turn_m.detach().numpy()[:, 0] / weights.yaw_lever_m
+    return RootMoves(displacement_m.detach().numpy().astype(np.float64), yaw_rad.astype(np.float64))
 
 
 def contact_distance_m(
-    part: ContactPart, displacement_m: Float[np.ndarray, "keyframes 3"], scene: SdfGrid, points: int
+    skin_m: Float[np.ndarray, "touches vertices 3"], scene: SdfGrid, points: int
 ) -> Float[np.ndarray, "touches"]:
-    """Signed distance of each touching part to the scene: mean over its `points` deepest vertices."""
-    moved = part.skin_m + displacement_m[part.keyframe][:, None]
-    return np.sort(scene.sample(moved), axis=1)[:, :points].mean(axis=1)
+    """Signed distance of a touching part to the scene: mean over its `points` deepest vertices."""
+    return np.sort(scene.sample(skin_m), axis=1)[:, :points].mean(axis=1)
 
 
 class _Losses:
-    """Weighted sum of the five losses as a function of the displacements."""
+    """Weighted sum of the five losses as a function of displacements (K, 3) and, if any, turns (K, 1): the ways in
+    meters of a point at the lever."""
 
     def __init__(self, problem: RootProblem, weights: RootWeights) -> None:
         self.weights, self.problem = weights, problem
-        self.sight = _tensor(problem.sight)
-        self.root_m, self.skin_m = _tensor(problem.root_m), _tensor(problem.skin_m)
+        self.sight = _tensor(problem.sight.direction)
+        self.root_m, self.skin_m = _tensor(problem.frame_root_m[problem.frame]), _tensor(problem.skin_m)
+        self.skin_root_m = _tensor(problem.frame_root_m[problem.skin_frame])
         frames, rows = np.unique(problem.skin_frame, return_inverse=True)
         self.frames, self.skin_row = max(len(frames), 1), torch.as_tensor(rows)
         self.skin_place = _between(problem.frame, problem.skin_frame)
@@ -110,53 +122,61 @@ class _Losses:
             (torch.as_tensor(part.keyframe), _tensor(part.skin_m), _tensor(part.probability))
             for part in problem.contacts
         ]
-        chamfer = ChamferConfig(huber_m=weights.huber_m, trim_ratio=_DEPTH_TRIM_RATIO)
-        self.depth = [
-            (
-                _between(problem.frame, np.array([target.frame])),
-                _tensor(target.visible_m),
-                ChamferLoss(target.depth_m, chamfer),
-            )
-            for target in problem.depth
-        ]
+        self.depth = DepthLoss(problem.depth, huber_m=weights.huber_m) if problem.depth and weights.depth else None
+        if self.depth:
+            frame = np.concatenate([np.full(len(target.visible_m), target.frame) for target in problem.depth])
+            self.visible_m = _tensor(np.concatenate([target.visible_m for target in problem.depth]))
+            self.visible_root_m = _tensor(problem.frame_root_m[frame])
+            self.visible_place = _between(problem.frame, frame)
 
-    def __call__(self, displacement_m: torch.Tensor) -> torch.Tensor:
+    def __call__(self, displacement_m: torch.Tensor, turn_m: torch.Tensor | None) -> torch.Tensor:
         w = self.weights
-        along_m = (displacement_m * self.sight).sum(-1, keepdim=True)
-        across_m = displacement_m - along_m * self.sight
+        along_m, across_m = split_by_sight(displacement_m, self.sight)
         total = w.regularization * (along_m**2).mean()
         total = total + w.regularization_across * (across_m**2).sum(-1).mean()
-        total = total + w.penetration * self._penetration(displacement_m)
+        total = total + w.penetration * self._penetration(displacement_m, turn_m)
         if self.contacts:
-            total = total + w.contact * self._contact(displacement_m)
+            total = total + w.contact * self._contact(displacement_m, turn_m)
         if len(displacement_m) > 1:
-            change = displacement_m.diff(dim=0) / self.step[:, None]
-            total = total + w.displacement_change * (change**2).sum(-1).mean()
+            total = total + w.displacement_change * self._change(displacement_m)
         if len(displacement_m) > 2:
             total = total + w.acceleration * self._acceleration(displacement_m)
         if self.depth:
-            total = total + w.depth * self._depth(displacement_m)
+            visible_m = self._moved(self.visible_m, self.visible_root_m, self.visible_place, displacement_m, turn_m)
+            total = total + w.depth * self.depth(visible_m)
+        if turn_m is not None:
+            total = total + w.yaw * (turn_m**2).mean()
+            if len(turn_m) > 1:
+                total = total + w.displacement_change * self._change(turn_m)
         return total
 
-    def _penetration(self, displacement_m: torch.Tensor) -> torch.Tensor:
+    def _penetration(self, displacement_m: torch.Tensor, turn_m: torch.Tensor | None) -> torch.Tensor:
         """Mean over frames of the mean squared depth of the vertices that are inside."""
-        shift_m = self._at(displacement_m, *self.skin_place)
-        inside_m = torch.relu(-self.problem.scene.sample(self.skin_m + shift_m))
+        moved_m = self._moved(self.skin_m, self.skin_root_m, self.skin_place, displacement_m, turn_m)
+        inside_m = torch.relu(-self.problem.scene.sample(moved_m))
         square, count = torch.zeros(self.frames), torch.zeros(self.frames)
         square = square.index_add(0, self.skin_row, inside_m**2)
         count = count.index_add(0, self.skin_row, (inside_m > 0).float())
         return (square / count.clamp(min=1)).mean()
 
-    def _contact(self, displacement_m: torch.Tensor) -> torch.Tensor:
+    def _contact(self, displacement_m: torch.Tensor, turn_m: torch.Tensor | None) -> torch.Tensor:
         """Mean over all touches, weighed by probability, of the Huber cost of the part's distance."""
         costs, weights = [], []
         for keyframe, skin_m, probability in self.contacts:
-            distance_m = self.problem.scene.sample(skin_m + displacement_m[keyframe][:, None])
+            moved_m = skin_m
+            if turn_m is not None:
+                yaw_rad = turn_m[keyframe, :, None] / self.weights.yaw_lever_m
+                moved_m = turned_about_y(skin_m, self.root_m[keyframe][:, None], yaw_rad)
+            distance_m = self.problem.scene.sample(moved_m + displacement_m[keyframe][:, None])
             count = min(self.weights.contact_points, distance_m.shape[1])
             nearest_m = distance_m.topk(count, dim=1, largest=False).values.mean(dim=1)
             costs.append(probability * huber_of_square(nearest_m**2, self.weights.huber_m))
             weights.append(probability)
         return torch.cat(costs).sum() / torch.cat(weights).sum()
+
+    def _change(self, move_m: torch.Tensor) -> torch.Tensor:
+        """Mean squared difference of consecutive moves, per usual keyframe step."""
+        return ((move_m.diff(dim=0) / self.step[:, None]) ** 2).sum(-1).mean()
 
     def _acceleration(self, displacement_m: torch.Tensor) -> torch.Tensor:
         """Mean squared second difference of the displaced roots, in meters per usual keyframe step squared."""
@@ -164,23 +184,32 @@ class _Losses:
         span = 0.5 * (self.step[1:] + self.step[:-1])
         return ((velocity.diff(dim=0) / span[:, None]) ** 2).sum(-1).mean()
 
-    def _depth(self, displacement_m: torch.Tensor) -> torch.Tensor:
-        """Mean over frames of the Chamfer cost."""
-        terms = [chamfer(skin_m + self._at(displacement_m, *place)) for place, skin_m, chamfer in self.depth]
-        return torch.stack(terms).mean()
-
-    @staticmethod
-    def _at(
-        displacement_m: torch.Tensor, left: torch.Tensor, right: torch.Tensor, weight: torch.Tensor
+    def _moved(
+        self,
+        points_m: torch.Tensor,
+        root_m: torch.Tensor,
+        place: _Place,
+        displacement_m: torch.Tensor,
+        turn_m: torch.Tensor | None,
     ) -> torch.Tensor:
-        """Displacement (N, 3) at frames between keyframes, linear in time."""
-        return displacement_m[left] + weight * (displacement_m[right] - displacement_m[left])
+        """Points (N, 3) of frames between keyframes, turned about their roots and displaced."""
+        if turn_m is not None:
+            points_m = turned_about_y(points_m, root_m, _at(turn_m, place) / self.weights.yaw_lever_m)
+        return points_m + _at(displacement_m, place)
 
 
-def _between(
-    keyframes: Int[np.ndarray, "keyframes"], frames: Int[np.ndarray, "points"]
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Rows of the keyframes around each frame (N,), and its place between them (N, 1) from 0 to 1."""
+_Place = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+"""Rows of the keyframes around each frame (N,) (N,), and its place between them (N, 1) from 0 to 1."""
+
+
+def _at(move_m: torch.Tensor, place: _Place) -> torch.Tensor:
+    """Move (N, D) at frames between keyframes, linear in time."""
+    left, right, weight = place
+    before, after = move_m.index_select(0, left), move_m.index_select(0, right)
+    return before + weight * (after - before)
+
+
+def _between(keyframes: Int[np.ndarray, "keyframes"], frames: Int[np.ndarray, "points"]) -> _Place:
     right = np.clip(np.searchsorted(keyframes, frames), 0, len(keyframes) - 1)
     left = np.maximum(right - 1, 0)
     span = np.maximum(keyframes[right] - keyframes[left], 1)

@@ -15,8 +15,8 @@ from scenemi.data.hinge_limb import LegBones, bend_leg, move_wrist
 from scenemi.data.rest_pose import rest_axes
 from scenemi.data.retarget import RetargetedMotion, retarget
 from scenemi.data.retarget_quality import measure_retarget
-from scenemi.leg_ik import LEGS
 from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.body.leg_ik import LEGS
 from video2anim.body.skeleton import FEET, JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle
