@@ -37,7 +37,7 @@ from video2anim.eval.results import SceneResult
 from video2anim.eval.scene_rows import BodyInScenes
 from video2anim.eval.true_scene import true_field
 from video2anim.eval.truth import read_truth
-from video2anim.fitting.keyframe_points import SkinSample
+from video2anim.fitting.keyframe_points import TOUCHING, SkinSample
 from video2anim.fitting.keyframe_roots import contact_distance_m
 from video2anim.fitting.keyframe_sight import across_sight_m, sight_of
 from video2anim.geometry.sdf import SdfGrid
@@ -186,10 +186,11 @@ def touching_m(motion: BodyMotion, truth: BodyMotion, common: CommonFrames, own:
     config = KeyframesConfig()
     sample = SkinSample(shaped_body(motion.shape), spread=1, per_part=config.vertices_per_contact_part)
     truly = truth.contact[common.true_index[common.measured]] > 0.5
+    skin = sample.on(motion)
     gaps_m = [
-        np.abs(contact_distance_m(skin_m[common.measured][truly[:, joint]], own, config.contact_points))
-        for joint, skin_m in sample.on(motion).parts_m.items()
-        if truly[:, joint].any()
+        np.abs(contact_distance_m(skin.touching_m(joints)[common.measured][touches], own, config.contact_points))
+        for joints in TOUCHING
+        if (touches := truly[:, joints].any(axis=1)).any()
     ]
     return float(np.concatenate(gaps_m).mean()) if gaps_m else None
 

@@ -61,7 +61,7 @@ class KeyframesConfig:
     picture_limit_ratio: float = 0.05
     """No displacement across the line of sight is longer than this share of the body's height, plus the landmarks' 2D
     error at the root's depth; what a body penetrates then is left, and told."""
-    weight_contact: float = 20.0
+    weight_contact: float = 8.0
     """On the mean Huber cost of the contact distance (m^2)."""
     penetration_reach_m: float = 0.2
     """Vertices that start farther from every surface are not tested for penetration."""
@@ -226,18 +226,20 @@ def _root_problem(
     config: KeyframesConfig,
 ) -> RootProblem:
     """World-frame arrays at the keyframes; touches whose surface is out of reach are left out."""
+    from video2anim.fitting.keyframe_points import TOUCHING
     from video2anim.fitting.keyframe_roots import ContactPart, RootProblem, contact_distance_m
 
     contacts: list[ContactPart] = []
-    for joint, part_m in points.parts_m.items():
-        probability = motion.contact[keyframes, joint]
+    for joints in TOUCHING:
+        part_m = points.touching_m(joints)
+        probability = motion.contact[keyframes][:, joints].max(axis=1)
         rows = np.flatnonzero(probability >= config.contact_threshold)
         if len(rows) == 0 or part_m.shape[1] == 0:
             continue
         skin_m = part_m[keyframes[rows]]
         near = np.abs(contact_distance_m(skin_m, grid, config.contact_points)) <= config.contact_reach_m
         if near.any():
-            contacts.append(ContactPart(joint, rows[near], skin_m[near], probability[rows][near]))
+            contacts.append(ContactPart(joints, rows[near], skin_m[near], probability[rows][near]))
     valid = np.flatnonzero(motion.valid)
     skin_m = points.spread_m[valid]
     row, vertex = np.nonzero(grid.sample(skin_m) < config.penetration_reach_m)
@@ -284,7 +286,7 @@ def _report_keyframes(
     frames = problem.frame
     touching = {
         "before": [part.skin_m for part in problem.contacts],
-        "after": [after.parts_m[part.joint][frames[part.keyframe]] for part in problem.contacts],
+        "after": [after.touching_m(part.joints)[frames[part.keyframe]] for part in problem.contacts],
     }
     visible: dict[str, list[np.ndarray]] = {"before": [], "after": []}
     for target in problem.depth:
@@ -338,4 +340,4 @@ def _weights(config: KeyframesConfig) -> RootWeights:
     )
 
 
-STAGE = StageSpec("keyframes", optimize_keyframes, version=4)
+STAGE = StageSpec("keyframes", optimize_keyframes, version=5)

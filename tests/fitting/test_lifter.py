@@ -251,12 +251,13 @@ def test_other_poses_of_a_fitted_body(walk: Walk, network: Lifter) -> None:
 def test_known_height_scales_the_lifted_body(walk: Walk, network: Lifter) -> None:
     """A child of 1.2 m stands nearer than an adult who looks the same."""
     lifted = lift(walk.observed, network)
-    sizes = []
-    for stature_m in (1.55, 1.85):
+    sizes = {}
+    for stature_m in (1.2, 1.55, 1.85):
         config = replace(FitConfig(), stature_m=stature_m, stature_sigma_m=0.01)
-        sizes.append(fit_body(walk.observed, fit_focal=False, iterations=120, lifted=lifted, config=config))
-    ratio = sizes[0].translation_camera_m[:, 2].mean() / sizes[1].translation_camera_m[:, 2].mean()
-    assert ratio == pytest.approx(1.55 / 1.85, rel=0.03)
+        sizes[stature_m] = fit_body(walk.observed, fit_focal=False, iterations=120, lifted=lifted, config=config)
+    for stature_m, fit in sizes.items():
+        ratio = fit.translation_camera_m[:, 2].mean() / sizes[1.85].translation_camera_m[:, 2].mean()
+        assert ratio == pytest.approx(stature_m / 1.85, rel=0.03)
 
 
 def test_pieces_cover_the_clip_and_share_frames() -> None:

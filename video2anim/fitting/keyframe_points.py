@@ -15,6 +15,14 @@ CONTACT_JOINTS = (
     "pelvis", "left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist",
 )  # fmt: skip
 """Parts that may be pulled to a surface."""
+TOUCHING: tuple[tuple[int, ...], ...] = tuple(
+    tuple(JOINT_INDEX[name] for name in names)
+    for names in (
+        ("pelvis",), ("left_ankle", "left_foot"), ("right_ankle", "right_foot"), ("left_wrist",), ("right_wrist",),
+    )
+)  # fmt: skip
+"""Parts that touch as one: a foot touches where it is lowest. Were heel and toe pulled to the surface apart, a foot
+whose pitch is a little wrong would be pressed into it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,6 +32,10 @@ class SkinPoints:
     spread_m: Float[np.ndarray, "frames spread 3"]
     parts_m: dict[int, Float[np.ndarray, "frames part 3"]]
     """By contact joint."""
+
+    def touching_m(self, joints: tuple[int, ...]) -> Float[np.ndarray, "frames vertices 3"]:
+        """Skin of parts that touch as one."""
+        return np.concatenate([self.parts_m[joint] for joint in joints], axis=1)
 
 
 class SkinSample:

@@ -38,9 +38,9 @@ class RootWeights:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactPart:
-    """Skin of one part at the keyframes where it touches."""
+    """Skin of what touches as one, at the keyframes where it touches."""
 
-    joint: int
+    joints: tuple[int, ...]
     keyframe: Int[np.ndarray, "touches"]
     """Rows of `RootProblem.frame`."""
     skin_m: Float[np.ndarray, "touches vertices 3"]

@@ -226,9 +226,9 @@ class Objective:
         return c.lifted_share * (self._believed * (joints + angles)).sum()
 
     def _as_far(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
-        """The distance that the lifter sees in the size of a body of middling build."""
+        """The distance that the lifter sees in the size of a body of middling build; a small one is as much nearer."""
         assert self._distance_per_px is not None
-        wanted = parameters.log_focal + self._distance_per_px.log()
+        wanted = parameters.log_focal + (self._distance_per_px * prediction.stature_m / self.start_stature_m).log()
         off = (self._believed * (prediction.joints_m[:, 0, 2].clamp_min(0.1).log() - wanted)).sum()
         ratio = off / self._believed.sum() / self.config.lifted_distance_ratio
         return 0.5 * self._prior_weight * ratio.square()
@@ -236,6 +236,8 @@ class Objective:
     def _landmarks_3d(self, prediction: Prediction) -> torch.Tensor:
         hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
         relative = prediction.keypoints_m - prediction.keypoints_m[:, hips].mean(1, keepdim=True)
+        # The landmark model tells poses, not sizes: everybody is as tall as a middling adult to it.
+        relative = relative * (self.start_stature_m / prediction.stature_m)
         turned = torch.einsum("tba,tkb->tka", self._R_camera_landmarks, relative)
         wanted = self._points - self._points[:, hips].mean(1, keepdim=True)
         sigma = torch.tensor([self.config.landmark_3d_m, self.config.landmark_3d_m, self.config.landmark_3d_depth_m])

@@ -19,7 +19,7 @@ _STARTS = (0.55, 0.95, 1.7)
 """Focal lengths, in picture heights, that the fit starts from."""
 _HELD = 1e-3
 """A known focal length may move by this share, for the sake of the solver."""
-_INDEPENDENT_CELLS = 3.0
+_INDEPENDENT_CELLS = 2.3
 """So many independent observations all fields of a view are worth together; calibrated on held-out renders
 (`benchmarks/room_net.py`)."""
 

@@ -54,7 +54,7 @@ class ModelEntry:
 
 
 _MEDIAPIPE = "0.10.21"
-_ROOM_NET = "b826aea5026a1be5ee129d185c246d19f9b5d50489294cf42db182d2f32bb969"
+_ROOM_NET = "339c3ea23793d9ae35542ba70607fcbb1c3893c7ca2d186d23de4f6497466807"
 """Digest of the room network: one file for three slots."""
 _ROOM_NET_BYTES = 11_280_767
 _BLAZEPOSE = "video2anim.models.blazepose:BlazePose"
