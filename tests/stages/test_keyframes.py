@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from keyframe_problem import depth_of, optimize, quality, root_m, scene
 from synthetic import planted_walk, with_root_shift
+
+from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.fitting import keyframe_points
+from video2anim.fitting.keyframe_points import TOUCHING
+from video2anim.geometry.rotations import matrix_from_axis_angle
 
 FRAMES = 91
 
@@ -97,3 +104,22 @@ def test_the_shortest_clips_work(frames: int) -> None:
     raw = with_root_shift(planted_walk(frames), np.tile([0.0, -0.05, 0.0], (frames, 1)))
     done, _ = optimize(raw, scene())
     assert np.abs(root_m(done.people[0]) - root_m(raw))[:, 1].min() > 0.03
+
+
+def test_a_foot_of_the_wrong_pitch_touches_where_it_is_lowest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both heel and toe are said to touch; drawn to the floor apart, each would press the other into it."""
+    truth = planted_walk(FRAMES)
+    R = truth.R_parent_joint.copy()
+    for name in ("left_ankle", "right_ankle"):
+        R[:, JOINT_INDEX[name]] = R[:, JOINT_INDEX[name]] @ matrix_from_axis_angle(np.array([-0.3, 0.0, 0.0]))
+    contact = truth.contact.copy()
+    for side in ("left", "right"):
+        pair = [JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"]]
+        contact[:, pair] = contact[:, pair].max(1, keepdims=True)
+    pitched = replace(truth.with_pose(translation_world_m=root_m(truth), R_parent_joint=R), contact=contact)
+    _, together = optimize(pitched, scene())
+    monkeypatch.setattr(keyframe_points, "TOUCHING", tuple((joint,) for part in TOUCHING for joint in part))
+    _, apart = optimize(pitched, scene())
+    deepest = [quality(ctx, "penetration mean after") for ctx in (together, apart)]
+    assert deepest[0] < 0.6 * deepest[1]
+    assert quality(together, "contact distance after") < 0.01
