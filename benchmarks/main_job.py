@@ -34,11 +34,7 @@ LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 JOINTS = [JOINT_INDEX[f"{side}_{part}"] for part in LIMBS for side in ("left", "right")]
 LANDMARKS = [11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28]
 HIPS = slice(6, 8)
-STEPS = (
-    ("raw", "humans", BodyTracks),
-    ("keyframes", "keyframes", KeyframedMotion),
-    ("refined", "refine", RefinedMotion),
-)
+STEPS = {"humans": BodyTracks, "keyframes": KeyframedMotion, "refine": RefinedMotion}
 """Stages whose motions are compared, and what they make."""
 REFINEMENT = (
     "frames in collision, over 1 cm", "deepest penetration", "foot skating (gmd)", "foot skating (kimodo)", "jerk",
@@ -52,9 +48,10 @@ def main() -> None:
     parser.add_argument("--media", type=Path, default=Path("../shared/media"))
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--clips", nargs="*", default=CLIPS)
+    parser.add_argument("--work", type=Path, help="empty folder for the scene folders, to look at them")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="main_job-") as work:
-        rows = [measure(options.media, name, Path(work) / name) for name in options.clips]
+        rows = [measure(options.media, name, (options.work or Path(work)) / name) for name in options.clips]
     report = {
         "date": datetime.date.today().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
