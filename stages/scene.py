@@ -55,7 +55,7 @@ class SceneConfig:
     """Resolution of the room surface."""
     free_depth_m: float = 0.05
     """Skin deeper than this inside an object speaks against the object's place."""
-    free_share: float = 0.02
+    free_share: float = 0.005
     """Share of the skin (hands and feet left out) that must be that deep for a frame to count."""
     free_frames_ratio: float = 0.2
     """Share of the frames that speaks against an object; a body that touches or sits may sink in now and then."""
@@ -321,4 +321,4 @@ def _background(
     return room_surface(depth_m.astype(np.float64), wanted, rgb, body.T_world_camera[0], body.intrinsics.resized(*size))
 
 
-STAGE = StageSpec("scene", build_scene, version=7)
+STAGE = StageSpec("scene", build_scene, version=8)
