@@ -10,6 +10,9 @@ import pytest
 from synthetic import planted_walk
 
 from stages.scene import SUPPORT, SceneConfig, _not_refuted, _with_supports
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.fitting.free_space import posed_vertices
 from video2anim.geometry.scene_mesh import box_mesh
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyMotion, BodyTracks, PlacedObject
@@ -74,3 +77,25 @@ def test_an_object_a_little_off_is_brought_under_the_feet(tmp_path: Path) -> Non
     under = made[0].mesh.vertices_m[:, [0, 2]] + made[0].T_world_object[[0, 2], 3]
     assert (under.min(0) <= feet_m.min(0)[[0, 2]]).all()
     assert (under.max(0) >= feet_m.max(0)[[0, 2]]).all()
+
+
+@pytest.mark.parametrize(("deep_m", "hollow"), [(0.09, True), (0.02, False)])
+def test_a_bench_is_hollowed_where_a_knee_stays_deep_inside(tmp_path: Path, deep_m: float, hollow: bool) -> None:
+    """Somebody stands at a bench's end: a knee is little of a body's skin, but too deep for an error of the pose."""
+    walk = planted_walk(60)
+    motion = walk.with_pose(
+        translation_world_m=np.repeat(walk.T_world_root[:1, :3, 3], 60, axis=0),
+        R_parent_joint=np.tile(np.eye(3), (60, 22, 1, 1)),
+    )
+    body = shaped_body(motion.shape)
+    knee_m = motion.joints_world_m[0, JOINT_INDEX["left_knee"]]
+    shin = np.flatnonzero(body.vertex_part == JOINT_INDEX["left_knee"])
+    front_m = float(posed_vertices(motion, body, shin, np.array([0]))[..., 2].max())
+    bench = box_mesh(0.2, 0.5, 1.0)
+    T_world_object = np.eye(4)
+    T_world_object[[0, 2], 3] = knee_m[0], front_m - deep_m + 0.5
+    placed = [PlacedObject(1, "bench", bench, 1.0, T_world_object, 0.0, 0.0, True, "")]
+    ctx = StageContext(tmp_path)
+    (kept,) = _not_refuted(placed, BodyTracks((motion,)), SceneConfig(), ctx)
+    assert ("hollowed" in kept.reason) is hollow
+    assert len(ctx.warnings) == hollow
