@@ -34,7 +34,7 @@ _NEAR_M = 0.15
 """A descent does not move a ball farther."""
 
 Value = Callable[[Pose], Tensor]
-"""Poses to one cost per window (B,)."""
+"""Poses to one cost per window: (batch,), or (tries, batch) where poses have that axis before the windows'."""
 
 
 class Cost(Protocol):
@@ -65,13 +65,13 @@ class ContactCost:
         stands = low[:, 1:] * low[:, :-1] * torch.exp(-((speed / GMD_SPEED_M_S) ** 2))
 
         def value(pose: Pose) -> Tensor:
-            velocity = self._velocity(pose.joints_m[:, :, (*ANKLES, *TOES)])
-            return (stands * (velocity**2).sum(-1)).mean((1, 2))
+            velocity = self._velocity(pose.joints_m[..., (*ANKLES, *TOES), :])
+            return (stands * (velocity**2).sum(-1)).mean((-2, -1))
 
         return value
 
     def _velocity(self, feet_m: Tensor) -> Tensor:
-        return self.fps * (feet_m[:, 1:] - feet_m[:, :-1])
+        return self.fps * feet_m.diff(dim=-3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +99,7 @@ class PenetrationCost:
             near.append(torch.nonzero(clear_m < _NEAR_M)[:, 0].cpu())
 
         def value(pose: Pose) -> Tensor:
-            return torch.stack([self._total(pose, i, chosen) for i, chosen in enumerate(near)])
+            return torch.stack([self._total(pose, i, chosen) for i, chosen in enumerate(near)], -1)
 
         return value
 
@@ -113,12 +113,12 @@ class PenetrationCost:
 
     def _total(self, pose: Pose, i: int, chosen: Tensor) -> Tensor:
         if not len(chosen):
-            return pose.joints_m.new_zeros(())
-        return 1e4 * (functional.relu(-self.clearance_m(pose, i, chosen)) ** 2).sum(-1).mean()
+            return pose.joints_m.new_zeros(pose.joints_m.shape[:-4])
+        return 1e4 * (functional.relu(-self.clearance_m(pose, i, chosen)) ** 2).sum(-1).mean(-1)
 
     def clearance_m(
         self, pose: Pose, i: int, chosen: Int[Tensor, "chosen"] | None = None
-    ) -> Float[Tensor, "frames chosen"]:
+    ) -> Float[Tensor, "*tries frames chosen"]:
         """How far balls of window `i`, which has a scene, are from solids; less than zero: deeper than they may be."""
         distance = self.distances[i]
         assert distance is not None
@@ -131,12 +131,12 @@ class PenetrationCost:
 
 def placed_balls(
     balls: BodyBalls, pose: Pose, window: int, rows: Int[np.ndarray, "chosen"]
-) -> Float[Tensor, "frames chosen 3"]:
+) -> Float[Tensor, "*tries frames chosen 3"]:
     """Centers of some balls of one window."""
     joint = balls.joint[rows]
     center = torch.from_numpy(balls.center_joint_m[rows]).to(pose.joints_m)
-    turned = (pose.R_world_joint[window][:, joint] * center[:, None, :]).sum(-1)
-    return pose.joints_m[window][:, joint] + turned
+    turned = (pose.R_world_joint[..., window, :, :, :, :][..., joint, :, :] @ center[:, :, None])[..., 0]
+    return pose.joints_m[..., window, :, :, :][..., joint, :] + turned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +151,7 @@ class KeyframeCost:
         share = self.mask / self.mask.sum(1, keepdim=True)
 
         def value(pose: Pose) -> Tensor:
-            return 1e4 * (share * ((pose.joints_m - self.joints_m) ** 2).sum(-1).mean(-1)).sum(1)
+            return 1e4 * (share * ((pose.joints_m - self.joints_m) ** 2).sum(-1).mean(-1)).sum(-1)
 
         return value
 
@@ -176,9 +176,13 @@ class Guidance:
         self.statistics, self.rest_joints_m, self.costs = statistics, rest_joints_m, tuple(costs)
         self.iterations, self.smooth_frames = iterations, smooth_frames
 
-    def pose(self, x0: Float[Tensor, "batch frames 201"]) -> Pose:
+    def pose(self, x0: Float[Tensor, "*tries batch frames 201"]) -> Pose:
         """Joints of normalized features, in the canonical frame."""
-        return pose_of(self.statistics.denormalize(x0), self.rest_joints_m.to(x0))
+        features, rest_joints_m = self.statistics.denormalize(x0), self.rest_joints_m.to(x0)
+        if x0.ndim == 3:
+            return pose_of(features, rest_joints_m)
+        pose = pose_of(features.flatten(0, 1), rest_joints_m.repeat(len(x0), 1, 1))
+        return Pose(*(part.unflatten(0, x0.shape[:2]) for part in (pose.joints_m, pose.R_world_joint)))
 
     def __call__(self, x0: Float[Tensor, "batch frames 201"]) -> Float[Tensor, "batch frames 201"]:
         """The window after a few descent steps; windows whose cost no step lowers stay as they are."""
@@ -190,12 +194,14 @@ class Guidance:
             pose = self.pose(x)
             costs = [weight * value(pose) for weight, value in values]
             if self.stay:
-                costs.append(1e4 * self.stay * (pose.joints_m - given.joints_m).square().sum(-1).mean((1, 2)))
+                costs.append(1e4 * self.stay * (pose.joints_m - given.joints_m).square().sum(-1).mean((-2, -1)))
             return torch.stack(costs).sum(0)
 
         x = x0.detach()
         for _ in range(self.iterations):
-            x = self._step(x, total)
+            before, x = x, self._step(x, total)
+            if torch.equal(before, x):
+                break
         return x
 
     def _step(self, x: Tensor, total: Callable[[Tensor], Tensor]) -> Tensor:
@@ -211,12 +217,12 @@ class Guidance:
         peak = direction.abs().amax((1, 2), keepdim=True)
         length = _LONGEST_STEP / peak.clamp(min=1e-12)
         with torch.no_grad():
-            tried = [length * 0.5**halving for halving in range(_HALVINGS)]
-            costs = torch.stack([total(x - step * direction) for step in tried])
+            tried = torch.stack([length * 0.5**halving for halving in range(_HALVINGS)])
+            costs = total(x - tried * direction)
             gain = (cost.detach() - costs).clamp(min=0)
             # Lengths that gain nearly as much as the best one share in it: rounding must not choose between them.
             share = torch.exp((gain / gain.amax(0).clamp(min=1e-30) - 1) / _NEARLY) * (gain > 0)
-            mean = (share[:, :, None, None] * torch.stack(tried)).sum(0) / share.sum(0).clamp(min=1e-30)[:, None, None]
+            mean = (share[:, :, None, None] * tried).sum(0) / share.sum(0).clamp(min=1e-30)[:, None, None]
             moved = x - mean * direction
             return torch.where((total(moved) < cost)[:, None, None], moved, x)
 

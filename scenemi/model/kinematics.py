@@ -80,8 +80,8 @@ def posed(
     for joints, parents in LEVELS:
         above = torch.stack([orientation[p] for p in parents], 2)
         at = torch.stack([position[p] for p in parents], 2)
-        along = (above * bones[:, None, [j - 1 for j in joints], None, :]).sum(-1)
-        turned = (above[..., :, :, None] * R_parent_joint[:, :, joints][..., None, :, :]).sum(-2)
+        along = (above @ bones[:, None, [j - 1 for j in joints], :, None])[..., 0]
+        turned = above @ R_parent_joint[:, :, joints]
         for k, j in enumerate(joints):
             position[j] = at[:, :, k] + along[:, :, k]
             orientation[j] = turned[:, :, k]

@@ -72,8 +72,8 @@ def losses(answer: RoomAnswer, batch: PictureBatch) -> dict[str, Tensor]:
         "offset": 2.0 * off,
         "boundary": 0.3 * edge,
         # Laplace likelihood: the network tells how far off it expects to be.
-        "up": 0.15 * (turned * torch.exp(-sigma[:, 0]) + sigma[:, 0]).mean() + 2.0 * turned.mean(),
-        "latitude": 0.15 * (off_latitude * torch.exp(-sigma[:, 1]) + sigma[:, 1]).mean() + 3.0 * off_latitude.mean(),
+        "up": 0.15 * (turned * torch.exp(-sigma[:, 0]) + sigma[:, 0]).mean() + 4.0 * turned.mean(),
+        "latitude": 0.15 * (off_latitude * torch.exp(-sigma[:, 1]) + sigma[:, 1]).mean() + 6.0 * off_latitude.mean(),
     }
 
 
