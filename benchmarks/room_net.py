@@ -25,6 +25,7 @@ import numpy as np
 from video2anim.artifacts.images import read_picture
 from video2anim.geometry.hue_jitter import jittered_disparity
 from video2anim.geometry.perspective_field import FieldCamera, fit_camera
+from video2anim.geometry.room_lines import camera_with_edges, straight_edges
 from video2anim.models import find_model, model_path
 from video2anim.models.room_net import RoomDepth, RoomNet, RoomSegment
 from video2anim.models.segmentation import CLASSES
@@ -73,7 +74,9 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
                 view = net.see(rgb)
                 truth = inverse_depth(maps["depth_mm"][row])
                 rows.append(compared(enlarged(view.disparity, truth.shape), truth) | plane_numbers(truth))
-                rows[-1] |= camera_numbers(fit_camera([view.field], rgb.shape[1] / rgb.shape[0]), maps, row)
+                by_fields, both = cameras_of(net, [rgb])
+                rows[-1] |= camera_numbers(both, maps, row)
+                rows[-1] |= {f"{n} of fields alone": v for n, v in camera_numbers(by_fields, maps, row).items()}
                 found = segment.segment(rgb)
                 label = CLASS_TABLE[maps["label"][row]]
                 rows[-1] |= class_numbers(found.semantic, label)
@@ -82,7 +85,8 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
                 if len(rows) <= JITTERED:
                     kept_dropped.append(kept_and_dropped(depth, rgb, truth))
     means = {name: float(np.nanmean([r[name] for r in rows])) for name in rows[0]}
-    medians = {f"median {n}": float(np.median([r[n] for r in rows])) for n in ("fov_y_deg", "gravity_deg", "absrel")}
+    named = ("fov_y_deg", "gravity_deg", "fov_y_deg of fields alone", "gravity_deg of fields alone", "absrel")
+    medians = {f"median {n}": float(np.median([r[n] for r in rows])) for n in named}
     kept, dropped = np.nanmean(kept_dropped, axis=0)[:2]
     told = [abs(r["focal_log"]) / r["focal_log_sigma"] for r in rows]
     return {
@@ -126,6 +130,13 @@ def plane_numbers(truth: np.ndarray) -> dict[str, float]:
     design = np.stack([x, y, np.ones(len(x))], 1).astype(np.float64)
     fitted = design @ np.linalg.lstsq(design, truth[known], rcond=None)[0]
     return {f"{name} of plane": value for name, value in scores(fitted, truth[known]).items()}
+
+
+def cameras_of(net: RoomNet, pictures: list[np.ndarray]) -> tuple[FieldCamera, FieldCamera]:
+    """Camera of some pictures of one view by the network's fields alone, and with straight edges."""
+    height, width = pictures[0].shape[:2]
+    camera = fit_camera([net.see(picture).field for picture in pictures], width / height)
+    return camera, camera_with_edges(camera, [straight_edges(picture) for picture in pictures])
 
 
 def camera_numbers(camera: FieldCamera, maps: dict[str, np.ndarray], row: int) -> dict[str, float]:
@@ -193,35 +204,44 @@ def rgbd(path: Path, folder: Path) -> dict[str, float]:
         view = net.see(rgb)
         truth = inverse_depth(depth_mm)
         rows.append(compared(enlarged(view.disparity, truth.shape), truth) | plane_numbers(truth))
-        cameras.append(fit_camera([view.field], rgb.shape[1] / rgb.shape[0]))
+        cameras.append(cameras_of(net, [rgb]))
     means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
-    focal_px = 480 * np.array([camera.focal_ratio for camera in cameras])
-    true_px = float(lens["fy"])
+    focal_px = 480 * np.array([[camera.focal_ratio for camera in both] for both in cameras])
+    by_fields, both = np.median(100 * np.abs(focal_px / float(lens["fy"]) - 1), axis=0)
     return {
         "pictures": len(rows), **means, "over plane": means["absrel"] / means["absrel of plane"],
         "median over plane": float(np.median([row["absrel"] / row["absrel of plane"] for row in rows])),
-        "median focal error percent": float(np.median(100 * np.abs(focal_px / true_px - 1))),
+        "median focal error percent": float(both), "median focal error percent of fields alone": float(by_fields),
     }  # fmt: skip
 
 
 def pose2sim(path: Path, media: Path) -> dict[str, dict[str, float]]:
-    """Lens and gravity of the calibrated cameras by the network alone: three frames, fitted together."""
+    """Lens and gravity of the calibrated cameras by pictures alone, nobody looked at: three frames together."""
     net, found = RoomNet(path), {}
     for name in ("pose2sim_single_cam01", "pose2sim_single_cam02"):
         truth = json.loads((media / "reference" / f"{name}.json").read_text())
         video = cv2.VideoCapture(str(media / "videos" / f"{name}.mp4"))
         chosen = [picture_of(video, share) for share in (0.0, 0.5, 0.95)]
-        height, width = chosen[0].shape[:2]
-        camera = fit_camera([net.see(picture).field for picture in chosen], width / height)
+        height = chosen[0].shape[0]
         up = np.asarray(truth["R_camera_world"], float)[:, 2]
-        found[name] = {
-            "focal error percent": float(100 * abs(camera.focal_ratio * height / truth["fy"] - 1)),
-            "focal over truth": float(camera.focal_ratio * height / truth["fy"]),
-            "focal sigma percent": 100 * camera.focal_log_sigma,
-            "gravity error deg": float(np.degrees(np.arccos(np.clip(camera.up_camera @ up, -1, 1)))),
-            "gravity sigma deg": float(np.degrees(camera.up_sigma_rad)),
-        }
+        found[name] = {}
+        for camera, of in zip(cameras_of(net, chosen), (" of fields alone", ""), strict=True):
+            found[name] |= {
+                f"{key}{of}": value for key, value in camera_errors(camera, height, truth["fy"], up).items()
+            }
     return found
+
+
+def camera_errors(camera: FieldCamera, height_px: int, true_fy_px: float, true_up: np.ndarray) -> dict[str, float]:
+    """Against a calibration."""
+    focal_ratio = camera.focal_ratio * height_px / true_fy_px
+    return {
+        "focal error percent": float(100 * abs(focal_ratio - 1)),
+        "focal over truth": float(focal_ratio),
+        "focal sigma percent": 100 * camera.focal_log_sigma,
+        "gravity error deg": float(np.degrees(np.arccos(np.clip(camera.up_camera @ true_up, -1, 1)))),
+        "gravity sigma deg": float(np.degrees(camera.up_sigma_rad)),
+    }
 
 
 def picture_of(video: cv2.VideoCapture, share: float) -> np.ndarray:

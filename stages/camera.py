@@ -49,6 +49,8 @@ class CameraConfig:
     """Model of slot `camera` that gives perspective fields; `none` leaves the camera to the person alone."""
     field_frames: int = 3
     """Pictures whose fields are fitted together; one for a moving camera."""
+    straight_edges: bool = True
+    """Correct what the fields say by the straight edges of the room."""
 
 
 def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig, ctx: StageContext) -> CameraEstimate:
@@ -62,6 +64,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
         UsageError: a focal length or height that no camera or person has.
     """
     from video2anim.fitting.problem import evenly_spread
+    from video2anim.geometry.perspective_field import pitch_roll_of
 
     _expect_sane(config, clip)
     main = tracks.selected()[0].whole(clip.frame_count)
@@ -82,7 +85,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
         ctx.quality("focal of picture uncertainty", picture.focal_log_sigma, "ratio", "lower")
     if sigma > 0.2:
         ctx.warn(f"focal length is uncertain ({sigma:.0%}); give --focal-px if you know it")
-    pitch, roll = _pitch_roll(up.up)
+    pitch, roll = pitch_roll_of(up.up)
     ctx.quality("focal", focal_px, "px")
     ctx.quality("focal uncertainty", sigma, "ratio", "lower")
     ctx.quality("pitch", math.degrees(pitch), "deg")
@@ -111,20 +114,23 @@ def _lifted(clip: VideoClip, track: PersonTrack, config: CameraConfig, ctx: Stag
 
 
 def _picture_camera(clip: VideoClip, config: CameraConfig, ctx: StageContext) -> FieldCamera | None:
-    """Lens and gravity by the perspective fields of a few pictures of the same view."""
+    """Lens and gravity by the perspective fields and straight edges of a few pictures of the same view."""
     from video2anim.geometry.perspective_field import fit_camera
+    from video2anim.geometry.room_lines import camera_with_edges, straight_edges
     from video2anim.video import read_frames
 
     if config.camera_model == NO_MODEL:
         return None
     model = ctx.model(config.camera_model)
     count = config.field_frames if clip.camera_is_static else 1
-    fields = []
-    for frame in np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int)):
-        picture = next(iter(read_frames(clip, int(frame), int(frame) + 1)))
-        fields.append(model.field(picture))
+    chosen = np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int))
+    pictures = [next(iter(read_frames(clip, int(frame), int(frame) + 1))) for frame in chosen]
     known = None if config.focal_px is None else config.focal_px / clip.height_px
-    return fit_camera(fields, clip.width_px / clip.height_px, focal_ratio=known)
+    fields = [model.field(picture) for picture in pictures]
+    camera = fit_camera(fields, clip.width_px / clip.height_px, focal_ratio=known)
+    if not config.straight_edges:
+        return camera
+    return camera_with_edges(camera, [straight_edges(p) for p in pictures], focal_known=known is not None)
 
 
 def _focal_prior(clip: VideoClip, picture: FieldCamera | None) -> tuple[float, float]:
@@ -237,11 +243,6 @@ def _up(body: FittedBody, seen: np.ndarray, duration_s: float) -> UpEstimate:
     return UpEstimate(together / np.linalg.norm(together), sigma_rad, balance.support)
 
 
-def _pitch_roll(up_camera: np.ndarray) -> tuple[float, float]:
-    """Pitch (positive looks up) and roll of a camera whose up vector is given in its own axes."""
-    return math.asin(float(np.clip(up_camera[2], -1, 1))), math.atan2(float(up_camera[0]), float(-up_camera[1]))
-
-
 def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
     long_side = max(clip.width_px, clip.height_px)
     if config.focal_px is not None and not 0.2 * long_side <= config.focal_px <= 20 * long_side:
@@ -253,4 +254,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         raise UsageError(f"--height-m: want 0.5 to 2.5 metres, got {config.height_m:g}")
 
 
-STAGE = StageSpec("camera", estimate_camera, version=9, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=10, models=("lifter", "camera"))

@@ -71,6 +71,7 @@ def depth_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.nda
 def camera_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     """Focal length, and for models with perspective fields gravity, both with uncertainty, and the fields themselves.
 
+    Fields are fitted by a camera, which straight edges of the picture then correct, as in stage camera.
     `focal_px` (N,), `fov_y_rad` (N,); `focal_log_sigma` (N,), `up_camera` (N, 3) unit, OpenCV axes, `pitch_rad` and
     `roll_rad` (N,), positive looks up and turns clockwise, `up_sigma_rad` (N,), `up_field` (N, rows, columns, 2),
     `latitude_rad` (N, rows, columns).
@@ -78,13 +79,17 @@ def camera_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.nd
     import numpy as np
 
     from video2anim.geometry.perspective_field import fit_camera
+    from video2anim.geometry.room_lines import camera_with_edges, straight_edges
 
     height, width = pictures[0].shape[:2]
     if not hasattr(model, "field"):
         focal_px = np.array([model.focal_px(picture) for picture in pictures])
         return {"focal_px": focal_px, "fov_y_rad": 2 * np.arctan(0.5 * height / focal_px)}
     fields = [model.field(picture) for picture in pictures]
-    cameras = [fit_camera([field], width / height) for field in fields]
+    cameras = [
+        camera_with_edges(fit_camera([field], width / height), [straight_edges(picture)])
+        for field, picture in zip(fields, pictures, strict=True)
+    ]
     up = np.stack([camera.up_camera for camera in cameras])
     return {
         "focal_px": np.array([camera.focal_ratio * height for camera in cameras]),

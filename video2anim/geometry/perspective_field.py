@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -44,12 +45,20 @@ class FieldCamera:
 
     focal_ratio: float
     """Focal length in picture heights."""
-    focal_log_sigma: float
-    """Standard deviation of its logarithm."""
     up_camera: Float[np.ndarray, "3"]
     """Unit up vector in camera axes (+X right, +Y down, +Z forward)."""
-    up_sigma_rad: float
-    """Expected error of the up vector."""
+    covariance: Float[np.ndarray, "3 3"]
+    """Of the focal length's logarithm, pitch and roll (radians)."""
+
+    @property
+    def focal_log_sigma(self) -> float:
+        """Standard deviation of the focal length's logarithm."""
+        return math.sqrt(self.covariance[0, 0])
+
+    @property
+    def up_sigma_rad(self) -> float:
+        """Expected error of the up vector."""
+        return math.sqrt(self.covariance[1, 1] + self.covariance[2, 2])
 
     @property
     def fov_y_rad(self) -> float:
@@ -97,7 +106,7 @@ def fit_camera(fields: Sequence[PerspectiveField], aspect: float, *, focal_ratio
         parts = []
         for field in fields:
             rows, columns = field.latitude_rad.shape
-            up, latitude = field_of_camera(rows, columns, aspect, math.exp(state[0]), _up_of(state[1], state[2]))
+            up, latitude = field_of_camera(rows, columns, aspect, math.exp(state[0]), up_of(state[1], state[2]))
             cross = up[..., 0] * field.up[..., 1] - up[..., 1] * field.up[..., 0]
             turned = np.arctan2(cross, (up * field.up).sum(-1))
             parts += [turned / field.up_sigma_rad, (latitude - field.latitude_rad) / field.latitude_sigma_rad]
@@ -124,16 +133,20 @@ def fit_camera(fields: Sequence[PerspectiveField], aspect: float, *, focal_ratio
     covariance = np.linalg.inv(information + 1e-9 * np.eye(3))
     return FieldCamera(
         focal_ratio=math.exp(best.x[0]) if focal_ratio is None else focal_ratio,
-        focal_log_sigma=float(math.sqrt(covariance[0, 0])),
-        up_camera=_up_of(best.x[1], best.x[2]),
-        up_sigma_rad=float(math.sqrt(covariance[1, 1] + covariance[2, 2])),
+        up_camera=up_of(best.x[1], best.x[2]),
+        covariance=covariance,
     )
 
 
-def _up_of(pitch_rad: float, roll_rad: float) -> Float[np.ndarray, "3"]:
+def up_of(pitch_rad: Any, roll_rad: Any) -> Float[np.ndarray, "*batch 3"]:
     """Up in camera axes of a camera that looks up by pitch and is turned by roll about its axis."""
-    level = math.cos(pitch_rad)
-    return np.array([level * math.sin(roll_rad), -level * math.cos(roll_rad), math.sin(pitch_rad)])
+    level = np.cos(pitch_rad)
+    return np.stack([level * np.sin(roll_rad), -level * np.cos(roll_rad), np.sin(pitch_rad)], -1)
+
+
+def pitch_roll_of(up_camera: Float[np.ndarray, "3"]) -> tuple[float, float]:
+    """Pitch (positive looks up) and roll of a camera whose unit up vector is given in its own axes."""
+    return math.asin(float(np.clip(up_camera[2], -1, 1))), math.atan2(float(up_camera[0]), float(-up_camera[1]))
 
 
 def _middle_up(field: PerspectiveField) -> Float[np.ndarray, "2"]:
