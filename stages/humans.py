@@ -28,6 +28,8 @@ _REGRESSOR_ERROR_M = 0.05
 """Error that joints of a body regressor are taken to have about the pelvis; it tells none itself."""
 _FRAMES_AT_ONCE = 256
 """Of meshes in memory."""
+_SAME_SIZE = 1e-3
+"""Sizes this near to each other are left."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,8 @@ def recover_humans(
     if _is_regressor(config):
         lifted = _regressed(clip, selected, camera, lifted, config, ctx)
     fits = [_fit(seen, raised, config, ctx) for seen, raised in zip(observed, lifted, strict=True)]
+    if len(fits) > 1 and config.method != "lifter":
+        fits = _on_one_floor(selected, observed, fits, camera, config, ctx)
     T_world_camera, spread_m = _world(fits[0], selected[0].valid, _R_world_camera(camera), clip.fps)
     people = tuple(
         _motion(clip, track, fit, camera, T_world_camera, raised)
@@ -157,6 +161,44 @@ def _smoothed(observed: Observations, fit: FittedBody, config: HumansConfig) -> 
         fit.R_parent_joint, fit.translation_camera_m, np.ones(frames, bool), fps=fps, cutoff_hz=config.cutoff_hz
     )
     return reposed(observed, fit, R, translation_m)
+
+
+def _on_one_floor(
+    tracks: tuple[PersonTrack, ...],
+    observed: list[Observations],
+    fits: list[FittedBody],
+    camera: CameraEstimate,
+    config: HumansConfig,
+    ctx: StageContext,
+) -> list[FittedBody]:
+    """Everybody at the size that puts their feet on the floor they share."""
+    from video2anim.fitting.common_floor import grown, shared_scales
+    from video2anim.fitting.ground import floor_height
+    from video2anim.fitting.objective import FitConfig
+
+    R_world_camera = _R_world_camera(camera)
+    fps = 1.0 / float(np.median(np.diff(observed[0].frame_time_s)))
+    usual = FitConfig()
+    below_m, distance_m = np.empty(len(fits)), np.empty(len(fits))
+    for i, (track, fit) in enumerate(zip(tracks, fits, strict=True)):
+        below_m[i] = -floor_height(_sole_heights(fit, R_world_camera)[track.valid], fps)[0]
+        root_m = np.einsum("tab,tb->ta", R_world_camera, fit.joints_camera_m[:, 0])[track.valid]
+        distance_m[i] = float(np.median(np.hypot(root_m[:, 0], root_m[:, 2])))
+    scales, shares = shared_scales(
+        below_m, distance_m, up_sigma_rad=camera.up_sigma_rad,
+        stature_sigma_ratio=(usual.stature_sigma_m if config.height_m is None else 0.01) / usual.stature_m,
+    )  # fmt: skip
+    for track, own_m, shared in zip(tracks, below_m, shares, strict=True):
+        if not shared:
+            ctx.warn(
+                f"person {track.person_id} stands {own_m - below_m[0]:+.2f} m below the floor of person "
+                f"{tracks[0].person_id}: a child, or somebody on other ground; sizes are left as they are"
+            )
+    ctx.quality("floors apart before sizes were matched", float(np.ptp(below_m[shares])) if shares.any() else 0.0, "m")
+    return [
+        grown(seen, fit, float(scale)) if abs(scale - 1) > _SAME_SIZE else fit
+        for seen, fit, scale in zip(observed, fits, scales, strict=True)
+    ]
 
 
 def _R_world_camera(camera: CameraEstimate) -> np.ndarray:
@@ -258,4 +300,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton height", quality.stature_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=7, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=8, models=("lifter",))

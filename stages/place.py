@@ -16,6 +16,7 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BodyMotion,
     BodyTracks,
+    CameraEstimate,
     InstanceMasks,
     MetricDepth,
     ObjectMesh,
@@ -50,6 +51,7 @@ def place_objects(
     masks: InstanceMasks,
     depth: MetricDepth,
     bodies: BodyTracks,
+    camera: CameraEstimate,
     config: PlaceConfig,
     ctx: StageContext,
 ) -> PlacedObjects:
@@ -63,7 +65,7 @@ def place_objects(
     visible = {instance.object_id: instance.mask for instance in masks.instances}
     placed = []
     for done, found in enumerate(meshes.objects):
-        points_m = _depth_points(visible[found.object_id], masks.floor_mask, depth, bodies.people[0])
+        points_m = _depth_points(visible[found.object_id], masks.floor_mask, depth, bodies.people[0], camera)
         placed.append(_place_one(found, points_m, depth, bodies.people[0], config, ctx))
         ctx.progress(done + 1, len(meshes.objects))
     placed = _arranged(placed, config, ctx)
@@ -167,6 +169,7 @@ def _depth_points(
     floor_mask: Bool[np.ndarray, "height width"],
     depth: MetricDepth,
     body: BodyMotion,
+    camera: CameraEstimate,
 ) -> Float[np.ndarray, "points 3"]:
     """Reliable plate depth of the object in the world, at the distance that its feet tell."""
     from video2anim.geometry.foot_line import floor_factor
@@ -176,9 +179,10 @@ def _depth_points(
     height, width = depth.background_depth_m.shape
     own, floor = (shrunk(mask, (height, width)) for mask in (visible, floor_mask))
     depth_m, lens = depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height)
-    factor = floor_factor(own, depth_m, depth.background_valid, floor, body.T_world_camera[0], lens)
-    points = backproject(factor * depth_m, lens)[own & depth.background_valid]
-    return transform_points(body.T_world_camera[0], points)
+    known, T_world_camera = depth.background_valid, body.T_world_camera[0]
+    factor = floor_factor(own, depth_m, known, floor, T_world_camera, lens, camera.up_sigma_rad)
+    points = backproject(factor * depth_m, lens)[own & known]
+    return transform_points(T_world_camera, points)
 
 
-STAGE = StageSpec("place", place_objects, version=2)
+STAGE = StageSpec("place", place_objects, version=3)

@@ -21,6 +21,7 @@ from video2anim.types import (
     BackgroundPlate,
     BodyMotion,
     BodyTracks,
+    CameraEstimate,
     CompletedObject,
     CompletedObjects,
     InstanceMasks,
@@ -72,6 +73,7 @@ def reconstruct_objects(
     depth: MetricDepth,
     plate: BackgroundPlate,
     bodies: BodyTracks,
+    camera: CameraEstimate,
     config: ReconstructConfig,
     ctx: StageContext,
 ) -> ObjectMeshes:
@@ -90,7 +92,7 @@ def reconstruct_objects(
     foreign = _user_meshes(config)
     meshes, boxes = [], 0
     for done, found in enumerate(completed.objects):
-        solid = _solid(found, visible[found.object_id], masks.floor_mask, depth, bodies.people[0], config)
+        solid = _solid(found, visible[found.object_id], masks.floor_mask, depth, bodies.people[0], camera, config)
         if solid is None:
             ctx.warn(f"reconstruct: object {found.object_id} has too little reliable depth and is dropped")
         else:
@@ -175,6 +177,7 @@ def _solid(
     floor_mask: Bool[np.ndarray, "height width"],
     depth: MetricDepth,
     body: BodyMotion,
+    camera: CameraEstimate,
     config: ReconstructConfig,
 ) -> ObjectSolid | None:
     from video2anim.geometry.carving import ObjectView
@@ -190,15 +193,14 @@ def _solid(
     height, width = shape
     added, lens = whole & ~own, body.intrinsics.resized(width, height)
     depth_m = depth.background_depth_m.astype(np.float64)
-    factor = floor_factor(own, depth_m, depth.background_valid, floor, body.T_world_camera[0], lens)
+    known, T_world_camera = depth.background_valid, body.T_world_camera[0]
+    factor = floor_factor(own, depth_m, known, floor, T_world_camera, lens, camera.up_sigma_rad)
     depth_m = np.where(own, factor * depth_m, depth_m)
-    view = ObjectView(
-        depth_m, depth.background_valid & ~added, own, floor & ~own, body.T_world_camera[0], lens
-    )  # fmt: skip
+    view = ObjectView(depth_m, known & ~added, own, floor & ~own, T_world_camera, lens)
     limits = SolidLimits(
         most_along=config.cubes_along, thickness_ratio=config.thickness_ratio, thickest_m=config.thickest_m
     )
-    distance_m = float(np.median(depth_m[own & depth.background_valid]))
+    distance_m = float(np.median(depth_m[own & known]))
     return object_solid(own, added, view, limits, blur_m=config.depth_error_ratio * distance_m)
 
 
@@ -244,4 +246,4 @@ def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[
     return picture
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=3, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=4, models=(SLOT,))

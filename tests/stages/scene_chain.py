@@ -56,8 +56,10 @@ def run_chain(room: Room) -> Chain:
     metric = fit_metric(depth, room.plate, room.bodies, MetricConfig(), ctx)
     masks = segment_plate(room.plate, metric, room.bodies, SegmentConfig(), ctx)
     completed = complete_objects(room.plate, masks, metric, CompleteConfig(), ctx)
-    meshes = reconstruct_objects(completed, masks, metric, room.plate, room.bodies, ReconstructConfig(), ctx)
-    placed = place_objects(meshes, masks, metric, room.bodies, PlaceConfig(), ctx)
+    meshes = reconstruct_objects(
+        completed, masks, metric, room.plate, room.bodies, room.camera, ReconstructConfig(), ctx
+    )
+    placed = place_objects(meshes, masks, metric, room.bodies, room.camera, PlaceConfig(), ctx)
     scene = build_scene(placed, metric, masks, room.plate, room.bodies, SceneConfig(), ctx)
     return Chain(depth, metric, masks, completed, meshes, placed, scene, ctx)
 

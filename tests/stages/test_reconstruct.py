@@ -61,6 +61,7 @@ def reconstruct(
         metric_depth(room, room.depth_m if depth_m is None else depth_m),
         room.plate,
         room.bodies if bodies is None else bodies,
+        room.camera,
         config or ReconstructConfig(),
         ctx or StageContext(Path()),
     )

@@ -62,6 +62,7 @@ def reconstruct(config: ReconstructConfig, ctx: StageContext | None = None, obje
         true_depth(room),
         room.plate,
         room.bodies,
+        room.camera,
         config,
         ctx or StageContext(Path()),
     )

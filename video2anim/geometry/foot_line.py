@@ -11,8 +11,8 @@ from video2anim.types.camera import Intrinsics
 
 _DEPTH_SIGMA = 0.12
 """Error of depth from one thing to the next, as a share of it."""
-_UP_SIGMA_RAD = 0.025
-"""Error of gravity, which tilts the floor."""
+_LEAST_UP_SIGMA_RAD = 0.005
+"""Floors are no flatter and cameras no better known than this."""
 _LEAST_COLUMNS = 6
 _LEAST_SHARE = 0.15
 """Share of a thing's columns that must be seen to end on the floor."""
@@ -30,10 +30,12 @@ def floor_factor(
     floor: Bool[np.ndarray, "height width"],
     T_world_camera: Float[np.ndarray, "4 4"],
     intrinsics: Intrinsics,
+    up_sigma_rad: float = 0.025,
 ) -> float:
     """By what a thing's depth is to be multiplied so that its feet are on the floor; 1 where they are not seen.
 
-    The two estimates are weighed by their variances: near things are known best by their feet, far ones by depth.
+    The two estimates are weighed by their variances: near things are known best by their feet, far ones by depth, the
+    farther the better gravity is known (`up_sigma_rad`, which tilts the floor).
     """
     inner = cv2.erode(own.astype(np.uint8), np.ones((2, 2), np.uint8)).astype(bool) & known
     columns = np.flatnonzero(own.any(0) & inner.any(0))
@@ -54,6 +56,7 @@ def floor_factor(
     # Farther than its depth: its feet may be outside the picture, or hidden under it.
     ratio = min(ratio, 0.0) + (0.0 if cut else max(ratio - _OVERHANG_LOG, 0.0))
     distance_m = float(np.median(ends_m))
-    floor_sigma = distance_m / height_m * _UP_SIGMA_RAD + 1.5 * distance_m / (height_m * intrinsics.fy_px)
+    tilt_rad = max(up_sigma_rad, _LEAST_UP_SIGMA_RAD)
+    floor_sigma = distance_m / height_m * tilt_rad + 1.5 * distance_m / (height_m * intrinsics.fy_px)
     weight = _DEPTH_SIGMA**2 / (_DEPTH_SIGMA**2 + floor_sigma**2)
     return float(np.exp(weight * np.clip(ratio, -_LARGEST_LOG, _LARGEST_LOG)))
