@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from video2anim.geometry.depth_fit import DepthFit, FrameEvidence, GroundEvidence
 
 
+_LARGEST_LOG_FACTOR = 0.4
+"""People's depth is not moved farther than this; one of the two is wrong then."""
+
+
 @dataclass(frozen=True)
 class MetricConfig:
     """Samples and limits of the fit."""
@@ -42,8 +46,8 @@ class MetricConfig:
     """What the fit rests on; depth of provider `geometric` contains the floor already and takes `body` always."""
     segment_model: str = "room-segment"
     """Model of slot `segment` that tells where the floor is."""
-    ground_weight: float = 1.0
-    """Weight of the floor's mean miss beside the body's."""
+    ground_weight: float = 50.0
+    """Weight of the floor's mean miss beside the body's, which decides where the floor leaves a choice."""
     ground_pixels: int = 1500
     """At most so many floor pixels."""
     least_ground_ratio: float = 0.02
@@ -108,7 +112,9 @@ def fit_metric(
     ctx.quality("frames_used", len(frames), "frames", "higher")
     ctx.quality("trusted", verdict.trusted, "1", "higher")
     metric = _apply(depth, bodies, verdict)
-    return metric if ground is None or not verdict.trusted else _on_the_floor(metric, ground, config)
+    if ground is None or not verdict.trusted:
+        return metric
+    return _with_people(_on_the_floor(metric, ground, config), _people_factor(frames, depth.kind, fit, config), ctx)
 
 
 def _evidence(
@@ -179,7 +185,7 @@ def _ground(
     """Floor pixels of the plate near enough to tell, and what stood on them; None where there are too few."""
     import cv2
 
-    from video2anim.geometry.depth_fit import GroundEvidence
+    from video2anim.geometry.depth_fit import GroundEvidence, evenly_far
     from video2anim.geometry.projection import pixel_rays
     from video2anim.models.segmentation import CLASSES
 
@@ -202,8 +208,7 @@ def _ground(
     ctx.quality("floor_seen_ratio", float(chosen.mean()), "1", "higher")
     if chosen.mean() < config.least_ground_ratio:
         return None
-    pixels = np.flatnonzero(chosen)
-    pixels = pixels[np.unique(np.linspace(0, len(pixels) - 1, config.ground_pixels).round().astype(int))]
+    pixels = evenly_far(np.flatnonzero(chosen), reach_m.reshape(-1), config.ground_pixels)
     value = depth.background_value.reshape(-1)[pixels].astype(np.float64)
     evidence = GroundEvidence(ray_up.reshape(-1)[pixels], value, float(T_world_camera[1, 3]), config.ground_weight)
     return _Floor(evidence, near & (named > 0), reach_m)
@@ -230,7 +235,7 @@ def _fit_with_ground(
     frames: list[FrameEvidence], ground: GroundEvidence, kind: str, config: MetricConfig, ctx: StageContext
 ) -> _Verdict | None:
     """Fit to the floor and, given enough frames, the body; None where they contradict every positive scale."""
-    from video2anim.geometry.depth_fit import fit_depth
+    from video2anim.geometry.depth_fit import fit_depth, mean_chamfer_m
 
     frames = frames if len(frames) >= config.least_frames else []
     try:
@@ -242,6 +247,10 @@ def _fit_with_ground(
             f"the floor's depth stays {fit.ground_miss_m:.2f} m off the floor (limit {config.largest_ground_miss_m} m)"
         )
         return _Verdict(fit, False, problem)
+    if frames:
+        factor = _people_factor(frames, kind, fit, config)
+        factor = factor if kind == "depth" else 1 / factor
+        fit = replace(fit, chamfer_after_m=mean_chamfer_m(frames, kind, factor * fit.scale, factor * fit.offset))
     if frames and fit.chamfer_after_m > config.largest_chamfer_m:
         problem = f"body and depth stay {fit.chamfer_after_m:.2f} m apart (limit {config.largest_chamfer_m} m)"
         return _Verdict(fit, False, problem)
@@ -319,6 +328,25 @@ def _on_the_floor(metric: MetricDepth, floor: _Floor, config: MetricConfig) -> M
     return replace(metric, background_depth_m=background_m, depth_m=depth_m)
 
 
+def _people_factor(frames: list[FrameEvidence], kind: str, fit: DepthFit, config: MetricConfig) -> float:
+    """What people's depth is to be multiplied by for the main person to be where their body is: a network sees people
+    nearer or farther than the floor they stand on, and the floor has most say in scale and offset."""
+    from video2anim.geometry.depth_fit import metric_depth
+
+    if len(frames) < config.least_frames:
+        return 1.0
+    seen_m = [np.nanmedian(metric_depth(kind, frame.value, fit.scale, fit.offset)) for frame in frames]
+    body_m = [np.median(frame.body_camera_m[:, 2]) for frame in frames]
+    factor = float(np.nanmedian(np.array(body_m) / np.array(seen_m)))
+    return factor if abs(np.log(factor)) < _LARGEST_LOG_FACTOR else 1.0
+
+
+def _with_people(metric: MetricDepth, factor: float, ctx: StageContext) -> MetricDepth:
+    ctx.quality("body over people's depth", factor, "1")
+    people = metric.depth_m != metric.background_depth_m
+    return replace(metric, depth_m=np.where(people, factor * metric.depth_m, metric.depth_m).astype(np.float32))
+
+
 def _finite_depth(
     depth: DepthClip, value: np.ndarray, valid: np.ndarray, fit: DepthFit
 ) -> tuple[Float[np.ndarray, "small_height small_width"], np.ndarray]:
@@ -334,4 +362,4 @@ def _if_measured(value_m: float) -> float | None:
     return float(value_m) if np.isfinite(value_m) else None
 
 
-STAGE = StageSpec("metric", fit_metric, version=2, models=("segment",))
+STAGE = StageSpec("metric", fit_metric, version=3, models=("segment",))

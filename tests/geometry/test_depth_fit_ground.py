@@ -9,6 +9,7 @@ from video2anim.geometry.depth_fit import (
     DepthFit,
     FrameEvidence,
     GroundEvidence,
+    evenly_far,
     fit_depth,
     ground_miss_m,
     metric_depth,
@@ -54,6 +55,18 @@ def fit(
 ) -> DepthFit:
     rng = np.random.default_rng(0)
     return fit_depth(frames, kind, with_offset=with_offset, rng=rng, resamples=resamples, ground=ground)
+
+
+def test_far_floor_is_asked_as_often_as_near_floor() -> None:
+    """A hundred times as many near pixels: all of the far ones are taken, and the rest is shared."""
+    reach_m = np.concatenate([np.linspace(2.0, 2.4, 10_000), np.linspace(2.5, 8.0, 100)])
+    pixels = np.arange(len(reach_m))
+    chosen = evenly_far(pixels, reach_m, 600)
+    assert 560 <= len(chosen) <= 600
+    assert (np.diff(chosen) > 0).all()
+    assert (chosen >= 10_000).sum() == 100
+    np.testing.assert_array_equal(evenly_far(pixels[:50], reach_m, 600), pixels[:50])
+    assert len(evenly_far(pixels, np.full(len(pixels), 3.0), 600)) == 600
 
 
 def test_floor_depth_by_hand() -> None:

@@ -130,6 +130,25 @@ def test_a_moving_camera_keeps_every_pictures_own_answer(room: Room) -> None:
     )
 
 
+@pytest.mark.parametrize("factor", [0.85, 1.15])
+def test_people_are_where_their_bodies_are_though_the_network_sees_them_nearer(room: Room, factor: float) -> None:
+    """A network that puts people before or behind the floor they stand on; the floor stays what it is."""
+    depth, config = _depth(room, _context(room, moody=False)), MetricConfig(segment_model="floor")
+    ctx, right_ctx = _context(room), _context(room)
+    right = fit_metric(depth, room.plate, room.bodies, config, right_ctx)
+    value = depth.value.copy()
+    for sample, people in enumerate(room.plate.person_mask):
+        line = right.scale * value[sample][people] + right.offset_m
+        value[sample][people] = (line / factor - right.offset_m) / right.scale
+    metric = fit_metric(replace(depth, value=value), room.plate, room.bodies, config, ctx)
+    told = [_quality(one, "body over people's depth") for one in (ctx, right_ctx)]
+    assert told[0] / told[1] == pytest.approx(1 / factor, rel=0.02)
+    people = room.plate.person_mask & metric.valid & right.valid
+    assert np.median(metric.depth_m[people] / right.depth_m[people]) == pytest.approx(1.0, abs=0.02)
+    known = metric.background_valid & (room.depth_m < 8)
+    assert np.median(np.abs(metric.background_depth_m / room.depth_m - 1)[known]) < 0.01
+
+
 def test_floor_and_body_give_scale_and_offset(room: Room) -> None:
     metric = _metric(room, _context(room))
     assert metric.trusted, metric.reason

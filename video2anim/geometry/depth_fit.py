@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from video2anim.geometry.chamfer import ChamferConfig, ChamferLoss, chamfer_m, huber_of_square
 from video2anim.geometry.steady_depth import fitted_line
 
 _GROUND_BLOCKS = 12
+_REACH_BINS = 12
 _FACTORS = (0.7, 1.0, 1.4)
 """Starts, as multiples of the scale at which median depths agree."""
 
@@ -68,6 +69,28 @@ class DepthFit:
     """Median height of the floor's pixels over (or under) the floor; NaN without floor."""
 
 
+def evenly_far(
+    pixels: Int[np.ndarray, "pixels"], reach_m: Float[np.ndarray, "all"], count: int
+) -> Int[np.ndarray, "chosen"]:
+    """At most `count` of the pixels, in their order, spread over near and far: of a floor most pixels are near."""
+    if len(pixels) <= count:
+        return pixels
+    log_m = np.log(reach_m[pixels])
+    edges = np.linspace(log_m.min(), log_m.max(), _REACH_BINS + 1)[1:-1]
+    number = np.digitize(log_m, edges)
+    size = np.bincount(number, minlength=_REACH_BINS)
+    quota = np.zeros(_REACH_BINS, int)
+    # Bins with few pixels give all of theirs, the others share what is left.
+    for done, i in enumerate(np.argsort(size)):
+        quota[i] = min(size[i], (count - quota.sum()) // (_REACH_BINS - done))
+    chosen = [_spread(np.flatnonzero(number == i), quota[i]) for i in range(_REACH_BINS)]
+    return pixels[np.sort(np.concatenate(chosen))]
+
+
+def _spread(index: np.ndarray, count: int) -> np.ndarray:
+    return index[np.linspace(0, len(index) - 1, count).round().astype(int)] if count else index[:0]
+
+
 def metric_depth(kind: str, value: np.ndarray, scale: float, offset: float) -> Float[np.ndarray, "..."]:
     """Metres of relative depth or disparity; what the model sends behind the camera or beyond 1 km is NaN."""
     line = scale * np.asarray(value, dtype=np.float64) + offset
@@ -117,8 +140,8 @@ def fit_depth(
         offset=offset,
         scale_sigma=float(deviation[0]),
         offset_sigma=float(deviation[1]),
-        chamfer_before_m=_mean_chamfer(frames, kind, *starts[0]),
-        chamfer_after_m=_mean_chamfer(frames, kind, scale, offset),
+        chamfer_before_m=mean_chamfer_m(frames, kind, *starts[0]),
+        chamfer_after_m=mean_chamfer_m(frames, kind, scale, offset),
         ground_miss_m=ground_miss_m(ground, kind, scale, offset) if ground is not None else float("nan"),
     )
 
@@ -212,7 +235,7 @@ def _descend(
     return float(np.exp(log_scale)), float(relative_offset * unit), value
 
 
-def _mean_chamfer(frames: Sequence[FrameEvidence], kind: str, scale: float, offset: float) -> float:
+def mean_chamfer_m(frames: Sequence[FrameEvidence], kind: str, scale: float, offset: float) -> float:
     distances = []
     for frame in frames:
         depth_m = metric_depth(kind, frame.value, scale, offset)
