@@ -130,7 +130,10 @@ def _picture_camera(clip: VideoClip, config: CameraConfig, ctx: StageContext) ->
     camera = fit_camera(fields, clip.width_px / clip.height_px, focal_ratio=known)
     if not config.straight_edges:
         return camera
-    return camera_with_edges(camera, [straight_edges(p) for p in pictures], focal_known=known is not None)
+    edges = [straight_edges(picture) for picture in pictures]
+    ctx.quality("straight edges of a picture", float(np.mean([len(one.ends) for one in edges])), "edges")
+    ctx.quality("focal of fields alone", camera.focal_ratio * clip.height_px, "px")
+    return camera_with_edges(camera, edges, focal_known=known is not None)
 
 
 def _focal_prior(clip: VideoClip, picture: FieldCamera | None) -> tuple[float, float]:
