@@ -236,6 +236,7 @@ def _descend(
 
 
 def mean_chamfer_m(frames: Sequence[FrameEvidence], kind: str, scale: float, offset: float) -> float:
+    """Chamfer distance between bodies and lifted depth, metres, mean over frames; infinite where nothing is lifted."""
     distances = []
     for frame in frames:
         depth_m = metric_depth(kind, frame.value, scale, offset)
