@@ -23,6 +23,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from video2anim.eval.object_rows import scene_objects
+from video2anim.eval.results import SceneResult
+from video2anim.eval.truth import read_truth
+
 SEED = 0
 MARKS = ("<!-- v2a-bench -->", "<!-- /v2a-bench -->")
 RECORDED = Path(__file__).with_name("v2a_bench_digests.json")
@@ -57,6 +61,7 @@ def main() -> None:
         "clip_digests": {clip["name"]: clip["truth.npz"] for clip in made["clips"]},
         "same_clips_as_recorded": same_as_recorded(made),
         "cost": cost(results, [clip["name"] for clip in made["clips"]]),
+        "objects": objects(truth, results, [clip["name"] for clip in made["clips"]]),
         "evaluation": json.loads(report_json.read_text()),
     }
     options.out.mkdir(parents=True, exist_ok=True)
@@ -111,6 +116,17 @@ def cost(results: Path, names: list[str]) -> dict[str, float]:
     return {"median_wall_s": statistics.median(walls), "peak_mb": max(peaks)}
 
 
+def objects(truth: Path, results: Path, names: list[str]) -> dict[str, Any]:
+    """Medians over all pieces of furniture of all clips, and a row for each."""
+    rows = []
+    for name in names:
+        found = scene_objects(SceneResult(results / name), read_truth(truth / name))
+        rows += [{"clip": name, **row} for row in found]
+    medians = {key: statistics.median(row[key] for row in rows) for key in OBJECT_MEDIANS} if rows else {}
+    return {"count": len(rows), "medians": medians, "rows": rows}
+
+
+OBJECT_MEDIANS = {"chamfer": "Chamfer", "center_error": "middle"}
 MOTION_ROWS = (
     ("motion", "mpjpe", "root-relative MPJPE, mm", 1000), ("motion", "pa_mpjpe", "PA-MPJPE, mm", 1000),
     ("motion", "w_mpjpe", "W-MPJPE, mm", 1000), ("motion", "root_error", "root, absolute, m", 1),
@@ -158,6 +174,11 @@ def tables(report: dict[str, Any]) -> str:
         statistic = row_of(group, name)["statistics"][column]
         median = "" if statistic is None else number(statistic["median"])
         lines.append(f"| {key}: {title} | {cell(statistic, 1)} | {median} |")
+    pooled = report["objects"]
+    told = ", ".join(
+        f"{title} {number(pooled['medians'][key])} m" for key, title in OBJECT_MEDIANS.items() if pooled["medians"]
+    )
+    lines += ["", f"Medians over all {pooled['count']} matched pieces of furniture: {told or '-'}."]
     return "\n".join(lines)
 
 

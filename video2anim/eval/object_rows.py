@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 
 from video2anim.errors import ArtifactError
-from video2anim.eval.alignment import resample_nearest
+from video2anim.eval.alignment import match_frames, resample_nearest, truth_from_estimate
 from video2anim.eval.boxes import OrientedBox, box_iou_3d, box_of, chamfer_m, surface_points
 from video2anim.eval.model import Group, Spec, make_group
 from video2anim.eval.picture_rows import mask_iou
@@ -20,6 +20,7 @@ from video2anim.eval.true_scene import read_glb, world_mesh
 from video2anim.eval.truth import TrueObject, Truth
 from video2anim.geometry.projection import transform_points
 from video2anim.types import (
+    BodyTracks,
     CompletedObjects,
     InstanceMasks,
     Mesh,
@@ -174,7 +175,7 @@ def objects_group(result: SceneResult, truth: Truth, T_true_estimate: Float[np.n
             columns[name] = result.why(kind) or str(T_true_estimate)
             continue
         try:
-            compared = _compared(value.objects, furniture, by_mask, T_true_estimate)
+            compared = _means(compared_objects(value.objects, furniture, by_mask, T_true_estimate), furniture)
         except ArtifactError as error:
             columns[name] = str(error)
             continue
@@ -183,29 +184,49 @@ def objects_group(result: SceneResult, truth: Truth, T_true_estimate: Float[np.n
     return make_group("objects", "Objects in space", OBJECTS, columns, note="; ".join(notes) + ".")
 
 
-def _compared(
+def compared_objects(
     things: Sequence[_Thing],
     furniture: Sequence[TrueObject],
     by_mask: dict[int, int],
     T_true_estimate: Float[np.ndarray, "4 4"],
-) -> dict[str, float]:
-    """Means over matched pieces of furniture."""
+) -> list[dict[str, float]]:
+    """A row for every matched piece of furniture: its number, Chamfer distance, error of the middle, box IoU, size."""
     shapes = {thing.object_id: _own_box(thing, T_true_estimate) for thing in things if len(thing.mesh.faces)}
     true_boxes = [box_of(read_glb(item.file).vertices_m, item.T_world_object) for item in furniture]
     pairs = match_things({number: shape[0] for number, shape in shapes.items()}, true_boxes, by_mask)
-    rows: dict[str, list[float]] = {"chamfer": [], "center_error": [], "box_iou": [], "size_ratio": []}
+    rows = []
     for number, j in pairs.items():
         box, vertices_m = shapes[number]
         thing = next(thing for thing in things if thing.object_id == number)
         mesh = Mesh(vertices_m, thing.mesh.faces, thing.mesh.vertex_rgb)
         mine_m = surface_points(mesh, np.random.default_rng(_SEED))
         true_m = surface_points(world_mesh(furniture[j]), np.random.default_rng(_SEED))
-        rows["chamfer"].append(chamfer_m(mine_m, true_m))
-        rows["center_error"].append(float(np.linalg.norm(box.center_m - true_boxes[j].center_m)))
-        rows["box_iou"].append(box_iou_3d(box, true_boxes[j]))
-        rows["size_ratio"].append(float(np.linalg.norm(box.half_m) / np.linalg.norm(true_boxes[j].half_m)))
-    means = {key: float(np.mean(values)) if values else np.nan for key, values in rows.items()}
-    return {"reconstructed": len(pairs) / len(furniture) if furniture else np.nan, **means}
+        rows.append({
+            "object_id": furniture[j].object_id,
+            "chamfer": chamfer_m(mine_m, true_m),
+            "center_error": float(np.linalg.norm(box.center_m - true_boxes[j].center_m)),
+            "box_iou": box_iou_3d(box, true_boxes[j]),
+            "size_ratio": float(np.linalg.norm(box.half_m) / np.linalg.norm(true_boxes[j].half_m)),
+        })  # fmt: skip
+    return rows
+
+
+def scene_objects(result: SceneResult, truth: Truth) -> list[dict[str, float]]:
+    """`compared_objects` of the finished scene by the main person's camera; none where a stage is missing."""
+    scene, bodies, instances = result.get(SceneModel), result.get(BodyTracks), result.get(InstanceMasks)
+    if scene is None or bodies is None:
+        return []
+    T = truth_from_estimate(bodies.people[0].T_world_camera, truth, match_frames(result.clip, truth))
+    furniture = truth.furniture(LEAST_VISIBLE_PX)
+    by_mask = {} if instances is None else _pairs_by_mask(match_masks(instances, furniture, truth))
+    return compared_objects(scene.objects, furniture, by_mask, T)
+
+
+def _means(rows: Sequence[dict[str, float]], furniture: Sequence[TrueObject]) -> dict[str, float]:
+    """Means over matched pieces of furniture."""
+    names = ("chamfer", "center_error", "box_iou", "size_ratio")
+    means = {key: float(np.mean([row[key] for row in rows])) if rows else np.nan for key in names}
+    return {"reconstructed": len(rows) / len(furniture) if furniture else np.nan, **means}
 
 
 def _own_box(thing: _Thing, T_true_estimate: np.ndarray) -> tuple[OrientedBox, np.ndarray]:
