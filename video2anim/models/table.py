@@ -54,7 +54,7 @@ class ModelEntry:
 
 
 _MEDIAPIPE = "0.10.21"
-_ROOM_NET = "339c3ea23793d9ae35542ba70607fcbb1c3893c7ca2d186d23de4f6497466807"
+_ROOM_NET = "83e7cb8bb12039303d7f22863de6dcf9559e2a2fa4e92ca7f521796940cfa4cb"
 """Digest of the room network: one file for three slots."""
 _ROOM_NET_BYTES = 11_280_767
 _BLAZEPOSE = "video2anim.models.blazepose:BlazePose"
