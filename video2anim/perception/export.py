@@ -13,7 +13,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 from video2anim.models.room_net import INPUT, OUTPUTS
-from video2anim.perception.network import RoomNetwork
+from video2anim.perception.network import RoomNetwork, normalised_convolutions
 
 ONNX_OPSET = 17
 _LEAST_VALUES = 256
@@ -53,11 +53,10 @@ def halved(model: onnx.ModelProto) -> onnx.ModelProto:
 
 def _folded(network: RoomNetwork) -> RoomNetwork:
     """Batch normalisation taken into the convolutions before it."""
-    for module in list(network.modules()):
-        if isinstance(module, nn.Sequential):
-            for number in range(len(module) - 1):
-                first, second = module[number], module[number + 1]
-                if isinstance(first, nn.Conv2d) and isinstance(second, nn.BatchNorm2d):
-                    module[number] = nn.utils.fuse_conv_bn_eval(first, second)
-                    module[number + 1] = nn.Identity()
+    for _, sequence, number in normalised_convolutions(network):
+        convolution, norm = sequence[number], sequence[number + 1]
+        assert isinstance(convolution, nn.Conv2d)
+        assert isinstance(norm, nn.BatchNorm2d)
+        sequence[number] = nn.utils.fuse_conv_bn_eval(convolution, norm)
+        sequence[number + 1] = nn.Identity()
     return network

@@ -12,7 +12,7 @@ from onnx import numpy_helper
 from torch import Tensor, nn
 
 from video2anim.errors import InputError
-from video2anim.perception.network import RoomNetwork
+from video2anim.perception.network import RoomNetwork, normalised_convolutions
 
 
 def read_exported(path: Path) -> RoomNetwork:
@@ -33,7 +33,7 @@ def read_exported(path: Path) -> RoomNetwork:
             parent = layer[0].rpartition("/")[2]
             stored[f"{parent}.{layer[2]}.weight"] = stored.pop(node.input[1]).T
     network = RoomNetwork().eval()
-    for name, norm in normalisations(network):
+    for name, norm in _normalisations(network):
         if f"{name}.bias" not in stored:
             raise InputError(f"{path}: no weights of the room network, {name}.bias is missing; export one by training")
         bias = torch.from_numpy(stored.pop(f"{name}.bias"))
@@ -90,20 +90,18 @@ def settle(network: RoomNetwork, pictures: Float[Tensor, "batch 3 height width"]
 
         handles.append(norm.register_forward_hook(hook))
 
-    for _, norm in normalisations(network):
+    for _, norm in _normalisations(network):
         follow(norm)
     network(pictures)
     for handle in handles:
         handle.remove()
 
 
-def normalisations(network: nn.Module) -> list[tuple[str, nn.BatchNorm2d]]:
+def _normalisations(network: nn.Module) -> list[tuple[str, nn.BatchNorm2d]]:
     """Name of a convolution, and the batch normalisation after it."""
     found = []
-    for name, module in network.named_modules():
-        if isinstance(module, nn.Sequential):
-            for number in range(len(module) - 1):
-                first, second = module[number], module[number + 1]
-                if isinstance(first, nn.Conv2d) and isinstance(second, nn.BatchNorm2d):
-                    found.append((f"{name}.{number}", second))
+    for name, sequence, number in normalised_convolutions(network):
+        norm = sequence[number + 1]
+        assert isinstance(norm, nn.BatchNorm2d)
+        found.append((name, norm))
     return found
