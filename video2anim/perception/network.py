@@ -106,10 +106,10 @@ def _conv(inputs: int, outputs: int, *, stride: int = 1, size: int = 3, active: 
 
 def normalised_convolutions(network: nn.Module) -> list[tuple[str, nn.Sequential, int]]:
     """Every convolution that batch normalisation follows: its name, the sequence that holds both, its place there."""
-    found = []
-    for name, module in network.named_modules():
-        if isinstance(module, nn.Sequential):
-            for number in range(len(module) - 1):
-                if isinstance(module[number], nn.Conv2d) and isinstance(module[number + 1], nn.BatchNorm2d):
-                    found.append((f"{name}.{number}", module, number))
-    return found
+    return [
+        (f"{name}.{number}", module, number)
+        for name, module in network.named_modules()
+        if isinstance(module, nn.Sequential)
+        for number in range(len(module) - 1)
+        if isinstance(module[number], nn.Conv2d) and isinstance(module[number + 1], nn.BatchNorm2d)
+    ]
