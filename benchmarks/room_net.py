@@ -27,7 +27,7 @@ from video2anim.geometry.hue_jitter import jittered_disparity
 from video2anim.geometry.perspective_field import FieldCamera, fit_camera
 from video2anim.geometry.room_lines import camera_with_edges, straight_edges
 from video2anim.models import find_model, model_path
-from video2anim.models.room_net import RoomDepth, RoomNet, RoomSegment
+from video2anim.models.room_net import RoomCamera, RoomDepth, RoomNet, RoomSegment
 from video2anim.models.segmentation import CLASSES
 from video2anim.perception.samples import CLASS_TABLE, SMALLEST_RATIO
 
@@ -71,9 +71,8 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
             maps = {p.stem: np.load(p, mmap_mode="r") for p in meta.parent.glob("*.npy")}
             for row in range(len(maps["rgb"])):
                 rgb = np.array(maps["rgb"][row])
-                view = net.see(rgb)
                 truth = inverse_depth(maps["depth_mm"][row])
-                rows.append(compared(enlarged(view.disparity, truth.shape), truth) | plane_numbers(truth))
+                rows.append(compared(depth.infer(rgb).astype(np.float64), truth) | plane_numbers(truth))
                 by_fields, both = cameras_of(net, [rgb])
                 rows[-1] |= camera_numbers(both, maps, row)
                 rows[-1] |= {f"{n} of fields alone": v for n, v in camera_numbers(by_fields, maps, row).items()}
@@ -101,11 +100,6 @@ def inverse_depth(depth_mm: np.ndarray) -> np.ndarray:
     """1 / metres; NaN where nothing was measured."""
     depth_m = depth_mm.astype(np.float64) / 1000
     return np.where(depth_m > 0, 1 / np.maximum(depth_m, 1e-3), np.nan)
-
-
-def enlarged(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """A map at the picture's size."""
-    return cv2.resize(values, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR).astype(np.float64)
 
 
 def compared(disparity: np.ndarray, truth: np.ndarray) -> dict[str, float]:
@@ -201,9 +195,8 @@ def rgbd(path: Path, folder: Path) -> dict[str, float]:
     for picture in sorted(folder.glob("color_*.jpg")):
         rgb = read_picture(picture)
         depth_mm = cv2.imread(str(picture.with_name(picture.name.replace("color", "depth")).with_suffix(".png")), -1)
-        view = net.see(rgb)
         truth = inverse_depth(depth_mm)
-        rows.append(compared(enlarged(view.disparity, truth.shape), truth) | plane_numbers(truth))
+        rows.append(compared(net.disparity(rgb).astype(np.float64), truth) | plane_numbers(truth))
         cameras.append(cameras_of(net, [rgb]))
     means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
     focal_px = 480 * np.array([[camera.focal_ratio for camera in both] for both in cameras])
@@ -250,16 +243,19 @@ def picture_of(video: cv2.VideoCapture, share: float) -> np.ndarray:
     return cv2.cvtColor(video.read()[1], cv2.COLOR_BGR2RGB)
 
 
-def seconds(path: Path, folder: Path) -> float:
-    """Median time of one picture of 384 px, all heads, mirrored pass included."""
-    net = RoomNet(path)
+def seconds(path: Path, folder: Path) -> dict[str, float]:
+    """Median time of one picture of 384 px in each slot, with all its looks."""
+    depth, camera, segment = RoomDepth(path), RoomCamera(path), RoomSegment(path)
     rgb = cv2.resize(read_picture(sorted(folder.glob("color_*.jpg"))[0]), (384, 288), interpolation=cv2.INTER_AREA)
-    times = []
-    for _ in range(TIMED):
-        start = time.perf_counter()
-        net.see(rgb)
-        times.append(time.perf_counter() - start)
-    return float(np.median(times))
+    found = {}
+    for name, look in (("depth", depth.infer), ("camera", camera.field), ("segment", segment.segment)):
+        times = []
+        for _ in range(TIMED):
+            start = time.perf_counter()
+            look(rgb)
+            times.append(time.perf_counter() - start)
+        found[name] = float(np.median(times))
+    return found
 
 
 def arguments() -> argparse.Namespace:

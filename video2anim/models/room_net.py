@@ -26,6 +26,11 @@ OUTPUTS = ("disparity", "normal", "classes", "cues", "camera")
 CHANNELS = (1, 3, len(CLASSES), 4, 5)
 AREA_PX = 256 * 192
 """Area of the network's input; the picture's ratio is kept."""
+DEPTH_AREA_PX = 224 * 160
+"""Of a second, mirrored look, whose depth is averaged with the first's: less detail, more of the room in each cell."""
+SEGMENT_AREA_PX = 320 * 256
+"""Of looks at what things are: outlines gain from a larger picture, depth and camera do not. All three sizes were
+tried on the renders of `benchmarks/room_net.py`."""
 STRIDE = 32
 _SIGMA_RANGE_RAD = (0.005, 1.5)
 _SMALLEST_PERSON = 0.003
@@ -52,37 +57,57 @@ class RoomNet:
 
     name = "room-net"
 
-    def __init__(self, path: Path, *, area_px: int = AREA_PX) -> None:
+    def __init__(self, path: Path) -> None:
         """Load the weights.
 
         Raises:
             ModelMissingError: the file is no network of that contract.
         """
-        self._area_px = area_px
         self._network = Network(path, inputs=(INPUT,), outputs=OUTPUTS)
 
-    def see(self, image: UInt8[np.ndarray, "height width 3"], *, mirrored: bool = True) -> RoomView:
+    def see(
+        self, image: UInt8[np.ndarray, "height width 3"], *, mirrored: bool = True, area_px: int = AREA_PX
+    ) -> RoomView:
         """Everything about one picture.
 
         Args:
             image: RGB.
             mirrored: Show it mirrored too and average the answers: better by a little, twice the time.
+            area_px: Area of the input.
 
         Raises:
             ModelMissingError: the network's outputs are not of the contract's shapes.
         """
-        height, width = input_size(image.shape[0], image.shape[1], self._area_px)
+        height, width = input_size(image.shape[0], image.shape[1], area_px)
+        # The ratio changes a little with the stride: directions are those of the picture, not of the input.
+        stretch = (image.shape[1] / width, image.shape[0] / height)
+        maps = self._look(image, area_px)
+        if mirrored:
+            turned = self._look(image, area_px, turned=True)
+            maps = {name: 0.5 * (maps[name] + turned[name]) for name in OUTPUTS}
+        return _view_of(maps, stretch)
+
+    def disparity(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
+        """Disparity at the picture's own size, the mean of two looks: as of `see`, and mirrored at `DEPTH_AREA_PX`.
+
+        Raises:
+            ModelMissingError: as of `see`.
+        """
+        size = (image.shape[1], image.shape[0])
+        looks = self._look(image, AREA_PX), self._look(image, DEPTH_AREA_PX, turned=True)
+        first, second = (cv2.resize(look["disparity"][0], size, interpolation=cv2.INTER_LINEAR) for look in looks)
+        return 0.5 * (first + second)
+
+    def _look(self, image: np.ndarray, area_px: int, *, turned: bool = False) -> dict[str, np.ndarray]:
+        """The network's maps of a picture, shown mirrored if `turned` and the answer turned back."""
+        height, width = input_size(image.shape[0], image.shape[1], area_px)
         shrinks = width < image.shape[1]
         small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
         picture = np.ascontiguousarray(small.astype(np.float32).transpose(2, 0, 1)[None])
-        # The ratio changes a little with the stride: directions are those of the picture, not of the input.
-        stretch = (image.shape[1] / width, image.shape[0] / height)
-        plain = self._run(picture)
-        if not mirrored:
-            return _view_of(plain, stretch)
-        turned = self._run(np.ascontiguousarray(picture[..., ::-1]))
-        back = {name: value[..., ::-1] * _mirror_signs(name) for name, value in turned.items()}
-        return _view_of({name: 0.5 * (plain[name] + back[name]) for name in OUTPUTS}, stretch)
+        if not turned:
+            return self._run(picture)
+        maps = self._run(np.ascontiguousarray(picture[..., ::-1]))
+        return {name: value[..., ::-1] * _mirror_signs(name) for name, value in maps.items()}
 
     def _run(self, picture: np.ndarray) -> dict[str, np.ndarray]:
         found = self._network.run({INPUT: picture}, OUTPUTS)
@@ -156,8 +181,7 @@ class RoomDepth:
 
     def infer(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
         """Disparity at the picture's own size, float32, up to scale and offset."""
-        disparity = self._net.see(image, mirrored=False).disparity
-        return cv2.resize(disparity, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR)
+        return self._net.disparity(image)
 
 
 class RoomCamera:
@@ -185,7 +209,7 @@ class RoomSegment:
 
     def segment(self, image: UInt8[np.ndarray, "height width 3"]) -> Segmentation:
         """Classes and instances at the picture's own size."""
-        view = self._net.see(image)
+        view = self._net.see(image, area_px=SEGMENT_AREA_PX)
         size = (image.shape[1], image.shape[0])
         logits = cv2.resize(view.class_logits, size, interpolation=cv2.INTER_LINEAR)
         semantic = logits.argmax(-1).astype(np.uint8)
