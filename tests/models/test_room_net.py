@@ -12,7 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 from tiny_graphs import constant_graph, save
 
 from video2anim.errors import ModelMissingError
-from video2anim.models.room_net import OUTPUTS, RoomCamera, RoomDepth, RoomNet, RoomSegment, input_size
+from video2anim.models.room_net import DEPTH_AREA_PX, OUTPUTS, RoomCamera, RoomDepth, RoomNet, RoomSegment, input_size
 from video2anim.models.segmentation import CLASSES
 
 HEIGHT, WIDTH = 192, 256
@@ -169,6 +169,30 @@ def test_a_network_that_ignores_the_picture_answers_the_mean_with_its_mirror(tmp
     ramp = np.broadcast_to(np.arange(COLUMNS), (1, 1, ROWS, COLUMNS)).astype(float)
     view = RoomNet(constant(tmp_path, outputs(disparity=ramp))).see(slanted())
     np.testing.assert_allclose(view.disparity, (COLUMNS - 1) / 2, rtol=1e-6)
+
+
+def test_depth_is_the_mean_of_two_looks_at_two_sizes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network that ignores the picture and answers a ramp: the second look's is turned back."""
+    net, seen = RoomNet(constant(tmp_path, outputs())), []
+
+    def run(picture: np.ndarray) -> dict[str, np.ndarray]:
+        seen.append(picture)
+        rows, columns = picture.shape[2] // 2, picture.shape[3] // 2
+        ramp = np.broadcast_to(np.linspace(0, len(seen), columns, dtype=np.float32), (1, rows, columns))
+        channels = {"disparity": 1, "normal": 3, "classes": 6, "cues": 4, "camera": 5}
+        return {name: np.repeat(ramp, count, axis=0) for name, count in channels.items()}
+
+    monkeypatch.setattr(net, "_run", run)
+    image = np.zeros((480, 640, 3), np.uint8)
+    image[:, :320] = 200
+    disparity = net.disparity(image)
+    assert disparity.shape == (480, 640)
+    ramp = np.linspace(0, 1, 640)
+    np.testing.assert_allclose(disparity[240], 0.5 * (ramp + 2 * (1 - ramp)), atol=0.02)
+    (first, second) = seen
+    assert first.shape[2:] == input_size(480, 640)
+    assert second.shape[2:] == input_size(480, 640, DEPTH_AREA_PX)
+    assert first[0, 0, 0, 0] > 150 > second[0, 0, 0, 0], "the second is shown mirrored"
 
 
 def test_the_network_is_shown_rgb_from_0_to_255_and_whole(tmp_path: Path) -> None:
