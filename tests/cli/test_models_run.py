@@ -37,23 +37,34 @@ def room_net(path: Path, **changed: np.ndarray) -> Path:
     person[CLASSES.index("person"), 0] = 1.0
     red = np.eye(3)[:1].reshape(1, 3, 1, 1)
     normal = np.broadcast_to(np.array([0.0, 0.0, -1.0])[None, :, None, None], (1, 3, ROWS, COLUMNS))
-    constants = {"red": red, "person": person, "still": classes, "normal": normal, "camera": camera[None],
-                 "cues": np.full((1, 4, ROWS, COLUMNS), -9.0)} | changed  # fmt: skip
+    maps = {"still": classes, "normal": normal, "camera": camera[None],
+            "cues": np.full((1, 4, ROWS, COLUMNS), -9.0)} | changed  # fmt: skip
+    constants = {"red": red, "person": person}
     nodes = [
         helper.make_node("AveragePool", ["picture"], ["small"], kernel_shape=[2, 2], strides=[2, 2]),
+        helper.make_node("AveragePool", ["picture"], ["coarse"], kernel_shape=[8, 8], strides=[8, 8]),
         helper.make_node("Conv", ["small", "red"], ["disparity"]),
         helper.make_node("Conv", ["small", "person"], ["seen"]),
-        helper.make_node("Add", ["seen", "still"], ["classes"]),
     ]
-    for name in ("normal", "cues", "camera"):
-        value = numpy_helper.from_array(constants.pop(name).astype(np.float32))
-        nodes.append(helper.make_node("Constant", [], [name], value=value))
+    # Maps are stretched to what the picture's size asks for; of the size they are made for they stay as they are.
+    for name, value in maps.items():
+        constants[f"{name} made"], constants[f"{name} channels"] = value, np.array([1, value.shape[1]])
+        cells = "coarse" if name == "camera" else "small"
+        nodes += [
+            helper.make_node("Shape", [cells], [f"{name} extent"], start=2),
+            helper.make_node("Concat", [f"{name} channels", f"{name} extent"], [f"{name} size"], axis=0),
+            helper.make_node("Resize", [f"{name} made", "", "", f"{name} size"], [name], mode="nearest"),
+        ]
+    nodes.append(helper.make_node("Add", ["seen", "still"], ["classes"]))
     infos = [
         helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, None, None, None])
         for name in ("disparity", "normal", "classes", "cues", "camera")
     ]
     inputs = [helper.make_tensor_value_info("picture", TensorProto.FLOAT, [1, 3, "h", "w"])]
-    stored = [numpy_helper.from_array(value.astype(np.float32), name) for name, value in constants.items()]
+    stored = [
+        numpy_helper.from_array(value if value.dtype == np.int64 else value.astype(np.float32), name)
+        for name, value in constants.items()
+    ]
     graph = helper.make_graph(nodes, "tiny", inputs, infos, stored)
     onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9), str(path))
     return path
