@@ -156,7 +156,7 @@ def tables(report: dict[str, Any]) -> str:
         f"{report['benchmark'] or 'not V2A-Bench'}, {count} clips, {failed} failed; {report['machine']}, "
         f"{report['date']}, "
         f"seed {report['seed']}; at most {report['cost']['peak_mb'] / 1000:.1f} GB a clip. Means over clips with 95 % "
-        "intervals.",
+        f"intervals. {pooled(report['objects'])}",
         "",
         "| | raw | keyframes | refined | truth |",
         "|---|---|---|---|---|",
@@ -174,12 +174,13 @@ def tables(report: dict[str, Any]) -> str:
         statistic = row_of(group, name)["statistics"][column]
         median = "" if statistic is None else number(statistic["median"])
         lines.append(f"| {key}: {title} | {cell(statistic, 1)} | {median} |")
-    pooled = report["objects"]
-    told = ", ".join(
-        f"{title} {number(pooled['medians'][key])} m" for key, title in OBJECT_MEDIANS.items() if pooled["medians"]
-    )
-    lines += ["", f"Medians over all {pooled['count']} matched pieces of furniture: {told or '-'}."]
     return "\n".join(lines)
+
+
+def pooled(found: dict[str, Any]) -> str:
+    """Medians over all pieces of furniture, as a sentence."""
+    told = [f"{title} {number(found['medians'][key])} m" for key, title in OBJECT_MEDIANS.items() if found["medians"]]
+    return f"Medians over all {found['count']} matched pieces of furniture: {', '.join(told) or '-'}."
 
 
 def row_of(group: dict[str, Any], key: str) -> dict[str, Any]:
