@@ -234,7 +234,18 @@ def _stood_on(bodies: BodyTracks, intrinsics: Intrinsics) -> Bool[np.ndarray, "s
 def _fit_with_ground(
     frames: list[FrameEvidence], ground: GroundEvidence, kind: str, config: MetricConfig, ctx: StageContext
 ) -> _Verdict | None:
-    """Fit to the floor and, given enough frames, the body; None where they contradict every positive scale."""
+    """Fit to the floor and, given enough frames, the body; None where they contradict every positive scale. Where a
+    floor that decides gives what cannot be trusted, floor and body are tried as equals."""
+    verdict = _fit_as_weighed(frames, ground, kind, config, ctx)
+    if verdict is None or verdict.trusted or ground.weight <= 1:
+        return verdict
+    equal = _fit_as_weighed(frames, replace(ground, weight=1.0), kind, config, ctx)
+    return equal if equal is not None and equal.trusted else verdict
+
+
+def _fit_as_weighed(
+    frames: list[FrameEvidence], ground: GroundEvidence, kind: str, config: MetricConfig, ctx: StageContext
+) -> _Verdict | None:
     from video2anim.geometry.depth_fit import fit_depth, mean_chamfer_m
 
     frames = frames if len(frames) >= config.least_frames else []
@@ -362,4 +373,4 @@ def _if_measured(value_m: float) -> float | None:
     return float(value_m) if np.isfinite(value_m) else None
 
 
-STAGE = StageSpec("metric", fit_metric, version=4, models=("segment",))
+STAGE = StageSpec("metric", fit_metric, version=5, models=("segment",))
