@@ -98,6 +98,10 @@ def fit_metric(
     verdict = _fit_to_person(frames, depth.kind, config, ctx) if ground is None else None
     if ground is not None:
         verdict = _fit_with_ground(frames, ground.evidence, depth.kind, config, ctx)
+        by_body = None if verdict is not None and verdict.trusted else _fit_to_person(frames, depth.kind, config, ctx)
+        if by_body is not None and by_body.trusted:
+            # What was taken for the floor is another surface, or the network's depth bends between the two.
+            verdict, ground = by_body, None
     if verdict is None:
         verdict = _fit_to_floor(depth, bodies, len(frames))
     fit = verdict.fit
@@ -373,4 +377,4 @@ def _if_measured(value_m: float) -> float | None:
     return float(value_m) if np.isfinite(value_m) else None
 
 
-STAGE = StageSpec("metric", fit_metric, version=5, models=("segment",))
+STAGE = StageSpec("metric", fit_metric, version=6, models=("segment",))

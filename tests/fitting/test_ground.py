@@ -122,6 +122,27 @@ def test_floor_is_the_lowest_level_that_carries() -> None:
     assert spread_m < 0.03
 
 
+@pytest.mark.parametrize("stair_m", [0.15, 0.18, 0.22])
+def test_the_lowest_of_low_stairs_is_the_floor(stair_m: float) -> None:
+    """Most of the time on the upper stairs, each nearer to the next than levels that are told apart by their gap."""
+    rng = np.random.default_rng(5)
+    on = np.repeat([0, 1, 2, 3], [80, 40, 60, 120])
+    heights = (stair_m * on + rng.normal(0, 0.015, len(on)))[:, None]
+    assert floor_height(heights, 30.0)[0] == pytest.approx(0.0, abs=0.03)
+
+
+def test_two_odd_windows_are_no_stair() -> None:
+    """Somebody bends down for a second and their feet seem 20 cm lower."""
+    heights = np.random.default_rng(6).normal(0, 0.02, (216, 1))
+    heights[90:120] -= 0.22
+    assert floor_height(heights, 30.0)[0] == pytest.approx(0.0, abs=0.03)
+
+
+def test_a_ramp_keeps_its_middle() -> None:
+    """Gravity a little off: the floor seems to rise along the way."""
+    assert floor_height(np.linspace(-0.3, 0.3, 240)[:, None], 30.0)[0] == pytest.approx(0.0, abs=0.03)
+
+
 def test_time_in_the_air_is_no_floor() -> None:
     heights = np.concatenate([np.zeros(60), 0.8 * np.ones(15), np.zeros(45)])[:, None]
     floor_m, _ = floor_height(heights, 30.0)

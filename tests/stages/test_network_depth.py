@@ -192,6 +192,42 @@ def test_a_floor_that_contradicts_itself_is_not_trusted(room: Room) -> None:
     assert any("not trusted" in text for text in ctx.warnings)
 
 
+def test_what_only_seems_a_floor_does_not_outweigh_the_body(room: Room) -> None:
+    """The wall is called floor: no scale brings it there, and the body by itself is enough."""
+
+    class Walls(TrueClasses):
+        def segment(self, image_rgb: np.ndarray) -> Segmentation:
+            seen = super().segment(image_rgb)
+            return Segmentation(np.where(seen.semantic == CLASSES.index("wall"), 1, 0).astype(np.uint8), ())
+
+    ctx = StageContext(Path(), load_model={"fake": TrueUpToALine(room, moody=False), "floor": Walls(room)}.__getitem__)
+    metric = _metric(room, ctx, largest_ground_miss_m=0.05)
+    assert metric.trusted, metric.reason
+    assert "floor" not in metric.reason
+    people = room.plate.person_mask & metric.valid
+    middle_m = room.bodies.people[0].joints_camera_m[room.plate.frame_index].mean(1)[:, 2]
+    off = [np.median(d[p]) / m for d, p, m in zip(metric.depth_m, people, middle_m, strict=True) if p.any()]
+    assert np.median(off) == pytest.approx(1.0, abs=0.05)
+
+
+def test_floor_and_body_are_equals_where_the_deciding_floor_cannot_be_trusted(room: Room) -> None:
+    """The network sees people far nearer than the floor they stand on; between the two a fit exists that both allow."""
+    depth, config = _depth(room, _context(room, moody=False)), MetricConfig(segment_model="floor")
+    right = fit_metric(depth, room.plate, room.bodies, config, _context(room))
+    value = depth.value.copy()
+    for sample, people in enumerate(room.plate.person_mask):
+        line = right.scale * value[sample][people] + right.offset_m
+        value[sample][people] = (1.6 * line - right.offset_m) / right.scale
+    bent = replace(depth, value=value)
+    limits = replace(config, largest_chamfer_m=0.4, largest_ground_miss_m=2.0)
+    ctx = _context(room)
+    metric = fit_metric(bent, room.plate, room.bodies, limits, ctx)
+    assert metric.trusted, metric.reason
+    assert "person and floor" in metric.reason
+    # A floor that decides would be met to the millimetre, and the body not at all.
+    assert _quality(ctx, "ground_miss") > 0.1
+
+
 def test_recognised_furniture_has_its_name_and_a_clean_floor(room: Room) -> None:
     ctx = _context(room)
     metric = _metric(room, ctx)

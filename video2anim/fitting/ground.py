@@ -18,6 +18,8 @@ _SEGMENTS = (
 )  # fmt: skip
 """Mass share of body segments (Winter 2009, table 4.1), each at the middle of its joints."""
 _LOOKS_PER_S = 3.0
+_LEVEL_SIGMA_M = 0.07
+"""Supports of one level spread less than this."""
 _FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
 
 
@@ -131,7 +133,8 @@ def floor_height(
     Somebody who stands, walks or runs has a foot down at least once in about 0.6 s, so the low end of the soles in
     every such window is a support, unless the body is in the air or lies. Supports may lie at several heights (steps,
     a roof, a bed): they are parted where nothing lies within `level_gap_m`, and the lowest level seen in at least two
-    windows (and a twelfth of all) is the floor.
+    windows (and a twelfth of all) is the floor. Stairs are nearer to each other than that: where what is left is no
+    level, its lowest part is taken if a fifth of all windows agree on it.
 
     Args:
         sole_height_m: lowest point of each foot, valid frames in order of time.
@@ -141,5 +144,17 @@ def floor_height(
     supports = np.sort([np.percentile(part, 10) for part in np.array_split(lowest, windows)])
     levels = np.split(supports, np.flatnonzero(np.diff(supports) > level_gap_m) + 1)
     wanted = max(2, len(supports) / 12)
-    level = next((one for one in levels if len(one) >= wanted), max(levels, key=len))
+    level = _lowest_stair(next((one for one in levels if len(one) >= wanted), max(levels, key=len)), len(supports))
     return float(np.median(level)), float(np.std(level))
+
+
+def _lowest_stair(heights_m: Float[np.ndarray, "windows"], windows: int) -> Float[np.ndarray, "some_windows"]:
+    """The lowest of sorted heights, cut at their widest gap as long as they spread more than the noise of one level."""
+    while np.std(heights_m) > _LEVEL_SIGMA_M:
+        cut = int(np.argmax(np.diff(heights_m))) + 1
+        low = heights_m[:cut]
+        # A ramp (gravity a little off) has no gap that stands out; two odd windows are no level.
+        if len(low) < max(3, windows / 5) or heights_m[cut] - low[-1] < 2 * np.std(low):
+            break
+        heights_m = low
+    return heights_m

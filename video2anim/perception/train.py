@@ -19,10 +19,12 @@ from video2anim.perception.restart import read_exported, settle
 from video2anim.perception.samples import PictureBatch, PictureShards
 
 SMALL_SIZES = ((128, 192), (128, 160), (160, 160), (192, 128), (96, 192))
-LARGE_SIZES = ((192, 256), (160, 288), (192, 192), (256, 192))
+LARGE_SIZES = ((192, 256), (160, 288), (192, 192), (256, 192), (224, 288))
 """Heights and widths that batches are drawn from, at first and at last."""
 LOG_SIGMA_RANGE = (-5.0, 0.5)
 """Expected errors of the camera head are held in this range (log radians)."""
+NEAREST_INVERSE = 1 / 50
+"""Inverse depths are held above this: 50 m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +67,10 @@ def losses(answer: RoomAnswer, batch: PictureBatch) -> dict[str, Tensor]:
     off_latitude = (answer.camera[:, 2] - batch.latitude).abs()
     sigma = answer.camera[:, 3:5].clamp(*LOG_SIGMA_RANGE)
     return {
-        "disparity": 2.0 * disparity,
+        "disparity": 2.0 * disparity + relative_loss(answer.disparity[:, 0], batch.disparity),
         "normal": 1.0 * flat,
-        "classes": 0.6 * functional.cross_entropy(answer.classes, batch.classes),
+        "classes": 0.6 * functional.cross_entropy(answer.classes, batch.classes)
+        + 0.5 * overlap_loss(answer.classes, batch.classes),
         "middle": 3.0 * middle,
         "offset": 2.0 * off,
         "boundary": 0.3 * edge,
@@ -108,13 +111,30 @@ def disparity_loss(disparity: Tensor, truth: Tensor) -> Tensor:
     return total
 
 
+def relative_loss(disparity: Tensor, truth: Tensor) -> Tensor:
+    """Mean absolute error of log depth after alignment: far things count by their share, as AbsRel has it."""
+    seen = (truth > 0).float()
+    near = aligned(disparity, truth).clamp_min(NEAREST_INVERSE)
+    off = (near.log() - truth.clamp_min(NEAREST_INVERSE).log()).abs().clamp_max(1.0)
+    return (off * seen).sum() / seen.sum().clamp_min(1)
+
+
+def overlap_loss(logits: Tensor, classes: Tensor) -> Tensor:
+    """1 - Dice of each class that a picture shows (Milletari et al. 2016): small areas count as large ones do."""
+    share = logits.softmax(1).flatten(2)
+    true = functional.one_hot(classes, logits.shape[1]).permute(0, 3, 1, 2).flatten(2).float()
+    dice = 2 * (share * true).sum(2) / (share.sum(2) + true.sum(2)).clamp_min(1)
+    shown = (true.sum(2) > 0).float()
+    return ((1 - dice) * shown).sum() / shown.sum()
+
+
 @torch.no_grad()
 def measures(answer: RoomAnswer, batch: PictureBatch) -> dict[str, float]:
     """What a user would ask: AbsRel and delta of depth, degrees of normals and of the camera's fields, IoU of floor."""
     truth = batch.disparity
     near = aligned(answer.disparity[:, 0], truth)
     seen = truth > 0
-    depth, true_depth = 1 / near.clamp_min(0.02), 1 / truth.clamp_min(0.02)
+    depth, true_depth = 1 / near.clamp_min(NEAREST_INVERSE), 1 / truth.clamp_min(NEAREST_INVERSE)
     ratio = torch.maximum(depth / true_depth, true_depth / depth)[seen]
     normal = functional.normalize(answer.normal, dim=1)
     turned = torch.arccos((normal * batch.normal).sum(1).clamp(-1, 1))[seen].rad2deg()
