@@ -28,7 +28,7 @@ class FootLockConfig:
     """Shorter touches are ignored; shorter gaps in a phase are closed."""
     blend_s: float = 0.2
     """Time in which a shift fades out after a phase and in before it."""
-    max_drift_m: float = 0.15
+    max_drift_m: float = 0.3
     """A phase in which the reference foot itself strays farther from its mean place is left alone: its contact label
     contradicts the observation."""
     max_shift_m: float = 0.4

@@ -53,6 +53,8 @@ class LongMotion:
     """Per window, what was accepted: 0 = the keyframes asked for, k = the k-th of `denser`."""
 
 
+Taken = Callable[[WindowSpan, WindowMotion], None]
+"""Is told of every window that is taken."""
 Accept = Callable[[WindowSpan, WindowMotion], bool]
 
 
@@ -65,6 +67,7 @@ def inbetween(
     overlap: int = OVERLAP_FRAMES,
     denser: tuple[KeyframeMotion, ...] = (),
     accept: Accept | None = None,
+    taken: Taken | None = None,
 ) -> LongMotion:
     """Fill a motion between its keyframes.
 
@@ -76,6 +79,7 @@ def inbetween(
         denser: the same motion with more keyframes, tried in this order for a window that `accept` turns down; the
             keyframes of `motion` are keyframes there too.
         accept: judges a filled window; the last candidate is taken in any case.
+        taken: told of every window once it is, in order of time.
 
     Raises:
         ValueError: no keyframe.
@@ -94,6 +98,8 @@ def inbetween(
             density += 1
             filled = _filled(span, candidates[density], done, prior, scene)
         densities.append(density)
+        if taken is not None:
+            taken(span, filled)
         R_parent_joint[span.start : span.stop] = filled.R_parent_joint
         translation_m[span.start : span.stop] = filled.translation_world_m
     first, last = keyframes[0], keyframes[-1]

@@ -3,7 +3,7 @@
 The prior is `scenemi`, or interpolation where its weights are absent. A window that the prior makes worse than
 what was observed is filled again from all optimized keyframes and, failing that, is the observed motion without its
 jitter; either is reported.
-Then feet are held in their contact phases.
+Then the root is settled (standing feet stand, skin comes out of solids) and feet are held in their contact phases.
 """
 
 from __future__ import annotations
@@ -28,6 +28,9 @@ FPS = 30.0
 """Motion is at 30 fps after ingest."""
 _JUMP = 6.0
 """Frames whose jerk exceeds the median by this factor are jumps of the observation."""
+
+_JOINED_FRAMES = 3
+"""So many first frames of a window keep the shift of the window before: speed goes on with it."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,8 @@ class RefineConfig:
     deviation_limit_m: float = 0.05
     """A window is worse when joints lie on average farther than this from the observed frames: the prior has lost a
     motion that is faster than the keyframes."""
+    settle: bool = True
+    """Move the root by centimetres where standing feet slide or skin is inside solids."""
     foot_lock: bool = True
     """Hold feet still in contact phases."""
     sampled_vertices: int = 500
@@ -123,8 +128,11 @@ def _refine_person(
     window, overlap = config.window_frames, config.overlap_frames
     plain = inbetween(given, InterpolationPrior(), window=window, overlap=overlap)
     denser = (at_optimized, at_all) if config.fallback else ()
-    filled = inbetween(given, prior, scene=grid, denser=denser, accept=judge.accept, window=window, overlap=overlap)
-    unlocked = motion.with_pose(translation_world_m=filled.translation_world_m, R_parent_joint=filled.R_parent_joint)
+    filled = inbetween(
+        given, prior, scene=grid, denser=denser, accept=judge.accept, taken=judge.settle, window=window, overlap=overlap
+    )
+    settled_m = filled.translation_world_m + judge.shift_m
+    unlocked = motion.with_pose(translation_world_m=settled_m, R_parent_joint=filled.R_parent_joint)
     final = judge.with_held_feet(unlocked) if config.foot_lock else unlocked
     judge.report(ctx, "raw", motion, suffix)
     judge.report(
@@ -196,14 +204,17 @@ class _Judge:
         self.contact = np.where(motion.valid[:, None], motion.contact, 0.0)
         measured = np.flatnonzero(motion.valid)
         self.span = slice(int(measured[0]), int(measured[-1]) + 1)
+        self.shift_m = np.zeros((motion.frame_count, 3))
+        self._settled_from: int | None = None
         self.observed_distance_m = self._distance_m(motion.R_parent_joint, motion.T_world_root[:, :3, 3])
 
     def accept(self, span: WindowSpan, filled: WindowMotion) -> bool:
-        """Whether a filled window, feet held, is no worse than the observed one."""
+        """Whether a filled window, settled and with feet held, is no worse than the observed one."""
         from scenemi.metrics import foot_skating_gmd, jerk_m_s3, penetration_max_m
 
         frames = slice(span.start, span.stop)
-        R_parent_joint, translation_m = filled.R_parent_joint, filled.translation_world_m
+        R_parent_joint = filled.R_parent_joint
+        translation_m = filled.translation_world_m + self._settling_shift(span, filled)
         if self.config.foot_lock:
             R_parent_joint = self._held(R_parent_joint, translation_m, frames)
         joints_m = self._joints_m(R_parent_joint, translation_m)
@@ -219,6 +230,29 @@ class _Judge:
             return False
         depth_m = penetration_max_m(self._distance_m(R_parent_joint, translation_m))
         return depth_m <= penetration_max_m(self.observed_distance_m[frames]) + self.config.penetration_slack_m
+
+    def settle(self, span: WindowSpan, filled: WindowMotion) -> None:
+        """Go on with the shift that puts standing feet to rest and takes skin out of solids. Frames before a window
+        keep theirs, so that an edit changes nothing before its windows."""
+        self.shift_m[span.start : span.stop] = self._settling_shift(span, filled)
+        self.shift_m[span.stop :] = self.shift_m[span.stop - 1]
+        if self._settled_from is None:
+            self._settled_from = span.start
+            self.shift_m[: span.start] = self.shift_m[span.start]
+
+    def _settling_shift(self, span: WindowSpan, filled: WindowMotion) -> Float[np.ndarray, "frames 3"]:
+        from scenemi.settle_root import settling_shift
+        from video2anim.body.skeleton import forward_kinematics
+
+        frames = slice(span.start, span.stop)
+        if not self.config.settle:
+            return self.shift_m[frames]
+        joints_m, R_world_joint = forward_kinematics(
+            filled.R_parent_joint, filled.translation_world_m, self.observed.rest_joints_m
+        )
+        skin_m = self.body.vertices(R_world_joint, joints_m, self.vertex_index)
+        begun_m = None if self._settled_from is None else self.shift_m[span.start : span.start + _JOINED_FRAMES]
+        return settling_shift(joints_m, self.contact[frames], FPS, skin_m=skin_m, grid=self.grid, begun_m=begun_m)
 
     def with_held_feet(self, motion: BodyMotion) -> BodyMotion:
         """The motion with its feet held in the observed contact phases."""
@@ -245,14 +279,11 @@ class _Judge:
     ) -> Float[np.ndarray, "frames 22 3 3"]:
         from scenemi.foot_lock import lock_feet
 
-        return lock_feet(
-            R_parent_joint,
-            translation_m,
-            self.observed.rest_joints_m,
-            self.contact[frames],
-            FPS,
-            reference_joints_m=self.observed.joints_world_m[frames],
-        ).R_parent_joint
+        rest_m = self.observed.rest_joints_m
+        # Where the settled motion has its feet, not the observed one: the root has moved.
+        reference_m = None if self.config.settle else self.observed.joints_world_m[frames]
+        locked = lock_feet(R_parent_joint, translation_m, rest_m, self.contact[frames], FPS, reference_m)
+        return locked.R_parent_joint
 
     def _joints_m(self, R_parent_joint: np.ndarray, translation_m: np.ndarray) -> Float[np.ndarray, "frames 22 3"]:
         from video2anim.body.skeleton import forward_kinematics
@@ -267,4 +298,4 @@ class _Judge:
         return self.grid.sample(self.body.vertices(R_world_joint, joints_m, self.vertex_index).astype(np.float64))
 
 
-STAGE = StageSpec("refine", refine_motion, version=2)
+STAGE = StageSpec("refine", refine_motion, version=3)

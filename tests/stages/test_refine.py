@@ -79,7 +79,7 @@ def test_windows_that_interpolation_spoils_are_filled_again_and_told() -> None:
 
 def test_the_papers_baseline_is_there_without_fallback_and_foot_lock() -> None:
     truth = planted_walk(FRAMES)
-    config = RefineConfig(fallback=False, foot_lock=False, low_pass_hz=0)
+    config = RefineConfig(fallback=False, settle=False, foot_lock=False, low_pass_hz=0)
     refined, ctx = refine(truth, config)
     keys = np.union1d(np.arange(0, FRAMES, 15), [FRAMES - 1])
     np.testing.assert_allclose(refined.people[0].joints_world_m[keys], truth.joints_world_m[keys], atol=1e-9)
