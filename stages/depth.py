@@ -251,4 +251,4 @@ def _shrunk(image_rgb: np.ndarray, size: tuple[int, int]) -> tuple[int, int]:
     return round(image_rgb.shape[1] * factor), round(image_rgb.shape[0] * factor)
 
 
-STAGE = StageSpec("depth", estimate_depth, version=3, models=("depth",))
+STAGE = StageSpec("depth", estimate_depth, version=4, models=("depth",))

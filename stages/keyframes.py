@@ -54,8 +54,9 @@ class KeyframesConfig:
     """A touching part farther than this from every surface is left alone: what it touches is not in the scene."""
     contact_points: int = 5
     """Nearest vertices of a part whose mean distance is brought to zero."""
-    weight_regularization: float = 1.0
-    """On the mean squared displacement along the line of sight (m^2): depth is what one camera knows least."""
+    weight_regularization: float = 4.0
+    """On the mean squared displacement along the line of sight (m^2). Depth is what one camera knows least, but that
+    holds for the scene too."""
     weight_regularization_across: float = 4.0
     """On the mean squared displacement across the line of sight (m^2), which would leave the picture."""
     picture_limit_ratio: float = 0.05
@@ -72,7 +73,7 @@ class KeyframesConfig:
     so that walking is not slowed."""
     weight_acceleration: float = 0.1
     """On the squared second difference of consecutive roots (m^2), at the keyframe interval."""
-    weight_depth: float = 5.0
+    weight_depth: float = 15.0
     """On the robust Chamfer cost (m^2)."""
     depth_points: int = 800
     """Depth points, and as many visible vertices, per sampled frame."""
@@ -340,4 +341,4 @@ def _weights(config: KeyframesConfig) -> RootWeights:
     )
 
 
-STAGE = StageSpec("keyframes", optimize_keyframes, version=5)
+STAGE = StageSpec("keyframes", optimize_keyframes, version=6)

@@ -377,4 +377,4 @@ def _if_measured(value_m: float) -> float | None:
     return float(value_m) if np.isfinite(value_m) else None
 
 
-STAGE = StageSpec("metric", fit_metric, version=6, models=("segment",))
+STAGE = StageSpec("metric", fit_metric, version=7, models=("segment",))

@@ -12,7 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 from tiny_graphs import constant_graph, save
 
 from video2anim.errors import ModelMissingError
-from video2anim.models.room_net import DEPTH_AREA_PX, OUTPUTS, RoomCamera, RoomDepth, RoomNet, RoomSegment, input_size
+from video2anim.models.room_net import DEPTH_LOOKS, OUTPUTS, RoomCamera, RoomDepth, RoomNet, RoomSegment, input_size
 from video2anim.models.segmentation import CLASSES
 
 HEIGHT, WIDTH = 192, 256
@@ -171,8 +171,8 @@ def test_a_network_that_ignores_the_picture_answers_the_mean_with_its_mirror(tmp
     np.testing.assert_allclose(view.disparity, (COLUMNS - 1) / 2, rtol=1e-6)
 
 
-def test_depth_is_the_mean_of_two_looks_at_two_sizes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A network that ignores the picture and answers a ramp: the second look's is turned back."""
+def test_depth_is_the_mean_of_its_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network that ignores the picture and answers a ramp, steeper each time: mirrored looks are turned back."""
     net, seen = RoomNet(constant(tmp_path, outputs())), []
 
     def run(picture: np.ndarray) -> dict[str, np.ndarray]:
@@ -188,11 +188,19 @@ def test_depth_is_the_mean_of_two_looks_at_two_sizes(tmp_path: Path, monkeypatch
     disparity = net.disparity(image)
     assert disparity.shape == (480, 640)
     ramp = np.linspace(0, 1, 640)
-    np.testing.assert_allclose(disparity[240], 0.5 * (ramp + 2 * (1 - ramp)), atol=0.02)
-    (first, second) = seen
-    assert first.shape[2:] == input_size(480, 640)
-    assert second.shape[2:] == input_size(480, 640, DEPTH_AREA_PX)
-    assert first[0, 0, 0, 0] > 150 > second[0, 0, 0, 0], "the second is shown mirrored"
+    wanted = [k * (1 - ramp if turned else ramp) for k, (_, turned) in enumerate(DEPTH_LOOKS, 1)]
+    np.testing.assert_allclose(disparity[240], np.mean(wanted, axis=0), atol=0.03)
+    for shown, (area_px, turned) in zip(seen, DEPTH_LOOKS, strict=True):
+        assert shown.shape[2:] == input_size(480, 640, area_px)
+        assert (shown[0, 0, 0, 0] < 150) == turned
+
+
+def test_looks_of_several_sizes_are_averaged_in_cells_of_the_first(tmp_path: Path) -> None:
+    net = RoomNet(picture_graph(tmp_path / "t.onnx", answers(disparity=[{RED: 1.0}])))
+    one = net.see(slanted(), ((ROWS * COLUMNS * 4, False),))
+    two = net.see(slanted(), ((ROWS * COLUMNS * 4, False), (ROWS * COLUMNS * 16, True)))
+    assert two.disparity.shape == one.disparity.shape
+    np.testing.assert_allclose(two.disparity[:, 2:-2], one.disparity[:, 2:-2], rtol=0.05)
 
 
 def test_the_network_is_shown_rgb_from_0_to_255_and_whole(tmp_path: Path) -> None:

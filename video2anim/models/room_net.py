@@ -9,6 +9,7 @@ logs of the expected errors of both in radians. Trained by `training/room_net.py
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,11 +27,13 @@ OUTPUTS = ("disparity", "normal", "classes", "cues", "camera")
 CHANNELS = (1, 3, len(CLASSES), 4, 5)
 AREA_PX = 256 * 192
 """Area of the network's input; the picture's ratio is kept."""
-DEPTH_AREA_PX = 224 * 160
-"""Of a second, mirrored look, whose depth is averaged with the first's: less detail, more of the room in each cell."""
-SEGMENT_AREA_PX = 320 * 256
-"""Of looks at what things are: outlines gain from a larger picture, depth and camera do not. All three sizes were
-tried on the renders of `benchmarks/room_net.py`."""
+DEPTH_LOOKS = ((256 * 192, False), (256 * 192, True), (192 * 144, True))
+"""Area of each look whose depth is averaged, and whether the picture is mirrored: a small look sees more of the room in
+each cell."""
+SEGMENT_LOOKS = ((256 * 192, False), (320 * 256, True))
+"""Of looks at what things are. These and the sizes for depth were tried on the
+pictures of `benchmarks/room_net.py`."""
+CAMERA_LOOKS = ((AREA_PX, False), (AREA_PX, True))
 STRIDE = 32
 _SIGMA_RANGE_RAD = (0.005, 1.5)
 _SMALLEST_PERSON = 0.003
@@ -66,39 +69,35 @@ class RoomNet:
         self._network = Network(path, inputs=(INPUT,), outputs=OUTPUTS)
 
     def see(
-        self, image: UInt8[np.ndarray, "height width 3"], *, mirrored: bool = True, area_px: int = AREA_PX
+        self, image: UInt8[np.ndarray, "height width 3"], looks: Sequence[tuple[int, bool]] = CAMERA_LOOKS
     ) -> RoomView:
-        """Everything about one picture.
+        """Everything about one picture, the mean of some looks at it, in cells of the first.
 
         Args:
             image: RGB.
-            mirrored: Show it mirrored too and average the answers: better by a little, twice the time.
-            area_px: Area of the input.
+            looks: area of the network's input and whether it is mirrored, each.
 
         Raises:
             ModelMissingError: the network's outputs are not of the contract's shapes.
         """
-        height, width = input_size(image.shape[0], image.shape[1], area_px)
+        height, width = input_size(image.shape[0], image.shape[1], looks[0][0])
         # The ratio changes a little with the stride: directions are those of the picture, not of the input.
         stretch = (image.shape[1] / width, image.shape[0] / height)
-        maps = self._look(image, area_px)
-        if mirrored:
-            turned = self._look(image, area_px, turned=True)
-            maps = {name: 0.5 * (maps[name] + turned[name]) for name in OUTPUTS}
+        seen = [self._look(image, area_px, turned=turned) for area_px, turned in looks]
+        maps = {name: np.mean([_resized(maps[name], seen[0][name].shape) for maps in seen], axis=0) for name in OUTPUTS}
         return _view_of(maps, stretch)
 
     def disparity(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
-        """Disparity at the picture's own size, the mean of two looks: as of `see`, and mirrored at `DEPTH_AREA_PX`.
+        """Disparity at the picture's own size, the mean of `DEPTH_LOOKS`.
 
         Raises:
             ModelMissingError: as of `see`.
         """
         size = (image.shape[1], image.shape[0])
-        looks = self._look(image, AREA_PX), self._look(image, DEPTH_AREA_PX, turned=True)
-        first, second = (cv2.resize(look["disparity"][0], size, interpolation=cv2.INTER_LINEAR) for look in looks)
-        return 0.5 * (first + second)
+        looks = [self._look(image, area_px, turned=turned)["disparity"][0] for area_px, turned in DEPTH_LOOKS]
+        return np.mean([cv2.resize(look, size, interpolation=cv2.INTER_LINEAR) for look in looks], axis=0)
 
-    def _look(self, image: np.ndarray, area_px: int, *, turned: bool = False) -> dict[str, np.ndarray]:
+    def _look(self, image: np.ndarray, area_px: int, *, turned: bool) -> dict[str, np.ndarray]:
         """The network's maps of a picture, shown mirrored if `turned` and the answer turned back."""
         height, width = input_size(image.shape[0], image.shape[1], area_px)
         shrinks = width < image.shape[1]
@@ -122,6 +121,13 @@ def input_size(height: int, width: int, area_px: int = AREA_PX) -> tuple[int, in
     """Height and width of the network's input: about the area, the picture's ratio, multiples of the stride."""
     scale = (area_px / (height * width)) ** 0.5
     return _to_stride(height * scale), _to_stride(width * scale)
+
+
+def _resized(maps: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """(channels, rows, columns) at another size."""
+    if maps.shape == shape:
+        return maps
+    return np.stack([cv2.resize(np.ascontiguousarray(m), shape[:0:-1], interpolation=cv2.INTER_LINEAR) for m in maps])
 
 
 def _to_stride(length_px: float) -> int:
@@ -209,7 +215,7 @@ class RoomSegment:
 
     def segment(self, image: UInt8[np.ndarray, "height width 3"]) -> Segmentation:
         """Classes and instances at the picture's own size."""
-        view = self._net.see(image, area_px=SEGMENT_AREA_PX)
+        view = self._net.see(image, SEGMENT_LOOKS)
         size = (image.shape[1], image.shape[0])
         logits = cv2.resize(view.class_logits, size, interpolation=cv2.INTER_LINEAR)
         semantic = logits.argmax(-1).astype(np.uint8)
