@@ -64,7 +64,7 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
     """Means and medians over held-out pictures."""
     net, segment, depth = RoomNet(path), RoomSegment(path), RoomDepth(path)
     rows: list[dict[str, float]] = []
-    matched = np.zeros(3)
+    matched, floor = np.zeros(3), np.zeros(2)
     kept_dropped = []
     for folder in folders:
         for meta in sorted(folder.glob("shard_*/meta.json")):
@@ -79,6 +79,8 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
                 found = segment.segment(rgb)
                 label = CLASS_TABLE[maps["label"][row]]
                 rows[-1] |= class_numbers(found.semantic, label)
+                mine, theirs = found.semantic == CLASSES.index("floor"), label == CLASSES.index("floor")
+                floor += (mine & theirs).sum(), (mine | theirs).sum()
                 masks = [i.mask for i in found.instances if i.kind == "furniture"]
                 matched += matches(masks, np.asarray(maps["instance"][row]), label)
                 if len(rows) <= JITTERED:
@@ -90,6 +92,7 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
     told = [abs(r["focal_log"]) / r["focal_log_sigma"] for r in rows]
     return {
         "pictures": len(rows), **means, **medians,
+        "IoU floor over all pixels": float(floor[0] / floor[1]),
         "furniture F1 at IoU 0.5": float(2 * matched[0] / max(matched[1] + matched[2], 1)),
         "absrel of pixels kept by hue jitter": float(kept), "absrel of pixels dropped": float(dropped),
         "median focal error over its sigma": float(np.median(told)),

@@ -21,7 +21,9 @@ from video2anim.perception.train import (
     disparity_loss,
     losses,
     measures,
+    overlap_loss,
     read_average,
+    relative_loss,
     train,
 )
 
@@ -319,3 +321,22 @@ def test_the_answered_average_is_ready_to_be_used(folder: Path, tmp_path: Path, 
         first = average(picture).disparity
         average(shards.plain((), (64, 96)).picture)
         torch.testing.assert_close(average(picture).disparity, first)
+
+
+def test_far_things_count_by_their_share() -> None:
+    """A far quarter seen at half its distance costs, though its disparity is off by a twentieth only."""
+    truth = torch.full((1, 40, 40), 1.0)
+    truth[:, :10], truth[:, 10:20], truth[:, 20:30] = 0.05, 0.1, 0.5
+    far = truth.clone()
+    far[:, :10] *= 2
+    assert float(relative_loss(truth, truth)) == pytest.approx(0.0, abs=1e-6)
+    assert float(relative_loss(far, truth)) > 0.05
+
+
+def test_a_small_area_costs_as_much_as_a_large_one() -> None:
+    classes = torch.zeros(1, 40, 40, dtype=torch.long)
+    classes[:, :2, :2] = 1
+    sure = 40 * torch.nn.functional.one_hot(classes, 6).permute(0, 3, 1, 2).float()
+    missed = 40 * torch.nn.functional.one_hot(0 * classes, 6).permute(0, 3, 1, 2).float()
+    assert float(overlap_loss(sure, classes)) == pytest.approx(0.0, abs=1e-5)
+    assert float(overlap_loss(missed, classes)) == pytest.approx(0.5, abs=0.01), "one of two classes is missed"
