@@ -101,6 +101,28 @@ def test_foot_lock_holds_the_feet() -> None:
     assert speed_m_s[True] < 0.2 * speed_m_s[False]
 
 
+def test_a_body_a_little_under_the_floor_is_settled_on_it() -> None:
+    truth = planted_walk(FRAMES)
+    sunk = with_root_shift(truth, np.tile([0.0, -0.03, 0.0], (FRAMES, 1)))
+    deepest_m, off_m = {}, {}
+    for settle in (False, True):
+        refined, ctx = refine(sunk, RefineConfig(settle=settle))
+        deepest_m[settle] = quality(ctx, "penetration max refined")
+        off_m[settle] = mpjpe(refined.people[0].joints_world_m, truth.joints_world_m)
+    assert deepest_m[False] > 0.02
+    assert deepest_m[True] < 0.01
+    assert off_m[True] < off_m[False]
+
+
+def test_settling_joins_windows_without_a_pop() -> None:
+    """Four windows and a root that drifts to and fro: no step of the root stands out."""
+    truth = planted_walk(300)
+    sway_m = 0.05 * np.sin(0.05 * np.arange(300))
+    refined, _ = refine(with_root_shift(truth, np.stack([sway_m, 0 * sway_m, 0 * sway_m], -1)))
+    bend_m = np.linalg.norm(np.diff(refined.people[0].T_world_root[:, :3, 3], n=2, axis=0), axis=-1)
+    assert bend_m.max() < 6 * np.median(bend_m) + 0.002
+
+
 def test_a_gap_is_filled_without_a_pop_and_stays_marked() -> None:
     truth = planted_walk(FRAMES)
     valid = np.ones(FRAMES, dtype=bool)
