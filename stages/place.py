@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from video2anim.errors import StageError
 from video2anim.pipeline.stage import StageContext, StageSpec
@@ -60,12 +60,14 @@ def place_objects(
     Raises:
         StageError: there is no body (its camera lifts pixels into the world).
     """
+    from video2anim.geometry.lifted_thing import ThingLifter
+
     if not bodies.people:
         raise StageError("place: want at least one fitted body, got none; check stage humans")
-    visible = {instance.object_id: instance.mask for instance in masks.instances}
+    lifter = ThingLifter(masks, depth, bodies.people[0], camera)
     placed = []
     for done, found in enumerate(meshes.objects):
-        points_m = _depth_points(visible[found.object_id], masks.floor_mask, depth, bodies.people[0], camera)
+        points_m = lifter.lift(found.object_id).points_world_m
         placed.append(_place_one(found, points_m, depth, bodies.people[0], config, ctx))
         ctx.progress(done + 1, len(meshes.objects))
     placed = _arranged(placed, config, ctx)
@@ -164,25 +166,4 @@ def _arranged(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext
     return moved
 
 
-def _depth_points(
-    visible: Bool[np.ndarray, "height width"],
-    floor_mask: Bool[np.ndarray, "height width"],
-    depth: MetricDepth,
-    body: BodyMotion,
-    camera: CameraEstimate,
-) -> Float[np.ndarray, "points 3"]:
-    """Reliable plate depth of the object in the world, at the distance that its feet tell."""
-    from video2anim.geometry.foot_line import floor_factor
-    from video2anim.geometry.masks import shrunk
-    from video2anim.geometry.projection import backproject, transform_points
-
-    height, width = depth.background_depth_m.shape
-    own, floor = (shrunk(mask, (height, width)) for mask in (visible, floor_mask))
-    depth_m, lens = depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height)
-    known, T_world_camera = depth.background_valid, body.T_world_camera[0]
-    factor = floor_factor(own, depth_m, known, floor, T_world_camera, lens, camera.up_sigma_rad)
-    points = backproject(factor * depth_m, lens)[own & known]
-    return transform_points(T_world_camera, points)
-
-
-STAGE = StageSpec("place", place_objects, version=3)
+STAGE = StageSpec("place", place_objects, version=4)

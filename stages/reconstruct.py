@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import UInt8
 
 from video2anim.errors import InputError, StageError, UsageError
 from video2anim.pipeline.config import user_path
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
-    BodyMotion,
     BodyTracks,
     CameraEstimate,
     CompletedObject,
@@ -32,6 +31,7 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
+    from video2anim.geometry.lifted_thing import ThingLifter
     from video2anim.geometry.object_solid import ObjectSolid
 
 SLOT = "object-mesh"
@@ -85,14 +85,16 @@ def reconstruct_objects(
         UsageError: `model` names one of another slot, or an option is out of range.
         ModelMissingError: the network's weights are absent, or no network of its contract.
     """
+    from video2anim.geometry.lifted_thing import ThingLifter
+
     _expect_known(config)
     if not bodies.people:
         raise StageError("reconstruct: want at least one fitted body, got none; check stage humans")
-    visible = {instance.object_id: instance.mask for instance in masks.instances}
+    lifter = ThingLifter(masks, depth, bodies.people[0], camera)
     foreign = _user_meshes(config)
     meshes, boxes = [], 0
     for done, found in enumerate(completed.objects):
-        solid = _solid(found, visible[found.object_id], masks.floor_mask, depth, bodies.people[0], camera, config)
+        solid = _solid(found, lifter, config)
         if solid is None:
             ctx.warn(f"reconstruct: object {found.object_id} has too little reliable depth and is dropped")
         else:
@@ -171,36 +173,23 @@ def _adopted(
     return ObjectMesh(found.object_id, found.label, method, own, T_world_object)
 
 
-def _solid(
-    found: CompletedObject,
-    visible: Bool[np.ndarray, "height width"],
-    floor_mask: Bool[np.ndarray, "height width"],
-    depth: MetricDepth,
-    body: BodyMotion,
-    camera: CameraEstimate,
-    config: ReconstructConfig,
-) -> ObjectSolid | None:
+def _solid(found: CompletedObject, lifter: ThingLifter, config: ReconstructConfig) -> ObjectSolid | None:
     from video2anim.geometry.carving import ObjectView
     from video2anim.geometry.masks import shrunk
     from video2anim.geometry.object_solid import SolidLimits, object_solid
 
-    shape = depth.background_depth_m.shape
-    own, whole, floor = (shrunk(mask, shape) for mask in (visible, found.amodal_mask, floor_mask))
-    if (own & depth.background_valid).sum() < config.least_points:
+    own, known = lifter.own(found.object_id), lifter.known
+    if (own & known).sum() < config.least_points:
         return None
-    from video2anim.geometry.foot_line import floor_factor
-
-    height, width = shape
-    added, lens = whole & ~own, body.intrinsics.resized(width, height)
-    depth_m = depth.background_depth_m.astype(np.float64)
-    known, T_world_camera = depth.background_valid, body.T_world_camera[0]
-    factor = floor_factor(own, depth_m, known, floor, T_world_camera, lens, camera.up_sigma_rad)
-    depth_m = np.where(own, factor * depth_m, depth_m)
-    view = ObjectView(depth_m, known & ~added, own, floor & ~own, T_world_camera, lens)
+    thing = lifter.lift(found.object_id)
+    added = shrunk(found.amodal_mask, own.shape) & ~own
+    view = ObjectView(
+        thing.depth_m, known & ~added, own, lifter.floor & ~own, lifter.T_world_camera, lifter.lens, thing.shows
+    )
     limits = SolidLimits(
         most_along=config.cubes_along, thickness_ratio=config.thickness_ratio, thickest_m=config.thickest_m
     )
-    distance_m = float(np.median(depth_m[own & known]))
+    distance_m = float(np.median(thing.depth_m[thing.shows]))
     return object_solid(own, added, view, limits, blur_m=config.depth_error_ratio * distance_m)
 
 
@@ -246,4 +235,4 @@ def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[
     return picture
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=4, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=5, models=(SLOT,))

@@ -23,8 +23,9 @@ from seen_boxes import (
     yaw_error_rad,
 )
 
-from video2anim.geometry.object_solid import ObjectSolid, SolidLimits, object_solid, surface_normals
+from video2anim.geometry.object_solid import ObjectSolid, SolidLimits, object_solid
 from video2anim.geometry.projection import backproject, transform_points
+from video2anim.geometry.thing_pixels import surface_normals
 
 NOWHERE = np.zeros((LENS.height_px, LENS.width_px), bool)
 CAMERA = looking((0.0, 1.6, 0.0), (0.0, 0.5, -3.0))

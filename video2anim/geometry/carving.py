@@ -33,6 +33,8 @@ class ObjectView:
     """Pixels that show the floor: nothing stands before it there, however near."""
     T_world_camera: Float[np.ndarray, "4 4"]
     intrinsics: Intrinsics
+    shows: Bool[np.ndarray, "height width"] | None = None
+    """Those of its pixels that show the thing itself, not what is behind it; all of them where that is not known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from scipy.spatial import KDTree
 
 from video2anim.geometry.carving import ObjectView, Voxels, carve
 from video2anim.geometry.projection import backproject, transform_points
+from video2anim.geometry.thing_pixels import surface_normals
 from video2anim.geometry.upright_box import UprightBox, fit_upright_box, turned_to
 
 _LEAST_POINTS = 30
@@ -69,7 +70,7 @@ def object_solid(
         view.T_world_camera, backproject(view.depth_m.astype(np.float64), view.intrinsics).reshape(-1, 3)
     ).reshape(*own.shape, 3)
     normal = surface_normals(world_m)
-    inner = _inner(own, view.known)
+    inner = _inner(own, view)
     points_m, normals = world_m[inner], normal[inner]
     if len(points_m) < _LEAST_POINTS:
         return None
@@ -104,16 +105,11 @@ def object_solid(
     return ObjectSolid(box, voxels, view, ", ".join([kind, *words]))
 
 
-def surface_normals(world_m: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:
-    """Unit normals of a picture of points, towards the camera for points lifted from its pixels."""
-    normal = np.cross(np.gradient(world_m, axis=0), np.gradient(world_m, axis=1))
-    return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-
-
-def _inner(own: np.ndarray, known: np.ndarray) -> Bool[np.ndarray, "height width"]:
+def _inner(own: np.ndarray, view: ObjectView) -> Bool[np.ndarray, "height width"]:
     """Pixels off the outline, where depths mix; all of a thing that is narrower than that."""
-    inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & known
-    return inner if inner.sum() >= max(_LEAST_POINTS, 0.2 * own.sum()) else own & known
+    shows = own & view.known if view.shows is None else own & view.known & view.shows
+    inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & shows
+    return inner if inner.sum() >= max(_LEAST_POINTS, 0.2 * shows.sum()) else shows
 
 
 def _without_strays(points_m: np.ndarray) -> Bool[np.ndarray, "points"]:

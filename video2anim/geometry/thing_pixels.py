@@ -1,0 +1,135 @@
+"""Which pixels of a thing's mask show the thing.
+
+Masks of networks are blobs: between the legs of a chair, and along every outline, they hold floor and wall. Lifted by
+their depth these pixels stretch the thing to whatever is behind it. What the room would look like without its things
+tells them apart.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.linalg import spsolve
+
+from video2anim.geometry.projection import backproject, transform_points
+from video2anim.types.camera import Intrinsics
+
+_CELLS = 96
+"""Cells along the picture's longer side in which the background is filled in."""
+_MIXED_PX = 3
+"""Depths mix so near to an outline."""
+_BEFORE_WALL = 0.9
+"""A thing whose nearer quarter is before this share of the background's distance stands free of it."""
+_BACKGROUND = 0.75
+"""Pixels of such a thing that are so much of the way from it to the background are the background's."""
+_FLOOR_M = 0.03
+_FLOOR_SHARE = 0.01
+"""Floor's depth is off by so much of its distance, beside `_FLOOR_M`."""
+_LOWEST_SHARE = 0.2
+"""Of a thing's height: no more than this is taken for floor, so that low things stay."""
+_GRAZING = 0.12
+"""Cosine between ray and normal below which a surface is no surface but the smear between two."""
+_LEAST_PIXELS = 30
+_LEAST_SHARE = 0.15
+"""Of the pixels with depth; where fewer would be left, all count."""
+
+
+def inverse_background(
+    depth_m: Float[np.ndarray, "height width"],
+    known: Bool[np.ndarray, "height width"],
+    things: Bool[np.ndarray, "height width"],
+    floor: Bool[np.ndarray, "height width"],
+) -> Float[np.ndarray, "height width"] | None:
+    """One over the depth of what stands behind all things, in 1/m; None where the picture shows none of it.
+
+    A plane's inverse depth is linear in the picture, so the gaps are filled with the harmonic function.
+
+    Args:
+        depth_m: Depth of the whole picture.
+        known: Pixels whose depth counts.
+        things: Pixels of any thing.
+        floor: Pixels of the floor, which is no upright background.
+    """
+    kernel = np.ones((2 * _MIXED_PX + 1,) * 2, np.uint8)
+    gap = cv2.dilate(things.astype(np.uint8), kernel) | cv2.dilate(floor.astype(np.uint8), np.ones((3, 3), np.uint8))
+    shown = (gap == 0) & known & (depth_m > 0)
+    height, width = depth_m.shape
+    shrink = max(1.0, max(height, width) / _CELLS)
+    size = (max(round(width / shrink), 1), max(round(height / shrink), 1))
+    inverse = np.where(shown, 1 / np.where(shown, depth_m, 1.0), 0.0)
+    share, total = (cv2.resize(f.astype(np.float32), size, interpolation=cv2.INTER_AREA) for f in (shown, inverse))
+    told = share > 0.5
+    if not told.any():
+        return None
+    filled = _harmonic(np.where(told, total / np.maximum(share, 1e-6), 0.0).astype(np.float64), told)
+    return cv2.resize(filled, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def _harmonic(value: np.ndarray, told: np.ndarray) -> Float[np.ndarray, "rows columns"]:
+    """Known cells as they are, the others each the mean of its neighbors."""
+    cell = np.arange(value.size).reshape(value.shape)
+    a = np.concatenate([cell[:, :-1].ravel(), cell[:-1].ravel()])
+    b = np.concatenate([cell[:, 1:].ravel(), cell[1:].ravel()])
+    near = coo_matrix((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, a])), shape=(value.size,) * 2).tocsr()
+    free = (~told).ravel()
+    if not free.any():
+        return value
+    degree = np.asarray(near.sum(1)).ravel()
+    laplacian = (diags(degree) - near).tocsr()
+    filled = value.ravel().copy()
+    filled[free] = spsolve(laplacian[free][:, free].tocsc(), near[free][:, ~free] @ filled[~free])
+    return filled.reshape(value.shape)
+
+
+def thing_pixels(
+    own: Bool[np.ndarray, "height width"],
+    known: Bool[np.ndarray, "height width"],
+    depth_m: Float[np.ndarray, "height width"],
+    T_world_camera: Float[np.ndarray, "4 4"],
+    intrinsics: Intrinsics,
+    inverse_background_m: Float[np.ndarray, "height width"] | None,
+) -> Bool[np.ndarray, "height width"]:
+    """The pixels of `own` with depth that show the thing; all of them where hardly any would be left.
+
+    Left out are floor, what is at the background or nearly (where the thing stands free of it), and surfaces that the
+    camera would see edge on, which are the smear between two.
+    """
+    seen = own & known
+    if seen.sum() < _LEAST_PIXELS:
+        return seen
+    camera_m = T_world_camera[:3, 3]
+    world_m = transform_points(T_world_camera, backproject(depth_m.astype(np.float64), intrinsics).reshape(-1, 3))
+    world_m = world_m.reshape(*own.shape, 3)
+    sight_m = world_m - camera_m
+    distance_m = np.linalg.norm(sight_m, axis=-1)
+    top_m = max(float(np.percentile(world_m[seen][:, 1], 95)), 0.05)
+    kept = seen & (world_m[..., 1] >= np.minimum(_FLOOR_M + _FLOOR_SHARE * distance_m, _LOWEST_SHARE * top_m))
+    if inverse_background_m is not None and kept.sum() >= _LEAST_PIXELS:
+        share = depth_m * inverse_background_m
+        front = float(np.percentile(share[kept], 25))
+        if front < _BEFORE_WALL:
+            kept &= share < front + _BACKGROUND * (1 - front)
+    facing = np.abs((_gentler_normals(world_m) * sight_m).sum(-1))
+    kept &= facing > _GRAZING * distance_m
+    return kept if kept.sum() >= max(_LEAST_PIXELS, _LEAST_SHARE * seen.sum()) else seen
+
+
+def surface_normals(world_m: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:
+    """Unit normals of a picture of points, towards the camera for points lifted from its pixels."""
+    normal = np.cross(np.gradient(world_m, axis=0), np.gradient(world_m, axis=1))
+    return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+
+
+def _gentler_normals(world_m: np.ndarray) -> Float[np.ndarray, "height width 3"]:
+    """Normals by the shorter of the differences to both sides: a sharp step beside a surface does not tilt it."""
+    along = []
+    for axis in (0, 1):
+        step = np.diff(world_m, axis=axis)
+        first, last = np.take(step, [0], axis), np.take(step, [-1], axis)
+        before, after = np.concatenate([first, step], axis), np.concatenate([step, last], axis)
+        shorter = np.linalg.norm(before, axis=-1) < np.linalg.norm(after, axis=-1)
+        along.append(np.where(shorter[..., None], before, after))
+    normal = np.cross(*along)
+    return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
