@@ -54,7 +54,7 @@ class ModelEntry:
 
 
 _MEDIAPIPE = "0.10.21"
-_ROOM_NET = "716a65c6162ae6ed380a93a9b2174770c6abf42016151d5f1ee745cdef4745c7"
+_ROOM_NET = "727fd91764d60ae3f528eeffb35c966543ec1a17769072cdf34b72159508344d"
 """Digest of the room network: one file for three slots."""
 _ROOM_NET_BYTES = 11_280_767
 _BLAZEPOSE = "video2anim.models.blazepose:BlazePose"
