@@ -171,6 +171,19 @@ def test_a_wall_close_behind_is_the_back() -> None:
     assert checked(found).extents[2] == pytest.approx(0.5, abs=0.02)
 
 
+def test_a_window_in_the_mask_does_not_stretch_an_object_to_the_wall() -> None:
+    """A third of the mask shows the wall, 3 m behind, through the object."""
+    room = level_room()
+    mask, depth_m = facing_plane(room, wall_z_m=7.0)
+    rows, columns = (np.flatnonzero((depth_m == 4.0).any(axis)) for axis in (1, 0))
+    middle, width = (columns[0] + columns[-1]) // 2, len(columns) // 6
+    depth_m[rows[0] + 2 : rows[-1] - 1, middle - width : middle + width] = 7.0
+    (found,) = reconstruct(room, [mask], depth_m=depth_m, floor=np.zeros_like(mask)).objects
+    mesh = checked(found)
+    assert mesh.extents[0] == pytest.approx(1.2, abs=0.15)
+    assert mesh.extents[2] < 0.6
+
+
 def test_a_raised_object_keeps_its_height_in_the_pose() -> None:
     """Its lower edge, 0.7 m high, touches the front of what stands under it; the mesh itself rests on y = 0."""
     room = level_room()
