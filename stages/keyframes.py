@@ -62,7 +62,7 @@ class KeyframesConfig:
     picture_limit_ratio: float = 0.05
     """No displacement across the line of sight is longer than this share of the body's height, plus the landmarks' 2D
     error at the root's depth; what a body penetrates then is left, and told."""
-    weight_contact: float = 8.0
+    weight_contact: float = 17.0
     """On the mean Huber cost of the contact distance (m^2)."""
     penetration_reach_m: float = 0.2
     """Vertices that start farther from every surface are not tested for penetration."""
@@ -341,4 +341,4 @@ def _weights(config: KeyframesConfig) -> RootWeights:
     )
 
 
-STAGE = StageSpec("keyframes", optimize_keyframes, version=7)
+STAGE = StageSpec("keyframes", optimize_keyframes, version=8)

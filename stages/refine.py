@@ -64,7 +64,7 @@ class RefineConfig:
     settle: bool = True
     """Move the root by centimetres where standing feet slide or skin is inside solids."""
     foot_lock: bool = True
-    """Hold feet still in contact phases."""
+    """Hold feet still in contact phases, and swinging toes off the floor."""
     sampled_vertices: int = 500
     """Skin vertices that penetration is measured with."""
 
@@ -278,12 +278,13 @@ class _Judge:
         self, R_parent_joint: np.ndarray, translation_m: np.ndarray, frames: slice
     ) -> Float[np.ndarray, "frames 22 3 3"]:
         from scenemi.foot_lock import lock_feet
+        from scenemi.swing_clearance import clear_swings
 
         rest_m = self.observed.rest_joints_m
         # Where the settled motion has its feet, not the observed one: the root has moved.
         reference_m = None if self.config.settle else self.observed.joints_world_m[frames]
         locked = lock_feet(R_parent_joint, translation_m, rest_m, self.contact[frames], FPS, reference_m)
-        return locked.R_parent_joint
+        return clear_swings(locked.R_parent_joint, translation_m, rest_m, self.contact[frames], FPS)
 
     def _joints_m(self, R_parent_joint: np.ndarray, translation_m: np.ndarray) -> Float[np.ndarray, "frames 22 3"]:
         from video2anim.body.skeleton import forward_kinematics
@@ -298,4 +299,4 @@ class _Judge:
         return self.grid.sample(self.body.vertices(R_world_joint, joints_m, self.vertex_index).astype(np.float64))
 
 
-STAGE = StageSpec("refine", refine_motion, version=3)
+STAGE = StageSpec("refine", refine_motion, version=4)
