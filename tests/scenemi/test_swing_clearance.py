@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import FPS, planted_walk
 
-from scenemi.metrics import HORIZONTAL, foot_skating_gmd, jerk_m_s3
+from scenemi.metrics import HORIZONTAL, jerk_m_s3
 from scenemi.swing_clearance import SwingConfig, clear_swings
 from video2anim.body.leg_ik import LEGS, move_ankles
 from video2anim.body.skeleton import forward_kinematics
@@ -52,7 +52,6 @@ def test_dragged_toes_are_raised_and_standing_feet_stay() -> None:
         assert swinging.sum() > 10
         assert (after_m[swinging, leg.toe, 1] - stand_m).min() > 0.8 * config.clearance_m
         assert (after_m[:, leg.toe, 1] - before_m[:, leg.toe, 1]).max() < 1.2 * config.clearance_m
-    assert foot_skating_gmd(after_m, FPS) < 0.5 * foot_skating_gmd(before_m, FPS)
     assert jerk_m_s3(after_m, FPS) < 1.1 * jerk_m_s3(before_m, FPS)
     others = [j for j in range(22) if j not in {k for leg in LEGS for k in (leg.knee, leg.ankle, leg.toe)}]
     np.testing.assert_allclose(after_m[:, others], before_m[:, others], atol=1e-12)
