@@ -31,6 +31,9 @@ _JUMP = 6.0
 
 _JOINED_FRAMES = 3
 """So many first frames of a window keep the shift of the window before: speed goes on with it."""
+_SETTLING_ACCELERATIONS_M_S2 = (2.0, 0.5, 0.12)
+"""How fast the settling shift may change: the first that does not shake the body, else the last. Feet on a treadmill and
+bodies that are deep in wrong solids would have it thrown about."""
 
 
 @dataclass(frozen=True)
@@ -241,7 +244,7 @@ class _Judge:
             self.shift_m[: span.start] = self.shift_m[span.start]
 
     def _settling_shift(self, span: WindowSpan, filled: WindowMotion) -> Float[np.ndarray, "frames 3"]:
-        from scenemi.settle_root import settling_shift
+        from scenemi.settle_root import SettleConfig, settling_shift
         from video2anim.body.skeleton import forward_kinematics
 
         frames = slice(span.start, span.stop)
@@ -252,7 +255,23 @@ class _Judge:
         )
         skin_m = self.body.vertices(R_world_joint, joints_m, self.vertex_index)
         begun_m = None if self._settled_from is None else self.shift_m[span.start : span.start + _JOINED_FRAMES]
-        return settling_shift(joints_m, self.contact[frames], FPS, skin_m=skin_m, grid=self.grid, begun_m=begun_m)
+        for most_m_s2 in _SETTLING_ACCELERATIONS_M_S2:
+            shift_m = settling_shift(
+                joints_m, self.contact[frames], FPS, skin_m=skin_m, grid=self.grid, begun_m=begun_m,
+                config=SettleConfig(acceleration_m_s2=most_m_s2),
+            )  # fmt: skip
+            if self._is_calm(joints_m + shift_m[:, None], joints_m, frames):
+                break
+        return shift_m
+
+    def _is_calm(self, joints_m: np.ndarray, before_m: np.ndarray, frames: slice) -> bool:
+        """Whether a motion's jerk is hardly above that of the motion before and of the observed one."""
+        from scenemi.metrics import jerk_m_s3
+
+        if len(joints_m) < 4:
+            return True
+        usual_m_s3 = max(jerk_m_s3(before_m, FPS), jerk_m_s3(self.observed.joints_world_m[frames], FPS))
+        return jerk_m_s3(joints_m, FPS) <= (1 + self.config.jerk_slack) * usual_m_s3
 
     def with_held_feet(self, motion: BodyMotion) -> BodyMotion:
         """The motion with its feet held in the observed contact phases."""
@@ -299,4 +318,4 @@ class _Judge:
         return self.grid.sample(self.body.vertices(R_world_joint, joints_m, self.vertex_index).astype(np.float64))
 
 
-STAGE = StageSpec("refine", refine_motion, version=4)
+STAGE = StageSpec("refine", refine_motion, version=5)
