@@ -32,8 +32,8 @@ _JUMP = 6.0
 _JOINED_FRAMES = 3
 """So many first frames of a window keep the shift of the window before: speed goes on with it."""
 _SETTLING_ACCELERATIONS_M_S2 = (2.0, 0.5, 0.12)
-"""How fast the settling shift may change: the first that does not shake the body, else the last. Feet on a treadmill and
-bodies that are deep in wrong solids would have it thrown about."""
+"""How fast the settling shift may change: the first that does not shake the body, else the last. Feet on a treadmill
+and bodies that are deep in wrong solids would have it thrown about."""
 
 
 @dataclass(frozen=True)

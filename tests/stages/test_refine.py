@@ -10,8 +10,10 @@ import pytest
 from synthetic import FPS, planted_walk, with_root_shift
 
 import scenemi.prior
+import stages.refine
 from scenemi.metrics import jerk_m_s3, mpjpe
 from stages.refine import RefineConfig, calm_frames, refine_motion
+from video2anim.body.leg_ik import LEGS
 from video2anim.errors import ModelMissingError
 from video2anim.geometry.sdf import build_sdf_grid
 from video2anim.pipeline.stage import StageContext
@@ -99,6 +101,22 @@ def test_foot_lock_holds_the_feet() -> None:
         step_m = np.diff(refined.people[0].joints_world_m[:, toe], axis=0)
         speed_m_s[lock] = float(np.linalg.norm(step_m, axis=-1)[planted].mean() * FPS)
     assert speed_m_s[True] < 0.2 * speed_m_s[False]
+
+
+def test_contacts_that_contradict_the_motion_do_not_shake_the_body(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Feet that are said to stand in turn, five frames each, whatever they do."""
+    walk = planted_walk(FRAMES, speed_m_s=0.3)
+    told = np.zeros_like(walk.contact)
+    left = np.arange(FRAMES) // 5 % 2 == 0
+    for side, leg in enumerate(LEGS):
+        told[np.ix_(left == (side == 0), [leg.ankle, leg.toe])] = 1.0
+    config = RefineConfig(foot_lock=False)
+    calm, _ = refine(replace(walk, contact=told), config)
+    monkeypatch.setattr(stages.refine, "_SETTLING_ACCELERATIONS_M_S2", (2.0,))
+    shaken, _ = refine(replace(walk, contact=told), config)
+    before, after, loose = (jerk_m_s3(m.joints_world_m, FPS) for m in (walk, calm.people[0], shaken.people[0]))
+    assert loose > 1.5 * before
+    assert after < 1.1 * before
 
 
 def test_a_body_a_little_under_the_floor_is_settled_on_it() -> None:
