@@ -9,6 +9,7 @@ Then the root is settled (standing feet stand, skin comes out of solids) and fee
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -255,14 +256,15 @@ class _Judge:
         )
         skin_m = self.body.vertices(R_world_joint, joints_m, self.vertex_index)
         begun_m = None if self._settled_from is None else self.shift_m[span.start : span.start + _JOINED_FRAMES]
-        for most_m_s2 in _SETTLING_ACCELERATIONS_M_S2:
-            shift_m = settling_shift(
-                joints_m, self.contact[frames], FPS, skin_m=skin_m, grid=self.grid, begun_m=begun_m,
-                config=SettleConfig(acceleration_m_s2=most_m_s2),
-            )  # fmt: skip
+        *stiffening, stiffest = [SettleConfig(acceleration_m_s2=most) for most in _SETTLING_ACCELERATIONS_M_S2]
+        solve = partial(
+            settling_shift, joints_m, self.contact[frames], FPS, skin_m=skin_m, grid=self.grid, begun_m=begun_m
+        )
+        for config in stiffening:
+            shift_m = solve(config=config)
             if self._is_calm(joints_m + shift_m[:, None], joints_m, frames):
-                break
-        return shift_m
+                return shift_m
+        return solve(config=stiffest)
 
     def _is_calm(self, joints_m: np.ndarray, before_m: np.ndarray, frames: slice) -> bool:
         """Whether a motion's jerk is hardly above that of the motion before and of the observed one."""

@@ -52,9 +52,11 @@ def inverse_background(
         things: Pixels of any thing.
         floor: Pixels of the floor, which is no upright background.
     """
-    kernel = np.ones((2 * _MIXED_PX + 1,) * 2, np.uint8)
-    gap = cv2.dilate(things.astype(np.uint8), kernel) | cv2.dilate(floor.astype(np.uint8), np.ones((3, 3), np.uint8))
-    shown = (gap == 0) & known & (depth_m > 0)
+    near_things, near_floor = (
+        cv2.dilate(mask.astype(np.uint8), np.ones((2 * by_px + 1,) * 2, np.uint8)).astype(bool)
+        for mask, by_px in ((things, _MIXED_PX), (floor, 1))
+    )
+    shown = ~near_things & ~near_floor & known & (depth_m > 0)
     height, width = depth_m.shape
     shrink = max(1.0, max(height, width) / _CELLS)
     size = (max(round(width / shrink), 1), max(round(height / shrink), 1))
