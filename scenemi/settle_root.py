@@ -73,8 +73,9 @@ def settling_shift(
     if frames < 3 or kept == frames:
         return shift_m
     free, fixed = np.arange(3 * kept, 3 * frames), np.arange(3 * kept)
-    step = sparse.diags([-fps, fps], [0, 1], shape=(frames - 1, frames), format="csr")
-    bend = sparse.diags([fps**2, -2 * fps**2, fps**2], [0, 1, 2], shape=(frames - 2, frames), format="csr")
+    step = sparse.diags_array([-fps, fps], offsets=[0, 1], shape=(frames - 1, frames), format="csr")
+    curve = [fps**2, -2 * fps**2, fps**2]
+    bend = sparse.diags_array(curve, offsets=[0, 1, 2], shape=(frames - 2, frames), format="csr")
     step, bend = (sparse.kron(matrix, sparse.identity(3), format="csr") for matrix in (step, bend))
     rest = sparse.identity(3 * frames) / config.sigma_m**2 + bend.T @ bend / config.acceleration_m_s2**2
     speed = np.diff(joints_m[:, FEET], axis=0) * fps
@@ -90,7 +91,8 @@ def settling_shift(
             left_side, right_side = left_side + sparse.block_diag(list(blocks)), right_side + pushes.reshape(-1)
         rows = sparse.csr_matrix(left_side)[free]
         right_side = right_side[free] - rows[:, fixed] @ shift_m[:kept].reshape(-1)
-        shift_m[kept:] = spsolve(sparse.csc_matrix(rows[:, free]), right_side).reshape(-1, 3)
+        solved = np.asarray(spsolve(sparse.csc_matrix(rows[:, free]), right_side))
+        shift_m[kept:] = solved.reshape(-1, 3)
     # To the micrometre: what is far from a change and the same but for rounding is the same to the bit.
     return np.round(shift_m, 6)
 
