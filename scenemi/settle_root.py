@@ -73,9 +73,8 @@ def settling_shift(
     if frames < 3 or kept == frames:
         return shift_m
     free, fixed = np.arange(3 * kept, 3 * frames), np.arange(3 * kept)
-    step = sparse.diags_array([-fps, fps], offsets=[0, 1], shape=(frames - 1, frames), format="csr")
-    curve = [fps**2, -2 * fps**2, fps**2]
-    bend = sparse.diags_array(curve, offsets=[0, 1, 2], shape=(frames - 2, frames), format="csr")
+    step = fps * (sparse.eye(frames - 1, frames, k=1) - sparse.eye(frames - 1, frames))
+    bend = fps**2 * sum(share * sparse.eye(frames - 2, frames, k=k) for k, share in enumerate((1, -2, 1)))
     step, bend = (sparse.kron(matrix, sparse.identity(3), format="csr") for matrix in (step, bend))
     rest = sparse.identity(3 * frames) / config.sigma_m**2 + bend.T @ bend / config.acceleration_m_s2**2
     speed = np.diff(joints_m[:, FEET], axis=0) * fps
