@@ -245,7 +245,7 @@ class _Judge:
             self.shift_m[: span.start] = self.shift_m[span.start]
 
     def _settling_shift(self, span: WindowSpan, filled: WindowMotion) -> Float[np.ndarray, "frames 3"]:
-        from scenemi.settle_root import SettleConfig, settling_shift
+        from scenemi.settle_root import SettleConfig, SkinNearSolids, settling_shift
         from video2anim.body.skeleton import forward_kinematics
 
         frames = slice(span.start, span.stop)
@@ -254,12 +254,10 @@ class _Judge:
         joints_m, R_world_joint = forward_kinematics(
             filled.R_parent_joint, filled.translation_world_m, self.observed.rest_joints_m
         )
-        skin_m = self.body.vertices(R_world_joint, joints_m, self.vertex_index)
+        skin = SkinNearSolids(self.body.vertices(R_world_joint, joints_m, self.vertex_index), self.grid)
         begun_m = None if self._settled_from is None else self.shift_m[span.start : span.start + _JOINED_FRAMES]
         *stiffening, stiffest = [SettleConfig(acceleration_m_s2=most) for most in _SETTLING_ACCELERATIONS_M_S2]
-        solve = partial(
-            settling_shift, joints_m, self.contact[frames], FPS, skin_m=skin_m, grid=self.grid, begun_m=begun_m
-        )
+        solve = partial(settling_shift, joints_m, self.contact[frames], FPS, skin=skin, begun_m=begun_m)
         for config in stiffening:
             shift_m = solve(config=config)
             if self._is_calm(joints_m + shift_m[:, None], joints_m, frames):

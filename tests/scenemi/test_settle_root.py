@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenemi.settle_root import SettleConfig, settling_shift
+from scenemi.settle_root import SettleConfig, SkinNearSolids, settling_shift
 from video2anim.body.skeleton import FEET
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
@@ -67,7 +67,7 @@ def test_skin_a_little_inside_comes_out_smoothly(depth_m: float) -> None:
     touch = np.exp(-0.5 * ((np.arange(FRAMES) - 45) / 8) ** 2)
     skin_m, grid = skin_at(0.95 - 0.1 + (0.1 + depth_m) * touch), floor_and_box()
     before_m = grid.sample(skin_m).min()
-    shift_m = settling_shift(np.zeros((FRAMES, 22, 3)), np.zeros((FRAMES, 22)), FPS, skin_m=skin_m, grid=grid)
+    shift_m = settling_shift(np.zeros((FRAMES, 22, 3)), np.zeros((FRAMES, 22)), FPS, skin=SkinNearSolids(skin_m, grid))
     assert before_m < -0.3 * depth_m
     assert grid.sample(skin_m + shift_m[:, None]).min() > -0.005
     assert np.abs(shift_m[:5]).max() < 0.002, "where nothing is inside nothing moves"
@@ -76,7 +76,7 @@ def test_skin_a_little_inside_comes_out_smoothly(depth_m: float) -> None:
 
 def test_skin_under_the_floor_is_lifted() -> None:
     skin_m, grid = skin_at(np.zeros(FRAMES), 0.03), floor_and_box()
-    shift_m = settling_shift(np.zeros((FRAMES, 22, 3)), np.zeros((FRAMES, 22)), FPS, skin_m=skin_m, grid=grid)
+    shift_m = settling_shift(np.zeros((FRAMES, 22, 3)), np.zeros((FRAMES, 22)), FPS, skin=SkinNearSolids(skin_m, grid))
     assert grid.sample(skin_m).min() < -0.01
     assert grid.sample(skin_m + shift_m[:, None]).min() > -0.004
     np.testing.assert_allclose(shift_m[:, [0, 2]], 0, atol=2e-3)
@@ -85,7 +85,7 @@ def test_skin_under_the_floor_is_lifted() -> None:
 def test_skin_deep_inside_is_left_there() -> None:
     """A body in the middle of a box: pose or box are wrong, and no small shift helps."""
     skin_m, grid = skin_at(np.full(FRAMES, 1.5)), floor_and_box()
-    shift_m = settling_shift(np.zeros((FRAMES, 22, 3)), np.zeros((FRAMES, 22)), FPS, skin_m=skin_m, grid=grid)
+    shift_m = settling_shift(np.zeros((FRAMES, 22, 3)), np.zeros((FRAMES, 22)), FPS, skin=SkinNearSolids(skin_m, grid))
     assert np.abs(shift_m).max() < 0.05
 
 
