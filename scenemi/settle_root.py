@@ -21,6 +21,8 @@ _STEEPEST = 3**0.5
 """A field read by trilinear interpolation between true distances changes by no more than this per metre."""
 _FARTHEST_HINGE = 30.0
 """Skin farther out of a solid than so many widths of the hinge counts nothing."""
+_LIMIT_HINGE_M = 0.001
+"""The limit across the line of sight sets in within about this."""
 _BELOW = 6
 """Matrices are of frames times three coordinates, and couple frames up to two apart: so many diagonals below the main
 one."""
@@ -30,16 +32,20 @@ one."""
 class SettleConfig:
     """What counts how much: standard deviations of a least-squares problem."""
 
-    sigma_m: float = 0.05
+    sigma_m: float = 0.02
     """How far a frame's root may be off."""
+    limit_sigma_m: float = 0.0003
+    """How strictly the limit across the line of sight is kept."""
+    speed_m_s: float = 0.05
+    """How fast the shift may change: frames of a motion are known better beside each other than in the world."""
     acceleration_m_s2: float = 2.0
     """How fast that may change."""
-    foot_speed_m_s: float = 0.1
+    foot_speed_m_s: float = 0.04
     """Speed of joints of standing feet."""
     odd_speed_m_s: float = 1.0
     """A foot as fast as this does not stand, whatever its contact says; a slower one counts the more, the slower."""
     contact_threshold: float = 0.5
-    depth_sigma_m: float = 0.003
+    depth_sigma_m: float = 0.0025
     """Depth of skin in solids beyond `free_depth_m`."""
     free_depth_m: float = 0.002
     odd_depth_m: float = 0.12
@@ -55,6 +61,7 @@ def settling_shift(
     fps: float,
     *,
     skin: SkinNearSolids | None = None,
+    sight: Sight | None = None,
     begun_m: Float[np.ndarray, "some_frames 3"] | None = None,
     config: SettleConfig | None = None,
 ) -> Float[np.ndarray, "frames 3"]:
@@ -65,6 +72,7 @@ def settling_shift(
         contact: probabilities; feet only are looked at.
         fps: frames per second.
         skin: the body's skin among the solids it is to come out of; None for no solids.
+        sight: from where the roots are seen; None where all directions are alike.
         begun_m: displacement that the first frames have already, and keep; what follows goes on from there.
         config: weights.
     """
@@ -84,11 +92,15 @@ def settling_shift(
         left = np.linalg.norm(speed + np.diff(shift_m, axis=0)[:, None] * fps, axis=-1)
         weight = standing * _believed(left / config.odd_speed_m_s) / config.foot_speed_m_s**2
         matrix = rest.copy()
-        _add_steps(matrix, fps**2 * weight.sum(1))
+        _add_steps(matrix, fps**2 * (weight.sum(1) + config.speed_m_s**-2))
         pulled = fps * (weight[..., None] * speed).sum(1)
         goal = np.concatenate([pulled, np.zeros((1, 3))]) - np.concatenate([np.zeros((1, 3)), pulled])
         if skin is not None:
             blocks, pushes = _out_of_solids(skin, shift_m, config)
+            _add_blocks(matrix, blocks)
+            goal += pushes
+        if sight is not None:
+            blocks, pushes = _within_limit(sight, shift_m, config)
             _add_blocks(matrix, blocks)
             goal += pushes
         # What is kept goes to the other side: it is coupled with the two frames that follow.
@@ -99,6 +111,16 @@ def settling_shift(
         shift_m[kept:] = solved.reshape(-1, 3)
     # To the micrometre: what is far from a change and the same but for rounding is the same to the bit.
     return np.round(shift_m, 6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """How roots are seen: the picture says little of where they are along the line of sight, but much across it."""
+
+    direction: Float[np.ndarray, "frames 3"]
+    """Unit vectors from the camera to the roots, world frame."""
+    limit_m: float
+    """A shift across it goes no farther."""
 
 
 class SkinNearSolids:
@@ -180,6 +202,19 @@ def _out_of_solids(
     np.add.at(blocks, frame, (weight[:, None] * normal)[:, :, None] * normal[:, None])
     np.add.at(pushes, frame, (weight * goal_m)[:, None] * normal)
     return blocks, pushes
+
+
+def _within_limit(
+    sight: Sight, shift_m: np.ndarray, config: SettleConfig
+) -> tuple[Float[np.ndarray, "frames 3 3"], Float[np.ndarray, "frames 3"]]:
+    """Normal equations that hold shifts at the limit across the sight."""
+    beside = np.eye(3) - sight.direction[:, :, None] * sight.direction[:, None]
+    across_m = np.einsum("tab,tb->ta", beside, shift_m)
+    length_m = np.linalg.norm(across_m, axis=1)
+    beyond = np.clip((length_m - sight.limit_m) / _LIMIT_HINGE_M, -_FARTHEST_HINGE, _FARTHEST_HINGE)
+    weight = 1 / (1 + np.exp(-beyond)) / config.limit_sigma_m**2
+    goal_m = across_m * (sight.limit_m / np.maximum(length_m, 1e-9))[:, None]
+    return weight[:, None, None] * beside, weight[:, None] * goal_m
 
 
 def _believed(off: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from video2anim.types import BodyMotion, KeyframedMotion, RefinedMotion, SceneMo
 if TYPE_CHECKING:
     from scenemi.longmotion import LongMotion
     from scenemi.prior import InbetweeningPrior, WindowMotion
+    from scenemi.settle_root import Sight
     from scenemi.windows import WindowSpan
     from video2anim.body.anny_body import ShapedBody
     from video2anim.geometry.sdf import SdfGrid
@@ -67,6 +68,8 @@ class RefineConfig:
     motion that is faster than the keyframes."""
     settle: bool = True
     """Move the root by centimetres where standing feet slide or skin is inside solids."""
+    picture_limit_ratio: float = 0.03
+    """Farthest that settling moves the root across the line of sight, as a share of the stature."""
     foot_lock: bool = True
     """Hold feet still in contact phases, and swinging toes off the floor."""
     sampled_vertices: int = 500
@@ -257,12 +260,22 @@ class _Judge:
         skin = SkinNearSolids(self.body.vertices(R_world_joint, joints_m, self.vertex_index), self.grid)
         begun_m = None if self._settled_from is None else self.shift_m[span.start : span.start + _JOINED_FRAMES]
         *stiffening, stiffest = [SettleConfig(acceleration_m_s2=most) for most in _SETTLING_ACCELERATIONS_M_S2]
-        solve = partial(settling_shift, joints_m, self.contact[frames], FPS, skin=skin, begun_m=begun_m)
+        seen = self._sight(frames)
+        solve = partial(settling_shift, joints_m, self.contact[frames], FPS, skin=skin, sight=seen, begun_m=begun_m)
         for config in stiffening:
             shift_m = solve(config=config)
             if self._is_calm(joints_m + shift_m[:, None], joints_m, frames):
                 return shift_m
         return solve(config=stiffest)
+
+    def _sight(self, frames: slice) -> Sight:
+        """Lines of sight to the observed roots."""
+        from scenemi.settle_root import Sight
+
+        offset_m = self.observed.T_world_root[frames, :3, 3] - self.observed.T_world_camera[frames, :3, 3]
+        direction = offset_m / np.maximum(np.linalg.norm(offset_m, axis=1, keepdims=True), 1e-6)
+        stature_m = float(np.ptp(self.body.rest_vertices_m[:, 1]))
+        return Sight(direction, self.config.picture_limit_ratio * stature_m)
 
     def _is_calm(self, joints_m: np.ndarray, before_m: np.ndarray, frames: slice) -> bool:
         """Whether a motion's jerk is hardly above that of the motion before and of the observed one."""
@@ -318,4 +331,4 @@ class _Judge:
         return self.grid.sample(self.body.vertices(R_world_joint, joints_m, self.vertex_index).astype(np.float64))
 
 
-STAGE = StageSpec("refine", refine_motion, version=5)
+STAGE = StageSpec("refine", refine_motion, version=6)

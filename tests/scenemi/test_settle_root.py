@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenemi.settle_root import SettleConfig, SkinNearSolids, settling_shift
+from scenemi.settle_root import SettleConfig, Sight, SkinNearSolids, settling_shift
 from video2anim.body.skeleton import FEET
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
@@ -123,5 +123,31 @@ def test_all_begun_is_all_kept() -> None:
 
 def test_a_loose_root_moves_farther() -> None:
     joints_m, contact = sliding(0.1), standing()
-    firm, loose = (settling_shift(joints_m, contact, FPS, config=SettleConfig(sigma_m=s)) for s in (0.01, 0.2))
+    configs = [SettleConfig(sigma_m=s, speed_m_s=0.5, foot_speed_m_s=0.1) for s in (0.01, 0.2)]
+    firm, loose = (settling_shift(joints_m, contact, FPS, config=config) for config in configs)
     assert np.abs(loose).max() > 1.5 * np.abs(firm).max()
+
+
+def test_a_slow_shift_is_better_than_a_fast_one() -> None:
+    """Who slides for a moment is not thrown about: the way is made up for by and by."""
+    joints_m, contact = sliding(0.0), standing()
+    joints_m[..., 0] = 0.05 * np.clip((np.arange(FRAMES) - 40) / 10, 0, 1)[:, None]
+    slow, fast = (settling_shift(joints_m, contact, FPS, config=SettleConfig(speed_m_s=v)) for v in (0.02, 1.0))
+    speed = [np.abs(np.diff(shift_m[:, 0])).max() for shift_m in (slow, fast)]
+    assert speed[0] < 0.7 * speed[1]
+
+
+@pytest.mark.parametrize("depth_m", [0.05, 0.08])
+def test_a_shift_across_the_sight_keeps_to_its_limit(depth_m: float) -> None:
+    """Skin in a box's face that is seen edge on may come out by the limit only; seen face on, all the way."""
+    skin_m, grid = skin_at(np.full(FRAMES, 0.95 + depth_m)), floor_and_box()
+    still_m, none = np.zeros((FRAMES, 22, 3)), np.zeros((FRAMES, 22))
+    moved_m, left_m = [], []
+    for direction in ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0]):
+        sight = Sight(np.tile(direction, (FRAMES, 1)), 0.02)
+        shift_m = settling_shift(still_m, none, FPS, skin=SkinNearSolids(skin_m, grid), sight=sight)
+        moved_m.append(np.linalg.norm(shift_m, axis=1))
+        left_m.append(-grid.sample(skin_m + shift_m[:, None]).min())
+    assert ((moved_m[0] > 0.018) & (moved_m[0] < 0.025)).all()
+    assert left_m[0] > depth_m - 0.035
+    assert left_m[1] < 0.006
