@@ -81,7 +81,7 @@ def of_clip(truth: Truth, pictures: Path | None) -> list[dict]:
     started = time.process_time()
     completed = complete_objects(plate, masks, depth, CompleteConfig(), ctx)
     meshes = reconstruct_objects(completed, masks, depth, plate, bodies, camera, ReconstructConfig(), ctx)
-    placed = place_objects(meshes, masks, depth, bodies, camera, PlaceConfig(), ctx)
+    placed = place_objects(meshes, masks, depth, plate, bodies, camera, PlaceConfig(), ctx)
     seconds = (time.process_time() - started) / max(len(masks.instances), 1)
     if pictures:
         picture(truth, placed, pictures / f"{truth.name}.png")

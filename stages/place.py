@@ -14,6 +14,7 @@ from jaxtyping import Float
 from video2anim.errors import StageError
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
+    BackgroundPlate,
     BodyMotion,
     BodyTracks,
     CameraEstimate,
@@ -50,6 +51,7 @@ def place_objects(
     meshes: ObjectMeshes,
     masks: InstanceMasks,
     depth: MetricDepth,
+    plate: BackgroundPlate,
     bodies: BodyTracks,
     camera: CameraEstimate,
     config: PlaceConfig,
@@ -64,7 +66,7 @@ def place_objects(
 
     if not bodies.people:
         raise StageError("place: want at least one fitted body, got none; check stage humans")
-    lifter = ThingLifter(masks, depth, bodies.people[0], camera)
+    lifter = ThingLifter(masks, depth, plate, bodies.people[0], camera)
     placed = []
     for done, found in enumerate(meshes.objects):
         points_m = lifter.lift(found.object_id).points_world_m
@@ -166,4 +168,4 @@ def _arranged(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext
     return moved
 
 
-STAGE = StageSpec("place", place_objects, version=4)
+STAGE = StageSpec("place", place_objects, version=5)

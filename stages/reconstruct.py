@@ -90,7 +90,7 @@ def reconstruct_objects(
     _expect_known(config)
     if not bodies.people:
         raise StageError("reconstruct: want at least one fitted body, got none; check stage humans")
-    lifter = ThingLifter(masks, depth, bodies.people[0], camera)
+    lifter = ThingLifter(masks, depth, plate, bodies.people[0], camera)
     foreign = _user_meshes(config)
     meshes, boxes = [], 0
     for done, found in enumerate(completed.objects):
@@ -235,4 +235,4 @@ def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[
     return picture
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=5, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=6, models=(SLOT,))

@@ -59,7 +59,7 @@ def run_chain(room: Room) -> Chain:
     meshes = reconstruct_objects(
         completed, masks, metric, room.plate, room.bodies, room.camera, ReconstructConfig(), ctx
     )
-    placed = place_objects(meshes, masks, metric, room.bodies, room.camera, PlaceConfig(), ctx)
+    placed = place_objects(meshes, masks, metric, room.plate, room.bodies, room.camera, PlaceConfig(), ctx)
     scene = build_scene(placed, metric, masks, room.plate, room.bodies, SceneConfig(), ctx)
     return Chain(depth, metric, masks, completed, meshes, placed, scene, ctx)
 

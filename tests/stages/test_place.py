@@ -41,7 +41,8 @@ def test_a_raised_object_keeps_its_height(least_points: int) -> None:
     raised[1, 3] = 0.7
     meshes = ObjectMeshes((replace(found, T_world_object=raised),))
     config, ctx = PlaceConfig(least_points=least_points), StageContext(Path())
-    (placed,) = place_objects(meshes, chain.masks, chain.metric, room.bodies, room.camera, config, ctx).objects
+    inputs = (chain.masks, chain.metric, room.plate, room.bodies, room.camera)
+    (placed,) = place_objects(meshes, *inputs, config, ctx).objects
     assert placed.T_world_object[1, 3] == 0.7
 
 

@@ -1,0 +1,122 @@
+"""What a person is seen in front of is farther away than the person.
+
+A thing's depth comes from a network, a person's from their size and feet: where the two disagree on who hides whom, the
+picture decides. The other way round (a thing that hides somebody is nearer) would be as good if masks of people had all
+their limbs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.skeleton import forward_kinematics
+from video2anim.geometry.projection import invert_rigid, project, transform_points
+from video2anim.types.camera import Intrinsics
+from video2anim.types.motion import BodyMotion
+
+_MOST_FRAMES = 60
+_VOTES = 3
+"""Frames that must agree on a pixel."""
+_MOST_HIDDEN = 0.2
+"""Of a thing that somebody passes before, so much of the body may be missing, as a share of what is seen of it; where
+more is, they pass behind, and masks that are a little too large touch the thing."""
+_MOVED_M = 0.02
+"""A camera that went farther sees other things at the same pixels."""
+_QUANTILE = 0.9
+"""Of a thing's pixels: the person was near it at a few of them."""
+_LEAST_PIXELS = 20
+_SLACK_LOG = 0.05
+"""So much farther than a thing the person may be: neither depth is better known."""
+_LARGEST_LOG = 0.35
+"""A thing that would have to go farther is left where it is: one of the two is wrong."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passed:
+    """Where a person was seen, and where not although they were there; pixels."""
+
+    depth_m: Float[np.ndarray, "height width"]
+    """How far away they were, at most; 0 where they were not seen."""
+    seen: Int[np.ndarray, "height width"]
+    """Frames in which the body covers the pixel and is seen there."""
+    hidden: Int[np.ndarray, "height width"]
+    """Frames in which it covers the pixel and something else is seen."""
+
+
+def passed_before(
+    body: BodyMotion,
+    frames: np.ndarray,
+    masks: Bool[np.ndarray, "frames height width"],
+    intrinsics: Intrinsics,
+) -> Passed:
+    """What a person covered; nothing for cameras that move.
+
+    The distance is the greatest that `_VOTES` frames have.
+
+    Args:
+        body: The person.
+        frames: Which frames of the clip the masks are of.
+        masks: Pixels that show the person.
+        intrinsics: At the size of the masks.
+    """
+    farthest_m = np.zeros((_VOTES, *masks.shape[1:]), np.float32)
+    seen, hidden = np.zeros(masks.shape[1:], np.int32), np.zeros(masks.shape[1:], np.int32)
+    still = np.abs(body.T_world_camera[frames] - body.T_world_camera[0]).max(initial=0.0) < _MOVED_M
+    chosen = np.flatnonzero(body.valid[frames]) if still else np.zeros(0, np.int64)
+    if len(chosen) < _VOTES:
+        return Passed(farthest_m[0], seen, hidden)
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _MOST_FRAMES).round().astype(int))]
+    at = frames[chosen]
+    shaped = shaped_body(body.shape)
+    _, R_world_joint = forward_kinematics(body.R_parent_joint[at], body.T_world_root[at, :3, 3], body.rest_joints_m)
+    skins_m = shaped.vertices(R_world_joint, body.joints_world_m[at])
+    T_camera_world = invert_rigid(body.T_world_camera[0])
+    for skin_m, mask in zip(skins_m, masks[chosen], strict=True):
+        camera_m = transform_points(T_camera_world, skin_m.astype(np.float64))
+        there_m = _depth_of(camera_m, shaped.faces, intrinsics)
+        own_m = np.where(mask, there_m, 0.0)
+        inner = cv2.erode((there_m > 0).astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
+        seen += inner & mask
+        hidden += inner & ~cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+        # The votes are kept in order, the nearest first: a farther one takes its place.
+        farthest_m[0] = np.maximum(farthest_m[0], own_m)
+        farthest_m.sort(axis=0)
+    return Passed(farthest_m[0], seen, hidden)
+
+
+def _depth_of(camera_m: np.ndarray, faces: np.ndarray, intrinsics: Intrinsics) -> Float[np.ndarray, "height width"]:
+    """Depth of a body's near side in the picture, 0 beside it."""
+    height, width = intrinsics.height_px, intrinsics.width_px
+    points_m = np.concatenate([camera_m, camera_m[faces].mean(1)])
+    points_m = points_m[points_m[:, 2] > 0.1]
+    column, row = np.floor(project(points_m, intrinsics) + 0.5).astype(np.int64).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    nearest_m = np.full((height, width), np.inf, np.float32)
+    np.minimum.at(nearest_m, (row[inside], column[inside]), points_m[inside, 2])
+    # Skin points are sparse on people near by: a pixel takes the nearest of its neighbors.
+    nearest_m = cv2.erode(np.where(np.isfinite(nearest_m), nearest_m, 1e6), np.ones((3, 3)))
+    return np.where(nearest_m < 1e6, nearest_m, 0.0)
+
+
+def factor_behind(
+    depth_m: Float[np.ndarray, "height width"],
+    shows: Bool[np.ndarray, "height width"],
+    passed: Passed,
+) -> float:
+    """By what a thing's depth is to be multiplied so that it is behind who was seen before it; 1 where it is.
+
+    Args:
+        depth_m: Of the picture.
+        shows: Pixels that show the thing.
+        passed: The person.
+    """
+    inner = cv2.erode(shows.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & (passed.depth_m > 0)
+    if inner.sum() < _LEAST_PIXELS or passed.hidden[shows].sum() > _MOST_HIDDEN * passed.seen[shows].sum():
+        return 1.0
+    lacks = float(np.quantile(np.log(passed.depth_m[inner] / depth_m[inner]), _QUANTILE)) - _SLACK_LOG
+    return float(np.exp(lacks)) if 0 < lacks < _LARGEST_LOG else 1.0
