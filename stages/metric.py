@@ -26,6 +26,9 @@ _LARGEST_LOG_FACTOR = 0.4
 """People's depth is not moved farther than this; one of the two is wrong then."""
 
 
+_FLAT = "what the person's depth tells would make the whole scene flat"
+
+
 @dataclass(frozen=True)
 class MetricConfig:
     """Samples and limits of the fit."""
@@ -95,10 +98,10 @@ def fit_metric(
         raise StageError("metric: want at least one fitted body, got none; check stage humans")
     ground = _ground(depth, plate, bodies, config, ctx)
     frames = [] if ground is not None and config.evidence == "ground" else _evidence(depth, plate, bodies, config, ctx)
-    verdict = _fit_to_person(frames, depth.kind, config, ctx) if ground is None else None
+    verdict = _fit_to_person(frames, depth, config, ctx) if ground is None else None
     if ground is not None:
-        verdict = _fit_with_ground(frames, ground.evidence, depth.kind, config, ctx)
-        by_body = None if verdict is not None and verdict.trusted else _fit_to_person(frames, depth.kind, config, ctx)
+        verdict = _fit_with_ground(frames, ground.evidence, depth, config, ctx)
+        by_body = None if verdict is not None and verdict.trusted else _fit_to_person(frames, depth, config, ctx)
         if by_body is not None and by_body.trusted:
             # What was taken for the floor is another surface, or the network's depth bends between the two.
             verdict, ground = by_body, None
@@ -160,10 +163,14 @@ def _evidence(
     return frames
 
 
-def _fit_to_person(frames: list[FrameEvidence], kind: str, config: MetricConfig, ctx: StageContext) -> _Verdict | None:
+def _fit_to_person(
+    frames: list[FrameEvidence], depth: DepthClip, config: MetricConfig, ctx: StageContext
+) -> _Verdict | None:
     """Fit to the body; None where the evidence is too little or contradicts every positive scale."""
     from video2anim.geometry.depth_fit import fit_depth
+    from video2anim.geometry.flat_depth import fit_at_usual_offset, is_flat
 
+    kind, background = depth.kind, depth.background_value
     if len(frames) < config.least_frames:
         return None
     middle = np.array([np.median(frame.body_camera_m[:, 2]) for frame in frames])
@@ -177,6 +184,11 @@ def _fit_to_person(frames: list[FrameEvidence], kind: str, config: MetricConfig,
     if spread >= config.least_range_ratio:
         full = fit_depth(frames, kind, with_offset=True, rng=ctx.rng("metric/scale and offset"))
         fit, reason = _simpler(plain, full)
+    if is_flat(fit, kind, background):
+        usual = fit_at_usual_offset(frames, background, depth.provider, rng=ctx.rng("metric/usual offset"))
+        if usual is None:
+            return _Verdict(fit, False, _FLAT)
+        fit, reason = usual, f"{_FLAT}: scale fitted to the person, the offset is the network's usual one"
     if fit.chamfer_after_m > config.largest_chamfer_m:
         problem = f"body and depth stay {fit.chamfer_after_m:.2f} m apart (limit {config.largest_chamfer_m} m)"
         return _Verdict(fit, False, problem)
@@ -236,27 +248,31 @@ def _stood_on(bodies: BodyTracks, intrinsics: Intrinsics) -> Bool[np.ndarray, "s
 
 
 def _fit_with_ground(
-    frames: list[FrameEvidence], ground: GroundEvidence, kind: str, config: MetricConfig, ctx: StageContext
+    frames: list[FrameEvidence], ground: GroundEvidence, depth: DepthClip, config: MetricConfig, ctx: StageContext
 ) -> _Verdict | None:
     """Fit to the floor and, given enough frames, the body; None where they contradict every positive scale. Where a
     floor that decides gives what cannot be trusted, floor and body are tried as equals."""
-    verdict = _fit_as_weighed(frames, ground, kind, config, ctx)
+    verdict = _fit_as_weighed(frames, ground, depth, config, ctx)
     if verdict is None or verdict.trusted or ground.weight <= 1:
         return verdict
-    equal = _fit_as_weighed(frames, replace(ground, weight=1.0), kind, config, ctx)
+    equal = _fit_as_weighed(frames, replace(ground, weight=1.0), depth, config, ctx)
     return equal if equal is not None and equal.trusted else verdict
 
 
 def _fit_as_weighed(
-    frames: list[FrameEvidence], ground: GroundEvidence, kind: str, config: MetricConfig, ctx: StageContext
+    frames: list[FrameEvidence], ground: GroundEvidence, depth: DepthClip, config: MetricConfig, ctx: StageContext
 ) -> _Verdict | None:
     from video2anim.geometry.depth_fit import fit_depth, mean_chamfer_m
+    from video2anim.geometry.flat_depth import is_flat
 
+    kind = depth.kind
     frames = frames if len(frames) >= config.least_frames else []
     try:
         fit = fit_depth(frames, kind, with_offset=True, rng=ctx.rng("metric/with ground"), ground=ground)
     except ValueError:
         return None
+    if is_flat(fit, kind, depth.background_value):
+        return _Verdict(fit, False, _FLAT)
     if fit.ground_miss_m > config.largest_ground_miss_m:
         problem = (
             f"the floor's depth stays {fit.ground_miss_m:.2f} m off the floor (limit {config.largest_ground_miss_m} m)"
@@ -377,4 +393,4 @@ def _if_measured(value_m: float) -> float | None:
     return float(value_m) if np.isfinite(value_m) else None
 
 
-STAGE = StageSpec("metric", fit_metric, version=7, models=("segment",))
+STAGE = StageSpec("metric", fit_metric, version=8, models=("segment",))

@@ -1,0 +1,51 @@
+"""Fits of disparity that lose the scene's depth, and what is done instead.
+
+Disparity of a network has an unknown offset. Where the person stays at one distance, what varies in their disparity is
+error, and the fit that does best by it has a scale near 0: everything in the picture is as far away as the person.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.geometry.depth_fit import DepthFit, FrameEvidence, GroundEvidence, fit_depth
+
+_FLATTEST = 6.0
+"""Offset of a fit, as a multiple of what the picture's median disparity scales to. The rooms of V2A-Bench have 0.6 to
+2.9."""
+USUAL_OFFSET = {"room-depth": 1.25}
+"""By provider, the same for networks of which it is known (geometric mean of those rooms; standard deviation of the
+logarithm 0.55)."""
+
+
+def is_flat(fit: DepthFit, kind: str, background_value: Float[np.ndarray, "height width"]) -> bool:
+    """Whether the picture's depth varies far less than that of pictures does."""
+    return kind == "disparity" and fit.offset > _FLATTEST * fit.scale * float(np.median(background_value))
+
+
+def fit_at_usual_offset(
+    frames: Sequence[FrameEvidence],
+    background_value: Float[np.ndarray, "height width"],
+    provider: str,
+    *,
+    rng: np.random.Generator,
+    ground: GroundEvidence | None = None,
+) -> DepthFit | None:
+    """The scale of disparity alone, its offset being in the usual proportion to it; None for unknown networks.
+
+    The offset's deviation is that of the scale; `fit_depth` says what else.
+
+    Raises:
+        ValueError: no positive scale makes the medians agree.
+    """
+    if provider not in USUAL_OFFSET:
+        return None
+    more = USUAL_OFFSET[provider] * float(np.median(background_value))
+    moved = [replace(frame, value=frame.value + more) for frame in frames]
+    below = None if ground is None else replace(ground, value=ground.value + more)
+    fit = fit_depth(moved, "disparity", with_offset=False, rng=rng, ground=below)
+    return replace(fit, offset=fit.scale * more, offset_sigma=fit.scale_sigma * more)
