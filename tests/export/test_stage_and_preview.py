@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -15,7 +16,7 @@ from stages.export import ExportConfig, export_scene
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.errors import UsageError
 from video2anim.export import FORMATS, ExportScene, write_format
-from video2anim.export.preview import moment_picture, overlay_frame, write_preview
+from video2anim.export.preview import hidden_share, moment_picture, overlay_frame, side_viewpoint, write_preview
 from video2anim.geometry.projection import project
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
@@ -141,3 +142,18 @@ def test_stage_module_is_light() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_side_view_is_not_from_behind_a_solid() -> None:
+    """A wall between the body and the usual side: the view is from another one, whence the body is seen."""
+    people, scene = (walk(FRAMES),), room()
+    joints_m = people[0].joints_world_m.reshape(-1, 3)
+    usual = side_viewpoint(people, scene, 320, 240)
+    assert hidden_share(joints_m, usual, scene) == 0
+    place_m = scene.sdf_origin_m + scene.sdf_spacing_m * np.stack(np.indices(scene.sdf_m.shape), -1)
+    towards = usual.T_world_camera[:3, 3] - joints_m.mean(0)
+    towards[1] = 0
+    away_m = (place_m - joints_m.mean(0)) @ (towards / np.linalg.norm(towards))
+    walled = replace(scene, sdf_m=np.minimum(scene.sdf_m, np.abs(away_m - 1.3) - 0.3))
+    assert hidden_share(joints_m, usual, walled) > 0.5
+    assert hidden_share(joints_m, side_viewpoint(people, walled, 320, 240), walled) == 0

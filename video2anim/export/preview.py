@@ -8,8 +8,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
+from video2anim.geometry.sdf import SdfGrid
 from video2anim.types import BodyMotion, Intrinsics, SceneModel, VideoClip
 from video2anim.video import FrameWriter, read_frame, read_frames
 from video2anim.viewer.bodies import PosedBodies
@@ -19,7 +20,13 @@ from video2anim.viewer.software import framed_points
 from video2anim.viewer.viewpoint import Viewpoint, fit_viewpoint, looking
 
 _BODY_OPACITY = 0.8
-_SIDE_ELEVATION_RAD = 0.25
+_CLEAR_SIGHT = ((1, 0.25), (-1, 0.25), (1, 0.7), (-1, 0.7), (1, 1.2))
+"""Sides and elevations of a side view, in radians, in the order they are tried."""
+_LOOKED_AT = 40
+"""Frames whose bodies are asked whether they are hidden."""
+_HIDDEN_SHARE = 0.15
+"""More of the joints than this may not be hidden."""
+_SIGHT_STEPS = 60
 _TEXT_RGB = (40, 44, 52)
 _AROUND_M = tuple(np.array([x, 0.0, z]) for x in (-0.4, 0.4) for z in (-0.4, 0.4))
 """Room left around a body in a close view."""
@@ -103,8 +110,8 @@ def moment_picture(
     around = [motion.joints_world_m[frame] for motion in (raw, refined)]
     points_m = np.concatenate([a + shift for a in around for shift in _AROUND_M])
     size_px = panels[0].shape[0]
+    viewpoint = _clear_viewpoint(points_m, np.concatenate(around), sideways, scene, size_px, size_px)
     for motion in (raw, refined):
-        viewpoint = fit_viewpoint(points_m, looking(sideways, _SIDE_ELEVATION_RAD), width_px=size_px, height_px=size_px)
         canvas = Canvas.blank(size_px, size_px)
         draw_static(canvas, viewpoint, scene, background=False, objects=True)
         bodies = PosedBodies((motion,))
@@ -115,12 +122,44 @@ def moment_picture(
 
 
 def side_viewpoint(people: tuple[BodyMotion, ...], scene: SceneModel, width_px: int, height_px: int) -> Viewpoint:
-    """A camera at right angles to the filming one that sees all bodies and the objects near them."""
+    """A camera at right angles to the filming one that sees all bodies and the objects near them. Where objects would
+    hide the bodies from there, it looks from the other side, or from higher up."""
     forward = people[0].T_world_camera[0, :3, 2]
+    joints_m = [body.joints_world_m[body.valid] for body in people]
+    asked_m = [own[:: max(1, len(own) // _LOOKED_AT)].reshape(-1, 3) for own in joints_m]
     sideways = np.cross([0.0, 1.0, 0.0], forward)
-    return fit_viewpoint(
-        framed_points(people, scene), looking(sideways, _SIDE_ELEVATION_RAD), width_px=width_px, height_px=height_px
-    )
+    return _clear_viewpoint(framed_points(people, scene), np.concatenate(asked_m), sideways, scene, width_px, height_px)
+
+
+def _clear_viewpoint(
+    points_m: Float[np.ndarray, "points 3"],
+    asked_m: Float[np.ndarray, "asked 3"],
+    sideways: Float[np.ndarray, "3"],
+    scene: SceneModel,
+    width_px: int,
+    height_px: int,
+) -> Viewpoint:
+    """The first that hides few of the points asked about, else the one that hides the fewest."""
+    found = []
+    for side, elevation_rad in _CLEAR_SIGHT:
+        R_world_camera = looking(side * sideways, elevation_rad)
+        viewpoint = fit_viewpoint(points_m, R_world_camera, width_px=width_px, height_px=height_px)
+        found.append((hidden_share(asked_m, viewpoint, scene), viewpoint))
+        if found[-1][0] <= _HIDDEN_SHARE:
+            return viewpoint
+    return min(found, key=lambda one: one[0])[1]
+
+
+def hidden_share(points_m: Float[np.ndarray, "points 3"], viewpoint: Viewpoint, scene: SceneModel) -> float:
+    """Share of points, in the world, with a solid between them and the camera; 0 for none."""
+    if not len(points_m):
+        return 0.0
+    grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
+    # Not the last bit: what a body sits in does not hide it.
+    along = np.linspace(0.0, 0.95, _SIGHT_STEPS)[:, None]
+    camera_m = viewpoint.T_world_camera[:3, 3]
+    sights_m = camera_m + along * (points_m[:, None] - camera_m)
+    return float((grid.sample(sights_m) < 0).any(1).mean())
 
 
 def _overlay(

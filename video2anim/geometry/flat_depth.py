@@ -14,9 +14,9 @@ from jaxtyping import Float
 
 from video2anim.geometry.depth_fit import DepthFit, FrameEvidence, GroundEvidence, fit_depth
 
-_FLATTEST = 6.0
-"""Offset of a fit, as a multiple of what the picture's median disparity scales to. The rooms of V2A-Bench have 0.6 to
-2.9."""
+_FLATTEST = 0.3
+"""Disparity of the picture's farthest and nearest twentieth differ by this share of the middle one at least, or the fit
+has lost the scene's depth. In the rooms of V2A-Bench it is 0.54 and more."""
 USUAL_OFFSET = {"room-depth": 1.25}
 """By provider, the same for networks of which it is known (geometric mean of those rooms; standard deviation of the
 logarithm 0.55)."""
@@ -24,7 +24,8 @@ logarithm 0.55)."""
 
 def is_flat(fit: DepthFit, kind: str, background_value: Float[np.ndarray, "height width"]) -> bool:
     """Whether the picture's depth varies far less than that of pictures does."""
-    return kind == "disparity" and fit.offset > _FLATTEST * fit.scale * float(np.median(background_value))
+    far, middle, near = np.quantile(background_value, [0.05, 0.5, 0.95])
+    return kind == "disparity" and fit.scale * (near - far) < _FLATTEST * (fit.scale * middle + fit.offset)
 
 
 def fit_at_usual_offset(
