@@ -59,6 +59,10 @@ class SceneConfig:
     """Share of the skin (hands and feet left out) that must be that deep for a frame to count."""
     free_frames_ratio: float = 0.2
     """Share of the frames that speaks against an object; a body that touches or sits may sink in now and then."""
+    stood_deep_m: float = 0.04
+    """An object in which soles stood deeper than this..."""
+    stood_frames: int = 8
+    """...in so many frames loses what was above them."""
     hollow_margin_m: float = 0.02
     """What is taken out where the body was stops so far from its skin."""
     walked_m: float = 0.5
@@ -181,7 +185,7 @@ def _not_refuted(
         field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None)
         crossed = max(_crossed_ratio(field, motion, config) for motion in bodies.people)
         if crossed < config.free_frames_ratio:
-            kept.append(item)
+            kept.append(_under_feet(item, solid, field, bodies, config, ctx))
             continue
         walked_m = max(walked_inside_m(field, motion) for motion in bodies.people)
         told = f"object {item.object_id} ({item.label}): the observed body is inside it in {crossed:.0%} of the frames"
@@ -196,6 +200,32 @@ def _not_refuted(
         ctx.warn(f"{told}; {1 - share:.0%} of it, where the body was, is taken out")
         kept.append(_reshaped(item, left.mesh))
     return kept
+
+
+def _under_feet(
+    item: PlacedObject, solid: Mesh, field: SdfGrid, bodies: BodyTracks, config: SceneConfig, ctx: StageContext
+) -> PlacedObject:
+    """The object without what is above soles that stood on it: how high a step is, feet know better than depth."""
+    from dataclasses import replace
+
+    from video2anim.body.anny_body import shaped_body
+    from video2anim.fitting.free_space import stood_inside
+    from video2anim.fitting.hollow import hollowed
+
+    standing = []
+    for motion in bodies.people:
+        inside = stood_inside(field, motion, shaped_body(motion.shape), deep_m=config.stood_deep_m)
+        if inside.sum() >= config.stood_frames:
+            standing.append(replace(motion, valid=inside))
+    if not standing:
+        return item
+    # Soles are not soft.
+    left = hollowed(solid, standing, margin_m=0.0, most_faces=config.most_faces)
+    if left is None or left.left_ratio < config.least_left_ratio:
+        return item
+    told = f"object {item.object_id} ({item.label}): feet stood in it"
+    ctx.warn(f"{told}; {1 - left.left_ratio:.0%} of it, where the body was, is taken out")
+    return _reshaped(item, left.mesh)
 
 
 def _reshaped(item: PlacedObject, solid_world: Mesh) -> PlacedObject:
@@ -321,4 +351,4 @@ def _background(
     return room_surface(depth_m.astype(np.float64), wanted, rgb, body.T_world_camera[0], body.intrinsics.resized(*size))
 
 
-STAGE = StageSpec("scene", build_scene, version=8)
+STAGE = StageSpec("scene", build_scene, version=9)

@@ -14,6 +14,8 @@ from video2anim.types.motion import BodyMotion
 
 _MAY_BE_INSIDE = ("left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist")
 """Parts that touch things and whose place is least certain."""
+_SOLE_M = 0.03
+"""Skin of a foot no higher than this above its lowest is its sole."""
 
 
 def posed_vertices(
@@ -41,6 +43,22 @@ def passed_through(
         return inside
     depth_m = -solid.sample(posed_vertices(motion, body, index, frames))
     inside[frames] = (depth_m > deep_m).mean(1) > share
+    return inside
+
+
+def stood_inside(solid: SdfGrid, motion: BodyMotion, body: ShapedBody, *, deep_m: float) -> Bool[np.ndarray, "frames"]:
+    """Frames in which a foot in contact has most of its lower skin deeper in a solid than `deep_m`."""
+    inside = np.zeros(motion.frame_count, dtype=bool)
+    for side in ("left", "right"):
+        parts = [JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"]]
+        frames = np.flatnonzero(motion.valid & (motion.contact[:, parts].max(1) > 0.5))
+        if len(frames) == 0:
+            continue
+        index = np.flatnonzero(np.isin(body.vertex_part, parts))[::4]
+        foot_m = posed_vertices(motion, body, index, frames)
+        sole = foot_m[..., 1] < foot_m[..., 1].min(1, keepdims=True) + _SOLE_M
+        deep = (-solid.sample(foot_m) > deep_m) & sole
+        inside[frames] |= deep.sum(1) > 0.5 * sole.sum(1)
     return inside
 
 
