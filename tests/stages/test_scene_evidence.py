@@ -12,8 +12,9 @@ from synthetic import planted_walk
 from stages.scene import SUPPORT, SceneConfig, _not_refuted, _with_supports
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.skeleton import JOINT_INDEX
-from video2anim.fitting.free_space import posed_vertices
-from video2anim.geometry.scene_mesh import box_mesh
+from video2anim.fitting.free_space import posed_vertices, stood_inside
+from video2anim.geometry.scene_mesh import box_mesh, world_mesh
+from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyMotion, BodyTracks, PlacedObject
 
@@ -99,3 +100,45 @@ def test_a_bench_is_hollowed_where_a_knee_stays_deep_inside(tmp_path: Path, deep
     (kept,) = _not_refuted(placed, BodyTracks((motion,)), SceneConfig(), ctx)
     assert ("hollowed" in kept.reason) is hollow
     assert len(ctx.warnings) == hollow
+
+
+@pytest.mark.parametrize(("too_high_m", "taken_out"), [(0.1, True), (0.02, False)])
+def test_a_step_that_is_too_high_is_taken_out_above_the_soles(
+    tmp_path: Path, too_high_m: float, taken_out: bool
+) -> None:
+    """Somebody stands on a platform whose top is over their soles: by much it is wrong, by little the pose may be."""
+    walk = planted_walk(60)
+    motion = walk.with_pose(
+        translation_world_m=np.repeat(walk.T_world_root[:1, :3, 3], 60, axis=0),
+        R_parent_joint=np.tile(np.eye(3), (60, 22, 1, 1)),
+    )
+    feet = [JOINT_INDEX[name] for name in ("left_ankle", "right_ankle", "left_foot", "right_foot")]
+    contact = np.zeros_like(motion.contact)
+    contact[:, feet] = 1.0
+    body = shaped_body(motion.shape)
+    soles = np.flatnonzero(np.isin(body.vertex_part, feet))
+    low_m = float(posed_vertices(motion, body, soles, np.array([0]))[..., 1].min())
+    motion = replace(raised(motion, 0.4 - low_m), contact=contact)
+    middle_m = motion.joints_world_m[0, feet].mean(0)
+    T_world_object = np.eye(4)
+    T_world_object[[0, 2], 3] = middle_m[[0, 2]]
+    platform = box_mesh(1.2, 0.4 + too_high_m, 1.2)
+    placed = [PlacedObject(1, "platform", platform, 1.0, T_world_object, 0.0, 0.0, True, "")]
+    ctx = StageContext(tmp_path)
+    (kept,) = _not_refuted(placed, BodyTracks((motion,)), SceneConfig(), ctx)
+    assert ("hollowed" in kept.reason) is taken_out
+    assert len(ctx.warnings) == taken_out
+    solid = world_mesh(kept.mesh, kept.T_world_object, kept.scale)
+    bounds_m = np.array([[-0.8, -0.1, -0.8], [0.8, 1.0, 0.8]]) + middle_m * [1, 0, 1]
+    field = build_sdf_grid([solid], bounds_m, 0.02, floor_y_m=None)
+    foot_m = posed_vertices(motion, body, soles, np.array([0]))
+    assert field.sample(foot_m).min() == pytest.approx(-0.02, abs=0.03)
+    assert field.sample(middle_m * [1, 0, 1] + [0.0, 0.2, 0.0]) < -0.1, "what is under the soles stays"
+
+
+def test_feet_that_pass_over_a_thing_without_contact_take_nothing_out(tmp_path: Path) -> None:
+    walk = planted_walk(90)
+    walk = replace(walk, contact=np.zeros_like(walk.contact))
+    inside = stood_inside(SdfGrid(np.full((3, 3, 3), -1.0), np.full(3, -50.0), 50.0), walk, shaped_body(walk.shape),
+                          deep_m=0.04)  # fmt: skip
+    assert not inside.any()
