@@ -27,6 +27,7 @@ _LARGEST_LOG_FACTOR = 0.4
 
 
 _FLAT = "what the person's depth tells would make the whole scene flat"
+"""Reason of fits that are taken only where there is no other."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def fit_metric(
     if ground is not None:
         verdict = _fit_with_ground(frames, ground.evidence, depth, config, ctx)
         by_body = None if verdict is not None and verdict.trusted else _fit_to_person(frames, depth, config, ctx)
-        if by_body is not None and by_body.trusted:
+        if by_body is not None and (by_body.trusted or (verdict is not None and verdict.reason == _FLAT)):
             # What was taken for the floor is another surface, or the network's depth bends between the two.
             verdict, ground = by_body, None
     if verdict is None:

@@ -12,6 +12,7 @@ from synthetic_room import FLOOR, make_room
 
 from stages.metric import MetricConfig, fit_metric
 from video2anim.geometry.depth_fit import FrameEvidence, fit_depth, metric_depth
+from video2anim.geometry.flat_depth import USUAL_OFFSET
 from video2anim.geometry.visible import visible_vertices
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import Intrinsics
@@ -111,3 +112,29 @@ def test_visibility_keeps_the_near_side_only() -> None:
     assert seen[:2000].sum() > 0.8 * (near[:, 2] < 2.9).sum()
     # The far ball shows its rim only where it is not behind the near one; from this camera it is hidden.
     assert seen[2000:].sum() < 0.05 * 1000
+
+
+def test_a_person_at_one_distance_does_not_flatten_the_scene() -> None:
+    """Disparity whose person shows nothing but error: the best scale for it is near 0, and is not taken."""
+    room = make_room()
+    plain = depth_of(room, StageContext(Path()))
+    rng = np.random.default_rng(0)
+    disparity = 1 / np.maximum(plain.value, 0.1)
+    noise = np.where(room.plate.person_mask, rng.normal(0, 1.0, (len(disparity), 1, 1)), 0.0)
+    usual = USUAL_OFFSET["room-depth"]
+    background = 1 / np.maximum(plain.background_value, 0.1)
+    shift = usual / (1 + usual) * float(np.median(background))
+    depth = replace(
+        plain, kind="disparity", provider="room-depth", value=(disparity - shift + noise).astype(np.float32),
+        background_value=background - shift,
+    )  # fmt: skip
+    config = MetricConfig(evidence="body", least_range_ratio=0.0)
+    found = fit_metric(depth, room.plate, room.bodies, config, StageContext(Path()))
+    far, near = np.quantile(found.background_depth_m[found.background_valid], [0.95, 0.05])
+    true_far, true_near = np.quantile(room.depth_m[found.background_valid], [0.95, 0.05])
+    assert found.offset_m == pytest.approx(found.scale * usual * np.median(depth.background_value), rel=1e-6)
+    assert far / near > 0.7 * true_far / true_near
+    unknown = replace(depth, provider="of-the-user")
+    flat = fit_metric(unknown, room.plate, room.bodies, config, StageContext(Path()))
+    assert not flat.trusted
+    assert "flat" in flat.reason

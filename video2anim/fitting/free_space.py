@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,16 +47,22 @@ def passed_through(
     return inside
 
 
-def stood_inside(solid: SdfGrid, motion: BodyMotion, body: ShapedBody, *, deep_m: float) -> Bool[np.ndarray, "frames"]:
-    """Frames in which a foot in contact has most of its lower skin deeper in a solid than `deep_m`."""
-    inside = np.zeros(motion.frame_count, dtype=bool)
+def _standing_feet(
+    motion: BodyMotion, body: ShapedBody
+) -> Iterator[tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some chosen 3"]]]:
+    """Frames in which a foot is in contact, and its skin there, in the world; for each side that ever is."""
     for side in ("left", "right"):
         parts = [JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"]]
         frames = np.flatnonzero(motion.valid & (motion.contact[:, parts].max(1) > 0.5))
-        if len(frames) == 0:
-            continue
-        index = np.flatnonzero(np.isin(body.vertex_part, parts))[::4]
-        foot_m = posed_vertices(motion, body, index, frames)
+        if len(frames):
+            index = np.flatnonzero(np.isin(body.vertex_part, parts))[::4]
+            yield frames, posed_vertices(motion, body, index, frames)
+
+
+def stood_inside(solid: SdfGrid, motion: BodyMotion, body: ShapedBody, *, deep_m: float) -> Bool[np.ndarray, "frames"]:
+    """Frames in which a foot in contact has most of its lower skin deeper in a solid than `deep_m`."""
+    inside = np.zeros(motion.frame_count, dtype=bool)
+    for frames, foot_m in _standing_feet(motion, body):
         sole = foot_m[..., 1] < foot_m[..., 1].min(1, keepdims=True) + _SOLE_M
         deep = (-solid.sample(foot_m) > deep_m) & sole
         inside[frames] |= deep.sum(1) > 0.5 * sole.sum(1)
@@ -95,15 +102,10 @@ def supports_from_feet(
 
     Heights of single contacts are uncertain by several centimetres, so low steps are not claimed.
     """
-    places: list[np.ndarray] = []
-    for side in ("left", "right"):
-        parts = [JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"]]
-        frames = np.flatnonzero(motion.valid & (motion.contact[:, parts].max(1) > 0.5))
-        if len(frames) == 0:
-            continue
-        index = np.flatnonzero(np.isin(body.vertex_part, parts))[::4]
-        sole = posed_vertices(motion, body, index, frames)
-        places.append(np.concatenate([sole.mean(1)[:, [0, 2]], sole[..., 1].min(1, keepdims=True)], 1))
+    places = [
+        np.concatenate([foot_m.mean(1)[:, [0, 2]], foot_m[..., 1].min(1, keepdims=True)], 1)
+        for _, foot_m in _standing_feet(motion, body)
+    ]
     if not places:
         return []
     touched = np.concatenate(places)
