@@ -132,10 +132,10 @@ class SkinNearSolids:
     def __init__(self, skin_m: Float[np.ndarray, "frames vertices 3"], grid: SdfGrid) -> None:
         """`skin_m`: vertices in the world; `grid`: signed distance to the solids."""
         self._skin_m, self.grid = skin_m, grid
-        self._distance_m = np.concatenate([
-            grid.sample(skin_m[start : start + _FRAMES_AT_ONCE])
-            for start in range(0, len(skin_m), _FRAMES_AT_ONCE)
-        ]) if len(skin_m) else np.zeros(skin_m.shape[:2])  # fmt: skip
+        self._distance_m = np.zeros(skin_m.shape[:2])
+        for start in range(0, len(skin_m), _FRAMES_AT_ONCE):
+            some = slice(start, start + _FRAMES_AT_ONCE)
+            self._distance_m[some] = grid.sample(skin_m[some])
 
     def deepest(
         self, shift_m: Float[np.ndarray, "frames 3"], count: int, far_m: float
@@ -145,9 +145,9 @@ class SkinNearSolids:
         near = self._distance_m < reach_m[:, None]
         frame, vertex = np.nonzero(near)
         moved_m = self._skin_m[frame, vertex] + shift_m[frame]
-        distance_m = np.full(self._distance_m.shape, np.inf)
+        distance_m = np.full_like(self._distance_m, np.inf)
         distance_m[frame, vertex] = self.grid.sample(moved_m)
-        count = min(count, distance_m.shape[1])
+        count = min(count, self._skin_m.shape[1])
         at = np.argpartition(distance_m, count - 1, axis=1)[:, :count]
         at_m = np.take_along_axis(self._skin_m, at[..., None], axis=1) + shift_m[:, None]
         return at_m, np.take_along_axis(distance_m, at, axis=1)
