@@ -72,7 +72,7 @@ class ThingLifter:
     def _passed(self) -> Passed:
         frames, seen = self._plate.frame_index, self._plate.selected_mask
         if seen.shape[1:] != self.known.shape:
-            seen = np.stack([shrunk(mask, self.known.shape) for mask in seen])
+            seen = np.array([shrunk(mask, self.known.shape) for mask in seen]).reshape(-1, *self.known.shape)
         return passed_before(self._body, frames, seen, self.lens)
 
     @cached_property
