@@ -119,7 +119,7 @@ class Sight:
 
     direction: Float[np.ndarray, "frames 3"]
     """Unit vectors from the camera to the roots, world frame."""
-    limit_m: float
+    limit_m: Float[np.ndarray, "frames"]
     """A shift across it goes no farther."""
 
 

@@ -192,7 +192,7 @@ def _fit_to_person(
         fit, reason = usual, f"{_FLAT}: scale fitted to the person, the offset is the network's usual one"
     if fit.chamfer_after_m > config.largest_chamfer_m:
         problem = f"body and depth stay {fit.chamfer_after_m:.2f} m apart (limit {config.largest_chamfer_m} m)"
-        return _Verdict(fit, False, problem)
+        return _Verdict(fit, False, f"{problem}; {reason}")
     return _Verdict(fit, True, reason)
 
 
@@ -394,4 +394,4 @@ def _if_measured(value_m: float) -> float | None:
     return float(value_m) if np.isfinite(value_m) else None
 
 
-STAGE = StageSpec("metric", fit_metric, version=8, models=("segment",))
+STAGE = StageSpec("metric", fit_metric, version=9, models=("segment",))

@@ -271,11 +271,14 @@ class _Judge:
     def _sight(self, frames: slice) -> Sight:
         """Lines of sight to the observed roots."""
         from scenemi.settle_root import Sight
+        from video2anim.fitting.keyframe_sight import sight_of
 
-        offset_m = self.observed.T_world_root[frames, :3, 3] - self.observed.T_world_camera[frames, :3, 3]
-        direction = offset_m / np.maximum(np.linalg.norm(offset_m, axis=1, keepdims=True), 1e-6)
-        stature_m = float(np.ptp(self.body.rest_vertices_m[:, 1]))
-        return Sight(direction, self.config.picture_limit_ratio * stature_m)
+        seen = sight_of(
+            self.observed, np.arange(frames.start, frames.stop),
+            stature_m=float(np.ptp(self.body.rest_vertices_m[:, 1])),
+            limit_ratio=self.config.picture_limit_ratio, reprojection_px=0.0,
+        )  # fmt: skip
+        return Sight(seen.direction, seen.limit_m)
 
     def _is_calm(self, joints_m: np.ndarray, before_m: np.ndarray, frames: slice) -> bool:
         """Whether a motion's jerk is hardly above that of the motion before and of the observed one."""

@@ -144,7 +144,7 @@ def test_a_shift_across_the_sight_keeps_to_its_limit(depth_m: float) -> None:
     still_m, none = np.zeros((FRAMES, 22, 3)), np.zeros((FRAMES, 22))
     moved_m, left_m = [], []
     for direction in ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0]):
-        sight = Sight(np.tile(direction, (FRAMES, 1)), 0.02)
+        sight = Sight(np.tile(direction, (FRAMES, 1)), np.full(FRAMES, 0.02))
         shift_m = settling_shift(still_m, none, FPS, skin=SkinNearSolids(skin_m, grid), sight=sight)
         moved_m.append(np.linalg.norm(shift_m, axis=1))
         left_m.append(-grid.sample(skin_m + shift_m[:, None]).min())

@@ -136,9 +136,13 @@ def test_a_step_that_is_too_high_is_taken_out_above_the_soles(
     assert field.sample(middle_m * [1, 0, 1] + [0.0, 0.2, 0.0]) < -0.1, "what is under the soles stays"
 
 
-def test_feet_that_pass_over_a_thing_without_contact_take_nothing_out(tmp_path: Path) -> None:
-    walk = planted_walk(90)
-    walk = replace(walk, contact=np.zeros_like(walk.contact))
-    inside = stood_inside(SdfGrid(np.full((3, 3, 3), -1.0), np.full(3, -50.0), 50.0), walk, shaped_body(walk.shape),
-                          deep_m=0.04)  # fmt: skip
-    assert not inside.any()
+def test_only_feet_in_contact_stand_in_a_thing() -> None:
+    """Everything is solid here: the frames that count are those of contact."""
+    walk, everything = planted_walk(90), SdfGrid(np.full((3, 3, 3), -1.0), np.full(3, -50.0), 50.0)
+    body = shaped_body(walk.shape)
+    feet = [JOINT_INDEX[name] for name in ("left_ankle", "right_ankle", "left_foot", "right_foot")]
+    standing = walk.valid & (walk.contact[:, feet].max(1) > 0.5)
+    assert standing.any()
+    np.testing.assert_array_equal(stood_inside(everything, walk, body, deep_m=0.04), standing)
+    swinging = replace(walk, contact=np.zeros_like(walk.contact))
+    assert not stood_inside(everything, swinging, body, deep_m=0.04).any()

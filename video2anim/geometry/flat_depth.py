@@ -18,8 +18,10 @@ _FLATTEST = 0.3
 """Disparity of the picture's farthest and nearest twentieth differ by this share of the middle one at least, or the fit
 has lost the scene's depth. In the rooms of V2A-Bench it is 0.54 and more."""
 USUAL_OFFSET = {"room-depth": 1.25}
-"""By provider, the same for networks of which it is known (geometric mean of those rooms; standard deviation of the
-logarithm 0.55)."""
+"""By provider, the same for networks of which it is known: about the geometric mean of the fits to those rooms' true
+depth (1.22)."""
+_USUAL_LOG_SIGMA = 0.5
+"""Standard deviation of its logarithm there."""
 
 
 def is_flat(fit: DepthFit, kind: str, background_value: Float[np.ndarray, "height width"]) -> bool:
@@ -38,7 +40,7 @@ def fit_at_usual_offset(
 ) -> DepthFit | None:
     """The scale of disparity alone, its offset being in the usual proportion to it; None for unknown networks.
 
-    The offset's deviation is that of the scale; `fit_depth` says what else.
+    It is no estimate but a prior, and so wide is the offset's deviation.
 
     Raises:
         ValueError: no positive scale makes the medians agree.
@@ -49,4 +51,5 @@ def fit_at_usual_offset(
     moved = [replace(frame, value=frame.value + more) for frame in frames]
     below = None if ground is None else replace(ground, value=ground.value + more)
     fit = fit_depth(moved, "disparity", with_offset=False, rng=rng, ground=below)
-    return replace(fit, offset=fit.scale * more, offset_sigma=fit.scale_sigma * more)
+    sigma = float(np.hypot(fit.scale_sigma / fit.scale, _USUAL_LOG_SIGMA))
+    return replace(fit, offset=fit.scale * more, offset_sigma=sigma * fit.scale * more)
