@@ -65,14 +65,15 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
     net, segment, depth = RoomNet(path), RoomSegment(path), RoomDepth(path)
     rows: list[dict[str, float]] = []
     matched, floor = np.zeros(3), np.zeros(2)
-    kept_dropped = []
+    kept_dropped, pieces = [], []
     for folder in folders:
         for meta in sorted(folder.glob("shard_*/meta.json")):
             maps = {p.stem: np.load(p, mmap_mode="r") for p in meta.parent.glob("*.npy")}
             for row in range(len(maps["rgb"])):
                 rgb = np.array(maps["rgb"][row])
                 truth = inverse_depth(maps["depth_mm"][row])
-                rows.append(compared(depth.infer(rgb).astype(np.float64), truth) | plane_numbers(truth))
+                disparity = depth.infer(rgb).astype(np.float64)
+                rows.append(compared(disparity, truth) | plane_numbers(truth))
                 by_fields, both = cameras_of(net, [rgb])
                 rows[-1] |= camera_numbers(both, maps, row)
                 rows[-1] |= {f"{n} of fields alone": v for n, v in camera_numbers(by_fields, maps, row).items()}
@@ -82,7 +83,9 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
                 mine, theirs = found.semantic == CLASSES.index("floor"), label == CLASSES.index("floor")
                 floor += (mine & theirs).sum(), (mine | theirs).sum()
                 masks = [i.mask for i in found.instances if i.kind == "furniture"]
-                matched += matches(masks, np.asarray(maps["instance"][row]), label)
+                true = true_pieces(np.asarray(maps["instance"][row]), label)
+                matched += matches(masks, true)
+                pieces += pieces_off(disparity, truth, true)
                 if len(rows) <= JITTERED:
                     kept_dropped.append(kept_and_dropped(depth, rgb, truth))
     means = {name: float(np.nanmean([r[name] for r in rows])) for name in rows[0]}
@@ -95,6 +98,8 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
         "IoU floor over all pixels": float(floor[0] / floor[1]),
         "furniture F1 at IoU 0.5": float(2 * matched[0] / max(matched[1] + matched[2], 1)),
         "absrel of pixels kept by hue jitter": float(kept), "absrel of pixels dropped": float(dropped),
+        "pieces of furniture, log depth off: mean": float(np.mean(pieces)),
+        "pieces of furniture, log depth off: median of sizes": float(np.median(np.abs(pieces))),
         "median focal error over its sigma": float(np.median(told)),
     }  # fmt: skip
 
@@ -161,11 +166,25 @@ def class_numbers(semantic: np.ndarray, label: np.ndarray) -> dict[str, float]:
     return found
 
 
-def matches(masks: list[np.ndarray], instance: np.ndarray, label: np.ndarray) -> np.ndarray:
-    """True positives, predicted, true: furniture instances of a size that matters, matched at IoU 0.5."""
+def true_pieces(instance: np.ndarray, label: np.ndarray) -> list[np.ndarray]:
+    """Masks of furniture instances."""
     furniture = label == CLASSES.index("furniture")
     true = [furniture & (instance == number) for number in np.unique(instance[furniture])]
-    true = [mask for mask in true if mask.mean() >= SMALLEST_RATIO]
+    return [mask for mask in true if mask.mean() >= SMALLEST_RATIO]
+
+
+def pieces_off(disparity: np.ndarray, truth: np.ndarray, true: list[np.ndarray]) -> list[float]:
+    """By how much the mean log depth of each piece of a size that matters is too large, after the best alignment."""
+    known = np.isfinite(truth)
+    design = np.stack([disparity[known], np.ones(int(known.sum()))], 1)
+    off = np.full(truth.shape, np.nan)
+    fitted = design @ np.linalg.lstsq(design, truth[known], rcond=None)[0]
+    off[known] = np.log(truth[known] / np.maximum(fitted, NEAREST_INVERSE))
+    return [float(np.nanmean(off[mask])) for mask in true if mask.mean() >= LEAST_AREA_RATIO]
+
+
+def matches(masks: list[np.ndarray], true: list[np.ndarray]) -> np.ndarray:
+    """True positives, predicted, true: furniture instances of a size that matters, matched at IoU 0.5."""
     large = [mask for mask in true if mask.mean() >= LEAST_AREA_RATIO]
     hits, claimed = 0, 0
     for mask in masks:

@@ -235,4 +235,4 @@ def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[
     return picture
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=6, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=7, models=(SLOT,))

@@ -197,9 +197,13 @@ def _not_refuted(
         if left is None or share < config.least_left_ratio:
             ctx.warn(f"{told}, so its place or depth is wrong; it is left out ({share:.0%} would be left)")
             continue
-        ctx.warn(f"{told}; {1 - share:.0%} of it, where the body was, is taken out")
+        ctx.warn(f"{told}; {_percent(1 - share)} of it, where the body was, is taken out")
         kept.append(_reshaped(item, left.mesh))
     return kept
+
+
+def _percent(share: float) -> str:
+    return f"{share:.0%}" if share >= 0.005 else "less than 1%"
 
 
 def _under_feet(
@@ -224,7 +228,7 @@ def _under_feet(
     if left is None or left.left_ratio < config.least_left_ratio:
         return item
     told = f"object {item.object_id} ({item.label}): feet stood in it"
-    ctx.warn(f"{told}; {1 - left.left_ratio:.0%} of it, where the body was, is taken out")
+    ctx.warn(f"{told}; {_percent(1 - left.left_ratio)} of it, where the body was, is taken out")
     return _reshaped(item, left.mesh)
 
 

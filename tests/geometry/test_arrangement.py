@@ -182,7 +182,6 @@ def test_a_thing_pushed_into_a_third_one_is_seen() -> None:
     assert gap_m > -0.03 or states[2].inside_of == 1
 
 
-@pytest.mark.xfail(strict=True, reason="the way out is that of the surface points inside, here deeper in")
 def test_a_thing_through_the_edge_of_a_top_finds_its_way_out() -> None:
     """A block through the table, three quarters of its 0.2 m within the top: it would be out after 0.15 m."""
     under, through = arrange([table(0.0), standing(block((1.6, 0.85, 0.2), 0.0, 0.0, 0.45))])
@@ -190,7 +189,6 @@ def test_a_thing_through_the_edge_of_a_top_finds_its_way_out() -> None:
     assert through.overlap_after_m == 0.0
 
 
-@pytest.mark.xfail(strict=True, reason="depth is that of surface points: things in nearly the same place have none")
 def test_two_things_in_the_same_place_are_seen() -> None:
     """One thing found twice, 0.02 m apart."""
     states = arrange([sideboard(0.0), sideboard(0.02)])

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -18,7 +21,7 @@ MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 
 
 def content_digest(path: Path) -> str:
-    """sha256 of a file, or of the names and bytes in a folder.
+    """sha256 of a file with the files that a glTF or OBJ names, or of the names and bytes in a folder.
 
     Raises:
         InputError: missing or unreadable.
@@ -26,9 +29,50 @@ def content_digest(path: Path) -> str:
     if not path.exists():
         raise InputError(f"want a file or folder, found nothing at {path}")
     try:
-        return folder_digest(path) if path.is_dir() else file_digest(path)
+        if path.is_dir():
+            return folder_digest(path)
+        own, named = file_digest(path), named_files(path)
+        if not named:
+            return own
+        parts = [own, *(f"{other.name} {file_digest(other)}" for other in named)]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
     except OSError as error:
         raise InputError(f"want a readable file or folder, got {error.strerror} at {path}") from error
+
+
+def named_files(path: Path) -> list[Path]:
+    """Files beside a glTF (buffers, images) or OBJ (materials, their textures) that belong to it; missing ones are left
+    to the reader to complain of."""
+    found: list[Path] = []
+    waiting = [path]
+    while waiting:
+        one = waiting.pop()
+        new = [one.parent / unquote(name) for name in _names_in(one)]
+        new = [other for other in new if other.is_file() and other not in found and other != path]
+        found += new
+        waiting += new
+    return sorted(found)
+
+
+def _names_in(path: Path) -> list[str]:
+    suffix = path.suffix.lower()
+    if suffix == ".gltf":
+        try:
+            document = json.loads(path.read_bytes())
+            parts = [*document.get("buffers", ()), *document.get("images", ())]
+            names = [str(part.get("uri", "")) for part in parts]
+        except (ValueError, AttributeError, TypeError):
+            return []  # the reader says what is wrong with it
+        return [name for name in names if name and not name.startswith("data:")]
+    if suffix not in (".obj", ".mtl"):
+        return []
+    key = "mtllib" if suffix == ".obj" else "map_"
+    with path.open(encoding="utf-8", errors="replace") as lines:
+        # A texture's options stand before its name.
+        words = [line.split() for line in lines if line.lstrip().lower().startswith(key)]
+    names = [word[-1] for word in words if len(word) > 1]
+    # One library's name may have blanks; several stand on one line.
+    return names if suffix == ".mtl" else [name for word in words for name in (*word[1:], " ".join(word[1:]))]
 
 
 def mesh_files(folder: Path) -> dict[int, Path]:

@@ -12,10 +12,18 @@ from video2anim.geometry.sdf import SdfGrid, build_sdf_grid, surface_samples
 from video2anim.types.scene import Mesh
 
 _SAMPLE_M = 0.04
-"""Distance of the surface points that are tested."""
+"""Distance of the surface points that are tested, beside points inside."""
 _LARGEST_SHIFT_M = 0.3
 """Objects that overlap are moved by no more than this."""
 _ROUNDS = 12
+_DIRECTIONS = 12
+"""Horizontal ways out that are tried."""
+_STEPS_M = (0.04, 0.08, 0.12, 0.17, 0.23, 0.3, 0.4, 0.5, 0.6)
+"""How far along each, up to both objects' largest shift."""
+_FREER = 0.8
+"""A way out is taken for another only where it is this much shorter."""
+_MOST_POINTS = 600
+"""Of each object, for trying ways out."""
 _UNDER_M = 0.25
 """An object is put down or lifted by at most this to rest on what is below it."""
 
@@ -68,6 +76,7 @@ def arrange(objects: Sequence[Standing], tolerance_m: float = 0.03) -> list[Arra
             depth_m, away = pair.depth(done)
             if depth_m <= tolerance_m:
                 continue
+            away = pair.way_out(done, away, tolerance_m)
             one, other = objects[pair.one].sigma_m ** 2, objects[pair.other].sigma_m ** 2
             share = one / max(one + other, 1e-12) if one + other > 0 else 0.5
             step = away * (0.7 * depth_m)
@@ -111,7 +120,7 @@ def _carry_along(done: list[Arranged]) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pair:
-    """Two objects that may overlap: fields and surface points of both, where they stood at first."""
+    """Two objects that may overlap: fields and points of both, where they stood at first."""
 
     one: int
     other: int
@@ -131,6 +140,44 @@ class _Pair:
             away = (self.one_points_m.mean(0) + apart_m - self.other_points_m.mean(0)) * np.array([1.0, 0.0, 1.0])
             length = max(float(np.linalg.norm(away)), 1e-6)
         return max(deep_one, deep_other), away / length
+
+    def way_out(self, done: list[Arranged], away: np.ndarray, tolerance_m: float) -> np.ndarray:
+        """The horizontal direction in which `one` gets out: `away`, unless another is clearly shorter.
+
+        What is inside may point deeper in, where one object reaches through the other's edge.
+        """
+        apart_m = done[self.one].shift_m - done[self.other].shift_m
+        one_m = _some_near(self.one_points_m + apart_m, self.other_field)
+        other_m = _some_near(self.other_points_m - apart_m, self.one_field)
+
+        def length_m(way: np.ndarray) -> float:
+            for step_m in _STEPS_M:
+                deep_m = max(
+                    _depth(self.other_field, one_m + step_m * way), _depth(self.one_field, other_m - step_m * way)
+                )
+                if deep_m <= tolerance_m:
+                    return step_m
+            return np.inf
+
+        usual_m = length_m(away)
+        if usual_m <= _STEPS_M[1]:
+            return away
+        angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        around = np.stack([np.cos(angle), np.zeros(_DIRECTIONS), np.sin(angle)], -1)
+        lengths_m = np.array([length_m(way) for way in around])
+        # Of ways as short as each other the one that is most like the usual one.
+        best = np.lexsort((-(around @ away), lengths_m))[0]
+        return around[best] if lengths_m[best] < _FREER * usual_m else away
+
+
+def _some_near(points_m: np.ndarray, solid: SdfGrid) -> np.ndarray:
+    """At most `_MOST_POINTS` of those that may be inside once the objects have moved."""
+    near = points_m[solid.sample(points_m) < _STEPS_M[-1]]
+    return near[np.linspace(0, len(near) - 1, min(len(near), _MOST_POINTS)).round().astype(int)]
+
+
+def _depth(solid: SdfGrid, points_m: np.ndarray) -> float:
+    return max(0.0, float(-solid.sample(points_m).min(initial=np.inf)))
 
 
 def _deepest(solid: SdfGrid, points_m: np.ndarray) -> tuple[float, np.ndarray]:
@@ -166,8 +213,17 @@ def _pairs(objects: Sequence[Standing], done: Sequence[Arranged]) -> list[_Pair]
         grid_bounds = np.stack([own_m[0] - margin, own_m[1] + margin])
         grid = build_sdf_grid([objects[number].mesh], grid_bounds, spacing_m, floor_y_m=None)
         triangles_m = objects[number].mesh.vertices_m.astype(np.float64)[objects[number].mesh.faces]
-        fields[number] = (grid, surface_samples(triangles_m, _SAMPLE_M)[0])
+        # What is deep inside counts besides: a thing found twice has its surface in the other's.
+        points_m = np.concatenate([surface_samples(triangles_m, _SAMPLE_M)[0], _inner_points(grid)])
+        fields[number] = (grid, points_m)
     return [_Pair(i, j, fields[i][0], fields[j][0], fields[i][1], fields[j][1]) for i, j in near]
+
+
+def _inner_points(grid: SdfGrid) -> Float[np.ndarray, "points 3"]:
+    """Nodes of a field that are inside, thinned to about `_MOST_POINTS`."""
+    inside = np.argwhere(grid.sdf_m < 0)
+    step = max(1, len(inside) // _MOST_POINTS)
+    return grid.origin_m + grid.spacing_m * inside[::step]
 
 
 def _bounds(mesh: Mesh, shift_m: np.ndarray) -> Float[np.ndarray, "2 3"] | None:

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.geometry.projection import invert_rigid, project, transform_points
+from video2anim.geometry.visible import surface_points
 from video2anim.types.camera import Intrinsics
 from video2anim.types.motion import BodyMotion
 
@@ -92,8 +93,7 @@ def passed_before(
 def _depth_of(camera_m: np.ndarray, faces: np.ndarray, intrinsics: Intrinsics) -> Float[np.ndarray, "height width"]:
     """Depth of a body's near side in the picture, 0 beside it."""
     height, width = intrinsics.height_px, intrinsics.width_px
-    points_m = np.concatenate([camera_m, camera_m[faces].mean(1)])
-    points_m = points_m[points_m[:, 2] > 0.1]
+    points_m = surface_points(camera_m, faces)
     column, row = np.floor(project(points_m, intrinsics) + 0.5).astype(np.int64).T
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     nearest_m = np.full((height, width), np.inf, np.float32)

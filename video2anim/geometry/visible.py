@@ -52,7 +52,7 @@ def visible_vertices(
     extent = np.maximum(np.ptp(pixels, axis=0), 1e-6)
     cell_px = max(1.5 * float(np.sqrt(extent.prod() / len(candidate))), 1e-6)
     shape = np.floor(extent / cell_px).astype(np.int64) + 1
-    surface = _surface_points(vertices_camera_m, faces)
+    surface = surface_points(vertices_camera_m, faces)
     index = np.floor((project(surface, intrinsics) - low) / cell_px).astype(np.int64)
     kept = ((index >= 0) & (index < shape)).all(-1)
     nearest = np.full(int(shape.prod()), np.inf)
@@ -62,9 +62,11 @@ def visible_vertices(
     return seen
 
 
-def _surface_points(vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "points 3"]:
-    """Corners, middles of the edges and centroids of the triangles before the camera."""
-    corners = vertices[faces]
+def surface_points(
+    vertices_camera_m: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Float[np.ndarray, "points 3"]:
+    """Corners, middles of the edges and centroids of the triangles that lie before the camera."""
+    corners = vertices_camera_m[faces]
     corners = corners[(corners[..., 2] > _NEAR_M).all(-1)]
     middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
     return np.concatenate([corners.reshape(-1, 3), middles.reshape(-1, 3), corners.mean(1)])
