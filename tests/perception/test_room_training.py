@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +22,6 @@ from video2anim.perception.train import (
     losses,
     measures,
     overlap_loss,
-    piece_loss,
     read_average,
     relative_loss,
     train,
@@ -182,27 +180,6 @@ def test_aligned_by_least_squares() -> None:
     line = np.polyfit(answer[0].ravel(), goal[0].ravel(), 1)
     np.testing.assert_allclose(found[0], np.polyval(line, answer[0]), atol=1e-9)
     np.testing.assert_allclose(found[1], goal[1], atol=1e-9)
-
-
-def test_a_piece_costs_by_how_far_off_its_mean_is_and_twice_where_cut() -> None:
-    """A piece inside the picture and one at its border, on a wall of which they cover little."""
-    rows, columns = 80, 100
-    truth, piece = torch.full((1, rows, columns), 0.2), torch.zeros((1, rows, columns), dtype=torch.long)
-    truth[:, 40:] = torch.linspace(0.2, 1.0, 40)[:, None]
-    piece[:, 10:14, 40:44], piece[:, 10:14, 96:] = 1, 2
-    assert float(piece_loss(truth, truth, piece)) == pytest.approx(0, abs=1e-5)
-    assert float(piece_loss(3 * truth - 7, truth, piece)) == pytest.approx(0, abs=1e-4), "scale and offset are free"
-    inside = float(piece_loss(truth * torch.where(piece == 1, 1.2, 1.0), truth, piece))
-    cut = float(piece_loss(truth * torch.where(piece == 2, 1.2, 1.0), truth, piece))
-    assert inside == pytest.approx(math.log(1.2) / 3, rel=0.1)
-    assert cut == pytest.approx(2 * math.log(1.2) / 3, rel=0.1)
-    # What stands behind and before within a piece, but in the right place in the mean, is left to the other losses.
-    waves = torch.where(piece == 1, 1.2 ** (2.0 * (torch.arange(columns) % 2) - 1), 1.0)
-    assert float(piece_loss(truth * waves, truth, piece)) < 0.1 * inside
-    # Every picture has its own pieces: the second one shows none.
-    two = [torch.cat([value, other]) for value, other in ((truth, truth), (piece, 0 * piece))]
-    wrong = torch.cat([truth * torch.where(piece == 1, 1.2, 1.0), truth])
-    assert float(piece_loss(wrong, two[0], two[1])) == pytest.approx(inside, rel=1e-4)
 
 
 def test_measures_of_the_truth_and_of_known_errors(batch: PictureBatch) -> None:

@@ -269,7 +269,6 @@ def test_instance_targets_by_hand() -> None:
     found = instance_targets(instance, classes)
     known = np.isin(instance, (5, 6))
     np.testing.assert_array_equal(found["has_offset"], known)  # 6 pixels of 2400 are less than 0.3 %
-    np.testing.assert_array_equal(found["piece"], np.where(instance == 5, 1, np.where(instance == 6, 2, 0)))
     # Middles: (x, y) = (14.5, 14.5) and (30, 14.5); heights are 40 pixels.
     np.testing.assert_allclose(found["offset"][:, 10, 10], [4.5 / 40, 4.5 / 40], atol=1e-6)
     np.testing.assert_allclose(found["offset"][:, 19, 40], [-10 / 40, -4.5 / 40], atol=1e-6)

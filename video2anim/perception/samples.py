@@ -48,8 +48,6 @@ class PictureBatch:
     """From furniture pixels to their instance's middle (x, y), in picture heights."""
     has_offset: Float[Tensor, "batch rows columns"]
     boundary: Float[Tensor, "batch rows columns"]
-    piece: Int[Tensor, "batch rows columns"]
-    """Furniture instances counted from 1 in each picture, 0 elsewhere."""
     up: Float[Tensor, "batch 2 coarse_rows coarse_columns"]
     latitude: Float[Tensor, "batch coarse_rows coarse_columns"]
 
@@ -180,7 +178,7 @@ def instance_targets(instance: np.ndarray, classes: np.ndarray) -> dict[str, np.
     furniture = classes == CLASSES.index("furniture")
     y, x = np.mgrid[:rows, :columns].astype(np.float32)
     heat, known = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
-    offset, piece = np.zeros((2, rows, columns), np.float32), np.zeros((rows, columns), np.int64)
+    offset = np.zeros((2, rows, columns), np.float32)
     for number in np.unique(instance[furniture]):
         mask = furniture & (instance == number)
         if mask.sum() < SMALLEST_RATIO * mask.size:
@@ -189,7 +187,7 @@ def instance_targets(instance: np.ndarray, classes: np.ndarray) -> dict[str, np.
         far2 = (x - middle_x) ** 2 + (y - middle_y) ** 2
         np.maximum(heat, np.exp(-0.5 * far2 / (_HEAT_SIGMA * rows) ** 2), out=heat)
         offset[0][mask], offset[1][mask] = (middle_x - x[mask]) / rows, (middle_y - y[mask]) / rows
-        known[mask], piece[mask] = 1, piece.max() + 1
+        known[mask] = 1
     thing = np.where(furniture | (classes == CLASSES.index("person")), instance, 0)
     boundary = np.zeros((rows, columns), np.float32)
     for axis in (0, 1):
@@ -198,7 +196,7 @@ def instance_targets(instance: np.ndarray, classes: np.ndarray) -> dict[str, np.
         first[axis], second[axis] = slice(None, -1), slice(1, None)
         boundary[tuple(first)][differs] = 1
         boundary[tuple(second)][differs] = 1
-    return {"heat": heat, "offset": offset, "has_offset": known, "boundary": boundary, "piece": piece}
+    return {"heat": heat, "offset": offset, "has_offset": known, "boundary": boundary}
 
 
 def spoiled(rgb: UInt8[np.ndarray, "height width 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "height width 3"]:

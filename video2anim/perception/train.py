@@ -23,7 +23,6 @@ LARGE_SIZES = ((192, 256), (160, 288), (192, 192), (256, 192), (224, 288))
 """Heights and widths that batches are drawn from, at first and at last."""
 LOG_SIGMA_RANGE = (-5.0, 0.5)
 """Expected errors of the camera head are held in this range (log radians)."""
-CUT_WEIGHT = 2.0
 NEAREST_INVERSE = 1 / 50
 """Inverse depths are held above this: 50 m."""
 
@@ -68,9 +67,7 @@ def losses(answer: RoomAnswer, batch: PictureBatch) -> dict[str, Tensor]:
     off_latitude = (answer.camera[:, 2] - batch.latitude).abs()
     sigma = answer.camera[:, 3:5].clamp(*LOG_SIGMA_RANGE)
     return {
-        "disparity": 2.0 * disparity
-        + relative_loss(answer.disparity[:, 0], batch.disparity)
-        + piece_loss(answer.disparity[:, 0], batch.disparity, batch.piece),
+        "disparity": 2.0 * disparity + relative_loss(answer.disparity[:, 0], batch.disparity),
         "normal": 1.0 * flat,
         "classes": 0.6 * functional.cross_entropy(answer.classes, batch.classes)
         + 0.5 * overlap_loss(answer.classes, batch.classes),
@@ -120,30 +117,6 @@ def relative_loss(disparity: Tensor, truth: Tensor) -> Tensor:
     near = aligned(disparity, truth).clamp_min(NEAREST_INVERSE)
     off = (near.log() - truth.clamp_min(NEAREST_INVERSE).log()).abs().clamp_max(1.0)
     return (off * seen).sum() / seen.sum().clamp_min(1)
-
-
-def piece_loss(disparity: Tensor, truth: Tensor, piece: Tensor) -> Tensor:
-    """How far off, after alignment, the mean log depth of a piece of furniture is, every piece counting alike.
-
-    Where a thing stands is what a scene is made of; errors within it hardly matter beside that. Pieces cut by the
-    picture's border count `CUT_WEIGHT` times: no feet on the floor will tell their distance later.
-
-    Args:
-        disparity: (batch, rows, columns), up to scale and offset per picture.
-        truth: 1 / depth, 0 for the sky.
-        piece: Numbers of pieces from 1 in each picture, 0 elsewhere.
-    """
-    near = aligned(disparity, truth).clamp_min(NEAREST_INVERSE)
-    off = (near.log() - truth.clamp_min(NEAREST_INVERSE).log()).clamp(-1.0, 1.0) * (truth > 0)
-    most = int(piece.max()) + 1
-    number = piece + most * torch.arange(len(piece), device=piece.device)[:, None, None]
-    empty = torch.zeros(most * len(piece), device=piece.device)
-    area = empty.scatter_add(0, number.flatten(), torch.ones_like(off).flatten())
-    mean = empty.scatter_add(0, number.flatten(), off.flatten()) / area.clamp_min(1)
-    border = torch.cat([number[:, -1], number[:, :, 0], number[:, :, -1]], 1).flatten()
-    weight = empty.index_fill(0, border, CUT_WEIGHT - 1) + 1
-    weight = weight * ((torch.arange(len(empty), device=piece.device) % most > 0) & (area > 0))
-    return (mean.abs() * weight).sum() / weight.sum().clamp_min(1)
 
 
 def overlap_loss(logits: Tensor, classes: Tensor) -> Tensor:
