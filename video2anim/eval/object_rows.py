@@ -145,7 +145,7 @@ def complete_group(result: SceneResult, truth: Truth) -> Group:
     match = match_masks(found, furniture, truth)
     whole = {item.object_id: item.amodal_mask for item in completed.objects}
     numbers: dict[str, list[float]] = {"amodal_iou": [], "visible_iou": []}
-    for number, j in _pairs_by_mask(match).items():
+    for number, j in pairs_by_mask(match).items():
         if number in whole:
             true = truth.amodal[furniture[j].object_id]
             numbers["amodal_iou"].append(mask_iou(resample_nearest(whole[number], true.shape), true))
@@ -155,7 +155,7 @@ def complete_group(result: SceneResult, truth: Truth) -> Group:
     return make_group("complete", title, COMPLETE, {"value": means}, note=note)
 
 
-def _pairs_by_mask(match: MaskMatch) -> dict[int, int]:
+def pairs_by_mask(match: MaskMatch) -> dict[int, int]:
     """Estimated object -> position of the furniture it overlaps, one to one."""
     rows, columns = linear_sum_assignment(-match.iou)
     numbers = list(match.masks)
@@ -166,7 +166,7 @@ def objects_group(result: SceneResult, truth: Truth, T_true_estimate: Float[np.n
     """Shapes and places of furniture after reconstruct, place and scene."""
     furniture = truth.furniture(LEAST_VISIBLE_PX)
     instances = result.get(InstanceMasks)
-    by_mask = _pairs_by_mask(match_masks(instances, furniture, truth)) if instances is not None else {}
+    by_mask = pairs_by_mask(match_masks(instances, furniture, truth)) if instances is not None else {}
     columns: dict[str, dict[str, float] | str] = {}
     notes = [f"{len(furniture)} pieces of furniture count"]
     for name, kind in (("reconstruct", ObjectMeshes), ("place", PlacedObjects), ("scene", SceneModel)):
@@ -218,7 +218,7 @@ def scene_objects(result: SceneResult, truth: Truth) -> list[dict[str, float]]:
         return []
     T = truth_from_estimate(bodies.people[0].T_world_camera, truth, match_frames(result.clip, truth))
     furniture = truth.furniture(LEAST_VISIBLE_PX)
-    by_mask = {} if instances is None else _pairs_by_mask(match_masks(instances, furniture, truth))
+    by_mask = {} if instances is None else pairs_by_mask(match_masks(instances, furniture, truth))
     return compared_objects(scene.objects, furniture, by_mask, T)
 
 

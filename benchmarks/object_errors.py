@@ -1,0 +1,195 @@
+"""What the errors of objects are made of: the clip's scale, each thing's distance beside it, and the rest.
+
+    python benchmarks/object_errors.py --work bench_work
+
+Reads what `benchmarks/v2a_bench.py` left: `truth/CLIP` and `results/CLIP`. A clip's scale is the camera's height over
+the floor against the true one; a thing's distance is the median depth of its pixels against the true one, beside that
+scale. Objects are then moved along the line of sight and scaled by what is wrong with one, and with both. Writes JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from video2anim.eval.alignment import match_frames, truth_from_estimate
+from video2anim.eval.object_rows import LEAST_VISIBLE_PX, compared_objects, match_masks, pairs_by_mask
+from video2anim.eval.results import SceneResult
+from video2anim.eval.truth import Truth, read_truth
+from video2anim.geometry.lifted_thing import ThingLifter
+from video2anim.geometry.masks import shrunk
+from video2anim.types import (
+    BackgroundPlate,
+    BodyTracks,
+    CameraEstimate,
+    DepthClip,
+    InstanceMasks,
+    MetricDepth,
+    PlacedObject,
+    SceneModel,
+)  # fmt: skip
+
+FAR_OFF = 0.12
+"""Log of a distance that is called far off."""
+LEAST_PIXELS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """One clip's results and truth."""
+
+    name: str
+    result: SceneResult
+    truth: Truth
+
+    def get(self, kind: type) -> Any:
+        """An artifact that must be there."""
+        found = self.result.get(kind)
+        if found is None:
+            sys.exit(f"{self.name}: {self.result.why(kind)}; run benchmarks/v2a_bench.py first")
+        return found
+
+
+def main() -> None:
+    """Measure and write."""
+    options = arguments()
+    clips, pieces = [], []
+    for folder in sorted((options.work / "results").iterdir()):
+        if not (options.work / "truth" / folder.name / "meta.json").is_file():
+            continue
+        clip = Clip(folder.name, SceneResult(folder), read_truth(options.work / "truth" / folder.name))
+        clips.append(of_clip(clip))
+        pieces += of_pieces(clip, clips[-1]["scale_log"])
+        sys.stderr.write(json.dumps(clips[-1]) + "\n")
+    report = {
+        "date": datetime.date.today().isoformat(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "summary": summary(clips, pieces), "clips": clips, "pieces": pieces,
+    }  # fmt: skip
+    options.out.mkdir(parents=True, exist_ok=True)
+    target = options.out / f"object_errors-{report['date']}.json"
+    target.write_text(json.dumps(report, indent=1) + "\n")
+    sys.stdout.write(json.dumps(report["summary"], indent=1) + f"\n{target}\n")
+
+
+def of_clip(clip: Clip) -> dict[str, Any]:
+    """Logs of scale and stature against the truth; AbsRel of the plate's depth."""
+    body, true = clip.get(BodyTracks).people[0], clip.truth.main
+    depth, value = clip.get(MetricDepth).background_depth_m, clip.get(DepthClip).background_value
+    true_m = at_size(clip.truth.background_depth_m, depth.shape)
+    known = true_m > 0
+    off = np.log(depth[known] / true_m[known])
+    design = np.stack([value[known], np.ones(int(known.sum()))], 1)
+    fitted = design @ np.linalg.lstsq(design, 1 / true_m[known], rcond=None)[0]
+    return {
+        "clip": clip.name,
+        "scale_log": float(np.log(body.T_world_camera[0][1, 3] / true.T_world_camera[0][1, 3])),
+        "stature_log": float(np.log(np.ptp(body.rest_joints_m[:, 1]) / np.ptp(true.rest_joints_m[:, 1]))),
+        "absrel": float(np.abs(np.expm1(off)).mean()),
+        "absrel_one_scale": float(np.abs(np.expm1(off - np.median(off))).mean()),
+        "absrel_best_scale_and_offset": float(np.abs(1 / np.maximum(fitted, 0.02) / true_m[known] - 1).mean()),
+    }
+
+
+def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
+    """Each matched piece of furniture."""
+    body, masks = clip.get(BodyTracks).people[0], clip.get(InstanceMasks)
+    lifter = ThingLifter(masks, clip.get(MetricDepth), clip.get(BackgroundPlate), body, clip.get(CameraEstimate))
+    furniture = clip.truth.furniture(LEAST_VISIBLE_PX)
+    pairs = pairs_by_mask(match_masks(masks, furniture, clip.truth))
+    T = truth_from_estimate(body.T_world_camera, clip.truth, match_frames(clip.result.clip, clip.truth))
+    objects = clip.get(SceneModel).objects
+    off: dict[int, float] = {}
+    rows: dict[int, dict[str, Any]] = {}
+    for number, j in pairs.items():
+        found = distance_log(lifter, number, furniture[j].object_id, clip.truth)
+        if found is None:
+            continue
+        own = lifter.own(number)
+        cut = bool(own[-1].any() or own[:, 0].any() or own[:, -1].any())
+        off[number] = found - scale_log
+        rows[furniture[j].object_id] = {
+            "clip": clip.name, "label": furniture[j].label, "distance_log": off[number], "cut": cut,
+        }  # fmt: skip
+    camera_m = body.T_world_camera[0][:3, 3]
+    moved = {
+        "as it is": objects,
+        "true scale": [nearer(item, scale_log, camera_m) for item in objects],
+        "true scale and distance": [nearer(o, scale_log + off.get(o.object_id, 0.0), camera_m) for o in objects],
+    }
+    for name, some in moved.items():
+        for row in compared_objects(some, furniture, pairs, T):
+            if int(row["object_id"]) in rows:
+                rows[int(row["object_id"])][name] = [row["chamfer"], row["center_error"]]
+    return [row for row in rows.values() if "as it is" in row]
+
+
+def distance_log(lifter: ThingLifter, number: int, true_number: int, truth: Truth) -> float | None:
+    """Log of a thing's lifted depth over the true one, where both masks show it; None if they hardly do."""
+    thing = lifter.lift(number)
+    true_m = at_size(truth.background_depth_m, thing.shows.shape)
+    both = thing.shows & shrunk(truth.mask(true_number), thing.shows.shape) & (true_m > 0)
+    if both.sum() <= LEAST_PIXELS:
+        return None
+    return float(np.log(np.median(thing.depth_m[both] / true_m[both])))
+
+
+def nearer(item: PlacedObject, by_log: float, camera_m: np.ndarray) -> PlacedObject:
+    """The object as its picture would have it if all distances were smaller by a factor."""
+    factor = float(np.exp(-by_log))
+    T = item.T_world_object.copy()
+    T[:3, 3] = camera_m + factor * (T[:3, 3] - camera_m)
+    return replace(item, T_world_object=T, scale=factor * item.scale)
+
+
+def at_size(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Nearest values at another size."""
+    import cv2
+
+    return cv2.resize(values.astype(np.float64), (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+
+
+def summary(clips: Sequence[dict[str, Any]], pieces: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Medians, of sizes where signs differ."""
+    distance = np.array([piece["distance_log"] for piece in pieces])
+    far = [piece for piece in pieces if piece["distance_log"] > FAR_OFF]
+    found: dict[str, Any] = {
+        "pieces": len(pieces),
+        "scale off (median)": float(np.median([abs(np.expm1(clip["scale_log"])) for clip in clips])),
+        "stature off (root of mean square)": float(np.sqrt(np.mean([clip["stature_log"] ** 2 for clip in clips]))),
+        "scale off without stature (median)": float(
+            np.median([abs(clip["scale_log"] - clip["stature_log"]) for clip in clips])
+        ),
+        "a thing's own distance off (median)": float(np.median(np.abs(np.expm1(distance)))),
+        "things more than 12 % too far": len(far),
+        "of them cut by the border": sum(piece["cut"] for piece in far),
+        "of them chairs and tables": sum(piece["label"] in ("chair", "table") for piece in far),
+    }
+    for key in ("absrel", "absrel_one_scale", "absrel_best_scale_and_offset"):
+        found[key] = float(np.mean([clip[key] for clip in clips]))
+    for name in ("as it is", "true scale", "true scale and distance"):
+        chamfer, middle = np.median([piece[name] for piece in pieces if name in piece], axis=0)
+        found[f"Chamfer and middle, m, {name}"] = [round(float(chamfer), 4), round(float(middle), 4)]
+    return found
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, default=Path("bench_work"))
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
