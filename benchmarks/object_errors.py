@@ -112,14 +112,15 @@ def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
     off: dict[int, float] = {}
     rows: dict[int, dict[str, Any]] = {}
     for number, j in pairs.items():
-        found = distance_log(lifter, number, furniture[j].object_id, clip.truth)
-        if found is None:
+        measured = distances_m(lifter, number, furniture[j].object_id, clip.truth)
+        if measured is None:
             continue
         own = lifter.own(number)
         cut = bool(own[-1].any() or own[:, 0].any() or own[:, -1].any())
-        off[number] = found - scale_log
+        off[number] = float(np.log(measured[0] / measured[1])) - scale_log
         rows[furniture[j].object_id] = {
             "clip": clip.name, "label": furniture[j].label, "distance_log": off[number], "cut": cut,
+            "by_scale_m": abs(float(np.expm1(scale_log))) * measured[1],
         }  # fmt: skip
     camera_m = body.T_world_camera[0][:3, 3]
     moved = {
@@ -134,14 +135,15 @@ def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
     return [row for row in rows.values() if "as it is" in row]
 
 
-def distance_log(lifter: ThingLifter, number: int, true_number: int, truth: Truth) -> float | None:
-    """Log of a thing's lifted depth over the true one, where both masks show it; None if they hardly do."""
+def distances_m(lifter: ThingLifter, number: int, true_number: int, truth: Truth) -> tuple[float, float] | None:
+    """A thing's lifted and true depth, where both masks show it; None if they hardly do."""
     thing = lifter.lift(number)
     true_m = at_size(truth.background_depth_m, thing.shows.shape)
     both = thing.shows & shrunk(truth.mask(true_number), thing.shows.shape) & (true_m > 0)
     if both.sum() <= LEAST_PIXELS:
         return None
-    return float(np.log(np.median(thing.depth_m[both] / true_m[both])))
+    middle_m = float(np.median(true_m[both]))
+    return float(np.median(thing.depth_m[both] / true_m[both])) * middle_m, middle_m
 
 
 def nearer(item: PlacedObject, by_log: float, camera_m: np.ndarray) -> PlacedObject:
@@ -171,6 +173,9 @@ def summary(clips: Sequence[dict[str, Any]], pieces: Sequence[dict[str, Any]]) -
             np.median([abs(clip["scale_log"] - clip["stature_log"]) for clip in clips])
         ),
         "a thing's own distance off (median)": float(np.median(np.abs(np.expm1(distance)))),
+        "what the scale alone moves a thing by (median), m": float(
+            np.median([piece["by_scale_m"] for piece in pieces])
+        ),
         "things more than 12 % too far": len(far),
         "of them cut by the border": sum(piece["cut"] for piece in far),
         "of them chairs and tables": sum(piece["label"] in ("chair", "table") for piece in far),
