@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from video2anim.eval.alignment import match_frames, truth_from_estimate
+from video2anim.eval.alignment import match_frames, resample_nearest, truth_from_estimate
 from video2anim.eval.object_rows import LEAST_VISIBLE_PX, compared_objects, match_masks, pairs_by_mask
 from video2anim.eval.results import SceneResult
 from video2anim.eval.truth import Truth, read_truth
@@ -40,7 +40,7 @@ from video2anim.types import (
 )  # fmt: skip
 
 FAR_OFF = 0.12
-"""Log of a distance that is called far off."""
+"""A thing that is this share of its distance too far is counted."""
 LEAST_PIXELS = 5
 
 
@@ -86,7 +86,7 @@ def of_clip(clip: Clip) -> dict[str, Any]:
     """Logs of scale and stature against the truth; AbsRel of the plate's depth."""
     body, true = clip.get(BodyTracks).people[0], clip.truth.main
     depth, value = clip.get(MetricDepth).background_depth_m, clip.get(DepthClip).background_value
-    true_m = at_size(clip.truth.background_depth_m, depth.shape)
+    true_m = resample_nearest(clip.truth.background_depth_m, depth.shape)
     known = true_m > 0
     off = np.log(depth[known] / true_m[known])
     design = np.stack([value[known], np.ones(int(known.sum()))], 1)
@@ -138,7 +138,7 @@ def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
 def distances_m(lifter: ThingLifter, number: int, true_number: int, truth: Truth) -> tuple[float, float] | None:
     """A thing's lifted and true depth, where both masks show it; None if they hardly do."""
     thing = lifter.lift(number)
-    true_m = at_size(truth.background_depth_m, thing.shows.shape)
+    true_m = resample_nearest(truth.background_depth_m, thing.shows.shape)
     both = thing.shows & shrunk(truth.mask(true_number), thing.shows.shape) & (true_m > 0)
     if both.sum() <= LEAST_PIXELS:
         return None
@@ -154,17 +154,10 @@ def nearer(item: PlacedObject, by_log: float, camera_m: np.ndarray) -> PlacedObj
     return replace(item, T_world_object=T, scale=factor * item.scale)
 
 
-def at_size(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Nearest values at another size."""
-    import cv2
-
-    return cv2.resize(values.astype(np.float64), (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
-
-
 def summary(clips: Sequence[dict[str, Any]], pieces: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Medians, of sizes where signs differ."""
     distance = np.array([piece["distance_log"] for piece in pieces])
-    far = [piece for piece in pieces if piece["distance_log"] > FAR_OFF]
+    far = [piece for piece in pieces if piece["distance_log"] > np.log1p(FAR_OFF)]
     found: dict[str, Any] = {
         "pieces": len(pieces),
         "scale off (median)": float(np.median([abs(np.expm1(clip["scale_log"])) for clip in clips])),

@@ -113,9 +113,14 @@ def inverse_depth(depth_mm: np.ndarray) -> np.ndarray:
 def compared(disparity: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """AbsRel and delta of depth after the best scale and offset in inverse depth."""
     known = np.isfinite(truth)
-    design = np.stack([disparity[known], np.ones(int(known.sum()))], 1)
-    fitted = design @ np.linalg.lstsq(design, truth[known], rcond=None)[0]
+    fitted = nearest_line(disparity[known], truth[known])
     return scores(fitted, truth[known])
+
+
+def nearest_line(value: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Values with the scale and offset that bring them nearest to the truth (least squares)."""
+    design = np.stack([value, np.ones(len(value))], 1)
+    return design @ np.linalg.lstsq(design, truth, rcond=None)[0]
 
 
 def scores(inverse: np.ndarray, truth: np.ndarray) -> dict[str, float]:
@@ -176,9 +181,8 @@ def true_pieces(instance: np.ndarray, label: np.ndarray) -> list[np.ndarray]:
 def pieces_off(disparity: np.ndarray, truth: np.ndarray, true: list[np.ndarray]) -> list[float]:
     """By how much the mean log depth of each piece of a size that matters is too large, after the best alignment."""
     known = np.isfinite(truth)
-    design = np.stack([disparity[known], np.ones(int(known.sum()))], 1)
     off = np.full(truth.shape, np.nan)
-    fitted = design @ np.linalg.lstsq(design, truth[known], rcond=None)[0]
+    fitted = nearest_line(disparity[known], truth[known])
     off[known] = np.log(truth[known] / np.maximum(fitted, NEAREST_INVERSE))
     return [float(np.nanmean(off[mask])) for mask in true if mask.mean() >= LEAST_AREA_RATIO]
 
@@ -202,8 +206,7 @@ def kept_and_dropped(depth: RoomDepth, rgb: np.ndarray, truth: np.ndarray) -> tu
     """AbsRel of the fifth of pixels whose disparity hangs most on the hue, and of the others."""
     value, sigma = jittered_disparity(depth.infer, rgb, HUE_SHIFTS_RAD)
     known = np.isfinite(truth)
-    design = np.stack([value[known], np.ones(int(known.sum()))], 1)
-    fitted = design @ np.linalg.lstsq(design, truth[known], rcond=None)[0]
+    fitted = nearest_line(value[known], truth[known])
     miss = np.abs(truth[known] / np.maximum(fitted, NEAREST_INVERSE) - 1)
     unsure = sigma[known] > np.quantile(sigma[known], 0.8)
     return float(miss[~unsure].mean()), float(miss[unsure].mean())

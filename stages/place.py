@@ -168,4 +168,4 @@ def _arranged(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext
     return moved
 
 
-STAGE = StageSpec("place", place_objects, version=6)
+STAGE = StageSpec("place", place_objects, version=7)

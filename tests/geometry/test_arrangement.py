@@ -193,3 +193,14 @@ def test_two_things_in_the_same_place_are_seen() -> None:
     """One thing found twice, 0.02 m apart."""
     states = arrange([sideboard(0.0), sideboard(0.02)])
     assert max(state.overlap_before_m for state in states) > 0.1
+
+
+def test_a_small_thing_found_twice_stays_and_is_told() -> None:
+    """A stool that could be pushed out of itself; another one that stands half in it is pushed out."""
+    stool = standing(block((0.4, 0.45, 0.4), 0.0, 0.0, 0.0))
+    twice = arrange([stool, standing(block((0.4, 0.45, 0.4), 0.03, 0.0, 0.02))])
+    assert [state.inside_of for state in twice] == [1, 0]
+    assert all(state.overlap_after_m > 0.1 and not state.shift_m.any() for state in twice)
+    beside = arrange([stool, standing(block((0.4, 0.45, 0.4), 0.25, 0.0, 0.0))])
+    assert [state.inside_of for state in beside] == [None, None]
+    assert beside[0].shift_m[0] < 0 < beside[1].shift_m[0]

@@ -24,6 +24,8 @@ _FREER = 0.8
 """A way out is taken for another only where it is this much shorter."""
 _MOST_POINTS = 600
 """Of each object, for trying ways out."""
+_SAME_SHARE = 0.6
+"""Two objects that have this share of each other in them are one that was found twice."""
 _UNDER_M = 0.25
 """An object is put down or lifted by at most this to rest on what is below it."""
 
@@ -70,9 +72,11 @@ def arrange(objects: Sequence[Standing], tolerance_m: float = 0.03) -> list[Arra
         depth_m, _ = pair.depth(done)
         done[pair.one] = replace(done[pair.one], overlap_before_m=max(done[pair.one].overlap_before_m, depth_m))
         done[pair.other] = replace(done[pair.other], overlap_before_m=max(done[pair.other].overlap_before_m, depth_m))
+    # One thing found twice is nowhere else: it is told, and stays.
+    apart = [pair for pair in pairs if not pair.is_one_thing(done)]
     for _ in range(_ROUNDS):
         moved = False
-        for pair in pairs:
+        for pair in apart:
             depth_m, away = pair.depth(done)
             if depth_m <= tolerance_m:
                 continue
@@ -119,25 +123,43 @@ def _carry_along(done: list[Arranged]) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Solid:
+    """An object where it stood at first."""
+
+    field: SdfGrid
+    points_m: np.ndarray
+    """On its surface and within."""
+    inner_m: np.ndarray
+    """Those within."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Pair:
-    """Two objects that may overlap: fields and points of both, where they stood at first."""
+    """Two objects that may overlap, by number."""
 
     one: int
     other: int
-    one_field: SdfGrid
-    other_field: SdfGrid
-    one_points_m: np.ndarray
-    other_points_m: np.ndarray
+    first: _Solid
+    second: _Solid
+
+    def is_one_thing(self, done: list[Arranged]) -> bool:
+        """Whether both are in each other for the most part."""
+        apart_m = done[self.one].shift_m - done[self.other].shift_m
+        if not len(self.first.inner_m) or not len(self.second.inner_m):
+            return False
+        one = (self.second.field.sample(self.first.inner_m + apart_m) < 0).mean()
+        other = (self.first.field.sample(self.second.inner_m - apart_m) < 0).mean()
+        return bool(min(one, other) > _SAME_SHARE)
 
     def depth(self, done: list[Arranged]) -> tuple[float, np.ndarray]:
         """Deepest point of one in the other, and the horizontal way out for `one`."""
         apart_m = done[self.one].shift_m - done[self.other].shift_m
-        deep_one, way_one = _deepest(self.other_field, self.one_points_m + apart_m)
-        deep_other, way_other = _deepest(self.one_field, self.other_points_m - apart_m)
+        deep_one, way_one = _deepest(self.second.field, self.first.points_m + apart_m)
+        deep_other, way_other = _deepest(self.first.field, self.second.points_m - apart_m)
         away = deep_one * way_one - deep_other * way_other
         length = float(np.linalg.norm(away))
         if length < 1e-6:
-            away = (self.one_points_m.mean(0) + apart_m - self.other_points_m.mean(0)) * np.array([1.0, 0.0, 1.0])
+            away = (self.first.points_m.mean(0) + apart_m - self.second.points_m.mean(0)) * np.array([1.0, 0.0, 1.0])
             length = max(float(np.linalg.norm(away)), 1e-6)
         return max(deep_one, deep_other), away / length
 
@@ -147,13 +169,13 @@ class _Pair:
         What is inside may point deeper in, where one object reaches through the other's edge.
         """
         apart_m = done[self.one].shift_m - done[self.other].shift_m
-        one_m = _some_near(self.one_points_m + apart_m, self.other_field)
-        other_m = _some_near(self.other_points_m - apart_m, self.one_field)
+        one_m = _some_near(self.first.points_m + apart_m, self.second.field)
+        other_m = _some_near(self.second.points_m - apart_m, self.first.field)
 
         def length_m(way: np.ndarray) -> float:
             for step_m in _STEPS_M:
                 deep_m = max(
-                    _depth(self.other_field, one_m + step_m * way), _depth(self.one_field, other_m - step_m * way)
+                    _depth(self.second.field, one_m + step_m * way), _depth(self.first.field, other_m - step_m * way)
                 )
                 if deep_m <= tolerance_m:
                     return step_m
@@ -203,7 +225,7 @@ def _pairs(objects: Sequence[Standing], done: Sequence[Arranged]) -> list[_Pair]
         for j in range(i)
         if bounds[i] is not None and bounds[j] is not None and _meet(bounds[i], bounds[j])
     ]
-    fields: dict[int, tuple[SdfGrid, np.ndarray]] = {}
+    fields: dict[int, _Solid] = {}
     for number in {k for pair in near for k in pair}:
         own = bounds[number]
         assert own is not None
@@ -214,9 +236,10 @@ def _pairs(objects: Sequence[Standing], done: Sequence[Arranged]) -> list[_Pair]
         grid = build_sdf_grid([objects[number].mesh], grid_bounds, spacing_m, floor_y_m=None)
         triangles_m = objects[number].mesh.vertices_m.astype(np.float64)[objects[number].mesh.faces]
         # What is deep inside counts besides: a thing found twice has its surface in the other's.
-        points_m = np.concatenate([surface_samples(triangles_m, _SAMPLE_M)[0], _inner_points(grid)])
-        fields[number] = (grid, points_m)
-    return [_Pair(i, j, fields[i][0], fields[j][0], fields[i][1], fields[j][1]) for i, j in near]
+        inner_m = _inner_points(grid)
+        points_m = np.concatenate([surface_samples(triangles_m, _SAMPLE_M)[0], inner_m])
+        fields[number] = _Solid(grid, points_m, inner_m)
+    return [_Pair(i, j, fields[i], fields[j]) for i, j in near]
 
 
 def _inner_points(grid: SdfGrid) -> Float[np.ndarray, "points 3"]:
