@@ -4,7 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_WAIT_POLICY ?= passive
 
-.PHONY: demo test lint types bench clean
+.PHONY: demo test lint types bench clean train-prior train-progress train-stop
+MOTION_DIR ?= ../shared/motion
+THREADS ?= 1
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -32,6 +34,16 @@ types: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/v2a_bench.py $(if $(MOTION),--motion $(MOTION))
+
+# The networks' training run, in the background, from where it was; MINUTES=30 stops by itself.
+train-prior: $(VENV)/.dev
+	$(BIN)/python training/prior.py start --motion $(MOTION_DIR) --threads $(THREADS) $(if $(MINUTES),--minutes $(MINUTES))
+
+train-progress:
+	@$(BIN)/python training/prior.py progress
+
+train-stop:
+	@$(BIN)/python training/prior.py stop
 
 clean:
 	rm -rf $(VENV) demo_out dist build

@@ -20,7 +20,7 @@ def choose_prior(
     seed: int = 0,
     **sampler: Any,
 ) -> InbetweeningPrior:
-    """The diffusion prior with weights `small`, `research` or a file, or `interpolation`.
+    """The diffusion prior with weights `small` or a file, or `interpolation`.
 
     Args:
         weights: name or path of the weights.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from video2anim.errors import InputError, UsageError, Video2AnimError
+from video2anim.errors import UsageError, Video2AnimError
 
 if TYPE_CHECKING:
     from scenemi.evaluation.windows import EvaluationWindow
@@ -24,7 +24,7 @@ app = typer.Typer(
     help="Fill the motion between keyframes of a person in a 3D scene.",
     epilog="Exit codes: 0 fine, 2 usage or configuration, 3 bad input, 4 model missing, 5 no usable result.",
 )
-Weights = Annotated[str, typer.Option(help="small, research, a .safetensors file, or interpolation.")]
+Weights = Annotated[str, typer.Option(help="small, a .safetensors file, or interpolation.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 Steps = Annotated[int | None, typer.Option(min=1, max=1000, help="Sampling steps; 1000 is the paper's sampler.")]
 Temperature = Annotated[
@@ -160,47 +160,39 @@ def train_command(
     config: Annotated[Path | None, typer.Option(help="JSON of the run (default: the shipped model's).")] = None,
     split: Annotated[Path | None, typer.Option(help="JSON with lists of clip names.")] = None,
     cache: Annotated[Path | None, typer.Option(help="Folder for retargeted motion, so that it is made once.")] = None,
-    resume: Annotated[bool, typer.Option(help="Go on from the checkpoint in --out.")] = True,
     minutes: Annotated[float | None, typer.Option(min=0.01, help="Stop after this time; resume later.")] = None,
+    cool_steps: Annotated[
+        int, typer.Option(min=0, help="Steps of falling learning rate before the weights are written; not kept.")
+    ] = 0,
+    errors: Annotated[
+        Path | None, typer.Option(help="Errors of the video pipeline (.npz of training/pipeline_errors.py).")
+    ] = None,
+    start: Annotated[
+        Path | None, typer.Option(help="Weights to begin from where --out has no checkpoint and they are alike.")
+    ] = None,
     device: Device = "auto",
 ) -> None:
-    """Train a model, or go on training it. Several processes: `torchrun --nproc-per-node N -m scenemi.cli train`."""
-    from scenemi.data.balance import BalanceConfig
-    from scenemi.data.split import Split
-    from scenemi.data.windows import MotionSet, MotionSetConfig
-    from scenemi.model.denoiser import Denoiser
-    from scenemi.model.weights import save_weights
-    from scenemi.training.config import TrainConfig
-    from scenemi.training.loop import train
+    """Train a model, or go on training it: a run has no end, it stops after --minutes or when it is interrupted."""
+    from scenemi.training.runs import RunFiles, motions_for, write_run_weights
 
-    run_config = TrainConfig() if config is None else TrainConfig.read(config)
-    parts = None if split is None else Split.read(split)
-    balance = BalanceConfig(source_share={"synthetic": run_config.synthetic_share})
-    use = MotionSetConfig(
-        noncommercial=run_config.noncommercial, balance=balance, reverse=run_config.reverse, mix=run_config.mix
-    )
-    motions = MotionSet.build(motion, parts, "train", run_config.bodies, use, cache=cache)
-    leads = int(os.environ.get("RANK", "0")) == 0
-    try:
-        watched = MotionSet.build(motion, parts, "val", 1, use, cache=cache)
-    except InputError:
-        watched = None
-        if leads:
-            _note("no clip is for validation (--split), so none is sampled while training")
-    if leads:
-        _note(f"{motions.minutes:.1f} minutes of motion, {len(motions.shapes)} bodies")
+    files = RunFiles.of(config, motion, split, cache)
+    motions, watched = motions_for(files)
+    if watched is None:
+        _note("no clip is for validation (--split), so none is sampled while training")
+    _note(f"{motions.minutes:.1f} minutes of motion, {len(motions.shapes)} bodies")
+    from scenemi.training.loop import cool, train
+    from scenemi.training.noise import PipelineErrors
+
+    chosen = _device(device)
+    limit_s = None if minutes is None else 60 * minutes
+    recorded = None if errors is None else PipelineErrors.read(errors)
     state = train(
-        run_config, motions, out, validation=watched, device=_device(device), resume=resume,
-        time_limit_s=None if minutes is None else 60 * minutes, on_progress=_say_progress,
+        files.config, motions, out, validation=watched, device=chosen, errors=recorded, start=start,
+        time_limit_s=limit_s, on_progress=_say_progress,
     )  # fmt: skip
-    if leads:
-        target = out / "weights.safetensors"
-        sources = sorted(set(map(str, motions.store.clip_source)))
-        card = {"steps": state.step, "minutes": motions.minutes, "sources": sources, "config": run_config.to_json()}
-        model = Denoiser(state.config.model)
-        model.load_state_dict({name: value.cpu() for name, value in state.ema.items()})
-        save_weights(target, model, state.statistics, card)
-        typer.echo(str(target))
+    if cool_steps:
+        state = cool(out, motions, cool_steps, errors=recorded, device=chosen, on_progress=_say_progress)
+    typer.echo(str(write_run_weights(out / "weights.safetensors", state, motions)))
 
 
 @app.command("data")
@@ -260,15 +252,13 @@ def _print_table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
 
 def _say_progress(found: Progress) -> None:
     rows = "".join(
-        f"; r = {row.interval}: MJPE {100 * row.mjpe_m:.2f} cm (joined keyframes {100 * row.base_mjpe_m:.2f}, "
-        f"interpolated {100 * row.interpolated_mjpe_m:.2f}), "
-        f"jerk x {row.jerk_ratio:.2f}"
+        f"; r = {row.interval}{' in scenes shown' if row.scene else ''}: error x {row.mjpe_ratio:.3f}, "
+        f"jerk x {row.jerk_ratio:.2f}" + (f", inside {row.inside:.3f}" if row.inside == row.inside else "")
         for row in found.validation
     )
     speed = f", {found.windows_per_s:.0f} windows/s" if found.windows_per_s else ""
-    stage = f"{found.stage}: " if found.stage else ""
     typer.echo(
-        f"{stage}step {found.step}/{found.steps}: loss {found.total:.4f}{speed}{rows}",
+        f"step {found.step}, {found.windows} windows, {found.hours:.2f} hours: loss {found.total:.4f}{speed}{rows}",
         err=True,
     )
 

@@ -46,6 +46,8 @@ class KeyframeWindow:
     """Whose skin meets the scene; None = an adult of about the stature of `rest_joints_m`."""
     noise_level: float = 0.0
     """Paper's l: the keyframes (but the seed) are about l degrees and l centimetres off; 0 = exact."""
+    noise: Float[np.ndarray, "frames 2"] | None = None
+    """How far each keyframe is off, degrees and centimetres, where that is known better than by one l for all."""
 
     def __post_init__(self) -> None:
         frames = len(self.is_keyframe)
@@ -57,6 +59,8 @@ class KeyframeWindow:
         given = np.isfinite(self.R_parent_joint[self.is_keyframe]).all()
         if not given or not np.isfinite(self.translation_world_m[self.is_keyframe]).all():
             raise ValueError("KeyframeWindow: keyframes hold NaN or infinity; leave such frames out")
+        if self.noise is not None and (self.noise.shape != (frames, 2) or not (self.noise >= 0).all()):
+            raise ValueError(f"KeyframeWindow: want noise ({frames}, 2), none below 0, got {self.noise.shape}")
         if not 0 <= self.noise_level < np.inf or not 0 <= self.seed_frames <= frames:
             raise ValueError(
                 f"KeyframeWindow: want a noise level >= 0 and up to {frames} seed frames, "
@@ -90,7 +94,15 @@ def padded(window: KeyframeWindow, frame_count: int) -> KeyframeWindow:
             [window.translation_world_m, np.repeat(window.translation_world_m[-1:], missing, 0)]
         ),
         is_keyframe=np.concatenate([window.is_keyframe, np.ones(missing, dtype=bool)]),
+        noise=None
+        if window.noise is None
+        else np.concatenate([window.noise, np.repeat(window.noise[-1:], missing, 0)]),
     )
+
+
+def is_exact(window: KeyframeWindow) -> bool:
+    """Whether its keyframes carry no noise."""
+    return window.noise_level == 0 and (window.noise is None or not window.noise.any())
 
 
 class InbetweeningPrior(Protocol):

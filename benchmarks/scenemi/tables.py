@@ -1,7 +1,7 @@
 """The paper's tables on the test split of the CMU clips, each one command.
 
     python benchmarks/scenemi/tables.py 1 2 --motion cmu.npz --split split.json
-    python benchmarks/scenemi/tables.py reach --weights small research ...
+    python benchmarks/scenemi/tables.py 1 2 --weights small FILE ...
 
 Tables: 1 (clean keyframes every 60 frames, scene ablations), 2 (the same, frames close to the scene), 3 (noisy
 keyframes every 3 frames, T*), 6 (keyframe selection), 7 (time), 8 (one row for each weights file given with
@@ -34,19 +34,17 @@ from scenemi.evaluation.ablation import AblatedPrior
 from scenemi.evaluation.fid import FID_DIGEST, shipped_features
 from scenemi.evaluation.protocol import Evaluation, evaluate
 from scenemi.evaluation.scenes import SCENE_SEED, Obstacles, with_pseudo_scenes
-from scenemi.evaluation.scores import mean_of, over_seeds
+from scenemi.evaluation.scores import over_seeds
 from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol, cut_windows
 from scenemi.files import file_digest, write_json
 from scenemi.prior import InbetweeningPrior
 
-TABLES = ("1", "2", "3", "6", "7", "8", "9", "reach")
+TABLES = ("1", "2", "3", "6", "7", "8", "9")
 CLEAN = KeyframeProtocol(60)
 NOISY = KeyframeProtocol(3, noise=1.0)
 ABLATIONS: dict[str, dict[str, bool]] = {
-    "w/o c_g (at sampling)": {"use_global": False},
-    "w/o c_l (at sampling)": {"use_local": False},
     "w/o clearing (at sampling)": {"use_clearing": False},
-    "w/o scene: c_g, c_l, clearing (at sampling)": {"use_global": False, "use_local": False, "use_clearing": False},
+    "w/o scene (at sampling)": {"use_scene": False, "use_clearing": False},
 }
 QUALITY = ("fid", "skating_gmd", "jerk_m_s3", "mjpe_key_m", "mjpe_all_m", "collision_frame_ratio", "penetration_max_m")
 CLOSE = ("close_collision_frame_ratio", "close_collision_frame_ratio_1cm", "close_collision_vertex_ratio",
@@ -212,30 +210,8 @@ def table_9(bench: Bench) -> Table:
     return table
 
 
-def table_reach(bench: Bench) -> Table:
-    """What the model has to reach, against the baseline and the truth."""
-    columns = ("mjpe_all_m", "baseline_mjpe_all_m", "mjpe_ratio", "mjpe_key_m", "jerk_m_s3", "jerk_truth_m_s3",
-               "jerk_ratio", "skating_gmd", "skating_gmd_truth")  # fmt: skip
-    table = Table("Must reach", columns)
-    protocols = {f"r = {r}": KeyframeProtocol(r) for r in (15, 30, 60)} | {"r = 3, l = 1": NOISY}
-    for weights in bench.trained() or [INTERPOLATION]:
-        for name, protocol in protocols.items():
-            found = bench.run(weights, protocol)
-            summary = found.summary()
-            more: dict[str, Any] = {key: summary[key] for key in columns if key in summary}
-            more["mjpe_ratio"] = summary["mjpe_all_m"] / summary["baseline_mjpe_all_m"]
-            more["jerk_ratio"] = summary["jerk_m_s3"] / summary["jerk_truth_m_s3"]
-            if protocol.noise > 0:
-                more["noisy_input_mjpe_all_m"] = mean_of(found.noisy_input, "mjpe_all_m")
-                more["noisy_input_mjpe_key_m"] = mean_of(found.noisy_input, "mjpe_key_m")
-                more["noisy_input_jerk_m_s3"] = mean_of(found.noisy_input, "jerk_m_s3")
-            table.add(f"{label(weights)} {name}", found, **more)
-    return table
-
-
 MAKERS: dict[str, Callable[[Bench], Table]] = {
     "1": table_1, "2": table_2, "3": table_3, "6": table_6, "7": table_7, "8": table_8, "9": table_9,
-    "reach": table_reach,
 }  # fmt: skip
 
 
@@ -272,7 +248,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--motion", type=Path, nargs="+", required=True)
     parser.add_argument("--split", type=Path, help="without it, all clips are used")
     parser.add_argument("--part", default="test")
-    parser.add_argument("--weights", nargs="+", default=["small"], help="small, research, files")
+    parser.add_argument("--weights", nargs="+", default=["small"], help="small or files")
     parser.add_argument("--variant", action="append", default=[], type=_named, help="NAME=FILE of a retrained model")
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--time-steps", type=int, nargs="+", default=[10, 20, 50, 1000])
@@ -327,7 +303,7 @@ def markdown(report: dict[str, Any]) -> str:
     lines.append(
         f"{report['windows']} windows of {', '.join(report['clips'])} ({report['part']}), {report['steps']} steps "
         f"unless said otherwise, seed {report['seed']}; {report['machine']}, {report['device']}, {report['date']}. "
-        "Means, with 95 % intervals over windows where they are known."
+        "Means, with 95 % intervals over clips where they are known."
     )
     weights = ", ".join(f"{name} {digest[:12]}" for name, digest in report["weights_sha256"].items())
     lines += ["", f"Weights: {weights or 'none'}.", ""]

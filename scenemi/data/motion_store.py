@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import shutil
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from scenemi.data.augment import resampled
+from scenemi.data.bend import LEAST_WAY_M, bent, way_m
 from scenemi.data.contacts import runs
 from scenemi.data.container import MotionArchive
 from scenemi.data.retarget import RetargetedMotion, retarget
@@ -25,7 +27,7 @@ from video2anim.geometry.rotations import continuous_quaternions, quaternion_fro
 from video2anim.types import BodyShape
 
 FPS = 30.0
-_VERSION = 1
+_VERSION = 2
 """Raised when retargeting gives other motions, so that old caches are not read."""
 
 Progress = Callable[[int, int], None]
@@ -45,6 +47,8 @@ class StoreConfig:
     glitch_margin: int = 2
     uneven: bool = True
     """Keep clips whose ground was not captured."""
+    bends: int = 0
+    """Each clip that goes somewhere is also kept bent along so many random curves (`scenemi.data.bend`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +91,7 @@ def build_store(
     Raises:
         InputError: no clip is left.
     """
-    clips = [(archive, name) for archive, names in archives for name in names]
+    clips = [(archive, name, bend) for archive, names in archives for name in names for bend in range(1 + config.bends)]
     per_clip = min(config.bodies_per_clip, len(shapes))
     pieces: list[tuple[RetargetedMotion, int, int, int, int]] = []
     uneven = np.zeros(len(clips), bool)
@@ -95,7 +99,7 @@ def build_store(
     done = 0
     for number, shape in enumerate(shapes):
         body = shaped_body(shape)
-        for i, (archive, name) in enumerate(clips):
+        for i, (archive, name, bend) in enumerate(clips):
             if (number - i) % len(shapes) >= per_clip:
                 continue
             clip = archive.clip(name)
@@ -105,16 +109,20 @@ def build_store(
                 progress(done, total)
             if (clip.uneven and not config.uneven) or len(clip.root_position_m) < 2:
                 continue
+            if bend:
+                if clip.uneven or way_m(clip) < LEAST_WAY_M:
+                    continue
+                clip = bent(clip, np.random.default_rng([zlib.crc32(name.encode()), bend]))
             motion = resampled(retarget(clip, body), clip.fps, FPS)
             pieces += [(motion, i, number, start, stop) for start, stop in _sound_spans(motion, body, config)]
     if not pieces:
         raise InputError(f"motion: none of {len(clips)} clips has {config.least_frames} sound frames; give other clips")
-    clip_of = [archive.names.index(name) for archive, name in clips]
+    clip_of = [archive.names.index(name) for archive, name, _ in clips]
     return _packed(
         pieces,
-        names=[name for _, name in clips],
-        kinds=[archive.kinds[k] for (archive, _), k in zip(clips, clip_of, strict=True)],
-        sources=[archive.sources[k] for (archive, _), k in zip(clips, clip_of, strict=True)],
+        names=[name for _, name, _ in clips],
+        kinds=[archive.kinds[k] for (archive, *_), k in zip(clips, clip_of, strict=True)],
+        sources=[archive.sources[k] for (archive, *_), k in zip(clips, clip_of, strict=True)],
         uneven=uneven,
     )
 

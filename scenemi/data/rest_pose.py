@@ -4,6 +4,11 @@ Rest poses of motion sources differ and often are no posture at all. Here every 
 local axes: which direction in a source joint's own frame is the body's left, up and front when the limb is in the
 T-pose. Limbs take the bone from the skeleton itself and need the hinge axis of the knee or elbow only; these axes are
 constant within a family (measured on the clips, spread below 1 degree; 8 degrees for Bandai's forearms).
+
+ACCAD and MHAD are re-based on a posture of each person, so their axes are those of that posture. ACCAD's knees and
+elbows are exact hinges (0.1 degree), but the axes of its people are up to 40 degrees apart: each is a family. MHAD's
+people stood alike and are one (knees within 11, elbows within 17 degrees of the axes here), but their elbows are no
+clean hinges: in the clips of one person the axis strays by 1 to 22 degrees (median).
 """
 
 from __future__ import annotations
@@ -32,7 +37,7 @@ class Family:
     """Joint frames of one kind of skeleton, in each joint's local coordinates."""
 
     signature: str
-    """A joint name that no other family has."""
+    """A joint name that no other family has, or how the names of the family's skeletons begin."""
     trunk: dict[str, Float[np.ndarray, "3 3"]]
     """Local directions of the body's left, up and front (columns), for `TRUNK`; key "" is for all others."""
     knee_hinge: tuple[Vector, Vector]
@@ -113,6 +118,41 @@ _FAMILIES = (
         ((0.0, -1.0, 0.0), (0.0, -1.0, 0.0)),
         ((-0.637, 0.0, 0.77), (0.637, 0.0, -0.77)),
     ),
+    Family(
+        "accad_female1",
+        {"": _SAME},
+        ((0.994, -0.003, -0.11), (0.991, 0.003, 0.135)),
+        ((-0.826, -0.222, -0.518), (-0.833, 0.192, 0.52)),
+        ((-0.008, 0.999, -0.033), (-0.047, 0.995, -0.092)),
+    ),
+    Family(
+        "accad_male1",
+        {"": _SAME},
+        ((0.993, 0.001, -0.118), (0.997, 0.051, 0.061)),
+        ((-0.978, -0.157, 0.137), (-0.978, 0.208, 0.03)),
+        ((-0.01, 0.99, -0.139), (0.035, 0.999, -0.038)),
+    ),
+    Family(
+        "accad_male2",
+        {"": _SAME},
+        ((0.98, 0.054, -0.19), (0.989, -0.038, 0.143)),
+        ((-0.839, -0.185, -0.511), (-0.864, 0.179, 0.471)),
+        ((-0.033, 0.997, -0.071), (0.017, 1.0, 0.023)),
+    ),
+    Family(
+        "mhad_",
+        {
+            "": _SAME,
+            "neck": _turned(-4.0),
+            "head": _turned(-7.0),
+            # MHAD's shoulders are raised in its T-pose, those of the body model are not.
+            "left_collar": _turned(3.0, -8.0, -19.0),
+            "right_collar": _turned(3.0, 8.0, 23.0),
+        },
+        ((0.998, 0.046, 0.028), (0.998, -0.046, -0.028)),
+        ((-0.17, -0.635, 0.735), (-0.17, 0.635, -0.735)),
+        ((0.0, 1.0, 0.0), (0.0, 1.0, 0.0)),
+    ),
 )
 
 
@@ -153,11 +193,11 @@ def foot_axes(bone: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float
 
 def _family(skeleton: SourceSkeleton) -> Family:
     for family in _FAMILIES:
-        if family.signature in skeleton.names:
+        if family.signature in skeleton.names or skeleton.name.startswith(family.signature):
             return family
     known = ", ".join(f"{family.signature!r}" for family in _FAMILIES)
     raise InputError(
-        f"skeleton {skeleton.name!r}: want the 22 SMPL joints or a known family (with a joint {known}), "
+        f"skeleton {skeleton.name!r}: want the 22 SMPL joints or a known family (with a joint, or named, {known}), "
         f"got {', '.join(skeleton.names[:4])}...; add its joint axes to scenemi/data/rest_pose.py"
     )
 

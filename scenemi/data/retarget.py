@@ -29,6 +29,10 @@ from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_ax
 _CHAINS = (("pelvis", "spine1", "spine2", "spine3"), ("spine3", "neck", "head"))
 """Joints without a source between joints with one turn in equal shares."""
 _FLAT_FRAMES = 5
+_FLOOR_TOE_M = 0.10
+"""Toe joints of feet on the capture floor are at most this high (measured: 0.02 to 0.045 m); mats begin at 0.21 m."""
+_SAME_LEVEL_M = 0.06
+"""Soles within this of the lowest stand on the same ground: a third of a step."""
 _MAX_FOOT_TILT_RAD = 0.35
 """Largest difference between a clip's standing foot and its family's that is taken for the shape of its skeleton."""
 
@@ -100,6 +104,10 @@ def retarget(clip: SourceClip, body: ShapedBody, config: RetargetConfig | None =
         R_world[:, leg.ankle] = foot.R_world_ankle
         R_world[:, leg.toe] = foot.R_world_ankle @ turned_about(0, -foot.toe_bend_rad)
     posed_m = root_m[:, None] + _positions(R_world, body.rest_joints_m)
+    if not has_floor:
+        rise_m = _onto_floor_m(posed_m, named_m, feet)
+        root_m[:, 1] += rise_m
+        posed_m[..., 1] += rise_m
     contact = _true_contacts(posed_m, feet, has_floor, config.still_m)
     return RetargetedMotion(root_m, _local(R_world), contact, clip.name, clip.kind, clip.source)
 
@@ -227,6 +235,28 @@ def _lift_hands(
             np.array([0.0, axis, 0.0]),
             lift[:, None] * [0.0, 1.0, 0.0],
         )
+
+
+def _onto_floor_m(
+    posed_m: Float[np.ndarray, "frames 22 3"], named_m: Float[np.ndarray, "frames 22 3"], feet: list[FootPose]
+) -> float:
+    """Constant rise (m) that puts the soles that stand lowest on y = 0, the capture floor; 0 where nobody stands near
+    it: then what carried the feet was not captured.
+
+    Args:
+        posed_m: joints on the body.
+        named_m: joints of the source.
+        feet: of the body.
+    """
+    soles_m, toes_m = [], []
+    for foot, leg in zip(feet, LEGS, strict=True):
+        flat = foot.contact.all(1)
+        soles_m.append((posed_m[:, leg.ankle, 1] + foot.lowest_m)[flat])
+        toes_m.append(named_m[flat, leg.toe, 1])
+    soles, toes = np.concatenate(soles_m), np.concatenate(toes_m)
+    if not len(soles) or np.percentile(toes, 5) > _FLOOR_TOE_M:
+        return 0.0
+    return -float(np.median(soles[soles < np.percentile(soles, 5) + _SAME_LEVEL_M]))
 
 
 def _true_contacts(

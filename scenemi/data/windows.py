@@ -30,7 +30,7 @@ from scenemi.data.motion_store import (
     save_store,
     store_digest,
 )
-from scenemi.data.sources import is_free
+from scenemi.data.sources import BROKEN_CLIPS, is_free
 from scenemi.data.split import Part, Split
 from scenemi.windows import WINDOW_FRAMES
 from video2anim.body.anny_body import ShapedBody, shaped_body
@@ -293,7 +293,8 @@ def _chosen(archive: MotionArchive, split: Split, part: Part | None, config: Mot
     return [
         name
         for name, kind, source in zip(archive.names, archive.kinds, archive.sources, strict=True)
-        if (part is None or split.part_of(name) == part)
+        if name not in BROKEN_CLIPS
+        and (part is None or split.part_of(name) == part)
         and (config.kinds is None or kind in config.kinds)
         and (source in config.sources if config.sources is not None else config.noncommercial or is_free(source))
     ]

@@ -1,7 +1,7 @@
 """A trained prior with a condition taken away when it samples.
 
-This asks what the model makes of the condition. A model trained without it (`ModelConfig.use_global` and its like) is
-another thing, and the tables name which of the two a row is.
+This asks what the model makes of the condition. A model trained without it (`ModelConfig.scene`) is another thing, and
+the tables name which of the two a row is.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from scenemi.model.denoiser import Conditions
+from scenemi.model.conditions import Conditions
 from scenemi.model.prior import DiffusionPrior
 from scenemi.prior import KeyframeWindow
 
@@ -22,28 +22,20 @@ class AblatedPrior(DiffusionPrior):
     """`DiffusionPrior` that does not look at some of its conditions."""
 
     def __init__(
-        self,
-        prior: DiffusionPrior,
-        *,
-        use_global: bool = True,
-        use_local: bool = True,
-        use_body: bool = True,
-        use_clearing: bool = True,
+        self, prior: DiffusionPrior, *, use_scene: bool = True, use_body: bool = True, use_clearing: bool = True
     ) -> None:
         """`use_clearing`: whether sampled bodies are moved out of solids (`scenemi.model.cleanup`)."""
         sampler = prior.sampler if use_clearing else replace(prior.sampler, clear_rounds=0)
         super().__init__(prior.model, sampler, device=prior.device)
         self.seed = prior.seed
-        self._use_global, self._use_local, self._use_body = use_global, use_local, use_body
+        self._use_scene, self._use_body = use_scene, use_body
 
     def _conditions(
         self, windows: list[KeyframeWindow], T_world_canonical: Float[np.ndarray, "batch 4 4"]
     ) -> tuple[Tensor, Conditions]:
         x_keys, found = super()._conditions(windows, T_world_canonical)
-        if not self._use_global:
-            found = replace(found, scene_known=torch.zeros_like(found.scene_known))
-        if not self._use_local:
-            found = replace(found, local_known=torch.zeros_like(found.local_known))
+        if not self._use_scene:
+            found = found.without_scene()
         if not self._use_body:
             found = replace(found, body=torch.zeros_like(found.body))
         return x_keys, found

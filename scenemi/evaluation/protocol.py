@@ -15,14 +15,16 @@ from scenemi.evaluation.windows import EvaluationWindow, GivenWindow, KeyframePr
 from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow, WindowMotion
 from video2anim.errors import StageError
 
+FID_WINDOWS = 1000
+"""Fewer windows on a side do not tell a covariance of 32 features well enough."""
 BATCH = 8
 """Windows handed to a prior at once, where it takes several."""
 Progress = Callable[[int, int], None]
 FeatureExtractor = Callable[[Sequence[WindowMotion]], Float[np.ndarray, "windows features"]]
 NUMBERS = (
-    "mjpe_all_m", "mjpe_key_m", "jerk_m_s3", "skating_gmd", "collision_frame_ratio", "collision_frame_ratio_1cm",
-    "collision_vertex_ratio", "penetration_max_m", "close_collision_frame_ratio", "close_collision_frame_ratio_1cm",
-    "close_collision_vertex_ratio", "close_penetration_max_m", "floor_depth_m",
+    "mjpe_all_m", "mjpe_key_m", "jerk_m_s3", "jerk_8hz_m_s3", "skating_gmd", "contact_f1", "collision_frame_ratio",
+    "collision_frame_ratio_1cm", "collision_vertex_ratio", "penetration_max_m", "close_collision_frame_ratio",
+    "close_collision_frame_ratio_1cm", "close_collision_vertex_ratio", "close_penetration_max_m", "floor_depth_m",
 )  # fmt: skip
 """What is averaged over windows."""
 
@@ -41,7 +43,7 @@ class Evaluation:
     """The whole motion with the noise that the keyframes carry; equal to the truth without noise."""
     seconds_per_window: float
     fid: float | None = None
-    """Frechet distance to the true windows; None without a feature extractor."""
+    """Frechet distance to the true windows; None without a feature extractor or with fewer than 1,000 windows."""
     baseline_fid: float | None = None
 
     def mean(self, name: str) -> float:
@@ -49,8 +51,8 @@ class Evaluation:
         return mean_of(self.prior, name)
 
     def interval(self, name: str) -> Interval:
-        """The same with its 95 % interval over windows."""
-        return bootstrap(self.prior, name)
+        """The same with its 95 % interval over clips."""
+        return bootstrap(self.prior, name, [window.split("@")[0] for window in self.window_names])
 
     def summary(self) -> dict[str, float | int]:
         """The twelve numbers that `scenemi evaluate --json` writes."""
@@ -166,7 +168,7 @@ def _distances(
     plain: Sequence[WindowMotion],
     features: FeatureExtractor | None,
 ) -> tuple[float | None, float | None]:
-    if features is None or len(windows) < 2:
+    if features is None or len(windows) < FID_WINDOWS:
         return None, None
     from scenemi.evaluation.frechet import frechet_distance
 

@@ -1,4 +1,4 @@
-"""Random scenes around evaluation windows: the same for a window whatever else is evaluated."""
+"""Scenes around evaluation windows: the same for a window whatever else is evaluated."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from scenemi.evaluation.windows import EvaluationWindow, window_seed
+from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol, give_keyframes, window_seed
+from scenemi.prior import InterpolationPrior
 from scenemi.scene.basis_points import anchor_vertices
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.pseudo import PseudoConfig, PseudoScenes
 from video2anim.body.skeleton import forward_kinematics
 
 SCENE_SEED = 20_251
+BLIND_INTERVAL = 60
 EVALUATION_SCENES = PseudoConfig(empty_share=0.0)
 """Scenes of training, but never empty: a window without anything to hit tells nothing of collisions."""
 
@@ -48,7 +50,8 @@ class Obstacles:
 def with_pseudo_scenes(
     windows: Sequence[EvaluationWindow], *, seed: int = SCENE_SEED, config: PseudoConfig = EVALUATION_SCENES
 ) -> tuple[EvaluationWindow, ...]:
-    """The windows, each in a scene in which its true motion could have happened.
+    """The windows, each in a scene in which its true motion could have happened, with solids where the interpolation of
+    keyframes every 60 frames would go and the true body does not.
 
     Windows of clips on ground that was not captured get one too: they are few and keep the set whole.
     """
@@ -60,6 +63,24 @@ def with_pseudo_scenes(
         )
         anchors_m = window.body.vertices(R_world_joint, joints_m, anchor_vertices(window.body))
         rng = np.random.default_rng(window_seed(window.name, seed))
-        scene = scenes.draw(rng, joints_m, R_world_joint, anchors_m, window.contact)
+        blind_m = blind_joints(window)
+        scene = scenes.draw(rng, joints_m, R_world_joint, anchors_m, window.contact, blind_m=blind_m)
         found.append(replace(window, obstacles=Obstacles(scene.boxes), scene=scene.geometry()))
     return tuple(found)
+
+
+def blind_joints(window: EvaluationWindow) -> Float[np.ndarray, "frames 22 3"]:
+    """Joints of the interpolation that sees no scene."""
+    filled = InterpolationPrior().fill(give_keyframes(window, KeyframeProtocol(BLIND_INTERVAL)).keyframes)
+    joints_m, _ = forward_kinematics(filled.R_parent_joint, filled.translation_world_m, window.body.rest_joints_m)
+    return joints_m
+
+
+def telling_share(windows: Sequence[EvaluationWindow]) -> float:
+    """Share of the windows with solids in which that interpolation has a joint more than 1 cm inside."""
+    inside = [
+        float(window.obstacles.signed_distance(blind_joints(window)).min()) < -0.01
+        for window in windows
+        if window.obstacles is not None
+    ]
+    return float(np.mean(inside)) if inside else float("nan")

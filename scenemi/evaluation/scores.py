@@ -8,15 +8,19 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.signal import butter, sosfiltfilt
 
 from scenemi import metrics
 from scenemi.evaluation.windows import FPS, EvaluationWindow
 from scenemi.prior import WindowMotion
+from scenemi.sample_motion import standing_feet
 from video2anim.body.skeleton import forward_kinematics
 
 SKIN_VERTICES = 1500
 """About how many vertices of the skin are tested against the scene (every k-th one)."""
 BOOTSTRAP_DRAWS = 1000
+FEET = [*metrics.ANKLES, *metrics.TOES]
+_CUTOFF_HZ = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +33,11 @@ class WindowScores:
     mjpe_all_m: float
     mjpe_key_m: float
     jerk_m_s3: float
+    jerk_8hz_m_s3: float
+    """Of the same joints low-passed at 8 Hz: captured motion has marker noise above, which no model should learn."""
     skating_gmd: float
+    contact_f1: float
+    """Feet that stand (low and slow) in this motion against those of the true one."""
     floor_depth_m: float
     """Deepest skin vertex under y = 0."""
     collision_frame_ratio: float = float("nan")
@@ -60,6 +68,7 @@ class WindowJudge:
     def __init__(self, window: EvaluationWindow) -> None:
         self.window = window
         self.skin_index = skin_sample(len(window.body.rest_vertices_m))
+        self.standing: Bool[np.ndarray, "frames 4"] = standing_feet(window.joints_m)[:, FEET] > 0
         self.close: Bool[np.ndarray, "frames"] = np.zeros(len(window.translation_m), bool)
         if window.obstacles is not None:
             distance_m = window.obstacles.signed_distance(self.skin_m(window.R_parent_joint, window.translation_m))
@@ -75,7 +84,9 @@ class WindowJudge:
             mjpe_all_m=metrics.mpjpe(joints_m, window.joints_m),
             mjpe_key_m=metrics.mpjpe(joints_m[is_keyframe], window.joints_m[is_keyframe]),
             jerk_m_s3=metrics.jerk_m_s3(joints_m, FPS),
+            jerk_8hz_m_s3=metrics.jerk_m_s3(low_passed(joints_m), FPS),
             skating_gmd=metrics.foot_skating_gmd(joints_m, FPS),
+            contact_f1=metrics.binary_scores(standing_feet(joints_m)[:, FEET] > 0, self.standing).f1,
             floor_depth_m=float(max(0.0, -skin_m[..., 1].min())),
         )
         return scores if distance_m is None else replace(scores, **self._collisions(distance_m))
@@ -113,6 +124,12 @@ class WindowJudge:
         return body.vertices(R_world_joint, joints_m, self.skin_index).astype(np.float64)
 
 
+def low_passed(joints_m: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "frames 22 3"]:
+    """Joints without what is faster than 8 Hz (Butterworth of order 4, forward and back)."""
+    filter_sos = butter(4, _CUTOFF_HZ, fs=FPS, output="sos")
+    return np.asarray(sosfiltfilt(filter_sos, joints_m, axis=0))
+
+
 def skin_sample(vertices: int) -> Int[np.ndarray, "chosen"]:
     """Evenly chosen vertices of a skin."""
     return np.arange(0, vertices, max(1, vertices // SKIN_VERTICES))
@@ -137,12 +154,17 @@ def mean_of(scores: Sequence[WindowScores], name: str) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
-def bootstrap(scores: Sequence[WindowScores], name: str, *, seed: int = 0) -> Interval:
-    """Mean over windows and its 95 % interval, windows drawn again with replacement."""
+def bootstrap(
+    scores: Sequence[WindowScores], name: str, clips: Sequence[str] | None = None, *, seed: int = 0
+) -> Interval:
+    """Mean over windows and its 95 % interval: clips (windows where none are named) are drawn again with replacement,
+    since windows of one clip resemble each other."""
+    groups = np.unique(np.arange(len(scores)) if clips is None else np.asarray(clips), return_inverse=True)[1]
+    members = [np.flatnonzero(groups == group) for group in range(groups.max() + 1)]
     rng = np.random.default_rng(seed)
     draws = []
-    for index in rng.integers(0, len(scores), (BOOTSTRAP_DRAWS, len(scores))):
-        value = mean_of([scores[i] for i in index], name)
+    for index in rng.integers(0, len(members), (BOOTSTRAP_DRAWS, len(members))):
+        value = mean_of([scores[i] for group in index for i in members[group]], name)
         if not np.isnan(value):
             draws.append(value)
     low, high = np.percentile(draws, [2.5, 97.5]) if draws else (float("nan"),) * 2

@@ -96,7 +96,11 @@ def adult_body() -> ShapedBody:
 
 
 def cut_windows(
-    archives: Sequence[MotionArchive], names: Sequence[str] | None = None, body: ShapedBody | None = None
+    archives: Sequence[MotionArchive],
+    names: Sequence[str] | None = None,
+    body: ShapedBody | None = None,
+    *,
+    stride: int = WINDOW_FRAMES,
 ) -> tuple[EvaluationWindow, ...]:
     """Every clip of at least 121 frames, retargeted, in windows of 121 frames that do not overlap.
 
@@ -104,6 +108,7 @@ def cut_windows(
         archives: where clips are looked for.
         names: clips to use (a part of a split); None = all.
         body: None = the average adult.
+        stride: frames from window to window; less than 121 makes more of them (for the FID).
 
     Raises:
         InputError: no clip is long enough.
@@ -118,7 +123,7 @@ def cut_windows(
                 continue
             longest = max(longest, frames)
             if frames >= WINDOW_FRAMES:
-                windows += _windows_of(archive, name, body)
+                windows += _windows_of(archive, name, body, stride)
     if not windows:
         raise InputError(
             f"evaluation: want a clip of at least {WINDOW_FRAMES} frames at {FPS:.0f} fps, the longest has {longest}"
@@ -126,13 +131,13 @@ def cut_windows(
     return tuple(windows)
 
 
-def _windows_of(archive: MotionArchive, name: str, body: ShapedBody) -> list[EvaluationWindow]:
+def _windows_of(archive: MotionArchive, name: str, body: ShapedBody, stride: int) -> list[EvaluationWindow]:
     clip = archive.clip(name)
     if abs(clip.fps - FPS) > 0.01:
         raise InputError(f"clip {name!r}: want {FPS:.0f} fps, got {clip.fps:g}; resample it first (`scenemi data`)")
     motion = retarget(clip, body)
     windows = []
-    for start in range(0, len(motion.translation_m) - WINDOW_FRAMES + 1, WINDOW_FRAMES):
+    for start in range(0, len(motion.translation_m) - WINDOW_FRAMES + 1, stride):
         frames = slice(start, start + WINDOW_FRAMES)
         R_parent_joint, translation_m = to_canonical(motion.R_parent_joint[frames], motion.translation_m[frames])
         joints_m, _ = forward_kinematics(R_parent_joint, translation_m, body.rest_joints_m)

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 from torch.nn import functional
 
@@ -21,17 +20,13 @@ from scenemi.model.guidance import ContactCost, Guidance, PenetrationCost
 from scenemi.model.kinematics import Pose
 from scenemi.scene.body_balls import fit_balls
 from scenemi.scene.geometry import SceneGeometry
+from scenemi.scene.grid import canonical_grid
 from video2anim.body.anny_body import ShapedBody
 from video2anim.body.skeleton import JOINT_INDEX
 from video2anim.geometry.sdf import SdfGrid
 
 LEGS = tuple(JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right") for part in ("hip", "knee", "ankle", "foot"))
 _ITERATIONS = 10
-_SPACING_M = 0.05
-_AROUND_M = 0.5
-"""How far from the joined keyframes solids are known."""
-_REACH_M = 0.35
-"""Solids farther from a point than this are not looked for."""
 _SLACK_M = 0.001
 """Depths that are not worth a step."""
 _STAY = 1.0
@@ -106,7 +101,7 @@ def penetration_cost(
     balls, allowed_m = [_balls(body) for body in bodies], []
     for i, (scene, frame) in enumerate(zip(scenes, frames, strict=True)):
         around_m = base.joints_m[i].flatten(0, 1).cpu().numpy().astype(np.float64)
-        fields.append(None if scene is None else _field(scene, around_m, frame))
+        fields.append(None if scene is None else canonical_grid(scene, around_m, frame).sample)
         allowed_m.append(torch.zeros(len(balls[i].joint)))
     plain = PenetrationCost(fields, balls, tuple(allowed_m))
     for i, field in enumerate(fields):
@@ -117,26 +112,3 @@ def penetration_cost(
 
 
 _balls = functools.lru_cache(maxsize=64)(fit_balls)
-
-
-def _field(
-    scene: Scene, points_m: Float[np.ndarray, "points 3"], T_world_canonical: Float[np.ndarray, "4 4"]
-) -> Callable[[Tensor], Tensor]:
-    """Distance at canonical points. A grid made for it lies in that frame too: a motion turns with its scene."""
-    if isinstance(scene, SdfGrid):
-        R, shift = (torch.from_numpy(part) for part in (T_world_canonical[:3, :3], T_world_canonical[:3, 3]))
-        return lambda points: scene.sample(points @ R.T.to(points) + shift.to(points))
-    local = scene.transformed(np.linalg.inv(T_world_canonical))
-    return distance_grid(local, points_m.min(0) - _AROUND_M, points_m.max(0) + _AROUND_M).sample
-
-
-def distance_grid(
-    scene: SceneGeometry, low_m: Float[np.ndarray, "3"], high_m: Float[np.ndarray, "3"], spacing_m: float = _SPACING_M
-) -> SdfGrid:
-    """Signed distances to any scene in a box: outside exact up to 0.35 m, inside to half a spacing."""
-    shape = np.ceil((high_m - low_m) / spacing_m).astype(int) + 1
-    nodes = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1) * spacing_m + low_m
-    gap_m = scene.nearest_within(nodes.reshape(-1, 3), _REACH_M)[1].reshape(shape)
-    solid = gap_m <= 0
-    inside = np.asarray(distance_transform_edt(solid)) - 0.5
-    return SdfGrid(np.where(solid, -spacing_m * inside, np.minimum(gap_m, _REACH_M)), low_m, spacing_m)

@@ -1,111 +1,104 @@
-"""Sizes and choices of the denoiser."""
+"""Sizes and choices of the denoisers."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
-from scenemi.features import BODY_LENGTHS, FEATURE_COUNT
+from scenemi.windows import WINDOW_FRAMES
 
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
-    """Architecture (paper Table 5). Everything here decides the shape of the weights or what they mean."""
+    """The shipped denoiser (`scenemi.model.denoiser`)."""
 
-    width: int = 96
-    """Base channels of the U-Net."""
-    multipliers: tuple[int, ...] = (2, 2, 2)
-    """Channels of each level in units of `width`; each level below the first halves the frame rate."""
-    fold: int = 4
-    """Frames that are one for the U-Net: 4 cost a third with the same channels."""
-    kernel: int = 3
-    groups: int = 8
-    """Groups of the group normalization."""
-    embedding: int = 512
-    """Channels of the embedding of the diffusion step, and of the scene (paper: 512)."""
-    window_frames: int = 121
-    condition: Literal["token", "adagn", "both"] = "both"
-    """How body shape and global scene enter: as two more frames in time (paper: "concatenated along the temporal
-    dimension"), added to the embedding that scales and shifts the normalizations, or both."""
-    residual: bool = True
-    """Predict the difference to the interpolated keyframes (the idea of Oreshkin et al. 2023), which are also an
-    input; in units of the size that difference has at each distance from the keyframes."""
-    noise_channel: bool = True
-    """The noise level of the keyframes is an input, so that exact keyframes are not mistrusted."""
-    joiners: int = 3
-    """Networks of the learned interpolation, each trained without one part of the clips; 0 = interpolation alone."""
-    joiner_width: int = 512
-    smooth_keyframes: bool = True
-    """Noisy keyframes are smoothed before they are joined (`scenemi.model.keyframe_smoothing`). With `residual`."""
-    smooth_output: bool = True
-    """The answer passes a fixed low-pass in time, so that noise which is white in time does not come through."""
-    bps_anchors: int = 64
-    local_channels: int = 64
-    """Channels of the embedded local scene."""
-    grid: tuple[int, int, int] = (48, 24, 48)
-    voxel_m: float = 0.1
-    """Edge of a voxel; the paper's finer grid is (96, 48, 96) at 0.05 (Table 8)."""
-    patch: tuple[int, int, int] = (8, 8, 8)
-    """Voxels of a token of the scene encoder."""
-    scene_width: int = 64
-    scene_layers: int = 2
-    scene_heads: int = 4
-    dropout: float = 0.0
-    use_body: bool = True
-    use_global: bool = True
-    use_local: bool = True
+    width: int = 320
+    """Channels of a token."""
+    layers: int = 6
+    heads: int = 10
+    fold: int = 8
+    """Frames of a token: 8 frames are a quarter of a second, which the keyframes' curve tells well already."""
+    embedding: int = 256
+    """Channels that carry diffusion step and body shape."""
+    scene: bool = True
+    """Signed distance and the way out at the joints of the current estimate are inputs of every frame."""
+    window_frames: int = WINDOW_FRAMES
 
     def __post_init__(self) -> None:
-        if any(size % patch for size, patch in zip(self.grid, self.patch, strict=True)):
-            raise ValueError(f"ModelConfig: want a grid of whole patches, got {self.grid} and {self.patch}")
-        if (self.width * min(self.multipliers)) % self.groups:
-            raise ValueError(f"ModelConfig: want channels in {self.groups} groups, got width {self.width}")
+        if self.width % self.heads:
+            raise ValueError(f"ModelConfig: want width in {self.heads} heads, got {self.width}")
 
     @property
-    def members(self) -> int:
-        """Networks of the learned interpolation that there are: what it makes is the base of `residual`."""
-        return self.joiners if self.residual else 0
-
-    @property
-    def smooths(self) -> bool:
-        """Whether noisy keyframes are smoothed."""
-        return self.residual and self.smooth_keyframes
-
-    @property
-    def feature_count(self) -> int:
-        return FEATURE_COUNT
-
-    @property
-    def body_lengths(self) -> int:
-        return BODY_LENGTHS
+    def tokens(self) -> int:
+        return -(-self.window_frames // self.fold)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values for a file's metadata."""
         return asdict(self)
 
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> ModelConfig:
-        """Inverse of `to_json`.
 
-        Raises:
-            ValueError: unknown or missing keys.
-        """
-        try:
-            lists: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-            return cls(**lists)
-        except TypeError as error:
-            raise ValueError(f"ModelConfig: {error}") from error
+@dataclass(frozen=True, slots=True)
+class PaperConfig:
+    """The paper's denoiser (`scenemi.model.paper`, Table 5)."""
+
+    width: int = 256
+    """Base channels of the U-Net."""
+    multipliers: tuple[int, ...] = (2, 2, 2, 2)
+    """Channels of each level in units of `width`; each level below the first halves the frame rate."""
+    kernel: int = 5
+    groups: int = 8
+    embedding: int = 512
+    bps_anchors: int = 64
+    local_channels: int = 256
+    """Channels of the embedded local scene."""
+    grid: tuple[int, int, int] = (48, 24, 48)
+    voxel_m: float = 0.1
+    patch: tuple[int, int, int] = (8, 8, 8)
+    """Voxels of a token of the scene encoder."""
+    scene_width: int = 512
+    scene_layers: int = 12
+    scene_heads: int = 8
+    use_body: bool = True
+    use_global: bool = True
+    use_local: bool = True
+    window_frames: int = WINDOW_FRAMES
+
+    def __post_init__(self) -> None:
+        if any(size % patch for size, patch in zip(self.grid, self.patch, strict=True)):
+            raise ValueError(f"PaperConfig: want a grid of whole patches, got {self.grid} and {self.patch}")
+        if (self.width * min(self.multipliers)) % self.groups:
+            raise ValueError(f"PaperConfig: want channels in {self.groups} groups, got width {self.width}")
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values for a file's metadata."""
+        return {"form": "paper", **asdict(self)}
 
 
-SIZES: dict[str, ModelConfig] = {
-    "tiny": ModelConfig(
-        width=16, embedding=64, scene_width=32, scene_layers=1, scene_heads=2, local_channels=16,
-        joiners=1, joiner_width=64,
-    ),
+AnyConfig = ModelConfig | PaperConfig
+
+
+def config_from_json(values: dict[str, Any]) -> AnyConfig:
+    """Inverse of `to_json`.
+
+    Raises:
+        ValueError: unknown keys or impossible values.
+    """
+    rest = {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+    kind = PaperConfig if rest.pop("form", None) == "paper" else ModelConfig
+    try:
+        return kind(**rest)
+    except TypeError as error:
+        raise ValueError(f"{kind.__name__}: {error}") from error
+
+
+SIZES: dict[str, AnyConfig] = {
     "small": ModelConfig(),
-    "paper": ModelConfig(
-        width=256, multipliers=(2, 2, 2, 2), fold=1, kernel=5, condition="token", residual=False, noise_channel=False,
-        smooth_output=False, scene_width=512, scene_layers=12, scene_heads=8, local_channels=256,
+    "tiny": ModelConfig(width=64, layers=2, heads=2, embedding=64),
+    "paper": PaperConfig(),
+    "paper-narrow": PaperConfig(
+        width=64, multipliers=(2, 2, 2), kernel=3, embedding=256, local_channels=64, scene_width=64, scene_layers=2,
+        scene_heads=4,
     ),
 }  # fmt: skip
-"""`paper` follows the paper's Table 5; `small` is what ships; `tiny` is for tests."""
+"""`small` is what ships, `paper` follows the paper's Table 5, `paper-narrow` is the same at a width that two CPU cores
+train; `tiny` is for tests."""

@@ -5,33 +5,35 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from scenemi.features import canonical_frame, decode, encode, to_world
+from scenemi.features import FEATURE_COUNT, JOINTS, canonical_frame, decode, encode, to_world
+from scenemi.model.base import join_keyframes
 from scenemi.model.cleanup import Cleanup, penetration_cost
-from scenemi.model.denoiser import TRAINED_NOISE, Conditions
+from scenemi.model.conditions import Conditions, Descriptors
+from scenemi.model.config import PaperConfig
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.guidance import ContactCost, Cost, Guidance, KeyframeCost, PenetrationCost
 from scenemi.model.keyframe_fit import fit_keyframes
 from scenemi.model.kinematics import joints_of, pose_of
-from scenemi.model.sampling import Denoise, SamplerConfig, sample
-from scenemi.model.scene_input import SceneInput, SceneReader, adult_like
+from scenemi.model.sampling import SamplerConfig, sample
+from scenemi.model.scene_input import SceneReader, adult_like, lengths_of
 from scenemi.model.weights import LoadedModel, load_weights
-from scenemi.prior import KeyframeWindow, WindowMotion, padded
-from video2anim.errors import InputError, UsageError
+from scenemi.prior import KeyframeWindow, WindowMotion, is_exact, padded
+from scenemi.scene.field import GridField
+from scenemi.scene.grid import canonical_grid
+from video2anim.errors import InputError
 from video2anim.geometry.rotations import nearest_rotation
 
 BATCH_WINDOWS = 32
 """Windows sampled at once by `fill_many`: more take memory and no less time."""
 MODEL_FPS = 30.0
-Runtime = Literal["torch", "onnx"]
-"""onnxruntime needs 0.7 of torch's time on a CPU, but a second and the package `onnx` for the export, which pays after
-some ten windows (benchmarks/denoiser_runtime.py): torch is the default."""
+TRAINED_NOISE = 1.0
+"""The largest l in training (paper 3.2.1); noisier keyframes are taken for this noisy."""
 
 
 class DiffusionPrior:
@@ -45,15 +47,12 @@ class DiffusionPrior:
         sampler: SamplerConfig | None = None,
         *,
         device: str = "cpu",
-        runtime: Runtime = "torch",
         seed: int = 0,
     ) -> None:
         """`seed` is that of `fill`; `fill_many` takes one per window."""
-        self.model, self.sampler, self.device = model, sampler or SamplerConfig(), device
-        self.runtime, self.seed = runtime, seed
+        self.model, self.sampler, self.device, self.seed = model, sampler or SamplerConfig(), device, seed
         self.schedule = CosineSchedule()
         self._denoiser = model.denoiser.to(device).eval()
-        self._denoise: Denoise = self._denoiser if runtime == "torch" else _onnx(model, device)
         self._scenes = SceneReader()
 
     def fill(self, window: KeyframeWindow) -> WindowMotion:
@@ -76,12 +75,12 @@ class DiffusionPrior:
         filled: list[WindowMotion | None] = [None] * len(windows)
         todo = []
         for i, window in enumerate(windows):
-            if window.noise_level == 0 and window.is_keyframe.all():
+            if is_exact(window) and window.is_keyframe.all():
                 filled[i] = WindowMotion(window.R_parent_joint.copy(), window.translation_world_m.copy())
             else:
                 todo.append(i)
         for noisy in (False, True):
-            alike = [i for i in todo if (windows[i].noise_level > 0) == noisy]
+            alike = [i for i in todo if is_exact(windows[i]) != noisy]
             for start in range(0, len(alike), BATCH_WINDOWS):
                 some = alike[start : start + BATCH_WINDOWS]
                 motions = self._fill_batch([windows[i] for i in some], [seeds[i] for i in some], noisy)
@@ -99,7 +98,7 @@ class DiffusionPrior:
         penetration = self._penetration(longer, frames, rest_joints_m, conditions)
         guidance = self._guidance(rest_joints_m, x_keys, conditions, penetration)
         x0 = sample(
-            self._denoise, self.schedule, x_keys, conditions, self.sampler, generators,
+            self._denoiser, self.schedule, x_keys, conditions, self.sampler, generators,
             stop_step=stop_step, adjust=guidance,
         )  # fmt: skip
         rounds = {"foot_rounds": self.sampler.foot_rounds, "clear_rounds": self.sampler.clear_rounds}
@@ -117,7 +116,7 @@ class DiffusionPrior:
     def _exact(self, window: KeyframeWindow) -> Bool[np.ndarray, "frames"]:
         """Frames that are met: the seed, and all keyframes where they carry no noise."""
         exact = np.arange(len(window.is_keyframe)) < window.seed_frames
-        if window.noise_level == 0 and self.sampler.hard_keyframes:
+        if is_exact(window) and self.sampler.hard_keyframes:
             exact |= window.is_keyframe
         return exact
 
@@ -125,43 +124,41 @@ class DiffusionPrior:
         self, windows: list[KeyframeWindow], T_world_canonical: Float[np.ndarray, "batch 4 4"]
     ) -> tuple[Tensor, Conditions]:
         """Normalized keyframes (zero elsewhere) and what the denoiser is conditioned on."""
-        config, statistics = self.model.config, self.model.statistics
-        features, inputs = [], []
+        statistics = self.model.statistics
+        features = []
         for window, T in zip(windows, T_world_canonical, strict=True):
             keys = window.is_keyframe
-            values = np.zeros((len(keys), config.feature_count), np.float32)
+            values = np.zeros((len(keys), FEATURE_COUNT), np.float32)
             motion = window.R_parent_joint[keys], window.translation_world_m[keys]
             values[keys] = statistics.normalize(encode(*motion, window.rest_joints_m, T))
             features.append(values)
-            inputs.append(self._scenes.read(window, T, config))
         x_keys = self._tensor(np.stack(features))
         mask = self._tensor(np.stack([window.is_keyframe for window in windows]))
-        known = self._tensor(np.array([one.occupancy is not None for one in inputs]))
-        body = self._tensor(np.stack([statistics.normalize_body(one.lengths_m) for one in inputs]))
-        noise_level = self._tensor(np.array([window.noise_level for window in windows]))
-        seed = np.arange(len(windows[0].is_keyframe)) < np.array([[window.seed_frames] for window in windows])
+        base = join_keyframes(x_keys, mask)
         conditions = Conditions(
             mask=mask,
             imputed=mask,
-            base=self._denoiser.join(x_keys, mask, body, noise_level, exact=self._tensor(seed)),
-            local=self._tensor(np.stack([one.local_m for one in inputs])),
-            body=body,
-            noise_level=noise_level.clamp(max=TRAINED_NOISE),
-            scene=self._encoded(inputs),
-            scene_known=known,
-            local_known=known,
+            base=base,
+            noise=self._tensor(np.stack([noise_of(window) for window in windows])),
+            body=self._tensor(np.stack([statistics.normalize_body(lengths_of(window)) for window in windows])),
         )
-        return x_keys, conditions
+        if isinstance(self.model.config, PaperConfig):
+            return x_keys, replace(conditions, descriptors=self._descriptors(windows, T_world_canonical))
+        around = statistics.denormalize(base)[..., JOINTS].unflatten(-1, (22, 3)).cpu().numpy()
+        return x_keys, replace(conditions, field=grid_field(windows, T_world_canonical, around))
 
-    def _encoded(self, inputs: list[SceneInput]) -> Tensor:
-        """Global scene vectors; one pass per window batch, none where no window has a scene."""
-        grids = [one.occupancy for one in inputs]
-        if all(grid is None for grid in grids):
-            return torch.zeros(len(inputs), self.model.config.embedding, device=self.device)
-        empty = np.zeros(self.model.config.grid, bool)
-        occupancy = self._tensor(np.stack([empty if grid is None else grid for grid in grids]))
-        with torch.no_grad():
-            return self._denoiser.encode_scene(occupancy)
+    def _descriptors(self, windows: list[KeyframeWindow], T_world_canonical: np.ndarray) -> Descriptors | None:
+        """The paper's views of the scene; None where no window has one."""
+        config = self.model.config
+        assert isinstance(config, PaperConfig)
+        if all(window.scene is None for window in windows):
+            return None
+        inputs = [self._scenes.read(window, T, config) for window, T in zip(windows, T_world_canonical, strict=True)]
+        empty = np.zeros(config.grid, bool)
+        known = self._tensor(np.array([one.occupancy is not None for one in inputs]))
+        occupancy = np.stack([empty if one.occupancy is None else one.occupancy for one in inputs])
+        local = self._tensor(np.stack([one.local_m for one in inputs]))
+        return Descriptors(self._tensor(occupancy), local, known, known)
 
     def _penetration(
         self, windows: list[KeyframeWindow], frames: np.ndarray, rest_joints_m: Tensor, conditions: Conditions
@@ -197,26 +194,37 @@ def load_diffusion_prior(
     device: str = "cpu",
     weights: str = "small",
     sampler: SamplerConfig | None = None,
-    runtime: Runtime = "torch",
     seed: int = 0,
 ) -> DiffusionPrior:
     """The prior with the weights `<folder>/<weights>.safetensors`, or those of a file path.
 
     Raises:
-        ModelMissingError: no such weights, or no `onnx` package for that runtime.
+        ModelMissingError: no such weights.
         InputError: a damaged file.
-        UsageError: the runtime `onnx` on another device than the CPU.
     """
     path = Path(weights) if weights.endswith(".safetensors") else folder / f"{weights}.safetensors"
-    return DiffusionPrior(load_weights(path), sampler, device=device, runtime=runtime, seed=seed)
+    return DiffusionPrior(load_weights(path), sampler, device=device, seed=seed)
 
 
-def _onnx(model: LoadedModel, device: str) -> Denoise:
-    if device != "cpu":
-        raise UsageError(f"prior scenemi: the runtime onnx is for the CPU, got device {device!r}; use torch")
-    from scenemi.model.onnx_denoiser import OnnxDenoiser
+def noise_of(window: KeyframeWindow) -> Float[np.ndarray, "frames 2"]:
+    """Degrees and centimetres of every frame's noise; none in the seed."""
+    level = min(window.noise_level, TRAINED_NOISE)
+    noise = np.full((len(window.is_keyframe), 2), level) if window.noise is None else window.noise.copy()
+    noise[: window.seed_frames] = 0.0
+    return noise
 
-    return OnnxDenoiser(model.denoiser)
+
+def grid_field(
+    windows: Sequence[KeyframeWindow], T_world_canonical: np.ndarray, around_m: Float[np.ndarray, "batch frames 22 3"]
+) -> GridField | None:
+    """Signed distances around each window's joined keyframes; None where no window has a scene."""
+    if all(window.scene is None for window in windows):
+        return None
+    grids = []
+    for window, T, points_m in zip(windows, T_world_canonical, around_m, strict=True):
+        flat = points_m.reshape(-1, 3).astype(np.float64)
+        grids.append(None if window.scene is None else canonical_grid(window.scene, flat, T))
+    return GridField(tuple(grids))
 
 
 def _canonical(window: KeyframeWindow) -> Float[np.ndarray, "4 4"]:

@@ -11,20 +11,32 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from scenemi.model.denoiser import Conditions, impute
+from scenemi.model.conditions import Conditions, impute
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.prior import DEFAULT_STOP_STEP
 
 Method = Literal["ddpm", "ddim", "dpm-solver++"]
-Denoise = Callable[[Tensor, Tensor, Conditions], Tensor]
-"""`Denoiser` or anything called alike: (x (B, N, F), t (B,), conditions) -> clean window."""
+
+
+class Denoise(Protocol):
+    """A denoiser, or anything called alike."""
+
+    def __call__(self, x: Tensor, t: Tensor, given: Conditions, estimate: Tensor | None, prepared: Any, /) -> Tensor:
+        """Estimate of the clean window from x_t, the conditions, the last estimate, and what `prepare` made."""
+        ...
+
+    def prepare(self, given: Conditions) -> Any:
+        """What all steps have in common."""
+        ...
+
+
 Predict = Callable[[Tensor, int], Tensor]
 """Estimate of the clean window at one step."""
 Adjust = Callable[[Tensor], Tensor]
@@ -38,8 +50,8 @@ class SamplerConfig:
     method: Method = "dpm-solver++"
     steps: int = 20
     """Evaluations of the denoiser; the schedule's T (1000) is the paper's sampler."""
-    guidance_weight: float = 2.5
-    """w of classifier-free guidance on the global scene; 1 = none, at half the cost."""
+    guidance_weight: float = 1.0
+    """w of classifier-free guidance on the scene (paper: 2.5); 1 = none, at half the cost."""
     stop_step: int | None = None
     """T*: keyframes are imputed while t > T*. None = 20 for noisy keyframes, 0 for exact ones."""
     eta: float = 0.0
@@ -129,16 +141,16 @@ def sample(
         denoiser: predicts clean windows.
         schedule: forward process it was trained with.
         x_keys: normalized features; rows with `conditions.mask` = 1 are the keyframes, others are not read.
-        conditions: of the batch; the scene is encoded in them already, so it costs nothing per step.
+        conditions: of the batch.
         config: method and steps.
         generators: one per window, so that a window's result does not depend on its neighbors in the batch.
         stop_step: T*.
         adjust: applied to every estimate of the clean window.
     """
     x = config.temperature * torch.stack([_noise(x_keys, generator) for generator in generators])
-    predict = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, adjust)
     steps = time_steps(schedule.steps, config.steps, stop_step=stop_step, spacing=config.spacing)
     with torch.no_grad():
+        predict = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, adjust)
         if config.method == "dpm-solver++":
             return _dpm_solver(predict, x, schedule.alpha_bar, steps, stop_step)
         eta = 1.0 if config.method == "ddpm" else config.eta
@@ -155,22 +167,25 @@ def guided(
 ) -> Predict:
     """The clean estimate as a function of x_t and t alone: imputation, guidance, extra costs.
 
-    x0 = w D(scene) + (1 - w) D(no scene), both halves in one batch; one half where w is 1 or no scene is given.
+    x0 = w D(scene) + (1 - w) D(no scene); the first alone where w is 1 or no scene is given. Each estimate is handed
+    to the next step, where the scene is asked along it.
     """
     batch = len(x_keys)
-    double = weight != 1 and bool((conditions.scene_known > 0).any())
-    steered = conditions.joined(conditions.without_global_scene()) if double else conditions
-    steered = replace(steered, imputed=steered.mask)
-    free = replace(steered, imputed=torch.zeros_like(steered.mask))
+    blind = conditions.without_scene() if weight != 1 and conditions.has_scene else None
+    both = [(given, denoiser.prepare(given)) for given in (conditions, blind) if given is not None]
+    estimate: Tensor | None = None
 
     def predict(x: Tensor, t: int) -> Tensor:
-        seen, given = (impute(x, x_keys, conditions.mask), steered) if t > stop_step else (x, free)
-        if double:
-            both = denoiser(torch.cat([seen, seen]), torch.full((2 * batch,), t, device=x.device), given)
-            x0 = weight * both[:batch] + (1 - weight) * both[batch:]
-        else:
-            x0 = denoiser(seen, torch.full((batch,), t, device=x.device), given)
-        return x0 if adjust is None else adjust(x0)
+        nonlocal estimate
+        imputed = conditions.mask if t > stop_step else torch.zeros_like(conditions.mask)
+        seen, steps = impute(x, x_keys, imputed), torch.full((batch,), t, device=x.device)
+        x0, *without = (
+            denoiser(seen, steps, replace(given, imputed=imputed), estimate, prepared) for given, prepared in both
+        )
+        if without:
+            x0 = weight * x0 + (1 - weight) * without[0]
+        estimate = x0 if adjust is None else adjust(x0)
+        return estimate
 
     return predict
 

@@ -1,4 +1,4 @@
-"""What the denoiser is told of a window's body and surroundings: seven lengths, voxels, and anchor offsets."""
+"""What a denoiser is told of a window's body, and the paper's of its surroundings: voxels and anchor offsets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from scenemi.features import body_lengths, lengths_of_skeleton
-from scenemi.model.config import ModelConfig
+from scenemi.model.config import PaperConfig
 from scenemi.prior import KeyframeWindow
 from scenemi.scene.basis_points import anchor_vertices, bps
 from scenemi.scene.geometry import SceneGeometry
@@ -25,9 +25,8 @@ _HEIGHTS = np.linspace(0.0, 1.0, 6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneInput:
-    """Body and scene of one window, in its canonical frame."""
+    """The scene of one window, in its canonical frame."""
 
-    lengths_m: Float[np.ndarray, "7"]
     occupancy: Bool[np.ndarray, "x y z"] | None
     """None = no scene known."""
     local_m: Float[np.ndarray, "frames anchors 3"]
@@ -42,17 +41,14 @@ class SceneReader:
         self._geometry: SceneGeometry | None = None
 
     def read(
-        self, window: KeyframeWindow, T_world_canonical: Float[np.ndarray, "4 4"], config: ModelConfig
+        self, window: KeyframeWindow, T_world_canonical: Float[np.ndarray, "4 4"], config: PaperConfig
     ) -> SceneInput:
-        """Body lengths, occupancy and local offsets of a window."""
+        """Occupancy and local offsets of a window."""
         body = window.body or adult_like(window.rest_joints_m)
-        lengths_m = body_lengths(body)
-        if window.body is None:
-            lengths_m[:5] = lengths_of_skeleton(window.rest_joints_m)
         local_m = np.zeros((len(window.is_keyframe), config.bps_anchors, 3), np.float32)
         geometry = self.geometry(window)
         if geometry is None:
-            return SceneInput(lengths_m, None, local_m)
+            return SceneInput(None, local_m)
         keys = window.is_keyframe
         joints_m, R_world_joint = forward_kinematics(
             window.R_parent_joint[keys], window.translation_world_m[keys], window.rest_joints_m
@@ -60,7 +56,7 @@ class SceneReader:
         anchors_m = body.vertices(R_world_joint, joints_m, anchor_vertices(body, config.bps_anchors))
         local_m[keys] = bps(geometry, anchors_m.astype(np.float64), T_world_canonical[:3, :3])
         voxels = occupancy(geometry, T_world_canonical, GridSpec(config.grid, config.voxel_m))
-        return SceneInput(lengths_m, voxels, local_m)
+        return SceneInput(voxels, local_m)
 
     def geometry(self, window: KeyframeWindow) -> SceneGeometry | None:
         """The window's scene as something to find nearest points of."""
@@ -69,6 +65,14 @@ class SceneReader:
         if self._geometry is None or self._scene is not window.scene:
             self._scene, self._geometry = window.scene, SceneGeometry.from_sdf(window.scene)
         return self._geometry
+
+
+def lengths_of(window: KeyframeWindow) -> Float[np.ndarray, "7"]:
+    """Body lengths of a window (m): of its body, else of its skeleton and an adult as tall."""
+    lengths_m = body_lengths(window.body or adult_like(window.rest_joints_m))
+    if window.body is None:
+        lengths_m[:5] = lengths_of_skeleton(window.rest_joints_m)
+    return lengths_m
 
 
 def adult_like(rest_joints_m: Float[np.ndarray, "22 3"]) -> ShapedBody:

@@ -11,15 +11,12 @@ from torch.nn import functional
 class ResidualBlock(nn.Module):
     """Two convolutions; the embedding scales and shifts the second normalization (AdaGN, Dhariwal & Nichol 2021)."""
 
-    def __init__(
-        self, channels_in: int, channels: int, embedding: int, kernel: int, groups: int, dropout: float
-    ) -> None:
+    def __init__(self, channels_in: int, channels: int, embedding: int, kernel: int, groups: int) -> None:
         super().__init__()
         self.norm1 = nn.GroupNorm(groups, channels_in)
         self.conv1 = nn.Conv1d(channels_in, channels, kernel, padding=kernel // 2)
         self.modulation = nn.Linear(embedding, 2 * channels)
         self.norm2 = nn.GroupNorm(groups, channels)
-        self.dropout = nn.Dropout(dropout)
         self.conv2 = nn.Conv1d(channels, channels, kernel, padding=kernel // 2)
         self.skip = nn.Identity() if channels_in == channels else nn.Conv1d(channels_in, channels, 1)
         _zero(self.conv2)
@@ -31,7 +28,7 @@ class ResidualBlock(nn.Module):
         h = self.conv1(functional.silu(self.norm1(x)))
         scale, shift = self.modulation(embedding)[..., None].chunk(2, dim=1)
         h = functional.silu(self.norm2(h) * (1 + scale) + shift)
-        return self.skip(x) + self.conv2(self.dropout(h))
+        return self.skip(x) + self.conv2(h)
 
 
 def _zero(layer: nn.Conv1d) -> None:
@@ -41,8 +38,8 @@ def _zero(layer: nn.Conv1d) -> None:
 
 
 class UNet1D(nn.Module):
-    """Levels of two residual blocks; each level below the first has half the frames. `fold` frames side by side are one
-    at the first level already. Frames must divide by fold * 2 ** (levels - 1)."""
+    """Levels of two residual blocks; each level below the first has half the frames. Frames must divide by
+    2 ** (levels - 1)."""
 
     def __init__(
         self,
@@ -54,17 +51,14 @@ class UNet1D(nn.Module):
         embedding: int,
         kernel: int,
         groups: int,
-        dropout: float,
-        fold: int = 1,
     ) -> None:
         super().__init__()
 
         def block(a: int, b: int) -> ResidualBlock:
-            return ResidualBlock(a, b, embedding, kernel, groups, dropout)
+            return ResidualBlock(a, b, embedding, kernel, groups)
 
         channels = [width * m for m in multipliers]
-        self.fold = fold
-        self.first = nn.Conv1d(channels_in * fold, channels[0], kernel, padding=kernel // 2)
+        self.first = nn.Conv1d(channels_in, channels[0], kernel, padding=kernel // 2)
         self.down, self.shrink = nn.ModuleList(), nn.ModuleList()
         before = channels[0]
         for level, count in enumerate(channels):
@@ -79,15 +73,13 @@ class UNet1D(nn.Module):
             self.grow.append(nn.Identity() if level == 0 else nn.ConvTranspose1d(count, count, 4, stride=2, padding=1))
             before = count
         self.norm = nn.GroupNorm(groups, before)
-        self.last = nn.Conv1d(before, channels_out * fold, kernel, padding=kernel // 2)
+        self.last = nn.Conv1d(before, channels_out, kernel, padding=kernel // 2)
         _zero(self.last)
 
     def forward(
         self, x: Float[Tensor, "batch channels frames"], embedding: Float[Tensor, "batch embedding"]
     ) -> Float[Tensor, "batch out frames"]:
         """Output with as many frames as the input."""
-        batch, count, frames = x.shape
-        x = x.reshape(batch, count, frames // self.fold, self.fold).transpose(2, 3).flatten(1, 2)
         x = self.first(x)
         kept: list[Tensor] = []
         for blocks, shrink in zip(self.down, self.shrink, strict=True):
@@ -102,5 +94,4 @@ class UNet1D(nn.Module):
             for block in blocks:  # type: ignore[attr-defined]
                 x = block(x, embedding)
             x = grow(x)
-        out = self.last(functional.silu(self.norm(x)))
-        return out.unflatten(1, (-1, self.fold)).transpose(2, 3).flatten(2)
+        return self.last(functional.silu(self.norm(x)))

@@ -12,21 +12,21 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from scenemi.features import Statistics
-from scenemi.model.config import ModelConfig
-from scenemi.model.denoiser import Denoiser
+from scenemi.model.build import AnyDenoiser, build_denoiser
+from scenemi.model.config import AnyConfig, config_from_json
 from video2anim.errors import InputError, ModelMissingError
 
 WEIGHTS_FOLDER = Path(__file__).parent.parent / "weights"
-FORMAT = "scenemi-weights-1"
+FORMAT = "scenemi-weights-2"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedModel:
     """A denoiser ready for use."""
 
-    denoiser: Denoiser
+    denoiser: AnyDenoiser
     """In evaluation mode, float32."""
-    config: ModelConfig
+    config: AnyConfig
     statistics: Statistics
     card: dict[str, Any]
     """Data, steps, licence, numbers."""
@@ -34,7 +34,7 @@ class LoadedModel:
 
 
 def save_weights(
-    path: str | Path, denoiser: Denoiser, statistics: Statistics, card: dict[str, Any], *, half: bool = True
+    path: str | Path, denoiser: AnyDenoiser, statistics: Statistics, card: dict[str, Any], *, half: bool = True
 ) -> None:
     """Write weights, statistics and card to one file.
 
@@ -71,8 +71,8 @@ def load_weights(name: str | Path = "small", *, device: str = "cpu") -> LoadedMo
         raise InputError(f"scenemi weights: want a safetensors file at {path}: {error}") from error
     if header.get("format") != FORMAT:
         raise InputError(f"scenemi weights: want format {FORMAT} in {path}, got {header.get('format')}")
-    config = ModelConfig.from_json(json.loads(header["config"]))
-    denoiser = Denoiser(config).to(device)
+    config = config_from_json(json.loads(header["config"]))
+    denoiser = build_denoiser(config).to(device)
     state = {key.removeprefix("model."): value.float() for key, value in tensors.items() if key.startswith("model.")}
     try:
         denoiser.load_state_dict(state)

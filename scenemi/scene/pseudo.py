@@ -20,6 +20,7 @@ from scenemi.scene.geometry import HalfSpace, SceneGeometry
 from scenemi.scene.scan_noise import ScanNoise, scanned
 from scenemi.scene.sliding import Slide, SweptBody, nearest_free, places_m
 from scenemi.scene.supports import Motion, RestConfig, supports
+from scenemi.scene.telling import telling_solids
 from scenemi.scene.voxels import DEFAULT_GRID, GridSpec
 
 _QUARTER = 0.5 * np.pi
@@ -39,6 +40,8 @@ class PseudoConfig:
     """Share of scenes with a floor and nothing else."""
     furniture: tuple[int, int] = (1, 7)
     """Fewest and most pieces tried."""
+    telling: tuple[int, int] = (1, 3)
+    """Fewest and most solids tried on the path of the scene-blind filling, where one is given."""
     wall_share: tuple[float, ...] = (0.3, 0.3, 0.25, 0.1, 0.05)
     """Chances of 0, 1, 2, 3, 4 walls."""
     doorway_share: float = 0.2
@@ -101,8 +104,32 @@ class PseudoScenes:
         *,
         balls: BodyBalls | None = None,
         bps_frames: Bool[np.ndarray, "frames"] | None = None,
+        blind_m: Float[np.ndarray, "frames 22 3"] | None = None,
     ) -> PseudoScene:
-        """A scene around a motion.
+        """A scene around a motion, with what a scan shows of it.
+
+        Args:
+            bps_frames: frames whose offsets are wanted, all by default.
+            The others as of `solids`.
+        """
+        named = self.solids(rng, joints_m, R_world_joint, anchors_m, contact, balls=balls, blind_m=blind_m)
+        boxes = Boxes.joined(b for _, b in named)
+        hollow = rng.random() < self.config.hollow_share
+        voxels, offsets_m = scanned(rng, self.config.noise, boxes, anchors_m, bps_frames, self.config.grid, hollow)
+        return PseudoScene(voxels, shortened(offsets_m), boxes, tuple(kind for kind, _ in named))
+
+    def solids(
+        self,
+        rng: np.random.Generator,
+        joints_m: Float[np.ndarray, "frames 22 3"],
+        R_world_joint: Float[np.ndarray, "frames 22 3 3"],
+        anchors_m: Float[np.ndarray, "frames anchors 3"] | None,
+        contact: Bool[np.ndarray, "frames 22"] | None = None,
+        *,
+        balls: BodyBalls | None = None,
+        blind_m: Float[np.ndarray, "frames 22 3"] | None = None,
+    ) -> list[tuple[str, Boxes]]:
+        """Named solids around a motion, none with the body in it.
 
         Args:
             rng: source of everything random.
@@ -111,7 +138,8 @@ class PseudoScenes:
             anchors_m: anchors of the posed skin.
             contact: joints known to rest on something; still joints are found without it too.
             balls: volume of this body (`fit_balls`); else the middle adult's, made thicker until the anchors are in it.
-            bps_frames: frames whose offsets are wanted, all by default.
+            blind_m: joints of a filling of the same keyframes that sees no scene: solids are put where it goes and the
+                body does not (`scenemi.scene.telling`).
         """
         body, balls = _sweep(joints_m, R_world_joint, anchors_m, balls)
         known = np.zeros(joints_m.shape[:2], bool) if contact is None else np.asarray(contact, bool)
@@ -120,11 +148,11 @@ class PseudoScenes:
             snug = replace(body, radius_m=body.radius_m - np.float32(_SNUG_M))
             motion = Motion(joints_m, R_world_joint, known, balls, snug, self.config.fps)
             named = supports(rng, motion, self.config.rest)
+            if blind_m is not None:
+                count = int(rng.integers(self.config.telling[0], self.config.telling[1] + 1))
+                named += telling_solids(rng, body, blind_m, count)
             named = self._furnished(rng, body, joints_m[:, 0], named)
-        boxes = Boxes.joined(b for _, b in named)
-        hollow = rng.random() < self.config.hollow_share
-        voxels, offsets_m = scanned(rng, self.config.noise, boxes, anchors_m, bps_frames, self.config.grid, hollow)
-        return PseudoScene(voxels, shortened(offsets_m), boxes, tuple(kind for kind, _ in named))
+        return named
 
     def _furnished(
         self, rng: np.random.Generator, body: SweptBody, root_m: np.ndarray, named: list[tuple[str, Boxes]]
@@ -227,13 +255,13 @@ def _add(named: list[tuple[str, Boxes]], found: tuple[str, Boxes] | None) -> Non
 
 
 def _sweep(
-    joints_m: np.ndarray, R_world_joint: np.ndarray, anchors_m: np.ndarray, balls: BodyBalls | None
+    joints_m: np.ndarray, R_world_joint: np.ndarray, anchors_m: np.ndarray | None, balls: BodyBalls | None
 ) -> tuple[SweptBody, BodyBalls]:
     """The swept balls; without a body of its own, the adult's, thickened until the skin's anchors are inside."""
     known = balls is not None
     balls = balls if balls is not None else adult_balls()
     center_m, radius_m = balls.placed(joints_m, R_world_joint), balls.radius_m
-    if not known:
+    if not known and anchors_m is not None:
         frames = np.linspace(0, len(joints_m) - 1, 4).astype(int)
         toward = np.moveaxis(center_m[:, frames], 0, -1)[:, None] - anchors_m[frames][:, :, None]
         outside_m = float((np.linalg.norm(toward, axis=-1) - radius_m).min(axis=-1).max())

@@ -1,203 +1,194 @@
-"""Batches by step: everything random about a step comes from (seed, step), so a run can be cut anywhere.
-
-The whole global batch is drawn alike in every process; each keeps its share.
-"""
+"""Batches by step: all that is random about one comes from (seed, step) and the pool, so runs can be cut anywhere."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
 
-from scenemi.features import Statistics, body_lengths, encode, to_canonical
+from scenemi.data.augment import MIRROR_JOINT
+from scenemi.features import FEATURE_COUNT, JOINTS, ROTATIONS, Statistics, body_lengths
 from scenemi.model.diffusion import STEPS
-from scenemi.scene.basis_points import anchor_vertices
-from scenemi.scene.body_balls import fit_balls
-from scenemi.scene.pseudo import PseudoConfig, PseudoScenes
-from scenemi.scene.voxels import GridSpec
 from scenemi.training.config import TrainConfig
-from scenemi.training.keyframe_masks import draw_mask
-from video2anim.body.skeleton import forward_kinematics
+from scenemi.training.keyframe_masks import draw_mask, draw_observed_mask
+from scenemi.training.noise import PipelineErrors, gaussian, told_level
+from scenemi.training.pool import UNITS_PER_METRE, Shard
+from video2anim.body.anny_body import ShapedBody
 
-if TYPE_CHECKING:
-    from scenemi.data.windows import MotionSet, WindowBatch
-
-_STATISTICS_WINDOWS = 1024
 LOOKED_AT = 31
+"""Frames of a window in which joints by forward kinematics are compared: in all they cost as much as the network."""
+_TELLING = 0.7
+"""Share of shown scenes whose own keyframes are used; the others get any, for which the scene is as possible."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
     """One step's windows, in the canonical frame; float32 unless said."""
 
-    R_parent_joint: Float[Tensor, "batch frames 22 3 3"]
-    translation_m: Float[Tensor, "batch frames 3"]
-    rest_joints_m: Float[Tensor, "batch 22 3"]
-    body: Float[Tensor, "batch 7"]
-    """In standard deviations."""
+    features: Float[Tensor, "batch frames 201"]
+    """Metres and 6D entries, not normalized."""
+    body: Int[Tensor, "batch"]
     valid: Float[Tensor, "batch frames"]
     mask: Float[Tensor, "batch frames"]
-    occupancy: Float[Tensor, "batch x y z"]
-    """uint8."""
-    local: Float[Tensor, "batch frames anchors 3"]
-    """float16, m."""
+    boxes: Float[Tensor, "batch boxes 7"]
     scene_known: Float[Tensor, "batch"]
+    """1 where the window is shown its scene."""
     local_known: Float[Tensor, "batch"]
-    noise_level: Float[Tensor, "batch"]
-    turn_noise: Float[Tensor, "batch frames 22 3"]
-    """Unit Gaussian."""
-    shift_noise: Float[Tensor, "batch frames 3"]
-    """Unit Gaussian."""
-    step: Float[Tensor, "batch"]
-    """Diffusion step, int64."""
-    noise: Float[Tensor, "batch frames 201"]
-    """Of the forward process."""
+    """The same of the paper's local part."""
+    noise: Float[Tensor, "batch frames 2"]
+    """Noise of the keyframes as the model is told: degrees and centimetres."""
+    step: Int[Tensor, "batch"]
+    """Diffusion step."""
     looked_at: Int[Tensor, "batch"]
-    """First of the `LOOKED_AT` frames in which joints are compared."""
-    part: Int[Tensor, "batch"]
-    """Which part of the clips a window is of (`scenemi.training.joiner`)."""
-
-    def chosen(self, index: Tensor) -> Batch:
-        """Some of the windows."""
-        return Batch(*(getattr(self, item.name)[index] for item in fields(self)))
+    """First of the `LOOKED_AT` frames."""
+    noisy: Int[Tensor, "noisy"]
+    """Windows with noisy keyframes."""
+    turn_rad: Float[Tensor, "noisy frames 22 3"]
+    """Noise of their local rotations."""
+    shift_m: Float[Tensor, "noisy frames 3"]
+    diffusion_noise: Float[Tensor, "batch frames 201"]
+    """Unit Gaussian of the forward process."""
+    condition_on_estimate: Float[Tensor, ""]
+    """1 in steps in which the scene is asked along a first estimate, not along the joined keyframes."""
 
     def to(self, device: torch.device) -> Batch:
         """On a device."""
         return Batch(*(getattr(self, item.name).to(device, non_blocking=True) for item in fields(self)))
 
 
-class StepBatches(Dataset[Batch]):
+class PoolBatches:
     """The batch of each training step."""
 
-    def __init__(
-        self, motions: MotionSet, statistics: Statistics, config: TrainConfig, *, rank: int = 0, world: int = 1
-    ) -> None:
-        if config.batch % world:
-            raise ValueError(f"training: want a batch that {world} processes share evenly, got {config.batch}")
-        self.motions, self.statistics, self.config = motions, statistics, config
-        self.share = range(rank, config.batch, world)
-        bodies = [motions.body(i) for i in range(len(motions.shapes))]
-        self.bodies = bodies
-        self.lengths = np.stack([statistics.normalize_body(body_lengths(body)) for body in bodies]).astype(np.float32)
-        self.anchors = anchor_vertices(bodies[0], config.model.bps_anchors)
-        self.balls = [fit_balls(body) for body in bodies]
-        self.scenes = PseudoScenes(PseudoConfig(grid=GridSpec(config.model.grid, config.model.voxel_m)))
-        self.clip_part = parts_of(motions.store.clip_name, max(1, config.model.members))
+    def __init__(self, shards: Sequence[Shard], config: TrainConfig, errors: PipelineErrors | None = None) -> None:
+        """`errors`: of the video pipeline; without them noisy keyframes have Gaussian noise only."""
+        self.config, self.errors = config, errors
+        self.take(shards)
 
-    def __len__(self) -> int:
-        return self.config.steps
+    def take(self, shards: Sequence[Shard]) -> None:
+        """Draw from these shards from now on."""
+        self.shards, self.ends = list(shards), np.cumsum([len(shard) for shard in shards])
 
     def __getitem__(self, step: int) -> Batch:
-        """The batch of a step (this process's share)."""
-        rng = np.random.default_rng([self.config.seed, step])
-        windows = self.motions.sample_batch(rng, self.config.batch)
-        return self.made(windows, np.array(self.share), step)
-
-    def made(self, windows: WindowBatch, rows: np.ndarray, step: int) -> Batch:
-        """The chosen rows of a batch of windows, with conditions and noise."""
-        R, translation_m = to_canonical(windows.R_parent_joint[rows], windows.translation_m[rows])
-        body = windows.body_index[rows]
-        columns: dict[str, list[Any]] = {name: [] for name in _DRAWN}
-        for i, row in enumerate(rows):
-            rng = np.random.default_rng([self.config.seed, step, int(row)])
-            pose = R[i], translation_m[i], int(body[i])
-            drawn = self._drawn(rng, *pose, windows.contact[row], windows.valid[row], bool(windows.uneven[row]))
-            for name in _DRAWN:
-                columns[name].append(drawn[name])
+        """The batch of a step."""
+        config = self.config
+        rng = np.random.default_rng([config.seed, step])
+        units, boxes, telling, valid, body = self._rows(rng.integers(0, self.ends[-1], config.batch))
+        count, frames = units.shape[:2]
+        features = torch.from_numpy(units).float().div_(UNITS_PER_METRE)
+        mirror = torch.from_numpy(rng.random(count) < 0.5)
+        features = torch.where(mirror[:, None, None], mirrored(features), features)
+        boxes[mirror.numpy()] *= _MIRRORED_BOX
+        shown = (rng.random(count) < config.scene_share) & (boxes[:, 0, 3] > 0)
+        kind = rng.random(count)
+        piped = (kind < config.pipeline_share) & (self.errors is not None)
+        own = shown & (rng.random(count) < _TELLING) & (config.keyframes == "mixed")
+        masks = [
+            draw_observed_mask(rng, frames)
+            if piped[i]
+            else telling[i] if own[i] else draw_mask(rng, frames, config.keyframes)
+            for i in range(count)
+        ]  # fmt: skip
+        holds = np.arange(frames) >= valid[:, None]
+        noisy = np.flatnonzero(piped | (kind >= 1 - config.noisy_share))
+        noise, turn_rad, shift_m = self._noise(rng, noisy, piped, frames, count)
+        dropped = rng.random(count)
+        known = shown & (dropped < 1 - config.drop_global) if config.keyframes == "paper" else shown
+        generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
         return Batch(
-            R_parent_joint=torch.from_numpy(R.astype(np.float32)),
-            translation_m=torch.from_numpy(translation_m.astype(np.float32)),
-            rest_joints_m=torch.from_numpy(self.motions.rest_joints_m[body]),
-            body=torch.from_numpy(self.lengths[body]),
-            valid=torch.from_numpy(windows.valid[rows].astype(np.float32)),
-            part=torch.from_numpy(self.clip_part[windows.clip[rows]]),
-            **{name: torch.from_numpy(np.stack(values)) for name, values in columns.items()},
+            features=features,
+            body=torch.from_numpy(body),
+            valid=torch.from_numpy(~holds).float(),
+            mask=torch.from_numpy(np.stack(masks) | holds).float(),
+            boxes=torch.from_numpy(boxes),
+            scene_known=torch.from_numpy(known).float(),
+            local_known=torch.from_numpy(shown & (dropped >= config.drop_local)).float(),
+            noise=torch.from_numpy(noise),
+            step=torch.from_numpy(rng.integers(1, STEPS + 1, count)),
+            looked_at=torch.from_numpy(rng.integers(0, max(1, frames - LOOKED_AT + 1), count)),
+            noisy=torch.from_numpy(noisy),
+            turn_rad=torch.from_numpy(turn_rad),
+            shift_m=torch.from_numpy(shift_m),
+            diffusion_noise=torch.randn(count, frames, FEATURE_COUNT, generator=generator),
+            condition_on_estimate=torch.tensor(float(rng.random() < 0.5)),
         )
 
-    def _drawn(
-        self,
-        rng: np.random.Generator,
-        R: np.ndarray,
-        translation_m: np.ndarray,
-        body_index: int,
-        contact: np.ndarray,
-        valid: np.ndarray,
-        uneven: bool,
-    ) -> dict[str, Any]:
-        config, frames = self.config, len(translation_m)
-        with_scene = not uneven and rng.random() < config.scene_share
-        occupancy = np.zeros(config.model.grid, np.uint8)
-        local = np.zeros((frames, config.model.bps_anchors, 3), np.float16)
-        if with_scene:
-            joints_m, R_world = forward_kinematics(R, translation_m, self.motions.rest_joints_m[body_index])
-            anchors_m = self.bodies[body_index].vertices(R_world, joints_m, self.anchors)
-            scene = self.scenes.draw(rng, joints_m, R_world, anchors_m, contact, balls=self.balls[body_index])
-            occupancy, local = scene.occupancy.astype(np.uint8), scene.bps.astype(np.float16)
-        noisy = rng.random() < config.noisy_share
-        return {
-            "mask": (draw_mask(rng, frames, config.keyframes) | ~valid).astype(np.float32),
-            "occupancy": occupancy,
-            "local": local,
-            "scene_known": np.float32(with_scene and rng.random() >= config.drop_global),
-            "local_known": np.float32(with_scene and rng.random() >= config.drop_local),
-            "noise_level": np.float32(rng.random() if noisy else 0.0),
-            "turn_noise": rng.standard_normal((frames, 22, 3), np.float32),
-            "shift_noise": rng.standard_normal((frames, 3), np.float32),
-            "step": np.int64(rng.integers(1, STEPS + 1)),
-            "looked_at": np.int64(rng.integers(0, max(1, frames - LOOKED_AT + 1))),
-            "noise": rng.standard_normal((frames, config.model.feature_count), np.float32),
-        }
+    def _noise(
+        self, rng: np.random.Generator, noisy: np.ndarray, piped: np.ndarray, frames: int, count: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Told noise of all windows (B, N, 2), and turns and shifts of the noisy ones."""
+        told = np.zeros((count, frames, 2), np.float32)
+        turn_rad = np.zeros((len(noisy), frames, 22, 3), np.float32)
+        shift_m = np.zeros((len(noisy), frames, 3), np.float32)
+        for row, i in enumerate(noisy):
+            if piped[i] and self.errors is not None:
+                turn_rad[row], shift_m[row] = self.errors.draw(rng, frames)
+                told[i] = told_level(rng, turn_rad[row], shift_m[row])
+            else:
+                told[i] = level = rng.random()
+                turn_rad[row], shift_m[row] = gaussian(rng, frames, level)
+        return told, turn_rad, shift_m
+
+    def ahead(self, steps: range, workers: int) -> Iterator[Batch]:
+        """Batches of some steps in order, made ahead by threads."""
+        if workers == 0:
+            yield from (self[step] for step in steps)
+            return
+        with ThreadPoolExecutor(workers) as pool:
+            coming: list[Future[Batch]] = []
+            for step in steps:
+                coming.append(pool.submit(self.__getitem__, step))
+                if len(coming) > workers:
+                    yield coming.pop(0).result()
+            for future in coming:
+                yield future.result()
+
+    def _rows(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Stored units, boxes, telling keyframes, valid frames and bodies of rows of the whole pool."""
+        shard = np.searchsorted(self.ends, index, side="right")
+        row = index - (self.ends[shard] - [len(self.shards[s]) for s in shard])
+        picked = [(self.shards[s], r) for s, r in zip(shard, row, strict=True)]
+        units = np.stack([one.features[r] for one, r in picked])
+        telling = np.stack([np.unpackbits(one.mask[r])[: units.shape[1]] for one, r in picked]).astype(bool)
+        boxes = np.stack([one.boxes[r] for one, r in picked])
+        return (
+            units,
+            boxes,
+            telling,
+            np.array([one.valid_frames[r] for one, r in picked], np.int64),
+            np.array([one.body[r] for one, r in picked], np.int64),
+        )
 
 
-_DRAWN = (
-    "mask", "occupancy", "local", "scene_known", "local_known", "noise_level", "turn_noise", "shift_noise", "step",
-    "looked_at", "noise",
-)  # fmt: skip
+_MIRRORED_BOX = np.array([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0], np.float32)
 
 
-def statistics_of(motions: MotionSet, seed: int) -> Statistics:
-    """Statistics of the training windows as they are drawn."""
-    rng = np.random.default_rng([seed, 0x57A7])
-    features, lengths = [], []
-    for _ in range(_STATISTICS_WINDOWS // 64):
-        windows = motions.sample_batch(rng, 64)
-        rest = motions.rest_joints_m[windows.body_index]
-        x = encode(windows.R_parent_joint, windows.translation_m, rest)
-        features.append(x[windows.valid])
-    lengths = np.stack([body_lengths(motions.body(i)) for i in range(len(motions.shapes))])
-    return Statistics.of(np.concatenate(features), lengths)
+def _mirror_table() -> tuple[Int[Tensor, "201"], Float[Tensor, "201"]]:
+    """Where each feature comes from when a motion is reflected in the plane x = 0, and its sign."""
+    source, sign = np.arange(FEATURE_COUNT), np.ones(FEATURE_COUNT, np.float32)
+    sign[0] = -1
+    for joint, other in enumerate(MIRROR_JOINT):
+        rotation, position = ROTATIONS.start + 6 * joint, JOINTS.start + 3 * joint
+        source[rotation : rotation + 6] = ROTATIONS.start + 6 * other + np.arange(6)
+        sign[rotation : rotation + 6] = [1, -1, -1, -1, 1, 1]
+        source[position : position + 3] = JOINTS.start + 3 * other + np.arange(3)
+        sign[position] = -1
+    return torch.from_numpy(source), torch.from_numpy(sign)
 
 
-def parts_of(names: Sequence[str] | np.ndarray, parts: int) -> Int[np.ndarray, "clips"]:
-    """Part of each clip, by its name: alike on every machine and whatever other clips there are."""
-    digests = (hashlib.sha256(str(name).encode()).digest() for name in names)
-    return np.array([int.from_bytes(digest[:4], "little") % parts for digest in digests], dtype=np.int64)
+_SOURCE, _SIGN = _mirror_table()
 
 
-Drawn = TypeVar("Drawn")
+def mirrored(features: Float[Tensor, "... 201"]) -> Float[Tensor, "... 201"]:
+    """Features of the motion reflected in the plane x = 0, left and right exchanged."""
+    return features[..., _SOURCE] * _SIGN
 
 
-def load_in_order(data: Dataset[Drawn], steps: range, workers: int) -> Iterator[Drawn]:
-    """Batches of some steps, made ahead by worker processes."""
-    if workers == 0:
-        yield from (data[step] for step in steps)
-        return
-    yield from DataLoader(
-        data,
-        batch_size=None,
-        sampler=list(steps),
-        num_workers=workers,
-        prefetch_factor=4,
-        worker_init_fn=_one_thread,
-    )
-
-
-def _one_thread(_: int) -> None:
-    torch.set_num_threads(1)
+def statistics_of(shards: Sequence[Shard], bodies: Sequence[ShapedBody]) -> Statistics:
+    """Statistics of the features over some windows of the pool, and of the bodies' lengths."""
+    some = np.concatenate([shard.features[::8].reshape(-1, FEATURE_COUNT) for shard in shards[:4]])
+    return Statistics.of(some.astype(np.float64) / UNITS_PER_METRE, np.stack([body_lengths(body) for body in bodies]))

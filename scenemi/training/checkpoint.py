@@ -17,7 +17,7 @@ from scenemi.features import Statistics
 from scenemi.training.config import TrainConfig
 from video2anim.errors import InputError
 
-FORMAT = "scenemi-checkpoint-1"
+FORMAT = "scenemi-checkpoint-2"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,10 +31,8 @@ class Checkpoint:
     ema: dict[str, Tensor]
     optimizer: dict[str, Any]
     """As `Optimizer.state_dict`."""
-    rng: Tensor
-    """torch's generator (dropout); everything else is drawn from (seed, step)."""
     seconds: float
-    """Time trained so far."""
+    """Time trained so far; everything random is drawn from (seed, step)."""
 
 
 def save_checkpoint(path: Path, state: Checkpoint) -> None:
@@ -44,7 +42,6 @@ def save_checkpoint(path: Path, state: Checkpoint) -> None:
         tensors |= {f"optimizer.{number}.{k}": torch.as_tensor(v) for k, v in values.items()}
     for item in fields(Statistics):
         tensors[f"statistics.{item.name}"] = torch.from_numpy(getattr(state.statistics, item.name).copy())
-    tensors["rng"] = state.rng
     header = {
         "format": FORMAT, "step": str(state.step), "seconds": repr(state.seconds),
         "config": json.dumps(state.config.to_json()), "groups": json.dumps(state.optimizer["param_groups"]),
@@ -80,6 +77,5 @@ def load_checkpoint(path: Path) -> Checkpoint:
         model={key.removeprefix("model."): value for key, value in tensors.items() if key.startswith("model.")},
         ema={key.removeprefix("ema."): value for key, value in tensors.items() if key.startswith("ema.")},
         optimizer={"state": state, "param_groups": json.loads(header["groups"])},
-        rng=tensors["rng"],
         seconds=float(header["seconds"]),
     )

@@ -7,74 +7,70 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from scenemi.model.config import SIZES, ModelConfig
+from scenemi.model.config import SIZES, AnyConfig, config_from_json
 from video2anim.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
 class TrainConfig:
-    """One run. All but `workers`, `log_every`, `save_every` and `validate_every` changes the weights; of these, `steps`
-    may be another when a run is resumed."""
+    """One run. All but the settings of `FREE` change the weights and must stay as they are when it is resumed."""
 
-    model: ModelConfig = field(default_factory=lambda: SIZES["small"])
-    steps: int = 30_000
-    batch: int = 32
-    """Windows of a step, over all processes."""
+    model: AnyConfig = field(default_factory=lambda: SIZES["small"])
+    batch: int = 64
+    """Windows of a step."""
     learning_rate: float = 1e-3
-    """Rises over `warmup` steps, stays, and falls linearly to zero over the last `cooldown` share of the steps (paper:
-    1e-4, batch 256, constant). A run may be given another end: until the fall begins, `steps` decides nothing."""
+    """Rises over `warmup` steps and stays (paper: 1e-4 at batch 256): the end of a run is not known. The average of
+    weights that ships needs no fall; `cool` makes one on demand."""
     warmup: int = 300
-    cooldown: float = 0.2
     weight_decay: float = 1e-2
-    ema: float = 0.999
-    """Decay of the weights' moving average, shorter in the first steps (paper: 0.9999)."""
+    ema: float = 0.1
+    """Width of the weights' moving average as a share of the steps so far (Karras et al. 2024); the paper's constant
+    decay 0.9999 suits one length of run only."""
     clip_norm: float = 1.0
     seed: int = 0
     bodies: int = 8
     """Adult bodies the clips are put on."""
-    noncommercial: bool = False
-    """Also train on sources that are free for research only."""
+    sources: tuple[str, ...] | None = None
+    """Only clips of these sources, whatever their license; None = all that are free for commercial use."""
+    pool_windows: int = 32_768
+    """Windows with scenes made once and kept (`scenemi.training.pool`); a run begins with the first of them."""
+    bends: int = 1
+    """Each clip that goes somewhere is also bent along so many curves (`scenemi.data.bend`)."""
     synthetic_share: float = 0.3
-    """Share of the windows drawn from acted (synthetic) clips, where there are any: captured ones have no sitting,
-    lying, stepping up or reaching."""
+    """Share of the windows from acted (synthetic) clips, where there are any."""
     reverse: float = 0.35
     """Share of windows run backward in time, and `mix`: share with the arms and the head of another window. Captured
     motion is scarce, and what networks learn of it by heart does not hold for other clips."""
     mix: float = 0.35
     keyframes: Literal["paper", "mixed"] = "mixed"
-    """`paper`: 2 to N random ones. `mixed`: half of the windows so, else regular intervals, log-uniform, and known
-    beginnings as in long motion: sparse keyframes are rare in the paper's draw."""
-    noisy_share: float = 0.5
-    """Share of windows with noisy keyframes, l ~ U(0, 1) (paper 3.2.1); the others have exact ones."""
+    """`paper`: 2 to N random ones. `mixed`: see `scenemi.training.keyframe_masks`."""
+    noisy_share: float = 0.4
+    """Share of windows with noisy keyframes, l ~ U(0, 1) (paper 3.2.1: all); the others have exact ones."""
+    pipeline_share: float = 0.25
+    """Share of windows observed as the video pipeline observes, with its errors (where a run is given any)."""
     stop_step: int = 20
     """T*: noisy keyframes are imputed above this step only."""
     scene_share: float = 0.6
-    """Share of windows around which a scene is drawn; the others have none, as many uses have none."""
+    """Share of windows that are shown their scene; the others have none, as many uses have none."""
     drop_global: float = 0.1
-    """Share of the scenes of which only the local part is given; `drop_local`: only the global part."""
+    """Share of the scenes of which only the local part is given, `drop_local` only the global part (paper's form)."""
     drop_local: float = 0.1
     joints_weight: float = 2.0
     velocity_weight: float = 10.0
+    inside_weight: float = 2.0
+    """Of joints nearer to solids than the truth, per centimetre."""
     relative: bool = True
-    """Errors count relative to those of interpolation at the same distance from the keyframes. Else (the paper's eq.
-    4) the loss is ruled by the sparsest keyframes, where most of the error cannot be known. Needs `model.residual`."""
-    joiner_steps: int = 12_000
-    """Steps of each network of the learned interpolation, before the denoiser's."""
-    joiner_windows: int = 12_000
-    """Windows drawn for it: 0.15 MB of memory each."""
-    joiner_batch: int = 48
-    joiner_rate: float = 1e-3
-    joiner_decay: float = 0.05
-    """Weight decay."""
+    """Errors count relative to those of the joined keyframes at the same distance from a keyframe, and robustly. Else
+    (the paper's eq. 4) the loss is ruled by the sparsest keyframes, where most of the error cannot be known."""
     workers: int = 1
-    """Processes that make batches."""
-    log_every: int = 20
-    save_every: int = 100
-    validate_every: int = 500
+    """Threads that make batches ahead."""
+    log_every: int = 50
+    save_every: int = 500
+    validate_every: int = 2000
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return asdict(self)
+        return {**asdict(self), "model": self.model.to_json()}
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> TrainConfig:
@@ -89,18 +85,19 @@ class TrainConfig:
             raise InputError(
                 f"training config: unknown {', '.join(sorted(unknown))}; known are {', '.join(sorted(known))}"
             )
-        rest = dict(values)
+        rest = {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
         model = rest.pop("model", "small")
         if isinstance(model, str):
             if model not in SIZES:
                 raise InputError(f"training config: model: want {', '.join(SIZES)} or a table, got {model!r}")
-            shape = SIZES[model]
-        else:
-            size = SIZES[model.get("size", "small")].to_json()
-            try:
-                shape = ModelConfig.from_json({**size, **{k: v for k, v in model.items() if k != "size"}})
-            except ValueError as error:
-                raise InputError(f"training config: {error}") from error
+            return cls(model=SIZES[model], **rest)
+        if not isinstance(model, dict):
+            raise InputError(f"training config: model: want a size by name or a table, got {model!r}")
+        size = SIZES[model.get("size", "small")].to_json()
+        try:
+            shape = config_from_json({**size, **{key: value for key, value in model.items() if key != "size"}})
+        except (ValueError, KeyError) as error:
+            raise InputError(f"training config: {error}") from error
         return cls(model=shape, **rest)
 
     @classmethod
@@ -117,3 +114,7 @@ class TrainConfig:
         if not isinstance(values, dict):
             raise InputError(f"training config: want a table in {path}, got {type(values).__name__}")
         return cls.from_json(values)
+
+
+FREE = ("workers", "log_every", "save_every", "validate_every", "pool_windows")
+"""Settings in which a resumed run may differ."""

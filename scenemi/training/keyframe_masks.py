@@ -48,3 +48,25 @@ def draw_sparse_mask(rng: np.random.Generator, frames: int) -> Bool[np.ndarray, 
         mask[: int(rng.integers(2, frames - 10))] = True
     mask[[0, -1]] = True
     return mask
+
+
+def draw_telling_mask(rng: np.random.Generator, frames: int) -> Bool[np.ndarray, "frames"]:
+    """Keyframes 15 to N - 1 frames apart, log-uniform, with any phase: between nearer ones no solid fits on a wrong
+    path."""
+    mask = np.zeros(frames, bool)
+    interval = round(float(np.exp(rng.uniform(np.log(15), np.log(frames - 1)))))
+    mask[(int(rng.integers(0, interval)) if rng.random() < 0.3 else 0) :: interval] = True
+    mask[[0, -1]] = True
+    return mask
+
+
+def draw_observed_mask(rng: np.random.Generator, frames: int) -> Bool[np.ndarray, "frames"]:
+    """Frames as a video pipeline gives them: all or every few (up to 15), but for stretches of 0.2 to 2 s in which the
+    person was not seen."""
+    mask = np.zeros(frames, bool)
+    mask[:: 1 if rng.random() < 0.6 else int(rng.choice([3, 5, 15]))] = True
+    for _ in range(rng.choice(4, p=[0.4, 0.35, 0.15, 0.1])):
+        start, length = int(rng.integers(1, frames - 1)), round(float(np.exp(rng.uniform(np.log(6), np.log(60)))))
+        mask[start : start + length] = False
+    mask[[0, -1]] = True
+    return mask

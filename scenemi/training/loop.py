@@ -1,47 +1,47 @@
-"""The training loop: one process or several (torchrun), resumable to the step."""
+"""The training loop: resumable to the step, with no end of its own."""
 
 from __future__ import annotations
 
 import csv
+import json
 import os
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
-from datetime import timedelta
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
-from torch import Tensor, distributed
-from torch.nn.parallel import DistributedDataParallel
+from torch import Tensor
 
 from scenemi.data.windows import MotionSet
 from scenemi.features import Statistics
+from scenemi.model.build import AnyDenoiser, build_denoiser
 from scenemi.model.denoiser import Denoiser
-from scenemi.training.batches import StepBatches, load_in_order, statistics_of
+from scenemi.model.weights import load_weights
+from scenemi.training.batches import PoolBatches, statistics_of
 from scenemi.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from scenemi.training.config import TrainConfig
-from scenemi.training.joiner import JoinerPool, holds_joiner, load_joiner, save_joiner, train_joiner
-from scenemi.training.keyframe_noise import measured_noise
-from scenemi.training.losses import Losses, TrainingLoss, measure_scales
+from scenemi.training.config import FREE, TrainConfig
+from scenemi.training.losses import Losses, TrainingLoss
+from scenemi.training.noise import PipelineErrors
+from scenemi.training.pool import SHARD_WINDOWS, Shard, grow_pool, open_pool
+from scenemi.training.scales import measure_scales
 from scenemi.training.validate import Validation, Validator
 from video2anim.errors import InputError
 
-CHECKPOINT = "checkpoint.safetensors"
-LOG = "log.csv"
-VALIDATION = "validation.csv"
+CHECKPOINT, LOG, PROGRESS, POOL = "checkpoint.safetensors", "log.csv", "progress.json", "pool"
 _COLUMNS = (
-    "step",
-    "total",
-    "simple",
-    "joints_m2",
-    "velocity_m2",
-    "learning_rate",
-    "gradient_norm",
-    "windows_per_s",
-    "seconds",
-)
+    "step", "total", "simple", "joints_m2", "velocity_m2", "inside_cm", "gradient_norm", "windows_per_s", "seconds",
+)  # fmt: skip
+_SCALE_STEPS, _SCALE_WINDOWS = 1_000_000_000, 512
+"""Scales are measured on batches of steps that training never reaches."""
+_FIRST_SHARDS = 2
+"""Of the pool, made before the first step; another one follows each time the state is saved."""
+_MOST_BAD_STEPS = 20
+"""Steps in a row without a finite gradient after which a run gives up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +49,11 @@ class Progress:
     """Told to the caller while training."""
 
     step: int
-    steps: int
+    windows: int
+    hours: float
     total: float
     windows_per_s: float
     validation: tuple[Validation, ...] = ()
-    stage: str = ""
-    """What is trained; empty = the denoiser."""
 
 
 def train(
@@ -64,7 +63,8 @@ def train(
     *,
     validation: MotionSet | None = None,
     device: str = "cpu",
-    resume: bool = True,
+    errors: PipelineErrors | None = None,
+    start: Path | None = None,
     stop_at: int | None = None,
     time_limit_s: float | None = None,
     on_progress: Callable[[Progress], None] = lambda progress: None,
@@ -73,165 +73,153 @@ def train(
 
     Args:
         config: the run; a resumed run must have the same, save for what does not change weights.
-        motions: training windows.
-        out: folder for the checkpoint, `log.csv` and `validation.csv`.
+        motions: clips on bodies, from which the pool in `out/pool` is made.
+        out: folder of the pool, the checkpoint, `log.csv` and `progress.json`.
         validation: windows that sampled numbers are made of.
         device: of torch.
-        resume: go on from the checkpoint in `out`; False = begin anew.
-        stop_at: end after this step, as if interrupted; None = `config.steps`.
+        errors: of the video pipeline, for noisy keyframes.
+        start: weights to begin from where `out` has no checkpoint, if they are of the same architecture.
+        stop_at: end after this step; None = at the time limit, or never.
         time_limit_s: end after this time.
-        on_progress: called every `config.log_every` steps.
+        on_progress: called every `config.log_every` steps, and after each validation.
 
     Raises:
-        InputError: the checkpoint in `out` is of another configuration.
+        InputError: the checkpoint in `out` is of another configuration, or training met no finite gradient any more.
     """
-    rank, world = _processes()
-    torch.manual_seed(config.seed)
-    held = load_checkpoint(out / CHECKPOINT) if resume and (out / CHECKPOINT).is_file() else None
+    held = load_checkpoint(out / CHECKPOINT) if (out / CHECKPOINT).is_file() else _from_weights(start, config)
     if held is not None and (differing := _differing(held.config, config)):
         raise InputError(
-            f"training: {out / CHECKPOINT} was trained with other {', '.join(differing)}; use another --out"
+            f"training: {out / CHECKPOINT} was trained with other {', '.join(differing)}; give another folder, or the "
+            "configuration it was begun with"
         )
-    if rank == 0:
-        out.mkdir(parents=True, exist_ok=True)
-    run = _Run(config, held.statistics if held else statistics_of(motions, config.seed), device, held, world)
-    data = StepBatches(motions, run.statistics, config, rank=rank, world=world)
-    if held is None:
-        run.join(motions, out, fresh=not resume, on_progress=on_progress if rank == 0 else None)
-        run.measure(data)
-    check = Validator(validation, run.statistics) if validation is not None and rank == 0 else None
-    log, curve = _Table(out / LOG, _COLUMNS, run.step), _Table(out / VALIDATION, _validation_columns(), run.step)
-
-    last = min(config.steps, stop_at or config.steps)
-    begun, since = time.perf_counter(), time.perf_counter()
-    recent: list[Tensor] = []  # losses of the steps since the last line of the log
-    for batch in load_in_order(data, range(run.step, last), config.workers):
-        losses, norm = run.advance(batch.to(torch.device(device)))
+    grow_pool(out / POOL, motions, min(config.pool_windows, _FIRST_SHARDS * SHARD_WINDOWS), seed=config.seed)
+    shards = open_pool(out / POOL)
+    run = Run(config, motions, shards, device, held)
+    check = None if validation is None else Validator(validation, run.statistics)
+    log = _Log(out / LOG, run.step)
+    begun = since = time.perf_counter()
+    recent: list[Tensor] = []
+    bad = 0
+    data = PoolBatches(shards, config, errors)
+    steps = range(run.step, stop_at if stop_at is not None else 2**62)
+    for batch in data.ahead(steps, config.workers):
+        losses, norm = run.advance(batch.to(run.device))
+        bad = 0 if np.isfinite(norm) else bad + 1
+        if bad > _MOST_BAD_STEPS:
+            raise InputError(f"training: {bad} steps without a finite gradient at step {run.step}; lower learning_rate")
         elapsed = time.perf_counter() - begun
-        out_of_time = time_limit_s is not None and elapsed > time_limit_s
-        if rank == 0:
-            recent.append(torch.stack([losses.total, losses.simple, losses.joints, losses.velocity]))
-            if run.step % config.log_every == 0:
-                speed = len(recent) * config.batch / (time.perf_counter() - since)
-                values = torch.stack(recent).mean(0).tolist()
-                log.add(
-                    run.step, *values, run.rate(run.step - 1), norm, round(speed, 2), round(run.seconds + elapsed, 1)
-                )
-                on_progress(Progress(run.step, config.steps, values[0], speed))
-                since = time.perf_counter()
-                recent.clear()
-            if check is not None and (run.step % config.validate_every == 0 or run.step == config.steps):
-                rows = check(run.averaged())
-                curve.add(run.step, *(getattr(row, name) for row in rows for name in _VALIDATED))
-                on_progress(Progress(run.step, config.steps, float(losses.total), 0.0, rows))
-                since = time.perf_counter()
-            if run.step % config.save_every == 0 or run.step == last or out_of_time:
-                save_checkpoint(out / CHECKPOINT, run.state(elapsed))
-        if out_of_time:
+        late = time_limit_s is not None and elapsed > time_limit_s
+        last = late or run.step == stop_at
+        recent.append(torch.stack([getattr(losses, name) for name in Losses.__slots__]))
+        if run.step % config.log_every == 0:
+            speed = len(recent) * config.batch / (time.perf_counter() - since)
+            values = torch.stack(recent).mean(0).tolist()
+            log.add(run.step, *(f"{v:.5g}" for v in (*values, norm, speed, run.seconds + elapsed)))
+            on_progress(run.progress(values[0], speed, elapsed))
+            recent.clear()
+            since = time.perf_counter()
+        rows: tuple[Validation, ...] = ()
+        if check is not None and (run.step % config.validate_every == 0):
+            rows = check(run.averaged())
+            on_progress(replace(run.progress(float(losses.total), 0.0, elapsed), validation=rows))
+        if run.step % config.save_every == 0 or last:
+            save_checkpoint(out / CHECKPOINT, run.state(elapsed))
+            if not last:
+                _enlarge(data, motions, out, config)
+        if rows or last:
+            _write_progress(out / PROGRESS, run.progress(float(losses.total), 0.0, elapsed), rows)
+        if late or rows or run.step % config.save_every == 0:
+            since = time.perf_counter()
+        if late:
             break
     return run.state(time.perf_counter() - begun)
 
 
-_SCALE_STEPS, _SCALE_WINDOWS = 1_000_000_000, 512
-"""Scales are measured on batches of steps that training never reaches."""
+def cool(
+    out: Path,
+    motions: MotionSet,
+    steps: int,
+    *,
+    errors: PipelineErrors | None = None,
+    device: str = "cpu",
+    on_progress: Callable[[Progress], None] = lambda progress: None,
+) -> Checkpoint:
+    """The state of a run after so many more steps in which the learning rate falls to zero; the run itself stays as it
+    is. The average of weights is taken over these steps too.
+
+    Raises:
+        InputError: no checkpoint.
+    """
+    held = load_checkpoint(out / CHECKPOINT)
+    shards = open_pool(out / POOL)
+    run = Run(held.config, motions, shards, device, held)
+    data = PoolBatches(shards, held.config, errors)
+    last = run.step + steps
+    for batch in data.ahead(range(run.step, last), held.config.workers):
+        losses, _ = run.advance(batch.to(run.device), (last - run.step) / steps)
+        if run.step % held.config.log_every == 0:
+            on_progress(run.progress(float(losses.total), 0.0, 0.0))
+    return run.state(0.0)
 
 
-class _Run:
-    """Model, average, optimizer and schedule of one process."""
+class Run:
+    """Model, average and optimizer."""
 
     def __init__(
-        self, config: TrainConfig, statistics: Statistics, device: str, held: Checkpoint | None, world: int
+        self, config: TrainConfig, motions: MotionSet, shards: list[Shard], device: str, held: Checkpoint | None
     ) -> None:
-        self.config, self.statistics, self.device = config, statistics, torch.device(device)
-        self.model = Denoiser(config.model).to(self.device)
-        self.average = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
-        self.step, self.seconds = 0, 0.0
-        learned = [parameter for parameter in self.model.parameters() if parameter.requires_grad]
-        self.optimizer = torch.optim.AdamW(
-            learned, config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
-        )
+        torch.manual_seed(config.seed)
+        self.config, self.device = config, torch.device(device)
+        bodies = [motions.body(i) for i in range(len(motions.shapes))]
+        self.statistics: Statistics = held.statistics if held else statistics_of(shards, bodies)
+        rest = torch.from_numpy(motions.rest_joints_m)
+        self.model: AnyDenoiser = build_denoiser(config.model).to(self.device)
+        self.step, self.seconds = held.step if held else 0, held.seconds if held else 0.0
         if held is not None:
             self.model.load_state_dict(held.model)
-            self.average = {name: value.to(self.device) for name, value in held.ema.items()}
+        elif isinstance(self.model, Denoiser):
+            data = PoolBatches(shards, config)
+            drawn = [data[_SCALE_STEPS + i] for i in range(max(1, _SCALE_WINDOWS // config.batch))]
+            self.model.set_scales(measure_scales(drawn, self.statistics, rest))
+        state = held.ema if held else self.model.state_dict()
+        self.average = {name: value.detach().clone().to(self.device) for name, value in state.items()}
+        plain = [p for p in self.model.parameters() if p.ndim < 2]
+        others = [p for p in self.model.parameters() if p.ndim >= 2]
+        self.optimizer = torch.optim.AdamW(
+            [{"params": others, "weight_decay": config.weight_decay}, {"params": plain, "weight_decay": 0.0}],
+            config.learning_rate, betas=(0.9, 0.98),
+        )  # fmt: skip
+        if held is not None and held.optimizer:
             self.optimizer.load_state_dict(held.optimizer)
-            self.step, self.seconds = held.step, held.seconds
-            torch.set_rng_state(held.rng)
-        self.plain = TrainingLoss(self.model, statistics, config).to(self.device)
-        self.loss: torch.nn.Module = self.plain
-        if world > 1:
-            self.loss = DistributedDataParallel(self.plain, find_unused_parameters=True)
-        self.world = world
+        self.loss = TrainingLoss(self.model, self.statistics, bodies, config).to(self.device)
+        self._power = _ema_power(config.ema)
 
-    def join(
-        self, motions: MotionSet, out: Path, *, fresh: bool, on_progress: Callable[[Progress], None] | None
-    ) -> None:
-        """Train the learned interpolation, or take from `out` what is trained already; alike in every process."""
-        count = self.config.model.members
-        pool: JoinerPool | None = None
-        for k in range(count):
-            path = out / f"joiner_{k}.safetensors"
-            if on_progress is not None and (fresh or not holds_joiner(path, self.config)):
-                say = _every(self.config, k, count, on_progress)
-                pool = pool or JoinerPool.draw(motions, self.statistics, self.config)
-                joiner = train_joiner(pool, self.config, k, device=self.device.type, on_step=say)
-                save_joiner(path, joiner, self.config)
-        if self.world > 1:
-            distributed.barrier()
-        for k in range(count):
-            self.model.joiners[k].load_state_dict(load_joiner(out / f"joiner_{k}.safetensors"))
-
-    def measure(self, data: StepBatches) -> None:
-        """Set the scales of a new model; alike in every process."""
-        if not self.config.model.residual:
-            return
-        whole = StepBatches(data.motions, self.statistics, self.config)
-        if self.config.model.smooths:
-            noise = measured_noise(data.motions, self.config.seed).to(self.device)
-            self.model.noise_std.copy_(noise / self.plain.std)
-        count = max(1, _SCALE_WINDOWS // self.config.batch)
-        drawn = [whole[_SCALE_STEPS + i].to(self.device) for i in range(count)]
-        self.model.set_scales(measure_scales(self.plain, drawn))
-        self.average = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
-
-    def rate(self, step: int) -> float:
-        """Learning rate of a step: linear rise, level, linear fall."""
-        config = self.config
-        rise = (step + 1) / max(1, config.warmup)
-        fall = (config.steps - step) / max(1.0, config.cooldown * config.steps)
-        return config.learning_rate * max(0.0, min(1.0, rise, fall))
-
-    def advance(self, batch: Any) -> tuple[Losses, float]:
-        """One step of the optimizer; losses are those of all processes."""
+    def advance(self, batch: Any, rate: float = 1.0) -> tuple[Losses, float]:
+        """One step of the optimizer at a share of the learning rate; also the gradient's norm. A step without a finite
+        gradient changes nothing."""
         config = self.config
         for group in self.optimizer.param_groups:
-            group["lr"] = self.rate(self.step)
+            group["lr"] = config.learning_rate * rate * min(1.0, (self.step + 1) / max(1, config.warmup))
         self.optimizer.zero_grad(set_to_none=True)
         with self._precision():
             losses: Losses = self.loss(batch)
         losses.total.backward()
-        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip_norm)
-        if torch.isfinite(norm):
-            self.optimizer.step()
+        norm = float(torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip_norm))
         self.step += 1
-        decay = min(config.ema, self.step / (self.step + 10))
-        with torch.no_grad():
-            for name, value in self.model.state_dict().items():
-                self.average[name].lerp_(value, 1 - decay)
-        return self._shared(losses), float(norm)
-
-    def _shared(self, losses: Losses) -> Losses:
-        values = torch.stack([losses.total, losses.simple, losses.joints, losses.velocity]).detach()
-        if self.world > 1:
-            distributed.all_reduce(values)
-            values = values / self.world
-        return Losses(*values)
+        if np.isfinite(norm):
+            self.optimizer.step()
+            keep = (1 - 1 / self.step) ** (self._power + 1)
+            with torch.no_grad():
+                for name, value in self.model.state_dict().items():
+                    self.average[name].lerp_(value, 1 - keep)
+        return Losses(*(getattr(losses, name).detach() for name in Losses.__slots__)), norm
 
     def _precision(self) -> AbstractContextManager[Any]:
         return torch.autocast("cuda", torch.bfloat16) if self.device.type == "cuda" else nullcontext()
 
-    def averaged(self) -> Denoiser:
+    def averaged(self) -> AnyDenoiser:
         """The model with averaged weights."""
-        model = Denoiser(self.config.model).to(self.device)
+        model = build_denoiser(self.config.model).to(self.device)
         model.load_state_dict(self.average)
         return model.eval()
 
@@ -239,78 +227,80 @@ class _Run:
         """For a checkpoint."""
         return Checkpoint(
             self.step, self.config, self.statistics, self.model.state_dict(), self.average,
-            self.optimizer.state_dict(), torch.get_rng_state(), self.seconds + elapsed_s,
+            self.optimizer.state_dict(), self.seconds + elapsed_s,
         )  # fmt: skip
 
-
-def _every(
-    config: TrainConfig, member: int, members: int, on_progress: Callable[[Progress], None]
-) -> Callable[[int, float], None]:
-    """Tells of every so many steps of the learned interpolation."""
-    total, begun = 0.0, time.perf_counter()
-
-    def say(step: int, loss: float) -> None:
-        nonlocal total, begun
-        total += loss
-        if step % config.log_every == 0:
-            speed = config.joiner_batch * config.log_every / (time.perf_counter() - begun)
-            stage = f"learned interpolation {member + 1}/{members}"
-            on_progress(Progress(step, config.joiner_steps, total / config.log_every, speed, stage=stage))
-            total, begun = 0.0, time.perf_counter()
-
-    return say
+    def progress(self, total: float, speed: float, elapsed_s: float) -> Progress:
+        """Where the run is."""
+        return Progress(self.step, self.step * self.config.batch, (self.seconds + elapsed_s) / 3600, total, speed)
 
 
-def _processes() -> tuple[int, int]:
-    """Rank and number of processes; joins the group that torchrun describes."""
-    world = int(os.environ.get("WORLD_SIZE", "1"))
-    if world == 1:
-        return 0, 1
-    if not distributed.is_initialized():
-        backend = "nccl" if torch.cuda.is_available() else "gloo"
-        distributed.init_process_group(backend, timeout=_PATIENCE)
-    return distributed.get_rank(), world
+def _from_weights(path: Path | None, config: TrainConfig) -> Checkpoint | None:
+    """Shipped weights as the state of a run whose checkpoint is gone: the optimizer begins anew."""
+    if path is None or not path.is_file():
+        return None
+    try:
+        found = load_weights(path)
+    except InputError:
+        return None  # of an older format
+    if found.config != config.model:
+        return None
+    state = found.denoiser.state_dict()
+    hours, step = float(found.card.get("hours", 0.0)), int(found.card.get("steps", 0))
+    return Checkpoint(step, config, found.statistics, state, state, {}, 3600 * hours)
 
 
-_PATIENCE = timedelta(hours=4)
-"""How long processes wait for the one that trains the learned interpolation."""
-_FREE = ("steps", "workers", "log_every", "save_every", "validate_every")
-"""Settings in which a resumed run may differ."""
+def _ema_power(width: float) -> float:
+    """Exponent of the power-function average whose width is this share of the steps so far (Karras et al. 2024)."""
+    t = width**-2
+    return float(np.roots([1, 7, 16 - t, 12 - t]).real.max())
+
+
+def _enlarge(data: PoolBatches, motions: MotionSet, out: Path, config: TrainConfig) -> None:
+    """One more shard, until the pool has all its windows. Batches drawn ahead are of the smaller pool."""
+    wanted = min(config.pool_windows, (len(data.shards) + 1) * SHARD_WINDOWS)
+    if wanted > data.ends[-1]:
+        grow_pool(out / POOL, motions, wanted, seed=config.seed)
+        data.take(open_pool(out / POOL))
 
 
 def _differing(held: TrainConfig, wanted: TrainConfig) -> list[str]:
-    a, b = held.to_json(), wanted.to_json()
-    return [key for key in a if key not in _FREE and _plain(a[key]) != _plain(b[key])]
+    a, b = (json.loads(json.dumps(config.to_json())) for config in (held, wanted))
+    return [key for key in a if key not in FREE and a[key] != b[key]]
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    return list(value) if isinstance(value, tuple) else value
+def _write_progress(path: Path, now: Progress, rows: tuple[Validation, ...]) -> None:
+    """Steps, windows, hours, last numbers and best ones with the step they were reached at."""
+    try:
+        told = json.loads(path.read_text())
+    except (OSError, ValueError):
+        told = {"best": {}}
+    told |= {"step": now.step, "windows": now.windows, "hours": round(now.hours, 3)}
+    told["date"] = datetime.now(UTC).isoformat(timespec="seconds")
+    if rows:
+        told["validation"] = [asdict(row) for row in rows]
+        told["validated_at"] = now.step
+        for row in rows:
+            key = f"mjpe_ratio r={row.interval}{' scene' if row.scene else ''}"
+            if row.mjpe_ratio < told["best"].get(key, {"value": np.inf})["value"]:
+                told["best"][key] = {"value": row.mjpe_ratio, "step": now.step}
+    aside = path.with_suffix(".part")
+    aside.write_text(json.dumps(told, indent=1))
+    os.replace(aside, path)
 
 
-_VALIDATED = ("mjpe_m", "base_mjpe_m", "interpolated_mjpe_m", "jerk_ratio")
-
-
-def _validation_columns() -> tuple[str, ...]:
-    from scenemi.training.validate import INTERVALS
-
-    return ("step", *(f"{name}_{r}" for r in INTERVALS for name in _VALIDATED))
-
-
-class _Table:
+class _Log:
     """A CSV file that is cut back to the step a run resumes from."""
 
-    def __init__(self, path: Path, columns: tuple[str, ...], step: int) -> None:
+    def __init__(self, path: Path, step: int) -> None:
         self.path = path
         rows: list[list[str]] = []
         if step and path.is_file():
             with path.open(newline="") as file:
                 rows = [row for row in list(csv.reader(file))[1:] if row and int(row[0]) <= step]
-        if path.parent.is_dir():
-            with path.open("w", newline="") as file:
-                csv.writer(file).writerows([columns, *rows])
+        with path.open("w", newline="") as file:
+            csv.writer(file).writerows([_COLUMNS, *rows])
 
-    def add(self, *values: float) -> None:
+    def add(self, *values: Any) -> None:
         with self.path.open("a", newline="") as file:
             csv.writer(file).writerow(values)

@@ -1,4 +1,4 @@
-"""What a run is watched by: sampled in-betweening on fixed windows of the validation part."""
+"""What a run is watched by: sampled in-betweening on fixed windows of the validation part, without and with scenes."""
 
 from __future__ import annotations
 
@@ -9,32 +9,41 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from scenemi.data.windows import MotionSet, WindowBatch
-from scenemi.features import Statistics, body_lengths, to_canonical
+from scenemi.data.windows import MotionSet
+from scenemi.features import Statistics, body_lengths, encode, to_canonical
 from scenemi.model.base import join_keyframes
-from scenemi.model.denoiser import Conditions, Denoiser
+from scenemi.model.build import AnyDenoiser
+from scenemi.model.conditions import Conditions
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.kinematics import joints_of
 from scenemi.model.sampling import SamplerConfig, sample
-from scenemi.training.losses import features_of
+from scenemi.scene.body_balls import fit_balls
+from scenemi.scene.field import BoxField
+from scenemi.scene.pseudo import PseudoScenes
+from scenemi.training.pool import scene_boxes
+from video2anim.body.skeleton import forward_kinematics
 
 INTERVALS = (15, 30, 60)
-_WINDOWS = 64
-_SAMPLER = SamplerConfig(steps=5, guidance_weight=1.0)
+SCENE_INTERVAL = 60
+_WINDOWS = 96
+_SAMPLER = SamplerConfig(steps=6)
+_INSIDE_M = 0.01
+_SCENE_SEED = 77
 
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """Means over windows at one keyframe interval, without a scene."""
+    """Means over windows at one keyframe interval."""
 
     interval: int
-    mjpe_m: float
-    base_mjpe_m: float
-    """Of the joined keyframes that the denoiser corrects."""
-    interpolated_mjpe_m: float
-    """Of plain cubic curves."""
+    scene: bool
+    """Whether the denoiser was shown the scenes; they are there in either case where `inside` is told."""
+    mjpe_ratio: float
+    """Mean joint error over that of the joined keyframes."""
     jerk_ratio: float
     """Jerk over that of the truth."""
+    inside: float
+    """Share of frames with a joint more than 1 cm inside a solid; NaN where no scene was looked at."""
 
 
 class Validator:
@@ -42,66 +51,70 @@ class Validator:
 
     def __init__(self, motions: MotionSet, statistics: Statistics) -> None:
         batches = list(motions.fixed_windows(full_only=True, body=0)) or list(motions.fixed_windows(body=0))
-        rows = [(batch, row) for batch in batches for row in range(len(batch))]
-        chosen = [rows[i] for i in np.linspace(0, len(rows) - 1, min(_WINDOWS, len(rows))).astype(int)]
-        R, translation_m = to_canonical(*(np.stack(arrays) for arrays in zip(*map(_poses, chosen), strict=True)))
-        body = np.array([batch.body_index[row] for batch, row in chosen])
-        lengths = np.stack(
-            [statistics.normalize_body(body_lengths(motions.body(i))) for i in range(len(motions.shapes))]
-        )
-        self.statistics = statistics
-        self.rest = torch.from_numpy(motions.rest_joints_m[body])
-        self.body = torch.from_numpy(lengths[body].astype(np.float32))
-        self.features = features_of(
-            torch.from_numpy(R.astype(np.float32)), torch.from_numpy(translation_m.astype(np.float32)), self.rest
-        )
+        R = np.concatenate([batch.R_parent_joint for batch in batches])
+        chosen = np.linspace(0, len(R) - 1, min(_WINDOWS, len(R))).astype(int)
+        translation_m = np.concatenate([batch.translation_m for batch in batches])[chosen]
+        contact = np.concatenate([batch.contact for batch in batches])[chosen]
+        R, translation_m = to_canonical(R[chosen], translation_m)
+        rest_m = np.repeat(motions.rest_joints_m[:1], len(chosen), 0)
+        self.statistics, self.rest = statistics, torch.from_numpy(rest_m)
+        lengths = statistics.normalize_body(body_lengths(motions.body(0))).astype(np.float32)
+        self.body = torch.from_numpy(lengths).expand(len(chosen), -1)
+        self.features = torch.from_numpy(encode(R, translation_m, rest_m)).float()
+        joints_m, R_world = forward_kinematics(R, translation_m, rest_m[:, None])
+        self.true_m = torch.from_numpy(joints_m).float()
+        blind_m = join_keyframes(self.true_m.flatten(2), self._mask(SCENE_INTERVAL)).unflatten(-1, (22, 3)).numpy()
+        scenes, balls = PseudoScenes(), fit_balls(motions.body(0))
+        motion = zip(joints_m, R_world, contact, blind_m, strict=True)
+        rows = [
+            scene_boxes(scenes, np.random.default_rng([_SCENE_SEED, i]), joints, R, touching, balls, blind)
+            for i, (joints, R, touching, blind) in enumerate(motion)
+        ]
+        self.boxes = torch.from_numpy(np.stack(rows))
 
-    def __call__(self, denoiser: Denoiser) -> tuple[Validation, ...]:
-        """One row for each interval."""
+    def __call__(self, denoiser: AnyDenoiser) -> tuple[Validation, ...]:
+        """Rows for each interval without scenes, then for 60 frames in scenes that are not shown, and shown."""
         was_training = denoiser.training
         denoiser.eval()
-        with torch.no_grad():
-            rows = tuple(self._row(denoiser, interval) for interval in INTERVALS)
+        blind = [self.row(denoiser, interval) for interval in INTERVALS[:-1]]
+        last = [self.row(denoiser, SCENE_INTERVAL, shown=shown) for shown in (False, True)]
         denoiser.train(was_training)
-        return rows
+        return (*blind, *last)
 
-    def _row(self, denoiser: Denoiser, interval: int) -> Validation:
+    @torch.no_grad()
+    def row(self, denoiser: AnyDenoiser, interval: int, *, shown: bool | None = None) -> Validation:
+        """One row; `shown` None leaves the scenes out altogether."""
         device = next(denoiser.parameters()).device
         keys = self.statistics.normalize(self.features).to(device)
-        count, frames = keys.shape[:2]
-        mask = torch.zeros(count, frames, device=device)
-        mask[:, ::interval] = mask[:, -1] = 1
-        none = torch.zeros(count, device=device)
-        config = denoiser.config
+        mask = self._mask(interval).to(device)
+        field = BoxField.of(self.boxes.to(device), torch.ones(len(keys), device=device))
         given = Conditions(
-            mask=mask,
-            imputed=mask,
-            base=denoiser.join(keys, mask, self.body.to(device), none),
-            local=torch.zeros(count, frames, config.bps_anchors, 3, device=device),
-            body=self.body.to(device),
-            noise_level=none,
-            scene=torch.zeros(count, config.embedding, device=device),
-            scene_known=none,
-            local_known=none,
-        )
-        generators = [torch.Generator().manual_seed(i) for i in range(count)]
+            mask=mask, imputed=mask, base=join_keyframes(keys, mask), noise=torch.zeros(*mask.shape, 2, device=device),
+            body=self.body.to(device), field=field if shown else None,
+        )  # fmt: skip
+        generators = [torch.Generator().manual_seed(i) for i in range(len(keys))]
         made = sample(denoiser, CosineSchedule(), keys, given, _SAMPLER, generators)
-        true = self._joints(keys)
+        made = torch.where(mask[..., None] > 0, keys, made)
+        joints, joined = self._joints(made), self._joints(given.base)
+        inside = float("nan")
+        if shown is not None:
+            depth = field.distance_m(joints.to(device).flatten(1, 2)).unflatten(1, (-1, 22)).amin(-1)
+            inside = float((depth < -_INSIDE_M).float().sum() / (len(keys) * depth.shape[1]))
         return Validation(
             interval,
-            float((self._joints(made) - true).norm(dim=-1).mean()),
-            float((self._joints(given.base) - true).norm(dim=-1).mean()),
-            float((self._joints(join_keyframes(keys, mask)) - true).norm(dim=-1).mean()),
-            float(_jerk(self._joints(made)) / _jerk(true)),
+            bool(shown),
+            float((joints - self.true_m).norm(dim=-1).mean() / (joined - self.true_m).norm(dim=-1).mean()),
+            float(_jerk(joints) / _jerk(self.true_m)),
+            inside,
         )
 
+    def _mask(self, interval: int) -> Float[Tensor, "batch frames"]:
+        mask = torch.zeros(self.true_m.shape[:2])
+        mask[:, ::interval] = mask[:, -1] = 1
+        return mask
+
     def _joints(self, normalized: Tensor) -> Float[Tensor, "batch frames 22 3"]:
-        return joints_of(self.statistics.denormalize(normalized), self.rest.to(normalized.device))
-
-
-def _poses(chosen: tuple[WindowBatch, int]) -> tuple[np.ndarray, np.ndarray]:
-    batch, row = chosen
-    return batch.R_parent_joint[row], batch.translation_m[row]
+        return joints_of(self.statistics.denormalize(normalized).cpu(), self.rest)
 
 
 def _jerk(joints: Tensor) -> Tensor:

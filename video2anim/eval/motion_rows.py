@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from scenemi import metrics
+from scenemi.sample_motion import standing_feet
 from video2anim.body.skeleton import FEET
 from video2anim.eval.alignment import FrameMatch
 from video2anim.eval.model import Curve, Group, Spec, make_group
@@ -35,6 +36,7 @@ MOTION = (
     Spec("contact_precision", "foot contact precision", "", "higher", "no contact was claimed"),
     Spec("contact_recall", "foot contact recall", "", "higher", "the feet never touch"),
     Spec("contact_f1", "foot contact F1", "", "higher", "no contact in truth or estimate"),
+    Spec("contact_f1_motion", "foot contact F1 of the motion itself", "", "higher", "no foot stands in either"),
     Spec("contact_ratio", "share of foot contacts", "", "truth", _SHORT),
 )
 
@@ -116,6 +118,10 @@ def _numbers(
         "contact_precision": contact.precision,
         "contact_recall": contact.recall,
         "contact_f1": contact.f1,
+        # Labels are carried from stage to stage; whether the feet of this motion stand is another question.
+        "contact_f1_motion": metrics.binary_scores(
+            standing_feet(motion.joints_world_m[common.measured])[:, FEET] > 0, truth.contact[true_rows][:, FEET] > 0.5
+        ).f1,
         "contact_ratio": float((motion.contact[common.measured][:, FEET] > CONTACT_PROBABILITY).mean()),
     }
 

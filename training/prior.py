@@ -1,0 +1,176 @@
+"""The training run of the package's networks: started once, stopped at will, going on from where it was.
+
+    python training/prior.py run --motion DIR [--minutes 30] [--threads 1]     in the foreground
+    python training/prior.py start --motion DIR [...]                          the same in the background
+    python training/prior.py progress                                          one line on each network
+    python training/prior.py stop
+    python training/prior.py weights --motion DIR --cool 2000 --out FILE       averaged weights of the prior (fp16)
+
+The prior (`scenemi train`) and the temporal lifter (`training/lifter.py run`) take turns, two parts to one, until the
+lifter has stopped improving. State lies in the user's cache, written whole or not at all. Motion is the free part of
+`DIR` (`split.json`, `*.npz`) and acted clips.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from video2anim.models.fetch import cache_dir
+
+ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
+ACTED, ACTED_SEED = 600, 50
+PRIOR_MINUTES, LIFTER_MINUTES = 20.0, 10.0
+LIFTER_PATIENCE_HOURS = 2.0
+"""Of its own training without a better validation, after which the lifter gets no more turns."""
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def cache() -> Path:
+    """Where the state of the run lies."""
+    return cache_dir() / "training"
+
+
+def main() -> None:
+    """One of the five commands."""
+    options = arguments()
+    cache().mkdir(parents=True, exist_ok=True)
+    match options.command:
+        case "run":
+            run(options)
+        case "start":
+            start()
+        case "stop":
+            stop()
+        case "progress":
+            sys.stdout.write(progress() + "\n")
+        case _:
+            words = ["--minutes", "0.01", "--cool-steps", str(options.cool)]
+            subprocess.run(prior_command(options, *words), check=True, env=environment(options))
+            (cache() / "prior" / "weights.safetensors").rename(options.out)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Turns of the two trainings until the time is over."""
+    lock = (cache() / "lock").open("a")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise SystemExit("training/prior.py: a run is under way already; see `progress`, or `stop` it") from None
+    (cache() / "pid").write_text(str(os.getpid()))
+    os.nice(10)
+    until = time.monotonic() + 60 * (options.minutes or 1e9)
+    if not (cache() / "acted.npz").is_file():
+        words = ["synth", "--motion-only", "--count", str(ACTED), "--seed", str(ACTED_SEED)]
+        command = [sys.executable, "-m", "video2anim.cli.main", *words, "--out", str(cache() / "acted.npz")]
+        turn(command, options, 1e9)
+    while (left := (until - time.monotonic()) / 60) > 0.05:
+        turn(prior_command(options, "--minutes", f"{min(PRIOR_MINUTES, left):.2f}"), options, left)
+        left = (until - time.monotonic()) / 60
+        if left > 0.05 and lifter_improves():
+            words = ["run", "--motion", str(options.motion), "--minutes", f"{min(LIFTER_MINUTES, left):.2f}"]
+            words += ["--threads", str(options.threads), "--cache", str(cache() / "lifter")]
+            turn([sys.executable, str(REPOSITORY / "training" / "lifter.py"), *words], options, left)
+
+
+def turn(command: list[str], options: argparse.Namespace, left_minutes: float) -> None:
+    """One command to its end; the run ends with it where it fails, and takes it along when it is stopped itself."""
+    with (cache() / "log.txt").open("a") as log:
+        child = subprocess.Popen(command, stdout=log, stderr=log, env=environment(options))
+
+        def end(*_: object) -> None:
+            child.terminate()
+            raise SystemExit(0)
+
+        signal.signal(signal.SIGTERM, end)
+        signal.signal(signal.SIGINT, end)
+        if child.wait() != 0:
+            raise SystemExit(f"training/prior.py: {command[1:4]} failed, see {cache() / 'log.txt'}")
+
+
+def prior_command(options: argparse.Namespace, *words: str) -> list[str]:
+    """`scenemi train` on the free archives and the acted clips."""
+    command = [sys.executable, "-m", "scenemi.cli", "train", "--split", str(options.motion / "split.json")]
+    for path in (*(options.motion / name for name in ARCHIVES), cache() / "acted.npz"):
+        command += ["--motion", str(path)]
+    shipped = REPOSITORY / "scenemi" / "weights" / "small.safetensors"
+    return [
+        *command, "--out", str(cache() / "prior"), "--cache", str(cache() / "motion"), "--start", str(shipped), *words
+    ]  # fmt: skip
+
+
+def environment(options: argparse.Namespace) -> dict[str, str]:
+    """Threads of the children; idle ones sleep."""
+    return {**os.environ, "OMP_NUM_THREADS": str(options.threads), "OMP_WAIT_POLICY": "passive"}
+
+
+def lifter_improves() -> bool:
+    """Whether the lifter still gets turns."""
+    try:
+        told = json.loads((cache() / "lifter" / "progress.json").read_text())
+        return told["hours"] - told["improved_at_hours"] < LIFTER_PATIENCE_HOURS
+    except (OSError, ValueError, KeyError):
+        return True
+
+
+def start() -> None:
+    """`run` in the background, with this command's options."""
+    words = [sys.executable, __file__, "run", *sys.argv[2:]]
+    log = (cache() / "log.txt").open("a")
+    subprocess.Popen(words, stdout=log, stderr=log, stdin=subprocess.DEVNULL, start_new_session=True)
+    sys.stdout.write(f"started; progress: python {sys.argv[0]} progress; log: {cache() / 'log.txt'}\n")
+
+
+def stop() -> None:
+    """End the run; what was saved last stays."""
+    try:
+        os.kill(int((cache() / "pid").read_text()), signal.SIGTERM)
+    except (OSError, ValueError):
+        raise SystemExit("training/prior.py: no run is under way") from None
+
+
+def progress() -> str:
+    """Steps, windows, hours, last and best numbers of each network."""
+    lines = []
+    for name in ("prior", "lifter"):
+        try:
+            told = json.loads((cache() / name / "progress.json").read_text())
+        except (OSError, ValueError):
+            lines.append(f"{name}: not begun")
+            continue
+        rows = told.get("validation", {})
+        if isinstance(rows, list):
+            rows = {
+                f"r{row['interval']}{'s' if row['scene'] else ''}": f"{row['mjpe_ratio']:.3f}"
+                + (f"/{row['inside']:.3f}" if row["inside"] == row["inside"] else "")
+                for row in rows
+            }
+        rest = ", ".join(f"{key} {value}" for key, value in rows.items())
+        lines.append(f"{name}: {told.get('windows', 0)} windows, {told['hours']:.2f} h, {told.get('date', '')}; {rest}")
+    return "\n".join(lines)
+
+
+def arguments() -> argparse.Namespace:
+    """Options of the commands."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    of = {name: commands.add_parser(name) for name in ("run", "start", "stop", "progress", "weights")}
+    for name in ("run", "start", "weights"):
+        of[name].add_argument("--motion", type=Path, required=True)
+        of[name].add_argument("--threads", type=int, default=1)
+    for name in ("run", "start"):
+        of[name].add_argument("--minutes", type=float)
+    of["weights"].add_argument("--cool", type=int, default=2000)
+    of["weights"].add_argument("--out", type=Path, required=True)
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
