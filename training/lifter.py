@@ -1,16 +1,14 @@
-"""Train the temporal lifter that ships in `video2anim/models/weights`.
+"""Train the temporal lifter that ships in `video2anim/models/weights`: one run that goes on.
 
-    video2anim synth --preset random --count 38 --seed 7101 --size 640x480 --longest 2.5 --motion cmu.npz \
-        --motion deepmimic.npz --out clips
-    python training/lifter.py residuals --clips clips --out residuals
-    python training/lifter.py motions --motion cmu.npz deepmimic.npz --split split.json --part train --out train
-    python training/lifter.py motions --motion cmu.npz deepmimic.npz --split split.json --part val --acted 14 \
-        --seed 900 --out val
-    python training/lifter.py train --train train --val val --residuals residuals --checkpoint lifter.ckpt
-    python training/lifter.py export --checkpoint lifter.ckpt --out video2anim/models/weights/lifter.onnx
+    python training/lifter.py run --motion ../shared/motion --minutes 30
+    python training/lifter.py progress
+    python training/lifter.py export --motion ../shared/motion --cooldown 1500 --out lifter.onnx
 
-Training goes on from the checkpoint where it was broken off. After an export the digest in `video2anim/models/table.py`
-has to follow; the command prints it.
+The first run makes what is missing in the cache: clips of `video2anim synth` and BlazePose's errors on them (about half
+an hour of one core), and the store of motions (some minutes). Then it trains from the last checkpoint for the given
+time or until it is interrupted; it may be killed at any time. Without a checkpoint it starts from the shipped weights
+if they have the same architecture. `export` writes the averaged network, with `--cooldown` after so many steps with a
+falling rate, and prints the digest that `video2anim/models/table.py` has to follow.
 """
 
 from __future__ import annotations
@@ -20,89 +18,140 @@ import hashlib
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
-from video2anim.artifacts.codec import read_value, write_value
-from video2anim.lifting.motions import LiftingMotions, gather
-from video2anim.lifting.network import export_onnx
+from video2anim.artifacts.codec import read_value
+from video2anim.lifting.motions import kept_motions
+from video2anim.lifting.network import LifterNetwork, export_onnx, read_onnx
 from video2anim.lifting.residuals import ResidualLibrary, collect
 from video2anim.lifting.samples import LiftingSampler
-from video2anim.lifting.train import LiftingConfig, read_average, train
+from video2anim.lifting.store import keep, kept, mapped
+from video2anim.lifting.train import LiftingConfig, cooled, describe, read_average, read_progress, train
+from video2anim.models.fetch import cache_dir
 from video2anim.types import PersonTracks
 
-VALIDATION_SEED = 77
+ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
+"""Free for commercial use but for a source in `deepmimic.npz`, which is left out."""
+ACTED, VALIDATION_ACTED = 210, 14
+VALIDATION_SEED = 900
+CLIPS = 36
+CLIP_WORDS = ("--preset", "random", "--seed", "7201", "--size", "480x848", "--longest", "1.6")
+"""People fill 0.28 to 0.85 of the picture's height: 240 to 720 px tall, more than the 256 px of the model's crop."""
+CLIP_MOTION = ("cmu.npz", "deepmimic.npz")
+HELD_OUT = 6
+"""Errors of every sixth clip are for validation."""
+SHIPPED = Path(__file__).parents[1] / "video2anim" / "models" / "weights" / "lifter.onnx"
 
 
 def main() -> None:
-    """One step of the four."""
+    """One of the three commands."""
     options = arguments()
-    match options.step:
-        case "residuals":
-            residuals(options)
-        case "motions":
-            names = json.loads(options.split.read_text())[options.part] if options.split else None
-            write_value(gather(options.motion, names, acted=options.acted, seed=options.seed), made(options.out))
-        case "train":
-            train_network(options)
-        case _:
-            export_onnx(read_average(options.checkpoint), options.out)
-            sys.stdout.write(f"{hashlib.sha256(options.out.read_bytes()).hexdigest()}\n")
-
-
-def made(folder: Path) -> Path:
-    """The folder, there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
-def residuals(options: argparse.Namespace) -> None:
-    """Track everybody in the clips, compare with the truth."""
-    found = []
-    for folder in sorted(path for path in options.clips.iterdir() if (path / "meta.json").is_file()):
-        scene = options.clips / ".scenes" / folder.name
-        command = [sys.executable, "-m", "video2anim.cli.main", "run", str(folder / "video.mp4"), "--out", str(scene)]
-        done = subprocess.run([*command, "--until", "track", "--person", "all"], capture_output=True, check=False)
-        if done.returncode == 0:
-            found.append((folder, read_value(PersonTracks, scene / "stages" / "02_track")))
-    library = collect(found)
-    write_value(library, made(options.out))
-    sys.stdout.write(f"{len(found)} clips, {len(library.pixels)} frames, {len(library.start) - 1} runs\n")
-
-
-def train_network(options: argparse.Namespace) -> None:
-    """Train to the last step, or for the given time."""
     torch.set_num_threads(options.threads)
-    library = read_value(ResidualLibrary, options.residuals).mirrored_too()
-    sampler = LiftingSampler(read_value(LiftingMotions, options.train), library, seed=options.seed)
-    held_out = LiftingSampler(read_value(LiftingMotions, options.val), library, seed=VALIDATION_SEED, varied=False)
-    config = LiftingConfig(steps=options.steps, seed=options.seed, minutes=options.minutes)
-    train(sampler, held_out, config, options.checkpoint, on_line=lambda text: print(text, flush=True))
+    if options.command == "progress":
+        say(json.dumps({"line": describe(read_progress(options.cache))}))
+    elif options.command == "export":
+        network = read_average(options.cache)
+        if options.cooldown:
+            network = cooled(samplers(options)[0], LiftingConfig(), options.cache, steps=options.cooldown)
+        export_onnx(network, options.out)
+        say(hashlib.sha256(options.out.read_bytes()).hexdigest())
+    else:
+        sampler, held_out = samplers(options)
+        try:
+            train(
+                sampler, held_out, LiftingConfig(), options.cache, minutes=options.minutes, start=shipped(), on_line=say
+            )
+        except KeyboardInterrupt:
+            say(describe(read_progress(options.cache)))
+
+
+def say(text: str) -> None:
+    """A line at once."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def shipped() -> LifterNetwork | None:
+    """The weights of the wheel, if they are of the present architecture."""
+    return read_onnx(SHIPPED) if SHIPPED.is_file() else None
+
+
+def samplers(options: argparse.Namespace) -> tuple[LiftingSampler, LiftingSampler]:
+    """Training and validation, which share neither motion nor rendered clips. What is missing is made."""
+    cache, archives = options.cache, [options.motion / name for name in ARCHIVES]
+    split = options.motion / "split.json"
+    libraries = residuals(cache, options.motion)
+    motions = kept_motions(cache / "motions", archives, split, "train", acted=ACTED, seed=0)
+    unseen = kept_motions(
+        cache / "held_out_motions", archives, split, "val", acted=VALIDATION_ACTED, seed=VALIDATION_SEED
+    )
+    return (
+        LiftingSampler(motions, libraries[0].mirrored_too(), seed=0),
+        LiftingSampler(unseen, libraries[1].mirrored_too(), seed=VALIDATION_SEED, varied=False),
+    )
+
+
+def residuals(cache: Path, motion: Path) -> tuple[ResidualLibrary, ResidualLibrary]:
+    """BlazePose's errors on rendered clips, for training and for validation."""
+    key = {"words": CLIP_WORDS, "clips": CLIPS}
+    key = json.loads(json.dumps(key))
+    folders = cache / "residuals", cache / "held_out_residuals"
+    if not all(kept(folder, key) for folder in folders):
+        clips = rendered(cache / "clips", motion)
+        tracked = [(clip, tracks(clip, cache / "scenes" / clip.name)) for clip in clips]
+        for folder, wanted in zip(folders, (False, True), strict=True):
+            found = [
+                (clip, seen)
+                for number, (clip, seen) in enumerate(tracked)
+                if seen is not None and (number % HELD_OUT == HELD_OUT - 1) == wanted
+            ]
+            keep(collect(found), folder, key)
+    train_library, held_out = (mapped(ResidualLibrary, folder) for folder in folders)
+    return train_library, held_out
+
+
+def rendered(folder: Path, motion: Path) -> list[Path]:
+    """Clips with truth; those that are there are not made again."""
+    words = [word for name in CLIP_MOTION for word in ("--motion", str(motion / name))]
+    program([*("synth", *CLIP_WORDS, "--count", str(CLIPS), "--out", str(folder)), *words])
+    return sorted(path.parent for path in folder.glob("[!.]*/meta.json"))
+
+
+def tracks(clip: Path, scene: Path) -> PersonTracks | None:
+    """Everybody whom the pipeline finds in a clip; None where it finds nobody."""
+    stage = scene / "stages" / "02_track"
+    if not stage.is_dir():
+        words = ["run", str(clip / "video.mp4"), "--out", str(scene), "--until", "track", "--person", "all"]
+        program(words, expected=(0, 5))
+    return read_value(PersonTracks, stage) if stage.is_dir() else None
+
+
+def program(words: Sequence[str], expected: tuple[int, ...] = (0,)) -> None:
+    """Run `video2anim` to the end or show why not."""
+    done = subprocess.run(
+        [sys.executable, "-m", "video2anim.cli.main", *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        text=True, check=False,
+    )  # fmt: skip
+    if done.returncode not in expected:
+        sys.exit(f"video2anim {' '.join(words)} ended with {done.returncode}:\n{done.stderr}")
 
 
 def arguments() -> argparse.Namespace:
-    """Options of the four steps."""
+    """Options."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    steps = parser.add_subparsers(dest="step", required=True)
-    of = {name: steps.add_parser(name) for name in ("residuals", "motions", "train", "export")}
-    of["residuals"].add_argument("--clips", type=Path, required=True)
-    of["motions"].add_argument("--motion", type=Path, nargs="+", required=True)
-    of["motions"].add_argument("--split", type=Path)
-    of["motions"].add_argument("--part", default="train")
-    of["motions"].add_argument("--acted", type=int, default=210)
-    of["train"].add_argument("--train", type=Path, required=True)
-    of["train"].add_argument("--val", type=Path, required=True)
-    of["train"].add_argument("--residuals", type=Path, required=True)
-    of["train"].add_argument("--steps", type=int, default=LiftingConfig().steps)
-    of["train"].add_argument("--minutes", type=float)
-    of["train"].add_argument("--threads", type=int, default=1)
-    for name in ("motions", "train"):
-        of[name].add_argument("--seed", type=int, default=0)
-    for name in ("train", "export"):
-        of[name].add_argument("--checkpoint", type=Path, required=True)
-    for name in ("residuals", "motions", "export"):
-        of[name].add_argument("--out", type=Path, required=True)
+    commands = parser.add_subparsers(dest="command", required=True)
+    of = {name: commands.add_parser(name) for name in ("run", "progress", "export")}
+    for command in of.values():
+        command.add_argument("--cache", type=Path, default=cache_dir() / "training" / "lifter")
+        command.add_argument("--threads", type=int, default=1)
+    for name in ("run", "export"):
+        of[name].add_argument("--motion", type=Path, default=Path("../shared/motion"), help="folder of the archives")
+    of["run"].add_argument("--minutes", type=float, help="stop after so long (default: when interrupted)")
+    of["export"].add_argument("--cooldown", type=int, default=0, help="steps with a falling rate before the export")
+    of["export"].add_argument("--out", type=Path, required=True)
     return parser.parse_args()
 
 

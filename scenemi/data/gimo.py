@@ -23,9 +23,12 @@ from jaxtyping import Float
 
 from scenemi.data.smpl_clip import load_arrays, smpl_clip
 from scenemi.data.source_clip import SourceClip
+from scenemi.scene.voxel_sdf import scan_sdf
 from video2anim.errors import InputError
+from video2anim.geometry.sdf import SdfGrid
 
 _FPS = 30.0
+_VOXEL_M, _DEPTH_M = 0.03, 0.1
 _ARRAYS = ("frame", "orient", "trans", "pose_body")
 
 
@@ -38,6 +41,25 @@ class GimoSequence:
     T_world_mesh: Float[np.ndarray, "4 4"]
     """Takes the mesh, in its own unit, into the clip's world in meters (with a uniform scale)."""
     training: bool
+
+
+def read_gimo_sdf(mesh: Path, T_world_mesh: Float[np.ndarray, "4 4"]) -> SdfGrid:
+    """Signed distances of a room in the clip's world, floor included: solid from the scan's faces to 10 cm behind.
+
+    A scan shows the front of things only. That deep a body that has gone into something is told so; what lies farther
+    behind (under a table, say) was not seen and counts as free.
+
+    Raises:
+        InputError: the mesh is missing or broken.
+    """
+    import trimesh
+
+    try:
+        found = trimesh.load(mesh, process=False, force="mesh", skip_materials=True)
+        corners = np.asarray(found.vertices, np.float64)[np.asarray(found.faces, np.int64)]  # pyright: ignore
+    except Exception as error:  # each format's reader raises classes of its own
+        raise InputError(f"{mesh}: cannot be read as a mesh: {' '.join(str(error).split())[:200]}") from error
+    return scan_sdf(corners @ T_world_mesh[:3, :3].T + T_world_mesh[:3, 3], _VOXEL_M, _DEPTH_M)
 
 
 def read_gimo(folder: str | Path) -> Iterator[GimoSequence]:

@@ -15,19 +15,25 @@ from video2anim.body.anny_body import ShapedBody
 from video2anim.body.leg_ik import LEGS
 from video2anim.body.skeleton import JOINT_INDEX
 
-_HIPS = (JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"])
+HIPS = (JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"])
 _NEAR_FLOOR_M = 0.3
 """Body parts with joints higher than this cannot touch the floor."""
 
 
 def scaled_path(named_m: np.ndarray, relative_m: np.ndarray, body: ShapedBody) -> Float[np.ndarray, "frames 3"]:
     """Pelvis path such that the middle of the hips follows the source's, scaled by leg length."""
-    own = sum(np.linalg.norm(body.rest_joints_m[leg.ankle] - body.rest_joints_m[leg.hip]) for leg in LEGS)
+    scale = leg_ratio(named_m, body.rest_joints_m)
+    return scale * named_m[:, HIPS].mean(axis=1) - relative_m[:, HIPS].mean(axis=1)
+
+
+def leg_ratio(named_m: Float[np.ndarray, "frames 22 3"], rest_joints_m: Float[np.ndarray, "22 3"]) -> float:
+    """Length of a body's legs over those of the source whose joints these are."""
+    own = sum(np.linalg.norm(rest_joints_m[leg.ankle] - rest_joints_m[leg.hip]) for leg in LEGS)
     theirs = 0.0
     for leg in LEGS:
         for a, b in ((leg.hip, leg.knee), (leg.knee, leg.ankle)):
             theirs += float(np.linalg.norm(named_m[0, b] - named_m[0, a]))
-    return float(own / theirs) * named_m[:, _HIPS].mean(axis=1) - relative_m[:, _HIPS].mean(axis=1)
+    return float(own / theirs)
 
 
 def height_correction(

@@ -12,6 +12,7 @@ from scenemi.data.asf_amc import read_asf_amc
 from scenemi.data.bvh import read_bvh
 from scenemi.data.container import MotionArchive
 from scenemi.data.gimo import read_gimo
+from scenemi.data.prox import read_prox
 from scenemi.data.source_clip import SourceClip
 from scenemi.data.trumans import read_trumans
 from video2anim.errors import InputError
@@ -25,7 +26,8 @@ def read_clips(
     """Clips of a file or folder.
 
     A `.npz` is a motion archive or an AMASS file; an `.amc` needs its subject's `.asf` beside it (`02_01.amc`:
-    `02.asf`, or the only one). A folder is TRUMANS (`seg_name.npy`), GIMO (`dataset.csv`), or any with such files.
+    `02.asf`, or the only one). A folder is TRUMANS (`seg_name.npy`), GIMO (`dataset.csv`), PROX (`PROXD`), or any with
+    such files.
 
     Args:
         path: file or folder.
@@ -42,6 +44,8 @@ def read_clips(
             return [take.clip for take in read_trumans(path)]
         if (path / "dataset.csv").is_file():
             return [sequence.clip for sequence in read_gimo(path)]
+        if (path / "PROXD").is_dir():
+            return [piece.clip for piece in read_prox(path)]
         files = sorted(file for file in path.rglob("*") if file.suffix.lower() in SUFFIXES)
         if not files:
             raise InputError(f"{path}: want motion files ({', '.join(SUFFIXES)}), found none")
@@ -52,7 +56,7 @@ def read_clips(
     if suffix == ".amc":
         return [read_asf_amc(_asf_of(path), path, kind=kind)]
     if suffix != ".npz":
-        raise InputError(f"{path}: want a motion file ({', '.join(SUFFIXES)}) or a folder of TRUMANS or GIMO")
+        raise InputError(f"{path}: want a motion file ({', '.join(SUFFIXES)}) or a folder of TRUMANS, GIMO or PROX")
     if _is_archive(path):
         archive = MotionArchive.read(path)
         return [archive.clip(name) for name in archive.names]

@@ -18,7 +18,9 @@ from jaxtyping import Float
 
 from scenemi.data.smpl_clip import smpl_clip
 from scenemi.data.source_clip import SourceClip
+from scenemi.scene.voxel_sdf import voxel_sdf
 from video2anim.errors import InputError
+from video2anim.geometry.sdf import SdfGrid
 
 _FPS = 30.0
 _LOW_M = np.array([-3.0, 0.0, -4.0])
@@ -77,11 +79,24 @@ def read_trumans_scene(folder: str | Path, name: str) -> Float[np.ndarray, "poin
     Raises:
         InputError: no such scene, or another grid.
     """
+    return _LOW_M + _VOXEL_M * (np.argwhere(_voxels(folder, name)) + 0.5)
+
+
+def read_trumans_sdf(folder: str | Path, name: str) -> SdfGrid:
+    """Signed distances of a scene in the frame of the takes, floor included.
+
+    Raises:
+        InputError: no such scene, another grid, or an empty one.
+    """
+    return voxel_sdf(_voxels(folder, name) != 0, _LOW_M, _VOXEL_M)
+
+
+def _voxels(folder: str | Path, name: str) -> np.ndarray:
     path = Path(folder) / "Scene" / f"{name.removesuffix('.npy')}.npy"
     grid = _array(path)
     if grid.shape != _GRID:
         raise InputError(f"{path}: scene grid wants {_GRID}, got {grid.shape}")
-    return _LOW_M + _VOXEL_M * (np.argwhere(grid) + 0.5)
+    return grid
 
 
 def _array(path: Path) -> np.ndarray:

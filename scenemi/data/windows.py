@@ -174,6 +174,10 @@ class MotionSet:
         """A body by its row."""
         return shaped_body(self.shapes[index])
 
+    def bodies(self) -> tuple[ShapedBody, ...]:
+        """All bodies, by their rows."""
+        return tuple(self.body(i) for i in range(len(self.shapes)))
+
     def sample(self, rng: np.random.Generator) -> WindowSample:
         """One random window."""
         return self.one(self.sample_batch(rng, 1), 0)

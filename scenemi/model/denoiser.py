@@ -73,6 +73,8 @@ class Denoiser(nn.Module):
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
         self.config = config
+        self.half_precision = False
+        """Whether matrix products are in bfloat16 (in training, where that is quicker)."""
         for name, shape in SCALES.items():
             self.register_buffer(name, torch.ones(shape))
         schedule = torch.as_tensor(CosineSchedule().alpha_bar, dtype=torch.float32)
@@ -157,7 +159,8 @@ class Denoiser(nn.Module):
         batch, frames = wide.shape[:2]
         config = self.config
         wide = functional.pad(wide, (0, 0, 0, config.tokens * config.fold - frames))
-        out = self.network(wide.reshape(batch, config.tokens, -1), embedding)
+        with torch.autocast(wide.device.type, torch.bfloat16, enabled=self.half_precision):
+            out = self.network(wide.reshape(batch, config.tokens, -1), embedding).float()
         return out.reshape(batch, config.tokens * config.fold, FEATURE_COUNT)[:, :frames]
 
 

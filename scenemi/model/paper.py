@@ -25,6 +25,8 @@ class PaperDenoiser(nn.Module):
     def __init__(self, config: PaperConfig) -> None:
         super().__init__()
         self.config = config
+        self.half_precision = False
+        """Whether convolutions are in bfloat16 (in training, where that is quicker)."""
         embedding, channels = config.embedding, FEATURE_COUNT + 1 + config.local_channels
         self.scene = SceneEncoder(
             config.grid, config.patch, config.scene_width, config.scene_layers, config.scene_heads, embedding
@@ -63,7 +65,8 @@ class PaperDenoiser(nn.Module):
         wide = torch.cat([tokens, torch.cat([x, mask, near], -1)], 1).transpose(1, 2)
         missing = -wide.shape[2] % 2 ** (len(config.multipliers) - 1)
         embedding = functional.silu(self.step(step_embedding(t, config.embedding).to(x)))
-        out = self.unet(functional.pad(wide, (0, missing)), embedding)
+        with torch.autocast(wide.device.type, torch.bfloat16, enabled=self.half_precision):
+            out = self.unet(functional.pad(wide, (0, missing)), embedding).float()
         return out[..., _TOKENS : _TOKENS + frames].transpose(1, 2)
 
     def prepare(self, given: Conditions) -> Float[Tensor, "batch embedding"]:

@@ -1,7 +1,7 @@
 """Signed distance and the way out at points near the body: what the denoiser asks the scene, frame by frame.
 
-Two forms of one question: boxes and a floor (training scenes, exact, a batch at a time) and grids (any scene, sampled
-once around the path).
+Three forms of one question: boxes and a floor (made-up training scenes, exact, a batch at a time), volumes of coarse
+distances (captured training scenes, a batch at a time) and grids (any scene, sampled once around the path).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Int8
 from torch import Tensor
 from torch.nn import functional
 
@@ -18,6 +18,8 @@ from video2anim.geometry.sdf import SdfGrid
 
 REACH_M = 0.6
 """Solids farther from a point than this (an arm's length) are as good as none."""
+VOLUME_STEP_M = REACH_M / 127
+"""Of distances stored as 8-bit integers."""
 
 
 class SceneField(Protocol):
@@ -47,7 +49,7 @@ class BoxField:
         counts = torch.where(known > 0, (boxes[..., 3] > 0).sum(1), -1)
         order = torch.argsort(counts, descending=True, stable=True)[: int((known > 0).sum())]
         most = max(int(counts.max()), 0)
-        return cls(order, boxes[order, :most], tuple(int((counts > k).sum()) for k in range(most)))
+        return cls(order, _rooted(boxes[order, :most]), tuple(int((counts > k).sum()) for k in range(most)))
 
     def query(
         self, points_m: Float[Tensor, "batch points 3"]
@@ -59,20 +61,17 @@ class BoxField:
             return distance_m, out
         points = points_m[self.rows]
         best = points[..., 1].clamp(max=REACH_M)
-        away = torch.zeros_like(points)
-        away[..., 1] = (best < REACH_M).to(points)
+        nearest = torch.full(best.shape, -1, dtype=torch.long, device=best.device)
         for k, n in enumerate(self.count):
-            local, over = self._local(points[:n], k)
-            beyond = over.clamp(min=0)
-            outside, inside = beyond.norm(dim=-1), over.amax(-1)
-            distance = torch.where(inside > 0, outside, inside)
-            # Outside, away from the nearest point of the box; inside, through the nearest face.
-            face = functional.one_hot(over.argmax(-1), 3).to(over)
-            way = torch.where((inside > 0)[..., None], beyond / outside.clamp(min=1e-6)[..., None], face)
-            nearer = distance < best[:n]
-            best[:n] = torch.where(nearer, distance, best[:n])
-            away[:n] = torch.where(nearer[..., None], self._turned_back(way * local.sign(), k), away[:n])
-        distance_m[self.rows], out[self.rows] = best, away
+            distance = _signed(*_local(points[:n], self.boxes[:n, None, k])[1])
+            nearest[:n].masked_fill_(distance < best[:n], k)
+            best[:n] = torch.minimum(best[:n], distance)
+        up = torch.zeros_like(points)
+        up[..., 1] = (best < REACH_M).to(points)
+        if self.count:
+            box = self.boxes.gather(1, nearest.clamp(min=0)[..., None].expand(-1, -1, 7))
+            up = torch.where((nearest < 0)[..., None], up, _way_out(points, box))
+        distance_m[self.rows], out[self.rows] = best, up
         return distance_m, out
 
     def distance_m(self, points_m: Float[Tensor, "batch points 3"]) -> Float[Tensor, "scenes points"]:
@@ -80,24 +79,97 @@ class BoxField:
         points = points_m[self.rows]
         best = points[..., 1].clamp(max=REACH_M)
         for k, n in enumerate(self.count):
-            _, over = self._local(points[:n], k)
-            distance = (over.clamp(min=0).square().sum(-1) + 1e-12).sqrt() + over.amax(-1).clamp(max=0)
+            distance = _signed(*_local(points[:n], self.boxes[:n, None, k])[1])
             best = torch.cat([torch.minimum(best[:n], distance), best[n:]])
         return best
 
-    def _local(self, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
-        """Points in the frame of each window's k-th box, and how far they lie over its faces."""
-        box = self.boxes[: len(points), None, k]
-        x, y, z = (points - box[..., :3]).unbind(-1)
-        cos, sin = box[..., 6].cos(), box[..., 6].sin()
-        local = torch.stack([x * cos - z * sin, y, x * sin + z * cos], -1)
-        return local, local.abs() - box[..., 3:6]
 
-    def _turned_back(self, local: Tensor, k: int) -> Tensor:
-        u, y, w = local.unbind(-1)
-        yaw = self.boxes[: len(local), None, k, 6]
-        cos, sin = yaw.cos(), yaw.sin()
-        return torch.stack([u * cos + w * sin, y, w * cos - u * sin], -1)
+def _local(
+    points: Float[Tensor, "... 3"], box: Float[Tensor, "... 7"]
+) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+    """Coordinates of points in the frame of boxes, and how far they lie over the faces."""
+    x, y, z = (points - box[..., :3]).unbind(-1)
+    cos, sin = box[..., 6].cos(), box[..., 6].sin()
+    local = (x * cos - z * sin, y, x * sin + z * cos)
+    return local, tuple(part.abs() - half for part, half in zip(local, box[..., 3:6].unbind(-1), strict=True))
+
+
+def _signed(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+    """Signed distance to a box from how far a point lies over its faces."""
+    outside = x.clamp(min=0).square() + y.clamp(min=0).square() + z.clamp(min=0).square()
+    return (outside + 1e-12).sqrt() + torch.maximum(torch.maximum(x, y), z).clamp(max=0)
+
+
+def _way_out(points: Float[Tensor, "... 3"], box: Float[Tensor, "... 7"]) -> Float[Tensor, "... 3"]:
+    """Unit direction away from the nearest point of the box; inside, through the nearest face."""
+    local, over = (torch.stack(part, -1) for part in _local(points, box))
+    deepest = over.amax(-1, keepdim=True)
+    way = torch.where(deepest > 0, over.clamp(min=0), (over == deepest).to(over)) * local.sign()
+    u, y, w = functional.normalize(way, dim=-1, eps=1e-6).unbind(-1)
+    cos, sin = box[..., 6].cos(), box[..., 6].sin()
+    return torch.stack([u * cos + w * sin, y, w * cos - u * sin], -1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VolumeField:
+    """Solids as distances at the nodes of a box around each window, on the floor y = 0; some windows have no scene."""
+
+    rows: Int[Tensor, "scenes"]
+    """Windows with a scene."""
+    distances_m: Float[Tensor, "scenes 1 x y z"]
+    """Without the floor."""
+    low_m: Float[Tensor, "scenes 1 3"]
+    """Place of the first node."""
+    step_m: Float[Tensor, "scenes 1 3"]
+    """Between nodes along each axis."""
+
+    @classmethod
+    def of(
+        cls,
+        values: Int8[Tensor, "batch x y z"],
+        low_m: Float[Tensor, "batch 3"],
+        step_m: Float[Tensor, "batch 3"],
+        known: Float[Tensor, "batch"],
+    ) -> VolumeField:
+        """Of the windows where `known` is 1; `values` in steps of `VOLUME_STEP_M`."""
+        rows = torch.nonzero(known > 0)[:, 0]
+        return cls(rows, VOLUME_STEP_M * values[rows][:, None].float(), low_m[rows][:, None], step_m[rows][:, None])
+
+    def query(
+        self, points_m: Float[Tensor, "batch points 3"]
+    ) -> tuple[Float[Tensor, "batch points"], Float[Tensor, "batch points 3"]]:
+        """See `SceneField`. The direction is read off over one step of the nodes."""
+        distance_m = points_m.new_full(points_m.shape[:2], REACH_M)
+        out = torch.zeros_like(points_m)
+        if not len(self.rows):
+            return distance_m, out
+        points = points_m[self.rows]
+        half = 0.5 * torch.diag_embed(self.step_m[:, 0])[:, :, None]
+        tried = torch.cat([points[:, None], points[:, None] + half, points[:, None] - half], 1)
+        found = self.solids_m(tried.flatten(1, 2)).unflatten(1, (7, -1))
+        slope = ((found[:, 1:4] - found[:, 4:]) / self.step_m[:, 0, :, None]).movedim(1, -1)
+        height, solid = points[..., 1].clamp(max=REACH_M), found[:, 0]
+        best = torch.minimum(height, solid)
+        up = torch.zeros_like(points)
+        up[..., 1] = 1.0
+        away = torch.where((solid < height)[..., None], functional.normalize(slope, dim=-1, eps=1e-6), up)
+        distance_m[self.rows] = best.to(distance_m)
+        out[self.rows] = torch.where((best < REACH_M)[..., None], away, 0.0).to(out)
+        return distance_m, out
+
+    def distance_m(self, points_m: Float[Tensor, "batch points 3"]) -> Float[Tensor, "scenes points"]:
+        """Signed distances alone, differentiable, for the windows `rows`."""
+        points = points_m[self.rows]
+        return torch.minimum(points[..., 1].clamp(max=REACH_M), self.solids_m(points))
+
+    def solids_m(self, points: Float[Tensor, "scenes points 3"]) -> Float[Tensor, "scenes points"]:
+        """Distances to solids other than the floor, trilinear; around the box as on its border."""
+        last = points.new_tensor(self.distances_m.shape[2:]) - 1
+        place = 2 * (points - self.low_m) / (self.step_m * last) - 1
+        # Along the last axis of the nodes (z) goes the first coordinate of `grid_sample`.
+        place = place.flip(-1)[:, None, None].to(self.distances_m)
+        found = functional.grid_sample(self.distances_m, place, padding_mode="border", align_corners=True)
+        return found[:, 0, 0, 0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -56,7 +56,10 @@ class TrainConfig:
     """Share of the scenes of which only the local part is given, `drop_local` only the global part (paper's form)."""
     drop_local: float = 0.1
     joints_weight: float = 2.0
-    velocity_weight: float = 10.0
+    velocity_weight: float = 1.0
+    """Paper's form: 2 and 10, on squared metres."""
+    acceleration_weight: float = 0.5
+    """Without it answers are as right and shake: an error of a millimetre that changes every frame is no error else."""
     inside_weight: float = 2.0
     """Of joints nearer to solids than the truth, per centimetre."""
     relative: bool = True

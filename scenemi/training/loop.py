@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import csv
+import functools
 import json
 import os
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -30,6 +30,7 @@ from scenemi.training.noise import PipelineErrors
 from scenemi.training.pool import SHARD_WINDOWS, Shard, grow_pool, open_pool
 from scenemi.training.scales import measure_scales
 from scenemi.training.validate import Validation, Validator
+from video2anim.body.anny_body import ShapedBody
 from video2anim.errors import InputError
 
 CHECKPOINT, LOG, PROGRESS, POOL = "checkpoint.safetensors", "log.csv", "progress.json", "pool"
@@ -94,7 +95,7 @@ def train(
         )
     grow_pool(out / POOL, motions, min(config.pool_windows, _FIRST_SHARDS * SHARD_WINDOWS), seed=config.seed)
     shards = open_pool(out / POOL)
-    run = Run(config, motions, shards, device, held)
+    run = Run(config, motions.bodies(), shards, device, held)
     check = None if validation is None else Validator(validation, run.statistics)
     log = _Log(out / LOG, run.step)
     begun = since = time.perf_counter()
@@ -152,7 +153,7 @@ def cool(
     """
     held = load_checkpoint(out / CHECKPOINT)
     shards = open_pool(out / POOL)
-    run = Run(held.config, motions, shards, device, held)
+    run = Run(held.config, motions.bodies(), shards, device, held)
     data = PoolBatches(shards, held.config, errors)
     last = run.step + steps
     for batch in data.ahead(range(run.step, last), held.config.workers):
@@ -166,13 +167,17 @@ class Run:
     """Model, average and optimizer."""
 
     def __init__(
-        self, config: TrainConfig, motions: MotionSet, shards: list[Shard], device: str, held: Checkpoint | None
+        self,
+        config: TrainConfig,
+        bodies: Sequence[ShapedBody],
+        shards: Sequence[Shard],
+        device: str,
+        held: Checkpoint | None,
     ) -> None:
         torch.manual_seed(config.seed)
         self.config, self.device = config, torch.device(device)
-        bodies = [motions.body(i) for i in range(len(motions.shapes))]
         self.statistics: Statistics = held.statistics if held else statistics_of(shards, bodies)
-        rest = torch.from_numpy(motions.rest_joints_m)
+        rest = torch.from_numpy(np.stack([body.rest_joints_m for body in bodies]).astype(np.float32))
         self.model: AnyDenoiser = build_denoiser(config.model).to(self.device)
         self.step, self.seconds = held.step if held else 0, held.seconds if held else 0.0
         if held is not None:
@@ -187,11 +192,12 @@ class Run:
         others = [p for p in self.model.parameters() if p.ndim >= 2]
         self.optimizer = torch.optim.AdamW(
             [{"params": others, "weight_decay": config.weight_decay}, {"params": plain, "weight_decay": 0.0}],
-            config.learning_rate, betas=(0.9, 0.98),
+            config.learning_rate, betas=(0.9, 0.98), fused=True,
         )  # fmt: skip
         if held is not None and held.optimizer:
             self.optimizer.load_state_dict(held.optimizer)
         self.loss = TrainingLoss(self.model, self.statistics, bodies, config).to(self.device)
+        self.model.half_precision = bfloat16_is_quicker(self.device)
         self._power = _ema_power(config.ema)
 
     def advance(self, batch: Any, rate: float = 1.0) -> tuple[Losses, float]:
@@ -201,21 +207,15 @@ class Run:
         for group in self.optimizer.param_groups:
             group["lr"] = config.learning_rate * rate * min(1.0, (self.step + 1) / max(1, config.warmup))
         self.optimizer.zero_grad(set_to_none=True)
-        with self._precision():
-            losses: Losses = self.loss(batch)
+        losses: Losses = self.loss(batch)
         losses.total.backward()
         norm = float(torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip_norm))
         self.step += 1
         if np.isfinite(norm):
             self.optimizer.step()
             keep = (1 - 1 / self.step) ** (self._power + 1)
-            with torch.no_grad():
-                for name, value in self.model.state_dict().items():
-                    self.average[name].lerp_(value, 1 - keep)
+            torch._foreach_lerp_(list(self.average.values()), list(self.model.state_dict().values()), 1 - keep)
         return Losses(*(getattr(losses, name).detach() for name in Losses.__slots__)), norm
-
-    def _precision(self) -> AbstractContextManager[Any]:
-        return torch.autocast("cuda", torch.bfloat16) if self.device.type == "cuda" else nullcontext()
 
     def averaged(self) -> AnyDenoiser:
         """The model with averaged weights."""
@@ -248,6 +248,24 @@ def _from_weights(path: Path | None, config: TrainConfig) -> Checkpoint | None:
     state = found.denoiser.state_dict()
     hours, step = float(found.card.get("hours", 0.0)), int(found.card.get("steps", 0))
     return Checkpoint(step, config, found.statistics, state, state, {}, 3600 * hours)
+
+
+@functools.cache
+def bfloat16_is_quicker(device: torch.device) -> bool:
+    """Whether matrix products of the size of the network's are: on GPUs, and on processors that have them (AVX-512
+    BF16, AMX); on others they take many times as long."""
+    if device.type != "cpu":
+        return True
+    took = []
+    for dtype in (torch.float32, torch.bfloat16):
+        a, b = torch.ones(512, 512, dtype=dtype), torch.ones(512, 512, dtype=dtype)
+        times = []
+        for _ in range(5):
+            begun = time.perf_counter()
+            a @ b
+            times.append(time.perf_counter() - begun)
+        took.append(min(times))
+    return took[1] < 0.8 * took[0]
 
 
 def _ema_power(width: float) -> float:

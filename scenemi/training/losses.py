@@ -27,6 +27,9 @@ from video2anim.body.anny_body import ShapedBody
 
 _LEAST_FEATURE, _LEAST_JOINT_M = 0.02, 0.01
 """Errors below these (standard deviations; metres for each joint) need not become smaller."""
+_STEP_M, _CHANGE_M = 0.01, 0.004
+"""Between median and root mean square of what joined keyframes miss of a joint's displacement in a frame, and of its
+change from frame to frame; hardly other at other distances from a keyframe."""
 _SKIN_M = 0.12
 """The skin lies at most this far from joints: nearer to solids than the truth is wrong up to this distance."""
 
@@ -82,7 +85,7 @@ class TrainingLoss(nn.Module):
             estimate = None
             if prepared is not None and given.field is not None and batch.condition_on_estimate > 0:
                 estimate = self.denoiser(x, batch.step, given, None, prepared)
-        made = self.denoiser(x, batch.step, given, estimate, prepared).float()
+        made = self.denoiser(x, batch.step, given, estimate, prepared)
         return self.compared(made, x0, batch, given.field, prepared if self.config.relative else None)
 
     def _conditions(self, batch: Batch, keys: Tensor) -> Conditions:
@@ -141,8 +144,12 @@ class TrainingLoss(nn.Module):
             total = (
                 per_window(robust((made - x0).square() / of_features).mean(-1), batch.valid)
                 + config.joints_weight * per_window(robust(apart / of_joint).mean(-1), valid)
-                + config.velocity_weight * per_window(robust(moves / of_joint[:, 1:]).mean(-1), valid[:, 1:])
+                + config.velocity_weight * per_window(robust(moves / _STEP_M**2).mean(-1), valid[:, 1:])
             )
+            if config.acceleration_weight:
+                changes = (joints - true).diff(n=2, dim=1).square().sum(-1)
+                change = per_window(robust(changes / _CHANGE_M**2).mean(-1), valid[:, 2:])
+                total = total + config.acceleration_weight * change
         return Losses(total + config.inside_weight * inside, simple, off, velocity, inside)
 
     def _inside(self, joints: Tensor, true: Tensor, field: BoxField | None) -> Tensor:

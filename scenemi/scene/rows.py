@@ -1,0 +1,131 @@
+"""Scenes of the windows of a training batch, as they are stored: made-up boxes, or volumes of captured scenes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int8
+from torch import Tensor
+
+from scenemi.scene.boxes import Boxes
+from scenemi.scene.field import BoxField, VolumeField
+from scenemi.scene.voxels import GridSpec
+
+_MIRRORED_BOX = torch.tensor([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0])
+
+
+class SceneRows(Protocol):
+    """One scene for each window, in its canonical frame, without the floor y = 0."""
+
+    def to(self, device: torch.device, non_blocking: bool = False) -> SceneRows:
+        """On a device."""
+        ...
+
+    @property
+    def filled(self) -> Bool[np.ndarray, "batch"]:
+        """Windows with any solid."""
+        ...
+
+    def mirrored(self, chosen: Bool[Tensor, "batch"]) -> SceneRows:
+        """With chosen windows reflected in the plane x = 0."""
+        ...
+
+    def field(self, known: Float[Tensor, "batch"]) -> BoxField | VolumeField:
+        """The scenes with their floor, where `known` is 1."""
+        ...
+
+    def occupancy(self, row: int, grid: GridSpec) -> Bool[np.ndarray, "x y z"]:
+        """Voxels of one window with something in them; the lowest layer is the floor."""
+        ...
+
+    def offsets(self, row: int, points_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
+        """From points to the nearest solid of one window, the floor among them."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxRows:
+    """See `SceneRows`."""
+
+    boxes: Float[Tensor, "batch boxes 7"]
+    """Center, half extent, yaw about +Y; rows of zeros fill up."""
+
+    def to(self, device: torch.device, non_blocking: bool = False) -> BoxRows:
+        """See `SceneRows`."""
+        return BoxRows(self.boxes.to(device, non_blocking=non_blocking))
+
+    @property
+    def filled(self) -> Bool[np.ndarray, "batch"]:
+        """See `SceneRows`."""
+        return (self.boxes[:, 0, 3] > 0).numpy()
+
+    def mirrored(self, chosen: Bool[Tensor, "batch"]) -> BoxRows:
+        """See `SceneRows`."""
+        return BoxRows(torch.where(chosen[:, None, None], self.boxes * _MIRRORED_BOX, self.boxes))
+
+    def field(self, known: Float[Tensor, "batch"]) -> BoxField:
+        """See `SceneRows`."""
+        return BoxField.of(self.boxes, known)
+
+    def occupancy(self, row: int, grid: GridSpec) -> Bool[np.ndarray, "x y z"]:
+        """See `SceneRows`."""
+        return self._boxes(row).occupancy(grid)
+
+    def offsets(self, row: int, points_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
+        """See `SceneRows`."""
+        return self._boxes(row).offsets(np.ascontiguousarray(points_m.T), 0.0)[0].T
+
+    def _boxes(self, row: int) -> Boxes:
+        rows = self.boxes[row][self.boxes[row, :, 3] > 0].cpu().double().numpy()
+        return Boxes(rows[:, :3], rows[:, 3:6], rows[:, 6])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VolumeRows:
+    """See `SceneRows`; described by `VolumeField`."""
+
+    values: Int8[Tensor, "batch x y z"]
+    low_m: Float[Tensor, "batch 3"]
+    step_m: Float[Tensor, "batch 3"]
+
+    def to(self, device: torch.device, non_blocking: bool = False) -> VolumeRows:
+        """See `SceneRows`."""
+        return VolumeRows(*(one.to(device, non_blocking=non_blocking) for one in self._parts()))
+
+    @property
+    def filled(self) -> Bool[np.ndarray, "batch"]:
+        """See `SceneRows`."""
+        return (self.values.flatten(1).amin(1) < 127).numpy()
+
+    def mirrored(self, chosen: Bool[Tensor, "batch"]) -> VolumeRows:
+        """See `SceneRows`."""
+        values, low_m = self.values.clone(), self.low_m.clone()
+        values[chosen] = values[chosen].flip(1)
+        last = self.step_m[:, 0] * (self.values.shape[1] - 1)
+        low_m[:, 0] = torch.where(chosen, -(low_m[:, 0] + last), low_m[:, 0])
+        return replace(self, values=values, low_m=low_m)
+
+    def field(self, known: Float[Tensor, "batch"]) -> VolumeField:
+        """See `SceneRows`."""
+        return VolumeField.of(*self._parts(), known)
+
+    def occupancy(self, row: int, grid: GridSpec) -> Bool[np.ndarray, "x y z"]:
+        """See `SceneRows`."""
+        return self._asked(row, grid.centers_m().reshape(-1, 3))[0].reshape(grid.shape) <= grid.within_m
+
+    def offsets(self, row: int, points_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
+        """See `SceneRows`; a point inside a solid is its own nearest point."""
+        distance_m, out = self._asked(row, points_m)
+        return -np.maximum(distance_m, 0.0)[:, None] * out
+
+    def _asked(self, row: int, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        one = VolumeField.of(*(part[row : row + 1] for part in self._parts()), torch.ones(1))
+        points = torch.from_numpy(np.asarray(points_m, np.float32)).to(self.low_m.device)
+        distance, out = one.query(points[None])
+        return distance[0].cpu().numpy(), out[0].cpu().numpy()
+
+    def _parts(self) -> tuple[Tensor, Tensor, Tensor]:
+        return self.values, self.low_m, self.step_m
