@@ -38,8 +38,9 @@ HOMES = {
 }
 """Libraries that only these folders may import."""
 FORBIDDEN = ("pickle", "cloudpickle", "dill", "shelve", "marshal")
-SMPL_READER = "video2anim/body/smpl_file.py"
-"""Reads the users' SMPL files by an unpickler that admits a short list of names; nothing else of pickle may be used."""
+PICKLE_READER = "video2anim/body/array_pickle.py"
+"""Reads the users' SMPL and PROX files by an unpickler that admits a short list of names; nothing else of pickle may be
+used."""
 FILE_LINES, FUNCTION_LINES = 400, 80
 
 
@@ -182,7 +183,7 @@ def test_no_pickle() -> None:
     wrong = []
     for path in sources():
         names = [(name, line) for name, line, _ in imported(path) if name.split(".")[0] in FORBIDDEN]
-        if relative(path) != SMPL_READER:
+        if relative(path) != PICKLE_READER:
             wrong += [f"{relative(path)}:{line}" for _, line in names]
         for node in ast.walk(tree(path)):
             if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
@@ -197,8 +198,8 @@ def test_no_pickle() -> None:
     assert not wrong
 
 
-def test_smpl_reader_only_derives_a_restricted_unpickler() -> None:
-    whole = tree(REPOSITORY / SMPL_READER)
+def test_pickle_reader_only_derives_a_restricted_unpickler() -> None:
+    whole = tree(REPOSITORY / PICKLE_READER)
     used = [
         node.attr
         for node in ast.walk(whole)

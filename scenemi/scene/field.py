@@ -18,6 +18,8 @@ from video2anim.geometry.sdf import SdfGrid
 
 REACH_M = 0.6
 """Solids farther from a point than this (an arm's length) are as good as none."""
+_ON_FLOOR_M, _BELOW_M = 0.02, 3.0
+"""Boxes whose bottom is lower than this stand on the floor, and go on so far below it."""
 VOLUME_STEP_M = REACH_M / 127
 """Of distances stored as 8-bit integers."""
 
@@ -84,6 +86,15 @@ class BoxField:
         return best
 
 
+def _rooted(boxes: Float[Tensor, "scenes boxes 7"]) -> Float[Tensor, "scenes boxes 7"]:
+    """Boxes that stand on the floor, going on below it: nobody leaves them through their bottom."""
+    low, top = boxes[..., 1] - boxes[..., 4], boxes[..., 1] + boxes[..., 4]
+    low = torch.where((low < _ON_FLOOR_M) & (boxes[..., 3] > 0), low - _BELOW_M, low)
+    rooted = boxes.clone()
+    rooted[..., 1], rooted[..., 4] = (top + low) / 2, (top - low) / 2
+    return rooted
+
+
 def _local(
     points: Float[Tensor, "... 3"], box: Float[Tensor, "... 7"]
 ) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
@@ -127,13 +138,19 @@ class VolumeField:
     def of(
         cls,
         values: Int8[Tensor, "batch x y z"],
-        low_m: Float[Tensor, "batch 3"],
-        step_m: Float[Tensor, "batch 3"],
+        place: Float[Tensor, "batch 6"],
         known: Float[Tensor, "batch"],
     ) -> VolumeField:
-        """Of the windows where `known` is 1; `values` in steps of `VOLUME_STEP_M`."""
+        """Of the windows where `known` is 1.
+
+        Args:
+            values: distances in steps of `VOLUME_STEP_M`.
+            place: first node and steps of the nodes, m.
+            known: 1 or 0.
+        """
         rows = torch.nonzero(known > 0)[:, 0]
-        return cls(rows, VOLUME_STEP_M * values[rows][:, None].float(), low_m[rows][:, None], step_m[rows][:, None])
+        low_m, step_m = place[rows][:, None].split(3, -1)
+        return cls(rows, VOLUME_STEP_M * values[rows][:, None].float(), low_m, step_m)
 
     def query(
         self, points_m: Float[Tensor, "batch points 3"]

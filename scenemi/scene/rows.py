@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -27,6 +27,10 @@ class SceneRows(Protocol):
     @property
     def filled(self) -> Bool[np.ndarray, "batch"]:
         """Windows with any solid."""
+        ...
+
+    def columns(self) -> dict[str, Tensor]:
+        """The tensors of a batch that hold these scenes."""
         ...
 
     def mirrored(self, chosen: Bool[Tensor, "batch"]) -> SceneRows:
@@ -62,6 +66,10 @@ class BoxRows:
         """See `SceneRows`."""
         return (self.boxes[:, 0, 3] > 0).numpy()
 
+    def columns(self) -> dict[str, Tensor]:
+        """See `SceneRows`."""
+        return {"boxes": self.boxes}
+
     def mirrored(self, chosen: Bool[Tensor, "batch"]) -> BoxRows:
         """See `SceneRows`."""
         return BoxRows(torch.where(chosen[:, None, None], self.boxes * _MIRRORED_BOX, self.boxes))
@@ -88,44 +96,46 @@ class VolumeRows:
     """See `SceneRows`; described by `VolumeField`."""
 
     values: Int8[Tensor, "batch x y z"]
-    low_m: Float[Tensor, "batch 3"]
-    step_m: Float[Tensor, "batch 3"]
+    place: Float[Tensor, "batch 6"]
+    """First node and steps of the nodes, m."""
 
     def to(self, device: torch.device, non_blocking: bool = False) -> VolumeRows:
         """See `SceneRows`."""
-        return VolumeRows(*(one.to(device, non_blocking=non_blocking) for one in self._parts()))
+        return VolumeRows(
+            self.values.to(device, non_blocking=non_blocking), self.place.to(device, non_blocking=non_blocking)
+        )
 
     @property
     def filled(self) -> Bool[np.ndarray, "batch"]:
         """See `SceneRows`."""
         return (self.values.flatten(1).amin(1) < 127).numpy()
 
+    def columns(self) -> dict[str, Tensor]:
+        """See `SceneRows`."""
+        return {"boxes": torch.zeros(len(self.values), 0, 7), "values": self.values, "place": self.place}
+
     def mirrored(self, chosen: Bool[Tensor, "batch"]) -> VolumeRows:
         """See `SceneRows`."""
-        values, low_m = self.values.clone(), self.low_m.clone()
+        values, place = self.values.clone(), self.place.clone()
         values[chosen] = values[chosen].flip(1)
-        last = self.step_m[:, 0] * (self.values.shape[1] - 1)
-        low_m[:, 0] = torch.where(chosen, -(low_m[:, 0] + last), low_m[:, 0])
-        return replace(self, values=values, low_m=low_m)
+        last_m = place[:, 0] + place[:, 3] * (values.shape[1] - 1)
+        place[:, 0] = torch.where(chosen, -last_m, place[:, 0])
+        return VolumeRows(values, place)
 
     def field(self, known: Float[Tensor, "batch"]) -> VolumeField:
         """See `SceneRows`."""
-        return VolumeField.of(*self._parts(), known)
+        return VolumeField.of(self.values, self.place, known)
 
     def occupancy(self, row: int, grid: GridSpec) -> Bool[np.ndarray, "x y z"]:
         """See `SceneRows`."""
         return self._asked(row, grid.centers_m().reshape(-1, 3))[0].reshape(grid.shape) <= grid.within_m
 
     def offsets(self, row: int, points_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
-        """See `SceneRows`; a point inside a solid is its own nearest point."""
+        """See `SceneRows`; a point inside a solid is its own nearest point, and so is one that is far from all."""
         distance_m, out = self._asked(row, points_m)
         return -np.maximum(distance_m, 0.0)[:, None] * out
 
     def _asked(self, row: int, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        one = VolumeField.of(*(part[row : row + 1] for part in self._parts()), torch.ones(1))
-        points = torch.from_numpy(np.asarray(points_m, np.float32)).to(self.low_m.device)
-        distance, out = one.query(points[None])
+        one = VolumeField.of(self.values[row : row + 1], self.place[row : row + 1], self.place.new_ones(1))
+        distance, out = one.query(torch.from_numpy(np.asarray(points_m, np.float32)).to(self.place.device)[None])
         return distance[0].cpu().numpy(), out[0].cpu().numpy()
-
-    def _parts(self) -> tuple[Tensor, Tensor, Tensor]:
-        return self.values, self.low_m, self.step_m

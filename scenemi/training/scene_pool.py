@@ -151,7 +151,7 @@ class SceneMotions(MotionSet):
             world_m = (low_m[i] + step_m[i] * index) @ T[:3, :3].T + T[:3, 3]
             distance_m = fit.scale * self._scene(int(clip[i])).grid().sample(fit.scene_points(world_m))
             values[i] = np.rint(np.clip(distance_m, -REACH_M, REACH_M) / VOLUME_STEP_M)
-        return VolumeRows(*(torch.from_numpy(np.asarray(part)) for part in (values, low_m, step_m)))
+        return VolumeRows(torch.from_numpy(values), torch.from_numpy(np.concatenate([low_m, step_m], 1)))
 
     def _scene(self, clip: int) -> _Scene:
         name = str(self.store.clip_name[clip])

@@ -113,6 +113,23 @@ def test_features_are_free_of_scale() -> None:
     np.testing.assert_allclose(one.features, two.features, atol=1e-5)
 
 
+def test_features_of_many_clips_at_once() -> None:
+    """Each as by itself, gaps included."""
+    rng = np.random.default_rng(2)
+    ray = rng.normal(0, 0.4, (3, 9, 25, 3)) + np.array([0.2, -0.1, 3.0])
+    landmarks, seen = rng.normal(0, 0.4, (3, 9, 25, 3)), rng.random((3, 9, 25))
+    valid = rng.random((3, 9)) < 0.6
+    valid[2] = False
+    unit = Intrinsics(1.0, 1.0, 0.0, 0.0, 1, 1)
+    middle = ray[:, :, HIPS].mean(2)
+    R = ray_rotation((middle[..., :2] / middle[..., 2:]).reshape(-1, 2), unit).reshape(3, 9, 3, 3)
+    together = ray_features(ray, R, landmarks, seen, valid)
+    for clip in range(3):
+        alone = ray_features(ray[clip], R[clip], landmarks[clip], seen[clip], valid[clip])
+        np.testing.assert_allclose(together.features[clip], alone.features, atol=1e-6)
+        np.testing.assert_allclose(together.size[clip], alone.size)
+
+
 def test_answer_is_read_back(walk: Walk) -> None:
     """An answer written from the truth gives the true body in the camera."""
     given = lifter_input(walk.observed)
@@ -303,6 +320,10 @@ def test_rows_of_a_lifted_body(walk: Walk, network: Lifter) -> None:
 
 def test_gaps_take_the_nearest_measurement() -> None:
     values, valid = np.arange(8.0), np.array([False, True, False, False, False, True, False, False])
-    np.testing.assert_array_equal(_carried(values, valid), [1, 1, 1, 1, 5, 5, 5, 5])
+    wanted = [1, 1, 1, 1, 5, 5, 5, 5]
+    np.testing.assert_array_equal(_carried(values, valid), wanted)
     np.testing.assert_array_equal(_carried(values, np.zeros(8, bool)), np.zeros(8))
     np.testing.assert_array_equal(_carried(values, np.ones(8, bool)), values)
+    both = _carried(np.stack([values, values]), np.stack([valid, ~valid]))
+    np.testing.assert_array_equal(both, [wanted, [0, 0, 2, 3, 4, 4, 6, 7]])
+    np.testing.assert_array_equal(_carried(values[:, None] * [1, 2], valid), np.array(wanted)[:, None] * [1, 2])

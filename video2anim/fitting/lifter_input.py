@@ -42,9 +42,9 @@ _FARTHEST = 6.0
 class LifterInput:
     """Features of frames at `LIFTER_FPS`, with what undoes their frame."""
 
-    features: Float[np.ndarray, "frames features"]
-    R_camera_ray: Float[np.ndarray, "frames 3 3"]
-    size: Float[np.ndarray, "frames"]
+    features: Float[np.ndarray, "*batch frames features"]
+    R_camera_ray: Float[np.ndarray, "*batch frames 3 3"]
+    size: Float[np.ndarray, "*batch frames"]
     """Root mean square distance of the seen keypoints' directions from the middle of the hips, at depth 1."""
     focal_px: float
     """Of the lens that the directions assume."""
@@ -91,15 +91,15 @@ def lifter_input(observed: Observations) -> LifterInput:
 
 
 def ray_features(
-    ray_camera: Float[np.ndarray, "frames keypoints 3"],
-    R_camera_ray: Float[np.ndarray, "frames 3 3"],
-    points_ray_m: Float[np.ndarray, "frames keypoints 3"],
-    visibility: Float[np.ndarray, "frames keypoints"],
-    valid: Bool[np.ndarray, "frames"],
+    ray_camera: Float[np.ndarray, "*batch frames keypoints 3"],
+    R_camera_ray: Float[np.ndarray, "*batch frames 3 3"],
+    points_ray_m: Float[np.ndarray, "*batch frames keypoints 3"],
+    visibility: Float[np.ndarray, "*batch frames keypoints"],
+    valid: Bool[np.ndarray, "*batch frames"],
     *,
     focal_px: float = 1.0,
 ) -> LifterInput:
-    """Features from viewing rays and 3D landmarks of the keypoints.
+    """Features from viewing rays and 3D landmarks of the keypoints, of one clip or of many at once.
 
     Args:
         ray_camera: directions in the camera, of any length.
@@ -109,27 +109,26 @@ def ray_features(
         valid: frames with a measurement; the others are marked and zero.
         focal_px: of the lens that the rays assume; only handed on.
     """
-    seen = np.where(valid[:, None], visibility, 0.0)
+    seen = np.where(valid[..., None], visibility, 0.0)
     turned = ray_camera @ R_camera_ray  # rows: R^T ray
     directions = turned[..., :2] / np.maximum(turned[..., 2:], 0.1)
-    directions = directions - directions[:, _HIPS].mean(1, keepdims=True)
+    directions = directions - directions[..., _HIPS, :].mean(-2, keepdims=True)
     weight = np.maximum(seen, 0.05)
-    size = np.sqrt((weight * (directions**2).sum(-1)).sum(1) / weight.sum(1))
+    size = np.sqrt((weight * (directions**2).sum(-1)).sum(-1) / weight.sum(-1))
     size = np.maximum(_carried(size, valid), _SMALLEST)
-    middle = ray_camera[:, _HIPS].mean(1)
-    before = np.concatenate([middle[:1], middle[:-1]])
-    moved = np.einsum("ta,tab->tb", before, R_camera_ray)
-    hips = turned[:, _HIPS].mean(1)
-    motion = (hips[:, :2] / hips[:, 2:] - moved[:, :2] / np.maximum(moved[:, 2:], 0.1)) / size[:, None]
-    motion *= (valid & np.concatenate([valid[:1], valid[:-1]]))[:, None]
-    points = points_ray_m - points_ray_m[:, _HIPS].mean(1, keepdims=True)
-    frames = len(valid)
+    middle = ray_camera[..., _HIPS, :].mean(-2)
+    before = np.concatenate([middle[..., :1, :], middle[..., :-1, :]], -2)
+    moved = (before[..., None, :] @ R_camera_ray)[..., 0, :]
+    hips = turned[..., _HIPS, :].mean(-2)
+    motion = (hips[..., :2] / hips[..., 2:] - moved[..., :2] / np.maximum(moved[..., 2:], 0.1)) / size[..., None]
+    motion *= (valid & np.concatenate([valid[..., :1], valid[..., :-1]], -1))[..., None]
+    points = points_ray_m - points_ray_m[..., _HIPS, :].mean(-2, keepdims=True)
     columns = [
-        np.clip(directions / size[:, None, None], -_FARTHEST, _FARTHEST).reshape(frames, -1),
-        np.clip(points, -2.0, 2.0).reshape(frames, -1),
-        seen, np.log(size)[:, None], np.clip(motion, -2.0, 2.0), np.ones((frames, 1)),
+        np.clip(directions / size[..., None, None], -_FARTHEST, _FARTHEST).reshape(*valid.shape, -1),
+        np.clip(points, -2.0, 2.0).reshape(*valid.shape, -1),
+        seen, np.log(size)[..., None], np.clip(motion, -2.0, 2.0), valid[..., None],
     ]  # fmt: skip
-    features = np.concatenate(columns, 1) * valid[:, None]
+    features = np.concatenate(columns, -1) * valid[..., None]
     return LifterInput(features.astype(np.float32), R_camera_ray, size, focal_px)
 
 
@@ -156,13 +155,13 @@ def lifted_body(output: Float[np.ndarray, "frames outputs"], given: LifterInput)
     )
 
 
-def _carried(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Values of the nearest valid frame where there is none; zeros if no frame is valid."""
-    rows = np.flatnonzero(valid)
-    if not len(rows):
-        return np.zeros_like(np.nan_to_num(values))
-    frames = np.arange(len(valid))
-    after = np.clip(np.searchsorted(rows, frames), 0, len(rows) - 1)
-    before = np.maximum(after - 1, 0)
-    nearer_before = frames - rows[before] <= rows[after] - frames
-    return values[rows[np.where(nearer_before & (rows[before] <= frames), before, after)]]
+def _carried(values: np.ndarray, valid: Bool[np.ndarray, "*batch frames"]) -> np.ndarray:
+    """Values of the nearest valid frame (the earlier one of two) where there is none; zeros if no frame is valid."""
+    frames = np.arange(valid.shape[-1])
+    before = np.maximum.accumulate(np.where(valid, frames, -1), -1)
+    after = np.minimum.accumulate(np.where(valid, frames, 2 * len(frames))[..., ::-1], -1)[..., ::-1]
+    nearer_before = (before >= 0) & (frames - before <= after - frames)
+    chosen = np.where(nearer_before, before, np.minimum(after, len(frames) - 1))
+    extra = (1,) * (values.ndim - valid.ndim)
+    carried = np.take_along_axis(np.nan_to_num(values), chosen.reshape(*chosen.shape, *extra), valid.ndim - 1)
+    return carried * valid.any(-1).reshape(*valid.shape[:-1], 1, *extra)

@@ -1,4 +1,4 @@
-"""Random bodies before random cameras, seen with the errors of a landmark model."""
+"""Random bodies before random cameras, seen with the errors of a landmark model; whole batches at once."""
 
 from __future__ import annotations
 
@@ -6,38 +6,38 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from scenemi.data.augment import MIRROR_JOINT
-from video2anim.body.anny_body import anny_model
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.fitting.initial import ray_rotation
 from video2anim.fitting.landmarks import KEYPOINT_INDEX
-from video2anim.fitting.lifter_input import LIFTER_FPS, ray_features
-from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
+from video2anim.fitting.lifter_input import ray_features
+from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d, rot6d_from_matrix
+from video2anim.lifting.bodies import draw_bodies
+from video2anim.lifting.kinematics import planes, posed
 from video2anim.lifting.motions import LiftingMotions
 from video2anim.lifting.residuals import ResidualLibrary
-from video2anim.synth.compose import draw_shape
+from video2anim.lifting.sightings import LandmarkErrors, Sightings
+from video2anim.lifting.variation import varied
+from video2anim.lifting.views import draw_views
 from video2anim.types import Intrinsics
 
+WINDOW_FRAMES = 96
 _HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
-_MIRRORED_CONTACTS = np.array([1, 0, 3, 2, 5, 4, 6, 7])
-_ARMS = np.array(
-    [JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
-)
-_WIDE = np.array([JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "hip")])
-_LEGS = np.array([JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right") for part in ("hip", "knee", "ankle")])
-_NOT_HANDS = np.array([True, True, True, True, False, False, True, True])
-_NOT_FEET = np.array([False, False, False, False, True, True, False, False])
-_OTHER_ARMS, _OTHER_LEGS, _TURNED, _SWUNG, _LEANING = 0.25, 0.15, 0.3, 0.35, 0.15
+_MIRRORED_CONTACTS = [1, 0, 3, 2, 5, 4, 6, 7]
+_MIRROR_ROT6D = torch.tensor([1.0, -1.0, -1.0, -1.0, 1.0, 1.0])
+"""Signs of the first two columns of a rotation in the mirror x -> -x."""
+_SLOWER_OR_FASTER, _SLOWEST, _FASTEST = 0.4, 0.7, 1.6
+_BACKWARD = 0.05
 """Shares of the windows."""
-_ROLLED = 0.5
-"""Share of the windows whose camera is held askew."""
-_SHAPES = 96
-_CANDIDATES = 24
-"""Of so many runs of residuals the one is taken whose pose is nearest."""
-_LONGEST_RUN = 45
+_ASKEW, _ASKEW_RAD = 0.4, 0.25
+"""Share of the windows whose camera is held askew, and by how much."""
+_LONGEST_SHARE = 900
+"""Frames beyond which a clip is not drawn more often: a few long clips must not be all there is."""
+_SHAPES = 192
+_FOCAL_ERROR = 0.08
+"""Deviation of the logarithm of the assumed focal length over the true one."""
 _UNIT = Intrinsics(1.0, 1.0, 0.0, 0.0, 1, 1)
 
 
@@ -52,8 +52,8 @@ class LiftingBatch:
     rest_joints_m: Float[Tensor, "batch 22 3"]
     log_size: Float[Tensor, "batch frames"]
     """Logarithm of the pelvis's depth times the size that the features were divided by."""
-    offset_m: Float[Tensor, "batch frames 2"]
-    """Of the pelvis from the viewing ray."""
+    pelvis_m: Float[Tensor, "batch frames 3"]
+    """From the camera: offset from the viewing ray, and depth."""
     contact: Float[Tensor, "batch frames 8"]
     contact_known: Float[Tensor, "batch frames 8"]
     up: Float[Tensor, "batch frames 3"]
@@ -68,190 +68,120 @@ class LiftingSampler:
         residuals: ResidualLibrary,
         *,
         seed: int,
-        frames: int = 81,
+        frames: int = WINDOW_FRAMES,
         noise: bool = True,
         varied: bool = True,
     ) -> None:
-        self.motions, self.residuals, self.seed, self.frames = motions, residuals, seed, frames
+        self.motions, self.seed, self.frames = motions, seed, frames
         self.noise, self.varied = noise, varied
-        rng = np.random.default_rng([seed, 0x5A])
-        model = anny_model()
-        with torch.no_grad():
-            self._bodies = [
-                model.rest_skeleton({name: torch.tensor(value) for name, value in draw_shape(rng).parameters.items()})
-                for _ in range(_SHAPES)
-            ]
-        self._runs = np.flatnonzero(np.diff(residuals.start) >= 12)
+        self._bodies = draw_bodies(np.random.default_rng([seed, 0x5A]), _SHAPES)
+        self._errors = LandmarkErrors(residuals)
         lengths = np.diff(motions.start)
         self._clips = np.flatnonzero(lengths >= 20)
-        share = np.minimum(lengths[self._clips], 900).astype(float)
+        share = np.minimum(lengths[self._clips], _LONGEST_SHARE).astype(float)
         self._share = share / share.sum()
 
     def batch(self, step: int, size: int) -> LiftingBatch:
         """One batch of windows."""
         rng = np.random.default_rng([self.seed, step])
-        windows = [self._window(rng) for _ in range(size)]
-        return LiftingBatch(*(torch.from_numpy(np.stack(column)) for column in zip(*windows, strict=True)))
-
-    def _window(self, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-        R, translation, contact, known = self._moved(rng)
+        R, translation, contact, known = self._moved(rng, size)
         if self.varied:
-            R, known = self._varied(rng, R, known)
-        body = self._bodies[int(rng.integers(_SHAPES))]
-        rest = body.rest_joints_m.numpy().astype(np.float64)
-        R_camera_world, up = _camera_rotation(rng)
-        R[:, 0] = R_camera_world @ R[:, 0]
-        joints, R_joint = forward_kinematics(R, translation @ R_camera_world.T, rest)
-        joints = joints + _place(rng, joints)
-        with torch.no_grad():
-            points = body.keypoints_m(torch.from_numpy(joints).float(), torch.from_numpy(R_joint).float()).numpy()
-        features, R_ray, size, askew = self._seen(rng, points)
-        R[:, 0] = askew @ R[:, 0]
-        joints, up = joints @ askew.T, askew @ up
-        R[:, 0] = np.swapaxes(R_ray, -1, -2) @ R[:, 0]
-        pelvis = np.einsum("tba,tb->ta", R_ray, joints[:, 0])
-        relative = np.einsum("tba,tjb->tja", R_ray, joints - joints[:, :1])
-        single = (
-            features, rot6d_from_matrix(R), relative, rest, np.log(pelvis[:, 2] * size), pelvis[:, :2],
-            contact, known, np.einsum("tba,b->ta", R_ray, up),
+            R, known = varied(rng, R, known)
+        body = torch.from_numpy(rng.integers(0, _SHAPES, size))
+        rest = self._bodies.rest_joints_m[body]
+        joint_planes, R_joint = posed(planes(R), rest)
+        joint_planes = joint_planes + translation.permute(2, 0, 1)[:, None]
+        joints = joint_planes.permute(2, 3, 1, 0).contiguous()
+        view = draw_views(rng, joints)
+        R_camera_world = view.R_camera_world[:, None]
+        joints, points = (
+            part @ R_camera_world.transpose(-1, -2) + view.t_camera_m[:, None, None]
+            for part in (joints, self._bodies.keypoints_m(body, joint_planes, R_joint).contiguous())
+        )
+        features, given_size, R_camera_ray, R_askew = self._seen(rng, points, view.half)
+        R_ray_camera = R_camera_ray.transpose(-1, -2) @ R_askew[:, None]
+        R_ray_world = R_ray_camera @ R_camera_world
+        R[:, :, 0] = R_ray_world @ R[:, :, 0]
+        pelvis = (R_ray_camera @ joints[:, :, 0, :, None])[..., 0]
+        relative = (joints - joints[:, :, :1]) @ R_ray_camera.transpose(-1, -2)
+        return LiftingBatch(
+            features, rot6d_from_matrix(R), relative, rest, (pelvis[..., 2] * given_size).log(), pelvis,
+            contact.float(), known.float(), R_ray_world[..., 1],
         )  # fmt: skip
-        return tuple(part.astype(np.float32) for part in single)
 
-    def _moved(self, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-        """A piece of a clip, perhaps mirrored, at a speed of its own, turned about the vertical axis."""
+    def _moved(self, rng: np.random.Generator, size: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Pieces of clips, perhaps mirrored, at speeds of their own, turned about the vertical axis."""
         m = self.motions
-        clip = int(rng.choice(self._clips, p=self._share))
-        first, last = int(m.start[clip]), int(m.start[clip + 1]) - 1
-        speed = rng.choice([1, 1, 1, 2]) if last - first > 2 * self.frames else 1
-        begin = int(rng.integers(first, max(last - speed * self.frames, first) + 1))
-        rows = np.minimum(begin + speed * np.arange(self.frames), last)
-        if speed == 1 and rng.random() < 0.1 and last - first > self.frames:
-            rows = rows[::-1]
-        R, translation = m.R_parent_joint[rows].astype(np.float64), m.translation_m[rows].astype(np.float64)
-        contact, known = m.contact[rows], m.contact_known[rows]
-        if rng.random() < 0.5:
-            flip = np.array([1.0, -1.0, -1.0])
-            R = R[:, MIRROR_JOINT] * flip[:, None] * flip
-            translation = translation * np.array([-1.0, 1.0, 1.0])
-            contact, known = contact[:, _MIRRORED_CONTACTS], known[:, _MIRRORED_CONTACTS]
-        turn = matrix_from_axis_angle(np.array([0.0, rng.uniform(-np.pi, np.pi), 0.0]))
-        R[:, 0] = turn @ R[:, 0]
-        return R, translation @ turn.T, contact, known
+        row, share = self._rows(rng, size)
+        after = row + (share > 0)
+        share = torch.from_numpy(share).float()[..., None]
+        rot6d, translation = (
+            torch.lerp(torch.from_numpy(part[row]), torch.from_numpy(part[after]), share.unflatten(-1, shape))
+            for part, shape in ((m.rot6d, (1, 1)), (m.translation_m, (1,)))
+        )
+        contact, known = torch.from_numpy(m.contact[row]), torch.from_numpy(m.contact_known[row])
+        mirrored = torch.from_numpy(rng.random(size) < 0.5)
+        rot6d[mirrored] = rot6d[mirrored][:, :, MIRROR_JOINT] * _MIRROR_ROT6D
+        translation[mirrored] *= torch.tensor([-1.0, 1.0, 1.0])
+        contact[mirrored], known[mirrored] = (part[mirrored][..., _MIRRORED_CONTACTS] for part in (contact, known))
+        R = matrix_from_rot6d(rot6d)
+        yaw = np.stack([np.zeros(size), rng.uniform(-np.pi, np.pi, size), np.zeros(size)], -1)
+        turn = torch.from_numpy(matrix_from_axis_angle(yaw)).float()[:, None]
+        R[:, :, 0] = turn @ R[:, :, 0]
+        return R, translation @ turn[:, 0].transpose(-1, -2), contact, known
 
-    def _varied(
-        self, rng: np.random.Generator, R: Float[np.ndarray, "frames 22 3 3"], known: Bool[np.ndarray, "frames 8"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Poses that the clips lack: arms or legs of another clip, limbs that swing wide, limbs and trunk turned by a
-        steady amount, bodies that lean. People in videos do what no clip shows, and there the network has to believe
-        its eyes."""
-        if rng.random() < _OTHER_ARMS:
-            arms = self._moved(rng)[0][:, _ARMS]
-            R[:, _ARMS] = arms
-            known = known & _NOT_HANDS
-        if rng.random() < _OTHER_LEGS:
-            R[:, _LEGS] = self._moved(rng)[0][:, _LEGS]
-            known = known & _NOT_FEET
-        if rng.random() < _SWUNG:
-            R[:, _WIDE] = R[:, _WIDE] @ _swings(rng, self.frames)
-            known = np.zeros_like(known)
-        if rng.random() < _LEANING:
-            R[:, 0] = matrix_from_axis_angle(rng.normal(0, 0.2, 3) * np.array([1.0, 0.0, 1.0])) @ R[:, 0]
-            known = np.zeros_like(known)
-        if rng.random() < _TURNED:
-            turned = rng.random(22) < 0.35
-            turned[0] = False
-            spread = np.where(np.isin(np.arange(22), _WIDE), 0.45, 0.2)[:, None]
-            offset = matrix_from_axis_angle(rng.normal(0, 1, (22, 3)) * spread * turned[:, None])
-            R = R @ offset
-            known = np.zeros_like(known)
-        return R, known
+    def _rows(
+        self, rng: np.random.Generator, size: int
+    ) -> tuple[Int[np.ndarray, "batch frames"], Float[np.ndarray, "batch frames"]]:
+        """Rows of the store, and how far each window's frame lies toward the next row. Clips that end stand still."""
+        clip = rng.choice(self._clips, size, p=self._share)
+        first, last = self.motions.start[clip], self.motions.start[clip + 1] - 1
+        other = self.varied & (rng.random(size) < _SLOWER_OR_FASTER)
+        speed = np.where(other, np.exp(rng.uniform(np.log(_SLOWEST), np.log(_FASTEST), size)), 1.0)
+        spare = np.maximum(last - first - speed * (self.frames - 1), 0.0)
+        begin = first + np.floor(rng.random(size) * (spare + 1))
+        place = np.minimum(begin[:, None] + speed[:, None] * np.arange(self.frames), last[:, None])
+        backward = self.varied & (rng.random(size) < _BACKWARD)
+        place[backward] = place[backward, ::-1]
+        row = np.floor(place).astype(int)
+        return row, place - row
 
     def _seen(
-        self, rng: np.random.Generator, points: Float[np.ndarray, "frames keypoints 3"]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Features, ray frames, sizes, and by how much the camera was held askew: a turn about its axis, to be applied
+        self, rng: np.random.Generator, points_m: Float[Tensor, "batch frames keypoints 3"], half: Float[Tensor, "b 2"]
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Features, sizes, ray frames, and by how much each camera was held askew: a turn about its axis, to be applied
         to the truth. A landmark model turns its crop upright and its answer back, so its errors turn along."""
-        frames = len(points)
-        ray = points / np.maximum(points[..., 2:], 0.1)
-        R_true = ray_rotation(ray[:, _HIPS].mean(1)[:, :2], _UNIT)
-        in_ray = points @ R_true
-        relative = in_ray - in_ray[:, _HIPS].mean(1, keepdims=True)
-        directions = in_ray[..., :2] / in_ray[..., 2:]
-        visibility = np.ones(points.shape[:2])
-        valid = np.ones(frames, bool)
+        batch, frames = points_m.shape[:2]
+        R_true = _ray_rotations(points_m)
+        in_ray = points_m @ R_true
+        directions = in_ray[..., :2] / in_ray[..., 2:].clamp_min(0.1)
+        relative = in_ray - in_ray[:, :, _HIPS].mean(2, keepdim=True)
+        roll = rng.normal(0.0, _ASKEW_RAD, batch) * (self.varied & (rng.random(batch) < _ASKEW))
+        vector = np.stack([np.zeros(batch), np.zeros(batch), roll], -1)
+        R_askew = torch.from_numpy(matrix_from_axis_angle(vector)).float()
+        R_camera_ray = R_askew[:, None] @ R_true
         if self.noise:
-            error_2d, error_3d, visibility = self._errors(rng, relative)
-            spread = directions - directions[:, _HIPS].mean(1, keepdims=True)
-            size = np.sqrt((spread**2).sum(-1).mean(1))
-            directions = directions + error_2d * size[:, None, None]
-            relative = relative * np.exp(rng.normal(0, 0.03)) + error_3d
-            tilt = matrix_from_axis_angle(rng.normal(0, 0.05, 3) * np.array([1.0, 1.0, 0.3]))
-            relative = relative @ tilt.T
-            if rng.random() < 0.15:
-                gone = int(rng.integers(frames))
-                valid[gone : gone + int(rng.integers(1, 12))] = False
-        roll = rng.normal(0.0, 0.25) if self.varied and rng.random() < _ROLLED else 0.0
-        askew = matrix_from_axis_angle(np.array([0.0, 0.0, roll]))
-        seen_ray = np.concatenate([directions, np.ones((*directions.shape[:2], 1))], -1)
-        camera_ray = np.einsum("tab,tkb->tka", askew @ R_true, seen_ray)
-        camera_ray /= np.maximum(camera_ray[..., 2:], 0.1)
-        if self.noise:
-            # The focal length is never known exactly.
-            camera_ray[..., :2] *= np.exp(rng.normal(0, 0.08))
-        R_ray = ray_rotation(camera_ray[:, _HIPS].mean(1)[:, :2], _UNIT)
-        given = ray_features(camera_ray, R_ray, relative @ askew.T, visibility, valid)
-        return given.features, R_ray, given.size, askew
-
-    def _errors(
-        self, rng: np.random.Generator, relative_m: Float[np.ndarray, "frames keypoints 3"]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals of runs that were in much the same pose, joined until all frames have one."""
-        lib, frames = self.residuals, len(relative_m)
-        rows = np.empty(frames, int)
-        begin = 0
-        while begin < frames:
-            runs = rng.choice(self._runs, _CANDIDATES)
-            at = (lib.start[runs] + rng.random(_CANDIDATES) * (np.diff(lib.start)[runs] - 8)).astype(int)
-            near = ((lib.truth_m[at] - relative_m[begin]) ** 2).sum((1, 2)).argmin()
-            first = int(at[near])
-            length = min(int(lib.start[runs[near] + 1]) - first, frames - begin, _LONGEST_RUN)
-            rows[begin : begin + length] = np.arange(first, first + length)
-            begin += length
-        scale = rng.uniform(0.2, 1.1), rng.uniform(0.2, 1.1)
-        bias = rng.normal(0, 0.012, (1, relative_m.shape[1], 3))
-        jitter = rng.normal(0, 0.006, (*relative_m.shape[:2], 3))
-        seen: Bool[np.ndarray, "frames keypoints"] = lib.visibility[rows]
-        return (
-            scale[0] * (lib.pixels[rows] + jitter[..., :2] + bias[..., :2]),
-            scale[1] * (lib.points_m[rows] + bias + jitter),
-            seen,
+            true_ray = in_ray @ R_camera_ray.transpose(-1, -2)
+            picture = true_ray[..., :2] / true_ray[..., 2:].clamp_min(0.1)
+            inside = (picture.abs() < half[:, None, None]).all(-1)
+            found = self._errors(rng, directions, relative, inside)
+            focal = np.exp(rng.normal(0, _FOCAL_ERROR, (batch, 1, 1, 1)))
+        else:
+            seen = torch.ones(batch, frames, points_m.shape[2])
+            found, focal = Sightings(directions, relative, seen, seen[..., 0] > 0), np.ones(1)
+        ray = torch.cat([found.directions, torch.ones_like(found.directions[..., :1])], -1)
+        ray = ray @ R_camera_ray.transpose(-1, -2)
+        ray = ray[..., :2] / ray[..., 2:].clamp_min(0.1) * torch.from_numpy(focal).float()
+        ray = torch.cat([ray, torch.ones_like(ray[..., :1])], -1)
+        R_given = _ray_rotations(ray)
+        landmarks = found.points_m @ R_askew[:, None].transpose(-1, -2)
+        given = ray_features(
+            ray.numpy(), R_given.numpy(), landmarks.numpy(), found.visibility.numpy(), found.valid.numpy()
         )
+        return torch.from_numpy(given.features), torch.from_numpy(given.size).float(), R_given, R_askew
 
 
-def _camera_rotation(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """R_camera_world of a camera that looks along the ground, more often down than up, and up in it."""
-    pitch = np.clip(rng.normal(0.17, 0.22), -0.5, 1.1)
-    roll = rng.normal(0.0, 0.05)
-    level = np.diag([1.0, -1.0, -1.0])
-    down = matrix_from_axis_angle(np.array([pitch, 0.0, 0.0]))
-    rolled = matrix_from_axis_angle(np.array([0.0, 0.0, roll]))
-    R = rolled @ down @ level
-    return R, R @ np.array([0.0, 1.0, 0.0])
-
-
-def _swings(rng: np.random.Generator, frames: int) -> Float[np.ndarray, "frames 4 3 3"]:
-    """Turns of hips and shoulders that rise and fall over the window; half of them stay as they are."""
-    time_s = np.arange(frames)[:, None, None] / LIFTER_FPS
-    axis = rng.normal(0, 0.5, (2, 4, 3)) * (rng.random((1, 4, 1)) < 0.5)
-    rate = 2 * np.pi * rng.uniform(0.1, 1.2, (1, 4, 1))
-    wave = np.sin(rate * time_s + rng.uniform(0, 2 * np.pi, (1, 4, 1)))
-    return matrix_from_axis_angle(axis[0] + axis[1] * wave)
-
-
-def _place(rng: np.random.Generator, joints: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "3"]:
-    """Shift of a body to a random place in the picture, near enough to be seen and before the camera throughout."""
-    middle = joints[:, 0].mean(0)
-    reach = np.abs(joints - middle).max((0, 1))
-    depth = max(np.exp(rng.uniform(np.log(1.8), np.log(8.0))), reach[2] + 1.0, 0.9 * reach[:2].max())
-    aside = depth * rng.normal(0, [0.2, 0.1])
-    return np.array([*aside, depth]) - middle
+def _ray_rotations(points: Float[Tensor, "batch frames keypoints 3"]) -> Float[Tensor, "batch frames 3 3"]:
+    """`ray_rotation` of the middle of the hips in the picture."""
+    hips = (points[:, :, _HIPS, :2] / points[:, :, _HIPS, 2:].clamp_min(0.1)).mean(2)
+    return torch.from_numpy(ray_rotation(hips.reshape(-1, 2).numpy(), _UNIT)).float().reshape(*hips.shape[:2], 3, 3)

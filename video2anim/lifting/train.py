@@ -1,176 +1,218 @@
-"""The training loop of the lifter: resumable, and the same for every machine."""
+"""The training loop of the lifter: its end is not known, so the rate stays and an average is what leaves."""
 
 from __future__ import annotations
 
+import copy
+import json
 import math
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
-from torch.nn import functional
+from torch import Tensor, nn
 
 from video2anim.artifacts.checkpoint import read_checkpoint, write_checkpoint
-from video2anim.body.skeleton import forward_kinematics
-from video2anim.fitting.lifter_input import CONTACT_OUTPUTS, ERROR_OUTPUTS, LOG_ERROR_RANGE
-from video2anim.geometry.rotations import matrix_from_rot6d
+from video2anim.fitting.lifter_input import ERROR_OUTPUTS
 from video2anim.lifting.network import LifterNetwork
+from video2anim.lifting.objective import losses, measures
 from video2anim.lifting.samples import LiftingBatch, LiftingSampler
 
+CHECKPOINT, PROGRESS = "lifter.safetensors", "progress.json"
 _TYPICAL_ERROR_M = 0.05
+_JUDGED = "pa_mpjpe_mm"
+"""The measure by which the validation is said to have improved."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiftingConfig:
     """One training."""
 
-    steps: int = 9500
     batch: int = 32
     learning_rate: float = 1e-3
-    warmup: int = 200
-    ema: float = 0.999
+    warmup: int = 300
+    """Steps in which the rate rises, and after which the average reaches its full length."""
+    ema: float = 0.9995
     seed: int = 0
-    validate_every: int = 500
-    minutes: float | None = None
-    """Stop (with a checkpoint) after so long, for machines with a time limit."""
+    save_minutes: float = 4.0
+    """Time between checkpoints, each with a validation."""
+    bfloat16: bool | None = None
+    """Convolutions in bfloat16 (three times as fast where the processor knows it); by default what is quicker here."""
 
 
-def losses(output: Tensor, batch: LiftingBatch) -> dict[str, Tensor]:
-    """Weighted terms: metres, radians' worth of 6D, nats."""
-    shape = output.shape[:2]
-    rot6d = output[..., :132].reshape(*shape, 22, 6)
-    R = matrix_from_rot6d(rot6d)
-    joints = _posed(R, batch.rest_joints_m)
-    off = joints - batch.joints_m
-    speed = off.diff(dim=1)
-    contact = functional.binary_cross_entropy_with_logits(
-        output[..., CONTACT_OUTPUTS], batch.contact, weight=batch.contact_known, reduction="sum"
-    ) / batch.contact_known.sum().clamp_min(1.0)
-    up = functional.normalize(output[..., -3:], dim=-1)
-    # What the network says of its errors must not move its answer, hence detached; least where it is their mean.
-    missed, told = off.detach()[..., 1:, :].norm(dim=-1), output[..., ERROR_OUTPUTS][..., 1:].clamp(*LOG_ERROR_RANGE)
-    return {
-        "joints": 10.0 * off.norm(dim=-1).mean(),
-        "error": 0.2 * (missed * torch.exp(-told) + told).mean(),
-        "speed": 20.0 * speed.norm(dim=-1).mean(),
-        "rotations": 1.0 * (rot6d - batch.rot6d).abs().mean(),
-        "size": 2.0 * (output[..., 132] - batch.log_size).abs().mean(),
-        "offset": 5.0 * (output[..., 133:135] - batch.offset_m).abs().mean(),
-        "contact": 1.0 * contact,
-        "up": 2.0 * (up - batch.up).norm(dim=-1).mean(),
-    }
+@dataclass(slots=True)
+class Progress:
+    """What `progress.json` says of a run."""
 
-
-def _posed(R: Tensor, rest_joints_m: Tensor) -> Tensor:
-    """Joints relative to the pelvis, each window on its own skeleton."""
-    return forward_kinematics(R, torch.zeros_like(R[..., 0, :, 0]), rest_joints_m[:, None])[0]
-
-
-def measures(output: Tensor, batch: LiftingBatch) -> dict[str, float]:
-    """What a user would ask: millimetres, degrees, F1 of contacts; errors over those told, and their correlation."""
-    R = matrix_from_rot6d(output[..., :132].reshape(*output.shape[:2], 22, 6))
-    joints = _posed(R, batch.rest_joints_m)
-    up = functional.normalize(output[..., -3:], dim=-1)
-    angle = torch.arccos((up * batch.up).sum(-1).clamp(-1, 1)).rad2deg()
-    touch, known = output[..., CONTACT_OUTPUTS] > 0, batch.contact_known > 0
-    truth = batch.contact > 0.5
-    scores = {}
-    for name, part in (("feet", slice(0, 4)), ("hands", slice(4, 6)), ("seat", slice(6, 7)), ("back", slice(7, 8))):
-        both = (touch & truth & known)[..., part].sum()
-        either = (touch & known)[..., part].sum() + (truth & known)[..., part].sum()
-        scores[f"f1_{name}"] = float(2 * both / either.clamp_min(1))
-    missed = (joints - batch.joints_m).norm(dim=-1)
-    told = torch.exp(output[..., ERROR_OUTPUTS].clamp(*LOG_ERROR_RANGE))
-    return {
-        "mpjpe_mm": 1000 * float(missed.mean()),
-        "error_told": float((missed / told)[..., 1:].mean()),
-        "error_known": float(torch.corrcoef(torch.stack([missed[..., 1:].flatten(), told[..., 1:].flatten()]))[0, 1]),
-        "depth_percent": 100 * float((output[..., 132] - batch.log_size).abs().mean()),
-        "up_deg": float(angle.mean()),
-        **scores,
-    }
+    steps: int = 0
+    windows: int = 0
+    hours: float = 0.0
+    windows_per_s: float = 0.0
+    """Of the time since the last start, validation included."""
+    validation: dict[str, float] = field(default_factory=dict)
+    best: float = math.inf
+    """Least validation `pa_mpjpe_mm`."""
+    improved_at_hours: float = 0.0
+    """When the validation was best."""
 
 
 def train(
     sampler: LiftingSampler,
     held_out: LiftingSampler,
     config: LiftingConfig,
-    checkpoint: Path,
+    folder: Path,
     *,
+    minutes: float | None = None,
+    start: LifterNetwork | None = None,
     on_line: Callable[[str], None] = lambda text: None,
 ) -> LifterNetwork:
-    """Train, or go on from the checkpoint; answers the averaged network."""
-    started = time.monotonic()
+    """Train, or go on from the folder's checkpoint, for some minutes or until interrupted; answers the average.
+
+    Args:
+        start: weights to begin with where there is no checkpoint.
+    """
     torch.manual_seed(config.seed)
-    network, average = LifterNetwork(), LifterNetwork()
-    networks = {"network": network, "average": average}
-    optimizer = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=0.01)
-    step = 0
-    if checkpoint.is_file():
-        step = read_checkpoint(checkpoint, networks, optimizer)
-    else:
-        _normalize(network, sampler)
-        average.load_state_dict(network.state_dict())
-    tests = [held_out.batch(number, 32) for number in range(4)]
-    with ThreadPoolExecutor(1) as pool:
-        coming = pool.submit(sampler.batch, step, config.batch)
-        while step < config.steps:
-            batch = coming.result()
-            coming = pool.submit(sampler.batch, step + 1, config.batch)
-            for group in optimizer.param_groups:
-                group["lr"] = config.learning_rate * _rate(step, config)
-            terms = losses(network(batch.features), batch)
-            optimizer.zero_grad()
-            torch.stack(list(terms.values())).sum().backward()
-            torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimizer.step()
-            step += 1
-            with torch.no_grad():
-                keep = min(config.ema, (step + 1) / (step + 10))
-                for mean, now in zip(average.parameters(), network.parameters(), strict=True):
-                    mean.lerp_(now, 1 - keep)
-            late = config.minutes is not None and time.monotonic() - started > 60 * config.minutes
-            if step % config.validate_every == 0 or step == config.steps or late:
-                write_checkpoint(checkpoint, networks, optimizer, step)
-                with torch.no_grad():
-                    rows = [measures(average(test.features), test) for test in tests]
-                means = {name: np.mean([row[name] for row in rows]) for name in rows[0]}
-                text = " ".join(f"{name} {value:.3g}" for name, value in means.items())
-                parts = " ".join(f"{name} {float(value.detach()):.3f}" for name, value in terms.items())
-                on_line(f"step {step} | {text} | {parts} | {time.monotonic() - started:.0f} s")
-            if late:
-                break
+    network, average, optimizer, progress = _state(folder, sampler, config, start)
+    tests = [held_out.batch(number, 32) for number in range(6)]
+    half = config.bfloat16 if config.bfloat16 is not None else _bfloat16_is_quicker(network, tests[0])
+    started = saved = time.monotonic()
+    before_hours, first = progress.hours, progress.steps
+    while True:
+        now = time.monotonic()
+        done = minutes is not None and now - started > 60 * minutes
+        if done or now - saved > 60 * config.save_minutes:
+            _judge(progress, average, tests)
+            seconds = time.monotonic() - started
+            progress.hours = before_hours + seconds / 3600
+            progress.windows_per_s = (progress.steps - first) * config.batch / max(seconds, 1e-6)
+            if progress.validation[_JUDGED] <= progress.best:
+                progress.best, progress.improved_at_hours = progress.validation[_JUDGED], progress.hours
+            write_checkpoint(folder / CHECKPOINT, {"network": network, "average": average}, optimizer, progress.steps)
+            _write_progress(folder, progress)
+            on_line(describe(progress))
+            saved = time.monotonic()
+        if done:
+            return average
+        _step(network, optimizer, sampler.batch(progress.steps, config.batch), half, _rate(progress.steps, config))
+        progress.steps += 1
+        progress.windows += config.batch
+        _average(average, network, min(config.ema, (progress.steps + 1) / (progress.steps + 10)))
+
+
+def cooled(sampler: LiftingSampler, config: LiftingConfig, folder: Path, *, steps: int) -> LifterNetwork:
+    """The network after so many more steps in which the rate falls to nothing; the run itself is left as it is."""
+    network, _, optimizer, progress = _state(folder, sampler, config, None)
+    half = config.bfloat16 if config.bfloat16 is not None else _bfloat16_is_quicker(network, sampler.batch(0, 32))
+    average = copy.deepcopy(network)
+    for number in range(steps):
+        rate = config.learning_rate * (1 - number / steps)
+        _step(network, optimizer, sampler.batch(progress.steps + number, config.batch), half, rate)
+        _average(average, network, min(config.ema, (number + 1) / (number + 10)))
     return average
 
 
+def describe(progress: Progress) -> str:
+    """One line about a run."""
+    numbers = " ".join(f"{name} {value:.3g}" for name, value in progress.validation.items())
+    return (
+        f"{progress.steps} steps, {progress.windows} windows, {progress.hours:.2f} h, "
+        f"{progress.windows_per_s:.0f} windows/s | {numbers} | best at {progress.improved_at_hours:.2f} h"
+    )
+
+
+def read_progress(folder: Path) -> Progress:
+    """What the run in a folder has done so far."""
+    path = folder / PROGRESS
+    return Progress(**json.loads(path.read_text())) if path.is_file() else Progress()
+
+
+def read_average(folder: Path) -> LifterNetwork:
+    """The averaged network of a run."""
+    average = LifterNetwork()
+    read_checkpoint(folder / CHECKPOINT, {"average": average})
+    return average
+
+
+def _state(
+    folder: Path, sampler: LiftingSampler, config: LiftingConfig, start: LifterNetwork | None
+) -> tuple[LifterNetwork, LifterNetwork, torch.optim.Optimizer, Progress]:
+    """Network, average, optimizer and progress, as the checkpoint has them or fresh."""
+    network, average = LifterNetwork(), LifterNetwork()
+    optimizer = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=0.01)
+    if (folder / CHECKPOINT).is_file():
+        progress = read_progress(folder)
+        networks = {"network": network, "average": average}
+        progress.steps = read_checkpoint(folder / CHECKPOINT, networks, optimizer)
+        return network, average, optimizer, progress
+    if start is not None:
+        network.load_state_dict(start.state_dict())
+    else:
+        _normalize(network, sampler)
+    average.load_state_dict(network.state_dict())
+    return network, average, optimizer, Progress()
+
+
+def _step(
+    network: LifterNetwork, optimizer: torch.optim.Optimizer, batch: LiftingBatch, half: bool, rate: float
+) -> None:
+    for group in optimizer.param_groups:
+        group["lr"] = rate
+    with torch.autocast("cpu", torch.bfloat16, enabled=half):
+        output = network(batch.features)
+    loss = torch.stack(list(losses(output.float(), batch).values())).sum()
+    optimizer.zero_grad()
+    loss.backward()
+    nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+    optimizer.step()
+
+
+@torch.no_grad()
+def _average(average: nn.Module, network: nn.Module, keep: float) -> None:
+    for mean, now in zip(average.parameters(), network.parameters(), strict=True):
+        mean.lerp_(now, 1 - keep)
+
+
 def _rate(step: int, config: LiftingConfig) -> float:
-    """Warm-up, then a half cosine to a hundredth."""
-    if step < config.warmup:
-        return (step + 1) / config.warmup
-    return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / config.steps))
+    return config.learning_rate * min(1.0, (step + 1) / config.warmup)
+
+
+@torch.no_grad()
+def _judge(progress: Progress, average: LifterNetwork, tests: list[LiftingBatch]) -> None:
+    rows = [measures(average(test.features), test) for test in tests]
+    progress.validation = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+
+
+def _bfloat16_is_quicker(network: LifterNetwork, batch: LiftingBatch) -> bool:
+    """Times a step's network both ways, the second time of each."""
+    times = {}
+    for half in (False, True, False, True):
+        begun = time.perf_counter()
+        with torch.autocast("cpu", torch.bfloat16, enabled=half):
+            output: Tensor = network(batch.features)
+        output.float().sum().backward()
+        times[half] = time.perf_counter() - begun
+    network.zero_grad()
+    return times[True] < times[False]
+
+
+def _write_progress(folder: Path, progress: Progress) -> None:
+    aside = folder / f".{PROGRESS}"
+    aside.write_text(json.dumps(asdict(progress), indent=1) + "\n")
+    aside.replace(folder / PROGRESS)
 
 
 def _normalize(network: LifterNetwork, sampler: LiftingSampler) -> None:
     """Statistics of inputs and middle answers from a first batch."""
-    batch = sampler.batch(10**9, 64)
-    flat = batch.features.reshape(-1, batch.features.shape[-1])
+    batch = sampler.batch(10**9, 128)
+    flat = batch.features.flatten(0, 1)
     flat = flat[flat[:, -1] > 0]
     network.mean.copy_(flat.mean(0))
     network.deviation.copy_(flat.std(0).clamp_min(0.02))
     network.mean[-1], network.deviation[-1] = 0.0, 1.0
     network.base[:132] = batch.rot6d.reshape(-1, 132).mean(0)
     network.base[132] = batch.log_size.mean()
-    network.base[133:135] = batch.offset_m.reshape(-1, 2).mean(0)
+    network.base[133:135] = batch.pelvis_m[..., :2].reshape(-1, 2).mean(0)
     network.base[ERROR_OUTPUTS] = math.log(_TYPICAL_ERROR_M)
     network.base[-3:] = batch.up.reshape(-1, 3).mean(0)
-
-
-def read_average(path: Path) -> LifterNetwork:
-    """The averaged network of a checkpoint."""
-    average = LifterNetwork()
-    read_checkpoint(path, {"average": average})
-    return average

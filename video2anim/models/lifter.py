@@ -13,8 +13,9 @@ from video2anim.models.onnx import open_session
 _INPUT, _OUTPUT = "features", "body"
 WIDTHS = (154, 168)
 """Features and outputs of a frame, as `video2anim.fitting.lifter_input` lists them."""
-_CHUNK, _MARGIN = 1800, 40
-"""Long clips go through in pieces; a frame of the answer depends on 26 frames on each side."""
+_CHUNK, _MARGIN = 1800, 72
+"""Long clips go through in pieces; a frame of the answer depends on 71 frames on each side. Both are multiples of the
+frames that the network folds into one (4), so that pieces are folded as the whole clip would be."""
 
 
 class Lifter:

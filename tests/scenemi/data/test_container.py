@@ -166,7 +166,7 @@ def test_splits_are_read_and_checked(tmp_path: Path) -> None:
 def test_the_shared_archives_are_complete(shared_motion: Path) -> None:
     split = read_split(shared_motion / "split.json")
     names: list[str] = []
-    for file in ("cmu.npz", "deepmimic.npz", "bandai.npz"):
+    for file in ("cmu.npz", "deepmimic.npz", "bandai.npz", "more.npz", "mhad.npz"):
         archive = MotionArchive.read(shared_motion / file)
         names += archive.names
         clip = archive.clip(archive.names[-1])

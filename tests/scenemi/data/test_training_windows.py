@@ -233,7 +233,7 @@ def test_captured_clips_make_windows(shared_motion: Path) -> None:
     config = replace(PLAIN, kinds=("sport", "acrobatics"), mirror=0.5, warp=0.5)
     split = Split.read(shared_motion / "split.json")
     clips = MotionSet.build([shared_motion], split, "train", 2, config)
-    assert set(clips.store.clip_source) <= {"cmu_cc60", "cmu_expmap38", "cmu_humanoid44", "deepmimic"}
+    assert set(clips.store.clip_source) <= {"cmu_cc60", "cmu_daz", "cmu_expmap38", "cmu_humanoid44", "deepmimic"}
     assert clips.minutes > 2
     batch = clips.sample_batch(np.random.default_rng(0), 32)
     rest = clips.rest_joints_m[batch.body_index][:, None]

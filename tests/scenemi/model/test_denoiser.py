@@ -1,3 +1,5 @@
+"""The denoiser: joined keyframes and a correction of a known size, told the scene along its own estimate."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -7,172 +9,255 @@ import numpy as np
 import pytest
 import torch
 
-from scenemi.features import LEVEL_X, LEVEL_Z, Statistics
+from scenemi.features import JOINTS, LEVEL_X, LEVEL_Z, Statistics
 from scenemi.model.base import join_keyframes
+from scenemi.model.conditions import Conditions, impute, since_and_until
 from scenemi.model.config import SIZES, ModelConfig
-from scenemi.model.denoiser import SCALES, Conditions, Denoiser, distance_to_keyframes, gap, impute
+from scenemi.model.denoiser import SCALES, Denoiser, body_points
 from scenemi.model.diffusion import CosineSchedule
-from scenemi.model.heading import from_heading, headings, to_heading, view
+from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
 from scenemi.model.kinematics import joints_of, matrices, posed_joints
-from scenemi.model.weights import load_weights, save_weights
-from video2anim.body.skeleton import forward_kinematics
+from scenemi.model.weights import FORMAT, load_weights, save_weights
+from scenemi.scene.field import REACH_M, BoxField
+from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.errors import InputError, ModelMissingError
 
+TINY = SIZES["tiny"]
+assert isinstance(TINY, ModelConfig)
+HEIGHT_M = 1.2
+"""Joints of these made-up bodies lie around it: far from the floor."""
 
-def conditions(config: ModelConfig, batch: int, seed: int = 0) -> Conditions:
+
+def conditions(batch: int, seed: int = 0, frames: int = 121) -> Conditions:
+    """Keyframes every half second of random motion, joined."""
     g = torch.Generator().manual_seed(seed)
-    frames = config.window_frames
     mask = torch.zeros(batch, frames)
-    mask[:, ::15] = 1
+    mask[:, ::15] = mask[:, -1] = 1
+    base = join_keyframes(torch.randn(batch, frames, 201, generator=g), mask)
     return Conditions(
-        mask=mask,
-        imputed=mask,
-        base=torch.randn(batch, frames, 201, generator=g),
-        local=torch.randn(batch, frames, config.bps_anchors, 3, generator=g),
+        mask=mask, imputed=mask, base=base, noise=torch.rand(batch, 1, 2, generator=g).expand(-1, frames, -1),
         body=torch.randn(batch, 7, generator=g),
-        noise_level=torch.rand(batch, generator=g),
-        scene=torch.randn(batch, config.embedding, generator=g),
-        scene_known=torch.ones(batch),
-        local_known=torch.ones(batch),
-    )
+    )  # fmt: skip
 
 
-def scales(denoiser: Denoiser, residual_std: torch.Tensor) -> dict[str, torch.Tensor]:
-    """Measured scales with other sizes of the correction."""
-    kept = {name: denoiser.get_buffer(name).clone() for name in SCALES}
-    return kept | {"residual_std": residual_std, "keyframe_std": torch.full((201,), 0.3)}
+def window(batch: int = 2, seed: int = 0) -> torch.Tensor:
+    return torch.randn(batch, 121, 201, generator=torch.Generator().manual_seed(100 + seed))
 
 
-def awake(config: ModelConfig, seed: int = 0) -> Denoiser:
-    """A denoiser whose zero-initialized layers are not zero."""
+def awake(config: ModelConfig = TINY, seed: int = 0) -> Denoiser:
+    """A denoiser whose zero-initialized layers are not zero, for features of 0.3 m around a body at rest."""
     torch.manual_seed(seed)
     denoiser = Denoiser(config)
     with torch.no_grad():
         for parameter in denoiser.parameters():
             parameter.add_(0.05 * torch.randn_like(parameter))
+    mean = torch.zeros(201)
+    mean[[1, *range(JOINTS.start + 1, JOINTS.stop, 3)]] = HEIGHT_M
+    mean[[3, 7]] = 1.0
+    denoiser.set_scales({
+        "residual_std": torch.linspace(0, 0.5, 61)[:, None].expand(-1, 201), "noise_std": torch.full((2, 201), 0.1),
+        "view_mean": torch.zeros(VIEW), "view_std": torch.ones(VIEW), "feature_mean": mean,
+        "feature_std": torch.full((201,), 0.1),
+    })  # fmt: skip
     return denoiser.eval()
 
 
+def joints_m(denoiser: Denoiser, x: torch.Tensor) -> torch.Tensor:
+    return (x * denoiser.feature_std + denoiser.feature_mean)[..., JOINTS].unflatten(-1, (22, 3))
+
+
+def box(x: float, y: float, z: float, half: float = 0.2, yaw: float = 0.0) -> torch.Tensor:
+    return torch.tensor([[x, y, z, half, half, half, yaw]])
+
+
+def in_scene(given: Conditions, boxes: torch.Tensor, known: list[float] | None = None) -> Conditions:
+    """With boxes (B, K, 7)."""
+    every = torch.ones(len(given.mask)) if known is None else torch.tensor(known)
+    return replace(given, field=BoxField.of(boxes, every))
+
+
+T = torch.tensor([300, 700])
+
+
 def test_an_untrained_denoiser_answers_with_the_joined_keyframes() -> None:
-    config = SIZES["tiny"]
-    given = conditions(config, 2)
-    x = torch.randn(2, 121, 201)
-    assert torch.equal(Denoiser(config)(x, torch.tensor([5, 900]), given), given.base)
+    given = conditions(2)
+    for scene in (given, in_scene(given, box(0, HEIGHT_M, 0).expand(2, -1, -1))):
+        assert torch.equal(Denoiser(TINY)(window(), torch.tensor([5, 900]), scene), given.base)
 
 
-def test_answers_differ_from_the_interpolation_by_the_scales() -> None:
-    """Exact keyframes are kept, noisy ones change within their noise, other frames within their distance's size."""
-    config = SIZES["tiny"]
-    denoiser = awake(config)
-    size = torch.linspace(0, 1.2, 61)[:, None].expand(61, 201)
-    denoiser.set_scales(scales(denoiser, size))
-    x, t = torch.randn(2, 121, 201), torch.tensor([500, 500])
-    given = conditions(config, 2)
-    given = replace(given, noise_level=torch.tensor([0.0, 1.0]))
-    change = (denoiser(x, t, given) - given.base).abs()
-    assert torch.equal(change[0, ::15], torch.zeros(9, 201))
-    assert (change[1, ::15] > 0).any()
-    doubled = awake(config)
-    doubled.set_scales(scales(doubled, 2 * size))
-    same_input = replace(given, imputed=torch.ones_like(given.mask))
-    noise = torch.tensor([1000, 1000])  # so much that it tells nothing, whatever the size
-    a, b = (model(x, noise, same_input)[0] - given.base[0] for model in (denoiser, doubled))
-    torch.testing.assert_close(b, 2 * a, atol=1e-4, rtol=1e-3)
+def test_answers_differ_from_the_joined_keyframes_by_the_scales() -> None:
+    """Exact keyframes are kept to a hundredth, noisy ones change within their noise, others within their distance's."""
+    denoiser, given = awake(), conditions(2)
+    given = replace(given, noise=torch.tensor([[[0.0, 0.0]], [[3.0, 4.0]]]).expand(-1, 121, -1))
+    scale = denoiser.scales(given)
+    torch.testing.assert_close(scale[0, ::15], torch.full((9, 201), 0.01))
+    torch.testing.assert_close(scale[1, ::15], torch.full((9, 201), float(np.hypot(0.5, 0.01))), msg="0.1 by 3 and 4")
+    between = 0.5 / 60 * since_and_until(given.mask).amin(-1)
+    torch.testing.assert_close(scale[0, 3], torch.hypot(between[0, 3], torch.tensor(0.01)).expand(201))
+    change = to_heading(denoiser(window(), T, given) - given.base, denoiser.prepare(given).heading) / scale
+    assert 0.1 < change.std() < 20
+    # The unit of the network's own output is the same near keyframes and far from them.
+    assert change[0, ::15].std() == pytest.approx(float(change[0, 7::15].std()), rel=0.7)
 
 
 def test_the_noisy_window_is_not_seen_where_it_holds_the_keyframe() -> None:
-    config = SIZES["tiny"]
-    denoiser, given = awake(config), conditions(config, 1)
-    x, t = torch.randn(1, 121, 201), torch.tensor([300])
+    denoiser, given, x = awake(), conditions(2), window()
     other = x.clone()
     other[:, 15] += 1.0
-    noisy = replace(given, noise_level=torch.ones(1))
-    assert not torch.allclose(denoiser(x, t, noisy), denoiser(other, t, noisy)), "what was taken out of it is seen"
-    given = replace(given, noise_level=torch.zeros(1))
-    assert torch.equal(denoiser(x, t, given), denoiser(other, t, given))
+    assert torch.equal(denoiser(x, T, given), denoiser(other, T, given))
     free = replace(given, imputed=torch.zeros_like(given.mask))
-    assert not torch.allclose(denoiser(x, t, free), denoiser(other, t, free))
+    assert not torch.allclose(denoiser(x, T, free), denoiser(other, T, free))
 
 
-def test_distances_to_keyframes() -> None:
-    mask = torch.zeros(1, 8)
-    mask[0, [1, 6]] = 1
-    assert distance_to_keyframes(mask)[0].tolist() == [1, 0, 1, 2, 2, 1, 0, 1]
+def test_every_condition_counts() -> None:
+    denoiser, given, x = awake(), conditions(2), window()
+    before, other = denoiser(x, T, given), conditions(2, seed=1)
+    for name in ("base", "body", "noise"):
+        assert not torch.allclose(denoiser(x, T, replace(given, **{name: getattr(other, name)})), before), name
+    fewer = given.mask.clone()
+    fewer[:, 30] = 0
+    assert not torch.allclose(denoiser(x, T, replace(given, mask=fewer)), before)
+    assert not torch.allclose(denoiser(x, T - 50, given), before)
+    assert not torch.allclose(denoiser(window(seed=1), T, given), before)
+    assert not torch.allclose(denoiser(x, T, given, given.base + 0.1), before), "the last estimate"
+    assert torch.equal(denoiser(x, T, given, given.base), before), "at first that is the joined keyframes"
 
 
-def test_without_residual_the_answer_is_free_of_the_interpolation() -> None:
-    config = replace(SIZES["tiny"], residual=False)
-    given, other = conditions(config, 2), conditions(config, 2, seed=1)
-    x, t = torch.randn(2, 121, 201), torch.tensor([100, 600])
-    denoiser = awake(config)
-    assert torch.equal(denoiser(x, t, given), denoiser(x, t, replace(given, base=other.base)))
+def test_noise_is_told_of_keyframes_alone_and_degrees_apart_from_centimeters() -> None:
+    denoiser, given, x = awake(), conditions(2), window()
+    before = denoiser(x, T, given)
+    between = given.noise.clone()
+    between[given.mask == 0] += 5.0
+    assert torch.equal(denoiser(x, T, replace(given, noise=between)), before)
+    answers = []
+    for kind in (0, 1):
+        louder = given.noise.clone()
+        louder[..., kind] += 1.0
+        answers.append(denoiser(x, T, replace(given, noise=louder)))
+    assert not torch.allclose(answers[0], before)
+    assert not torch.allclose(answers[0], answers[1])
 
 
-@pytest.mark.parametrize("condition", ["token", "adagn", "both"])
-@pytest.mark.parametrize("fold", [1, 4])
-@pytest.mark.parametrize("frames", [121, 122, 40])
-def test_any_length_keeps_its_shape(condition: Any, fold: int, frames: int) -> None:
-    config = replace(SIZES["tiny"], condition=condition, fold=fold, window_frames=frames)
-    assert awake(config)(torch.randn(2, frames, 201), torch.tensor([1, 1000]), conditions(config, 2)).shape == (
-        2,
-        frames,
-        201,
-    )
-
-
-def test_every_condition_counts_where_it_is_used() -> None:
-    config = SIZES["tiny"]
-    denoiser, given = awake(config), conditions(config, 2)
-    x, t = torch.randn(2, 121, 201), torch.tensor([100, 600])
-    before = denoiser(x, t, given)
-    other = conditions(config, 2, seed=1)
-    for name in ("base", "local", "body", "noise_level", "scene"):
-        assert not torch.allclose(denoiser(x, t, replace(given, **{name: getattr(other, name)})), before), name
-    assert not torch.allclose(denoiser(x, t - 50, given), before)
-    between = given.local.clone()
-    between[:, 1:14] += 1.0
-    assert torch.equal(denoiser(x, t, replace(given, local=between)), before), "local scene is read at keyframes only"
-
-
-def test_a_dropped_scene_does_not_show() -> None:
-    config = SIZES["tiny"]
-    denoiser, a, b = awake(config), conditions(config, 2), conditions(config, 2, seed=1)
-    x, t = torch.randn(2, 121, 201), torch.tensor([100, 600])
-    dropped = a.without_global_scene()
-    assert torch.equal(denoiser(x, t, dropped), denoiser(x, t, replace(dropped, scene=b.scene)))
-    assert not torch.allclose(denoiser(x, t, dropped), denoiser(x, t, a))
-
-
-def test_ablated_models_do_not_look() -> None:
-    config = replace(SIZES["tiny"], use_body=False, use_global=False, use_local=False)
-    denoiser, a, b = awake(config), conditions(config, 2), conditions(config, 2, seed=1)
-    x, t = torch.randn(2, 121, 201), torch.tensor([100, 600])
-    blind = replace(a, local=b.local, body=b.body, scene=b.scene, scene_known=torch.zeros(2))
-    assert torch.equal(denoiser(x, t, blind), denoiser(x, t, a))
-
-
-def test_the_scene_encoder_tells_rooms_apart() -> None:
-    denoiser = awake(SIZES["tiny"])
-    empty, floor, wall = torch.zeros(3, 48, 24, 48).unbind()
-    floor, wall = floor.clone(), wall.clone()
-    floor[:, 0], wall[40] = 1, 1
-    codes = denoiser.encode_scene(torch.stack([empty, floor, wall]))
-    assert codes.shape == (3, 64)
-    assert torch.cdist(codes, codes)[~torch.eye(3, dtype=torch.bool)].min() > 1e-3
+def test_what_steps_have_in_common_may_be_given() -> None:
+    denoiser, given, x = awake(), conditions(2), window()
+    assert torch.equal(denoiser(x, T, given, None, denoiser.prepare(given)), denoiser(x, T, given))
 
 
 def test_windows_of_a_batch_do_not_mix() -> None:
-    config = SIZES["tiny"]
-    denoiser, given = awake(config), conditions(config, 3)
-    x, t = torch.randn(3, 121, 201), torch.tensor([10, 500, 990])
+    denoiser, boxes = awake(), torch.stack([box(0.1 * i, HEIGHT_M, 0, 0.1 + 0.1 * i) for i in range(3)])
+    x, t = window(3), torch.tensor([10, 500, 990])
+    given = in_scene(conditions(3), boxes, [1.0, 1.0, 0.0])
     together = denoiser(x, t, given)
-    alone = denoiser(x[1:2], t[1:2], given.chosen(slice(1, 2)))
-    torch.testing.assert_close(together[1:2], alone, atol=1e-5, rtol=1e-5)
+    for i, known in enumerate((1.0, 1.0, 0.0)):
+        one = slice(i, i + 1)
+        parts = {name: getattr(given, name)[one] for name in ("mask", "imputed", "base", "noise", "body")}
+        alone = denoiser(x[one], t[one], in_scene(Conditions(**parts), boxes[one], [known]))
+        torch.testing.assert_close(together[one], alone, atol=1e-5, rtol=1e-5)
 
 
-def test_the_papers_size() -> None:
-    count = sum(p.numel() for p in Denoiser(SIZES["paper"]).parameters())
-    assert 100e6 < count < 125e6
+@pytest.mark.parametrize("frames", [121, 122, 40, 8])
+@pytest.mark.parametrize("fold", [1, 4, 8])
+def test_any_length_keeps_its_shape(fold: int, frames: int) -> None:
+    config = replace(TINY, fold=fold, window_frames=frames)
+    x = torch.randn(2, frames, 201)
+    assert awake(config)(x, torch.tensor([1, 1000]), conditions(2, frames=frames)).shape == (2, frames, 201)
+
+
+def test_a_solid_changes_the_answer_only_where_it_is_within_reach() -> None:
+    """Of two windows one has a solid at its joints, the other one that no joint comes near."""
+    denoiser, given, x = awake(), conditions(2), window()
+    reach = body_points(joints_m(denoiser, given.base)).flatten(0, 2)
+    assert reach[:, 1].min() > REACH_M, "the floor is out of reach too"
+    far = float(reach[:, 0].max()) + REACH_M + 0.21
+    boxes = torch.stack([box(0, HEIGHT_M, 0), box(far, HEIGHT_M, 0)])
+    before, after = denoiser(x, T, given), denoiser(x, T, in_scene(given, boxes))
+    assert not torch.allclose(after[0], before[0])
+    torch.testing.assert_close(after[1], before[1], atol=1e-6, rtol=0)
+    nearer = in_scene(given, torch.stack([box(0, HEIGHT_M, 0), box(far - 0.3, HEIGHT_M, 0)]))
+    assert not torch.allclose(denoiser(x, T, nearer)[1], before[1], atol=1e-6)
+    unseen = in_scene(given, boxes, [0.0, 1.0])
+    torch.testing.assert_close(denoiser(x, T, unseen), before, atol=1e-6, rtol=0), "nor where it is not shown"
+
+
+def test_the_scene_is_asked_along_the_last_estimate() -> None:
+    denoiser, given, x = awake(), conditions(2), window()
+    far = 30.0
+    scene = in_scene(given, box(far, HEIGHT_M, 0).expand(2, -1, -1))
+    there = given.base.clone()
+    there[..., list(range(JOINTS.start, JOINTS.stop, 3))] += far / 0.1
+    assert torch.equal(denoiser(x, T, scene, given.base), denoiser(x, T, given, given.base))
+    assert not torch.allclose(denoiser(x, T, scene, there), denoiser(x, T, given, there))
+
+
+def test_posts_between_joints_are_seen() -> None:
+    """The middles of the limbs are asked too."""
+    joints = torch.zeros(1, 22, 3)
+    joints[0, JOINT_INDEX["left_knee"]] = torch.tensor([0.0, 0.5, 0.0])
+    joints[0, JOINT_INDEX["left_ankle"]] = torch.tensor([0.2, 0.1, 0.0])
+    found = body_points(joints)
+    assert found.shape == (1, 30, 3)
+    torch.testing.assert_close(found[:, :22], joints)
+    assert (found[0, 22:] - torch.tensor([0.1, 0.3, 0.0])).norm(dim=-1).min() < 1e-6
+
+
+def test_without_scene_channels_solids_do_not_count() -> None:
+    denoiser, given, x = awake(replace(TINY, scene=False)), conditions(2), window()
+    scene = in_scene(given, box(0, HEIGHT_M, 0).expand(2, -1, -1))
+    assert torch.equal(denoiser(x, T, scene), denoiser(x, T, given))
+
+
+def test_a_scene_left_out_does_not_show() -> None:
+    denoiser, given, x = awake(), conditions(2), window()
+    scene = in_scene(given, box(0, HEIGHT_M, 0).expand(2, -1, -1))
+    assert scene.has_scene
+    assert not scene.without_scene().has_scene
+    assert torch.equal(denoiser(x, T, scene.without_scene()), denoiser(x, T, given))
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (2.0, -1.0)])
+def test_the_answer_turns_along_with_the_window_and_its_scene(shift: tuple[float, float]) -> None:
+    """But for the place and the heading in the window's own frame, which the network also reads: here it cannot."""
+    denoiser, angle = awake(), 1.1
+    with torch.no_grad():
+        columns = denoiser.network.enter.weight.unflatten(1, (TINY.fold, -1))
+        columns[:, :, 201 + 66 + VIEW - 4 : 201 + 66 + VIEW] = 0
+    std, mean = denoiser.feature_std, denoiser.feature_mean
+    given, x = conditions(2), window()
+    estimate = given.base + 0.2 * window(seed=2)
+    boxes = torch.stack([box(0.1, HEIGHT_M, 0.2, 0.15, 0.4), box(-0.2, HEIGHT_M, 0.0, 0.1, 1.0)])
+    turned_boxes = boxes.clone()
+    cos, sin = float(np.cos(angle)), float(np.sin(angle))
+    turned_boxes[..., 0] = cos * boxes[..., 0] + sin * boxes[..., 2] + shift[0]
+    turned_boxes[..., 2] = cos * boxes[..., 2] - sin * boxes[..., 0] + shift[1]
+    turned_boxes[..., 6] += angle
+
+    def there(values: torch.Tensor) -> torch.Tensor:
+        return (turned(values * std + mean, angle, shift) - mean) / std
+
+    alpha_bar = denoiser.alpha_bar[T][:, None, None].sqrt()
+    # Its signal is the moved motion, its noise turns.
+    noise = x - alpha_bar * given.base
+    x_there = alpha_bar * there(given.base) + turned(noise * std, angle, (0, 0)) / std
+    answer = denoiser(x, T, in_scene(given, boxes), estimate)
+    moved = replace(in_scene(given, turned_boxes), base=there(given.base))
+    answer_there = denoiser(x_there, T, moved, there(estimate))
+    assert (answer - given.base).abs().max() > 0.1, "it says something"
+    torch.testing.assert_close(answer_there, there(answer), atol=5e-3, rtol=1e-3)
+    assert not torch.allclose(denoiser(x_there, T, in_scene(moved, boxes), there(estimate)), answer_there, atol=5e-3)
+
+
+def test_frames_since_and_until_the_next_keyframe() -> None:
+    mask = torch.zeros(1, 8)
+    mask[0, [1, 6]] = 1
+    assert since_and_until(mask)[0].tolist() == [
+        [8, 1], [0, 0], [1, 4], [2, 3], [3, 2], [4, 1], [0, 0], [1, 8],
+    ]  # fmt: skip
+    assert since_and_until(mask).amin(-1)[0].tolist() == [1, 0, 1, 2, 2, 1, 0, 1]
+
+
+def test_the_shipped_size_is_small_enough_for_a_processor() -> None:
+    count = sum(p.numel() for p in Denoiser(SIZES["small"]).parameters())  # type: ignore[arg-type]
+    assert 3e6 < count < 12e6
 
 
 def test_imputation_puts_keyframes_in_place() -> None:
@@ -238,23 +323,39 @@ def test_joined_keyframes_follow_a_parabola_between_inner_keyframes() -> None:
 
 
 def test_weights_come_back_as_they_were(tmp_path: Any) -> None:
-    denoiser = awake(SIZES["tiny"])
+    denoiser = awake()
     statistics = Statistics(*(np.arange(n, dtype=np.float32) + 1 for n in (201, 201, 7, 7)))
-    save_weights(tmp_path / "w.safetensors", denoiser, statistics, {"licence": "x"})
+    save_weights(tmp_path / "w.safetensors", denoiser, statistics, {"license": "x"})
     loaded = load_weights(tmp_path / "w.safetensors")
-    assert loaded.config == SIZES["tiny"]
-    assert loaded.card == {"licence": "x"}
+    assert loaded.config == TINY
+    assert loaded.card == {"license": "x"}
+    assert not loaded.denoiser.training
     np.testing.assert_array_equal(loaded.statistics.std, statistics.std)
     for name, value in loaded.denoiser.state_dict().items():
         torch.testing.assert_close(value, denoiser.state_dict()[name], atol=2e-3, rtol=1e-3)
+    assert set(SCALES) <= set(loaded.denoiser.state_dict()), "sizes measured before training are kept with them"
 
 
 def test_missing_and_broken_weights_say_so(tmp_path: Any) -> None:
+    from safetensors.torch import save_file
+
     with pytest.raises(ModelMissingError, match=r"found no nothing\.safetensors"):
         load_weights("nothing")
-    (tmp_path / "bad.safetensors").write_bytes(b"no")
+    path = tmp_path / "bad.safetensors"
+    path.write_bytes(b"no")
     with pytest.raises(InputError, match="want a safetensors file"):
-        load_weights(tmp_path / "bad.safetensors")
+        load_weights(path)
+    save_file({"x": torch.zeros(1)}, str(path), {"format": "scenemi-weights-1"})
+    with pytest.raises(InputError, match=f"want format {FORMAT}"):
+        load_weights(path)
+    import json
+
+    header = {"format": FORMAT, "config": json.dumps(TINY.to_json()), "card": "{}"}
+    save_file({"model.x": torch.zeros(1)}, str(path), header)
+    with pytest.raises(InputError, match="does not fit its own configuration"):
+        load_weights(path)
+    with pytest.raises(InputError, match="cannot write"):
+        save_weights(tmp_path / "none" / "w.safetensors", awake(), Statistics(*(np.ones(1, np.float32),) * 4), {})
 
 
 def turned(x: torch.Tensor, yaw: float, shift: tuple[float, float]) -> torch.Tensor:
@@ -284,9 +385,3 @@ def test_headings_are_the_way_the_root_faces_and_turn_back() -> None:
     )
     heading = headings(torch.randn(1, 5, 201))
     torch.testing.assert_close(from_heading(to_heading(x, heading), heading), x)
-
-
-def test_gaps_count_from_keyframe_to_keyframe() -> None:
-    mask = torch.zeros(1, 6)
-    mask[0, [0, 4, 5]] = 1
-    assert (60 * gap(mask))[0].round().tolist() == [[0, 0], [1, 3], [2, 2], [3, 1], [0, 0], [0, 0]]

@@ -1,34 +1,46 @@
-"""Four acted clips on one body."""
+"""Four acted clips on one body, and a pool of their windows."""
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from small_run import CONFIG, PLAIN
+from small_run import CONFIG, PLAIN, shrink
 
 from scenemi.data.container import write_archive
 from scenemi.data.windows import MotionSet
 from scenemi.features import Statistics
-from scenemi.training.batches import statistics_of
+from scenemi.training import loop
+from scenemi.training.batches import PoolBatches, statistics_of
+from scenemi.training.pool import Shard, grow_pool, open_pool
+from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.synth.acting import act, to_source_clip
+from video2anim.types import BodyShape
+
+
+def acted(path: Path, kinds: tuple[str, ...]) -> Path:
+    """An archive of acted clips of five seconds."""
+    body = shaped_body(BodyShape("anny", dict(ADULT)))
+    clips = [
+        to_source_clip(act(kind, body, np.random.default_rng(i), duration_s=(4.5, 5.5)), body, f"{kind}_{i}")
+        for i, kind in enumerate(kinds)
+    ]
+    write_archive(path, clips)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
+    shrink(monkeypatch)
 
 
 @pytest.fixture(scope="session")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four acted clips."""
-    from video2anim.body.anny_body import ADULT, shaped_body
-    from video2anim.types import BodyShape
-
-    body = shaped_body(BodyShape("anny", dict(ADULT)))
-    clips = [
-        to_source_clip(act(kind, body, np.random.default_rng(i), duration_s=(4.5, 5.5)), body, f"{kind}_{i}")
-        for i, kind in enumerate(("walk", "sit", "reach", "pick_up"))
-    ]
-    path = tmp_path_factory.mktemp("acted") / "acted.npz"
-    write_archive(path, clips)
-    return path
+    return acted(tmp_path_factory.mktemp("acted") / "acted.npz", ("walk", "sit", "reach", "pick_up"))
 
 
 @pytest.fixture(scope="session")
@@ -37,5 +49,36 @@ def motions(archive: Path) -> MotionSet:
 
 
 @pytest.fixture(scope="session")
-def statistics(motions: MotionSet) -> Statistics:
-    return statistics_of(motions, CONFIG.seed)
+def pool_folder(motions: MotionSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The pool of `CONFIG`."""
+    folder = tmp_path_factory.mktemp("pool")
+    with pytest.MonkeyPatch.context() as patch:
+        shrink(patch)
+        grow_pool(folder, motions, CONFIG.pool_windows, seed=CONFIG.seed)
+    return folder
+
+
+@pytest.fixture
+def run_folder(pool_folder: Path, tmp_path: Path) -> Callable[[str], Path]:
+    """Makes folders in which a run finds its pool."""
+
+    def folder(name: str) -> Path:
+        shutil.copytree(pool_folder, tmp_path / name / loop.POOL)
+        return tmp_path / name
+
+    return folder
+
+
+@pytest.fixture(scope="session")
+def shards(pool_folder: Path) -> list[Shard]:
+    return open_pool(pool_folder)
+
+
+@pytest.fixture(scope="session")
+def data(shards: list[Shard]) -> PoolBatches:
+    return PoolBatches(shards, CONFIG)
+
+
+@pytest.fixture(scope="session")
+def statistics(shards: list[Shard], motions: MotionSet) -> Statistics:
+    return statistics_of(shards, [motions.body(0)])

@@ -1,21 +1,63 @@
-"""A run of a few steps."""
+"""A run of a few steps, and batches made by hand."""
 
-from scenemi.data.windows import MotionSetConfig
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from scenemi.data.windows import MotionSet, MotionSetConfig
+from scenemi.features import ROTATIONS, TRANSLATION, Statistics
 from scenemi.model.config import SIZES
+from scenemi.model.denoiser import Denoiser
+from scenemi.model.kinematics import matrices
+from scenemi.training import loop, pool
+from scenemi.training.batches import Batch
 from scenemi.training.config import TrainConfig
+from scenemi.training.losses import TrainingLoss
+from scenemi.training.noise import features_of
 
+SHARD = 32
+"""Windows of a shard in these tests."""
 CONFIG = TrainConfig(
     model=SIZES["tiny"],
-    steps=6,
     batch=4,
     workers=0,
     log_every=1,
     save_every=2,
     warmup=2,
     bodies=1,
-    validate_every=100,
-    joiner_steps=3,
-    joiner_batch=4,
-    joiner_windows=64,
+    validate_every=1000,
+    pool_windows=2 * SHARD,
 )
 PLAIN = MotionSetConfig(mirror=0.0, warp=0.0)
+
+
+def shrink(patch: pytest.MonkeyPatch) -> None:
+    """Small shards, and scales from few windows."""
+    patch.setattr(pool, "SHARD_WINDOWS", SHARD)
+    patch.setattr(loop, "SHARD_WINDOWS", SHARD)
+    patch.setattr(loop, "_SCALE_WINDOWS", 4 * CONFIG.batch)
+
+
+def loss_of(motions: MotionSet, statistics: Statistics, config: TrainConfig = CONFIG) -> TrainingLoss:
+    """The objective of an untrained denoiser."""
+    torch.manual_seed(1)
+    assert config.model == SIZES["tiny"]
+    return TrainingLoss(Denoiser(SIZES["tiny"]), statistics, [motions.body(0)], config)
+
+
+def consistent(batch: Batch, motions: MotionSet) -> Batch:
+    """With joints of exactly these rotations: stored ones are rounded on their own."""
+    R = matrices(batch.features[..., ROTATIONS].unflatten(-1, (22, 6)))
+    rest = torch.from_numpy(motions.rest_joints_m)[batch.body]
+    return replace(batch, features=features_of(R, batch.features[..., TRANSLATION], rest))
+
+
+def exact(batch: Batch) -> Batch:
+    """Without noise of keyframes."""
+    return replace(
+        batch, noise=torch.zeros_like(batch.noise), noisy=batch.noisy[:0], turn_rad=batch.turn_rad[:0],
+        shift_m=batch.shift_m[:0],
+    )  # fmt: skip
