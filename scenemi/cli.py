@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -186,6 +187,7 @@ def train_command(
     chosen = _device(device)
     limit_s = None if minutes is None else 60 * minutes
     recorded = None if errors is None else PipelineErrors.read(errors)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: the state is saved
     state = train(
         files.config, motions, out, validation=watched, device=chosen, errors=recorded, start=start,
         time_limit_s=limit_s, on_progress=_say_progress,

@@ -28,7 +28,7 @@ from jaxtyping import Float
 from scenemi.data.contacts import runs
 from scenemi.data.smpl_clip import R_Y_UP_Z_UP, smpl_clip
 from scenemi.data.source_clip import SourceClip
-from scenemi.scene.voxel_sdf import regular_sdf
+from scenemi.scene.voxel_sdf import standing_sdf
 from video2anim.body.array_pickle import read_pickled_arrays
 from video2anim.errors import InputError
 from video2anim.geometry.sdf import SdfGrid
@@ -86,7 +86,7 @@ def read_prox(folder: str | Path, *, least_frames: int = 30) -> Iterator[ProxPie
 
 
 def read_prox_sdf(folder: str | Path, scene: str) -> SdfGrid:
-    """Signed distances of a scene in the world of the clips, floor included, one spacing along all axes.
+    """Signed distances to what stands on the floor of a scene, in the world of the clips.
 
     Raises:
         InputError: files are missing or do not fit each other.
@@ -95,7 +95,7 @@ def read_prox_sdf(folder: str | Path, scene: str) -> SdfGrid:
     floor_m = _floor_height(Path(folder), scene)
     high_y_m = low_m[1] + step_m[1] * (sdf_m.shape[1] - 1)
     turned = sdf_m.transpose(0, 2, 1)[:, :, ::-1]
-    return regular_sdf(turned, np.array([low_m[0], low_m[2] - floor_m, -high_y_m]), step_m[[0, 2, 1]])
+    return standing_sdf(turned, np.array([low_m[0], low_m[2] - floor_m, -high_y_m]), step_m[[0, 2, 1]])
 
 
 @functools.lru_cache(maxsize=32)

@@ -17,15 +17,12 @@ from scenemi.data.source_clip import SourceClip
 from scenemi.data.split import Part, Split
 from scenemi.data.trumans import read_trumans, read_trumans_sdf
 from scenemi.scene.geometry import SceneGeometry
-from scenemi.scene.voxel_sdf import above
 from video2anim.body.anny_body import ShapedBody
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import UsageError
 from video2anim.geometry.sdf import SdfGrid
 
 SCENE_SOURCES = ("trumans", "gimo", "prox")
-FLOOR_BAND_M = 0.05
-"""What a capture has below this height is its floor; ours is the plane y = 0."""
 _TEST_ROOMS_OF_PROX = ("MPH16", "MPH1Library", "N0SittingBooth", "N3OpenArea")
 """The rooms that papers on PROX test on."""
 
@@ -38,18 +35,14 @@ class SceneClip:
     scene_name: str
     part: Part
     """By the data set's own rule; no room that is tested on is trained on."""
-    load: Callable[[], SdfGrid]
-    """Reads the scene, floor included."""
-
-    def solids(self) -> SdfGrid:
-        """Signed distances of what stands on the floor: the scene above 5 cm."""
-        return above(self.load(), FLOOR_BAND_M)
+    solids: Callable[[], SdfGrid]
+    """Signed distances to what stands on the floor, read when they are asked for."""
 
     def geometry(self) -> SceneGeometry:
-        """The same and the floor.
+        """The scene with its floor.
 
         Raises:
-            InputError: nothing stands on the floor.
+            InputError: the scene's files are missing or broken.
         """
         return SceneGeometry.from_sdf(self.solids()).with_floor()
 

@@ -83,7 +83,7 @@ def read_trumans_scene(folder: str | Path, name: str) -> Float[np.ndarray, "poin
 
 
 def read_trumans_sdf(folder: str | Path, name: str) -> SdfGrid:
-    """Signed distances of a scene in the frame of the takes, floor included.
+    """Signed distances to what stands on the floor of a scene, in the frame of the takes.
 
     Raises:
         InputError: no such scene, another grid, or an empty one.

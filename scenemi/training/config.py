@@ -68,7 +68,9 @@ class TrainConfig:
     workers: int = 1
     """Threads that make batches ahead."""
     log_every: int = 50
-    save_every: int = 500
+    save_every: int = 100
+    grow_every: int = 500
+    """Steps between two shards of the pool, until it has all its windows."""
     validate_every: int = 2000
 
     def to_json(self) -> dict[str, Any]:
@@ -119,5 +121,5 @@ class TrainConfig:
         return cls.from_json(values)
 
 
-FREE = ("workers", "log_every", "save_every", "validate_every", "pool_windows")
+FREE = ("workers", "log_every", "save_every", "grow_every", "validate_every", "pool_windows")
 """Settings in which a resumed run may differ."""

@@ -8,7 +8,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -97,43 +97,21 @@ def train(
     shards = open_pool(out / POOL)
     run = Run(config, motions.bodies(), shards, device, held)
     check = None if validation is None else Validator(validation, run.statistics)
-    log = _Log(out / LOG, run.step)
-    begun = since = time.perf_counter()
-    recent: list[Tensor] = []
-    bad = 0
+    watch = _Watch(run, out, check, on_progress)
     data = PoolBatches(shards, config, errors)
-    steps = range(run.step, stop_at if stop_at is not None else 2**62)
-    for batch in data.ahead(steps, config.workers):
-        losses, norm = run.advance(batch.to(run.device))
-        bad = 0 if np.isfinite(norm) else bad + 1
-        if bad > _MOST_BAD_STEPS:
-            raise InputError(f"training: {bad} steps without a finite gradient at step {run.step}; lower learning_rate")
-        elapsed = time.perf_counter() - begun
-        late = time_limit_s is not None and elapsed > time_limit_s
-        last = late or run.step == stop_at
-        recent.append(torch.stack([getattr(losses, name) for name in Losses.__slots__]))
-        if run.step % config.log_every == 0:
-            speed = len(recent) * config.batch / (time.perf_counter() - since)
-            values = torch.stack(recent).mean(0).tolist()
-            log.add(run.step, *(f"{v:.5g}" for v in (*values, norm, speed, run.seconds + elapsed)))
-            on_progress(run.progress(values[0], speed, elapsed))
-            recent.clear()
-            since = time.perf_counter()
-        rows: tuple[Validation, ...] = ()
-        if check is not None and (run.step % config.validate_every == 0):
-            rows = check(run.averaged())
-            on_progress(replace(run.progress(float(losses.total), 0.0, elapsed), validation=rows))
-        if run.step % config.save_every == 0 or last:
-            save_checkpoint(out / CHECKPOINT, run.state(elapsed))
-            if not last:
+    try:
+        for batch in data.ahead(range(run.step, stop_at if stop_at is not None else 2**62), config.workers):
+            watch.took(*run.advance(batch.to(run.device)))
+            late = time_limit_s is not None and run.elapsed_s > time_limit_s
+            if late or run.step == stop_at:
+                break
+            if run.step % config.save_every == 0:
+                watch.save()
+            if run.step % config.grow_every == 0:
                 _enlarge(data, motions, out, config)
-        if rows or last:
-            _write_progress(out / PROGRESS, run.progress(float(losses.total), 0.0, elapsed), rows)
-        if late or rows or run.step % config.save_every == 0:
-            since = time.perf_counter()
-        if late:
-            break
-    return run.state(time.perf_counter() - begun)
+    finally:  # interrupted, too
+        watch.save()
+    return run.state()
 
 
 def cool(
@@ -159,8 +137,8 @@ def cool(
     for batch in data.ahead(range(run.step, last), held.config.workers):
         losses, _ = run.advance(batch.to(run.device), (last - run.step) / steps)
         if run.step % held.config.log_every == 0:
-            on_progress(run.progress(float(losses.total), 0.0, 0.0))
-    return run.state(0.0)
+            on_progress(run.progress(float(losses.total)))
+    return run.state()
 
 
 class Run:
@@ -179,7 +157,8 @@ class Run:
         self.statistics: Statistics = held.statistics if held else statistics_of(shards, bodies)
         rest = torch.from_numpy(np.stack([body.rest_joints_m for body in bodies]).astype(np.float32))
         self.model: AnyDenoiser = build_denoiser(config.model).to(self.device)
-        self.step, self.seconds = held.step if held else 0, held.seconds if held else 0.0
+        self.step, self._seconds = held.step if held else 0, held.seconds if held else 0.0
+        self._begun = time.perf_counter()
         if held is not None:
             self.model.load_state_dict(held.model)
         elif isinstance(self.model, Denoiser):
@@ -223,31 +202,65 @@ class Run:
         model.load_state_dict(self.average)
         return model.eval()
 
-    def state(self, elapsed_s: float) -> Checkpoint:
+    @property
+    def elapsed_s(self) -> float:
+        """Since this start of the run."""
+        return time.perf_counter() - self._begun
+
+    def state(self) -> Checkpoint:
         """For a checkpoint."""
         return Checkpoint(
             self.step, self.config, self.statistics, self.model.state_dict(), self.average,
-            self.optimizer.state_dict(), self.seconds + elapsed_s,
+            self.optimizer.state_dict(), self._seconds + self.elapsed_s,
         )  # fmt: skip
 
-    def progress(self, total: float, speed: float, elapsed_s: float) -> Progress:
+    def progress(self, total: float, speed: float = 0.0, rows: tuple[Validation, ...] = ()) -> Progress:
         """Where the run is."""
-        return Progress(self.step, self.step * self.config.batch, (self.seconds + elapsed_s) / 3600, total, speed)
+        hours = (self._seconds + self.elapsed_s) / 3600
+        return Progress(self.step, self.step * self.config.batch, hours, total, speed, rows)
 
 
-def _from_weights(path: Path | None, config: TrainConfig) -> Checkpoint | None:
-    """Shipped weights as the state of a run whose checkpoint is gone: the optimizer begins anew."""
-    if path is None or not path.is_file():
-        return None
-    try:
-        found = load_weights(path)
-    except InputError:
-        return None  # of an older format
-    if found.config != config.model:
-        return None
-    state = found.denoiser.state_dict()
-    hours, step = float(found.card.get("hours", 0.0)), int(found.card.get("steps", 0))
-    return Checkpoint(step, config, found.statistics, state, state, {}, 3600 * hours)
+class _Watch:
+    """What is written down and said of a run."""
+
+    def __init__(self, run: Run, out: Path, check: Validator | None, on_progress: Callable[[Progress], None]) -> None:
+        self._run, self._out, self._check, self._say = run, out, check, on_progress
+        self._log = _Log(out / LOG, run.step)
+        self._recent: list[Tensor] = []
+        self._saved, self._bad, self._since = run.step, 0, time.perf_counter()
+        self._rows: tuple[Validation, ...] = ()
+
+    def took(self, losses: Losses, norm: float) -> None:
+        """A step was taken.
+
+        Raises:
+            InputError: too many in a row had no finite gradient.
+        """
+        run, config = self._run, self._run.config
+        self._bad = 0 if np.isfinite(norm) else self._bad + 1
+        if self._bad > _MOST_BAD_STEPS:
+            raise InputError(
+                f"training: {self._bad} steps without a finite gradient at {run.step}; lower learning_rate"
+            )
+        self._recent.append(torch.stack([getattr(losses, name) for name in Losses.__slots__]))
+        if run.step % config.log_every == 0:
+            speed = len(self._recent) * config.batch / (time.perf_counter() - self._since)
+            values = torch.stack(self._recent).mean(0).tolist()
+            now = run.progress(values[0], speed)
+            self._log.add(run.step, *(f"{v:.5g}" for v in (*values, norm, speed, 3600 * now.hours)))
+            self._say(now)
+            self._recent.clear()
+            self._since = time.perf_counter()
+        if self._check is not None and run.step % config.validate_every == 0:
+            self._rows = self._check(run.averaged())
+            self._say(run.progress(float(losses.total), 0.0, self._rows))
+
+    def save(self) -> None:
+        """Checkpoint and progress, where there was a step since the last."""
+        if self._run.step > self._saved:
+            save_checkpoint(self._out / CHECKPOINT, self._run.state())
+            _write_progress(self._out / PROGRESS, self._run.progress(float("nan")), self._rows)
+            self._saved, self._rows = self._run.step, ()
 
 
 @functools.cache
@@ -266,6 +279,21 @@ def bfloat16_is_quicker(device: torch.device) -> bool:
             times.append(time.perf_counter() - begun)
         took.append(min(times))
     return took[1] < 0.8 * took[0]
+
+
+def _from_weights(path: Path | None, config: TrainConfig) -> Checkpoint | None:
+    """Shipped weights as the state of a run whose checkpoint is gone: the optimizer begins anew."""
+    if path is None or not path.is_file():
+        return None
+    try:
+        found = load_weights(path)
+    except InputError:
+        return None  # of an older format
+    if found.config != config.model:
+        return None
+    state = found.denoiser.state_dict()
+    hours, step = float(found.card.get("hours", 0.0)), int(found.card.get("steps", 0))
+    return Checkpoint(step, config, found.statistics, state, state, {}, 3600 * hours)
 
 
 def _ema_power(width: float) -> float:
