@@ -15,7 +15,6 @@ import typer
 from video2anim.errors import UsageError, Video2AnimError
 
 if TYPE_CHECKING:
-    from scenemi.evaluation.windows import EvaluationWindow
     from scenemi.training.loop import Progress
 
 app = typer.Typer(
@@ -33,6 +32,7 @@ Temperature = Annotated[
     typer.Option(min=0, max=1, help="1 = motions as varied as the data; less = nearer to the expected one."),
 ]
 DEFAULT_INTERVAL = 15
+CAPTURED = "Data set with scenes, trumans=DIR, gimo=DIR or prox=DIR, repeatable"
 
 
 @app.callback(invoke_without_command=True)
@@ -96,7 +96,8 @@ def sample_command(
 
 @app.command("evaluate")
 def evaluate_command(
-    clips: Annotated[list[Path], typer.Option(help="Motion archive (.npz), repeatable.")],
+    clips: Annotated[list[Path] | None, typer.Option(help="Motion archive (.npz), repeatable.")] = None,
+    scenes_from: Annotated[list[str] | None, typer.Option(help=f"{CAPTURED}; clips in their own scenes.")] = None,
     interval: Annotated[int | None, typer.Option(min=1, help="Frames between keyframes.")] = None,
     probability: Annotated[float | None, typer.Option(help="Random keyframes with this chance, instead.")] = None,
     noise: Annotated[float, typer.Option(help="Noise of the keyframes in degrees and cm.")] = 0.0,
@@ -113,6 +114,7 @@ def evaluate_command(
 ) -> None:
     """Fill every 121-frame window of the clips from some of its frames, and compare with the truth."""
     from scenemi.choice import choose_prior
+    from scenemi.evaluation.chosen import chosen_windows
     from scenemi.evaluation.fid import shipped_features
     from scenemi.evaluation.protocol import evaluate
     from scenemi.evaluation.windows import KeyframeProtocol
@@ -123,7 +125,7 @@ def evaluate_command(
             expect_writable(path)
     protocol = KeyframeProtocol(60 if interval is None and probability is None else interval, probability, noise)
     prior = choose_prior(weights, device=_device(device), steps=steps, temperature=temperature)
-    windows = _windows(clips, split, part, scenes)
+    windows = chosen_windows(clips or (), scenes_from or (), split, part, made_up=scenes)
     with _progress("windows") as on_window:
         found = evaluate(
             windows, prior, protocol, seed=seed, features=shipped_features() if details else None, on_window=on_window
@@ -139,25 +141,13 @@ def evaluate_command(
         typer.echo(str(details))
 
 
-def _windows(clips: Sequence[Path], split: Path | None, part: str, scenes: bool) -> Sequence[EvaluationWindow]:
-    from scenemi.data.container import MotionArchive, read_split
-    from scenemi.evaluation.scenes import with_pseudo_scenes
-    from scenemi.evaluation.windows import cut_windows
-
-    names = None
-    if split is not None:
-        table = read_split(split)
-        if part not in table:
-            raise UsageError(f"--part: want one of {', '.join(table)}, got {part!r}")
-        names = table[part]
-    windows = cut_windows([MotionArchive.read(path) for path in clips], names)
-    return with_pseudo_scenes(windows) if scenes else windows
-
-
 @app.command("train")
 def train_command(
-    motion: Annotated[list[Path], typer.Option(help="Motion archive (.npz) or folder of them, repeatable.")],
     out: Annotated[Path, typer.Option(help="Folder for checkpoint, logs and weights.")],
+    motion: Annotated[
+        list[Path] | None, typer.Option(help="Motion archive (.npz) or folder of them, repeatable.")
+    ] = None,
+    scenes: Annotated[list[str] | None, typer.Option(help=f"{CAPTURED}.")] = None,
     config: Annotated[Path | None, typer.Option(help="JSON of the run (default: the shipped model's).")] = None,
     split: Annotated[Path | None, typer.Option(help="JSON with lists of clip names.")] = None,
     cache: Annotated[Path | None, typer.Option(help="Folder for retargeted motion, so that it is made once.")] = None,
@@ -174,13 +164,13 @@ def train_command(
     device: Device = "auto",
 ) -> None:
     """Train a model, or go on training it: a run has no end, it stops after --minutes or when it is interrupted."""
-    from scenemi.training.runs import RunFiles, motions_for, write_run_weights
+    from scenemi.training.runs import RunFiles, clips_for, write_run_weights
 
-    files = RunFiles.of(config, motion, split, cache)
-    motions, watched = motions_for(files)
-    if watched is None:
+    files = RunFiles.of(config, motion or (), split, cache, scenes or ())
+    clips = clips_for(files, out)
+    if clips.watched is None:
         _note("no clip is for validation (--split), so none is sampled while training")
-    _note(f"{motions.minutes:.1f} minutes of motion, {len(motions.shapes)} bodies")
+    _note(f"{sum(one.minutes for one in clips.sets):.1f} minutes of motion, {len(clips.motions.shapes)} bodies")
     from scenemi.training.loop import cool, train
     from scenemi.training.noise import PipelineErrors
 
@@ -189,12 +179,12 @@ def train_command(
     recorded = None if errors is None else PipelineErrors.read(errors)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: the state is saved
     state = train(
-        files.config, motions, out, validation=watched, device=chosen, errors=recorded, start=start,
-        time_limit_s=limit_s, on_progress=_say_progress,
+        files.config, clips.motions, out, scenes=clips.scenes, validation=clips.watched, device=chosen, errors=recorded,
+        start=start, time_limit_s=limit_s, on_progress=_say_progress,
     )  # fmt: skip
     if cool_steps:
-        state = cool(out, motions, cool_steps, errors=recorded, device=chosen, on_progress=_say_progress)
-    typer.echo(str(write_run_weights(out / "weights.safetensors", state, motions)))
+        state = cool(out, clips.motions, cool_steps, errors=recorded, device=chosen, on_progress=_say_progress)
+    typer.echo(str(write_run_weights(out / "weights.safetensors", state, *clips.sets)))
 
 
 @app.command("data")

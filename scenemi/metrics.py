@@ -29,6 +29,8 @@ KIMODO_SPEED_M_S = 0.20
 ROHM_ANKLE_HEIGHT_M = 0.15
 ROHM_TOE_HEIGHT_M = 0.10
 ROHM_SPEED_M_S = 0.10
+STANCE_SPEED_M_S = 0.3
+"""A low foot slower than this stands."""
 COLLISION_TAUS_M = (0.0, 0.01)
 """Depths at which collision ratios are reported."""
 CLOSE_PROXIMITY_M = 0.08
@@ -260,3 +262,15 @@ def _chunked_mpjpe(estimate_m: np.ndarray, truth_m: np.ndarray, align_frames: in
         align = align_similarity(estimate[head].reshape(-1, 3), truth[head].reshape(-1, 3))
         errors_m.append(_distances(align(estimate), truth))
     return float(np.concatenate(errors_m).mean())
+
+
+def standing_feet(joints_m: Float[np.ndarray, "frames 22 3"], fps: float) -> Float[np.ndarray, "frames 22"]:
+    """Ankles and toes that are low and slow, 1 or 0."""
+    contact = np.zeros(joints_m.shape[:2])
+    if len(joints_m) < 2:
+        return contact
+    for joints, height_m in ((ANKLES, ROHM_ANKLE_HEIGHT_M), (TOES, ROHM_TOE_HEIGHT_M)):
+        for joint in joints:
+            speed = np.linalg.norm(np.gradient(joints_m[:, joint], axis=0), axis=-1) * fps
+            contact[:, joint] = (joints_m[:, joint, UP] < height_m) & (speed < STANCE_SPEED_M_S)
+    return contact

@@ -9,15 +9,13 @@ from jaxtyping import Bool, Float
 
 from scenemi.keyframes import FPS, Keyframes
 from scenemi.longmotion import LongMotion, inbetween
-from scenemi.metrics import ANKLES, ROHM_ANKLE_HEIGHT_M, ROHM_TOE_HEIGHT_M, TOES, UP
+from scenemi.metrics import standing_feet
 from scenemi.prior import InbetweeningPrior
 from scenemi.scene.geometry import SceneGeometry
 from video2anim.body.anny_body import ShapedBody, shaped_body
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import UsageError
 
-_STANCE_SPEED_M_S = 0.3
-"""A low foot slower than this stands."""
 _BODY_TOLERANCE_M = 1e-3
 
 
@@ -67,7 +65,7 @@ def sample_motion(
     if last + 1 < len(given.is_keyframe):
         notes.append(f"frames {last + 1} to {len(given.is_keyframe) - 1} hold the last keyframe's pose")
     joints_m, _ = forward_kinematics(filled.R_parent_joint, filled.translation_world_m, keyframes.rest_joints_m)
-    return SampledMotion(filled, given.is_keyframe, standing_feet(joints_m), tuple(notes))
+    return SampledMotion(filled, given.is_keyframe, standing_feet(joints_m, FPS), tuple(notes))
 
 
 def body_of(keyframes: Keyframes) -> ShapedBody | None:
@@ -77,15 +75,3 @@ def body_of(keyframes: Keyframes) -> ShapedBody | None:
     body = shaped_body(keyframes.shape)
     alike = np.abs(body.rest_joints_m - keyframes.rest_joints_m).max() <= _BODY_TOLERANCE_M
     return body if alike else None
-
-
-def standing_feet(joints_m: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "frames 22"]:
-    """Ankles and toes that are low and slow, 1 or 0."""
-    contact = np.zeros(joints_m.shape[:2])
-    if len(joints_m) < 2:
-        return contact
-    for joints, height_m in ((ANKLES, ROHM_ANKLE_HEIGHT_M), (TOES, ROHM_TOE_HEIGHT_M)):
-        for joint in joints:
-            speed = np.linalg.norm(np.gradient(joints_m[:, joint], axis=0), axis=-1) * FPS
-            contact[:, joint] = (joints_m[:, joint, UP] < height_m) & (speed < _STANCE_SPEED_M_S)
-    return contact

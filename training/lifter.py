@@ -83,7 +83,7 @@ def samplers(options: argparse.Namespace) -> tuple[LiftingSampler, LiftingSample
     """Training and validation, which share neither motion nor rendered clips. What is missing is made."""
     cache, archives = options.cache, [options.motion / name for name in ARCHIVES]
     split = options.motion / "split.json"
-    libraries = residuals(cache, options.motion)
+    libraries = residuals(cache, options.motion, options.clips)
     motions = kept_motions(cache / "motions", archives, split, "train", acted=ACTED, seed=0)
     unseen = kept_motions(
         cache / "held_out_motions", archives, split, "val", acted=VALIDATION_ACTED, seed=VALIDATION_SEED
@@ -94,13 +94,12 @@ def samplers(options: argparse.Namespace) -> tuple[LiftingSampler, LiftingSample
     )
 
 
-def residuals(cache: Path, motion: Path) -> tuple[ResidualLibrary, ResidualLibrary]:
+def residuals(cache: Path, motion: Path, count: int) -> tuple[ResidualLibrary, ResidualLibrary]:
     """BlazePose's errors on rendered clips, for training and for validation."""
-    key = {"words": CLIP_WORDS, "clips": CLIPS}
-    key = json.loads(json.dumps(key))
+    key = {"words": list(CLIP_WORDS), "clips": count}
     folders = cache / "residuals", cache / "held_out_residuals"
     if not all(kept(folder, key) for folder in folders):
-        clips = rendered(cache / "clips", motion)
+        clips = rendered(cache / "clips", motion, count)
         tracked = [(clip, tracks(clip, cache / "scenes" / clip.name)) for clip in clips]
         for folder, wanted in zip(folders, (False, True), strict=True):
             found = [
@@ -113,10 +112,10 @@ def residuals(cache: Path, motion: Path) -> tuple[ResidualLibrary, ResidualLibra
     return train_library, held_out
 
 
-def rendered(folder: Path, motion: Path) -> list[Path]:
+def rendered(folder: Path, motion: Path, count: int) -> list[Path]:
     """Clips with truth; those that are there are not made again."""
     words = [word for name in CLIP_MOTION for word in ("--motion", str(motion / name))]
-    program([*("synth", *CLIP_WORDS, "--count", str(CLIPS), "--out", str(folder)), *words])
+    program([*("synth", *CLIP_WORDS, "--count", str(count), "--out", str(folder)), *words])
     return sorted(path.parent for path in folder.glob("[!.]*/meta.json"))
 
 
@@ -149,6 +148,7 @@ def arguments() -> argparse.Namespace:
         command.add_argument("--threads", type=int, default=1)
     for name in ("run", "export"):
         of[name].add_argument("--motion", type=Path, default=Path("../shared/motion"), help="folder of the archives")
+        of[name].add_argument("--clips", type=int, default=CLIPS, help="rendered clips with BlazePose's errors")
     of["run"].add_argument("--minutes", type=float, help="stop after so long (default: when interrupted)")
     of["export"].add_argument("--cooldown", type=int, default=0, help="steps with a falling rate before the export")
     of["export"].add_argument("--out", type=Path, required=True)

@@ -2,7 +2,7 @@
 
     python training/pipeline_errors.py --motion ../shared/motion --part train --windows 200 --out errors.npz
 
-Run it again when the lifter or stage `humans` has changed, and go on training. Nothing is rendered: motions of the split
+Run it again when the lifter or stage `humans` has changed, then go on training. Nothing is rendered: motions of a split
 stand before random cameras, are seen with BlazePose's errors as the lifter's training has them (`training/lifter.py`
 makes what is missing), and stage `humans` itself makes bodies of it. Roots and local rotations are compared in the true
 camera; the mean shift of a window, which no prior can know, is taken out.

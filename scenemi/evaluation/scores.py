@@ -13,7 +13,6 @@ from scipy.signal import butter, sosfiltfilt
 from scenemi import metrics
 from scenemi.evaluation.windows import FPS, EvaluationWindow
 from scenemi.prior import WindowMotion
-from scenemi.sample_motion import standing_feet
 from video2anim.body.skeleton import forward_kinematics
 
 SKIN_VERTICES = 1500
@@ -68,7 +67,7 @@ class WindowJudge:
     def __init__(self, window: EvaluationWindow) -> None:
         self.window = window
         self.skin_index = skin_sample(len(window.body.rest_vertices_m))
-        self.standing: Bool[np.ndarray, "frames 4"] = standing_feet(window.joints_m)[:, FEET] > 0
+        self.standing: Bool[np.ndarray, "frames 4"] = metrics.standing_feet(window.joints_m, FPS)[:, FEET] > 0
         self.close: Bool[np.ndarray, "frames"] = np.zeros(len(window.translation_m), bool)
         if window.obstacles is not None:
             distance_m = window.obstacles.signed_distance(self.skin_m(window.R_parent_joint, window.translation_m))
@@ -86,7 +85,7 @@ class WindowJudge:
             jerk_m_s3=metrics.jerk_m_s3(joints_m, FPS),
             jerk_8hz_m_s3=metrics.jerk_m_s3(low_passed(joints_m), FPS),
             skating_gmd=metrics.foot_skating_gmd(joints_m, FPS),
-            contact_f1=metrics.binary_scores(standing_feet(joints_m)[:, FEET] > 0, self.standing).f1,
+            contact_f1=metrics.binary_scores(metrics.standing_feet(joints_m, FPS)[:, FEET] > 0, self.standing).f1,
             floor_depth_m=float(max(0.0, -skin_m[..., 1].min())),
         )
         return scores if distance_m is None else replace(scores, **self._collisions(distance_m))

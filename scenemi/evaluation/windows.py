@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from scenemi.data.container import MotionArchive
-from scenemi.data.retarget import retarget
+from scenemi.data.retarget import RetargetedMotion, retarget
+from scenemi.data.source_clip import SourceClip
 from scenemi.features import to_canonical
 from scenemi.prior import KeyframeWindow
 from scenemi.scene.geometry import SceneGeometry
@@ -24,6 +25,7 @@ from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.motion import BodyShape
 
 FPS = 30.0
@@ -52,7 +54,7 @@ class EvaluationWindow:
     body: ShapedBody
     obstacles: ObstacleField | None = None
     """Solids for the collision numbers, without the floor; None = no scene."""
-    scene: SceneGeometry | None = None
+    scene: SdfGrid | SceneGeometry | None = None
     """The same solids and the floor, as a prior is given them."""
 
 
@@ -123,7 +125,7 @@ def cut_windows(
                 continue
             longest = max(longest, frames)
             if frames >= WINDOW_FRAMES:
-                windows += _windows_of(archive, name, body, stride)
+                windows += [window for _, window in windows_of(archive.clip(name), body, stride)[1]]
     if not windows:
         raise InputError(
             f"evaluation: want a clip of at least {WINDOW_FRAMES} frames at {FPS:.0f} fps, the longest has {longest}"
@@ -131,23 +133,30 @@ def cut_windows(
     return tuple(windows)
 
 
-def _windows_of(archive: MotionArchive, name: str, body: ShapedBody, stride: int) -> list[EvaluationWindow]:
-    clip = archive.clip(name)
+def windows_of(
+    clip: SourceClip, body: ShapedBody, stride: int = WINDOW_FRAMES
+) -> tuple[RetargetedMotion, list[tuple[int, EvaluationWindow]]]:
+    """A clip on a body, and its windows with their first frames.
+
+    Raises:
+        InputError: a clip of another frame rate, or of an unknown skeleton.
+    """
     if abs(clip.fps - FPS) > 0.01:
-        raise InputError(f"clip {name!r}: want {FPS:.0f} fps, got {clip.fps:g}; resample it first (`scenemi data`)")
+        raise InputError(
+            f"clip {clip.name!r}: want {FPS:.0f} fps, got {clip.fps:g}; resample it first (`scenemi data`)"
+        )
     motion = retarget(clip, body)
     windows = []
     for start in range(0, len(motion.translation_m) - WINDOW_FRAMES + 1, stride):
         frames = slice(start, start + WINDOW_FRAMES)
         R_parent_joint, translation_m = to_canonical(motion.R_parent_joint[frames], motion.translation_m[frames])
         joints_m, _ = forward_kinematics(R_parent_joint, translation_m, body.rest_joints_m)
-        windows.append(
-            EvaluationWindow(
-                name=f"{name}@{start}", kind=motion.kind, source=motion.source, R_parent_joint=R_parent_joint,
-                translation_m=translation_m, joints_m=joints_m, contact=motion.contact[frames], body=body,
-            )
+        one = EvaluationWindow(
+            name=f"{clip.name}@{start}", kind=motion.kind, source=motion.source, R_parent_joint=R_parent_joint,
+            translation_m=translation_m, joints_m=joints_m, contact=motion.contact[frames], body=body,
         )  # fmt: skip
-    return windows
+        windows.append((start, one))
+    return motion, windows
 
 
 def window_seed(name: str, seed: int) -> int:

@@ -25,7 +25,7 @@ _BELOW_M = 0.5
 
 def voxel_sdf(solid: Bool[np.ndarray, "x y z"], low_m: Float[np.ndarray, "3"], voxel_m: float) -> SdfGrid:
     """Distances at the centers of voxels to the nearest solid one, inside to the nearest free one; nothing is around
-    the grid. Exact at level faces, at most a fifth of a voxel too far at edges and corners.
+    the grid. Exact at level faces, up to 0.4 voxels too far at edges and corners.
 
     Args:
         solid: +Y up; what lies below `FLOOR_BAND_M` is taken for the floor y = 0 and left out.
@@ -50,7 +50,7 @@ def voxel_sdf(solid: Bool[np.ndarray, "x y z"], low_m: Float[np.ndarray, "3"], v
 
 
 def scan_sdf(triangles_m: Float[np.ndarray, "faces 3 3"], voxel_m: float, depth_m: float) -> SdfGrid:
-    """A scan, +Y up with the floor near y = 0: solid from its faces to some depth behind them, or half a voxel more.
+    """A scan, +Y up with the floor near y = 0: solid from its faces to some depth behind them, to half a voxel.
 
     What faces the scanner is in front, as in every scan; if level faces near the floor look down, all are turned.
 

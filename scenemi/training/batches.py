@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Int8
 from torch import Tensor
 
 from scenemi.data.augment import MIRROR_JOINT
 from scenemi.features import FEATURE_COUNT, JOINTS, ROTATIONS, Statistics, body_lengths
 from scenemi.model.diffusion import STEPS
+from scenemi.scene.rows import BoxRows, SceneRows, VolumeRows
 from scenemi.training.config import TrainConfig
 from scenemi.training.keyframe_masks import draw_mask, draw_observed_mask
 from scenemi.training.noise import PipelineErrors, gaussian, told_level
-from scenemi.training.pool import UNITS_PER_METRE, Shard
+from scenemi.training.pool import UNITS_PER_METRE, AnyShard, SceneShard, stored_scenes
 from video2anim.body.anny_body import ShapedBody
 
 LOOKED_AT = 31
@@ -36,6 +37,7 @@ class Batch:
     valid: Float[Tensor, "batch frames"]
     mask: Float[Tensor, "batch frames"]
     boxes: Float[Tensor, "batch boxes 7"]
+    """Of made-up scenes; no columns where the scenes are captured ones."""
     scene_known: Float[Tensor, "batch"]
     """1 where the window is shown its scene."""
     local_known: Float[Tensor, "batch"]
@@ -55,6 +57,15 @@ class Batch:
     """Unit Gaussian of the forward process."""
     condition_on_estimate: Float[Tensor, ""]
     """1 in steps in which the scene is asked along a first estimate, not along the joined keyframes."""
+    values: Int8[Tensor, "batch x y z"] = field(default_factory=lambda: torch.zeros(0, 0, 0, 0, dtype=torch.int8))
+    """Distances to solids of captured scenes, see `VolumeRows`; no rows where scenes are made up."""
+    place: Float[Tensor, "batch 6"] = field(default_factory=lambda: torch.zeros(0, 6))
+    """First node and steps of the nodes."""
+
+    @property
+    def scene(self) -> SceneRows:
+        """The scenes, whichever they are."""
+        return VolumeRows(self.values, self.place) if len(self.values) else BoxRows(self.boxes)
 
     def to(self, device: torch.device) -> Batch:
         """On a device."""
@@ -64,26 +75,28 @@ class Batch:
 class PoolBatches:
     """The batch of each training step."""
 
-    def __init__(self, shards: Sequence[Shard], config: TrainConfig, errors: PipelineErrors | None = None) -> None:
+    def __init__(self, shards: Sequence[AnyShard], config: TrainConfig, errors: PipelineErrors | None = None) -> None:
         """`errors`: of the video pipeline; without them noisy keyframes have Gaussian noise only."""
         self.config, self.errors = config, errors
         self.take(shards)
 
-    def take(self, shards: Sequence[Shard]) -> None:
-        """Draw from these shards from now on."""
-        self.shards, self.ends = list(shards), np.cumsum([len(shard) for shard in shards])
+    def take(self, shards: Sequence[AnyShard]) -> None:
+        """Draw from these shards from now on; windows of a batch are all in made-up scenes or all in captured ones."""
+        self.shards = list(shards)
+        kinds = ([s for s in shards if isinstance(s, SceneShard) == captured] for captured in (False, True))
+        self._kinds = [kind for kind in kinds if kind]
 
     def __getitem__(self, step: int) -> Batch:
         """The batch of a step."""
         config = self.config
         rng = np.random.default_rng([config.seed, step])
-        units, boxes, telling, valid, body = self._rows(rng.integers(0, self.ends[-1], config.batch))
+        shards = self._kinds[int(rng.integers(len(self._kinds))) if len(self._kinds) > 1 else 0]
+        units, scene, telling, valid, body = _rows(shards, rng.integers(0, sum(map(len, shards)), config.batch))
         count, frames = units.shape[:2]
         features = torch.from_numpy(units).float().div_(UNITS_PER_METRE)
         mirror = torch.from_numpy(rng.random(count) < 0.5)
         features = torch.where(mirror[:, None, None], mirrored(features), features)
-        boxes[mirror.numpy()] *= _MIRRORED_BOX
-        shown = (rng.random(count) < config.scene_share) & (boxes[:, 0, 3] > 0)
+        shown = (rng.random(count) < config.scene_share) & scene.filled
         kind = rng.random(count)
         piped = (kind < config.pipeline_share) & (self.errors is not None)
         own = shown & (rng.random(count) < _TELLING) & (config.keyframes == "mixed")
@@ -104,7 +117,7 @@ class PoolBatches:
             body=torch.from_numpy(body),
             valid=torch.from_numpy(~holds).float(),
             mask=torch.from_numpy(np.stack(masks) | holds).float(),
-            boxes=torch.from_numpy(boxes),
+            **scene.mirrored(mirror).columns(),
             scene_known=torch.from_numpy(known).float(),
             local_known=torch.from_numpy(shown & (dropped >= config.drop_local)).float(),
             noise=torch.from_numpy(noise),
@@ -147,24 +160,24 @@ class PoolBatches:
             for future in coming:
                 yield future.result()
 
-    def _rows(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Stored units, boxes, telling keyframes, valid frames and bodies of rows of the whole pool."""
-        shard = np.searchsorted(self.ends, index, side="right")
-        row = index - (self.ends[shard] - [len(self.shards[s]) for s in shard])
-        picked = [(self.shards[s], r) for s, r in zip(shard, row, strict=True)]
-        units = np.stack([one.features[r] for one, r in picked])
-        telling = np.stack([np.unpackbits(one.mask[r])[: units.shape[1]] for one, r in picked]).astype(bool)
-        boxes = np.stack([one.boxes[r] for one, r in picked])
-        return (
-            units,
-            boxes,
-            telling,
-            np.array([one.valid_frames[r] for one, r in picked], np.int64),
-            np.array([one.body[r] for one, r in picked], np.int64),
-        )
 
-
-_MIRRORED_BOX = np.array([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0], np.float32)
+def _rows(
+    shards: Sequence[AnyShard], index: np.ndarray
+) -> tuple[np.ndarray, SceneRows, np.ndarray, np.ndarray, np.ndarray]:
+    """Stored units, scenes, telling keyframes, valid frames and bodies of rows of all shards one after the other."""
+    ends = np.cumsum([len(shard) for shard in shards])
+    shard = np.searchsorted(ends, index, side="right")
+    row = index - (ends[shard] - [len(shards[s]) for s in shard])
+    picked = [(shards[s], r) for s, r in zip(shard, row, strict=True)]
+    units = np.stack([one.features[r] for one, r in picked])
+    telling = np.stack([np.unpackbits(one.mask[r])[: units.shape[1]] for one, r in picked]).astype(bool)
+    return (
+        units,
+        stored_scenes(picked),
+        telling,
+        np.array([one.valid_frames[r] for one, r in picked], np.int64),
+        np.array([one.body[r] for one, r in picked], np.int64),
+    )
 
 
 def _mirror_table() -> tuple[Int[Tensor, "201"], Float[Tensor, "201"]]:
@@ -188,7 +201,7 @@ def mirrored(features: Float[Tensor, "... 201"]) -> Float[Tensor, "... 201"]:
     return features[..., _SOURCE] * _SIGN
 
 
-def statistics_of(shards: Sequence[Shard], bodies: Sequence[ShapedBody]) -> Statistics:
+def statistics_of(shards: Sequence[AnyShard], bodies: Sequence[ShapedBody]) -> Statistics:
     """Statistics of the features over some windows of the pool, and of the bodies' lengths."""
     some = np.concatenate([shard.features[::8].reshape(-1, FEATURE_COUNT) for shard in shards[:4]])
     return Statistics.of(some.astype(np.float64) / UNITS_PER_METRE, np.stack([body_lengths(body) for body in bodies]))

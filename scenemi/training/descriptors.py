@@ -13,7 +13,6 @@ from scenemi.features import decode
 from scenemi.model.conditions import Descriptors
 from scenemi.model.config import PaperConfig
 from scenemi.scene.basis_points import anchor_vertices, shortened
-from scenemi.scene.boxes import Boxes
 from scenemi.scene.voxels import GridSpec
 from scenemi.training.batches import Batch
 from video2anim.body.anny_body import ShapedBody
@@ -38,15 +37,12 @@ def descriptors_of(
     occupancy = np.zeros((len(batch.mask), *config.grid), np.float32)
     local_m = np.zeros((*batch.mask.shape, config.bps_anchors, 3), np.float32)
     for i in shown:
-        rows = batch.boxes[i][batch.boxes[i, :, 3] > 0].cpu().double().numpy()
-        boxes = Boxes(rows[:, :3], rows[:, 3:6], rows[:, 6])
-        occupancy[i] = boxes.occupancy(grid)
+        occupancy[i] = batch.scene.occupancy(i, grid)
         given, body = (batch.mask[i] > 0).cpu().numpy(), bodies[int(batch.body[i])]
         R, translation_m = decode(keys[i].cpu().double().numpy()[given])
         joints_m, R_world = forward_kinematics(R, translation_m, body.rest_joints_m)
         anchors_m = body.vertices(R_world, joints_m, anchor_vertices(body, config.bps_anchors))
-        offsets, _ = boxes.offsets(np.ascontiguousarray(anchors_m.reshape(-1, 3).T), 0.0)
-        local_m[i, given] = shortened(offsets.T.reshape(anchors_m.shape))
+        local_m[i, given] = shortened(batch.scene.offsets(i, anchors_m.reshape(-1, 3)).reshape(anchors_m.shape))
     device = batch.mask.device
     return Descriptors(
         torch.from_numpy(occupancy).to(device), torch.from_numpy(local_m).to(device), batch.scene_known,

@@ -7,7 +7,7 @@ import functools
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,13 +27,15 @@ from scenemi.training.checkpoint import Checkpoint, load_checkpoint, save_checkp
 from scenemi.training.config import FREE, TrainConfig
 from scenemi.training.losses import Losses, TrainingLoss
 from scenemi.training.noise import PipelineErrors
-from scenemi.training.pool import SHARD_WINDOWS, Shard, grow_pool, open_pool
+from scenemi.training.pool import SHARD_WINDOWS, AnyShard, grow_pool, open_pool
 from scenemi.training.scales import measure_scales
+from scenemi.training.scene_pool import SceneMotions
 from scenemi.training.validate import Validation, Validator
 from video2anim.body.anny_body import ShapedBody
 from video2anim.errors import InputError
 
 CHECKPOINT, LOG, PROGRESS, POOL = "checkpoint.safetensors", "log.csv", "progress.json", "pool"
+SCENE_POOL = "pool_captured"
 _COLUMNS = (
     "step", "total", "simple", "joints_m2", "velocity_m2", "inside_cm", "gradient_norm", "windows_per_s", "seconds",
 )  # fmt: skip
@@ -62,6 +64,7 @@ def train(
     motions: MotionSet,
     out: Path,
     *,
+    scenes: SceneMotions | None = None,
     validation: MotionSet | None = None,
     device: str = "cpu",
     errors: PipelineErrors | None = None,
@@ -74,8 +77,9 @@ def train(
 
     Args:
         config: the run; a resumed run must have the same, save for what does not change weights.
-        motions: clips on bodies, from which the pool in `out/pool` is made.
+        motions: clips on bodies, from which the pool in `out/pool` is made; in made-up scenes, or captured ones.
         out: folder of the pool, the checkpoint, `log.csv` and `progress.json`.
+        scenes: clips in captured scenes on the same bodies, beside others in `motions`; half of the batches are theirs.
         validation: windows that sampled numbers are made of.
         device: of torch.
         errors: of the video pipeline, for noisy keyframes.
@@ -93,8 +97,9 @@ def train(
             f"training: {out / CHECKPOINT} was trained with other {', '.join(differing)}; give another folder, or the "
             "configuration it was begun with"
         )
-    grow_pool(out / POOL, motions, min(config.pool_windows, _FIRST_SHARDS * SHARD_WINDOWS), seed=config.seed)
-    shards = open_pool(out / POOL)
+    pools = {POOL: motions} if scenes is None else {POOL: motions, SCENE_POOL: scenes}
+    _grow(out, pools, min(config.pool_windows, _FIRST_SHARDS * SHARD_WINDOWS), config.seed)
+    shards = _shards(out)
     run = Run(config, motions.bodies(), shards, device, held)
     check = None if validation is None else Validator(validation, run.statistics)
     watch = _Watch(run, out, check, on_progress)
@@ -108,7 +113,7 @@ def train(
             if run.step % config.save_every == 0:
                 watch.save()
             if run.step % config.grow_every == 0:
-                _enlarge(data, motions, out, config)
+                _enlarge(data, pools, out, config)
     finally:  # interrupted, too
         watch.save()
     return run.state()
@@ -130,7 +135,7 @@ def cool(
         InputError: no checkpoint.
     """
     held = load_checkpoint(out / CHECKPOINT)
-    shards = open_pool(out / POOL)
+    shards = _shards(out)
     run = Run(held.config, motions.bodies(), shards, device, held)
     data = PoolBatches(shards, held.config, errors)
     last = run.step + steps
@@ -148,7 +153,7 @@ class Run:
         self,
         config: TrainConfig,
         bodies: Sequence[ShapedBody],
-        shards: Sequence[Shard],
+        shards: Sequence[AnyShard],
         device: str,
         held: Checkpoint | None,
     ) -> None:
@@ -302,12 +307,24 @@ def _ema_power(width: float) -> float:
     return float(np.roots([1, 7, 16 - t, 12 - t]).real.max())
 
 
-def _enlarge(data: PoolBatches, motions: MotionSet, out: Path, config: TrainConfig) -> None:
-    """One more shard, until the pool has all its windows. Batches drawn ahead are of the smaller pool."""
-    wanted = min(config.pool_windows, (len(data.shards) + 1) * SHARD_WINDOWS)
-    if wanted > data.ends[-1]:
-        grow_pool(out / POOL, motions, wanted, seed=config.seed)
-        data.take(open_pool(out / POOL))
+def _grow(out: Path, pools: Mapping[str, MotionSet], windows: int, seed: int) -> None:
+    for name, motions in pools.items():
+        grow_pool(out / name, motions, windows, seed=seed)
+
+
+def _shards(out: Path) -> list[AnyShard]:
+    """Of the pool, and of that in captured scenes where there is one."""
+    captured = open_pool(out / SCENE_POOL) if (out / SCENE_POOL).is_dir() else []
+    return [*open_pool(out / POOL), *captured]
+
+
+def _enlarge(data: PoolBatches, pools: Mapping[str, MotionSet], out: Path, config: TrainConfig) -> None:
+    """One more shard, until each pool has all its windows. Batches drawn ahead are of the smaller pool."""
+    there = sum(map(len, data.shards)) // len(pools)
+    wanted = min(config.pool_windows, there + SHARD_WINDOWS)
+    if wanted > there:
+        _grow(out, pools, wanted, config.seed)
+        data.take(_shards(out))
 
 
 def _differing(held: TrainConfig, wanted: TrainConfig) -> list[str]:

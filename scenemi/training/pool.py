@@ -9,21 +9,23 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int, Int16, UInt8
+from jaxtyping import Bool, Float, Int, Int8, Int16, UInt8
 
-from scenemi.data.windows import MotionSet
-from scenemi.features import FEATURE_COUNT, JOINTS, encode, to_canonical
+from scenemi.data.windows import MotionSet, WindowBatch
+from scenemi.features import FEATURE_COUNT, JOINTS, canonical_frame, encode, to_canonical
 from scenemi.model.base import join_keyframes
 from scenemi.scene.body_balls import BodyBalls, fit_balls
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.pseudo import PseudoConfig, PseudoScenes
+from scenemi.scene.rows import BoxRows, SceneRows, VolumeRows
 from scenemi.training.keyframe_masks import draw_telling_mask
+from scenemi.training.scene_pool import SceneMotions
 from scenemi.windows import WINDOW_FRAMES
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError
@@ -58,6 +60,27 @@ class Shard:
         return len(self.body)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneShard:
+    """The same of captured clips in their scenes."""
+
+    features: Int16[np.ndarray, "windows frames 201"]
+    valid_frames: UInt8[np.ndarray, "windows"]
+    body: UInt8[np.ndarray, "windows"]
+    values: Int8[np.ndarray, "windows x y z"]
+    """Distances to solids around each window, see `scenemi.scene.field.VolumeField`."""
+    place: Float[np.ndarray, "windows 6"]
+    """First node and steps of the nodes."""
+    mask: UInt8[np.ndarray, "windows bytes"]
+    collides: UInt8[np.ndarray, "windows"]
+
+    def __len__(self) -> int:
+        return len(self.body)
+
+
+AnyShard = Shard | SceneShard
+
+
 def grow_pool(
     folder: Path,
     motions: MotionSet,
@@ -83,12 +106,16 @@ def grow_pool(
     for number in range(wanted):
         path = folder / f"shard_{number:04d}"
         if not path.is_dir():
-            balls = balls or [fit_balls(motions.body(i)) for i in range(len(motions.shapes))]
-            _write(path, _made(motions, scenes, balls, np.random.default_rng([seed, _VERSION, number])))
+            rng = np.random.default_rng([seed, _VERSION, number])
+            if isinstance(motions, SceneMotions):
+                _write(path, _captured(motions, rng))
+            else:
+                balls = balls or [fit_balls(motions.body(i)) for i in range(len(motions.shapes))]
+                _write(path, _made(motions, scenes, balls, rng))
         on_shard(number + 1, wanted)
 
 
-def open_pool(folder: Path) -> list[Shard]:
+def open_pool(folder: Path) -> list[AnyShard]:
     """The shards that are there.
 
     Raises:
@@ -98,46 +125,93 @@ def open_pool(folder: Path) -> list[Shard]:
     if not paths:
         raise InputError(f"{folder}: no training windows there; make them with `scenemi train --motion ...`")
     try:
-        return [
-            Shard(**{f.name: np.load(path / f"{f.name}.npy", mmap_mode="r") for f in fields(Shard)}) for path in paths
-        ]
+        return [_opened(path, SceneShard if (path / "values.npy").is_file() else Shard) for path in paths]
     except (OSError, ValueError) as error:
         raise InputError(f"{folder}: broken training windows ({error}); delete the folder") from error
 
 
-def telling_share(shards: list[Shard]) -> float:
+def stored_scenes(picked: Sequence[tuple[AnyShard, int]]) -> SceneRows:
+    """Scenes of rows of shards, which are all of one kind."""
+    boxes = [shard.boxes[row] for shard, row in picked if isinstance(shard, Shard)]
+    if boxes:
+        return BoxRows(torch.from_numpy(np.stack(boxes)))
+    captured = [(shard.values[row], shard.place[row]) for shard, row in picked if isinstance(shard, SceneShard)]
+    values, place = (torch.from_numpy(np.stack(one)) for one in zip(*captured, strict=True))
+    return VolumeRows(values, place)
+
+
+def _opened(path: Path, kind: type[Shard] | type[SceneShard]) -> AnyShard:
+    names = [item.name for item in fields(kind)]
+    return kind(**{name: np.load(path / f"{name}.npy", mmap_mode="r", allow_pickle=False) for name in names})
+
+
+def telling_share(shards: Sequence[AnyShard]) -> float:
     """Share of the windows with solids in which the scene-blind filling collides."""
     collides = np.concatenate([shard.collides for shard in shards])
-    filled = np.concatenate([(shard.boxes[:, 0, 3] > 0) for shard in shards])
+    filled = np.concatenate([stored_scenes([(shard, row) for row in range(len(shard))]).filled for shard in shards])
     return float(collides[filled].mean()) if filled.any() else float("nan")
 
 
-def _made(motions: MotionSet, scenes: PseudoScenes, balls: list[BodyBalls], rng: np.random.Generator) -> Shard:
-    windows = motions.sample_batch(rng, SHARD_WINDOWS)
-    R, translation_m = to_canonical(windows.R_parent_joint, windows.translation_m)
-    rest_m = motions.rest_joints_m[windows.body_index]
-    features = encode(R, translation_m, rest_m)
-    joints_m, R_world = forward_kinematics(R, translation_m, rest_m[:, None])
-    valid = windows.valid.sum(1)
-    masks = np.stack([draw_telling_mask(rng, WINDOW_FRAMES) for _ in range(SHARD_WINDOWS)])
-    masks |= ~windows.valid
-    blind = join_keyframes(
-        torch.from_numpy(features[..., JOINTS].astype(np.float32)), torch.from_numpy(masks.astype(np.float32))
-    )
-    blind_m = blind.unflatten(-1, (22, 3)).numpy()
-    packed = np.stack([
-        scene_boxes(
-            scenes, rng, joints_m[i], R_world[i], windows.contact[i], balls[windows.body_index[i]], blind_m[i]
+@dataclass(frozen=True, slots=True, eq=False)
+class _Drawn:
+    """Windows of a shard in their canonical frames, their keyframes and the scene-blind filling of these."""
+
+    windows: WindowBatch
+    units: Int16[np.ndarray, "windows frames 201"]
+    joints_m: Float[np.ndarray, "windows frames 22 3"]
+    R_world: Float[np.ndarray, "windows frames 22 3 3"]
+    masks: Bool[np.ndarray, "windows frames"]
+    blind_m: Float[np.ndarray, "windows frames 22 3"]
+
+    @classmethod
+    def of(cls, motions: MotionSet, rng: np.random.Generator) -> _Drawn:
+        windows = motions.sample_batch(rng, SHARD_WINDOWS)
+        R, translation_m = to_canonical(windows.R_parent_joint, windows.translation_m)
+        rest_m = motions.rest_joints_m[windows.body_index]
+        features = encode(R, translation_m, rest_m)
+        joints_m, R_world = forward_kinematics(R, translation_m, rest_m[:, None])
+        masks = np.stack([draw_telling_mask(rng, WINDOW_FRAMES) for _ in range(SHARD_WINDOWS)])
+        masks |= ~windows.valid
+        blind = join_keyframes(
+            torch.from_numpy(features[..., JOINTS].astype(np.float32)), torch.from_numpy(masks.astype(np.float32))
         )
+        units = np.clip(np.rint(features * UNITS_PER_METRE), -32767, 32767).astype(np.int16)
+        assert units.shape[-1] == FEATURE_COUNT
+        return cls(windows, units, joints_m, R_world, masks, blind.unflatten(-1, (22, 3)).numpy())
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """What shards of both kinds have."""
+        return {
+            "features": self.units, "valid_frames": self.windows.valid.sum(1).astype(np.uint8),
+            "body": self.windows.body_index.astype(np.uint8), "mask": np.packbits(self.masks, axis=1),
+        }  # fmt: skip
+
+
+def _made(motions: MotionSet, scenes: PseudoScenes, balls: list[BodyBalls], rng: np.random.Generator) -> Shard:
+    drawn = _Drawn.of(motions, rng)
+    contact, body, blind_m = drawn.windows.contact, drawn.windows.body_index, drawn.blind_m
+    packed = np.stack([
+        scene_boxes(scenes, rng, drawn.joints_m[i], drawn.R_world[i], contact[i], balls[body[i]], blind_m[i])
         for i in range(SHARD_WINDOWS)
     ])  # fmt: skip
     collides = np.array([_collides(row, joints) for row, joints in zip(packed, blind_m, strict=True)], np.uint8)
-    units = np.clip(np.rint(features * UNITS_PER_METRE), -32767, 32767).astype(np.int16)
-    assert units.shape[-1] == FEATURE_COUNT
-    return Shard(
-        units, valid.astype(np.uint8), windows.body_index.astype(np.uint8), packed,
-        np.packbits(masks, axis=1), collides,
-    )  # fmt: skip
+    return Shard(boxes=packed, collides=collides, **drawn.columns())
+
+
+def _captured(motions: SceneMotions, rng: np.random.Generator) -> SceneShard:
+    drawn = _Drawn.of(motions, rng)
+    windows = drawn.windows
+    T = canonical_frame(windows.R_parent_joint[:, 0, 0], windows.translation_m[:, 0])
+    around_m = np.concatenate([drawn.joints_m, drawn.blind_m], 1).reshape(SHARD_WINDOWS, -1, 3)
+    rows = motions.volumes(T, windows.clip, windows.body_index, around_m)
+    field = rows.field(torch.ones(SHARD_WINDOWS))
+    collides = field.solids_m(torch.from_numpy(drawn.blind_m).float().flatten(1, 2)).amin(1) < -_INSIDE_M
+    return SceneShard(
+        values=rows.values.numpy(),
+        place=rows.place.numpy(),
+        collides=collides.numpy().astype(np.uint8),
+        **drawn.columns(),
+    )
 
 
 def scene_boxes(
@@ -179,12 +253,12 @@ def _nearest(boxes: Boxes, points_m: Float[np.ndarray, "points 3"]) -> Boxes:
     return Boxes(boxes.center_m[kept], boxes.half_m[kept], boxes.yaw_rad[kept])
 
 
-def _write(path: Path, shard: Shard) -> None:
+def _write(path: Path, shard: AnyShard) -> None:
     aside = path.with_name(f".{path.name}.{os.getpid()}")
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir(parents=True)
     try:
-        for item in fields(Shard):
+        for item in fields(shard):
             np.save(aside / f"{item.name}.npy", getattr(shard, item.name), allow_pickle=False)
         (aside / "meta.json").write_text(json.dumps({"version": _VERSION, "telling": float(shard.collides.mean())}))
         if not path.exists():

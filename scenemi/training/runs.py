@@ -8,13 +8,15 @@ from pathlib import Path
 
 from scenemi.data.balance import BalanceConfig
 from scenemi.data.motion_store import StoreConfig
+from scenemi.data.scene_clips import scene_folders
 from scenemi.data.split import Split
 from scenemi.data.windows import MotionSet, MotionSetConfig
 from scenemi.model.build import build_denoiser
 from scenemi.model.weights import save_weights
 from scenemi.training.checkpoint import Checkpoint
 from scenemi.training.config import TrainConfig
-from video2anim.errors import InputError
+from scenemi.training.scene_pool import SceneMotions, prepare_scenes
+from video2anim.errors import InputError, UsageError
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +28,77 @@ class RunFiles:
     """Archives or folders of archives."""
     split: Split | None
     cache: Path | None
+    scenes: tuple[tuple[str, Path], ...] = ()
+    """Name and folder of data sets with captured scenes."""
 
     @classmethod
-    def of(cls, config: Path | None, motion: Sequence[Path], split: Path | None, cache: Path | None) -> RunFiles:
-        """From the files that a command line names; the default configuration is the shipped model's."""
+    def of(
+        cls,
+        config: Path | None,
+        motion: Sequence[Path],
+        split: Path | None,
+        cache: Path | None,
+        scenes: Sequence[str] = (),
+    ) -> RunFiles:
+        """From what a command line names; the default configuration is the shipped model's.
+
+        Raises:
+            UsageError: neither motion nor scenes, or scenes that are not `source=folder`.
+            InputError: a file is missing or broken.
+        """
+        if not motion and not scenes:
+            raise UsageError("training: want --motion FILE or --scenes SOURCE=FOLDER, got neither")
         run = TrainConfig() if config is None else TrainConfig.read(config)
-        return cls(run, tuple(motion), None if split is None else Split.read(split), cache)
+        return cls(run, tuple(motion), None if split is None else Split.read(split), cache, scene_folders(scenes))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunClips:
+    """What a run trains on."""
+
+    motions: MotionSet
+    scenes: SceneMotions | None
+    """Clips in captured scenes beside those of `motions`; None = none, or `motions` are such clips."""
+    watched: MotionSet | None
+    """Clips for validation."""
+
+    @property
+    def sets(self) -> tuple[MotionSet, ...]:
+        """Of clips to train on."""
+        return (self.motions,) if self.scenes is None else (self.motions, self.scenes)
+
+
+def clips_for(files: RunFiles, out: Path) -> RunClips:
+    """Clips of archives, of data sets with captured scenes, or of both.
+
+    Args:
+        files: of the run.
+        out: of the run; data sets are converted here where `files.cache` is not given.
+
+    Raises:
+        InputError: no clip to train on, or a data set that the configuration does not name.
+    """
+    if not files.scenes:
+        motions, watched = motions_for(files)
+        return RunClips(motions, None, watched)
+    config = files.config
+    for source, _ in files.scenes:
+        if source not in (config.sources or ()):
+            raise InputError(
+                f"training: {source} is not free for commercial use; where that is right, name it in `sources` of the "
+                f"configuration, as in configs/scenemi/{source}.json"
+            )
+    use = MotionSetConfig(sources=config.sources, reverse=config.reverse)
+    into = files.cache or out / "scenes"
+    folders = [prepare_scenes(source, folder, into) for source, folder in files.scenes]
+    scenes = SceneMotions.read(folders, files.split, "train", config.bodies, use, cache=files.cache)
+    if files.motion:
+        motions, watched = motions_for(files)
+        return RunClips(motions, scenes, watched)
+    try:
+        return RunClips(scenes, None, SceneMotions.read(folders, files.split, "val", 1, use, cache=files.cache))
+    except InputError:
+        return RunClips(scenes, None, None)
 
 
 def motions_for(files: RunFiles) -> tuple[MotionSet, MotionSet | None]:
@@ -53,13 +120,15 @@ def motions_for(files: RunFiles) -> tuple[MotionSet, MotionSet | None]:
         return motions, None
 
 
-def write_run_weights(path: Path, state: Checkpoint, motions: MotionSet) -> Path:
+def write_run_weights(path: Path, state: Checkpoint, *motions: MotionSet) -> Path:
     """The averaged weights of a run (fp16) with what they were trained on."""
     model = build_denoiser(state.config.model)
     model.load_state_dict({name: value.cpu() for name, value in state.ema.items()})
     card = {
-        "steps": state.step, "hours": round(state.seconds / 3600, 2), "minutes": round(motions.minutes, 1),
-        "sources": sorted(set(map(str, motions.store.clip_source))), "config": state.config.to_json(),
+        "steps": state.step, "hours": round(state.seconds / 3600, 2),
+        "minutes": round(sum(one.minutes for one in motions), 1),
+        "sources": sorted({str(source) for one in motions for source in one.store.clip_source}),
+        "config": state.config.to_json(),
     }  # fmt: skip
     save_weights(path, model, state.statistics, card)
     return path

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from scenemi.data.windows import MotionSet
-from scenemi.features import Statistics, body_lengths, encode, to_canonical
+from scenemi.features import Statistics, body_lengths, canonical_frame, encode, to_canonical
 from scenemi.model.base import join_keyframes
 from scenemi.model.build import AnyDenoiser
 from scenemi.model.conditions import Conditions
@@ -18,9 +18,10 @@ from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.kinematics import joints_of
 from scenemi.model.sampling import SamplerConfig, sample
 from scenemi.scene.body_balls import fit_balls
-from scenemi.scene.field import BoxField
 from scenemi.scene.pseudo import PseudoScenes
+from scenemi.scene.rows import BoxRows, SceneRows
 from scenemi.training.pool import scene_boxes
+from scenemi.training.scene_pool import SceneMotions
 from video2anim.body.skeleton import forward_kinematics
 
 INTERVALS = (15, 30, 60)
@@ -55,6 +56,7 @@ class Validator:
         chosen = np.linspace(0, len(R) - 1, min(_WINDOWS, len(R))).astype(int)
         translation_m = np.concatenate([batch.translation_m for batch in batches])[chosen]
         contact = np.concatenate([batch.contact for batch in batches])[chosen]
+        T_world_canonical = canonical_frame(R[chosen, 0, 0], translation_m[:, 0])
         R, translation_m = to_canonical(R[chosen], translation_m)
         rest_m = np.repeat(motions.rest_joints_m[:1], len(chosen), 0)
         self.statistics, self.rest = statistics, torch.from_numpy(rest_m)
@@ -64,13 +66,18 @@ class Validator:
         joints_m, R_world = forward_kinematics(R, translation_m, rest_m[:, None])
         self.true_m = torch.from_numpy(joints_m).float()
         blind_m = join_keyframes(self.true_m.flatten(2), self._mask(SCENE_INTERVAL)).unflatten(-1, (22, 3)).numpy()
+        if isinstance(motions, SceneMotions):
+            clip = np.concatenate([batch.clip for batch in batches])[chosen]
+            around_m = np.concatenate([joints_m, blind_m], 1).reshape(len(chosen), -1, 3)
+            self.scene: SceneRows = motions.volumes(T_world_canonical, clip, np.zeros_like(clip), around_m)
+            return
         scenes, balls = PseudoScenes(), fit_balls(motions.body(0))
         motion = zip(joints_m, R_world, contact, blind_m, strict=True)
         rows = [
             scene_boxes(scenes, np.random.default_rng([_SCENE_SEED, i]), joints, R, touching, balls, blind)
             for i, (joints, R, touching, blind) in enumerate(motion)
         ]
-        self.boxes = torch.from_numpy(np.stack(rows))
+        self.scene = BoxRows(torch.from_numpy(np.stack(rows)))
 
     def __call__(self, denoiser: AnyDenoiser) -> tuple[Validation, ...]:
         """Rows for each interval without scenes, then for 60 frames in scenes that are not shown, and shown."""
@@ -87,7 +94,7 @@ class Validator:
         device = next(denoiser.parameters()).device
         keys = self.statistics.normalize(self.features).to(device)
         mask = self._mask(interval).to(device)
-        field = BoxField.of(self.boxes.to(device), torch.ones(len(keys), device=device))
+        field = self.scene.to(device).field(torch.ones(len(keys), device=device))
         given = Conditions(
             mask=mask, imputed=mask, base=join_keyframes(keys, mask), noise=torch.zeros(*mask.shape, 2, device=device),
             body=self.body.to(device), field=field if shown else None,

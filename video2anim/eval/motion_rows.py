@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from scenemi import metrics
-from scenemi.sample_motion import standing_feet
 from video2anim.body.skeleton import FEET
 from video2anim.eval.alignment import FrameMatch
 from video2anim.eval.model import Curve, Group, Spec, make_group
@@ -101,6 +100,7 @@ def _numbers(
     contact = metrics.binary_scores(
         motion.contact[common.measured][:, FEET] > CONTACT_PROBABILITY, truth.contact[true_rows][:, FEET] > 0.5
     )
+    standing = metrics.standing_feet(motion.joints_world_m[common.measured], fps)[:, FEET] > 0
     return {
         "covered": len(common.measured) / max(1, common.true_frames),
         "mpjpe": metrics.root_relative_mpjpe(in_truth_m, true_m),
@@ -119,9 +119,7 @@ def _numbers(
         "contact_recall": contact.recall,
         "contact_f1": contact.f1,
         # Labels are carried from stage to stage; whether the feet of this motion stand is another question.
-        "contact_f1_motion": metrics.binary_scores(
-            standing_feet(motion.joints_world_m[common.measured])[:, FEET] > 0, truth.contact[true_rows][:, FEET] > 0.5
-        ).f1,
+        "contact_f1_motion": metrics.binary_scores(standing, truth.contact[true_rows][:, FEET] > 0.5).f1,
         "contact_ratio": float((motion.contact[common.measured][:, FEET] > CONTACT_PROBABILITY).mean()),
     }
 
