@@ -198,7 +198,8 @@ class Run:
         if np.isfinite(norm):
             self.optimizer.step()
             keep = (1 - 1 / self.step) ** (self._power + 1)
-            torch._foreach_lerp_(list(self.average.values()), list(self.model.state_dict().values()), 1 - keep)
+            now = self.model.state_dict()
+            torch._foreach_lerp_([self.average[name] for name in now], list(now.values()), 1 - keep)
         return Losses(*(getattr(losses, name).detach() for name in Losses.__slots__)), norm
 
     def averaged(self) -> AnyDenoiser:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from scenemi.data.augment import MIRROR_JOINT
-from video2anim.fitting.initial import ray_rotation
+from video2anim.fitting.initial import landmark_rotation, ray_rotation
 from video2anim.fitting.landmarks import KEYPOINT_INDEX
 from video2anim.fitting.lifter_input import ray_features
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d, rot6d_from_matrix
@@ -59,6 +59,22 @@ class LiftingBatch:
     up: Float[Tensor, "batch frames 3"]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """One window as a landmark model would see it, in a camera with focal length 1, and its truth."""
+
+    directions: Float[np.ndarray, "frames keypoints 2"]
+    """x and y of the viewing rays at depth 1."""
+    points_m: Float[np.ndarray, "frames keypoints 3"]
+    """3D landmarks as the model gives them (`landmark_rotation`)."""
+    visibility: Float[np.ndarray, "frames keypoints"]
+    valid: Bool[np.ndarray, "frames"]
+    R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
+    """Joint 0 in the world."""
+    R_camera_world: Float[np.ndarray, "3 3"]
+    pelvis_camera_m: Float[np.ndarray, "frames 3"]
+
+
 class LiftingSampler:
     """Batches; everything random comes from (seed, step)."""
 
@@ -72,7 +88,7 @@ class LiftingSampler:
         noise: bool = True,
         varied: bool = True,
     ) -> None:
-        self.motions, self.seed, self.frames = motions, seed, frames
+        self.motions, self.library, self.seed, self.frames = motions, residuals, seed, frames
         self.noise, self.varied = noise, varied
         self._bodies = draw_bodies(np.random.default_rng([seed, 0x5A]), _SHAPES)
         self._errors = LandmarkErrors(residuals)
@@ -107,6 +123,31 @@ class LiftingSampler:
         return LiftingBatch(
             features, rot6d_from_matrix(R), relative, rest, (pelvis[..., 2] * given_size).log(), pelvis,
             contact.float(), known.float(), R_ray_world[..., 1],
+        )  # fmt: skip
+
+    def sight(self, rng: np.random.Generator) -> Sighting:
+        """One window of a clip as it is, with all errors of the landmark model."""
+        R, translation, _, _ = self._moved(rng, 1)
+        body = torch.from_numpy(rng.integers(0, _SHAPES, 1))
+        joint_planes, R_joint = posed(planes(R), self._bodies.rest_joints_m[body])
+        joint_planes = joint_planes + translation.permute(2, 0, 1)[:, None]
+        view = draw_views(rng, joint_planes.permute(2, 3, 1, 0).contiguous())
+        to_camera = view.R_camera_world[:, None].transpose(-1, -2), view.t_camera_m[:, None, None]
+        joints = joint_planes.permute(2, 3, 1, 0) @ to_camera[0] + to_camera[1]
+        points = self._bodies.keypoints_m(body, joint_planes, R_joint).contiguous() @ to_camera[0] + to_camera[1]
+        R_true = _ray_rotations(points)
+        in_ray = points @ R_true
+        inside = ((points[..., :2] / points[..., 2:].clamp_min(0.1)).abs() < view.half[:, None, None]).all(-1)
+        relative = in_ray - in_ray[:, :, _HIPS].mean(2, keepdim=True)
+        found = self._errors(rng, in_ray[..., :2] / in_ray[..., 2:].clamp_min(0.1), relative, inside)
+        ray = torch.cat([found.directions, torch.ones_like(found.directions[..., :1])], -1) @ R_true.transpose(-1, -2)
+        directions = (ray[..., :2] / ray[..., 2:].clamp_min(0.1))[0].numpy().astype(np.float64)
+        R_landmarks = landmark_rotation(directions[:, _HIPS].mean(1), _UNIT)
+        in_camera = (found.points_m @ R_true.transpose(-1, -2))[0].numpy().astype(np.float64)
+        return Sighting(
+            directions, in_camera @ R_landmarks, found.visibility[0].numpy(), found.valid[0].numpy(),
+            R[0].numpy().astype(np.float64), view.R_camera_world[0].numpy().astype(np.float64),
+            joints[0, :, 0].numpy().astype(np.float64),
         )  # fmt: skip
 
     def _moved(self, rng: np.random.Generator, size: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -7,10 +7,11 @@ import torch
 from torch import Tensor
 
 from scenemi.features import BODY_LENGTHS, FEATURE_COUNT, Statistics, encode
-from scenemi.model.cleanup import Cleanup, distance_grid, penetration_cost
+from scenemi.model.cleanup import Cleanup, penetration_cost
 from scenemi.model.kinematics import Pose, joints_of, pose_of
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.geometry import SceneGeometry
+from scenemi.scene.grid import distance_grid
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.skeleton import JOINT_INDEX
 from video2anim.geometry.rotations import matrix_from_axis_angle

@@ -85,6 +85,7 @@ def test_an_untrained_denoiser_answers_with_the_joined_keyframes() -> None:
         assert torch.equal(Denoiser(TINY)(window(), torch.tensor([5, 900]), scene), given.base)
 
 
+@torch.no_grad()
 def test_answers_differ_from_the_joined_keyframes_by_the_scales() -> None:
     """Exact keyframes are kept to a hundredth, noisy ones change within their noise, others within their distance's."""
     denoiser, given = awake(), conditions(2)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from scenemi.model.denoiser import Conditions
+from scenemi.model.conditions import Conditions, Descriptors
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.sampling import Method, SamplerConfig, guided, posterior, sample, time_steps
+from scenemi.scene.field import BoxField
 
 FRAMES, FEATURES = 12, 2
 sampler = functools.partial(SamplerConfig, temperature=1.0)
@@ -33,11 +37,24 @@ def conditions(batch: int, keys: bool) -> Conditions:
     mask = torch.zeros(batch, FRAMES)
     if keys:
         mask[:, KEYS] = 1
-    zero = torch.zeros(batch)
     return Conditions(
-        mask, mask, torch.zeros(batch, FRAMES, FEATURES), torch.zeros(batch, FRAMES, 1, 3), torch.zeros(batch, 7), zero,
-        torch.zeros(batch, 4), zero, zero,
-    )  # fmt: skip
+        mask, mask, torch.zeros(batch, FRAMES, FEATURES), torch.zeros(batch, FRAMES, 2), torch.zeros(batch, 7)
+    )
+
+
+class Fake:
+    """A denoiser by a function of x_t, t, the conditions and the last estimate."""
+
+    def __init__(self, answer: Callable[..., Tensor]) -> None:
+        self.answer = answer
+        self.prepared: list[Conditions] = []
+
+    def prepare(self, given: Conditions) -> int:
+        self.prepared.append(given)
+        return len(self.prepared)
+
+    def __call__(self, x: Tensor, t: Tensor, given: Conditions, estimate: Tensor | None, prepared: Any, /) -> Tensor:
+        return self.answer(x, t, given, estimate, prepared)
 
 
 @functools.cache
@@ -53,10 +70,13 @@ def gain(t: int, keys: bool) -> tuple[Tensor, Tensor]:
     return torch.linalg.solve(seen, signal[:, None] * S).T, signal
 
 
-def oracle(x: Tensor, t: Tensor, given: Conditions) -> Tensor:
-    """The best denoiser."""
+def best(x: Tensor, t: Tensor, given: Conditions, *_: object) -> Tensor:
     matrix, signal = gain(int(t[0]), bool(given.mask.any()))
     return (MEAN + matrix @ (x.double() - signal[:, None] * MEAN)).float()
+
+
+oracle = Fake(best)
+"""The best denoiser."""
 
 
 def generators(count: int, seed: int = 0) -> list[torch.Generator]:
@@ -196,37 +216,100 @@ def test_steps_fall_from_T_to_0_and_meet_the_end_of_imputation(stop: int, steps:
 
 
 def test_keyframes_are_imputed_above_the_stop_step_only() -> None:
-    seen: list[tuple[int, float]] = []
+    seen: list[tuple[int, float, float]] = []
 
-    def spy(x: Tensor, t: Tensor, given: Conditions) -> Tensor:
-        seen.append((int(t[0]), float((x[:, KEYS] - 7.0).abs().max())))
+    def spy(x: Tensor, t: Tensor, given: Conditions, *_: object) -> Tensor:
+        seen.append((int(t[0]), float((x[:, KEYS] - 7.0).abs().max()), float(given.imputed.sum())))
         return torch.zeros_like(x)
 
     x_keys = torch.full((2, FRAMES, FEATURES), 7.0)
     config = sampler("ddim", 20, guidance_weight=1.0)
-    sample(spy, SCHEDULE, x_keys, conditions(2, True), config, generators(2), stop_step=20)
-    assert {t <= 20 for t, _ in seen} == {True, False}
-    for t, off in seen:
+    sample(Fake(spy), SCHEDULE, x_keys, conditions(2, True), config, generators(2), stop_step=20)
+    assert {t <= 20 for t, _, _ in seen} == {True, False}
+    for t, off, told in seen:
         assert (off == 0) == (t > 20)
+        assert told == (2 * len(KEYS) if t > 20 else 0), "the denoiser is told"
 
 
-def test_guidance_is_two_halves_of_one_batch_and_w_1_is_one_half() -> None:
-    batches: list[int] = []
+@pytest.mark.parametrize("method", ["ddpm", "ddim", "dpm-solver++"])
+def test_each_estimate_goes_to_the_next_step(method: Method) -> None:
+    seen: list[Tensor | None] = []
+    answers: list[Tensor] = []
 
-    def scene_or_not(x: Tensor, t: Tensor, given: Conditions) -> Tensor:
-        batches.append(len(x))
-        return torch.where(given.scene_known[:, None, None] > 0, 1.0, 0.25).expand_as(x)
+    def spy(x: Tensor, t: Tensor, given: Conditions, estimate: Tensor | None, prepared: object) -> Tensor:
+        seen.append(estimate)
+        answers.append(torch.full_like(x, float(t[0])))
+        return answers[-1]
+
+    x_keys = torch.zeros(2, FRAMES, FEATURES)
+    sample(Fake(spy), SCHEDULE, x_keys, conditions(2, True), sampler(method, 6), generators(2))
+    assert len(seen) == 6
+    assert seen[0] is None, "the first step has none"
+    for before, told in zip(answers, seen[1:], strict=False):
+        assert told is not None
+        assert torch.equal(before, told)
+
+
+def test_what_is_adjusted_is_what_the_next_step_sees() -> None:
+    seen: list[Tensor | None] = []
+
+    def spy(x: Tensor, t: Tensor, given: Conditions, estimate: Tensor | None, prepared: object) -> Tensor:
+        seen.append(estimate)
+        return torch.zeros_like(x)
+
+    x_keys = torch.zeros(1, FRAMES, FEATURES)
+    made = sample(
+        Fake(spy), SCHEDULE, x_keys, conditions(1, True), sampler("ddim", 4), generators(1), adjust=lambda x: x + 3.0
+    )
+    assert all(told is not None and torch.equal(told, torch.full_like(told, 3.0)) for told in seen[1:])
+    torch.testing.assert_close(made, torch.full_like(made, 3.0))
+
+
+def scenes(batch: int, shown: int) -> dict[str, Conditions]:
+    """Windows of which so many are shown a scene, in both of its forms."""
+    given, known = conditions(batch, True), (torch.arange(batch) < shown).float()
+    box = torch.tensor([[[0.0, 1.0, 0.0, 0.1, 0.1, 0.1, 0.0]]]).expand(batch, -1, -1)
+    scene = Descriptors(torch.ones(batch, 2, 2, 2), torch.zeros(batch, FRAMES, 1, 3), known, known)
+    return {
+        "field": replace(given, field=BoxField.of(box, known) if shown else None),
+        "descriptors": replace(given, descriptors=scene),
+    }
+
+
+@pytest.mark.parametrize("form", ["field", "descriptors"])
+def test_guidance_is_two_passes_and_none_at_weight_1_or_without_a_scene(form: str) -> None:
+    calls: list[tuple[bool, object]] = []
+
+    def scene_or_not(x: Tensor, t: Tensor, given: Conditions, estimate: Tensor | None, prepared: object) -> Tensor:
+        calls.append((given.has_scene, prepared))
+        return torch.full_like(x, 1.0 if given.has_scene else 0.25)
 
     x = torch.zeros(3, FRAMES, FEATURES)
-    known = Conditions(*(getattr(conditions(3, True), name) for name in Conditions.__slots__))
-    with_scene = conditions(3, True).chosen(slice(None))
-    with_scene.scene_known[:] = 1
-    predict = guided(scene_or_not, x, with_scene, 2.5, 0)
-    torch.testing.assert_close(predict(x, 500), torch.full_like(x, 2.5 - 1.5 * 0.25))
-    assert batches == [6]
-    guided(scene_or_not, x, with_scene, 1.0, 0)(x, 500)
-    guided(scene_or_not, x, known, 2.5, 0)(x, 500)
-    assert batches == [6, 3, 3]
+    predict = guided(Fake(scene_or_not), x, scenes(3, 2)[form], 2.5, 0)
+    for _ in range(2):
+        torch.testing.assert_close(predict(x, 500), torch.full_like(x, 2.5 - 1.5 * 0.25))
+    assert calls == [(True, 1), (False, 2)] * 2, "each pass with what was prepared for it, once"
+    calls.clear()
+    guided(Fake(scene_or_not), x, scenes(3, 2)[form], 1.0, 0)(x, 500)
+    guided(Fake(scene_or_not), x, scenes(3, 0)[form], 2.5, 0)(x, 500)
+    assert [seen for seen, _ in calls] == [True, False]
+
+
+def test_both_passes_are_asked_along_the_guided_estimate() -> None:
+    seen: list[Tensor | None] = []
+
+    def spy(x: Tensor, t: Tensor, given: Conditions, estimate: Tensor | None, prepared: object) -> Tensor:
+        seen.append(estimate)
+        return torch.full_like(x, 1.0 if given.has_scene else 0.0)
+
+    x = torch.zeros(1, FRAMES, FEATURES)
+    predict = guided(Fake(spy), x, scenes(1, 1)["field"], 2.0, 0)
+    predict(x, 500)
+    predict(x, 400)
+    assert seen[:2] == [None, None]
+    for told in seen[2:]:
+        assert told is not None
+        torch.testing.assert_close(told, torch.full_like(told, 2.0))
 
 
 def test_bad_settings_are_refused() -> None:
