@@ -41,6 +41,9 @@ nodes are 4 cm apart for who sits or reaches and some 10 cm for who crosses a ro
 _AROUND_M = REACH_M
 """How far the box reaches around the joints."""
 _STEPS_M = (0.04, 0.12)
+_KEPT_M = 0.8
+"""How far distances of a scene are kept: beyond the reach of a field, because small bodies make a scene smaller."""
+_SCENE_STEP_M = _KEPT_M / 127
 _FIT_EVERY = 10
 """Of the frames that tell how a scene follows a retargeted motion."""
 _CLIPS, _TABLE = "clips.npz", "scenes.json"
@@ -49,14 +52,14 @@ _VERSION = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """Distances in steps of `VOLUME_STEP_M`."""
+    """Distances in steps of `_SCENE_STEP_M`."""
 
     values: Int8[np.ndarray, "x y z"]
     origin_m: Float[np.ndarray, "3"]
     spacing_m: float
 
     def grid(self) -> SdfGrid:
-        return SdfGrid(np.float32(VOLUME_STEP_M) * self.values, self.origin_m, self.spacing_m)
+        return SdfGrid(np.float32(_SCENE_STEP_M) * self.values, self.origin_m, self.spacing_m)
 
 
 def prepare_scenes(source: str, folder: Path, into: Path) -> Path:
@@ -192,13 +195,13 @@ def _file(number: int) -> str:
 def _write_scene(path: Path, found: SceneClip) -> None:
     solids = found.solids()
     shape = np.ceil((np.array(solids.sdf_m.shape) - 1) * solids.spacing_m / SPACING_M).astype(int) + 1
-    shape += 2 * (margin := round(REACH_M / SPACING_M))
+    shape += 2 * (margin := round(_KEPT_M / SPACING_M))
     origin_m = solids.origin_m - margin * SPACING_M
     axes = [origin_m[a] + SPACING_M * np.arange(shape[a]) for a in range(3)]
     values = np.empty(shape, np.int8)
     for i, x in enumerate(axes[0]):
         nodes_m = np.stack(np.broadcast_arrays(x, axes[1][:, None], axes[2]), -1)
-        values[i] = np.rint(np.clip(solids.sample(nodes_m), -REACH_M, REACH_M) / VOLUME_STEP_M)
+        values[i] = np.rint(np.clip(solids.sample(nodes_m), -_KEPT_M, _KEPT_M) / _SCENE_STEP_M)
     np.savez_compressed(path, values=values, origin_m=origin_m, spacing_m=SPACING_M)
 
 

@@ -1,4 +1,4 @@
-"""The prior around a denoiser of either form: frames of reference, keyframes, padding, batches. Random weights will do."""
+"""The prior around a denoiser of either form: frames of reference, keyframes, padding, batches; with random weights."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def test_the_field_is_the_scene_around_the_keyframes_in_their_own_frame() -> Non
     wall = SceneGeometry.of(Boxes(np.array([[6.0, 1.0, 0.0]]), np.array([[2.0, 1.0, 5.0]]), np.zeros(1)))
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = matrix_from_axis_angle(np.array([0.0, 0.5 * np.pi, 0.0])), (3.5, 0.0, 2.0)
-    around_m = np.zeros((2, 3, 22, 3)) + [0.0, 1.0, 0.0]
+    around_m = np.zeros((2, 3, 22, 3)) + np.array([0.0, 1.0, 0.0])
     windows = [replace(walk(3, 1), scene=wall), walk(3, 1)]
     field = grid_field(windows, np.stack([T, np.eye(4)]), around_m)
     assert field is not None

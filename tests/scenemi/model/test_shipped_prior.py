@@ -85,9 +85,7 @@ def test_acted_motion_is_filled_better_than_joined_keyframes_and_keeps_out_of_wh
 
 
 @pytest.mark.slow
-def test_neighbors_in_a_batch_change_a_window_by_a_millimeter_at_most(
-    prior: DiffusionPrior, acted: MotionSet
-) -> None:
+def test_neighbors_in_a_batch_change_a_window_by_a_millimeter_at_most(prior: DiffusionPrior, acted: MotionSet) -> None:
     windows = next(acted.fixed_windows(batch=3))
     keys = np.zeros(WINDOW_FRAMES, bool)
     keys[::30] = True

@@ -6,30 +6,14 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-from small_run import CONFIG, PLAIN, shrink
+from small_run import CONFIG, PLAIN, shrink, write_acted
 
-from scenemi.data.container import write_archive
 from scenemi.data.windows import MotionSet
 from scenemi.features import Statistics
 from scenemi.training import loop
 from scenemi.training.batches import PoolBatches, statistics_of
 from scenemi.training.pool import Shard, grow_pool, open_pool
-from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.synth.acting import act, to_source_clip
-from video2anim.types import BodyShape
-
-
-def acted(path: Path, kinds: tuple[str, ...]) -> Path:
-    """An archive of acted clips of five seconds."""
-    body = shaped_body(BodyShape("anny", dict(ADULT)))
-    clips = [
-        to_source_clip(act(kind, body, np.random.default_rng(i), duration_s=(4.5, 5.5)), body, f"{kind}_{i}")
-        for i, kind in enumerate(kinds)
-    ]
-    write_archive(path, clips)
-    return path
 
 
 @pytest.fixture(autouse=True)
@@ -40,7 +24,7 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four acted clips."""
-    return acted(tmp_path_factory.mktemp("acted") / "acted.npz", ("walk", "sit", "reach", "pick_up"))
+    return write_acted(tmp_path_factory.mktemp("acted") / "acted.npz", ("walk", "sit", "reach", "pick_up"))
 
 
 @pytest.fixture(scope="session")

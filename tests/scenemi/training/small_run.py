@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
+from scenemi.data.container import write_archive
 from scenemi.data.windows import MotionSet, MotionSetConfig
 from scenemi.features import ROTATIONS, TRANSLATION, Statistics
 from scenemi.model.config import SIZES
@@ -17,6 +20,9 @@ from scenemi.training.batches import Batch
 from scenemi.training.config import TrainConfig
 from scenemi.training.losses import TrainingLoss
 from scenemi.training.noise import features_of
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.synth.acting import act, to_source_clip
+from video2anim.types import BodyShape
 
 SHARD = 32
 """Windows of a shard in these tests."""
@@ -26,6 +32,7 @@ CONFIG = TrainConfig(
     workers=0,
     log_every=1,
     save_every=2,
+    grow_every=2,
     warmup=2,
     bodies=1,
     validate_every=1000,
@@ -39,6 +46,17 @@ def shrink(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(pool, "SHARD_WINDOWS", SHARD)
     patch.setattr(loop, "SHARD_WINDOWS", SHARD)
     patch.setattr(loop, "_SCALE_WINDOWS", 4 * CONFIG.batch)
+
+
+def write_acted(path: Path, kinds: tuple[str, ...]) -> Path:
+    """An archive of acted clips of five seconds."""
+    body = shaped_body(BodyShape("anny", dict(ADULT)))
+    clips = [
+        to_source_clip(act(kind, body, np.random.default_rng(i), duration_s=(4.5, 5.5)), body, f"{kind}_{i}")
+        for i, kind in enumerate(kinds)
+    ]
+    write_archive(path, clips)
+    return path
 
 
 def loss_of(motions: MotionSet, statistics: Statistics, config: TrainConfig = CONFIG) -> TrainingLoss:
