@@ -59,7 +59,7 @@ class TrainConfig:
     velocity_weight: float = 0.2
     """Paper's form: 2 and 10, on squared metres."""
     acceleration_weight: float = 0.05
-    """Without it answers are as right and shake: an error of a millimetre that changes every frame is no error else. Ten
+    """Without it answers are as right and shake: errors of a millimetre that change every frame are no errors else. Ten
     times as much, with a velocity weight of 1, and the noise of captured accelerations drowned the rest: nothing was
     learnt in 500 steps."""
     inside_weight: float = 2.0
