@@ -17,11 +17,13 @@ import argparse
 import fcntl
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import IO
 
 from video2anim.models.fetch import cache_dir
 
@@ -52,18 +54,16 @@ def main() -> None:
         case "progress":
             sys.stdout.write(progress() + "\n")
         case _:
+            held = locked()
             words = ["--minutes", "0.01", "--cool-steps", str(options.cool)]
             subprocess.run(prior_command(options, *words), check=True, env=environment(options))
-            (cache() / "prior" / "weights.safetensors").rename(options.out)
+            shutil.copyfile(cache() / "prior" / "weights.safetensors", options.out)
+            held.close()
 
 
 def run(options: argparse.Namespace) -> None:
     """Turns of the two trainings until the time is over."""
-    lock = (cache() / "lock").open("a")
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        raise SystemExit("training/prior.py: a run is under way already; see `progress`, or `stop` it") from None
+    _held = locked()
     (cache() / "pid").write_text(str(os.getpid()))
     os.nice(10)
     until = time.monotonic() + 60 * (options.minutes or 1e9)
@@ -78,6 +78,16 @@ def run(options: argparse.Namespace) -> None:
             words = ["run", "--motion", str(options.motion), "--minutes", f"{min(LIFTER_MINUTES, left):.2f}"]
             words += ["--threads", str(options.threads), "--cache", str(cache() / "lifter")]
             turn([sys.executable, str(REPOSITORY / "training" / "lifter.py"), *words], options, left)
+
+
+def locked() -> IO[str]:
+    """The lock that a run holds until it ends, however it ends."""
+    lock = (cache() / "lock").open("a")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise SystemExit("training/prior.py: a run is under way already; see `progress`, or `stop` it") from None
+    return lock
 
 
 def turn(command: list[str], options: argparse.Namespace, left_minutes: float) -> None:
@@ -129,7 +139,14 @@ def start() -> None:
 
 
 def stop() -> None:
-    """End the run; what was saved last stays."""
+    """End the run; it saves its state."""
+    lock = (cache() / "lock").open("a")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        pass  # held by a run
+    else:
+        raise SystemExit("training/prior.py: no run is under way")
     try:
         os.kill(int((cache() / "pid").read_text()), signal.SIGTERM)
     except (OSError, ValueError):

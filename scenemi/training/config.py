@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError
 
 from scenemi.model.config import SIZES, AnyConfig, config_from_json
 from video2anim.errors import InputError
@@ -16,14 +18,14 @@ class TrainConfig:
     """One run. All but the settings of `FREE` change the weights and must stay as they are when it is resumed."""
 
     model: AnyConfig = field(default_factory=lambda: SIZES["small"])
-    batch: int = 64
+    batch: Annotated[int, Field(ge=1)] = 64
     """Windows of a step."""
-    learning_rate: float = 1e-3
+    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
     """Rises over `warmup` steps and stays (paper: 1e-4 at batch 256): the end of a run is not known. The average of
     weights that ships needs no fall; `cool` makes one on demand."""
     warmup: int = 300
     weight_decay: float = 1e-2
-    ema: float = 0.1
+    ema: Annotated[float, Field(gt=0, le=0.25)] = 0.1
     """Width of the weights' moving average as a share of the steps so far (Karras et al. 2024); the paper's constant
     decay 0.9999 suits one length of run only."""
     clip_norm: float = 1.0
@@ -92,20 +94,12 @@ class TrainConfig:
             raise InputError(
                 f"training config: unknown {', '.join(sorted(unknown))}; known are {', '.join(sorted(known))}"
             )
-        rest = {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
-        model = rest.pop("model", "small")
-        if isinstance(model, str):
-            if model not in SIZES:
-                raise InputError(f"training config: model: want {', '.join(SIZES)} or a table, got {model!r}")
-            return cls(model=SIZES[model], **rest)
-        if not isinstance(model, dict):
-            raise InputError(f"training config: model: want a size by name or a table, got {model!r}")
-        size = SIZES[model.get("size", "small")].to_json()
         try:
-            shape = config_from_json({**size, **{key: value for key, value in model.items() if key != "size"}})
-        except (ValueError, KeyError) as error:
-            raise InputError(f"training config: {error}") from error
-        return cls(model=shape, **rest)
+            return _CHECKED.validate_python({**values, "model": _model(values.get("model", "small"))})
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise InputError(f"training config: {where}: {first['msg']}, got {first['input']!r}") from error
 
     @classmethod
     def read(cls, path: str | Path) -> TrainConfig:
@@ -123,5 +117,22 @@ class TrainConfig:
         return cls.from_json(values)
 
 
+def _model(given: Any) -> AnyConfig:
+    """A size by name, a size with changes, or all of a configuration."""
+    if isinstance(given, str):
+        given = {"size": given}
+    if not isinstance(given, dict):
+        raise InputError(f"training config: model: want a size by name or a table, got {given!r}")
+    size = given.get("size", None if given.get("form") else "small")
+    if size is not None and size not in SIZES:
+        raise InputError(f"training config: model: want {', '.join(SIZES)} or a table, got {size!r}")
+    changes = {key: value for key, value in given.items() if key != "size"}
+    try:
+        return config_from_json({**(SIZES[size].to_json() if size else {}), **changes})
+    except ValueError as error:
+        raise InputError(f"training config: {error}") from error
+
+
+_CHECKED = TypeAdapter(TrainConfig)
 FREE = ("workers", "log_every", "save_every", "grow_every", "validate_every", "pool_windows")
 """Settings in which a resumed run may differ."""

@@ -18,7 +18,7 @@ from scenemi.model.conditions import Conditions, impute
 from scenemi.model.denoiser import Denoiser, Prepared, body_points
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.kinematics import joints_of
-from scenemi.scene.field import BoxField, VolumeField
+from scenemi.scene.field import BoxField, SceneField, VolumeField
 from scenemi.training.batches import LOOKED_AT, Batch
 from scenemi.training.config import TrainConfig
 from scenemi.training.descriptors import descriptors_of
@@ -118,7 +118,7 @@ class TrainingLoss(nn.Module):
         made: Float[Tensor, "batch frames 201"],
         x0: Float[Tensor, "batch frames 201"],
         batch: Batch,
-        field: BoxField | VolumeField | None = None,
+        field: SceneField | None = None,
         prepared: Prepared | None = None,
     ) -> Losses:
         """Losses of an estimate, normalized; relative to the errors expected of the joined keyframes where `prepared`
@@ -152,8 +152,8 @@ class TrainingLoss(nn.Module):
                 total = total + config.acceleration_weight * change
         return Losses(total + config.inside_weight * inside, simple, off, velocity, inside)
 
-    def _inside(self, joints: Tensor, true: Tensor, field: BoxField | VolumeField | None) -> Tensor:
-        if field is None or not len(field.rows):
+    def _inside(self, joints: Tensor, true: Tensor, field: SceneField | None) -> Tensor:
+        if not isinstance(field, BoxField | VolumeField) or not len(field.rows):
             return joints.new_zeros(())
         distance, least = (field.distance_m(body_points(j).flatten(1, 2)) for j in (joints, true))
         return 100 * functional.relu(least.clamp(max=_SKIN_M) - distance).mean()
