@@ -18,10 +18,9 @@ _SEGMENT, _BLENDED = 32, 8
 _CANDIDATES = 24
 """Of so many runs of residuals the one is taken whose pose is nearest."""
 _SCALE_2D, _SCALE_3D = (0.2, 1.1), (0.2, 1.2)
-"""Range of the factor by which a window's errors differ from those of rendered people. A large part of these is no
-noise but where the landmark model has its joints: a lifter that learnt from small ones (median factor 0.33) was better
-on simulated windows and worse on what the tracker gives (33 instead of 27 mm on rendered people, aligned). With none
-below 0.5, on the other hand, the network hedges where the landmarks are good."""
+"""Range of the factor by which a window's errors differ from those of rendered people, near that of the shipped weights.
+In the one run that was made with small ones (median 0.33) the network was better on simulated windows and worse on real
+clips; other things had changed as well, so the cause is not known."""
 _LIMB_SCALE = 0.3
 """Deviation of the logarithm for each limb."""
 _DEPTH_SCALE, _SIZE_SCALE, _TILT_RAD = 0.07, 0.04, 0.05
