@@ -96,10 +96,10 @@ class PoolBatches:
         features = torch.from_numpy(units).float().div_(UNITS_PER_METRE)
         mirror = torch.from_numpy(rng.random(count) < 0.5)
         features = torch.where(mirror[:, None, None], mirrored(features), features)
-        shown = (rng.random(count) < config.scene_share) & scene.filled
+        shown = rng.random(count) < config.scene_share  # of some nothing but the floor
         kind = rng.random(count)
         piped = (kind < config.pipeline_share) & (self.errors is not None)
-        own = shown & (rng.random(count) < _TELLING) & (config.keyframes == "mixed")
+        own = shown & scene.filled & (rng.random(count) < _TELLING) & (config.keyframes == "mixed")
         masks = [
             draw_observed_mask(rng, frames)
             if piped[i]

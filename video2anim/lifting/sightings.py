@@ -18,7 +18,7 @@ _SEGMENT, _BLENDED = 32, 8
 _CANDIDATES = 24
 """Of so many runs of residuals the one is taken whose pose is nearest."""
 _SCALE_2D, _SCALE_3D = (0.2, 1.1), (0.2, 1.2)
-"""Range of the factor by which a window's errors differ from those of rendered people, near that of the shipped weights.
+"""Range of the factor by which a window's errors differ from those of rendered people, near the shipped weights' one.
 In the one run that was made with small ones (median 0.33) the network was better on simulated windows and worse on real
 clips; other things had changed as well, so the cause is not known."""
 _LIMB_SCALE = 0.3
