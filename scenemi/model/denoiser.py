@@ -110,7 +110,10 @@ class Denoiser(nn.Module):
         estimate = given.base if estimate is None else estimate
         alpha_bar = self.alpha_bar[t][:, None, None]
         noisy = to_heading(x - alpha_bar.sqrt() * given.base, prepared.heading)
-        noisy = noisy / (alpha_bar * prepared.scale**2 + 1 - alpha_bar).sqrt()
+        # What each entry alone tells of the difference, in its own unit: nothing where all is noise, so that noise does
+        # not drown the rest (at t = T the input was noise of size 1 else, and the network learnt nothing there).
+        signal = alpha_bar.sqrt() * prepared.scale
+        noisy = noisy * signal / (signal**2 + 1 - alpha_bar)
         noisy = torch.where(given.imputed[..., None] > 0, 0.0, noisy)
         moved = to_heading(estimate - given.base, prepared.heading) / prepared.scale
         parts = [noisy, moved[..., JOINTS].clamp(-_FARTHEST, _FARTHEST), prepared.seen]
