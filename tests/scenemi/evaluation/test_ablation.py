@@ -40,8 +40,8 @@ def given(windows: tuple[EvaluationWindow, ...]) -> KeyframeWindow:
     return give_keyframes(with_pseudo_scenes(windows[:1])[0], KeyframeProtocol(60)).keyframes
 
 
-def test_without_both_scenes_it_is_a_window_without_a_scene(prior: DiffusionPrior, given: KeyframeWindow) -> None:
-    none = AblatedPrior(prior, use_global=False, use_local=False, use_clearing=False).fill(given)
+def test_without_its_scene_it_is_a_window_without_a_scene(prior: DiffusionPrior, given: KeyframeWindow) -> None:
+    none = AblatedPrior(prior, use_scene=False, use_clearing=False).fill(given)
     bare = prior.fill(replace(given, scene=None))
     np.testing.assert_allclose(none.translation_world_m, bare.translation_world_m, atol=1e-5)
     np.testing.assert_allclose(none.R_parent_joint, bare.R_parent_joint, atol=1e-4)
@@ -50,6 +50,6 @@ def test_without_both_scenes_it_is_a_window_without_a_scene(prior: DiffusionPrio
 def test_every_condition_changes_the_motion_and_none_leaves_it(prior: DiffusionPrior, given: KeyframeWindow) -> None:
     full = prior.fill(given).R_parent_joint
     np.testing.assert_array_equal(AblatedPrior(prior).fill(given).R_parent_joint, full)
-    for part in ("use_global", "use_local", "use_body"):
+    for part in ("use_scene", "use_body"):
         without = AblatedPrior(prior, **{part: False}).fill(given).R_parent_joint
         assert np.abs(without - full).max() > 1e-5, part

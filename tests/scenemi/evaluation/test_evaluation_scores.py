@@ -90,7 +90,7 @@ def test_without_close_frames_their_numbers_are_absent(windows: Windows) -> None
 
 
 def rows(values: Sequence[float]) -> list[WindowScores]:
-    return [WindowScores(value, 0.0, 0.0, 0.0, 0.0) for value in values]
+    return [WindowScores(value, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for value in values]
 
 
 def test_means_leave_out_what_is_not_known() -> None:
