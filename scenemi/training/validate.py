@@ -27,7 +27,7 @@ from video2anim.body.skeleton import forward_kinematics
 INTERVALS = (15, 30, 60)
 SCENE_INTERVAL = 60
 _WINDOWS = 96
-_SAMPLER = SamplerConfig(steps=6)
+_SAMPLER = SamplerConfig()
 _INSIDE_M = 0.01
 _SCENE_SEED = 77
 
