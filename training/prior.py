@@ -110,6 +110,8 @@ def prior_command(options: argparse.Namespace, *words: str) -> list[str]:
     command = [sys.executable, "-m", "scenemi.cli", "train", "--split", str(options.motion / "split.json")]
     for path in (*(options.motion / name for name in ARCHIVES), cache() / "acted.npz"):
         command += ["--motion", str(path)]
+    if (cache() / "pipeline_errors.npz").is_file():  # of training/pipeline_errors.py
+        command += ["--errors", str(cache() / "pipeline_errors.npz")]
     shipped = REPOSITORY / "scenemi" / "weights" / "small.safetensors"
     return [
         *command, "--out", str(cache() / "prior"), "--cache", str(cache() / "motion"), "--start", str(shipped), *words
