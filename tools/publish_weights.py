@@ -34,8 +34,8 @@ without a scene around. Trained by `scenemi train` with the configuration below.
 | sha256 | `{digest}` |
 
 Use: filling motion between keyframes of adults walking, turning, sitting, picking up, reaching, stepping up.
-How far it takes out noise of keyframes and of motion estimated from video, the numbers say. It has seen little running, dancing and sport, no children, no slopes,
-and rooms of boxes only. Its motions are samples: plausible, not measured.
+How far it takes out noise of keyframes and of motion estimated from video, the numbers say. It has seen little running,
+dancing and sport, no children, no slopes, and rooms of boxes only. Its motions are samples: plausible, not measured.
 
 {numbers}
 {attribution}
