@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from lifter import samplers  # beside this file
+from lifter import CLIPS, samplers  # beside this file
 
 from stages.humans import HumansConfig, recover_humans
 from video2anim.fitting.landmarks import LANDMARK_ORDER
@@ -131,6 +131,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=4100)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--cache", type=Path, default=cache_dir() / "training" / "lifter", help="the lifter's")
+    parser.add_argument("--clips", type=int, default=CLIPS, help="rendered clips with BlazePose's errors")
     parser.add_argument("--out", type=Path, required=True)
     return parser.parse_args()
 

@@ -1,8 +1,9 @@
 """The denoiser D(x_t, t, tau): noisy window and conditions to the clean window (paper 3.2).
 
-It corrects the joined keyframes. What it reads and answers is in the heading of each frame of theirs, in units of the
-error that they make at that distance from a keyframe; of the scene it sees, in every frame, how near solids are to the
-joints of the current estimate of the motion and which way leads out.
+The diffusion process runs over what the joined keyframes miss: in the heading of each frame of theirs, in units of the
+error that they make at that distance from a keyframe, with noise that is correlated over time as that error is. Noise
+and signal are alike then, so every step t has something to decide, and motion never shakes. Of the scene the network
+sees, in every frame, how near solids are to the joints of the current estimate and which way leads out.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
-from torch.nn import functional
 
 from scenemi.features import BODY_LENGTHS, FEATURE_COUNT, JOINTS
 from scenemi.model.conditions import Conditions, since_and_until
@@ -23,6 +23,7 @@ from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
 from scenemi.model.transformer import Transformer
 from scenemi.scene.field import REACH_M
+from scenemi.windows import WINDOW_FRAMES
 from video2anim.body.skeleton import JOINT_INDEX
 
 # Shapes: B windows, N frames, F = 201 features, P points of the body asked for in the scene
@@ -31,6 +32,7 @@ MOST_FRAMES = 60
 """Longest distance from a keyframe in a window of 121 frames."""
 SCALES = {
     "residual_std": (MOST_FRAMES + 1, FEATURE_COUNT), "noise_std": (2, FEATURE_COUNT),
+    "correlate": (WINDOW_FRAMES, WINDOW_FRAMES),
     "view_mean": (VIEW,), "view_std": (VIEW,), "feature_mean": (FEATURE_COUNT,), "feature_std": (FEATURE_COUNT,),
 }  # fmt: skip
 """Measured before training (`scenemi.training.scales`), kept with the weights."""
@@ -43,8 +45,10 @@ LIMBS = tuple(
 POINTS = 22 + len(LIMBS)
 _LEAST_SCALE = 0.01
 """Standard deviations that are no error: at keyframes without noise."""
-_FARTHEST = 5.0
-"""Estimates farther from the joined keyframes than so many usual errors look the same to the network."""
+_FARTHEST = 6.0
+"""Deviations of an input: larger ones look the same to the network."""
+_LEAST_DEVIATION = 0.03
+"""Of an input: high frequencies of what hardly changes are not blown up."""
 _STEP_CHANNELS = 128
 
 
@@ -64,11 +68,16 @@ class Denoiser(nn.Module):
 
     residual_std: Tensor
     noise_std: Tensor
+    correlate: Tensor
+    """Symmetric root of the residual's correlation over time: of white noise it makes noise that is correlated so."""
     view_mean: Tensor
     view_std: Tensor
     feature_mean: Tensor
     feature_std: Tensor
     alpha_bar: Tensor
+    cosines: Tensor
+    token_mean: Tensor
+    token_std: Tensor
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -76,10 +85,13 @@ class Denoiser(nn.Module):
         self.half_precision = False
         """Whether matrix products are in bfloat16 (in training, where that is quicker)."""
         for name, shape in SCALES.items():
-            self.register_buffer(name, torch.ones(shape))
+            self.register_buffer(name, torch.eye(*shape) if name == "correlate" else torch.ones(shape))
         schedule = torch.as_tensor(CosineSchedule().alpha_bar, dtype=torch.float32)
         self.register_buffer("alpha_bar", schedule, persistent=False)
+        self.register_buffer("cosines", cosines(config.fold), persistent=False)
         of_frame = FEATURE_COUNT + VIEW + 66 + 5 + (4 * POINTS if config.scene else 0)
+        self.register_buffer("token_mean", torch.zeros(config.fold, of_frame))
+        self.register_buffer("token_std", torch.ones(config.fold, of_frame))
         self.step = nn.Sequential(
             nn.Linear(_STEP_CHANNELS, config.embedding), nn.SiLU(), nn.Linear(config.embedding, config.embedding)
         )
@@ -107,21 +119,29 @@ class Denoiser(nn.Module):
             prepared: `prepare(given)`, where it is at hand.
         """
         prepared = prepared or self.prepare(given)
-        estimate = given.base if estimate is None else estimate
-        alpha_bar = self.alpha_bar[t][:, None, None]
-        noisy = to_heading(x - alpha_bar.sqrt() * given.base, prepared.heading)
-        # What each entry alone tells of the difference, in its own unit: nothing where all is noise, so that noise does
-        # not drown the rest (at t = T the input was noise of size 1 else, and the network learnt nothing there).
-        signal = alpha_bar.sqrt() * prepared.scale
-        noisy = noisy * signal / (signal**2 + 1 - alpha_bar)
-        noisy = torch.where(given.imputed[..., None] > 0, 0.0, noisy)
-        moved = to_heading(estimate - given.base, prepared.heading) / prepared.scale
-        parts = [noisy, moved[..., JOINTS].clamp(-_FARTHEST, _FARTHEST), prepared.seen]
-        if self.config.scene:
-            parts.append(self._surroundings(estimate, given, prepared.heading))
+        linear = self._linear(x, t, given, prepared)
         embedding = self.step(step_embedding(t, _STEP_CHANNELS).to(x)) + self.body(given.body)
-        out = self._over_time(torch.cat(parts, -1), embedding)
+        tokens = (self._tokens(linear, given, estimate, prepared) - self.token_mean) / self.token_std
+        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.half_precision):
+            found = self.network(tokens.clamp(-_FARTHEST, _FARTHEST).flatten(2), embedding).float()
+        out = linear + (1 - self.alpha_bar[t][:, None, None]).sqrt() * self._frames(found, x.shape[1])
         return given.base + from_heading(prepared.scale * out, prepared.heading)
+
+    def inputs(
+        self, x: Tensor, t: Int[Tensor, "batch"], given: Conditions, estimate: Tensor | None, prepared: Prepared
+    ) -> Float[Tensor, "batch tokens fold channels"]:
+        """What the network reads, before it is brought to mean 0 and deviation 1; see `forward`."""
+        return self._tokens(self._linear(x, t, given, prepared), given, estimate, prepared)
+
+    def center(self, given: Conditions) -> Float[Tensor, "batch frames 201"]:
+        """x_t = center + sqrt(alpha_bar) (x_0 - center) + sqrt(1 - alpha_bar) noise."""
+        return given.base
+
+    def noise(self, white: Float[Tensor, "batch frames 201"], prepared: Prepared | None) -> Tensor:
+        """Noise of the forward process from independent unit Gaussians."""
+        assert prepared is not None
+        frames = white.shape[1]
+        return from_heading(prepared.scale * (self.correlate[:frames, :frames] @ white), prepared.heading)
 
     def prepare(self, given: Conditions) -> Prepared:
         """What steps have in common."""
@@ -143,6 +163,11 @@ class Denoiser(nn.Module):
         for name in SCALES:
             self.get_buffer(name).copy_(measured[name])
 
+    def set_input_scales(self, drawn: Float[Tensor, "many tokens fold channels"]) -> None:
+        """Mean and deviation of what the network reads, from some `inputs`."""
+        self.token_mean.copy_(drawn.mean((0, 1)))
+        self.token_std.copy_(drawn.std((0, 1)).clamp(min=_LEAST_DEVIATION))
+
     def _surroundings(
         self, estimate: Tensor, given: Conditions, heading: Float[Tensor, "batch frames 2"]
     ) -> Float[Tensor, "batch frames channels"]:
@@ -157,14 +182,41 @@ class Denoiser(nn.Module):
         hx, hz = heading[..., :1], heading[..., 1:]
         return torch.cat([near.reshape(batch, frames, POINTS), x * hz - z * hx, y, z * hz + x * hx], -1)
 
-    def _over_time(self, wide: Float[Tensor, "batch frames channels"], embedding: Tensor) -> Tensor:
-        """The network over tokens of `fold` frames."""
-        batch, frames = wide.shape[:2]
+    def _linear(self, x: Tensor, t: Int[Tensor, "batch"], given: Conditions, prepared: Prepared) -> Tensor:
+        """The best linear estimate from x_t alone, as residual and noise have the same covariance; the network corrects
+        it (Karras et al. 2022, table 1, for a variance-preserving process). It vanishes where all is noise."""
+        off = to_heading(x - given.base, prepared.heading) / prepared.scale
+        return torch.where(given.imputed[..., None] > 0, 0.0, self.alpha_bar[t][:, None, None].sqrt() * off)
+
+    def _tokens(
+        self, linear: Tensor, given: Conditions, estimate: Tensor | None, prepared: Prepared
+    ) -> Float[Tensor, "batch tokens fold channels"]:
+        """Cosine transform over the frames of each token. Neighboring frames are alike: in frequencies, each at its own
+        size, gradient descent learns nearly twice as fast as in frames."""
         config = self.config
-        wide = functional.pad(wide, (0, 0, 0, config.tokens * config.fold - frames))
-        with torch.autocast(wide.device.type, torch.bfloat16, enabled=self.half_precision):
-            out = self.network(wide.reshape(batch, config.tokens, -1), embedding).float()
-        return out.reshape(batch, config.tokens * config.fold, FEATURE_COUNT)[:, :frames]
+        estimate = given.base if estimate is None else estimate
+        moved = to_heading(estimate - given.base, prepared.heading) / prepared.scale
+        parts = [linear, moved[..., JOINTS], prepared.seen]
+        if config.scene:
+            parts.append(self._surroundings(estimate, given, prepared.heading))
+        wide = torch.cat(parts, -1)
+        rest = config.tokens * config.fold - wide.shape[1]
+        wide = torch.cat([wide, wide[:, -1:].expand(-1, rest, -1)], 1)
+        return self.cosines @ wide.unflatten(1, (config.tokens, config.fold))
+
+    def _frames(self, found: Float[Tensor, "batch tokens channels"], frames: int) -> Tensor:
+        """Residual in units of its scale from the network's answer: frequencies in units of their own sizes."""
+        root = self.correlate[: self.config.fold]
+        size = (self.cosines @ (root @ root.T) @ self.cosines.T).diagonal().sqrt()
+        out = (self.cosines.T * size) @ found.unflatten(-1, (self.config.fold, FEATURE_COUNT))
+        return out.flatten(1, 2)[:, :frames]
+
+
+def cosines(count: int) -> Float[Tensor, "count count"]:
+    """The orthonormal cosine transform (DCT-II), a frequency a row."""
+    k, n = torch.arange(count)[:, None], torch.arange(count)
+    matrix = math.sqrt(2 / count) * torch.cos(math.pi * (n + 0.5) * k / count)
+    return torch.where(k == 0, math.sqrt(0.5), 1.0) * matrix
 
 
 def body_points(joints_m: Float[Tensor, "... 22 3"]) -> Float[Tensor, "... points 3"]:

@@ -69,6 +69,14 @@ class PaperDenoiser(nn.Module):
             out = self.unet(functional.pad(wide, (0, missing)), embedding).float()
         return out[..., _TOKENS : _TOKENS + frames].transpose(1, 2)
 
+    def center(self, given: Conditions) -> Tensor:
+        """The paper's forward process is about zero."""
+        return torch.zeros_like(given.base)
+
+    def noise(self, white: Float[Tensor, "batch frames 201"], prepared: Tensor | None) -> Tensor:
+        """White noise."""
+        return white
+
     def prepare(self, given: Conditions) -> Float[Tensor, "batch embedding"]:
         """The global scene vector c_g, encoded once for a window; the learned one of no scene where none is known."""
         none = self.no_scene.expand(len(given.mask), -1)

@@ -36,6 +36,14 @@ class Denoise(Protocol):
         """What all steps have in common."""
         ...
 
+    def center(self, given: Conditions) -> Tensor:
+        """What the forward process is about: x_t = center + sqrt(alpha_bar) (x_0 - center) + sqrt(1 - alpha_bar) n."""
+        ...
+
+    def noise(self, white: Tensor, prepared: Any) -> Tensor:
+        """n of the forward process from independent unit Gaussians."""
+        ...
+
 
 Predict = Callable[[Tensor, int], Tensor]
 """Estimate of the clean window at one step."""
@@ -149,14 +157,23 @@ def sample(
         stop_step: T*.
         adjust: applied to every estimate of the clean window.
     """
-    x = config.temperature * torch.stack([_noise(x_keys, generator) for generator in generators])
+    center, prepared = denoiser.center(conditions), denoiser.prepare(conditions)
+
+    def noise() -> Tensor:
+        white = torch.stack([_noise(x_keys, generator) for generator in generators])
+        return config.temperature * denoiser.noise(white, prepared)
+
     steps = time_steps(schedule.steps, config.steps, stop_step=stop_step, spacing=config.spacing)
     with torch.no_grad():
-        predict = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, adjust)
+        clean = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, adjust)
+
+        def predict(residual: Tensor, t: int) -> Tensor:
+            return clean(center + residual, t) - center
+
         if config.method == "dpm-solver++":
-            return _dpm_solver(predict, x, schedule.alpha_bar, steps, stop_step)
+            return center + _dpm_solver(predict, noise(), schedule.alpha_bar, steps, stop_step)
         eta = 1.0 if config.method == "ddpm" else config.eta
-        return _ancestral(predict, x, schedule.alpha_bar, steps, eta, config.temperature, generators)
+        return center + _ancestral(predict, noise, schedule.alpha_bar, steps, eta)
 
 
 def guided(
@@ -205,20 +222,15 @@ def posterior(alpha_bar_t: float, alpha_bar_s: float, eta: float) -> tuple[float
 
 
 def _ancestral(
-    predict: Predict,
-    x: Tensor,
-    alpha_bar: np.ndarray,
-    steps: np.ndarray,
-    eta: float,
-    temperature: float,
-    generators: Sequence[torch.Generator],
+    predict: Predict, noise: Callable[[], Tensor], alpha_bar: np.ndarray, steps: np.ndarray, eta: float
 ) -> Tensor:
+    x = noise()
     for t, s in pairwise(steps):
         x0 = predict(x, int(t))
         of_clean, of_noisy, deviation = posterior(float(alpha_bar[t]), float(alpha_bar[s]), eta)
         x = of_clean * x0 + of_noisy * x
         if deviation > 0:
-            x = x + temperature * deviation * torch.stack([_noise(x, generator) for generator in generators])
+            x = x + deviation * noise()
     return x
 
 

@@ -18,12 +18,12 @@ class TrainConfig:
     """One run. All but the settings of `FREE` change the weights and must stay as they are when it is resumed."""
 
     model: AnyConfig = field(default_factory=lambda: SIZES["small"])
-    batch: Annotated[int, Field(ge=1)] = 64
+    batch: Annotated[int, Field(ge=1)] = 32
     """Windows of a step."""
     learning_rate: Annotated[float, Field(gt=0)] = 1e-3
     """Rises over `warmup` steps and stays (paper: 1e-4 at batch 256): the end of a run is not known. The average of
     weights that ships needs no fall; `cool` makes one on demand."""
-    warmup: int = 300
+    warmup: int = 150
     weight_decay: float = 1e-2
     ema: Annotated[float, Field(gt=0, le=0.25)] = 0.1
     """Width of the weights' moving average as a share of the steps so far (Karras et al. 2024); the paper's constant
@@ -72,10 +72,10 @@ class TrainConfig:
     workers: int = 1
     """Threads that make batches ahead."""
     log_every: int = 50
-    save_every: int = 100
-    grow_every: int = 500
+    save_every: int = 300
+    grow_every: int = 2000
     """Steps between two shards of the pool, until it has all its windows."""
-    validate_every: int = 500
+    validate_every: int = 1000
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

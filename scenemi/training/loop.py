@@ -164,12 +164,14 @@ class Run:
         self.model: AnyDenoiser = build_denoiser(config.model).to(self.device)
         self.step, self._seconds = held.step if held else 0, held.seconds if held else 0.0
         self._begun = time.perf_counter()
+        self.loss = TrainingLoss(self.model, self.statistics, bodies, config).to(self.device)
         if held is not None:
             self.model.load_state_dict(held.model)
         elif isinstance(self.model, Denoiser):
             data = PoolBatches(shards, config)
-            drawn = [data[_SCALE_STEPS + i] for i in range(max(1, _SCALE_WINDOWS // config.batch))]
+            drawn = [data[_SCALE_STEPS + i] for i in range(max(2, _SCALE_WINDOWS // config.batch))]
             self.model.set_scales(measure_scales(drawn, self.statistics, rest))
+            self.loss.set_input_scales([batch.to(self.device) for batch in drawn])
         state = held.ema if held else self.model.state_dict()
         self.average = {name: value.detach().clone().to(self.device) for name, value in state.items()}
         plain = [p for p in self.model.parameters() if p.ndim < 2]
@@ -180,7 +182,6 @@ class Run:
         )  # fmt: skip
         if held is not None and held.optimizer:
             self.optimizer.load_state_dict(held.optimizer)
-        self.loss = TrainingLoss(self.model, self.statistics, bodies, config).to(self.device)
         self.model.half_precision = bfloat16_is_quicker(self.device)
         self._power = _ema_power(config.ema)
 

@@ -77,16 +77,34 @@ class TrainingLoss(nn.Module):
     def forward(self, batch: Batch) -> Losses:
         """Losses of one batch."""
         with torch.no_grad():
-            x0 = (batch.features - self.mean) / self.std
-            keys = self._keyframes(batch, x0)
-            given = self._conditions(batch, keys)
-            x = impute(self.schedule.add_noise(x0, batch.step, batch.diffusion_noise), keys, given.imputed)
-            prepared = self.denoiser.prepare(given) if isinstance(self.denoiser, Denoiser) else None
+            x0, x, given, prepared = self._noised(batch)
             estimate = None
             if prepared is not None and given.field is not None and batch.condition_on_estimate > 0:
                 estimate = self.denoiser(x, batch.step, given, None, prepared)
         made = self.denoiser(x, batch.step, given, estimate, prepared)
         return self.compared(made, x0, batch, given.field, prepared if self.config.relative else None)
+
+    @torch.no_grad()
+    def set_input_scales(self, drawn: Sequence[Batch]) -> None:
+        """Measure what the network reads on some batches, in half of which the estimate is the truth."""
+        model = self.denoiser
+        assert isinstance(model, Denoiser)
+        inputs = []
+        for i, batch in enumerate(drawn):
+            x0, x, given, prepared = self._noised(batch)
+            inputs.append(model.inputs(x, batch.step, given, x0 if i % 2 else None, prepared or model.prepare(given)))
+        model.set_input_scales(torch.cat(inputs))
+
+    def _noised(self, batch: Batch) -> tuple[Tensor, Tensor, Conditions, Prepared | None]:
+        """x_0, x_t with keyframes imputed, conditions, and what the shipped model prepares of them."""
+        x0 = (batch.features - self.mean) / self.std
+        keys = self._keyframes(batch, x0)
+        given = self._conditions(batch, keys)
+        prepared = self.denoiser.prepare(given) if isinstance(self.denoiser, Denoiser) else None
+        noise = self.denoiser.noise(batch.diffusion_noise, prepared)
+        center = self.denoiser.center(given)
+        noised = center + self.schedule.add_noise(x0 - center, batch.step, noise)
+        return x0, impute(noised, keys, given.imputed), given, prepared
 
     def _conditions(self, batch: Batch, keys: Tensor) -> Conditions:
         exact = torch.ones_like(batch.step, dtype=torch.bool).index_fill(0, batch.noisy, False)

@@ -41,9 +41,10 @@ def measure_scales(
         for row, (turns, shifts) in enumerate(((turn, 0 * shift), (0 * turn, shift))):
             moved = noisy_features(x, rest_joints_m[batch.body], turns, shifts) - x
             noise[row] += moved.square().mean((0, 1)) / len(batches)
-    every = torch.cat(views)
+    every, size = torch.cat(views), residual_size(triples)
     return {
-        "residual_std": residual_size(triples) / std,
+        "residual_std": size / std,
+        "correlate": correlation(triples, std),
         "noise_std": noise.sqrt() / std,
         "view_mean": every.mean(0),
         "view_std": every.std(0).clamp(min=_LEAST_VIEW),
@@ -73,6 +74,29 @@ def residual_size(drawn: Sequence[tuple[Tensor, Tensor, Tensor]]) -> Float[Tenso
     smooth = uniform_filter1d(filled, _SMOOTHING, axis=0, mode="nearest")
     smooth[0] = 0.0
     return torch.from_numpy(smooth).float()
+
+
+def correlation(
+    drawn: Sequence[tuple[Tensor, Tensor, Tensor]], std: Float[Tensor, "201"]
+) -> Float[Tensor, "frames frames"]:
+    """Symmetric root of the correlation over time of what joined keyframes miss: the same for all features and places
+    in a window. Products are averaged, so the long gaps, where most is missed, decide.
+
+    Args:
+        drawn: as of `residual_size`.
+        std: of the features.
+    """
+    frames = drawn[0][0].shape[1]
+    product = torch.zeros(frames, dtype=torch.float64)
+    for truth, curve, _ in drawn:
+        off = to_heading(truth - curve, headings(curve)).double() / std
+        spectrum = torch.fft.rfft(off, 2 * frames, dim=1).abs().square().sum((0, 2))
+        product += torch.fft.irfft(spectrum)[:frames]
+    lag = torch.arange(frames)
+    by_lag = product / product[0] * frames / (frames - lag)
+    values, vectors = torch.linalg.eigh(by_lag[(lag[:, None] - lag).abs()])
+    root = (vectors * values.clamp(min=0).sqrt()) @ vectors.T
+    return (root / root.norm(dim=1, keepdim=True)).float()
 
 
 def _pooled(square: Float[np.ndarray, "distances 201"]) -> np.ndarray:

@@ -13,7 +13,7 @@ from scenemi.features import JOINTS, LEVEL_X, LEVEL_Z, Statistics
 from scenemi.model.base import join_keyframes
 from scenemi.model.conditions import Conditions, impute, since_and_until
 from scenemi.model.config import SIZES, ModelConfig
-from scenemi.model.denoiser import SCALES, Denoiser, body_points
+from scenemi.model.denoiser import SCALES, Denoiser, body_points, cosines
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
 from scenemi.model.kinematics import joints_of, matrices, posed_joints
@@ -26,6 +26,16 @@ TINY = SIZES["tiny"]
 assert isinstance(TINY, ModelConfig)
 HEIGHT_M = 1.2
 """Joints of these made-up bodies lie around it: far from the floor."""
+
+
+CORRELATION = torch.exp(-0.25 * (torch.arange(121)[:, None] - torch.arange(121)).abs())
+"""Of residual and noise over time."""
+
+
+def root(matrix: torch.Tensor) -> torch.Tensor:
+    """Symmetric."""
+    values, vectors = torch.linalg.eigh(matrix)
+    return (vectors * values.sqrt()) @ vectors.T
 
 
 def conditions(batch: int, seed: int = 0, frames: int = 121) -> Conditions:
@@ -56,6 +66,7 @@ def awake(config: ModelConfig = TINY, seed: int = 0) -> Denoiser:
     mean[[3, 7]] = 1.0
     denoiser.set_scales({
         "residual_std": torch.linspace(0, 0.5, 61)[:, None].expand(-1, 201), "noise_std": torch.full((2, 201), 0.1),
+        "correlate": root(CORRELATION),
         "view_mean": torch.zeros(VIEW), "view_std": torch.ones(VIEW), "feature_mean": mean,
         "feature_std": torch.full((201,), 0.1),
     })  # fmt: skip
@@ -79,10 +90,44 @@ def in_scene(given: Conditions, boxes: torch.Tensor, known: list[float] | None =
 T = torch.tensor([300, 700])
 
 
-def test_an_untrained_denoiser_answers_with_the_joined_keyframes() -> None:
-    given = conditions(2)
-    for scene in (given, in_scene(given, box(0, HEIGHT_M, 0).expand(2, -1, -1))):
-        assert torch.equal(Denoiser(TINY)(window(), torch.tensor([5, 900]), scene), given.base)
+def untrained() -> Denoiser:
+    """With the scales of `awake`, and layers as they begin."""
+    denoiser, other = Denoiser(TINY), awake()
+    denoiser.set_scales({name: getattr(other, name) for name in SCALES})
+    return denoiser
+
+
+@torch.no_grad()
+def test_an_untrained_denoiser_answers_with_the_best_linear_estimate() -> None:
+    """Of a residual with the noise's covariance x_t tells sqrt(alpha_bar) (x_t - center): nothing at T, all at 0."""
+    denoiser, given, generator = untrained(), conditions(64), torch.Generator().manual_seed(1)
+    given = replace(given, noise=torch.zeros(64, 121, 2))
+    scene = in_scene(given, box(0, HEIGHT_M, 0).expand(64, -1, -1))
+    center, prepared = denoiser.center(given), denoiser.prepare(given)
+
+    def drawn() -> torch.Tensor:
+        return denoiser.noise(torch.randn(64, 121, 201, generator=generator), prepared)
+
+    residual, between = drawn(), given.mask[0] == 0
+    for t in (1, 300, 700, 1000):
+        a = CosineSchedule().alpha_bar[t]
+        x = center + np.sqrt(a) * residual + np.sqrt(1 - a) * drawn()
+        steps = torch.full((64,), t)
+        made = denoiser(x, steps, given)
+        assert torch.equal(denoiser(x, steps, scene), made)
+        off = ((made - center - residual) / prepared.scale)[:, between].square().mean()
+        assert float(off) == pytest.approx(1 - a, rel=0.03, abs=1e-4), "of no other factor of x_t is it smaller"
+        assert float((made - center)[:, ~between].abs().max()) < 1e-5
+
+
+@torch.no_grad()
+def test_noise_of_the_forward_process_is_correlated_over_time_and_as_large_as_the_residual() -> None:
+    denoiser, given = awake(), conditions(400)
+    prepared = denoiser.prepare(given)
+    made = denoiser.noise(torch.randn(400, 121, 201, generator=torch.Generator().manual_seed(2)), prepared)
+    unit = to_heading(made, prepared.heading) / prepared.scale
+    found = torch.einsum("bif,bjf->ij", unit, unit) / (400 * 201)
+    torch.testing.assert_close(found, CORRELATION, atol=0.02, rtol=0)
 
 
 @torch.no_grad()
@@ -95,7 +140,7 @@ def test_answers_differ_from_the_joined_keyframes_by_the_scales() -> None:
     torch.testing.assert_close(scale[1, ::15], torch.full((9, 201), float(np.hypot(0.5, 0.01))), msg="0.1 by 3 and 4")
     between = 0.5 / 60 * since_and_until(given.mask).amin(-1)
     torch.testing.assert_close(scale[0, 3], torch.hypot(between[0, 3], torch.tensor(0.01)).expand(201))
-    change = to_heading(denoiser(window(), T, given) - given.base, denoiser.prepare(given).heading) / scale
+    change = to_heading(denoiser(given.base, T, given) - given.base, denoiser.prepare(given).heading) / scale
     assert 0.1 < change.std() < 20
     # The unit of the network's own output is the same near keyframes and far from them.
     assert change[0, ::15].std() == pytest.approx(float(change[0, 7::15].std()), rel=0.7)
@@ -108,6 +153,25 @@ def test_the_noisy_window_is_not_seen_where_it_holds_the_keyframe() -> None:
     assert torch.equal(denoiser(x, T, given), denoiser(other, T, given))
     free = replace(given, imputed=torch.zeros_like(given.mask))
     assert not torch.allclose(denoiser(x, T, free), denoiser(other, T, free))
+
+
+@torch.no_grad()
+def test_the_network_reads_frequencies_of_eight_frames_each_at_its_own_size() -> None:
+    denoiser, given, x = awake(), conditions(2), window()
+    torch.testing.assert_close(cosines(8) @ cosines(8).T, torch.eye(8))
+    read = denoiser.inputs(x, T, given, None, denoiser.prepare(given))
+    frames = (cosines(8).T @ read).flatten(1, 2)
+    at = 201 + 66 + VIEW
+    torch.testing.assert_close(frames[:, :121, at], given.mask)
+    torch.testing.assert_close(frames[:, 121:, at], given.mask[:, -1:].expand(-1, 7), msg="the last frame goes on")
+    before = denoiser(x, T, given)
+    denoiser.set_input_scales(read)
+    unit = (read - denoiser.token_mean) / denoiser.token_std
+    assert unit.mean((0, 1)).abs().max() < 1e-3
+    changing = read.std((0, 1)) > 0.03
+    torch.testing.assert_close(unit.std((0, 1))[changing], torch.ones(int(changing.sum())))
+    assert unit.std((0, 1)).max() < 1.001, "what hardly changes is not blown up"
+    assert not torch.allclose(denoiser(x, T, given), before)
 
 
 def test_every_condition_counts() -> None:
@@ -235,16 +299,12 @@ def test_the_answer_turns_along_with_the_window_and_its_scene(shift: tuple[float
     def there(values: torch.Tensor) -> torch.Tensor:
         return (turned(values * std + mean, angle, shift) - mean) / std
 
-    alpha_bar = denoiser.alpha_bar[T][:, None, None].sqrt()
-    # Its signal is the moved motion, its noise turns.
-    noise = x - alpha_bar * given.base
-    x_there = alpha_bar * there(given.base) + turned(noise * std, angle, (0, 0)) / std
     answer = denoiser(x, T, in_scene(given, boxes), estimate)
     moved = replace(in_scene(given, turned_boxes), base=there(given.base))
-    answer_there = denoiser(x_there, T, moved, there(estimate))
+    answer_there = denoiser(there(x), T, moved, there(estimate))
     assert (answer - given.base).abs().max() > 0.1, "it says something"
     torch.testing.assert_close(answer_there, there(answer), atol=5e-3, rtol=1e-3)
-    assert not torch.allclose(denoiser(x_there, T, in_scene(moved, boxes), there(estimate)), answer_there, atol=5e-3)
+    assert not torch.allclose(denoiser(there(x), T, in_scene(moved, boxes), there(estimate)), answer_there, atol=5e-3)
 
 
 def test_frames_since_and_until_the_next_keyframe() -> None:

@@ -49,6 +49,12 @@ class Fake:
         self.answer = answer
         self.prepared: list[Conditions] = []
 
+    def center(self, given: Conditions) -> Tensor:
+        return torch.zeros_like(given.base)
+
+    def noise(self, white: Tensor, prepared: int) -> Tensor:
+        return white
+
     def prepare(self, given: Conditions) -> int:
         self.prepared.append(given)
         return len(self.prepared)

@@ -16,7 +16,7 @@ from scenemi.model.conditions import Conditions, since_and_until
 from scenemi.model.denoiser import MOST_FRAMES, SCALES, Denoiser
 from scenemi.training.batches import PoolBatches
 from scenemi.training.pool import Shard
-from scenemi.training.scales import measure_scales, residual_size
+from scenemi.training.scales import correlation, measure_scales, residual_size
 
 KINDS = (TRANSLATION, ROOT_ROTATION, BODY_ROTATIONS, JOINTS)
 
@@ -69,6 +69,22 @@ def test_what_hardly_moved_may_move_as_others_of_its_kind_do() -> None:
     assert float(rotations.square().sum()) == pytest.approx(0.04, rel=1e-4)
     for kind in (TRANSLATION, JOINTS):
         assert not size[kind].any()
+
+
+def test_the_residuals_correlation_over_time_is_found() -> None:
+    """Of a process whose correlation is known, turned by a heading of 0."""
+    lag = (torch.arange(121)[:, None] - torch.arange(121)).abs()
+    known = torch.exp(-0.5 * (lag / 6.0) ** 2)
+    values, vectors = torch.linalg.eigh(known + 1e-4 * torch.eye(121))
+    process = (vectors * values.clamp(min=0).sqrt()) @ torch.randn(
+        40, 121, 201, generator=torch.Generator().manual_seed(0)
+    )
+    curve, mask = facing(0.0).expand(40, -1, -1), ends().expand(40, -1)
+    made = correlation([(curve + 0.1 * process, curve, mask)], torch.ones(201))
+    torch.testing.assert_close(made, made.T, atol=0.05, rtol=0)
+    found = made @ made.T
+    torch.testing.assert_close(found.diagonal(), torch.ones(121))
+    torch.testing.assert_close(found[40:80, 40:80], known[40:80, 40:80], atol=0.08, rtol=0)
 
 
 def test_noise_of_a_degree_and_of_a_centimeter(motions: MotionSet, data: PoolBatches, statistics: Statistics) -> None:
