@@ -161,12 +161,28 @@ def train_command(
     start: Annotated[
         Path | None, typer.Option(help="Weights to begin from where --out has no checkpoint and they are alike.")
     ] = None,
+    pack: Annotated[
+        Path | None,
+        typer.Option(help="Train nothing: write the run in --out, and --motion if given, to this folder to carry."),
+    ] = None,
+    from_pack: Annotated[Path | None, typer.Option(help="Folder of --pack in place of --motion and --start.")] = None,
     device: Device = "auto",
 ) -> None:
     """Train a model, or go on training it: a run has no end, it stops after --minutes or when it is interrupted."""
+    from scenemi.data.split import Split
+    from scenemi.training.config import TrainConfig
+    from scenemi.training.packing import pack_run, unpack_run
     from scenemi.training.runs import RunFiles, clips_for, write_run_weights
 
-    files = RunFiles.of(config, motion or (), split, cache, scenes or ())
+    if pack is not None:
+        run_config = TrainConfig() if config is None else TrainConfig.read(config)
+        run = RunFiles(run_config, tuple(motion or ()), None if split is None else Split.read(split), None)
+        typer.echo(f"{pack}: {pack_run(pack, run, out) / 2**20:.1f} MiB")
+        return
+    packed = None if from_pack is None else unpack_run(from_pack, out / "pack")
+    files = None if packed is None else packed.files
+    files = files or RunFiles.of(config, motion or (), split, cache, scenes or ())
+    start = packed.start if packed is not None else start
     clips = clips_for(files, out)
     if clips.watched is None:
         _note("no clip is for validation (--split), so none is sampled while training")

@@ -39,7 +39,8 @@ def main() -> None:
     rows = [measured(config, shards, bodies, threads, options) for threads in options.threads]
     report = {
         "machine": f"{platform.machine()}, Python {platform.python_version()}, torch {torch.__version__}",
-        "date": datetime.date.today().isoformat(), "model": config.model.to_json(), "batch": config.batch, "rows": rows,
+        "date": datetime.date.today().isoformat(), "model": config.model.to_json(),
+        "windows_of_a_step": config.step_windows, "rows": rows,
     }  # fmt: skip
     write_json(options.out / f"training_speed-{report['date']}.json", report)
     for row in rows:
@@ -54,16 +55,16 @@ def measured(
     run = Run(config, bodies, shards, options.device, None)
     data = PoolBatches(shards, config)
     for step in range(STEPS):
-        run.advance(data[step].to(run.device))
+        run.advance(data.of_step(step))
     rates, making = [], []
     for piece in range(options.pieces):
         first = time.perf_counter()
-        batches = [data[STEPS * (piece + 1) + step] for step in range(STEPS)]
+        steps = [data.of_step(STEPS * (piece + 1) + step) for step in range(STEPS)]
         second = time.perf_counter()
-        for batch in batches:
-            run.advance(batch.to(run.device))
-        making.append((second - first) / (STEPS * config.batch))
-        rates.append(STEPS * config.batch / (time.perf_counter() - second))
+        for batches in steps:
+            run.advance(batches)
+        making.append((second - first) / (STEPS * config.step_windows))
+        rates.append(STEPS * config.step_windows / (time.perf_counter() - second))
     return {
         "threads": threads, "windows_per_s": round(float(np.median(rates)), 1),
         "slowest_and_fastest": [round(min(rates), 1), round(max(rates), 1)],

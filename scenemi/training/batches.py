@@ -86,10 +86,10 @@ class PoolBatches:
         kinds = ([s for s in shards if isinstance(s, SceneShard) == captured] for captured in (False, True))
         self._kinds = [kind for kind in kinds if kind]
 
-    def __getitem__(self, step: int) -> Batch:
-        """The batch of a step."""
+    def __getitem__(self, number: int) -> Batch:
+        """A batch; step s has those from s * `config.parts` on."""
         config = self.config
-        rng = np.random.default_rng([config.seed, step])
+        rng = np.random.default_rng([config.seed, number])
         shards = self._kinds[int(rng.integers(len(self._kinds))) if len(self._kinds) > 1 else 0]
         units, scene, telling, valid, body = _rows(shards, rng.integers(0, sum(map(len, shards)), config.batch))
         count, frames = units.shape[:2]
@@ -121,7 +121,9 @@ class PoolBatches:
             scene_known=torch.from_numpy(known).float(),
             local_known=torch.from_numpy(shown & (dropped >= config.drop_local)).float(),
             noise=torch.from_numpy(noise),
-            step=torch.from_numpy(rng.integers(1, STEPS + 1, count)),
+            step=torch.from_numpy(
+                np.where(rng.random(count) < config.first_step_share, STEPS, rng.integers(1, STEPS + 1, count))
+            ),
             looked_at=torch.from_numpy(rng.integers(0, max(1, frames - LOOKED_AT + 1), count)),
             noisy=torch.from_numpy(noisy),
             turn_rad=torch.from_numpy(turn_rad),
@@ -146,15 +148,20 @@ class PoolBatches:
                 turn_rad[row], shift_m[row] = gaussian(rng, frames, level)
         return told, turn_rad, shift_m
 
-    def ahead(self, steps: range, workers: int) -> Iterator[Batch]:
+    def of_step(self, step: int) -> tuple[Batch, ...]:
+        """The batches of a step."""
+        parts = self.config.parts
+        return tuple(self[parts * step + part] for part in range(parts))
+
+    def ahead(self, steps: range, workers: int) -> Iterator[tuple[Batch, ...]]:
         """Batches of some steps in order, made ahead by threads."""
         if workers == 0:
-            yield from (self[step] for step in steps)
+            yield from (self.of_step(step) for step in steps)
             return
         with ThreadPoolExecutor(workers) as pool:
-            coming: list[Future[Batch]] = []
+            coming: list[Future[tuple[Batch, ...]]] = []
             for step in steps:
-                coming.append(pool.submit(self.__getitem__, step))
+                coming.append(pool.submit(self.of_step, step))
                 if len(coming) > workers:
                     yield coming.pop(0).result()
             for future in coming:

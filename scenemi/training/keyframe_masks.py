@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool
 
-_REGULAR, _SEEDED = 0.6, 0.2
+_REGULAR, _SEEDED, _NEAREST = 0.7, 0.2, 5
 """Shares of windows with regular intervals, and with a known beginning, in the mixed law. In the paper's draw keyframes
 are two frames apart in the median, where there is nothing to fill."""
 
@@ -17,8 +17,8 @@ def draw_mask(
 ) -> Bool[np.ndarray, "frames"]:
     """Keyframes of one window, first and last frame always among them.
 
-    `paper`: k ~ U{2..N} frames at random (3.2). `mixed`: 20 % of the windows so; 60 % every r-th frame, r log-uniform
-    from 2 to N - 1, sometimes with the phase shifted; 20 % a known beginning as in long motion (8.2) followed by
+    `paper`: k ~ U{2..N} frames at random (3.2). `mixed`: 10 % of the windows so; 70 % every r-th frame, r log-uniform
+    from 5 to N - 1, sometimes with the phase shifted; 20 % a known beginning as in long motion (8.2) followed by
     regular keyframes.
     """
     mask = np.zeros(frames, bool)
@@ -27,7 +27,7 @@ def draw_mask(
         count = int(rng.integers(2, frames + 1))
         mask[1 + rng.permutation(frames - 2)[: count - 2]] = True
     else:
-        interval = round(float(np.exp(rng.uniform(np.log(2), np.log(frames - 1)))))
+        interval = round(float(np.exp(rng.uniform(np.log(_NEAREST), np.log(frames - 1)))))
         phase = int(rng.integers(0, interval)) if rng.random() < 0.3 else 0
         mask[phase::interval] = True
         if kind < _SEEDED:

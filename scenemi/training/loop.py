@@ -8,6 +8,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,7 +23,7 @@ from scenemi.features import Statistics
 from scenemi.model.build import AnyDenoiser, build_denoiser
 from scenemi.model.denoiser import Denoiser
 from scenemi.model.weights import load_weights
-from scenemi.training.batches import PoolBatches, statistics_of
+from scenemi.training.batches import Batch, PoolBatches, statistics_of
 from scenemi.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from scenemi.training.config import FREE, TrainConfig
 from scenemi.training.losses import Losses, TrainingLoss
@@ -83,7 +84,8 @@ def train(
         validation: windows that sampled numbers are made of.
         device: of torch.
         errors: of the video pipeline, for noisy keyframes.
-        start: weights to begin from where `out` has no checkpoint, if they are of the same architecture.
+        start: weights to begin from where `out` has no checkpoint or one with fewer steps, if they are of the same
+            architecture.
         stop_at: end after this step; None = at the time limit, or never.
         time_limit_s: end after this time.
         on_progress: called every `config.log_every` steps, and after each validation.
@@ -91,7 +93,10 @@ def train(
     Raises:
         InputError: the checkpoint in `out` is of another configuration, or training met no finite gradient any more.
     """
-    held = load_checkpoint(out / CHECKPOINT) if (out / CHECKPOINT).is_file() else _from_weights(start, config)
+    held = load_checkpoint(out / CHECKPOINT) if (out / CHECKPOINT).is_file() else None
+    begun = _from_weights(start, config)
+    if begun is not None and (held is None or begun.step > held.step):
+        held = begun
     if held is not None and (differing := _differing(held.config, config)):
         raise InputError(
             f"training: {out / CHECKPOINT} was trained with other {', '.join(differing)}; give another folder, or the "
@@ -105,8 +110,8 @@ def train(
     watch = _Watch(run, out, check, on_progress)
     data = PoolBatches(shards, config, errors)
     try:
-        for batch in data.ahead(range(run.step, stop_at if stop_at is not None else 2**62), config.workers):
-            watch.took(*run.advance(batch.to(run.device)))
+        for batches in data.ahead(range(run.step, stop_at if stop_at is not None else 2**62), config.workers):
+            watch.took(*run.advance(batches))
             late = time_limit_s is not None and run.elapsed_s > time_limit_s
             if late or run.step == stop_at:
                 break
@@ -139,8 +144,8 @@ def cool(
     run = Run(held.config, motions.bodies(), shards, device, held)
     data = PoolBatches(shards, held.config, errors)
     last = run.step + steps
-    for batch in data.ahead(range(run.step, last), held.config.workers):
-        losses, _ = run.advance(batch.to(run.device), (last - run.step) / steps)
+    for batches in data.ahead(range(run.step, last), held.config.workers):
+        losses, _ = run.advance(batches, (last - run.step) / steps)
         if run.step % held.config.log_every == 0:
             on_progress(run.progress(float(losses.total)))
     return run.state()
@@ -184,16 +189,27 @@ class Run:
             self.optimizer.load_state_dict(held.optimizer)
         self.model.half_precision = bfloat16_is_quicker(self.device)
         self._power = _ema_power(config.ema)
+        self._threads: ThreadPoolExecutor | None = None
+        if self.device.type == "cpu" and config.parts > 1 and torch.get_num_threads() > 1:
+            self._threads = ThreadPoolExecutor(min(config.parts, torch.get_num_threads()))
+            torch.set_num_threads(1)
 
-    def advance(self, batch: Any, rate: float = 1.0) -> tuple[Losses, float]:
-        """One step of the optimizer at a share of the learning rate; also the gradient's norm. A step without a finite
-        gradient changes nothing."""
+    def advance(self, batches: Sequence[Batch], rate: float = 1.0) -> tuple[Losses, float]:
+        """One step of the optimizer at a share of the learning rate; means over the batches, and the gradient's norm. A
+        step without a finite gradient changes nothing."""
         config = self.config
         for group in self.optimizer.param_groups:
             group["lr"] = config.learning_rate * rate * min(1.0, (self.step + 1) / max(1, config.warmup))
-        self.optimizer.zero_grad(set_to_none=True)
-        losses: Losses = self.loss(batch)
-        losses.total.backward()
+        learned = [p for p in self.model.parameters() if p.requires_grad]
+
+        def part(batch: Batch) -> tuple[Losses, tuple[Tensor | None, ...]]:
+            losses: Losses = self.loss(batch.to(self.device))
+            return losses, torch.autograd.grad(losses.total, learned, allow_unused=True)
+
+        found = list(self._threads.map(part, batches) if self._threads else map(part, batches))
+        for number, parameter in enumerate(learned):
+            grads = [grads[number] for _, grads in found]
+            parameter.grad = sum(g / len(found) for g in grads if g is not None) if grads[0] is not None else None
         norm = float(torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip_norm))
         self.step += 1
         if np.isfinite(norm):
@@ -201,7 +217,10 @@ class Run:
             keep = (1 - 1 / self.step) ** (self._power + 1)
             now = self.model.state_dict()
             torch._foreach_lerp_([self.average[name] for name in now], list(now.values()), 1 - keep)
-        return Losses(*(getattr(losses, name).detach() for name in Losses.__slots__)), norm
+        means = (
+            torch.stack([getattr(losses, name).detach() for losses, _ in found]).mean() for name in Losses.__slots__
+        )
+        return Losses(*means), norm
 
     def averaged(self) -> AnyDenoiser:
         """The model with averaged weights."""
@@ -224,7 +243,7 @@ class Run:
     def progress(self, total: float, speed: float = 0.0, rows: tuple[Validation, ...] = ()) -> Progress:
         """Where the run is."""
         hours = (self._seconds + self.elapsed_s) / 3600
-        return Progress(self.step, self.step * self.config.batch, hours, total, speed, rows)
+        return Progress(self.step, self.step * self.config.step_windows, hours, total, speed, rows)
 
 
 class _Watch:
@@ -251,7 +270,7 @@ class _Watch:
             )
         self._recent.append(torch.stack([getattr(losses, name) for name in Losses.__slots__]))
         if run.step % config.log_every == 0:
-            speed = len(self._recent) * config.batch / (time.perf_counter() - self._since)
+            speed = len(self._recent) * config.step_windows / (time.perf_counter() - self._since)
             values = torch.stack(self._recent).mean(0).tolist()
             now = run.progress(values[0], speed)
             self._log.add(run.step, *(f"{v:.5g}" for v in (*values, norm, speed, 3600 * now.hours)))

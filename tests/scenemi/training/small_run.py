@@ -29,6 +29,7 @@ SHARD = 32
 CONFIG = TrainConfig(
     model=SIZES["tiny"],
     batch=4,
+    parts=1,
     workers=0,
     log_every=1,
     save_every=2,

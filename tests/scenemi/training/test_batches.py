@@ -73,7 +73,12 @@ def test_a_step_is_the_same_whenever_it_is_drawn(shards: list[Shard], data: Pool
 def test_batches_made_ahead_come_in_order(data: PoolBatches, workers: int) -> None:
     ahead = list(data.ahead(range(5, 10), workers))
     assert len(ahead) == 5
-    assert all(same(batch, data[step]) for batch, step in zip(ahead, range(5, 10), strict=True))
+    assert all(same(batches[0], data[step]) for batches, step in zip(ahead, range(5, 10), strict=True))
+
+
+def test_a_step_has_its_own_batches(shards: list[Shard]) -> None:
+    data = PoolBatches(shards, replace(CONFIG, parts=3))
+    assert all(same(a, b) for a, b in zip(data.of_step(4), [data[12], data[13], data[14]], strict=True))
 
 
 def test_mirroring_twice_changes_nothing() -> None:
@@ -178,7 +183,10 @@ def test_steps_and_pieces_looked_at_lie_in_their_ranges(shards: list[Shard]) -> 
     batch = PoolBatches(shards, WIDE)[0]
     assert batch.step.min() >= 1
     assert batch.step.max() <= 1000
-    assert batch.step.float().mean() == pytest.approx(500, abs=60)
+    first = batch.step == 1000
+    assert float(first.float().mean()) == pytest.approx(0.5, abs=0.08)
+    assert float(batch.step[~first].float().mean()) == pytest.approx(500, abs=80)
+    assert not (PoolBatches(shards, replace(WIDE, first_step_share=0.0))[0].step == 1000).float().mean() > 0.05
     assert batch.looked_at.min() >= 0
     assert batch.looked_at.max() == 121 - LOOKED_AT
     flags = [float(PoolBatches(shards, CONFIG)[step].condition_on_estimate) for step in range(40)]

@@ -20,6 +20,7 @@ from small_run import CONFIG, SHARD, shrink
 from scenemi.data.windows import MotionSet
 from scenemi.features import Statistics
 from scenemi.model.base import join_keyframes
+from scenemi.model.conditions import Conditions
 from scenemi.model.config import SIZES
 from scenemi.model.denoiser import Denoiser
 from scenemi.model.weights import load_weights, save_weights
@@ -200,24 +201,45 @@ def test_the_rate_rises_at_the_beginning_and_stays(motions: MotionSet, shards: l
     run = a_run(motions, shards, warmup=3)
     rates = []
     for step in range(5):
-        run.advance(data[step])
+        run.advance(data.of_step(step))
         rates.append(run.optimizer.param_groups[0]["lr"] / CONFIG.learning_rate)
     np.testing.assert_allclose(rates, [1 / 3, 2 / 3, 1, 1, 1])
+
+
+def test_batches_of_a_step_are_averaged_alike_on_one_thread_and_on_two(motions: MotionSet, shards: list[Shard]) -> None:
+    held = torch.get_num_threads()
+    data = PoolBatches(shards, replace(CONFIG, parts=2))
+    try:
+        found = []
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            run = a_run(motions, shards, parts=2, warmup=0)
+            losses, norm = run.advance(data.of_step(0))
+            assert torch.get_num_threads() == 1, "the threads of a step are its batches'"
+            found.append((run, float(losses.total), norm))
+    finally:
+        torch.set_num_threads(held)
+    (one, loss, norm), (two, other_loss, other_norm) = found
+    assert (loss, norm) == pytest.approx((other_loss, other_norm), rel=1e-5)
+    for a, b in zip(one.model.parameters(), two.model.parameters(), strict=True):
+        torch.testing.assert_close(a, b, atol=1e-5, rtol=0)
+    alone = [float(a_run(motions, shards).advance([batch])[0].total) for batch in data.of_step(0)]
+    assert loss == pytest.approx(np.mean(alone), rel=1e-5)
 
 
 def test_steps_without_a_finite_gradient_change_nothing(
     motions: MotionSet, shards: list[Shard], data: PoolBatches
 ) -> None:
     run = a_run(motions, shards)
-    run.advance(data[0])
+    run.advance(data.of_step(0))
     before = [value.clone() for value in (*run.model.state_dict().values(), *run.average.values())]
     bad = replace(data[1], features=torch.full_like(data[1].features, torch.nan))
-    _, norm = run.advance(bad)
+    _, norm = run.advance([bad])
     assert not np.isfinite(norm)
     after = (*run.model.state_dict().values(), *run.average.values())
     assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
     assert run.step == 2
-    _, norm = run.advance(data[2])
+    _, norm = run.advance(data.of_step(2))
     assert np.isfinite(norm), "the next step is one like any other"
 
 
@@ -234,7 +256,7 @@ def test_the_average_follows_the_weights(motions: MotionSet, shards: list[Shard]
     name = "network.leave.bias"
     seen = []
     for step in range(40):
-        run.advance(data[step])
+        run.advance(data.of_step(step))
         seen.append(run.model.state_dict()[name].clone())
     # Weights of past steps by the power function t^gamma whose relative width is 0.1 (gamma = 6.94).
     steps = np.arange(1, 41)
@@ -320,7 +342,12 @@ def test_a_run_is_made_of_a_configuration_and_clips(archive: Path, tmp_path: Pat
 def test_joined_keyframes_are_the_measure_of_validation(motions: MotionSet, statistics: Statistics) -> None:
     """A model that answers with them has ratio 1; one that knows the truth has 0 and collides with nothing."""
     validator = Validator(motions, statistics)
-    rows = validator(Denoiser(SIZES["tiny"]))  # type: ignore[arg-type]
+
+    class Joined(Denoiser):
+        def forward(self, x: object, t: object, given: Conditions, *_: object) -> torch.Tensor:  # type: ignore[override]
+            return given.base
+
+    rows = validator(Joined(SIZES["tiny"]))  # type: ignore[arg-type]
     assert [(row.interval, row.scene) for row in rows] == [(15, False), (30, False), (60, False), (60, True)]
     assert all(row.mjpe_ratio == pytest.approx(1.0, abs=1e-5) for row in rows)
     assert all(row.jerk_ratio < 0.6 for row in rows), "curves are smoother than people"
@@ -356,7 +383,7 @@ def test_a_tiny_model_learns_four_clips_by_heart(motions: MotionSet, shards: lis
     assert len(features) == 8
     plain = PoolBatches(shards, replace(run.config, scene_share=0.0, noisy_share=0.0))
     for step in range(250):
-        run.advance(replace(plain[step], features=features, mask=mask, valid=torch.ones(8, 121)))
+        run.advance([replace(plain[step], features=features, mask=mask, valid=torch.ones(8, 121))])
     row = validator.row(run.averaged(), 30)
     assert row.mjpe_ratio < 0.5
     base = join_keyframes(features, mask)

@@ -87,7 +87,7 @@ def test_a_few_steps_learn_something_from_the_pool(motions: MotionSet, shards: l
     batch = PoolBatches(shards, RUN)[1]
     assert batch.scene_known.any()
     assert len(batch.noisy) == 4
-    losses = [float(run.advance(batch)[0].total) for _ in range(12)]
+    losses = [float(run.advance([batch])[0].total) for _ in range(12)]
     assert np.isfinite(losses).all()
     assert min(losses[-3:]) < 0.7 * losses[0]
     still = [name for name, value in run.model.named_parameters() if value.grad is None or not value.grad.any()]
