@@ -15,7 +15,7 @@ import typer
 from video2anim.errors import UsageError, Video2AnimError
 
 if TYPE_CHECKING:
-    from scenemi.training.loop import Progress
+    from scenemi.training.run import Progress
 
 app = typer.Typer(
     no_args_is_help=True,

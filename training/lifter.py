@@ -4,11 +4,11 @@
     python training/lifter.py progress
     python training/lifter.py export --motion ../shared/motion --cooldown 1500 --out lifter.onnx
 
-The first run makes what is missing in the cache: clips of `video2anim synth` and BlazePose's errors on them (about half
-an hour of one core), and the store of motions (some minutes). Then it trains from the last checkpoint for the given
-time or until it is interrupted; it may be killed at any time. Without a checkpoint it starts from the shipped weights
-if they have the same architecture. `export` writes the averaged network, with `--cooldown` after so many steps with a
-falling rate, and prints the digest that `video2anim/models/table.py` has to follow.
+The first run makes what is missing in the cache: clips of `video2anim synth` and BlazePose's errors on them (about a
+quarter of an hour of one core), and the store of motions (some minutes). Then it trains from the last checkpoint for
+the given time or until it is interrupted; it may be killed at any time. Without a checkpoint it starts from the shipped
+weights if they have the same architecture. `export` writes the averaged network, with `--cooldown` after so many steps
+with a falling rate, and prints the digest that `video2anim/models/table.py` has to follow.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
 """Free for commercial use but for a source in `deepmimic.npz`, which is left out."""
 ACTED, VALIDATION_ACTED = 210, 14
 VALIDATION_SEED = 900
-CLIPS = 36
+CLIPS = 13
 CLIP_WORDS = ("--preset", "random", "--seed", "7201", "--size", "480x848", "--longest", "1.6")
 """People fill 0.28 to 0.85 of the picture's height: 240 to 720 px tall, more than the 256 px of the model's crop."""
 CLIP_MOTION = ("cmu.npz", "deepmimic.npz")

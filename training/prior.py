@@ -30,6 +30,8 @@ from video2anim.models.fetch import cache_dir
 ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
 ACTED, ACTED_SEED = 600, 50
 PRIOR_MINUTES, LIFTER_MINUTES = 20.0, 10.0
+ERROR_WINDOWS = 100
+"""In which the pipeline's errors are made, after the prior's first turn: about a quarter of an hour of one core."""
 LIFTER_PATIENCE_HOURS = 2.0
 """Of its own training without a better validation, after which the lifter gets no more turns."""
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -38,6 +40,11 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 def cache() -> Path:
     """Where the state of the run lies."""
     return cache_dir() / "training"
+
+
+def errors_path() -> Path:
+    """Where the errors of the video pipeline lie (`training/pipeline_errors.py`)."""
+    return cache() / "pipeline_errors.npz"
 
 
 def main() -> None:
@@ -74,6 +81,11 @@ def run(options: argparse.Namespace) -> None:
     while (left := (until - time.monotonic()) / 60) > 0.05:
         turn(prior_command(options, "--minutes", f"{min(PRIOR_MINUTES, left):.2f}"), options, left)
         left = (until - time.monotonic()) / 60
+        if left > 0.05 and not errors_path().is_file():
+            words = ["--motion", str(options.motion), "--windows", str(ERROR_WINDOWS), "--out", str(errors_path())]
+            words += ["--cache", str(cache() / "lifter")]
+            turn([sys.executable, str(REPOSITORY / "training" / "pipeline_errors.py"), *words], options, left)
+            left = (until - time.monotonic()) / 60
         if left > 0.05 and lifter_improves():
             words = ["run", "--motion", str(options.motion), "--minutes", f"{min(LIFTER_MINUTES, left):.2f}"]
             words += ["--threads", str(options.threads), "--cache", str(cache() / "lifter")]
@@ -110,8 +122,8 @@ def prior_command(options: argparse.Namespace, *words: str) -> list[str]:
     command = [sys.executable, "-m", "scenemi.cli", "train", "--split", str(options.motion / "split.json")]
     for path in (*(options.motion / name for name in ARCHIVES), cache() / "acted.npz"):
         command += ["--motion", str(path)]
-    if (cache() / "pipeline_errors.npz").is_file():  # of training/pipeline_errors.py
-        command += ["--errors", str(cache() / "pipeline_errors.npz")]
+    if errors_path().is_file():
+        command += ["--errors", str(errors_path())]
     shipped = REPOSITORY / "scenemi" / "weights" / "small.safetensors"
     return [
         *command, "--out", str(cache() / "prior"), "--cache", str(cache() / "motion"), "--start", str(shipped), *words

@@ -23,9 +23,9 @@ import torch
 from scenemi.data.split import Split
 from scenemi.files import write_json
 from scenemi.model.build import build_denoiser
-from scenemi.training.checkpoint import Checkpoint
+from scenemi.training.checkpoint import CHECKPOINT, Checkpoint, load_checkpoint
 from scenemi.training.config import TrainConfig
-from scenemi.training.loop import CHECKPOINT, cool, load_checkpoint, train
+from scenemi.training.loop import cool, train
 from scenemi.training.runs import RunFiles, motions_for
 from scenemi.training.validate import Validation, Validator
 
@@ -48,6 +48,8 @@ VARIANTS = (
     Variant("paper's form, narrow", model={"size": "paper-narrow"}, training={"relative": False, "keyframes": "paper"}),
     Variant("paper's loss", training={"relative": False}),
     Variant("paper's keyframes", training={"keyframes": "paper"}),
+    Variant("speeds and accelerations count more", training={"velocity_weight": 0.2, "acceleration_weight": 0.05}),
+    Variant("all steps alike", training={"first_step_share": 0.0}),
     Variant("no bent paths", training={"bends": 0}),
     Variant("no mixed arms, no reversal", training={"mix": 0.0, "reverse": 0.0}),
     Variant("no acted clips", training={"sources": [s for s in FREE if s != "synthetic"]}),

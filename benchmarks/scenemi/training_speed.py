@@ -23,8 +23,9 @@ from scenemi.data.adults import draw_adults
 from scenemi.files import write_json
 from scenemi.training.batches import PoolBatches
 from scenemi.training.config import TrainConfig
-from scenemi.training.loop import POOL, Run
+from scenemi.training.loop import POOL
 from scenemi.training.pool import open_pool
+from scenemi.training.run import Run
 from video2anim.body.anny_body import shaped_body
 
 STEPS = 10

@@ -17,6 +17,8 @@ from scenemi.features import Statistics
 from scenemi.training.config import TrainConfig
 from video2anim.errors import InputError
 
+CHECKPOINT = "checkpoint.safetensors"
+"""Name of the file in a run's folder."""
 FORMAT = "scenemi-checkpoint-2"
 
 

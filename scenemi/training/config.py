@@ -50,8 +50,9 @@ class TrainConfig:
     """`paper`: 2 to N random ones. `mixed`: see `scenemi.training.keyframe_masks`."""
     noisy_share: float = 0.25
     """Share of windows with noisy keyframes, l ~ U(0, 1) (paper 3.2.1: all); the others have exact ones."""
-    pipeline_share: float = 0.25
-    """Share of windows observed as the video pipeline observes, with its errors (where a run is given any)."""
+    pipeline_share: float = 0.15
+    """Share of windows observed as the video pipeline observes, with its errors (where a run is given any). Each weighs
+    as much in the loss as five others."""
     first_step_share: float = 0.5
     """Share of windows at t = T, where nothing of the answer is seen: it takes most of the training, as what is left to
     learn at the other steps (drawn evenly, paper: all) is soon learnt."""

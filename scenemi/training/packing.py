@@ -26,9 +26,8 @@ from scenemi.data.split import PARTS, Split
 from scenemi.features import Statistics
 from scenemi.model.build import build_denoiser
 from scenemi.model.weights import save_weights
-from scenemi.training.checkpoint import Checkpoint, load_checkpoint
+from scenemi.training.checkpoint import CHECKPOINT, Checkpoint, load_checkpoint
 from scenemi.training.config import TrainConfig
-from scenemi.training.loop import CHECKPOINT
 from scenemi.training.runs import RunFiles
 from video2anim.errors import InputError
 

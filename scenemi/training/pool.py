@@ -6,12 +6,14 @@ costs time (retargeting, kinematics, scenes) is in them already.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -101,7 +103,14 @@ def grow_pool(
         seed: of everything random.
         config: of the scenes.
         on_shard: called with shards there are and wanted.
+
+    Raises:
+        InputError: the shards that are there were made of other motion, or by other rules.
     """
+    made_of = _digest(motions, seed, config or PseudoConfig())
+    for path in sorted(folder.glob("shard_????")):
+        if _meta(path).get("made_of") != made_of:
+            raise InputError(f"{folder}: training windows of other motion or of an older version; delete the folder")
     wanted = -(-windows // SHARD_WINDOWS)
     scenes = PseudoScenes(config)
     balls: list[BodyBalls] = []
@@ -110,10 +119,10 @@ def grow_pool(
         if not path.is_dir():
             rng = np.random.default_rng([seed, _VERSION, number])
             if isinstance(motions, SceneMotions):
-                _write(path, _captured(motions, rng))
+                _write(path, _captured(motions, rng), made_of)
             else:
                 balls = balls or [fit_balls(motions.body(i)) for i in range(len(motions.shapes))]
-                _write(path, _made(motions, scenes, balls, rng))
+                _write(path, _made(motions, scenes, balls, rng), made_of)
         on_shard(number + 1, wanted)
 
 
@@ -255,14 +264,30 @@ def _nearest(boxes: Boxes, points_m: Float[np.ndarray, "points 3"]) -> Boxes:
     return Boxes(boxes.center_m[kept], boxes.half_m[kept], boxes.yaw_rad[kept])
 
 
-def _write(path: Path, shard: AnyShard) -> None:
+def _digest(motions: MotionSet, seed: int, config: PseudoConfig) -> str:
+    """Of all that decides what a shard holds."""
+    digest = hashlib.sha256(repr((_VERSION, seed, config, motions.config)).encode())
+    store = motions.store
+    for table in (motions.rest_joints_m, store.clip_name, store.piece_clip, store.piece_first, store.piece_frames):
+        digest.update(np.ascontiguousarray(table).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _meta(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads((path / "meta.json").read_text())
+    except (OSError, ValueError):
+        return {}
+
+
+def _write(path: Path, shard: AnyShard, made_of: str) -> None:
     aside = path.with_name(f".{path.name}.{os.getpid()}")
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir(parents=True)
     try:
         for item in fields(shard):
             np.save(aside / f"{item.name}.npy", getattr(shard, item.name), allow_pickle=False)
-        (aside / "meta.json").write_text(json.dumps({"version": _VERSION, "telling": float(shard.collides.mean())}))
+        (aside / "meta.json").write_text(json.dumps({"made_of": made_of, "telling": float(shard.collides.mean())}))
         if not path.exists():
             os.replace(aside, path)
     finally:

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 from scenemi.data import rest_pose
 from scenemi.data.container import MotionArchive
 from scenemi.data.retarget import retarget
+from scenemi.data.sources import is_free
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.errors import InputError
 from video2anim.fitting.lifter_input import CONTACT_INDEX
@@ -21,12 +22,9 @@ from video2anim.geometry.rotations import rot6d_from_matrix
 from video2anim.lifting.store import keep, kept, mapped
 from video2anim.synth.acting import act
 from video2anim.synth.compose import draw_shape
-from video2anim.synth.library import NONCOMMERCIAL_SOURCES
 from video2anim.synth.presets import ACTED
 from video2anim.types import BodyShape
 
-UNCONFIRMED_SOURCES = ("mhad",)
-"""Sources whose license is not confirmed: for evaluation, never for weights that ship."""
 FEET = 4
 """Of the contacts, these come first; captured clips tell of no others."""
 
@@ -63,8 +61,7 @@ def gather(
     for path in archives:
         archive = MotionArchive.read(path)
         for name, source in zip(archive.names, archive.sources, strict=True):
-            barred = source in NONCOMMERCIAL_SOURCES or source in UNCONFIRMED_SOURCES
-            if barred or (wanted is not None and name not in wanted):
+            if not is_free(source) or (wanted is not None and name not in wanted):
                 continue
             clip = archive.clip(name)
             if len(clip.root_position_m) < 2:

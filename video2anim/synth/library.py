@@ -10,11 +10,9 @@ import numpy as np
 
 from scenemi.data.container import MotionArchive
 from scenemi.data.retarget import RetargetedMotion, retarget
+from scenemi.data.sources import NONCOMMERCIAL_SOURCES
 from video2anim.body.anny_body import ShapedBody
 from video2anim.errors import InputError
-
-NONCOMMERCIAL_SOURCES = ("bandai1", "bandai2", "sie")
-"""Sources whose licence forbids commercial use; left out unless asked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -35,6 +35,7 @@ from scenemi.training.config import TrainConfig
 from scenemi.training.descriptors import descriptors_of
 from scenemi.training.losses import TrainingLoss
 from scenemi.training.pool import SceneShard, Shard, grow_pool, open_pool, telling_share
+from scenemi.training.run import Progress
 from scenemi.training.runs import RunFiles, clips_for, write_run_weights
 from scenemi.training.scene_pool import SceneMotions, prepare_scenes
 from video2anim.body.skeleton import forward_kinematics
@@ -51,7 +52,7 @@ CONFIG = TrainConfig(
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (pool, loop):
         monkeypatch.setattr(module, "SHARD_WINDOWS", SHARD)
-    monkeypatch.setattr(loop, "_SCALE_WINDOWS", 8)
+    monkeypatch.setattr(run, "_SCALE_WINDOWS", 8)
 
 
 @pytest.fixture(scope="session")
@@ -73,7 +74,7 @@ def test_three_steps_in_captured_scenes(source: str, written: dict[str, Path], c
     clips = clips_for(files, tmp_path)
     assert isinstance(clips.motions, SceneMotions)
     assert clips.scenes is None
-    told: list[loop.Progress] = []
+    told: list[Progress] = []
     state = loop.train(CONFIG, clips.motions, tmp_path, validation=clips.watched, stop_at=3, on_progress=told.append)
     assert state.step == 3
     (rows,) = [one.validation for one in told if one.validation]

@@ -15,7 +15,7 @@ from scenemi.features import ROTATIONS, TRANSLATION, Statistics
 from scenemi.model.config import SIZES
 from scenemi.model.denoiser import Denoiser
 from scenemi.model.kinematics import matrices
-from scenemi.training import loop, pool
+from scenemi.training import loop, pool, run
 from scenemi.training.batches import Batch
 from scenemi.training.config import TrainConfig
 from scenemi.training.losses import TrainingLoss
@@ -46,7 +46,7 @@ def shrink(patch: pytest.MonkeyPatch) -> None:
     """Small shards, and scales from few windows."""
     patch.setattr(pool, "SHARD_WINDOWS", SHARD)
     patch.setattr(loop, "SHARD_WINDOWS", SHARD)
-    patch.setattr(loop, "_SCALE_WINDOWS", 4 * CONFIG.batch)
+    patch.setattr(run, "_SCALE_WINDOWS", 4 * CONFIG.batch)
 
 
 def write_acted(path: Path, kinds: tuple[str, ...]) -> Path:

@@ -26,10 +26,12 @@ from scenemi.model.denoiser import Denoiser
 from scenemi.model.weights import load_weights, save_weights
 from scenemi.training.batches import PoolBatches
 from scenemi.training.checkpoint import FORMAT, Checkpoint, load_checkpoint
-from scenemi.training.loop import CHECKPOINT, LOG, POOL, PROGRESS, Progress, Run, cool, train
+from scenemi.training.loop import CHECKPOINT, POOL, cool, train
 from scenemi.training.pool import Shard, open_pool
+from scenemi.training.run import Progress, Run
 from scenemi.training.runs import RunFiles, motions_for, write_run_weights
 from scenemi.training.validate import Validator
+from scenemi.training.watch import LOG, PROGRESS
 from video2anim.errors import InputError
 
 RunFolder = Callable[[str], Path]

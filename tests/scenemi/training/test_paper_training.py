@@ -20,8 +20,9 @@ from scenemi.scene.boxes import Boxes
 from scenemi.scene.geometry import HalfSpace, SceneGeometry
 from scenemi.training.batches import Batch, PoolBatches
 from scenemi.training.descriptors import descriptors_of
-from scenemi.training.loop import Run, train
+from scenemi.training.loop import train
 from scenemi.training.pool import Shard
+from scenemi.training.run import Run
 
 NARROW = SIZES["paper-narrow"]
 assert isinstance(NARROW, PaperConfig)

@@ -90,6 +90,18 @@ def test_a_shard_is_the_same_for_the_same_seed_whenever_it_is_made(motions: Moti
 
 
 @pytest.mark.usefixtures("few")
+def test_shards_of_other_motion_are_not_added_to(motions: MotionSet, tmp_path: Path) -> None:
+    grow_pool(tmp_path / "pool", motions, 1)
+    other = MotionSet.build([write_acted(tmp_path / "a.npz", ("walk",))], None, None, bodies=1, config=PLAIN)
+    for changed, seed in ((other, 0), (motions, 1)):
+        with pytest.raises(InputError, match="other motion or of an older version; delete"):
+            grow_pool(tmp_path / "pool", changed, 2 * FEW, seed=seed)
+    (tmp_path / "pool" / "shard_0000" / "meta.json").unlink()
+    with pytest.raises(InputError, match="delete the folder"):
+        grow_pool(tmp_path / "pool", motions, 1)
+
+
+@pytest.mark.usefixtures("few")
 def test_stored_features_are_those_of_the_motion(
     motions: MotionSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

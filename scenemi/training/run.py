@@ -1,0 +1,160 @@
+"""Model, average and optimizer of a training run."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scenemi.features import Statistics
+from scenemi.model.build import AnyDenoiser, build_denoiser
+from scenemi.model.denoiser import Denoiser
+from scenemi.training.batches import Batch, PoolBatches, statistics_of
+from scenemi.training.checkpoint import Checkpoint
+from scenemi.training.config import TrainConfig
+from scenemi.training.losses import Losses, TrainingLoss
+from scenemi.training.pool import AnyShard
+from scenemi.training.scales import measure_scales
+from scenemi.training.validate import Validation
+from video2anim.body.anny_body import ShapedBody
+
+_SCALE_STEPS, _SCALE_WINDOWS = 1_000_000_000, 512
+"""Scales are measured on batches of steps that training never reaches."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Told to the caller while training."""
+
+    step: int
+    windows: int
+    hours: float
+    total: float
+    windows_per_s: float
+    validation: tuple[Validation, ...] = ()
+
+
+class Run:
+    """Model, average and optimizer."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        bodies: Sequence[ShapedBody],
+        shards: Sequence[AnyShard],
+        device: str,
+        held: Checkpoint | None,
+    ) -> None:
+        torch.manual_seed(config.seed)
+        self.config, self.device = config, torch.device(device)
+        self.statistics: Statistics = held.statistics if held else statistics_of(shards, bodies)
+        rest = torch.from_numpy(np.stack([body.rest_joints_m for body in bodies]).astype(np.float32))
+        self.model: AnyDenoiser = build_denoiser(config.model).to(self.device)
+        self.step, self._seconds = held.step if held else 0, held.seconds if held else 0.0
+        self._begun = time.perf_counter()
+        self.loss = TrainingLoss(self.model, self.statistics, bodies, config).to(self.device)
+        if held is not None:
+            self.model.load_state_dict(held.model)
+        elif isinstance(self.model, Denoiser):
+            data = PoolBatches(shards, config)
+            drawn = [data[_SCALE_STEPS + i] for i in range(max(2, _SCALE_WINDOWS // config.batch))]
+            self.model.set_scales(measure_scales(drawn, self.statistics, rest))
+            self.loss.set_input_scales([batch.to(self.device) for batch in drawn])
+        state = held.ema if held else self.model.state_dict()
+        self.average = {name: value.detach().clone().to(self.device) for name, value in state.items()}
+        plain = [p for p in self.model.parameters() if p.ndim < 2]
+        others = [p for p in self.model.parameters() if p.ndim >= 2]
+        self.optimizer = torch.optim.AdamW(
+            [{"params": others, "weight_decay": config.weight_decay}, {"params": plain, "weight_decay": 0.0}],
+            config.learning_rate, betas=(0.9, 0.98), fused=True,
+        )  # fmt: skip
+        if held is not None and held.optimizer:
+            self.optimizer.load_state_dict(held.optimizer)
+        self.model.half_precision = bfloat16_is_quicker(self.device)
+        self._power = _ema_power(config.ema)
+        self._threads: ThreadPoolExecutor | None = None
+        if self.device.type == "cpu" and config.parts > 1 and torch.get_num_threads() > 1:
+            self._threads = ThreadPoolExecutor(min(config.parts, torch.get_num_threads()))
+            torch.set_num_threads(1)
+
+    def advance(self, batches: Sequence[Batch], rate: float = 1.0) -> tuple[Losses, float]:
+        """One step of the optimizer at a share of the learning rate; means over the batches, and the gradient's norm. A
+        step without a finite gradient changes nothing."""
+        config = self.config
+        for group in self.optimizer.param_groups:
+            group["lr"] = config.learning_rate * rate * min(1.0, (self.step + 1) / max(1, config.warmup))
+        learned = [p for p in self.model.parameters() if p.requires_grad]
+
+        def part(batch: Batch) -> tuple[Losses, tuple[Tensor | None, ...]]:
+            losses: Losses = self.loss(batch.to(self.device))
+            return losses, torch.autograd.grad(losses.total, learned, allow_unused=True)
+
+        found = list(self._threads.map(part, batches) if self._threads else map(part, batches))
+        for number, parameter in enumerate(learned):
+            grads = [grads[number] for _, grads in found]
+            told = [grad for grad in grads if grad is not None]
+            parameter.grad = torch.stack(told).mean(0) if told else None
+        norm = float(torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip_norm))
+        self.step += 1
+        if np.isfinite(norm):
+            self.optimizer.step()
+            keep = (1 - 1 / self.step) ** (self._power + 1)
+            now = self.model.state_dict()
+            torch._foreach_lerp_([self.average[name] for name in now], list(now.values()), 1 - keep)
+        means = (
+            torch.stack([getattr(losses, name).detach() for losses, _ in found]).mean() for name in Losses.__slots__
+        )
+        return Losses(*means), norm
+
+    def averaged(self) -> AnyDenoiser:
+        """The model with averaged weights."""
+        model = build_denoiser(self.config.model).to(self.device)
+        model.load_state_dict(self.average)
+        return model.eval()
+
+    @property
+    def elapsed_s(self) -> float:
+        """Since this start of the run."""
+        return time.perf_counter() - self._begun
+
+    def state(self) -> Checkpoint:
+        """For a checkpoint."""
+        return Checkpoint(
+            self.step, self.config, self.statistics, self.model.state_dict(), self.average,
+            self.optimizer.state_dict(), self._seconds + self.elapsed_s,
+        )  # fmt: skip
+
+    def progress(self, total: float, speed: float = 0.0, rows: tuple[Validation, ...] = ()) -> Progress:
+        """Where the run is."""
+        hours = (self._seconds + self.elapsed_s) / 3600
+        return Progress(self.step, self.step * self.config.step_windows, hours, total, speed, rows)
+
+
+@functools.cache
+def bfloat16_is_quicker(device: torch.device) -> bool:
+    """Whether matrix products of the size of the network's are: on GPUs, and on processors that have them (AVX-512
+    BF16, AMX); on others they take many times as long."""
+    if device.type != "cpu":
+        return True
+    took = []
+    for dtype in (torch.float32, torch.bfloat16):
+        a, b = torch.ones(512, 512, dtype=dtype), torch.ones(512, 512, dtype=dtype)
+        times = []
+        for _ in range(5):
+            begun = time.perf_counter()
+            torch.matmul(a, b)
+            times.append(time.perf_counter() - begun)
+        took.append(min(times))
+    return took[1] < 0.8 * took[0]
+
+
+def _ema_power(width: float) -> float:
+    """Exponent of the power-function average whose width is this share of the steps so far (Karras et al. 2024)."""
+    t = width**-2
+    return float(np.roots([1, 7, 16 - t, 12 - t]).real.max())
