@@ -82,7 +82,7 @@ def pack_run(folder: Path, files: RunFiles, out: Path) -> int:
         with tempfile.TemporaryDirectory() as aside:
             archive = Path(aside) / "motion.npz"
             write_archive(archive, clips)
-            with np.load(archive) as tables:
+            with np.load(archive, allow_pickle=False) as tables:
                 _write(folder, _MOTION, _compressed({name: tables[name] for name in tables.files}))
     if state is not None:
         settings["card"] = {"steps": state.step, "hours": round(state.seconds / 3600, 2)}

@@ -29,7 +29,7 @@ from scenemi.model.config import SIZES, PaperConfig
 from scenemi.model.denoiser import Denoiser
 from scenemi.model.weights import load_weights
 from scenemi.prior import InterpolationPrior
-from scenemi.training import loop, pool
+from scenemi.training import loop, pool, run
 from scenemi.training.batches import PoolBatches, statistics_of
 from scenemi.training.config import TrainConfig
 from scenemi.training.descriptors import descriptors_of
@@ -43,7 +43,7 @@ from video2anim.errors import InputError, UsageError
 
 SHARD = 16
 CONFIG = TrainConfig(
-    model=SIZES["tiny"], batch=4, workers=0, log_every=1, save_every=2, warmup=2, bodies=2, validate_every=3,
+    model=SIZES["tiny"], batch=4, parts=1, workers=0, log_every=1, save_every=2, warmup=2, bodies=2, validate_every=3,
     pool_windows=2 * SHARD, sources=tuple(WRITERS), scene_share=1.0,
 )  # fmt: skip
 

@@ -13,7 +13,7 @@ from scenemi.features import JOINTS, LEVEL_X, LEVEL_Z, Statistics
 from scenemi.model.base import join_keyframes
 from scenemi.model.conditions import Conditions, impute, since_and_until
 from scenemi.model.config import SIZES, ModelConfig
-from scenemi.model.denoiser import SCALES, Denoiser, body_points, cosines
+from scenemi.model.denoiser import SCALES, Denoiser, body_points, cosines, overlapping
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
 from scenemi.model.kinematics import joints_of, matrices, posed_joints
@@ -172,6 +172,19 @@ def test_the_network_reads_frequencies_of_eight_frames_each_at_its_own_size() ->
     torch.testing.assert_close(unit.std((0, 1))[changing], torch.ones(int(changing.sum())))
     assert unit.std((0, 1)).max() < 1.001, "what hardly changes is not blown up"
     assert not torch.allclose(denoiser(x, T, given), before)
+
+
+def test_answers_of_tokens_overlap_without_seams() -> None:
+    """Half of the frequencies of sixteen frames, eight apart: a motion slower than that is told nearly exactly."""
+    matrix = overlapping(16, 8)
+    time = torch.arange(128) / 30
+    slow = torch.stack([torch.sin(2 * np.pi * hz * time + hz) for hz in (0.0, 1.0, 2.5)], 1)
+    fitted = matrix @ torch.linalg.lstsq(matrix, slow, driver="gelsd").solution
+    assert (fitted - slow).abs().max() < 1e-4
+    noise = matrix @ torch.randn(128, 200, generator=torch.Generator().manual_seed(0))
+    steps = noise.diff(dim=0).square().mean(1).sqrt()
+    by_phase = torch.stack([steps[8 + phase : 112 : 8].mean() for phase in range(8)])
+    assert by_phase.max() < 1.3 * by_phase.mean(), "between two tokens as within one"
 
 
 def test_every_condition_counts() -> None:
