@@ -11,6 +11,10 @@ from video2anim.errors import ModelMissingError, UsageError
 INTERPOLATION = "interpolation"
 
 
+SAMPLE_STEPS = 20
+"""Of motions that differ by their seeds; the expected motion takes one step."""
+
+
 def choose_prior(
     weights: str = "small",
     *,
@@ -25,7 +29,8 @@ def choose_prior(
     Args:
         weights: name or path of the weights.
         device: cpu or cuda.
-        steps: of the sampler; its whole schedule (1000) is sampled by DDPM, as in the paper.
+        steps: of the sampler; None = one, the expected motion, or 20 where a temperature is given. Its whole schedule
+            (1000) is sampled by DDPM, as in the paper.
         temperature: of the sampler; None = its default.
         seed: of `fill`.
         sampler: other fields of `SamplerConfig`.
@@ -43,7 +48,7 @@ def choose_prior(
     try:
         config = SamplerConfig(**sampler)
         if temperature is not None:
-            config = replace(config, temperature=temperature)
+            config, steps = replace(config, temperature=temperature), steps or SAMPLE_STEPS
         if steps is not None:
             method = "ddpm" if steps >= STEPS else config.method
             config = replace(config, steps=steps, method=method)

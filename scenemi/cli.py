@@ -26,7 +26,9 @@ app = typer.Typer(
 )
 Weights = Annotated[str, typer.Option(help="small, a .safetensors file, or interpolation.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
-Steps = Annotated[int | None, typer.Option(min=1, max=1000, help="Sampling steps; 1000 is the paper's sampler.")]
+Steps = Annotated[
+    int | None, typer.Option(min=1, max=1000, help="1 = the expected motion, 20 = a sample, 1000 = the paper's.")
+]
 Temperature = Annotated[
     float | None,
     typer.Option(min=0, max=1, help="1 = motions as varied as the data; less = nearer to the expected one."),
@@ -66,7 +68,7 @@ def sample_command(
     device: Device = "auto",
 ) -> None:
     """Make a motion that goes through keyframes, in a scene."""
-    from scenemi.choice import choose_prior
+    from scenemi.choice import SAMPLE_STEPS, choose_prior
     from scenemi.files import expect_writable, read_keyframes, read_scene, write_motion
     from scenemi.sample_motion import sample_motion
     from scenemi.scene_field import geometry_of, notes_on
@@ -82,6 +84,8 @@ def sample_command(
     solids = geometry_of(parts or (), given.translation_m)
     level = noise if noise is not None else 1.0 if noisy else 0.0
     prior_device = _device(device)
+    if samples > 1 or seed != 0:
+        steps = steps or SAMPLE_STEPS
     for number, target in enumerate(targets):
         prior = choose_prior(weights, device=prior_device, steps=steps, seed=seed + number, temperature=temperature)
         made = sample_motion(given, prior, scene=solids, length=length, noise=level)

@@ -67,7 +67,7 @@ def main() -> None:
         bodies=config["bodies"],
         parameters=sum(p.numel() for p in model.denoiser.parameters()) / 1e6,
         steps=model.card["steps"],
-        batch=config["batch"],
+        batch=config["batch"] * config.get("parts", 1),
         hours=model.card["hours"],
         machine=options.machine,
         digest=file_digest(target),

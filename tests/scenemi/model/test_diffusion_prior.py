@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from scenemi.choice import SAMPLE_STEPS, choose_prior
 from scenemi.features import BODY_LENGTHS, FEATURE_COUNT, Statistics
 from scenemi.longmotion import KeyframeMotion, inbetween
 from scenemi.model.build import build_denoiser
@@ -52,7 +53,7 @@ def weights(path: Path, size: str) -> None:
         denoiser.set_scales({
             "residual_std": torch.linspace(0, 0.3, 61)[:, None].expand(-1, 201), "noise_std": torch.full((2, 201), 0.1),
             "view_mean": torch.zeros(VIEW), "view_std": torch.ones(VIEW), "feature_mean": torch.from_numpy(mean),
-            "feature_std": torch.full((201,), 0.3),
+            "feature_std": torch.full((201,), 0.3), "correlate": torch.eye(121),
         })  # fmt: skip
     save_weights(path, denoiser, statistics, {}, half=False)
 
@@ -167,6 +168,18 @@ def test_batches_give_what_single_windows_give_and_seeds_differ(bare: DiffusionP
         (alone,) = bare.fill_many([window], [i])
         assert off(together[i], alone) < 1e-4
     assert off(together[0], together[4]) > 1e-4
+
+
+def test_one_step_is_the_expected_motion_for_every_seed(folder: Path, form: str) -> None:
+    if form != "tiny":
+        pytest.skip("the paper's form reads its noise at T")
+    expected = load_diffusion_prior(folder)
+    assert off(*expected.fill_many([walk(), walk()], [0, 1])) < 1e-4
+    path = str(folder / "small.safetensors")
+    several = choose_prior(path, temperature=0.5)
+    assert isinstance(several, DiffusionPrior)
+    assert several.sampler.steps == SAMPLE_STEPS
+    assert off(*several.fill_many([walk(), walk()], [0, 1])) > 1e-3
 
 
 def test_a_window_of_exact_keyframes_only_comes_back_unchanged(prior: DiffusionPrior) -> None:
