@@ -156,8 +156,9 @@ class Denoiser(nn.Module):
 
     def scales(self, given: Conditions) -> Float[Tensor, "batch frames 201"]:
         """How far the truth may be from the joined keyframes: normalized, in their heading, at least a hundredth."""
-        between = self.residual_std[since_and_until(given.mask).amin(-1).clamp(max=MOST_FRAMES)]
-        noise = (given.mask[..., None] * given.noise).square() @ self.noise_std.square()
+        apart = since_and_until(given.mask)
+        between = self.residual_std[apart.amin(-1).clamp(max=MOST_FRAMES)]
+        noise = _joined(given.noise.square(), apart) @ self.noise_std.square()
         return (between**2 + noise + _LEAST_SCALE**2).sqrt()
 
     def set_scales(self, measured: Mapping[str, Tensor]) -> None:
@@ -214,6 +215,16 @@ class Denoiser(nn.Module):
         size = (low @ (root @ root.T) @ low.T).diagonal().sqrt()
         amplitudes = found.unflatten(-1, (fold, FEATURE_COUNT)) * size[:, None]
         return self.overlap[:frames] @ amplitudes.flatten(1, 2)
+
+
+def _joined(values: Float[Tensor, "batch frames 2"], apart: Int[Tensor, "batch frames 2"]) -> Tensor:
+    """Values at keyframes on straight lines to the next one: the joined keyframes are as noisy between as at them."""
+    index = torch.arange(values.shape[1], device=values.device)
+    before, after = index - apart[..., 0], index + apart[..., 1]
+    there = (before >= 0) & (after < len(index))
+    share = torch.where(there, apart[..., 0] / apart.sum(-1).clamp(min=1), (before < 0).float())[..., None]
+    last, following = (i.clamp(0, len(index) - 1)[..., None].expand(-1, -1, 2) for i in (before, after))
+    return (1 - share) * values.gather(1, last) + share * values.gather(1, following)
 
 
 def cosines(count: int) -> Float[Tensor, "count count"]:

@@ -140,6 +140,13 @@ def test_answers_differ_from_the_joined_keyframes_by_the_scales() -> None:
     torch.testing.assert_close(scale[1, ::15], torch.full((9, 201), float(np.hypot(0.5, 0.01))), msg="0.1 by 3 and 4")
     between = 0.5 / 60 * since_and_until(given.mask).amin(-1)
     torch.testing.assert_close(scale[0, 3], torch.hypot(between[0, 3], torch.tensor(0.01)).expand(201))
+    among_noisy = torch.hypot(between[1, 3], torch.tensor(float(np.hypot(0.5, 0.01)))).expand(201)
+    torch.testing.assert_close(scale[1, 3], among_noisy, msg="joined noisy keyframes are noisy between, too")
+    told = torch.zeros(2, 121, 2)
+    told[:, 15] = torch.tensor([3.0, 4.0])
+    one = denoiser.scales(replace(given, noise=told))[0]
+    assert one[0, 0] == pytest.approx(0.01)
+    assert (one[1:15, 0] > torch.hypot(between[0, 1:15], torch.tensor(0.02))).all(), "on the way to a noisy one"
     change = to_heading(denoiser(given.base, T, given) - given.base, denoiser.prepare(given).heading) / scale
     assert 0.1 < change.std() < 20
     # The unit of the network's own output is the same near keyframes and far from them.
