@@ -80,8 +80,8 @@ class Run:
         self._power = _ema_power(config.ema)
         self._threads: ThreadPoolExecutor | None = None
         if self.device.type == "cpu" and config.parts > 1 and torch.get_num_threads() > 1:
-            self._threads = ThreadPoolExecutor(min(config.parts, torch.get_num_threads()))
-            torch.set_num_threads(1)
+            threads = min(config.parts, torch.get_num_threads())
+            self._threads = ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,))
 
     def advance(self, batches: Sequence[Batch], rate: float = 1.0) -> tuple[Losses, float]:
         """One step of the optimizer at a share of the learning rate; means over the batches, and the gradient's norm. A

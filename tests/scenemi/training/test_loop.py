@@ -217,7 +217,7 @@ def test_batches_of_a_step_are_averaged_alike_on_one_thread_and_on_two(motions: 
             torch.set_num_threads(threads)
             run = a_run(motions, shards, parts=2, warmup=0)
             losses, norm = run.advance(data.of_step(0))
-            assert torch.get_num_threads() == 1, "the threads of a step are its batches'"
+            assert torch.get_num_threads() == threads, "the next run has its threads, too"
             found.append((run, float(losses.total), norm))
     finally:
         torch.set_num_threads(held)
