@@ -28,6 +28,7 @@ from scenemi.model.weights import LoadedModel, load_weights
 
 SAMPLERS: tuple[tuple[str, int, float], ...] = (
     ("ddpm", 1000, 1.0),
+    *(("dpm-solver++", steps, 1.5) for steps in (1, 2)),
     *(("ddim", steps, 1.5) for steps in (5, 10, 20, 50)),
     *(("dpm-solver++", steps, spacing) for steps in (5, 10, 20, 50) for spacing in (1.0, 1.5, 2.0)),
     *(("ddpm", steps, 1.5) for steps in (20, 50)),

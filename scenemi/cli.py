@@ -63,7 +63,7 @@ def sample_command(
     temperature: Temperature = None,
     length: Annotated[int | None, typer.Option(min=2, help="Frames of the result.")] = None,
     samples: Annotated[int, typer.Option(min=1, max=100, help="Motions to make, each with its own seed.")] = 1,
-    seed: Annotated[int, typer.Option(min=0, help="Of the first motion.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the first motion; other than 0 = a sample.")] = 0,
     weights: Weights = "small",
     device: Device = "auto",
 ) -> None:
@@ -178,6 +178,8 @@ def train_command(
     from scenemi.training.packing import pack_run, unpack_run
     from scenemi.training.runs import RunFiles, clips_for, write_run_weights
 
+    if scenes and (pack is not None or from_pack is not None):
+        raise UsageError("--scenes: captured scenes cannot be packed")
     if pack is not None:
         run_config = TrainConfig() if config is None else TrainConfig.read(config)
         run = RunFiles(run_config, tuple(motion or ()), None if split is None else Split.read(split), None)
@@ -185,6 +187,8 @@ def train_command(
         return
     packed = None if from_pack is None else unpack_run(from_pack, out / "pack")
     files = None if packed is None else packed.files
+    if motion and files is not None:
+        raise UsageError(f"--motion: {from_pack} has the run's motion; give one of both")
     files = files or RunFiles.of(config, motion or (), split, cache, scenes or ())
     start = packed.start if packed is not None else start
     clips = clips_for(files, out)

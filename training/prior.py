@@ -31,7 +31,7 @@ ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
 ACTED, ACTED_SEED = 600, 50
 PRIOR_MINUTES, LIFTER_MINUTES = 20.0, 10.0
 ERROR_WINDOWS = 100
-"""In which the pipeline's errors are made, after the prior's first turn: about a quarter of an hour of one core."""
+"""In which the pipeline's errors are made, after the prior's first turn, about 5 s each beside the lifter's clips."""
 LIFTER_PATIENCE_HOURS = 2.0
 """Of its own training without a better validation, after which the lifter gets no more turns."""
 REPOSITORY = Path(__file__).resolve().parents[1]

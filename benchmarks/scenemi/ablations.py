@@ -106,7 +106,7 @@ def markdown(report: dict[str, Any]) -> str:
     """The report as a table."""
     lines = [
         f"{report['steps']} steps and {report['cool']} of falling rate, seed {report['seed']}; {report['machine']}, "
-        f"{report['date']}. Validation clips; error over that of the joined keyframes, six steps of sampling.",
+        f"{report['date']}. Validation clips; error over that of the joined keyframes, the expected motion (one step).",
         "", "| | 15 | 30 | 60 | 60, scene shown | inside, not shown | inside, shown | minutes of motion | hours |",
         "|---|---|---|---|---|---|---|---|---|",
     ]  # fmt: skip

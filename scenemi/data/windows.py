@@ -148,9 +148,9 @@ class MotionSet:
         """
         config = config or MotionSetConfig()
         shapes = draw_adults(bodies) if isinstance(bodies, int) else tuple(bodies)
-        files = _archives(paths)
+        files = archives_of(paths)
         archives = [MotionArchive.read(path) for path in files]
-        chosen = [_chosen(archive, split or Split(), part, config) for archive in archives]
+        chosen = [chosen_clips(archive, split or Split(), part, config) for archive in archives]
         if not any(chosen):
             raise InputError(
                 f"motion: no clip of part {part!r} in {', '.join(map(str, files))} passes the choice of sources and "
@@ -282,7 +282,12 @@ def _mixed(batch: WindowBatch, chosen: Bool[np.ndarray, "batch"], donor: Int[np.
     return batch
 
 
-def _archives(paths: Sequence[str | Path]) -> list[Path]:
+def archives_of(paths: Sequence[str | Path]) -> list[Path]:
+    """Archives, and those of folders.
+
+    Raises:
+        InputError: a folder has none.
+    """
     files: list[Path] = []
     for path in map(Path, paths):
         found = sorted(path.glob("*.npz")) if path.is_dir() else [path]
@@ -292,7 +297,7 @@ def _archives(paths: Sequence[str | Path]) -> list[Path]:
     return files
 
 
-def _chosen(archive: MotionArchive, split: Split, part: Part | None, config: MotionSetConfig) -> list[str]:
+def chosen_clips(archive: MotionArchive, split: Split, part: Part | None, config: MotionSetConfig) -> list[str]:
     """Names of an archive's clips that are used."""
     return [
         name

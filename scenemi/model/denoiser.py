@@ -2,7 +2,7 @@
 
 The diffusion process runs over what the joined keyframes miss: in the heading of each frame of theirs, in units of the
 error that they make at that distance from a keyframe, with noise that is correlated over time as that error is. Noise
-and signal are alike then, so every step t has something to decide, and motion never shakes. Of the scene the network
+and signal are alike then, so every step t has something to decide. Of the scene the network
 sees, in every frame, how near solids are to the joints of the current estimate and which way leads out.
 """
 

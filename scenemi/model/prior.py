@@ -64,8 +64,8 @@ class DiffusionPrior:
         return self.fill_many([window], [self.seed])[0]
 
     def fill_many(self, windows: Sequence[KeyframeWindow], seeds: Sequence[int]) -> list[WindowMotion]:
-        """Several windows at once; a window's motion depends on its own seed only (to rounding, which the repairs after
-        sampling may make as large as a millimetre).
+        """Several windows at once; a window's motion depends on its own seed only (to rounding, which the repair of
+        feet after sampling may make as large as centimetres).
 
         Raises:
             InputError: a window longer than the model's, or another frame rate.

@@ -164,7 +164,7 @@ def sample(
 
     steps = time_steps(schedule.steps, config.steps, stop_step=stop_step, spacing=config.spacing)
     with torch.no_grad():
-        clean = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, adjust)
+        clean = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, adjust, prepared)
 
         def predict(residual: Tensor, t: int) -> Tensor:
             return clean(center + residual, t) - center
@@ -182,15 +182,17 @@ def guided(
     weight: float,
     stop_step: int,
     adjust: Adjust | None = None,
+    prepared: Any = None,
 ) -> Predict:
     """The clean estimate as a function of x_t and t alone: imputation, guidance, extra costs.
 
     x0 = w D(scene) + (1 - w) D(no scene); the first alone where w is 1 or no scene is given. Each estimate is handed
-    to the next step, where the scene is asked along it.
+    to the next step, where the scene is asked along it. `prepared`: of the conditions, where it is at hand.
     """
     batch = len(x_keys)
     blind = conditions.without_scene() if weight != 1 and conditions.has_scene else None
-    both = [(given, denoiser.prepare(given)) for given in (conditions, blind) if given is not None]
+    both = [(conditions, denoiser.prepare(conditions) if prepared is None else prepared)]
+    both += [(blind, denoiser.prepare(blind))] if blind is not None else []
     estimate: Tensor | None = None
 
     def predict(x: Tensor, t: int) -> Tensor:

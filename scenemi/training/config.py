@@ -20,8 +20,8 @@ class TrainConfig:
     model: AnyConfig = field(default_factory=lambda: SIZES["small"])
     batch: Annotated[int, Field(ge=1)] = 32
     parts: Annotated[int, Field(ge=1)] = 2
-    """Batches of a step, whose gradients are averaged. On a CPU with so many threads each batch has one of its own: 95
-    windows/s, where two threads in every product made 65."""
+    """Batches of a step, whose gradients are averaged. On a CPU with so many threads each batch has one of its own: 54
+    windows/s on one thread, 78 on two (`benchmarks/scenemi/training_speed.py`)."""
     learning_rate: Annotated[float, Field(gt=0)] = 1e-3
     """Rises over `warmup` steps and stays (paper: 1e-4 at batch 256): the end of a run is not known. The average of
     weights that ships needs no fall; `cool` makes one on demand."""
@@ -79,7 +79,7 @@ class TrainConfig:
     """Threads that make batches ahead."""
     log_every: int = 50
     save_every: int = 300
-    grow_every: int = 2000
+    grow_every: int = 500
     """Steps between two shards of the pool, until it has all its windows."""
     validate_every: int = 1000
 

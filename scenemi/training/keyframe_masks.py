@@ -7,7 +7,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool
 
-_REGULAR, _SEEDED, _NEAREST = 0.7, 0.2, 5
+_NEAREST = 5
+"""Frames between regular keyframes, at least: nearer ones are joined well already."""
+_REGULAR, _SEEDED = 0.7, 0.2
 """Shares of windows with regular intervals, and with a known beginning, in the mixed law. In the paper's draw keyframes
 are two frames apart in the median, where there is nothing to fill."""
 

@@ -9,20 +9,21 @@ import json
 import lzma
 import tempfile
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Int16, UInt8
+from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
 from scenemi.data.container import MotionArchive, write_archive
-from scenemi.data.readers import read_clips
-from scenemi.data.sources import is_free
 from scenemi.data.split import PARTS, Split
+from scenemi.data.windows import MotionSetConfig, archives_of, chosen_clips
 from scenemi.features import Statistics
 from scenemi.model.build import build_denoiser
 from scenemi.model.weights import save_weights
@@ -65,19 +66,19 @@ def pack_run(folder: Path, files: RunFiles, out: Path) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
         raise InputError(f"{folder}: want an empty folder for the pack; name another one")
-    split = files.split or Split()
-    clips = [clip for path in files.motion for clip in read_clips(path)]
-    used = files.config.sources
-    clips = [
-        clip
-        for clip in clips
-        if split.part_of(clip.name) != "test" and (clip.source in used if used else is_free(clip.source))
-    ]
     state = load_checkpoint(out / CHECKPOINT) if (out / CHECKPOINT).is_file() else None
-    if not clips and state is None:
+    if not files.motion and state is None:
         raise InputError(f"{folder}: neither motion nor a run that has begun to pack")
-    parts = {part: [clip.name for clip in clips if split.part_of(clip.name) == part] for part in PARTS}
-    settings: dict[str, Any] = {"config": files.config.to_json(), "split": parts}
+    config = files.config if state is None else state.config
+    use, split = MotionSetConfig(sources=config.sources), files.split or Split()
+    parts: dict[str, list[str]] = {part: [] for part in PARTS}
+    clips = []
+    for archive in map(MotionArchive.read, archives_of(files.motion)):
+        for part in ("train", "val"):
+            names = chosen_clips(archive, split, part, use)
+            parts[part] += names
+            clips += [archive.clip(name) for name in names]
+    settings: dict[str, Any] = {"config": config.to_json(), "split": parts}
     if clips:
         with tempfile.TemporaryDirectory() as aside:
             archive = Path(aside) / "motion.npz"
@@ -110,7 +111,7 @@ def unpack_run(folder: Path, into: Path) -> Unpacked:
                 np.savez_compressed(stream, **_decompressed(motion))
             MotionArchive.read(into / "motion.npz")
             files = RunFiles.of(into / "config.json", [into / "motion.npz"], into / "split.json", into / "cache")
-    except (OSError, ValueError, KeyError, EOFError, lzma.LZMAError) as error:
+    except (OSError, ValueError, KeyError, EOFError, RuntimeError, lzma.LZMAError, SafetensorError) as error:
         raise InputError(f"{folder}: want what `scenemi train --pack` wrote: {error}") from error
     return Unpacked(files, start)
 
@@ -156,11 +157,8 @@ def _decompressed(data: bytes) -> dict[str, np.ndarray]:
 
 def _by_clip(tables: dict[str, np.ndarray]) -> list[tuple[slice, slice]]:
     """Rows of rotations and of places of each clip."""
-    starts = tables["clip_rot_start"].tolist(), tables["clip_start"].tolist()
-    return [
-        (slice(a, b), slice(c, d))
-        for a, b, c, d in zip(starts[0], starts[0][1:], starts[1], starts[1][1:], strict=False)
-    ]
+    rows, places = (pairwise(tables[name].tolist()) for name in ("clip_rot_start", "clip_start"))
+    return [(slice(*row), slice(*place)) for row, place in zip(rows, places, strict=True)]
 
 
 def _planes(values: Int16[np.ndarray, "many"]) -> UInt8[np.ndarray, "2 many"]:

@@ -177,6 +177,7 @@ def test_a_longer_motion_holds_its_last_pose_and_says_so(keyframes: Path, tmp_pa
 def test_several_samples_are_several_files(keyframes: Path, tmp_path: Path) -> None:
     done = sample(keyframes, tmp_path / "m.npz", "--samples", "3")
     assert [Path(line).name for line in done.out.split()] == ["m.npz", "m_2.npz", "m_3.npz"]
+    assert all(Path(line).is_file() for line in done.out.split())
 
 
 def with_nan(v: dict[str, Any]) -> None:

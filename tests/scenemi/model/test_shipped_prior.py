@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,9 @@ from scenemi.evaluation.windows import FPS, adult_body
 from scenemi.longmotion import inbetween
 from scenemi.model.config import SIZES
 from scenemi.model.prior import DiffusionPrior, load_diffusion_prior
-from scenemi.model.sampling import SamplerConfig
 from scenemi.prior import WEIGHTS_FOLDER, InterpolationPrior, KeyframeWindow
 from scenemi.scene.geometry import SceneGeometry
-from scenemi.training.validate import Validator
+from scenemi.training.validate import Validation, Validator
 from scenemi.windows import WINDOW_FRAMES
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.synth.acting import act, to_source_clip
@@ -73,21 +73,36 @@ def test_the_weights_are_of_the_shipped_size_and_tell_where_they_come_from(prior
     np.testing.assert_allclose(model.denoiser.get_buffer("feature_mean").numpy(), model.statistics.mean, atol=2e-3)
 
 
-@pytest.mark.slow
-def test_acted_motion_is_filled_better_than_joined_keyframes_and_keeps_out_of_what_is_shown(
-    prior: DiffusionPrior, acted: MotionSet
-) -> None:
+Rows = dict[tuple[int, bool], Validation]
+"""By keyframe interval, and whether a scene is shown."""
+
+
+@pytest.fixture(scope="module")
+def rows(prior: DiffusionPrior, acted: MotionSet) -> Rows:
     validator = Validator(acted, prior.model.statistics)
-    rows = {(row.interval, row.scene): row for row in validator(prior.model.denoiser)}
+    return {(row.interval, row.scene): row for row in validator(prior.model.denoiser)}
+
+
+@pytest.mark.slow
+def test_acted_motion_is_filled_better_than_joined_keyframes_and_keeps_out_of_what_is_shown(rows: Rows) -> None:
     assert all(row.mjpe_ratio < 1.0 for row in rows.values()), rows
     assert rows[60, True].inside < 0.8 * rows[60, False].inside
-    # Out of the way of solids is not yet the true way: 1.09 after 1.4 hours of training, to become less than 1.
-    assert rows[60, True].mjpe_ratio < 1.15 * rows[60, False].mjpe_ratio
-    assert all(row.jerk_ratio < 2.5 for row in rows.values()), "acted motion is smoother than captured"
 
 
 @pytest.mark.slow
-def test_neighbors_in_a_batch_change_a_window_by_a_millimeter_at_most(prior: DiffusionPrior, acted: MotionSet) -> None:
+@pytest.mark.xfail(strict=True, reason="1.09 after 1.4 hours of training: out of the way is not yet the true way")
+def test_a_scene_that_is_shown_does_not_lead_astray(rows: Rows) -> None:
+    assert rows[60, True].mjpe_ratio < 1.05 * rows[60, False].mjpe_ratio
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="1.5 to 1.7 at 60 frames after 1.4 hours of training: acted motion is smoother")
+def test_acted_motion_shakes_as_little_as_the_truth(rows: Rows) -> None:
+    assert all(0.5 < row.jerk_ratio < 1.5 for row in rows.values()), rows
+
+
+@pytest.mark.slow
+def test_neighbors_in_a_batch_do_not_change_a_window(prior: DiffusionPrior, acted: MotionSet) -> None:
     windows = next(acted.fixed_windows(batch=3))
     keys = np.zeros(WINDOW_FRAMES, bool)
     keys[::30] = True
@@ -96,13 +111,13 @@ def test_neighbors_in_a_batch_change_a_window_by_a_millimeter_at_most(prior: Dif
         KeyframeWindow(R.astype(float), at.astype(float), keys, rest, FPS, SceneGeometry.floor(), body=acted.body(0))
         for R, at in zip(windows.R_parent_joint, windows.translation_m, strict=True)
     ]
-    # Without repairs after sampling: their descent makes differences of rounding a hundred times larger.
-    bare = DiffusionPrior(prior.model, SamplerConfig(foot_rounds=0, clear_rounds=0))
+    # Before the repairs of feet, whose descent in long steps is not well-conditioned: 37 mm from rounding were seen.
+    bare = DiffusionPrior(prior.model, replace(prior.sampler, foot_rounds=0))
     together = bare.fill_many(filled, [0, 1, 2])
     for i, window in enumerate(filled):
         (alone,) = bare.fill_many([window], [i])
         joints = [forward_kinematics(m.R_parent_joint, m.translation_world_m, rest)[0] for m in (together[i], alone)]
-        assert np.abs(joints[0] - joints[1]).max() < 1e-3
+        assert np.abs(joints[0] - joints[1]).max() < 1e-5
 
 
 @pytest.mark.slow

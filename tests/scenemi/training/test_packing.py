@@ -22,7 +22,7 @@ from scenemi.training import packing
 from scenemi.training.loop import train
 from scenemi.training.packing import pack_run, unpack_run
 from scenemi.training.runs import RunFiles
-from video2anim.errors import InputError
+from video2anim.errors import InputError, UsageError
 
 SPLIT = Split({"walk_0": "train", "sit_1": "val", "reach_2": "test", "pick_up_3": "train"})
 
@@ -102,6 +102,12 @@ def test_the_command_packs_and_goes_on_from_a_pack(archive: Path, tmp_path: Path
     back = ["train", "--out", str(tmp_path / "there"), "--pack", str(tmp_path / "back")]
     assert CliRunner().invoke(app, back).exit_code == 0
     assert sorted(path.name for path in (tmp_path / "back").iterdir()) == ["run.json", "state.00"]
+    returned = unpack_run(tmp_path / "back", tmp_path / "home").start
+    assert returned is not None
+    assert load_weights(returned).config == CONFIG.model, "the run's own configuration, not the default"
+    both = CliRunner().invoke(app, [*there, "--motion", str(archive)])
+    assert isinstance(both.exception, UsageError)
+    assert "give one of both" in str(both.exception)
 
 
 def test_what_is_no_pack_is_told(tmp_path: Path) -> None:
