@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +17,7 @@ from scenemi.model.denoiser import Denoiser
 from scenemi.training.batches import Batch, PoolBatches, statistics_of
 from scenemi.training.checkpoint import Checkpoint
 from scenemi.training.config import TrainConfig
+from scenemi.training.helpers import Helpers, gradients, learned
 from scenemi.training.losses import Losses, TrainingLoss
 from scenemi.training.pool import AnyShard
 from scenemi.training.scales import measure_scales
@@ -78,10 +78,7 @@ class Run:
             self.optimizer.load_state_dict(held.optimizer)
         self.model.half_precision = bfloat16_is_quicker(self.device)
         self._power = _ema_power(config.ema)
-        self._threads: ThreadPoolExecutor | None = None
-        if self.device.type == "cpu" and config.parts > 1 and torch.get_num_threads() > 1:
-            threads = min(config.parts, torch.get_num_threads())
-            self._threads = ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,))
+        self._helpers: Helpers | None = None
 
     def advance(self, batches: Sequence[Batch], rate: float = 1.0) -> tuple[Losses, float]:
         """One step of the optimizer at a share of the learning rate; means over the batches, and the gradient's norm. A
@@ -89,16 +86,9 @@ class Run:
         config = self.config
         for group in self.optimizer.param_groups:
             group["lr"] = config.learning_rate * rate * min(1.0, (self.step + 1) / max(1, config.warmup))
-        learned = [p for p in self.model.parameters() if p.requires_grad]
-
-        def part(batch: Batch) -> tuple[Losses, tuple[Tensor | None, ...]]:
-            losses: Losses = self.loss(batch.to(self.device))
-            return losses, torch.autograd.grad(losses.total, learned, allow_unused=True)
-
-        found = list(self._threads.map(part, batches) if self._threads else map(part, batches))
-        for number, parameter in enumerate(learned):
-            grads = [grads[number] for _, grads in found]
-            told = [grad for grad in grads if grad is not None]
+        found = self._gradients(batches)
+        for number, parameter in enumerate(learned(self.loss)):
+            told = [grad for _, grads in found if (grad := grads[number]) is not None]
             parameter.grad = torch.stack(told).mean(0) if told else None
         norm = float(torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip_norm))
         self.step += 1
@@ -107,10 +97,15 @@ class Run:
             keep = (1 - 1 / self.step) ** (self._power + 1)
             now = self.model.state_dict()
             torch._foreach_lerp_([self.average[name] for name in now], list(now.values()), 1 - keep)
-        means = (
-            torch.stack([getattr(losses, name).detach() for losses, _ in found]).mean() for name in Losses.__slots__
-        )
+        means = (torch.stack([getattr(losses, name) for losses, _ in found]).mean() for name in Losses.__slots__)
         return Losses(*means), norm
+
+    def _gradients(self, batches: Sequence[Batch]) -> list[tuple[Losses, list[Tensor | None]]]:
+        """Of each batch; on a CPU with several threads in processes of their own, which start with the first step."""
+        if len(batches) == 1 or self.device.type != "cpu" or torch.get_num_threads() == 1:
+            return [gradients(self.loss, batch.to(self.device)) for batch in batches]
+        self._helpers = self._helpers or Helpers(self.loss, len(batches) - 1)
+        return self._helpers.of_batches(batches)
 
     def averaged(self) -> AnyDenoiser:
         """The model with averaged weights."""
