@@ -257,4 +257,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         raise UsageError(f"--height-m: want 0.5 to 2.5 metres, got {config.height_m:g}")
 
 
-STAGE = StageSpec("camera", estimate_camera, version=11, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=12, models=("lifter", "camera"))

@@ -300,4 +300,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton height", quality.stature_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=9, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=10, models=("lifter",))

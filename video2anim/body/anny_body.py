@@ -27,6 +27,13 @@ from video2anim.types.motion import BodyShape
 PHENOTYPES: tuple[str, ...] = ("gender", "age", "muscle", "weight", "height", "proportions")
 ADULT = {"gender": 0.5, "age": 0.67, "muscle": 0.5, "weight": 0.5, "height": 0.4, "proportions": 0.5}
 """Middle of the adult range; `height` 0.4 stands 1.73 m tall."""
+LENGTHS: dict[str, str] = {
+    "upper_leg": "measure-upperleg-height-incr", "lower_leg": "measure-lowerleg-height-incr",
+    "upper_arm": "measure-upperarm-length-incr", "lower_arm": "measure-lowerarm-length-incr",
+    "shoulders": "measure-shoulder-dist-incr", "trunk": "measure-napetowaist-dist-incr",
+}  # fmt: skip
+"""Lengths that change by themselves, in [-1, 1] and 0 where a shape does not name them, by Anny's names of the changes:
+the phenotypes hardly change what share of the stature the limbs have."""
 
 _MIXAMO_BODY = dict(
     zip(
@@ -188,12 +195,14 @@ class AnnyModel:
         return weights / weights.sum(1, keepdim=True)
 
     def coefficients(self, phenotype: dict[str, torch.Tensor]) -> torch.Tensor:
-        """(blendshapes,) coefficients of scalar phenotypes in [0, 1]; differentiable."""
-        named = {k: v.reshape(1).to(self._source.dtype) for k, v in phenotype.items()}
-        return self._source.get_phenotype_blendshape_coefficients(**named)[0].float()
+        """(blendshapes,) coefficients of scalar phenotypes in [0, 1] and `LENGTHS`; differentiable."""
+        values = {k: v.reshape(1).to(self._source.dtype) for k, v in phenotype.items()}
+        lengths = {LENGTHS[k]: v for k, v in values.items() if k in LENGTHS}
+        phenotypes = {k: v for k, v in values.items() if k not in LENGTHS}
+        return self._source.get_phenotype_blendshape_coefficients(**phenotypes, local_changes=lengths)[0].float()
 
     def rest_skeleton(self, phenotype: dict[str, torch.Tensor]) -> RestSkeleton:
-        """T-pose joints and keypoints of a shape; differentiable with respect to the phenotypes."""
+        """T-pose joints and keypoints of a shape; differentiable with respect to its parameters."""
         coefficients = self.coefficients(phenotype)
         heads = self._heads + torch.einsum("b,bjd->jd", coefficients, self._head_blend)
         points = self._points + torch.einsum("b,bkd->kd", coefficients, self._point_blend)
@@ -206,11 +215,12 @@ class AnnyModel:
         """Rest mesh, weights and bind matrices of a shape.
 
         Raises:
-            UsageError: the shape is not Anny's or names an unknown phenotype.
+            UsageError: the shape is not Anny's or names an unknown parameter.
         """
-        unknown = set(shape.parameters) - set(PHENOTYPES)
+        known = (*PHENOTYPES, *LENGTHS)
+        unknown = set(shape.parameters) - set(known)
         if shape.model != "anny" or unknown:
-            raise UsageError(f"body shape: want model 'anny' with {PHENOTYPES}, got {shape.model!r} {sorted(unknown)}")
+            raise UsageError(f"body shape: want model 'anny' with {known}, got {shape.model!r} {sorted(unknown)}")
         phenotype = {k: torch.tensor(float(v)) for k, v in shape.parameters.items()}
         with torch.no_grad():
             coefficients = self.coefficients(phenotype)
@@ -269,7 +279,7 @@ def _quiet_anny() -> Any:
         warp.config.quiet = True  # pyright: ignore[reportAttributeAccessIssue]
         import anny
 
-        return anny.Anny(rig="mixamo")
+        return anny.Anny(rig="mixamo", local_changes=list(LENGTHS.values()))
 
 
 @contextlib.contextmanager

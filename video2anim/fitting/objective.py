@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from video2anim.body.anny_body import AnnyModel
+from video2anim.body.anny_body import ADULT, AnnyModel
 from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.fitting.initial import landmark_rotation
 from video2anim.fitting.landmarks import KEYPOINT_INDEX, KEYPOINT_TRUST
@@ -79,8 +79,16 @@ _HINGES = {"left_knee": (0, 1.0), "right_knee": (0, 1.0), "left_elbow": (1, -1.0
 _HINGE_SIGMA_RAD, _OVERSTRETCH_SIGMA_RAD, _FOREARM_TWIST_SIGMA_RAD = 3.0, 0.1, 0.8
 _LEAST_DOUBT = 0.5
 """Share of the usual error below which the lifter's own expectation is not believed."""
-SHAPE_PARAMETERS = ("height", "gender", "weight", "proportions")
-"""Phenotypes that are fitted; age and muscle cannot be told from landmarks."""
+LENGTHS = {
+    "upper_leg": (0.15, 0.22), "lower_leg": (-0.30, 0.31), "upper_arm": (0.0, 0.27), "lower_arm": (0.23, 0.31),
+    "shoulders": (0.24, 0.3), "trunk": (0.0, 0.5),
+}  # fmt: skip
+"""Mean and deviation of lengths of people in Anny's units: those of `video2anim.lifting.bodies` (six performers), over
+what a unit changes of the middling adult (thigh 90 mm, shank 70, upper arm 59, forearm 55, shoulders 38, trunk 60)."""
+PERSON = ADULT | {name: mean for name, (mean, _) in LENGTHS.items()}
+"""The middling adult with people's proportions, from which a fit starts."""
+SHAPE_PARAMETERS = ("height", "gender", "weight", "proportions", *LENGTHS)
+"""Parameters that are fitted; age and muscle cannot be told from landmarks."""
 
 
 @dataclass(slots=True)
@@ -94,7 +102,7 @@ class Parameters:
     translation_m: torch.Tensor
     """(T, 3) in the camera, for the focal length that the fit starts with; see `Objective.translation_m`."""
     shape_offset: torch.Tensor
-    """(4,) offsets of `SHAPE_PARAMETERS` from the adult mean, in units of 1."""
+    """(10,) offsets of `SHAPE_PARAMETERS` from the shape that the fit starts with."""
     log_focal: torch.Tensor
     """() logarithm of the focal length in pixels."""
 
@@ -165,10 +173,10 @@ class Objective:
         self._R_camera_landmarks = torch.from_numpy(landmark_rotation(center, here)).float()
 
     def shape(self, parameters: Parameters) -> dict[str, torch.Tensor]:
-        """Phenotypes in [0, 1]."""
+        """Phenotypes in [0, 1] and lengths in [-1, 1]."""
         values = {name: torch.tensor(value) for name, value in self._base_shape.items()}
         for i, name in enumerate(SHAPE_PARAMETERS):
-            values[name] = (values[name] + parameters.shape_offset[i]).clamp(0.0, 1.0)
+            values[name] = (values[name] + parameters.shape_offset[i]).clamp(-1.0 if name in LENGTHS else 0.0, 1.0)
         return values
 
     def translation_m(self, parameters: Parameters, stature_m: torch.Tensor) -> torch.Tensor:
@@ -270,7 +278,8 @@ class Objective:
 
     def _shape(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
         c = self.config
-        spread = (parameters.shape_offset[1:] / c.shape_sigma).square().sum()
+        sigma = torch.tensor([*[c.shape_sigma] * 3, *(sigma for _, sigma in LENGTHS.values())])
+        spread = (parameters.shape_offset[1:] / sigma).square().sum()
         stature = ((prediction.stature_m - c.stature_m) / c.stature_sigma_m).square()
         prior_focal = np.log(c.focal_ratio * self._long_side)
         focal = ((parameters.log_focal - prior_focal) / c.focal_log_sigma).square()

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from video2anim.body.anny_body import ADULT, anny_model
+from video2anim.body.anny_body import anny_model
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import StageError
 from video2anim.fitting.initial import (
@@ -20,7 +20,7 @@ from video2anim.fitting.initial import (
 )
 from video2anim.fitting.landmarks import KEYPOINT_INDEX
 from video2anim.fitting.lifter_input import LiftedBody
-from video2anim.fitting.objective import SHAPE_PARAMETERS, FitConfig, Objective, Parameters
+from video2anim.fitting.objective import PERSON, SHAPE_PARAMETERS, FitConfig, Objective, Parameters
 from video2anim.fitting.problem import FittedBody, Observations
 from video2anim.geometry.rotations import axis_angle_from_matrix, rot6d_from_matrix
 from video2anim.types.motion import BodyShape
@@ -56,7 +56,7 @@ def fit_body(
         observed: landmarks; its intrinsics give the centre and the first focal length.
         fit_focal: treat the focal length as unknown under the prior of `config`.
         fit_shape: treat the shape as unknown; else it stays `shape`.
-        shape: Anny phenotypes to start from (default: mean adult).
+        shape: Anny parameters to start from (default: `PERSON`).
         warm: an earlier fit of the same frames to start from, possibly under another focal length.
         lifted: the lifter's answer for the same frames, to start from and to stay near.
 
@@ -65,7 +65,7 @@ def fit_body(
     """
     if not observed.valid.any():
         raise StageError("body fit: want at least one frame with landmarks, got none")
-    base = dict(shape or ADULT)
+    base = dict(shape or PERSON)
     objective = Objective(observed, anny_model(), base, config or FitConfig(), lifted)
     parameters = _start(observed, objective, lifted) if warm is None else _start_warm(observed, objective, warm, base)
     leaves = [parameters.root_rot6d, parameters.angles_rad, parameters.translation_m]
@@ -105,7 +105,7 @@ def place_lifted(observed: Observations, lifted: LiftedBody, config: FitConfig |
     """
     if not observed.valid.any():
         raise StageError("body fit: want at least one frame with landmarks, got none")
-    objective = Objective(observed, anny_model(), dict(ADULT), config or FitConfig(), lifted)
+    objective = Objective(observed, anny_model(), dict(PERSON), config or FitConfig(), lifted)
     parameters = Parameters(
         torch.from_numpy(rot6d_from_matrix(lifted.R_parent_joint[:, 0])).float(),
         torch.from_numpy(axis_angle_from_matrix(lifted.R_parent_joint[:, 1:])).float(),
@@ -113,7 +113,7 @@ def place_lifted(observed: Observations, lifted: LiftedBody, config: FitConfig |
         torch.zeros(len(SHAPE_PARAMETERS)),
         torch.tensor(float(np.log(observed.intrinsics.fx_px))),
     )
-    return _finish(objective, parameters, dict(ADULT))
+    return _finish(objective, parameters, dict(PERSON))
 
 
 def reposed(
@@ -142,7 +142,7 @@ def _start(observed: Observations, objective: Objective, lifted: LiftedBody | No
     center = observed.keypoints_px[valid][:, hips].mean(1)
     R_camera_landmarks = landmark_rotation(center, observed.intrinsics)
     points = np.einsum("tab,tkb->tka", R_camera_landmarks, observed.keypoints_m[valid])
-    rest = objective.model.rest_skeleton({k: torch.tensor(v) for k, v in ADULT.items()})
+    rest = objective.model.rest_skeleton({k: torch.tensor(v) for k, v in PERSON.items()})
     if lifted is None:
         local = rotations_from_keypoints(points, rest.rest_joints_m.numpy().astype(np.float64))
     else:
