@@ -12,6 +12,7 @@ from torch import Tensor, multiprocessing
 
 from scenemi.training.batches import Batch
 from scenemi.training.losses import Losses, TrainingLoss
+from video2anim.errors import StageError
 
 
 class Helpers:
@@ -32,17 +33,18 @@ class Helpers:
         """Losses and gradients of one batch more than there are helpers; the gradients hold until the next call.
 
         Raises:
-            RuntimeError: a helper has died.
+            StageError: a helper has died.
         """
         for (pipe, _), batch in zip(self._helpers, batches[1:], strict=True):
-            pipe.send(batch)
+            with contextlib.suppress(OSError):  # told below
+                pipe.send(batch)
         with one_thread():
             found = [gradients(self.loss, batches[0])]
         for pipe, grads in self._helpers:
             try:
                 losses, told = pipe.recv()
-            except EOFError:
-                raise RuntimeError("training: a helper process has ended; start again, the state is kept") from None
+            except (EOFError, OSError):
+                raise StageError("training: a process beside this one has ended; start again, it goes on") from None
             found.append((losses, [grad if has else None for grad, has in zip(grads, told, strict=True)]))
         return found
 
@@ -77,7 +79,7 @@ def _help(pipe: Connection, loss: TrainingLoss, grads: list[Tensor]) -> None:
     while True:
         try:
             batch: Batch = pipe.recv()
-        except EOFError:
+        except (EOFError, OSError):
             return
         losses, made = gradients(loss, batch)
         for held, grad in zip(grads, made, strict=True):

@@ -196,3 +196,34 @@ def test_unknown_shape_is_refused(shape: BodyShape) -> None:
     with pytest.raises(UsageError, match="want model 'anny'"):
         shaped_body(shape)
     assert set(ADULT) == set(PHENOTYPES)
+
+
+LIMBS = tuple(
+    (f"{side}_{a}", f"{side}_{b}")
+    for side in ("left", "right")
+    for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "upper", "lower"),
+    [
+        ("upper_leg", "left_hip", "left_knee"), ("lower_leg", "right_knee", "right_ankle"),
+        ("upper_arm", "right_shoulder", "right_elbow"), ("lower_arm", "left_elbow", "left_wrist"),
+        ("shoulders", "left_shoulder", "right_shoulder"), ("trunk", "pelvis", "neck"),
+    ],
+)  # fmt: skip
+def test_a_length_changes_its_bone_alone(name: str, upper: str, lower: str) -> None:
+    def bones_m(value: float) -> np.ndarray:
+        rest_m = shaped_body(BodyShape("anny", {**ADULT, name: value})).rest_joints_m
+        pairs = np.array([(JOINT_INDEX[a], JOINT_INDEX[b]) for a, b in (*LIMBS, (upper, lower))])
+        return np.linalg.norm(rest_m[pairs[:, 0]] - rest_m[pairs[:, 1]], axis=1)
+
+    usual, longer, shorter = bones_m(0.0), bones_m(0.5), bones_m(-0.5)
+    assert longer[-1] - usual[-1] > 0.015
+    assert usual[-1] - shorter[-1] > 0.01
+    same = [i for i, (a, b) in enumerate(LIMBS) if a.split("_")[1] != upper.split("_")[-1]]
+    np.testing.assert_allclose(longer[same], usual[same], atol=2e-3)
+    plain = shaped_body(BodyShape("anny", dict(ADULT)))
+    named = shaped_body(BodyShape("anny", {**ADULT, name: 0.0}))
+    np.testing.assert_allclose(named.rest_vertices_m, plain.rest_vertices_m, atol=1e-6)

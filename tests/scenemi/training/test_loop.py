@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -32,7 +33,7 @@ from scenemi.training.run import Progress, Run
 from scenemi.training.runs import RunFiles, motions_for, write_run_weights
 from scenemi.training.validate import Validator
 from scenemi.training.watch import LOG, PROGRESS
-from video2anim.errors import InputError
+from video2anim.errors import InputError, StageError
 
 RunFolder = Callable[[str], Path]
 
@@ -227,6 +228,23 @@ def test_batches_of_a_step_are_averaged_alike_on_one_thread_and_on_two(motions: 
         torch.testing.assert_close(a, b, atol=1e-5, rtol=0)
     alone = [float(a_run(motions, shards).advance([batch])[0].total) for batch in data.of_step(0)]
     assert loss == pytest.approx(np.mean(alone), rel=1e-5)
+
+
+def test_a_run_whose_helper_has_died_says_so(motions: MotionSet, shards: list[Shard]) -> None:
+    held = torch.get_num_threads()
+    data = PoolBatches(shards, replace(CONFIG, parts=2))
+    run = a_run(motions, shards, parts=2)
+    try:
+        torch.set_num_threads(2)
+        before = set(multiprocessing.active_children())
+        run.advance(data.of_step(0))
+        (helper,) = set(multiprocessing.active_children()) - before
+        helper.kill()
+        helper.join()
+        with pytest.raises(StageError, match="start again"):
+            run.advance(data.of_step(1))
+    finally:
+        torch.set_num_threads(held)
 
 
 def test_steps_without_a_finite_gradient_change_nothing(
