@@ -11,6 +11,7 @@ from synthetic import planted_walk, true_keypoints
 
 import video2anim.video
 from stages.camera import FULL_FRAME_DIAGONAL_MM, CameraConfig, _up_seen, estimate_camera
+from video2anim.body.anny_body import PHENOTYPES
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import StageError
 from video2anim.fitting.initial import landmark_rotation, ray_rotation, translation_from_projection
@@ -93,7 +94,8 @@ def test_fit_is_consistent_in_itself(fitted: FittedBody) -> None:
     assert fitted.focal_px == pytest.approx(FOCAL_PX, rel=1e-5)
     assert np.nanmedian(fitted.reprojection_px) < 3 * NOISE_PX
     assert fitted.shape.model == "anny"
-    assert all(0 <= value <= 1 for value in fitted.shape.parameters.values())
+    assert all(-1 <= value <= 1 for value in fitted.shape.parameters.values())
+    assert all(fitted.shape.parameters[name] >= 0 for name in PHENOTYPES)
 
 
 def test_fit_is_repeatable(filmed: Filmed) -> None:
