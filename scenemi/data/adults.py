@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from video2anim.body.anny_body import ADULT
+from video2anim.body.anny_body import ADULT, PEOPLES_LENGTHS
 from video2anim.types import BodyShape
 
 _RANGES = {
@@ -19,7 +19,7 @@ _HEIGHT = {"woman": (0.25, 0.6), "man": (0.15, 0.55)}
 
 
 def draw_adults(count: int, seed: int = 0) -> tuple[BodyShape, ...]:
-    """The middle adult, then women and men in turn of varied build; a longer draw begins with the shorter one.
+    """The middle adult, then women and men in turn, of varied build and limbs; a longer draw begins like a shorter one.
 
     Raises:
         ValueError: a count below 1.
@@ -33,5 +33,6 @@ def draw_adults(count: int, seed: int = 0) -> tuple[BodyShape, ...]:
         values = {"gender": rng.uniform(0.85, 1.0) if woman else rng.uniform(0.0, 0.15)}
         values["height"] = rng.uniform(*_HEIGHT["woman" if woman else "man"])
         values |= {name: rng.uniform(*span) for name, span in _RANGES.items()}
+        values |= {name: np.clip(rng.normal(*spread), -1, 1) for name, spread in PEOPLES_LENGTHS.items()}
         shapes.append(BodyShape("anny", {**ADULT, **{name: round(float(v), 4) for name, v in values.items()}}))
     return tuple(shapes)

@@ -34,6 +34,12 @@ LENGTHS: dict[str, str] = {
 }  # fmt: skip
 """Lengths that change by themselves, in [-1, 1] and 0 where a shape does not name them, by Anny's names of the changes:
 the phenotypes hardly change what share of the stature the limbs have."""
+PEOPLES_LENGTHS = {
+    "upper_leg": (0.15, 0.22), "lower_leg": (-0.30, 0.31), "upper_arm": (0.0, 0.27), "lower_arm": (0.23, 0.31),
+    "shoulders": (0.24, 0.3), "trunk": (0.0, 0.5),
+}  # fmt: skip
+"""Their mean and deviation over people: those of `video2anim.lifting.bodies` (six performers), over what a unit changes
+of the middling adult (thigh 90 mm, shank 70, upper arm 59, forearm 55, shoulders 38, trunk 60)."""
 
 _MIXAMO_BODY = dict(
     zip(

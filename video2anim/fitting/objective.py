@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from video2anim.body.anny_body import ADULT, AnnyModel
+from video2anim.body.anny_body import ADULT, PEOPLES_LENGTHS, AnnyModel
 from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.fitting.initial import landmark_rotation
 from video2anim.fitting.landmarks import KEYPOINT_INDEX, KEYPOINT_TRUST
@@ -81,15 +81,9 @@ _HINGES = {"left_knee": (0, 1.0), "right_knee": (0, 1.0), "left_elbow": (1, -1.0
 _HINGE_SIGMA_RAD, _OVERSTRETCH_SIGMA_RAD, _FOREARM_TWIST_SIGMA_RAD = 3.0, 0.1, 0.8
 _LEAST_DOUBT = 0.5
 """Share of the usual error below which the lifter's own expectation is not believed."""
-LENGTHS = {
-    "upper_leg": (0.15, 0.22), "lower_leg": (-0.30, 0.31), "upper_arm": (0.0, 0.27), "lower_arm": (0.23, 0.31),
-    "shoulders": (0.24, 0.3), "trunk": (0.0, 0.5),
-}  # fmt: skip
-"""Mean and deviation of lengths of people in Anny's units: those of `video2anim.lifting.bodies` (six performers), over
-what a unit changes of the middling adult (thigh 90 mm, shank 70, upper arm 59, forearm 55, shoulders 38, trunk 60)."""
-PERSON = ADULT | {name: mean for name, (mean, _) in LENGTHS.items()}
+PERSON = ADULT | {name: mean for name, (mean, _) in PEOPLES_LENGTHS.items()}
 """The middling adult with people's proportions, from which a fit starts."""
-SHAPE_PARAMETERS = ("height", "gender", "weight", "proportions", *LENGTHS)
+SHAPE_PARAMETERS = ("height", "gender", "weight", "proportions", *PEOPLES_LENGTHS)
 """Parameters that are fitted; age and muscle cannot be told from landmarks."""
 
 
@@ -178,7 +172,8 @@ class Objective:
         """Phenotypes in [0, 1] and lengths in [-1, 1]."""
         values = {name: torch.tensor(value) for name, value in self._base_shape.items()}
         for i, name in enumerate(SHAPE_PARAMETERS):
-            values[name] = (values[name] + parameters.shape_offset[i]).clamp(-1.0 if name in LENGTHS else 0.0, 1.0)
+            least = -1.0 if name in PEOPLES_LENGTHS else 0.0
+            values[name] = (values[name] + parameters.shape_offset[i]).clamp(least, 1.0)
         return values
 
     def translation_m(self, parameters: Parameters, stature_m: torch.Tensor) -> torch.Tensor:
@@ -280,7 +275,7 @@ class Objective:
 
     def _shape(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
         c = self.config
-        sigma = torch.tensor([*[c.shape_sigma] * 3, *(sigma for _, sigma in LENGTHS.values())])
+        sigma = torch.tensor([*[c.shape_sigma] * 3, *(sigma for _, sigma in PEOPLES_LENGTHS.values())])
         spread = (parameters.shape_offset[1:] / sigma).square().sum()
         stature = ((prediction.stature_m - c.stature_m) / c.stature_sigma_m).square()
         prior_focal = np.log(c.focal_ratio * self._long_side)
