@@ -54,9 +54,8 @@ class TrainConfig:
     """Share of windows observed as the video pipeline observes, with its errors (where a run is given any). Each weighs
     as much in the loss as five others."""
     first_step_share: float = 0.8
-    """Share of windows at t = T, where nothing of the answer is seen: it takes most of the training, as what is left to
-    learn at the other steps (drawn evenly, paper: all) is soon learnt. At equal time a model that sees this task alone
-    is far better at it (`benchmarks/scenemi/results`), and the default sampler takes this step only."""
+    """Share of windows at t = T, where nothing of the answer is seen. It takes most of the training: what is left to
+    learn at the other steps (drawn evenly, paper: all) is soon learnt, and the default sampler takes this one alone."""
     stop_step: int = 20
     """T*: noisy keyframes are imputed above this step only."""
     scene_share: float = 0.6
