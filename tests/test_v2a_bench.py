@@ -43,7 +43,7 @@ def test_pipeline_on_a_synthetic_clip(bench_clips: Path, tmp_path: Path) -> None
         assert mean("motion", "pa_mpjpe", column) < 0.12
         assert mean("motion", "mpjpe", column) < 0.2
     assert mean("motion", "contact_f1") > 0.5
-    assert 0.3 < mean("motion", "jerk") / groups["motion"]["jerk"]["truth_mean"] < 8
-    assert mean("motion", "jerk") < mean("motion", "jerk", 0)
+    for column in (0, -1):
+        assert 0.3 < mean("motion", "jerk", column) / groups["motion"]["jerk"]["truth_mean"] < 2
     assert mean("background", "mask_iou") > 0.6
     assert (tmp_path / "set.html").stat().st_size > 10_000

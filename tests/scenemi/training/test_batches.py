@@ -184,7 +184,7 @@ def test_steps_and_pieces_looked_at_lie_in_their_ranges(shards: list[Shard]) -> 
     assert batch.step.min() >= 1
     assert batch.step.max() <= 1000
     first = batch.step == 1000
-    assert float(first.float().mean()) == pytest.approx(0.5, abs=0.08)
+    assert float(first.float().mean()) == pytest.approx(WIDE.first_step_share, abs=0.08)
     assert float(batch.step[~first].float().mean()) == pytest.approx(500, abs=80)
     assert not (PoolBatches(shards, replace(WIDE, first_step_share=0.0))[0].step == 1000).float().mean() > 0.05
     assert batch.looked_at.min() >= 0
