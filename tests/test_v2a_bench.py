@@ -3,39 +3,47 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command import video2anim
 
 pytestmark = pytest.mark.slow
+NAME = "00_walk"
 
 
-def test_pipeline_on_a_synthetic_clip(bench_clips: Path, tmp_path: Path) -> None:
-    name = "00_walk"
-    scene_dir, report = tmp_path / "results" / name, tmp_path / "set.json"
-    answer = video2anim("run", bench_clips / name / "video.mp4", "--out", scene_dir)
+@dataclass(frozen=True)
+class Judged:
+    """The report on one clip's result."""
+
+    found: dict[str, Any]
+    page: Path
+
+    @property
+    def groups(self) -> dict[str, dict[str, Any]]:
+        return {group["key"]: {row["key"]: row for row in group["rows"]} for group in self.found["groups"]}
+
+    def mean(self, group: str, key: str, column: int = -1) -> float:
+        return self.groups[group][key]["statistics"][column]["mean"]
+
+
+@pytest.fixture(scope="module")
+def judged(bench_clips: Path, tmp_path_factory: pytest.TempPathFactory) -> Judged:
+    folder = tmp_path_factory.mktemp("v2a_bench")
+    results, report, page = folder / "results", folder / "set.json", folder / "set.html"
+    answer = video2anim("run", bench_clips / NAME / "video.mp4", "--out", results / NAME)
     assert answer.code == 0, answer.err
-    words = (
-        "eval-set",
-        tmp_path / "results",
-        "--truth",
-        bench_clips,
-        "--json",
-        report,
-        "--html",
-        tmp_path / "set.html",
-    )
-    answer = video2anim(*words)
+    answer = video2anim("eval-set", results, "--truth", bench_clips, "--json", report, "--html", page)
     assert answer.code == 0, answer.err
-    found = json.loads(report.read_text())
-    assert found["clips"] == [name]
-    assert [clip for clip, _ in found["failures"]] == ["01_sit", "02_step_up", "03_pick_up"]
-    groups = {group["key"]: {row["key"]: row for row in group["rows"]} for group in found["groups"]}
+    return Judged(json.loads(report.read_text()), page)
 
-    def mean(group: str, key: str, column: int = -1) -> float:
-        return groups[group][key]["statistics"][column]["mean"]
 
+def test_pipeline_on_a_synthetic_clip(judged: Judged) -> None:
+    assert judged.found["clips"] == [NAME]
+    assert [clip for clip, _ in judged.found["failures"]] == ["01_sit", "02_step_up", "03_pick_up"]
+    mean = judged.mean
     assert mean("track", "main_recall") > 0.9
     assert mean("track", "id_switches") == 0
     assert mean("camera", "gravity_error") < 10
@@ -44,6 +52,13 @@ def test_pipeline_on_a_synthetic_clip(bench_clips: Path, tmp_path: Path) -> None
         assert mean("motion", "mpjpe", column) < 0.2
     assert mean("motion", "contact_f1") > 0.5
     for column in (0, -1):
-        assert 0.3 < mean("motion", "jerk", column) / groups["motion"]["jerk"]["truth_mean"] < 2
+        assert 0.3 < mean("motion", "jerk", column) / judged.groups["motion"]["jerk"]["truth_mean"] < 2
     assert mean("background", "mask_iou") > 0.6
-    assert (tmp_path / "set.html").stat().st_size > 10_000
+    assert judged.page.stat().st_size > 10_000
+
+
+@pytest.mark.xfail(
+    strict=True, reason="81 m/s3 after 69 in stage humans, which shook more (117) before it had limb lengths"
+)
+def test_refinement_does_not_shake_the_body(judged: Judged) -> None:
+    assert judged.mean("motion", "jerk") < judged.mean("motion", "jerk", 0)

@@ -21,7 +21,7 @@ class TrainConfig:
     batch: Annotated[int, Field(ge=1)] = 32
     parts: Annotated[int, Field(ge=1)] = 2
     """Batches of a step, whose gradients are averaged. On a CPU with more threads than one each batch has a process of
-    its own: 64 windows/s on one core, 109 on two (`benchmarks/scenemi/training_speed.py`)."""
+    its own: 66 windows/s on one core, 115 on two (`benchmarks/scenemi/training_speed.py`)."""
     learning_rate: Annotated[float, Field(gt=0)] = 1e-3
     """Rises over `warmup` steps and stays (paper: 1e-4 at batch 256): the end of a run is not known. The average of
     weights that ships needs no fall; `cool` makes one on demand."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from multiprocessing.connection import Connection
 
 import torch
@@ -13,6 +13,7 @@ from torch import Tensor, multiprocessing
 from scenemi.training.batches import Batch
 from scenemi.training.losses import Losses, TrainingLoss
 from video2anim.errors import StageError
+from video2anim.geometry.torch_threads import one_thread
 
 
 class Helpers:
@@ -59,17 +60,6 @@ def gradients(loss: TrainingLoss, batch: Batch) -> tuple[Losses, list[Tensor | N
 def learned(loss: TrainingLoss) -> list[Tensor]:
     """Parameters that training changes, in order."""
     return [p for p in loss.denoiser.parameters() if p.requires_grad]
-
-
-@contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Torch uses one thread meanwhile: the other cores have batches of their own."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _help(pipe: Connection, loss: TrainingLoss, grads: list[Tensor]) -> None:

@@ -11,9 +11,9 @@ from jaxtyping import Float, Int
 from video2anim.fitting.keyframe_depth import DepthLoss, DepthTarget
 from video2anim.fitting.keyframe_moves import RootMoves, turned_about_y
 from video2anim.fitting.keyframe_sight import Sight, split_by_sight
-from video2anim.fitting.optimize import one_thread
 from video2anim.geometry.chamfer import huber_of_square
 from video2anim.geometry.sdf import SdfGrid
+from video2anim.geometry.torch_threads import one_thread
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
-from video2anim.body.anny_body import anny_model
+from video2anim.body.anny_body import PEOPLES_LENGTHS, anny_model
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import StageError
 from video2anim.fitting.initial import (
@@ -23,18 +22,8 @@ from video2anim.fitting.lifter_input import LiftedBody
 from video2anim.fitting.objective import PERSON, SHAPE_PARAMETERS, FitConfig, Objective, Parameters
 from video2anim.fitting.problem import FittedBody, Observations
 from video2anim.geometry.rotations import axis_angle_from_matrix, rot6d_from_matrix
+from video2anim.geometry.torch_threads import one_thread
 from video2anim.types.motion import BodyShape
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Run torch on one core: these tensors are too small to share, and idle workers spin against other programs."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @one_thread()
@@ -65,7 +54,7 @@ def fit_body(
     """
     if not observed.valid.any():
         raise StageError("body fit: want at least one frame with landmarks, got none")
-    base = dict(shape or PERSON)
+    base = dict.fromkeys(PEOPLES_LENGTHS, 0.0) | shape if shape else dict(PERSON)
     objective = Objective(observed, anny_model(), base, config or FitConfig(), lifted)
     parameters = _start(observed, objective, lifted) if warm is None else _start_warm(observed, objective, warm, base)
     leaves = [parameters.root_rot6d, parameters.angles_rad, parameters.translation_m]
@@ -172,7 +161,7 @@ def _start_warm(observed: Observations, objective: Objective, warm: FittedBody, 
     )
     translation = warm.translation_camera_m * (start_m / grown)
     translation[:, 2] *= observed.intrinsics.fx_px / warm.focal_px
-    offset = [warm.shape.parameters[name] - base[name] for name in SHAPE_PARAMETERS]
+    offset = [warm.shape.parameters.get(name, 0.0) - base[name] for name in SHAPE_PARAMETERS]
 
     def leaf(array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).float()

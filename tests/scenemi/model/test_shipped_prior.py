@@ -90,9 +90,7 @@ def test_acted_motion_is_filled_better_than_joined_keyframes_and_keeps_out_of_wh
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True, reason="missed after 2.9 hours of training: out of the way is not yet the true way"
-)
+@pytest.mark.xfail(strict=True, reason="missed after 2.9 hours of training: out of the way is not yet the true way")
 def test_a_scene_that_is_shown_does_not_lead_astray(rows: Rows) -> None:
     assert rows[60, True].mjpe_ratio < 1.05 * rows[60, False].mjpe_ratio
 
