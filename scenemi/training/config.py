@@ -70,7 +70,7 @@ class TrainConfig:
     """Errors of a millimetre that change every frame count for nothing else. Captured velocities and accelerations are
     mostly noise to the model: ten and twenty-five times these weights left the joints' error at 0.51 after 375 steps,
     none at 0.28 (m^2 over 22 joints)."""
-    inside_weight: float = 0.5
+    inside_weight: float = 0.1
     """Of joints nearer to solids than the truth, per centimetre."""
     relative: bool = True
     """Errors count relative to those of the joined keyframes at the same distance from a keyframe, and robustly. Else
