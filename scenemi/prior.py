@@ -139,8 +139,9 @@ class InterpolationPrior:
         return WindowMotion(R_parent_joint, translation_m)
 
 
-def load_prior(choice: PriorChoice = "auto", *, device: str = "cpu") -> InbetweeningPrior:
-    """The prior by name; `auto` is `scenemi` where its weights are present, else `interpolation` (see `.name`).
+def load_prior(choice: PriorChoice = "auto", *, device: str = "cpu", seed: int = 0) -> InbetweeningPrior:
+    """The prior by name, with the seed of its samples; `auto` is `scenemi` where its weights are present, else
+    `interpolation` (see `.name`).
 
     Raises:
         ModelMissingError: `scenemi` was asked for and no weights are present.
@@ -155,7 +156,7 @@ def load_prior(choice: PriorChoice = "auto", *, device: str = "cpu") -> Inbetwee
             "prior scenemi: no weights (*.safetensors) in scenemi/weights; set the prior to 'interpolation' or 'auto'"
         )
     model = importlib.import_module("scenemi.model.prior")
-    return model.load_diffusion_prior(WEIGHTS_FOLDER, device=device)
+    return model.load_diffusion_prior(WEIGHTS_FOLDER, device=device, seed=seed)
 
 
 def scenemi_available() -> bool:

@@ -31,6 +31,8 @@ FPS = 30.0
 _JUMP = 6.0
 """Frames whose jerk exceeds the median by this factor are jumps of the observation."""
 
+_OBSERVED = 2
+"""Density of a window that keeps the observed motion: its every frame is an exact keyframe."""
 _JOINED_FRAMES = 3
 """So many first frames of a window keep the shift of the window before: speed goes on with it."""
 _SETTLING_ACCELERATIONS_M_S2 = (2.0, 0.5, 0.12)
@@ -87,22 +89,25 @@ def refine_motion(
     from scenemi.prior import load_prior
     from video2anim.geometry.sdf import SdfGrid
 
-    prior = load_prior(config.prior, device=ctx.device)
+    prior = load_prior(config.prior, device=ctx.device, seed=ctx.seed)
     if config.prior == "auto" and prior.name != "scenemi":
         ctx.warn("no scenemi weights present, keyframes are joined by interpolation")
     grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
-    people, names = [], []
+    people, names, shares = [], [], []
     for number, (motion, index) in enumerate(zip(keyframed.people, keyframed.keyframe_index, strict=True)):
         suffix = "" if number == 0 else f" (person {motion.person_id})"
         if len(index) == 0 or not motion.valid.any():
             ctx.warn(f"person {motion.person_id} has no keyframe, motion left as it is")
             people.append(motion)
             names.append("none")
+            shares.append(0.0)
             continue
-        people.append(_refine_person(motion, index, prior, grid, config, ctx, suffix))
-        names.append(prior.name)
+        refined, share = _refine_person(motion, index, prior, grid, config, ctx, suffix)
+        people.append(refined)
+        names.append(prior.name if share > 0 else "none")
+        shares.append(share)
         ctx.progress(number + 1, len(keyframed.people))
-    return RefinedMotion(tuple(people), tuple(names))
+    return RefinedMotion(tuple(people), tuple(names), tuple(shares))
 
 
 def _refine_person(
@@ -113,7 +118,8 @@ def _refine_person(
     config: RefineConfig,
     ctx: StageContext,
     suffix: str,
-) -> BodyMotion:
+) -> tuple[BodyMotion, float]:
+    """The motion, and the share of its measured frames that the prior shaped."""
     from scenemi.longmotion import KeyframeMotion, inbetween
     from scenemi.prior import InterpolationPrior
     from scenemi.windows import select_keyframes
@@ -152,7 +158,9 @@ def _refine_person(
         judge.report(ctx, "without foot lock", unlocked, suffix)
     judge.report(ctx, "refined", final, suffix)
     _report_windows(ctx, filled, prior, suffix)
-    return final
+    share = float(_shaped(filled, motion.frame_count)[motion.valid].mean())
+    ctx.quality(f"frames shaped by {prior.name}{suffix}", share, "ratio", "higher")
+    return final, share
 
 
 def calm_frames(motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
@@ -183,9 +191,17 @@ def _mask(index: np.ndarray, motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
     return mask
 
 
+def _shaped(filled: LongMotion, frames: int) -> Bool[np.ndarray, "frames"]:
+    """Frames whose last window was filled from sparse keyframes and not from all of the observed frames."""
+    shaped = np.zeros(frames, dtype=bool)
+    for span, density in zip(filled.spans, filled.densities, strict=True):
+        shaped[span.start : span.stop] = density < _OBSERVED
+    return shaped
+
+
 def _report_windows(ctx: StageContext, filled: LongMotion, prior: InbetweeningPrior, suffix: str) -> None:
     fallen = sum(density > 0 for density in filled.densities)
-    observed = sum(density == 2 for density in filled.densities)
+    observed = sum(density == _OBSERVED for density in filled.densities)
     ctx.quality(f"windows with denser keyframes{suffix}", fallen / len(filled.densities), "ratio", "lower")
     if fallen:
         ctx.warn(
@@ -334,4 +350,4 @@ class _Judge:
         return self.grid.sample(self.body.vertices(R_world_joint, joints_m, self.vertex_index).astype(np.float64))
 
 
-STAGE = StageSpec("refine", refine_motion, version=6)
+STAGE = StageSpec("refine", refine_motion, version=7, models=("prior",))

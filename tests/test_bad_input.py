@@ -297,7 +297,7 @@ def test_impossible_camera_or_person(scene: tuple[Path, Path], words: tuple[str,
 
 @pytest.mark.parametrize("command", [("status",), ("stage", "track"), ("export", "--format", "glb"), ("view",)])
 def test_not_a_scene_folder(tmp_path: Path, command: tuple[str, ...]) -> None:
-    words = ["stage", "track", tmp_path] if command[0] == "stage" else [command[0], tmp_path, *command[1:]]
+    words = [command[0], tmp_path, *command[1:]]
     assert_one_line(video2anim(*words), INPUT, str(tmp_path), "video2anim run")
     assert list(tmp_path.iterdir()) == []
 
@@ -306,7 +306,7 @@ def test_unfinished_scene_is_not_exported_or_shown(lab_clip: tuple[Path, Path]) 
     _, folder = lab_clip
     assert_one_line(video2anim("export", folder, "--format", "glb"), USAGE, "refine", "video2anim run")
     assert_one_line(video2anim("view", folder), USAGE, "refine", "video2anim run")
-    assert_one_line(video2anim("stage", "scene", folder), USAGE, "scene", "video2anim run")
+    assert_one_line(video2anim("stage", folder, "scene"), USAGE, "scene", "video2anim run")
     assert_one_line(video2anim("show", folder, "scene"), INPUT, "scene", "not run yet")
     assert_one_line(video2anim("show", folder, "sceen"), USAGE, "'sceen'")
 
@@ -334,9 +334,9 @@ def test_damaged_artifact(scene: tuple[Path, Path], name: str) -> None:
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     answer = video2anim("run", video, "--out", folder, *SMALL, "--until", "camera")
-    assert_one_line(answer, STAGE, str(path.parent), name, "video2anim stage track")
+    assert_one_line(answer, STAGE, str(path.parent), name, "video2anim stage", "track --discard-edits")
     assert (folder / "stages" / "01_ingest" / "manifest.json").is_file()
-    repaired = video2anim("stage", "track", folder)
+    repaired = video2anim("stage", folder, "track", "--discard-edits")
     assert repaired.code == 0, repaired.err
     assert path.read_bytes() == whole, "the remedy that the message names works"
 
@@ -345,7 +345,7 @@ def test_missing_payload_file(scene: tuple[Path, Path]) -> None:
     video, folder = scene
     (folder / "stages" / "01_ingest" / "video.mp4").unlink()
     answer = video2anim("run", video, "--out", folder, *SMALL, "--from", "track", "--until", "track")
-    assert_one_line(answer, STAGE, "video.mp4", "video2anim stage ingest")
+    assert_one_line(answer, STAGE, "video.mp4", "video2anim stage", "ingest --discard-edits")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"stage": "track"}'])

@@ -264,7 +264,7 @@ def test_from_until_and_stage(scene: Scene, copy: Path) -> None:
     rerun = video2anim(*scene.words(copy), "--from", "complete", "--until", "place")
     assert rerun.code == 0, rerun.err
     assert rerun.states == dict.fromkeys(STAGE_NAMES[:8], "cached") | dict.fromkeys(STAGE_NAMES[8:11], "ran")
-    one = video2anim("stage", "segment", copy)
+    one = video2anim("stage", copy, "segment")
     assert one.code == 0, one.err
     assert one.states == dict.fromkeys(STAGE_NAMES[:7], "cached") | {"segment": "ran"}
     assert payload_digests(copy) == scene.digests, "the same work gives the same bytes"
@@ -277,8 +277,8 @@ def test_works_where_the_video_is_gone(copy: Path) -> None:
     record["input_path"] = "/nowhere/clip.mp4"
     (copy / "run.json").write_text(json.dumps(record))
     assert set(video2anim("status", copy).states.values()) == {"cached"}
-    assert video2anim("stage", "segment", copy).code == 0
-    gone = video2anim("stage", "ingest", copy)
+    assert video2anim("stage", copy, "segment").code == 0
+    gone = video2anim("stage", copy, "ingest")
     assert gone.code == 3
     assert "/nowhere/clip.mp4" in gone.err
     assert set(video2anim("status", copy).states.values()) == {"cached"}, "the failed stage kept its old result"

@@ -132,7 +132,7 @@ def test_damage_is_one_line_with_file_and_remedy(tmp_path: Path, name: str, dama
     message = str(caught.value)
     assert "\n" not in message
     assert str(folder) in message
-    assert f"video2anim stage track {tmp_path}" in message
+    assert f"video2anim stage {tmp_path} track --discard-edits" in message
     assert damage == "gone" or name in message
 
 

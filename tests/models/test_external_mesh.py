@@ -158,7 +158,7 @@ def test_a_folder_does_not_choose_the_program_that_is_run(tmp_path: Path) -> Non
     assert "\n" not in str(caught.value)
     for word in (command, "--from reconstruct", "--set reconstruct.command="):
         assert word in str(caught.value)
-    answer = video2anim("stage", "reconstruct", folder)
+    answer = video2anim("stage", folder, "reconstruct")
     assert answer.code == 2
     assert "runs a program" in answer.err
     assert not (tmp_path / "ran").exists()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,11 @@ import pytest
 
 from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.manifest import read_manifest
-from video2anim.errors import ArtifactError, StageError, UsageError
+from video2anim.errors import ArtifactError, InputError, StageError, UsageError
 from video2anim.pipeline.config import load_preset, parse_set, resolve, result_config
 from video2anim.pipeline.graph import GraphError, Node, build_graph
-from video2anim.pipeline.runner import Event, Runner
-from video2anim.pipeline.scene_folder import RunRecord, locked, prepare, read_record, write_record
+from video2anim.pipeline.runner import Edits, Event, Runner, StageStatus
+from video2anim.pipeline.scene_folder import RunRecord, StageRow, locked, prepare, read_record, write_record
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import SourceVideo
 
@@ -100,7 +100,8 @@ def run(tmp_path: Path) -> Callable[..., dict[str, str]]:
     def go(
         *, source: str = "s1", specs: Sequence[StageSpec] = SPECS, weights: str = "d1", seed: int = 0,
         look: bool = False, start: str | None = None, until: str | None = None, only: str | None = None,
-        events: list[Event] | None = None, **options: dict[str, Any],
+        events: list[Event] | None = None, edits: Edits = "refuse",
+        on_row: Callable[[StageStatus], None] = lambda row: None, **options: dict[str, Any],
     ) -> dict[str, str]:  # fmt: skip
         calls.clear()
         nodes = build_graph(specs, [SourceVideo])
@@ -110,7 +111,7 @@ def run(tmp_path: Path) -> Callable[..., dict[str, str]]:
         video = SourceVideo(Path("v.mp4"), source)
         collect = events.append if events is not None else lambda event: None
         runner = Runner(tmp_path, nodes, config, video, provider, on_event=collect)
-        rows = runner.status() if look else runner.run(start=start, until=until, only=only)
+        rows = runner.status() if look else runner.run(start=start, until=until, only=only, edits=edits, on_row=on_row)
         return {row.name: row.state for row in rows}
 
     return go
@@ -162,7 +163,37 @@ def test_edit_by_hand(run: Callable, tmp_path: Path) -> None:
     assert run() == {"seeds": "cached", "double": "edited", "add": "ran"}
     assert read_value(Total, tmp_path / "stages" / "03_add").value == 103.0
     assert run() == {"seeds": "cached", "double": "edited", "add": "cached"}
-    assert run(double={"factor": 5.0})["double"] == "ran", "a changed option beats an old edit"
+
+
+def test_an_edit_is_never_overwritten_without_a_word(run: Callable, tmp_path: Path) -> None:
+    run()
+    path = tmp_path / "stages" / "02_double" / "arrays.npz"
+    np.savez(path, **{"values": np.array([100.0])})
+    edited = path.read_bytes()
+    for words in ({"double": {"factor": 5.0}}, {"seeds": {"count": 4}}, {"start": "seeds"}, {"only": "double"}):
+        with pytest.raises(UsageError, match=r"stage double: .*02_double.*--keep-edits.*--discard-edits"):
+            run(**words)
+        assert calls == [], "nothing runs before"
+    assert path.read_bytes() == edited
+    assert run(start="add")["add"] == "ran", "stages after an edit run as ever"
+    kept = run(double={"factor": 5.0}, edits="keep")
+    assert kept == {"seeds": "cached", "double": "edited", "add": "cached"}
+    assert path.read_bytes() == edited
+    assert run(double={"factor": 5.0}) == kept, "a kept edit counts as made from the present settings"
+    assert run(double={"factor": 5.0}, start="double", edits="discard")["double"] == "ran"
+    assert read_value(Total, tmp_path / "stages" / "03_add").value == 18.0
+
+
+def test_rows_are_told_one_by_one(run: Callable) -> None:
+    told: list[tuple[str, str]] = []
+    with pytest.raises(StageError):
+        run(double={"fail": "crash"}, on_row=lambda row: told.append((row.name, row.state)))
+    assert told == [("seeds", "ran")]
+
+
+def test_device_is_recorded(run: Callable, tmp_path: Path) -> None:
+    run()
+    assert read_manifest(tmp_path / "stages" / "01_seeds").device == "cpu"
 
 
 def test_start_until_only(run: Callable) -> None:
@@ -174,6 +205,8 @@ def test_start_until_only(run: Callable) -> None:
     for words in ({"start": "no"}, {"until": "no"}, {"only": "no"}):
         with pytest.raises(UsageError, match="want one of seeds, double, add"):
             run(**words)
+    with pytest.raises(UsageError, match="--from add --until seeds: want a first stage before the last"):
+        run(start="add", until="seeds")
 
 
 def test_only_needs_its_inputs(run: Callable) -> None:
@@ -215,9 +248,9 @@ def test_failing_stage_keeps_what_was_there(run: Callable, tmp_path: Path, fail:
 def test_damaged_input_is_named(run: Callable, tmp_path: Path) -> None:
     run()
     (tmp_path / "stages" / "01_seeds" / "arrays.npz").write_bytes(b"PK")
-    with pytest.raises(ArtifactError, match=r"arrays\.npz.*video2anim stage seeds"):
+    with pytest.raises(ArtifactError, match=r"arrays\.npz.*video2anim stage \S+ seeds --discard-edits"):
         run()
-    assert run(only="seeds") == {"seeds": "ran"}
+    assert run(only="seeds", edits="discard") == {"seeds": "ran"}
     assert run() == CACHED
 
 
@@ -332,13 +365,48 @@ def test_unknown_preset() -> None:
 
 
 def record() -> RunRecord:
-    return RunRecord("v.mp4", "d", "embedded", 0, {}, {})
+    rows = [StageRow("seeds", "ran", "k", 0.5)]
+    return RunRecord("v.mp4", "d", "embedded", 0, {"seeds": {"count": 3}}, {}, {}, rows, {"motion.npz": "0"})
 
 
 def test_record_round_trip(tmp_path: Path) -> None:
     write_record(tmp_path, record())
     assert read_record(tmp_path) == record()
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
+
+
+WRONG = (
+    '{"input_path": 3}', '{"input_path": null}', "[]", "null", '"text"', "{", "[" * 100_000, "\\xff",
+    *(json.dumps(asdict(record()) | change) for change in (
+        {"config": []}, {"config": "text"}, {"config": None}, {"input_path": ["a"]}, {"stages": 3}, {"stages": [{}]},
+        {"stages": [None]}, {"seed": "x"}, {"results": {"a": 1}}, {"versions": 2}, {"unknown": 1},
+    )),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_damaged_record_is_one_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / "run.json").write_text(text)
+    with pytest.raises(ArtifactError, match=r"run\.json: damaged .* delete it and run") as caught:
+        read_record(tmp_path)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize("part", ["stages", "objects", ".lock", "run.json", "stages/01_seeds"])
+def test_links_out_of_the_folder_are_refused(tmp_path: Path, part: str) -> None:
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "kept.txt").write_text("kept")
+    scene = tmp_path / "scene"
+    (scene / part).parent.mkdir(parents=True)
+    (scene / part).symlink_to(outside / "kept.txt" if part == ".lock" else outside)
+    with pytest.raises(InputError, match="want plain files and folders, got a link"):
+        prepare(scene)
+    if part == ".lock":
+        with pytest.raises(InputError), locked(scene):
+            pass
+    assert (outside / "kept.txt").read_text() == "kept"
 
 
 def test_lock_keeps_others_out_and_clears_leftovers(tmp_path: Path) -> None:

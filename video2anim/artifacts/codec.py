@@ -133,7 +133,8 @@ def read_value(kind: type, folder: Path) -> Any:
     Raises:
         ArtifactError: a file is missing, damaged or does not fit the type.
     """
-    remedy = f"make it again with `video2anim stage {folder.name.split('_', 1)[-1]} {folder.parent.parent}`"
+    stage = folder.name.split("_", 1)[-1]
+    remedy = f"make it again with `video2anim stage {folder.parent.parent} {stage} --discard-edits`"
     try:
         return _Reader(folder).decode(_read_structure(folder / _JSON), kind)
     except ArtifactError as error:

@@ -35,6 +35,10 @@ class Manifest:
     qualities: list[dict[str, Any]]
     warnings: list[str]
     versions: dict[str, str]
+    device: str = ""
+    """cpu or cuda. Not part of the key: results agree to rounding, and a folder made on a GPU opens on a laptop."""
+    kept_for: str = ""
+    """Key for which an output that was edited by hand was kept (`--keep-edits`)."""
 
     def write(self, folder: Path) -> None:
         (folder / MANIFEST_NAME).write_text(json.dumps(dataclasses.asdict(self), indent=1) + "\n")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +28,32 @@ from stages import (
     track,
 )
 from video2anim.artifacts.folder import file_digest
+from video2anim.cli.report import report_html
 from video2anim.errors import InputError, UsageError
-from video2anim.pipeline.config import PipelineConfig, expect_user_paths, load_preset, resolve
+from video2anim.pipeline import results
+from video2anim.pipeline.config import RUN_KEYS, PipelineConfig, expect_user_paths, load_preset, resolve
 from video2anim.pipeline.graph import Node, build_graph
-from video2anim.pipeline.runner import Event, Runner, StageStatus, library_versions
-from video2anim.pipeline.scene_folder import RunRecord, locked, prepare, read_record, write_record
+from video2anim.pipeline.runner import CURRENT, Edits, Event, Runner, StageStatus, library_versions
+from video2anim.pipeline.scene_folder import (
+    RECORD,
+    STAGES,
+    RunRecord,
+    StageRow,
+    has_record,
+    locked,
+    prepare,
+    read_record,
+    write_record,
+)
 from video2anim.pipeline.stage import NO_MODEL
+from video2anim.types import ExportedFiles
 from video2anim.types.clip import SourceVideo
 
 MODULES = (
     ingest, track, camera, humans, background, depth, metric, segment,
     complete, reconstruct, place, scene, keyframes, refine, export,
 )  # fmt: skip
+DEFAULT_PRESET = "embedded"
 NO_NETWORK = ("geometric", NO_MODEL)
 """Names of stages' models and providers that use no network."""
 
@@ -95,39 +112,77 @@ def source_video(path: Path) -> SourceVideo:
         raise InputError(f"input: want a readable file, got {error.strerror} at {path}") from error
 
 
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """What a command line asks of a scene folder."""
+
+    scene_dir: Path
+    video: Path | None = None
+    """None = the one the folder remembers."""
+    preset: str | None = None
+    """None = as the folder has it, else `embedded`."""
+    options: Sequence[tuple[str, Mapping[str, Any]]] = ()
+    """Changed options by the source that names them, later ones winning."""
+    start: str | None = None
+    until: str | None = None
+    overwrite: bool = False
+    """Forget the folder's video and settings."""
+    edits: Edits = "refuse"
+    device: str = "cpu"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A scene folder after a command."""
+
+    rows: list[StageStatus]
+    results: list[Path]
+    """Files for the user that belong to the present stages."""
+    stale: list[Path]
+    """Those that an earlier run made and this one did not remake."""
+
+
 def run_video(
-    video: Path,
-    scene_dir: Path,
+    request: RunRequest,
     *,
-    preset: str,
-    overrides: Sequence[tuple[str, Mapping[str, Any]]],
-    start: str | None,
-    until: str | None,
-    overwrite: bool,
-    device: str,
-    on_event: Callable[[Event], None],
-) -> tuple[Runner, list[StageStatus]]:
-    """`video2anim run`: bring the scene folder of a video up to date.
+    confirm: Callable[[str], bool] = lambda text: False,
+    on_event: Callable[[Event], None] = lambda event: None,
+) -> Outcome:
+    """`video2anim run`: bring a scene folder up to date.
+
+    Args:
+        request: folder and changes.
+        confirm: asked before people who have motions are dropped.
+        on_event: told of what goes on.
 
     Raises:
-        Video2AnimError: bad input, configuration or stage.
+        Video2AnimError: bad input, configuration or stage; nothing that was there is lost.
     """
-    nodes = pipeline_nodes()
-    config = resolve(nodes, preset, [(f"preset {preset}", load_preset(preset)), *overrides])
-    expect_user_paths(config)
-    source = source_video(video)
+    scene_dir, nodes = request.scene_dir, pipeline_nodes()
+    if request.video is None and not has_record(scene_dir):
+        raise UsageError(f"run: want a video, as {scene_dir} remembers none; give `video2anim run VIDEO --out DIR`")
+    given = None if request.video is None else source_video(request.video)
+    draft = _settled(nodes, None, request)  # before anything is made
     prepare(scene_dir)
     with locked(scene_dir):
-        _expect_same_input(scene_dir, source, overwrite)
-        runner = Runner(scene_dir, nodes, config, source, TableModels(), device=device, on_event=on_event)
-        for name in (start, until):
-            if name is not None:
-                runner.node(name)
-        record = RunRecord(str(source.path), source.digest, preset, config.seed, config.as_dict(), library_versions())
-        write_record(scene_dir, record)
-        rows = runner.run(start=start, until=until)
-        finish(scene_dir, runner, record, rows)
-    return runner, rows
+        before = read_record(scene_dir) if has_record(scene_dir) else None
+        remembered = None if request.overwrite else before
+        config, settings = draft if remembered is None else _settled(nodes, remembered, request)
+        expect_user_paths(config)
+        source = _source(scene_dir, given, remembered)
+        if before is not None:
+            results.expect_unedited(scene_dir, before, request.edits)
+        record = RunRecord(
+            str(source.path), source.digest, config.preset, config.seed, config.as_dict(), library_versions(), settings,
+            [] if before is None else before.stages, {} if before is None else before.results,
+        )  # fmt: skip
+        runner = Runner(scene_dir, nodes, config, source, TableModels(), device=request.device, on_event=on_event)
+        if remembered is not None:
+            _tell_changes(runner, remembered, record, on_event)
+            _expect_consent(scene_dir, remembered, record, confirm)
+        step = _Step(scene_dir, record)
+        rows = runner.run(start=request.start, until=request.until, edits=request.edits, on_row=step)
+        return finish(scene_dir, runner, step.record, rows, request.edits)
 
 
 def open_scene(
@@ -140,16 +195,19 @@ def open_scene(
     """
     record = read_record(scene_dir)
     nodes = pipeline_nodes()
-    config: PipelineConfig = resolve(nodes, record.preset, [("run.json", record.config)])
+    config: PipelineConfig = resolve(nodes, record.preset, [("run.json", _known(nodes, record.config))])
     source = SourceVideo(Path(record.input_path), record.input_digest)
     return Runner(scene_dir, nodes, config, source, TableModels(), device=device, on_event=on_event), record
 
 
-def rerun_stage(scene_dir: Path, name: str, *, device: str, on_event: Callable[[Event], None]) -> list[StageStatus]:
-    """`video2anim stage NAME DIR`: one stage again, from cached inputs.
+def rerun_stage(
+    scene_dir: Path, name: str, *, edits: Edits = "refuse", device: str, on_event: Callable[[Event], None]
+) -> Outcome:
+    """`video2anim stage DIR STAGE`: one stage again, from cached inputs.
 
     Raises:
-        UsageError: no such stage, or the folder's configuration names a program: who runs one says so themselves.
+        UsageError: no such stage, edits in the way, or the folder's configuration names a program: who runs one says so
+            themselves.
     """
     runner, record = open_scene(scene_dir, device=device, on_event=on_event)
     runner.node(name)
@@ -157,38 +215,144 @@ def rerun_stage(scene_dir: Path, name: str, *, device: str, on_event: Callable[[
     if program:
         raise UsageError(
             f"{scene_dir}: its configuration runs a program ({program!r}); give it yourself by "
-            f"`video2anim run VIDEO --out {scene_dir} --from {name} --set {name}.command=...`"
+            f"`video2anim run --out {scene_dir} --from {name} --set {name}.command=...`"
         )
     prepare(scene_dir)
     with locked(scene_dir):
-        rows = runner.run(only=name)
-        finish(scene_dir, runner, record, rows)
-    return rows
+        if name == MODULES[-1].STAGE.name:
+            results.expect_unedited(scene_dir, record, edits)
+        step = _Step(scene_dir, record)
+        rows = runner.run(only=name, edits=edits, on_row=step)
+        return finish(scene_dir, runner, step.record, rows, edits)
 
 
-def finish(scene_dir: Path, runner: Runner, record: RunRecord, rows: Sequence[StageStatus]) -> None:
-    """Write the stage table into `run.json`; once everything is made, place the results and the report."""
-    from video2anim.cli.results import place_results
+def finish(
+    scene_dir: Path, runner: Runner, record: RunRecord, rows: Sequence[StageStatus], edits: Edits = "refuse"
+) -> Outcome:
+    """Write `run.json`; once everything is made, bring the results to the top of the folder."""
+    rows = list(rows)
+    if rows[-1].name == MODULES[-1].STAGE.name:
+        folder, exported = runner.folder(runner.node(rows[-1].name)), runner.value(ExportedFiles)
+        files = {item.path.relative_to(folder).as_posix(): item.path for item in exported.files}
+        shown = {name: path for name, path in files.items() if not path.name.startswith(("overlay_", "worst_"))}
+        new = any(row.state == "ran" for row in rows) or not (scene_dir / results.REPORT).is_file()
+        report = partial(report_html, runner, record, rows, exported) if new else None
+        record = replace(record, results=results.place_results(scene_dir, shown, report, record, edits))
+    if not has_record(scene_dir) or read_record(scene_dir) != record:
+        write_record(scene_dir, record)
+    return scene_outcome(scene_dir, runner, record, rows)
 
-    table = [
-        {"stage": r.name, "state": r.state, "key": r.manifest.key, "wall_time_s": r.manifest.wall_time_s}
-        for r in rows
-        if r.manifest is not None
-    ]
-    write_record(scene_dir, replace(record, stages=table))
-    if rows and rows[-1].name == MODULES[-1].STAGE.name:
-        place_results(scene_dir, runner, record, rows)
+
+def scene_outcome(scene_dir: Path, runner: Runner, record: RunRecord, rows: list[StageStatus]) -> Outcome:
+    """The files at the top of a folder, parted into those of the present stages and older ones."""
+    files = [scene_dir / name for name in record.results if (scene_dir / name).is_file()]
+    current = rows if rows[-1].name == MODULES[-1].STAGE.name else runner.status()
+    return Outcome(rows, files, []) if current[-1].state in CURRENT else Outcome(rows, [], files)
 
 
-def _expect_same_input(scene_dir: Path, source: SourceVideo, overwrite: bool) -> None:
-    if overwrite or not (scene_dir / "run.json").exists():
-        return
-    before = read_record(scene_dir)
-    if before.input_digest != source.digest:
+class _Step:
+    """Writes `run.json` after each stage that ran: from then on the folder holds what it says. A command that fails
+    before leaves the record, and what it tells, as it was."""
+
+    def __init__(self, scene_dir: Path, record: RunRecord) -> None:
+        self._scene_dir, self.record = scene_dir, record
+        self._rows: dict[str, StageRow] = {}
+
+    def __call__(self, row: StageStatus) -> None:
+        if row.manifest is None:
+            return
+        self._rows[row.name] = StageRow(row.name, row.state, row.manifest.key, row.manifest.wall_time_s)
+        order = [module.STAGE.name for module in MODULES]
+        rows = sorted(self.record.with_rows(self._rows), key=lambda one: order.index(one.stage))
+        self.record = replace(self.record, stages=rows)
+        if row.state == "ran":
+            write_record(self._scene_dir, self.record)
+
+
+def _settled(
+    nodes: Sequence[Node], remembered: RunRecord | None, request: RunRequest
+) -> tuple[PipelineConfig, dict[str, Any]]:
+    """The configuration of a run, and the settings in it that the user gave, now or before."""
+    settings: dict[str, Any] = {} if remembered is None else dict(_known(nodes, remembered.settings))
+    for _, options in request.options:
+        for key, value in options.items():
+            both = isinstance(value, Mapping) and isinstance(settings.get(key), Mapping)
+            settings[key] = {**settings[key], **value} if both else value
+    if request.preset is None and remembered is not None:
+        base = [("run.json", _known(nodes, remembered.config))]
+        preset = remembered.preset
+    else:
+        preset = request.preset or DEFAULT_PRESET
+        base = [(f"preset {preset}", load_preset(preset))]
+        if remembered is not None:
+            base.append(("run.json", _known(nodes, remembered.settings)))
+    return resolve(nodes, preset, [*base, *request.options]), settings
+
+
+def _known(nodes: Sequence[Node], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of a folder that an older version made: those that are gone are left out."""
+    fields = {node.name: {field.name for field in dataclasses.fields(node.config_type)} for node in nodes}
+    return {
+        key: {name: one for name, one in value.items() if name in fields[key]} if key in fields else value
+        for key, value in options.items()
+        if key in fields or key in RUN_KEYS
+    }
+
+
+def _source(scene_dir: Path, given: SourceVideo | None, remembered: RunRecord | None) -> SourceVideo:
+    """The video of a run.
+
+    Raises:
+        UsageError: the folder is of another video, or the video is a file that a run writes.
+    """
+    if given is None:
+        assert remembered is not None
+        return SourceVideo(Path(remembered.input_path), remembered.input_digest)
+    inside = given.path.resolve()
+    if inside.is_relative_to(scene_dir.resolve()):
+        name = inside.relative_to(scene_dir.resolve())
+        if name.parts[0] in (STAGES, "objects", RECORD) or results.is_result_name(name.as_posix()):
+            raise UsageError(f"{given.path}: a run writes this file of {scene_dir}; move the video out of the folder")
+    if remembered is not None and remembered.input_digest != given.digest:
         raise UsageError(
-            f"--out: {scene_dir} holds the results of another video ({before.input_path}); "
+            f"--out: {scene_dir} holds the results of another video ({remembered.input_path}); "
             "choose another folder, or --overwrite to replace them"
         )
+    return given
+
+
+def _tell_changes(runner: Runner, before: RunRecord, now: RunRecord, on_event: Callable[[Event], None]) -> None:
+    """Say which settings are other than those the folder was made with, and what runs again for them."""
+    changed = []
+    for stage, options in now.config.items():
+        old = before.config.get(stage)
+        if not isinstance(options, Mapping) or not isinstance(old, Mapping):
+            changed += [f"{stage} {old} -> {options}"] if old != options else []
+            continue
+        changed += [f"{stage}.{k} {old.get(k)} -> {v}" for k, v in options.items() if old.get(k) != plain(v)]
+    if changed:
+        again = [row.name for row in runner.status() if row.state == "stale"]
+        what = ", ".join(again) if again else "nothing"
+        on_event(Event("note", "", text=f"changed: {'; '.join(changed)}; to run again: {what}"))
+
+
+def _expect_consent(scene_dir: Path, before: RunRecord, now: RunRecord, confirm: Callable[[str], bool]) -> None:
+    """Ask before people who have motions are dropped.
+
+    Raises:
+        UsageError: not wanted.
+    """
+    old, new = (record.config.get("track", {}).get("person") for record in (before, now))
+    if old == new or new == "all" or not before.results:
+        return
+    people = f"the people now in {scene_dir} (person {old})"
+    if not confirm(f"--person {new} drops {people}; go on?"):
+        raise UsageError(f"--person {new} would drop {people}; give --yes too, or another folder")
+
+
+def plain(value: Any) -> Any:
+    """As JSON gives it back."""
+    return json.loads(json.dumps(value))
 
 
 def preset_models(name: str) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,10 +15,14 @@ from video2anim.cli.pictures import models_run
 from video2anim.cli.synth import synth_command
 from video2anim.errors import Video2AnimError
 
+if TYPE_CHECKING:
+    from video2anim.pipeline.runner import Edits
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     help="Turn a video of a person among things into a metric 3D scene with a skinned, animated human.",
     epilog="Exit codes: 0 fine, 2 usage or configuration, 3 bad input, 4 model missing, 5 stage failed.",
 )
@@ -27,6 +31,10 @@ app.add_typer(models_app, name="models")
 
 SceneDir = Annotated[Path, typer.Argument(help="Scene folder made by `run`.", metavar="DIR")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
+KeepEdits = Annotated[
+    bool, typer.Option("--keep-edits", help="Go on with stages edited by hand as they are, where they would run again.")
+]
+DiscardEdits = Annotated[bool, typer.Option("--discard-edits", help="Make stages edited by hand anew.")]
 
 
 @app.callback(invoke_without_command=True)
@@ -43,19 +51,34 @@ def _root(
 
 @app.command("run")
 def run_command(
-    video: Annotated[Path, typer.Argument(help="Input video.", metavar="VIDEO")],
-    out: Annotated[Path, typer.Option(help="Scene folder to make or bring up to date.")],
-    preset: Annotated[str, typer.Option(help="Shipped preset, or a YAML file.")] = "embedded",
-    sets: Annotated[list[str] | None, typer.Option("--set", help="STAGE.OPTION=VALUE, repeatable.")] = None,
+    *,
+    out: Annotated[Path, typer.Option(help="Scene folder to make or bring up to date.", metavar="DIR")],
+    video: Annotated[
+        Path | None, typer.Argument(help="Input video; not needed where the folder has one.", metavar="VIDEO")
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="Shipped preset, or a YAML file; default: the folder's, else embedded.")
+    ] = None,
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", help="STAGE.OPTION=VALUE, repeatable.", metavar="STAGE.OPTION=VALUE")
+    ] = None,
     start: Annotated[str | None, typer.Option("--from", help="Run this stage and all after it again.")] = None,
     until: Annotated[str | None, typer.Option(help="Stop after this stage.")] = None,
     person: Annotated[str | None, typer.Option(help="largest, all, or an ID of the track stage.")] = None,
     focal_px: Annotated[float | None, typer.Option(help="Known focal length in pixels of the upright video.")] = None,
     height_m: Annotated[float | None, typer.Option(help="Known standing height of the person.")] = None,
     device: Device = "auto",
-    overwrite: Annotated[bool, typer.Option(help="Replace the results of another video.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Start anew: forget the folder's video and settings.")
+    ] = False,
+    keep_edits: KeepEdits = False,
+    discard_edits: DiscardEdits = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Drop people whose motions are there without asking.")] = False,
 ) -> None:
-    """Bring the scene folder of a video up to date; what is cached is not run again."""
+    """Bring the scene folder of a video up to date; what is cached is not run again.
+
+    The folder remembers its video and settings: an option given changes that one setting.
+    """
     from video2anim.cli import compose, show
     from video2anim.pipeline.config import parse_set
 
@@ -67,25 +90,30 @@ def run_command(
     if height_m is not None:
         shortcuts.setdefault("camera", {})["height_m"] = height_m
         shortcuts["humans"] = {"height_m": height_m}
+    request = compose.RunRequest(
+        out, video, preset, [("--set", parse_set(sets or [])), ("option", shortcuts)], start, until, overwrite,
+        _edits(keep_edits, discard_edits), _device(device),
+    )  # fmt: skip
     with show.progress() as on_event:
-        _, rows = compose.run_video(
-            video, out, preset=preset, overrides=[("--set", parse_set(sets or [])), ("option", shortcuts)],
-            start=start, until=until, overwrite=overwrite, device=_device(device), on_event=on_event,
-        )  # fmt: skip
-    show.stage_table(rows)
-    show.results(out)
+        outcome = compose.run_video(request, confirm=lambda text: yes or show.confirmed(text), on_event=on_event)
+    show.outcome(outcome)
 
 
 @app.command("stage")
 def stage_command(
-    name: Annotated[str, typer.Argument(help="Stage to run again.")], scene_dir: SceneDir, device: Device = "auto"
+    scene_dir: SceneDir,
+    name: Annotated[str, typer.Argument(help="Stage to run again.", metavar="STAGE")],
+    keep_edits: KeepEdits = False,
+    discard_edits: DiscardEdits = False,
+    device: Device = "auto",
 ) -> None:
     """Run one stage again from cached inputs."""
     from video2anim.cli import compose, show
 
+    edits = _edits(keep_edits, discard_edits)
     with show.progress() as on_event:
-        rows = compose.rerun_stage(scene_dir, name, device=_device(device), on_event=on_event)
-    show.stage_table(rows)
+        outcome = compose.rerun_stage(scene_dir, name, edits=edits, device=_device(device), on_event=on_event)
+    show.outcome(outcome)
 
 
 @app.command("status")
@@ -93,8 +121,8 @@ def status_command(scene_dir: SceneDir) -> None:
     """Which stages are up to date, edited by hand, or stale."""
     from video2anim.cli import compose, show
 
-    runner, _ = compose.open_scene(scene_dir)
-    show.stage_table(runner.status())
+    runner, record = compose.open_scene(scene_dir)
+    show.outcome(compose.scene_outcome(scene_dir, runner, record, runner.status()))
 
 
 @app.command("show")
@@ -146,7 +174,7 @@ def demo_command(
     from video2anim.cli import results
 
     clip = results.demo_clip(lambda text: typer.echo(text, err=True))
-    run_command(clip, out, person="all", device=device)
+    run_command(video=clip, out=out, person="all", device=device, yes=True)
 
 
 app.command("synth")(synth_command)
@@ -185,6 +213,14 @@ def models_verify() -> None:
 
 
 models_app.command("run")(models_run)
+
+
+def _edits(keep: bool, discard: bool) -> Edits:
+    from video2anim.errors import UsageError
+
+    if keep and discard:
+        raise UsageError("--keep-edits --discard-edits: want one of them, got both")
+    return "keep" if keep else "discard" if discard else "refuse"
 
 
 def _device(wanted: str) -> str:

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -19,13 +20,13 @@ from video2anim.errors import ModelMissingError
 from video2anim.pipeline.runner import Event, StageStatus
 
 if TYPE_CHECKING:
+    from video2anim.cli.compose import Outcome
     from video2anim.models import ModelState
 
 _WIDE = 200
 """Columns where the output is no terminal, so that tables in files and pipes are not cut."""
 _out = Console(width=None if sys.stdout.isatty() else _WIDE)
 _err = Console(stderr=True)
-RESULT_NAMES = ("motion.npz", "scene.glb", "scene.usdc", "motion.bvh", "motion_amass.npz", "preview.mp4", "report.html")
 
 
 @contextmanager
@@ -41,11 +42,21 @@ def progress() -> Iterator[Callable[[Event], None]]:
             elif event.kind == "progress":
                 bar.update(task, completed=event.done, total=event.total)
             elif event.kind == "warning":
-                _err.print(f"[yellow]warning[/yellow] {event.stage}: {escape(event.text)}", soft_wrap=True)
+                _warn(event.stage, event.text)
+            elif event.kind == "note":
+                _err.print(event.text, soft_wrap=True, markup=False, highlight=False)
+            elif event.kind == "cached" and event.manifest is not None:
+                for text in event.manifest.warnings:
+                    _warn(event.stage, text)
             elif event.kind == "done" and event.manifest is not None:
                 _err.print(f"{event.stage:<12} {event.manifest.wall_time_s:7.1f} s", highlight=False)
 
         yield on_event
+
+
+def _warn(stage: str, text: str) -> None:
+    text = text.removeprefix(f"{stage}: ")
+    _err.print(f"[yellow]warning[/yellow] {stage}: {escape(text)}", soft_wrap=True)
 
 
 def stage_table(rows: Sequence[StageStatus]) -> None:
@@ -64,11 +75,19 @@ def stage_table(rows: Sequence[StageStatus]) -> None:
     _out.print(table)
 
 
-def results(scene_dir: Path) -> None:
-    """Where to look."""
-    for name in RESULT_NAMES:
-        if (scene_dir / name).exists():
-            _out.print(str(scene_dir / name), soft_wrap=True, highlight=False)
+def outcome(found: Outcome) -> None:
+    """The stages, and where to look."""
+    stage_table(found.rows)
+    for path in found.results:
+        _out.print(str(path), soft_wrap=True, highlight=False, markup=False)
+    if found.stale:
+        names = ", ".join(path.name for path in found.stale)
+        _out.print(f"of an earlier run, not made again: {names}", soft_wrap=True, highlight=False, markup=False)
+
+
+def confirmed(text: str) -> bool:
+    """The answer of whoever sits at the terminal; no where nobody does."""
+    return sys.stdin.isatty() and typer.confirm(text, err=True)
 
 
 def manifest(folder: Path, found: Manifest) -> None:

@@ -77,7 +77,7 @@ class ReportInput:
     motions: Mapping[str, tuple[BodyMotion, ...]] = field(default_factory=dict)
     """People by stage: any of `raw`, `keyframes`, `refined`, the same persons in the same order."""
     priors: tuple[str, ...] = ()
-    """In-betweening prior of each person of `refined`."""
+    """In-betweening prior of each person of `refined`, and the share of the frames that it shaped."""
     scene: SceneModel | None = None
     pictures: tuple[Picture, ...] = ()
     moments: tuple[Picture, ...] = ()

@@ -8,7 +8,7 @@ import json
 import platform
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -16,7 +16,7 @@ from typing import Any, Literal, Protocol
 from video2anim import __version__
 from video2anim.artifacts.codec import read_value, write_value
 from video2anim.artifacts.folder import folder_digest, remove_unfinished, whole_or_absent
-from video2anim.artifacts.manifest import Manifest, read_manifest
+from video2anim.artifacts.manifest import MANIFEST_NAME, Manifest, read_manifest
 from video2anim.errors import StageError, UsageError, Video2AnimError
 from video2anim.pipeline import memory
 from video2anim.pipeline.config import PipelineConfig, result_config
@@ -26,6 +26,15 @@ from video2anim.pipeline.stage import StageContext
 from video2anim.types.clip import SourceVideo
 
 State = Literal["cached", "edited", "ran", "stale", "missing"]
+Edits = Literal["refuse", "keep", "discard"]
+"""What happens to files edited by hand where a run would make them again."""
+CURRENT: tuple[State, ...] = ("cached", "edited", "ran")
+"""States of a stage that is up to date."""
+DECIDING = (
+    "numpy", "scipy", "torch", "opencv-contrib-python-headless", "av", "anny", "ai-edge-litert", "onnxruntime",
+    "trimesh", "embreex", "kornia", "scikit-image", "fast-simplification",
+)  # fmt: skip
+"""Libraries whose version may change results."""
 
 
 class ModelProvider(Protocol):
@@ -40,7 +49,7 @@ class ModelProvider(Protocol):
 class Event:
     """Something the user may want to see."""
 
-    kind: Literal["cached", "start", "progress", "done", "warning"]
+    kind: Literal["cached", "start", "progress", "done", "warning", "note"]
     stage: str
     done: int = 0
     total: int = 0
@@ -56,13 +65,15 @@ class StageStatus:
     state: State
     manifest: Manifest | None
     reason: str = ""
+    by_hand: bool = False
+    """Whether files of the stage were edited by hand, up to date or not."""
 
 
 def library_versions() -> dict[str, str]:
-    """Versions that are written beside results (they are not part of cache keys)."""
-    names = ("numpy", "scipy", "torch", "opencv-contrib-python-headless", "av", "anny", "ai-edge-litert")
+    """Versions that are written beside results. They are not part of cache keys: a folder made on one machine opens on
+    another without being made again."""
     found = {"video2anim": __version__, "python": platform.python_version()}
-    for name in names:
+    for name in DECIDING:
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
@@ -132,42 +143,84 @@ class Runner:
                 continue
             row = self._check(node)
             rows.append(row)
-            if row.state in ("cached", "edited"):
+            if row.state in CURRENT:
                 made.add(node.output)
         return rows
 
-    def run(self, *, start: str | None = None, until: str | None = None, only: str | None = None) -> list[StageStatus]:
+    def run(
+        self,
+        *,
+        start: str | None = None,
+        until: str | None = None,
+        only: str | None = None,
+        edits: Edits = "refuse",
+        on_row: Callable[[StageStatus], None] = lambda row: None,
+    ) -> list[StageStatus]:
         """Bring stages up to date, in order.
 
         Args:
             start: this stage and all after it run even if cached.
             until: the last stage to run.
             only: run just this stage again, from cached inputs.
+            edits: of a stage that would run again: refuse to run, keep them as the stage's output, or discard them.
+            on_row: called after each stage.
 
         Raises:
-            UsageError: unknown stage, or `only` with inputs that are not up to date.
+            UsageError: unknown stages, `start` after `until`, `only` with inputs that are not up to date, or edits in
+                the way.
             Video2AnimError: what the stage raised.
         """
-        for name in (start, until, only):
-            if name is not None:
-                self.node(name)
+        self._expect_order(start, until, only)
+        if edits == "refuse":
+            self._expect_no_edits(start, until, only)
         remove_unfinished(self._scene_dir / STAGES)
         rows, forced = [], False
         for node in self._nodes:
             forced = forced or node.name == start
             row = self._check(node)
-            if node.name == only or (only is None and (forced or row.state not in ("cached", "edited"))):
-                row = self._execute(node)
-            elif only is not None and row.state not in ("cached", "edited"):
+            if node.name == only or (only is None and (forced or row.state not in CURRENT)):
+                row = self._keep(node, row) if row.by_hand and edits == "keep" else self._execute(node)
+            elif only is not None and row.state not in CURRENT:
                 raise UsageError(
                     f"stage {only}: earlier stage '{node.name}' is {row.state}; use `video2anim run` first"
                 )
             else:
                 self._on_event(Event("cached", node.name, manifest=row.manifest))
             rows.append(row)
+            on_row(row)
             if node.name in (until, only):
                 break
         return rows
+
+    def _expect_order(self, start: str | None, until: str | None, only: str | None) -> None:
+        number = {name: self.node(name).number for name in (start, until, only) if name is not None}
+        if start is not None and until is not None and number[start] > number[until]:
+            raise UsageError(f"--from {start} --until {until}: want a first stage before the last one")
+
+    def _expect_no_edits(self, start: str | None, until: str | None, only: str | None) -> None:
+        """See before anything runs whether a stage that may run again was edited by hand."""
+        after = self._nodes if start is None else self._nodes[self.node(start).number - 1 :]
+        last = len(self._nodes) if until is None else self.node(until).number
+        for node, row in zip(self._nodes, self.status(), strict=True):
+            again = node.name == only if only else row.state not in CURRENT or (start is not None and node in after)
+            if again and node.number <= last and self._by_hand(node):
+                raise UsageError(
+                    f"stage {node.name}: {self.folder(node)} was edited by hand and would be made again; --keep-edits "
+                    "goes on with it as it is, --discard-edits makes it anew"
+                )
+
+    def _by_hand(self, node: Node) -> bool:
+        folder = self.folder(node)
+        return (folder / MANIFEST_NAME).is_file() and folder_digest(folder) != read_manifest(folder).output_digest
+
+    def _keep(self, node: Node, row: StageStatus) -> StageStatus:
+        """Take the edited output as made from the present inputs."""
+        assert row.manifest is not None
+        kept = replace(row.manifest, kept_for=self.key(node))
+        kept.write(self.folder(node))
+        self._digests[node.output] = folder_digest(self.folder(node))
+        self._on_event(Event("cached", node.name, manifest=kept))
+        return StageStatus(node.name, "edited", kept, "changed by hand, kept", by_hand=True)
 
     def value(self, kind: type) -> Any:
         """A value by type, read from its stage folder on first use."""
@@ -178,15 +231,17 @@ class Runner:
 
     def _check(self, node: Node) -> StageStatus:
         folder = self.folder(node)
-        if not (folder / "manifest.json").is_file():
+        if not (folder / MANIFEST_NAME).is_file():
             return StageStatus(node.name, "missing", None, "never run")
         manifest = read_manifest(folder)
-        if manifest.key != self.key(node):
-            return StageStatus(node.name, "stale", manifest, "input, configuration or version changed")
         digest = folder_digest(folder)
+        by_hand = digest != manifest.output_digest
+        if self.key(node) not in (manifest.key, manifest.kept_for):
+            reason = "input, configuration or version changed"
+            return StageStatus(node.name, "stale", manifest, reason, by_hand=by_hand)
         self._digests[node.output] = digest
-        if digest != manifest.output_digest:
-            return StageStatus(node.name, "edited", manifest, "changed by hand")
+        if by_hand:
+            return StageStatus(node.name, "edited", manifest, "changed by hand", by_hand=True)
         return StageStatus(node.name, "cached", manifest)
 
     def _execute(self, node: Node) -> StageStatus:
@@ -208,7 +263,7 @@ class Runner:
                 node.name, node.spec.version, key, result_config(config),
                 {kind.__name__: self._digests[kind] for _, kind in node.inputs}, weights,
                 self._config.seed, folder_digest(work), time.perf_counter() - started, memory.peak_mb(),
-                [asdict(quality) for quality in ctx.qualities], ctx.warnings, library_versions(),
+                [asdict(quality) for quality in ctx.qualities], ctx.warnings, library_versions(), self._device,
             )  # fmt: skip
             manifest.write(work)
         self._digests[node.output] = manifest.output_digest

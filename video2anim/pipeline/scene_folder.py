@@ -6,31 +6,66 @@ import fcntl
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from pathlib import Path
 from typing import Any
+
+import pydantic
+from pydantic.dataclasses import dataclass
 
 from video2anim.errors import ArtifactError, InputError, UsageError
 
 STAGES = "stages"
+RECORD = "run.json"
 RECORD_ASIDE, RESULT_ASIDE = ".run-", ".new-"
 """How the names of files begin that are written aside, to be renamed when whole."""
 
 
-@dataclass(frozen=True, slots=True)
+_STRICT = pydantic.ConfigDict(extra="forbid", strict=True)
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT)
+class StageRow:
+    """A stage as it was when it last ran or was found up to date."""
+
+    stage: str
+    state: str
+    key: str
+    wall_time_s: float
+
+
+@dataclass(frozen=True, slots=True, config=_STRICT)
 class RunRecord:
-    """`run.json`: what was asked for."""
+    """`run.json`: what the folder holds and what was asked for. Written after each stage that ran, so a command that
+    fails leaves the record of what is there."""
 
     input_path: str
     input_digest: str
     preset: str
     seed: int
     config: dict[str, Any]
+    """Every option of every stage."""
     versions: dict[str, str]
-    stages: list[dict[str, Any]] = field(default_factory=list)
-    """One row per stage: name, state, key, wall time."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """Options that differ from the preset because the user said so; later runs keep them."""
+    stages: list[StageRow] = field(default_factory=list)
+    results: dict[str, str] = field(default_factory=dict)
+    """Files outside of `stages/` that the run wrote: path relative to the folder, and sha256."""
+
+    def with_rows(self, rows: Mapping[str, StageRow]) -> list[StageRow]:
+        """Rows of all stages: these, and the others as they were."""
+        kept = {row.stage: row for row in self.stages}
+        return list((kept | dict(rows)).values())
+
+
+_RECORD = pydantic.TypeAdapter(RunRecord)
+
+
+def has_record(scene_dir: Path) -> bool:
+    """Whether the folder was made by a run."""
+    return (scene_dir / RECORD).is_file()
 
 
 def read_record(scene_dir: Path) -> RunRecord:
@@ -40,16 +75,20 @@ def read_record(scene_dir: Path) -> RunRecord:
         InputError: not a scene folder.
         ArtifactError: damaged.
     """
-    path = scene_dir / "run.json"
+    path = scene_dir / RECORD
     if not path.is_file():
         raise InputError(f"{scene_dir}: want a scene folder made by `video2anim run`, found no run.json")
     try:
-        return RunRecord(**json.loads(path.read_text()))
-    except (ValueError, TypeError) as error:
-        raise ArtifactError(
-            f"run.json: damaged ({error}) at {path}; delete it and run `video2anim run VIDEO --out {scene_dir}`, "
-            "finished stages are kept"
-        ) from error
+        return _RECORD.validate_json(path.read_bytes())
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        detail = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}"
+    except OSError as error:
+        detail = error.strerror
+    raise ArtifactError(
+        f"run.json: damaged ({detail}) at {path}; delete it and run `video2anim run VIDEO --out {scene_dir}`, "
+        "finished stages are kept"
+    )
 
 
 def write_record(scene_dir: Path, record: RunRecord) -> None:
@@ -64,7 +103,7 @@ def write_record(scene_dir: Path, record: RunRecord) -> None:
         with os.fdopen(handle, "w") as stream:
             stream.write(json.dumps(asdict(record), indent=1) + "\n")
         os.chmod(name, 0o644)
-        os.replace(name, scene_dir / "run.json")
+        os.replace(name, scene_dir / RECORD)
     except OSError as error:
         if name:
             Path(name).unlink(missing_ok=True)
@@ -75,17 +114,31 @@ def write_record(scene_dir: Path, record: RunRecord) -> None:
 
 
 def prepare(scene_dir: Path) -> None:
-    """Make the folder and see that it can be written.
+    """Make the folder and see that it can be written, and that nothing in it leads out of it.
 
     Raises:
-        InputError: it is a file, or writing is not allowed.
+        InputError: it is a file, writing is not allowed, or a part of it is a link.
     """
+    for part in (STAGES, "objects", ".lock", RECORD):
+        expect_no_link(scene_dir / part)
     try:
         (scene_dir / STAGES).mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=scene_dir / STAGES):
             pass
     except OSError as error:
         raise InputError(f"--out: want a folder that can be written, got {error.strerror} at {scene_dir}") from error
+    for path in (scene_dir / STAGES).iterdir():
+        expect_no_link(path)
+
+
+def expect_no_link(path: Path) -> None:
+    """A link in a folder that came from elsewhere would have a run write, or delete, where it points.
+
+    Raises:
+        InputError: it is one.
+    """
+    if path.is_symlink():
+        raise InputError(f"--out: want plain files and folders, got a link at {path}; remove it")
 
 
 @contextmanager
@@ -96,8 +149,9 @@ def locked(scene_dir: Path) -> Iterator[None]:
         UsageError: another run holds it.
         InputError: the folder cannot be written.
     """
+    expect_no_link(scene_dir / ".lock")
     try:
-        held = (scene_dir / ".lock").open("w")
+        held = os.fdopen(os.open(scene_dir / ".lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644), "r+")
     except OSError as error:
         raise InputError(f"--out: want a folder that can be written, got {error.strerror} at {scene_dir}") from error
     with held as stream:

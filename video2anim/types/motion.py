@@ -122,4 +122,7 @@ class RefinedMotion:
 
     people: tuple[BodyMotion, ...]
     prior: tuple[str, ...]
-    """In-betweening prior used for each person: `interpolation` or `scenemi`."""
+    """In-betweening prior that shaped the motion of each person: `interpolation`, `scenemi`, or `none` where every
+    window keeps the observed motion."""
+    prior_share: tuple[float, ...] = ()
+    """Share of each person's measured frames that lie in windows which the prior filled."""

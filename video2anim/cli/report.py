@@ -1,0 +1,92 @@
+"""The report of a run, from what its stages say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from video2anim.pipeline.runner import Runner, StageStatus
+from video2anim.pipeline.scene_folder import RunRecord
+from video2anim.types import (
+    BodyTracks,
+    CameraEstimate,
+    ExportedFiles,
+    KeyframedMotion,
+    PersonTracks,
+    RefinedMotion,
+    SceneModel,
+    VideoClip,
+)
+
+if TYPE_CHECKING:
+    from video2anim.export.report import FoundPerson
+
+MOTIONS = {"raw": BodyTracks, "keyframes": KeyframedMotion, "refined": RefinedMotion}
+"""Motions of a run by the name that users give them."""
+
+
+def report_html(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], exported: ExportedFiles) -> str:
+    from video2anim.export.report import ModelRow, Picture, ReportInput, StageRow, render_report
+    from video2anim.models import find_model
+    from video2anim.pipeline.stage import Quality
+
+    stages, used = [], {}
+    for row in rows:
+        if row.manifest is None:
+            continue
+        m = row.manifest
+        qualities = tuple(Quality(**quality) for quality in m.qualities)
+        stages.append(
+            StageRow(m.stage, row.state, m.version, m.wall_time_s, m.peak_memory_mb, qualities, tuple(m.warnings))
+        )
+        used.update(m.weights)
+    entries = [find_model(name) for name in used]
+    pictures = [
+        Picture(f"frame {int(item.path.stem.split('_')[1])}", item.path.read_bytes())
+        for item in exported.files
+        if item.path.name.startswith("overlay_")
+    ]
+    moments = []
+    for path in (item.path for item in exported.files if item.path.name.startswith("worst_")):
+        _, what, frame = path.stem.split("_")
+        moments.append(Picture(f"{what.replace('-', ' ')}: frame {int(frame)}", path.read_bytes()))
+    refined: RefinedMotion = runner.value(RefinedMotion)
+    return render_report(
+        ReportInput(
+            title=Path(record.input_path).name,
+            stages=tuple(stages),
+            models=tuple(ModelRow(e.name, e.licence, e.source.text) for e in entries),
+            camera=runner.value(CameraEstimate),
+            motions={name: runner.value(kind).people for name, kind in MOTIONS.items()},
+            priors=tuple(
+                f"{name}, in {share:.0%} of the measured frames" if share else "none, the observed motion is kept"
+                for name, share in zip(refined.prior, refined.prior_share, strict=True)
+            ),
+            scene=runner.value(SceneModel),
+            pictures=tuple(pictures),
+            moments=tuple(moments),
+            found=found_people(
+                runner.value(PersonTracks), runner.value(BodyTracks), runner.value(VideoClip).frame_count
+            ),
+        )
+    )
+
+
+def found_people(tracks: PersonTracks, bodies: BodyTracks, frame_count: int) -> tuple[FoundPerson, ...]:
+    """Everybody tracked, with a picture and the verdict on those who were fitted."""
+    from video2anim.artifacts.images import png_bytes
+    from video2anim.export.report import FoundPerson
+
+    judged = {motion.person_id: found for motion, found in zip(bodies.people, bodies.quality, strict=True)}
+    picture = {thumbnail.person_id: thumbnail.rgb for thumbnail in tracks.thumbnails}
+    return tuple(
+        FoundPerson(
+            track.person_id, png_bytes(picture[track.person_id]), float(track.valid.sum() / frame_count),
+            float(np.nanmean(track.score)), track.person_id in judged,
+            judged[track.person_id].doubts if track.person_id in judged else (),
+        )
+        for track in tracks.people
+    )  # fmt: skip
