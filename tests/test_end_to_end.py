@@ -375,3 +375,136 @@ def test_two_runs_do_not_meet_in_one_folder(scene: Scene, copy: Path) -> None:
         answer = video2anim(*scene.words(copy))
     assert answer.code == 2
     assert "another video2anim run" in answer.err
+
+
+# The folder remembers, and nothing in it is lost or written over without a word.
+
+
+def test_the_folder_remembers_video_and_settings(scene: Scene, copy: Path) -> None:
+    again = video2anim("run", "--out", copy)
+    assert again.code == 0, again.err
+    assert again.states == dict.fromkeys(STAGE_NAMES, "cached")
+    assert json.loads((copy / "run.json").read_text())["settings"]["ingest"]["stop_s"] == 6.6
+    one = video2anim("run", "--out", copy, "--set", "export.overlay_frames=1")
+    assert one.states == dict.fromkeys(STAGE_NAMES[:14], "cached") | {"export": "ran"}
+    assert "export.overlay_frames 4 -> 1; to run again: export" in one.err
+    record = json.loads((copy / "run.json").read_text())
+    assert record["settings"]["export"] == {"overlay_frames": 1, "preview_height_px": 180}
+    assert record["config"]["ingest"]["start_s"] == 4.6
+    other = video2anim("run", copy / "stages" / "nothing.mp4", "--out", copy)
+    assert other.code == 3
+
+
+def test_cached_runs_repeat_the_warnings(scene: Scene) -> None:
+    def told(answer: Answer) -> list[str]:
+        return [line for line in answer.err.splitlines() if line.startswith("warning")]
+
+    assert told(scene.second) == told(scene.first) != []
+
+
+def test_a_command_that_fails_leaves_the_record(scene: Scene, copy: Path) -> None:
+    before = (copy / "run.json").read_bytes()
+    for words in (("--person", "7", "--yes"), ("--from", "nowhere"), ("--set", "depth.provider=none_such")):
+        failed = video2anim("run", "--out", copy, *words)
+        assert failed.code == 2, failed.err
+        assert (copy / "run.json").read_bytes() == before
+    assert set(video2anim("status", copy).states.values()) == {"cached"}
+    assert video2anim("export", copy, "--format", "bvh", "--out", copy.parent / "x").code == 0
+
+
+def test_people_are_not_dropped_without_consent(copy: Path) -> None:
+    before = result_digests(copy)
+    refused = video2anim("run", "--out", copy, "--person", "1")
+    assert refused.code == 2
+    assert "--yes" in refused.err
+    assert result_digests(copy) == before
+
+
+def test_results_belong_to_the_run(scene: Scene, copy: Path) -> None:
+    (copy / "notes.txt").write_text("mine")
+    fewer = video2anim(
+        "run", "--out", copy, "--set", "export.formats=[bvh]", "--set", "export.preview=false", "--set",
+        "export.worst_moments=false",
+    )  # fmt: skip
+    assert fewer.code == 0, fewer.err
+    there = {path.name for path in copy.iterdir()}
+    assert there == {"notes.txt", "motion.npz", "motion.bvh", "report.html", "run.json", "stages", ".lock", "objects"}
+    assert not list((copy / "objects").iterdir())
+    assert "scene.glb" not in fewer.out
+
+
+def test_results_of_an_earlier_run_are_not_told_as_new(scene: Scene, copy: Path) -> None:
+    partial = video2anim("run", "--out", copy, "--set", "ingest.stop_s=6.5", "--until", "ingest")
+    assert partial.code == 0, partial.err
+    assert str(copy / "motion.npz") not in partial.out
+    assert "of an earlier run, not made again: motion.npz" in partial.out
+    assert "of an earlier run, not made again: motion.npz" in video2anim("status", copy).out
+
+
+@pytest.mark.parametrize("name", ["motion.npz", "report.html", "objects"])
+def test_changed_results_are_not_written_over(scene: Scene, copy: Path, name: str) -> None:
+    path = sorted((copy / name).iterdir())[0] if name == "objects" else copy / name
+    path.write_bytes(path.read_bytes() + b"edited")
+    edited = file_digest(path)
+    refused = video2anim("run", "--out", copy)
+    assert refused.code == 2
+    assert "stages/14_refine" in refused.err
+    assert path.name in refused.err
+    kept = video2anim("run", "--out", copy, "--keep-edits")
+    assert kept.code == 0, kept.err
+    assert file_digest(path) == edited
+    discarded = video2anim("run", "--out", copy, "--discard-edits")
+    assert discarded.code == 0
+    assert name == "report.html" or file_digest(path) == file_digest(scene.folder / path.relative_to(copy))
+
+
+def test_a_video_in_the_folder_is_never_written_over(scene: Scene, copy: Path, tmp_path: Path) -> None:
+    for folder in (copy, tmp_path / "fresh"):
+        video = folder / "preview.mp4"
+        folder.mkdir(exist_ok=True)
+        shutil.copyfile(scene.video, video)
+        refused = video2anim("run", video, "--out", folder, "--overwrite")
+        assert refused.code == 2
+        assert "move the video out of the folder" in refused.err
+        assert file_digest(video) == file_digest(scene.video)
+
+
+def test_a_file_that_no_run_made_stays(scene: Scene, copy: Path) -> None:
+    record = json.loads((copy / "run.json").read_text())
+    del record["results"]["preview.mp4"]
+    (copy / "run.json").write_text(json.dumps(record))
+    (copy / "preview.mp4").write_bytes(b"somebody's own film")
+    refused = video2anim("run", "--out", copy)
+    assert refused.code == 3
+    assert "no run made what is there" in refused.err
+    assert (copy / "preview.mp4").read_bytes() == b"somebody's own film"
+
+
+def test_links_in_a_shared_folder_are_refused(copy: Path, tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "1.glb").write_text("kept")
+    shutil.rmtree(copy / "objects")
+    (copy / "objects").symlink_to(outside)
+    refused = video2anim("run", "--out", copy)
+    assert refused.code == 3
+    assert "a link at" in refused.err
+    assert [path.name for path in outside.iterdir()] == ["1.glb"]
+
+
+def test_a_kept_edit_stays_through_a_change_before_it(scene: Scene, copy: Path) -> None:
+    mask = sorted((copy / "stages" / "08_segment").glob("instances.*.mask.png"))[0]
+    picture = cv2.imread(str(mask), cv2.IMREAD_UNCHANGED)
+    picture[:5, :5] = 255
+    assert cv2.imwrite(str(mask), picture)
+    painted = file_digest(mask)
+    words = ("run", "--out", copy, "--height-m", "1.7", "--until", "segment")
+    refused = video2anim(*words)
+    assert refused.code == 2
+    assert "08_segment" in refused.err
+    assert "--keep-edits" in refused.err
+    kept = video2anim(*words, "--keep-edits")
+    assert kept.code == 0, kept.err
+    assert kept.states["camera"] == "ran"
+    assert kept.states["segment"] == "edited"
+    assert file_digest(mask) == painted

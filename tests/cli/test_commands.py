@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
+import subprocess
 from pathlib import Path
 
 import pytest
-from command import video2anim
+from command import command_line, video2anim
 from test_public_api import COMMANDS
 
 from video2anim import __version__
@@ -58,3 +60,13 @@ def test_geometric_depth_needs_no_weights() -> None:
     node = next(node for node in pipeline_nodes() if node.name == "depth")
     config = resolve(pipeline_nodes(), "p", [("test", {"depth": {"provider": "geometric"}})]).stages["depth"]
     assert TableModels().digests(node.spec.models, config) == {}
+
+
+@pytest.mark.parametrize(("redirect", "code"), [(">&-", 0), ("> /dev/full", 3)])
+def test_output_that_cannot_be_written_is_no_traceback(redirect: str, code: int) -> None:
+    command, environment = command_line("models", "list")
+    line = f"{shlex.join(command)} {redirect}"
+    done = subprocess.run(["sh", "-c", line], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.splitlines()) <= 1

@@ -62,6 +62,11 @@ def test_wrong_requests_are_refused(
         screenshot(scene_view, frame, tmp_path / "shot.png", stage=stage)
 
 
+def test_a_picture_is_a_png(scene_view: SceneView, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"ends in \.png, got .*shot\.jpg"):
+        screenshot(scene_view, 0, tmp_path / "shot.jpg")
+
+
 def test_unwritable_picture_is_an_input_error(scene_view: SceneView, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot write picture"):
         screenshot(scene_view, 0, tmp_path / "absent" / "shot.png", width_px=64, height_px=36)

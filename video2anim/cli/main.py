@@ -131,12 +131,15 @@ def show_command(scene_dir: SceneDir, stage: Annotated[str, typer.Argument(help=
     from video2anim.artifacts.manifest import read_manifest
     from video2anim.cli import compose, show
     from video2anim.errors import InputError
+    from video2anim.types import InstanceMasks
 
     runner, _ = compose.open_scene(scene_dir)
     folder = runner.folder(runner.node(stage))
     if not folder.is_dir():
         raise InputError(f"stage {stage}: not run yet in {scene_dir}; run `video2anim run VIDEO --out {scene_dir}`")
     show.manifest(folder, read_manifest(folder))
+    if stage == "segment":
+        show.objects(runner.value(InstanceMasks))
 
 
 @app.command("export")
@@ -244,6 +247,7 @@ def run() -> None:
     # Idle OpenMP workers otherwise spin and slow down whatever shares the machine. Read when torch is loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     debug = "--debug" in sys.argv  # wherever it stands
+    sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: SIM115
     try:
         app(args=[word for word in sys.argv[1:] if word != "--debug"], standalone_mode=True)
     except Video2AnimError as error:
@@ -251,6 +255,12 @@ def run() -> None:
             raise
         typer.echo(f"video2anim: {' '.join(str(error).split())}", err=True)
         sys.exit(error.exit_code)
+    except OSError as error:  # the output is a full disk or a pipe that nobody reads
+        if debug:
+            raise
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (what is left in the buffer is lost)
+        typer.echo(f"video2anim: output: could not be written ({error.strerror or error})", err=True)
+        sys.exit(3)
 
 
 if __name__ == "__main__":

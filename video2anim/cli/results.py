@@ -50,12 +50,9 @@ def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None) -
     runner, _ = open_scene(scene_dir)
     _expect_made(runner, "refine")
     motions = {name: runner.value(kind).people for name, kind in MOTIONS.items()}
-    count = motions["raw"][0].frame_count
-    if not 0 <= frame < count:
-        raise UsageError(f"--frame: want 0 to {count - 1}, got {frame}")
     shown = viewer.SceneView(motions=motions, scene=runner.value(SceneModel))
     if screenshot is None:
-        viewer.view(shown, title=f"video2anim {scene_dir}")
+        viewer.view(shown, title=f"video2anim {scene_dir}", frame=frame, stage=motion)
     else:
         viewer.screenshot(shown, frame, screenshot, stage=motion)
 

@@ -22,6 +22,7 @@ from video2anim.pipeline.runner import Event, StageStatus
 if TYPE_CHECKING:
     from video2anim.cli.compose import Outcome
     from video2anim.models import ModelState
+    from video2anim.types import InstanceMasks
 
 _WIDE = 200
 """Columns where the output is no terminal, so that tables in files and pipes are not cut."""
@@ -104,6 +105,14 @@ def manifest(folder: Path, found: Manifest) -> None:
         _out.print(f"warning: {text}", soft_wrap=True, highlight=False, markup=False)
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
         _out.print(f"{path}  {path.stat().st_size} bytes", soft_wrap=True, highlight=False, markup=False)
+
+
+def objects(found: InstanceMasks) -> None:
+    """Numbers of the objects, by which `reconstruct.meshes` names its files, with their masks."""
+    for index, item in enumerate(found.instances):
+        x0, y0, x1, y1 = item.box_px.round().astype(int)
+        line = f"object {item.object_id}: {item.label}, score {item.score:.2f}, x {x0} to {x1}, y {y0} to {y1} px"
+        _out.print(f"{line}, instances.{index}.mask.png", soft_wrap=True, highlight=False, markup=False)
 
 
 def models_table(states: Sequence[ModelState]) -> None:

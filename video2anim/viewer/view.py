@@ -41,20 +41,28 @@ class SceneView:
         return self.people()[0].frame_count
 
 
-def view(view_of: SceneView, *, title: str = "video2anim") -> None:
+def view(view_of: SceneView, *, title: str = "video2anim", frame: int = 0, stage: str | None = None) -> None:
     """Open the open3d window; returns when it is closed.
 
+    Args:
+        view_of: motions and scene.
+        title: of the window.
+        frame: to open at, paused; 0 = play from the start.
+        stage: `raw`, `keyframes` or `refined`; None for the last one made.
+
     Raises:
-        UsageError: open3d, its system libraries or a display are missing; the message names what to install.
+        UsageError: no such frame or stage; or open3d, its system libraries or a display are missing, and the message
+            names what to install.
     """
     from video2anim.viewer.window import run_window
 
+    _expect_frame(view_of.people(stage), frame)
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise UsageError(
             "view: want a display for the window, got neither DISPLAY nor WAYLAND_DISPLAY; "
             "use `video2anim view DIR --screenshot out.png`, or run under Xvfb"
         )
-    run_window(view_of, title)
+    run_window(view_of, title, frame, stage)
 
 
 def screenshot(
@@ -86,8 +94,7 @@ def screenshot(
         InputError: the picture cannot be written.
     """
     people = view_of.people(stage)
-    if not 0 <= frame < people[0].frame_count:
-        raise UsageError(f"frame: want 0 to {people[0].frame_count - 1}, got {frame}")
+    _expect_frame(people, frame)
     if renderer == "open3d":
         from video2anim.viewer.offscreen import render_open3d
 
@@ -96,8 +103,15 @@ def screenshot(
     from video2anim.artifacts.images import write_png
     from video2anim.viewer.software import render_software
 
+    if out_png.suffix.lower() != ".png":
+        raise UsageError(f"screenshot: want a file that ends in .png, got {out_png}")
     picture = render_software(people, view_of.scene, frame, width_px, height_px)
     try:
         write_png(out_png, picture)
     except OSError as error:
         raise InputError(f"cannot write picture {out_png}: {error}; choose a writable .png path") from error
+
+
+def _expect_frame(people: tuple[BodyMotion, ...], frame: int) -> None:
+    if not 0 <= frame < people[0].frame_count:
+        raise UsageError(f"frame: want 0 to {people[0].frame_count - 1}, got {frame}")

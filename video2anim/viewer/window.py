@@ -25,8 +25,8 @@ _KEY_LEFT, _KEY_RIGHT, _KEY_UP, _KEY_DOWN, _KEY_HOME = 263, 262, 265, 264, 268
 """GLFW key codes."""
 
 
-def run_window(view_of: SceneView, title: str) -> None:
-    """Show the window until it is closed.
+def run_window(view_of: SceneView, title: str, frame: int = 0, stage: str | None = None) -> None:
+    """Show the window until it is closed. With a `frame` it opens there, paused; else it plays from the start.
 
     Raises:
         UsageError: no window can be opened.
@@ -37,7 +37,7 @@ def run_window(view_of: SceneView, title: str) -> None:
             "cannot open a window: no display or no OpenGL; use `video2anim view DIR --screenshot out.png`, "
             "or run under `xvfb-run`"
         )
-    Player(visualizer, view_of).run()
+    Player(visualizer, view_of, frame, stage).run()
     visualizer.destroy_window()
 
 
@@ -56,19 +56,19 @@ def place_camera(visualizer: Any, viewpoint: Viewpoint) -> None:
 class Player:
     """What the window shows now, and what keys do to it."""
 
-    def __init__(self, visualizer: Any, view_of: SceneView) -> None:
+    def __init__(self, visualizer: Any, view_of: SceneView, frame: int = 0, stage: str | None = None) -> None:
         self.visualizer = visualizer
         self.view_of = view_of
-        self.people = view_of.people()
+        self.people = view_of.people(stage)
         self.posed = PosedBodies(self.people)
-        self.frame = 0
-        self.playing = True
+        self.frame = frame
+        self.playing = frame == 0
         self.shown = {"camera": True, "objects": True, "background": True, "floor": True}
         self.parts = static_meshes(view_of.scene)
-        self.parts["camera"] = [camera_lines(self.people[0].T_world_camera[0], self.people[0].intrinsics)]
-        (meshes,) = self.posed.frames(0, 1)
+        self.parts["camera"] = [camera_lines(self.people[0].T_world_camera[frame], self.people[0].intrinsics)]
+        (meshes,) = self.posed.frames(frame, frame + 1)
         self.bodies = [
-            triangle_mesh(vertices_m, body.faces, self.posed.colors(person, 0))
+            triangle_mesh(vertices_m, body.faces, self.posed.colors(person, frame))
             for person, (body, vertices_m) in enumerate(zip(self.posed.bodies, meshes, strict=True))
         ]
         for geometry in [*self.bodies, *(part for parts in self.parts.values() for part in parts)]:
