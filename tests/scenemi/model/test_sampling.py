@@ -249,8 +249,8 @@ def test_each_estimate_goes_to_the_next_step(method: Method) -> None:
 
     x_keys = torch.zeros(2, FRAMES, FEATURES)
     sample(Fake(spy), SCHEDULE, x_keys, conditions(2, True), sampler(method, 6), generators(2))
-    assert len(seen) == 6
-    assert seen[0] is None, "the first step has none"
+    assert len(seen) == 7
+    assert seen[0] is None, "the first step has none, and is taken again with its own answer"
     for before, told in zip(answers, seen[1:], strict=False):
         assert told is not None
         assert torch.equal(before, told)
@@ -294,11 +294,11 @@ def test_guidance_is_two_passes_and_none_at_weight_1_or_without_a_scene(form: st
     predict = guided(Fake(scene_or_not), x, scenes(3, 2)[form], 2.5, 0)
     for _ in range(2):
         torch.testing.assert_close(predict(x, 500), torch.full_like(x, 2.5 - 1.5 * 0.25))
-    assert calls == [(True, 1), (False, 2)] * 2, "each pass with what was prepared for it, once"
+    assert calls == [(True, 1), (False, 2)] * 3, "each pass with what was prepared for it, the first step twice"
     calls.clear()
     guided(Fake(scene_or_not), x, scenes(3, 2)[form], 1.0, 0)(x, 500)
     guided(Fake(scene_or_not), x, scenes(3, 0)[form], 2.5, 0)(x, 500)
-    assert [seen for seen, _ in calls] == [True, False]
+    assert [seen for seen, _ in calls] == [True, True, False, False]
 
 
 def test_both_passes_are_asked_along_the_guided_estimate() -> None:
