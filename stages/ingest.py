@@ -20,7 +20,7 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import PayloadFile, SourceInfo, SourceVideo, VideoClip
 
 if TYPE_CHECKING:
-    from video2anim.video.decode import SourceHeader
+    from video2anim.video.decode import SourceHeader, Stamps
     from video2anim.video.survey import Survey
 
 FPS = 30
@@ -28,6 +28,8 @@ FPS = 30
 _LOW_FPS = 20.0
 _SMALL_SIDE_PX = 240
 _LONG_HOLE_S = 0.25
+_MOST_FRAMES_PER_PICTURE = 15
+"""Fewer than 2 pictures a second, on average, are no film: nearly every frame would repeat the one before."""
 _MOTION_SAMPLES = 20
 _MOTION_STEP = 8
 """The static-camera test looks at every such frame, but at most at `_MOTION_SAMPLES` spread over the clip."""
@@ -55,7 +57,7 @@ class IngestConfig:
             raise UsageError(f"ingest.min_frames: want 1 or more, got {self.min_frames}")
         if self.shot != "longest" and not str(self.shot).isdecimal():
             raise UsageError(f"ingest.shot: want 'longest' or a number from 0, got {self.shot!r}")
-        if self.start_s < 0 or (self.stop_s is not None and self.stop_s <= self.start_s):
+        if not 0 <= self.start_s < (math.inf if self.stop_s is None else self.stop_s):
             raise UsageError(f"ingest: want 0 <= start_s < stop_s, got {self.start_s} and {self.stop_s}")
 
 
@@ -93,9 +95,16 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
             f"{source.path}: want at least {config.min_frames} frames at {FPS} fps "
             f"({config.min_frames / FPS:.2f} s), got {len(source_time_s)} from {len(shot_time_s)} decoded pictures"
         )
+    if len(source_time_s) > _MOST_FRAMES_PER_PICTURE * len(shot_time_s):
+        raise InputError(
+            f"{source.path}: want a film of at least {FPS / _MOST_FRAMES_PER_PICTURE:.0f} pictures a second, got "
+            f"{len(shot_time_s)} pictures in {len(source_time_s) / FPS:.0f} s; choose a denser part with "
+            "--set ingest.start_s=S --set ingest.stop_s=S, or another shot with --set ingest.shot=N "
+            f"(of {len(survey.shot_start)})"
+        )
     size_px = header.upright_size_px(config.max_long_side_px)
     path = ctx.work_dir / "video.mp4"
-    written = _write_clip(source.path, header, source_time_s, size_px, path, ctx)
+    written = _write_clip(source.path, header, survey.stamps, source_time_s, size_px, path, ctx)
     drift = written.drift_ratio
     warnings = _warnings(header, survey, shot, shot_time_s, size_px)
     if written.missing_frames:
@@ -142,7 +151,11 @@ def _choose_shot(path: Path, survey: Survey, config: IngestConfig) -> int:
 
 
 def _frames(
-    path: Path, header: SourceHeader, wanted_s: Float[np.ndarray, "frames"], size_px: tuple[int, int]
+    path: Path,
+    header: SourceHeader,
+    stamps: Stamps,
+    wanted_s: Float[np.ndarray, "frames"],
+    size_px: tuple[int, int],
 ) -> Iterator[tuple[np.ndarray, bool]]:
     """One RGB picture per wanted time stamp, and whether it is the right one.
 
@@ -152,7 +165,7 @@ def _frames(
 
     position = 0
     held: np.ndarray | None = None
-    for picture in decode(path, header, DecodeReport()):
+    for picture in decode(path, header, DecodeReport(), stamps):
         if picture.time_s < wanted_s[position]:
             continue
         rgb: np.ndarray | None = None
@@ -175,6 +188,7 @@ def _frames(
 def _write_clip(
     source: Path,
     header: SourceHeader,
+    stamps: Stamps,
     source_time_s: Float[np.ndarray, "frames"],
     size_px: tuple[int, int],
     path: Path,
@@ -189,7 +203,7 @@ def _write_clip(
     motion = CameraMotion()
     missing = 0
     with FrameWriter(path, width_px=size_px[0], height_px=size_px[1], fps=FPS) as writer:
-        for index, (rgb, found) in enumerate(_frames(source, header, source_time_s, size_px)):
+        for index, (rgb, found) in enumerate(_frames(source, header, stamps, source_time_s, size_px)):
             writer.write(rgb)
             missing += not found
             if index in sampled:
@@ -215,6 +229,18 @@ def _warnings(
             f"{len(shots_s)} shots found; shot {shot} ({start_s:.2f} to {end_s:.2f} s) is used, "
             f"--set ingest.shot=N (0 to {len(shots_s) - 1}) chooses another"
         )
+    if header.video_streams > 1:
+        texts.append(
+            f"{header.video_streams} video streams found; stream {header.stream_index} is used, the one marked as "
+            "default, else the first; for another, copy it to a file of its own"
+        )
+    if header.hdr:
+        texts.append(
+            f"high dynamic range ({header.hdr}), shown as it is: dark and pale to detectors and in textures; "
+            "convert the video to standard range (BT.709) before for true colors"
+        )
+    if survey.stamps == "dts":
+        texts.append("the file's presentation times go back and forth; decode order and decode times are used")
     if survey.reached_end and header.claimed_frames > report.frames:
         texts.append(
             f"the header claims {header.claimed_frames} frames, {report.frames} decode: the file is cut off or damaged"
@@ -270,4 +296,4 @@ def _record_quality(
     ctx.quality("camera_drift", drift_ratio, "width")
 
 
-STAGE = StageSpec("ingest", ingest, version=1)
+STAGE = StageSpec("ingest", ingest, version=2)

@@ -5,6 +5,11 @@ A message says what was wanted, what came, where, and what to do, in one line.
 
 from __future__ import annotations
 
+import errno
+
+_SHORTAGE_TEXTS = ("Insufficient memory", "can't allocate memory", "failed to map segment")
+"""How OpenCV, PyTorch and the loader of libraries say it; they have no error class of their own for it."""
+
 
 class Video2AnimError(Exception):
     """Root of all expected failures."""
@@ -40,3 +45,13 @@ class ArtifactError(Video2AnimError):
     """A stage folder is unreadable or incomplete (exit code 5)."""
 
     exit_code = 5
+
+
+def is_memory_shortage(error: BaseException) -> bool:
+    """Whether an error of any library says that the system gave no memory, or no room for another thread."""
+    if isinstance(error, MemoryError):
+        return True
+    if isinstance(error, OSError):
+        return error.errno in (errno.ENOMEM, errno.EAGAIN)
+    text = str(error)
+    return any(sign in text for sign in _SHORTAGE_TEXTS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 from collections.abc import Callable
 from fractions import Fraction
@@ -11,6 +12,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+from av.stream import Disposition
 
 from stages.ingest import IngestConfig, ingest
 from video2anim.errors import InputError, UsageError, Video2AnimError
@@ -198,6 +200,61 @@ def test_a_long_hole_ends_the_shot(tmp_path: Path, run: Callable[..., VideoClip]
     assert clip.frame_count == 20
 
 
+def test_pictures_too_far_apart_are_no_film(tmp_path: Path, run: Callable[..., VideoClip]) -> None:
+    """Each hole is short enough to be held, but the clip would be frames that repeat one another."""
+    stamps = [171 * i for i in range(40)]  # 1.9 s
+    path = write_video(tmp_path / "slides.mkv", [gray(90)] * len(stamps), stamps)
+    with pytest.raises(InputError, match="want a film of at least 2 pictures a second, got 40 pictures in 76 s"):
+        run(path)
+    dense = [45 * i for i in range(40)]  # 0.5 s
+    assert run(write_video(tmp_path / "slow.mkv", [gray(90)] * len(dense), dense)).frame_count == 600
+
+
+def test_more_streams_than_one_are_said(tmp_path: Path, run: Callable[..., VideoClip]) -> None:
+    path = tmp_path / "two.mkv"
+    with av.open(str(path), "w") as container:
+        streams = [container.add_stream("libx264", rate=30) for _ in range(2)]
+        for number, stream in enumerate(streams):
+            stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv444p"
+            stream.disposition = Disposition.default if number else Disposition(0)
+        for number, stream in enumerate(streams):
+            for _ in range(10):
+                picture = av.VideoFrame.from_ndarray(gray(60 + 120 * number), format="rgb24")
+                container.mux(stream.encode(picture.reformat(format="yuv444p")))
+            container.mux(stream.encode(None))
+    clip = run(path)
+    assert any("2 video streams found; stream 1 is used" in warning for warning in clip.warnings)
+    assert float(np.median(next(read_frames(clip))[32:, 32:])) == pytest.approx(180, abs=3)
+
+
+def test_high_dynamic_range_is_said(tmp_path: Path, run: Callable[..., VideoClip]) -> None:
+    path = tmp_path / "hdr.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv444p10le"
+        stream.codec_context.color_trc, stream.codec_context.color_primaries = 16, 9
+        for _ in range(10):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(gray(90), format="rgb24")))
+        container.mux(stream.encode(None))
+    assert any("high dynamic range (PQ)" in warning for warning in run(path).warnings)
+
+
+def test_decode_order_is_said(tmp_path: Path, run: Callable[..., VideoClip]) -> None:
+    path = tmp_path / "clip.avi"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
+        stream.codec_context.options = {"bf": "3", "b-adapt": "0", "crf": "5"}
+        for index in range(60):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(gray(20 + 3 * index), format="rgb24")))
+        container.mux(stream.encode(None))
+    clip = run(path)
+    shown = [float(np.median(picture[32:, 32:])) for picture in read_frames(clip)]
+    assert shown == pytest.approx([20 + 3 * index for index in range(60)], abs=2)
+    assert any("presentation times go back and forth" in warning for warning in clip.warnings)
+    assert not any("cut off" in warning or "left out" in warning for warning in clip.warnings)
+
+
 def test_trimming(tmp_path: Path, run: Callable[..., VideoClip]) -> None:
     values = [20 + 3 * i for i in range(60)]
     path = write_video(tmp_path / "long.mp4", [gray(v) for v in values], [3 * i for i in range(60)])
@@ -224,9 +281,9 @@ def test_large_pictures_shrink_to_even_sizes(
 
 
 def test_paths_that_are_no_files(tmp_path: Path, run: Callable[..., VideoClip]) -> None:
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match="found nothing at"):
         run(tmp_path / "nothing.mp4")
-    with pytest.raises(InputError, match="is a directory"):
+    with pytest.raises(InputError, match="got a folder at"):
         run(tmp_path)
 
 
@@ -269,7 +326,16 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Callabl
 
 
 @pytest.mark.parametrize(
-    "options", [{"shot": "first"}, {"shot": -1}, {"start_s": 2.0, "stop_s": 1.0}, {"max_long_side_px": 0}]
+    "options",
+    [
+        {"shot": "first"},
+        {"shot": -1},
+        {"start_s": 2.0, "stop_s": 1.0},
+        {"max_long_side_px": 0},
+        {"start_s": math.nan},
+        {"start_s": math.inf},
+        {"stop_s": math.nan},
+    ],
 )
 def test_config_is_checked(options: dict[str, object]) -> None:
     with pytest.raises(UsageError, match="ingest"):

@@ -100,12 +100,11 @@ def source_video(path: Path) -> SourceVideo:
     """The input file with its digest.
 
     Raises:
-        InputError: missing, a folder, or not readable.
+        InputError: missing, an address, a folder, no regular file, empty, or not readable.
     """
-    if not path.exists():
-        raise InputError(f"input: want a video file, found nothing at {path}")
-    if path.is_dir():
-        raise InputError(f"input: want a video file, got a folder at {path}")
+    from video2anim.video.container import expect_video_file
+
+    expect_video_file(path)
     try:
         return SourceVideo(path.absolute(), file_digest(path))
     except OSError as error:

@@ -17,7 +17,7 @@ from video2anim import __version__
 from video2anim.artifacts.codec import read_value, write_value
 from video2anim.artifacts.folder import folder_digest, remove_unfinished, whole_or_absent
 from video2anim.artifacts.manifest import MANIFEST_NAME, Manifest, read_manifest
-from video2anim.errors import StageError, UsageError, Video2AnimError
+from video2anim.errors import StageError, UsageError, Video2AnimError, is_memory_shortage
 from video2anim.pipeline import memory
 from video2anim.pipeline.config import PipelineConfig, result_config
 from video2anim.pipeline.graph import Node
@@ -293,6 +293,11 @@ class _Described:
             raise StageError(
                 f"stage '{self._stage}': no space left on the device of {self._scene_dir}; "
                 "free some and run again, finished stages are kept"
+            ) from error
+        if is_memory_shortage(error):
+            raise StageError(
+                f"stage '{self._stage}': not enough memory; close other programs, raise the limit on memory, or make "
+                "the picture smaller by --set ingest.max_long_side_px=N; earlier stages are kept"
             ) from error
         detail = str(error).splitlines()[0] if str(error) else "no message"
         raise StageError(

@@ -9,21 +9,27 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import av
 import numpy as np
 from av.container import InputContainer
 from av.error import FFmpegError
 from av.stream import Disposition
-from av.video.reformatter import Colorspace, Interpolation
+from av.video.reformatter import Colorspace, ColorTrc, Interpolation
 from jaxtyping import UInt8
 
-from video2anim.errors import InputError
+from video2anim.errors import InputError, is_memory_shortage
+from video2anim.video.container import open_video
 from video2anim.video.metadata import focal_35mm_of
 
 _UNSPECIFIED_COLORSPACE = 2
 _LARGEST_SD_HEIGHT_PX = 576
 """Untagged pictures taller than standard definition are BT.709 by the usual convention of players."""
+HDR_TRANSFERS = {int(ColorTrc.SMPTE2084): "PQ", int(ColorTrc.ARIB_STD_B67): "HLG"}
+"""Transfer functions of high dynamic range, by their number in ITU-T H.273 table 3."""
+Stamps = Literal["pts", "dts"]
+"""Which time stamps of the pictures count: those of presentation or, where those go back and forth, of decoding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +47,15 @@ class SourceHeader:
     nominal_fps: float
     """Rate by the container's word, 0 where it is silent."""
     claimed_frames: int
-    """Frames by the container's word, 0 where it is silent."""
+    """Frames by the container's word, 0 where it is silent. What an edit list hides is not counted."""
     focal_35mm: float
     """35 mm equivalent focal length from metadata, 0 where absent."""
+    hdr: str = ""
+    """`PQ` or `HLG` where the pictures are of high dynamic range, else empty."""
+    stream_index: int = 0
+    """Number of the stream that is read, among all of the container."""
+    video_streams: int = 1
+    """Video streams of the container, covers not counted."""
 
     def upright_size_px(self, max_long_side_px: int | None = None) -> tuple[int, int]:
         """Width and height of the upright picture with square pixels, shrunk to `max_long_side_px` where larger.
@@ -73,6 +85,10 @@ class DecodeReport:
     """Pictures that the decoder returned but marked as corrupt."""
     dropped_stamps: int = 0
     """Pictures left out because their time stamp did not advance."""
+    faulty_pts: int = 0
+    """Presentation times that are not later than the one of the picture before."""
+    faulty_dts: int = 0
+    """Decode times that are not later than the one of the picture before."""
     stopped_by: str = ""
     """What ended the stream before its end, empty where nothing did."""
 
@@ -86,7 +102,7 @@ class SourcePicture:
     rotation_deg: int
 
     def rgb(self, width_px: int, height_px: int) -> UInt8[np.ndarray, "height width 3"]:
-        """The upright picture at the given size."""
+        """The upright picture at the given size. High dynamic range is not tone mapped."""
         turned = self.rotation_deg % 180 != 0
         stored_width, stored_height = (height_px, width_px) if turned else (width_px, height_px)
         shrinks = stored_width < self.frame.width or stored_height < self.frame.height
@@ -109,11 +125,12 @@ def probe(path: Path) -> SourceHeader:
     """Open `path` and decode its first picture.
 
     Raises:
-        InputError: missing, a directory, unreadable, not a video, a still image, without a video stream, or without
-            a single picture that decodes.
+        InputError: no regular file, unreadable, not a video, a still image, a playlist, without a video stream, or
+            without a single picture that decodes.
     """
-    with _open(path) as container:
-        stream = _video_stream(container, path)
+    with open_video(path) as container:
+        streams = _video_streams(container, path)
+        stream = streams[0]
         metadata = {**container.metadata, **stream.metadata}
         try:
             first = next(_pictures(container, stream, DecodeReport()), None)
@@ -132,13 +149,16 @@ def probe(path: Path) -> SourceHeader:
             rotation_deg=round(-first.rotation / 90) % 4 * 90,
             pixel_aspect=float(aspect) if aspect else 1.0,
             nominal_fps=float(rate) if rate else 0.0,
-            claimed_frames=stream.frames,
+            claimed_frames=_claimed_frames(container, stream),
             focal_35mm=focal_35mm_of(metadata),
+            hdr=HDR_TRANSFERS.get(first.color_trc, ""),
+            stream_index=stream.index,
+            video_streams=len(streams),
         )
 
 
-def decode(path: Path, header: SourceHeader, report: DecodeReport) -> Iterator[SourcePicture]:
-    """Yield the pictures of `path` in the order of their time stamps, one at a time.
+def decode(path: Path, header: SourceHeader, report: DecodeReport, stamps: Stamps = "pts") -> Iterator[SourcePicture]:
+    """Yield the pictures of `path` in the order in which they are shown, one at a time.
 
     Damaged packets are skipped and counted. A picture without a time stamp follows its predecessor at the nominal
     rate; one whose stamp does not advance is left out.
@@ -148,10 +168,14 @@ def decode(path: Path, header: SourceHeader, report: DecodeReport) -> Iterator[S
     """
     period_s = 1.0 / header.nominal_fps if header.nominal_fps > 0 else 1.0 / 30.0
     last_s = -np.inf
-    with _open(path) as container:
-        stream = _video_stream(container, path)
+    last_pts = last_dts = None
+    with open_video(path) as container:
+        stream = _video_streams(container, path)[0]
         for frame in _pictures(container, stream, report):
-            time_s = frame.time
+            report.faulty_pts += _goes_back(last_pts, frame.pts)
+            report.faulty_dts += _goes_back(last_dts, frame.dts)
+            last_pts, last_dts = frame.pts, frame.dts
+            time_s = frame.time if stamps == "pts" else _decode_time_s(frame)
             if time_s is None:
                 time_s = last_s + period_s if np.isfinite(last_s) else 0.0
             if time_s <= last_s:
@@ -163,45 +187,53 @@ def decode(path: Path, header: SourceHeader, report: DecodeReport) -> Iterator[S
             yield SourcePicture(time_s=time_s, frame=frame, rotation_deg=header.rotation_deg)
 
 
-def _open(path: Path) -> InputContainer:
-    if path.is_dir():
-        raise InputError(f"{path} is a directory; want a video file")
-    if not path.exists():
-        raise InputError(f"no such file: {path}")
-    try:
-        if path.stat().st_size == 0 and path.is_file():
-            raise InputError(f"{path} is empty (0 bytes); want a video file")
-        return av.open(str(path))
-    except PermissionError as error:
-        raise InputError(f"{path} cannot be read: permission denied") from error
-    except (FFmpegError, OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{path} is not a readable video, or it is cut off before its index ({reason})") from error
+def _goes_back(before: int | None, stamp: int | None) -> bool:
+    return before is not None and stamp is not None and stamp <= before
 
 
-def _video_stream(container: InputContainer, path: Path) -> av.VideoStream:
+def _decode_time_s(frame: av.VideoFrame) -> float | None:
+    if frame.dts is None or frame.time_base is None:
+        return None
+    return float(frame.dts * frame.time_base)
+
+
+def _claimed_frames(container: InputContainer, stream: av.VideoStream) -> int:
+    # Only this demuxer has the whole index at once; after it has applied the edit list, which may hide frames.
+    if not stream.frames or not container.format.name.startswith("mov"):
+        return stream.frames
+    shown = sum(not entry.is_discard for entry in stream.index_entries)
+    return min(stream.frames, shown)
+
+
+def _video_streams(container: InputContainer, path: Path) -> list[av.VideoStream]:
+    """The video streams, the one to use first: the one that the container marks as default, else the first."""
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
     if not streams:
-        kinds = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
-        raise InputError(f"{path} has no video stream (it holds: {kinds}); want a video file")
-    if container.format.name.endswith("_pipe") or container.format.name in {"image2", "ico"}:
-        raise InputError(f"{path} is a still image ({container.format.name}); want a video file")
+        kinds = sorted({s.type for s in container.streams} - {"video"})
+        if container.streams.video:
+            kinds.append("a cover picture")
+        raise InputError(f"{path} has no video stream (it holds: {', '.join(kinds) or 'nothing'}); want a video file")
+    streams.sort(key=lambda s: not s.disposition & Disposition.default)
     streams[0].thread_type = "AUTO"
-    return streams[0]
+    return streams
 
 
 def _pictures(container: InputContainer, stream: av.VideoStream, report: DecodeReport) -> Iterator[av.VideoFrame]:
-    """Decoded frames of the stream; damage is counted, never raised."""
+    """Decoded frames of the stream; damage is counted, never raised; want of memory is no damage."""
     packets = container.demux(stream)
     while True:
         try:
             packet = next(packets, None)
         except (FFmpegError, OSError) as error:
+            if is_memory_shortage(error):
+                raise
             report.stopped_by = getattr(error, "strerror", None) or str(error)
             return
         if packet is None:
             return
         try:
             yield from packet.decode()
-        except FFmpegError:
+        except FFmpegError as error:
+            if is_memory_shortage(error):
+                raise
             report.damaged_packets += 1

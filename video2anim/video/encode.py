@@ -14,7 +14,7 @@ from av.error import FFmpegError
 from av.video.reformatter import ColorRange, Colorspace
 from jaxtyping import UInt8
 
-from video2anim.errors import InputError, StageError
+from video2anim.errors import InputError, StageError, is_memory_shortage
 
 KEY_FRAME_EVERY = 30
 """Frames between key frames; bounds the cost of a seek."""
@@ -125,7 +125,9 @@ class FrameWriter:
             error.add_note(f"closing {self.path} failed too: {second}")
 
 
-def _write_error(path: Path, error: Exception) -> InputError | StageError:
+def _write_error(path: Path, error: Exception) -> InputError | StageError | MemoryError:
+    if is_memory_shortage(error):
+        return MemoryError(f"while writing {path}: {error}")
     if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
         return InputError(f"no space left on device at {path.parent}; free some space or choose another --out")
     return StageError(f"cannot write video {path}: {error}")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import av
 import numpy as np
 from av.error import FFmpegError
 from jaxtyping import UInt8
 
-from video2anim.errors import InputError
+from video2anim.errors import InputError, is_memory_shortage
 from video2anim.types.clip import VideoClip
+from video2anim.video.container import open_video
 
 
 def read_frames(
@@ -54,7 +54,7 @@ def _read(clip: VideoClip, wanted: range) -> Iterator[UInt8[np.ndarray, "height 
         return
     position = 0
     try:
-        with av.open(str(clip.video.path)) as container:
+        with open_video(clip.video.path) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             assert stream.time_base is not None
@@ -72,7 +72,9 @@ def _read(clip: VideoClip, wanted: range) -> Iterator[UInt8[np.ndarray, "height 
                 position += 1
                 if position == len(wanted):
                     return
-    except (FFmpegError, IndexError) as error:
+    except (FFmpegError, IndexError, InputError) as error:
+        if is_memory_shortage(error):
+            raise
         raise InputError(f"cannot read the clip's video {clip.video.path}: {error}; run ingest again") from error
     raise InputError(
         f"want frame {wanted[position]} of {clip.video.path}, but it is not there "

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.video.decode import DecodeReport, SourceHeader, decode
+from video2anim.video.decode import DecodeReport, SourceHeader, Stamps, decode
 from video2anim.video.shots import THUMBNAIL_SIDE_PX, ShotDetector
 
 LONGEST_HOLE_S = 2.0
@@ -28,6 +28,8 @@ class Survey:
     report: DecodeReport
     reached_end: bool
     """False where the pass ended at `stop_s`, so that the rest of the source is unknown."""
+    stamps: Stamps = "pts"
+    """Which stamps `time_s` are."""
 
     @property
     def period_s(self) -> float:
@@ -59,7 +61,11 @@ def survey_source(
     stop_s: float | None = None,
     on_picture: Callable[[int], None] | None = None,
 ) -> Survey:
-    """Decode the source once, keeping nothing of its pictures but a few thumbnails at a time.
+    """Decode the source, keeping nothing of its pictures but a few thumbnails at a time.
+
+    Decoders return pictures in the order in which they are shown. Where presentation times contradict that order
+    more often than decode times do (an AVI has no presentation times, and FFmpeg's guesses may be wrong), the source
+    is decoded once more by its decode times: FFmpeg's rule of best effort, applied to the whole source at once.
 
     Args:
         path: The source.
@@ -71,6 +77,20 @@ def survey_source(
     Raises:
         InputError: the file cannot be opened.
     """
+    found = _survey(path, header, "pts", start_s, stop_s, on_picture)
+    if found.report.faulty_pts > found.report.faulty_dts:
+        found = _survey(path, header, "dts", start_s, stop_s, on_picture)
+    return found
+
+
+def _survey(
+    path: Path,
+    header: SourceHeader,
+    stamps: Stamps,
+    start_s: float,
+    stop_s: float | None,
+    on_picture: Callable[[int], None] | None,
+) -> Survey:
     report = DecodeReport()
     detector = ShotDetector()
     size_px = header.upright_size_px(THUMBNAIL_SIDE_PX)
@@ -78,7 +98,7 @@ def survey_source(
     hole_starts: list[int] = []
     first_s: float | None = None
     reached_end = True
-    for picture in decode(path, header, report):
+    for picture in decode(path, header, report, stamps):
         first_s = picture.time_s if first_s is None else first_s
         if stop_s is not None and picture.time_s - first_s >= stop_s:
             reached_end = False
@@ -93,4 +113,4 @@ def survey_source(
             on_picture(report.frames)
     cuts = detector.finish()
     starts = sorted({0, *cuts, *hole_starts}) if stamps_s else []
-    return Survey(np.array(stamps_s, dtype=np.float64), tuple(starts), report, reached_end)
+    return Survey(np.array(stamps_s, dtype=np.float64), tuple(starts), report, reached_end, stamps)
