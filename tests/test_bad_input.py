@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
+import signal
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command import Answer, payload_digests, process, video2anim
+from command import Answer, command_line, payload_digests, process, video2anim
 
 from video2anim.artifacts.codec import read_value
 from video2anim.types import VideoClip
@@ -149,6 +152,31 @@ def test_folder_as_input(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(("target", "said"), [(None, "got a pipe"), ("/dev/zero", "got a device")])
+def test_input_that_never_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str | None, said: str) -> None:
+    path = tmp_path / "mine.mp4"
+    os.mkfifo(path) if target is None else path.symlink_to(target)
+
+    def opened(file: Path, *_: object) -> str:
+        raise AssertionError(f"opened {file}")
+
+    monkeypatch.setattr("video2anim.cli.compose.file_digest", opened)  # it would block, or never end
+    assert_one_line(video2anim("run", path, "--out", tmp_path / "out"), INPUT, said, str(path))
+    assert not (tmp_path / "out").exists()
+
+
+def test_address_as_input(tmp_path: Path) -> None:
+    answer = video2anim("run", "https://example.org/a.mp4", "--out", tmp_path / "out")
+    assert_one_line(answer, INPUT, "got the address https://example.org/a.mp4", "download")
+    assert not (tmp_path / "out").exists()
+
+
+def test_playlist_as_input(tmp_path: Path) -> None:
+    (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile other.mp4\n")
+    answer = video2anim("run", tmp_path / "list.mp4", "--out", tmp_path / "out", "--until", "ingest")
+    assert_one_line(answer, INPUT, "list.mp4", "'concat'", "playlist")
+
+
 def test_unreadable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     video = tmp_path / "mine.mp4"
     video.write_bytes(b"not for you")
@@ -218,6 +246,59 @@ def test_disk_full_from_the_start(shared_media: Path, small_disk: Path, bytes_le
     answer = video2anim("run", shared_media / "bad" / "grayscale.mp4", "--out", small_disk / "out", "--until", "ingest")
     assert answer.code in (INPUT, STAGE)
     assert_one_line(answer, answer.code, "space", str(small_disk))
+
+
+@pytest.mark.parametrize("error", [MemoryError(), BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")])
+def test_not_enough_memory(
+    shared_media: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """A limit on memory shows as whatever a library makes of it: here FFmpeg, which cannot start a thread."""
+
+    def reformat(*_: object, **options: object) -> None:
+        raise error
+
+    monkeypatch.setattr("video2anim.video.decode.SourcePicture.rgb", reformat)
+    video = shared_media / "bad" / "grayscale.mp4"
+    answer = video2anim("run", video, "--out", tmp_path / "out", "--until", "ingest")
+    assert_one_line(answer, STAGE, "'ingest': not enough memory", "ingest.max_long_side_px")
+    assert list((tmp_path / "out" / "stages").iterdir()) == []
+
+
+KILLED_WHILE_WRITING = """
+import os, signal
+from video2anim.cli.main import run
+from video2anim.video.encode import FrameWriter
+write = FrameWriter.write
+def write_or_die(self, rgb):
+    if self.frame_count == 20:
+        os.kill(os.getpid(), signal.SIGKILL)
+    write(self, rgb)
+FrameWriter.write = write_or_die
+run()
+"""
+
+
+def test_killed_while_the_clip_is_written(shared_media: Path, tmp_path: Path) -> None:
+    video = shared_media / "bad" / "small_portrait_216x384.mp4"
+    words = ("run", video, "--out", tmp_path / "out", *SMALL, "--until", "ingest")
+    _, environment = command_line()
+    done = subprocess.run([sys.executable, "-c", KILLED_WHILE_WRITING, *map(str, words)], env=environment, check=False)
+    assert done.returncode == -signal.SIGKILL
+    stages = tmp_path / "out" / "stages"
+    assert [path.name.startswith(".unfinished-") for path in stages.iterdir()] == [True]
+    assert video2anim(*words).states == {"ingest": "ran"}
+    assert [path.name for path in stages.iterdir()] == ["01_ingest"], "what the killed run left is gone"
+    whole = video2anim("run", video, "--out", tmp_path / "whole", *SMALL, "--until", "ingest")
+    assert whole.code == 0
+    assert payload_digests(tmp_path / "out") == payload_digests(tmp_path / "whole")
+
+
+def test_output_on_a_disk_that_is_read_only(shared_media: Path, small_disk: Path) -> None:
+    video = shared_media / "bad" / "small_portrait_216x384.mp4"
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    for out in (small_disk, small_disk / "out"):
+        answer = video2anim("run", video, "--out", out, "--until", "ingest")
+        assert_one_line(answer, INPUT, "--out", "Read-only file system", str(out))
 
 
 # Commands and configuration.
