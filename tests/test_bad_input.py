@@ -264,6 +264,17 @@ def test_not_enough_memory(
     assert list((tmp_path / "out" / "stages").iterdir()) == []
 
 
+def test_not_enough_memory_before_the_first_stage(
+    shared_media: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def load(*_: object) -> str:
+        raise ImportError("libavcodec.so.62: failed to map segment from shared object")
+
+    monkeypatch.setattr("video2anim.cli.compose.file_digest", load)
+    answer = video2anim("run", shared_media / "bad" / "grayscale.mp4", "--out", tmp_path / "out")
+    assert_one_line(answer, STAGE, "not enough memory")
+
+
 KILLED_WHILE_WRITING = """
 import os, signal
 from video2anim.cli.main import run

@@ -13,7 +13,7 @@ from video2anim import __version__
 from video2anim.cli.evaluate import eval_command, eval_set_command
 from video2anim.cli.pictures import models_run
 from video2anim.cli.synth import synth_command
-from video2anim.errors import Video2AnimError
+from video2anim.errors import Video2AnimError, is_memory_shortage
 
 if TYPE_CHECKING:
     from video2anim.pipeline.runner import Edits
@@ -255,11 +255,15 @@ def run() -> None:
             raise
         typer.echo(f"video2anim: {' '.join(str(error).split())}", err=True)
         sys.exit(error.exit_code)
-    except OSError as error:  # the output is a full disk or a pipe that nobody reads
-        if debug:
+    except Exception as error:
+        if debug or not (isinstance(error, OSError) or is_memory_shortage(error)):
             raise
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (what is left in the buffer is lost)
-        typer.echo(f"video2anim: output: could not be written ({error.strerror or error})", err=True)
+        if is_memory_shortage(error):
+            typer.echo("video2anim: not enough memory; close other programs or raise the limit on memory", err=True)
+            sys.exit(Video2AnimError.exit_code)
+        # The output is a full disk or a pipe that nobody reads; what is left in the buffer is lost.
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+        typer.echo(f"video2anim: output: could not be written ({error})", err=True)
         sys.exit(3)
 
 
