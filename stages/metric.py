@@ -122,7 +122,9 @@ def fit_metric(
     metric = _apply(depth, bodies, verdict)
     if ground is None or not verdict.trusted:
         return metric
-    return _with_people(_on_the_floor(metric, ground, config), _people_factor(frames, depth.kind, fit, config), ctx)
+    factor = _people_factor(frames, depth.kind, fit, config)
+    ctx.quality("body over people's depth", factor, "1")
+    return _with_people(_on_the_floor(metric, ground, config), plate.person_mask, factor)
 
 
 def _evidence(
@@ -168,7 +170,7 @@ def _fit_to_person(
     frames: list[FrameEvidence], depth: DepthClip, config: MetricConfig, ctx: StageContext
 ) -> _Verdict | None:
     """Fit to the body; None where the evidence is too little or contradicts every positive scale."""
-    from video2anim.geometry.depth_fit import fit_depth
+    from video2anim.geometry.depth_fit import NoScaleError, fit_depth
     from video2anim.geometry.flat_depth import fit_at_usual_offset, is_flat
 
     kind, background = depth.kind, depth.background_value
@@ -179,7 +181,7 @@ def _fit_to_person(
     ctx.quality("person_depth_range_ratio", float(spread), "1", "higher")
     try:
         plain = fit_depth(frames, kind, with_offset=False, rng=ctx.rng("metric/scale"))
-    except ValueError:
+    except NoScaleError:
         return None
     fit, reason = plain, f"offset fixed at 0: the person's depth varies by {spread:.0%} only"
     if spread >= config.least_range_ratio:
@@ -263,14 +265,14 @@ def _fit_with_ground(
 def _fit_as_weighed(
     frames: list[FrameEvidence], ground: GroundEvidence, depth: DepthClip, config: MetricConfig, ctx: StageContext
 ) -> _Verdict | None:
-    from video2anim.geometry.depth_fit import fit_depth, mean_chamfer_m
+    from video2anim.geometry.depth_fit import NoScaleError, fit_depth, mean_chamfer_m
     from video2anim.geometry.flat_depth import is_flat
 
     kind = depth.kind
     frames = frames if len(frames) >= config.least_frames else []
     try:
         fit = fit_depth(frames, kind, with_offset=True, rng=ctx.rng("metric/with ground"), ground=ground)
-    except ValueError:
+    except NoScaleError:
         return None
     if is_flat(fit, kind, depth.background_value):
         return _Verdict(fit, False, _FLAT)
@@ -373,9 +375,10 @@ def _people_factor(frames: list[FrameEvidence], kind: str, fit: DepthFit, config
     return factor if abs(np.log(factor)) < _LARGEST_LOG_FACTOR else 1.0
 
 
-def _with_people(metric: MetricDepth, factor: float, ctx: StageContext) -> MetricDepth:
-    ctx.quality("body over people's depth", factor, "1")
-    people = metric.depth_m != metric.background_depth_m
+def _with_people(
+    metric: MetricDepth, people: Bool[np.ndarray, "samples small_height small_width"], factor: float
+) -> MetricDepth:
+    """People, by the masks of the plate's frames, at their bodies' distance; all else is left."""
     return replace(metric, depth_m=np.where(people, factor * metric.depth_m, metric.depth_m).astype(np.float32))
 
 
@@ -394,4 +397,4 @@ def _if_measured(value_m: float) -> float | None:
     return float(value_m) if np.isfinite(value_m) else None
 
 
-STAGE = StageSpec("metric", fit_metric, version=9, models=("segment",))
+STAGE = StageSpec("metric", fit_metric, version=10, models=("segment",))

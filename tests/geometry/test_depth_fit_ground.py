@@ -9,6 +9,7 @@ from video2anim.geometry.depth_fit import (
     DepthFit,
     FrameEvidence,
     GroundEvidence,
+    NoScaleError,
     evenly_far,
     fit_depth,
     ground_miss_m,
@@ -175,7 +176,7 @@ def test_pixels_are_drawn_again_in_blocks() -> None:
 def test_nothing_to_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="no floor"):
         fit([], "depth", None)
-    with pytest.raises(ValueError, match="positive scale"):
+    with pytest.raises(NoScaleError, match="positive scale"):
         fit([], "disparity", GroundEvidence(np.full(50, -0.5), np.full(50, -1.0), 1.5))
 
 

@@ -16,6 +16,7 @@ import video2anim.video
 from stages.depth import DepthConfig, estimate_depth
 from stages.metric import MetricConfig, fit_metric
 from stages.segment import SegmentConfig, segment_plate
+from video2anim.geometry.depth_fit import DepthFit
 from video2anim.models.segmentation import CLASSES, SeenInstance, Segmentation
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import DepthClip, MetricDepth
@@ -147,6 +148,37 @@ def test_people_are_where_their_bodies_are_though_the_network_sees_them_nearer(r
     assert np.median(metric.depth_m[people] / right.depth_m[people]) == pytest.approx(1.0, abs=0.02)
     known = metric.background_valid & (room.depth_m < 8)
     assert np.median(np.abs(metric.background_depth_m / room.depth_m - 1)[known]) < 0.01
+
+
+def test_with_a_moving_camera_only_people_are_moved_to_their_bodies(room: Room) -> None:
+    """No pixel of its frames equals the plate's, so equality tells nobody apart; the masks do."""
+    depth, config = _depth(room, _context(room, moody=False)), MetricConfig(segment_model="floor")
+    right = fit_metric(depth, room.plate, room.bodies, config, _context(room))
+    value = depth.value * np.float32(1.0001)
+    for sample, people in enumerate(room.plate.person_mask):
+        line = right.scale * value[sample][people] + right.offset_m
+        value[sample][people] = (line / 1.15 - right.offset_m) / right.scale
+    ctx = _context(room)
+    metric = fit_metric(replace(depth, value=value), room.plate, room.bodies, config, ctx)
+    assert _quality(ctx, "body over people's depth") < 0.95
+    people, known = room.plate.person_mask, metric.background_valid & (room.depth_m < 8)
+    others = np.broadcast_to(known, people.shape) & ~people
+    assert np.median((metric.depth_m / metric.background_depth_m)[others]) == pytest.approx(1.0, abs=0.005)
+    there = people & metric.valid & right.valid
+    assert np.median(metric.depth_m[there] / right.depth_m[there]) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_fault_in_the_fit_is_no_lack_of_evidence(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only evidence that contradicts every scale is answered by the next best fit; a fault ends the stage."""
+
+    def faulty(*args: Any, **options: Any) -> DepthFit:
+        raise ValueError("operands could not be broadcast together")
+
+    depth = _depth(room, _context(room))
+    monkeypatch.setattr("video2anim.geometry.depth_fit.fit_depth", faulty)
+    for config in (MetricConfig(evidence="body"), MetricConfig(segment_model="floor")):
+        with pytest.raises(ValueError, match="broadcast"):
+            fit_metric(depth, room.plate, room.bodies, config, _context(room))
 
 
 def test_floor_and_body_give_scale_and_offset(room: Room) -> None:

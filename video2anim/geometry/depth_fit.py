@@ -18,6 +18,10 @@ _FACTORS = (0.7, 1.0, 1.4)
 """Starts, as multiples of the scale at which median depths agree."""
 
 
+class NoScaleError(ValueError):
+    """The evidence contradicts every positive scale: an answer, not a fault."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameEvidence:
     """One frame: the body in metres and the person's relative depth."""
@@ -115,14 +119,15 @@ def fit_depth(
     may stand alone, without frames.
 
     Raises:
-        ValueError: there is neither a frame nor ground, or no positive scale makes the medians agree.
+        ValueError: there is neither a frame nor ground.
+        NoScaleError: no positive scale makes the medians agree.
     """
     if not frames and ground is None:
         raise ValueError("fit_depth: no frame with both body and depth, and no floor")
     line = _line_start(frames, kind, ground) if with_offset else None
     start = _median_scale(frames, kind, ground)
     if not (np.isfinite(start) and start > 0) and line is None:
-        raise ValueError(f"fit_depth: no positive scale makes median depths agree (got {start})")
+        raise NoScaleError(f"fit_depth: no positive scale makes median depths agree (got {start})")
     config = ChamferConfig(huber_m=huber_m, trim_ratio=trim_ratio)
     starts = [(factor * start, 0.0) for factor in _FACTORS if np.isfinite(start) and start > 0]
     starts += [line] if line is not None else []

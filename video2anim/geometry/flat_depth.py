@@ -43,7 +43,7 @@ def fit_at_usual_offset(
     It is no estimate but a prior, and so wide is the offset's deviation.
 
     Raises:
-        ValueError: no positive scale makes the medians agree.
+        NoScaleError: no positive scale makes the medians agree.
     """
     if provider not in USUAL_OFFSET:
         return None
