@@ -184,3 +184,9 @@ def test_a_number_that_was_not_measured_is_not_a_zero() -> None:
 
     assert format_number(None) == format_number(float("nan")) == "n/a"
     assert format_number(0.0) == "0"
+
+
+def test_memory_that_was_not_measured_is_not_told() -> None:
+    page = render_report(ReportInput("x.mp4", (StageRow("ingest", "ran", 1, 2.5, None),)))
+    assert "at most" not in page
+    assert re.search(r"ingest <small>v1</small></td><td>ran</td><td class=\"n\">2\.5</td><td class=\"n\">n/a", page)

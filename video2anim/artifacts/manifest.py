@@ -30,8 +30,8 @@ class Manifest:
     output_digest: str
     """Digest of the payload as it was written; another one now means an edit by hand."""
     wall_time_s: float
-    peak_memory_mb: float
-    """Largest resident set of the process during the stage."""
+    peak_memory_mb: float | None
+    """Largest resident set of the process during the stage; None where the system does not tell."""
     qualities: list[dict[str, Any]]
     warnings: list[str]
     versions: dict[str, str]

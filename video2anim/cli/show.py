@@ -70,9 +70,8 @@ def stage_table(rows: Sequence[StageStatus]) -> None:
             continue
         note = ", ".join(f"{q['name']} {_number(q['value'])} {q['unit']}".strip() for q in m.qualities[:3])
         note = f"{row.reason}; {note}" if row.reason else note
-        table.add_row(
-            row.name, row.state, f"{m.wall_time_s:.1f} s", f"{m.peak_memory_mb:.0f} MB", m.key[:8], escape(note)
-        )
+        peak = "n/a" if m.peak_memory_mb is None else f"{m.peak_memory_mb:.0f} MB"
+        table.add_row(row.name, row.state, f"{m.wall_time_s:.1f} s", peak, m.key[:8], escape(note))
     _out.print(table)
 
 

@@ -28,7 +28,7 @@ class StageRow:
     """`ran`, `cached` or `not run`."""
     version: int
     wall_time_s: float
-    peak_memory_mb: float
+    peak_memory_mb: float | None
     qualities: tuple[Quality, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -101,7 +101,7 @@ def render_report(report: ReportInput) -> str:
         moments=[(moment.caption, report_plots.data_uri(moment.png, "image/png")) for moment in report.moments],
         found=[(person, report_plots.data_uri(person.png, "image/png")) for person in report.found],
         total_s=sum(stage.wall_time_s for stage in report.stages),
-        peak_mb=max((stage.peak_memory_mb for stage in report.stages), default=0.0),
+        peak_mb=max((stage.peak_memory_mb for stage in report.stages if stage.peak_memory_mb), default=None),
         warnings=[(stage.name, text) for stage in report.stages for text in stage.warnings],
         vertex_stride=VERTEX_STRIDE,
     )

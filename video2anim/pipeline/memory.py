@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-import resource
-import sys
+import contextlib
 from pathlib import Path
 
+_PROC = Path("/proc/self")
 
-def reset_peak() -> None:
-    """Start a new measurement where the kernel allows it (Linux); elsewhere the peak is that of the process."""
+
+def reset_peak() -> bool:
+    """Start a new measurement; False where the kernel does not allow it (other systems than Linux, some containers)."""
     try:
-        Path("/proc/self/clear_refs").write_text("5")
+        (_PROC / "clear_refs").write_text("5")
     except OSError:
-        return
+        return False
+    return True
 
 
-def peak_mb() -> float:
-    """Largest resident set since `reset_peak` in MB (10^6 bytes)."""
-    try:
-        for line in Path("/proc/self/status").read_text().splitlines():
+def peak_mb() -> float | None:
+    """Largest resident set since `reset_peak` in MB (10^6 bytes), and start a new measurement.
+
+    None where none can be started: the peak there is that of the process's whole life.
+    """
+    peak = None
+    with contextlib.suppress(OSError):
+        for line in (_PROC / "status").read_text().splitlines():
             if line.startswith("VmHWM:"):
-                return float(line.split()[1]) * 1024 / 1e6
-    except OSError:
-        pass
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+                peak = float(line.split()[1]) * 1024 / 1e6
+    return peak if reset_peak() else None
