@@ -19,6 +19,7 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import BodyMotion, KeyframedMotion, RefinedMotion, SceneModel
 
 if TYPE_CHECKING:
+    from scenemi.foot_lock import FootLock
     from scenemi.longmotion import LongMotion
     from scenemi.prior import InbetweeningPrior, WindowMotion
     from scenemi.settle_root import Sight
@@ -146,7 +147,7 @@ def _refine_person(
     )
     settled_m = filled.translation_world_m + judge.shift_m
     unlocked = motion.with_pose(translation_world_m=settled_m, R_parent_joint=filled.R_parent_joint)
-    final = judge.with_held_feet(unlocked) if config.foot_lock else unlocked
+    final = judge.with_held_feet(ctx, unlocked, suffix) if config.foot_lock else unlocked
     judge.report(ctx, "raw", motion, suffix)
     judge.report(
         ctx,
@@ -239,7 +240,7 @@ class _Judge:
         R_parent_joint = filled.R_parent_joint
         translation_m = filled.translation_world_m + self._settling_shift(span, filled)
         if self.config.foot_lock:
-            R_parent_joint = self._held(R_parent_joint, translation_m, frames)
+            R_parent_joint, _ = self._held(R_parent_joint, translation_m, frames)
         joints_m = self._joints_m(R_parent_joint, translation_m)
         before_m = self.observed.joints_world_m[frames]
         deviation_m = np.linalg.norm(joints_m - before_m, axis=-1)[self.calm[frames]]
@@ -305,10 +306,12 @@ class _Judge:
         usual_m_s3 = max(jerk_m_s3(before_m, FPS), jerk_m_s3(self.observed.joints_world_m[frames], FPS))
         return jerk_m_s3(joints_m, FPS) <= (1 + self.config.jerk_slack) * usual_m_s3
 
-    def with_held_feet(self, motion: BodyMotion) -> BodyMotion:
-        """The motion with its feet held in the observed contact phases."""
+    def with_held_feet(self, ctx: StageContext, motion: BodyMotion, suffix: str) -> BodyMotion:
+        """The motion with its feet held in the observed contact phases, and how many of those contradict it."""
         translation_m = motion.T_world_root[:, :3, 3]
-        R_parent_joint = self._held(motion.R_parent_joint, translation_m, slice(0, motion.frame_count))
+        R_parent_joint, locked = self._held(motion.R_parent_joint, translation_m, slice(0, motion.frame_count))
+        ctx.quality(f"foot phases held{suffix}", locked.held_phases, "count")
+        ctx.quality(f"foot phases left free{suffix}", locked.refused_phases, "count", "lower")
         return motion.with_pose(translation_world_m=translation_m, R_parent_joint=R_parent_joint)
 
     def report(self, ctx: StageContext, when: str, motion: BodyMotion, suffix: str) -> None:
@@ -327,7 +330,8 @@ class _Judge:
 
     def _held(
         self, R_parent_joint: np.ndarray, translation_m: np.ndarray, frames: slice
-    ) -> Float[np.ndarray, "frames 22 3 3"]:
+    ) -> tuple[Float[np.ndarray, "frames 22 3 3"], FootLock]:
+        """Local rotations with feet held and swings cleared, and what the lock says of its phases."""
         from scenemi.foot_lock import lock_feet
         from scenemi.swing_clearance import clear_swings
 
@@ -335,7 +339,7 @@ class _Judge:
         # Where the settled motion has its feet, not the observed one: the root has moved.
         reference_m = None if self.config.settle else self.observed.joints_world_m[frames]
         locked = lock_feet(R_parent_joint, translation_m, rest_m, self.contact[frames], FPS, reference_m)
-        return clear_swings(locked.R_parent_joint, translation_m, rest_m, self.contact[frames], FPS)
+        return clear_swings(locked.R_parent_joint, translation_m, rest_m, self.contact[frames], FPS), locked
 
     def _joints_m(self, R_parent_joint: np.ndarray, translation_m: np.ndarray) -> Float[np.ndarray, "frames 22 3"]:
         from video2anim.body.skeleton import forward_kinematics

@@ -103,6 +103,15 @@ def test_foot_lock_holds_the_feet() -> None:
     assert speed_m_s[True] < 0.2 * speed_m_s[False]
 
 
+def test_contact_phases_that_the_lock_refuses_are_counted() -> None:
+    walk = planted_walk(90)
+    _, ctx = refine(walk)
+    assert quality(ctx, "foot phases left free") == 0
+    assert quality(ctx, "foot phases held") >= 4
+    _, ctx = refine(replace(walk, contact=np.ones_like(walk.contact)))
+    assert (quality(ctx, "foot phases held"), quality(ctx, "foot phases left free")) == (0, 2)
+
+
 def test_contacts_that_contradict_the_motion_do_not_shake_the_body(monkeypatch: pytest.MonkeyPatch) -> None:
     """Feet that are said to stand in turn, five frames each, whatever they do."""
     walk = planted_walk(FRAMES, speed_m_s=0.3)
