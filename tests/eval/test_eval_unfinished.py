@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from reading import value
-from tiny_truth import FRAMES, STAGES, Tiny, write_scene
+from reading import row, value
+from tiny_truth import FRAMES, STAGES, Tiny, write_manifest, write_scene
 
+from video2anim.artifacts.codec import read_value, write_value
 from video2anim.cli.compose import pipeline_nodes
 from video2anim.eval.evaluate import evaluate
 from video2anim.eval.results import STAGE_OF
-from video2anim.types import CameraEstimate, VideoClip
+from video2anim.types import CameraEstimate, InstanceMasks, VideoClip
 
 
 @pytest.mark.parametrize("kind", [kind for kind in STAGES if kind is not VideoClip])
@@ -43,6 +44,32 @@ def test_a_damaged_stage_is_named(tmp_path: Path, truth_dir: Path, tiny: Tiny) -
     found = evaluate(scene, truth_dir)
     assert any("stage camera is unreadable" in note for note in found.notes)
     assert value(found, "motion", "mpjpe") == pytest.approx(0, abs=1e-9)
+
+
+def test_old_bodies_are_not_judged_with_a_new_camera(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
+    """As after `video2anim stage camera`: what was made from the old camera, and what from that, is stale."""
+    scene = write_scene(tmp_path / "scene", tiny)
+    folder = scene / "stages" / STAGES[CameraEstimate]
+    camera = read_value(CameraEstimate, folder)
+    write_value(dataclasses.replace(camera, focal_sigma_ratio=0.3), folder)
+    write_manifest(scene, CameraEstimate)
+    found = evaluate(scene, truth_dir)
+    assert value(found, "camera", "focal_error") == pytest.approx(0, abs=1e-9)
+    for stage in ("humans", "metric", "refine"):
+        note = f"stage {stage} is stale, stage camera changed after it; run the pipeline again"
+        assert note in found.notes
+    assert row(found, "motion", "mpjpe").values == (None, None, None)
+    assert not any("background" in note or "track" in note for note in found.notes), "no camera went into these"
+
+
+def test_a_mask_edited_by_hand_makes_what_follows_stale(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
+    scene = write_scene(tmp_path / "scene", tiny)
+    for path in (scene / "stages" / STAGES[InstanceMasks]).glob("*.png"):
+        path.write_bytes(path.read_bytes() + b" ")
+    notes = evaluate(scene, truth_dir).notes
+    stale = {STAGE_OF[kind] for kind in STAGE_OF if any(f"stage {STAGE_OF[kind]} is stale" in note for note in notes)}
+    assert {"complete", "reconstruct", "place", "scene", "keyframes", "refine"} <= stale
+    assert not {"segment", "humans", "camera", "metric"} & stale
 
 
 def test_every_value_is_plain(scene_dir: Path, truth_dir: Path) -> None:

@@ -18,10 +18,13 @@ import numpy as np
 import trimesh
 
 from video2anim.artifacts.codec import write_value
+from video2anim.artifacts.folder import folder_digest
 from video2anim.artifacts.images import write_png
+from video2anim.artifacts.manifest import Manifest
 from video2anim.artifacts.motion_io import write_motion
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.skeleton import FEET, forward_kinematics
+from video2anim.cli.compose import pipeline_nodes
 from video2anim.geometry.projection import pixel_rays, project, transform_points
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
@@ -290,13 +293,24 @@ def write_scene(folder: Path, tiny: Tiny, *, edits: Edit | None = None, leave_ou
     """Scene folder of a pipeline without error; `edits` change the value of a stage before it is written."""
     (folder / "stages").mkdir(parents=True)
     write_record(folder, RunRecord("clip.mp4", "0" * 64, "embedded", 0, {}, {}))
-    for kind, value in perfect_values(folder, tiny).items():
-        if kind in leave_out:
-            continue
-        stage = folder / "stages" / STAGES[kind]
-        stage.mkdir(exist_ok=True)
-        write_value((edits or {}).get(kind, lambda same: same)(value), stage)
+    values = perfect_values(folder, tiny)
+    for kind in STAGES:
+        if kind not in leave_out:
+            stage = folder / "stages" / STAGES[kind]
+            stage.mkdir(exist_ok=True)
+            write_value((edits or {}).get(kind, lambda same: same)(values[kind]), stage)
+            write_manifest(folder, kind)
     return folder
+
+
+def write_manifest(folder: Path, kind: type) -> None:
+    """The manifest of a stage that has just run, on what is there of its inputs."""
+    node = next(node for node in pipeline_nodes() if node.output is kind)
+    inputs = {made: folder / "stages" / STAGES[made] for _, made in node.inputs if made in STAGES}
+    digests = {made.__name__: folder_digest(path) for made, path in inputs.items() if path.is_dir()}
+    stage = folder / "stages" / STAGES[kind]
+    digest = folder_digest(stage)
+    Manifest(node.name, 1, "0" * 64, {}, digests, {}, 0, digest, 1.0, 1.0, [], [], {}).write(stage)
 
 
 def perfect_values(folder: Path, tiny: Tiny) -> dict[type, Any]:

@@ -30,7 +30,7 @@ def eval_command(
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
-    """Compare a scene folder with the truth of its clip; stages that have not run give no numbers."""
+    """Compare a scene folder with the truth of its clip; stages that have not run or are stale give no numbers."""
     from video2anim.eval.evaluate import evaluate
     from video2anim.eval.report import render_html, to_json
 

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from video2anim.artifacts.codec import read_value
+from video2anim.artifacts.folder import folder_digest
+from video2anim.artifacts.manifest import read_manifest
 from video2anim.errors import ArtifactError, InputError
 from video2anim.pipeline.scene_folder import STAGES, read_record
 from video2anim.types import (
@@ -34,11 +36,17 @@ STAGE_OF: dict[type, str] = {
     KeyframedMotion: "keyframes", RefinedMotion: "refine",
 }  # fmt: skip
 """Stage that makes each value."""
+_KIND_OF = {kind.__name__: kind for kind in STAGE_OF}
+"""By the names that manifests use."""
 MOTION_STAGES: dict[str, type] = {"raw": BodyTracks, "keyframes": KeyframedMotion, "refined": RefinedMotion}
 
 
 class SceneResult:
-    """Values of a scene folder, read on first use. A stage that is missing or damaged gives None and a reason."""
+    """Values of a scene folder, read on first use. A stage that is missing, damaged or stale gives None and a reason.
+
+    A value is stale where a value that it was made from is now another one, or is stale itself: what `get` gives
+    belongs together.
+    """
 
     def __init__(self, scene_dir: Path | str) -> None:
         """Open a scene folder.
@@ -50,13 +58,16 @@ class SceneResult:
         self.record = read_record(self.scene_dir)
         self._values: dict[type, Any] = {}
         self._reasons: dict[type, str] = {}
+        self._stale: dict[type, str] = {}
+        """Which earlier stage changed."""
+        self._digests: dict[type, str] = {}
         if self.get(VideoClip) is None:
             raise InputError(
                 f"{self.scene_dir}: want a scene folder with at least its first stage, but {self.why(VideoClip)}"
             )
 
     def get(self, kind: type[Value]) -> Value | None:
-        """Value of a type, None where its stage is missing or damaged."""
+        """Value of a type, None where its stage is missing, damaged or stale."""
         if kind not in self._values:
             self._values[kind] = self._read(kind)
         return self._values[kind]
@@ -84,14 +95,37 @@ class SceneResult:
         return [self._reasons[kind] for kind in STAGE_OF if self.get(kind) is None]
 
     def _read(self, kind: type) -> Any:
-        stage = STAGE_OF[kind]
-        folders = sorted((self.scene_dir / STAGES).glob(f"[0-9][0-9]_{stage}"))
-        if not folders:
+        stage, folder = STAGE_OF[kind], self._folder(kind)
+        if folder is None:
             self._reasons[kind] = f"stage {stage} has not run"
             return None
         try:
-            value = read_value(kind, folders[0])
+            inputs = read_manifest(folder).inputs
+            value = read_value(kind, folder)
         except ArtifactError as error:
             self._reasons[kind] = f"stage {stage} is unreadable: {str(error).split(';')[0]}"
             return None
+        changed = next(filter(None, (self._changed(name, digest) for name, digest in inputs.items())), None)
+        if changed is not None:
+            self._reasons[kind] = f"stage {stage} is stale, stage {changed} changed after it; run the pipeline again"
+            self._stale[kind] = changed
+            return None
         return value
+
+    def _folder(self, kind: type) -> Path | None:
+        return next(iter(sorted((self.scene_dir / STAGES).glob(f"[0-9][0-9]_{STAGE_OF[kind]}"))), None)
+
+    def _changed(self, name: str, digest: str) -> str | None:
+        """The stage that makes what came from an input (of this type and digest) stale; None where none does.
+
+        What is missing or cannot be read gives no value, so it cannot contradict one either.
+        """
+        kind = _KIND_OF.get(name)
+        folder = None if kind is None else self._folder(kind)
+        if kind is None or folder is None:
+            return None
+        if self.get(kind) is None:
+            return self._stale.get(kind)
+        if kind not in self._digests:
+            self._digests[kind] = folder_digest(folder)
+        return STAGE_OF[kind] if self._digests[kind] != digest else None
