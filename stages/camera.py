@@ -37,8 +37,8 @@ class CameraConfig:
 
     focal_px: float | None = None
     """Known focal length in pixels of the upright video; nothing is estimated then."""
-    height_m: float | None = None
-    """Known standing height of the person."""
+    height_m: float | dict[int, float] | None = None
+    """Known standing height in meters: of the main person, or by person's ID. The lens is fitted to the main person."""
     frames: int = 24
     """Frames the lens is fitted to, spread over the clip."""
     iterations: int = 200
@@ -64,9 +64,11 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
         UsageError: a focal length or height that no camera or person has.
     """
     from video2anim.fitting.problem import evenly_spread
+    from video2anim.fitting.stature import expect_heights
     from video2anim.geometry.perspective_field import pitch_roll_of
 
     _expect_sane(config, clip)
+    expect_heights(config.height_m, tracks.selected_ids)
     main = tracks.selected()[0].whole(clip.frame_count)
     frames = evenly_spread(np.flatnonzero(main.valid), config.frames)
     lifted = _lifted(clip, main, config, ctx)
@@ -185,11 +187,13 @@ def _focal(
     from video2anim.fitting.objective import FitConfig
     from video2anim.fitting.observe import observations
     from video2anim.fitting.optimize import fit_body
+    from video2anim.fitting.stature import KNOWN_SIGMA_M, height_of
 
     ratio, log_sigma = _focal_prior(clip, picture)
     fit_config = replace(FitConfig(), focal_ratio=ratio, focal_log_sigma=log_sigma)
-    if config.height_m is not None:
-        fit_config = replace(fit_config, stature_m=config.height_m, stature_sigma_m=0.01)
+    height_m = height_of(config.height_m, track.person_id, main_id=track.person_id)
+    if height_m is not None:
+        fit_config = replace(fit_config, stature_m=height_m, stature_sigma_m=KNOWN_SIGMA_M)
 
     def fit(focal_px: float, free: bool, warm: FittedBody | None = None) -> FittedBody:
         intrinsics = Intrinsics.centered(focal_px, clip.width_px, clip.height_px)
@@ -253,8 +257,6 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
             f"--focal-px: want {0.2 * long_side:.0f} to {20 * long_side:.0f} for this video of "
             f"{clip.width_px}x{clip.height_px}, got {config.focal_px:g}"
         )
-    if config.height_m is not None and not 0.5 <= config.height_m <= 2.5:
-        raise UsageError(f"--height-m: want 0.5 to 2.5 metres, got {config.height_m:g}")
 
 
 STAGE = StageSpec("camera", estimate_camera, version=12, models=("lifter", "camera"))

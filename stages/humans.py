@@ -42,8 +42,9 @@ class HumansConfig:
     model: str = "lifter"
     """Model that lifts landmarks to bodies; `lifter@FILE` for weights of your own. `hmr2@FILE` and `gem-smpl@FILE` give
     the rotations instead; distance and contacts stay the lifter's."""
-    height_m: float | None = None
-    """Known standing height of the person; else the adult mean under the evidence of the picture."""
+    height_m: float | dict[int, float] | None = None
+    """Known standing height in meters: of the main person, or by person's ID. Others are taken for adults of the mean
+    height, under the evidence of the picture and of the floor that they share."""
     iterations: int | None = None
     """Steps of the fit (default: 400 from the landmarks, 160 from the lifter's answer)."""
     cutoff_hz: float = 6.0
@@ -57,16 +58,22 @@ def recover_humans(
     """Fit the selected persons and put them into a world with +Y up and the floor under the main person's feet."""
     from video2anim.fitting.observe import observations
     from video2anim.fitting.quality import person_quality
+    from video2anim.fitting.stature import expect_heights, height_of
 
     _expect_known(config)
+    expect_heights(config.height_m, tracks.selected_ids)
     selected = tuple(track.whole(clip.frame_count) for track in tracks.selected())
     observed = [observations(track, clip.frame_time_s, camera.intrinsics) for track in selected]
     lifted = _lifted(observed, config, ctx)
     if _is_regressor(config):
         lifted = _regressed(clip, selected, camera, lifted, config, ctx)
-    fits = [_fit(seen, raised, config, ctx) for seen, raised in zip(observed, lifted, strict=True)]
+    heights_m = [height_of(config.height_m, track.person_id, tracks.selected_ids[0]) for track in selected]
+    fits = [
+        _fit(seen, raised, height_m, config, ctx)
+        for seen, raised, height_m in zip(observed, lifted, heights_m, strict=True)
+    ]
     if len(fits) > 1 and config.method != "lifter":
-        fits = _on_one_floor(selected, observed, fits, camera, config, ctx)
+        fits = _on_one_floor(selected, observed, fits, camera, heights_m, ctx)
     T_world_camera, spread_m = _world(fits[0], selected[0].valid, _R_world_camera(camera), clip.fps)
     people = tuple(
         _motion(clip, track, fit, camera, T_world_camera, raised)
@@ -132,16 +139,23 @@ def _regressed(
     return turned
 
 
-def _fit(observed: Observations, lifted: LiftedBody | None, config: HumansConfig, ctx: StageContext) -> FittedBody:
+def _fit(
+    observed: Observations,
+    lifted: LiftedBody | None,
+    height_m: float | None,
+    config: HumansConfig,
+    ctx: StageContext,
+) -> FittedBody:
     from video2anim.fitting.long_clip import fit_long
     from video2anim.fitting.objective import FitConfig
     from video2anim.fitting.optimize import place_lifted
+    from video2anim.fitting.stature import KNOWN_SIGMA_M
 
     fit_config = FitConfig()
-    if config.height_m is not None:
-        fit_config = replace(fit_config, stature_m=config.height_m, stature_sigma_m=0.01)
+    if height_m is not None:
+        fit_config = replace(fit_config, stature_m=height_m, stature_sigma_m=KNOWN_SIGMA_M)
     if lifted is not None and config.method == "lifter":
-        if config.height_m is not None:
+        if height_m is not None:
             ctx.warn("humans.method=lifter knows no height: --height-m is not used, the body is an adult of 1.70 m")
         return place_lifted(observed, lifted, fit_config)
     fit = fit_long(observed, lifted, fit_config, iterations=config.iterations, on_step=ctx.progress)
@@ -168,13 +182,14 @@ def _on_one_floor(
     observed: list[Observations],
     fits: list[FittedBody],
     camera: CameraEstimate,
-    config: HumansConfig,
+    heights_m: list[float | None],
     ctx: StageContext,
 ) -> list[FittedBody]:
-    """Everybody at the size that puts their feet on the floor they share."""
+    """Everybody at the size that puts their feet on the floor they share; known heights hardly give."""
     from video2anim.fitting.common_floor import grown, shared_scales
     from video2anim.fitting.ground import floor_height
     from video2anim.fitting.objective import FitConfig
+    from video2anim.fitting.stature import KNOWN_SIGMA_M
 
     R_world_camera = _R_world_camera(camera)
     fps = 1.0 / float(np.median(np.diff(observed[0].frame_time_s)))
@@ -184,10 +199,10 @@ def _on_one_floor(
         below_m[i] = -floor_height(_sole_heights(fit, R_world_camera)[track.valid], fps)[0]
         root_m = np.einsum("tab,tb->ta", R_world_camera, fit.joints_camera_m[:, 0])[track.valid]
         distance_m[i] = float(np.median(np.hypot(root_m[:, 0], root_m[:, 2])))
+    sigma_m = np.array([usual.stature_sigma_m if height_m is None else KNOWN_SIGMA_M for height_m in heights_m])
     scales, shares = shared_scales(
-        below_m, distance_m, up_sigma_rad=camera.up_sigma_rad,
-        stature_sigma_ratio=(usual.stature_sigma_m if config.height_m is None else 0.01) / usual.stature_m,
-    )  # fmt: skip
+        below_m, distance_m, up_sigma_rad=camera.up_sigma_rad, stature_sigma_ratio=sigma_m / usual.stature_m
+    )
     for track, own_m, shared in zip(tracks, below_m, shares, strict=True):
         if not shared:
             ctx.warn(
@@ -300,4 +315,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton height", quality.stature_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=10, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=11, models=("lifter",))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from synthetic import planted_walk, true_keypoints
 
-from stages.humans import HumansConfig, _on_one_floor, _sole_heights
+from stages.humans import _on_one_floor, _sole_heights
 from video2anim.body.anny_body import shaped_body
 from video2anim.fitting.common_floor import grown, shared_scales
 from video2anim.fitting.ground import level_frame
@@ -25,11 +25,13 @@ SURE_RAD = 0.003
 
 
 def scales_of(
-    below_m: list[float], distance_m: float = 4.0, up_sigma_rad: float = SURE_RAD, sigma: float = 0.055
+    below_m: list[float], distance_m: float = 4.0, up_sigma_rad: float = SURE_RAD, sigma: float | list[float] = 0.055
 ) -> tuple[np.ndarray, np.ndarray]:
+    count = len(below_m)
     return shared_scales(
-        np.array(below_m), np.full(len(below_m), distance_m), up_sigma_rad=up_sigma_rad, stature_sigma_ratio=sigma
-    )
+        np.array(below_m), np.full(count, distance_m), up_sigma_rad=up_sigma_rad,
+        stature_sigma_ratio=np.broadcast_to(sigma, count),
+    )  # fmt: skip
 
 
 def test_one_floor_stays() -> None:
@@ -79,6 +81,13 @@ def test_a_camera_on_the_floor_tells_nothing() -> None:
 def test_known_heights_are_kept() -> None:
     scales, _ = scales_of([1.62, 1.58], sigma=0.006)
     np.testing.assert_allclose(scales, 1.0, atol=0.003)
+
+
+def test_a_known_height_brings_the_others_to_its_floor() -> None:
+    scales, shares = scales_of([1.7, 1.5], sigma=[0.006, 0.055])
+    assert shares.all()
+    assert scales[0] == pytest.approx(1.0, abs=0.005)
+    assert scales[1] * 1.5 == pytest.approx(1.7, abs=0.06), "soles are 3 cm uncertain"
 
 
 def walker(frames: int = 45) -> tuple[Observations, FittedBody, np.ndarray]:
@@ -145,13 +154,16 @@ def test_the_stage_puts_two_walkers_on_one_floor() -> None:
     still = np.tile(np.eye(3), (frames, 1, 1))
     camera = CameraEstimate(LENS, "user", 0.01, up_camera, "picture", SURE_RAD, True, still)
     ctx = StageContext(Path())
-    found = _on_one_floor(tracks, [observed] * 2, [fit, small], camera, HumansConfig(), ctx)
+    found = _on_one_floor(tracks, [observed] * 2, [fit, small], camera, [None, None], ctx)
     before_m, after_m = ([soles_m(one, up_camera) for one in pair] for pair in ([fit, small], found))
     assert abs(np.ptp(before_m)) == pytest.approx(0.1 * EYE_M, rel=0.1)
     assert abs(np.ptp(after_m)) < 0.35 * abs(np.ptp(before_m))
     assert not ctx.warnings
+    known = _on_one_floor(tracks, [observed] * 2, [fit, small], camera, [1.7, None], ctx)
+    assert abs(soles_m(known[0], up_camera) - soles_m(fit, up_camera)) < 0.01
+    assert abs(soles_m(known[1], up_camera) - soles_m(fit, up_camera)) < 0.05
     tiny = grown(observed, grown(observed, fit, 0.85), 0.85)
-    found = _on_one_floor(tracks, [observed] * 2, [fit, tiny], camera, HumansConfig(), ctx)
+    found = _on_one_floor(tracks, [observed] * 2, [fit, tiny], camera, [None, None], ctx)
     assert found[0] is fit
     assert found[1] is tiny
     assert "person 2" in ctx.warnings[0]

@@ -29,18 +29,18 @@ def shared_scales(
     distance_m: Float[np.ndarray, "persons"],
     *,
     up_sigma_rad: float,
-    stature_sigma_ratio: float,
+    stature_sigma_ratio: Float[np.ndarray, "persons"],
 ) -> tuple[Float[np.ndarray, "persons"], Bool[np.ndarray, "persons"]]:
     """Factors that bring people onto one floor, and who stands on the first person's.
 
-    Maximum of the posterior of log scales with equal normal priors, given floors that are `below_m` under the camera
+    Maximum of the posterior of log scales with normal priors, given floors that are `below_m` under the camera
     to within what a tilted up vector and soles put them off.
 
     Args:
         below_m: how far under the camera each person's floor is.
         distance_m: of each person from the camera, along the floor.
         up_sigma_rad: uncertainty of the up vector.
-        stature_sigma_ratio: how well each scale is known by itself.
+        stature_sigma_ratio: deviation to which each scale is known by itself.
 
     Returns:
         Factors, 1 for people on other floors and where the camera lies too low to tell; and who shares the floor.
@@ -55,7 +55,7 @@ def shared_scales(
     shares = (np.abs(off) <= _GATE * np.sqrt(variance + variance[0])) & (below_m > SOLE_SIGMA_M)
     floor = (off / variance)[shares].sum() / (1 / variance)[shares].sum()
     # What of the gap to the common floor is the person's size, and what a tilt or a sole.
-    scales[shares] = np.exp(stature_sigma_ratio**2 / variance[shares] * (floor - off[shares]))
+    scales[shares] = np.exp(stature_sigma_ratio[shares] ** 2 / variance[shares] * (floor - off[shares]))
     return scales, shares
 
 

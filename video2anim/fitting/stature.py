@@ -1,0 +1,61 @@
+"""What the user knows of people's standing heights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from video2anim.errors import UsageError
+
+KNOWN_SIGMA_M = 0.01
+"""Standard deviation of a height that the user gives."""
+_LEAST_M, _MOST_M = 0.5, 2.5
+
+
+def height_of(known_m: float | Mapping[int, float] | None, person_id: int, main_id: int) -> float | None:
+    """Known height of a person in metres, None where it is not known: one number is that of the main person."""
+    if isinstance(known_m, Mapping):
+        return known_m.get(person_id)
+    return known_m if person_id == main_id else None
+
+
+def expect_heights(known_m: float | Mapping[int, float] | None, person_ids: Sequence[int]) -> None:
+    """Refuse heights that nobody has, and those of people who are not worked on.
+
+    Raises:
+        UsageError: a height outside 0.5 to 2.5 m, or an ID that is not one of `person_ids`.
+    """
+    if known_m is None:
+        return
+    heights_m = known_m if isinstance(known_m, Mapping) else dict.fromkeys(person_ids[:1], known_m)
+    for person_id, height_m in heights_m.items():
+        if not _LEAST_M <= height_m <= _MOST_M:
+            raise UsageError(f"--height-m: want {_LEAST_M:g} to {_MOST_M:g} metres, got {height_m:g}")
+        if person_id not in person_ids:
+            worked_on = ", ".join(map(str, person_ids))
+            raise UsageError(
+                f"--height-m {person_id}={height_m:g}: want the ID of a person that is worked on ({worked_on}); "
+                "--person chooses them"
+            )
+
+
+def parse_heights(words: Sequence[str]) -> float | dict[int, float] | None:
+    """`["1.70"]`, the main person's height in metres, or `["1=1.70", "2=1.12"]`, by ID; None for no words.
+
+    Raises:
+        UsageError: of neither form, or a person twice.
+    """
+    heights_m: dict[int, float] = {}
+    for word in words:
+        number, by_id, height = word.rpartition("=")
+        try:
+            if not by_id and len(words) == 1:
+                return float(height)
+            person_id, height_m = int(number), float(height)
+        except ValueError:
+            person_id, height_m = 0, 0.0
+        if person_id < 1 or person_id in heights_m:
+            raise UsageError(
+                f"--height-m: want one height in metres, such as 1.70, or heights by person, as in 2=1.12, got {word!r}"
+            )
+        heights_m[person_id] = height_m
+    return heights_m or None
