@@ -1,6 +1,6 @@
 """What the room network knows: held-out renders, photographs with known depth or camera, and its time.
 
-    video2anim synth --frames-only --preset random --count 256 --size 256x192 --seed 900 --motion cmu.npz \
+    video2anim synth --frames-only --count 256 --size 256x192 --seed 900 --motion cmu.npz \
         --motion deepmimic.npz --out shards/900
     python benchmarks/room_net.py --held-out shards/900 --media ../shared/media [--model FILE.onnx]
 

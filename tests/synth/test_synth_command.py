@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import subprocess
+from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from command import video2anim
+from command import command_line, video2anim
 
 from scenemi.data.container import MotionArchive, write_archive
 from video2anim.artifacts.folder import folder_digest
-from video2anim.synth.generate import SynthConfig, clip_key
+from video2anim.synth.generate import SynthConfig, clip_key, kept_clip
 from video2anim.synth.presets import clip_specs
 
 MOTION = Path(__file__).resolve().parents[3] / "shared" / "motion"
@@ -33,6 +38,21 @@ SMALL = ("--size", "96x72", "--longest", "0.3")
         (("--room-size", "x"), 2, "--room-size"),
         (("--longest", "0"), 2, "--longest: want more than 0"),
         (("--frames-only", "--motion-only"), 2, "exclude each other"),
+        (("--longest", "nan"), 2, "--longest: want more than 0"),
+        (("--longest", "inf"), 2, "--longest: want more than 0"),
+        (("--size", "96.5x72"), 2, "--size: want whole numbers"),
+        (("--seed", "9" * 30), 2, "--seed: want 0 to"),
+        (("--frames-only", "--seed", "9" * 30), 2, "--seed: want 0 to"),
+        (("--motion-only", "--seed", "9" * 30), 2, "--seed: want 0 to"),
+        (("--frames-only", "--count", "-40"), 2, "--count: want 1 to 1000000, got -40"),
+        (("--frames-only", "--count", "9" * 12), 2, "--count: want 1 to 1000000, got 999"),
+        (("--motion-only", "--count", "9" * 12), 2, "--count: want 1 to 100000, got 999"),
+        (("--motion-only", "--preset", "nosuch", "--motion", "absent.npz"), 2, "--preset, --motion: cannot apply with"),
+        (("--motion-only", "--meshes", "absent", "--size", "96x72"), 2, "--size, --meshes: cannot apply with"),
+        (("--motion-only", "--workers", "1"), 2, "--workers: cannot apply with --motion-only"),
+        (("--frames-only", "--preset", "nosuch"), 2, "--preset: cannot apply with --frames-only"),
+        (("--frames-only", "--longest", "2"), 2, "--longest: cannot apply with --frames-only"),
+        (("--noncommercial",), 2, "--noncommercial: says which clips of --motion"),
         (("--motion", "absent.npz"), 3, "absent.npz"),
         (("--meshes", "absent"), 3, "absent"),
         (("--preset", "bench", "--count", "1", "--room-size", "1x1.5"), 3, "needs a room of"),
@@ -41,11 +61,82 @@ SMALL = ("--size", "96x72", "--longest", "0.3")
 def test_a_wrong_wish_is_one_line_and_leaves_nothing(
     tmp_path: Path, words: tuple[str, ...], code: int, said: str
 ) -> None:
-    answer = video2anim("synth", "--out", tmp_path / "out", *words, *(() if "--size" in words else SMALL[:2]))
+    answer = video2anim(
+        "synth", "--out", tmp_path / "out", *words, *(() if {"--size", "--motion-only"} & {*words} else SMALL[:2])
+    )
     assert answer.code == code
     assert len(answer.errors) == 1
     assert said in answer.err
     assert not list(tmp_path.rglob("*.*"))
+
+
+@pytest.mark.parametrize("words", [("--count", "1", *SMALL), ("--frames-only", "--count", "1", "--size", "64x64")])
+def test_an_output_that_cannot_be_written_is_one_line(tmp_path: Path, words: tuple[str, ...]) -> None:
+    """A file where a folder has to be: the table of the set, or the folder itself."""
+    (tmp_path / "file").touch()
+    answer = video2anim("synth", *words, "--out", tmp_path / "file")
+    assert answer.code == 3
+    assert len(answer.errors) == 1
+    assert "--out: cannot write" in answer.err
+    assert "(file exists)" in answer.err
+
+
+def test_a_motion_archive_that_cannot_be_written_is_found_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("video2anim.synth.motions.act", lambda *parts: pytest.fail("acted for nothing"))
+    answer = video2anim("synth", "--motion-only", "--count", "1", "--out", tmp_path)
+    assert answer.code == 3
+    assert "is a directory" in answer.err
+
+
+@pytest.mark.parametrize("name", ["write_clip", "_write_set"])
+def test_a_full_disk_is_one_line_and_leaves_no_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Full while a clip is written, and when only the table of the set is left to write."""
+
+    def full(*parts: object, **options: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    if name == "write_clip":
+        monkeypatch.setattr("video2anim.synth.store.write_clip", full)
+    else:
+        monkeypatch.setattr("video2anim.synth.generate._write_set", full)
+    out = tmp_path / "out"
+    answer = video2anim("synth", "--count", "1", "--out", out, *SMALL)
+    assert answer.code == 3
+    assert answer.errors[-1] == (
+        f"video2anim: --out: cannot write {out} (no space left on device); free space or choose another place, what is "
+        "finished is kept"
+    )
+    kept = ["00_walk"] if name != "write_clip" else []
+    assert [path.name for path in out.iterdir()] == kept
+
+
+def test_a_killed_worker_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*parts: object) -> Iterator[None]:
+        raise BrokenProcessPool
+        yield
+
+    monkeypatch.setattr("video2anim.synth.generate.in_processes", broken)
+    answer = video2anim("synth", "--count", "2", "--workers", "2", "--out", tmp_path / "out", *SMALL)
+    assert answer.code == 5
+    assert len(answer.errors) == 1
+    assert "--workers: a process" in answer.err
+
+
+@pytest.mark.parametrize("damage", ["", "[]", '{"key": 3}', "[" * 100_000])
+def test_a_damaged_clip_is_made_again(tmp_path: Path, damage: str) -> None:
+    """Whatever its `meta.json` has become; with one that is right, a missing video is enough."""
+    spec, config = clip_specs("bench", 1, 0)[0], SynthConfig()
+    key = clip_key(spec, config, {})
+    folder = tmp_path / spec.name
+    folder.mkdir()
+    for name in ("truth.npz", "video.mp4"):
+        (folder / name).write_bytes(b"as made")
+    (folder / "meta.json").write_text(json.dumps({"key": key}))
+    assert kept_clip(folder, key) is not None
+    (folder / "video.mp4").unlink() if not damage else (folder / "meta.json").write_text(damage)
+    assert kept_clip(folder, key) is None
 
 
 def test_unreadable_meshes(tmp_path: Path) -> None:
@@ -125,6 +216,22 @@ def test_pictures_in_shards(tmp_path: Path) -> None:
     assert seen.mean() > 0.5
     assert (arrays["label"][~seen] == 0).all()
     assert not arrays["instance"][~seen].any()
+
+
+def test_a_shard_on_a_full_disk_is_an_error_not_a_crash(tmp_path: Path) -> None:
+    """Files are limited to 200 kB, as a disk with so much left would; a write through a memory map would be SIGBUS."""
+    limited = (
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000)); from video2anim.cli.main import run; run()"
+    )
+    command, environment = command_line(
+        "synth", "--frames-only", "--count", "1", "--size", "640x480", "--out", tmp_path / "out"
+    )
+    words = [command[0], "-c", limited, *command[3:]]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=400, check=False)
+    assert done.returncode == 3, done.stderr
+    assert "--out: cannot write" in done.stderr
+    assert not list((tmp_path / "out").iterdir())
 
 
 def test_meshes_of_ones_own(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -9,8 +10,15 @@ import typer
 
 from video2anim.errors import UsageError
 
+_DO_NOT_APPLY = {
+    "--motion-only": ("preset", "workers", "size", "motion", "noncommercial", "meshes", "room_size", "longest"),
+    "--frames-only": ("preset", "longest"),
+}
+"""Options that mean nothing for what is made."""
+
 
 def synth_command(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder to make or complete (a file with --motion-only).")],
     preset: Annotated[str, typer.Option(help="bench (V2A-Bench, 24 clips) or random.")] = "bench",
     count: Annotated[int | None, typer.Option(help="How many clips or pictures (default: all of the preset).")] = None,
@@ -31,17 +39,24 @@ def synth_command(
     from video2anim.cli import show
     from video2anim.synth.generate import SynthConfig, generate
 
+    if frames_only and motion_only:
+        raise UsageError("--frames-only and --motion-only exclude each other; give one")
+    for mode, wanted in (("--motion-only", motion_only), ("--frames-only", frames_only)):
+        if wanted:
+            _expect_applicable(context, mode)
+    if noncommercial and not motion:
+        raise UsageError(
+            "--noncommercial: says which clips of --motion may be used; give --motion too, or leave it out"
+        )
     if workers < 1:
         raise UsageError(f"--workers: want 1 or more, got {workers}")
-    width_px, height_px = (int(x) for x in _pair(size, "--size", "640x480", 64, 4096))
+    width_px, height_px = (int(x) for x in _pair(size, "--size", "640x480", 64, 4096, whole=True))
     room_m = _pair(room_size, "--room-size", "5x4", 0.5, 100.0) if room_size is not None else None
-    if longest is not None and longest <= 0:
+    if longest is not None and not 0 < longest < math.inf:
         raise UsageError(f"--longest: want more than 0 seconds, got {longest:g}")
     config = SynthConfig(
         preset, count, seed, width_px, height_px, tuple(motion or ()), noncommercial, meshes, room_m, longest_s=longest
     )
-    if frames_only and motion_only:
-        raise UsageError("--frames-only and --motion-only exclude each other; give one")
     if motion_only:
         from video2anim.synth.motions import write_acted
 
@@ -58,11 +73,23 @@ def synth_command(
     typer.echo(str(out))
 
 
-def _pair(text: str, option: str, example: str, low: float, high: float) -> tuple[float, float]:
+def _expect_applicable(context: typer.Context, mode: str) -> None:
+    given = [
+        f"--{name.replace('_', '-')}"
+        for name in _DO_NOT_APPLY[mode]
+        if (source := context.get_parameter_source(name)) is not None and source.name == "COMMANDLINE"
+    ]
+    if given:
+        raise UsageError(f"{', '.join(given)}: cannot apply with {mode}; leave out what does not apply")
+
+
+def _pair(text: str, option: str, example: str, low: float, high: float, *, whole: bool = False) -> tuple[float, float]:
     try:
         a, b = (float(x) for x in text.lower().split("x"))
     except ValueError:
         raise UsageError(f"{option}: want two numbers such as {example}, got {text!r}") from None
     if not (low <= a <= high and low <= b <= high):
         raise UsageError(f"{option}: want numbers from {low:g} to {high:g}, got {text!r}")
+    if whole and (a % 1 or b % 1):
+        raise UsageError(f"{option}: want whole numbers such as {example}, got {text!r}")
     return a, b

@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from video2anim import __version__
 from video2anim.artifacts.folder import whole_or_absent
-from video2anim.errors import InputError
-from video2anim.synth.generate import SynthConfig, checked_sources, clip_key, compose_options, start_worker
-from video2anim.synth.presets import ClipSpec, clip_specs
+from video2anim.synth.generate import (
+    SynthConfig,
+    checked_sources,
+    clip_key,
+    compose_options,
+    in_processes,
+    writing,
+)
+from video2anim.synth.presets import ClipSpec, clip_specs, expect_count_and_seed
 from video2anim.synth.world import LABELS
 
 PER_ROOM = 32
 """Pictures made of one room, each from another camera and at another moment."""
 SHARD_SIZE = 64
+MOST = 1_000_000
+"""Pictures of one call."""
 ARRAYS = {
     "rgb": (np.uint8, (3,)),
     "depth_mm": (np.uint16, ()),
@@ -49,10 +57,12 @@ def generate_frames(
     `up_camera.npy` (n, 3), `camera_height_m.npy` (n,), and `meta.json`.
 
     Raises:
-        UsageError: preset or count is wrong.
-        InputError: sources or output folder cannot be used.
+        UsageError: count or seed is out of range.
+        InputError: sources or output folder cannot be used; shards that are finished stay.
+        StageError: a worker process was killed.
     """
     count = SHARD_SIZE if config.count is None else config.count
+    expect_count_and_seed(count, config.seed, MOST)
     rooms = -(-count // PER_ROOM)
     specs = clip_specs("random", rooms, config.seed)
     sources = checked_sources(config)
@@ -61,39 +71,21 @@ def generate_frames(
         size = min(SHARD_SIZE, count - first)
         start = first // PER_ROOM
         jobs.append((f"shard_{shard:05d}", specs[start : start + -(-size // PER_ROOM)], size))
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out: cannot make folder {out}: {error.strerror}; choose another") from error
     results = []
-    for result in _made(jobs, config, sources, out, workers):
-        results.append(result)
-        on_done(result, len(jobs))
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        for result in in_processes(_shard, jobs, config, sources, out, workers):
+            results.append(result)
+            on_done(result, len(jobs))
     return tuple(sorted(results, key=lambda shard: shard.name))
 
 
-def _made(
-    jobs: list[tuple[str, tuple[ClipSpec, ...], int]],
-    config: SynthConfig,
-    sources: dict[str, str],
-    out: Path,
-    workers: int,
-) -> Iterator[ShardDone]:
-    if workers <= 1 or len(jobs) <= 1:
-        for name, specs, size in jobs:
-            yield _shard(name, specs, size, config, sources, out)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=start_worker) as pool:
-        for future in [pool.submit(_shard, name, specs, size, config, sources, out) for name, specs, size in jobs]:
-            yield future.result()
-
-
 def _shard(
-    name: str, specs: tuple[ClipSpec, ...], size: int, config: SynthConfig, sources: dict[str, str], out: Path
+    job: tuple[str, tuple[ClipSpec, ...], int], config: SynthConfig, sources: dict[str, str], out: Path
 ) -> ShardDone:
     from video2anim.synth.pictures import room_pictures
 
+    name, specs, size = job
     folder = out / name
     meta = {
         "format_version": 2, "preset": "random", "seed": config.seed, "first_room": specs[0].index, "pictures": size,
@@ -103,12 +95,13 @@ def _shard(
     try:
         if json.loads((folder / "meta.json").read_text()) == meta:
             return ShardDone(name, size, True)
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         pass
-    with whole_or_absent(folder) as work:
+    with whole_or_absent(folder) as work, ExitStack() as files:
         shape = (size, config.height_px, config.width_px)
+        # Written picture by picture: a memory map on a full disk would end the process by a signal.
         maps = {
-            key: np.lib.format.open_memmap(work / f"{key}.npy", "w+", np.dtype(kind), (*shape, *channels))
+            key: files.enter_context(_begun(work / f"{key}.npy", np.dtype(kind), (*shape, *channels)))
             for key, (kind, channels) in ARRAYS.items()
         }
         facts: dict[str, list[np.ndarray]] = {
@@ -117,14 +110,21 @@ def _shard(
         options, row = compose_options(config), 0
         for spec in specs:
             for values in room_pictures(spec, options, min(PER_ROOM, size - row)):
-                for key in ARRAYS:
-                    maps[key][row] = values[key]
+                for key, (kind, channels) in ARRAYS.items():
+                    picture = np.broadcast_to(values[key], (*shape[1:], *channels))
+                    maps[key].write(picture.astype(kind, copy=False).tobytes())
                 for key, rows in facts.items():
                     rows.append(values[key])
                 row += 1
-        for array in maps.values():
-            array.flush()
         for key, rows in facts.items():
             np.save(work / f"{key}.npy", np.stack(rows).astype(np.float32), allow_pickle=False)
         (work / "meta.json").write_text(json.dumps(meta, indent=1) + "\n")
     return ShardDone(name, size, False)
+
+
+def _begun(path: Path, dtype: np.dtype, shape: tuple[int, ...]) -> BinaryIO:
+    """A .npy file with its header, to which the values are to be written."""
+    stream = path.open("wb")
+    header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(stream, header)
+    return stream

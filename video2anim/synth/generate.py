@@ -11,18 +11,22 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from video2anim import __version__
 from video2anim.artifacts.folder import file_digest, remove_unfinished
-from video2anim.errors import InputError
+from video2anim.errors import InputError, StageError
 from video2anim.synth.presets import V2A_BENCH, ClipSpec, clip_specs
 
 if TYPE_CHECKING:
     from video2anim.synth.compose import ComposeOptions
 
+Job = TypeVar("Job")
+Made = TypeVar("Made")
 SET_NAME = "set.json"
 GENERATOR_VERSION = 1
 """Raised when the same specification gives another clip."""
@@ -76,41 +80,68 @@ def generate(
         UsageError: the preset or a count is wrong.
         InputError: motion archives or meshes cannot be used, the output folder cannot be written, or a clip has no
             suitable scene; clips that are finished stay.
+        StageError: a worker process was killed.
     """
     specs = clip_specs(config.preset, config.count, config.seed)
     sources = checked_sources(config)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out: cannot make folder {out}: {error.strerror}; choose another") from error
-    remove_unfinished(out)
     done: dict[str, ClipDone] = {}
     missing: list[ClipSpec] = []
-    for spec in specs:
-        key = clip_key(spec, config, sources)
-        if _key_of(out / spec.name) == key:
-            done[spec.name] = ClipDone(spec.name, True, _digests(out / spec.name))
-            on_done(done[spec.name], len(specs))
-        else:
-            missing.append(spec)
-    for result in _made(missing, config, sources, out, workers):
-        done[result.name] = result
-        on_done(result, len(specs))
-    results = tuple(done[spec.name] for spec in specs)
-    _write_set(out, config, sources, results)
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        remove_unfinished(out)
+        for spec in specs:
+            kept = kept_clip(out / spec.name, clip_key(spec, config, sources))
+            if kept is None:
+                missing.append(spec)
+            else:
+                done[spec.name] = kept
+                on_done(kept, len(specs))
+        for result in in_processes(_make, missing, config, sources, out, workers):
+            done[result.name] = result
+            on_done(result, len(specs))
+        results = tuple(done[spec.name] for spec in specs)
+        _write_set(out, config, sources, results)
     return results
 
 
-def _made(
-    specs: Sequence[ClipSpec], config: SynthConfig, sources: dict[str, str], out: Path, workers: int
-) -> Iterator[ClipDone]:
-    if workers <= 1 or len(specs) <= 1:
-        for spec in specs:
-            yield _make(spec, config, sources, out)
+@contextmanager
+def writing(out: Path) -> Iterator[None]:
+    """What goes wrong with the output, or with the processes that make it, as one line.
+
+    Raises:
+        InputError: `out` cannot be written.
+        StageError: a worker process was killed.
+    """
+    try:
+        yield
+    except BrokenProcessPool as error:
+        raise StageError(
+            f"--workers: a process that wrote in {out} was killed, perhaps for want of memory; "
+            "give fewer, what is finished is kept"
+        ) from error
+    except OSError as error:
+        raise InputError(
+            f"--out: cannot write {out} ({(error.strerror or str(error)).lower()}); free space or choose another "
+            "place, what is finished is kept"
+        ) from error
+
+
+def in_processes(
+    make: Callable[[Job, SynthConfig, dict[str, str], Path], Made],
+    jobs: Sequence[Job],
+    config: SynthConfig,
+    sources: dict[str, str],
+    out: Path,
+    workers: int,
+) -> Iterator[Made]:
+    """What is made of every job, as it is done; the first failure cancels what has not begun."""
+    if workers <= 1 or len(jobs) <= 1:
+        for job in jobs:
+            yield make(job, config, sources, out)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(specs)), mp_context=context, initializer=start_worker) as pool:
-        waiting: set[Future[ClipDone]] = {pool.submit(_make, spec, config, sources, out) for spec in specs}
+    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=start_worker) as pool:
+        waiting: set[Future[Made]] = {pool.submit(make, job, config, sources, out) for job in jobs}
         try:
             while waiting:
                 finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
@@ -148,10 +179,7 @@ def _make(spec: ClipSpec, config: SynthConfig, sources: dict[str, str], out: Pat
         "name": spec.name, "preset": spec.preset, "seed": spec.seed, "index": spec.index,
         "key": clip_key(spec, config, sources), "generator": f"video2anim {__version__}",
     }  # fmt: skip
-    try:
-        write_clip(shot, out / spec.name, facts, spec.rng("noise"), label_stride=config.label_stride)
-    except OSError as error:
-        raise InputError(f"clip {spec.name}: cannot write in {out}: {error.strerror or error}") from error
+    write_clip(shot, out / spec.name, facts, spec.rng("noise"), label_stride=config.label_stride)
     return ClipDone(spec.name, False, _digests(out / spec.name))
 
 
@@ -170,7 +198,10 @@ def checked_sources(config: SynthConfig) -> dict[str, str]:
     if missing:
         raise InputError(f"motion: want an archive (.npz) or a folder of them, found nothing at {missing[0]}")
     compose_options(config)
-    return {path.name: file_digest(path) for path in files}
+    try:
+        return {path.name: file_digest(path) for path in files}
+    except OSError as error:
+        raise InputError(f"cannot read {error.filename} ({(error.strerror or str(error)).lower()})") from error
 
 
 @functools.lru_cache(maxsize=1)
@@ -195,11 +226,14 @@ def clip_key(spec: ClipSpec, config: SynthConfig, sources: dict[str, str]) -> st
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _key_of(folder: Path) -> str | None:
+def kept_clip(folder: Path, key: str) -> ClipDone | None:
+    """A finished clip of this key; None where there is none, or it is damaged."""
     try:
-        return str(json.loads((folder / "meta.json").read_text())["key"])
-    except (OSError, ValueError, KeyError):
-        return None
+        if json.loads((folder / "meta.json").read_text())["key"] == key:
+            return ClipDone(folder.name, True, _digests(folder))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        pass
+    return None
 
 
 def _digests(folder: Path) -> dict[str, str]:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
 
 from scenemi.data.container import write_archive
 from video2anim.body.anny_body import shaped_body
-from video2anim.errors import InputError, UsageError
 from video2anim.synth.acting import act, to_source_clip
 from video2anim.synth.compose import draw_shape
-from video2anim.synth.presets import ACTED
+from video2anim.synth.generate import writing
+from video2anim.synth.presets import ACTED, expect_count_and_seed
+
+MOST = 100_000
+"""Motions of an archive, which is put together in memory."""
 
 
 def write_acted(path: Path, *, count: int, seed: int) -> int:
@@ -24,8 +29,11 @@ def write_acted(path: Path, *, count: int, seed: int) -> int:
         UsageError: count or seed is out of range.
         InputError: the file cannot be written.
     """
-    if count < 1 or seed < 0:
-        raise UsageError(f"want --count of 1 or more and --seed of 0 or more, got {count} and {seed}")
+    expect_count_and_seed(count, seed, MOST)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     clips = []
     for number in range(count):
         rng = np.random.default_rng([seed, number])
@@ -33,9 +41,6 @@ def write_acted(path: Path, *, count: int, seed: int) -> int:
         clips.append(
             to_source_clip(act(ACTED[number % len(ACTED)], body, rng), body, name=f"synthetic_{seed}_{number:05d}")
         )
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with writing(path):
         write_archive(path, clips)
-    except OSError as error:
-        raise InputError(f"--out: cannot write {path}: {error.strerror or error}") from error
     return len(clips)

@@ -19,6 +19,8 @@ _BENCH: tuple[tuple[str, ...], ...] = (
 ACTED = ("walk", "sit", "lie", "step_up", "pick_up", "lean", "reach")
 CAPTURED = ("walk", "walk_turn", "chore", "gesture", "pickup", "dance", "sport", "arms")
 PRESETS = ("bench", "random")
+LARGEST_SEED = 2**63 - 1
+"""What every reader of `set.json` and `meta.json` can hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,13 +51,21 @@ def clip_specs(preset: str, count: int | None, seed: int) -> tuple[ClipSpec, ...
     """
     if preset not in PRESETS:
         raise UsageError(f"--preset: want one of {', '.join(PRESETS)}, got {preset!r}")
-    most = len(_BENCH) if preset == "bench" else 1_000_000
     count = len(_BENCH) if count is None else count
-    if not 1 <= count <= most:
-        raise UsageError(f"--count: want 1 to {most} for preset {preset}, got {count}")
-    if seed < 0:
-        raise UsageError(f"--seed: want 0 or more, got {seed}")
+    expect_count_and_seed(count, seed, len(_BENCH) if preset == "bench" else 1_000_000)
     return tuple((_bench if preset == "bench" else _random)(seed, index) for index in range(count))
+
+
+def expect_count_and_seed(count: int, seed: int, most: int) -> None:
+    """Refuse numbers that nobody can mean.
+
+    Raises:
+        UsageError: the count is not 1 to `most`, or the seed not 0 to `LARGEST_SEED`.
+    """
+    if not 1 <= count <= most:
+        raise UsageError(f"--count: want 1 to {most}, got {count}")
+    if not 0 <= seed <= LARGEST_SEED:
+        raise UsageError(f"--seed: want 0 to {LARGEST_SEED}, got {seed}")
 
 
 def _bench(seed: int, index: int) -> ClipSpec:
