@@ -136,12 +136,43 @@ def read_truth(folder: Path | str) -> Truth:
             raise InputError(
                 f"{folder}: want a truth folder of format {FORMAT_VERSION}, got {version!r}; make the clip again"
             )
-        return _truth_from(folder, meta, _arrays(folder / "truth.npz"))
+        truth = _truth_from(folder, meta, _arrays(folder / "truth.npz"))
+        _expect_sound(truth)
+        return truth
     except InputError:
         raise
-    except (ArtifactError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+    except (
+        ArtifactError,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        IndexError,
+        RecursionError,
+    ) as error:
         detail = f"key {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{folder}: damaged truth folder ({detail}); make the clip again") from error
+
+
+def _expect_sound(truth: Truth) -> None:
+    """What numbers are made from has to be finite and to belong together."""
+    if not 0 < truth.fps < 1e6:
+        raise ValueError(f"fps: want more than 0, got {truth.fps:g}")
+    for item in truth.objects:
+        if not np.isfinite(item.T_world_object).all():
+            raise ValueError(f"object {item.object_id}: want a finite pose")
+    index, frames = truth.label_frame_index, truth.main.frame_count
+    if index.ndim != 1 or index.size == 0 or index.min() < 0 or index.max() >= frames:
+        raise ValueError(f"label_frame_index: want frames from 0 to {frames - 1}")
+    height, width = truth.background_depth_m.shape
+    for name, maps, shape in (
+        ("depth_mm", truth.depth_mm, (len(index), height, width)),
+        ("instance", truth.instance, (len(index), height, width)),
+        ("background_instance", truth.background_instance, (height, width)),
+    ):
+        if maps.shape != shape or maps.dtype.kind not in "iu":
+            raise ValueError(f"{name}: want whole numbers of shape {shape}, got {maps.dtype} {maps.shape}")
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
