@@ -14,7 +14,7 @@ from video2anim.types import BodyMotion
 CONTACT_JOINTS = (
     "pelvis", "left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist",
 )  # fmt: skip
-"""Parts that may be pulled to a surface."""
+"""Parts that may be pulled to a surface. The back (spine3) is told, not pulled: no clip has shown yet that it helps."""
 TOUCHING: tuple[tuple[int, ...], ...] = tuple(
     tuple(JOINT_INDEX[name] for name in names)
     for names in (
