@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from video2anim.errors import InputError, StageError, UsageError
-from video2anim.pipeline.config import user_path
+from video2anim.pipeline.config import counts_as, user_path
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
@@ -37,6 +37,12 @@ if TYPE_CHECKING:
 SLOT = "object-mesh"
 FINEST = 256
 """Most samples of a network's field along a side: what TripoSR's own program takes."""
+
+
+def _with_digest(command: str) -> str:
+    from video2anim.models.external_mesh import program_digest
+
+    return f"{command} (sha256 {program_digest(command)})"
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,7 @@ class ReconstructConfig:
     """Network that makes a mesh of a picture, for the other objects: `triposr@FOLDER`; `none` for no network."""
     model_resolution: int = 96
     """Samples of the network's field along a side; time grows with the third power."""
-    command: str = ""
+    command: str = counts_as(_with_digest)
     """Program that makes a mesh of a picture, for objects still without one: its words with {image} and {mesh}."""
     command_timeout_s: float = 600.0
     """A program that takes longer for one object is ended, and the object made of what is seen."""
@@ -148,7 +154,10 @@ def _foreign(
         with mesh_by_program(config.command, found.image_rgb, config.command_timeout_s) as file:
             return _adopted(found, solid, read_mesh_file(file), "program")
     except (StageError, InputError) as error:
-        ctx.warn(f"reconstruct: object {found.object_id} is made of what is seen instead: {error}")
+        ctx.warn(
+            f"reconstruct: object {found.object_id} is made of what is seen instead: {error}; once that is mended, "
+            "run with --from reconstruct (a changed program file is noticed)"
+        )
         return None
 
 

@@ -11,10 +11,18 @@ _SHORTAGE_TEXTS = ("Insufficient memory", "can't allocate memory", "failed to ma
 """How OpenCV, PyTorch and the loader of libraries say it; they have no error class of their own for it."""
 
 
+def printable(text: str) -> str:
+    """The text with its control characters written out: what a file or a program says cannot steer the terminal."""
+    return "".join(c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in text)
+
+
 class Video2AnimError(Exception):
-    """Root of all expected failures."""
+    """Root of all expected failures. Its text is fit for a terminal, whatever it quotes."""
 
     exit_code = 5
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class UsageError(Video2AnimError):

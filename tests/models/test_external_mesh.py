@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shlex
+import signal
 import sys
+import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -11,9 +16,11 @@ import numpy as np
 import pytest
 from command import video2anim
 
+from stages.reconstruct import ReconstructConfig
 from video2anim.cli.compose import rerun_stage
 from video2anim.errors import StageError, UsageError
-from video2anim.models.external_mesh import mesh_by_program, object_square
+from video2anim.models.external_mesh import mesh_by_program, object_square, program_digest
+from video2anim.pipeline.config import result_config
 from video2anim.pipeline.scene_folder import RunRecord, write_record
 
 GRAY, BLUE = (127, 127, 127), (20, 40, 220)
@@ -138,6 +145,94 @@ def test_other_failures_are_the_documented_errors(tmp_path: Path, case: str) -> 
         command = command_of(tmp_path, "sys.stderr.buffer.write(b'caf\\xe9'); sys.exit(1)")
     with pytest.raises((StageError, UsageError)):
         made(command)
+
+
+def wait_for(what: Callable[[], object]) -> None:
+    """Returns once it is so; a test that waits in vain fails."""
+    until = time.monotonic() + 60
+    while not what():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.02)
+
+
+def is_running(pid: int) -> bool:
+    """Not ended, and no zombie that only waits to be reaped."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes in /proc")
+def test_an_interrupt_ends_the_program_and_what_it_started(tmp_path: Path) -> None:
+    """Ctrl-C reaches this process alone: the program has a session of its own."""
+    pids = tmp_path / "pids"
+    child = "import subprocess, os\nchild = subprocess.Popen(['sleep', '600'])\n"
+    code = f"{child}open({str(pids)!r} + '.part', 'w').write(f'{{os.getpid()}} {{child.pid}}')\n"
+    code += f"os.rename({str(pids)!r} + '.part', {str(pids)!r})\ntime.sleep(600)"
+
+    def interrupt() -> None:
+        wait_for(pids.exists)
+        signal.raise_signal(signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        made(command_of(tmp_path, code), timeout_s=600.0)
+    thread.join()
+    for pid in map(int, pids.read_text().split()):
+        wait_for(lambda pid=pid: not is_running(pid))
+
+
+def test_what_a_program_left_running_is_not_waited_for(tmp_path: Path) -> None:
+    """A server that it started for its next call keeps the output open; the mesh is there already."""
+    pid = tmp_path / "pid"
+    code = f"import subprocess\nopen({str(pid)!r}, 'w').write(str(subprocess.Popen(['sleep', '600']).pid))"
+    try:
+        assert made(command_of(tmp_path, f"{code}\nopen(mesh, 'w').write('a mesh')"), timeout_s=300.0) == b"a mesh"
+    finally:
+        os.kill(int(pid.read_text()), signal.SIGKILL)
+
+
+def test_of_a_flood_of_output_the_end_is_kept(tmp_path: Path) -> None:
+    """64 MB of progress, without a line's end; this process may grow by a fraction of that."""
+    resource = pytest.importorskip("resource")
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    code = "for _ in range(1024): sys.stdout.write('x' * 65536)\nprint('\\nno luck'); sys.exit(3)"
+    assert failure(command_of(tmp_path, code), StageError) == f"{sys.executable}: exit code 3: no luck"
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb
+    assert grown * (1 if sys.platform == "darwin" else 1024) < 32e6
+
+
+def test_what_a_program_says_does_not_steer_the_terminal(tmp_path: Path) -> None:
+    """Colors, a new title of the window, and a line that writes over itself."""
+    code = r"print('\x1b]0;title\x07\x1b[31mred\x1b[0m \x9b2J caf\u00e9'); sys.exit(1)"
+    message = failure(command_of(tmp_path, code), StageError)
+    assert message.isprintable()
+    assert r"\x1b]0;title\x07\x1b[31mred\x1b[0m \x9b2J caf" in message
+    assert message.endswith("é")
+
+
+def test_the_program_itself_counts_for_the_cache(tmp_path: Path) -> None:
+    """A mended program is another one; a folder that only moved on in time is not."""
+    command = command_of(tmp_path, "sys.exit(1)", f"--weights={tmp_path / 'weights.bin'}", "--steps=9")
+    before = result_config(ReconstructConfig(command=command))
+    assert command in before["command"]
+    assert result_config(ReconstructConfig(command=command)) == before
+    os.utime(tmp_path / "a program.py", (1, 1))
+    assert result_config(ReconstructConfig(command=command)) == before
+    (tmp_path / "weights.bin").write_bytes(b"weights")
+    weighed = result_config(ReconstructConfig(command=command))
+    assert weighed != before
+    command_of(tmp_path, "open(mesh, 'w').write('a mesh')")
+    assert result_config(ReconstructConfig(command=command)) not in (before, weighed)
+    assert result_config(ReconstructConfig())["command"] == ""
+
+
+@pytest.mark.parametrize("words", ["no-such-program-here", "/dev/null /dev/zero /", "a\0b", "x" * 5000, "=", "''"])
+def test_words_that_are_no_files_count_as_text(words: str) -> None:
+    assert program_digest(f"{words} {{image}} {{mesh}}") == program_digest(f"{words} {{image}} {{mesh}}")
+    assert program_digest(f"{words} {{image}} {{mesh}}") != program_digest(f"{words} {{image}} {{mesh}} more")
 
 
 def scene_folder(tmp_path: Path, config: dict) -> Path:

@@ -6,14 +6,19 @@ and the side that the picture shows towards +Z, in any unit.
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import cv2
 import numpy as np
@@ -40,10 +45,7 @@ def mesh_by_program(command: str, picture_rgb: UInt8[np.ndarray, "height width 3
         UsageError: the command lacks a word, or there is no such program.
         StageError: it failed, took too long, or left no file.
     """
-    try:
-        words = shlex.split(command)
-    except ValueError as error:
-        raise UsageError(f"reconstruct.command: {str(error).lower()} in {command!r}") from error
+    words = _words(command)
     for want in ("{image}", "{mesh}"):
         if not any(want in word for word in words):
             raise UsageError(f"reconstruct.command: want {{image}} and {{mesh}} in the command, got {command!r}")
@@ -59,22 +61,82 @@ def mesh_by_program(command: str, picture_rgb: UInt8[np.ndarray, "height width 3
         yield mesh
 
 
+def program_digest(command: str) -> str:
+    """sha256 of a command and of the files that it names (the program, its script, weights): what its meshes depend on.
+
+    Raises:
+        UsageError: the command has an open quote.
+    """
+    found = hashlib.sha256(command.encode(errors="surrogateescape"))
+    for word in _words(command):
+        for name in (word, word.partition("=")[2]):
+            path = Path(shutil.which(name) or name) if name else None
+            if path is not None and _is_file(path):
+                with path.open("rb") as stream:
+                    found.update(hashlib.file_digest(stream, "sha256").digest())
+    return found.hexdigest()
+
+
+def _is_file(path: Path) -> bool:
+    """Whether there is a file that can be read; words may be no paths at all."""
+    try:
+        return path.is_file() and os.access(path, os.R_OK)
+    except (OSError, ValueError):
+        return False
+
+
+def _words(command: str) -> list[str]:
+    try:
+        return shlex.split(command)
+    except ValueError as error:
+        raise UsageError(f"reconstruct.command: {str(error).lower()} in {command!r}") from error
+
+
 def _called(call: list[str], timeout_s: float) -> tuple[int, str]:
-    """Exit code and last line of a program, which is ended with all that it started when its time is over."""
+    """Exit code and last line of a program, which is ended with all that it started when its time is over or the wait
+    for it is broken off."""
     try:
         program = subprocess.Popen(
             call, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
         )
-    except OSError as error:
-        raise UsageError(f"reconstruct.command: cannot run {call[0]} ({error.strerror})") from error
+    except (OSError, ValueError) as error:
+        raise UsageError(f"reconstruct.command: cannot run {call[0]} ({getattr(error, 'strerror', error)})") from error
+    assert program.stdout is not None
+    said = _Tail(program.stdout)
     try:
-        said, _ = program.communicate(timeout=timeout_s)
-    except subprocess.TimeoutExpired as error:
-        os.killpg(program.pid, signal.SIGKILL)
-        program.communicate()
-        raise StageError(f"{call[0]}: no mesh after {timeout_s:.0f} s") from error
-    lines = said.decode(errors="replace").strip().splitlines()
-    return program.returncode, lines[-1][:200] if lines else "it said nothing"
+        code = program.wait(timeout=timeout_s)
+    except BaseException as error:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(program.pid, signal.SIGKILL)
+        program.wait()
+        if isinstance(error, subprocess.TimeoutExpired):
+            raise StageError(f"{call[0]}: no mesh after {timeout_s:.0f} s") from error
+        raise
+    return code, said.last_line()
+
+
+class _Tail:
+    """Reads what a program says as it says it, and keeps the end."""
+
+    _KEPT_BYTES = 4096
+    _LINGER_S = 1.0
+    """Wait for the end of what was said; what the program left running may keep its output open for ever."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream, self._kept = stream, b""
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        with self._stream:
+            while chunk := os.read(self._stream.fileno(), 1 << 16):
+                self._kept = (self._kept + chunk)[-self._KEPT_BYTES :]
+
+    def last_line(self) -> str:
+        """The last line with something in it, up to 200 characters of it."""
+        self._reader.join(self._LINGER_S)
+        lines = self._kept.decode(errors="replace").strip().splitlines()
+        return lines[-1][:200] if lines else "it said nothing"
 
 
 def object_square(picture_rgb: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "512 512 3"]:

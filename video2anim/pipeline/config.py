@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,13 +37,16 @@ class PipelineConfig:
 def result_config(config: Any) -> dict[str, Any]:
     """The fields of a stage config that can change its result; speed knobs (`in_key` False) are left out.
 
-    Of the user's files and folders (`user_path`) it is the content that counts; one that is gone counts as changed.
+    Of the user's files and folders (`user_path`) it is the content that counts; one that is gone counts as changed. Of
+    fields with `counts_as` it is what that makes of them.
     """
     found = {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.metadata.get("in_key", True)}
     for field in dataclasses.fields(config):
         if field.metadata.get("user_path") and found.get(field.name):
             path = Path(found[field.name])
             found[field.name] = content_digest(path) if path.exists() else "missing"
+        if (counted := field.metadata.get("counts_as")) and found.get(field.name):
+            found[field.name] = counted(found[field.name])
     return found
 
 
@@ -63,6 +66,15 @@ def expect_user_paths(config: PipelineConfig) -> None:
 def user_path() -> Any:
     """Field of a stage config: a file or folder of the user, empty for none."""
     return dataclasses.field(default="", metadata={"user_path": True})
+
+
+def counts_as(counted: Callable[[str], Any]) -> Any:
+    """Field of a stage config: text, empty by default, that stands for something outside, such as a program.
+
+    Args:
+        counted: what of it decides the result, as plain data for the cache key.
+    """
+    return dataclasses.field(default="", metadata={"counts_as": counted})
 
 
 def presets_dir() -> Path:

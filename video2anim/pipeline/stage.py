@@ -10,6 +10,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from video2anim.errors import printable
+
 Better = Literal["lower", "higher", "none"]
 NO_MODEL = "none"
 """Name in a stage's configuration of a model that is left out."""
@@ -50,7 +52,7 @@ class StageContext:
 
     def warn(self, text: str) -> None:
         """Record a warning that the user sees."""
-        self.warnings.append(text)
+        self.warnings.append(printable(text))
 
     def progress(self, done: int, total: int) -> None:
         """Report progress in items."""
@@ -76,5 +78,10 @@ class StageSpec:
     function: Callable[..., Any]
     version: int
     """Raised with every edit that changes results."""
-    models: tuple[str, ...] = ()
-    """Model slots whose weights are part of the cache key."""
+    models: tuple[str, ...] | Callable[[Any], tuple[str, ...]] = ()
+    """Model slots whose weights are part of the cache key; a function of the stage's config where that decides them."""
+
+
+def slots_of(spec: StageSpec, config: Any) -> tuple[str, ...]:
+    """Slots whose models a stage uses under a configuration of it."""
+    return spec.models(config) if callable(spec.models) else spec.models
