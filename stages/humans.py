@@ -51,6 +51,11 @@ class HumansConfig:
     """Faster changes are taken out of the fitted motion (6 Hz is usual for gait; raise it for throws and strikes, 0
     leaves all)."""
 
+    @property
+    def lifter_model(self) -> str:
+        """The model of slot `lifter`: under a body regressor the project's own."""
+        return "lifter" if _is_regressor(self) else self.model
+
 
 def recover_humans(
     clip: VideoClip, tracks: PersonTracks, camera: CameraEstimate, config: HumansConfig, ctx: StageContext
@@ -105,7 +110,7 @@ def _lifted(observed: list[Observations], config: HumansConfig, ctx: StageContex
 
     if config.method == "optimizer":
         return [None] * len(observed)
-    network = ctx.model("lifter" if _is_regressor(config) else config.model)
+    network = ctx.model(config.lifter_model)
     return [lift(one, network) for one in observed]
 
 
@@ -113,6 +118,13 @@ def _is_regressor(config: HumansConfig) -> bool:
     from video2anim.models import find_model
 
     return config.method != "optimizer" and find_model(config.model).slot == "body-regressor"
+
+
+def _slots(config: HumansConfig) -> tuple[str, ...]:
+    """Slots of the models that are used: a body regressor's rotations go onto the lifter's bodies."""
+    if config.method == "optimizer":
+        return ()
+    return ("lifter", "body-regressor") if _is_regressor(config) else ("lifter",)
 
 
 def _regressed(
@@ -315,4 +327,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton height", quality.stature_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=11, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=11, models=_slots)

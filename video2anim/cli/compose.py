@@ -45,7 +45,7 @@ from video2anim.pipeline.scene_folder import (
     read_record,
     write_record,
 )
-from video2anim.pipeline.stage import NO_MODEL
+from video2anim.pipeline.stage import NO_MODEL, slots_of
 from video2anim.types import ExportedFiles
 from video2anim.types.clip import SourceVideo
 
@@ -54,8 +54,8 @@ MODULES = (
     complete, reconstruct, place, scene, keyframes, refine, export,
 )  # fmt: skip
 DEFAULT_PRESET = "embedded"
-NO_NETWORK = ("geometric", NO_MODEL)
-"""Names of stages' models and providers that use no network."""
+NO_NETWORK = ("geometric", "interpolation", NO_MODEL)
+"""Names of stages' models, providers and priors that use no network."""
 
 
 def pipeline_nodes() -> tuple[Node, ...]:
@@ -66,7 +66,7 @@ def pipeline_nodes() -> tuple[Node, ...]:
 class TableModels:
     """Models by the table of `video2anim.models`.
 
-    A stage's config names the model of a slot as `<slot>_model`, else as `model` or `provider`.
+    A stage's config names the model of a slot as `<slot>_model` or `<slot>`, else as `model` or `provider`.
     """
 
     def __init__(self, on_fetch: Callable[[str, int, int], None] | None = None) -> None:
@@ -92,7 +92,7 @@ class TableModels:
 
     @staticmethod
     def _name(slot: str, config: Any) -> str:
-        own = getattr(config, f"{slot}_model", None)
+        own = getattr(config, f"{slot}_model", None) or getattr(config, slot, None)
         return own or getattr(config, "model", None) or getattr(config, "provider", None) or slot
 
 
@@ -364,7 +364,7 @@ def preset_models(name: str) -> list[str]:
     config = resolve(nodes, name, [(f"preset {name}", load_preset(name))])
     wanted = []
     for node in nodes:
-        for slot in node.spec.models:
+        for slot in slots_of(node.spec, config.stages[node.name]):
             model = TableModels._name(slot, config.stages[node.name])
             if model not in NO_NETWORK:
                 wanted.append(model)
