@@ -221,6 +221,48 @@ def test_a_camera_model_without_fields_tells_its_focal_length_alone() -> None:
     np.testing.assert_allclose(found["fov_y_rad"], [2 * math.atan(0.3), 2 * math.atan(0.25)])
 
 
+@pytest.mark.parametrize("model", ["moge-2-small", "depth-anything-3-small"])
+def test_depth_models_that_tell_the_lens_run_as_cameras(
+    model: str, shown: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Through the table and a tiny network of the model's contract."""
+    inputs = [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, HEIGHT, WIDTH])]
+    x, y = np.meshgrid((np.arange(WIDTH) + 0.5 - WIDTH / 2) / 50.0, (np.arange(HEIGHT) + 0.5 - HEIGHT / 2) / 50.0)
+    z = 2.0 + 0.5 * np.sin(np.arange(WIDTH) / 9.0) * np.ones((HEIGHT, 1))
+    outputs = {
+        "points": np.stack([x * z, y * z, z], -1)[None],
+        "mask": np.ones((1, HEIGHT, WIDTH)),
+        "scale": np.ones(1),
+    }
+    if model != "moge-2-small":
+        inputs = [helper.make_tensor_value_info("pixel_values", TensorProto.FLOAT, [1, 1, 3, 378, 504])]
+        lens = np.array([[50.0 * 504 / WIDTH, 0, 252], [0, 50.0 * 504 / WIDTH, 189], [0, 0, 1]])
+        outputs = {"predicted_depth": np.ones((1, 1, 378, 504)), "intrinsics": lens[None, None]}
+    nodes = [
+        helper.make_node("Constant", [], [name], value=numpy_helper.from_array(value.astype(np.float32)))
+        for name, value in outputs.items()
+    ]
+    infos = [helper.make_tensor_value_info(name, TensorProto.FLOAT, value.shape) for name, value in outputs.items()]
+    graph = helper.make_graph(nodes, "tiny", inputs, infos)
+    own, out = tmp_path / "net.onnx", tmp_path / "lens.npz"
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9), str(own))
+    answer = video2anim("models", "run", "camera", *shown, "--out", out, "--model", f"{model}@{own}")
+    found = arrays(answer, out)
+    assert set(found) == {"frames", "model", "focal_px", "fov_y_rad"}
+    np.testing.assert_allclose(found["focal_px"], 50.0, rtol=0.02)
+    assert found["model"].item() == model
+
+
+def test_the_stage_asks_for_gravity_too(tmp_path: Path) -> None:
+    from stages.camera import CameraConfig, _picture_camera
+    from video2anim.errors import UsageError
+    from video2anim.pipeline.stage import StageContext
+
+    config = CameraConfig(camera_model=f"moge-2-small@{tmp_path / 'net.onnx'}")
+    with pytest.raises(UsageError, match=r"camera\.camera_model: want a model of slot camera.*--focal-px"):
+        _picture_camera(None, config, StageContext(tmp_path))  # pyright: ignore[reportArgumentType]
+
+
 class Turned:
     """A camera model that sees the field of a camera turned as the synthetic world turns them."""
 

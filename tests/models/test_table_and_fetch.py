@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import http.client
 import importlib
+import importlib.metadata
 import io
 import re
 import subprocess
@@ -78,14 +79,15 @@ def test_rows_are_complete_and_names_unique() -> None:
     rows = models.list_models()
     assert len({m.name for m in rows}) == len(rows)
     for row in rows:
-        if isinstance(row.source, table.UserSource):
+        if isinstance(row.source, table.UserSource | table.DependencySource):
             continue
         assert len(row.sha256) == 64
         assert int(row.sha256, 16) > 0
         assert row.size_bytes > 0 or row.name in ("geocalib", "rf-detr-seg-small"), "their origins state no size"
         assert row.licence in ("Apache-2.0", "MIT", "CC-BY-4.0"), "what is fetched may be used by anybody"
-        module, _, adapter = row.adapter.partition(":")
-        assert hasattr(importlib.import_module(module), adapter)
+        if row.adapter:
+            module, _, adapter = row.adapter.partition(":")
+            assert hasattr(importlib.import_module(module), adapter)
         assert all(models.find_model(name) for name in row.requires)
 
 
@@ -116,6 +118,80 @@ def test_weights_under_other_terms_are_the_users_to_bring(tmp_path: Path, cache:
     cache.mkdir()
     (cache / "hmr2.onnx").write_bytes(WEIGHTS)
     assert {s.entry.name: s.state for s in models.verify()}["hmr2"] == "absent"
+
+
+UNRUN = {"scenemi": "prior", "anny": "body", "fid": "motion-features", "gait": "walking-styles"}
+"""Products that other parts of the program load."""
+
+
+def test_all_data_that_comes_along_is_in_the_table() -> None:
+    """Each file of weights or numbers in the repository has a row, with its digest, size and license, and the card
+    beside it says the same digest."""
+    root = Path(models.__file__).parents[2]
+    shipped = {
+        path.relative_to(root).as_posix()
+        for package in ("video2anim", "scenemi", "stages")
+        for path in (root / package).rglob("*")
+        if path.suffix in (".onnx", ".tflite", ".safetensors", ".npz", ".npy", ".pt", ".bin")
+    }
+    rows = [row for row in models.list_models() if isinstance(row.source, table.WheelSource)]
+    assert {row.source.text.removeprefix("wheel:") for row in rows} == shipped
+    for row in rows:
+        path = models.model_path(row)
+        assert (fetch.file_digest(path), path.stat().st_size) == (row.sha256, row.size_bytes), f"table, row {row.name}"
+        card = path.with_suffix(".md") if path.with_suffix(".md").is_file() else path.with_name("CARD.md")
+        if card.is_file() and "sha256" in card.read_text():
+            assert row.sha256 in card.read_text(), card
+        assert not card.is_file() or row.licence in card.read_text(), card
+    assert {row.name: row.slot for row in models.list_models() if not row.adapter} == UNRUN
+
+
+@pytest.mark.parametrize("name", UNRUN)
+def test_what_other_parts_load_is_listed_and_verified_but_no_network_of_a_stage(name: str) -> None:
+    assert {state.entry.name: state.state for state in models.verify()}[name] == "ready"
+    assert models.pull(name) == (models.model_path(models.find_model(name)),)
+    with pytest.raises(UsageError, match=f"want a network that a stage runs, got {name}, which is of slot"):
+        models.load_model(name)
+
+
+def test_the_prior_by_all_that_a_stage_may_call_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The digest is that of the file there is, as nothing else holds the prior to the table's."""
+    row = models.find_model("scenemi")
+    for name in ("scenemi", "prior", "auto"):
+        assert models.find_model(name) == row
+        assert models.weight_digests(name) == {"scenemi": row.sha256}
+    assert models.weight_digests("interpolation") == {}
+    own = tmp_path / "a folder@home" / "mine.safetensors"
+    own.parent.mkdir()
+    for name in (str(own), f"scenemi@{own}"):
+        with pytest.raises(ModelMissingError, match="there is none; correct the path"):
+            models.weight_digests(name)
+    own.write_bytes(WEIGHTS)
+    for name in (str(own), f"scenemi@{own}"):
+        assert models.find_model(name).source.text == f"file:{own}"
+        assert models.weight_digests(name) == {"scenemi": DIGEST}
+    monkeypatch.setattr("video2anim.models.sources._INSTALLED", tmp_path)
+    assert models.weight_digests("auto") == {}
+    with pytest.raises(ModelMissingError, match=r"came with the package and is gone.*or choose interpolation"):
+        models.weight_digests("scenemi")
+    (tmp_path / "scenemi" / "weights").mkdir(parents=True)
+    (tmp_path / "scenemi" / "weights" / "small.safetensors").write_bytes(WEIGHTS)
+    assert models.weight_digests("auto") == models.weight_digests("scenemi") == {"scenemi": DIGEST}
+    with pytest.raises(ModelMissingError, match="it came with the package: install that again"):
+        models.pull("scenemi")
+
+
+def test_a_dependency_counts_by_its_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    version = importlib.metadata.version("anny")
+    assert models.weight_digests("anny") == {"anny": f"anny {version}"}
+    row = models.find_model("anny")
+    assert models.model_path(row).name == "anny"
+    gone = replace(row, source=table.DependencySource("no_such_package"))
+    monkeypatch.setattr(table, "MODELS", (gone,))
+    assert models.verify()[0].state == "absent"
+    for use in (models.ensure, models.weight_digests):
+        with pytest.raises(ModelMissingError, match="is gone; install no_such_package again"):
+            use("anny")
 
 
 def test_slot_gives_its_first_model_and_unknown_names_the_known() -> None:
@@ -162,6 +238,51 @@ def test_wrong_digest_of_a_cached_file(cache: Path) -> None:
     states = {s.entry.name: s.state for s in models.verify()}
     assert states["blazepose-full"] == "damaged"
     assert states["blazepose-heavy"] == "absent"
+
+
+def test_weights_of_the_package_that_are_others_ask_for_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`models pull` could not bring them."""
+    from video2anim.cli import main
+
+    monkeypatch.setattr("video2anim.models.sources._INSTALLED", tmp_path)
+    weights = tmp_path / "video2anim" / "models" / "weights"
+    weights.mkdir(parents=True)
+    (weights / "lifter.onnx").write_bytes(b"tampered")
+    monkeypatch.setattr(sys, "argv", ["video2anim", "models", "verify"])
+    with pytest.raises(SystemExit) as end:
+        main.run()
+    assert end.value.code == 4
+    told = capsys.readouterr().err
+    assert "lifter.onnx: wanted" in told
+    assert "it came with the package: install that again" in told
+    assert "models pull" not in told
+
+
+def test_weights_that_cannot_be_read_are_named(cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    cache.mkdir()
+    (cache / "blazepose-full.tflite").write_bytes(WEIGHTS)
+    own = tmp_path / "mine.onnx"
+    own.write_bytes(WEIGHTS)
+    monkeypatch.setattr(Path, "open", refuse)
+    for use in (lambda: models.ensure("blazepose-full"), lambda: models.weight_digests(f"hmr2@{own}")):
+        with pytest.raises(ModelMissingError, match="want a readable file, got Permission denied at") as caught:
+            use()
+        assert "\n" not in str(caught.value)
+    assert {state.entry.name: state.state for state in models.verify()}["blazepose-full"] == "damaged"
+
+
+@pytest.mark.parametrize("name", ["eomt-small-coco", "rf-detr-seg-small"])
+def test_a_branch_that_moved_on_is_told(name: str, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their commits are not known; the digest holds the file."""
+    monkeypatch.setattr(fetch.urllib.request, "urlopen", _Addresses({"": b"another file"}))
+    with pytest.raises(ModelMissingError, match=rf"a branch, which moved on: name a file .*{name}@PATH.*nothing was"):
+        models.ensure(name)
+    assert list(cache.iterdir()) == []
 
 
 @pytest.mark.usefixtures("small_models", "client")
@@ -333,7 +454,7 @@ def test_a_size_that_is_not_known_still_counts(cache: Path, monkeypatch: pytest.
 def test_addresses_are_pinned_by_commit_or_by_digest() -> None:
     for row in models.list_models():
         if isinstance(row.source, table.HubSource):
-            assert len(row.source.revision) == 40 or row.source.revision == "main"
+            assert len(row.source.revision) == 40 or row.name in ("eomt-small-coco", "rf-detr-seg-small")
             assert f"/resolve/{row.source.revision}/" in row.source.url
         if isinstance(row.source, table.HubSource | table.ReleaseSource):
             assert row.source.text.endswith(f"/{row.source.file}")

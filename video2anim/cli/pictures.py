@@ -32,7 +32,7 @@ def models_run(
     if out.suffix != ".npz":
         raise UsageError(f"--out: want a file name that ends in .npz, got {out}")
     entry = find_model(model or slot)
-    if entry.slot != slot:
+    if slot not in (entry.slot, *entry.also):
         raise UsageError(f"--model: want a model of slot {slot}, got {entry.name} of slot {entry.slot}")
     names = [path.stem for path in images]
     twice = {name for name in names if names.count(name) > 1}

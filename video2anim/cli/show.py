@@ -16,7 +16,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from video2anim.artifacts.manifest import Manifest
-from video2anim.errors import ModelMissingError
 from video2anim.pipeline.runner import Event, StageStatus
 
 if TYPE_CHECKING:
@@ -126,12 +125,11 @@ def models_table(states: Sequence[ModelState]) -> None:
 
 def fail_on_damage(states: Sequence[ModelState]) -> None:
     """Raise for the first model whose file is not the one the table names."""
+    from video2anim.models import ensure
+
     for state in states:
         if state.state == "damaged":
-            raise ModelMissingError(
-                f"model {state.entry.name}: want sha256 {state.entry.sha256}, got another file at {state.path}; "
-                f"run `video2anim models pull {state.entry.name}`"
-            )
+            ensure(state.entry.name)
 
 
 def pull(name: str) -> None:

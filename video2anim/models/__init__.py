@@ -6,6 +6,7 @@ import importlib
 from pathlib import Path
 from typing import Any
 
+from video2anim.errors import UsageError
 from video2anim.models.fetch import (
     ModelState,
     OnProgress,
@@ -43,9 +44,11 @@ def load_model(name_or_slot: str, *, on_progress: OnProgress | None = None) -> A
 
     Raises:
         ModelMissingError: weights cannot be had or fail their digest.
-        UsageError: there is no such model.
+        UsageError: there is no such model, or none that is loaded by its name.
     """
     entry = find_model(name_or_slot)
+    if not entry.adapter:
+        raise UsageError(f"model: want a network that a stage runs, got {entry.name}, which is of slot {entry.slot}")
     paths: list[Path] = [ensure(name, on_progress) for name in (name_or_slot, *entry.requires)]
     module, _, adapter = entry.adapter.partition(":")
     return getattr(importlib.import_module(module), adapter)(*paths)

@@ -41,7 +41,7 @@ class DepthAnything:
         """
         self._path, self._short_side_px = path, short_side_px
         self._session = open_session(path, inputs=("pixel_values",), outputs=("predicted_depth",))
-        shape = self._session.get_inputs()[0].shape
+        shape = self._session.inputs["pixel_values"].shape
         self._fixed_hw = tuple(shape[2:]) if all(isinstance(n, int) for n in shape[2:]) else None
 
     def infer(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
@@ -53,7 +53,7 @@ class DepthAnything:
         height, width = image.shape[:2]
         net_h, net_w = self._fixed_hw or input_size(height, width, self._short_side_px)
         pixel_values = to_pixel_values(image, net_h, net_w)
-        disparity = np.asarray(self._session.run(["predicted_depth"], {"pixel_values": pixel_values})[0])
+        disparity = self._session.run(["predicted_depth"], {"pixel_values": pixel_values})[0]
         if disparity.ndim != 3 or disparity.shape[0] != 1:
             raise ModelMissingError(f"{self._path}: want predicted_depth (1, H, W), got {disparity.shape}")
         return cv2.resize(disparity[0].astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)

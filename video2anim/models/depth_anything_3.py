@@ -41,7 +41,7 @@ class SeenDepth:
 
 
 class DepthAnything3:
-    """Relative depth network. `kind` and `name` are those of a `DepthClip`."""
+    """Relative depth network, which tells the lens too. `kind` and `name` are those of a `DepthClip`."""
 
     kind = "depth"
     name = "depth-anything-3-small"

@@ -13,24 +13,24 @@ import tempfile
 import urllib.error
 import urllib.request
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from video2anim.errors import ModelMissingError
-from video2anim.models.table import (
+from video2anim.models.external_data import data_files
+from video2anim.models.sources import (
+    DependencySource,
     FileSource,
     HubSource,
-    ModelEntry,
     NpmSource,
     PipSource,
     ReleaseSource,
     UserSource,
     WheelSource,
-    find_model,
-    list_models,
 )
+from video2anim.models.table import PRIOR_CHOICES, ModelEntry, find_model, list_models
 
 OnProgress = Callable[[str, int, int], None]
 """Called with the model's name, bytes done and bytes in all; 0 of the whole while a package client works."""
@@ -39,8 +39,8 @@ CACHE_VARIABLE = "VIDEO2ANIM_CACHE"
 _CLIENT_TIMEOUT_S = 900
 _HUB_TIMEOUT_S = 30
 _CHUNK_BYTES = 1 << 20
-_DATA_TAILS = ("_data", ".data")
-"""What exporters append to a graph's name for its weights."""
+_FIXED = (FileSource, WheelSource, DependencySource)
+"""Sources of what lies here, which is never fetched."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,36 +65,52 @@ def cache_dir() -> Path:
 
 def model_path(entry: ModelEntry) -> Path:
     """Where the weights are, or would be once fetched."""
-    if isinstance(entry.source, FileSource | WheelSource):
+    if isinstance(entry.source, _FIXED):
         return entry.source.path
     return cache_dir() / entry.file_name
 
 
 def file_digest(path: Path) -> str:
-    """sha256 of a file, hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    """sha256 of a file, hexadecimal.
+
+    Raises:
+        ModelMissingError: it cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise ModelMissingError(f"weights: want a readable file, got {error.strerror} at {path}") from error
 
 
 def weight_digests(name_or_slot: str) -> dict[str, str]:
     """Digest of each weights file a model uses, by model name; nothing is fetched. Part of a stage's cache key.
 
+    Of a dependency it is the version. Of the prior it is that of the file there is; `interpolation` has none, nor has
+    `auto` where that file is absent.
+
     Raises:
-        ModelMissingError: a file of the user's own is not there or not named.
+        ModelMissingError: a file of the user's own, or of the prior, is not there or not named.
+        UsageError: there is no such model.
     """
+    if name_or_slot in PRIOR_CHOICES and (name_or_slot != "auto" or not model_path(find_model("auto")).is_file()):
+        return {}
     entry = find_model(name_or_slot)
-    if isinstance(entry.source, UserSource):
-        raise _not_ours(entry, entry.source)
-    digest = entry.sha256
-    if isinstance(entry.source, FileSource):
-        named = _user_files(entry, entry.source)
-        beside = (
-            named[0].with_suffix(".stats.npz"),
-            *(Path(f"{path}{tail}") for path in named for tail in _DATA_TAILS),
-        )
-        digest = "".join(file_digest(file) for file in (*named, *(file for file in beside if file.is_file())))
-    elif data := _data_file(entry):
-        digest += data[1]
+    match entry.source:
+        case UserSource() as source:
+            raise _not_ours(entry, source)
+        case FileSource() as source:
+            digest = "".join(file_digest(file) for file in _all_files(entry, source))
+        case DependencySource() as source:
+            _expect_here(entry)
+            digest = f"{source.package} {source.version}"
+        case WheelSource() as source if not entry.adapter:
+            # What is not loaded by `load_model` is not held to its digest there.
+            _expect_here(entry)
+            digest = file_digest(source.path)
+        case _:
+            data = _data_file(entry)
+            digest = entry.sha256 + (data[1] if data else "")
     return {entry.name: digest, **{name: find_model(name).sha256 for name in entry.requires}}
 
 
@@ -116,11 +132,9 @@ def ensure(name_or_slot: str, on_progress: OnProgress | None = None) -> Path:
     if isinstance(entry.source, UserSource):
         raise _not_ours(entry, entry.source)
     path = model_path(entry)
-    if not path.is_file():
-        if isinstance(entry.source, WheelSource):
-            raise ModelMissingError(
-                f"{entry.name}: {path} came with the package and is gone; install the package again"
-            )
+    if isinstance(entry.source, _FIXED):
+        _expect_here(entry)
+    elif not path.is_file():
         _fetch(entry, path, on_progress)
     _check_digest(entry)
     return path
@@ -137,17 +151,21 @@ def pull(name_or_slot: str, on_progress: OnProgress | None = None) -> tuple[Path
     paths = []
     for name in (*entry.requires, name_or_slot):
         part = find_model(name)
-        if not isinstance(part.source, FileSource | WheelSource) and _state(part) == "damaged":
+        if not isinstance(part.source, _FIXED) and _state(part) == "damaged":
             model_path(part).unlink()  # and its data, where it has any, is fetched with it
         paths.append(ensure(name, on_progress))
     return tuple(paths)
 
 
 def _state(entry: ModelEntry) -> Literal["ready", "absent", "damaged"]:
-    path = model_path(entry)
-    if isinstance(entry.source, UserSource) or not path.is_file():
+    if isinstance(entry.source, DependencySource):
+        return "ready" if entry.source.path.is_dir() else "absent"
+    if isinstance(entry.source, UserSource) or not model_path(entry).is_file():
         return "absent"
-    whole = all(file.is_file() and file_digest(file) == digest for file, digest in _files(entry))
+    try:
+        whole = all(file.is_file() and file_digest(file) == digest for file, digest in _files(entry))
+    except ModelMissingError:
+        whole = False
     return "ready" if whole else "damaged"
 
 
@@ -160,8 +178,31 @@ def _data_file(entry: ModelEntry) -> tuple[Path, str] | None:
 
 def _files(entry: ModelEntry) -> tuple[tuple[Path, str], ...]:
     """All files of a model with their digests, the one that is loaded first."""
+    if isinstance(entry.source, DependencySource):
+        return ()
     data = _data_file(entry)
     return ((model_path(entry), entry.sha256), *(() if data is None else (data,)))
+
+
+def _all_files(entry: ModelEntry, source: FileSource) -> Iterator[Path]:
+    """The user's files, then those beside them: statistics, and weights that a graph keeps apart."""
+    named = _user_files(entry, source)
+    yield from named
+    if (statistics := named[0].with_suffix(".stats.npz")).is_file():
+        yield statistics
+    if entry.runtime == "onnx":
+        for path in named:
+            yield from data_files(path)
+
+
+def _expect_here(entry: ModelEntry) -> None:
+    path = model_path(entry)
+    if not path.exists():
+        what = entry.source.package if isinstance(entry.source, DependencySource) else "the package"
+        without = ", or choose interpolation, which needs none" if entry.slot == "prior" else ""
+        raise ModelMissingError(
+            f"{entry.name}: {path} came with the package and is gone; install {what} again{without}"
+        )
 
 
 def _user_files(entry: ModelEntry, source: FileSource) -> tuple[Path, ...]:
@@ -181,10 +222,10 @@ def _check_digest(entry: ModelEntry) -> None:
             raise ModelMissingError(f"{entry.name}: {path} is gone; run `video2anim models pull {entry.name}`")
         came = file_digest(path)
         if came != wanted:
-            raise ModelMissingError(
-                f"digest of {path}: wanted {wanted[:16]}.., came {came[:16]}..; "
-                f"delete the file or run `video2anim models pull {entry.name}`"
-            )
+            cure = f"delete the file or run `video2anim models pull {entry.name}`"
+            if isinstance(entry.source, WheelSource):
+                cure = "it came with the package: install that again"
+            raise ModelMissingError(f"digest of {path}: wanted {wanted[:16]}.., came {came[:16]}..; {cure}")
 
 
 def _fetch(entry: ModelEntry, path: Path, on_progress: OnProgress | None) -> None:
@@ -210,14 +251,14 @@ def _fetch(entry: ModelEntry, path: Path, on_progress: OnProgress | None) -> Non
                         wanted.insert(0, (got.parent / beside.name, beside, digest))
                 case ReleaseSource() as source:
                     _fetch_address(entry, source.url, got, report)
-                case FileSource() | UserSource() | WheelSource():
+                case FileSource() | UserSource() | WheelSource() | DependencySource():
                     raise AssertionError("files that lie here are not fetched")
             for fetched, _, digest in wanted:
                 came = file_digest(fetched)
                 if came != digest:
                     raise ModelMissingError(
                         f"digest of {entry.name} from {entry.source.text}: wanted {digest[:16]}.., "
-                        f"came {came[:16]}..; the source is not the pinned one, nothing was kept"
+                        f"came {came[:16]}..; the source is not the pinned one{_moved_on(entry)}, nothing was kept"
                     )
             for fetched, goal, _ in wanted:  # the graph last: where it is, its data is
                 fetched.replace(goal)
@@ -341,3 +382,9 @@ def _not_in_package(entry: ModelEntry) -> ModelMissingError:
 
 def _instead(entry: ModelEntry) -> str:
     return f", or use {entry.instead}" if entry.instead else ""
+
+
+def _moved_on(entry: ModelEntry) -> str:
+    if isinstance(entry.source, HubSource) and entry.source.is_branch:
+        return f" (a branch, which moved on: name a file of your own as {entry.name}@PATH)"
+    return ""

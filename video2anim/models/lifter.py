@@ -27,7 +27,7 @@ class Lifter:
 
     def __init__(self, path: Path) -> None:
         self._session = open_session(path, inputs=(_INPUT,), outputs=(_OUTPUT,))
-        widths = (self._session.get_inputs()[0].shape[-1], self._session.get_outputs()[0].shape[-1])
+        widths = (self._session.inputs[_INPUT].shape[-1], self._session.outputs[_OUTPUT].shape[-1])
         if widths != WIDTHS:
             raise ModelMissingError(f"{path}: want {WIDTHS[0]} features and {WIDTHS[1]} outputs a frame, got {widths}")
 
@@ -37,6 +37,6 @@ class Lifter:
         for begin in range(0, len(features), _CHUNK):
             low, high = max(begin - _MARGIN, 0), min(begin + _CHUNK + _MARGIN, len(features))
             piece = features[None, low:high].astype(np.float32)
-            answer = np.asarray(self._session.run([_OUTPUT], {_INPUT: piece})[0])[0]
+            answer = self._session.run([_OUTPUT], {_INPUT: piece})[0][0]
             parts.append(answer[begin - low : begin - low + _CHUNK])
         return np.concatenate(parts)

@@ -52,7 +52,7 @@ class MetricGeometry:
 
 
 class Moge:
-    """Metric geometry network, for slots `depth` and `camera`. `kind` and `name` are those of a `DepthClip`."""
+    """Metric geometry network, which tells the lens too. `kind` and `name` are those of a `DepthClip`."""
 
     kind = "metric"
     name = "moge-2-small"
@@ -67,9 +67,7 @@ class Moge:
         self._network = Network(path, inputs=("image",), optional_inputs=("num_tokens",), outputs=("points", "mask"))
         scale = next((name for name in _SCALE_NAMES if name in self._network.outputs), None)
         if scale is None:
-            raise ModelMissingError(
-                f"{path}: want an output scale or metric_scale (a MoGe-2 export), got {self._network.outputs}"
-            )
+            raise ModelMissingError(f"{path}: want an output scale or metric_scale (a MoGe-2 export), got others")
         self._scale = scale
 
     def infer(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import onnxruntime
 from jaxtyping import Float, UInt8
 
 from video2anim.errors import ModelMissingError
-from video2anim.models.onnx import LOAD_ERRORS, THREADS
+from video2anim.models.onnx import Session
 
 
 class Network:
@@ -31,21 +30,12 @@ class Network:
             ModelMissingError: the file is no ONNX network, or one without these tensors.
         """
         self.path = path
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = THREADS
-        options.log_severity_level = 3
-        try:
-            self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        except LOAD_ERRORS as error:
-            raise ModelMissingError(
-                f"{path}: want an .onnx network, the runtime cannot load it: {_one_line(error)}"
-            ) from error
-        self.inputs = {tensor.name: tensor for tensor in self._session.get_inputs()}
-        self.outputs = tuple(tensor.name for tensor in self._session.get_outputs())
+        self._session = Session(path)
+        self.inputs, self.outputs = self._session.inputs, tuple(self._session.outputs)
         fits = set(inputs) <= set(self.inputs) <= {*inputs, *optional_inputs} and set(outputs) <= set(self.outputs)
         if not fits:
             raise ModelMissingError(
-                f"{path}: want tensors {tuple(inputs)} -> {tuple(outputs)}, got {tuple(self.inputs)} -> {self.outputs}"
+                f"{path}: want tensors {tuple(inputs)} -> {tuple(outputs)}, got {self._session.tensors}"
             )
 
     def rank(self, name: str) -> int:
@@ -63,13 +53,7 @@ class Network:
         Raises:
             ModelMissingError: the network refuses its input.
         """
-        try:
-            values = self._session.run(list(outputs), dict(feeds))
-        except LOAD_ERRORS as error:
-            shapes = ", ".join(f"{name} {value.shape}" for name, value in feeds.items())
-            raise ModelMissingError(
-                f"{self.path}: want a network of {shapes}, it refuses: {_one_line(error)}"
-            ) from error
+        values = self._session.run(outputs, feeds)
         return {name: np.asarray(value, np.float32) for name, value in zip(outputs, values, strict=True)}
 
     def expect_shape(self, name: str, value: np.ndarray, wanted: Sequence[int | None]) -> None:
@@ -102,7 +86,3 @@ def to_unit_values(image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarr
 def sigmoid(logits: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Logistic function that never overflows."""
     return 0.5 * (1.0 + np.tanh(0.5 * logits))
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

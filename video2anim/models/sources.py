@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.metadata
+import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
+
+_INSTALLED = Path(__file__).parents[2]
+"""Folder of this project's import packages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +62,11 @@ class HubSource:
     """A commit; or a branch where the commit is not known, whose file is the pinned one as long as its digest is."""
     file: str
     data: ExternalData | None = None
+
+    @property
+    def is_branch(self) -> bool:
+        """Whether the address may come to hold another file, which then fails its digest."""
+        return len(self.revision) != 40
 
     @property
     def text(self) -> str:
@@ -117,15 +127,42 @@ class WheelSource:
     """A file that comes with this package."""
 
     file: str
-    """Name in `video2anim/models/weights`."""
+    """Its path from the folder of the import packages."""
 
     @property
     def path(self) -> Path:
-        return Path(__file__).parent / "weights" / self.file
+        return _INSTALLED / self.file
 
     @property
     def text(self) -> str:
-        return f"wheel:video2anim/models/weights/{self.file}"
+        return f"wheel:{self.file}"
 
 
-Source = PipSource | NpmSource | HubSource | ReleaseSource | FileSource | UserSource | WheelSource
+@dataclass(frozen=True, slots=True)
+class DependencySource:
+    """Data inside a package that this one depends on, which pip installed with it."""
+
+    package: str
+
+    @property
+    def path(self) -> Path:
+        """Folder of the package; nothing is imported."""
+        found = importlib.util.find_spec(self.package)
+        places = None if found is None else found.submodule_search_locations
+        return Path(next(iter(places))) if places else _INSTALLED / self.package
+
+    @property
+    def version(self) -> str:
+        """Of the installed package.
+
+        Raises:
+            importlib.metadata.PackageNotFoundError: there is none.
+        """
+        return importlib.metadata.version(self.package)
+
+    @property
+    def text(self) -> str:
+        return f"dependency:{self.package}"
+
+
+Source = PipSource | NpmSource | HubSource | ReleaseSource | FileSource | UserSource | WheelSource | DependencySource

@@ -1,4 +1,4 @@
-"""Every model the program can use: where its weights come from, their digest, licence and adapter."""
+"""Every network and data product that decides a result: where it comes from, its digest, licence and adapter."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Literal
 
 from video2anim.errors import UsageError
 from video2anim.models.sources import (
+    DependencySource,
     ExternalData,
     FileSource,
     HubSource,
@@ -27,17 +28,20 @@ class ModelEntry:
     slot: str
     """What the model does; stages ask for a slot or for a name."""
     name: str
-    runtime: Literal["onnx", "tflite"]
+    runtime: Literal["onnx", "tflite", "torch", "arrays"]
     source: Source
     sha256: str
-    """Digest of the weights; empty for files that the user brings, which are taken as they are."""
+    """Digest of the weights; empty for files that the user brings, which are taken as they are, and for dependencies,
+    which have a version."""
     size_bytes: int
-    """Of all its files; 0 for files that the user brings, and where the origin states a digest and no size."""
+    """Of all its files; 0 for files that the user brings, dependencies, and where the origin states a digest alone."""
     licence: str
     verified: Literal["weights", "contract"]
     """`weights`: run against real pictures with these weights; `contract`: only the tensor contract is tested."""
     adapter: str
-    """`module:Class` that runs it."""
+    """`module:Class` that runs it; empty where not `load_model` but the part that it belongs to does."""
+    also: tuple[str, ...] = ()
+    """Slots whose question it answers in part: in `camera` the lens alone, without gravity."""
     requires: tuple[str, ...] = ()
     """Other models the adapter needs."""
     instead: str = ""
@@ -53,7 +57,14 @@ class ModelEntry:
         return f"{self.name}.{self.runtime}"
 
 
+PRIOR = "scenemi"
+PRIOR_CHOICES = ("auto", "interpolation")
+"""What `refine.prior` may be besides the prior's name and a file: the prior where its weights are present, and none."""
+_PRIOR_SUFFIX = ".safetensors"
 _MEDIAPIPE = "0.10.21"
+_BRANCH = "main"
+"""Revision of two hub repositories whose commit could not be found: their makers publish digests, and no commit. The
+digest holds the file; should the branch move on, fetching fails and says so."""
 _ROOM_NET = "727fd91764d60ae3f528eeffb35c966543ec1a17769072cdf34b72159508344d"
 """Digest of the room network: one file for three slots."""
 _ROOM_NET_BYTES = 11_280_767
@@ -100,7 +111,7 @@ MODELS: tuple[ModelEntry, ...] = (
         slot="lifter",
         name="lifter",
         runtime="onnx",
-        source=WheelSource("lifter.onnx"),
+        source=WheelSource("video2anim/models/weights/lifter.onnx"),
         sha256="bb69b67bfada205f9b4e79410cb5ab5179693a9221978086a4ffaaaa1f62bb9d",
         size_bytes=6_647_918,
         licence="Apache-2.0",
@@ -111,7 +122,7 @@ MODELS: tuple[ModelEntry, ...] = (
         slot="depth",
         name="room-depth",
         runtime="onnx",
-        source=WheelSource("room_net.onnx"),
+        source=WheelSource("video2anim/models/weights/room_net.onnx"),
         sha256=_ROOM_NET,
         size_bytes=_ROOM_NET_BYTES,
         licence="Apache-2.0",
@@ -157,6 +168,7 @@ MODELS: tuple[ModelEntry, ...] = (
         licence="MIT",
         verified="contract",
         adapter="video2anim.models.moge:Moge",
+        also=("camera",),
     ),
     ModelEntry(
         slot="depth",
@@ -173,12 +185,13 @@ MODELS: tuple[ModelEntry, ...] = (
         licence="Apache-2.0",
         verified="contract",
         adapter="video2anim.models.depth_anything_3:DepthAnything3",
+        also=("camera",),
     ),
     ModelEntry(
         slot="camera",
         name="room-camera",
         runtime="onnx",
-        source=WheelSource("room_net.onnx"),
+        source=WheelSource("video2anim/models/weights/room_net.onnx"),
         sha256=_ROOM_NET,
         size_bytes=_ROOM_NET_BYTES,
         licence="Apache-2.0",
@@ -200,7 +213,7 @@ MODELS: tuple[ModelEntry, ...] = (
         slot="segment",
         name="room-segment",
         runtime="onnx",
-        source=WheelSource("room_net.onnx"),
+        source=WheelSource("video2anim/models/weights/room_net.onnx"),
         sha256=_ROOM_NET,
         size_bytes=_ROOM_NET_BYTES,
         licence="Apache-2.0",
@@ -211,7 +224,7 @@ MODELS: tuple[ModelEntry, ...] = (
         slot="segment",
         name="eomt-small-coco",
         runtime="onnx",
-        source=HubSource("jessolmstead/greycard-sky", "main", "eomt-s-coco-640.onnx"),
+        source=HubSource("jessolmstead/greycard-sky", _BRANCH, "eomt-s-coco-640.onnx"),
         sha256="805ed0fb363784811a7f3979335c2c64a7d40f91ae943326f79a56ff477f372d",
         size_bytes=96_025_182,
         licence="MIT",
@@ -222,7 +235,7 @@ MODELS: tuple[ModelEntry, ...] = (
         slot="segment",
         name="rf-detr-seg-small",
         runtime="onnx",
-        source=HubSource("besit/rfdetr-onnx", "main", "rfdetr-seg-small.onnx"),
+        source=HubSource("besit/rfdetr-onnx", _BRANCH, "rfdetr-seg-small.onnx"),
         sha256="6e9ac79e34143c8cbd63b5e1c653c3108ea944ab08153433c761f72d7fef641c",
         size_bytes=0,
         licence="Apache-2.0",
@@ -285,6 +298,50 @@ MODELS: tuple[ModelEntry, ...] = (
         adapter="video2anim.models.triposr:TripoSR",
         files=("encoder.onnx", "field.onnx"),
     ),
+    ModelEntry(
+        slot="prior",
+        name=PRIOR,
+        runtime="torch",
+        source=WheelSource("scenemi/weights/small.safetensors"),
+        sha256="e9d550b2c82fda88de6c6dda02d2820d1fc7234e75b5b6501f55f16bc32e7a12",
+        size_bytes=15_614_780,
+        licence="Apache-2.0",
+        verified="weights",
+        adapter="",
+    ),
+    ModelEntry(
+        slot="body",
+        name="anny",
+        runtime="torch",
+        source=DependencySource("anny"),
+        sha256="",
+        size_bytes=0,
+        licence="code Apache-2.0, data CC0",
+        verified="weights",
+        adapter="",
+    ),
+    ModelEntry(
+        slot="motion-features",
+        name="fid",
+        runtime="torch",
+        source=WheelSource("scenemi/weights/fid/features.safetensors"),
+        sha256="5558cd8daa9210571cbf273dccfa10e6ec8a9f0b4ea5ec25c2b49e79be7cc9e1",
+        size_bytes=322_000,
+        licence="Apache-2.0",
+        verified="weights",
+        adapter="",
+    ),
+    ModelEntry(
+        slot="walking-styles",
+        name="gait",
+        runtime="arrays",
+        source=WheelSource("video2anim/synth/acting/gait.npz"),
+        sha256="a4015f5679cafb8e9b90e018808493b6fdd0d99c8394d3ba0760bbd5c41ee432",
+        size_bytes=17_768,
+        licence="Apache-2.0",
+        verified="weights",
+        adapter="",
+    ),
 )
 
 
@@ -297,12 +354,17 @@ def find_model(name_or_slot: str) -> ModelEntry:
     """The row of a name, or the first row of a slot.
 
     `NAME@PATH` is the row of NAME with weights of the user's own: source `file:`, no digest to hold them to. PATH may
-    be the folder of a model of several files.
+    be the folder of a model of several files. What else `refine.prior` may be is the row of the prior: `auto`, and a
+    path that ends in `.safetensors`, as that of weights of the user's own.
 
     Raises:
         UsageError: there is neither a model nor a slot of that name.
     """
     wanted, at, path = name_or_slot.partition("@")
+    if not any(wanted in (m.name, m.slot) for m in MODELS) and name_or_slot.endswith(_PRIOR_SUFFIX):
+        wanted, at, path = PRIOR, "@", name_or_slot
+    if name_or_slot == "auto":
+        wanted = PRIOR
     for entry in (
         *(m for m in MODELS if m.name == wanted),
         *(m for m in MODELS if m.slot == wanted),
