@@ -54,6 +54,15 @@ def arrays(model: str = "smpl", betas: int = 10, seed: int = 0) -> dict[str, Any
     }
 
 
+def tree(joint: int, parent: int) -> np.ndarray:
+    """SMPL's tree with another parent of one joint; the last two are children of each other where 22 has 23."""
+    found = arrays()["kintree_table"].astype(np.int64)
+    found[0, joint] = parent
+    if (joint, parent) == (22, 23):
+        found[0, 23] = 22
+    return found
+
+
 def write(path: Path, content: Any, protocol: int = 2) -> Path:
     path.write_bytes(pickle.dumps(content, protocol=protocol))
     return path
@@ -329,8 +338,16 @@ def test_damaged_pickles_are_told_in_one_line(tmp_path: Path, content: bytes, to
         ({"f": np.full((3, 3), VERTICES)}, r"f: want vertices 0\.\.79, got 80\.\.80"),
         ({"weights": np.zeros((VERTICES, 24))}, "weights: want rows >= 0 with a positive sum"),
         ({"kintree_table": np.tile(np.arange(24), (2, 1))}, "want SMPL's joint order"),
+        *(({"kintree_table": tree(joint, parent)}, "want SMPL's joint order")
+          for joint, parent in ((22, 23), (23, 23), (5, 7), (1, 22))),
+        ({"kintree_table": arrays()["kintree_table"] + 0.5}, "kintree_table: want whole numbers"),
+        ({"kintree_table": np.full((2, 24), np.nan)}, "kintree_table: want whole numbers"),
+        ({"f": np.full((3, 3), 0.5)}, "f: want whole numbers"),
+        ({"f": np.full((3, 3), np.inf)}, "f: want whole numbers"),
+        ({"f": np.full((3, 3), 1e300)}, "f: want whole numbers"),
     ],
-)
+)  # fmt: skip
+@pytest.mark.filterwarnings("error")
 def test_wrong_arrays_are_told_in_one_line(tmp_path: Path, suffix: str, changed: dict[str, Any], told: str) -> None:
     path = tmp_path / f"SMPL.{suffix}"
     content = arrays() | changed
@@ -342,6 +359,16 @@ def test_wrong_arrays_are_told_in_one_line(tmp_path: Path, suffix: str, changed:
         load_body_model(path)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("axis", ["vertices", "joints", "faces"])
+def test_a_body_of_nothing_is_refused(tmp_path: Path, axis: str) -> None:
+    empty = {"vertices": ("v_template", np.zeros((0, 3))), "faces": ("f", np.zeros((0, 3), int)),
+             "joints": ("weights", np.zeros((VERTICES, 0)))}  # fmt: skip
+    key, value = empty[axis]
+    np.savez(tmp_path / "SMPL.npz", **(arrays() | {key: value}))
+    with pytest.raises(InputError, match=rf"SMPL file: {key}: want shape \(.*\), got \(.*0.*\) in"):
+        load_body_model(tmp_path / "SMPL.npz")
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:

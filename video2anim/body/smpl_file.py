@@ -55,13 +55,13 @@ def read_smpl_file(path: Path) -> SmplFile:
         raise InputError(f"SMPL file: want .npz or .pkl, got {path.suffix!r} at {path}; {_AS_SHIPPED}")
     found = _read_npz(path) if path.suffix == ".npz" else _read_pickle(path)
     _check_shapes(path, found)
-    integers = {key: found.pop(key).astype(np.int64) for key in ("kintree_table", "f")}
+    integers = {key: _whole(path, key, found.pop(key)) for key in ("kintree_table", "f")}
     numbers = {key: value.astype(np.float64) for key, value in found.items()}
     for key, value in numbers.items():
         if not np.isfinite(value).all():
             raise InputError(f"SMPL file: {key}: want finite numbers, got NaN or infinity in {path}; {_AS_SHIPPED}")
     faces, vertices = integers["f"], len(numbers["v_template"])
-    if faces.size and (faces.min() < 0 or faces.max() >= vertices):
+    if faces.min() < 0 or faces.max() >= vertices:
         raise InputError(
             f"SMPL file: f: want vertices 0..{vertices - 1}, got {faces.min()}..{faces.max()} in {path}; {_AS_SHIPPED}"
         )
@@ -82,10 +82,20 @@ def _check_shapes(path: Path, found: dict[str, np.ndarray]) -> None:
     for key, axes in _AXES.items():
         got = found[key].shape
         want = tuple(lengths.get(axis, axis) for axis in axes)
-        if len(got) != len(want) or any(isinstance(w, int) and w != g for w, g in zip(want, got, strict=True)):
+        fits = len(got) == len(want) and all(
+            g == w if isinstance(w, int) else g for w, g in zip(want, got, strict=True)
+        )
+        if not fits:
             text = ", ".join(str(w) for w in want)
             raise InputError(f"SMPL file: {key}: want shape ({text}), got {got} in {path}; {_AS_SHIPPED}")
         lengths.update({axis: length for axis, length in zip(axes, got, strict=True) if isinstance(axis, str)})
+
+
+def _whole(path: Path, key: str, found: np.ndarray) -> np.ndarray:
+    """Numbers that are indices, int64."""
+    if not (np.isfinite(found).all() and (found == np.round(found)).all() and (np.abs(found) < 2**53).all()):
+        raise InputError(f"SMPL file: {key}: want whole numbers, got others in {path}; {_AS_SHIPPED}")
+    return found.astype(np.int64)
 
 
 def _absent(path: Path, keys: list[str]) -> InputError:
