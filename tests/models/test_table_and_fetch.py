@@ -194,6 +194,42 @@ def test_a_dependency_counts_by_its_version(monkeypatch: pytest.MonkeyPatch) -> 
             use("anny")
 
 
+NOTICED = {
+    "blazepose-detector": "BlazePose", "blazepose-heavy": "BlazePose", "blazepose-full": "BlazePose",
+    "geocalib": "GeoCalib", "moge-2-small": "MoGe-2", "eomt-small-coco": "EoMT",
+    "depth-anything-v2-small": "Depth Anything V2 small", "depth-anything-3-small": "Depth Anything 3 small",
+    "rf-detr-seg-small": "RF-DETR-Seg small", "anny": "Anny",
+}  # fmt: skip
+"""What the notice calls the work of others."""
+
+
+def test_the_notice_tells_of_all_that_comes_along_or_is_fetched() -> None:
+    """Each under its heading, with its license; the motion that own weights come from is thanked for in their cards."""
+    root = Path(models.__file__).parents[2]
+    paragraphs = {}
+    for paragraph in (root / "NOTICE").read_text().split("\n\n"):
+        heading, _, rest = paragraph.partition("\n- ")
+        paragraphs[heading.split(",")[0].split()[0]] = " ".join(rest.split())
+    for row in models.list_models():
+        match row.source:
+            case table.WheelSource():
+                assert row.source.file in paragraphs["Part"]
+                assert row.licence == "Apache-2.0"
+                card = models.model_path(row).with_suffix(".md")
+                if card.is_file():
+                    assert "obtained from mocap.cs.cmu.edu" in " ".join(card.read_text().split()), card
+            case table.DependencySource():
+                assert f"{NOTICED[row.name]} body model" in paragraphs["Dependencies"]
+                assert row.licence.split(",")[0].removeprefix("code ") in paragraphs["Dependencies"]
+            case table.UserSource():
+                continue
+            case _:
+                assert NOTICED[row.name] in paragraphs["Fetched"]
+                assert row.licence in paragraphs["Fetched"].split(NOTICED[row.name], 1)[1]
+    for origin in ("CMU", "DeepMimic", "ACCAD"):
+        assert f"- {origin}: " in f"- {paragraphs['Their']}"
+
+
 def test_slot_gives_its_first_model_and_unknown_names_the_known() -> None:
     assert models.find_model("pose").name == "blazepose-heavy"
     with pytest.raises(UsageError, match=r"unknown model 'blazepos'; known: .*blazepose-full"):
