@@ -366,7 +366,9 @@ def test_a_body_of_nothing_is_refused(tmp_path: Path, axis: str) -> None:
     empty = {"vertices": ("v_template", np.zeros((0, 3))), "faces": ("f", np.zeros((0, 3), int)),
              "joints": ("weights", np.zeros((VERTICES, 0)))}  # fmt: skip
     key, value = empty[axis]
-    np.savez(tmp_path / "SMPL.npz", **(arrays() | {key: value}))
+    changed: dict[str, Any] = {key: value}
+    content = arrays() | changed
+    np.savez(tmp_path / "SMPL.npz", **content)
     with pytest.raises(InputError, match=rf"SMPL file: {key}: want shape \(.*\), got \(.*0.*\) in"):
         load_body_model(tmp_path / "SMPL.npz")
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from stages import humans
 from stages.humans import HumansConfig
+from stages.refine import RefineConfig
 from video2anim.cli.compose import TableModels, pipeline_nodes, preset_models
+from video2anim.models import weight_digests
 from video2anim.pipeline.config import resolve
 from video2anim.pipeline.graph import Node
 from video2anim.pipeline.stage import StageContext, StageSpec, slots_of
@@ -68,6 +71,18 @@ def test_the_stage_loads_what_the_key_names(own: Callable[[str], str]) -> None:
         assert asked.pop().partition("@")[0] in digests
     assert humans._lifted([], HumansConfig(method="optimizer"), ctx) == []
     assert asked == []
+
+
+def test_a_stage_that_names_the_prior_has_it_in_its_key(tmp_path: Path) -> None:
+    """Slot `prior` is filled by a field of that name."""
+    own = tmp_path / "mine.safetensors"
+    own.write_bytes(b"weights")
+    shipped = weight_digests("scenemi")
+    digests = functools.partial(TableModels().digests, ("prior",))
+    assert digests(SimpleNamespace(prior="auto")) == digests(SimpleNamespace(prior="scenemi")) == shipped
+    assert digests(RefineConfig()) == shipped
+    assert digests(SimpleNamespace(prior="interpolation")) == {}
+    assert digests(SimpleNamespace(prior=str(own)))["scenemi"] != shipped["scenemi"]
 
 
 def test_slots_by_name_or_by_configuration() -> None:
