@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from video2anim.errors import UsageError
+from video2anim.pipeline.options import limits, model_of
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import BackgroundPlate, PersonTracks, VideoClip
 
@@ -30,21 +30,14 @@ _FEWEST_SAMPLES = 9
 class BackgroundConfig:
     """How the plate is sampled."""
 
-    frame_step: int = 5
+    frame_step: Annotated[int, limits("frames", ge=1, le=100_000)] = 5
     """Masks are made for every such frame and the last one."""
-    max_samples: int = 60
+    max_samples: Annotated[int, limits(ge=1, le=255)] = 60
     """Most frames that the median takes; fewer where they would need too much memory."""
-    long_side_px: int = 384
+    long_side_px: Annotated[int, limits("px", ge=16, le=16_384)] = 384
     """Working resolution of masks, and of all depth that follows."""
-    segment_model: str = "none"
+    segment_model: Annotated[str, model_of("segment", also=(NO_MODEL,))] = "none"
     """Model of slot `segment` that sees people beside the person model; `none` leaves masks to the latter."""
-
-    def __post_init__(self) -> None:
-        if self.frame_step < 1 or not 1 <= self.max_samples <= 255 or self.long_side_px < 16:
-            raise UsageError(
-                "background: want frame_step >= 1, max_samples 1 to 255 and long_side_px >= 16, got "
-                f"{self.frame_step}, {self.max_samples} and {self.long_side_px}"
-            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

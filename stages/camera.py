@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from video2anim.errors import UsageError
+from video2anim.pipeline.options import Height, limits, model_of, only_without
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import CameraEstimate, Intrinsics, PersonTrack, PersonTracks, VideoClip
 
@@ -35,21 +36,21 @@ FULL_FRAME_DIAGONAL_MM = 43.267
 class CameraConfig:
     """Settings of the stage."""
 
-    focal_px: float | None = None
+    focal_px: Annotated[float, limits("px", gt=0, le=1_000_000)] | None = None
     """Known focal length in pixels of the upright video; nothing is estimated then."""
-    height_m: float | dict[int, float] | None = None
+    height_m: Height | dict[int, Height] | None = None
     """Known standing height in meters: of the main person, or by person's ID. The lens is fitted to the main person."""
-    frames: int = 24
+    frames: Annotated[int, limits(ge=1, le=10_000)] = 24
     """Frames the lens is fitted to, spread over the clip."""
-    iterations: int = 200
+    iterations: Annotated[int, limits(ge=2, le=100_000)] = 200
     """Steps of the fit."""
-    model: str = "lifter"
+    model: Annotated[str, model_of("lifter")] = "lifter"
     """Model that lifts landmarks to bodies, where the fit starts and what it stays near."""
-    camera_model: str = "room-camera"
+    camera_model: Annotated[str, model_of("camera", also=(NO_MODEL,))] = "room-camera"
     """Model of slot `camera` that gives perspective fields; `none` leaves the camera to the person alone."""
-    field_frames: int = 3
+    field_frames: Annotated[int, limits(ge=1, le=1000), only_without("camera_model", NO_MODEL)] = 3
     """Pictures whose fields are fitted together; one for a moving camera."""
-    straight_edges: bool = True
+    straight_edges: Annotated[bool, only_without("camera_model", NO_MODEL)] = True
     """Correct what the fields say by the straight edges of the room."""
 
 
@@ -61,7 +62,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     focal length of the file's metadata is used unless the person's perspective contradicts it grossly.
 
     Raises:
-        UsageError: a focal length or height that no camera or person has.
+        UsageError: a focal length that no camera has.
     """
     from video2anim.fitting.problem import evenly_spread
     from video2anim.fitting.stature import expect_heights

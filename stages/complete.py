@@ -7,12 +7,13 @@ support on the floor); colors there are inpainted from the object itself. A netw
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from video2anim.errors import StageError, UsageError
+from video2anim.errors import StageError
+from video2anim.pipeline.options import limits, model_of
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
@@ -33,11 +34,11 @@ SLOT = "completer"
 class CompleteConfig:
     """Limits of the completion."""
 
-    unseen_ratio: float = 0.02
+    unseen_ratio: Annotated[float, limits(ge=0, le=1)] = 0.02
     """Pixels that are free of people in a smaller share of the frames count as never seen."""
-    largest_completed_ratio: float = 0.5
+    largest_completed_ratio: Annotated[float, limits(ge=0, le=1)] = 0.5
     """If more than this share of the completed outline were invented, the visible outline is kept instead."""
-    model: str = NO_MODEL
+    model: Annotated[str, model_of("completer", also=(NO_MODEL,))] = NO_MODEL
     """Network that completes outlines and colors, `completer@FILE`; `none` leaves them to geometry."""
 
 
@@ -57,14 +58,13 @@ def complete_objects(
     """Amodal mask and picture of every instance.
 
     Raises:
-        UsageError: `model` names one of another slot.
         ModelMissingError: its weights are absent, or no network of its contract.
     """
     import cv2
 
     from video2anim.geometry.amodal import object_picture
 
-    completer = _completer(config, ctx)
+    completer = None if config.model == NO_MODEL else ctx.model(config.model)
     height, width = plate.plate_rgb.shape[:2]
     seen = cv2.resize(plate.seen_ratio.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
     unseen = seen < config.unseen_ratio
@@ -90,16 +90,6 @@ def complete_objects(
     ctx.quality("mean_completed_ratio", float(np.mean(ratios)), "1")
     ctx.quality("largest_completed_ratio", max(ratios), "1", "lower")
     return CompletedObjects(tuple(objects))
-
-
-def _completer(config: CompleteConfig, ctx: StageContext) -> MaskCompleter | None:
-    from video2anim.models import find_model
-
-    if config.model == NO_MODEL:
-        return None
-    if find_model(config.model).slot != SLOT:
-        raise UsageError(f"complete.model: want a model of slot {SLOT}, such as completer@FILE, got {config.model!r}")
-    return ctx.model(config.model)
 
 
 def _completed(

@@ -9,12 +9,13 @@ answer, brought to the plate's: so nothing flickers.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Annotated, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from video2anim.errors import StageError
+from video2anim.pipeline.options import limits, model_of, only_with, only_without
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import BackgroundPlate, BodyTracks, CameraEstimate, DepthClip, VideoClip
 
@@ -25,21 +26,24 @@ _SAME_VIEW = 0.01
 """Camera motion, in metres and radians, below which the plate still is the frame's background."""
 
 
+_HueShift = Annotated[float, limits("rad", ge=-3.1416, le=3.1416)]
+
+
 @dataclass(frozen=True)
 class DepthConfig:
     """Provider of depth and its limits."""
 
-    provider: str = "geometric"
+    provider: Annotated[str, model_of("depth", also=("geometric",))] = "room-depth"
     """`geometric`, or a model of slot `depth`, by its name or as NAME@PATH."""
-    far_m: float = 30.0
+    far_m: Annotated[float, limits("m", gt=0, le=10_000), only_with("provider", "geometric")] = 30.0
     """Geometric: nothing is placed beyond this distance."""
-    contact_threshold: float = 0.5
+    contact_threshold: Annotated[float, limits(ge=0, le=1), only_with("provider", "geometric")] = 0.5
     """Geometric: contact probability from which a foot stands."""
-    hue_shifts_rad: tuple[float, ...] = (-0.6, -0.3, 0.3, 0.6)
+    hue_shifts_rad: Annotated[tuple[_HueShift, ...], only_without("provider", "geometric")] = (-0.6, -0.3, 0.3, 0.6)
     """Network: hue shifts of the plate's copies that give its uncertainty."""
-    frame_hue_shifts_rad: tuple[float, ...] = (-0.45, 0.45)
+    frame_hue_shifts_rad: Annotated[tuple[_HueShift, ...], only_without("provider", "geometric")] = (-0.45, 0.45)
     """Network: the same for each sampled frame."""
-    unreliable_ratio: float = 0.04
+    unreliable_ratio: Annotated[float, limits(ge=0, le=1), only_without("provider", "geometric")] = 0.04
     """Network: pixels with a deviation above this share of the range of values are dropped."""
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from video2anim.errors import UsageError
+from pydantic import AfterValidator
+
+from video2anim.pipeline.options import limits, only_with
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BodyTracks,
@@ -23,17 +26,25 @@ STAGE_FORMATS = ("glb", "usd", "bvh", "amass")
 """Formats that every run writes; the others are made on demand by `video2anim export`."""
 
 
+def _known_formats(names: tuple[str, ...]) -> tuple[str, ...]:
+    from video2anim.export.formats import FORMATS
+
+    if set(names) - set(FORMATS):
+        raise ValueError(f"a list of {', '.join(FORMATS)}")
+    return names
+
+
 @dataclass(frozen=True)
 class ExportConfig:
     """Settings of the stage."""
 
-    formats: tuple[str, ...] = STAGE_FORMATS
+    formats: Annotated[tuple[str, ...], AfterValidator(_known_formats)] = STAGE_FORMATS
     """Any of `glb`, `usd`, `bvh`, `amass`, `fbx-ready`."""
     preview: bool = True
     """Whether to make `preview.mp4`."""
-    preview_height_px: int = 360
+    preview_height_px: Annotated[int, limits("px", ge=16, le=4320), only_with("preview", True)] = 360
     """Height of the preview's panels."""
-    overlay_frames: int = 4
+    overlay_frames: Annotated[int, limits(ge=0, le=1000)] = 4
     """Still overlays made for the report."""
     worst_moments: bool = True
     """Whether to picture the worst moments of the main person for the report."""
@@ -55,15 +66,11 @@ def export_scene(
     A format whose library is missing is left out with a warning that names the command to install it.
 
     Raises:
-        UsageError: the configuration names an unknown format.
         InputError: the disk is full or the clip cannot be read.
     """
     from video2anim.artifacts.motion_io import write_motion
-    from video2anim.export.formats import FORMATS, ExportScene, MissingLibraryError, person_file, write_format
+    from video2anim.export.formats import ExportScene, MissingLibraryError, person_file, write_format
 
-    unknown = sorted(set(config.formats) - set(FORMATS))
-    if unknown:
-        raise UsageError(f"export.formats: want any of {', '.join(FORMATS)}, got {', '.join(unknown)}")
     written: list[Path] = []
     for index, motion in enumerate(refined.people):
         written.append(ctx.work_dir / person_file("motion", motion, index, ".npz"))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
-from video2anim.errors import UsageError
+from video2anim.pipeline.options import Height, limits, model_of, only_without
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BodyMotion,
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from video2anim.fitting.lifter_input import LiftedBody
     from video2anim.fitting.problem import FittedBody, Observations
 
-METHODS = ("both", "lifter", "optimizer")
 _REGRESSOR_ERROR_M = 0.05
 """Error that joints of a body regressor are taken to have about the pelvis; it tells none itself."""
 _FRAMES_AT_ONCE = 256
@@ -36,18 +35,18 @@ _SAME_SIZE = 1e-3
 class HumansConfig:
     """Settings of the stage."""
 
-    method: str = "both"
+    method: Literal["both", "lifter", "optimizer"] = "both"
     """`lifter`: the network's answer as it is; `optimizer`: a fit to the landmarks alone; `both`: a fit that starts
     from the network's answer and stays near it."""
-    model: str = "lifter"
+    model: Annotated[str, model_of("lifter", "body-regressor"), only_without("method", "optimizer")] = "lifter"
     """Model that lifts landmarks to bodies; `lifter@FILE` for weights of your own. `hmr2@FILE` and `gem-smpl@FILE` give
     the rotations instead; distance and contacts stay the lifter's."""
-    height_m: float | dict[int, float] | None = None
+    height_m: Height | dict[int, Height] | None = None
     """Known standing height in meters: of the main person, or by person's ID. Others are taken for adults of the mean
     height, under the evidence of the picture and of the floor that they share."""
-    iterations: int | None = None
+    iterations: Annotated[Annotated[int, limits(ge=1, le=100_000)] | None, only_without("method", "lifter")] = None
     """Steps of the fit (default: 400 from the landmarks, 160 from the lifter's answer)."""
-    cutoff_hz: float = 6.0
+    cutoff_hz: Annotated[float, limits("Hz", ge=0, le=1000), only_without("method", "lifter")] = 6.0
     """Faster changes are taken out of the fitted motion (6 Hz is usual for gait; raise it for throws and strikes, 0
     leaves all)."""
 
@@ -65,7 +64,6 @@ def recover_humans(
     from video2anim.fitting.quality import person_quality
     from video2anim.fitting.stature import expect_heights, height_of
 
-    _expect_known(config)
     expect_heights(config.height_m, tracks.selected_ids)
     selected = tuple(track.whole(clip.frame_count) for track in tracks.selected())
     observed = [observations(track, clip.frame_time_s, camera.intrinsics) for track in selected]
@@ -93,15 +91,6 @@ def recover_humans(
         for doubt in judged.doubts:
             ctx.warn(f"person {motion.person_id} should not be trusted: {doubt}")
     return BodyTracks(people, quality)
-
-
-def _expect_known(config: HumansConfig) -> None:
-    if config.method not in METHODS:
-        raise UsageError(f"humans.method: want one of {', '.join(METHODS)}, got {config.method!r}")
-    if not 0 <= config.cutoff_hz <= 1000:
-        raise UsageError(f"humans.cutoff_hz: want 0 (off) to 1000 Hz, got {config.cutoff_hz:g}")
-    if config.iterations is not None and not 1 <= config.iterations <= 100_000:
-        raise UsageError(f"humans.iterations: want 1 to 100000, got {config.iterations}")
 
 
 def _lifted(observed: list[Observations], config: HumansConfig, ctx: StageContext) -> list[LiftedBody] | list[None]:

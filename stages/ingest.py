@@ -10,12 +10,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from video2anim.errors import InputError, StageError, UsageError
+from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import PayloadFile, SourceInfo, SourceVideo, VideoClip
 
@@ -39,24 +40,18 @@ _MOTION_STEP = 8
 class IngestConfig:
     """What part of the source becomes the clip, and at what size."""
 
-    max_long_side_px: int = 1920
+    max_long_side_px: Annotated[int, limits("px", ge=16, le=16_384)] = 1920
     """Larger pictures are shrunk so that their longer side has this many pixels."""
-    shot: str | int = "longest"
+    shot: Literal["longest"] | Annotated[int, limits(ge=0, le=100_000)] = "longest"
     """`longest`, or the number of the shot to use, counted from 0."""
-    start_s: float = 0.0
+    start_s: Annotated[float, limits("s", ge=0, le=1_000_000)] = 0.0
     """Seconds after the first picture where to begin."""
-    stop_s: float | None = None
+    stop_s: Annotated[float, limits("s", gt=0, le=1_000_000)] | None = None
     """Seconds after the first picture where to stop; none for the end."""
-    min_frames: int = 5
+    min_frames: Annotated[int, limits("frames", ge=1, le=1_000_000)] = 5
     """Fewest frames at 30 fps that make a clip."""
 
     def __post_init__(self) -> None:
-        if self.max_long_side_px < 16:
-            raise UsageError(f"ingest.max_long_side_px: want 16 or more, got {self.max_long_side_px}")
-        if self.min_frames < 1:
-            raise UsageError(f"ingest.min_frames: want 1 or more, got {self.min_frames}")
-        if self.shot != "longest" and not str(self.shot).isdecimal():
-            raise UsageError(f"ingest.shot: want 'longest' or a number from 0, got {self.shot!r}")
         if not 0 <= self.start_s < (math.inf if self.stop_s is None else self.stop_s):
             raise UsageError(f"ingest: want 0 <= start_s < stop_s, got {self.start_s} and {self.stop_s}")
 

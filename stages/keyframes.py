@@ -10,12 +10,12 @@ for; between keyframes the move, not the motion, is interpolated, so the raw mot
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from video2anim.errors import UsageError
+from video2anim.pipeline.options import limits, only_with
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
@@ -42,57 +42,57 @@ _LEFT_INSIDE_M = 0.01
 class KeyframesConfig:
     """Which frames are optimized, and by what."""
 
-    keyframe_interval_frames: int = 5
+    keyframe_interval_frames: Annotated[int, limits("frames", ge=1, le=100_000)] = 5
     """Every such frame is a keyframe, besides the first and the last valid one (paper: 5)."""
-    sampled_vertices: int = 500
+    sampled_vertices: Annotated[int, limits(ge=1, le=100_000)] = 500
     """Skin vertices tested for penetration, spread by farthest-point sampling."""
-    vertices_per_contact_part: int = 100
+    vertices_per_contact_part: Annotated[int, limits(ge=1, le=100_000)] = 100
     """Skin vertices of each part that may touch."""
-    contact_threshold: float = 0.5
+    contact_threshold: Annotated[float, limits(ge=0, le=1)] = 0.5
     """Contact probability from which a part is pulled to the surface, weighed by the probability."""
-    contact_reach_m: float = 0.25
+    contact_reach_m: Annotated[float, limits("m", ge=0, le=100)] = 0.25
     """A touching part farther than this from every surface is left alone: what it touches is not in the scene."""
-    contact_points: int = 5
+    contact_points: Annotated[int, limits(ge=1, le=100_000)] = 5
     """Nearest vertices of a part whose mean distance is brought to zero."""
-    weight_regularization: float = 4.0
+    weight_regularization: Annotated[float, limits(ge=0, le=1_000_000)] = 4.0
     """On the mean squared displacement along the line of sight (m^2). Depth is what one camera knows least, but that
     holds for the scene too."""
-    weight_regularization_across: float = 4.0
+    weight_regularization_across: Annotated[float, limits(ge=0, le=1_000_000)] = 4.0
     """On the mean squared displacement across the line of sight (m^2), which would leave the picture."""
-    picture_limit_ratio: float = 0.05
+    picture_limit_ratio: Annotated[float, limits(ge=0, le=100)] = 0.05
     """No displacement across the line of sight is longer than this share of the body's height, plus the landmarks' 2D
     error at the root's depth; what a body penetrates then is left, and told."""
-    weight_contact: float = 17.0
+    weight_contact: Annotated[float, limits(ge=0, le=1_000_000)] = 17.0
     """On the mean Huber cost of the contact distance (m^2)."""
-    penetration_reach_m: float = 0.2
+    penetration_reach_m: Annotated[float, limits("m", ge=0, le=100)] = 0.2
     """Vertices that start farther from every surface are not tested for penetration."""
-    weight_penetration: float = 100.0
+    weight_penetration: Annotated[float, limits(ge=0, le=1_000_000)] = 100.0
     """On the mean squared depth of penetrating vertices (m^2), over all frames: between keyframes too."""
-    weight_displacement_change: float = 2.0
+    weight_displacement_change: Annotated[float, limits(ge=0, le=1_000_000)] = 2.0
     """On the squared difference of consecutive displacements (m^2); the paper's smoothness, taken on the displacement
     so that walking is not slowed."""
-    weight_acceleration: float = 0.1
+    weight_acceleration: Annotated[float, limits(ge=0, le=1_000_000)] = 0.1
     """On the squared second difference of consecutive roots (m^2), at the keyframe interval."""
-    weight_depth: float = 15.0
+    weight_depth: Annotated[float, limits(ge=0, le=1_000_000)] = 15.0
     """On the robust Chamfer cost (m^2)."""
-    depth_points: int = 800
+    depth_points: Annotated[int, limits(ge=1, le=100_000)] = 800
     """Depth points, and as many visible vertices, per sampled frame."""
     yaw: bool = False
     """Also turn the body about the vertical through its root, per keyframe."""
-    weight_yaw: float = 4.0
+    weight_yaw: Annotated[float, limits(ge=0, le=1_000_000), only_with("yaw", True)] = 4.0
     """On the mean squared way (m^2) of a point at `yaw_lever_m`, as across the line of sight; its change from keyframe
     to keyframe costs `weight_displacement_change`, and it is limited as a displacement across is."""
-    yaw_lever_m: float = 0.3
+    yaw_lever_m: Annotated[float, limits("m", gt=0, le=100), only_with("yaw", True)] = 0.3
     """Distance from the vertical at which a turn counts as way: that of a hand at the side or a foot in mid-stride."""
     leg_ik: bool = False
     """Then bring touching feet that are still off the surface under them onto it, by leg inverse kinematics."""
-    leg_ik_limit_m: float = 0.1
+    leg_ik_limit_m: Annotated[float, limits("m", gt=0, le=100), only_with("leg_ik", True)] = 0.1
     """Feet farther from an upward surface than this are left alone."""
-    huber_m: float = 0.05
+    huber_m: Annotated[float, limits("m", gt=0, le=100)] = 0.05
     """Contact and depth distances above this count linearly."""
-    iterations: int = 200
+    iterations: Annotated[int, limits(ge=1, le=100_000)] = 200
     """Adam steps."""
-    learning_rate_m: float = 0.01
+    learning_rate_m: Annotated[float, limits("m", gt=0, le=10)] = 0.01
     """First step size; it falls to zero along a cosine."""
 
 
@@ -111,7 +111,6 @@ def optimize_keyframes(
     """
     from video2anim.geometry.sdf import SdfGrid
 
-    _expect_possible(config)
     grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
     masks_fit = plate.selected_mask.shape[1:] == depth.depth_m.shape[1:]
     usable = depth.trusted and masks_fit
@@ -134,14 +133,6 @@ def optimize_keyframes(
         people.append(_optimize_person(motion, keyframes, grid, seen, error_px, config, ctx, name))
         ctx.progress(number + 1, len(bodies.people))
     return KeyframedMotion(tuple(people), tuple(indices))
-
-
-def _expect_possible(config: KeyframesConfig) -> None:
-    for name in ("yaw_lever_m", "leg_ik_limit_m"):
-        if not getattr(config, name) > 0:
-            raise UsageError(f"keyframes.{name}: want more than 0 m, got {getattr(config, name):g}")
-    if not config.picture_limit_ratio >= 0:
-        raise UsageError(f"keyframes.picture_limit_ratio: want 0 or more, got {config.picture_limit_ratio:g}")
 
 
 def _optimize_person(

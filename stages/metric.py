@@ -9,12 +9,13 @@ one distance, which the person alone cannot.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.errors import StageError
+from video2anim.pipeline.options import limits, model_of, only_without
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import BackgroundPlate, BodyTracks, DepthClip, Intrinsics, MetricDepth
 
@@ -34,33 +35,33 @@ _FLAT = "what the person's depth tells would make the whole scene flat"
 class MetricConfig:
     """Samples and limits of the fit."""
 
-    frames: int = 24
+    frames: Annotated[int, limits(ge=1, le=10_000)] = 24
     """At most so many frames enter the fit, spread over the clip."""
-    points: int = 300
+    points: Annotated[int, limits(ge=1, le=1_000_000)] = 300
     """At most so many vertices and so many pixels per frame."""
-    least_pixels: int = 40
+    least_pixels: Annotated[int, limits(ge=1, le=1_000_000)] = 40
     """Frames with fewer reliable person pixels are left out."""
-    least_frames: int = 3
+    least_frames: Annotated[int, limits(ge=1, le=10_000)] = 3
     """Fewer frames than this do not fix the scale."""
-    least_range_ratio: float = 0.15
+    least_range_ratio: Annotated[float, limits(ge=0, le=10)] = 0.15
     """Range of the person's depth, as a share of its median, that is needed to tell offset from scale."""
-    largest_chamfer_m: float = 0.35
+    largest_chamfer_m: Annotated[float, limits("m", ge=0, le=100)] = 0.35
     """A worse agreement than this is not trusted."""
     evidence: Literal["body", "ground", "both"] = "both"
     """What the fit rests on; depth of provider `geometric` contains the floor already and takes `body` always."""
-    segment_model: str = "room-segment"
+    segment_model: Annotated[str, model_of("segment"), only_without("evidence", "body")] = "room-segment"
     """Model of slot `segment` that tells where the floor is."""
-    ground_weight: float = 50.0
+    ground_weight: Annotated[float, limits(ge=0, le=1_000_000), only_without("evidence", "body")] = 50.0
     """Weight of the floor's mean miss beside the body's, which decides where the floor leaves a choice."""
-    ground_pixels: int = 1500
+    ground_pixels: Annotated[int, limits(ge=1, le=1_000_000), only_without("evidence", "body")] = 1500
     """At most so many floor pixels."""
-    least_ground_ratio: float = 0.02
+    least_ground_ratio: Annotated[float, limits(gt=0, le=1), only_without("evidence", "body")] = 0.02
     """Less floor than this share of the picture is no evidence."""
-    largest_ground_miss_m: float = 0.3
+    largest_ground_miss_m: Annotated[float, limits("m", ge=0, le=100), only_without("evidence", "body")] = 0.3
     """Floor that stays farther than this from the floor, in the median, contradicts itself."""
-    snap_ratio: float = 0.25
+    snap_ratio: Annotated[float, limits(ge=0, le=10), only_without("evidence", "body")] = 0.25
     """Recognised floor whose depth is off the floor's by less than this share is put onto it; 0 leaves all as it is."""
-    farthest_ground_m: float = 12.0
+    farthest_ground_m: Annotated[float, limits("m", gt=0, le=10_000), only_without("evidence", "body")] = 12.0
     """Floor beyond this tells nothing of scale."""
 
 

@@ -7,11 +7,13 @@ and scale. Objects stay upright, rest on the floor or on each other, and do not 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
 
 from video2anim.errors import StageError
+from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
@@ -26,24 +28,26 @@ from video2anim.types import (
     PlacedObjects,
 )
 
+_TurnDeg = Annotated[float, limits("degrees", ge=-360, le=360)]
+
 
 @dataclass(frozen=True)
 class PlaceConfig:
     """Starts and limits of the fit."""
 
-    yaw_starts_deg: tuple[float, ...] = (-60.0, -30.0, 30.0, 60.0, 90.0, 180.0)
+    yaw_starts_deg: tuple[_TurnDeg, ...] = (-60.0, -30.0, 30.0, 60.0, 90.0, 180.0)
     """Yaws tried besides the first guess, relative to it, for meshes whose front is unknown."""
-    own_yaw_starts_deg: tuple[float, ...] = ()
+    own_yaw_starts_deg: tuple[_TurnDeg, ...] = ()
     """The same for meshes that stage reconstruct made in their place: their yaw comes from the picture."""
-    points: int = 300
+    points: Annotated[int, limits(ge=1, le=1_000_000)] = 300
     """At most so many mesh points and depth points."""
-    least_points: int = 30
+    least_points: Annotated[int, limits(ge=1, le=1_000_000)] = 30
     """Objects with fewer reliable depth pixels are not trusted."""
-    largest_chamfer_m: float = 0.25
+    largest_chamfer_m: Annotated[float, limits("m", ge=0, le=100)] = 0.25
     """Objects that stay farther from their depth are not trusted."""
-    overlap_m: float = 0.03
+    overlap_m: Annotated[float, limits("m", ge=0, le=100)] = 0.03
     """Objects deeper in each other than this are moved apart."""
-    largest_overlap_m: float = 0.1
+    largest_overlap_m: Annotated[float, limits("m", ge=0, le=100)] = 0.1
     """Objects that stay deeper in another than this are not trusted."""
 
 

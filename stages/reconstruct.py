@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from jaxtyping import UInt8
+from pydantic import Field
 
-from video2anim.errors import InputError, StageError, UsageError
+from video2anim.errors import InputError, StageError
 from video2anim.pipeline.config import counts_as, user_path
+from video2anim.pipeline.options import limits, model_of, only_without
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
@@ -39,6 +41,9 @@ FINEST = 256
 """Most samples of a network's field along a side: what TripoSR's own program takes."""
 
 
+_COMMAND = r"(?s)^$|\{image\}.*\{mesh\}|\{mesh\}.*\{image\}"
+
+
 def _with_digest(command: str) -> str:
     from video2anim.models.external_mesh import program_digest
 
@@ -49,27 +54,29 @@ def _with_digest(command: str) -> str:
 class ReconstructConfig:
     """Detail of the meshes, and what is assumed of hidden sides."""
 
-    most_faces: int = 4000
+    most_faces: Annotated[int, limits("faces", ge=12, le=1_000_000)] = 4000
     """Upper limit of faces per object."""
-    cubes_along: int = 40
+    cubes_along: Annotated[int, limits(ge=4, le=256)] = 40
     """Cubes along the longest side of an object."""
-    thickness_ratio: float = 0.35
+    thickness_ratio: Annotated[float, limits(gt=0, le=10)] = 0.35
     """Assumed thickness of what is seen from the front alone, as a share of the root of width times height."""
-    thickest_m: float = 0.8
+    thickest_m: Annotated[float, limits("m", gt=0, le=100)] = 0.8
     """Largest assumed thickness."""
-    depth_error_ratio: float = 0.01
+    depth_error_ratio: Annotated[float, limits(ge=0, le=1)] = 0.01
     """Error of depth within an object, as a share of its distance; nothing nearer than that is called free."""
-    least_points: int = 30
+    least_points: Annotated[int, limits(ge=1, le=1_000_000)] = 30
     """Objects with fewer reliable depth pixels are dropped."""
     meshes: str = user_path()
     """Folder of the user's meshes, named by object (`3.glb`; +Y up, front towards +Z)."""
-    model: str = NO_MODEL
+    model: Annotated[str, model_of("object-mesh", also=(NO_MODEL,))] = NO_MODEL
     """Network that makes a mesh of a picture, for the other objects: `triposr@FOLDER`; `none` for no network."""
-    model_resolution: int = 96
+    model_resolution: Annotated[int, limits(ge=16, le=FINEST), only_without("model", NO_MODEL)] = 96
     """Samples of the network's field along a side; time grows with the third power."""
-    command: str = counts_as(_with_digest)
+    command: Annotated[str, Field(pattern=_COMMAND, description="that has {image} and {mesh} in it, or nothing")] = (
+        counts_as(_with_digest)
+    )
     """Program that makes a mesh of a picture, for objects still without one: its words with {image} and {mesh}."""
-    command_timeout_s: float = 600.0
+    command_timeout_s: Annotated[float, limits("s", gt=0, le=604_800), only_without("command", "")] = 600.0
     """A program that takes longer for one object is ended, and the object made of what is seen."""
 
 
@@ -93,7 +100,6 @@ def reconstruct_objects(
     """
     from video2anim.geometry.lifted_thing import ThingLifter
 
-    _expect_known(config)
     if not bodies.people:
         raise StageError("reconstruct: want at least one fitted body, got none; check stage humans")
     lifter = ThingLifter(masks, depth, plate, bodies.people[0], camera)
@@ -112,17 +118,6 @@ def reconstruct_objects(
     ctx.quality("dropped", len(completed.objects) - len(meshes), "objects", "lower")
     ctx.quality("most_faces", max((len(m.mesh.faces) for m in meshes), default=0), "faces")
     return ObjectMeshes(tuple(meshes))
-
-
-def _expect_known(config: ReconstructConfig) -> None:
-    from video2anim.models import find_model
-
-    if config.model != NO_MODEL and find_model(config.model).slot != SLOT:
-        raise UsageError(
-            f"reconstruct.model: want a model of slot {SLOT}, such as triposr@FOLDER, got {config.model!r}"
-        )
-    if not 16 <= config.model_resolution <= FINEST:
-        raise UsageError(f"reconstruct.model_resolution: want 16 to {FINEST}, got {config.model_resolution}")
 
 
 def _user_meshes(config: ReconstructConfig) -> dict[int, Path]:

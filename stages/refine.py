@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from video2anim.errors import UsageError
+from video2anim.pipeline.options import limits, only_with
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import BodyMotion, KeyframedMotion, RefinedMotion, SceneModel
 
@@ -47,36 +49,42 @@ class RefineConfig:
 
     prior: Literal["auto", "interpolation", "scenemi"] = "auto"
     """`auto` = `scenemi` where weights are present, else `interpolation`."""
-    keyframe_interval_frames: int = 15
+    keyframe_interval_frames: Annotated[int, limits("frames", ge=1, le=100_000)] = 15
     """Frames between keyframes given to the prior (paper: every third optimized keyframe)."""
-    keyframe_noise_level: float = 1.0
+    keyframe_noise_level: Annotated[float, limits(ge=0, le=100)] = 1.0
     """How far keyframes from video are off, in degrees and centimetres (paper's l); 0 = they are met exactly."""
-    window_frames: int = 121
+    window_frames: Annotated[int, limits("frames", ge=2, le=100_000)] = 121
     """Length of one synthesis (paper: N = 121)."""
-    overlap_frames: int = 60
+    overlap_frames: Annotated[int, limits("frames", ge=0, le=100_000)] = 60
     """Frames of a window that seed the next (paper: v = 60)."""
-    low_pass_hz: float = 6.0
+    low_pass_hz: Annotated[float, limits("Hz", ge=0, lt=0.5 * FPS)] = 6.0
     """Cutoff of the filter that takes the jitter out of the observed motion before keyframes are read from it
     (6 Hz is usual in gait analysis); 0 = no filter."""
     fallback: bool = True
     """Fill a window with denser keyframes where the prior makes it worse."""
-    penetration_slack_m: float = 0.01
+    penetration_slack_m: Annotated[float, limits("m", ge=0, le=100), only_with("fallback", True)] = 0.01
     """A window is worse when its deepest vertex is deeper than before by more than this."""
-    skating_slack: float = 0.05
+    skating_slack: Annotated[float, limits(ge=0, le=10), only_with("fallback", True)] = 0.05
     """A window is worse when its skating ratio (gmd) rises by more than this."""
-    jerk_slack: float = 0.1
+    jerk_slack: Annotated[float, limits(ge=0, le=1000)] = 0.1
     """A window is worse when its jerk rises by more than this share."""
-    deviation_limit_m: float = 0.05
+    deviation_limit_m: Annotated[float, limits("m", gt=0, le=100), only_with("fallback", True)] = 0.05
     """A window is worse when joints lie on average farther than this from the observed frames: the prior has lost a
     motion that is faster than the keyframes."""
     settle: bool = True
     """Move the root by centimetres where standing feet slide or skin is inside solids."""
-    picture_limit_ratio: float = 0.03
+    picture_limit_ratio: Annotated[float, limits(ge=0, le=100), only_with("settle", True)] = 0.03
     """Farthest that settling moves the root across the line of sight, as a share of the stature."""
     foot_lock: bool = True
     """Hold feet still in contact phases, and swinging toes off the floor."""
-    sampled_vertices: int = 500
+    sampled_vertices: Annotated[int, limits(ge=1, le=100_000)] = 500
     """Skin vertices that penetration is measured with."""
+
+    def __post_init__(self) -> None:
+        if self.overlap_frames >= self.window_frames:
+            raise UsageError(
+                f"refine: want overlap_frames < window_frames, got {self.overlap_frames} and {self.window_frames}"
+            )
 
 
 def refine_motion(

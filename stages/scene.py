@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from video2anim.errors import StageError
 from video2anim.pipeline.config import user_path
+from video2anim.pipeline.options import limits, only_with, only_without
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
@@ -37,51 +38,55 @@ SUPPORT = "support"
 """Label of solids that are known by the feet on them alone."""
 
 
+_ShiftM = Annotated[float, limits("m", ge=-10_000_000, le=10_000_000)]
+"""Scans in the coordinates of a survey lie far from the origin."""
+
+
 @dataclass(frozen=True)
 class SceneConfig:
     """Extent and detail of the scene."""
 
-    sdf_spacing_m: float = 0.06
+    sdf_spacing_m: Annotated[float, limits("m", ge=0.001, le=5)] = 0.06
     """Spacing of the distance field; wider where the field would have too many nodes."""
-    most_nodes: int = 3_000_000
+    most_nodes: Annotated[int, limits("nodes", ge=1000, le=100_000_000)] = 3_000_000
     """Upper limit of nodes of the distance field."""
-    margin_m: float = 1.0
+    margin_m: Annotated[float, limits("m", ge=0, le=100)] = 1.0
     """Room around the motion."""
-    reach_m: float = 3.0
+    reach_m: Annotated[float, limits("m", ge=0, le=1000), only_with("scan", "")] = 3.0
     """Objects up to this far from the motion lie wholly in the distance field."""
-    far_m: float = 30.0
+    far_m: Annotated[float, limits("m", gt=0, le=10_000)] = 30.0
     """Room surface beyond this depth is left out."""
-    background_long_side_px: int = 192
+    background_long_side_px: Annotated[int, limits("px", ge=16, le=16_384), only_with("scan", "")] = 192
     """Resolution of the room surface."""
-    free_depth_m: float = 0.05
+    free_depth_m: Annotated[float, limits("m", ge=0, le=10), only_with("scan", "")] = 0.05
     """Skin deeper than this inside an object speaks against the object's place."""
-    free_share: float = 0.005
+    free_share: Annotated[float, limits(ge=0, le=1), only_with("scan", "")] = 0.005
     """Share of the skin (hands and feet left out) that must be that deep for a frame to count."""
-    free_frames_ratio: float = 0.2
+    free_frames_ratio: Annotated[float, limits(ge=0, le=10), only_with("scan", "")] = 0.2
     """Share of the frames that speaks against an object; a body that touches or sits may sink in now and then."""
-    stood_deep_m: float = 0.04
+    stood_deep_m: Annotated[float, limits("m", ge=0, le=10), only_with("scan", "")] = 0.04
     """An object in which soles stood deeper than this..."""
-    stood_frames: int = 8
+    stood_frames: Annotated[int, limits("frames", ge=1, le=1_000_000), only_with("scan", "")] = 8
     """...in so many frames loses what was above them."""
-    hollow_margin_m: float = 0.02
+    hollow_margin_m: Annotated[float, limits("m", ge=0, le=10), only_with("scan", "")] = 0.02
     """What is taken out where the body was stops so far from its skin."""
-    walked_m: float = 0.5
+    walked_m: Annotated[float, limits("m", ge=0, le=1000), only_with("scan", "")] = 0.5
     """An object in which the pelvis makes a longer way is in the wrong place, and left out."""
-    least_left_ratio: float = 0.4
+    least_left_ratio: Annotated[float, limits(ge=0, le=1), only_with("scan", "")] = 0.4
     """So is an object of which less is left without the places where the body was."""
-    most_faces: int = 4000
+    most_faces: Annotated[int, limits("faces", ge=12, le=1_000_000), only_with("scan", "")] = 4000
     """Of an object whose shape the body's path changes."""
-    supports: bool = True
+    supports: Annotated[bool, only_with("scan", "")] = True
     """Put a solid under places well above the floor where feet rested and no object was found."""
     scan: str = user_path()
     """Mesh file of the room (metres, triangles facing the room), in place of what the video shows."""
-    scan_up: Literal["y", "z"] = "y"
+    scan_up: Annotated[Literal["y", "z"], only_without("scan", "")] = "y"
     """The scan's upward axis."""
-    scan_yaw_deg: float = 0.0
+    scan_yaw_deg: Annotated[float, limits("degrees", ge=-360, le=360), only_without("scan", "")] = 0.0
     """Turn of the scan about the vertical that brings it roughly into the video's world."""
-    scan_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    scan_shift_m: Annotated[tuple[_ShiftM, _ShiftM, _ShiftM], only_without("scan", "")] = (0.0, 0.0, 0.0)
     """Shift after that turn; the world's origin is the floor under the person's first place."""
-    scan_register: bool = True
+    scan_register: Annotated[bool, only_without("scan", "")] = True
     """Fit yaw and shift to the video's depth from there on."""
 
 

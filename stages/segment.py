@@ -9,12 +9,13 @@ depth that it does not explain. An empty list is a valid answer.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from jaxtyping import Bool, UInt8
 
 from video2anim.errors import StageError
+from video2anim.pipeline.options import limits, model_of
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import BackgroundPlate, BodyTracks, InstanceMasks, MetricDepth, ObjectInstance
 
@@ -30,17 +31,17 @@ _FLOOR_TOLERANCE_M = 0.3
 class SegmentConfig:
     """What counts as an object."""
 
-    provider: str = "geometric"
+    provider: Annotated[str, model_of("segment", also=("geometric",))] = "room-segment"
     """`geometric`, or a model of slot `segment`, by its name or as NAME@PATH."""
-    smallest_ratio: float = 0.004
+    smallest_ratio: Annotated[float, limits(ge=0, le=1)] = 0.004
     """Least share of the picture."""
-    smallest_m: float = 0.15
+    smallest_m: Annotated[float, limits("m", ge=0, le=1000)] = 0.15
     """Least width and height."""
-    largest_m: float = 4.0
+    largest_m: Annotated[float, limits("m", gt=0, le=1000)] = 4.0
     """Largest width and height."""
-    most_objects: int = 12
+    most_objects: Annotated[int, limits("objects", ge=0, le=1000)] = 12
     """Objects kept, best first."""
-    least_score: float = 0.25
+    least_score: Annotated[float, limits(ge=0, le=2)] = 0.25
     """Objects with a smaller score are dropped, unless the person touches them."""
 
 

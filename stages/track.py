@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from pydantic import Field
 
 from video2anim.errors import StageError, UsageError
+from video2anim.pipeline.options import limits, model_of
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import PersonTrack, PersonTracks, Thumbnail, VideoClip
 
@@ -23,23 +25,26 @@ _MIN_MEAN_VISIBILITY_SHORT = 0.7
 """For tracks of less than a second, which may be a mixture of two bodies at an occlusion."""
 
 
+_PERSON = r"^(largest|all|\s*[0-9]{1,9}\s*)$"
+
+
 @dataclass(frozen=True)
 class TrackConfig:
     """Settings of the stage."""
 
-    person: str = "largest"
+    person: Annotated[str, Field(pattern=_PERSON, description="that is 'largest', 'all' or a person's ID")] = "largest"
     """Whom later stages work on: `largest`, `all`, or a person's ID."""
-    model: str = "blazepose-heavy"
+    model: Annotated[str, model_of("pose")] = "blazepose-heavy"
     """Landmark model of the table (`video2anim models list`)."""
-    scan_every_s: float = 0.5
+    scan_every_s: Annotated[float, limits("s", ge=0, le=3600)] = 0.5
     """Time between searches of the whole picture for further people."""
-    min_detection_score: float = 0.5
+    min_detection_score: Annotated[float, limits(ge=0, le=1)] = 0.5
     """Detections below are not looked at, 0 to 1."""
-    max_lost_s: float = 1.0
+    max_lost_s: Annotated[float, limits("s", ge=0, le=3600)] = 1.0
     """A person found again near by after at most this time keeps the ID."""
-    max_away_s: float = 10.0
+    max_away_s: Annotated[float, limits("s", ge=0, le=3600)] = 10.0
     """So does, after at most this time and anywhere, a person in the same clothes that nobody else wears."""
-    min_track_s: float = 0.3
+    min_track_s: Annotated[float, limits("s", ge=0, le=3600)] = 0.3
     """People seen for less are dropped (half the clip where it is shorter than twice this)."""
 
 

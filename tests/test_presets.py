@@ -31,6 +31,12 @@ def test_preset_resolves(name: str) -> None:
     assert all(find_model(model).licence for model in preset_models(name))
 
 
+def test_what_no_preset_names_is_as_in_the_default_preset() -> None:
+    """So a preset of the user's own that names one option changes one option."""
+    embedded = resolve(pipeline_nodes(), "embedded", [("embedded", load_preset("embedded"))])
+    assert resolve(pipeline_nodes(), "embedded", []) == embedded
+
+
 def test_default_needs_only_package_sources() -> None:
     """`embedded` works without a model hub."""
     for name in preset_models("embedded"):

@@ -45,7 +45,7 @@ class Chain:
 
 def depth_of(room: Room, ctx: StageContext) -> DepthClip:
     """The geometric provider never reads the clip's video, so none is given."""
-    return estimate_depth(None, room.plate, room.bodies, room.camera, DepthConfig(), ctx)  # type: ignore[arg-type]
+    return estimate_depth(None, room.plate, room.bodies, room.camera, DepthConfig(provider="geometric"), ctx)  # type: ignore[arg-type]
 
 
 @functools.cache
@@ -54,7 +54,7 @@ def run_chain(room: Room) -> Chain:
     ctx = StageContext(Path())
     depth = depth_of(room, ctx)
     metric = fit_metric(depth, room.plate, room.bodies, MetricConfig(), ctx)
-    masks = segment_plate(room.plate, metric, room.bodies, SegmentConfig(), ctx)
+    masks = segment_plate(room.plate, metric, room.bodies, SegmentConfig(provider="geometric"), ctx)
     completed = complete_objects(room.plate, masks, metric, CompleteConfig(), ctx)
     meshes = reconstruct_objects(
         completed, masks, metric, room.plate, room.bodies, room.camera, ReconstructConfig(), ctx

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from stages.background import BackgroundConfig, make_background
+from video2anim.cli.compose import pipeline_nodes
 from video2anim.errors import UsageError
 from video2anim.models.segmentation import Segmentation
+from video2anim.pipeline.config import resolve
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
 from video2anim.video import FrameWriter
@@ -199,8 +201,8 @@ def test_work_is_done_at_reduced_size_and_in_few_samples(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("options", [{"frame_step": 0}, {"max_samples": 256}, {"long_side_px": 1}])
 def test_config_is_checked(options: dict[str, int]) -> None:
-    with pytest.raises(UsageError, match="background: want"):
-        BackgroundConfig(**options)
+    with pytest.raises(UsageError, match=r"background\.\w+: want"):
+        resolve(pipeline_nodes(), "p", [("test", {"background": options})])
 
 
 def test_a_networks_word_decides_where_nothing_else_does() -> None:

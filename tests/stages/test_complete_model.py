@@ -13,8 +13,9 @@ from synthetic_room import make_room
 from stages import complete
 from stages.complete import CompleteConfig, complete_objects
 from video2anim import models
-from video2anim.cli.compose import TableModels
+from video2anim.cli.compose import TableModels, pipeline_nodes
 from video2anim.errors import ModelMissingError, UsageError
+from video2anim.pipeline.config import resolve
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import CompletedObjects, InstanceMasks, ObjectInstance
 
@@ -116,7 +117,7 @@ def test_wrong_networks_stop_the_stage(tmp_path: Path) -> None:
     with pytest.raises(ModelMissingError, match="there is none; correct the path"):
         completed(masks, f"completer@{tmp_path / 'none.onnx'}")
     with pytest.raises(UsageError, match=r"complete\.model: want a model of slot completer"):
-        completed(masks, f"hmr2@{tmp_path / 'net.onnx'}")
+        resolve(pipeline_nodes(), "p", [("test", {"complete": {"model": f"hmr2@{tmp_path / 'net.onnx'}"}})])
 
 
 def test_the_file_is_part_of_the_key(tmp_path: Path) -> None:

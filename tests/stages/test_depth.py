@@ -74,8 +74,9 @@ def test_no_floor_in_the_picture_is_unknown_not_invented() -> None:
 
 def test_no_body_is_an_error() -> None:
     room = make_room()
+    config = DepthConfig(provider="geometric")
     with pytest.raises(StageError, match="want at least one fitted body"):
-        estimate_depth(None, room.plate, BodyTracks((), ()), room.camera, DepthConfig(), StageContext(Path()))  # type: ignore[arg-type]
+        estimate_depth(None, room.plate, BodyTracks((), ()), room.camera, config, StageContext(Path()))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("roll_deg", [0.0, 25.0])

@@ -15,7 +15,9 @@ import pytest
 from av.stream import Disposition
 
 from stages.ingest import IngestConfig, ingest
+from video2anim.cli.compose import pipeline_nodes
 from video2anim.errors import InputError, UsageError, Video2AnimError
+from video2anim.pipeline.config import resolve
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import SourceVideo, VideoClip
 from video2anim.video import FrameWriter, read_frames
@@ -339,4 +341,4 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Callabl
 )
 def test_config_is_checked(options: dict[str, object]) -> None:
     with pytest.raises(UsageError, match="ingest"):
-        IngestConfig(**options)
+        resolve(pipeline_nodes(), "p", [("test", {"ingest": options})])

@@ -13,12 +13,14 @@ from synthetic import body_vertices, planted_walk, rotation, side_camera, with_r
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.leg_ik import LEGS, move_ankles
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
+from video2anim.cli.compose import pipeline_nodes
 from video2anim.errors import UsageError
 from video2anim.fitting.keyframe_legs import PlantedFeet, plant_feet
 from video2anim.fitting.keyframe_moves import RootMoves, turned_about_y
 from video2anim.fitting.keyframe_points import SkinSample
 from video2anim.fitting.keyframe_sight import sight_of
 from video2anim.geometry.sdf import SdfGrid
+from video2anim.pipeline.config import resolve
 from video2anim.types import BodyMotion, SceneModel
 
 FRAMES = 41
@@ -267,4 +269,4 @@ def test_the_limit_is_a_share_of_the_body_and_the_error_of_its_landmarks() -> No
 )
 def test_impossible_options_are_named(option: str, value: float) -> None:
     with pytest.raises(UsageError, match=f"keyframes.{option}: want .* got {value:g}"):
-        optimize(standing(frames=2), scene(), **{option: value})
+        resolve(pipeline_nodes(), "p", [("test", {"keyframes": {option: value}})])

@@ -57,5 +57,6 @@ def test_true_depth_of_any_provider_segments_as_well() -> None:
 def test_size_limits_are_obeyed() -> None:
     room = make_room()
     chain = run_chain(room)
-    masks = segment_plate(room.plate, chain.metric, room.bodies, SegmentConfig(largest_m=0.5), StageContext(Path()))
+    config = SegmentConfig(provider="geometric", largest_m=0.5)
+    masks = segment_plate(room.plate, chain.metric, room.bodies, config, StageContext(Path()))
     assert masks.instances == ()

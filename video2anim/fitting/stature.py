@@ -8,7 +8,6 @@ from video2anim.errors import UsageError
 
 KNOWN_SIGMA_M = 0.01
 """Standard deviation of a height that the user gives."""
-_LEAST_M, _MOST_M = 0.5, 2.5
 
 
 def height_of(known_m: float | Mapping[int, float] | None, person_id: int, main_id: int) -> float | None:
@@ -19,17 +18,15 @@ def height_of(known_m: float | Mapping[int, float] | None, person_id: int, main_
 
 
 def expect_heights(known_m: float | Mapping[int, float] | None, person_ids: Sequence[int]) -> None:
-    """Refuse heights that nobody has, and those of people who are not worked on.
+    """Refuse heights of people who are not worked on.
 
     Raises:
-        UsageError: a height outside 0.5 to 2.5 m, or an ID that is not one of `person_ids`.
+        UsageError: an ID that is not one of `person_ids`.
     """
     if known_m is None:
         return
     heights_m = known_m if isinstance(known_m, Mapping) else dict.fromkeys(person_ids[:1], known_m)
     for person_id, height_m in heights_m.items():
-        if not _LEAST_M <= height_m <= _MOST_M:
-            raise UsageError(f"--height-m: want {_LEAST_M:g} to {_MOST_M:g} metres, got {height_m:g}")
         if person_id not in person_ids:
             worked_on = ", ".join(map(str, person_ids))
             raise UsageError(

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import os
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import pydantic
-import yaml
+from typing import Annotated, Any
 
 from video2anim.artifacts.user_files import content_digest
 from video2anim.errors import UsageError
 from video2anim.pipeline.graph import Node
+from video2anim.pipeline.options import limits, option_of, options_of, short
+from video2anim.pipeline.plain_yaml import MOST_CHARACTERS, PlainYamlError, read_yaml
 
 RUN_KEYS = ("seed",)
+_SEED = option_of(Annotated[int, limits(ge=0, le=2**32 - 1)], 0)
+"""What every library takes as a seed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +44,8 @@ def result_config(config: Any) -> dict[str, Any]:
     found = {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.metadata.get("in_key", True)}
     for field in dataclasses.fields(config):
         if field.metadata.get("user_path") and found.get(field.name):
-            path = Path(found[field.name])
-            found[field.name] = content_digest(path) if path.exists() else "missing"
+            path = found[field.name]
+            found[field.name] = content_digest(Path(path)) if os.path.exists(path) else "missing"
         if (counted := field.metadata.get("counts_as")) and found.get(field.name):
             found[field.name] = counted(found[field.name])
     return found
@@ -59,8 +60,8 @@ def expect_user_paths(config: PipelineConfig) -> None:
     for name, stage in config.stages.items():
         for field in dataclasses.fields(stage):
             path = getattr(stage, field.name)
-            if field.metadata.get("user_path") and path and not Path(path).exists():
-                raise UsageError(f"{name}.{field.name}: want a file or folder, found nothing at {path}")
+            if field.metadata.get("user_path") and path and not os.path.exists(path):
+                raise UsageError(f"{name}.{field.name}: want a file or folder, found nothing at {path!r:.300}")
 
 
 def user_path() -> Any:
@@ -90,25 +91,35 @@ def preset_names() -> list[str]:
 
 
 def load_preset(name: str) -> dict[str, Any]:
-    """Overrides of a shipped preset, or of a YAML file given by path.
+    """Overrides of a shipped preset, or of a YAML file given by path; what it does not name stays as it is.
 
     Raises:
-        UsageError: no such preset, or the file is not a YAML mapping.
+        UsageError: no such preset, or the file is no YAML mapping of plain data in UTF-8.
     """
-    path = Path(name) if name.endswith((".yaml", ".yml")) else presets_dir() / f"{name}.yaml"
-    if not path.is_file():
-        raise UsageError(f"--preset: want one of {preset_names()} or a YAML file, got {name!r}")
+    own = name.endswith((".yaml", ".yml"))
+    path = Path(name) if own else presets_dir() / f"{name}.yaml"
+    if not (os.path.isfile(path) if own else name in preset_names()):
+        raise UsageError(f"--preset: want one of {preset_names()} or a YAML file, got {short(name)}")
+    where = f"--preset {str(path)!r:.300}"
     try:
-        data = yaml.safe_load(path.read_text()) or {}
-    except yaml.YAMLError as error:
-        raise UsageError(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from error
-    if not isinstance(data, dict):
-        raise UsageError(f"{path}: want a mapping of stages to options, got {type(data).__name__}")
-    return data
+        with path.open("rb") as stream:
+            content = stream.read(4 * MOST_CHARACTERS + 1)
+        if len(content) > 4 * MOST_CHARACTERS:  # bytes of as many of the longest characters
+            raise UsageError(f"{where}: want a small text, got more than {4 * MOST_CHARACTERS} bytes")
+        data = read_yaml(content.decode("utf-8-sig"))
+    except OSError as error:
+        raise UsageError(f"{where}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{where}: want text in UTF-8, got another encoding; save it as UTF-8") from error
+    except PlainYamlError as error:
+        raise UsageError(f"{where}: want YAML, got {error}") from error
+    if not isinstance(data, dict | None):
+        raise UsageError(f"{where}: want a mapping of stages to options, got {short(data)}")
+    return data or {}
 
 
 def parse_set(assignments: Iterable[str]) -> dict[str, Any]:
-    """`["depth.samples=4"]` to nested overrides; values are YAML scalars.
+    """`["depth.far_m=40"]` to nested overrides, later ones winning; values are plain YAML.
 
     Raises:
         UsageError: not of the form a.b=value.
@@ -118,15 +129,16 @@ def parse_set(assignments: Iterable[str]) -> dict[str, Any]:
         key, sign, value = text.partition("=")
         parts = key.split(".")
         if not sign or len(parts) > 2 or not all(parts):
-            raise UsageError(f"--set: want STAGE.OPTION=VALUE, got {text!r}")
+            raise UsageError(f"--set: want STAGE.OPTION=VALUE, got {short(text)}")
         try:
-            parsed = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise UsageError(f"--set: want STAGE.OPTION=VALUE with a YAML value, got {text!r}") from error
-        if len(parts) == 1:
-            overrides[parts[0]] = parsed
-        else:
-            overrides.setdefault(parts[0], {})[parts[1]] = parsed
+            parsed = read_yaml(value)
+        except PlainYamlError as error:
+            raise UsageError(f"--set: want STAGE.OPTION=VALUE in YAML, got {short(text)} ({error})") from error
+        options = {parts[1]: parsed} if len(parts) == 2 else parsed
+        before = overrides.get(parts[0])
+        if isinstance(before, dict) and isinstance(options, dict):
+            options = before | options
+        overrides[parts[0]] = options
     return overrides
 
 
@@ -134,55 +146,54 @@ def resolve(nodes: Sequence[Node], preset: str, layers: Sequence[tuple[str, Mapp
     """Merge layers (source name, overrides), later ones winning, into typed stage configs.
 
     Raises:
-        UsageError: unknown key (with the nearest known one) or a value of the wrong type.
+        UsageError: unknown key (with the nearest known one), a value of the wrong type or out of range, the name of no
+            model, or an option that means nothing beside another one.
     """
     types = {node.name: node.config_type for node in nodes}
-    merged: dict[str, dict[str, Any]] = {name: {} for name in types}
+    values: dict[str, dict[str, Any]] = {name: {} for name in types}
+    chosen: dict[str, dict[str, int]] = {name: {} for name in types}
+    """The last layer that names an option; whole records of a stage are no choices."""
     seed = 0
-    for source, overrides in layers:
-        for key, value in overrides.items():
+    for number, (source, overrides) in enumerate(layers):
+        if not isinstance(overrides, Mapping):
+            raise UsageError(f"{source}: want a mapping of stages to options, got {short(overrides)}")
+        for key, given in overrides.items():
             if key == "seed":
-                seed = _checked(int, value, f"{source}: seed")
+                seed = _SEED.checked(given, f"{source}: seed")
                 continue
-            if key not in types:
-                raise UsageError(f"{source}: unknown key '{key}'{_suggest(key, [*types, *RUN_KEYS])}")
-            if not isinstance(value, Mapping):
-                raise UsageError(f"{source}: '{key}' wants a mapping of options, got {value!r}")
-            known = [f.name for f in dataclasses.fields(types[key])]
-            for option in value:
-                if option not in known:
-                    near = _suggest(option, known, prefix=f"{key}.")
-                    raise UsageError(f"{source}: unknown key '{key}.{option}'{near}")
-            merged[key].update(_names_as_text(types[key], value))
-    for name, options in merged.items():
-        for field in dataclasses.fields(types[name]):
-            if field.metadata.get("user_path") and field.name in options and options[field.name] is None:
-                options[field.name] = ""
-            if field.metadata.get("user_path") and options.get(field.name):
-                # A later command may be given from another folder.
-                options[field.name] = str(Path(str(options[field.name])).expanduser().absolute())
-    stages = {name: _checked(types[name], options, name) for name, options in merged.items()}
+            _expect_known(key, [*types, *RUN_KEYS], source)
+            if not isinstance(given, Mapping):
+                raise UsageError(f"{source}: '{key}' wants a mapping of options, got {short(given)}")
+            options = options_of(types[key])
+            for name, value in given.items():
+                _expect_known(name, options, source, prefix=f"{key}.")
+                values[key][name] = options[name].checked(value, f"{source}: {key}.{name}")
+            chosen[key] |= dict.fromkeys(given, -1 if given.keys() >= options.keys() else number)
+    stages = {name: kind(**values[name]) for name, kind in types.items()}
+    for name, config in stages.items():
+        _expect_applicable(name, config, chosen[name])
     return PipelineConfig(preset, seed, stages)
 
 
-def _checked(kind: type, value: Any, where: str) -> Any:
-    try:
-        return pydantic.TypeAdapter(kind).validate_python(value)
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        location = ".".join([where, *(str(part) for part in first["loc"])])
-        raise UsageError(f"{location}: {first['msg'].lower()}, got {first['input']!r}") from error
+def _expect_known(key: Any, known: Collection[str], source: str, prefix: str = "") -> None:
+    if isinstance(key, str) and key in known:
+        return
+    name = short(f"{prefix}{key}" if isinstance(key, str) else key)
+    near = difflib.get_close_matches(key[:80], known, n=1, cutoff=0.5) if isinstance(key, str) else []
+    advice = f"did you mean '{prefix}{near[0]}'?" if near else f"known: {', '.join(known)}"
+    raise UsageError(f"{source}: unknown key {name} ({advice})")
 
 
-def _names_as_text(kind: type, options: Mapping[str, Any]) -> dict[str, Any]:
-    """YAML reads a name such as the person ID `1` as a number; options that want text get it as text."""
-    hints = typing.get_type_hints(kind)
-    return {
-        name: str(value) if hints[name] is str and type(value) in (int, float) else value
-        for name, value in options.items()
-    }
-
-
-def _suggest(key: str, known: Sequence[str], prefix: str = "") -> str:
-    near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-    return f" (did you mean '{prefix}{near[0]}'?)" if near else f" (known: {', '.join(known)})"
+def _expect_applicable(stage: str, config: Any, chosen: Mapping[str, int]) -> None:
+    """An option that another one makes meaningless is a mistake, unless that other one was chosen over it later."""
+    for name, option in options_of(type(config)).items():
+        for condition in option.conditions:
+            layer = chosen.get(name, -1)
+            if layer < 0 or layer < chosen.get(condition.option, -1) or condition.holds(config):
+                continue
+            if getattr(config, name) != option.default:
+                other = getattr(config, condition.option)
+                raise UsageError(
+                    f"{stage}.{name}: means nothing with {stage}.{condition.option}={short(other)}; leave it out, or "
+                    f"set {stage}.{condition.option} too"
+                )
