@@ -14,6 +14,7 @@ from stages.camera import CameraConfig
 from stages.humans import HumansConfig, recover_humans
 from video2anim.errors import UsageError
 from video2anim.fitting.stature import expect_heights, height_of, parse_heights
+from video2anim.pipeline.options import options_of
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
     CameraEstimate,
@@ -52,8 +53,8 @@ def test_words_that_say_no_height(words: list[str]) -> None:
 
 @pytest.mark.parametrize("known", [9.0, 0.1, float("nan"), {1: 1.7, 2: 9.0}])
 def test_a_height_that_nobody_has(known: Any) -> None:
-    with pytest.raises(UsageError, match=r"--height-m: want 0\.5 to 2\.5 metres, got"):
-        expect_heights(known, (1, 2))
+    with pytest.raises(UsageError, match=r"humans\.height_m: want a number from 0\.5 to 2\.5 m \(--height-m\).*, got"):
+        options_of(HumansConfig)["height_m"].checked(known, "humans.height_m")
 
 
 def test_somebody_who_is_not_worked_on() -> None:

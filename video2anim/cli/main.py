@@ -66,7 +66,14 @@ def run_command(
     until: Annotated[str | None, typer.Option(help="Stop after this stage.")] = None,
     person: Annotated[str | None, typer.Option(help="largest, all, or an ID of the track stage.")] = None,
     focal_px: Annotated[float | None, typer.Option(help="Known focal length in pixels of the upright video.")] = None,
-    height_m: Annotated[float | None, typer.Option(help="Known standing height of the person.")] = None,
+    heights: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--height-m",
+            help="Known standing height: 1.70 of the main person, or 2=1.12 by ID, repeatable.",
+            metavar="[ID=]M",
+        ),
+    ] = None,
     device: Device = "auto",
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Start anew: forget the folder's video and settings.")
@@ -80,6 +87,7 @@ def run_command(
     The folder remembers its video and settings: an option given changes that one setting.
     """
     from video2anim.cli import compose, show
+    from video2anim.fitting.stature import parse_heights
     from video2anim.pipeline.config import parse_set
 
     shortcuts: dict[str, dict[str, Any]] = {}
@@ -87,9 +95,10 @@ def run_command(
         shortcuts["track"] = {"person": person}
     if focal_px is not None:
         shortcuts["camera"] = {"focal_px": focal_px}
-    if height_m is not None:
-        shortcuts.setdefault("camera", {})["height_m"] = height_m
-        shortcuts["humans"] = {"height_m": height_m}
+    if heights:
+        known = parse_heights(heights)
+        shortcuts.setdefault("camera", {})["height_m"] = known
+        shortcuts["humans"] = {"height_m": known}
     request = compose.RunRequest(
         out, video, preset, [("--set", parse_set(sets or [])), ("option", shortcuts)], start, until, overwrite,
         _edits(keep_edits, discard_edits), _device(device),
