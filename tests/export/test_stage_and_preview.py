@@ -40,7 +40,7 @@ def run_stage(clip: VideoClip, folder: Path, config: ExportConfig) -> tuple[Expo
     keyframes = (np.arange(0, FRAMES, 5),) * 2
     exported = export_scene(
         clip, camera, PersonTracks((), (), 1), BodyTracks(people), KeyframedMotion(people, keyframes),
-        RefinedMotion(people, ("interpolation",) * 2), room(), config, ctx,
+        RefinedMotion(people, ("interpolation",) * 2, (1.0,) * 2), room(), config, ctx,
     )  # fmt: skip
     return exported, ctx
 

@@ -2,27 +2,37 @@
 
 Scalars and structure go to `value.json`; numbers to `arrays.npz`; masks and bytes, compressed, to `masks.npz`;
 images to PNG; meshes to PLY; motions to `motion.npz` / `motion_<id>.npz`; payload files stay as they are.
+
+The types are the schema: `value.json` is checked whole before any other file is opened, then each file that it names
+is held against the annotation of its field.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import typing
+from collections import ChainMap
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, create_model
 
+from video2anim.artifacts.arrays import CLIP_AXES, Archive, Axes, annotation, is_array, opened_archive
 from video2anim.artifacts.images import read_png, write_png
 from video2anim.artifacts.meshes import read_ply, write_ply
 from video2anim.artifacts.motion_io import read_motion, write_motion
+from video2anim.artifacts.stage_files import ARRAYS_NPZ, MASKS_NPZ, VALUE_JSON, member, read_json, shown
 from video2anim.errors import ArtifactError
+from video2anim.types.clip import VideoClip
 from video2anim.types.motion import BodyMotion
 from video2anim.types.scene import Mesh
-from video2anim.types.storage import PayloadFile, Storage
+from video2anim.types.storage import Holds, IdsOf, OnePer, PayloadFile, Storage
 
-_JSON, _ARRAYS, _MASKS = "value.json", "arrays.npz", "masks.npz"
+_STRICT = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 
 class _Writer:
@@ -72,75 +82,162 @@ def write_value(value: Any, folder: Path) -> None:
     writer = _Writer(folder)
     encoded = writer.encode(value, "", None)
     if writer.arrays:
-        np.savez(folder / _ARRAYS, allow_pickle=False, **typing.cast("dict[str, Any]", writer.arrays))
+        np.savez(folder / ARRAYS_NPZ, allow_pickle=False, **typing.cast("dict[str, Any]", writer.arrays))
     if writer.masks:
-        np.savez_compressed(folder / _MASKS, allow_pickle=False, **typing.cast("dict[str, Any]", writer.masks))
-    (folder / _JSON).write_text(json.dumps(encoded, indent=1, allow_nan=True) + "\n")
+        np.savez_compressed(folder / MASKS_NPZ, allow_pickle=False, **typing.cast("dict[str, Any]", writer.masks))
+    (folder / VALUE_JSON).write_text(json.dumps(encoded, indent=1, allow_nan=True) + "\n")
+
+
+class _Array(BaseModel):
+    model_config = _STRICT
+    name: str = Field(alias="$array")
+
+
+class _Image(BaseModel):
+    model_config = _STRICT
+    name: str = Field(alias="$image")
+    dtype: typing.Literal["bool", "uint8"]
+
+
+class _File(BaseModel):
+    model_config = _STRICT
+    name: str = Field(alias="$file")
+
+
+class _Motion(BaseModel):
+    model_config = _STRICT
+    name: str = Field(alias="$motion")
+
+
+class _Mesh(BaseModel):
+    model_config = _STRICT
+    name: str = Field(alias="$mesh")
+
+
+_FORMS: dict[Any, Any] = {PayloadFile: _File, BodyMotion: _Motion, Mesh: _Mesh}
+
+
+@functools.cache
+def _model(kind: type) -> type[BaseModel]:
+    """What `value.json` of a dataclass must look like: its fields, with references to what other files hold."""
+    hints = typing.get_type_hints(kind, include_extras=True)
+    fields: dict[str, Any] = {}
+    for f in dataclasses.fields(kind):
+        form = _Image if f.metadata.get("storage") is Storage.IMAGE else _form(hints[f.name])
+        fields[f.name] = (form, ... if f.default is dataclasses.MISSING else f.default)
+    return create_model(kind.__name__, __config__=_STRICT, **fields)
+
+
+def _form(hint: Any) -> Any:
+    plain, _ = annotation(hint)
+    if is_array(plain):
+        return _Array
+    if plain in _FORMS:
+        return _FORMS[plain]
+    if dataclasses.is_dataclass(plain):
+        return _model(typing.cast("type", plain))
+    if typing.get_origin(plain) is tuple:
+        return tuple[tuple(item if item is Ellipsis else _form(item) for item in typing.get_args(plain))]  # type: ignore[misc]
+    return hint
 
 
 class _Reader:
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.arrays: dict[str, np.ndarray] = {}
-        for name in (_ARRAYS, _MASKS):
-            if (folder / name).exists():
-                self.arrays |= _read_arrays(folder / name)
+    """Fetches what a checked `value.json` refers to."""
 
-    def decode(self, data: Any, hint: Any) -> Any:
-        if isinstance(data, dict) and "$array" in data:
-            return self.arrays[data["$array"]]
-        if isinstance(data, dict) and "$image" in data:
-            return read_png(self.folder / data["$image"], np.dtype(data["dtype"]))
-        if isinstance(data, dict) and "$file" in data:
-            path = self.folder / data["$file"]
-            if not path.is_file():
-                raise FileNotFoundError(f"{path} is missing")
-            return PayloadFile(path)
-        if isinstance(data, dict) and "$motion" in data:
-            return read_motion(self.folder / data["$motion"])
-        if isinstance(data, dict) and "$mesh" in data:
-            return read_ply(self.folder / data["$mesh"])
-        if dataclasses.is_dataclass(hint):
-            hints = typing.get_type_hints(hint)
-            return hint(**{key: self.decode(item, hints[key]) for key, item in data.items()})  # type: ignore[operator]
-        if typing.get_origin(hint) is tuple:
-            kinds = typing.get_args(hint)
-            if len(kinds) == 2 and kinds[1] is Ellipsis:
-                return tuple(self.decode(item, kinds[0]) for item in data)
-            return tuple(self.decode(item, kind) for item, kind in zip(data, kinds, strict=True))
-        return data
+    def __init__(self, folder: Path, archives: list[Archive], axes: Axes) -> None:
+        self._folder, self._archives, self._axes = folder, archives, axes
+
+    def value(self, form: Any, hint: Any, axes: Axes) -> Any:
+        """The value of a field.
+
+        Args:
+            form: as it stands in `value.json`.
+            hint: its type.
+            axes: named lengths of the dataclass that the field belongs to.
+        """
+        plain, marks = annotation(hint)
+        match form:
+            case _Array():
+                if not self._archives:
+                    raise ArtifactError(f"want {ARRAYS_NPZ} with {shown(form.name)}, found none in {self._folder}")
+                archive = next((archive for archive in self._archives if form.name in archive), self._archives[0])
+                return archive.read(form.name, hint, axes)
+            case _Image():
+                return read_png(member(self._folder, form.name), np.dtype(form.dtype), hint=hint, axes=axes)
+            case _File():
+                return PayloadFile(member(self._folder, form.name))
+            case _Motion():
+                return read_motion(member(self._folder, form.name), axes=self._axes)
+            case _Mesh():
+                return read_ply(member(self._folder, form.name), empty=Holds.SOMETHING not in marks)
+            case BaseModel():
+                return self._dataclass(form, plain)
+            case tuple():
+                kinds = typing.get_args(plain)
+                kinds = kinds[:1] * len(form) if kinds[1:] == (Ellipsis,) else kinds
+                return tuple(self.value(item, kind, self._scope()) for item, kind in zip(form, kinds, strict=True))
+        return form
+
+    def _scope(self) -> Axes:
+        """Names of axes of one dataclass: those of the clip are shared, others are its own."""
+        return _Scope({}, self._axes)
+
+    def _dataclass(self, form: BaseModel, kind: type) -> Any:
+        hints, axes = typing.get_type_hints(kind, include_extras=True), self._scope()
+        found = {name: self.value(getattr(form, name), hints[name], axes) for name in type(form).model_fields}
+        for name, hint in hints.items():
+            for mark in annotation(hint)[1]:
+                self._expect_counterparts(kind, name, mark, found)
+        return kind(**found)
+
+    def _expect_counterparts(self, kind: type, name: str, mark: Any, found: dict[str, Any]) -> None:
+        """What one field must have in common with another."""
+        if isinstance(mark, OnePer):
+            optional = next(f for f in dataclasses.fields(kind) if f.name == name).default is not dataclasses.MISSING
+            wanted, came = len(found[mark.field]), len(found[name])
+            if came != wanted and not (optional and came == 0):
+                raise ArtifactError(
+                    f"{name}: want one of each of the {wanted} {mark.field}, got {came} in {self._folder}"
+                )
+        if isinstance(mark, IdsOf):
+            ids = [item.person_id for item in found[mark.field]]
+            if not set(found[name]) <= set(ids):
+                raise ArtifactError(
+                    f"{name}: want numbers among {shown(ids)}, got {shown(found[name])} in {self._folder}"
+                )
 
 
-def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        # Opened here: where the archive is damaged, `np.load` would leave its own handle open.
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            return {key: archive[key] for key in archive.files}
-    except Exception as error:  # zipfile and zlib raise classes of their own
-        raise ValueError(f"{path.name} is damaged ({error})") from error
+class _Scope(ChainMap[str, int]):
+    """Axes of one dataclass over those of the clip."""
+
+    def __setitem__(self, name: str, length: int) -> None:
+        self.maps[1 if name in CLIP_AXES else 0][name] = length
 
 
-def _read_structure(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text())
-    except ValueError as error:
-        raise ValueError(f"{path.name} is damaged ({error})") from error
+def read_value(kind: type, folder: Path, clip: VideoClip | None = None) -> Any:
+    """Read a dataclass of the given type from a stage folder. Edited files are taken where they are sound.
 
-
-def read_value(kind: type, folder: Path) -> Any:
-    """Read a dataclass of the given type from a stage folder.
+    Args:
+        kind: the type that the stage makes.
+        folder: of the stage.
+        clip: the clip whose number of frames and size the value must have; without it they only must agree.
 
     Raises:
-        ArtifactError: a file is missing, damaged or does not fit the type.
+        ArtifactError: a file is missing, damaged, outside the folder, or does not fit the type.
     """
     stage = folder.name.split("_", 1)[-1]
     remedy = f"make it again with `video2anim stage {folder.parent.parent} {stage} --discard-edits`"
+    axes: Axes = {}
+    if clip is not None:
+        axes |= {"frames": clip.frame_count, "height": clip.height_px, "width": clip.width_px}
     try:
-        return _Reader(folder).decode(_read_structure(folder / _JSON), kind)
+        form = read_json(member(folder, VALUE_JSON), _model(kind))
+        with ExitStack() as stack:
+            names = [name for name in (ARRAYS_NPZ, MASKS_NPZ) if (folder / name).exists()]
+            archives = [stack.enter_context(opened_archive(member(folder, name))) for name in names]
+            return _Reader(folder, archives, axes).value(form, kind, axes)
     except ArtifactError as error:
-        raise ArtifactError(f"{error}; {remedy}") from error
-    except Exception as error:  # damaged zip, PNG, PLY and JSON raise many classes
-        detail = f"{type(error).__name__}: {error}".splitlines()[0]
+        stage = folder.name.split("_", 1)[-1]
         raise ArtifactError(
-            f"stage folder: want a readable {kind.__name__}, got {detail} in {folder}; {remedy}"
+            f"{error}; mend it or make it again with `video2anim stage {stage} {folder.parent.parent}`"
         ) from error

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from video2anim.artifacts.manifest import MANIFEST_NAME
+from video2anim.artifacts.stage_files import value_files
 
 _TEMPORARY = ".unfinished-"
 
@@ -22,9 +23,18 @@ def file_digest(path: Path) -> str:
 
 
 def folder_digest(folder: Path) -> str:
-    """sha256 over names and bytes of all files in a stage folder but its manifest."""
+    """sha256 over names and bytes of all files in a folder but its manifest."""
+    return _digest(folder, sorted(p for p in folder.rglob("*") if p.is_file() and p.name != MANIFEST_NAME))
+
+
+def value_digest(folder: Path) -> str:
+    """sha256 over names and bytes of the files that hold a stage folder's value; stray files are none of it."""
+    return _digest(folder, [path for path in value_files(folder) if path.name != MANIFEST_NAME])
+
+
+def _digest(folder: Path, files: list[Path]) -> str:
     total = hashlib.sha256()
-    for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.name != MANIFEST_NAME):
+    for path in files:
         total.update(f"{path.relative_to(folder).as_posix()}\0{file_digest(path)}\n".encode())
     return total.hexdigest()
 

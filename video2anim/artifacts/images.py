@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
+from video2anim.artifacts.arrays import Axes, annotation, damage, expect_content, expect_shape
+from video2anim.artifacts.stage_files import opened
 from video2anim.errors import ArtifactError, InputError
 
-_ERRORS_ONLY = cv2.utils.logging.LOG_LEVEL_ERROR
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_MOST_PIXELS = 1 << 27
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
@@ -31,27 +36,58 @@ def png_bytes(image: np.ndarray, name: str = "image") -> bytes:
     return encoded.tobytes()
 
 
-def read_png(path: Path, dtype: np.dtype) -> np.ndarray:
-    """Read what `write_png` wrote; masks are thresholded at 128, so a paint program may edit them.
+def read_png(path: Path, dtype: np.dtype, *, hint: Any = np.ndarray, axes: Axes | None = None) -> np.ndarray:
+    """Read what `write_png` wrote or a paint program saved over it.
+
+    A mask (bool) is where the picture is at least half bright and at least half opaque, at 8 or 16 bits per channel,
+    gray or color. Other pictures have 8 bits per channel and are opaque; gray becomes RGB where RGB is wanted.
+
+    Args:
+        path: of the picture.
+        dtype: bool or uint8.
+        hint: annotation that gives the shape and says whether the picture may be empty.
+        axes: named lengths that the shape must have.
 
     Raises:
-        ArtifactError: not a readable picture.
+        ArtifactError: not a readable picture, or not of that size and depth.
     """
-    data = np.frombuffer(path.read_bytes(), np.uint8)
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(
-        _ERRORS_ONLY
-    )  # a cut-off file is told by the exception, not by a line of OpenCV's own
-    try:
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
-    finally:
-        cv2.utils.logging.setLogLevel(level)
+    with opened(path) as stream:
+        data = stream.read()
+    if data[:8] != _SIGNATURE or data[12:16] != b"IHDR" or len(data) < 33:
+        raise ArtifactError(f"want a PNG, got unreadable bytes at {path}")
+    width, height = struct.unpack(">II", data[16:24])
+    if width * height > _MOST_PIXELS:
+        raise ArtifactError(f"{path.name}: want at most {_MOST_PIXELS} pixels, got {width} x {height} at {path}")
+    kind, marks = annotation(hint)
+    axes = {} if axes is None else axes
+    in_color = dtype == np.uint8 and kind is not np.ndarray and len(kind.dim_str.split()) == 3
+    if kind is not np.ndarray:  # before the pixels are unpacked
+        expect_shape((height, width, 3) if in_color else (height, width), dtype, hint, axes, path.name, path)
+    with damage(path):
+        image = _decoded(data, cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ArtifactError(f"want a PNG, got unreadable bytes at {path}")
+    half = 1 << (8 * image.itemsize - 1)
     if dtype == np.bool_:
-        gray = image if image.ndim == 2 else image[..., :3].max(-1)
-        return gray >= 128
-    return np.ascontiguousarray(image[..., 2::-1]) if image.ndim == 3 else image
+        picture = (image if image.ndim == 2 else image[..., :3].max(-1)) >= half
+        picture &= True if image.shape[2:] != (4,) else image[..., 3] >= half
+    elif image.dtype != np.uint8 or (image.shape[2:] == (4,) and image[..., 3].min(initial=255) < 255):
+        raise ArtifactError(f"{path.name}: want 8 bits per channel and no transparent pixel, got others at {path}")
+    else:
+        image = image[..., None].repeat(3, -1) if in_color and image.ndim == 2 else image
+        picture = np.ascontiguousarray(image[..., 2::-1]) if image.ndim == 3 else image
+    expect_content(picture, marks, axes, path.name, path)
+    return picture
+
+
+def _decoded(data: bytes, flags: int) -> np.ndarray | None:
+    """Pixels as OpenCV reads them; damage is told by None, not by lines of OpenCV's own."""
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
 
 def read_picture(path: Path) -> np.ndarray:
@@ -62,15 +98,10 @@ def read_picture(path: Path) -> np.ndarray:
     """
     if not path.is_file():
         raise InputError(f"pictures: want an image file, found {'a folder' if path.is_dir() else 'nothing'} at {path}")
-    data = np.frombuffer(path.read_bytes(), np.uint8)
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(_ERRORS_ONLY)
     try:
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB) if len(data) else None
+        image = _decoded(path.read_bytes(), cv2.IMREAD_COLOR_RGB)
     except cv2.error:
         image = None
-    finally:
-        cv2.utils.logging.setLogLevel(level)
     if image is None:
         raise InputError(f"pictures: want a JPEG, PNG or other common image, got unreadable bytes at {path}")
     return image

@@ -6,16 +6,31 @@ import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+from pydantic import ConfigDict
+from typing_extensions import TypedDict
+
+from video2anim.artifacts.stage_files import read_json
 from video2anim.errors import ArtifactError
 
 MANIFEST_NAME = "manifest.json"
 
 
+class QualityRow(TypedDict):
+    """One quality number."""
+
+    name: str
+    value: float
+    unit: str
+    better: str
+
+
 @dataclass(frozen=True, slots=True)
 class Manifest:
     """Everything that explains one stage's output."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     stage: str
     version: int
@@ -32,7 +47,7 @@ class Manifest:
     wall_time_s: float
     peak_memory_mb: float | None
     """Largest resident set of the process during the stage; None where the system does not tell."""
-    qualities: list[dict[str, Any]]
+    qualities: list[QualityRow]
     warnings: list[str]
     versions: dict[str, str]
     device: str = ""
@@ -50,10 +65,9 @@ def read_manifest(folder: Path) -> Manifest:
     Raises:
         ArtifactError: damaged or of another layout.
     """
-    path = folder / MANIFEST_NAME
     try:
-        return Manifest(**json.loads(path.read_text()))
-    except (OSError, ValueError, TypeError) as error:
+        return read_json(folder / MANIFEST_NAME, Manifest)
+    except ArtifactError as error:
         raise ArtifactError(
-            f"manifest: want {path} as written by a stage, got {error}; delete the folder {folder} and run again"
+            f"manifest: want one as written by a stage, got {error}; delete the folder {folder} and run again"
         ) from error

@@ -2,20 +2,45 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
+from jaxtyping import Float, Int, Shaped
+from pydantic import NonNegativeInt, TypeAdapter, ValidationError
 
-from video2anim.body.skeleton import JOINT_NAMES, PARENTS
+from video2anim.artifacts.arrays import Axes, is_array, opened_archive
+from video2anim.artifacts.stage_files import first_fault
+from video2anim.body.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.errors import ArtifactError
 from video2anim.types.camera import Intrinsics
 from video2anim.types.motion import BodyMotion, BodyShape
+from video2anim.types.storage import Holds
 
-_SHAPES = {
-    "frame_time_s": (), "valid": (), "T_world_root": (4, 4), "R_parent_joint": (22, 3, 3),
-    "T_world_camera": (4, 4), "contact": (22,), "joints_world_m": (22, 3),
-}  # fmt: skip
-"""Trailing axes of the arrays that have one row per frame."""
+_SCHEMA = {key: hint for key, hint in get_type_hints(BodyMotion, include_extras=True).items() if is_array(hint)}
+_KEYS: dict[str, Any] = _SCHEMA | {
+    "joint_names": Annotated[Shaped[np.ndarray, "22"], Holds.TEXT],
+    "parents": Int[np.ndarray, "22"],
+    "intrinsics": Float[np.ndarray, "6"],
+    "shape_model": Annotated[Shaped[np.ndarray, ""], Holds.TEXT],
+    "shape_names": Annotated[Shaped[np.ndarray, "parameters"], Holds.TEXT],
+    "shape_values": Float[np.ndarray, "parameters"],
+    "person_id": Int[np.ndarray, ""],
+}
+"""What is read, and what it must be. `joints_camera_m` follows from the rest and is not read."""
+_LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "width_px", "height_px")
+_ROOT_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class _Scalars:
+    person_id: NonNegativeInt
+    intrinsics: Intrinsics
+    shape: BodyShape
+
+
+_SCALARS = TypeAdapter(_Scalars)
 
 
 def motion_arrays(motion: BodyMotion) -> dict[str, np.ndarray]:
@@ -47,46 +72,48 @@ def write_motion(path: Path, motion: BodyMotion) -> None:
     np.savez(path, allow_pickle=False, **arrays)
 
 
-def read_motion(path: Path) -> BodyMotion:
-    """Read a `motion.npz`.
+def read_motion(path: Path, axes: Axes | None = None) -> BodyMotion:
+    """Read a `motion.npz`, also one that was edited.
+
+    The motion is what `R_parent_joint`, the translations of `T_world_root` and `rest_joints_m` say; joints are computed
+    from them, whatever `joints_world_m` and `joints_camera_m` hold.
+
+    Args:
+        path: of the file.
+        axes: named lengths that the arrays must have, such as the clip's `frames`.
 
     Raises:
-        ArtifactError: the file is missing, unreadable, lacks a key, has a wrong shape or holds NaN.
+        ArtifactError: missing, unreadable or lacks a key; an array of the wrong shape or kind, NaN, what is no
+            rotation, times that do not rise, another skeleton, or two root orientations that differ.
     """
+    axes = {} if axes is None else axes
+    with opened_archive(path) as archive:
+        arrays = {key: archive.read(key, hint, axes) for key, hint in _KEYS.items()}
+    if tuple(arrays["joint_names"].tolist()) != JOINT_NAMES or not np.array_equal(arrays["parents"], PARENTS):
+        raise ArtifactError(f"joint_names, parents: want the 22 joints in SMPL order, got others in {path}")
+    off = np.abs(arrays["T_world_root"][:, :3, :3] - arrays["R_parent_joint"][:, 0]).max((1, 2))
+    if off.max() > _ROOT_TOLERANCE:
+        raise ArtifactError(
+            f"T_world_root: want the rotation of R_parent_joint[:, 0], got another at [{off.argmax()}] in {path}; "
+            "turn a body in both"
+        )
     try:
-        # Opened here: where the archive is damaged, `np.load` would leave its own handle open.
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-    except (OSError, ValueError, EOFError, KeyError) as error:
-        raise ArtifactError(f"motion file: want a readable .npz, got {error} at {path}") from error
-    except Exception as error:  # zipfile and zlib raise classes of their own
-        raise ArtifactError(f"motion file: damaged ({error}) at {path}") from error
-    try:
-        return _motion_from(arrays, path)
-    except KeyError as error:
-        raise ArtifactError(f"motion file: want key {error}, got {sorted(arrays)} at {path}") from error
-
-
-def _motion_from(arrays: dict[str, np.ndarray], path: Path) -> BodyMotion:
-    frames = len(arrays["frame_time_s"])
-    for key, trailing in _SHAPES.items():
-        if arrays[key].shape != (frames, *trailing):
-            raise ArtifactError(f"{key}: want shape {(frames, *trailing)}, got {arrays[key].shape} in {path}")
-        if arrays[key].dtype.kind == "f" and not np.isfinite(arrays[key]).all():
-            raise ArtifactError(f"{key}: want finite numbers, got NaN or infinity in {path}")
-    fx, fy, cx, cy, width, height = (float(x) for x in arrays["intrinsics"])
-    names = [str(x) for x in arrays["shape_names"]]
-    values = [float(x) for x in arrays["shape_values"]]
-    return BodyMotion(
-        person_id=int(arrays["person_id"]),
-        frame_time_s=arrays["frame_time_s"],
-        valid=arrays["valid"].astype(bool),
-        T_world_root=arrays["T_world_root"],
-        R_parent_joint=arrays["R_parent_joint"],
-        T_world_camera=arrays["T_world_camera"],
-        intrinsics=Intrinsics(fx, fy, cx, cy, round(width), round(height)),
-        contact=arrays["contact"],
-        shape=BodyShape(str(arrays["shape_model"]), dict(zip(names, values, strict=True))),
-        rest_joints_m=arrays["rest_joints_m"],
-        joints_world_m=arrays["joints_world_m"],
+        scalars = _SCALARS.validate_python(
+            {
+                "person_id": arrays["person_id"].item(),
+                "intrinsics": dict(zip(_LENS, arrays["intrinsics"].tolist(), strict=True)),
+                "shape": {
+                    "model": arrays["shape_model"].item(),
+                    "parameters": dict(
+                        zip(arrays["shape_names"].tolist(), arrays["shape_values"].tolist(), strict=True)
+                    ),
+                },
+            }
+        )
+    except ValidationError as error:
+        raise ArtifactError(f"{first_fault(error)} in {path}") from error
+    joints_world_m, _ = forward_kinematics(
+        arrays["R_parent_joint"], arrays["T_world_root"][:, :3, 3], arrays["rest_joints_m"]
     )
+    kept = {key: arrays[key] for key in _SCHEMA if key != "joints_world_m"}
+    return BodyMotion(**kept, **vars(scalars), joints_world_m=joints_world_m)

@@ -11,6 +11,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from video2anim.artifacts.folder import file_digest, folder_digest
+from video2anim.artifacts.stage_files import shown
 from video2anim.errors import InputError
 from video2anim.types.scene import Mesh
 
@@ -113,17 +114,16 @@ def read_mesh_file(path: Path) -> Mesh:
     return Mesh(
         np.concatenate([np.asarray(part.vertices, np.float64) for part in parts]),
         np.concatenate([np.asarray(part.faces, np.int64) + start for part, start in zip(parts, starts, strict=True)]),
-        np.concatenate([_vertex_rgb(part) for part in parts]),
+        np.concatenate([_vertex_rgb(part, path) for part in parts]),
     )
 
 
-def _vertex_rgb(part: trimesh.Trimesh) -> np.ndarray:
-    """Colors of vertices, faces, texture or material, in this order; gray if there are none."""
-    plain = np.full((len(part.vertices), 3), 160, np.uint8)
+def _vertex_rgb(part: trimesh.Trimesh, path: Path) -> np.ndarray:
+    """Colors of vertices, faces, texture or material, in this order; gray if the file has none."""
+    visual = part.visual
+    if visual is None or visual.kind is None:
+        return np.full((len(part.vertices), 3), 160, np.uint8)
     try:
-        visual = part.visual
-        if visual is None or visual.kind is None:
-            return plain
         if visual.kind == "texture":
             material = visual.material  # type: ignore[union-attr]
             image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
@@ -131,6 +131,8 @@ def _vertex_rgb(part: trimesh.Trimesh) -> np.ndarray:
                 return np.tile(np.asarray(material.main_color)[:3].astype(np.uint8), (len(part.vertices), 1))
             visual = visual.to_color()  # type: ignore[union-attr]
         rgb = np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)  # type: ignore[union-attr]
-    except Exception:  # a texture that cannot be read
-        return plain
-    return rgb if len(rgb) == len(plain) else plain
+    except Exception as error:  # pictures are decoded here, by a library that raises many classes
+        raise InputError(f"want a readable texture, got {shown(str(error))} in {path}; save the mesh again") from error
+    if len(rgb) != len(part.vertices):
+        raise InputError(f"want a color for each of {len(part.vertices)} vertices, got {len(rgb)} in {path}")
+    return rgb

@@ -15,15 +15,15 @@ from typing import Any, Literal, Protocol
 
 from video2anim import __version__
 from video2anim.artifacts.codec import read_value, write_value
-from video2anim.artifacts.folder import folder_digest, remove_unfinished, whole_or_absent
-from video2anim.artifacts.manifest import MANIFEST_NAME, Manifest, read_manifest
+from video2anim.artifacts.folder import remove_unfinished, value_digest, whole_or_absent
+from video2anim.artifacts.manifest import MANIFEST_NAME, Manifest, QualityRow, read_manifest
 from video2anim.errors import StageError, UsageError, Video2AnimError, is_memory_shortage
 from video2anim.pipeline import memory
 from video2anim.pipeline.config import PipelineConfig, result_config
 from video2anim.pipeline.graph import Node
 from video2anim.pipeline.scene_folder import STAGES
 from video2anim.pipeline.stage import StageContext, slots_of
-from video2anim.types.clip import SourceVideo
+from video2anim.types.clip import SourceVideo, VideoClip
 
 State = Literal["cached", "edited", "ran", "stale", "missing"]
 Edits = Literal["refuse", "keep", "discard"]
@@ -211,14 +211,14 @@ class Runner:
 
     def _by_hand(self, node: Node) -> bool:
         folder = self.folder(node)
-        return (folder / MANIFEST_NAME).is_file() and folder_digest(folder) != read_manifest(folder).output_digest
+        return (folder / MANIFEST_NAME).is_file() and value_digest(folder) != read_manifest(folder).output_digest
 
     def _keep(self, node: Node, row: StageStatus) -> StageStatus:
         """Take the edited output as made from the present inputs."""
         assert row.manifest is not None
         kept = replace(row.manifest, kept_for=self.key(node))
         kept.write(self.folder(node))
-        self._digests[node.output] = folder_digest(self.folder(node))
+        self._digests[node.output] = value_digest(self.folder(node))
         self._on_event(Event("cached", node.name, manifest=kept))
         return StageStatus(node.name, "edited", kept, "changed by hand, kept", by_hand=True)
 
@@ -226,7 +226,8 @@ class Runner:
         """A value by type, read from its stage folder on first use."""
         if kind not in self._values:
             node = next(node for node in self._nodes if node.output is kind)
-            self._values[kind] = read_value(kind, self.folder(node))
+            of_clip = kind is not VideoClip and any(other.output is VideoClip for other in self._nodes)
+            self._values[kind] = read_value(kind, self.folder(node), self.value(VideoClip) if of_clip else None)
         return self._values[kind]
 
     def _check(self, node: Node) -> StageStatus:
@@ -234,7 +235,7 @@ class Runner:
         if not (folder / MANIFEST_NAME).is_file():
             return StageStatus(node.name, "missing", None, "never run")
         manifest = read_manifest(folder)
-        digest = folder_digest(folder)
+        digest = value_digest(folder)
         by_hand = digest != manifest.output_digest
         if self.key(node) not in (manifest.key, manifest.kept_for):
             reason = "input, configuration or version changed"
@@ -262,8 +263,9 @@ class Runner:
             manifest = Manifest(
                 node.name, node.spec.version, key, result_config(config),
                 {kind.__name__: self._digests[kind] for _, kind in node.inputs}, weights,
-                self._config.seed, folder_digest(work), time.perf_counter() - started, memory.peak_mb(),
-                [asdict(quality) for quality in ctx.qualities], ctx.warnings, library_versions(), self._device,
+                self._config.seed, value_digest(work), time.perf_counter() - started, memory.peak_mb(),
+                [QualityRow(**asdict(quality)) for quality in ctx.qualities], ctx.warnings, library_versions(),
+                self._device,
             )  # fmt: skip
             manifest.write(work)
         self._digests[node.output] = manifest.output_digest

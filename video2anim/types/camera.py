@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import FiniteFloat, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from video2anim.types.storage import Holds
 
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
     """Pinhole camera. Pixel (0, 0) is the centre of the top-left pixel; +x right, +y down, +z forward."""
 
-    fx_px: float
-    fy_px: float
-    cx_px: float
-    cy_px: float
-    width_px: int
-    height_px: int
+    fx_px: PositiveFloat
+    fy_px: PositiveFloat
+    cx_px: FiniteFloat
+    cy_px: FiniteFloat
+    width_px: PositiveInt
+    height_px: PositiveInt
 
     @classmethod
     def centered(cls, focal_px: float, width_px: int, height_px: int) -> Intrinsics:
@@ -42,15 +46,15 @@ class CameraEstimate:
     focal_source: str
     """`user`, `metadata`, `picture` (the room's perspective together with the person's geometry) or `human` (the
     person's geometry under a lens prior)."""
-    focal_sigma_ratio: float
+    focal_sigma_ratio: NonNegativeFloat
     """Standard deviation of the focal length as a share of it."""
-    up_camera: Float[np.ndarray, "3"]
+    up_camera: Annotated[Float[np.ndarray, "3"], Holds.DIRECTION]
     """Unit vector against gravity in camera axes, first frame."""
     up_source: str
     """`user`, `picture` (perspective and the person's balance), `human` or `level` (taken as level: nothing spoke
     against it)."""
-    up_sigma_rad: float
+    up_sigma_rad: NonNegativeFloat
     is_static: bool
-    R_first_camera: Float[np.ndarray, "frames 3 3"]
+    R_first_camera: Annotated[Float[np.ndarray, "frames 3 3"], Holds.ROTATION]
     """Rotation of each frame's camera against the first one's. Identity means fixed; where `is_static` is False it is
     an assumption, not an estimate."""

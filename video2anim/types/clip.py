@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import FiniteFloat, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from video2anim.types.storage import PayloadFile
+from video2anim.types.storage import Holds, PayloadFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,18 +28,18 @@ class SourceInfo:
 
     codec: str
     pixel_format: str
-    stored_width_px: int
-    stored_height_px: int
+    stored_width_px: PositiveInt
+    stored_height_px: PositiveInt
     rotation_deg: int
     """Clockwise quarter turns that make the picture upright: 0, 90, 180 or 270."""
-    pixel_aspect: float
+    pixel_aspect: PositiveFloat
     """Width over height of a stored pixel."""
-    average_fps: float
-    decoded_frames: int
-    claimed_frames: int
+    average_fps: NonNegativeFloat
+    decoded_frames: NonNegativeInt
+    claimed_frames: NonNegativeInt
     """Frames promised by the header, 0 where it is silent."""
-    duration_s: float
-    focal_35mm: float
+    duration_s: NonNegativeFloat
+    focal_35mm: NonNegativeFloat
     """35 mm equivalent focal length from metadata, 0 where absent."""
 
 
@@ -47,17 +49,17 @@ class VideoClip:
 
     video: PayloadFile
     """H.264 at constant 30 fps, upright, square pixels."""
-    width_px: int
-    height_px: int
-    fps: float
-    frame_time_s: Float[np.ndarray, "frames"]
+    width_px: PositiveInt
+    height_px: PositiveInt
+    fps: PositiveFloat
+    frame_time_s: Annotated[Float[np.ndarray, "frames"], Holds.RISING]
     """Time in the clip, starting at 0."""
     source_time_s: Float[np.ndarray, "frames"]
     """Time stamp in the source of the picture shown at this frame."""
     source: SourceInfo
-    shots_s: tuple[tuple[float, float], ...]
+    shots_s: tuple[tuple[FiniteFloat, FiniteFloat], ...]
     """Start and end in source time of every shot found; the clip is one of them."""
-    shot_index: int
+    shot_index: NonNegativeInt
     camera_is_static: bool
     camera_drift_ratio: float
     """Largest background displacement against the first frame, as a share of the image width; NaN where the

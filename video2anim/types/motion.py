@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from pydantic import FiniteFloat, NonNegativeInt
 
 from video2anim.types.camera import Intrinsics
+from video2anim.types.storage import Holds, OnePer
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +19,7 @@ class BodyShape:
 
     model: str
     """`anny`, or `smpl`, `smplh`, `smplx` (neutral; with `-male` or `-female` the others)."""
-    parameters: dict[str, float]
+    parameters: dict[str, FiniteFloat]
     """Named scalars; for Anny the phenotypes gender, age, muscle, weight, height, proportions in [0, 1]; for the SMPL
     family `beta_0`, `beta_1`, ..."""
 
@@ -28,19 +31,19 @@ class BodyMotion:
     Rows with `valid` False are finite (held or interpolated) but are not measurements.
     """
 
-    person_id: int
-    frame_time_s: Float[np.ndarray, "frames"]
+    person_id: NonNegativeInt
+    frame_time_s: Annotated[Float[np.ndarray, "frames"], Holds.RISING]
     valid: Bool[np.ndarray, "frames"]
-    T_world_root: Float[np.ndarray, "frames 4 4"]
+    T_world_root: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
     """Root transform; its translation is that of the pelvis, since `rest_joints_m[0]` is the origin."""
-    R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
+    R_parent_joint: Annotated[Float[np.ndarray, "frames 22 3 3"], Holds.ROTATION]
     """Local joint rotations in SMPL order and rest convention; joint 0 is the root orientation in the world."""
-    T_world_camera: Float[np.ndarray, "frames 4 4"]
+    T_world_camera: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
     intrinsics: Intrinsics
-    contact: Float[np.ndarray, "frames 22"]
+    contact: Annotated[Float[np.ndarray, "frames 22"], Holds.SHARES]
     """Probability that the joint touches the scene."""
     shape: BodyShape
-    rest_joints_m: Float[np.ndarray, "22 3"]
+    rest_joints_m: Annotated[Float[np.ndarray, "22 3"], Holds.FROM_ORIGIN]
     """Joints of the T-pose, pelvis at the origin, +Y up, facing +Z."""
     joints_world_m: Float[np.ndarray, "frames 22 3"]
 
@@ -103,7 +106,7 @@ class BodyTracks:
     """Bodies as fitted to the video, before any prior repairs them ("raw" in reports)."""
 
     people: tuple[BodyMotion, ...]
-    quality: tuple[PersonQuality, ...] = ()
+    quality: Annotated[tuple[PersonQuality, ...], OnePer("people")] = ()
     """Of each person."""
 
 
@@ -112,7 +115,7 @@ class KeyframedMotion:
     """Motion after keyframe optimisation (paper 8.2): roots of the keyframes moved, others interpolated."""
 
     people: tuple[BodyMotion, ...]
-    keyframe_index: tuple[Int[np.ndarray, "keyframes"], ...]
+    keyframe_index: Annotated[tuple[Annotated[Int[np.ndarray, "keyframes"], Holds.FRAMES], ...], OnePer("people")]
     """Optimised frames, one array per person."""
 
 
@@ -121,8 +124,8 @@ class RefinedMotion:
     """Final motion."""
 
     people: tuple[BodyMotion, ...]
-    prior: tuple[str, ...]
+    prior: Annotated[tuple[str, ...], OnePer("people")]
     """In-betweening prior that shaped the motion of each person: `interpolation`, `scenemi`, or `none` where every
     window keeps the observed motion."""
-    prior_share: tuple[float, ...] = ()
+    prior_share: Annotated[tuple[float, ...], OnePer("people")]
     """Share of each person's measured frames that lie in windows which the prior filled."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
+from pydantic import NonNegativeInt, PositiveInt
 
-from video2anim.types.storage import Storage, stored
+from video2anim.types.storage import Holds, IdsOf, OnePer, Storage, stored
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -15,23 +17,23 @@ class PersonTrack:
     """One person from the first frame to the last that shows them. Where `valid` is False the other rows are NaN
     (masks 0)."""
 
-    person_id: int
-    valid: Bool[np.ndarray, "frames"]
-    score: Float[np.ndarray, "frames"]
+    person_id: NonNegativeInt
+    valid: Bool[np.ndarray, "rows"]
+    score: Annotated[Float[np.ndarray, "rows"], Holds.GAPS]
     """Presence score of the landmark model, 0 to 1."""
-    box_px: Float[np.ndarray, "frames 4"]
+    box_px: Annotated[Float[np.ndarray, "rows 4"], Holds.GAPS]
     """x0, y0, x1, y1 around the landmarks in the clip's pixels."""
-    landmarks_px: Float[np.ndarray, "frames 33 2"]
+    landmarks_px: Annotated[Float[np.ndarray, "rows 33 2"], Holds.GAPS]
     """BlazePose landmarks, in the clip's pixels."""
-    landmarks_m: Float[np.ndarray, "frames 33 3"]
+    landmarks_m: Annotated[Float[np.ndarray, "rows 33 3"], Holds.GAPS]
     """BlazePose world landmarks in metres, origin between the hips, OpenCV axes (x right, y down, z away)."""
-    visibility: Float[np.ndarray, "frames 33"]
+    visibility: Annotated[Float[np.ndarray, "rows 33"], Holds.GAPS]
     """Probability that the landmark is in the picture and not hidden."""
-    mask_crop: UInt8[np.ndarray, "frames 64 64"]
+    mask_crop: UInt8[np.ndarray, "rows 64 64"]
     """Person probability x 255 in the square crop."""
-    T_image_crop: Float[np.ndarray, "frames 2 3"]
+    T_image_crop: Annotated[Float[np.ndarray, "rows 2 3"], Holds.GAPS]
     """Affine map from crop coordinates in [0, 1] x [0, 1] to pixels."""
-    first_frame: int = 0
+    first_frame: NonNegativeInt = 0
     """The clip's frame that the first row belongs to."""
 
     def row(self, frame: int) -> int | None:
@@ -64,8 +66,8 @@ class PersonTrack:
 class Thumbnail:
     """A person as seen in the frame that shows most of them."""
 
-    person_id: int
-    frame: int
+    person_id: NonNegativeInt
+    frame: NonNegativeInt
     rgb: UInt8[np.ndarray, "side side 3"] = stored(Storage.IMAGE)
 
 
@@ -74,11 +76,11 @@ class PersonTracks:
     """All people, largest mean box area first."""
 
     people: tuple[PersonTrack, ...]
-    selected_ids: tuple[int, ...]
+    selected_ids: Annotated[tuple[int, ...], IdsOf("people")]
     """Persons the later stages work on (`--person`)."""
-    frame_stride: int
+    frame_stride: PositiveInt
     """Landmarks were run on every such frame and interpolated between; 1 = every frame."""
-    thumbnails: tuple[Thumbnail, ...] = ()
+    thumbnails: Annotated[tuple[Thumbnail, ...], OnePer("people")] = ()
     """One of each person, in the order of `people`."""
 
     def selected(self) -> tuple[PersonTrack, ...]:

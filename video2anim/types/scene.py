@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from pydantic import Field, FiniteFloat, NonNegativeFloat, NonNegativeInt, PositiveFloat
 
-from video2anim.types.storage import Storage, stored
+from video2anim.types.storage import Holds, Storage, stored
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +31,7 @@ class BackgroundPlate:
     plate_rgb: UInt8[np.ndarray, "height width 3"] = stored(Storage.IMAGE)
     seen_ratio: Float[np.ndarray, "small_height small_width"]
     """Share of sampled frames in which no person covers the pixel; 0 = never seen, the plate is inpainted there."""
-    frame_index: Int[np.ndarray, "samples"]
+    frame_index: Annotated[Int[np.ndarray, "samples"], Holds.FRAMES]
     """Sampled frames of the clip."""
     person_mask: Bool[np.ndarray, "samples small_height small_width"]
     """Any person, at the working resolution."""
@@ -41,17 +43,17 @@ class BackgroundPlate:
 class DepthClip:
     """Depth up to one scale and offset for the whole clip, at the working resolution."""
 
-    kind: str
+    kind: Annotated[str, Field(pattern="^(depth|disparity)$")]
     """`depth` (metric = s * value + o) or `disparity` (1 / metric = s * value + o)."""
     provider: str
     """`geometric` or the name of a network."""
-    frame_index: Int[np.ndarray, "samples"]
-    value: Float[np.ndarray, "samples small_height small_width"]
-    sigma: Float[np.ndarray, "samples small_height small_width"]
+    frame_index: Annotated[Int[np.ndarray, "samples"], Holds.FRAMES]
+    value: Annotated[Float[np.ndarray, "samples small_height small_width"], Holds.GAPS]
+    sigma: Annotated[Float[np.ndarray, "samples small_height small_width"], Holds.GAPS]
     """Standard deviation of `value`."""
     valid: Bool[np.ndarray, "samples small_height small_width"]
     """Reliable pixels (paper 8.1)."""
-    background_value: Float[np.ndarray, "small_height small_width"]
+    background_value: Annotated[Float[np.ndarray, "small_height small_width"], Holds.GAPS]
     background_valid: Bool[np.ndarray, "small_height small_width"]
     """Depth of the plate, without people."""
 
@@ -60,35 +62,35 @@ class DepthClip:
 class MetricDepth:
     """Scale and offset that make a `DepthClip` metric (paper 8.1), and the depth they give."""
 
-    scale: float
-    offset_m: float
+    scale: PositiveFloat
+    offset_m: FiniteFloat
     """Metres for kind `depth`, 1/metres for `disparity`."""
     scale_sigma: float
     offset_sigma: float
-    chamfer_before_m: float | None
+    chamfer_before_m: NonNegativeFloat | None
     """None where no fit was possible."""
-    chamfer_after_m: float | None
+    chamfer_after_m: NonNegativeFloat | None
     trusted: bool
     """False where the person covers too little to fix the scale."""
     reason: str
-    frame_index: Int[np.ndarray, "samples"]
-    depth_m: Float[np.ndarray, "samples small_height small_width"]
+    frame_index: Annotated[Int[np.ndarray, "samples"], Holds.FRAMES]
+    depth_m: Annotated[Float[np.ndarray, "samples small_height small_width"], Holds.GAPS]
     valid: Bool[np.ndarray, "samples small_height small_width"]
-    background_depth_m: Float[np.ndarray, "small_height small_width"]
+    background_depth_m: Annotated[Float[np.ndarray, "small_height small_width"], Holds.GAPS]
     background_valid: Bool[np.ndarray, "small_height small_width"]
-    T_world_camera: Float[np.ndarray, "frames 4 4"]
+    T_world_camera: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectInstance:
     """One thing in the plate."""
 
-    object_id: int
+    object_id: NonNegativeInt
     label: str
     """Semantic class, or `object` where the provider does not know."""
-    score: float
+    score: FiniteFloat
     box_px: Float[np.ndarray, "4"]
-    mask: Bool[np.ndarray, "height width"] = stored(Storage.IMAGE)
+    mask: Annotated[Bool[np.ndarray, "height width"], Holds.SOMETHING] = stored(Storage.IMAGE)
     """Visible pixels, at the size of the clip."""
 
 
@@ -103,14 +105,14 @@ class InstanceMasks:
 class CompletedObject:
     """An object with its hidden parts restored (amodal)."""
 
-    object_id: int
+    object_id: NonNegativeInt
     label: str
-    amodal_mask: Bool[np.ndarray, "height width"] = stored(Storage.IMAGE)
-    image_rgb: UInt8[np.ndarray, "height width 3"] = stored(Storage.IMAGE)
+    amodal_mask: Annotated[Bool[np.ndarray, "height width"], Holds.SOMETHING] = stored(Storage.IMAGE)
+    image_rgb: UInt8[np.ndarray, "crop_height crop_width 3"] = stored(Storage.IMAGE)
     """Crop of the amodal box, gray (127) outside the object."""
     crop_xy_px: tuple[int, int] = (0, 0)
     """Top-left pixel of the crop in the clip."""
-    completed_ratio: float = 0.0
+    completed_ratio: FiniteFloat = 0.0
     """Share of the amodal mask that was not visible."""
 
 
@@ -123,12 +125,12 @@ class CompletedObjects:
 class ObjectMesh:
     """A reconstructed object in its own frame: +Y up, resting on y = 0, centred in x and z."""
 
-    object_id: int
+    object_id: NonNegativeInt
     label: str
     method: str
     """How it was made: `box` or `carved` with its assumptions, `user mesh`, `triposr`, `program`."""
-    mesh: Mesh
-    T_world_object: Float[np.ndarray, "4 4"]
+    mesh: Annotated[Mesh, Holds.SOMETHING]
+    T_world_object: Annotated[Float[np.ndarray, "4 4"], Holds.RIGID]
     """First guess of the pose."""
 
 
@@ -141,20 +143,20 @@ class ObjectMeshes:
 class PlacedObject:
     """Metric pose of an object (paper 8.1): x_world = T_world_object @ (scale * x_object)."""
 
-    object_id: int
+    object_id: NonNegativeInt
     label: str
-    mesh: Mesh
-    scale: float
-    T_world_object: Float[np.ndarray, "4 4"]
-    chamfer_before_m: float | None
+    mesh: Annotated[Mesh, Holds.SOMETHING]
+    scale: PositiveFloat
+    T_world_object: Annotated[Float[np.ndarray, "4 4"], Holds.RIGID]
+    chamfer_before_m: NonNegativeFloat | None
     """None where no fit was possible or needed."""
-    chamfer_after_m: float | None
+    chamfer_after_m: NonNegativeFloat | None
     trusted: bool
     reason: str
-    position_sigma_m: float | None = None
+    position_sigma_m: NonNegativeFloat | None = None
     """Standard deviation of the horizontal place; None where nothing was fitted."""
-    yaw_sigma_rad: float | None = None
-    scale_sigma: float | None = None
+    yaw_sigma_rad: NonNegativeFloat | None = None
+    scale_sigma: NonNegativeFloat | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,4 +177,4 @@ class SceneModel:
     """Signed distance to the nearest solid at grid nodes, positive in free space."""
     sdf_origin_m: Float[np.ndarray, "3"]
     """World position of node (0, 0, 0)."""
-    sdf_spacing_m: float
+    sdf_spacing_m: PositiveFloat

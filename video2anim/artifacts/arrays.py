@@ -1,0 +1,196 @@
+"""Arrays of `.npz` files as the types describe them. A header is held against the annotation before a byte of data is
+unpacked; members that nobody asks for are never touched, and nothing is ever unpickled."""
+
+from __future__ import annotations
+
+import math
+import os
+import typing
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from video2anim.artifacts.stage_files import MOST_BYTES, opened, shown
+from video2anim.errors import ArtifactError
+from video2anim.types.storage import Holds
+
+Axes = MutableMapping[str, int]
+"""Lengths of named axes, filled in by the first array that has one."""
+
+CLIP_AXES = ("frames", "height", "width")
+"""Axes that mean the same in every value made from a clip."""
+
+MOST_M = 1e4
+"""Places farther away than 10 km are in the wrong unit."""
+_ROTATION_TOLERANCE = 1e-3
+_DEFLATE_RATIO = 1032
+"""The most that one byte of a zip's deflate stream can become."""
+
+
+def annotation(hint: Any) -> tuple[Any, tuple[Any, ...]]:
+    """A type and what `Annotated` says of it."""
+    return (hint.__origin__, hint.__metadata__) if typing.get_origin(hint) is typing.Annotated else (hint, ())
+
+
+def is_array(hint: Any) -> bool:
+    """Whether a type is an array: plain, or with a kind and shape by jaxtyping."""
+    kind = annotation(hint)[0]
+    return kind is np.ndarray or getattr(kind, "array_type", None) is np.ndarray
+
+
+class Archive:
+    """An open `.npz`."""
+
+    def __init__(self, path: Path, archive: zipfile.ZipFile, file_bytes: int) -> None:
+        self._path, self._archive, self._file_bytes = path, archive, file_bytes
+        self._unpacked = 0
+
+    def __contains__(self, key: str) -> bool:
+        return f"{key}.npy" in self._archive.NameToInfo
+
+    def read(self, key: str, hint: Any, axes: Axes) -> np.ndarray:
+        """An array that fits its annotation; whole numbers are taken where fractions are wanted.
+
+        Raises:
+            ArtifactError: absent, damaged, too large, or not what the annotation says.
+        """
+        if key not in self:
+            there = ", ".join(name.removesuffix(".npy") for name in self._archive.namelist())
+            raise ArtifactError(f"want key {shown(key)}, got {shown(there)} in {self._path}")
+        info = self._archive.getinfo(f"{key}.npy")
+        with damage(self._path):
+            shape, dtype = self._header(info)
+        expect_shape(shape, dtype, hint, axes, key, self._path)
+        self._unpacked += info.file_size
+        if self._unpacked > MOST_BYTES:
+            raise ArtifactError(f"{shown(key)}: want at most {MOST_BYTES} bytes of arrays, got more in {self._path}")
+        with damage(self._path), self._archive.open(info) as stream:
+            array = np.lib.format.read_array(stream, allow_pickle=False)
+        kind, marks = annotation(hint)
+        wanted = np.float64 if dtype.kind in "iu" and "float64" in _kinds(kind) else dtype.newbyteorder("=")
+        array = array.astype(wanted, copy=False)
+        expect_content(array, marks, axes, key, self._path)
+        return array
+
+    def _header(self, info: zipfile.ZipInfo) -> tuple[tuple[int, ...], np.dtype]:
+        """Shape and kind of a member, with the promise that there is as much data behind it."""
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError("packed in a way that numpy does not use")
+        if info.compress_size > self._file_bytes or info.file_size > _DEFLATE_RATIO * info.compress_size + 1024:
+            raise ValueError("less data than announced")
+        with self._archive.open(info) as stream:
+            if np.lib.format.read_magic(stream) == (1, 0):
+                shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+            else:
+                shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+            data_bytes = dtype.itemsize * math.prod(shape)
+            if dtype.hasobject or min(shape, default=0) < 0 or stream.tell() + data_bytes != info.file_size:
+                raise ValueError("its header does not fit its data")
+        return shape, dtype
+
+
+@contextmanager
+def opened_archive(path: Path) -> Iterator[Archive]:
+    """An `.npz`, open until the block ends.
+
+    Raises:
+        ArtifactError: missing, no regular file, or no archive.
+    """
+    with opened(path) as stream:
+        with damage(path):
+            archive = zipfile.ZipFile(stream)
+        with archive:
+            yield Archive(path, archive, os.fstat(stream.fileno()).st_size)
+
+
+@contextmanager
+def damage(path: Path) -> Iterator[None]:
+    """Turns whatever a library raises over the bytes of a file into one line that names it."""
+    try:
+        yield
+    except ArtifactError:
+        raise
+    except Exception as error:  # zipfile, zlib, numpy, OpenCV and trimesh raise many classes
+        detail = shown(str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__)
+        raise ArtifactError(f"{path.name} is damaged ({detail}) at {path}") from error
+
+
+def expect_shape(shape: tuple[int, ...], dtype: np.dtype, hint: Any, axes: Axes, name: str, where: Path) -> None:
+    """Hold a shape and kind of numbers against an annotation; lengths of axes not met before are entered.
+
+    Raises:
+        ArtifactError: they do not fit.
+    """
+    kind, marks = annotation(hint)
+    kinds = ("text",) if Holds.TEXT in marks else _kinds(kind)
+    whole_for_fraction = dtype.kind in "iu" and "float64" in kinds
+    if not ((dtype.kind == "U" and "text" in kinds) or dtype.name in kinds or whole_for_fraction):
+        raise ArtifactError(f"{shown(name)}: want {kinds[-1]}, got {shown(str(dtype))} in {where}")
+    if kind is np.ndarray:
+        return
+    words = [int(word) if word.isdigit() else word for word in kind.dim_str.split()]
+    wanted = [axes.get(word, word) if isinstance(word, str) else word for word in words]
+    pairs = list(zip(wanted, shape, strict=False))
+    if len(wanted) != len(shape) or any(length != want for want, length in pairs if isinstance(want, int)):
+        text = f"({', '.join(map(str, wanted))}{',' if len(wanted) == 1 else ''})"
+        raise ArtifactError(f"{shown(name)}: want shape {text}, got {shape} in {where}")
+    new = {word: length for word, length in pairs if isinstance(word, str)}
+    if any(new.get(word) == 0 for word in CLIP_AXES):
+        raise ArtifactError(f"{shown(name)}: want at least one of {', '.join(new)}, got shape {shape} in {where}")
+    axes.update(new)
+
+
+def _kinds(kind: Any) -> tuple[str, ...]:
+    """Names of the dtypes that an array type admits, the usual one last."""
+    return ("text", "bool", "uint8", "int64", "float64") if kind is np.ndarray else kind.dtypes
+
+
+def expect_content(array: np.ndarray, marks: tuple[Any, ...], axes: Mapping[str, int], name: str, where: Path) -> None:
+    """Hold the numbers of an array against what its annotation says of them.
+
+    Raises:
+        ArtifactError: they are not; names the first row that is wrong.
+    """
+    if array.dtype.kind in "fc" and Holds.GAPS not in marks and not np.isfinite(array).all():
+        raise ArtifactError(f"{shown(name)}: want finite numbers, got NaN or infinity in {where}")
+    for mark in marks:
+        bad = np.atleast_1d(_FAULTS[mark](array, axes)) if mark in _FAULTS else np.zeros(1, bool)
+        if bad.any():
+            row = ", ".join(str(index) for index in np.unravel_index(int(bad.argmax()), bad.shape))
+            raise ArtifactError(f"{shown(name)}: want {mark.value}, got something else at [{row}] in {where}")
+
+
+def _no_rotation(R: np.ndarray, _: Mapping[str, int]) -> np.ndarray:
+    R = np.clip(R, -2.0, 2.0)  # a product of huge numbers overflows; these are no rotation either
+    off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max((-1, -2))
+    return (off > _ROTATION_TOLERANCE) | (np.linalg.det(R) < 0)
+
+
+def _not_rigid(T: np.ndarray, axes: Mapping[str, int]) -> np.ndarray:
+    last = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(-1)
+    return _no_rotation(T[..., :3, :3], axes) | (np.abs(T[..., :3, 3]).max(-1) > MOST_M) | (last > 1e-6)
+
+
+def _not_rising(rows: np.ndarray, _: Mapping[str, int]) -> np.ndarray:
+    return np.append(False, ~(rows[1:] > rows[:-1]))
+
+
+def _no_frames(rows: np.ndarray, axes: Mapping[str, int]) -> np.ndarray:
+    return _not_rising(rows, axes)[: len(rows)] | (rows < 0) | (rows >= axes.get("frames", np.inf))
+
+
+_FAULTS: dict[Any, Callable[[np.ndarray, Mapping[str, int]], np.ndarray]] = {
+    Holds.ROTATION: _no_rotation,
+    Holds.RIGID: _not_rigid,
+    Holds.DIRECTION: lambda vector, _: np.abs(np.square(np.clip(vector, -2, 2)).sum() - 1.0) > _ROTATION_TOLERANCE,
+    Holds.RISING: _not_rising,
+    Holds.FRAMES: _no_frames,
+    Holds.SHARES: lambda share, _: (share < -1e-6) | (share > 1 + 1e-6),
+    Holds.FROM_ORIGIN: lambda points, _: np.abs(points[0]) > 1e-6,
+    Holds.SOMETHING: lambda picture, _: np.asarray(not picture.any()),
+}
+"""Where an array is not what a mark says: one boolean per row."""
