@@ -225,8 +225,6 @@ def read_value(kind: type, folder: Path, clip: VideoClip | None = None) -> Any:
     Raises:
         ArtifactError: a file is missing, damaged, outside the folder, or does not fit the type.
     """
-    stage = folder.name.split("_", 1)[-1]
-    remedy = f"make it again with `video2anim stage {folder.parent.parent} {stage} --discard-edits`"
     axes: Axes = {}
     if clip is not None:
         axes |= {"frames": clip.frame_count, "height": clip.height_px, "width": clip.width_px}
@@ -239,5 +237,5 @@ def read_value(kind: type, folder: Path, clip: VideoClip | None = None) -> Any:
     except ArtifactError as error:
         stage = folder.name.split("_", 1)[-1]
         raise ArtifactError(
-            f"{error}; mend it or make it again with `video2anim stage {stage} {folder.parent.parent}`"
+            f"{error}; mend it or make it again with `video2anim stage {folder.parent.parent} {stage} --discard-edits`"
         ) from error
