@@ -79,7 +79,7 @@ def complete_objects(
         amodal = made.amodal
         ratio = 1.0 - instance.mask.sum() / max(int(amodal.sum()), 1)
         if ratio > config.largest_completed_ratio:
-            ctx.warn(f"complete: object {instance.object_id} would be {ratio:.0%} invented; its visible part is kept")
+            ctx.warn(f"object {instance.object_id} would be {ratio:.0%} invented; its visible part is kept")
             amodal, ratio = instance.mask.copy(), 0.0
         image_rgb, corner = object_picture(made.picture_rgb, made.known, amodal)
         found = CompletedObject(instance.object_id, instance.label, amodal, image_rgb, corner, float(ratio))
@@ -106,7 +106,7 @@ def _completed(
         try:
             said = completer.complete(plate_rgb, instance.mask, hidden)
         except StageError as error:
-            ctx.warn(f"complete: object {instance.object_id} is completed by geometry instead: {error}")
+            ctx.warn(f"object {instance.object_id} is completed by geometry instead: {error}")
         else:
             return _Completion(said.amodal, said.rgb, said.amodal)
     return _Completion(amodal_mask(instance.mask, hidden), plate_rgb, instance.mask)

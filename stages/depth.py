@@ -105,7 +105,7 @@ def _geometric(
     stage_set = stage_set_depth(small_rgb, main.T_world_camera[0], intrinsics, spots, settings)
     ctx.quality("standing_spots", len(spots), "frames x feet", "higher")
     if stage_set is None:
-        ctx.warn("depth: no foot stands on floor that the picture shows; background depth is unknown")
+        ctx.warn("no foot stands on floor that the picture shows; background depth is unknown")
         stage_set = _nothing_known(height, width)
     return _with_people(plate, bodies, stage_set, camera.is_static, config)
 

@@ -104,11 +104,15 @@ def reconstruct_objects(
         raise StageError("reconstruct: want at least one fitted body, got none; check stage humans")
     lifter = ThingLifter(masks, depth, plate, bodies.people[0], camera)
     foreign = _user_meshes(config)
+    numbers = {found.object_id for found in completed.objects}
+    if unused := sorted(foreign.keys() - numbers):
+        names = ", ".join(foreign[number].name for number in unused)
+        ctx.warn(f"{names} in {config.meshes}: there is no object of that number, only {sorted(numbers)}; not used")
     meshes, boxes = [], 0
     for done, found in enumerate(completed.objects):
         solid = _solid(found, lifter, config)
         if solid is None:
-            ctx.warn(f"reconstruct: object {found.object_id} has too little reliable depth and is dropped")
+            ctx.warn(f"object {found.object_id} has too little reliable depth and is dropped")
         else:
             meshes.append(_foreign(found, solid, foreign, config, ctx) or _mesh(found, solid, plate, config))
             boxes += meshes[-1].method.startswith("box")
@@ -142,7 +146,7 @@ def _foreign(
             return _adopted(found, solid, mesh, network.name, in_metres=False)
         except StageError as error:
             instead = "by the program" if config.command else "of what is seen"
-            ctx.warn(f"reconstruct: object {found.object_id} is made {instead} instead: {error}")
+            ctx.warn(f"object {found.object_id} is made {instead} instead: {error}")
     if not config.command:
         return None
     try:

@@ -145,7 +145,7 @@ def test_its_front_faces_the_camera(tmp_path: Path) -> None:
 
 
 def test_objects_without_a_mesh_of_the_user_are_made_as_before(tmp_path: Path) -> None:
-    """Numbers of no object and other names are left alone."""
+    """Numbers of no object are told, other names are left alone."""
     config = folder_with(tmp_path, "2.obj", chair(0.9))
     for name in ("9.glb", "chair.glb", "notes.txt"):
         (tmp_path / "meshes" / name).write_bytes(b"")
@@ -157,7 +157,9 @@ def test_objects_without_a_mesh_of_the_user_are_made_as_before(tmp_path: Path) -
     np.testing.assert_array_equal(first.mesh.vertices_m, own().mesh.vertices_m)
     told = {quality.name: quality.value for quality in ctx.qualities}
     assert (told["meshes"], told["boxes"]) == (2, 1)
-    assert ctx.warnings == []
+    (warning,) = ctx.warnings
+    assert warning.startswith("9.glb in")
+    assert "only [1, 2]" in warning
 
 
 def test_bad_meshes_of_the_user_stop_the_stage(tmp_path: Path) -> None:

@@ -55,7 +55,6 @@ def progress() -> Iterator[Callable[[Event], None]]:
 
 
 def _warn(stage: str, text: str) -> None:
-    text = text.removeprefix(f"{stage}: ")
     _err.print(f"[yellow]warning[/yellow] {stage}: {escape(text)}", soft_wrap=True)
 
 
