@@ -19,6 +19,7 @@ from video2anim.types import (
     PersonTracks,
     RefinedMotion,
     SceneModel,
+    SourceVideo,
     VideoClip,
 )
 
@@ -51,6 +52,7 @@ class ExportConfig:
 
 
 def export_scene(
+    source: SourceVideo,
     clip: VideoClip,
     camera: CameraEstimate,
     tracks: PersonTracks,
@@ -81,7 +83,7 @@ def export_scene(
             written += write_format(name, content, ctx.work_dir)
         except MissingLibraryError as error:
             ctx.warn(f"{name}: {error}")
-    written += _write_pictures(clip, refined, scene, config, ctx)
+    written += _write_pictures(source, clip, refined, scene, config, ctx)
     if config.worst_moments:
         written += _write_worst(clip, bodies, refined, scene, ctx)
     ctx.quality("files", len(written), "", "none")
@@ -90,7 +92,12 @@ def export_scene(
 
 
 def _write_pictures(
-    clip: VideoClip, refined: RefinedMotion, scene: SceneModel, config: ExportConfig, ctx: StageContext
+    source: SourceVideo,
+    clip: VideoClip,
+    refined: RefinedMotion,
+    scene: SceneModel,
+    config: ExportConfig,
+    ctx: StageContext,
 ) -> list[Path]:
     from video2anim.artifacts.images import write_png
     from video2anim.export.preview import PreviewConfig, overlay_frame, write_preview
@@ -99,7 +106,10 @@ def _write_pictures(
     if config.preview:
         written.append(ctx.work_dir / "preview.mp4")
         size = PreviewConfig(panel_height_px=config.preview_height_px)
-        write_preview(written[-1], clip, refined.people, scene, size, ctx.progress)
+        sound_from = source.path if source.path.is_file() else None
+        if sound_from is None:
+            ctx.warn(f"the preview has no sound: the video is no longer at {source.path}")
+        write_preview(written[-1], clip, refined.people, scene, size, ctx.progress, sound_from=sound_from)
     for frame in _spread(refined.people[0].valid.nonzero()[0].tolist(), config.overlay_frames):
         written.append(ctx.work_dir / f"overlay_{frame:05d}.png")
         write_png(written[-1], overlay_frame(clip, refined.people, frame))
@@ -134,4 +144,4 @@ def _spread(frames: list[int], count: int) -> list[int]:
     return sorted({frames[int(share * len(frames))] for share in steps})
 
 
-STAGE = StageSpec("export", export_scene, version=3)
+STAGE = StageSpec("export", export_scene, version=4)

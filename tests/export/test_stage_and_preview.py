@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from walk_scene import room, walk
 
-from stages.export import ExportConfig, export_scene
+from stages.export import ExportConfig, _write_pictures, export_scene
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.errors import UsageError
 from video2anim.export import FORMATS, ExportScene, write_format
@@ -24,8 +24,10 @@ from video2anim.types import (
     CameraEstimate,
     ExportedFiles,
     KeyframedMotion,
+    PayloadFile,
     PersonTracks,
     RefinedMotion,
+    SourceVideo,
     VideoClip,
 )
 
@@ -39,7 +41,8 @@ def run_stage(clip: VideoClip, folder: Path, config: ExportConfig) -> tuple[Expo
     ctx = StageContext(folder)
     keyframes = (np.arange(0, FRAMES, 5),) * 2
     exported = export_scene(
-        clip, camera, PersonTracks((), (), 1), BodyTracks(people), KeyframedMotion(people, keyframes),
+        SourceVideo(clip.video.path, ""), clip,
+        camera, PersonTracks((), (), 1), BodyTracks(people), KeyframedMotion(people, keyframes),
         RefinedMotion(people, ("interpolation",) * 2, (1.0,) * 2), room(), config, ctx,
     )  # fmt: skip
     return exported, ctx
@@ -87,6 +90,58 @@ def test_fbx_ready_is_a_mixamo_named_character(tmp_path: Path) -> None:
     assert not document.cameras
     compile(script.read_text(), script.name, "exec")
     assert set(FORMATS) == {"glb", "usd", "bvh", "amass", "fbx-ready"}
+
+
+TONE_FROM_S, TONE_HZ, SOURCE_RATE_HZ = 0.2, 1000.0, 44_100
+
+
+@pytest.fixture
+def source_with_sound(tmp_path: Path) -> Path:
+    """A file as a phone makes it, as far as sound goes: silence, and from 0.2 s on a tone."""
+    path = tmp_path / "source.mov"
+    time_s = np.arange(SOURCE_RATE_HZ) / SOURCE_RATE_HZ
+    tone = np.where(time_s < TONE_FROM_S, 0.0, 0.5 * np.sin(2 * np.pi * TONE_HZ * time_s))
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("aac", rate=SOURCE_RATE_HZ, layout="mono")
+        frame = av.AudioFrame.from_ndarray(tone[None].astype(np.float32), format="fltp", layout="mono")
+        frame.sample_rate, frame.pts = SOURCE_RATE_HZ, 0
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return path
+
+
+def test_preview_has_the_sound_of_its_pictures_and_plays_while_it_loads(
+    gray_clip: VideoClip, source_with_sound: Path, tmp_path: Path
+) -> None:
+    start_s = 0.1
+    clip = replace(gray_clip, source_time_s=gray_clip.frame_time_s + start_s)
+    made = [tmp_path / "preview.mp4", tmp_path / "again.mp4"]
+    for path in made:
+        write_preview(path, clip, (walk(FRAMES),), room(), sound_from=source_with_sound)
+    with av.open(str(made[0])) as container:
+        pieces = [piece.to_ndarray() for piece in container.decode(audio=0)]
+        rate_hz = container.streams.audio[0].rate
+    with av.open(str(made[0])) as container:
+        assert sum(1 for _ in container.decode(video=0)) == FRAMES
+    heard = np.concatenate(pieces, axis=1)[0]
+    assert len(heard) / rate_hz == pytest.approx(FRAMES / 30, abs=1024 / rate_hz), "AAC comes in blocks of 1024"
+    loud_from_s = np.flatnonzero(np.abs(heard) > 0.25)[0] / rate_hz
+    assert loud_from_s == pytest.approx(TONE_FROM_S - start_s, abs=0.012), "half a block"
+    content = made[0].read_bytes()
+    assert 0 < content.index(b"moov") < content.index(b"mdat"), "the index comes first"
+    assert content == made[1].read_bytes(), "the same pictures and sound are the same bytes"
+    assert {path.name for path in tmp_path.iterdir()} == {"preview.mp4", "again.mp4", "source.mov"}
+
+
+def test_a_source_that_is_gone_is_told(gray_clip: VideoClip, tmp_path: Path) -> None:
+    gone = replace(gray_clip, video=PayloadFile(tmp_path / "gone.mp4"))
+    (tmp_path / "stage").mkdir()
+    ctx = StageContext(tmp_path / "stage")
+    _write_pictures(
+        SourceVideo(gone.video.path, ""), gray_clip, RefinedMotion((walk(FRAMES),), ("interpolation",)), room(),
+        ExportConfig(overlay_frames=0), ctx,
+    )  # fmt: skip
+    assert ctx.warnings == [f"the preview has no sound: the video is no longer at {gone.video.path}"]
 
 
 def test_preview_has_every_frame_and_both_panels(gray_clip: VideoClip, tmp_path: Path) -> None:

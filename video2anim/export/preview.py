@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from video2anim.export.sound import finish_video
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.types import BodyMotion, Intrinsics, SceneModel, VideoClip
 from video2anim.video import FrameWriter, read_frame, read_frames
@@ -49,8 +50,10 @@ def write_preview(
     scene: SceneModel,
     config: PreviewConfig | None = None,
     on_progress: Callable[[int, int], None] | None = None,
+    *,
+    sound_from: Path | None = None,
 ) -> None:
-    """Write `preview.mp4` at the clip's rate, all frames.
+    """Write `preview.mp4` at the clip's rate, all frames, with the clip's sound; it plays while it loads.
 
     Args:
         path: File to make.
@@ -59,9 +62,11 @@ def write_preview(
         scene: Floor and objects of the side view.
         config: Panel sizes.
         on_progress: Called with frames done and in all.
+        sound_from: The file that the clip was made from, whose sound is added where it has any.
 
     Raises:
         InputError: the clip cannot be read or the disk is full.
+        StageError: the file cannot be written.
     """
     size = config or PreviewConfig()
     bodies = PosedBodies(people)
@@ -71,8 +76,9 @@ def write_preview(
     side_empty = Canvas.blank(size.side_width_px, height_px)
     draw_static(side_empty, side, scene, background=False, objects=True)
     total = min(clip.frame_count, people[0].frame_count)
+    silent = path.with_name(f".silent-{path.name}")
     with FrameWriter(
-        path, width_px=width_px + size.side_width_px, height_px=height_px, fps=round(clip.fps), crf=20
+        silent, width_px=width_px + size.side_width_px, height_px=height_px, fps=round(clip.fps), crf=20
     ) as writer:
         for frame, (picture, meshes) in enumerate(
             zip(read_frames(clip, 0, total), bodies.frames(0, total), strict=True)
@@ -88,6 +94,8 @@ def write_preview(
             writer.write(both)
             if on_progress is not None:
                 on_progress(frame + 1, total)
+    finish_video(path, silent, sound_from, float(clip.source_time_s[0]))
+    silent.unlink()
 
 
 def overlay_frame(

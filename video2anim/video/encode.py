@@ -91,7 +91,7 @@ class FrameWriter:
         try:
             self._container.mux(self._stream.encode(frame))
         except (FFmpegError, OSError) as error:
-            raise _write_error(self.path, error) from error
+            raise write_error(self.path, error) from error
         self.frame_count += 1
 
     def close(self) -> None:
@@ -106,7 +106,7 @@ class FrameWriter:
                 self._container.mux(self._stream.encode(None))
             self._container.close()
         except (FFmpegError, OSError) as error:
-            raise _write_error(self.path, error) from error
+            raise write_error(self.path, error) from error
 
     def __enter__(self) -> Self:
         return self
@@ -125,7 +125,7 @@ class FrameWriter:
             error.add_note(f"closing {self.path} failed too: {second}")
 
 
-def _write_error(path: Path, error: Exception) -> InputError | StageError | MemoryError:
+def write_error(path: Path, error: Exception) -> InputError | StageError | MemoryError:
     if is_memory_shortage(error):
         return MemoryError(f"while writing {path}: {error}")
     if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
