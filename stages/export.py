@@ -40,7 +40,7 @@ class ExportConfig:
     """Settings of the stage."""
 
     formats: Annotated[tuple[str, ...], AfterValidator(_known_formats)] = STAGE_FORMATS
-    """Any of `glb`, `usd`, `bvh`, `amass`, `fbx-ready`."""
+    """Any of `glb`, `usd`, `bvh`, `amass`, `fbx`, `fbx-ready`."""
     preview: bool = True
     """Whether to make `preview.mp4`."""
     preview_height_px: Annotated[int, limits("px", ge=16, le=4320), only_with("preview", True)] = 360

@@ -122,6 +122,6 @@ def test_exit_codes() -> None:
 
 def test_packages() -> None:
     assert {"KeyframeMotion", "inbetween", "load_prior", "InbetweeningPrior"} <= set(scenemi.__all__)
-    assert set(export.FORMATS) == {"glb", "usd", "bvh", "amass", "fbx-ready"}
+    assert set(export.FORMATS) == {"glb", "usd", "bvh", "amass", "fbx", "fbx-ready"}
     assert {"find_model", "load_model", "pull", "verify"} <= set(models.__all__)
     assert viewer.__all__ == ["SceneView", "screenshot", "view"]

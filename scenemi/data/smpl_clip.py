@@ -19,17 +19,14 @@ from scenemi.data.import_clip import at_fps, on_floor, with_glitches
 from scenemi.data.source_clip import SourceClip, SourceSkeleton
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS, forward_kinematics
+from video2anim.body.smplx_body import MEAN_PELVIS_M
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, matrix_from_axis_angle, quaternion_from_matrix
 from video2anim.types import BodyShape
 
 SmplModel = Literal["smpl", "smplh", "smplx"]
-PELVIS_M: dict[SmplModel, Float[np.ndarray, "3"]] = {
-    "smpl": np.array([-0.002, -0.223, 0.028]),
-    "smplh": np.array([-0.002, -0.23, 0.028]),
-    "smplx": np.array([0.003, -0.351, 0.012]),
-}
-"""Pelvis joint of the mean shape in the model's own frame: the translation parameter moves that frame's origin."""
+PELVIS_M = MEAN_PELVIS_M
+"""The translation parameter moves the origin of the model's own frame, so the pelvis lies here off it."""
 R_Y_UP_Z_UP: np.ndarray = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 _SCALES = (0.85, 1.15)
 _TOE_CLEARANCE_M = 0.02

@@ -1,12 +1,20 @@
-"""A short synthetic clip for the preview and the stage."""
+"""A short synthetic clip for the preview and the stage, and where the Makefile puts Blender."""
 
 from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from video2anim.types import PayloadFile, SourceInfo, VideoClip
 from video2anim.video import FrameWriter
+
+_BLENDER = Path(sys.prefix, "blender", "bin", "python")
+if _BLENDER.is_file():
+    os.environ.setdefault("VIDEO2ANIM_BLENDER", str(_BLENDER))
 
 FRAMES = 8
 GRAY = 128

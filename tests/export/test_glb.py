@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -185,6 +190,45 @@ def test_objects_are_placed_nodes_with_their_colors(path: Path) -> None:
     linear = reread.array(attributes.COLOR_0)[:, :3] / 65535.0
     np.testing.assert_allclose(linear, linear_from_srgb(placed.mesh.vertex_rgb), atol=1e-5)
     assert node.extras["label"] == "storage box"
+
+
+def test_without_animation_it_stands_in_the_t_pose(path: Path, people: tuple[BodyMotion, BodyMotion]) -> None:
+    reread = Reread(path)
+    reread.document.animations[0].channels = []
+    for motion, skin in zip(people, reread.document.skins, strict=True):
+        world = reread.world(0)
+        joints_m = np.stack([world[joint][:3, 3] for joint in skin.joints])
+        np.testing.assert_allclose(joints_m, motion.rest_joints_m, atol=JOINT_TOLERANCE_M)
+
+
+def test_frames_lie_along_the_limbs(path: Path, people: tuple[BodyMotion, BodyMotion]) -> None:
+    """The y axis of a joint's node points to its child, in every frame."""
+    reread, motion, frame = Reread(path), people[0], 7
+    world = reread.world(frame)
+    for joint, child in (("left_hip", "left_knee"), ("right_elbow", "right_wrist"), ("spine3", "neck")):
+        limb_m = np.subtract(*(motion.joints_world_m[frame, JOINT_NAMES.index(name)] for name in (child, joint)))
+        y = world[reread.node(joint)][:3, 1]
+        np.testing.assert_allclose(y, limb_m / np.linalg.norm(limb_m), atol=1e-5)
+
+
+def node_modules() -> Path | None:
+    """Folder that has the Khronos validator: the Makefile's, or one in NODE_PATH."""
+    places = [Path(sys.prefix, "node_modules"), *map(Path, os.environ.get("NODE_PATH", "").split(os.pathsep))]
+    return next((place for place in places if (place / "gltf-validator").is_dir()), None)
+
+
+def test_the_khronos_validator_finds_nothing(path: Path, tmp_path: Path) -> None:
+    node, modules = shutil.which("node"), node_modules()
+    if node is None or modules is None:
+        pytest.skip("no node with gltf-validator: `make .venv/.programs`, or name its folder in NODE_PATH")
+    write_object_glb(tmp_path / "3.glb", room().objects[0])
+    write_scene_glb(tmp_path / "still.glb", (character_of(walk(5)),), None)
+    files = [path, tmp_path / "3.glb", tmp_path / "still.glb"]
+    command = [node, str(Path(__file__).with_name("gltf_validate.js")), str(modules), *map(str, files)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for issues in json.loads(done.stdout):
+        assert issues["messages"] == []
 
 
 def test_single_object_file_is_metric_in_its_own_frame(tmp_path: Path) -> None:

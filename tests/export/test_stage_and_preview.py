@@ -74,7 +74,7 @@ def test_missing_usd_library_is_a_warning(
 
 
 def test_unknown_format_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"want one of glb, usd, bvh, amass, fbx-ready, got 'obj'"):
+    with pytest.raises(UsageError, match=r"want one of glb, usd, bvh, amass, fbx, fbx-ready, got 'obj'"):
         write_format("obj", ExportScene((walk(4),), None), tmp_path)
     with pytest.raises(UsageError, match="no person"):
         write_format("glb", ExportScene((), None), tmp_path)
@@ -89,7 +89,7 @@ def test_fbx_ready_is_a_mixamo_named_character(tmp_path: Path) -> None:
     assert {"mixamorig:Hips", "mixamorig:LeftToeBase", "person_1_body"} <= names
     assert not document.cameras
     compile(script.read_text(), script.name, "exec")
-    assert set(FORMATS) == {"glb", "usd", "bvh", "amass", "fbx-ready"}
+    assert set(FORMATS) == {"glb", "usd", "bvh", "amass", "fbx", "fbx-ready"}
 
 
 TONE_FROM_S, TONE_HZ, SOURCE_RATE_HZ = 0.2, 1000.0, 44_100

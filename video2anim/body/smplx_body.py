@@ -28,6 +28,12 @@ from video2anim.errors import InputError, UsageError
 from video2anim.types.motion import BodyShape
 
 DIR_VARIABLE = "VIDEO2ANIM_SMPL_DIR"
+MEAN_PELVIS_M: dict[str, Float[np.ndarray, "3"]] = {
+    "smpl": np.array([-0.002, -0.223, 0.028]),
+    "smplh": np.array([-0.002, -0.23, 0.028]),
+    "smplx": np.array([0.003, -0.351, 0.012]),
+}
+"""Pelvis joint of the mean shape in the model's own frame, for those who lack the files."""
 _NAMES = {24: "smpl", 52: "smplh", 55: "smplx"}
 """Model by its number of joints; in all three the first 22 are the project's."""
 _GENDERS = ("neutral", "male", "female")

@@ -154,10 +154,12 @@ def show_command(scene_dir: SceneDir, stage: Annotated[str, typer.Argument(help=
 @app.command("export")
 def export_command(
     scene_dir: SceneDir,
-    format_name: Annotated[str, typer.Option("--format", help="glb, usd, bvh, amass or fbx-ready.")],
-    out: Annotated[Path | None, typer.Option(help="File to write (default: in the scene folder).")] = None,
+    format_name: Annotated[str, typer.Option("--format", help="glb, usd, bvh, amass, fbx or fbx-ready.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder, or a file such as my.bvh (default: in the scene folder).")
+    ] = None,
 ) -> None:
-    """Write the result in one more format."""
+    """Write the result in one more format; FBX needs Blender (README)."""
     from video2anim.cli import results
 
     for path in results.export_format(scene_dir, format_name, out):

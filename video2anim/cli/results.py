@@ -24,17 +24,21 @@ _DEMO_DIGEST = "d9a66417185647b112304b57093f0c180f37a768e6a14daca75ca541f3b78039
 def export_format(scene_dir: Path, format_name: str, out: Path | None) -> list[Path]:
     """`video2anim export`: write one format from the refined motion.
 
+    Args:
+        scene_dir: The scene folder.
+        format_name: One of `video2anim.export.FORMATS`.
+        out: Folder, or the main file; None for the scene folder.
+
     Raises:
-        UsageError: unknown format, or the folder is not finished.
+        UsageError: unknown format, `out` is no name for it, a library is missing, or the folder is not finished.
+        InputError: the files cannot be written.
     """
     from video2anim.export import ExportScene, write_format
 
     runner, _ = open_scene(scene_dir)
     _expect_made(runner, "refine")
-    target = out or scene_dir
-    target.mkdir(parents=True, exist_ok=True)
-    scene: SceneModel = runner.value(SceneModel)
-    return list(write_format(format_name, ExportScene(runner.value(RefinedMotion).people, scene), target))
+    content = ExportScene(runner.value(RefinedMotion).people, runner.value(SceneModel))
+    return list(write_format(format_name, content, out or scene_dir))
 
 
 def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None) -> None:

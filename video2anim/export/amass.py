@@ -1,55 +1,156 @@
-"""AMASS-style npz (Mahmood et al. 2019): SMPL-H pose vectors that motion datasets and their loaders use.
+"""AMASS npz (Mahmood et al. 2019): SMPL-H or SMPL-X parameters that motion datasets and their loaders use.
 
 AMASS is +Z up, so root orientation and translation are turned by +90 degrees about X: (x, y, z) -> (x, -z, y).
+`trans` moves the origin of the model file, as in SMPL: the pelvis lies at `trans` plus the pelvis of the rest body.
+
+Rest pelvis and betas come from the user's model file where `VIDEO2ANIM_SMPL_DIR` has one: betas are those of the
+motion's own shape where it is of that model, else fitted to the lengths of its bones. Without a file betas are zero and
+the rest pelvis is that of the mean shape, so joints differ by what the person's limbs differ from the mean body's.
 """
 
 from __future__ import annotations
 
+import os
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
+from video2anim.body.skeleton import PARENTS
+from video2anim.body.smplx_body import DIR_VARIABLE, MEAN_PELVIS_M, SmplModel, load_body_model, model_file
+from video2anim.errors import InputError
 from video2anim.export.frames import ZUP_FROM_YUP
 from video2anim.geometry.rotations import axis_angle_from_matrix
-from video2anim.types import BodyMotion
+from video2anim.types import BodyMotion, BodyShape
 
-SMPLH_JOINTS = 52
+AmassModel = Literal["smplh", "smplx"]
+_JOINTS: dict[AmassModel, int] = {"smplh": 52, "smplx": 55}
 BETAS = 16
-NOTE = (
-    "betas are zero because no SMPL shape was estimated (see shape_*); hands are at rest; trans is the pelvis "
-    "joint: subtract the rest pelvis of your SMPL-H body from it; rows with valid == False are not measured"
-)
+_LENGTH_SIGMA_M = 0.01
+"""How far a bone may be from its length as easily as a beta from its mean by one deviation: joints of the two bodies
+are defined apart by about that much."""
 
 
-def write_amass(path: Path, motion: BodyMotion) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitted:
+    betas: Float[np.ndarray, "16"]
+    pelvis_m: Float[np.ndarray, "3"]
+    """Of the rest body in the model's own frame."""
+    gender: str
+    source: str
+    """Where betas and pelvis come from, for the file's note."""
+    known: bool
+
+
+def write_amass(path: Path, motion: BodyMotion, model: AmassModel) -> None:
     """Write one person's motion.
 
-    Keys: `poses` (T, 156) axis-angle in radians, `trans` (T, 3) metres, `betas` (16,) zeros, `gender`,
-    `mocap_framerate`; beside AMASS's own: `valid`, `joints_m` (T, 22, 3) +Z up, `betas_estimated`, `shape_model`,
+    Keys of SMPL-H files: `poses` (T, 156) axis-angle in radians, `trans` (T, 3) metres, `betas` (16,), `gender`,
+    `mocap_framerate`. Keys of SMPL-X files: the same with `poses` (T, 165), and `root_orient` (T, 3), `pose_body`
+    (T, 63), `pose_jaw` (T, 3), `pose_eye` (T, 6), `pose_hand` (T, 90), `surface_model_type`, `mocap_frame_rate`,
+    `mocap_time_length`. Beside AMASS's own: `valid`, `joints_m` (T, 22, 3) +Z up, `betas_estimated`, `shape_model`,
     `shape_names`, `shape_values`, `note`.
+
+    Raises:
+        InputError: the user's model file cannot be used.
     """
-    R_zup_root = ZUP_FROM_YUP @ motion.R_parent_joint[:, 0]
+    fitted = _fit(motion, model)
     body = axis_angle_from_matrix(motion.R_parent_joint[:, 1:]).reshape(motion.frame_count, -1)
-    poses = np.zeros((motion.frame_count, 3 * SMPLH_JOINTS))
-    poses[:, :3] = axis_angle_from_matrix(R_zup_root)
+    poses = np.zeros((motion.frame_count, 3 * _JOINTS[model]))
+    poses[:, :3] = axis_angle_from_matrix(ZUP_FROM_YUP @ motion.R_parent_joint[:, 0])
     poses[:, 3 : 3 + body.shape[1]] = body
     pelvis_m = motion.T_world_root[:, :3, 3] + motion.rest_joints_m[0]
     names = sorted(motion.shape.parameters)
-    np.savez_compressed(
-        path,
-        poses=poses,
-        trans=pelvis_m @ ZUP_FROM_YUP.T,
-        betas=np.zeros(BETAS),
-        gender=np.array("neutral"),
-        mocap_framerate=np.array(_fps(motion)),
-        valid=motion.valid,
-        joints_m=motion.joints_world_m @ ZUP_FROM_YUP.T,
-        betas_estimated=np.array(False),
-        shape_model=np.array(motion.shape.model),
-        shape_names=np.array(names, dtype=np.str_),
-        shape_values=np.array([motion.shape.parameters[name] for name in names], dtype=np.float64),
-        note=np.array(NOTE),
-    )
+    arrays = {
+        "poses": poses,
+        "trans": pelvis_m @ ZUP_FROM_YUP.T - fitted.pelvis_m,
+        "betas": fitted.betas,
+        "gender": np.array(fitted.gender),
+        "valid": motion.valid,
+        "joints_m": motion.joints_world_m @ ZUP_FROM_YUP.T,
+        "betas_estimated": np.array(fitted.known),
+        "shape_model": np.array(motion.shape.model),
+        "shape_names": np.array(names, dtype=np.str_),
+        "shape_values": np.array([motion.shape.parameters[name] for name in names], dtype=np.float64),
+        "note": np.array(f"{fitted.source}; hands are at rest; rows with valid == False are not measured"),
+    }
+    fps = _fps(motion)
+    if model == "smplx":
+        arrays |= dict(zip(_SMPLX_PARTS, np.split(poses, np.cumsum([3, 63, 3, 6]), axis=1), strict=True))
+        arrays["surface_model_type"] = np.array("smplx")
+        arrays["mocap_frame_rate"] = np.array(fps)
+        arrays["mocap_time_length"] = np.array(motion.frame_count / fps)
+    else:
+        arrays["mocap_framerate"] = np.array(fps)
+    np.savez_compressed(path, **arrays)
+
+
+_SMPLX_PARTS = ("root_orient", "pose_body", "pose_jaw", "pose_eye", "pose_hand")
+"""Parts of an SMPL-X pose in their order."""
+
+
+def _fit(motion: BodyMotion, model: AmassModel) -> _Fitted:
+    own, _, gender = motion.shape.model.partition("-")
+    wanted = motion.shape.model if own == model else model
+    gender = gender if own == model and gender else "neutral"
+    if (path := _users_file(wanted)) is None:
+        source = (
+            f"betas are zero and the rest pelvis is that of the mean {model} body: no model file in {DIR_VARIABLE}; "
+            "the person's shape is in shape_*"
+        )
+        return _Fitted(np.zeros(BETAS), MEAN_PELVIS_M[model], gender, source, known=False)
+    body = load_body_model(path)
+    if own == model:
+        shape, source = motion.shape, "betas are those of the motion's own shape"
+    else:
+        shape = BodyShape(model, _named(fit_betas(body, motion.rest_joints_m)))
+        source = f"betas are fitted to the lengths of the bones of the person's {own} body"
+    betas = np.zeros(BETAS)
+    for name, value in shape.parameters.items():
+        if (number := int(name.removeprefix("beta_"))) < BETAS:
+            betas[number] = value
+    # The rest pelvis of what the file says, not of betas beyond those it holds.
+    written = BodyShape(shape.model, _named(betas[: body.shape_basis_m.shape[2]]))
+    return _Fitted(betas, body.pelvis_m(written), gender, source, known=True)
+
+
+def fit_betas(body: SmplModel, rest_joints_m: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "betas"]:
+    """The most likely shape whose bones are as long as those of a skeleton; up to 16 betas.
+
+    Least squares over the 21 bone lengths and the betas, which are 0 +- 1 over people.
+    """
+    from scipy.optimize import least_squares
+
+    count = min(BETAS, body.shape_basis_m.shape[2])
+    template_m = body.joint_regressor @ body.template_m
+    basis_m = np.einsum("jv,vdb->jdb", body.joint_regressor, body.shape_basis_m[:, :, :count])
+    wanted_m = _bone_lengths_m(rest_joints_m)
+
+    def residuals(betas: np.ndarray) -> np.ndarray:
+        lengths_m = _bone_lengths_m(template_m + basis_m @ betas)
+        return np.concatenate([(lengths_m - wanted_m) / _LENGTH_SIGMA_M, betas])
+
+    return least_squares(residuals, np.zeros(count), method="lm").x
+
+
+def _bone_lengths_m(joints_m: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "21"]:
+    return np.linalg.norm(joints_m[1:] - joints_m[PARENTS[1:]], axis=1)
+
+
+def _named(betas: np.ndarray) -> dict[str, float]:
+    return {f"beta_{number}": float(value) for number, value in enumerate(betas)}
+
+
+def _users_file(model: str) -> Path | None:
+    """None where the user has no such file; one that is there must be usable."""
+    if not os.environ.get(DIR_VARIABLE):
+        return None
+    try:
+        return model_file(model)
+    except InputError:
+        return None
 
 
 def _fps(motion: BodyMotion) -> float:

@@ -27,7 +27,7 @@ def write_bvh(path: Path, character: Character) -> None:
     """
     motion = character.motion
     offsets_cm = character.joint_offsets_m * CENTIMETRES_PER_METRE
-    tips_cm = _tips_m(character) * CENTIMETRES_PER_METRE
+    tips_cm = character.tips_m * CENTIMETRES_PER_METRE
     lines = ["HIERARCHY", *_joint_lines(0, offsets_cm, tips_cm, depth=0), "MOTION"]
     lines += [f"Frames: {motion.frame_count}", f"Frame Time: {_frame_time_s(motion):.8f}"]
     order = _depth_first(0)
@@ -102,16 +102,3 @@ def _joint_lines(joint: int, offsets_cm: np.ndarray, tips_cm: np.ndarray, depth:
 
 def _triple(vector: np.ndarray) -> str:
     return " ".join(f"{value:.6f}" for value in vector.tolist())
-
-
-def _tips_m(character: Character) -> Float[np.ndarray, "22 3"]:
-    """Far end of the mesh that each joint moves, from the joint towards the middle of that mesh, in joint frames."""
-    strongest = character.joint_index[:, 0]
-    tips_m = np.zeros((len(JOINT_NAMES), 3))
-    for joint in np.unique(strongest):
-        T_joint_bind = character.inverse_bind[joint]
-        points_m = character.vertices_m[strongest == joint] @ T_joint_bind[:3, :3].T + T_joint_bind[:3, 3]
-        middle = 0.5 * (points_m.min(0) + points_m.max(0))
-        direction = middle / np.linalg.norm(middle)
-        tips_m[joint] = direction * float((points_m @ direction).max())
-    return tips_m

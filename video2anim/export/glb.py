@@ -1,7 +1,10 @@
 """glTF 2.0 binary files: the whole scene with skinned, animated people, and single objects.
 
 Metres, +Y up, 30 fps, which are glTF's own conventions; cameras are turned from OpenCV's axes to glTF's.
-Each person is one skin over 22 joint nodes named in SMPL order. Joint rotations are linear (slerp) channels.
+
+Each person is one skin over 22 joint nodes named in SMPL order. Without animation they stand in the T-pose; their
+frames have y along the limb, so that programs that show bones draw them along limbs. The skin is bound in the body
+model's own pose (an A-pose for Anny), in which it is exact. Joint rotations are linear (slerp) channels.
 Vertices keep their four strongest joints, so a skinned vertex differs slightly from the body model's.
 """
 
@@ -16,7 +19,7 @@ import pygltflib as gltf
 
 from video2anim import __version__
 from video2anim.body.skeleton import JOINT_NAMES, PARENTS
-from video2anim.export.character import Character
+from video2anim.export.character import Character, Rig
 from video2anim.export.frames import is_still, linear_from_srgb, opengl_camera_poses, vertical_fov_rad
 from video2anim.export.gltf_buffer import GltfBuffer
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
@@ -36,7 +39,8 @@ class SceneMeshes(Protocol):
 
 
 SKIN_RGB = (205, 163, 138)
-_NEAR_M = 0.05
+NEAR_M, FAR_M = 0.05, 1000.0
+"""Clipping range of cameras."""
 _UNLIT = "KHR_materials_unlit"
 
 
@@ -129,7 +133,8 @@ class _GlbWriter:
 
     def add_character(self, character: Character) -> None:
         motion = character.motion
-        joints = self._add_joints(character)
+        rig = character.rig()
+        joints = self._add_joints(rig)
         target = gltf.ARRAY_BUFFER
         attributes = gltf.Attributes(
             POSITION=self.buffer.add(character.vertices_m, target=target, bounds=True),
@@ -139,7 +144,7 @@ class _GlbWriter:
         )
         name = f"person_{motion.person_id}"
         mesh = self._add_primitive(f"{name}_body", attributes, character.faces, self._material("skin"))
-        inverse_bind = self.buffer.add(character.inverse_bind)
+        inverse_bind = self.buffer.add(rig.inverse_bind)
         self.document.skins.append(
             gltf.Skin(name=f"{name}_skin", joints=joints, skeleton=joints[0], inverseBindMatrices=inverse_bind)
         )
@@ -152,7 +157,7 @@ class _GlbWriter:
         }
         self._add_root(armature)
         self._animate(motion.frame_time_s, joints[0], "translation", character.root_translation_m)
-        xyzw = np.roll(character.quaternions_wxyz(), -1, axis=-1)
+        xyzw = np.roll(rig.rotations_wxyz, -1, axis=-1)
         for joint, node in enumerate(joints):
             self._animate(motion.frame_time_s, node, "rotation", xyzw[:, joint])
 
@@ -161,7 +166,8 @@ class _GlbWriter:
         lens = gltf.Perspective(
             yfov=vertical_fov_rad(intrinsics),
             aspectRatio=(intrinsics.width_px / intrinsics.fx_px) / (intrinsics.height_px / intrinsics.fy_px),
-            znear=_NEAR_M,
+            znear=NEAR_M,
+            zfar=FAR_M,
         )
         self.document.cameras.append(gltf.Camera(name="camera", type="perspective", perspective=lens))
         poses = opengl_camera_poses(motion.T_world_camera)
@@ -180,12 +186,13 @@ class _GlbWriter:
         self.buffer.finish()
         path.write_bytes(b"".join(self.document.save_to_bytes()))
 
-    def _add_joints(self, character: Character) -> list[int]:
+    def _add_joints(self, rig: Rig) -> list[int]:
         first = len(self.document.nodes)
         for joint, name in enumerate(self.joint_names):
             children = [first + int(child) for child in np.flatnonzero(joint == PARENTS)]
-            offset_m = character.joint_offsets_m[joint].tolist()
-            self.document.nodes.append(gltf.Node(name=name, translation=offset_m, children=children))
+            xyzw = np.roll(rig.rest_wxyz[joint], -1).tolist()
+            offset_m = rig.offsets_m[joint].tolist()
+            self.document.nodes.append(gltf.Node(name=name, translation=offset_m, rotation=xyzw, children=children))
         return list(range(first, first + len(self.joint_names)))
 
     def _add_primitive(self, name: str, attributes: gltf.Attributes, faces: np.ndarray, material: int) -> int:

@@ -7,27 +7,34 @@ Needs usd-core, which is imported when this module is.
 
 from __future__ import annotations
 
+import errno
+import re
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from video2anim.body.skeleton import JOINT_NAMES, PARENTS
-from video2anim.export.character import INFLUENCES, Character
+from video2anim.export.character import INFLUENCES, Character, Rig
 from video2anim.export.frames import is_still, linear_from_srgb, opengl_camera_poses
-from video2anim.export.glb import SKIN_RGB, object_name
+from video2anim.export.glb import FAR_M, NEAR_M, SKIN_RGB, object_name
+from video2anim.geometry.rotations import matrix_from_quaternion
 from video2anim.types import BodyMotion, Mesh, PlacedObject, SceneModel
 
 FPS = 30.0
-_APERTURE = 36.0
-"""Width of the picture in USD's lens units; only its ratio to the focal length matters."""
+_APERTURE = 0.36
+"""Width of the picture: 36 mm in tenths of a scene unit, USD's unit of lenses."""
 _BODY_REACH_M = 0.4
 """Skin never lies farther than this from the nearest joint of the 22 (fingertips)."""
 
 
 def write_usd(path: Path, characters: tuple[Character, ...], scene: SceneModel | None) -> None:
-    """Write people, objects, floor, background and camera. `path` ends in `.usdc`, `.usda` or `.usd`."""
-    stage = Usd.Stage.CreateNew(str(path))
+    """Write people, objects, floor, background and camera. `path` ends in `.usdc`, `.usda` or `.usd`.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     stage.SetTimeCodesPerSecond(FPS)
@@ -38,6 +45,8 @@ def write_usd(path: Path, characters: tuple[Character, ...], scene: SceneModel |
         for name, mesh in (("floor", scene.floor), ("background", scene.background)):
             if len(mesh.faces):
                 _define_mesh(stage, f"/World/{name}", mesh, material)
+        # A folder without a type has no place in space for Blender, which then loses the turn of the up axis below it.
+        UsdGeom.Xform.Define(stage, "/World/objects")
         for placed in scene.objects:
             _define_object(stage, placed, material)
     for character in characters:
@@ -46,7 +55,12 @@ def write_usd(path: Path, characters: tuple[Character, ...], scene: SceneModel |
         _define_camera(stage, characters[0].motion)
         stage.SetStartTimeCode(float(characters[0].motion.frame_time_s[0]) * FPS)
         stage.SetEndTimeCode(float(characters[0].motion.frame_time_s[-1]) * FPS)
-    stage.GetRootLayer().Save()
+    try:
+        stage.GetRootLayer().Export(str(path))
+    except Tf.ErrorException as error:
+        # Its text is several lines of places in libusd, each with what happened in quotes.
+        told = re.findall(r": '(.*)'", str(error)) or [str(error)]
+        raise OSError(errno.EIO, told[0], str(path)) from error
 
 
 def _define_mesh(stage: Usd.Stage, path: str, mesh: Mesh, material: UsdShade.Material) -> UsdGeom.Mesh:
@@ -96,11 +110,12 @@ def _define_character(stage: Usd.Stage, character: Character, material: UsdShade
     paths = _joint_paths()
     skeleton = UsdSkel.Skeleton.Define(stage, f"{root.GetPath()}/{name}_skeleton")
     skeleton.CreateJointsAttr(paths)
-    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray([_matrix(np.linalg.inv(m)) for m in character.inverse_bind]))
+    rig = character.rig()
+    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray([_matrix(np.linalg.inv(m)) for m in rig.inverse_bind]))
     rest = np.tile(np.eye(4), (len(paths), 1, 1))
-    rest[:, :3, 3] = character.joint_offsets_m
+    rest[:, :3, :3], rest[:, :3, 3] = matrix_from_quaternion(rig.rest_wxyz), rig.offsets_m
     skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray([_matrix(m) for m in rest]))
-    animation = _define_animation(stage, f"{skeleton.GetPath()}/animation", character, paths)
+    animation = _define_animation(stage, f"{skeleton.GetPath()}/animation", character, rig, paths)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation])
     skin = linear_from_srgb(np.array([SKIN_RGB]))
     path = f"{root.GetPath()}/{name}_body"
@@ -113,18 +128,17 @@ def _define_character(stage: Usd.Stage, character: Character, material: UsdShade
     binding.CreateJointWeightsPrimvar(False, INFLUENCES).Set(Vt.FloatArray.FromNumpy(weights))
 
 
-def _define_animation(stage: Usd.Stage, path: str, character: Character, joint_paths: list[str]) -> Sdf.Path:
+def _define_animation(stage: Usd.Stage, path: str, character: Character, rig: Rig, joint_paths: list[str]) -> Sdf.Path:
     animation = UsdSkel.Animation.Define(stage, path)
     animation.CreateJointsAttr(joint_paths)
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1.0)] * len(joint_paths)))
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
-    quaternions = character.quaternions_wxyz()
-    offsets_m = character.joint_offsets_m.copy()
+    offsets_m = rig.offsets_m.copy()
     for frame, time_s in enumerate(character.motion.frame_time_s):
         code = Usd.TimeCode(float(time_s) * FPS)
         offsets_m[0] = character.root_translation_m[frame]
         translations.Set(_vec3f(offsets_m), code)
-        rotations.Set(Vt.QuatfArray([Gf.Quatf(*q) for q in quaternions[frame].tolist()]), code)
+        rotations.Set(Vt.QuatfArray([Gf.Quatf(*q) for q in rig.rotations_wxyz[frame].tolist()]), code)
     return animation.GetPath()
 
 
@@ -134,7 +148,7 @@ def _define_camera(stage: Usd.Stage, motion: BodyMotion) -> None:
     camera.CreateHorizontalApertureAttr(_APERTURE)
     camera.CreateFocalLengthAttr(_APERTURE * lens.fx_px / lens.width_px)
     camera.CreateVerticalApertureAttr(_APERTURE * lens.fx_px / lens.width_px * lens.height_px / lens.fy_px)
-    camera.CreateClippingRangeAttr(Gf.Vec2f(0.05, 1000.0))
+    camera.CreateClippingRangeAttr(Gf.Vec2f(NEAR_M, FAR_M))
     transform = camera.AddTransformOp()
     poses = opengl_camera_poses(motion.T_world_camera)
     if is_still(poses):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -164,8 +165,11 @@ def locked(scene_dir: Path) -> Iterator[None]:
 
 
 def _remove_leftovers(scene_dir: Path) -> None:
-    """Delete the files that a killed run was writing aside."""
+    """Delete what a killed run or export was writing aside."""
     for folder in (scene_dir, scene_dir / "objects"):
         for prefix in (RECORD_ASIDE, RESULT_ASIDE):
             for path in folder.glob(f"{prefix}*"):
-                path.unlink(missing_ok=True)
+                if path.is_dir() and not path.is_symlink():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink(missing_ok=True)
