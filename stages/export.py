@@ -12,11 +12,8 @@ from video2anim.pipeline.options import limits, only_with
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BodyTracks,
-    CameraEstimate,
     ExportedFiles,
-    KeyframedMotion,
     PayloadFile,
-    PersonTracks,
     RefinedMotion,
     SceneModel,
     SourceVideo,
@@ -54,10 +51,7 @@ class ExportConfig:
 def export_scene(
     source: SourceVideo,
     clip: VideoClip,
-    camera: CameraEstimate,
-    tracks: PersonTracks,
     bodies: BodyTracks,
-    keyframed: KeyframedMotion,
     refined: RefinedMotion,
     scene: SceneModel,
     config: ExportConfig,

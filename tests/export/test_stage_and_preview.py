@@ -21,11 +21,8 @@ from video2anim.geometry.projection import project
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
     BodyTracks,
-    CameraEstimate,
     ExportedFiles,
-    KeyframedMotion,
     PayloadFile,
-    PersonTracks,
     RefinedMotion,
     SourceVideo,
     VideoClip,
@@ -36,14 +33,10 @@ FRAMES = 8
 
 def run_stage(clip: VideoClip, folder: Path, config: ExportConfig) -> tuple[ExportedFiles, StageContext]:
     people = (walk(FRAMES), walk(FRAMES, 7, side_m=-1.0))
-    rotations = np.tile(np.eye(3), (FRAMES, 1, 1))
-    camera = CameraEstimate(people[0].intrinsics, "human", 0.1, np.array([0, -1.0, 0]), "level", 0.1, True, rotations)
     ctx = StageContext(folder)
-    keyframes = (np.arange(0, FRAMES, 5),) * 2
     exported = export_scene(
         SourceVideo(clip.video.path, ""), clip,
-        camera, PersonTracks((), (), 1), BodyTracks(people), KeyframedMotion(people, keyframes),
-        RefinedMotion(people, ("interpolation",) * 2, (1.0,) * 2), room(), config, ctx,
+        BodyTracks(people), RefinedMotion(people, ("interpolation",) * 2, (1.0,) * 2), room(), config, ctx,
     )  # fmt: skip
     return exported, ctx
 

@@ -15,6 +15,7 @@ from av.error import FFmpegError
 from av.packet import Packet
 from jaxtyping import Float
 
+from video2anim.video.container import open_video
 from video2anim.video.encode import write_error
 
 RATE_HZ = 48_000
@@ -40,7 +41,7 @@ def finish_video(path: Path, silent: Path, source: Path | None, start_s: float) 
     try:
         with contextlib.ExitStack() as open_files:
             pictures = open_files.enter_context(av.open(str(silent)))
-            heard = None if source is None else open_files.enter_context(av.open(str(source)))
+            heard = None if source is None else open_files.enter_context(open_video(source))
             made = open_files.enter_context(av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}))
             packets = [_copied(pictures, made.add_stream_from_template(pictures.streams.video[0]))]
             has_sound = heard is not None and bool(heard.streams.audio)
