@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from video2anim.errors import UsageError
-from video2anim.pipeline.options import Height, limits, model_of, only_without
+from video2anim.pipeline.options import Heights, limits, model_of, only_without
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import CameraEstimate, Intrinsics, PersonTrack, PersonTracks, VideoClip
 
@@ -38,7 +38,7 @@ class CameraConfig:
 
     focal_px: Annotated[float, limits("px", gt=0, le=1_000_000)] | None = None
     """Known focal length in pixels of the upright video; nothing is estimated then."""
-    height_m: Height | dict[int, Height] | None = None
+    height_m: Heights | None = None
     """Known standing height in meters: of the main person, or by person's ID. The lens is fitted to the main person."""
     frames: Annotated[int, limits(ge=1, le=10_000)] = 24
     """Frames the lens is fitted to, spread over the clip."""

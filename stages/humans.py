@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
-from video2anim.pipeline.options import Height, limits, model_of, only_without
+from video2anim.pipeline.options import Heights, limits, model_of, only_without
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BodyMotion,
@@ -41,7 +41,7 @@ class HumansConfig:
     model: Annotated[str, model_of("lifter", "body-regressor"), only_without("method", "optimizer")] = "lifter"
     """Model that lifts landmarks to bodies; `lifter@FILE` for weights of your own. `hmr2@FILE` and `gem-smpl@FILE` give
     the rotations instead; distance and contacts stay the lifter's."""
-    height_m: Height | dict[int, Height] | None = None
+    height_m: Heights | None = None
     """Known standing height in meters: of the main person, or by person's ID. Others are taken for adults of the mean
     height, under the evidence of the picture and of the floor that they share."""
     iterations: Annotated[Annotated[int, limits(ge=1, le=100_000)] | None, only_without("method", "lifter")] = None

@@ -22,11 +22,8 @@ from video2anim.types import BackgroundPlate, BodyTracks, DepthClip, Intrinsics,
 if TYPE_CHECKING:
     from video2anim.geometry.depth_fit import DepthFit, FrameEvidence, GroundEvidence
 
-
 _LARGEST_LOG_FACTOR = 0.4
 """People's depth is not moved farther than this; one of the two is wrong then."""
-
-
 _FLAT = "what the person's depth tells would make the whole scene flat"
 """Reason of fits that are taken only where there is no other."""
 

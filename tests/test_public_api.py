@@ -24,9 +24,9 @@ COMMANDS = {
     "": {"--version", "--debug"},
     "run": {
         "VIDEO", "--out", "--preset", "--set", "--from", "--until", "--person", "--focal-px", "--height-m", "--device",
-        "--overwrite", "--no-overwrite",
+        "--overwrite", "--keep-edits", "--discard-edits", "--yes",
     },
-    "stage": {"NAME", "DIR", "--device"},
+    "stage": {"DIR", "STAGE", "--keep-edits", "--discard-edits", "--device"},
     "status": {"DIR"},
     "show": {"DIR", "STAGE"},
     "export": {"DIR", "--format", "--out"},

@@ -125,7 +125,9 @@ class FinishedFolder:
 
     def value(self, kind: type) -> Any:
         made = content()
-        return {RefinedMotion: RefinedMotion(made.people, ("interpolation",) * 2), SceneModel: made.scene}[kind]
+        return {RefinedMotion: RefinedMotion(made.people, ("interpolation",) * 2, (1.0,) * 2), SceneModel: made.scene}[
+            kind
+        ]
 
 
 @pytest.fixture

@@ -131,7 +131,7 @@ def test_a_source_that_is_gone_is_told(gray_clip: VideoClip, tmp_path: Path) -> 
     (tmp_path / "stage").mkdir()
     ctx = StageContext(tmp_path / "stage")
     _write_pictures(
-        SourceVideo(gone.video.path, ""), gray_clip, RefinedMotion((walk(FRAMES),), ("interpolation",)), room(),
+        SourceVideo(gone.video.path, ""), gray_clip, RefinedMotion((walk(FRAMES),), ("none",), (0.0,)), room(),
         ExportConfig(overlay_frames=0), ctx,
     )  # fmt: skip
     assert ctx.warnings == [f"the preview has no sound: the video is no longer at {gone.video.path}"]

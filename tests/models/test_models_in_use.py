@@ -49,7 +49,6 @@ def test_the_lifter_is_in_the_key_where_it_is_used(own: Callable[[str], str]) ->
         assert set(found) == {regressor, "lifter"}
         assert found["lifter"] == used("humans")["lifter"]
     assert used("humans", method="optimizer") == {}
-    assert used("humans", method="optimizer", model=own("hmr2")) == {}
 
 
 def test_the_stage_loads_what_the_key_names(own: Callable[[str], str]) -> None:

@@ -84,7 +84,7 @@ def test_no_option_takes_nonsense(stage: str, name: str, option: Option) -> None
     ("given", "said"),
     [
         ("segment.most_objects=-1", "want a whole number from 0 to 1000 objects, got -1"),
-        ("humans.height_m=17", "want a number from 0.5 to 2.5 m (--height-m) or none, got 17"),
+        ("humans.height_m=17", "want a number from 0.5 to 2.5 m (--height-m) or a mapping"),
         ("keyframes.keyframe_interval_frames=0", "want a whole number from 1 to 100000 frames, got 0"),
         ("refine.keyframe_interval_frames=0", "want a whole number from 1 to 100000 frames, got 0"),
         ("export.preview_height_px=-4", "want a whole number from 16 to 4320 px, got -4"),

@@ -87,7 +87,8 @@ def limits(
 
 
 Height = Annotated[float, limits("m (--height-m)", ge=0.5, le=2.5)]
-"""Standing height of a person."""
+Heights = Height | dict[Annotated[int, limits("(ID)", ge=1, le=1_000_000)], Height]
+"""Standing height of the main person, or of people by ID."""
 
 
 def model_of(slot: str, *others: str, also: tuple[str, ...] = ()) -> pydantic.AfterValidator:

@@ -126,6 +126,7 @@ class FrameWriter:
 
 
 def write_error(path: Path, error: Exception) -> InputError | StageError | MemoryError:
+    """What to raise where a video cannot be written."""
     if is_memory_shortage(error):
         return MemoryError(f"while writing {path}: {error}")
     if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
