@@ -299,6 +299,7 @@ def test_show(scene: Scene, stage: str) -> None:
         ("glb", "scene.glb"),
         ("bvh", "motion.bvh"),
         ("amass", "motion_amass.npz"),
+        ("amass", "motion_amass_smplx.npz"),
         ("usd", "scene.usdc"),
         ("fbx-ready", ".glb"),
     ],
