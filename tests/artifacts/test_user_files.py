@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import struct
 from pathlib import Path
@@ -202,3 +203,29 @@ def test_nothing_has_no_digest(tmp_path: Path) -> None:
         content_digest(tmp_path / "none.glb")
     assert str(tmp_path / "none.glb") in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def textured_square(path: Path) -> Path:
+    square = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    square.visual = TextureVisuals(uv=0.1 + 0.8 * square.vertices[:, :2], image=Image.fromarray(noise))
+    return export(square, path)
+
+
+def test_a_picture_cut_off_inside_a_mesh_is_refused(tmp_path: Path) -> None:
+    path = textured_square(tmp_path / "square.glb")
+    read_mesh_file(path)
+    data = path.read_bytes()
+    start = data.index(b"IDAT") + 2000
+    path.write_bytes(data[:start] + bytes(4000) + data[start + 4000 :])
+    assert "want a" in refused(path)
+
+
+def test_colors_that_do_not_fit_the_vertices_are_no_gray_mesh(tmp_path: Path) -> None:
+    """The file places three of four vertices in its texture."""
+    path = textured_square(tmp_path / "square.gltf")
+    document = json.loads(path.read_text())
+    places = document["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
+    document["accessors"][places]["count"] = 3
+    path.write_text(json.dumps(document))
+    assert "want a color for each of 4 vertices, got 3" in refused(path)

@@ -196,6 +196,13 @@ def test_device_is_recorded(run: Callable, tmp_path: Path) -> None:
     assert read_manifest(tmp_path / "stages" / "01_seeds").device == "cpu"
 
 
+def test_a_stray_file_is_no_edit(run: Callable, tmp_path: Path) -> None:
+    run()
+    for name in (".DS_Store", "Thumbs.db"):
+        (tmp_path / "stages" / "02_double" / name).write_bytes(b"x")
+    assert run(look=True) == CACHED == run()
+
+
 def test_start_until_only(run: Callable) -> None:
     assert run(until="double") == {"seeds": "ran", "double": "ran"}
     assert run(look=True)["add"] == "missing"

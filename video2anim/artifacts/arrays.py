@@ -71,7 +71,9 @@ class Archive:
         with damage(self._path), self._archive.open(info) as stream:
             array = np.lib.format.read_array(stream, allow_pickle=False)
         kind, marks = annotation(hint)
-        wanted = np.float64 if dtype.kind in "iu" and "float64" in _kinds(kind) else dtype.newbyteorder("=")
+        # Whole numbers, and halves, which linear algebra does not take, become doubles.
+        doubled = "float64" in _kinds(hint) and (dtype.kind in "iu" or dtype.itemsize < 4)
+        wanted = np.float64 if doubled and kind is not np.ndarray else dtype.newbyteorder("=")
         array = array.astype(wanted, copy=False)
         expect_content(array, marks, axes, key, self._path)
         return array
@@ -125,8 +127,8 @@ def expect_shape(shape: tuple[int, ...], dtype: np.dtype, hint: Any, axes: Axes,
     Raises:
         ArtifactError: they do not fit.
     """
-    kind, marks = annotation(hint)
-    kinds = ("text",) if Holds.TEXT in marks else _kinds(kind)
+    kind, _ = annotation(hint)
+    kinds = _kinds(hint)
     whole_for_fraction = dtype.kind in "iu" and "float64" in kinds
     if not ((dtype.kind == "U" and "text" in kinds) or dtype.name in kinds or whole_for_fraction):
         raise ArtifactError(f"{shown(name)}: want {kinds[-1]}, got {shown(str(dtype))} in {where}")
@@ -144,8 +146,11 @@ def expect_shape(shape: tuple[int, ...], dtype: np.dtype, hint: Any, axes: Axes,
     axes.update(new)
 
 
-def _kinds(kind: Any) -> tuple[str, ...]:
+def _kinds(hint: Any) -> tuple[str, ...]:
     """Names of the dtypes that an array type admits, the usual one last."""
+    kind, marks = annotation(hint)
+    if Holds.TEXT in marks:
+        return ("text",)
     return ("text", "bool", "uint8", "int64", "float64") if kind is np.ndarray else kind.dtypes
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -100,11 +101,15 @@ def read_mesh_file(path: Path) -> Mesh:
         InputError: missing, unreadable, or without triangles.
     """
     import trimesh
+    from trimesh.resolvers import FilePathResolver
 
     if path.suffix.lower() not in MESH_SUFFIXES or not path.is_file():
         raise InputError(f"want a mesh file ({', '.join(MESH_SUFFIXES)}), got {path}")
     try:
-        parts = [part for part in trimesh.load_scene(path).dump() if isinstance(part, trimesh.Trimesh)]
+        # From memory, where a false length in the file asks for no more than there is.
+        whole, beside = io.BytesIO(path.read_bytes()), FilePathResolver(str(path))
+        scene = trimesh.load_scene(whole, file_type=path.suffix.lower()[1:], resolver=beside)
+        parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
     except Exception as error:  # the loaders raise what their parsers raise
         raise InputError(f"want a mesh, got {type(error).__name__} at {path}") from error
     parts = [part for part in parts if len(part.faces)]
