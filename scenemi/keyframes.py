@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from scenemi.data.plain_files import MOST_FRAMES
 from scenemi.longmotion import KeyframeMotion
 from scenemi.windows import select_keyframes
 from video2anim.body.skeleton import JOINT_NAMES
@@ -86,26 +87,51 @@ def checked_keyframes(
     translation_m: np.ndarray,
     rest_joints_m: np.ndarray,
     shape: BodyShape,
+    *,
+    valid: np.ndarray | None = None,
 ) -> Keyframes:
     """Keyframes in order, rotations made exact.
 
     A rest skeleton whose pelvis is not its origin is moved there, and the translation with it.
 
+    Args:
+        where: of what the errors speak.
+        frame_index: (K,) frames of the keyframes.
+        R_parent_joint: (K, 22, 3, 3) local rotations.
+        translation_m: (K, 3) of the root.
+        rest_joints_m: (22, 3) of the body.
+        shape: of the body.
+        valid: (K,) which rows are used; None = all.
+
     Raises:
         InputError: wrong joint count or shapes, NaN, matrices that are no rotations, frames that are negative, not
-            whole or given twice, fewer than two keyframes, or a body of impossible size (often other units).
+            whole, given twice or beyond an hour, fewer than two keyframes, or a body of impossible size (often other
+            units).
     """
     frame_index, R_parent_joint = np.asarray(frame_index), np.asarray(R_parent_joint, np.float64)
     translation_m, rest_joints_m = np.asarray(translation_m, np.float64), np.asarray(rest_joints_m, np.float64)
     _expect_shapes(where, frame_index, R_parent_joint, translation_m, rest_joints_m)
+    if valid is not None:
+        if valid.shape != frame_index.shape:
+            raise InputError(f"{where}: valid wants shape {frame_index.shape}, got {valid.shape}")
+        used = valid.astype(bool)
+        frame_index, R_parent_joint, translation_m = frame_index[used], R_parent_joint[used], translation_m[used]
+    if len(R_parent_joint) < 2:
+        raise InputError(
+            f"{where}: want at least 2 keyframes, got {len(R_parent_joint)}; give the pose at another frame too"
+        )
     frames = _whole_frames(where, frame_index)
     finite = np.isfinite(R_parent_joint).all((1, 2, 3)) & np.isfinite(translation_m).all(1)
     if not finite.all():
         raise InputError(f"{where}: keyframe {frames[~finite][0]} holds NaN or infinity; leave it out or repair it")
     if not np.isfinite(rest_joints_m).all():
         raise InputError(f"{where}: rest_joints_m holds NaN or infinity")
-    stature_m = float(np.ptp(rest_joints_m[:, 1]))
-    if not _STATURE_M[0] < stature_m < _STATURE_M[1] or np.abs(translation_m).max() > _FARTHEST_M:
+    with np.errstate(over="ignore"):
+        stature_m = float(np.ptp(rest_joints_m[:, 1]))
+    if (
+        not _STATURE_M[0] < stature_m < _STATURE_M[1]
+        or max(np.abs(a).max() for a in (translation_m, rest_joints_m)) > _FARTHEST_M
+    ):
         raise InputError(
             f"{where}: want metres and +Y up, got a skeleton {stature_m:.2f} high and roots up to "
             f"{np.abs(translation_m).max():.1f} from the origin"
@@ -131,15 +157,19 @@ def _expect_shapes(
     for name, want, have in zip(names, wanted, got, strict=True):
         if want != have:
             raise InputError(f"{where}: {name} wants shape {want}, got {have}")
-    if len(R) < 2:
-        raise InputError(f"{where}: want at least 2 keyframes, got {len(R)}; give the pose at another frame too")
 
 
 def _whole_frames(where: str, frame_index: np.ndarray) -> Int[np.ndarray, "keyframes"]:
     if frame_index.dtype.kind not in "iuf" or not np.isfinite(frame_index).all():
         raise InputError(f"{where}: frame_index wants whole numbers, got {frame_index.dtype} values")
+    if frame_index.max() >= MOST_FRAMES:
+        raise InputError(
+            f"{where}: want frames below {MOST_FRAMES} (an hour at {FPS:.0f} fps), got {frame_index.max():g}"
+        )
+    if frame_index.min() < 0:
+        raise InputError(f"{where}: frame_index wants whole numbers from 0, got {frame_index.min():g}")
     frames = np.rint(frame_index).astype(np.int64)
-    if (frames != frame_index).any() or (frames < 0).any():
+    if (frames != frame_index).any():
         raise InputError(f"{where}: frame_index wants whole numbers from 0 (at {FPS:.0f} fps), got {frame_index}")
     if len(np.unique(frames)) != len(frames):
         twice = next(int(f) for f in frames if (frames == f).sum() > 1)
@@ -148,12 +178,14 @@ def _whole_frames(where: str, frame_index: np.ndarray) -> Int[np.ndarray, "keyfr
 
 
 def _exact_rotations(where: str, R: np.ndarray, frames: np.ndarray) -> Float[np.ndarray, "keyframes 22 3 3"]:
-    error = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max((-1, -2))
-    wrong = (error > _ROTATION_TOLERANCE) | (np.linalg.det(R) < 0)
+    with np.errstate(all="ignore"):  # numbers that overflow are no rotations either
+        error = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max((-1, -2))
+        determinant = np.linalg.det(R)
+    wrong = ~(error <= _ROTATION_TOLERANCE) | ~(determinant > 0)
     if wrong.any():
         row, joint = (int(i) for i in np.argwhere(wrong)[0])
         raise InputError(
             f"{where}: keyframe {frames[row]}, joint {JOINT_NAMES[joint]}: no rotation matrix (R^T R differs from "
-            f"identity by {error[row, joint]:.3g}, determinant {np.linalg.det(R[row, joint]):.3g})"
+            f"identity by {error[row, joint]:.3g}, determinant {determinant[row, joint]:.3g})"
         )
     return R if error.max() < 1e-6 else nearest_rotation(R)

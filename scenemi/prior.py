@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 PriorChoice = Literal["auto", "interpolation", "scenemi"]
 WEIGHTS_FOLDER = Path(__file__).parent / "weights"
+WEIGHTS_NAME = "small"
+"""Of the weights that ship; others are taken only where they are named."""
 DEFAULT_STOP_STEP = 20
 """T*: noisy keyframes steer the sampling only above this diffusion step (paper 3.2.1, Table 3)."""
 
@@ -140,8 +142,12 @@ class InterpolationPrior:
 
 
 def load_prior(choice: PriorChoice = "auto", *, device: str = "cpu", seed: int = 0) -> InbetweeningPrior:
-    """The prior by name, with the seed of its samples; `auto` is `scenemi` where its weights are present, else
-    `interpolation` (see `.name`).
+    """The prior by name; `auto` is `scenemi` where its weights are present, else `interpolation` (see `.name`).
+
+    Args:
+        choice: which.
+        device: of torch.
+        seed: of sampling; interpolation draws nothing.
 
     Raises:
         ModelMissingError: `scenemi` was asked for and no weights are present.
@@ -153,12 +159,14 @@ def load_prior(choice: PriorChoice = "auto", *, device: str = "cpu", seed: int =
         return InterpolationPrior()
     if not scenemi_available():
         raise ModelMissingError(
-            "prior scenemi: no weights (*.safetensors) in scenemi/weights; set the prior to 'interpolation' or 'auto'"
+            f"prior scenemi: no weights {WEIGHTS_NAME}.safetensors in {WEIGHTS_FOLDER}; set the prior to "
+            "'interpolation' or 'auto'"
         )
     model = importlib.import_module("scenemi.model.prior")
-    return model.load_diffusion_prior(WEIGHTS_FOLDER, device=device, seed=seed)
+    return model.load_diffusion_prior(WEIGHTS_FOLDER, device=device, weights=WEIGHTS_NAME, seed=seed)
 
 
 def scenemi_available() -> bool:
-    """Whether the diffusion model and weights for it are installed."""
-    return importlib.util.find_spec("scenemi.model") is not None and any(WEIGHTS_FOLDER.glob("*.safetensors"))
+    """Whether the diffusion model and the weights that `load_prior` takes are installed."""
+    installed = importlib.util.find_spec("scenemi.model") is not None
+    return installed and (WEIGHTS_FOLDER / f"{WEIGHTS_NAME}.safetensors").is_file()

@@ -51,9 +51,7 @@ def sample_motion(
         InputError: a length that leaves keyframes out.
         UsageError: impossible noise.
     """
-    if not 0 <= noise <= 100:
-        raise UsageError(f"noise: want degrees and centimetres from 0 to 100, got {noise}")
-    given = replace(keyframes.to_motion(length), body=body_of(keyframes), noise_level=noise)
+    given = replace(keyframes.to_motion(length), body=body_of(keyframes), noise_level=expect_noise(noise))
     filled = inbetween(given, prior, scene=scene)
     notes = []
     if len(filled.bridged_index):
@@ -66,6 +64,17 @@ def sample_motion(
         notes.append(f"frames {last + 1} to {len(given.is_keyframe) - 1} hold the last keyframe's pose")
     joints_m, _ = forward_kinematics(filled.R_parent_joint, filled.translation_world_m, keyframes.rest_joints_m)
     return SampledMotion(filled, given.is_keyframe, standing_feet(joints_m, FPS), tuple(notes))
+
+
+def expect_noise(level: float) -> float:
+    """The paper's l as it is.
+
+    Raises:
+        UsageError: impossible noise.
+    """
+    if not 0 <= level <= 100:
+        raise UsageError(f"noise: want degrees and centimetres from 0 to 100, got {level}")
+    return level
 
 
 def body_of(keyframes: Keyframes) -> ShapedBody | None:

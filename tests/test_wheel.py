@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -55,6 +56,9 @@ def test_all_modules_and_data_are_in(wheel: Path) -> None:
     }
     assert presets
     assert presets <= names(wheel)
+    runs = {f"scenemi/configs/{path.name}" for path in (REPOSITORY / "configs" / "scenemi").glob("*.json")}
+    assert runs
+    assert runs <= names(wheel)
 
 
 def test_nothing_else_is_in(wheel: Path) -> None:
@@ -63,6 +67,19 @@ def test_nothing_else_is_in(wheel: Path) -> None:
     wrong = (".mp4", ".tflite", ".pkl", ".pyc", ".ipynb")
     assert not [name for name in names(wheel) if name.endswith(wrong) or "test" in name.split("/")[-1]]
     assert wheel.stat().st_size < 95e6, "package indexes refuse files over 100 MB"
+
+
+def test_weights_in_it_may_be_used_for_anything(wheel: Path, tmp_path: Path) -> None:
+    """The wheel says Apache-2.0: weights trained on what forbids commercial use are not in it."""
+    from scenemi.data.sources import is_free, license_of
+    from scenemi.model.weights import load_weights
+
+    weights = [name for name in names(wheel) if re.fullmatch(r"scenemi/weights/[^/]+\.safetensors", name)]
+    assert weights == ["scenemi/weights/small.safetensors"]
+    with zipfile.ZipFile(wheel) as archive:
+        card = load_weights(archive.extract(weights[0], tmp_path)).card
+    assert card["sources"]
+    assert all(is_free(card.get("licenses", {}).get(source, license_of(source))) for source in card["sources"])
 
 
 def test_metadata(wheel: Path) -> None:

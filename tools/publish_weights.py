@@ -13,8 +13,9 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
-from scenemi.data.sources import attribution_of, is_free
+from scenemi.data.sources import attribution_of, is_free, license_of
 from scenemi.files import file_digest
 from scenemi.model.weights import WEIGHTS_FOLDER, load_weights
 
@@ -45,6 +46,14 @@ dancing and sport, no children, no slopes, and rooms of boxes only. Its motions 
 """
 
 
+def barred_sources(card: dict[str, Any]) -> dict[str, str]:
+    """Sources of a run's card, with licenses, that are not known to be free for commercial use. Cards of older runs
+    name sources only."""
+    told = card.get("licenses", {})
+    licenses = {source: told.get(source, license_of(source)) for source in card["sources"]}
+    return {source: license_name for source, license_name in licenses.items() if not is_free(license_name)}
+
+
 def main() -> None:
     """Read the run's weights, write the package's and their card."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -54,9 +63,12 @@ def main() -> None:
     parser.add_argument("--numbers", type=Path, help="Markdown of the numbers")
     options = parser.parse_args()
     model = load_weights(options.weights)
-    barred = [source for source in model.card["sources"] if not is_free(source)]
+    barred = barred_sources(model.card)
     if barred:
-        raise SystemExit(f"publish_weights: {options.weights} was trained on {', '.join(barred)}: not to be shipped")
+        told = ", ".join(f"{source} ({license_name})" for source, license_name in barred.items())
+        raise SystemExit(
+            f"publish_weights: {options.weights} was trained on {told}, not known to be free: not to be shipped"
+        )
     target = WEIGHTS_FOLDER / f"{options.name}.safetensors"
     shutil.copyfile(options.weights, target)
     config = model.card["config"]

@@ -20,7 +20,6 @@ from safetensors.numpy import save_file
 from scenemi.data.augment import mirrored
 from scenemi.data.container import MotionArchive, read_split
 from scenemi.data.retarget import retarget
-from scenemi.data.sources import is_free
 from scenemi.evaluation.motion_autoencoder import AutoencoderConfig, MotionAutoencoder, motion_channels, to_tensors
 from scenemi.evaluation.windows import adult_body
 from scenemi.files import file_digest
@@ -86,8 +85,8 @@ def windows_of(archives: list[MotionArchive], names: tuple[str, ...]) -> tuple[t
     body, wanted = adult_body(), set(names)
     found, clips, frames = [], 0, 0
     for archive in archives:
-        for name, source, count in zip(archive.names, archive.sources, archive.frame_counts, strict=True):
-            if name not in wanted or not is_free(source) or count < SHORTEST_FRAMES:
+        for name, free, count in zip(archive.names, archive.free, archive.frame_counts, strict=True):
+            if name not in wanted or not free or count < SHORTEST_FRAMES:
                 continue
             motion = retarget(archive.clip(name), body)
             clips, frames = clips + 1, frames + count

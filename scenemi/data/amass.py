@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from scenemi.data.smpl_clip import R_Y_UP_Z_UP, SmplModel, load_arrays, smpl_clip
+from scenemi.data.plain_files import read_arrays
+from scenemi.data.smpl_clip import R_Y_UP_Z_UP, SmplModel, smpl_clip
 from scenemi.data.source_clip import SourceClip
 from video2anim.errors import InputError
 
@@ -26,7 +27,7 @@ def read_amass(path: str | Path, *, kind: str = "unknown") -> SourceClip:
         InputError: the file is missing or lacks arrays of this layout.
     """
     path = Path(path)
-    arrays = load_arrays(path, _NAMES)
+    arrays = read_arrays(path, _NAMES, "AMASS motion")
     rate = arrays.get("mocap_framerate", arrays.get("mocap_frame_rate"))
     if rate is None or np.size(rate) != 1 or "trans" not in arrays:
         raise InputError(f"{path}: no AMASS motion, want trans and mocap_framerate (shape.npz files hold no motion)")

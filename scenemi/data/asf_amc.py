@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,12 +19,15 @@ from scenemi.data.import_clip import (
     with_glitches,
 )
 from scenemi.data.joint_names import map_joints
+from scenemi.data.plain_files import one_line, read_text
 from scenemi.data.source_clip import SourceClip
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
 
 _FINGERS = ("lfingers", "lthumb", "rfingers", "rthumb")
 _INCH_M = UNITS_M["inch"]
+_LARGEST = 1e9
+_CHANNEL = re.compile("[tr][xyz]")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,9 +107,12 @@ def read_asf(path: str | Path) -> AsfSkeleton:
     try:
         units = dict(line.split()[:2] for line in sections["units"])
         degrees = units.get("angle", "deg").startswith("deg")
-        unit_m = _INCH_M / float(units.get("length", "1"))
+        length = _numbers([units.get("length", "1")])[0]
+        if not length > 0:
+            raise ValueError(f"want a unit of length above 0, got {length:g}")
+        unit_m = _INCH_M / length
         root = dict((line.split()[0], line.split()[1:]) for line in sections["root"])
-        order = tuple(token.lower() for token in root["order"])
+        order = _channels(root["order"])
         bones = [AsfBone("root", np.zeros(3), 0.0, _euler(root["orientation"], root["axis"][0], degrees), order)]
         bones += _bones(sections["bonedata"], unit_m, degrees)
         parents = _parents(sections["hierarchy"], [bone.name for bone in bones])
@@ -118,15 +125,12 @@ def read_asf(path: str | Path) -> AsfSkeleton:
             degrees,
         )
     except (KeyError, ValueError, IndexError) as error:
-        raise InputError(f"{path}: broken ASF skeleton: {error!r}") from error
+        raise InputError(f"{path}: broken ASF skeleton: {type(error).__name__} {one_line(error)}") from error
 
 
 def _sections(path: Path) -> dict[str, list[str]]:
     """Lines below each `:keyword`, without comments."""
-    try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    lines = read_text(path, "ASF skeleton").splitlines()
     sections: dict[str, list[str]] = {}
     keyword = ""
     for line in lines:
@@ -147,19 +151,37 @@ def _bones(lines: list[str], unit_m: float, degrees: bool) -> list[AsfBone]:
         if word == "begin":
             entry = {}
         elif word == "end":
-            direction = np.array(entry["direction"], float)
+            direction = _numbers(entry["direction"], 3)
+            if not np.linalg.norm(direction) > 0:
+                raise ValueError(f"bone {entry['name'][0]!r} has no direction")
             bones.append(
                 AsfBone(
                     entry["name"][0],
                     direction / np.linalg.norm(direction),
-                    float(entry["length"][0]) * unit_m,
+                    _numbers(entry["length"][:1], 1)[0] * unit_m,
                     _euler(entry["axis"][:3], entry["axis"][3], degrees),
-                    tuple(name.lower() for name in entry.get("dof", [])),
+                    _channels(entry.get("dof", [])),
                 )
             )
         else:
             entry[word] = rest
     return bones
+
+
+def _numbers(words: list[str], count: int | None = None) -> Float[np.ndarray, "words"]:
+    """Words as numbers of a size that lengths and angles may have."""
+    numbers = np.array([float(word) for word in words])
+    if (count is not None and len(numbers) != count) or not (np.abs(numbers) <= _LARGEST).all():
+        raise ValueError(f"want {count or 'finite'} numbers, got {' '.join(words)[:60]!r}")
+    return numbers
+
+
+def _channels(words: list[str]) -> tuple[str, ...]:
+    """Channels of a bone: a turn about or a move along an axis."""
+    channels = tuple(word.lower() for word in words)
+    if not all(_CHANNEL.fullmatch(channel) for channel in channels):
+        raise ValueError(f"unknown channel among {' '.join(words)[:40]!r}")
+    return channels
 
 
 def _parents(lines: list[str], names: list[str]) -> list[int]:
@@ -184,15 +206,12 @@ def _depth(bone: int, parents: list[int]) -> int:
 
 def _euler(values: list[str], order: str, degrees: bool) -> Float[np.ndarray, "3 3"]:
     """Rotation about fixed axes, in the order of the letters."""
-    return Rotation.from_euler(order.lower(), np.array(values[:3], float), degrees=degrees).as_matrix()
+    return Rotation.from_euler(order.lower(), _numbers(values[:3], 3), degrees=degrees).as_matrix()
 
 
 def _amc_rows(path: Path) -> list[dict[str, list[float]]]:
     """Channels of each bone in each frame."""
-    try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    lines = read_text(path, "AMC motion").splitlines()
     rows: list[dict[str, list[float]]] = []
     for number, line in enumerate(lines, 1):
         words = line.split()
@@ -202,7 +221,7 @@ def _amc_rows(path: Path) -> list[dict[str, list[float]]]:
             rows.append({})
             continue
         try:
-            rows[-1][words[0]] = [float(word) for word in words[1:]]
+            rows[-1][words[0]] = _numbers(words[1:]).tolist()
         except (ValueError, IndexError) as error:
             raise InputError(f"{path}: line {number} is no AMC data: {line[:60]!r}") from error
     if not rows:

@@ -23,12 +23,16 @@ from scenemi.data.import_clip import (
     with_glitches,
 )
 from scenemi.data.joint_names import JointMap, map_joints
+from scenemi.data.plain_files import one_line, read_text
 from scenemi.data.source_clip import SourceClip
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import continuous_quaternions
 
 _STRETCH = 0.02
 """Bones may change their length by this share of the leg; beyond, the file cannot be a skeleton of fixed lengths."""
+_MOST_JOINTS, _MOST_CHANNELS = 2000, 6
+_LARGEST = 1e9
+"""Of lengths (in millimetres a thousand kilometres) and angles."""
 _AXES = dict(zip("XYZ", np.eye(3), strict=True))
 _CHANNEL = re.compile(r"^([XYZ])(position|rotation)$", re.IGNORECASE)
 
@@ -112,11 +116,7 @@ def parse_bvh(path: str | Path) -> BvhFile:
         InputError: the file is missing or no BVH.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the BVH file: {error.strerror or error}") from error
-    head, _, tail = text.partition("MOTION")
+    head, _, tail = read_text(path, "BVH file").partition("MOTION")
     tokens = head.split()
     if not tokens or tokens[0].upper() != "HIERARCHY" or not tail:
         raise InputError(f"{path}: no BVH file, want HIERARCHY and MOTION")
@@ -124,13 +124,15 @@ def parse_bvh(path: str | Path) -> BvhFile:
         names, parents, offsets, channels = _hierarchy(tokens)
         frames, frame_time_s, values = _motion(tail)
     except (ValueError, IndexError) as error:
-        raise InputError(f"{path}: broken BVH file: {error}") from error
+        raise InputError(f"{path}: broken BVH file: {one_line(error)}") from error
     width = sum(len(group) for group in channels)
     if values.size != frames * width or frames < 1 or not frame_time_s > 0 or not np.isfinite(values).all():
         raise InputError(
             f"{path}: want {frames} frames of {width} finite numbers at a frame time above 0, "
             f"got {values.size} numbers and {frame_time_s:g} s"
         )
+    if max(np.abs(offsets).max(), np.abs(values).max()) > _LARGEST:
+        raise InputError(f"{path}: broken BVH file: want numbers up to {_LARGEST:g}, whatever the unit")
     position, rotation = _channels(values.reshape(frames, width), offsets, channels)
     return BvhFile(tuple(names), tuple(parents), offsets, frame_time_s, position, rotation)
 
@@ -147,6 +149,8 @@ def _hierarchy(tokens: list[str]) -> tuple[list[str], list[int], np.ndarray, lis
         if word in ("ROOT", "JOINT", "END"):
             if word == "ROOT" and names:
                 raise ValueError("more than one ROOT; split the file")
+            if len(names) == _MOST_JOINTS:
+                raise ValueError(f"more than {_MOST_JOINTS} joints")
             stop = tokens.index("{", at)
             label = " ".join(tokens[at + 1 : stop])
             parents.append(open_joints[-1] if open_joints else -1)
@@ -156,10 +160,13 @@ def _hierarchy(tokens: list[str]) -> tuple[list[str], list[int], np.ndarray, lis
             open_joints.append(len(names) - 1)
             at = stop + 1
         elif word == "OFFSET":
-            offsets[open_joints[-1]] = [float(token) for token in tokens[at + 1 : at + 4]]
+            x, y, z = (float(token) for token in tokens[at + 1 : at + 4])
+            offsets[open_joints[-1]] = [x, y, z]
             at += 4
         elif word == "CHANNELS":
             count = int(tokens[at + 1])
+            if not 0 <= count <= _MOST_CHANNELS:
+                raise ValueError(f"want 0 to {_MOST_CHANNELS} channels of a joint, got {tokens[at + 1][:20]}")
             channels[open_joints[-1]] = [_channel(token) for token in tokens[at + 2 : at + 2 + count]]
             at += 2 + count
         elif word == "}":

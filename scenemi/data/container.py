@@ -2,14 +2,14 @@
 
 Metres, +Y up, quaternions w x y z. Rotations are stored as 16-bit integers (steps of 0.004 degrees). Two tables say
 which source joint stands for each of the 22 SMPL joints: the one that lies nearest (`smpl_position`) and the one whose
-orientation it follows (`smpl_rotation`); -1 where the source has none.
+orientation it follows (`smpl_rotation`); -1 where the source has none. `clip_license` is there where a clip has another
+license than its source is known to have (`scenemi.data.sources`).
 """
 
 from __future__ import annotations
 
-import json
 import os
-import zipfile
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,22 +17,33 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int16
 
-from scenemi.data.source_clip import SourceClip, SourceSkeleton
+from scenemi.data.plain_files import read_arrays, read_json_value
+from scenemi.data.source_clip import LEAST_FPS, MOST_FPS, SourceClip, SourceSkeleton
+from scenemi.data.sources import is_free, license_of
 from video2anim.body.skeleton import JOINT_NAMES
 from video2anim.errors import InputError
 
 __all__ = ["FORMAT_VERSION", "MotionArchive", "SourceClip", "SourceSkeleton", "read_split", "write_archive"]
 
 FORMAT_VERSION = 1
+_WHAT = "motion archive"
 SPLIT_PARTS = ("train", "val", "test")
 _UNIT = 32767.0
 _ROUNDING_PASSES = 10
-_ROTATION, _ROOT = "rot", "root_pos"
+_ROTATION, _ROOT, _LICENSE = "rot", "root_pos", "clip_license"
 _TEXTS = ("clip_name", "clip_source", "clip_kind", "clip_desc", "clip_origin", "skel_name", "skel_joint")
 _NUMBERS = (
     "clip_fps", "clip_source_fps", "clip_frames", "clip_start", "clip_rot_start", "clip_skel", "clip_floor_shift",
     "clip_uneven", "clip_glitch_frames", "skel_start", "skel_parent", "skel_offset", "skel_smpl_pos", "skel_smpl_rot",
 )  # fmt: skip
+_TEXTS_READ = (*_TEXTS, _LICENSE, "smpl_names")
+_INDICES = (
+    "clip_frames", "clip_start", "clip_rot_start", "clip_skel", "skel_start", "skel_parent", "skel_smpl_pos",
+    "skel_smpl_rot",
+)  # fmt: skip
+"""Numbers that point at rows of other tables."""
+ARRAYS = ("format_version", "smpl_names", *_TEXTS, *_NUMBERS, _LICENSE, _ROOT, _ROTATION)
+"""All that an archive may hold."""
 
 
 class MotionArchive:
@@ -44,6 +55,11 @@ class MotionArchive:
         self.names: tuple[str, ...] = tuple(str(name) for name in tables["clip_name"])
         self.kinds: tuple[str, ...] = tuple(str(kind) for kind in tables["clip_kind"])
         self.sources: tuple[str, ...] = tuple(str(source) for source in tables["clip_source"])
+        given = tables.get(_LICENSE, np.full(len(self.names), "")).tolist()
+        self.licenses: tuple[str, ...] = tuple(
+            license_name or license_of(source) for license_name, source in zip(given, self.sources, strict=True)
+        )
+        self.free: tuple[bool, ...] = tuple(map(is_free, self.licenses))
         self.frame_counts: tuple[int, ...] = tuple(int(count) for count in tables["clip_frames"])
         self._index = {name: i for i, name in enumerate(self.names)}
         self._skeletons = tuple(self._skeleton(s) for s in range(len(tables["skel_name"])))
@@ -56,11 +72,13 @@ class MotionArchive:
             InputError: the file is missing, unreadable, of another format or version, inconsistent, or has no clips.
         """
         path = Path(path)
-        tables = _members(path, ("format_version", "smpl_names", *_TEXTS, *_NUMBERS))
+        needed = ("format_version", "smpl_names", *_TEXTS, *_NUMBERS)
+        tables = read_arrays(path, (_LICENSE,), _WHAT, needed=needed)
         version = tables["format_version"]
-        if version.size != 1 or int(version) != FORMAT_VERSION:
-            raise InputError(f"{path}: motion archive of version {version}, want {FORMAT_VERSION}; convert it again")
-        if tuple(str(n) for n in tables["smpl_names"]) != JOINT_NAMES:
+        if version.tolist() != FORMAT_VERSION:
+            told = str(version)[:40]
+            raise InputError(f"{path}: motion archive of version {told}, want {FORMAT_VERSION}; convert it again")
+        if tables["smpl_names"].tolist() != list(JOINT_NAMES):
             raise InputError(f"{path}: smpl_names are not the 22 SMPL joints in order; convert it again")
         if tables["clip_name"].size == 0:
             raise InputError(f"{path}: motion archive without clips; choose another one")
@@ -76,7 +94,12 @@ class MotionArchive:
         if name not in self._index:
             raise InputError(f"{self._path}: no clip {name!r} among {len(self.names)} (first: {self.names[0]!r})")
         if not self._frames:
-            self._frames = _members(self._path, (_ROOT, _ROTATION))
+            found = read_arrays(self._path, (), _WHAT, needed=(_ROOT, _ROTATION))
+            if any(array.ndim != 2 or array.dtype.kind not in "if" for array in found.values()):
+                raise InputError(
+                    f"{self._path}: {_ROOT} and {_ROTATION} want rows of numbers; convert the archive again"
+                )
+            self._frames = found
         t, i = self._tables, self._index[name]
         skeleton = self._skeletons[int(t["clip_skel"][i])]
         frames = int(t["clip_frames"][i])
@@ -86,7 +109,8 @@ class MotionArchive:
         rotation = np.asarray(self._frames[_ROTATION][rows], np.float64)
         if root_m.shape != (frames, 3) or rotation.shape != (frames * len(skeleton.names), 4):
             raise InputError(f"{self._path}: clip {name!r} is cut off; copy or download the file again")
-        length = np.linalg.norm(rotation, axis=-1, keepdims=True)
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(rotation, axis=-1, keepdims=True)
         if not np.isfinite(root_m).all() or not np.isfinite(length).all() or not (length > 0).all():
             raise InputError(f"{self._path}: clip {name!r} holds NaN or rotations of length zero; leave it out")
         return SourceClip(
@@ -103,6 +127,7 @@ class MotionArchive:
             source_fps=float(t["clip_source_fps"][i]),
             floor_shift_m=float(t["clip_floor_shift"][i]),
             glitch_frames=int(t["clip_glitch_frames"][i]),
+            license=self.licenses[i] if self.licenses[i] != license_of(self.sources[i]) else "",
         )
 
     def _skeleton(self, number: int) -> SourceSkeleton:
@@ -150,13 +175,7 @@ def read_split(path: str | Path) -> dict[str, tuple[str, ...]]:
     Raises:
         InputError: the file is missing, not such a table, or names a clip twice.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such split file; want JSON with {', '.join(SPLIT_PARTS)}")
-    try:
-        table = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: split file cannot be read as JSON: {error}") from error
+    table = read_json_value(Path(path), "split file")
     if not isinstance(table, dict) or set(table) != set(SPLIT_PARTS):
         raise InputError(f"{path}: split file wants exactly the lists {', '.join(SPLIT_PARTS)}")
     for part, names in table.items():
@@ -164,33 +183,21 @@ def read_split(path: str | Path) -> dict[str, tuple[str, ...]]:
             raise InputError(f"{path}: {part!r} wants a list of clip names")
     everything = [name for part in SPLIT_PARTS for name in table[part]]
     if len(set(everything)) != len(everything):
-        twice = next(name for name in everything if everything.count(name) > 1)
+        twice = next(name for name, count in Counter(everything).items() if count > 1)
         raise InputError(f"{path}: clip {twice!r} comes twice; the parts of a split must not overlap")
     return {part: tuple(table[part]) for part in SPLIT_PARTS}
 
 
-def _members(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Arrays of a file, or InputError."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such motion archive (.npz)")
-    try:
-        with path.open("rb") as stream:
-            members = np.load(stream, allow_pickle=False)
-            if not isinstance(members, np.lib.npyio.NpzFile):
-                raise InputError(f"{path}: a single array, not a motion archive (.npz)")
-            missing = [name for name in names if name not in members.files]
-            if missing:
-                raise InputError(f"{path}: not a motion archive, it lacks {', '.join(missing[:4])}")
-            return {name: members[name] for name in names}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, NotImplementedError) as error:
-        raise InputError(f"{path}: cannot be read as a motion archive (.npz): {error}".splitlines()[0]) from error
-
-
 def _expect_consistent(path: Path, t: dict[str, np.ndarray]) -> None:
     """InputError unless all tables fit each other."""
-    clips, skeletons, joints = len(t["clip_name"]), len(t["skel_name"]), len(t["skel_joint"])
+    for name in t:
+        kinds = "U" if name in _TEXTS_READ else "iu" if name in _INDICES else "biuf"
+        if t[name].dtype.kind not in kinds:
+            raise InputError(f"{path}: {name} has values of another type ({t[name].dtype}); convert the archive again")
+    clips, skeletons, joints = t["clip_name"].size, t["skel_name"].size, t["skel_joint"].size
     wanted: dict[str, tuple[int, ...]] = {name: (clips,) for name in (*_TEXTS, *_NUMBERS) if name.startswith("clip_")}
     wanted |= {"clip_start": (clips + 1,), "clip_rot_start": (clips + 1,), "skel_start": (skeletons + 1,)}
+    wanted |= {"skel_name": (skeletons,), "skel_joint": (joints,)} | ({_LICENSE: (clips,)} if _LICENSE in t else {})
     wanted |= {"skel_parent": (joints,), "skel_offset": (joints, 3)}
     wanted |= {"skel_smpl_pos": (skeletons, 22), "skel_smpl_rot": (skeletons, 22)}
     for name, shape in wanted.items():
@@ -198,6 +205,7 @@ def _expect_consistent(path: Path, t: dict[str, np.ndarray]) -> None:
             raise InputError(f"{path}: {name} wants shape {shape}, got {t[name].shape}; convert the archive again")
     if len(set(t["clip_name"].tolist())) != clips:
         raise InputError(f"{path}: clip names are not unique; convert the archive again")
+    t |= {name: t[name].astype(np.int64) for name in _INDICES}
     counts = np.diff(t["skel_start"])
     good = t["skel_start"][0] == 0 and t["skel_start"][-1] == joints and (counts > 0).all()
     good = good and ((t["clip_skel"] >= 0) & (t["clip_skel"] < skeletons)).all() and (t["clip_frames"] > 0).all()
@@ -208,7 +216,8 @@ def _expect_consistent(path: Path, t: dict[str, np.ndarray]) -> None:
         good = ((t["skel_parent"] < within) & ((t["skel_parent"] < 0) == (within == 0))).all()
         for table in (t["skel_smpl_pos"], t["skel_smpl_rot"]):
             good = good and ((table >= -1) & (table < counts[:, None])).all()
-    if not good or not np.isfinite(t["skel_offset"]).all() or not (t["clip_fps"] > 0).all():
+    good = good and np.isfinite(t["skel_offset"]).all() and np.isfinite(t["clip_floor_shift"]).all()
+    if not good or not ((t["clip_fps"] >= LEAST_FPS) & (t["clip_fps"] <= MOST_FPS)).all():
         raise InputError(f"{path}: clip and skeleton tables contradict each other; convert the archive again")
 
 
@@ -259,7 +268,9 @@ def _clip_tables(clips: Sequence[SourceClip]) -> dict[str, np.ndarray]:
         of_clip[users] = number
     frames = np.array([len(clip.root_position_m) for clip in clips])
     rows = frames * [len(clip.skeleton.names) for clip in clips]
+    licenses = {_LICENSE: np.array([clip.license for clip in clips])} if any(clip.license for clip in clips) else {}
     return {
+        **licenses,
         "clip_name": np.array([clip.name for clip in clips]),
         "clip_source": np.array([clip.source for clip in clips]),
         "clip_kind": np.array([clip.kind for clip in clips]),

@@ -13,7 +13,6 @@ and write one `<scene>/<sequence>/smplx_local.npz` with `frame` (T,) int, `orien
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from scenemi.data.smpl_clip import load_arrays, smpl_clip
+from scenemi.data.plain_files import read_arrays, read_json, read_text
+from scenemi.data.scene_file import read_meshes
+from scenemi.data.smpl_clip import smpl_clip
 from scenemi.data.source_clip import SourceClip
 from scenemi.scene.voxel_sdf import scan_sdf
 from video2anim.errors import InputError
@@ -52,13 +53,9 @@ def read_gimo_sdf(mesh: Path, T_world_mesh: Float[np.ndarray, "4 4"]) -> SdfGrid
     Raises:
         InputError: the mesh is missing or broken.
     """
-    import trimesh
-
-    try:
-        found = trimesh.load(mesh, process=False, force="mesh", skip_materials=True)
-        corners = np.asarray(found.vertices, np.float64)[np.asarray(found.faces, np.int64)]  # pyright: ignore
-    except Exception as error:  # each format's reader raises classes of its own
-        raise InputError(f"{mesh}: cannot be read as a mesh: {' '.join(str(error).split())[:200]}") from error
+    corners = np.concatenate([part.vertices_m[part.faces] for part in read_meshes(mesh).parts])
+    if not len(corners):
+        raise InputError(f"{mesh}: want a scan with faces")
     return scan_sdf(corners @ T_world_mesh[:3, :3].T + T_world_mesh[:3, 3], _VOXEL_M, _DEPTH_M)
 
 
@@ -71,13 +68,13 @@ def read_gimo(folder: str | Path) -> Iterator[GimoSequence]:
     folder = Path(folder)
     table = folder / "dataset.csv"
     try:
-        rows = list(csv.DictReader(table.read_text().splitlines()))
+        rows = list(csv.DictReader(read_text(table, "annotation table of GIMO").splitlines()))
         wanted = {"sequence_path", "start_frame", "end_frame", "scene", "transformation", "training"}
         if rows and not wanted <= set(rows[0]):
             raise ValueError(f"want the columns {', '.join(sorted(wanted))}")
         for row in rows:
             yield _sequence(folder, row)
-    except (OSError, ValueError) as error:
+    except (ValueError, csv.Error) as error:
         raise InputError(f"{table}: no annotations of GIMO: {error}") from error
 
 
@@ -93,10 +90,7 @@ def _sequence(folder: Path, row: dict[str, str]) -> GimoSequence:
     path = sequence / "smplx_local.npz"
     if not path.is_file():
         raise InputError(f"{path}: missing; GIMO's pickles have to be converted, see scenemi/data/gimo.py")
-    arrays = load_arrays(path, _ARRAYS)
-    lacking = [name for name in _ARRAYS if name not in arrays]
-    if lacking:
-        raise InputError(f"{path}: lacks {', '.join(lacking)}; see scenemi/data/gimo.py")
+    arrays = read_arrays(path, (), "converted sequence (see scenemi/data/gimo.py)", needed=_ARRAYS)
     start, stop = int(row["start_frame"]), int(row["end_frame"])
     chosen = (arrays["frame"] >= start) & (arrays["frame"] < stop)
     frame = arrays["frame"][chosen]
@@ -120,9 +114,9 @@ def _sequence(folder: Path, row: dict[str, str]) -> GimoSequence:
 
 def _transformation(path: Path) -> tuple[float, Float[np.ndarray, "4 4"]]:
     try:
-        table = json.loads(path.read_text())
+        table = read_json(path, "transformation")
         scale, matrix = float(table["scale"]), np.array(table["transformation"], float)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(f"{path}: want JSON with scale and transformation: {error}") from error
     if matrix.shape != (4, 4) or not scale > 0:
         raise InputError(f"{path}: want a 4 x 4 transformation and a scale above 0")
@@ -131,6 +125,6 @@ def _transformation(path: Path) -> tuple[float, Float[np.ndarray, "4 4"]]:
 
 def _matrix(path: Path) -> Float[np.ndarray, "4 4"]:
     try:
-        return np.loadtxt(path).reshape(4, 4)
-    except (OSError, ValueError) as error:
+        return np.array(read_text(path, "matrix").split(), float).reshape(4, 4)
+    except ValueError as error:
         raise InputError(f"{path}: want a 4 x 4 matrix: {error}") from error

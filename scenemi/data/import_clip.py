@@ -11,8 +11,9 @@ from jaxtyping import Float
 
 from scenemi.data.interpolate import blended, cubic_taps, unit
 from scenemi.data.joint_names import JointMap
+from scenemi.data.plain_files import MOST_FRAMES
 from scenemi.data.posture import on_smpl_joints, posture_axes, posture_problem
-from scenemi.data.source_clip import SourceClip, SourceSkeleton
+from scenemi.data.source_clip import LEAST_FPS, MOST_FPS, SourceClip, SourceSkeleton
 from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
@@ -36,7 +37,9 @@ def guess_unit(leg_length: float, where: str) -> str:
     Raises:
         InputError: no unit gives a leg of a person.
     """
-    off = {name: abs(np.log(leg_length * metres / _LEG_M)) for name, metres in UNITS_M.items()}
+    off = dict.fromkeys(UNITS_M, np.inf)
+    if 0 < leg_length < np.inf:
+        off = {name: abs(np.log(leg_length * metres / _LEG_M)) for name, metres in UNITS_M.items()}
     unit_name = min(off, key=lambda name: off[name])
     if not off[unit_name] < np.log(1.45):
         raise InputError(
@@ -69,7 +72,16 @@ def upright(clip: SourceClip, up: Up = "auto") -> SourceClip:
 
 
 def at_fps(clip: SourceClip, fps: float = 30.0) -> SourceClip:
-    """The clip at a frame rate: frames are picked where the rates divide, else interpolated."""
+    """The clip at a frame rate: frames are picked where the rates divide, else interpolated.
+
+    Raises:
+        InputError: an impossible frame rate, or more than an hour of motion.
+    """
+    if not LEAST_FPS <= clip.fps <= MOST_FPS or len(clip.root_position_m) / clip.fps > MOST_FRAMES / fps:
+        raise InputError(
+            f"{clip.name}: want {LEAST_FPS:g} to {MOST_FPS:g} frames per second and at most an hour of motion, got "
+            f"{len(clip.root_position_m)} frames at {clip.fps:g} per second"
+        )
     step = clip.fps / fps
     count = int(np.floor((len(clip.root_position_m) - 1) / step + 1e-6)) + 1
     position = np.arange(count) * step

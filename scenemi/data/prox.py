@@ -15,7 +15,6 @@ solid, going up, is y = 0.
 from __future__ import annotations
 
 import functools
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ import numpy as np
 from jaxtyping import Float
 
 from scenemi.data.contacts import runs
+from scenemi.data.plain_files import read_array, read_json_value
 from scenemi.data.smpl_clip import R_Y_UP_Z_UP, smpl_clip
 from scenemi.data.source_clip import SourceClip
 from scenemi.scene.voxel_sdf import standing_sdf
@@ -125,10 +125,10 @@ def _published_sdf(
     try:
         size = int(table["dim"])
         low_m, high_m = (np.array(table[name], np.float64).reshape(3) for name in ("min", "max"))
-        sdf_m = np.load(path, allow_pickle=False).astype(np.float32).reshape(size, size, size)
+        sdf_m = read_array(path, "distance grid of PROX").astype(np.float32).reshape(size, size, size)
         if size < 2 or not (high_m > low_m).all() or not np.isfinite(sdf_m).all():
             raise ValueError("its box has no size, or distances are not finite")
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise InputError(f"{path}: want dim^3 distances with dim, min and max in {scene}.json: {error}") from error
     return sdf_m, low_m, (high_m - low_m) / (size - 1)
 
@@ -156,7 +156,4 @@ def _frames(results: Path) -> tuple[np.ndarray, Float[np.ndarray, "frames 69"]]:
 
 
 def _json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); see the layout in scenemi/data/prox.py") from error
+    return read_json_value(path, "table of PROX (scenemi/data/prox.py)")

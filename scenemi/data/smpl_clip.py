@@ -8,8 +8,6 @@ to one or two centimeters for the mean shape; limb lengths are our body's.
 
 from __future__ import annotations
 
-import zipfile
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -106,19 +104,3 @@ def _reaching_scale(R_parent_joint: np.ndarray, root_m: np.ndarray, rest_m: np.n
     drop_m = np.broadcast_to(root_m[:, None, 1], lower.shape)[standing] - _TOE_CLEARANCE_M
     scale = float(np.median(drop_m / np.maximum(-toes_m[..., 1][standing], 0.1)))
     return scale if _SCALES[0] <= scale <= _SCALES[1] else None
-
-
-def load_arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The arrays of an npz file that are there, of those named; no pickled objects.
-
-    Raises:
-        InputError: the file is missing, broken, or an array is a pickled object.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise InputError(f"{path}: a single array, want an .npz archive")
-            return {name: file[name] for name in names if name in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        text = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: cannot be read as plain .npz arrays: {text}") from error

@@ -9,6 +9,9 @@ from jaxtyping import Float, Int
 
 from video2anim.geometry.rotations import matrix_from_quaternion
 
+LEAST_FPS, MOST_FPS = 1.0, 1000.0
+"""Of motion that can be read."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceSkeleton:
@@ -49,6 +52,8 @@ class SourceClip:
     """What was added to y so that the floor is y = 0."""
     glitch_frames: int = 0
     """Frames with a joint acceleration above 350 m/s^2."""
+    license: str = ""
+    """SPDX name, `own` or `unknown`; empty = as the source is known by its name (`scenemi.data.sources`)."""
 
     def forward(self) -> tuple[Float[np.ndarray, "frames joints 3"], Float[np.ndarray, "frames joints 3 3"]]:
         """World positions and world orientations of the source's joints."""

@@ -1,22 +1,53 @@
-"""Which sources may be used for what."""
+"""Which motion may be used for what: by the license of each clip, which the archive says or its source's name does."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-NONCOMMERCIAL_SOURCES: frozenset[str] = frozenset({"bandai1", "bandai2", "sie", "amass", "trumans", "gimo", "prox"})
-"""Sources whose licence forbids commercial use; they are left out unless asked for."""
-UNCONFIRMED_SOURCES: frozenset[str] = frozenset({"mhad"})
-"""Sources whose licence could not be read; they are left out unless asked for, and no weights trained on them ship.
+from video2anim.errors import UsageError
 
-Berkeley MHAD is said to be free with citation by others who pass it on; its publisher's own text was not at hand. Good
-for evaluation.
-"""
+UNKNOWN_LICENSE = "unknown"
+FREE_LICENSES = ("own", "CC0-1.0", "CC-BY-3.0", "CC-BY-4.0", "MIT", "BSD-3-Clause", "Apache-2.0", "LicenseRef-CMU")
+"""Licenses that allow commercial use of clips and of what was learned from them; `own` is motion that the user recorded
+or made. All others, unknown ones too, are not known to be free: such clips are left out unless asked for, and no
+weights trained on them ship."""
+_NONCOMMERCIAL = "LicenseRef-noncommercial"
+_LICENSES = {
+    **dict.fromkeys(("cmu_asfamc", "cmu_cc60", "cmu_daz", "cmu_expmap38", "cmu_humanoid44"), "LicenseRef-CMU"),
+    "deepmimic": "MIT", "accad": "CC-BY-3.0", "synthetic": "own",
+    **dict.fromkeys(("bandai1", "bandai2", "sie"), "CC-BY-NC-4.0"),
+    **dict.fromkeys(("amass", "trumans", "gimo", "prox"), _NONCOMMERCIAL),
+    # Berkeley MHAD is said to be free with citation by others who pass it on; its publisher's own text was not at hand.
+    "mhad": UNKNOWN_LICENSE,
+}  # fmt: skip
+"""Of sources that are known by name."""
 
 
-def is_free(source: str) -> bool:
-    """Whether clips of a source may be used commercially. Sources of the user's own count as free."""
-    return source not in NONCOMMERCIAL_SOURCES | UNCONFIRMED_SOURCES
+def license_of(source: str) -> str:
+    """License of a source that is known by name, else `unknown`."""
+    return _LICENSES.get(source, UNKNOWN_LICENSE)
+
+
+def is_free(license_name: str) -> bool:
+    """Whether clips under a license may be used commercially."""
+    return license_name in FREE_LICENSES
+
+
+def checked_license(source: str, license_name: str | None) -> str:
+    """License of clips that a user says to be of a source.
+
+    Raises:
+        UsageError: the source is not known and no license is given, or another one than a known source has.
+    """
+    known = license_of(source)
+    if license_name is None and source not in _LICENSES:
+        raise UsageError(
+            f"--license: want the license of {source!r}, which is not known by name; free for any use are "
+            f"{', '.join(FREE_LICENSES)}"
+        )
+    if license_name is not None and source in _LICENSES and license_name != known:
+        raise UsageError(f"--license: {source} has {known}, got {license_name}; give another --source if it is another")
+    return license_name or known
 
 
 BROKEN_CLIPS: frozenset[str] = frozenset({"cmudaz_13_18", "cmudaz_14_23"})

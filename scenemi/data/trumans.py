@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from scenemi.data.plain_files import read_array
 from scenemi.data.smpl_clip import smpl_clip
 from scenemi.data.source_clip import SourceClip
 from scenemi.scene.voxel_sdf import voxel_sdf
@@ -100,11 +101,6 @@ def _voxels(folder: str | Path, name: str) -> np.ndarray:
 
 
 def _array(path: Path) -> np.ndarray:
-    try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: missing; see the folder layout in scenemi/data/trumans.py") from error
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(
-            f"{path}: no plain array ({str(error).splitlines()[0]}); save text arrays again with astype(str)"
-        ) from error
+    if not path.is_file():
+        raise InputError(f"{path}: missing; see the folder layout in scenemi/data/trumans.py")
+    return read_array(path, "array of TRUMANS, text saved with astype(str),", mapped=True)

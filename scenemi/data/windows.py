@@ -8,6 +8,7 @@ Clips shorter than a window are held at their last pose with `valid` False.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,7 +31,7 @@ from scenemi.data.motion_store import (
     save_store,
     store_digest,
 )
-from scenemi.data.sources import BROKEN_CLIPS, is_free
+from scenemi.data.sources import BROKEN_CLIPS
 from scenemi.data.split import Part, Split
 from scenemi.windows import WINDOW_FRAMES
 from video2anim.body.anny_body import ShapedBody, shaped_body
@@ -49,7 +50,7 @@ class MotionSetConfig:
     """Which clips are used, and how windows are drawn from them."""
 
     noncommercial: bool = False
-    """Also use sources under non-commercial licences."""
+    """Also use clips whose license is not known to be free."""
     sources: tuple[str, ...] | None = None
     """Only these sources, whatever their licence; None = all that the licence rule allows."""
     kinds: tuple[str, ...] | None = None
@@ -154,7 +155,8 @@ class MotionSet:
         if not any(chosen):
             raise InputError(
                 f"motion: no clip of part {part!r} in {', '.join(map(str, files))} passes the choice of sources and "
-                f"kinds (non-commercial sources: {'used' if config.noncommercial else 'left out'})"
+                f"kinds (clips not known to be free for commercial use: "
+                f"{'used' if config.noncommercial else 'left out'}; --noncommercial)"
             )
         pairs = list(zip(archives, chosen, strict=True))
         if cache is None:
@@ -301,9 +303,18 @@ def chosen_clips(archive: MotionArchive, split: Split, part: Part | None, config
     """Names of an archive's clips that are used."""
     return [
         name
-        for name, kind, source in zip(archive.names, archive.kinds, archive.sources, strict=True)
+        for name, kind, source, free in zip(archive.names, archive.kinds, archive.sources, archive.free, strict=True)
         if name not in BROKEN_CLIPS
         and (part is None or split.part_of(name) == part)
         and (config.kinds is None or kind in config.kinds)
-        and (source in config.sources if config.sources is not None else config.noncommercial or is_free(source))
+        and (source in config.sources if config.sources is not None else config.noncommercial or free)
     ]
+
+
+def barred_clips(paths: Sequence[str | Path]) -> Counter[tuple[str, str]]:
+    """How many clips of archives are not known to be free for commercial use, by source and license."""
+    found: Counter[tuple[str, str]] = Counter()
+    for archive in map(MotionArchive.read, archives_of(paths)):
+        rows = zip(archive.sources, archive.licenses, archive.free, strict=True)
+        found.update((source, license_name) for source, license_name, free in rows if not free)
+    return found

@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated, Any
+
+from pydantic import Field, TypeAdapter, ValidationError
 
 from scenemi.windows import WINDOW_FRAMES
+
+Width = Annotated[int, Field(ge=1, le=8192)]
+Layers = Annotated[int, Field(ge=1, le=64)]
+Voxels = Annotated[int, Field(ge=1, le=256)]
+Frames = Annotated[int, Field(ge=2, le=1024)]
 
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
     """The shipped denoiser (`scenemi.model.denoiser`)."""
 
-    width: int = 320
+    width: Width = 320
     """Channels of a token."""
-    layers: int = 6
-    heads: int = 10
-    fold: int = 8
+    layers: Layers = 6
+    heads: Layers = 10
+    fold: Layers = 8
     """Frames of a token: 8 frames are a quarter of a second, which the keyframes' curve tells well already."""
-    embedding: int = 256
+    embedding: Width = 256
     """Channels that carry diffusion step and body shape."""
     scene: bool = True
     """Signed distance and the way out at the joints of the current estimate are inputs of every frame."""
-    window_frames: int = WINDOW_FRAMES
+    window_frames: Frames = WINDOW_FRAMES
 
     def __post_init__(self) -> None:
         if self.width % self.heads:
@@ -41,27 +48,27 @@ class ModelConfig:
 class PaperConfig:
     """The paper's denoiser (`scenemi.model.paper`, Table 5)."""
 
-    width: int = 256
+    width: Width = 256
     """Base channels of the U-Net."""
-    multipliers: tuple[int, ...] = (2, 2, 2, 2)
+    multipliers: Annotated[tuple[Layers, ...], Field(min_length=1, max_length=8)] = (2, 2, 2, 2)
     """Channels of each level in units of `width`; each level below the first halves the frame rate."""
-    kernel: int = 5
-    groups: int = 8
-    embedding: int = 512
-    bps_anchors: int = 64
-    local_channels: int = 256
+    kernel: Layers = 5
+    groups: Layers = 8
+    embedding: Width = 512
+    bps_anchors: Width = 64
+    local_channels: Width = 256
     """Channels of the embedded local scene."""
-    grid: tuple[int, int, int] = (48, 24, 48)
-    voxel_m: float = 0.1
-    patch: tuple[int, int, int] = (8, 8, 8)
+    grid: tuple[Voxels, Voxels, Voxels] = (48, 24, 48)
+    voxel_m: Annotated[float, Field(gt=0, le=1)] = 0.1
+    patch: tuple[Voxels, Voxels, Voxels] = (8, 8, 8)
     """Voxels of a token of the scene encoder."""
-    scene_width: int = 512
-    scene_layers: int = 12
-    scene_heads: int = 8
+    scene_width: Width = 512
+    scene_layers: Layers = 12
+    scene_heads: Layers = 8
     use_body: bool = True
     use_global: bool = True
     use_local: bool = True
-    window_frames: int = WINDOW_FRAMES
+    window_frames: Frames = WINDOW_FRAMES
 
     def __post_init__(self) -> None:
         if any(size % patch for size, patch in zip(self.grid, self.patch, strict=True)):
@@ -83,12 +90,20 @@ def config_from_json(values: dict[str, Any]) -> AnyConfig:
     Raises:
         ValueError: unknown keys or impossible values.
     """
-    rest = {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+    rest = dict(values)
     kind = PaperConfig if rest.pop("form", None) == "paper" else ModelConfig
+    unknown = set(rest) - {item.name for item in fields(kind)}
+    if unknown:
+        raise ValueError(f"{kind.__name__}: unknown {', '.join(sorted(map(str, unknown)))}")
     try:
-        return kind(**rest)
-    except TypeError as error:
-        raise ValueError(f"{kind.__name__}: {error}") from error
+        return (_PAPER if kind is PaperConfig else _MODEL).validate_python(rest)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ValueError(f"{kind.__name__}: {where} {first['msg']}, got {repr(first['input'])[:80]}") from error
+
+
+_MODEL, _PAPER = TypeAdapter(ModelConfig), TypeAdapter(PaperConfig)
 
 
 SIZES: dict[str, AnyConfig] = {

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import Tensor
 
+from scenemi.data.plain_files import one_line
 from scenemi.features import Statistics
 from scenemi.model.build import AnyDenoiser, build_denoiser
 from scenemi.model.config import AnyConfig, config_from_json
@@ -67,16 +71,33 @@ def load_weights(name: str | Path = "small", *, device: str = "cpu") -> LoadedMo
         with safe_open(str(path), "pt", device=device) as file:
             header = file.metadata() or {}
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
-    except SafetensorError as error:
-        raise InputError(f"scenemi weights: want a safetensors file at {path}: {error}") from error
+    except (OSError, SafetensorError) as error:
+        raise InputError(f"scenemi weights: want a safetensors file at {path}: {one_line(error)}") from error
     if header.get("format") != FORMAT:
-        raise InputError(f"scenemi weights: want format {FORMAT} in {path}, got {header.get('format')}")
-    config = config_from_json(json.loads(header["config"]))
-    denoiser = build_denoiser(config).to(device)
-    state = {key.removeprefix("model."): value.float() for key, value in tensors.items() if key.startswith("model.")}
+        raise InputError(f"scenemi weights: want format {FORMAT} in {path}, got {str(header.get('format'))[:40]}")
     try:
-        denoiser.load_state_dict(state)
-    except RuntimeError as error:
-        raise InputError(f"scenemi weights: {path} does not fit its own configuration: {error}") from error
-    statistics = Statistics(*(tensors[f"statistics.{item.name}"].float().cpu().numpy() for item in fields(Statistics)))
-    return LoadedModel(denoiser.eval(), config, statistics, json.loads(header["card"]), path)
+        config, card = config_from_json(dict(json.loads(header["config"]))), dict(json.loads(header["card"]))
+        denoiser = build_denoiser(config).to(device)
+        denoiser.load_state_dict({
+            key.removeprefix("model."): value.float() for key, value in tensors.items() if key.startswith("model.")
+        })  # fmt: skip
+        statistics = statistics_from(tensors)
+    except (KeyError, ValueError, TypeError, RuntimeError) as error:
+        problem = f"it lacks {error}" if isinstance(error, KeyError) else one_line(error)
+        raise InputError(f"scenemi weights: {path} does not fit its own configuration: {problem}") from error
+    return LoadedModel(denoiser.eval(), config, statistics, card, path)
+
+
+def statistics_from(tensors: Mapping[str, Tensor]) -> Statistics:
+    """Statistics of a file's tensors.
+
+    Raises:
+        KeyError: one is missing.
+        ValueError: wrong shapes, or numbers that cannot divide.
+    """
+    found = Statistics(*(tensors[f"statistics.{item.name}"].float().cpu().numpy() for item in fields(Statistics)))
+    for item in fields(Statistics):
+        values = getattr(found, item.name)
+        if values.ndim != 1 or not np.isfinite(values).all():
+            raise ValueError(f"statistics.{item.name}: want finite numbers in one row, got shape {values.shape}")
+    return found

@@ -13,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from scenemi.data.plain_files import one_line
 from scenemi.features import Statistics
 from scenemi.training.config import TrainConfig
 from video2anim.errors import InputError
@@ -64,9 +65,17 @@ def load_checkpoint(path: Path) -> Checkpoint:
             header = file.metadata() or {}
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
     except (OSError, SafetensorError) as error:
-        raise InputError(f"checkpoint: cannot read {path}: {error}") from error
+        raise InputError(f"checkpoint: cannot read {path}: {one_line(error)}") from error
     if header.get("format") != FORMAT:
         raise InputError(f"checkpoint: want format {FORMAT} in {path}, got {header.get('format')}")
+    try:
+        return _restored(header, tensors)
+    except (KeyError, ValueError, TypeError) as error:
+        problem = f"it lacks {error}" if isinstance(error, KeyError) else one_line(error)
+        raise InputError(f"checkpoint: {path} is damaged: {problem}; delete it to begin again") from error
+
+
+def _restored(header: dict[str, str], tensors: dict[str, Tensor]) -> Checkpoint:
     state: dict[int, dict[str, Tensor]] = {}
     for key, value in tensors.items():
         if key.startswith("optimizer."):

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from scenemi.data.plain_files import read_json
 from scenemi.model.config import SIZES, AnyConfig, config_from_json
-from video2anim.errors import InputError
+from video2anim.errors import InputError, UsageError
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=0)]
+Some = Annotated[int, Field(ge=1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,70 +23,70 @@ class TrainConfig:
     """One run. All but the settings of `FREE` change the weights and must stay as they are when it is resumed."""
 
     model: AnyConfig = field(default_factory=lambda: SIZES["small"])
-    batch: Annotated[int, Field(ge=1)] = 32
-    parts: Annotated[int, Field(ge=1)] = 2
+    batch: Annotated[int, Field(ge=1, le=65_536)] = 32
+    parts: Annotated[int, Field(ge=1, le=1024)] = 2
     """Batches of a step, whose gradients are averaged. On a CPU with more threads than one each batch has a process of
     its own: 66 windows/s on one core, 115 on two (`benchmarks/scenemi/training_speed.py`)."""
-    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
+    learning_rate: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1e-3
     """Rises over `warmup` steps and stays (paper: 1e-4 at batch 256): the end of a run is not known. The average of
     weights that ships needs no fall; `cool` makes one on demand."""
-    warmup: int = 150
-    weight_decay: float = 1e-2
+    warmup: Count = 150
+    weight_decay: Weight = 1e-2
     ema: Annotated[float, Field(gt=0, le=0.25)] = 0.1
     """Width of the weights' moving average as a share of the steps so far (Karras et al. 2024); the paper's constant
     decay 0.9999 suits one length of run only."""
-    clip_norm: float = 1.0
-    seed: int = 0
-    bodies: int = 8
+    clip_norm: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    bodies: Annotated[int, Field(ge=1, le=255)] = 8
     """Adult bodies the clips are put on."""
     sources: tuple[str, ...] | None = None
     """Only clips of these sources, whatever their license; None = all that are free for commercial use."""
-    pool_windows: int = 32_768
+    pool_windows: Some = 32_768
     """Windows with scenes made once and kept (`scenemi.training.pool`); a run begins with the first of them."""
-    bends: int = 1
+    bends: Annotated[int, Field(ge=0, le=100)] = 1
     """Each clip that goes somewhere is also bent along so many curves (`scenemi.data.bend`)."""
-    synthetic_share: float = 0.2
+    synthetic_share: Share = 0.2
     """Share of the windows from acted (synthetic) clips, where there are any."""
-    reverse: float = 0.2
+    reverse: Share = 0.2
     """Share of windows run backward in time, and `mix`: share with the arms and the head of another window. Captured
     motion is scarce, and what networks learn of it by heart does not hold for other clips."""
-    mix: float = 0.2
+    mix: Share = 0.2
     keyframes: Literal["paper", "mixed"] = "mixed"
     """`paper`: 2 to N random ones. `mixed`: see `scenemi.training.keyframe_masks`."""
-    noisy_share: float = 0.15
+    noisy_share: Share = 0.15
     """Share of windows with noisy keyframes, l ~ U(0, 1) (paper 3.2.1: all); the others have exact ones."""
-    pipeline_share: float = 0.1
+    pipeline_share: Share = 0.1
     """Share of windows observed as the video pipeline observes, with its errors (where a run is given any). Each weighs
     as much in the loss as five others."""
-    first_step_share: float = 0.8
+    first_step_share: Share = 0.8
     """Share of windows at t = T, where nothing of the answer is seen. It takes most of the training: what is left to
     learn at the other steps (drawn evenly, paper: all) is soon learnt, and the default sampler takes this one alone."""
-    stop_step: int = 20
+    stop_step: Annotated[int, Field(ge=0, le=1000)] = 20
     """T*: noisy keyframes are imputed above this step only."""
-    scene_share: float = 0.6
+    scene_share: Share = 0.6
     """Share of windows that are shown their scene; the others have none, as many uses have none."""
-    drop_global: float = 0.1
+    drop_global: Share = 0.1
     """Share of the scenes of which only the local part is given, `drop_local` only the global part (paper's form)."""
-    drop_local: float = 0.1
-    joints_weight: float = 2.0
-    velocity_weight: float = 0.02
+    drop_local: Share = 0.1
+    joints_weight: Weight = 2.0
+    velocity_weight: Weight = 0.02
     """Paper's form: 2 and 10, on squared metres."""
-    acceleration_weight: float = 0.002
+    acceleration_weight: Weight = 0.002
     """Errors of a millimetre that change every frame count for nothing else. Captured velocities and accelerations are
     mostly noise to the model: ten and twenty-five times these weights left the joints' error at 0.51 after 375 steps,
     none at 0.28 (m^2 over 22 joints)."""
-    inside_weight: float = 0.1
+    inside_weight: Weight = 0.1
     """Of joints nearer to solids than the truth, per centimetre."""
     relative: bool = True
     """Errors count relative to those of the joined keyframes at the same distance from a keyframe, and robustly. Else
     (the paper's eq. 4) the loss is ruled by the sparsest keyframes, where most of the error cannot be known."""
-    workers: int = 1
+    workers: Annotated[int, Field(ge=0, le=1024)] = 1
     """Threads that make batches ahead."""
-    log_every: int = 50
-    save_every: int = 300
-    grow_every: int = 500
+    log_every: Some = 50
+    save_every: Some = 300
+    grow_every: Some = 500
     """Steps between two shards of the pool, until it has all its windows."""
-    validate_every: int = 1000
+    validate_every: Some = 1000
 
     @property
     def step_windows(self) -> int:
@@ -110,22 +115,37 @@ class TrainConfig:
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])
-            raise InputError(f"training config: {where}: {first['msg']}, got {first['input']!r}") from error
+            got = repr(first["input"])[:80]
+            raise InputError(f"training config: {where}: {first['msg']}, got {got}") from error
 
     @classmethod
     def read(cls, path: str | Path) -> TrainConfig:
-        """From a JSON file.
+        """From a JSON file, or one of the shipped configurations by its name.
 
         Raises:
+            UsageError: no such name.
             InputError: the file is missing or not such a table.
         """
-        try:
-            values = json.loads(Path(path).read_text())
-        except (OSError, ValueError) as error:
-            raise InputError(f"training config: cannot read {path}: {error}") from error
-        if not isinstance(values, dict):
-            raise InputError(f"training config: want a table in {path}, got {type(values).__name__}")
-        return cls.from_json(values)
+        file = Path(path)
+        if file.suffix != ".json":
+            file = configs_folder() / f"{path}.json"
+            if str(path) not in shipped_configs():
+                raise UsageError(
+                    f"training config: want a .json file or one of {', '.join(shipped_configs())}, got {path}"
+                )
+        return cls.from_json(read_json(file, "training config"))
+
+
+def configs_folder() -> Path:
+    """Of the shipped configurations: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parents[1]
+    installed = package / "configs"
+    return installed if installed.is_dir() else package.parent / "configs" / "scenemi"
+
+
+def shipped_configs() -> list[str]:
+    """Names of the shipped configurations."""
+    return sorted(path.stem for path in configs_folder().glob("*.json"))
 
 
 def _model(given: Any) -> AnyConfig:
@@ -133,10 +153,10 @@ def _model(given: Any) -> AnyConfig:
     if isinstance(given, str):
         given = {"size": given}
     if not isinstance(given, dict):
-        raise InputError(f"training config: model: want a size by name or a table, got {given!r}")
+        raise InputError(f"training config: model: want a size by name or a table, got {repr(given)[:80]}")
     size = given.get("size", None if given.get("form") else "small")
-    if size is not None and size not in SIZES:
-        raise InputError(f"training config: model: want {', '.join(SIZES)} or a table, got {size!r}")
+    if size is not None and (not isinstance(size, str) or size not in SIZES):
+        raise InputError(f"training config: model: want {', '.join(SIZES)} or a table, got {repr(size)[:80]}")
     changes = {key: value for key, value in given.items() if key != "size"}
     try:
         return config_from_json({**(SIZES[size].to_json() if size else {}), **changes})

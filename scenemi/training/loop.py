@@ -55,7 +55,8 @@ def train(
         on_progress: called every `config.log_every` steps, and after each validation.
 
     Raises:
-        InputError: the checkpoint in `out` is of another configuration, or training met no finite gradient any more.
+        InputError: the checkpoint in `out` is of another configuration.
+        StageError: training met no finite gradient any more.
     """
     held = load_checkpoint(out / CHECKPOINT) if (out / CHECKPOINT).is_file() else None
     begun = _from_weights(start, config)
@@ -102,6 +103,7 @@ def cool(
 
     Raises:
         InputError: no checkpoint.
+        StageError: training met no finite gradient any more.
     """
     held = load_checkpoint(out / CHECKPOINT)
     shards = _shards(out)

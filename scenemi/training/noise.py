@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, Float16, Int
 from torch import Tensor
 
+from scenemi.data.plain_files import read_arrays
 from scenemi.features import ROTATIONS, TRANSLATION
 from scenemi.model.kinematics import matrices, posed_joints
 from video2anim.errors import InputError
@@ -38,13 +39,17 @@ class PipelineErrors:
         """From `training/pipeline_errors.py`.
 
         Raises:
-            InputError: no such file.
+            InputError: no such file, or not of these tables.
         """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                return cls(file["turn_rad"], file["shift_m"], file["start"])
-        except (OSError, ValueError, KeyError) as error:
-            raise InputError(f"{path}: want errors of the pipeline (.npz), {error}") from error
+        names = ("turn_rad", "shift_m", "start")
+        turn_rad, shift_m, start = read_arrays(path, (), "file of pipeline errors", needed=names).values()
+        frames = len(turn_rad) if turn_rad.ndim else 0
+        good = turn_rad.shape == (frames, 22, 3) and shift_m.shape == (frames, 3) and start.ndim == 1
+        good = good and start.dtype.kind in "iu" and len(start) > 1 and start[0] == 0 and start[-1] == frames
+        good = good and turn_rad.dtype.kind == shift_m.dtype.kind == "f" and (np.diff(start.astype(np.int64)) > 0).all()
+        if not good or not np.isfinite(turn_rad).all() or not np.isfinite(shift_m).all():
+            raise InputError(f"{path}: tables of pipeline errors contradict each other; make them again")
+        return cls(turn_rad, shift_m, start)
 
     def draw(
         self, rng: np.random.Generator, frames: int

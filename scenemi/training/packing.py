@@ -21,7 +21,8 @@ from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
-from scenemi.data.container import MotionArchive, write_archive
+from scenemi.data.container import ARRAYS, MotionArchive, write_archive
+from scenemi.data.plain_files import one_line, read_arrays, read_json
 from scenemi.data.split import PARTS, Split
 from scenemi.data.windows import MotionSetConfig, archives_of, chosen_clips
 from scenemi.features import Statistics
@@ -70,7 +71,7 @@ def pack_run(folder: Path, files: RunFiles, out: Path) -> int:
     if not files.motion and state is None:
         raise InputError(f"{folder}: neither motion nor a run that has begun to pack")
     config = files.config if state is None else state.config
-    use, split = MotionSetConfig(sources=config.sources), files.split or Split()
+    use, split = MotionSetConfig(files.noncommercial, config.sources), files.split or Split()
     parts: dict[str, list[str]] = {part: [] for part in PARTS}
     clips = []
     for archive in map(MotionArchive.read, archives_of(files.motion)):
@@ -78,7 +79,7 @@ def pack_run(folder: Path, files: RunFiles, out: Path) -> int:
             names = chosen_clips(archive, split, part, use)
             parts[part] += names
             clips += [archive.clip(name) for name in names]
-    settings: dict[str, Any] = {"config": config.to_json(), "split": parts}
+    settings: dict[str, Any] = {"config": config.to_json(), "split": parts, "noncommercial": files.noncommercial}
     if clips:
         with tempfile.TemporaryDirectory() as aside:
             archive = Path(aside) / "motion.npz"
@@ -100,7 +101,7 @@ def unpack_run(folder: Path, into: Path) -> Unpacked:
     """
     into.mkdir(parents=True, exist_ok=True)
     try:
-        settings: dict[str, Any] = json.loads((folder / _SETTINGS).read_text())
+        settings = read_json(folder / _SETTINGS, "pack")
         motion, state = _read(folder, _MOTION), _read(folder, _STATE)
         start = None if state is None else _weights(state, settings, into / "start.safetensors")
         (into / "split.json").write_text(json.dumps(settings["split"]))
@@ -110,9 +111,22 @@ def unpack_run(folder: Path, into: Path) -> Unpacked:
             with (into / "motion.npz").open("wb") as stream:
                 np.savez_compressed(stream, **_decompressed(motion))
             MotionArchive.read(into / "motion.npz")
-            files = RunFiles.of(into / "config.json", [into / "motion.npz"], into / "split.json", into / "cache")
-    except (OSError, ValueError, KeyError, EOFError, RuntimeError, lzma.LZMAError, SafetensorError) as error:
-        raise InputError(f"{folder}: want what `scenemi train --pack` wrote: {error}") from error
+            files = RunFiles.of(
+                into / "config.json", [into / "motion.npz"], into / "split.json", into / "cache",
+                noncommercial=settings.get("noncommercial") is True,
+            )  # fmt: skip
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        EOFError,
+        RuntimeError,
+        lzma.LZMAError,
+        SafetensorError,
+        InputError,
+    ) as error:
+        raise InputError(f"{folder}: want what `scenemi train --pack` wrote: {one_line(error)}") from error
     return Unpacked(files, start)
 
 
@@ -141,8 +155,8 @@ def _compressed(tables: dict[str, np.ndarray]) -> bytes:
 
 
 def _decompressed(data: bytes) -> dict[str, np.ndarray]:
-    with np.load(io.BytesIO(lzma.decompress(data)), allow_pickle=False) as found:
-        tables = {name: found[name] for name in found.files}
+    names = ("turns", "moves")
+    tables = read_arrays(io.BytesIO(lzma.decompress(data)), ARRAYS, "pack", needed=names, where="motion of the pack")
     high, low = tables.pop("turns").astype(np.uint16)
     turns, moves = (high << 8 | low).view(np.int16), tables.pop("moves")
     rotation, root_m = np.zeros((len(turns) // 4, 4), np.int16), np.zeros((len(moves) // 3, 3), np.float32)

@@ -23,9 +23,12 @@ from scenemi.training.pool import AnyShard
 from scenemi.training.scales import measure_scales
 from scenemi.training.validate import Validation
 from video2anim.body.anny_body import ShapedBody
+from video2anim.errors import StageError
 
 _SCALE_STEPS, _SCALE_WINDOWS = 1_000_000_000, 512
 """Scales are measured on batches of steps that training never reaches."""
+MOST_SKIPPED_STEPS = 20
+"""Steps in a row without a finite gradient after which a run gives up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +41,8 @@ class Progress:
     total: float
     windows_per_s: float
     validation: tuple[Validation, ...] = ()
+    skipped: int = 0
+    """Steps without a finite gradient since the start of this run; they changed nothing."""
 
 
 class Run:
@@ -79,10 +84,15 @@ class Run:
         self.model.half_precision = bfloat16_is_quicker(self.device)
         self._power = _ema_power(config.ema)
         self._helpers: Helpers | None = None
+        self.skipped, self._skipped_in_row = 0, 0
 
     def advance(self, batches: Sequence[Batch], rate: float = 1.0) -> tuple[Losses, float]:
         """One step of the optimizer at a share of the learning rate; means over the batches, and the gradient's norm. A
-        step without a finite gradient changes nothing."""
+        step without a finite gradient changes nothing and is counted.
+
+        Raises:
+            StageError: too many such steps in a row.
+        """
         config = self.config
         for group in self.optimizer.param_groups:
             group["lr"] = config.learning_rate * rate * min(1.0, (self.step + 1) / max(1, config.warmup))
@@ -92,6 +102,7 @@ class Run:
             parameter.grad = torch.stack(told).mean(0) if told else None
         norm = float(torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.clip_norm))
         self.step += 1
+        self._expect_some_finite(norm)
         if np.isfinite(norm):
             self.optimizer.step()
             keep = (1 - 1 / self.step) ** (self._power + 1)
@@ -99,6 +110,16 @@ class Run:
             torch._foreach_lerp_([self.average[name] for name in now], list(now.values()), 1 - keep)
         means = (torch.stack([getattr(losses, name) for losses, _ in found]).mean() for name in Losses.__slots__)
         return Losses(*means), norm
+
+    def _expect_some_finite(self, norm: float) -> None:
+        finite = bool(np.isfinite(norm))
+        self.skipped += not finite
+        self._skipped_in_row = 0 if finite else self._skipped_in_row + 1
+        if self._skipped_in_row > MOST_SKIPPED_STEPS:
+            raise StageError(
+                f"training: {self._skipped_in_row} steps in a row without a finite gradient at {self.step}; lower "
+                "learning_rate"
+            )
 
     def _gradients(self, batches: Sequence[Batch]) -> list[tuple[Losses, list[Tensor | None]]]:
         """Of each batch; on a CPU with several threads in processes of their own, which start with the first step."""
@@ -128,7 +149,7 @@ class Run:
     def progress(self, total: float, speed: float = 0.0, rows: tuple[Validation, ...] = ()) -> Progress:
         """Where the run is."""
         hours = (self._seconds + self.elapsed_s) / 3600
-        return Progress(self.step, self.step * self.config.step_windows, hours, total, speed, rows)
+        return Progress(self.step, self.step * self.config.step_windows, hours, total, speed, rows, self.skipped)
 
 
 @functools.cache

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from scenemi.data.balance import BalanceConfig
+from scenemi.data.container import MotionArchive
 from scenemi.data.motion_store import StoreConfig
 from scenemi.data.scene_clips import scene_folders
+from scenemi.data.sources import is_free, license_of
 from scenemi.data.split import Split
-from scenemi.data.windows import MotionSet, MotionSetConfig
+from scenemi.data.windows import MotionSet, MotionSetConfig, archives_of, barred_clips
 from scenemi.model.build import build_denoiser
 from scenemi.model.weights import save_weights
 from scenemi.training.checkpoint import Checkpoint
@@ -30,17 +32,21 @@ class RunFiles:
     cache: Path | None
     scenes: tuple[tuple[str, Path], ...] = ()
     """Name and folder of data sets with captured scenes."""
+    noncommercial: bool = False
+    """Also train on clips whose license is not known to be free for commercial use."""
 
     @classmethod
     def of(
         cls,
-        config: Path | None,
+        config: str | Path | None,
         motion: Sequence[Path],
         split: Path | None,
         cache: Path | None,
         scenes: Sequence[str] = (),
+        *,
+        noncommercial: bool = False,
     ) -> RunFiles:
-        """From what a command line names; the default configuration is the shipped model's.
+        """From what a command line names; the default configuration is `TrainConfig()`, that of the size that ships.
 
         Raises:
             UsageError: neither motion nor scenes, or scenes that are not `source=folder`.
@@ -49,7 +55,14 @@ class RunFiles:
         if not motion and not scenes:
             raise UsageError("training: want --motion FILE or --scenes SOURCE=FOLDER, got neither")
         run = TrainConfig() if config is None else TrainConfig.read(config)
-        return cls(run, tuple(motion), None if split is None else Split.read(split), cache, scene_folders(scenes))
+        return cls(
+            run,
+            tuple(motion),
+            None if split is None else Split.read(split),
+            cache,
+            scene_folders(scenes),
+            noncommercial,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,12 +96,12 @@ def clips_for(files: RunFiles, out: Path) -> RunClips:
         return RunClips(motions, None, watched)
     config = files.config
     for source, _ in files.scenes:
-        if source not in (config.sources or ()):
+        if source not in (config.sources or ()) and not files.noncommercial:
             raise InputError(
                 f"training: {source} is not free for commercial use; where that is right, name it in `sources` of the "
-                f"configuration, as in configs/scenemi/{source}.json"
+                f"configuration, as in configs/scenemi/{source}.json, or add --noncommercial"
             )
-    use = MotionSetConfig(sources=config.sources, reverse=config.reverse)
+    use = MotionSetConfig(files.noncommercial, config.sources, reverse=config.reverse)
     into = files.cache or out / "scenes"
     folders = [prepare_scenes(source, folder, into) for source, folder in files.scenes]
     scenes = SceneMotions.read(folders, files.split, "train", config.bodies, use, cache=files.cache)
@@ -109,7 +122,7 @@ def motions_for(files: RunFiles) -> tuple[MotionSet, MotionSet | None]:
     """
     config = files.config
     use = MotionSetConfig(
-        sources=config.sources, balance=BalanceConfig(source_share={"synthetic": config.synthetic_share}),
+        files.noncommercial, config.sources, balance=BalanceConfig(source_share={"synthetic": config.synthetic_share}),
         reverse=config.reverse, mix=config.mix,
     )  # fmt: skip
     bent = replace(use, store=StoreConfig(bends=config.bends))
@@ -120,14 +133,43 @@ def motions_for(files: RunFiles) -> tuple[MotionSet, MotionSet | None]:
         return motions, None
 
 
-def write_run_weights(path: Path, state: Checkpoint, *motions: MotionSet) -> Path:
-    """The averaged weights of a run (fp16) with what they were trained on."""
+def left_out(files: RunFiles) -> list[str]:
+    """Sentences about clips that are not trained on for their license."""
+    if files.noncommercial or files.config.sources is not None or not files.motion:
+        return []
+    return [
+        f"{count} clips of {source} (license {license_name}) are not known to be free for commercial use and left out; "
+        "--noncommercial trains on them, for weights that may not be used commercially"
+        for (source, license_name), count in sorted(barred_clips(files.motion).items())
+    ]
+
+
+def licenses_of(files: RunFiles, *motions: MotionSet) -> dict[str, str]:
+    """License of each source that clips were taken of; of several, the first that is not free."""
+    used = {str(name) for one in motions for name in one.store.clip_name}
+    rows = {
+        (source, license_name)
+        for archive in map(MotionArchive.read, archives_of(files.motion))
+        for name, source, license_name in zip(archive.names, archive.sources, archive.licenses, strict=True)
+        if name in used
+    }
+    rows |= {(source, license_of(source)) for source, _ in files.scenes}
+    return dict(sorted(rows, key=lambda row: (not is_free(row[1]), row)))
+
+
+def write_run_weights(
+    path: Path, state: Checkpoint, *motions: MotionSet, licenses: Mapping[str, str] | None = None
+) -> Path:
+    """The averaged weights of a run (fp16) with what they were trained on; licenses of sources by `licenses_of`, or as
+    the sources are known by their names."""
+    sources = sorted({str(source) for one in motions for source in one.store.clip_source})
     model = build_denoiser(state.config.model)
     model.load_state_dict({name: value.cpu() for name, value in state.ema.items()})
     card = {
         "steps": state.step, "hours": round(state.seconds / 3600, 2),
         "minutes": round(sum(one.minutes for one in motions), 1),
-        "sources": sorted({str(source) for one in motions for source in one.store.clip_source}),
+        "sources": sources,
+        "licenses": {source: (licenses or {}).get(source, license_of(source)) for source in sources},
         "config": state.config.to_json(),
     }  # fmt: skip
     save_weights(path, model, state.statistics, card)

@@ -23,6 +23,7 @@ from jaxtyping import Float, Int, Int8
 
 from scenemi.data.container import MotionArchive, write_archive
 from scenemi.data.motion_store import MotionStore
+from scenemi.data.plain_files import read_arrays, read_json
 from scenemi.data.scene_clips import SceneClip, SceneFit, fit_scene, read_scene_clips
 from scenemi.data.source_clip import SourceClip
 from scenemi.data.split import Part, Split
@@ -46,6 +47,7 @@ _KEPT_M = 0.8
 _SCENE_STEP_M = _KEPT_M / 127
 _FIT_EVERY = 10
 """Of the frames that tell how a scene follows a retargeted motion."""
+_SCENE_ARRAYS = ("values", "origin_m", "spacing_m")
 _CLIPS, _TABLE = "clips.npz", "scenes.json"
 _VERSION = 1
 
@@ -206,15 +208,9 @@ def _write_scene(path: Path, found: SceneClip) -> None:
 
 
 def _read_scene(path: Path) -> _Scene:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return _Scene(file["values"], file["origin_m"], float(file["spacing_m"]))
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: broken scene ({error}); delete the folder") from error
+    file = read_arrays(path, (), "converted scene (delete its folder to convert it again)", needed=_SCENE_ARRAYS)
+    return _Scene(file["values"], file["origin_m"], float(file["spacing_m"]))
 
 
 def _table(folder: Path) -> dict[str, Any]:
-    try:
-        return json.loads((folder / _TABLE).read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{folder}: broken scenes ({error}); delete the folder") from error
+    return read_json(folder / _TABLE, "table of converted scenes (delete the folder to convert them again)")

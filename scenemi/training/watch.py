@@ -21,14 +21,11 @@ from scenemi.training.checkpoint import CHECKPOINT, save_checkpoint
 from scenemi.training.losses import Losses
 from scenemi.training.run import Progress, Run
 from scenemi.training.validate import Validation, Validator
-from video2anim.errors import InputError
 
 LOG, PROGRESS = "log.csv", "progress.json"
 _COLUMNS = (
     "step", "total", "simple", "joints_m2", "velocity_m2", "inside_cm", "gradient_norm", "windows_per_s", "seconds",
 )  # fmt: skip
-_MOST_BAD_STEPS = 20
-"""Steps in a row without a finite gradient after which a run gives up."""
 
 
 class Watch:
@@ -38,21 +35,12 @@ class Watch:
         self._run, self._out, self._check, self._say = run, out, check, on_progress
         self._log = _Log(out / LOG, run.step)
         self._recent: list[Tensor] = []
-        self._saved, self._bad, self._since = run.step, 0, time.perf_counter()
+        self._saved, self._since = run.step, time.perf_counter()
         self._rows: tuple[Validation, ...] = ()
 
     def took(self, losses: Losses, norm: float) -> None:
-        """A step was taken.
-
-        Raises:
-            InputError: too many in a row had no finite gradient.
-        """
+        """A step was taken."""
         run, config = self._run, self._run.config
-        self._bad = 0 if np.isfinite(norm) else self._bad + 1
-        if self._bad > _MOST_BAD_STEPS:
-            raise InputError(
-                f"training: {self._bad} steps without a finite gradient at {run.step}; lower learning_rate"
-            )
         self._recent.append(torch.stack([getattr(losses, name) for name in Losses.__slots__]))
         if run.step % config.log_every == 0:
             speed = len(self._recent) * config.step_windows / (time.perf_counter() - self._since)

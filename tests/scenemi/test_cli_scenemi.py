@@ -2,66 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from scenemi_cases import KEYS, Answer, keyframe_arrays, scenemi, walk_archive
 from synthetic import planted_walk
 
-from scenemi import cli
 from scenemi.data.container import MotionArchive, write_archive
-from scenemi.data.source_clip import SourceClip, SourceSkeleton
 from video2anim.artifacts.motion_io import read_motion
-from video2anim.body.skeleton import JOINT_NAMES, PARENTS
-from video2anim.geometry.rotations import axis_angle_from_matrix, quaternion_from_matrix
-
-KEYS = np.array([0, 15, 40, 60])
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What a command said and how it ended."""
-
-    code: int
-    out: str
-    err: str
-
-
-def scenemi(*words: str | Path) -> Answer:
-    """Run a command in this process."""
-    out, err, before, code = io.StringIO(), io.StringIO(), sys.argv, 0
-    sys.argv = ["scenemi", *map(str, words)]
-    try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            cli.run()
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(bool(end.code))
-    finally:
-        sys.argv = before
-    return Answer(code, out.getvalue(), err.getvalue())
+from video2anim.geometry.rotations import axis_angle_from_matrix
 
 
 def sample(keyframes: Path, out: Path, *words: str | Path) -> Answer:
     """`sample` with the prior that needs no weights."""
     return scenemi("sample", "--keyframes", keyframes, "--out", out, "--weights", "interpolation", *words)
-
-
-def keyframe_arrays() -> dict[str, Any]:
-    motion = planted_walk(61)
-    return {
-        "frame_index": KEYS,
-        "R_parent_joint": motion.R_parent_joint[KEYS],
-        "translation_m": motion.T_world_root[KEYS, :3, 3],
-    }
 
 
 @pytest.fixture
@@ -79,20 +41,6 @@ def room(tmp_path: Path) -> Path:
         scene.add_geometry(trimesh.creation.box(size, trimesh.transformations.translation_matrix(place)))
     path = tmp_path / "room.glb"
     scene.export(path)
-    return path
-
-
-def walk_archive(path: Path, frames: int) -> Path:
-    motion = planted_walk(frames)
-    rest = motion.rest_joints_m
-    same = np.arange(22)
-    offsets_m = rest - np.where(PARENTS[:, None] >= 0, rest[PARENTS], 0.0)
-    clip = SourceClip(
-        name="walk", source="synthetic", kind="walk", description="a walk", origin="", fps=30.0, uneven=False,
-        skeleton=SourceSkeleton("smpl22", JOINT_NAMES, PARENTS.copy(), offsets_m, same, same),
-        root_position_m=motion.T_world_root[:, :3, 3], rotation_wxyz=quaternion_from_matrix(motion.R_parent_joint),
-    )  # fmt: skip
-    write_archive(path, [clip])
     return path
 
 
@@ -412,12 +360,16 @@ def test_data_shows_and_converts(tmp_path: Path) -> None:
 
     write_bvh(tmp_path / "walk_b.bvh", character_of(planted_walk(130)))
     archive = walk_archive(tmp_path / "clips.npz", 150)
-    done = scenemi("data", archive, tmp_path / "walk_b.bvh", "--out", tmp_path / "both.npz", "--kind", "walk")
+    done = scenemi(
+        "data", archive, tmp_path / "walk_b.bvh", "--out", tmp_path / "both.npz", "--kind", "walk",
+        "--source", "mine", "--license", "own",
+    )  # fmt: skip
     assert done.code == 0, done.err
     assert "synthetic walk" in done.out
     both = MotionArchive.read(tmp_path / "both.npz")
     assert both.names == ("walk", "walk_b")
     assert both.kinds == ("walk", "walk")
+    assert (both.sources, both.licenses) == (("synthetic", "mine"), ("own", "own"))
     assert (
         scenemi("evaluate", "--clips", tmp_path / "both.npz", "--interval", "60", "--weights", "interpolation").code
         == 0
@@ -460,6 +412,8 @@ def test_train_writes_weights_that_sample_and_can_go_on(
         done = scenemi(*words, "--out", tmp_path / "run", "--minutes", "0.02", "--device", "cpu")
         assert done.code == 0, done.err
         steps.append(load_weights(weights).card["steps"])
+        assert f"these weights have seen {steps[-1]} steps and are of no use yet" in done.err
+        assert load_weights(weights).card["licenses"] == {"synthetic": "own"}
     assert 0 < steps[0] < steps[1], "the second call goes on from the first"
     for more, frames in (((), 61), (("--noisy", "--temperature", "0.5"), 61), (("--length", "690"), 690)):
         made = scenemi(

@@ -71,6 +71,17 @@ def test_without_weights_auto_is_interpolation_and_scenemi_is_refused(
         load_prior("best")  # type: ignore[arg-type]
 
 
+def test_auto_takes_the_weights_that_ship_and_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file of other weights in the folder was enough to choose `scenemi`, which then failed."""
+    (tmp_path / "research.safetensors").touch()
+    monkeypatch.setattr(scenemi.prior, "WEIGHTS_FOLDER", tmp_path)
+    assert load_prior("auto").name == "interpolation"
+
+
+def test_a_prior_has_the_seed_it_is_given() -> None:
+    assert getattr(load_prior("scenemi", seed=7), "seed", None) == 7
+
+
 def test_padding_holds_the_last_pose_and_does_not_change_the_rest() -> None:
     given = window()
     longer = padded(given, 121)

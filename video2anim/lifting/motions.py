@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float, Int
 from scenemi.data import rest_pose
 from scenemi.data.container import MotionArchive
 from scenemi.data.retarget import retarget
-from scenemi.data.sources import is_free
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.errors import InputError
 from video2anim.fitting.lifter_input import CONTACT_INDEX
@@ -60,8 +59,8 @@ def gather(
     adult = shaped_body(BodyShape("anny", ADULT))
     for path in archives:
         archive = MotionArchive.read(path)
-        for name, source in zip(archive.names, archive.sources, strict=True):
-            if not is_free(source) or (wanted is not None and name not in wanted):
+        for name, free in zip(archive.names, archive.free, strict=True):
+            if not free or (wanted is not None and name not in wanted):
                 continue
             clip = archive.clip(name)
             if len(clip.root_position_m) < 2:

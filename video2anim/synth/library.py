@@ -10,7 +10,6 @@ import numpy as np
 
 from scenemi.data.container import MotionArchive
 from scenemi.data.retarget import RetargetedMotion, retarget
-from scenemi.data.sources import NONCOMMERCIAL_SOURCES
 from video2anim.body.anny_body import ShapedBody
 from video2anim.errors import InputError
 
@@ -40,11 +39,15 @@ class MotionLibrary:
         rows = [
             (number, name, kind, source)
             for number, archive in enumerate(archives)
-            for name, kind, source in zip(archive.names, archive.kinds, archive.sources, strict=True)
-            if noncommercial or source not in NONCOMMERCIAL_SOURCES
+            for name, kind, source, free in zip(
+                archive.names, archive.kinds, archive.sources, archive.free, strict=True
+            )
+            if noncommercial or free
         ]
         if not rows:
-            raise InputError(f"motion: only clips under non-commercial licences in {files[0]}; add --noncommercial")
+            raise InputError(
+                f"motion: no clip in {files[0]} is known to be free for commercial use; add --noncommercial"
+            )
         return cls(archives, tuple(sorted(rows, key=lambda row: row[1])))
 
     def draw(

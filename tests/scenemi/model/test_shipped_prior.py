@@ -12,7 +12,7 @@ import torch
 
 from scenemi.data.container import MotionArchive, read_split, write_archive
 from scenemi.data.retarget import RetargetedMotion, retarget
-from scenemi.data.sources import is_free
+from scenemi.data.sources import is_free, license_of
 from scenemi.data.windows import MotionSet
 from scenemi.evaluation.seams import keyframe_motion, seam_jerk
 from scenemi.evaluation.windows import FPS, adult_body
@@ -67,7 +67,9 @@ def test_the_weights_are_of_the_shipped_size_and_tell_where_they_come_from(prior
     assert model.card["steps"] > 1000
     assert model.card["minutes"] > 100
     assert "synthetic" in model.card["sources"]
-    assert all(is_free(source) for source in model.card["sources"]), "weights that ship are free for any use"
+    assert all(is_free(license_of(source)) for source in model.card["sources"]), (
+        "weights that ship are free for any use"
+    )
     assert all(torch.isfinite(value).all() for value in model.denoiser.state_dict().values())
     np.testing.assert_allclose(model.denoiser.get_buffer("feature_std").numpy(), model.statistics.std, rtol=1e-3)
     np.testing.assert_allclose(model.denoiser.get_buffer("feature_mean").numpy(), model.statistics.mean, atol=2e-3)

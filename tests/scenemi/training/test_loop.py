@@ -259,12 +259,17 @@ def test_steps_without_a_finite_gradient_change_nothing(
     after = (*run.model.state_dict().values(), *run.average.values())
     assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
     assert run.step == 2
+    assert run.progress(0.0).skipped == 1, "told to who watches"
     _, norm = run.advance(data.of_step(2))
     assert np.isfinite(norm), "the next step is one like any other"
+    for _ in range(20):
+        run.advance([bad])
+    with pytest.raises(StageError, match="21 steps in a row without a finite gradient"):
+        run.advance([bad])
 
 
 def test_a_run_without_finite_gradients_ends_with_one_line(motions: MotionSet, run_folder: RunFolder) -> None:
-    with pytest.raises(InputError, match="without a finite gradient") as raised:
+    with pytest.raises(StageError, match="without a finite gradient") as raised:
         train(replace(CONFIG, learning_rate=1e30), motions, run_folder("run"), stop_at=100)
     assert "\n" not in str(raised.value)
     assert "learning_rate" in str(raised.value), "what to do"

@@ -53,7 +53,7 @@ def test_configurations_come_from_files(tmp_path: Path) -> None:
         ('{"ema": 0.9999}', "ema"),
         ('{"keyframes": "some"}', "keyframes"),
         ("[1]", "want a table"),
-        ("[", "cannot read"),
+        ("[", "cannot be read as JSON"),
     ],
 )
 def test_what_does_not_fit_is_named(tmp_path: Path, text: str, message: str) -> None:
