@@ -176,9 +176,14 @@ def test_an_interrupt_ends_the_program_and_what_it_started(tmp_path: Path) -> No
         signal.raise_signal(signal.SIGINT)
 
     thread = threading.Thread(target=interrupt)
-    thread.start()
-    with pytest.raises(KeyboardInterrupt):
-        made(command_of(tmp_path, code), timeout_s=600.0)
+    # A process that was started in the background of a script ignores Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        thread.start()
+        with pytest.raises(KeyboardInterrupt):
+            made(command_of(tmp_path, code), timeout_s=600.0)
+    finally:
+        signal.signal(signal.SIGINT, before)
     thread.join()
     for pid in map(int, pids.read_text().split()):
         wait_for(lambda pid=pid: not is_running(pid))
