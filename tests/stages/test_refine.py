@@ -66,9 +66,15 @@ def test_jitter_goes_and_the_motion_stays() -> None:
 
 
 def test_without_weights_auto_is_interpolation_and_says_so() -> None:
-    refined, ctx = refine(planted_walk(40), RefineConfig(prior="auto"))
-    assert refined.prior == ("interpolation",)
+    refined, ctx = refine(planted_walk(40), RefineConfig(prior="auto", fallback=False))
+    assert (refined.prior, refined.prior_share) == (("interpolation",), (1.0,))
     assert any("no scenemi weights" in warning for warning in ctx.warnings)
+
+
+def test_a_prior_whose_windows_were_all_turned_down_is_not_told_as_used() -> None:
+    refined, ctx = refine(planted_walk(40), RefineConfig(prior="interpolation"))
+    assert (refined.prior, refined.prior_share) == (("none",), (0.0,))
+    assert quality(ctx, "frames shaped by interpolation") == 0.0
 
 
 def test_windows_that_interpolation_spoils_are_filled_again_and_told() -> None:

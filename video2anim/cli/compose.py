@@ -356,6 +356,7 @@ def plain(value: Any) -> Any:
 
 def preset_models(name: str) -> list[str]:
     """Models of a preset, or the one model of that name."""
+    from video2anim.models import find_model
     from video2anim.pipeline.config import preset_names
 
     if name not in preset_names():
@@ -367,5 +368,5 @@ def preset_models(name: str) -> list[str]:
         for slot in slots_of(node.spec, config.stages[node.name]):
             model = TableModels._name(slot, config.stages[node.name])
             if model not in NO_NETWORK:
-                wanted.append(model)
+                wanted.append(find_model(model).name)
     return wanted
