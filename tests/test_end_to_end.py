@@ -31,6 +31,7 @@ RESULTS = (
     "scene.usdc",
     "motion.bvh",
     "motion_amass.npz",
+    "motion_amass_smplx.npz",
     "preview.mp4",
     "report.html",
     "run.json",
@@ -477,7 +478,7 @@ def test_a_file_that_no_run_made_stays(scene: Scene, copy: Path) -> None:
     (copy / "preview.mp4").write_bytes(b"somebody's own film")
     refused = video2anim("run", "--out", copy)
     assert refused.code == 3
-    assert "no run made what is there" in refused.err
+    assert "no run made the file there" in refused.err
     assert (copy / "preview.mp4").read_bytes() == b"somebody's own film"
 
 

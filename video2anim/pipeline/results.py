@@ -17,7 +17,7 @@ from video2anim.pipeline.runner import Edits
 from video2anim.pipeline.scene_folder import RESULT_ASIDE, RunRecord, expect_no_link
 
 REPORT = "report.html"
-_NAMES = re.compile(r"(motion(_\d+)?\.(npz|bvh)|motion_amass(_\d+)?\.npz|scene(_\d+)?\.\w+|preview\.mp4|report\.html)")
+_NAMES = re.compile(r"(motion|scene)\w*\.\w+|preview\.mp4|report\.html")
 
 
 def is_result_name(name: str) -> bool:

@@ -92,7 +92,7 @@ def test_acted_motion_is_filled_better_than_joined_keyframes_and_keeps_out_of_wh
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="missed after 2.9 hours of training: out of the way is not yet the true way")
+@pytest.mark.xfail(strict=True, reason="missed after 4.7 hours of training: out of the way is not yet the true way")
 def test_a_scene_that_is_shown_does_not_lead_astray(rows: Rows) -> None:
     assert rows[60, True].mjpe_ratio < 1.05 * rows[60, False].mjpe_ratio
 
@@ -100,7 +100,7 @@ def test_a_scene_that_is_shown_does_not_lead_astray(rows: Rows) -> None:
 @pytest.mark.slow
 @pytest.mark.xfail(
     strict=True,
-    reason="missed at 60 frames after 2.9 hours of training: acted motion is smoother",
+    reason="missed at 60 frames after 4.7 hours of training: acted motion is smoother",
 )
 def test_acted_motion_shakes_as_little_as_the_truth(rows: Rows) -> None:
     assert all(0.5 < row.jerk_ratio < 1.5 for row in rows.values()), rows
