@@ -6,7 +6,7 @@ import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from pydantic import ConfigDict
 from typing_extensions import TypedDict
@@ -23,7 +23,7 @@ class QualityRow(TypedDict):
     name: str
     value: float
     unit: str
-    better: str
+    better: Literal["lower", "higher", "none"]
 
 
 @dataclass(frozen=True, slots=True)
