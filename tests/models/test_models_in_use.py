@@ -14,7 +14,7 @@ from stages import humans
 from stages.humans import HumansConfig
 from stages.refine import RefineConfig
 from video2anim.cli.compose import TableModels, pipeline_nodes, preset_models
-from video2anim.models import weight_digests
+from video2anim.models import weight_digests, weight_licenses
 from video2anim.pipeline.config import resolve
 from video2anim.pipeline.graph import Node
 from video2anim.pipeline.stage import StageContext, StageSpec, slots_of
@@ -93,3 +93,10 @@ def test_slots_by_name_or_by_configuration() -> None:
 
 def test_presets_fetch_what_they_use() -> None:
     assert {"blazepose-heavy", "lifter", "room-camera", "room-depth", "room-segment"} <= set(preset_models("embedded"))
+
+
+def test_licenses_of_what_was_used(own: Callable[[str], str]) -> None:
+    """A file of the user's own has no license that the table could name."""
+    told = weight_licenses(used("humans") | used("refine"))
+    assert told == {"lifter": "Apache-2.0", "scenemi": "Apache-2.0"}
+    assert weight_licenses(used("humans", model=own("lifter"))) == {"lifter": "of the user's own file"}

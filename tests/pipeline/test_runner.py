@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -89,7 +89,10 @@ class Weights:
     def digests(self, slots: Sequence[str], config: Any) -> dict[str, str]:
         return {slot: self.digest for slot in slots}
 
-    def load(self, slot: str, config: Any) -> Any:
+    def licenses(self, digests: Mapping[str, str]) -> dict[str, str]:
+        return dict.fromkeys(digests, "MIT")
+
+    def load(self, slot: str) -> Any:
         return slot
 
 
@@ -273,6 +276,7 @@ def test_manifest_and_events(run: Callable, tmp_path: Path) -> None:
     second = read_manifest(tmp_path / "stages" / "02_double")
     assert second.inputs == {"Seeds": manifest.output_digest}
     assert second.weights == {"net": "d1"}
+    assert second.licenses == {"net": "MIT"}
     assert second.warnings == ["twice as much"]
     assert second.wall_time_s >= 0
     assert second.peak_memory_mb > 1

@@ -50,6 +50,8 @@ class Manifest:
     qualities: list[QualityRow]
     warnings: list[str]
     versions: dict[str, str]
+    licenses: dict[str, str] = dataclasses.field(default_factory=dict)
+    """License of each of `weights`, by model name."""
     device: str = ""
     """cpu or cuda. Not part of the key: results agree to rounding, and a folder made on a GPU opens on a laptop."""
     kept_for: str = ""

@@ -83,7 +83,12 @@ class TableModels:
                 found |= weight_digests(name)
         return found
 
-    def load(self, slot: str, config: Any) -> Any:
+    def licenses(self, digests: Mapping[str, str]) -> dict[str, str]:
+        from video2anim.models import weight_licenses
+
+        return weight_licenses(digests)
+
+    def load(self, slot: str) -> Any:
         from video2anim.models import load_model
 
         if slot not in self._loaded:

@@ -43,8 +43,8 @@ def report_html(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], 
         stages.append(
             StageRow(m.stage, row.state, m.version, m.wall_time_s, m.peak_memory_mb, qualities, tuple(m.warnings))
         )
-        used.update(m.weights)
-    entries = [find_model(name) for name in used]
+        used.update(m.licenses)
+    devices = sorted({row.manifest.device for row in rows if row.manifest is not None})
     pictures = [
         Picture(f"frame {int(item.path.stem.split('_')[1])}", item.path.read_bytes())
         for item in exported.files
@@ -59,7 +59,7 @@ def report_html(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], 
         ReportInput(
             title=Path(record.input_path).name,
             stages=tuple(stages),
-            models=tuple(ModelRow(e.name, e.licence, e.source.text) for e in entries),
+            models=tuple(ModelRow(name, license_, find_model(name).source.text) for name, license_ in used.items()),
             camera=runner.value(CameraEstimate),
             motions={name: runner.value(kind).people for name, kind in MOTIONS.items()},
             priors=tuple(
@@ -67,6 +67,7 @@ def report_html(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], 
                 for name, share in zip(refined.prior, refined.prior_share, strict=True)
             ),
             scene=runner.value(SceneModel),
+            made_with={"seed": str(record.seed), "device": ", ".join(devices)} | record.versions,
             pictures=tuple(pictures),
             moments=tuple(moments),
             found=found_people(

@@ -82,6 +82,8 @@ class ReportInput:
     pictures: tuple[Picture, ...] = ()
     moments: tuple[Picture, ...] = ()
     """The worst moments of the refined motion."""
+    made_with: Mapping[str, str] = field(default_factory=dict)
+    """Seed, device, and versions of what decides results, by name."""
     found: tuple[FoundPerson, ...] = ()
 
 

@@ -17,7 +17,7 @@ from video2anim.models.fetch import (
     verify,
     weight_digests,
 )
-from video2anim.models.table import ModelEntry, find_model, list_models
+from video2anim.models.table import ModelEntry, find_model, list_models, weight_licenses
 
 __all__ = [
     "ModelEntry",
@@ -32,6 +32,7 @@ __all__ = [
     "pull",
     "verify",
     "weight_digests",
+    "weight_licenses",
 ]
 
 

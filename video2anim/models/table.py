@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Literal
@@ -377,3 +378,16 @@ def find_model(name_or_slot: str) -> ModelEntry:
         return replace(entry, source=FileSource(own), sha256="", size_bytes=0, verified="contract")
     known = ", ".join(model.name for model in MODELS)
     raise UsageError(f"unknown model {name_or_slot!r}; known: {known}; or NAME@PATH for weights of your own")
+
+
+OWN_FILE = "of the user's own file"
+
+
+def weight_licenses(digests: Mapping[str, str]) -> dict[str, str]:
+    """License of each model of `weight_digests`: that of the table where the file is the one that the table names."""
+    found = {}
+    for name, digest in digests.items():
+        entry = find_model(name)
+        ours = isinstance(entry.source, DependencySource) or (entry.sha256 and digest.startswith(entry.sha256))
+        found[name] = entry.licence if ours else OWN_FILE
+    return found

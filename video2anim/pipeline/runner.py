@@ -7,7 +7,7 @@ import hashlib
 import json
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -42,7 +42,9 @@ class ModelProvider(Protocol):
 
     def digests(self, slots: Sequence[str], config: Any) -> dict[str, str]: ...
 
-    def load(self, slot: str, config: Any) -> Any: ...
+    def licenses(self, digests: Mapping[str, str]) -> dict[str, str]: ...
+
+    def load(self, slot: str) -> Any: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +257,7 @@ class Runner:
         with self._described(node), whole_or_absent(self.folder(node)) as work:
             ctx = StageContext(
                 work, self._config.seed, self._device,
-                lambda slot: self._models.load(slot, config),
+                self._models.load,
                 lambda done, total: self._on_event(Event("progress", node.name, done, total)),
             )  # fmt: skip
             value = node.spec.function(**inputs, config=config, ctx=ctx)
@@ -265,7 +267,7 @@ class Runner:
                 {kind.__name__: self._digests[kind] for _, kind in node.inputs}, weights,
                 self._config.seed, value_digest(work), time.perf_counter() - started, memory.peak_mb(),
                 [QualityRow(**asdict(quality)) for quality in ctx.qualities], ctx.warnings, library_versions(),
-                self._device,
+                self._models.licenses(weights), self._device,
             )  # fmt: skip
             manifest.write(work)
         self._digests[node.output] = manifest.output_digest

@@ -17,7 +17,7 @@ try:
 except (ImportError, OSError) as error:
     raise UsageError(
         f"the viewer needs open3d and its system libraries, but importing it failed ({error}); run "
-        f"`pip install 'video2anim[viewer]'` and, on Debian or Ubuntu, `apt-get install {SYSTEM_PACKAGES}`"
+        f"`pip install -e '.[viewer]'` in its checkout and, on Debian or Ubuntu, `apt-get install {SYSTEM_PACKAGES}`"
     ) from error
 
 
