@@ -120,16 +120,10 @@ def _picture_camera(clip: VideoClip, config: CameraConfig, ctx: StageContext) ->
     """Lens and gravity by the perspective fields and straight edges of a few pictures of the same view."""
     from video2anim.geometry.perspective_field import fit_camera
     from video2anim.geometry.room_lines import camera_with_edges, straight_edges
-    from video2anim.models import find_model
     from video2anim.video import read_frames
 
     if config.camera_model == NO_MODEL:
         return None
-    if find_model(config.camera_model).slot != "camera":
-        raise UsageError(
-            "camera.camera_model: want a model of slot camera, such as room-camera or geocalib, got "
-            f"{config.camera_model!r}; a lens that `video2anim models run camera` tells is given by --focal-px"
-        )
     model = ctx.model(config.camera_model)
     count = config.field_frames if clip.camera_is_static else 1
     chosen = np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int))

@@ -37,8 +37,8 @@ class Answer:
 
     @property
     def errors(self) -> list[str]:
-        """Lines on stderr that are neither progress nor warnings."""
-        usual = re.compile(r"^(\w+ +[\d.]+ s|warning \w+: .*)$")
+        """Lines on stderr that are neither progress, warnings, nor what is said of changed settings."""
+        usual = re.compile(r"^(\w+ +[\d.]+ s|warning \w+: .*|changed: .*)$")
         return [line for line in self.err.splitlines() if line.strip() and not usual.match(line)]
 
 

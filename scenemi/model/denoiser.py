@@ -88,6 +88,7 @@ class Denoiser(nn.Module):
         for name, shape in SCALES.items():
             self.register_buffer(name, torch.eye(*shape) if name == "correlate" else torch.ones(shape))
         schedule = torch.as_tensor(CosineSchedule().alpha_bar, dtype=torch.float32)
+        schedule[-1] = 0.0  # at t = T nothing is seen of x_t: the first estimate is the same whatever the noise
         self.register_buffer("alpha_bar", schedule, persistent=False)
         self.register_buffer("cosines", cosines(config.fold), persistent=False)
         self.register_buffer("overlap", overlapping(config.tokens, config.fold), persistent=False)

@@ -254,13 +254,13 @@ def test_depth_models_that_tell_the_lens_run_as_cameras(
 
 
 def test_the_stage_asks_for_gravity_too(tmp_path: Path) -> None:
-    from stages.camera import CameraConfig, _picture_camera
+    from video2anim.cli.compose import pipeline_nodes
     from video2anim.errors import UsageError
-    from video2anim.pipeline.stage import StageContext
+    from video2anim.pipeline.config import resolve
 
-    config = CameraConfig(camera_model=f"moge-2-small@{tmp_path / 'net.onnx'}")
-    with pytest.raises(UsageError, match=r"camera\.camera_model: want a model of slot camera.*--focal-px"):
-        _picture_camera(None, config, StageContext(tmp_path))  # pyright: ignore[reportArgumentType]
+    options = {"camera": {"camera_model": f"moge-2-small@{tmp_path / 'net.onnx'}"}}
+    with pytest.raises(UsageError, match=r"camera\.camera_model: want a model of slot camera.*got 'moge"):
+        resolve(pipeline_nodes(), "p", [("--set", options)])
 
 
 class Turned:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +30,7 @@ from video2anim.artifacts.folder import file_digest
 from video2anim.cli.report import report_html
 from video2anim.errors import InputError, UsageError
 from video2anim.pipeline import results
-from video2anim.pipeline.config import RUN_KEYS, PipelineConfig, expect_user_paths, load_preset, resolve
+from video2anim.pipeline.config import PipelineConfig, expect_user_paths, load_preset, resolve
 from video2anim.pipeline.graph import Node, build_graph
 from video2anim.pipeline.runner import CURRENT, Edits, Event, Runner, StageStatus, library_versions
 from video2anim.pipeline.scene_folder import (
@@ -199,7 +198,7 @@ def open_scene(
     """
     record = read_record(scene_dir)
     nodes = pipeline_nodes()
-    config: PipelineConfig = resolve(nodes, record.preset, [("run.json", _known(nodes, record.config))])
+    config: PipelineConfig = resolve(nodes, record.preset, [("run.json", record.config)])
     source = SourceVideo(Path(record.input_path), record.input_digest)
     return Runner(scene_dir, nodes, config, source, TableModels(), device=device, on_event=on_event), record
 
@@ -277,30 +276,20 @@ def _settled(
     nodes: Sequence[Node], remembered: RunRecord | None, request: RunRequest
 ) -> tuple[PipelineConfig, dict[str, Any]]:
     """The configuration of a run, and the settings in it that the user gave, now or before."""
-    settings: dict[str, Any] = {} if remembered is None else dict(_known(nodes, remembered.settings))
+    settings: dict[str, Any] = {} if remembered is None else dict(remembered.settings)
     for _, options in request.options:
         for key, value in options.items():
             both = isinstance(value, Mapping) and isinstance(settings.get(key), Mapping)
             settings[key] = {**settings[key], **value} if both else value
     if request.preset is None and remembered is not None:
-        base = [("run.json", _known(nodes, remembered.config))]
+        base = [("run.json", remembered.config)]
         preset = remembered.preset
     else:
         preset = request.preset or DEFAULT_PRESET
         base = [(f"preset {preset}", load_preset(preset))]
         if remembered is not None:
-            base.append(("run.json", _known(nodes, remembered.settings)))
+            base.append(("run.json", remembered.settings))
     return resolve(nodes, preset, [*base, *request.options]), settings
-
-
-def _known(nodes: Sequence[Node], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of a folder that an older version made: those that are gone are left out."""
-    fields = {node.name: {field.name for field in dataclasses.fields(node.config_type)} for node in nodes}
-    return {
-        key: {name: one for name, one in value.items() if name in fields[key]} if key in fields else value
-        for key, value in options.items()
-        if key in fields or key in RUN_KEYS
-    }
 
 
 def _source(scene_dir: Path, given: SourceVideo | None, remembered: RunRecord | None) -> SourceVideo:
@@ -335,9 +324,9 @@ def _tell_changes(runner: Runner, before: RunRecord, now: RunRecord, on_event: C
             continue
         changed += [f"{stage}.{k} {old.get(k)} -> {v}" for k, v in options.items() if old.get(k) != plain(v)]
     if changed:
-        again = [row.name for row in runner.status() if row.state == "stale"]
-        what = ", ".join(again) if again else "nothing"
-        on_event(Event("note", "", text=f"changed: {'; '.join(changed)}; to run again: {what}"))
+        again = ", ".join(row.name for row in runner.status() if row.state == "stale")
+        told = f"; to run again: {again}" if again else ""
+        on_event(Event("note", "", text=f"changed: {'; '.join(changed)}{told}"))
 
 
 def _expect_consent(scene_dir: Path, before: RunRecord, now: RunRecord, confirm: Callable[[str], bool]) -> None:

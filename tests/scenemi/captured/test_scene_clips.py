@@ -114,7 +114,7 @@ def floorless_sdf(folder: Path) -> None:
     ("spoil", "message"),
     [
         (lambda folder: shutil.rmtree(folder / "PROXD"), "want PROXD"),
-        (lambda folder: (folder / "cam2world" / "MPH16.json").unlink(), r"MPH16\.json: cannot be read"),
+        (lambda folder: (folder / "cam2world" / "MPH16.json").unlink(), r"MPH16\.json: cannot read"),
         (lambda folder: (folder / "cam2world" / "MPH16.json").write_text("[1]"), "want a 4 x 4 matrix"),
         (spoiled_sdf, r"want dim\^3 distances"),
         (floorless_sdf, "no floor"),

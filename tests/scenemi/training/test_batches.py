@@ -265,7 +265,7 @@ def test_errors_come_from_a_file(errors: PipelineErrors, tmp_path: Path) -> None
     np.savez(path, turn_rad=errors.turn_rad, shift_m=errors.shift_m, start=errors.start)
     np.testing.assert_array_equal(PipelineErrors.read(path).shift_m, errors.shift_m)
     np.savez(path, turn_rad=errors.turn_rad)
-    with pytest.raises(InputError, match="want errors of the pipeline"):
+    with pytest.raises(InputError, match="not a file of pipeline errors"):
         PipelineErrors.read(path)
 
 
