@@ -131,7 +131,7 @@ def parse_bvh(path: str | Path) -> BvhFile:
             f"{path}: want {frames} frames of {width} finite numbers at a frame time above 0, "
             f"got {values.size} numbers and {frame_time_s:g} s"
         )
-    if max(np.abs(offsets).max(), np.abs(values).max()) > _LARGEST:
+    if not max(np.abs(offsets).max(), np.abs(values).max()) <= _LARGEST:  # nor NaN
         raise InputError(f"{path}: broken BVH file: want numbers up to {_LARGEST:g}, whatever the unit")
     position, rotation = _channels(values.reshape(frames, width), offsets, channels)
     return BvhFile(tuple(names), tuple(parents), offsets, frame_time_s, position, rotation)

@@ -94,7 +94,7 @@ def config_from_json(values: dict[str, Any]) -> AnyConfig:
     kind = PaperConfig if rest.pop("form", None) == "paper" else ModelConfig
     unknown = set(rest) - {item.name for item in fields(kind)}
     if unknown:
-        raise ValueError(f"{kind.__name__}: unknown {', '.join(sorted(map(str, unknown)))}")
+        raise ValueError(f"{kind.__name__}: unknown {', '.join(sorted(repr(str(name))[1:-1] for name in unknown))}")
     try:
         return (_PAPER if kind is PaperConfig else _MODEL).validate_python(rest)
     except ValidationError as error:

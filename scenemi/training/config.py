@@ -107,9 +107,8 @@ class TrainConfig:
         known = {item.name for item in fields(cls)}
         unknown = set(values) - known
         if unknown:
-            raise InputError(
-                f"training config: unknown {', '.join(sorted(unknown))}; known are {', '.join(sorted(known))}"
-            )
+            told = ", ".join(sorted(repr(str(name))[1:-1] for name in unknown))
+            raise InputError(f"training config: unknown {told}; known are {', '.join(sorted(known))}")
         try:
             return _CHECKED.validate_python({**values, "model": _model(values.get("model", "small"))})
         except ValidationError as error:

@@ -16,10 +16,12 @@ import pytest
 import trimesh
 from scenemi_cases import keyframe_arrays, scenemi, walk_archive, walk_bvh
 
+from scenemi.data.bvh import parse_bvh
 from scenemi.data.plain_files import MOST_FRAMES
 from scenemi.data.scene_file import read_scene
 from scenemi.model.weights import load_weights
 from scenemi.training.checkpoint import load_checkpoint
+from scenemi.training.config import TrainConfig
 from scenemi.training.noise import PipelineErrors
 from video2anim.errors import InputError
 
@@ -342,3 +344,19 @@ def test_damaged_weights_checkpoints_and_errors_end_in_one_line(tmp_path: Path) 
     np.savez(tmp_path / "e.npz", turn_rad=np.zeros((4, 22, 3), np.float16), shift_m=np.zeros((4, 3)), start=[0, 9])
     with pytest.raises(InputError, match="contradict"):
         PipelineErrors.read(tmp_path / "e.npz")
+
+
+def test_offsets_that_are_no_numbers_are_one_line(tmp_path: Path) -> None:
+    """`max` of NaN and a number may be the number."""
+    path = tmp_path / "odd.bvh"
+    hierarchy = "HIERARCHY ROOT hips { OFFSET 0 nan 0 CHANNELS 3 Xposition Yposition Zposition }"
+    path.write_text(f"{hierarchy} MOTION Frames: 1 Frame Time: 0.03\n0 0 0\n")
+    with pytest.raises(InputError, match="want numbers up to"):
+        parse_bvh(path)
+
+
+def test_an_unknown_setting_is_named_in_one_line() -> None:
+    for values in ({"\n": 1}, {"model": {"\n": 0}}):
+        with pytest.raises(InputError, match=r"unknown \\n") as caught:
+            TrainConfig.from_json(values)
+        assert "\n" not in str(caught.value)
