@@ -12,7 +12,6 @@ import typer
 
 from scenemi.cli_parts import (
     PlainCommand,
-    device_of,
     note,
     print_table,
     progress,
@@ -21,6 +20,7 @@ from scenemi.cli_parts import (
     say_progress,
 )
 from video2anim.errors import UsageError, Video2AnimError
+from video2anim.geometry.torch_device import device_of
 
 if TYPE_CHECKING:
     from scenemi.training.packing import Unpacked

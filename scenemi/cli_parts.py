@@ -43,25 +43,6 @@ def refuse(options: Mapping[str, object], why: str) -> None:
             raise UsageError(f"{name}: does not apply {why}")
 
 
-def device_of(wanted: str) -> str:
-    """Of torch, cpu or cuda.
-
-    Raises:
-        UsageError: another word, or no CUDA device.
-    """
-    if wanted not in ("auto", "cpu", "cuda"):
-        raise UsageError(f"--device: want auto, cpu or cuda, got {wanted!r}")
-    if wanted == "cpu":
-        return "cpu"
-    import torch
-
-    if torch.cuda.is_available():
-        return "cuda"
-    if wanted == "cuda":
-        raise UsageError("--device: want cuda, but this PyTorch sees no CUDA device; use --device cpu")
-    return "cpu"
-
-
 def print_table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
     """Columns, the first one to the left."""
     widths = [max(len(row[i]) for row in (heads, *lines)) for i in range(len(heads))]

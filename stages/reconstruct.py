@@ -154,7 +154,7 @@ def _foreign(
             return _adopted(found, solid, read_mesh_file(file), "program")
     except (StageError, InputError) as error:
         ctx.warn(
-            f"reconstruct: object {found.object_id} is made of what is seen instead: {error}; once that is mended, "
+            f"object {found.object_id} is made of what is seen instead: {error}; once that is mended, "
             "run with --from reconstruct (a changed program file is noticed)"
         )
         return None

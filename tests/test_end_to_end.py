@@ -452,12 +452,16 @@ def test_changed_results_are_not_written_over(scene: Scene, copy: Path, name: st
     assert refused.code == 2
     assert "stages/14_refine" in refused.err
     assert path.name in refused.err
-    kept = video2anim("run", "--out", copy, "--keep-edits")
-    assert kept.code == 0, kept.err
-    assert file_digest(path) == edited
+    for words in ((), ("--set", "export.overlay_frames=1")):  # nothing to do, and something that makes all results anew
+        kept = video2anim("run", "--out", copy, "--keep-edits", *words)
+        assert kept.code == 0, kept.err
+        assert file_digest(path) == edited
+    assert video2anim("run", "--out", copy).code == 2, "a kept edit is still one"
     discarded = video2anim("run", "--out", copy, "--discard-edits")
     assert discarded.code == 0
+    assert file_digest(path) != edited
     assert name == "report.html" or file_digest(path) == file_digest(scene.folder / path.relative_to(copy))
+    assert video2anim("run", "--out", copy).code == 0
 
 
 def test_a_video_in_the_folder_is_never_written_over(scene: Scene, copy: Path, tmp_path: Path) -> None:
@@ -510,3 +514,24 @@ def test_a_kept_edit_stays_through_a_change_before_it(scene: Scene, copy: Path) 
     assert kept.states["camera"] == "ran"
     assert kept.states["segment"] == "edited"
     assert file_digest(mask) == painted
+
+
+def test_an_option_counts_beside_what_the_folder_remembers(copy: Path) -> None:
+    """`far_m` means something for geometric depth only, which this folder has and the default has not."""
+    first = video2anim("run", "--out", copy, "--set", "depth.provider=geometric", "--until", "ingest")
+    assert first.code == 0, first.err
+    second = video2anim("run", "--out", copy, "--set", "depth.far_m=25", "--until", "ingest")
+    assert second.code == 0, second.err
+    assert json.loads((copy / "run.json").read_text())["config"]["depth"]["far_m"] == 25
+
+
+def test_starting_anew_wants_a_video(copy: Path) -> None:
+    answer = video2anim("run", "--out", copy, "--overwrite")
+    assert answer.code == 2
+    assert "--overwrite forgets the one" in answer.err
+
+
+def test_a_folder_behind_a_link_is_a_folder(copy: Path) -> None:
+    (copy.parent / "link").symlink_to(copy)
+    answer = video2anim("run", "--out", copy.parent / "link", "--from", "export")
+    assert answer.code == 0, answer.err

@@ -390,7 +390,8 @@ WRONG = (
     '{"input_path": 3}', '{"input_path": null}', "[]", "null", '"text"', "{", "[" * 100_000, "\\xff",
     *(json.dumps(asdict(record()) | change) for change in (
         {"config": []}, {"config": "text"}, {"config": None}, {"input_path": ["a"]}, {"stages": 3}, {"stages": [{}]},
-        {"stages": [None]}, {"seed": "x"}, {"results": {"a": 1}}, {"versions": 2}, {"unknown": 1},
+        {"stages": [None]}, {"seed": "x"}, {"results": {"motion.npz": 1}}, {"results": {"../motion.npz": "0"}},
+        {"results": {"/tmp/x": "0"}}, {"results": {"objects/../../1.glb": "0"}}, {"versions": 2}, {"unknown": 1},
     )),
 )  # fmt: skip
 

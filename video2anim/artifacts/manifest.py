@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -58,7 +59,9 @@ class Manifest:
     """Key for which an output that was edited by hand was kept (`--keep-edits`)."""
 
     def write(self, folder: Path) -> None:
-        (folder / MANIFEST_NAME).write_text(json.dumps(dataclasses.asdict(self), indent=1) + "\n")
+        aside = folder / f".{MANIFEST_NAME}"
+        aside.write_text(json.dumps(dataclasses.asdict(self), indent=1) + "\n")
+        os.replace(aside, folder / MANIFEST_NAME)
 
 
 def read_manifest(folder: Path) -> Manifest:

@@ -39,6 +39,7 @@ from video2anim.pipeline.scene_folder import (
     RunRecord,
     StageRow,
     has_record,
+    is_result_name,
     locked,
     prepare,
     read_record,
@@ -162,15 +163,18 @@ def run_video(
         Video2AnimError: bad input, configuration or stage; nothing that was there is lost.
     """
     scene_dir, nodes = request.scene_dir, pipeline_nodes()
-    if request.video is None and not has_record(scene_dir):
-        raise UsageError(f"run: want a video, as {scene_dir} remembers none; give `video2anim run VIDEO --out DIR`")
+    fresh = request.overwrite or not has_record(scene_dir)
+    if request.video is None and fresh:
+        why = "--overwrite forgets the one" if request.overwrite else "there is none remembered"
+        raise UsageError(f"run: want a video, as {why} of {scene_dir}; give `video2anim run VIDEO --out DIR`")
     given = None if request.video is None else source_video(request.video)
-    draft = _settled(nodes, None, request)  # before anything is made
+    if fresh:
+        _settled(nodes, None, request)  # refused before a folder is made
     prepare(scene_dir)
     with locked(scene_dir):
         before = read_record(scene_dir) if has_record(scene_dir) else None
         remembered = None if request.overwrite else before
-        config, settings = draft if remembered is None else _settled(nodes, remembered, request)
+        config, settings = _settled(nodes, remembered, request)
         expect_user_paths(config)
         source = _source(scene_dir, given, remembered)
         if before is not None:
@@ -238,9 +242,10 @@ def finish(
         folder, exported = runner.folder(runner.node(rows[-1].name)), runner.value(ExportedFiles)
         files = {item.path.relative_to(folder).as_posix(): item.path for item in exported.files}
         shown = {name: path for name, path in files.items() if not path.name.startswith(("overlay_", "worst_"))}
-        new = any(row.state == "ran" for row in rows) or not (scene_dir / results.REPORT).is_file()
-        report = partial(report_html, runner, record, rows, exported) if new else None
-        record = replace(record, results=results.place_results(scene_dir, shown, report, record, edits))
+        report = partial(report_html, runner, record, rows, exported)
+        new = any(row.state == "ran" for row in rows)
+        placed = results.place_results(scene_dir, shown, report, record, edits, new_report=new)
+        record = replace(record, results=placed)
     if not has_record(scene_dir) or read_record(scene_dir) != record:
         write_record(scene_dir, record)
     return scene_outcome(scene_dir, runner, record, rows)
@@ -304,7 +309,7 @@ def _source(scene_dir: Path, given: SourceVideo | None, remembered: RunRecord | 
     inside = given.path.resolve()
     if inside.is_relative_to(scene_dir.resolve()):
         name = inside.relative_to(scene_dir.resolve())
-        if name.parts[0] in (STAGES, "objects", RECORD) or results.is_result_name(name.as_posix()):
+        if name.parts[0] in (STAGES, RECORD) or is_result_name(name.as_posix()):
             raise UsageError(f"{given.path}: a run writes this file of {scene_dir}; move the video out of the folder")
     if remembered is not None and remembered.input_digest != given.digest:
         raise UsageError(

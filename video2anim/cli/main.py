@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from pathlib import Path
@@ -14,9 +15,13 @@ from video2anim.cli.evaluate import eval_command, eval_set_command
 from video2anim.cli.pictures import models_run
 from video2anim.cli.synth import synth_command
 from video2anim.errors import Video2AnimError, is_memory_shortage
+from video2anim.geometry.torch_device import device_of
 
 if TYPE_CHECKING:
     from video2anim.pipeline.runner import Edits
+
+_OUTPUT_LOST = (errno.ENOSPC, errno.EPIPE, errno.EBADF, errno.EIO)
+"""Writing to the standard output fails so: a full disk, or a pipe that nobody reads."""
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -101,7 +106,7 @@ def run_command(
         shortcuts["humans"] = {"height_m": known}
     request = compose.RunRequest(
         out, video, preset, [("--set", parse_set(sets or [])), ("option", shortcuts)], start, until, overwrite,
-        _edits(keep_edits, discard_edits), _device(device),
+        _edits(keep_edits, discard_edits), device_of(device),
     )  # fmt: skip
     with show.progress() as on_event:
         outcome = compose.run_video(request, confirm=lambda text: yes or show.confirmed(text), on_event=on_event)
@@ -121,7 +126,7 @@ def stage_command(
 
     edits = _edits(keep_edits, discard_edits)
     with show.progress() as on_event:
-        outcome = compose.rerun_stage(scene_dir, name, edits=edits, device=_device(device), on_event=on_event)
+        outcome = compose.rerun_stage(scene_dir, name, edits=edits, device=device_of(device), on_event=on_event)
     show.outcome(outcome)
 
 
@@ -237,22 +242,6 @@ def _edits(keep: bool, discard: bool) -> Edits:
     return "keep" if keep else "discard" if discard else "refuse"
 
 
-def _device(wanted: str) -> str:
-    from video2anim.errors import UsageError
-
-    if wanted not in ("auto", "cpu", "cuda"):
-        raise UsageError(f"--device: want auto, cpu or cuda, got {wanted!r}")
-    if wanted == "cpu":
-        return "cpu"
-    import torch
-
-    if torch.cuda.is_available():
-        return "cuda"
-    if wanted == "cuda":
-        raise UsageError("--device: want cuda, but this PyTorch sees no CUDA device; use --device cpu")
-    return "cpu"
-
-
 def run() -> None:
     """Entry point: expected failures become one line and an exit code."""
     # Idle OpenMP workers otherwise spin and slow down whatever shares the machine. Read when torch is loaded.
@@ -267,13 +256,12 @@ def run() -> None:
         typer.echo(f"video2anim: {' '.join(str(error).split())}", err=True)
         sys.exit(error.exit_code)
     except Exception as error:
-        if debug or not (isinstance(error, OSError) or is_memory_shortage(error)):
-            raise
-        if is_memory_shortage(error):
+        if not debug and is_memory_shortage(error):
             typer.echo("video2anim: not enough memory; close other programs or raise the limit on memory", err=True)
             sys.exit(Video2AnimError.exit_code)
-        # The output is a full disk or a pipe that nobody reads; what is left in the buffer is lost.
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+        if debug or not (isinstance(error, OSError) and error.filename is None and error.errno in _OUTPUT_LOST):
+            raise
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (what is left in the buffer is lost)
         typer.echo(f"video2anim: output: could not be written ({error})", err=True)
         sys.exit(3)
 

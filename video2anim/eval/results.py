@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from video2anim.artifacts.codec import read_value
-from video2anim.artifacts.folder import folder_digest
+from video2anim.artifacts.folder import value_digest
 from video2anim.artifacts.manifest import read_manifest
 from video2anim.errors import ArtifactError, InputError
 from video2anim.pipeline.scene_folder import STAGES, read_record
@@ -127,5 +127,5 @@ class SceneResult:
         if self.get(kind) is None:
             return self._stale.get(kind)
         if kind not in self._digests:
-            self._digests[kind] = folder_digest(folder)
+            self._digests[kind] = value_digest(folder)
         return STAGE_OF[kind] if self._digests[kind] != digest else None

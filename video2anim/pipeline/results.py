@@ -4,7 +4,6 @@ longer makes; what somebody else wrote or changed there it leaves alone and says
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
@@ -14,15 +13,9 @@ from typing import Any
 from video2anim.artifacts.folder import file_digest
 from video2anim.errors import InputError, UsageError
 from video2anim.pipeline.runner import Edits
-from video2anim.pipeline.scene_folder import RESULT_ASIDE, RunRecord, expect_no_link
+from video2anim.pipeline.scene_folder import RESULT_ASIDE, RunRecord, expect_no_link, is_result_name
 
 REPORT = "report.html"
-_NAMES = re.compile(r"(motion|scene)\w*\.\w+|preview\.mp4|report\.html")
-
-
-def is_result_name(name: str) -> bool:
-    """Whether a run may write a file of this name at the top of the folder."""
-    return _NAMES.fullmatch(name) is not None
 
 
 def edited_results(scene_dir: Path, record: RunRecord) -> list[str]:
@@ -51,48 +44,57 @@ def expect_unedited(scene_dir: Path, record: RunRecord, edits: Edits) -> None:
 
 
 def place_results(
-    scene_dir: Path, exported: Mapping[str, Path], report: Callable[[], str] | None, record: RunRecord, edits: Edits
+    scene_dir: Path,
+    exported: Mapping[str, Path],
+    report: Callable[[], str],
+    record: RunRecord,
+    edits: Edits,
+    *,
+    new_report: bool,
 ) -> dict[str, str]:
     """Bring the results to the top of the folder, where they changed.
 
     Args:
         scene_dir: the scene folder.
         exported: files to copy, by their path relative to the folder.
-        report: makes `report.html`; None = it is there and up to date.
+        report: makes `report.html`.
         record: of the folder as it was.
         edits: `keep` leaves files that were changed by hand.
+        new_report: whether the report has something new to say.
 
     Returns:
         sha256 of every result by its path relative to the folder.
 
     Raises:
-        InputError: a file that no run made has the name of a result, or the disk is full.
+        InputError: a file that no run made has the name of a result, the disk is full, or an exported file has a name
+            that no result has.
     """
     changed = set(edited_results(scene_dir, record))
+    kept = changed if edits == "keep" else set()
     placed: dict[str, str] = {}
     for name, source in exported.items():
         digest, target = file_digest(source), scene_dir / name
         _expect_ours(scene_dir, name, digest, record)
         placed[name] = digest
-        if name in changed and edits == "keep":
+        if name in kept:
             placed[name] = record.results[name]
         elif not target.is_file() or file_digest(target) != digest:
             target.parent.mkdir(parents=True, exist_ok=True)
             into_place(target, lambda path, source=source: shutil.copyfile(source, path))
-    if report is not None:
+    if REPORT not in kept and (new_report or REPORT in changed or not (scene_dir / REPORT).is_file()):
         into_place(scene_dir / REPORT, lambda path: Path(path).write_text(report()))
-    placed[REPORT] = file_digest(scene_dir / REPORT)
+    placed[REPORT] = record.results[REPORT] if REPORT in kept else file_digest(scene_dir / REPORT)
     for name in record.results.keys() - placed.keys():
-        if name not in changed or edits == "discard":
+        if name not in kept:
             (scene_dir / name).unlink(missing_ok=True)
     return placed
 
 
 def _expect_ours(scene_dir: Path, name: str, digest: str, record: RunRecord) -> None:
-    for part in (scene_dir / name).relative_to(scene_dir).parents:
-        expect_no_link(scene_dir / part)
-    expect_no_link(scene_dir / name)
     path = scene_dir / name
+    if not is_result_name(name):
+        raise InputError(f"{scene_dir}: stage export names a file {name!r}, which is no result of a run; run it again")
+    expect_no_link(path)
     # A run that was killed while it placed its files leaves new ones that the record does not name yet.
     if path.exists() and name not in record.results and (not path.is_file() or file_digest(path) != digest):
         raise InputError(

@@ -218,7 +218,8 @@ class Runner:
     def _keep(self, node: Node, row: StageStatus) -> StageStatus:
         """Take the edited output as made from the present inputs."""
         assert row.manifest is not None
-        kept = replace(row.manifest, kept_for=self.key(node))
+        inputs = {kind.__name__: self._digests[kind] for _, kind in node.inputs}
+        kept = replace(row.manifest, kept_for=self.key(node), inputs=inputs)
         kept.write(self.folder(node))
         self._digests[node.output] = value_digest(self.folder(node))
         self._on_event(Event("cached", node.name, manifest=kept))

@@ -5,13 +5,14 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pydantic
 from pydantic.dataclasses import dataclass
@@ -20,6 +21,12 @@ from video2anim.errors import ArtifactError, InputError, UsageError
 
 STAGES = "stages"
 RECORD = "run.json"
+RESULTS = (
+    r"(motion|scene)\w*\.\w+|preview\.mp4|report\.html|objects/\d+\.glb|"
+    r"fbx_ready/(person_\d+\.glb|blender_to_fbx\.py)"
+)
+"""What a run may write at the top of the folder."""
+ResultName = Annotated[str, pydantic.Field(pattern=f"^({RESULTS})$")]
 RECORD_ASIDE, RESULT_ASIDE = ".run-", ".new-"
 """How the names of files begin that are written aside, to be renamed when whole."""
 
@@ -52,7 +59,7 @@ class RunRecord:
     settings: dict[str, Any] = field(default_factory=dict)
     """Options that differ from the preset because the user said so; later runs keep them."""
     stages: list[StageRow] = field(default_factory=list)
-    results: dict[str, str] = field(default_factory=dict)
+    results: dict[ResultName, str] = field(default_factory=dict)
     """Files outside of `stages/` that the run wrote: path relative to the folder, and sha256."""
 
     def with_rows(self, rows: Mapping[str, StageRow]) -> list[StageRow]:
@@ -62,6 +69,11 @@ class RunRecord:
 
 
 _RECORD = pydantic.TypeAdapter(RunRecord)
+
+
+def is_result_name(name: str) -> bool:
+    """Whether a run may write a file of this name, relative to the folder."""
+    return re.fullmatch(RESULTS, name) is not None
 
 
 def has_record(scene_dir: Path) -> bool:
@@ -120,7 +132,7 @@ def prepare(scene_dir: Path) -> None:
     Raises:
         InputError: it is a file, writing is not allowed, or a part of it is a link.
     """
-    for part in (STAGES, "objects", ".lock", RECORD):
+    for part in (STAGES, "objects", "fbx_ready", ".lock", RECORD):
         expect_no_link(scene_dir / part)
     try:
         (scene_dir / STAGES).mkdir(parents=True, exist_ok=True)
