@@ -6,8 +6,8 @@
 All rows have the same size, steps, batch and seed: they compare with each other, not with the package's weights. They
 learn one thing only, the expected motion between exact keyframes (`ALONE`), so that minutes say something.
 A run that is in `--runs` already goes on to `--steps`; rows with the same motion share its windows. Each row is written
-to `runs/ROW/numbers.json` when done, and all that are there to `ablations.json` and `.md`: validation clips at 15,
-30 and 60 frames, and collisions in scenes that tell, before anything is cleared after sampling.
+to `runs/ROW/numbers.json` when done, and all that are there to `ablations.json` and `.md`: the base's validation clips
+at 15, 30 and 60 frames, and collisions in scenes that tell, before anything is cleared after sampling.
 """
 
 from __future__ import annotations
@@ -104,7 +104,8 @@ def measured(variant: Variant, options: argparse.Namespace) -> dict[str, Any]:
     chosen = {**ALONE, **variant.training, **variant.data}
     config = TrainConfig.from_json({"model": shape, "pool_windows": options.pool, **chosen})
     files = RunFiles(config, tuple(options.motion), Split.read(options.split), options.runs / "motion")
-    motions, watched = motions_for(files)
+    motions, _ = motions_for(files)
+    _, watched = motions_for(replace(files, config=TrainConfig()))
     assert watched is not None
     out = options.runs / variant.folder
     out.mkdir(parents=True, exist_ok=True)

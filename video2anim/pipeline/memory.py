@@ -6,15 +6,23 @@ import contextlib
 from pathlib import Path
 
 _PROC = Path("/proc/self")
+_SLACK_KB = 4096
+"""The kernel counts pages of each thread in batches, so that two counters read together differ by some."""
 
 
 def reset_peak() -> bool:
-    """Start a new measurement; False where the kernel does not allow it (other systems than Linux, some containers)."""
+    """Start a new measurement.
+
+    Returns:
+        False where that is not possible (other systems than Linux, some containers), also where the kernel takes the
+        request and keeps the peak.
+    """
     try:
         (_PROC / "clear_refs").write_text("5")
     except OSError:
         return False
-    return True
+    peak, now = _status_kb("VmHWM"), _status_kb("VmRSS")
+    return peak is not None and now is not None and peak <= now + _SLACK_KB
 
 
 def peak_mb() -> float | None:
@@ -22,9 +30,14 @@ def peak_mb() -> float | None:
 
     None where none can be started: the peak there is that of the process's whole life.
     """
-    peak = None
+    peak = _status_kb("VmHWM")
+    return peak * 1024 / 1e6 if reset_peak() and peak is not None else None
+
+
+def _status_kb(key: str) -> float | None:
+    """A number of the kernel's report on this process."""
     with contextlib.suppress(OSError):
         for line in (_PROC / "status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                peak = float(line.split()[1]) * 1024 / 1e6
-    return peak if reset_peak() else None
+            if line.startswith(f"{key}:"):
+                return float(line.split()[1])
+    return None
