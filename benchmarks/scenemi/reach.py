@@ -110,13 +110,13 @@ def scenes(prior: Any, windows: Sequence[EvaluationWindow], options: argparse.Na
     """Collisions at r = 60 before clearing."""
     placed = with_pseudo_scenes(windows)
     rows: dict[str, InbetweeningPrior] = {
-        "scene shown": AblatedPrior(prior, use_clearing=False),
-        "scene not shown": AblatedPrior(prior, use_scene=False, use_clearing=False),
+        "scene shown": prior,
+        "scene not shown": AblatedPrior(prior, use_scene=False),
         "interpolation": InterpolationPrior(),
     }
     if options.blind:
         blind: Any = choose_prior(str(options.blind), device="cpu", steps=options.steps)
-        rows["trained without scene"] = AblatedPrior(blind, use_clearing=False)
+        rows["trained without scene"] = blind
     table: dict[str, Any] = {"telling_share": telling_share(placed)}
     for name, one in rows.items():
         found = evaluate(placed, one, KeyframeProtocol(60))

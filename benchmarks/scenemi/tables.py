@@ -43,8 +43,7 @@ TABLES = ("1", "2", "3", "6", "7", "8", "9")
 CLEAN = KeyframeProtocol(60)
 NOISY = KeyframeProtocol(3, noise=1.0)
 ABLATIONS: dict[str, dict[str, bool]] = {
-    "w/o clearing (at sampling)": {"use_clearing": False},
-    "w/o scene (at sampling)": {"use_scene": False, "use_clearing": False},
+    "w/o scene (at sampling)": {"use_scene": False},
 }
 QUALITY = ("fid", "skating_gmd", "jerk_m_s3", "mjpe_key_m", "mjpe_all_m", "collision_frame_ratio", "penetration_max_m")
 CLOSE = ("close_collision_frame_ratio", "close_collision_frame_ratio_1cm", "close_collision_vertex_ratio",
