@@ -301,10 +301,10 @@ def test_every_kind_of_reference_stays_inside(tmp_path: Path, kind: str, key: st
     assert read_value(type(value), folder) is not None
     (folder / name[1]).rename(tmp_path / "stages" / name[1])
     (folder / "value.json").write_text(text.replace(name[1], f"../{name[1]}"))
-    assert "inside the stage folder" in refused(type(value), folder)
+    assert "inside the folder" in refused(type(value), folder)
     (folder / "value.json").write_text(text)
     (folder / name[1]).symlink_to(f"../{name[1]}")
-    assert "inside the stage folder" in refused(type(value), folder)
+    assert "inside the folder" in refused(type(value), folder)
 
 
 # Structure and scalars

@@ -191,7 +191,7 @@ def _no_frames(rows: np.ndarray, axes: Mapping[str, int]) -> np.ndarray:
 _FAULTS: dict[Any, Callable[[np.ndarray, Mapping[str, int]], np.ndarray]] = {
     Holds.ROTATION: _no_rotation,
     Holds.RIGID: _not_rigid,
-    Holds.DIRECTION: lambda vector, _: np.abs(np.square(np.clip(vector, -2, 2)).sum() - 1.0) > _ROTATION_TOLERANCE,
+    Holds.DIRECTION: lambda vector, _: np.abs(np.square(np.clip(vector, -2, 2)).sum(-1) - 1.0) > _ROTATION_TOLERANCE,
     Holds.RISING: _not_rising,
     Holds.FRAMES: _no_frames,
     Holds.SHARES: lambda share, _: (share < -1e-6) | (share > 1 + 1e-6),

@@ -25,7 +25,7 @@ _SHOWN = 60
 
 
 def member(folder: Path, name: str) -> Path:
-    """The regular file that a stage folder calls by this name.
+    """The regular file that a folder calls by this name.
 
     Raises:
         ArtifactError: it leads out of the folder, is missing, or is something else.
@@ -33,7 +33,7 @@ def member(folder: Path, name: str) -> Path:
     path = folder / name
     try:
         if not path.resolve().is_relative_to(folder.resolve()):
-            raise ArtifactError(f"want files inside the stage folder, got {shown(name)}; put a copy into {folder}")
+            raise ArtifactError(f"want files inside the folder, got {shown(name)}; put a copy into {folder}")
         there = path.is_file()
     except (OSError, ValueError, RuntimeError) as error:  # a name too long, with a NUL, or a circle of links
         raise ArtifactError(f"want the name of a file, got {shown(name)} in {folder}") from error

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from video2anim.errors import ArtifactError, InputError
 from video2anim.eval.alignment import (
     FrameMatch,
     PersonMatch,
@@ -42,7 +41,7 @@ def evaluate(scene_dir: Path | str, truth_dir: Path | str) -> Evaluation:
     frames = match_frames(result.clip, truth)
     people = _People(result, truth, frames)
     scene = result.get(SceneModel) or result.why(SceneModel)
-    field = _field(truth)
+    field = true_field(truth)
     evaluated = tuple(people.evaluate(match, field, scene) for match in people.matches)
     T_true_estimate = people.T_true_estimate()
     groups = (
@@ -58,13 +57,6 @@ def evaluate(scene_dir: Path | str, truth_dir: Path | str) -> Evaluation:
         space_group(scene, truth, field, T_true_estimate),
     )
     return Evaluation(truth.name, _facts(result, truth), groups, evaluated, tuple(result.missing() + people.notes()))
-
-
-def _field(truth: Truth) -> SdfGrid:
-    try:
-        return true_field(truth)
-    except ArtifactError as error:
-        raise InputError(f"{truth.folder}: damaged truth folder ({error}); make the clip again") from error
 
 
 class _People:
@@ -155,12 +147,10 @@ def mean_group(groups: Sequence[Group]) -> Group:
 
 
 def _facts(result: SceneResult, truth: Truth) -> dict[str, str]:
-    persons = truth.meta.get("persons", [])
-    kinds = sorted({str(person["kind"]) for person in persons if "kind" in person})
     facts = {
         "clip": truth.name,
-        "synth preset": str(truth.meta.get("preset", "")),
-        "motion": ", ".join(kinds) or str(truth.meta.get("kind", "")),
+        "synth preset": truth.preset,
+        "motion": ", ".join(sorted(set(truth.kinds))),
         "length": f"{truth.duration_s:.1f} s",
         "picture": f"{result.clip.width_px} x {result.clip.height_px} px",
         "camera": "fixed" if truth.is_static else "moving",

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 
-from video2anim.errors import ArtifactError
 from video2anim.eval.alignment import match_frames, resample_nearest, truth_from_estimate
 from video2anim.eval.boxes import OrientedBox, box_iou_3d, box_of, chamfer_m, surface_points
 from video2anim.eval.model import Group, Spec, make_group
@@ -174,12 +173,7 @@ def objects_group(result: SceneResult, truth: Truth, T_true_estimate: Float[np.n
         if value is None or isinstance(T_true_estimate, str):
             columns[name] = result.why(kind) or str(T_true_estimate)
             continue
-        try:
-            compared = _means(compared_objects(value.objects, furniture, by_mask, T_true_estimate), furniture)
-        except ArtifactError as error:
-            columns[name] = str(error)
-            continue
-        columns[name] = compared
+        columns[name] = _means(compared_objects(value.objects, furniture, by_mask, T_true_estimate), furniture)
         notes.append(f"{name}: {len(value.objects)} objects")
     return make_group("objects", "Objects in space", OBJECTS, columns, note="; ".join(notes) + ".")
 

@@ -181,9 +181,7 @@ def space_points(truth: Truth) -> Float[np.ndarray, "points 3"]:
     """Grid points within reach of a true pelvis, inside the room, that some frame's camera has in its picture."""
     pelvis_m = np.concatenate([person.joints_world_m[:, metrics.ROOT] for person in truth.people])[:, [0, 2]]
     low, high = pelvis_m.min(0) - REACH_M, pelvis_m.max(0) + REACH_M
-    bounds = truth.meta.get("room", {}).get("bounds_m")
-    if bounds is not None:
-        low, high = np.maximum(low, bounds[0::2]), np.minimum(high, bounds[1::2])
+    low, high = np.maximum(low, truth.room_bounds_m[0::2]), np.minimum(high, truth.room_bounds_m[1::2])
     axes = [np.arange(low[0], high[0], STEP_M), np.arange(*HEIGHTS_M, STEP_M), np.arange(low[1], high[1], STEP_M)]
     grid_m = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     gap_m = np.full(len(grid_m), np.inf)

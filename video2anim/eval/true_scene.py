@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from video2anim.errors import ArtifactError
+from video2anim.artifacts.user_files import read_mesh_file
 from video2anim.eval.truth import TrueObject, Truth
 from video2anim.geometry.projection import transform_points
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
@@ -34,29 +34,18 @@ def read_glb(path: Path) -> Mesh:
     """Triangles of a GLB in its own frame, vertices at one place merged. Unchanged files are read once.
 
     Raises:
-        ArtifactError: missing or no mesh.
+        InputError: missing or no mesh.
     """
-    try:
-        changed_ns = path.stat().st_mtime_ns
-    except OSError as error:
-        raise ArtifactError(f"truth: want a mesh, got {error.strerror} at {path}") from error
-    return _read_glb(path, changed_ns)
+    return _read_glb(path, path.stat().st_mtime_ns if path.exists() else 0)
 
 
 @functools.lru_cache(maxsize=128)
 def _read_glb(path: Path, changed_ns: int) -> Mesh:
-    import trimesh
-
-    try:
-        loaded = trimesh.load_scene(path).to_mesh()
-    except Exception as error:  # the loader raises what its parsers raise
-        raise ArtifactError(f"truth: want a mesh, got {type(error).__name__} at {path}") from error
-    if not len(loaded.faces):
-        raise ArtifactError(f"truth: want a mesh with faces, got none at {path}")
-    places, index = np.unique(np.asarray(loaded.vertices, np.float64).round(6), axis=0, return_inverse=True)
-    faces = index.reshape(-1)[np.asarray(loaded.faces)]
+    mesh = read_mesh_file(path)
+    places, index = np.unique(mesh.vertices_m.round(6), axis=0, return_inverse=True)
+    faces = index.reshape(-1)[mesh.faces]
     real = (faces != np.roll(faces, 1, axis=1)).all(1)
-    return Mesh(places, faces[real].astype(np.int64), np.full((len(places), 3), 160, np.uint8))
+    return Mesh(places, faces[real], np.full((len(places), 3), 160, np.uint8))
 
 
 def world_mesh(item: TrueObject) -> Mesh:
@@ -119,10 +108,7 @@ def _reaches(vertices_m: np.ndarray, bounds_m: Float[np.ndarray, "2 3"]) -> bool
 
 
 def _with_walls(grid: SdfGrid, truth: Truth) -> np.ndarray:
-    bounds = truth.meta.get("room", {}).get("bounds_m")
-    if bounds is None:
-        return grid.sdf_m
-    x0, x1, z0, z1 = (float(v) for v in bounds)
+    x0, x1, z0, z1 = truth.room_bounds_m
     x, z = (grid.origin_m[a] + grid.spacing_m * np.arange(grid.sdf_m.shape[a]) for a in (0, 2))
     walls = np.minimum(np.minimum(x - x0, x1 - x)[:, None], np.minimum(z - z0, z1 - z)[None, :])
     return np.minimum(grid.sdf_m, walls[:, None, :].astype(np.float32))

@@ -3,24 +3,76 @@
 from __future__ import annotations
 
 import functools
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
+from pydantic import Field, FiniteFloat, NonNegativeInt
 
+from video2anim.artifacts.arrays import Axes, expect_content, opened_archive
 from video2anim.artifacts.images import read_png
 from video2anim.artifacts.motion_io import read_motion
+from video2anim.artifacts.stage_files import member, read_json
 from video2anim.errors import ArtifactError, InputError
 from video2anim.types import BodyMotion, Intrinsics
+from video2anim.types.storage import Holds
 
-FORMAT_VERSION = 1
 _FIRST_PERSON_VALUE = 1000
 """Pixels of person p hold 1000 + p."""
-_NEEDED = ("up_camera", "label_frame_index", "depth_mm", "instance", "background_depth_mm", "background_instance")
 _FLOOR_LABELS = ("floor", "rug")
+_ARRAYS: dict[str, Any] = {
+    "up_camera": Annotated[Float[np.ndarray, "frames 3"], Holds.DIRECTION],
+    "is_static": Bool[np.ndarray, ""],
+    "label_frame_index": Annotated[Int[np.ndarray, "maps"], Holds.FRAMES],
+    "depth_mm": UInt16[np.ndarray, "maps height width"],
+    "instance": UInt16[np.ndarray, "maps height width"],
+    "background_depth_mm": Annotated[UInt16[np.ndarray, "backgrounds height width"], Holds.SOMETHING],
+    "background_instance": UInt16[np.ndarray, "backgrounds height width"],
+    "object_id": Int[np.ndarray, "objects"],
+    "object_visible_px": Int[np.ndarray, "objects"],
+    "amodal_object_id": Int[np.ndarray, "outlines"],
+    "amodal": Bool[np.ndarray, "outlines height width"],
+    "person_box_px": Annotated[Float[np.ndarray, "people frames 4"], Holds.GAPS],
+}
+"""What is read of `truth.npz` besides the main person's motion, and what it must be."""
+_Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+@dataclass(frozen=True)
+class _Person:
+    person_id: NonNegativeInt
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class _Thing:
+    object_id: int
+    label: str
+    is_furniture: bool
+    T_world_object: tuple[_Row, _Row, _Row, _Row]
+    file: str
+    is_moving: bool = False
+
+
+@dataclass(frozen=True)
+class _Room:
+    bounds_m: _Row
+
+
+@dataclass(frozen=True)
+class _Meta:
+    """What is read of `meta.json`."""
+
+    format_version: Literal[1]
+    name: str
+    preset: str
+    fps: Annotated[float, Field(ge=1, le=1000)]
+    frames: int
+    persons: Annotated[tuple[_Person, ...], Field(min_length=1)]
+    objects: tuple[_Thing, ...]
+    room: _Room
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +101,12 @@ class Truth:
 
     folder: Path
     name: str
-    meta: dict[str, Any]
+    preset: str
+    kinds: tuple[str, ...]
+    """What the persons do."""
+    fps: float
+    room_bounds_m: tuple[float, float, float, float]
+    """x0, x1, z0, z1."""
     people: tuple[BodyMotion, ...]
     """Main person first, in the true world."""
     up_camera: Float[np.ndarray, "frames 3"]
@@ -58,7 +115,7 @@ class Truth:
     instance: UInt16[np.ndarray, "maps height width"]
     background_depth_m: Float[np.ndarray, "height width"]
     """First frame's camera, without people and carried things."""
-    background_instance: Int[np.ndarray, "height width"]
+    background_instance: UInt16[np.ndarray, "height width"]
     amodal: dict[int, Bool[np.ndarray, "height width"]]
     """Whole outline of each piece of furniture as if nothing hid it, by object."""
     person_box_px: Float[np.ndarray, "people frames 4"]
@@ -79,10 +136,6 @@ class Truth:
         return self.main.frame_time_s
 
     @property
-    def fps(self) -> float:
-        return float(self.meta.get("fps", 30.0))
-
-    @property
     def duration_s(self) -> float:
         return len(self.frame_time_s) / self.fps
 
@@ -101,12 +154,11 @@ class Truth:
         """The first frame's camera without people.
 
         Raises:
-            ArtifactError: absent or unreadable.
+            ArtifactError: absent, unreadable or of another size.
         """
-        path = self.folder / "plate.png"
-        if not path.is_file():
-            raise ArtifactError(f"truth: want plate.png, found none in {self.folder}")
-        return read_png(path, np.dtype(np.uint8))
+        size: Axes = {"height": self.intrinsics.height_px, "width": self.intrinsics.width_px}
+        hint = UInt8[np.ndarray, "height width 3"]
+        return read_png(self.folder / "plate.png", np.dtype(np.uint8), hint=hint, axes=size)
 
     def furniture(self, least_px: float) -> tuple[TrueObject, ...]:
         """Standing furniture of which at least so many pixels of the clip are seen, free of people."""
@@ -126,118 +178,48 @@ def read_truth(folder: Path | str) -> Truth:
         InputError: not a truth folder, of another format version, or damaged.
     """
     folder = Path(folder)
-    for name in ("meta.json", "truth.npz"):
-        if not (folder / name).is_file():
-            raise InputError(f"{folder}: want the truth folder of a clip (made by `video2anim synth`), found no {name}")
     try:
-        meta = json.loads((folder / "meta.json").read_text())
-        version = meta["format_version"]
-        if version != FORMAT_VERSION:
-            raise InputError(
-                f"{folder}: want a truth folder of format {FORMAT_VERSION}, got {version!r}; make the clip again"
-            )
-        truth = _truth_from(folder, meta, _arrays(folder / "truth.npz"))
-        _expect_sound(truth)
-        return truth
-    except InputError:
-        raise
-    except (
-        ArtifactError,
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        IndexError,
-        RecursionError,
-    ) as error:
-        detail = f"key {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(f"{folder}: damaged truth folder ({detail}); make the clip again") from error
+        return _truth(folder, read_json(folder / "meta.json", _Meta))
+    except ArtifactError as error:
+        raise InputError(
+            f"truth: {error}; want the truth folder of a clip as `video2anim synth` makes it, make the clip again"
+        ) from error
 
 
-def _expect_sound(truth: Truth) -> None:
-    """What numbers are made from has to be finite and to belong together."""
-    if not 0 < truth.fps < 1e6:
-        raise ValueError(f"fps: want more than 0, got {truth.fps:g}")
-    for item in truth.objects:
-        if not np.isfinite(item.T_world_object).all():
-            raise ValueError(f"object {item.object_id}: want a finite pose")
-    index, frames = truth.label_frame_index, truth.main.frame_count
-    if index.ndim != 1 or index.size == 0 or index.min() < 0 or index.max() >= frames:
-        raise ValueError(f"label_frame_index: want frames from 0 to {frames - 1}")
-    height, width = truth.background_depth_m.shape
-    for name, maps, shape in (
-        ("depth_mm", truth.depth_mm, (len(index), height, width)),
-        ("instance", truth.instance, (len(index), height, width)),
-        ("background_instance", truth.background_instance, (height, width)),
-    ):
-        if maps.shape != shape or maps.dtype.kind not in "iu":
-            raise ValueError(f"{name}: want whole numbers of shape {shape}, got {maps.dtype} {maps.shape}")
-
-
-def _arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            return {key: archive[key] for key in archive.files}
-    except Exception as error:  # zipfile and zlib raise classes of their own
-        raise ArtifactError(f"{path.name} is unreadable: {error}") from error
-
-
-def _truth_from(folder: Path, meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> Truth:
-    for key in _NEEDED:
-        if key not in arrays:
-            raise KeyError(key)
-    people = _people(folder, meta)
-    seen = dict(zip(_list(arrays, "object_id"), _list(arrays, "object_visible_px"), strict=True))
-    boxes_px = arrays.get("person_box_px", np.zeros((0, people[0].frame_count, 4)))
-    rows = np.full((len(people), people[0].frame_count, 4), np.nan)
-    rows[: min(len(boxes_px), len(people))] = boxes_px[: len(people)]
+def _truth(folder: Path, meta: _Meta) -> Truth:
+    axes: Axes = {"frames": meta.frames, "people": len(meta.persons)}
+    ids = [person.person_id for person in meta.persons]
+    people = tuple(
+        read_motion(folder / name, axes) for name in ("truth.npz", *(f"truth_{number}.npz" for number in ids[1:]))
+    )
+    if [person.person_id for person in people] != ids:
+        raise ArtifactError(f"persons: want {[person.person_id for person in people]}, got {ids} in {folder}")
+    with opened_archive(folder / "truth.npz") as archive:
+        found = {key: archive.read(key, hint, axes) for key, hint in _ARRAYS.items()}
+    seen = dict(zip(found["object_id"].tolist(), found["object_visible_px"].tolist(), strict=True))
     return Truth(
         folder=folder,
-        name=str(meta.get("name", folder.name)),
-        meta=meta,
+        name=meta.name,
+        preset=meta.preset,
+        kinds=tuple(person.kind for person in meta.persons),
+        fps=meta.fps,
+        room_bounds_m=meta.room.bounds_m,
         people=people,
-        up_camera=arrays["up_camera"],
-        label_frame_index=arrays["label_frame_index"].astype(np.int64),
-        depth_mm=arrays["depth_mm"],
-        instance=arrays["instance"],
-        background_depth_m=arrays["background_depth_mm"][0].astype(np.float32) / 1000,
-        background_instance=arrays["background_instance"][0].astype(np.int64),
-        amodal={
-            number: mask.astype(bool)
-            for number, mask in zip(_list(arrays, "amodal_object_id"), arrays.get("amodal", ()), strict=True)
-        },
-        person_box_px=rows,
-        objects=tuple(_object(folder, entry, seen) for entry in meta["objects"]),
-        is_static=bool(arrays.get("is_static", True)),
+        up_camera=found["up_camera"],
+        label_frame_index=found["label_frame_index"],
+        depth_mm=found["depth_mm"],
+        instance=found["instance"],
+        background_depth_m=found["background_depth_mm"][0].astype(np.float32) / 1000,
+        background_instance=found["background_instance"][0],
+        amodal=dict(zip(found["amodal_object_id"].tolist(), found["amodal"], strict=True)),
+        person_box_px=found["person_box_px"],
+        objects=tuple(_object(folder, thing, seen) for thing in meta.objects),
+        is_static=bool(found["is_static"]),
     )
 
 
-def _people(folder: Path, meta: dict[str, Any]) -> tuple[BodyMotion, ...]:
-    """Motions in the order of `meta["persons"]`, so that they fit the rows of `person_box_px`."""
-    ids = [int(person["person_id"]) for person in meta["persons"]]
-    people = []
-    for number in ids:
-        further = folder / f"truth_{number}.npz"
-        people.append(read_motion(further if further.is_file() else folder / "truth.npz"))
-    frames = {motion.frame_count for motion in people}
-    if len(frames) != 1:
-        raise ValueError(f"the persons have different numbers of frames: {sorted(frames)}")
-    return tuple(people)
-
-
-def _object(folder: Path, entry: dict[str, Any], seen: dict[int, int]) -> TrueObject:
-    number = int(entry["object_id"])
-    return TrueObject(
-        object_id=number,
-        label=str(entry["label"]),
-        is_furniture=bool(entry["is_furniture"]),
-        is_moving=bool(entry.get("is_moving", False)),
-        T_world_object=np.asarray(entry["T_world_object"], dtype=np.float64).reshape(4, 4),
-        file=folder / str(entry["file"]),
-        visible_px=int(seen.get(number, 0)),
-    )
-
-
-def _list(arrays: dict[str, np.ndarray], key: str) -> list[int]:
-    return [int(x) for x in arrays[key]] if key in arrays else []
+def _object(folder: Path, thing: _Thing, seen: dict[int, int]) -> TrueObject:
+    T, number = np.array(thing.T_world_object), thing.object_id
+    expect_content(T, (Holds.RIGID,), {}, f"T_world_object of object {number}", folder / "meta.json")
+    file = member(folder, thing.file)
+    return TrueObject(number, thing.label, thing.is_furniture, thing.is_moving, T, file, seen.get(number, 0))

@@ -26,7 +26,7 @@ class Holds(StrEnum):
     GAPS = "numbers, NaN where nothing is known"
     ROTATION = "rotation matrices (orthonormal, determinant 1)"
     RIGID = "rigid transforms (a rotation, a translation within 10 km, last row 0 0 0 1)"
-    DIRECTION = "a vector of length 1"
+    DIRECTION = "vectors of length 1"
     RISING = "numbers that rise from row to row"
     FRAMES = "numbers of frames of the clip that rise from 0 or later"
     SHARES = "numbers from 0 to 1"
