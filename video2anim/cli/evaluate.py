@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from video2anim.errors import InputError
+from video2anim.errors import InputError, UsageError
+from video2anim.pipeline.results import into_place
 
 if TYPE_CHECKING:
     from video2anim.eval.model import Evaluation, Group, SetEvaluation, SetGroup
@@ -162,28 +162,23 @@ def _expect_writable(*paths: Path | None) -> None:
     """Refuse before the work what could not be written after it.
 
     Raises:
-        InputError: the folder is absent or may not be written, or the path is a folder.
+        UsageError: one file for two things.
+        InputError: the folder is absent or may not be written, or the path is a folder, link, pipe or device.
     """
-    for path in paths:
-        if path is None:
-            continue
-        folder = path.absolute().parent
-        if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+    given = [path.absolute() for path in paths if path is not None]
+    if len(given) != len(set(given)):
+        raise UsageError(f"--json, --html: want two files, got {given[0]} for both")
+    for path in given:
+        try:
+            with tempfile.TemporaryFile(dir=path.parent):
+                usable = not path.is_symlink() and (path.is_file() or not path.exists())
+        except OSError:
+            usable = False
+        if not usable:
             raise InputError(f"output: want a file in an existing folder that can be written, got {path}")
 
 
 def _write(path: Path | None, option: str, text: Callable[[], str]) -> None:
-    """Write aside and rename."""
-    if path is None:
-        return
-    handle, name = tempfile.mkstemp(prefix=".new-", dir=path.absolute().parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text())
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except OSError as error:
-        raise InputError(f"{option}: could not write {path} ({error.strerror})") from error
-    finally:
-        Path(name).unlink(missing_ok=True)
-    _say(str(path))
+    if path is not None:
+        into_place(path, lambda aside: Path(aside).write_text(text(), encoding="utf-8"), option)
+        _say(str(path))

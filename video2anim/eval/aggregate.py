@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -26,7 +27,7 @@ def paired_folders(results_dir: Path, truth_dir: Path) -> tuple[list[tuple[Path,
         InputError: one of the two is no folder, or there is no truth in it.
     """
     for path in (results_dir, truth_dir):
-        if not path.is_dir():
+        if not os.path.isdir(path):  # Path.is_dir raises where a name is too long
             raise InputError(f"eval-set: want a folder with one folder per clip, found none at {path}")
     names = sorted(path.parent.name for path in truth_dir.glob("*/meta.json"))
     if not names:

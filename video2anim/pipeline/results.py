@@ -102,7 +102,7 @@ def _expect_ours(scene_dir: Path, name: str, digest: str, record: RunRecord) -> 
         )
 
 
-def into_place(target: Path, write: Callable[[str], Any]) -> None:
+def into_place(target: Path, write: Callable[[str], Any], option: str = "--out") -> None:
     """Write aside and rename, so that a result file is never half there.
 
     Raises:
@@ -117,7 +117,7 @@ def into_place(target: Path, write: Callable[[str], Any]) -> None:
         os.replace(name, target)
     except OSError as error:
         raise InputError(
-            f"--out: could not write {target} ({error.strerror}); free space or choose another folder"
+            f"{option}: could not write {target} ({error.strerror}); free space or choose another folder"
         ) from error
     finally:
         if name:

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import pydantic
 from pydantic.dataclasses import dataclass
 
+from video2anim.artifacts.stage_files import read_json
 from video2anim.errors import ArtifactError, InputError, UsageError
 
 STAGES = "stages"
@@ -68,9 +69,6 @@ class RunRecord:
         return list((kept | dict(rows)).values())
 
 
-_RECORD = pydantic.TypeAdapter(RunRecord)
-
-
 def is_result_name(name: str) -> bool:
     """Whether a run may write a file of this name, relative to the folder."""
     return re.fullmatch(RESULTS, name) is not None
@@ -78,7 +76,7 @@ def is_result_name(name: str) -> bool:
 
 def has_record(scene_dir: Path) -> bool:
     """Whether the folder was made by a run."""
-    return (scene_dir / RECORD).is_file()
+    return os.path.isfile(scene_dir / RECORD)  # Path.is_file raises where a name is too long
 
 
 def read_record(scene_dir: Path) -> RunRecord:
@@ -88,20 +86,14 @@ def read_record(scene_dir: Path) -> RunRecord:
         InputError: not a scene folder.
         ArtifactError: damaged.
     """
-    path = scene_dir / RECORD
-    if not path.is_file():
+    if not has_record(scene_dir):
         raise InputError(f"{scene_dir}: want a scene folder made by `video2anim run`, found no run.json")
     try:
-        return _RECORD.validate_json(path.read_bytes())
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        detail = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}"
-    except OSError as error:
-        detail = error.strerror
-    raise ArtifactError(
-        f"run.json: damaged ({detail}) at {path}; delete it and run `video2anim run VIDEO --out {scene_dir}`, "
-        "finished stages are kept"
-    )
+        return read_json(scene_dir / RECORD, RunRecord)
+    except ArtifactError as error:
+        raise ArtifactError(
+            f"{error}; delete it and run `video2anim run VIDEO --out {scene_dir}`, finished stages are kept"
+        ) from error
 
 
 def write_record(scene_dir: Path, record: RunRecord) -> None:
