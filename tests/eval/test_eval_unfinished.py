@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +13,8 @@ from tiny_truth import FRAMES, STAGES, Tiny, write_manifest, write_scene
 
 from video2anim.artifacts.codec import read_value, write_value
 from video2anim.cli.compose import pipeline_nodes
-from video2anim.errors import InputError
 from video2anim.eval.evaluate import evaluate
 from video2anim.eval.results import STAGE_OF
-from video2anim.eval.truth import read_truth
 from video2anim.types import CameraEstimate, InstanceMasks, VideoClip
 
 
@@ -48,22 +44,6 @@ def test_a_damaged_stage_is_named(tmp_path: Path, truth_dir: Path, tiny: Tiny) -
     found = evaluate(scene, truth_dir)
     assert any("stage camera is unreadable" in note for note in found.notes)
     assert value(found, "motion", "mpjpe") == pytest.approx(0, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("damage", "said"),
-    [
-        ({"fps": "x"}, "could not convert"), ({"fps": 0}, "fps: want more than 0"), ({"fps": None}, "float"),
-        ({"fps": float("nan")}, "fps: want more than 0"), ("[" * 100_000, "recursion"),
-    ],
-)  # fmt: skip
-def test_a_damaged_truth_is_one_line(tmp_path: Path, truth_dir: Path, damage: Any, said: str) -> None:
-    folder = tmp_path / "truth"
-    shutil.copytree(truth_dir, folder)
-    path = folder / "meta.json"
-    path.write_text(damage if isinstance(damage, str) else json.dumps(json.loads(path.read_text()) | damage))
-    with pytest.raises(InputError, match=said):
-        read_truth(folder)
 
 
 def test_old_bodies_are_not_judged_with_a_new_camera(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
