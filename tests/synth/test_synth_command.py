@@ -54,6 +54,8 @@ SMALL = ("--size", "96x72", "--longest", "0.3")
         (("--frames-only", "--longest", "2"), 2, "--longest: cannot apply with --frames-only"),
         (("--noncommercial",), 2, "--noncommercial: says which clips of --motion"),
         (("--motion", "absent.npz"), 3, "absent.npz"),
+        (("--motion", "x" * 300), 3, "file name too long"),
+        (("--meshes", "x" * 300), 3, "file name too long"),
         (("--meshes", "absent"), 3, "absent"),
         (("--preset", "bench", "--count", "1", "--room-size", "1x1.5"), 3, "needs a room of"),
     ],
@@ -88,6 +90,37 @@ def test_a_motion_archive_that_cannot_be_written_is_found_before_the_work(
     answer = video2anim("synth", "--motion-only", "--count", "1", "--out", tmp_path)
     assert answer.code == 3
     assert "is a directory" in answer.err
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_an_archive_does_not_replace_what_is_no_file(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "acted.npz"
+    os.mkfifo(path) if kind == "pipe" else path.symlink_to("elsewhere.npz")
+    answer = video2anim("synth", "--motion-only", "--count", "1", "--out", path)
+    assert (answer.code, len(answer.errors)) == (3, 1)
+    assert "(a link, pipe or device)" in answer.err
+    assert not path.is_file()
+
+
+@pytest.mark.parametrize("mode", [("00_walk", *SMALL), ("shard_00000", "--frames-only", "--size", "64x64")])
+@pytest.mark.parametrize("there", ["file", "link", "notes"])
+def test_what_synth_did_not_make_is_not_replaced(tmp_path: Path, mode: tuple[str, ...], there: str) -> None:
+    """A clip is made anew over an old one, but not over anything else of its name."""
+    place, words = tmp_path / mode[0], mode[1:]
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("years of work")
+    if there == "file":
+        place.write_text("years of work")
+    elif there == "link":
+        place.symlink_to("mine")
+    else:
+        (tmp_path / "mine").rename(place)
+    before = folder_digest(tmp_path)
+    answer = video2anim("synth", "--count", "1", *words, "--out", tmp_path)
+    assert (answer.code, len(answer.errors)) == (3, 1), answer.err
+    assert str(place) in answer.err
+    assert "move" in answer.err
+    assert folder_digest(tmp_path) == before
 
 
 @pytest.mark.parametrize("name", ["write_clip", "_write_set"])
@@ -136,6 +169,9 @@ def test_a_damaged_clip_is_made_again(tmp_path: Path, damage: str) -> None:
     (folder / "meta.json").write_text(json.dumps({"key": key}))
     assert kept_clip(folder, key) is not None
     (folder / "video.mp4").unlink() if not damage else (folder / "meta.json").write_text(damage)
+    assert kept_clip(folder, key) is None
+    (folder / "meta.json").unlink()
+    os.mkfifo(folder / "meta.json")
     assert kept_clip(folder, key) is None
 
 

@@ -195,7 +195,7 @@ _FAULTS: dict[Any, Callable[[np.ndarray, Mapping[str, int]], np.ndarray]] = {
     Holds.RISING: _not_rising,
     Holds.FRAMES: _no_frames,
     Holds.SHARES: lambda share, _: (share < -1e-6) | (share > 1 + 1e-6),
-    Holds.FROM_ORIGIN: lambda points, _: np.abs(points[0]) > 1e-6,
+    Holds.FROM_ORIGIN: lambda points, _: np.abs(points) > np.append(1e-6, np.full(len(points) - 1, MOST_M))[:, None],
     Holds.SOMETHING: lambda picture, _: np.asarray(not picture.any()),
 }
 """Where an array is not what a mark says: one boolean per row."""

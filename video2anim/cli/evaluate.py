@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from video2anim.errors import InputError, UsageError
-from video2anim.pipeline.results import into_place
+from video2anim.errors import InputError, UsageError, printable
 
 if TYPE_CHECKING:
     from video2anim.eval.model import Evaluation, Group, SetEvaluation, SetGroup
@@ -155,7 +154,7 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
 
 
 def _say(text: str) -> None:
-    typer.echo(text)
+    typer.echo(printable(text))
 
 
 def _expect_writable(*paths: Path | None) -> None:
@@ -179,6 +178,8 @@ def _expect_writable(*paths: Path | None) -> None:
 
 
 def _write(path: Path | None, option: str, text: Callable[[], str]) -> None:
+    from video2anim.pipeline.results import into_place
+
     if path is not None:
         into_place(path, lambda aside: Path(aside).write_text(text(), encoding="utf-8"), option)
         _say(str(path))

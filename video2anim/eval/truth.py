@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
 from pydantic import Field, FiniteFloat, NonNegativeInt
 
-from video2anim.artifacts.arrays import Axes, expect_content, opened_archive
+from video2anim.artifacts.arrays import MOST_M, Axes, expect_content, opened_archive
 from video2anim.artifacts.images import read_png
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.artifacts.stage_files import member, read_json
@@ -37,6 +37,7 @@ _ARRAYS: dict[str, Any] = {
     "person_box_px": Annotated[Float[np.ndarray, "people frames 4"], Holds.GAPS],
 }
 """What is read of `truth.npz` besides the main person's motion, and what it must be."""
+_Place = Annotated[float, Field(ge=-MOST_M, le=MOST_M)]
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
 
@@ -58,7 +59,7 @@ class _Thing:
 
 @dataclass(frozen=True)
 class _Room:
-    bounds_m: _Row
+    bounds_m: tuple[_Place, _Place, _Place, _Place]
 
 
 @dataclass(frozen=True)

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from video2anim import __version__
 from video2anim.artifacts.folder import whole_or_absent
+from video2anim.artifacts.stage_files import read_json
+from video2anim.errors import ArtifactError
 from video2anim.synth.generate import (
     SynthConfig,
     checked_sources,
     clip_key,
     compose_options,
+    expect_ours,
     in_processes,
     writing,
 )
@@ -92,11 +95,11 @@ def _shard(
         "width_px": config.width_px, "height_px": config.height_px, "labels": list(LABELS),
         "generator": f"video2anim {__version__}", "key": clip_key(specs[0], config, sources),
     }  # fmt: skip
-    try:
-        if json.loads((folder / "meta.json").read_text()) == meta:
+    with suppress(ArtifactError):
+        whole = all((folder / f"{key}.npy").is_file() for key in ARRAYS)
+        if whole and read_json(folder / "meta.json", dict[str, Any]) == meta:
             return ShardDone(name, size, True)
-    except (OSError, ValueError, RecursionError):
-        pass
+    expect_ours(folder)
     with whole_or_absent(folder) as work, ExitStack() as files:
         shape = (size, config.height_px, config.width_px)
         # Written picture by picture: a memory map on a full disk would end the process by a signal.

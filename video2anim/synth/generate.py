@@ -8,6 +8,7 @@ import json
 import multiprocessing
 import multiprocessing.connection
 import os
+import re
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -19,7 +20,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from video2anim import __version__
 from video2anim.artifacts.folder import file_digest, remove_unfinished
-from video2anim.errors import InputError, StageError
+from video2anim.artifacts.stage_files import read_json
+from video2anim.errors import ArtifactError, InputError, StageError
 from video2anim.synth.presets import V2A_BENCH, ClipSpec, clip_specs
 
 if TYPE_CHECKING:
@@ -28,6 +30,9 @@ if TYPE_CHECKING:
 Job = TypeVar("Job")
 Made = TypeVar("Made")
 SET_NAME = "set.json"
+_DIGESTED = ("truth.npz", "video.mp4")
+_OURS = re.compile(r"meta\.json|truth(_\d+)?\.npz|video\.mp4|plate\.png|scene\.glb|objects|\w+\.npy")
+"""What clips and shards consist of."""
 GENERATOR_VERSION = 1
 """Raised when the same specification gives another clip."""
 
@@ -78,8 +83,8 @@ def generate(
 
     Raises:
         UsageError: the preset or a count is wrong.
-        InputError: motion archives or meshes cannot be used, the output folder cannot be written, or a clip has no
-            suitable scene; clips that are finished stay.
+        InputError: motion archives or meshes cannot be used, the output folder cannot be written or holds what is no
+            clip, or a clip has no suitable scene; clips that are finished stay.
         StageError: a worker process was killed.
     """
     specs = clip_specs(config.preset, config.count, config.seed)
@@ -92,6 +97,7 @@ def generate(
         for spec in specs:
             kept = kept_clip(out / spec.name, clip_key(spec, config, sources))
             if kept is None:
+                expect_ours(out / spec.name)
                 missing.append(spec)
             else:
                 done[spec.name] = kept
@@ -190,15 +196,15 @@ def checked_sources(config: SynthConfig) -> dict[str, str]:
         InputError: an archive or mesh is missing or cannot be used.
     """
     files: list[Path] = []
-    for path in config.motion:
-        files += sorted(path.glob("*.npz")) if path.is_dir() else [path]
-    if config.meshes is not None and config.meshes.is_dir():
-        files += sorted(path for path in config.meshes.iterdir() if path.is_file())
-    missing = [path for path in files if not path.is_file()]
-    if missing:
-        raise InputError(f"motion: want an archive (.npz) or a folder of them, found nothing at {missing[0]}")
-    compose_options(config)
     try:
+        for path in config.motion:
+            files += sorted(path.glob("*.npz")) if path.is_dir() else [path]
+        if config.meshes is not None and config.meshes.is_dir():
+            files += sorted(path for path in config.meshes.iterdir() if path.is_file())
+        missing = [path for path in files if not path.is_file()]
+        if missing:
+            raise InputError(f"motion: want an archive (.npz) or a folder of them, found nothing at {missing[0]}")
+        compose_options(config)
         return {path.name: file_digest(path) for path in files}
     except OSError as error:
         raise InputError(f"cannot read {error.filename} ({(error.strerror or str(error)).lower()})") from error
@@ -229,15 +235,30 @@ def clip_key(spec: ClipSpec, config: SynthConfig, sources: dict[str, str]) -> st
 def kept_clip(folder: Path, key: str) -> ClipDone | None:
     """A finished clip of this key; None where there is none, or it is damaged."""
     try:
-        if json.loads((folder / "meta.json").read_text())["key"] == key:
+        made = all((folder / name).is_file() for name in _DIGESTED)
+        if made and read_json(folder / "meta.json", dict[str, Any])["key"] == key:
             return ClipDone(folder.name, True, _digests(folder))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (ArtifactError, OSError, KeyError):
         pass
     return None
 
 
+def expect_ours(folder: Path) -> None:
+    """What is made anew replaces the whole folder of that name, so nothing else may lie in it.
+
+    Raises:
+        InputError: it is a file or link, or holds what is no part of a clip or shard.
+    """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise InputError(f"--out: want to make the folder {folder}, found a file or link there; move it away")
+    if folder.is_dir():
+        for path in folder.iterdir():
+            if not _OURS.fullmatch(path.name):
+                raise InputError(f"--out: want to make {folder} anew, found {path.name} in it; move that away")
+
+
 def _digests(folder: Path) -> dict[str, str]:
-    return {name: file_digest(folder / name) for name in ("truth.npz", "video.mp4")}
+    return {name: file_digest(folder / name) for name in _DIGESTED}
 
 
 def _write_set(out: Path, config: SynthConfig, sources: dict[str, str], clips: Sequence[ClipDone]) -> None:

@@ -34,6 +34,8 @@ def write_acted(path: Path, *, count: int, seed: int) -> int:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            raise OSError("a link, pipe or device")
     clips = []
     for number in range(count):
         rng = np.random.default_rng([seed, number])
