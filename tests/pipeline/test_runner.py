@@ -399,7 +399,7 @@ WRONG = (
 @pytest.mark.parametrize("text", WRONG)
 def test_damaged_record_is_one_line(tmp_path: Path, text: str) -> None:
     (tmp_path / "run.json").write_text(text)
-    with pytest.raises(ArtifactError, match=r"run\.json: damaged .* delete it and run") as caught:
+    with pytest.raises(ArtifactError, match=r"run\.json: .* delete it and run") as caught:
         read_record(tmp_path)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 500

@@ -30,7 +30,7 @@ class Holds(StrEnum):
     RISING = "numbers that rise from row to row"
     FRAMES = "numbers of frames of the clip that rise from 0 or later"
     SHARES = "numbers from 0 to 1"
-    FROM_ORIGIN = "points within 10 km, the first at the origin"
+    FROM_ORIGIN = "the origin in the first row, points within 10 km"
     TEXT = "text"
     SOMETHING = "at least one pixel or triangle"
 
