@@ -28,7 +28,7 @@ from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.body.skeleton import JOINT_INDEX
 from video2anim.export.quality import measured_span, motion_quality
-from video2anim.types import BodyTracks, KeyframedMotion, PersonTracks, RefinedMotion, SceneModel, VideoClip
+from video2anim.types import BodyTracks, KeyframedMotion, PersonTracks, RefinedMotion, VideoClip
 
 LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 JOINTS = [JOINT_INDEX[f"{side}_{part}"] for part in LIMBS for side in ("left", "right")]
@@ -96,7 +96,7 @@ def measure(media: Path, name: str, scene_dir: Path) -> dict[str, object]:
 def refinement(scene_dir: Path, fps: float) -> dict[str, dict[str, float]]:
     """The main person's motion as observed, at keyframes and refined, in the scene that the same run found."""
     folders = {path.name.partition("_")[2]: path for path in (scene_dir / "stages").iterdir()}
-    scene = read_value(SceneModel, folders["scene"])
+    scene = read_value(RefinedMotion, folders["refine"]).scene
     found = {}
     for stage, kind in STEPS.items():
         motion = read_value(kind, folders[stage]).people[0]

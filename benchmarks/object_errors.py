@@ -36,7 +36,7 @@ from video2anim.types import (
     InstanceMasks,
     MetricDepth,
     PlacedObject,
-    SceneModel,
+    RefinedMotion,
 )  # fmt: skip
 
 FAR_OFF = 0.12
@@ -108,7 +108,7 @@ def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
     furniture = clip.truth.furniture(LEAST_VISIBLE_PX)
     pairs = pairs_by_mask(match_masks(masks, furniture, clip.truth))
     T = truth_from_estimate(body.T_world_camera, clip.truth, match_frames(clip.result.clip, clip.truth))
-    objects = clip.get(SceneModel).objects
+    objects = clip.get(RefinedMotion).scene.objects
     off: dict[int, float] = {}
     rows: dict[int, dict[str, Any]] = {}
     for number, j in pairs.items():

@@ -5,8 +5,8 @@ from scenemi import KeyframeMotion, inbetween, load_prior
 filled = inbetween(KeyframeMotion(R_parent_joint, translation_m, is_keyframe, rest_joints_m), load_prior("auto"))
 """
 
-from scenemi.foot_lock import FootLockConfig, lock_feet
 from scenemi.longmotion import KeyframeMotion, LongMotion, inbetween
+from scenemi.postprocess.motion_solve import SceneMotion, Solids, solve_motions
 from scenemi.prior import (
     InbetweeningPrior,
     InterpolationPrior,
@@ -20,17 +20,18 @@ from scenemi.windows import OVERLAP_FRAMES, WINDOW_FRAMES, plan_windows, select_
 __all__ = [
     "OVERLAP_FRAMES",
     "WINDOW_FRAMES",
-    "FootLockConfig",
     "InbetweeningPrior",
     "InterpolationPrior",
     "KeyframeMotion",
     "KeyframeWindow",
     "LongMotion",
+    "SceneMotion",
+    "Solids",
     "WindowMotion",
     "inbetween",
     "load_prior",
-    "lock_feet",
     "plan_windows",
     "scenemi_available",
     "select_keyframes",
+    "solve_motions",
 ]

@@ -38,6 +38,8 @@ class KeyframeMotion:
     """Whose skin meets the scene, for priors that look at it."""
     noise_level: float = 0.0
     """Paper's l of the keyframes (`KeyframeWindow.noise_level`)."""
+    noise: tuple[float, float] | None = None
+    """How far keyframes are off, degrees and centimetres, where that is not one l for both."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,6 +164,7 @@ def _window(span: WindowSpan, motion: KeyframeMotion, done: WindowMotion, scene:
     return KeyframeWindow(
         R_parent_joint, translation_m, is_keyframe, motion.rest_joints_m, motion.fps, scene,
         seed_frames=seed, body=motion.body, noise_level=motion.noise_level,
+        noise=None if motion.noise is None else np.tile(motion.noise, (len(is_keyframe), 1)),
     )  # fmt: skip
 
 

@@ -15,7 +15,6 @@ from video2anim.types import (
     ExportedFiles,
     PayloadFile,
     RefinedMotion,
-    SceneModel,
     SourceVideo,
     VideoClip,
 )
@@ -53,7 +52,6 @@ def export_scene(
     clip: VideoClip,
     bodies: BodyTracks,
     refined: RefinedMotion,
-    scene: SceneModel,
     config: ExportConfig,
     ctx: StageContext,
 ) -> ExportedFiles:
@@ -71,15 +69,15 @@ def export_scene(
     for index, motion in enumerate(refined.people):
         written.append(ctx.work_dir / person_file("motion", motion, index, ".npz"))
         write_motion(written[-1], motion)
-    content = ExportScene(refined.people, scene)
+    content = ExportScene(refined.people, refined.scene)
     for name in config.formats:
         try:
             written += write_format(name, content, ctx.work_dir)
         except MissingLibraryError as error:
             ctx.warn(f"{name}: {error}")
-    written += _write_pictures(source, clip, refined, scene, config, ctx)
+    written += _write_pictures(source, clip, refined, config, ctx)
     if config.worst_moments:
-        written += _write_worst(clip, bodies, refined, scene, ctx)
+        written += _write_worst(clip, bodies, refined, ctx)
     ctx.quality("files", len(written), "", "none")
     ctx.quality("size", sum(path.stat().st_size for path in written) / 1e6, "MB", "none")
     return ExportedFiles(tuple(PayloadFile(path) for path in written))
@@ -89,7 +87,6 @@ def _write_pictures(
     source: SourceVideo,
     clip: VideoClip,
     refined: RefinedMotion,
-    scene: SceneModel,
     config: ExportConfig,
     ctx: StageContext,
 ) -> list[Path]:
@@ -103,16 +100,14 @@ def _write_pictures(
         sound_from = source.path if source.path.is_file() else None
         if sound_from is None:
             ctx.warn(f"the preview has no sound: the video is no longer at {source.path}")
-        write_preview(written[-1], clip, refined.people, scene, size, ctx.progress, sound_from=sound_from)
+        write_preview(written[-1], clip, refined.people, refined.scene, size, ctx.progress, sound_from=sound_from)
     for frame in _spread(refined.people[0].valid.nonzero()[0].tolist(), config.overlay_frames):
         written.append(ctx.work_dir / f"overlay_{frame:05d}.png")
         write_png(written[-1], overlay_frame(clip, refined.people, frame))
     return written
 
 
-def _write_worst(
-    clip: VideoClip, bodies: BodyTracks, refined: RefinedMotion, scene: SceneModel, ctx: StageContext
-) -> list[Path]:
+def _write_worst(clip: VideoClip, bodies: BodyTracks, refined: RefinedMotion, ctx: StageContext) -> list[Path]:
     from video2anim.artifacts.images import write_png
     from video2anim.export.preview import moment_picture
     from video2anim.export.quality import measured_span, motion_quality, worst_moments
@@ -122,11 +117,11 @@ def _write_worst(
     if span is None:
         return []
     written = []
-    for moment in worst_moments(motion_quality(main, scene, span, clip.fps), span):
+    for moment in worst_moments(motion_quality(main, refined.scene, span, clip.fps), span):
         name = moment.what.replace(" ", "-")
         ctx.quality(moment.what, moment.value, moment.unit, "lower")
         written.append(ctx.work_dir / f"worst_{name}_{moment.frame:05d}.png")
-        write_png(written[-1], moment_picture(clip, bodies.people[0], main, scene, moment.frame))
+        write_png(written[-1], moment_picture(clip, bodies.people[0], main, refined.scene, moment.frame))
     return written
 
 
@@ -138,4 +133,4 @@ def _spread(frames: list[int], count: int) -> list[int]:
     return sorted({frames[int(share * len(frames))] for share in steps})
 
 
-STAGE = StageSpec("export", export_scene, version=4)
+STAGE = StageSpec("export", export_scene, version=5)

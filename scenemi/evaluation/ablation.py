@@ -21,12 +21,8 @@ from scenemi.prior import KeyframeWindow
 class AblatedPrior(DiffusionPrior):
     """`DiffusionPrior` that does not look at some of its conditions."""
 
-    def __init__(
-        self, prior: DiffusionPrior, *, use_scene: bool = True, use_body: bool = True, use_clearing: bool = True
-    ) -> None:
-        """`use_clearing`: whether sampled bodies are moved out of solids (`scenemi.model.cleanup`)."""
-        sampler = prior.sampler if use_clearing else replace(prior.sampler, clear_rounds=0)
-        super().__init__(prior.model, sampler, device=prior.device)
+    def __init__(self, prior: DiffusionPrior, *, use_scene: bool = True, use_body: bool = True) -> None:
+        super().__init__(prior.model, prior.sampler, device=prior.device)
         self.seed = prior.seed
         self._use_scene, self._use_body = use_scene, use_body
 

@@ -13,15 +13,12 @@ from torch import Tensor
 
 from scenemi.features import FEATURE_COUNT, JOINTS, canonical_frame, decode, encode, to_world
 from scenemi.model.base import join_keyframes
-from scenemi.model.cleanup import Cleanup, penetration_cost
 from scenemi.model.conditions import Conditions, Descriptors
 from scenemi.model.config import PaperConfig
 from scenemi.model.diffusion import CosineSchedule
-from scenemi.model.guidance import ContactCost, Cost, Guidance, KeyframeCost, PenetrationCost
 from scenemi.model.keyframe_fit import fit_keyframes
-from scenemi.model.kinematics import joints_of, pose_of
 from scenemi.model.sampling import SamplerConfig, sample
-from scenemi.model.scene_input import SceneReader, adult_like, lengths_of
+from scenemi.model.scene_input import SceneReader, lengths_of
 from scenemi.model.weights import LoadedModel, load_weights
 from scenemi.prior import KeyframeWindow, WindowMotion, is_exact, padded
 from scenemi.scene.field import GridField
@@ -64,8 +61,7 @@ class DiffusionPrior:
         return self.fill_many([window], [self.seed])[0]
 
     def fill_many(self, windows: Sequence[KeyframeWindow], seeds: Sequence[int]) -> list[WindowMotion]:
-        """Several windows at once; a window's motion depends on its own seed only (to rounding, which the repair of
-        feet after sampling may make as large as centimetres).
+        """Several windows at once; a window's motion depends on its own seed only (to rounding).
 
         Raises:
             InputError: a window longer than the model's, or another frame rate.
@@ -94,15 +90,7 @@ class DiffusionPrior:
         x_keys, conditions = self._conditions(longer, frames)
         stop_step = self.sampler.stop_for(noisy)
         generators = [torch.Generator().manual_seed(seed) for seed in seeds]
-        rest_joints_m = self._tensor(np.stack([window.rest_joints_m for window in longer]))
-        penetration = self._penetration(longer, frames, rest_joints_m, conditions)
-        guidance = self._guidance(rest_joints_m, x_keys, conditions, penetration)
-        x0 = sample(
-            self._denoiser, self.schedule, x_keys, conditions, self.sampler, generators,
-            stop_step=stop_step, adjust=guidance,
-        )  # fmt: skip
-        rounds = {"foot_rounds": self.sampler.foot_rounds, "clear_rounds": self.sampler.clear_rounds}
-        x0 = Cleanup(self.model.statistics, rest_joints_m, MODEL_FPS, **rounds, clearing=penetration)(x0)
+        x0 = sample(self._denoiser, self.schedule, x_keys, conditions, self.sampler, generators, stop_step=stop_step)
         features = self.model.statistics.denormalize(x0.cpu().double())
         local, moved = decode(features.numpy())
         R_parent_joint, translation_m = to_world(local, moved, frames)
@@ -159,30 +147,6 @@ class DiffusionPrior:
         occupancy = np.stack([empty if one.occupancy is None else one.occupancy for one in inputs])
         local = self._tensor(np.stack([one.local_m for one in inputs]))
         return Descriptors(self._tensor(occupancy), local, known, known)
-
-    def _penetration(
-        self, windows: list[KeyframeWindow], frames: np.ndarray, rest_joints_m: Tensor, conditions: Conditions
-    ) -> PenetrationCost | None:
-        if not self.sampler.clear_rounds and not self.sampler.penetration_weight:
-            return None
-        scenes = [window.scene for window in windows]
-        bodies = [window.body or adult_like(window.rest_joints_m) for window in windows]
-        base = pose_of(self.model.statistics.denormalize(conditions.base), rest_joints_m)
-        return penetration_cost(scenes, bodies, self._tensor(frames), base, conditions.mask)
-
-    def _guidance(
-        self, rest_joints_m: Tensor, x_keys: Tensor, conditions: Conditions, penetration: PenetrationCost | None
-    ) -> Guidance | None:
-        sampler = self.sampler
-        costs: list[Cost] = []
-        if sampler.contact_weight > 0:
-            costs.append(ContactCost(MODEL_FPS, sampler.contact_weight))
-        if sampler.penetration_weight > 0 and penetration is not None:
-            costs.append(replace(penetration, weight=sampler.penetration_weight))
-        if sampler.keyframe_weight > 0:
-            joints_m = joints_of(self.model.statistics.denormalize(x_keys), rest_joints_m)
-            costs.append(KeyframeCost(joints_m, conditions.mask, sampler.keyframe_weight))
-        return Guidance(self.model.statistics, rest_joints_m, costs) if costs else None
 
     def _tensor(self, array: np.ndarray) -> Tensor:
         return torch.as_tensor(np.asarray(array, np.float32), device=self.device)

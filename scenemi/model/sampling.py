@@ -47,8 +47,6 @@ class Denoise(Protocol):
 
 Predict = Callable[[Tensor, int], Tensor]
 """Estimate of the clean window at one step."""
-Adjust = Callable[[Tensor], Tensor]
-"""Moves an estimate of the clean window (normalized) to lower some cost (`scenemi.model.guidance`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,16 +70,6 @@ class SamplerConfig:
     """Exact keyframes are met to 1e-6 (`scenemi.model.keyframe_fit`); noisy ones never are, save the seed frames."""
     spacing: float = 1.5
     """Power by which steps are denser near t = 0, where detail is made; 1 = even."""
-    foot_rounds: int = 3
-    """After sampling, standing feet are found and held by moving the legs alone, so many times (`cleanup`)."""
-    clear_rounds: int = 3
-    """After sampling, the body is moved out of solids, so many times."""
-    contact_weight: float = 0.0
-    """Extra cost while sampling: standing feet stay (`scenemi.model.guidance`)."""
-    penetration_weight: float = 0.0
-    """Extra cost: the body stays out of the scene's solids."""
-    keyframe_weight: float = 0.0
-    """Extra cost: joints at keyframes are the keyframes'."""
 
     def __post_init__(self) -> None:
         if self.method not in ("ddpm", "ddim", "dpm-solver++"):
@@ -93,10 +81,6 @@ class SamplerConfig:
             )
         if not 0 <= self.temperature <= 1:
             raise ValueError(f"SamplerConfig: want temperature from 0 to 1, got {self.temperature}")
-        if min(self.foot_rounds, self.clear_rounds) < 0:
-            raise ValueError(
-                f"SamplerConfig: want foot_rounds and clear_rounds >= 0, got {self.foot_rounds}, {self.clear_rounds}"
-            )
         if self.stop_step is not None and self.stop_step < 0:
             raise ValueError(f"SamplerConfig: want stop_step >= 0, got {self.stop_step}")
 
@@ -142,7 +126,6 @@ def sample(
     generators: Sequence[torch.Generator],
     *,
     stop_step: int = 0,
-    adjust: Adjust | None = None,
 ) -> Float[Tensor, "batch frames features"]:
     """Windows from noise.
 
@@ -154,7 +137,6 @@ def sample(
         config: method and steps.
         generators: one per window, so that a window's result does not depend on its neighbors in the batch.
         stop_step: T*.
-        adjust: applied to every estimate of the clean window.
     """
     center, prepared = denoiser.center(conditions), denoiser.prepare(conditions)
 
@@ -164,7 +146,7 @@ def sample(
 
     steps = time_steps(schedule.steps, config.steps, stop_step=stop_step, spacing=config.spacing)
     with torch.no_grad():
-        clean = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, adjust, prepared)
+        clean = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, prepared)
 
         def predict(residual: Tensor, t: int) -> Tensor:
             return clean(center + residual, t) - center
@@ -181,10 +163,9 @@ def guided(
     conditions: Conditions,
     weight: float,
     stop_step: int,
-    adjust: Adjust | None = None,
     prepared: Any = None,
 ) -> Predict:
-    """The clean estimate as a function of x_t and t alone: imputation, guidance, extra costs.
+    """The clean estimate as a function of x_t and t alone: imputation, guidance.
 
     x0 = w D(scene) + (1 - w) D(no scene); the first alone where w is 1 or no scene is given. Each estimate is handed
     to the next step, where the scene is asked along it; at the first step the denoiser is evaluated again with its own
@@ -208,7 +189,7 @@ def guided(
             )
             if without:
                 x0 = weight * x0 + (1 - weight) * without[0]
-            estimate = x0 if adjust is None else adjust(x0)
+            estimate = x0
         assert estimate is not None
         return estimate
 

@@ -17,7 +17,6 @@ from video2anim.types import (
     KeyframedMotion,
     PersonTracks,
     RefinedMotion,
-    SceneModel,
     VideoClip,
 )
 
@@ -63,10 +62,10 @@ def report_html(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], 
             camera=runner.value(CameraEstimate),
             motions={name: runner.value(kind).people for name, kind in MOTIONS.items()},
             priors=tuple(
-                f"{name}, in {share:.0%} of the measured frames" if share else "none, the observed motion is kept"
+                f"{name}, {share:.0%} of the measured frames are others than without it" if name != "none" else "none"
                 for name, share in zip(refined.prior, refined.prior_share, strict=True)
             ),
-            scene=runner.value(SceneModel),
+            scene=refined.scene,
             made_with={"seed": str(record.seed), "device": ", ".join(devices)} | record.versions,
             pictures=tuple(pictures),
             moments=tuple(moments),

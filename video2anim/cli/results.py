@@ -15,7 +15,7 @@ from video2anim.cli.compose import open_scene
 from video2anim.cli.report import MOTIONS
 from video2anim.errors import ModelMissingError, UsageError
 from video2anim.pipeline.runner import Runner
-from video2anim.types import RefinedMotion, SceneModel
+from video2anim.types import RefinedMotion
 
 _DEMO_WHEEL = ("sports2d", "0.8.34", "Sports2D/Demo/demo.mp4")
 _DEMO_DIGEST = "d9a66417185647b112304b57093f0c180f37a768e6a14daca75ca541f3b78039"
@@ -37,7 +37,8 @@ def export_format(scene_dir: Path, format_name: str, out: Path | None) -> list[P
 
     runner, _ = open_scene(scene_dir)
     _expect_made(runner, "refine")
-    content = ExportScene(runner.value(RefinedMotion).people, runner.value(SceneModel))
+    refined = runner.value(RefinedMotion)
+    content = ExportScene(refined.people, refined.scene)
     return list(write_format(format_name, content, out or scene_dir))
 
 
@@ -54,7 +55,7 @@ def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None) -
     runner, _ = open_scene(scene_dir)
     _expect_made(runner, "refine")
     motions = {name: runner.value(kind).people for name, kind in MOTIONS.items()}
-    shown = viewer.SceneView(motions=motions, scene=runner.value(SceneModel))
+    shown = viewer.SceneView(motions=motions, scene=runner.value(RefinedMotion).scene)
     if screenshot is None:
         viewer.view(shown, title=f"video2anim {scene_dir}", frame=frame, stage=motion)
     else:

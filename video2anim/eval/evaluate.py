@@ -40,7 +40,7 @@ def evaluate(scene_dir: Path | str, truth_dir: Path | str) -> Evaluation:
     expect_same_clip(result.clip, truth, str(scene_dir))
     frames = match_frames(result.clip, truth)
     people = _People(result, truth, frames)
-    scene = result.get(SceneModel) or result.why(SceneModel)
+    scene = result.scene or result.why(SceneModel)
     field = true_field(truth)
     evaluated = tuple(people.evaluate(match, field, scene) for match in people.matches)
     T_true_estimate = people.T_true_estimate()

@@ -168,8 +168,8 @@ def objects_group(result: SceneResult, truth: Truth, T_true_estimate: Float[np.n
     by_mask = pairs_by_mask(match_masks(instances, furniture, truth)) if instances is not None else {}
     columns: dict[str, dict[str, float] | str] = {}
     notes = [f"{len(furniture)} pieces of furniture count"]
-    for name, kind in (("reconstruct", ObjectMeshes), ("place", PlacedObjects), ("scene", SceneModel)):
-        value = result.get(kind)
+    made = {"reconstruct": result.get(ObjectMeshes), "place": result.get(PlacedObjects), "scene": result.scene}
+    for (name, value), kind in zip(made.items(), (ObjectMeshes, PlacedObjects, SceneModel), strict=True):
         if value is None or isinstance(T_true_estimate, str):
             columns[name] = result.why(kind) or str(T_true_estimate)
             continue
@@ -207,7 +207,7 @@ def compared_objects(
 
 def scene_objects(result: SceneResult, truth: Truth) -> list[dict[str, float]]:
     """`compared_objects` of the finished scene by the main person's camera; none where a stage is missing."""
-    scene, bodies, instances = result.get(SceneModel), result.get(BodyTracks), result.get(InstanceMasks)
+    scene, bodies, instances = result.scene, result.get(BodyTracks), result.get(InstanceMasks)
     if scene is None or bodies is None:
         return []
     T = truth_from_estimate(bodies.people[0].T_world_camera, truth, match_frames(result.clip, truth))

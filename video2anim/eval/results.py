@@ -90,6 +90,12 @@ class SceneResult:
         found = {name: self.get(kind) for name, kind in MOTION_STAGES.items()}
         return {name: value.people for name, value in found.items() if value is not None}
 
+    @property
+    def scene(self) -> SceneModel | None:
+        """The scene that the last motion stage fits: objects may be moved in `refine`."""
+        refined = self.get(RefinedMotion)
+        return self.get(SceneModel) if refined is None else refined.scene
+
     def missing(self) -> list[str]:
         """Reasons of all stages without a value, in order."""
         return [self._reasons[kind] for kind in STAGE_OF if self.get(kind) is None]

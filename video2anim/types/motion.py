@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from pydantic import FiniteFloat, NonNegativeInt
 
 from video2anim.types.camera import Intrinsics
+from video2anim.types.scene import SceneModel
 from video2anim.types.storage import Holds, OnePer
 
 
@@ -125,7 +126,9 @@ class RefinedMotion:
 
     people: tuple[BodyMotion, ...]
     prior: Annotated[tuple[str, ...], OnePer("people")]
-    """In-betweening prior that shaped the motion of each person: `interpolation`, `scenemi`, or `none` where every
-    window keeps the observed motion."""
+    """In-betweening prior behind the motion of each person: `scenemi`, or `none` for the observed motion."""
     prior_share: Annotated[tuple[float, ...], OnePer("people")]
-    """Share of each person's measured frames that lie in windows which the prior filled."""
+    """Share of each person's measured frames in which a joint is turned by more than 3 degrees against the same solve
+    without the prior."""
+    scene: SceneModel
+    """The scene that the motion fits: objects moved along their lines of sight."""

@@ -41,7 +41,7 @@ def given(windows: tuple[EvaluationWindow, ...]) -> KeyframeWindow:
 
 
 def test_without_its_scene_it_is_a_window_without_a_scene(prior: DiffusionPrior, given: KeyframeWindow) -> None:
-    none = AblatedPrior(prior, use_scene=False, use_clearing=False).fill(given)
+    none = AblatedPrior(prior, use_scene=False).fill(given)
     bare = prior.fill(replace(given, scene=None))
     np.testing.assert_allclose(none.translation_world_m, bare.translation_world_m, atol=1e-5)
     np.testing.assert_allclose(none.R_parent_joint, bare.R_parent_joint, atol=1e-4)

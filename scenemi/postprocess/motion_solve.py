@@ -1,0 +1,402 @@
+"""One solve for a motion in its scene: the prior's motion, corrected as little and as smoothly as picture, contact and
+solids ask for.
+
+Unknown are, in every frame, the displacement d of the root and one rotation vector w for each joint, in the joint's own
+frame: R_parent_joint = R_reference exp(w). The reference is what the prior made. Terms, each a residual over its
+standard deviation (`SolveConfig`):
+
+- reference: w and d are small; their second differences over time are small against the accelerations of the reference,
+  so that a correction adds no jerk that the prior did not have;
+- picture: joints project to where the estimator saw them;
+- stance: touching feet do not move; touching parts lie on a surface;
+- solids: skin that is inside comes out; feet that swing stay a little above. A solid whose place is uncertain gives
+  way: its displacement is unknown too.
+
+Minimized by Gauss-Newton with reweighting (Tukey's biweight for what cannot be explained): normal equations of 69
+unknowns a frame, coupled over three frames, solved by one banded factorization an iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from scenemi.postprocess.block_band import BlockBand, solve_together
+from video2anim.body.anny_body import ShapedBody
+from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
+from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from video2anim.geometry.sdf import SdfGrid
+
+JOINTS = len(PARENTS)
+UNKNOWNS = 3 + 3 * JOINTS
+ANCESTORS = np.zeros((JOINTS, JOINTS), bool)
+"""[j, a]: turning joint a moves joint j and what hangs on it (a = j counts for points of j, not for the joint)."""
+for _joint in range(JOINTS):
+    _at = _joint
+    while _at >= 0:
+        ANCESTORS[_joint, _at] = True
+        _at = int(PARENTS[_at])
+STANDING = tuple(JOINT_INDEX[name] for name in ("left_ankle", "right_ankle", "left_foot", "right_foot"))
+TRUNK = tuple(JOINT_INDEX[name] for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head"))
+PARTS: tuple[tuple[int, ...], ...] = tuple(
+    tuple(JOINT_INDEX[name] for name in names)
+    for names in (
+        ("pelvis",), ("spine3",), ("left_wrist",), ("right_wrist",),
+        ("left_ankle", "left_foot"), ("right_ankle", "right_foot"),
+    )
+)  # fmt: skip
+"""Parts that touch as one."""
+
+
+@dataclass(frozen=True, slots=True)
+class SolveConfig:
+    """Standard deviations of the residuals, and how long to iterate."""
+
+    limb_rad: float = 0.08
+    """Of the rotation of a limb's joint about the reference."""
+    trunk_rad: float = 0.05
+    """Of the rotation of the root, spine, neck and head about the reference: what trunk and scene disagree in is the
+    scene's fault."""
+    root_m: float = 0.2
+    """Of the root about the reference."""
+    acceleration_ratio: float = 0.3
+    """Acceleration of the correction over that of the reference (root mean square, each unknown)."""
+    least_acceleration: tuple[float, float] = (0.1, 0.3)
+    """Lower limits of the latter: m/s^2 of the root, rad/s^2 of the joints."""
+    picture_ratio: float = 0.005
+    """Of a joint in the picture, over the body's height there."""
+    stance_m_s: float = 0.02
+    """Of a standing foot's velocity."""
+    odd_speed_m_s: float = 1.0
+    """A foot as fast as this does not stand, whatever its contact says."""
+    touch_m: float = 0.015
+    """Of the distance of touching skin to a surface."""
+    touch_reach_m: float = 0.25
+    """What touches something farther away touches what is not in the scene."""
+    depth_m: float = 0.006
+    """Of the depth of skin in solids."""
+    odd_depth_m: float = 0.15
+    """Skin as deep as this is not moved out: pose or solid are wrong."""
+    swing_clearance_m: float = 0.01
+    """Feet that do not touch keep this much above solids (toes of walkers: 1.3 cm, Winter 1992)."""
+    contact_threshold: float = 0.5
+    """Probability from which a part touches; it weighs the residual too."""
+    iterations: int = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureTarget:
+    """Where the joints were seen."""
+
+    joints_px: Float[np.ndarray, "frames 22 2"]
+    seen: Bool[np.ndarray, "frames"]
+    height_px: Float[np.ndarray, "frames"]
+    """Of the standing body at its distance."""
+    T_camera_world: Float[np.ndarray, "frames 4 4"]
+    camera_matrix: Float[np.ndarray, "3 3"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneMotion:
+    """What the solve starts from: a motion (world frame, +Y up, metres) and what is known of it."""
+
+    R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
+    translation_world_m: Float[np.ndarray, "frames 3"]
+    contact: Float[np.ndarray, "frames 22"]
+    """Probability of touching."""
+    rest_joints_m: Float[np.ndarray, "22 3"]
+    body: ShapedBody
+    """Whose skin meets the scene: of this skeleton, or one like it."""
+    fps: float
+    fixed: Bool[np.ndarray, "frames"]
+    """Frames that stay as they are."""
+    picture: PictureTarget | None = None
+    """None where there is no video."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovableSolid:
+    """A solid whose place is uncertain."""
+
+    field: SdfGrid
+    covariance_m2: Float[np.ndarray, "3 3"]
+    """Of its displacement."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solids:
+    """What the body can touch."""
+
+    still: SdfGrid | None = None
+    """Does not give way."""
+    movable: tuple[MovableSolid, ...] = ()
+    floor: bool = True
+    """Whether the half space below y = 0 is solid."""
+
+    @property
+    def known(self) -> bool:
+        """Whether there is any."""
+        return self.floor or self.still is not None or bool(self.movable)
+
+    def distance_m(
+        self, points_m: Float[np.ndarray, "*points 3"], moved_m: Float[np.ndarray, "solids 3"]
+    ) -> tuple[Float[np.ndarray, "*points"], Int[np.ndarray, "*points"]]:
+        """Signed distance to the nearest solid, and its number among the movable ones; -1 for the others."""
+        nearest_m = points_m[..., 1].copy() if self.floor else np.full(points_m.shape[:-1], np.inf)
+        owner = np.full(nearest_m.shape, -1)
+        if self.still is not None:
+            nearest_m = np.minimum(nearest_m, self.still.sample(points_m))
+        for number, (solid, way_m) in enumerate(zip(self.movable, moved_m, strict=True)):
+            distance_m = solid.field.sample(points_m - way_m)
+            owner = np.where(distance_m < nearest_m, number, owner)
+            nearest_m = np.minimum(nearest_m, distance_m)
+        return nearest_m, owner
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """Corrected motions, and how far each movable solid went."""
+
+    R_parent_joint: tuple[Float[np.ndarray, "frames 22 3 3"], ...]
+    translation_world_m: tuple[Float[np.ndarray, "frames 3"], ...]
+    moved_m: Float[np.ndarray, "solids 3"]
+
+
+def solve_motions(given: Sequence[SceneMotion], solids: Solids, config: SolveConfig | None = None) -> Solved:
+    """Motions of people in one scene, corrected together."""
+    config = config or SolveConfig()
+    people = [_Person(one, solids, config) for one in given]
+    moved_m = np.zeros((len(solids.movable), 3))
+    sure = np.zeros((moved_m.size, moved_m.size))
+    for k, solid in enumerate(solids.movable):
+        sure[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = np.linalg.inv(solid.covariance_m2)
+    for _ in range(config.iterations):
+        bands = [person.equations(moved_m) for person in people]
+        steps, step_m = solve_together(bands, sure, -sure @ moved_m.reshape(-1))
+        moved_m = moved_m + step_m.reshape(-1, 3)
+        for person, step in zip(people, steps, strict=True):
+            person.move(step)
+    return Solved(tuple(p.R_parent_joint for p in people), tuple(p.translation_m for p in people), moved_m)
+
+
+class _Person:
+    """The present motion of one person, and its normal equations."""
+
+    def __init__(self, given: SceneMotion, solids: Solids, config: SolveConfig) -> None:
+        self.given, self.solids, self.config = given, solids, config
+        self.rest_m = given.rest_joints_m
+        self.shift_m = np.zeros_like(given.translation_world_m)
+        self.turn_rad = np.zeros((len(self.shift_m), JOINTS, 3))
+        self.moved_m = np.zeros((len(solids.movable), 3))
+        self.R_parent_joint, self.translation_m = given.R_parent_joint, given.translation_world_m
+        self.skin = _Skin(given.body)
+        fps2 = given.fps**2
+        root = fps2 * np.diff(given.translation_world_m, n=2, axis=0)
+        turning = fps2 * np.diff(_rates(given.R_parent_joint), axis=0)
+        least_m, least_rad = config.least_acceleration
+        usual = [np.maximum(config.acceleration_ratio * _rms(root), least_m)]
+        usual += [np.maximum(config.acceleration_ratio * _rms(turning).reshape(-1), least_rad)]
+        self.stiffness = fps2**2 / np.concatenate(usual) ** 2
+        turn_rad = np.where(np.isin(np.arange(JOINTS), TRUNK), config.trunk_rad, config.limb_rad)
+        loose = np.concatenate([np.full(3, config.root_m), np.repeat(turn_rad, 3)]) ** -2.0
+        # Fixed frames are held a thousand times as tightly.
+        self.hold = loose * np.where(given.fixed, _FIXED, 1.0)[:, None]
+
+    def move(self, step: Float[np.ndarray, "frames 69"]) -> None:
+        """Go on by a step of the unknowns."""
+        self.shift_m = self.shift_m + step[:, :3]
+        turned = matrix_from_axis_angle(self.turn_rad + step[:, 3:].reshape(-1, JOINTS, 3))
+        self.R_parent_joint = self.given.R_parent_joint @ turned
+        self.turn_rad = axis_angle_from_matrix(turned)
+        self.translation_m = self.given.translation_world_m + self.shift_m
+
+    def equations(self, moved_m: Float[np.ndarray, "solids 3"]) -> BlockBand:
+        """Gauss-Newton's normal equations at the present motion and place of the solids."""
+        self.moved_m = moved_m
+        joints_m, R_world_joint = forward_kinematics(self.R_parent_joint, self.translation_m, self.rest_m)
+        band = BlockBand(len(joints_m), UNKNOWNS, moved_m.size)
+        now = np.concatenate([self.shift_m, self.turn_rad.reshape(len(joints_m), -1)], 1)
+        diagonal = np.arange(UNKNOWNS)
+        band.same[:, diagonal, diagonal] += self.hold
+        band.right -= self.hold * now
+        band.add_second_difference(now, self.stiffness)
+        if self.given.picture is not None:
+            self._picture(band, self.given.picture, joints_m, R_world_joint)
+        self._stance(band, joints_m, R_world_joint)
+        if self.solids.known:
+            self._surfaces(band, joints_m, R_world_joint)
+        return band
+
+    def _picture(self, band: BlockBand, seen: PictureTarget, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
+        R, t = seen.T_camera_world[:, :3, :3], seen.T_camera_world[:, :3, 3]
+        camera_m = np.einsum("tab,tjb->tja", R, joints_m) + t[:, None]
+        z_m = np.maximum(camera_m[..., 2], 0.1)
+        fx, fy = seen.camera_matrix[0, 0], seen.camera_matrix[1, 1]
+        focal = np.array([fx, fy])
+        at_px = camera_m[..., :2] / z_m[..., None] * focal + seen.camera_matrix[:2, 2]
+        in_front = (camera_m[..., 2] > 0.1) & seen.seen[:, None]
+        D = np.zeros((*z_m.shape, 2, 3))
+        D[..., 0, 0], D[..., 1, 1] = fx / z_m, fy / z_m
+        D[..., :, 2] = -camera_m[..., :2] * focal / z_m[..., None] ** 2
+        D = D @ R[:, None]
+        off_px = seen.joints_px - at_px
+        sigma_px = self.config.picture_ratio * seen.height_px[:, None]
+        weight = in_front / sigma_px**2
+        J = jacobians(joints_m, R_world_joint, joints_m, np.arange(JOINTS))
+        J = (D @ J).reshape(len(J), 2 * JOINTS, UNKNOWNS)
+        _add(band, J, off_px.reshape(len(J), -1), np.repeat(weight, 2, axis=1))
+
+    def _stance(self, band: BlockBand, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
+        config, fps = self.config, self.given.fps
+        feet = list(STANDING)
+        both = np.minimum(self.given.contact[1:], self.given.contact[:-1])[:, feet]
+        speed = fps * np.diff(joints_m[:, feet], axis=0)
+        slow = _believed(np.linalg.norm(speed, axis=-1) / config.odd_speed_m_s)
+        weight = np.where(both > config.contact_threshold, both, 0.0) * slow / config.stance_m_s**2
+        J = fps * jacobians(joints_m, R_world_joint, joints_m[:, feet], np.array(feet))
+        J = J.reshape(len(J), 3 * len(feet), UNKNOWNS)
+        weights, off = np.repeat(weight, 3, axis=1), -speed.reshape(len(speed), -1)
+        before, after = J[:-1] * weights[..., None], J[1:] * weights[..., None]
+        band.same[:-1] += before.transpose(0, 2, 1) @ J[:-1]
+        band.same[1:] += after.transpose(0, 2, 1) @ J[1:]
+        band.next -= before.transpose(0, 2, 1) @ J[1:]
+        band.right[:-1] -= (before.transpose(0, 2, 1) @ off[..., None])[..., 0]
+        band.right[1:] += (after.transpose(0, 2, 1) @ off[..., None])[..., 0]
+
+    def _surfaces(self, band: BlockBand, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
+        config, contact = self.config, self.given.contact
+        skin_m = self.skin.at(joints_m, R_world_joint)
+        distance_m, _ = self.solids.distance_m(skin_m, self.moved_m)
+        touching = np.zeros((len(joints_m), len(PARTS)))
+        for k, part in enumerate(PARTS):
+            chance = contact[:, list(part)].max(1)
+            touching[:, k] = np.where(chance > config.contact_threshold, chance, 0.0)
+            rows = self.skin.of_part[k]
+            index = rows[np.argpartition(distance_m[:, rows], TOUCHING_POINTS - 1, axis=1)[:, :TOUCHING_POINTS]]
+            gap_m = np.take_along_axis(distance_m, index, 1)
+            near = _believed(np.abs(gap_m).mean(1) / config.touch_reach_m)
+            weight = (touching[:, k] * near / (config.touch_m**2 * TOUCHING_POINTS))[:, None]
+            self._along_normals(band, joints_m, R_world_joint, skin_m, index, -gap_m, weight)
+        margin_m = np.zeros_like(distance_m)
+        for k in (-2, -1):
+            margin_m[:, self.skin.of_part[k]] = np.where(touching[:, k] > 0, 0.0, config.swing_clearance_m)[:, None]
+        missing_m = margin_m - distance_m
+        index = np.argpartition(-missing_m, DEEPEST_POINTS - 1, axis=1)[:, :DEEPEST_POINTS]
+        missing_m = np.take_along_axis(missing_m, index, 1)
+        weight = (missing_m > 0) * _believed(np.maximum(missing_m, 0) / config.odd_depth_m) / config.depth_m**2
+        self._along_normals(band, joints_m, R_world_joint, skin_m, index, missing_m, weight)
+
+    def _along_normals(
+        self,
+        band: BlockBand,
+        joints_m: np.ndarray,
+        R_world_joint: np.ndarray,
+        skin_m: np.ndarray,
+        index: Int[np.ndarray, "frames points"],
+        way_m: Float[np.ndarray, "frames points"],
+        weight: np.ndarray,
+    ) -> None:
+        """Chosen skin points go a way along the surface's normal, or the surface goes against it."""
+        points_m = np.take_along_axis(skin_m, index[..., None], 1)
+        _, owner = self.solids.distance_m(points_m, self.moved_m)
+        normal = self._normals(points_m)
+        rows = (normal[..., None, :] @ jacobians(joints_m, R_world_joint, points_m, self.skin.joint[index]))[..., 0, :]
+        weight = np.broadcast_to(weight, way_m.shape)
+        _add(band, rows, way_m, weight)
+        if len(self.moved_m):
+            own = owner[..., None] == np.arange(len(self.moved_m))
+            gives = (-normal[..., None, :] * own[..., None]).reshape(*owner.shape, -1)
+            weighted = gives * weight[..., None]
+            band.cross += rows.transpose(0, 2, 1) @ weighted
+            band.shared += np.einsum("tpk,tpl->kl", weighted, gives)
+            band.shared_right += np.einsum("tpk,tp->k", weighted, way_m)
+
+    def _normals(self, points_m: np.ndarray) -> np.ndarray:
+        ends_m = points_m[..., None, :] + _STEP_M * np.concatenate([np.eye(3), -np.eye(3)])
+        ends, _ = self.solids.distance_m(ends_m, self.moved_m)
+        normal = ends[..., :3] - ends[..., 3:]
+        return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+
+
+TOUCHING_POINTS = 5
+"""Nearest skin points of a touching part that are brought to the surface."""
+DEEPEST_POINTS = 12
+"""Skin points of a frame that are brought out of solids."""
+_FIXED = 1e6
+_STEP_M = 0.03
+"""Half the way over which a surface's normal is taken: half the spacing of the scene's field."""
+_SPREAD_POINTS, _PART_POINTS = 500, 100
+
+
+class _Skin:
+    """Sampled skin: some of everywhere, more where the body may touch."""
+
+    def __init__(self, body: ShapedBody) -> None:
+        chosen = [farthest_points(body.rest_vertices_m, _SPREAD_POINTS)]
+        for part in PARTS:
+            members = np.flatnonzero(np.isin(body.vertex_part, part))
+            chosen.append(members[farthest_points(body.rest_vertices_m[members], _PART_POINTS)])
+        ends = np.cumsum([len(some) for some in chosen])
+        self.body, self.index = body, np.concatenate(chosen)
+        self.of_part = [np.arange(a, b) for a, b in pairwise(ends)]
+        self.joint = body.vertex_part[self.index]
+
+    def at(self, joints_m: np.ndarray, R_world_joint: np.ndarray) -> Float[np.ndarray, "frames points 3"]:
+        # About the root: single precision is lost far from the origin.
+        root_m = joints_m[:, :1]
+        return self.body.vertices(R_world_joint, joints_m - root_m, self.index).astype(np.float64) + root_m
+
+
+def jacobians(
+    joints_m: Float[np.ndarray, "frames 22 3"],
+    R_world_joint: Float[np.ndarray, "frames 22 3 3"],
+    points_m: Float[np.ndarray, "frames points 3"],
+    joint: Int[np.ndarray, "*frames points"],
+) -> Float[np.ndarray, "frames points 3 69"]:
+    """How points that move with a joint depend on the unknowns: d p = d + sum over the joint and its ancestors a of
+    (R_world_a w_a) x (p - p_a)."""
+    J = np.zeros((*points_m.shape, UNKNOWNS))
+    J[..., range(3), range(3)] = 1.0
+    arm_m = points_m[:, :, None] - joints_m[:, None]
+    # Rows of the matrix of (R w) x r: column k is R[:, k] x r.
+    turns = np.cross(R_world_joint.transpose(0, 1, 3, 2)[:, None], arm_m[..., None, :])
+    moved = np.broadcast_to(ANCESTORS[joint], arm_m.shape[:3])
+    J[..., 3:] = np.where(moved[..., None, None], turns, 0.0).transpose(0, 1, 4, 2, 3).reshape(*points_m.shape, -1)
+    return J
+
+
+def farthest_points(points_m: Float[np.ndarray, "points 3"], count: int) -> Int[np.ndarray, "chosen"]:
+    """Farthest-point sampling from point 0; all points where there are no more than `count`."""
+    if len(points_m) <= count:
+        return np.arange(len(points_m))
+    chosen = [0]
+    nearest = np.linalg.norm(points_m - points_m[0], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(points_m - points_m[chosen[-1]], axis=1))
+    return np.array(chosen)
+
+
+def _add(band: BlockBand, J: np.ndarray, off: np.ndarray, weight: np.ndarray) -> None:
+    """Residuals of single frames: J (frames, rows, unknowns), off and weight (frames, rows)."""
+    weighted = (J * weight[..., None]).transpose(0, 2, 1)
+    band.same += weighted @ J
+    band.right += (weighted @ off[..., None])[..., 0]
+
+
+def _rates(R: Float[np.ndarray, "frames 22 3 3"]) -> Float[np.ndarray, "steps 22 3"]:
+    """Rotation vectors from frame to frame, in each joint's frame."""
+    return axis_angle_from_matrix(R[:-1].swapaxes(-1, -2) @ R[1:])
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(values**2, axis=0)) if len(values) else np.zeros(values.shape[1:])
+
+
+def _believed(off: np.ndarray) -> np.ndarray:
+    """Tukey's biweight: 1 at 0, nothing from 1 on."""
+    return np.clip(1 - off**2, 0, None) ** 2
