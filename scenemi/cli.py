@@ -19,7 +19,7 @@ from scenemi.cli_parts import (
     sampler_options,
     say_progress,
 )
-from video2anim.errors import UsageError, Video2AnimError
+from video2anim.errors import InputError, UsageError, expect_values, is_output_lost, last_words
 from video2anim.geometry.torch_device import device_of
 
 if TYPE_CHECKING:
@@ -239,6 +239,7 @@ def train_command(
     files = None if packed is None else packed.files
     files = files or RunFiles.of(config, motion or (), split, cache, scenes or (), noncommercial=noncommercial)
     start = packed.start if packed is not None and packed.start is not None else start
+    _expect_places(out, start)
     for text in left_out(files):
         note(text)
     clips = clips_for(files, out)
@@ -334,6 +335,13 @@ def _refuse_with_pack(packed: Unpacked, scenes: object, start: object, of_motion
         refuse(of_motion, why)
 
 
+def _expect_places(out: Path, start: Path | None) -> None:
+    """Before the work: weights to begin from, and a folder to write to."""
+    if start is not None and not start.is_file():
+        raise InputError(f"--start: want a file of weights, found none at {start}")
+    out.mkdir(parents=True, exist_ok=True)
+
+
 def _note_on_young_weights(steps: int) -> None:
     if steps < YOUNG_STEPS:
         note(
@@ -347,13 +355,18 @@ def run() -> None:
     # Idle OpenMP workers otherwise spin and slow down whatever shares the machine. Read when torch is loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     debug = "--debug" in sys.argv  # wherever it stands
+    sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: SIM115
     try:
+        expect_values(sys.argv[1:])
         app(args=[word for word in sys.argv[1:] if word != "--debug"], standalone_mode=True)
-    except Video2AnimError as error:
-        if debug:
+    except Exception as error:
+        told = last_words(error)
+        if debug or told is None:
             raise
-        typer.echo(f"scenemi: {' '.join(str(error).split())}", err=True)
-        sys.exit(error.exit_code)
+        if is_output_lost(error):
+            sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (what is left in the buffer is lost)
+        typer.echo(f"scenemi: {told[0]}", err=True)
+        sys.exit(told[1])
 
 
 if __name__ == "__main__":

@@ -91,6 +91,21 @@ def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         raise InputError(f"{path}: damaged weights file: {error}") from error
 
 
+def write_tensors(path: Path, tensors: Mapping[str, Any], header: Mapping[str, str]) -> None:
+    """Tensors of torch and text as a safetensors file, written aside and renamed.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    from safetensors import SafetensorError
+    from safetensors.torch import save
+
+    try:
+        _replace(path, lambda stream: stream.write(save(dict(tensors), dict(header))))
+    except SafetensorError as error:
+        raise InputError(f"{path}: cannot be written: {error}") from error
+
+
 def file_digest(path: Path) -> str:
     """SHA-256 of a file, hexadecimal."""
     with path.open("rb") as stream:
@@ -101,10 +116,10 @@ def expect_writable(path: Path) -> None:
     """Refuse before the work what could not be written after it.
 
     Raises:
-        InputError: the folder is absent or may not be written, or the path is a folder.
+        InputError: the folder is absent or may not be written, or the path is a folder or device.
     """
     folder = path.absolute().parent
-    if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+    if (path.exists() and not path.is_file()) or not folder.is_dir() or not os.access(folder, os.W_OK):
         raise InputError(f"output: want a file in an existing folder that can be written, got {path}")
 
 

@@ -202,6 +202,12 @@ def test_output_folder_is_a_file(shared_media: Path, tmp_path: Path) -> None:
     assert (tmp_path / "taken").read_text() == "mine"
 
 
+def test_output_folder_has_no_name_or_too_long_a_name(shared_media: Path, tmp_path: Path) -> None:
+    video = shared_media / "bad" / "grayscale.mp4"
+    assert_one_line(video2anim("run", video, "--out", ""), USAGE, "--out: want a value")
+    assert_one_line(video2anim("run", video, "--out", tmp_path / ("x" * 300)), INPUT, "File name too long")
+
+
 def test_output_folder_is_not_writable(shared_media: Path) -> None:
     """Where even the superuser may not make a folder."""
     if not Path("/proc/self").exists():
@@ -333,6 +339,8 @@ def test_output_on_a_disk_that_is_read_only(shared_media: Path, small_disk: Path
         (("--from", "traking"), ("'traking'", "track")),
         (("--until", "traking"), ("'traking'", "track")),
         (("--device", "tpu"), ("--device", "'tpu'")),
+        (("--preset", ""), ("--preset: want a value",)),
+        (("--preset=",), ("--preset: want a value",)),
     ],
 )
 def test_wrong_option(shared_media: Path, tmp_path: Path, words: tuple[str, ...], parts: tuple[str, ...]) -> None:

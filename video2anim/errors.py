@@ -6,7 +6,11 @@ A message says what was wanted, what came, where, and what to do, in one line.
 from __future__ import annotations
 
 import errno
+from collections.abc import Sequence
+from itertools import pairwise
 
+_OUTPUT_LOST = (errno.ENOSPC, errno.EPIPE, errno.EBADF, errno.EIO)
+"""Writing to the standard output fails so: a full disk, or a pipe that nobody reads."""
 _SHORTAGE_TEXTS = ("Insufficient memory", "can't allocate memory", "failed to map segment")
 """How OpenCV, PyTorch and the loader of libraries say it; they have no error class of their own for it."""
 
@@ -63,3 +67,33 @@ def is_memory_shortage(error: BaseException) -> bool:
         return error.errno in (errno.ENOMEM, errno.EAGAIN)
     text = str(error)
     return any(sign in text for sign in _SHORTAGE_TEXTS)
+
+
+def last_words(error: Exception) -> tuple[str, int] | None:
+    """The line and the exit code with which a command ends; None where the error is a fault of the program."""
+    if isinstance(error, Video2AnimError):
+        return " ".join(str(error).split()), error.exit_code
+    if is_memory_shortage(error):
+        return "not enough memory; close other programs or raise the limit on memory", Video2AnimError.exit_code
+    if isinstance(error, OSError) and error.filename is not None:
+        where = printable(" ".join(str(error.filename).split()))
+        return f"want a file that can be read or written, got {error.strerror} at {where}", InputError.exit_code
+    if isinstance(error, OSError):  # numpy's of a full disk has no number
+        return f"output: could not be written ({error})", InputError.exit_code
+    return None
+
+
+def is_output_lost(error: Exception) -> bool:
+    """Whether what a command prints finds no reader or no room."""
+    return isinstance(error, OSError) and error.filename is None and error.errno in _OUTPUT_LOST
+
+
+def expect_values(words: Sequence[str]) -> None:
+    """An empty value comes of a variable that is not set; as a path it would be the current folder.
+
+    Raises:
+        UsageError: an option has one.
+    """
+    for word, value in pairwise((*words, "-")):
+        if word.startswith("--") and (not value or word.endswith("=")):
+            raise UsageError(f"{word.rstrip('=')}: want a value, got an empty one")

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from scenemi.data.plain_files import one_line
 from scenemi.features import Statistics
+from scenemi.files import write_tensors
 from scenemi.model.build import AnyDenoiser, build_denoiser
 from scenemi.model.config import AnyConfig, config_from_json
 from video2anim.errors import InputError, ModelMissingError
@@ -50,10 +50,7 @@ def save_weights(
     for item in fields(Statistics):
         tensors[f"statistics.{item.name}"] = torch.from_numpy(getattr(statistics, item.name).copy())
     header = {"format": FORMAT, "config": json.dumps(denoiser.config.to_json()), "card": json.dumps(card)}
-    try:
-        save_file(tensors, str(path), header)
-    except (OSError, SafetensorError) as error:
-        raise InputError(f"weights: cannot write {path}: {error}") from error
+    write_tensors(Path(path), tensors, header)
 
 
 def load_weights(name: str | Path = "small", *, device: str = "cpu") -> LoadedModel:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from scenemi.data.plain_files import one_line
 from scenemi.features import Statistics
+from scenemi.files import write_tensors
+from scenemi.model.build import build_denoiser
+from scenemi.model.weights import statistics_from
 from scenemi.training.config import TrainConfig
 from video2anim.errors import InputError
 
@@ -49,9 +50,7 @@ def save_checkpoint(path: Path, state: Checkpoint) -> None:
         "format": FORMAT, "step": str(state.step), "seconds": repr(state.seconds),
         "config": json.dumps(state.config.to_json()), "groups": json.dumps(state.optimizer["param_groups"]),
     }  # fmt: skip
-    aside = path.with_suffix(".partial")
-    save_file({key: value.detach().cpu().contiguous().clone() for key, value in tensors.items()}, str(aside), header)
-    os.replace(aside, path)
+    write_tensors(path, {key: value.detach().cpu().contiguous().clone() for key, value in tensors.items()}, header)
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -70,7 +69,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise InputError(f"checkpoint: want format {FORMAT} in {path}, got {header.get('format')}")
     try:
         return _restored(header, tensors)
-    except (KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError, RuntimeError) as error:
         problem = f"it lacks {error}" if isinstance(error, KeyError) else one_line(error)
         raise InputError(f"checkpoint: {path} is damaged: {problem}; delete it to begin again") from error
 
@@ -81,12 +80,19 @@ def _restored(header: dict[str, str], tensors: dict[str, Tensor]) -> Checkpoint:
         if key.startswith("optimizer."):
             _, number, name = key.split(".", 2)
             state.setdefault(int(number), {})[name] = value
+    config = TrainConfig.from_json(json.loads(header["config"]))
+    weights = {
+        part: {key.removeprefix(part): value for key, value in tensors.items() if key.startswith(part)}
+        for part in ("model.", "ema.")
+    }
+    for values in weights.values():
+        build_denoiser(config.model).load_state_dict(values)  # complains of what does not fit
     return Checkpoint(
         step=int(header["step"]),
-        config=TrainConfig.from_json(json.loads(header["config"])),
-        statistics=Statistics(*(tensors[f"statistics.{item.name}"].numpy() for item in fields(Statistics))),
-        model={key.removeprefix("model."): value for key, value in tensors.items() if key.startswith("model.")},
-        ema={key.removeprefix("ema."): value for key, value in tensors.items() if key.startswith("ema.")},
+        config=config,
+        statistics=statistics_from(tensors),
+        model=weights["model."],
+        ema=weights["ema."],
         optimizer={"state": state, "param_groups": json.loads(header["groups"])},
         seconds=float(header["seconds"]),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import re
 from pathlib import Path
 from types import ModuleType
@@ -91,6 +92,32 @@ def test_training_options_that_cannot_apply(tmp_path: Path) -> None:
         assert done.code == 2
         assert f"{more[0]}: does not apply with --pack" in done.err
         assert not (tmp_path / "pack").exists()
+
+
+def test_weights_to_begin_from_must_be_there(tmp_path: Path) -> None:
+    words = ("train", "--motion", walk_archive(tmp_path / "c.npz", 121), "--out", tmp_path / "run")
+    done = scenemi(*words, "--start", tmp_path / "typo.safetensors")
+    assert done.code == 3
+    assert "--start: want a file of weights, found none" in done.err
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_the_system_refuses_is_one_line(tmp_path: Path) -> None:
+    words = ("train", "--motion", walk_archive(tmp_path / "c.npz", 121))
+    for out, code, message in (("", 2, "--out: want a value"), ("/dev/null/run", 3, "Not a directory")):
+        done = scenemi(*words, "--out", out, "--pack", out)
+        assert done.code == code, done.err
+        assert message in done.err
+        assert len(done.err.splitlines()) == 1
+
+
+def test_a_device_is_no_place_for_a_file(tmp_path: Path) -> None:
+    """It would be replaced by a file."""
+    os.mkfifo(tmp_path / "pipe")
+    done = scenemi("data", walk_archive(tmp_path / "c.npz", 121), "--out", tmp_path / "pipe")
+    assert done.code == 3
+    assert "want a file" in done.err
+    assert (tmp_path / "pipe").is_fifo()
 
 
 def test_help_names_all_units_and_limits_and_no_types_of_python(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import sys
 from pathlib import Path
@@ -14,14 +13,11 @@ from video2anim import __version__
 from video2anim.cli.evaluate import eval_command, eval_set_command
 from video2anim.cli.pictures import models_run
 from video2anim.cli.synth import synth_command
-from video2anim.errors import Video2AnimError, is_memory_shortage
+from video2anim.errors import expect_values, is_output_lost, last_words
 from video2anim.geometry.torch_device import device_of
 
 if TYPE_CHECKING:
     from video2anim.pipeline.runner import Edits
-
-_OUTPUT_LOST = (errno.ENOSPC, errno.EPIPE, errno.EBADF, errno.EIO)
-"""Writing to the standard output fails so: a full disk, or a pipe that nobody reads."""
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -249,21 +245,16 @@ def run() -> None:
     debug = "--debug" in sys.argv  # wherever it stands
     sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: SIM115
     try:
+        expect_values(sys.argv[1:])
         app(args=[word for word in sys.argv[1:] if word != "--debug"], standalone_mode=True)
-    except Video2AnimError as error:
-        if debug:
-            raise
-        typer.echo(f"video2anim: {' '.join(str(error).split())}", err=True)
-        sys.exit(error.exit_code)
     except Exception as error:
-        if not debug and is_memory_shortage(error):
-            typer.echo("video2anim: not enough memory; close other programs or raise the limit on memory", err=True)
-            sys.exit(Video2AnimError.exit_code)
-        if debug or not (isinstance(error, OSError) and error.filename is None and error.errno in _OUTPUT_LOST):
+        told = last_words(error)
+        if debug or told is None:
             raise
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (what is left in the buffer is lost)
-        typer.echo(f"video2anim: output: could not be written ({error})", err=True)
-        sys.exit(3)
+        if is_output_lost(error):
+            sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (what is left in the buffer is lost)
+        typer.echo(f"video2anim: {told[0]}", err=True)
+        sys.exit(told[1])
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import csv
 import json
 import multiprocessing
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from small_run import CONFIG, SHARD, shrink
 from scenemi.data.windows import MotionSet
 from scenemi.features import Statistics
 from scenemi.model.base import join_keyframes
+from scenemi.model.build import build_denoiser
 from scenemi.model.conditions import Conditions
 from scenemi.model.config import SIZES
 from scenemi.model.denoiser import Denoiser
@@ -97,15 +99,15 @@ import pytest
 from scenemi.training import checkpoint, loop
 from small_run import CONFIG, PLAIN, shrink
 shrink(pytest.MonkeyPatch())
-plain = checkpoint.save_file
+plain = os.replace
 saved = []
-def save(tensors, path, header):
-    plain(tensors, path, header)
-    saved.append(path)
+def replace(aside, path):
+    saved.extend([path] if Path(path).name == checkpoint.CHECKPOINT else [])
     if len(saved) == 2:
-        os.truncate(path, os.path.getsize(path) // 2)
+        os.truncate(aside, os.path.getsize(aside) // 2)
         os.kill(os.getpid(), signal.SIGKILL)
-checkpoint.save_file = save
+    plain(aside, path)
+os.replace = replace
 motions = MotionSet.build([sys.argv[1]], None, None, bodies=1, config=PLAIN)
 loop.train(CONFIG, motions, Path(sys.argv[2]))
 """
@@ -152,6 +154,43 @@ def test_a_broken_checkpoint_is_named(motions: MotionSet, run_folder: RunFolder)
         train(CONFIG, motions, out, stop_at=1)
 
 
+@pytest.mark.parametrize("part", ["model", "ema", "statistics"])
+def test_a_checkpoint_that_does_not_fit_itself_is_named(
+    whole: tuple[Path, Checkpoint], tmp_path: Path, part: str
+) -> None:
+    from scenemi.training.checkpoint import save_checkpoint
+
+    held = getattr(whole[1], part)
+    odd = replace(held, mean=held.mean[None]) if part == "statistics" else {**held, next(iter(held)): torch.zeros(3)}
+    save_checkpoint(tmp_path / CHECKPOINT, replace(whole[1], **{part: odd}))
+    with pytest.raises(InputError, match="is damaged") as caught:
+        load_checkpoint(tmp_path / CHECKPOINT)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_cannot_be_written_leaves_what_was_there(whole: tuple[Path, Checkpoint], tmp_path: Path) -> None:
+    """A limit on the size of files stands for a full disk."""
+    from scenemi.training.checkpoint import save_checkpoint
+
+    model = Denoiser(SIZES["tiny"])  # type: ignore[arg-type]
+    writers = {
+        CHECKPOINT: lambda path: save_checkpoint(path, whole[1]),
+        "weights.safetensors": lambda path: save_weights(path, model, whole[1].statistics, {}),
+    }
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for name, write in writers.items():
+        write(tmp_path / name)
+        before = (tmp_path / name).read_bytes()
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, limits[1]))
+        try:
+            with pytest.raises(InputError, match="cannot be written"):
+                write(tmp_path / name)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert (tmp_path / name).read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(writers)
+
+
 @pytest.mark.parametrize("size", sorted(SIZES))
 def test_the_configuration_of_any_size_comes_back_from_a_checkpoint(
     whole: tuple[Path, Checkpoint], tmp_path: Path, size: str
@@ -159,10 +198,12 @@ def test_the_configuration_of_any_size_comes_back_from_a_checkpoint(
     from scenemi.training.checkpoint import save_checkpoint
 
     config = replace(CONFIG, model=SIZES[size], sources=("cmu",))
-    save_checkpoint(tmp_path / CHECKPOINT, replace(whole[1], config=config))
+    state = build_denoiser(config.model).state_dict()
+    saved = replace(whole[1], config=config, model=state, ema=state)
+    save_checkpoint(tmp_path / CHECKPOINT, saved)
     found = load_checkpoint(tmp_path / CHECKPOINT)
     assert found.config == config
-    assert same(found, whole[1])
+    assert same(found, saved)
     for number, values in whole[1].optimizer["state"].items():
         for name, value in values.items():
             assert torch.equal(found.optimizer["state"][number][name], torch.as_tensor(value))
