@@ -16,10 +16,9 @@ from pydantic import BaseModel, ConfigDict
 from scenemi.data.plain_files import Numbers, checked, expect_file, one_line, read_arrays, shaped
 from scenemi.scene_field import ScenePart, expect_scene
 from video2anim.errors import InputError
+from video2anim.types.scene import MOST_FACES
 
 SCENE_SUFFIXES = (".glb", ".gltf", ".ply", ".obj", ".stl", ".npz")
-MOST_FACES = 3_000_000
-"""More take minutes and several GiB of memory; distances to a scan are no better for it."""
 _MOST_BYTES = 2 * 2**30
 _MOST_HEADER_BYTES = 64 * 1024
 _GLB_HEADER, _CHUNK_HEADER, _JSON_CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s"), b"JSON"

@@ -15,6 +15,7 @@ from trimesh.exchange.gltf import export_gltf
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
+from video2anim.artifacts import user_files
 from video2anim.artifacts.user_files import MESH_SUFFIXES, content_digest, mesh_files, read_mesh_file
 from video2anim.errors import InputError
 
@@ -147,19 +148,36 @@ def test_points_without_triangles_and_places_that_are_no_numbers_are_refused(tmp
     refused(tmp_path / "beyond.obj")
 
 
+@pytest.mark.parametrize(
+    ("places", "corners", "said"),
+    [
+        ("v 0 0 0\nv 1 0 0\nv 0 0 30000\n", "1 2 3", "farther than 10 km"),
+        ("v 0 0 0\nv 1 0 0\nv 2 0 0\n", "1 2 3", "with an area"),
+    ],
+)
+def test_what_no_room_has_is_refused(tmp_path: Path, places: str, corners: str, said: str) -> None:
+    (tmp_path / "odd.obj").write_text(f"{places}f {corners}\n")
+    assert said in refused(tmp_path / "odd.obj")
+
+
+def test_too_many_faces_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(user_files, "MOST_FACES", 11)
+    assert "want a mesh of at most 11 faces, got 12" in refused(export(red_box(), tmp_path / "box.ply"))
+
+
 def test_meshes_of_a_folder_by_number(tmp_path: Path) -> None:
     """Other names and other kinds of files are no objects."""
     for name in ("3.glb", "12.OBJ", "007.ply", "chair.glb", "4.txt", "3.png", "-1.glb"):
         (tmp_path / name).touch()
     found = mesh_files(tmp_path)
     assert found == {3: tmp_path / "3.glb", 12: tmp_path / "12.OBJ", 7: tmp_path / "007.ply"}
-    (tmp_path / "empty").mkdir()
-    assert mesh_files(tmp_path / "empty") == {}
 
 
 def test_a_folder_without_a_clear_answer_is_refused(tmp_path: Path) -> None:
     (tmp_path / "3.glb").touch()
-    for folder in (tmp_path / "none", tmp_path / "3.glb"):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "chair.glb").touch()
+    for folder in (tmp_path / "none", tmp_path / "3.glb", tmp_path / "other"):
         with pytest.raises(InputError, match="want a folder of meshes") as caught:
             mesh_files(folder)
         assert str(folder) in str(caught.value)

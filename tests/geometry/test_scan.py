@@ -53,6 +53,16 @@ def l_room() -> Mesh:
     return mesh_of([ground(0, 0, 4, 2.2), ground(0, 2.2, 1.8, 4), *walls, *open_box(2.6, 0.8, 3.3, 1.3, 0.7)])
 
 
+def test_long_faces_without_an_area_are_no_surface() -> None:
+    """Each would be cut into a quarter of a million pieces."""
+    room = l_room()
+    ends_m = np.array([[-9e3, 1.0, 0.0], [0.0, 1.0, 0.0], [9e3, 1.0, 0.0]])
+    faces = np.concatenate([room.faces, np.tile(len(room.vertices_m) + np.arange(3), (1000, 1))])
+    odd = Mesh(np.concatenate([room.vertices_m, ends_m]), faces, np.zeros((len(room.vertices_m) + 3, 3), np.uint8))
+    bounds_m = np.array([[0.5, 0.1, 0.5], [1.0, 0.5, 1.0]])
+    np.testing.assert_array_equal(scan_field(odd, bounds_m, 0.1).sdf_m, scan_field(room, bounds_m, 0.1).sdf_m)
+
+
 def pose(yaw_deg: float, shift_m: tuple[float, float, float]) -> np.ndarray:
     """A turn about the room's middle, then a shift."""
     c, s = np.cos(np.deg2rad(yaw_deg)), np.sin(np.deg2rad(yaw_deg))

@@ -12,9 +12,10 @@ from urllib.parse import unquote
 import numpy as np
 
 from video2anim.artifacts.folder import file_digest, folder_digest
+from video2anim.artifacts.meshes import expect_sound
 from video2anim.artifacts.stage_files import shown
-from video2anim.errors import InputError
-from video2anim.types.scene import Mesh
+from video2anim.errors import ArtifactError, InputError
+from video2anim.types.scene import MOST_FACES, Mesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -81,7 +82,7 @@ def mesh_files(folder: Path) -> dict[int, Path]:
     """Mesh files of a folder that are named by an object's number, such as `3.glb`.
 
     Raises:
-        InputError: no folder, or two files of one number.
+        InputError: no folder, no such file in it, or two of one number.
     """
     if not folder.is_dir():
         raise InputError(f"want a folder of meshes named by object, such as 3.glb, found none at {folder}")
@@ -91,6 +92,8 @@ def mesh_files(folder: Path) -> dict[int, Path]:
             if int(path.stem) in found:
                 raise InputError(f"want one mesh per object, got {found[int(path.stem)].name} and {path.name}")
             found[int(path.stem)] = path
+    if not found:
+        raise InputError(f"want a folder of meshes named by object, such as 3.glb, found no such name in {folder}")
     return found
 
 
@@ -98,7 +101,7 @@ def read_mesh_file(path: Path) -> Mesh:
     """Triangles with a color per vertex of a GLB, glTF, OBJ, PLY or STL file, all its parts together.
 
     Raises:
-        InputError: missing, unreadable, or without triangles.
+        InputError: missing, unreadable, of more than `MOST_FACES` triangles, or not sound (`expect_sound`).
     """
     import trimesh
     from trimesh.resolvers import FilePathResolver
@@ -115,12 +118,19 @@ def read_mesh_file(path: Path) -> Mesh:
     parts = [part for part in parts if len(part.faces)]
     if not parts or not all(np.isfinite(part.vertices).all() for part in parts):
         raise InputError(f"want a mesh with triangles and finite vertices, got {len(parts)} parts at {path}")
+    if (faces := sum(len(part.faces) for part in parts)) > MOST_FACES:
+        raise InputError(f"want a mesh of at most {MOST_FACES:,} faces, got {faces:,} at {path}; simplify it first")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    return Mesh(
+    mesh = Mesh(
         np.concatenate([np.asarray(part.vertices, np.float64) for part in parts]),
         np.concatenate([np.asarray(part.faces, np.int64) + start for part, start in zip(parts, starts, strict=True)]),
         np.concatenate([_vertex_rgb(part, path) for part in parts]),
     )
+    try:
+        expect_sound(mesh, path)
+    except ArtifactError as error:
+        raise InputError(str(error)) from error
+    return mesh
 
 
 def _vertex_rgb(part: trimesh.Trimesh, path: Path) -> np.ndarray:

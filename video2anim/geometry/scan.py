@@ -126,6 +126,7 @@ def _samples(scan: Mesh) -> tuple[Float[np.ndarray, "samples 3"], Float[np.ndarr
     triangles_m = scan.vertices_m.astype(np.float64)[scan.faces]
     normal = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
     area = np.linalg.norm(normal, axis=-1)
+    triangles_m, normal, area = triangles_m[area > 0], normal[area > 0], area[area > 0]  # else pieces without end
     step_m = max(_SAMPLE_M, float(np.sqrt(0.5 * area.sum() / _MOST_SAMPLES)))
     samples_m, owner = surface_samples(triangles_m, step_m)
     return samples_m, (normal / np.maximum(area, 1e-12)[:, None])[owner]

@@ -14,6 +14,9 @@ from pydantic import Field, FiniteFloat, NonNegativeFloat, NonNegativeInt, Posit
 
 from video2anim.types.storage import Holds, Storage, stored
 
+MOST_FACES = 3_000_000
+"""Of a user's scan. More take minutes and several GiB of memory; distances to a scan are no better for it."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
