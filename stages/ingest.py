@@ -29,6 +29,8 @@ FPS = 30
 _LOW_FPS = 20.0
 _SMALL_SIDE_PX = 240
 _LONG_HOLE_S = 0.25
+_CUT_OFF_S = 0.5
+"""Seconds by which the header may be wrong about the end."""
 _MOST_FRAMES_PER_PICTURE = 15
 """Fewer than 2 pictures a second, on average, are no film: nearly every frame would repeat the one before."""
 _MOTION_SAMPLES = 20
@@ -239,6 +241,12 @@ def _warnings(
     if survey.reached_end and header.claimed_frames > report.frames:
         texts.append(
             f"the header claims {header.claimed_frames} frames, {report.frames} decode: the file is cut off or damaged"
+        )
+    end_s = survey.time_s[-1] + survey.period_s
+    if survey.reached_end and header.claimed_s > end_s + _CUT_OFF_S:
+        texts.append(
+            f"the header claims {header.claimed_s:.2f} s, the pictures end at {end_s:.2f} s: the file is cut off or "
+            "damaged"
         )
     if report.damaged_packets or report.damaged_frames or report.stopped_by:
         stopped = f"; decoding stopped early: {report.stopped_by}" if report.stopped_by else ""

@@ -257,6 +257,20 @@ def test_decode_order_is_said(tmp_path: Path, run: Callable[..., VideoClip]) -> 
     assert not any("cut off" in warning or "left out" in warning for warning in clip.warnings)
 
 
+@pytest.mark.parametrize("end", ["mkv", "webm"])
+def test_a_film_that_counts_no_frames_is_cut_off(tmp_path: Path, run: Callable[..., VideoClip], end: str) -> None:
+    path = tmp_path / f"clip.{end}"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264" if end == "mkv" else "libvpx-vp9", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
+        for index in range(60):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(gray(20 + 3 * index), format="rgb24")))
+        container.mux(stream.encode(None))
+    assert not any("cut off" in warning for warning in run(path).warnings)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert any("the header claims 2.00 s, the pictures end at" in warning for warning in run(path).warnings)
+
+
 def test_trimming(tmp_path: Path, run: Callable[..., VideoClip]) -> None:
     values = [20 + 3 * i for i in range(60)]
     path = write_video(tmp_path / "long.mp4", [gray(v) for v in values], [3 * i for i in range(60)])

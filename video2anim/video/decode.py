@@ -6,6 +6,7 @@ does not grow with the length of the source.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,6 +49,8 @@ class SourceHeader:
     """Rate by the container's word, 0 where it is silent."""
     claimed_frames: int
     """Frames by the container's word, 0 where it is silent. What an edit list hides is not counted."""
+    claimed_s: float
+    """Time of the end by the container's word, 0 where it is silent or names frames."""
     focal_35mm: float
     """35 mm equivalent focal length from metadata, 0 where absent."""
     hdr: str = ""
@@ -150,6 +153,7 @@ def probe(path: Path) -> SourceHeader:
             pixel_aspect=float(aspect) if aspect else 1.0,
             nominal_fps=float(rate) if rate else 0.0,
             claimed_frames=_claimed_frames(container, stream),
+            claimed_s=_claimed_s(container, stream),
             focal_35mm=focal_35mm_of(metadata),
             hdr=HDR_TRANSFERS.get(first.color_trc, ""),
             stream_index=stream.index,
@@ -203,6 +207,16 @@ def _claimed_frames(container: InputContainer, stream: av.VideoStream) -> int:
         return stream.frames
     shown = sum(not entry.is_discard for entry in stream.index_entries)
     return min(stream.frames, shown)
+
+
+def _claimed_s(container: InputContainer, stream: av.VideoStream) -> float:
+    """Sound may end later than pictures: of a file with sound only what is said of the pictures counts."""
+    if stream.frames:
+        return 0.0
+    hours, minutes, seconds = (["", "", "", *stream.metadata.get("DURATION", "").split(":")])[-3:]
+    with contextlib.suppress(ValueError):  # Matroska says it so
+        return 3600 * int(hours) + 60 * int(minutes) + float(seconds)
+    return (container.duration or 0) / av.time_base if len(container.streams) == 1 else 0.0
 
 
 def _video_streams(container: InputContainer, path: Path) -> list[av.VideoStream]:
