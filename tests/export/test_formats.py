@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -132,8 +133,9 @@ class FinishedFolder:
 
 @pytest.fixture
 def finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(results, "open_scene", lambda scene_dir: (FinishedFolder(), None))
-    (tmp_path / "scene").mkdir()
+    made = SimpleNamespace(results={"motion.npz": "", "motion.bvh": ""})
+    monkeypatch.setattr(results, "open_scene", lambda scene_dir: (FinishedFolder(), made))
+    (tmp_path / "scene" / "stages" / "04_humans").mkdir(parents=True)
     return tmp_path / "scene"
 
 
@@ -165,6 +167,20 @@ def test_out_that_is_no_place_is_told_in_one_line(finished: Path, tmp_path: Path
     if Path("/proc/self").exists():  # where even the superuser may not make a folder
         expect_one_line(export(finished, "glb", "/proc/video2anim"), 3, "--out", "/proc/video2anim")
     assert (tmp_path / "taken").read_text() == "mine"
+
+
+def test_what_the_run_made_is_not_written_over(finished: Path, tmp_path: Path) -> None:
+    taken = (
+        finished / "motion.npz",
+        finished / "stages" / "04_humans" / "motion.npz",
+        finished / "stages" / "04_humans",
+    )
+    (tmp_path / "link").symlink_to(finished)
+    for out in (*taken, tmp_path / "link" / "motion.npz"):
+        expect_one_line(export(finished, "amass", out), 2, str(out), "belongs to the run")
+    answer = video2anim("view", finished, "--screenshot", finished / "stages" / "04_humans" / "0.png")
+    expect_one_line(answer, 2, "0.png", "belongs to the run")
+    assert export(finished, "bvh", finished / "motion.bvh").code == 0, "the format's own place"
 
 
 def test_without_blender_the_exact_command_is_told(

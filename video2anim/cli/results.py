@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from video2anim.artifacts.folder import file_digest
@@ -15,6 +15,7 @@ from video2anim.cli.compose import open_scene
 from video2anim.cli.report import MOTIONS
 from video2anim.errors import ModelMissingError, UsageError
 from video2anim.pipeline.runner import Runner
+from video2anim.pipeline.scene_folder import STAGES
 from video2anim.types import RefinedMotion
 
 _DEMO_WHEEL = ("sports2d", "0.8.34", "Sports2D/Demo/demo.mp4")
@@ -30,12 +31,15 @@ def export_format(scene_dir: Path, format_name: str, out: Path | None) -> list[P
         out: Folder, or the main file; None for the scene folder.
 
     Raises:
-        UsageError: unknown format, `out` is no name for it, a library is missing, or the folder is not finished.
+        UsageError: unknown format, `out` is no name for it or the run's own, a library is missing, or the folder is
+            not finished.
         InputError: the files cannot be written.
     """
-    from video2anim.export import ExportScene, write_format
+    from video2anim.export import FORMATS, ExportScene, write_format
 
-    runner, _ = open_scene(scene_dir)
+    runner, record = open_scene(scene_dir)
+    if out is not None and format_name in FORMATS:
+        _expect_free(scene_dir, out, set(record.results) - {FORMATS[format_name].main})
     _expect_made(runner, "refine")
     refined = runner.value(RefinedMotion)
     content = ExportScene(refined.people, refined.scene)
@@ -53,6 +57,8 @@ def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None) -
     if motion not in MOTIONS:
         raise UsageError(f"--motion: want one of {', '.join(MOTIONS)}, got {motion!r}")
     runner, _ = open_scene(scene_dir)
+    if screenshot is not None:
+        _expect_free(scene_dir, screenshot)
     _expect_made(runner, "refine")
     motions = {name: runner.value(kind).people for name, kind in MOTIONS.items()}
     shown = viewer.SceneView(motions=motions, scene=runner.value(RefinedMotion).scene)
@@ -60,6 +66,17 @@ def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None) -
         viewer.view(shown, title=f"video2anim {scene_dir}", frame=frame, stage=motion)
     else:
         viewer.screenshot(shown, frame, screenshot, stage=motion)
+
+
+def _expect_free(scene_dir: Path, out: Path, results: Collection[str] = ()) -> None:
+    """Refuse to write over what a run made.
+
+    Raises:
+        UsageError: a place among the stages, or a result of the run.
+    """
+    place, home = out.resolve(), scene_dir.resolve()
+    if place.is_relative_to(home / STAGES) or place in {home / name for name in results}:
+        raise UsageError(f"output: {out} belongs to the run; choose another place")
 
 
 def demo_clip(say: Callable[[str], None]) -> Path:
