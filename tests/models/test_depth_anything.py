@@ -73,6 +73,27 @@ def test_another_network_is_refused(tmp_path: Path) -> None:
         DepthAnything(_red_channel_graph(tmp_path / "other.onnx", output="depth_map"))
 
 
+@pytest.mark.parametrize("fault", ["nothing", "text", "no room"])
+def test_what_gives_no_numbers_is_refused(tmp_path: Path, fault: str) -> None:
+    given = np.array([[["a", "b"]]], object) if fault == "text" else np.zeros((1, 0, 5), np.float32)
+    kind = TensorProto.STRING if fault == "text" else TensorProto.FLOAT
+    graph = helper.make_graph(
+        [helper.make_node("Constant", [], ["predicted_depth"], value=onnx.numpy_helper.from_array(given))],
+        "odd",
+        [
+            helper.make_tensor_value_info(
+                "pixel_values", TensorProto.FLOAT, [1, 3, *([0, 14] if fault == "no room" else "HW")]
+            )
+        ],
+        [helper.make_tensor_value_info("predicted_depth", kind, given.shape)],
+    )
+    onnx.save(
+        helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9), tmp_path / "odd.onnx"
+    )
+    with pytest.raises(ModelMissingError, match=r"odd\.onnx: want (numbers in predicted_depth|a network that takes)"):
+        DepthAnything(tmp_path / "odd.onnx").infer(np.zeros((20, 30, 3), np.uint8))
+
+
 def test_garbage_is_refused_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "garbage.onnx"
     path.write_bytes(b"not a network")

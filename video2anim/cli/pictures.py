@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from video2anim.errors import InputError, UsageError
+from video2anim.errors import InputError, StageError, UsageError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -46,7 +46,10 @@ def models_run(
     aside = out.with_name(f".{out.name}.part")
     if out.is_dir() or not out.parent.is_dir():
         raise InputError(f"--out: cannot write {out}: want a file in a folder that is there; choose another")
-    answer = ANSWERS[slot](load_model(model or slot), pictures)
+    try:
+        answer = ANSWERS[slot](load_model(model or slot), pictures)
+    except ValueError as error:
+        raise StageError(f"{entry.name}: its answer cannot be used: {error}") from error
     arrays: dict[str, Any] = {"frames": np.array(names), "model": np.array(entry.name), **answer}
     try:
         with aside.open("wb") as file:

@@ -55,6 +55,10 @@ class Session:
             raise ModelMissingError(
                 f"{path}: want an .onnx network, the runtime cannot load it: {_one_line(error)}"
             ) from error
+        if empty := [name for name, tensor in self.inputs.items() if 0 in tensor.shape]:
+            raise ModelMissingError(
+                f"{path}: want a network that takes pictures, got room for none in {_quoted(empty)}"
+            )
 
     @property
     def tensors(self) -> str:
@@ -65,15 +69,19 @@ class Session:
         """The named outputs.
 
         Raises:
-            ModelMissingError: the network refuses its input.
+            ModelMissingError: the network refuses its input, or gives no numbers.
         """
         try:
-            return [np.asarray(value) for value in self._native.run(list(outputs), dict(feeds))]
+            found = [np.asarray(value) for value in self._native.run(list(outputs), dict(feeds))]
         except RUNTIME_ERRORS as error:
             shapes = ", ".join(f"{name} {value.shape}" for name, value in feeds.items())
             raise ModelMissingError(
                 f"{self.path}: want a network of {shapes}, it refuses: {_one_line(error)}"
             ) from error
+        for name, value in zip(outputs, found, strict=True):
+            if not value.size or value.dtype.kind not in "fiub":
+                raise ModelMissingError(f"{self.path}: want numbers in {name}, got {value.dtype} {value.shape}")
+        return found
 
 
 def open_session(path: Path, *, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> Session:
