@@ -34,6 +34,7 @@ from scenemi.training.runs import RunFiles
 from video2anim.errors import InputError
 
 PIECE_BYTES = 16 * 2**20
+_MOST_BYTES = 2**30
 _UNITS_PER_METRE = 8192.0
 _SETTINGS, _MOTION, _STATE = "run.json", "motion", "state"
 _LEVELS = 127
@@ -156,7 +157,11 @@ def _compressed(tables: dict[str, np.ndarray]) -> bytes:
 
 def _decompressed(data: bytes) -> dict[str, np.ndarray]:
     names = ("turns", "moves")
-    tables = read_arrays(io.BytesIO(lzma.decompress(data)), ARRAYS, "pack", needed=names, where="motion of the pack")
+    stream = lzma.LZMADecompressor()
+    whole = stream.decompress(data, _MOST_BYTES)
+    if not stream.eof:
+        raise ValueError(f"motion that is cut off or unpacks to more than {_MOST_BYTES / 2**30:g} GiB")
+    tables = read_arrays(io.BytesIO(whole), ARRAYS, "pack", needed=names, where="motion of the pack")
     high, low = tables.pop("turns").astype(np.uint16)
     turns, moves = (high << 8 | low).view(np.int16), tables.pop("moves")
     rotation, root_m = np.zeros((len(turns) // 4, 4), np.int16), np.zeros((len(moves) // 3, 3), np.float32)

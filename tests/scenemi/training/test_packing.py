@@ -110,7 +110,7 @@ def test_the_command_packs_and_goes_on_from_a_pack(archive: Path, tmp_path: Path
     assert "give one of both" in str(both.exception)
 
 
-def test_what_is_no_pack_is_told(tmp_path: Path) -> None:
+def test_what_is_no_pack_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="scenemi train --pack"):
         unpack_run(tmp_path / "none", tmp_path / "out")
     with pytest.raises(InputError, match="neither motion nor a run"):
@@ -121,6 +121,10 @@ def test_what_is_no_pack_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="empty folder"):
         pack_run(tmp_path / "full", RunFiles(CONFIG, (archive,), None, None), tmp_path)
     pack_run(tmp_path / "pack", RunFiles(CONFIG, (archive,), None, None), tmp_path)
+    monkeypatch.setattr(packing, "_MOST_BYTES", 1000)
+    with pytest.raises(InputError, match="unpacks to more than"):
+        unpack_run(tmp_path / "pack", tmp_path / "out")
+    monkeypatch.undo()
     piece = tmp_path / "pack" / "motion.00"
     piece.write_bytes(piece.read_bytes()[:-100])
     with pytest.raises(InputError, match="scenemi train --pack"):
