@@ -6,7 +6,6 @@ last one the new window's, and a prior that keeps its seed exactly leaves them u
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -51,13 +50,6 @@ class LongMotion:
     spans: tuple[WindowSpan, ...]
     bridged_index: Int[np.ndarray, "bridges"]
     """Frames made keyframes by interpolation, because no keyframe was given for a whole window."""
-    densities: tuple[int, ...]
-    """Per window, what was accepted: 0 = the keyframes asked for, k = the k-th of `denser`."""
-
-
-Taken = Callable[[WindowSpan, WindowMotion], None]
-"""Is told of every window that is taken."""
-Accept = Callable[[WindowSpan, WindowMotion], bool]
 
 
 def inbetween(
@@ -67,9 +59,6 @@ def inbetween(
     scene: Scene | None = None,
     window: int = WINDOW_FRAMES,
     overlap: int = OVERLAP_FRAMES,
-    denser: tuple[KeyframeMotion, ...] = (),
-    accept: Accept | None = None,
-    taken: Taken | None = None,
 ) -> LongMotion:
     """Fill a motion between its keyframes.
 
@@ -78,10 +67,6 @@ def inbetween(
         prior: fills one window.
         scene: handed to the prior.
         window, overlap: paper's N and v.
-        denser: the same motion with more keyframes, tried in this order for a window that `accept` turns down; the
-            keyframes of `motion` are keyframes there too.
-        accept: judges a filled window; the last candidate is taken in any case.
-        taken: told of every window once it is, in order of time.
 
     Raises:
         ValueError: no keyframe.
@@ -89,26 +74,18 @@ def inbetween(
     bridged, bridges = _bridged(motion, window)
     keyframes = np.flatnonzero(bridged.is_keyframe)
     spans = plan_windows(keyframes, window, overlap)
-    candidates = (bridged, *(_with_keyframes_of(more, bridged) for more in denser))
     R_parent_joint = bridged.R_parent_joint.copy()
     translation_m = bridged.translation_world_m.copy()
-    densities = []
     for span in spans:
         done = WindowMotion(R_parent_joint, translation_m)
-        density, filled = 0, _filled(span, candidates[0], done, prior, scene)
-        while accept is not None and density + 1 < len(candidates) and not accept(span, filled):
-            density += 1
-            filled = _filled(span, candidates[density], done, prior, scene)
-        densities.append(density)
-        if taken is not None:
-            taken(span, filled)
+        filled = _filled(span, bridged, done, prior, scene)
         R_parent_joint[span.start : span.stop] = filled.R_parent_joint
         translation_m[span.start : span.stop] = filled.translation_world_m
     first, last = keyframes[0], keyframes[-1]
     for array in (R_parent_joint, translation_m):
         array[:first] = array[first]
         array[last + 1 :] = array[last]
-    return LongMotion(R_parent_joint, translation_m, spans, bridges, tuple(densities))
+    return LongMotion(R_parent_joint, translation_m, spans, bridges)
 
 
 def _bridged(motion: KeyframeMotion, window: int) -> tuple[KeyframeMotion, Int[np.ndarray, "bridges"]]:
@@ -133,17 +110,6 @@ def _bridged(motion: KeyframeMotion, window: int) -> tuple[KeyframeMotion, Int[n
     is_keyframe[bridges] = True
     bridged = replace(motion, R_parent_joint=R_parent_joint, translation_world_m=translation_m, is_keyframe=is_keyframe)
     return bridged, bridges
-
-
-def _with_keyframes_of(more: KeyframeMotion, base: KeyframeMotion) -> KeyframeMotion:
-    """`more`, and the keyframes of `base` where it has none."""
-    only_base = base.is_keyframe & ~more.is_keyframe
-    return replace(
-        more,
-        R_parent_joint=np.where(only_base[:, None, None, None], base.R_parent_joint, more.R_parent_joint),
-        translation_world_m=np.where(only_base[:, None], base.translation_world_m, more.translation_world_m),
-        is_keyframe=more.is_keyframe | only_base,
-    )
 
 
 def _filled(

@@ -43,11 +43,11 @@ class RefineConfig:
 
     prior: Literal["auto", "interpolation", "scenemi"] = "auto"
     """`auto` = `scenemi` where weights are present, else `interpolation`."""
-    keyframe_interval_frames: Annotated[int, limits("frames", ge=1, le=100_000)] = 15
-    """Frames between keyframes given to the prior (paper: every third optimized keyframe)."""
-    keyframe_noise_deg: Annotated[float, limits("degrees", ge=0, le=100)] = 1.0
+    keyframe_interval_frames: Annotated[int, limits("frames", ge=1, le=100_000)] = 5
+    """Frames between keyframes given to the prior (paper: 15, every third optimized keyframe)."""
+    keyframe_noise_deg: Annotated[float, limits("degrees", ge=0, le=100)] = 6.0
     """How far the rotations of keyframes from video are off (paper's l)."""
-    keyframe_noise_cm: Annotated[float, limits("cm", ge=0, le=100)] = 1.0
+    keyframe_noise_cm: Annotated[float, limits("cm", ge=0, le=100)] = 3.0
     """How far their translation is off."""
     window_frames: Annotated[int, limits("frames", ge=2, le=100_000)] = 121
     """Length of one synthesis (paper: N = 121)."""
@@ -76,7 +76,7 @@ def refine_motion(
         ModelMissingError: the prior is set to `scenemi` and its weights are absent.
     """
     from scenemi.postprocess.motion_solve import solve_motions
-    from scenemi.prior import load_prior
+    from scenemi.prior import InterpolationPrior, load_prior
 
     prior = load_prior(config.prior, device=ctx.device, seed=ctx.seed)
     if config.prior == "auto" and prior.name != "scenemi":
@@ -86,20 +86,24 @@ def refine_motion(
     for motion in keyframed.people:
         if not motion.valid.any():
             ctx.warn(f"person {motion.person_id} has no valid frame, motion left as it is")
-    observed = [_observation(bodies.people[number], keyframed.people[number]) for number in seen]
-    filled = [
-        _filled(keyframed.people[number], one, prior, field, config, ctx)
-        for number, one in zip(seen, observed, strict=True)
-    ]
-    solved, plain = solve_motions(filled, solids), solve_motions(observed, solids)
-    people, names, shares = list(keyframed.people), ["none"] * len(keyframed.people), [0.0] * len(keyframed.people)
+    observed = [_observation(keyframed.people[number]) for number in seen]
+    made, alone = (
+        [
+            _filled(keyframed.people[number], one, by, field, config, ctx)
+            for number, one in zip(seen, observed, strict=True)
+        ]
+        for by in (prior, InterpolationPrior())
+    )
+    solved, plain = solve_motions(made, solids), solve_motions(alone, solids)
+    people, alike = list(keyframed.people), list(keyframed.people)
+    names, shares = ["none"] * len(people), [0.0] * len(people)
     for k, number in enumerate(seen):
         motion = keyframed.people[number]
         suffix = "" if number == 0 else f" (person {motion.person_id})"
         people[number] = motion.with_pose(
             translation_world_m=solved.translation_world_m[k], R_parent_joint=solved.R_parent_joint[k]
         )
-        without = motion.with_pose(
+        without = alike[number] = motion.with_pose(
             translation_world_m=plain.translation_world_m[k], R_parent_joint=plain.R_parent_joint[k]
         )
         if prior.name == "scenemi":
@@ -109,7 +113,7 @@ def refine_motion(
             _report(ctx, when, one, bodies.people[number], field, suffix)
         ctx.progress(k + 1, len(seen))
     moved = _moved(scene, solids, solved.moved_m, ctx)
-    return RefinedMotion(tuple(people), tuple(names), tuple(shares), moved)
+    return RefinedMotion(tuple(people), tuple(names), tuple(shares), tuple(alike), moved)
 
 
 def _filled(
@@ -120,38 +124,38 @@ def _filled(
     config: RefineConfig,
     ctx: StageContext,
 ) -> SceneMotion:
-    """What the prior makes of sparse keyframes of the observed motion."""
+    """What a prior makes of keyframes of the observed motion: `scenemi` of sparse and noisy ones, interpolation of all
+    that are calm, between which it only bridges gaps."""
     from scenemi.longmotion import KeyframeMotion, inbetween
     from scenemi.windows import select_keyframes
 
-    if prior.name != "scenemi":
-        return observed
+    interval = config.keyframe_interval_frames if prior.name == "scenemi" else 1
     keys = np.zeros(motion.frame_count, bool)
-    keys[select_keyframes(motion.frame_count, config.keyframe_interval_frames, usable=calm_frames(motion))] = True
+    keys[select_keyframes(motion.frame_count, interval, usable=calm_frames(motion))] = True
     given = KeyframeMotion(
         observed.R_parent_joint, observed.translation_world_m, keys, motion.rest_joints_m, FPS, observed.body,
         noise=(config.keyframe_noise_deg, config.keyframe_noise_cm),
     )  # fmt: skip
     made = inbetween(given, prior, scene=field, window=config.window_frames, overlap=config.overlap_frames)
-    if len(made.bridged_index):
+    if len(made.bridged_index) and prior.name == "scenemi":
         frames = ", ".join(str(i) for i in made.bridged_index)
         ctx.warn(f"person {motion.person_id}: gaps longer than a window were bridged by interpolation at {frames}")
     return replace(observed, R_parent_joint=made.R_parent_joint, translation_world_m=made.translation_world_m)
 
 
-def _observation(body: BodyMotion, motion: BodyMotion) -> SceneMotion:
-    """The motion after keyframes, and where stage humans saw it in the picture."""
+def _observation(motion: BodyMotion) -> SceneMotion:
+    """The motion after keyframes, and where the picture shows it: keyframes go along their lines of sight."""
     from scenemi.postprocess.motion_solve import PictureTarget, SceneMotion
     from video2anim.body.anny_body import shaped_body
     from video2anim.geometry.projection import invert_rigid, project
 
     shaped = shaped_body(motion.shape)
-    camera_m = body.joints_camera_m
+    camera_m = motion.joints_camera_m
     stature_m = float(np.ptp(shaped.rest_vertices_m[:, 1]))
     picture = PictureTarget(
-        project(camera_m, body.intrinsics), calm_frames(body) & (camera_m[:, 0, 2] > 0.1),
-        body.intrinsics.fy_px * stature_m / np.maximum(camera_m[:, 0, 2], 0.1),
-        invert_rigid(body.T_world_camera), body.intrinsics.matrix(),
+        project(camera_m, motion.intrinsics), calm_frames(motion) & (camera_m[:, 0, 2] > 0.1),
+        motion.intrinsics.fy_px * stature_m / np.maximum(camera_m[:, 0, 2], 0.1),
+        invert_rigid(motion.T_world_camera), motion.intrinsics.matrix(),
     )  # fmt: skip
     contact = np.where(motion.valid[:, None], motion.contact, 0.0)
     fixed = np.zeros(motion.frame_count, bool)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.linalg import solveh_banded
 
 REACH = 2
@@ -47,6 +47,14 @@ class BlockBand:
         for a in range(2):
             self.next[a : frames - 2 + a, diagonal, diagonal] += share[a] * share[a + 1] * weight
         self.after += share[0] * share[2] * weight
+
+    def fix(self, frames: Bool[np.ndarray, "frames"]) -> None:
+        """Make x zero in some frames."""
+        rows = np.flatnonzero(frames)
+        self.same[rows], self.right[rows], self.cross[rows] = np.eye(self.right.shape[1]), 0.0, 0.0
+        for apart, coupling in ((1, self.next), (2, self.after)):
+            coupling[rows[rows < len(coupling)]] = 0.0
+            coupling[rows[rows >= apart] - apart] = 0.0
 
     def eliminate(self) -> tuple[Float[np.ndarray, "frames unknowns"], Float[np.ndarray, "frames unknowns shared"]]:
         """H^-1 g and H^-1 times the coupling with the shared unknowns, by banded Cholesky factorization: frames x

@@ -21,15 +21,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from scenemi.postprocess.block_band import BlockBand, solve_together
-from video2anim.body.anny_body import ShapedBody
 from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from video2anim.geometry.sdf import SdfGrid
+
+if TYPE_CHECKING:
+    from video2anim.body.anny_body import ShapedBody
 
 JOINTS = len(PARENTS)
 UNKNOWNS = 3 + 3 * JOINTS
@@ -202,9 +205,7 @@ class _Person:
         usual += [np.maximum(config.acceleration_ratio * _rms(turning).reshape(-1), least_rad)]
         self.stiffness = fps2**2 / np.concatenate(usual) ** 2
         turn_rad = np.where(np.isin(np.arange(JOINTS), TRUNK), config.trunk_rad, config.limb_rad)
-        loose = np.concatenate([np.full(3, config.root_m), np.repeat(turn_rad, 3)]) ** -2.0
-        # Fixed frames are held a thousand times as tightly.
-        self.hold = loose * np.where(given.fixed, _FIXED, 1.0)[:, None]
+        self.hold = np.concatenate([np.full(3, config.root_m), np.repeat(turn_rad, 3)]) ** -2.0
 
     def move(self, step: Float[np.ndarray, "frames 69"]) -> None:
         """Go on by a step of the unknowns."""
@@ -229,6 +230,7 @@ class _Person:
         self._stance(band, joints_m, R_world_joint)
         if self.solids.known:
             self._surfaces(band, joints_m, R_world_joint)
+        band.fix(self.given.fixed)
         return band
 
     def _picture(self, band: BlockBand, seen: PictureTarget, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
@@ -259,7 +261,7 @@ class _Person:
         weight = np.where(both > config.contact_threshold, both, 0.0) * slow / config.stance_m_s**2
         J = fps * jacobians(joints_m, R_world_joint, joints_m[:, feet], np.array(feet))
         J = J.reshape(len(J), 3 * len(feet), UNKNOWNS)
-        weights, off = np.repeat(weight, 3, axis=1), -speed.reshape(len(speed), -1)
+        weights, off = np.repeat(weight, 3, axis=1), -speed.reshape(len(speed), 3 * len(feet))
         before, after = J[:-1] * weights[..., None], J[1:] * weights[..., None]
         band.same[:-1] += before.transpose(0, 2, 1) @ J[:-1]
         band.same[1:] += after.transpose(0, 2, 1) @ J[1:]
@@ -326,7 +328,6 @@ TOUCHING_POINTS = 5
 """Nearest skin points of a touching part that are brought to the surface."""
 DEEPEST_POINTS = 12
 """Skin points of a frame that are brought out of solids."""
-_FIXED = 1e6
 _STEP_M = 0.03
 """Half the way over which a surface's normal is taken: half the spacing of the scene's field."""
 _SPREAD_POINTS, _PART_POINTS = 500, 100

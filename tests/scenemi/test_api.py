@@ -11,7 +11,7 @@ import scenemi
 def test_public_names_exist_and_are_the_expected_ones() -> None:
     assert set(scenemi.__all__) >= {
         "InbetweeningPrior", "InterpolationPrior", "KeyframeMotion", "KeyframeWindow", "WindowMotion",
-        "inbetween", "load_prior", "lock_feet", "plan_windows", "select_keyframes",
+        "inbetween", "load_prior", "plan_windows", "select_keyframes", "solve_motions",
     }  # fmt: skip
     assert all(hasattr(scenemi, name) for name in scenemi.__all__)
 

@@ -84,17 +84,6 @@ def test_frames_outside_the_keyframes_hold_the_nearest_pose() -> None:
     np.testing.assert_array_equal(filled.R_parent_joint[41:], np.tile(filled.R_parent_joint[40], (19, 1, 1, 1)))
 
 
-def test_a_window_turned_down_is_filled_with_denser_keyframes() -> None:
-    motion = planted_walk(181)
-    sparse = keyframe_motion(motion, select_keyframes(181, 60))
-    dense = keyframe_motion(motion, select_keyframes(181, 1))
-    filled = inbetween(sparse, InterpolationPrior(), denser=(dense,), accept=lambda span, _: span.start > 0)
-    assert filled.densities == (1, 0)
-    error_m = np.linalg.norm(filled.translation_world_m - motion.T_world_root[:, :3, 3], axis=-1)
-    assert error_m[:121].max() < 1e-9
-    assert error_m[121:].max() > 1e-3
-
-
 def test_a_motion_without_keyframes_is_refused() -> None:
     with pytest.raises(ValueError, match="no keyframe"):
         inbetween(keyframe_motion(planted_walk(5), np.array([], dtype=int)), InterpolationPrior())

@@ -1,4 +1,5 @@
-"""Root displacements (and turns) of keyframes from five losses (paper 8.2): the maths behind the keyframes stage."""
+"""How far keyframes' roots go along their lines of sight, from five losses (paper 8.2): the maths behind the keyframes
+stage."""
 
 from __future__ import annotations
 
@@ -9,8 +10,6 @@ import torch
 from jaxtyping import Float, Int
 
 from video2anim.fitting.keyframe_depth import DepthLoss, DepthTarget
-from video2anim.fitting.keyframe_moves import RootMoves, turned_about_y
-from video2anim.fitting.keyframe_sight import Sight, split_by_sight
 from video2anim.geometry.chamfer import huber_of_square
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.geometry.torch_threads import one_thread
@@ -21,19 +20,13 @@ class RootWeights:
     """Weights of the losses, all of which are mean squares in m^2."""
 
     regularization: float
-    """On displacement along the line of sight, where a single camera is least certain."""
-    regularization_across: float
-    """On displacement across it, which the picture fixes."""
     contact: float
     penetration: float
     displacement_change: float
     acceleration: float
     depth: float
-    yaw: float
-    """On the turn about the vertical, as the way of a point at `yaw_lever_m`."""
     huber_m: float
     contact_points: int
-    yaw_lever_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +47,8 @@ class RootProblem:
     frame: Int[np.ndarray, "keyframes"]
     frame_root_m: Float[np.ndarray, "frames 3"]
     """Root of every frame of the clip."""
-    sight: Sight
-    """Of the keyframes."""
+    direction: Float[np.ndarray, "keyframes 3"]
+    """Unit vectors from the camera to the keyframes' roots."""
     skin_m: Float[np.ndarray, "points 3"]
     """Vertices to be kept out of solids, of keyframes and of frames between them."""
     skin_frame: Int[np.ndarray, "points"]
@@ -66,35 +59,21 @@ class RootProblem:
 
 
 @one_thread()
-def solve_root_moves(
-    problem: RootProblem, weights: RootWeights, *, iterations: int, learning_rate_m: float, yaw: bool = False
-) -> RootMoves:
-    """Moves that minimize the weighted losses: Adam from zero, step size falling along a cosine.
-
-    After every step, displacements are cut back to what the picture lets them be across the sight (see `Sight`), and
-    so are turns, as ways at the lever. Without `yaw` nothing turns.
-    """
+def solve_along(
+    problem: RootProblem, weights: RootWeights, *, iterations: int, learning_rate_m: float
+) -> Float[np.ndarray, "keyframes"]:
+    """Ways along the lines of sight (metres) that minimize the weighted losses: Adam from zero, step size falling along
+    a cosine."""
     losses = _Losses(problem, weights)
-    limit_m, direction = _tensor(problem.sight.limit_m[:, None]), _tensor(problem.sight.direction)
-    displacement_m = torch.zeros(len(problem.frame), 3, requires_grad=True)
-    turn_m = torch.zeros(len(problem.frame), 1, requires_grad=True) if yaw else None
-    leaves = [displacement_m] if turn_m is None else [displacement_m, turn_m]
-    optimizer = torch.optim.Adam(leaves, lr=learning_rate_m)
+    along_m = torch.zeros(len(problem.frame), 1, requires_grad=True)
+    optimizer = torch.optim.Adam([along_m], lr=learning_rate_m)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, T_max=max(1, iterations))
     for _ in range(iterations):
         optimizer.zero_grad()
-        losses(displacement_m, turn_m).backward()
+        losses(along_m).backward()
         optimizer.step()
         schedule.step()
-        with torch.no_grad():
-            along_m, across_m = split_by_sight(displacement_m, direction)
-            excess = across_m.norm(dim=-1, keepdim=True) / limit_m.clamp(min=1e-9)
-            cut_m = along_m * direction + across_m / excess.clamp(min=1.0)
-            displacement_m.copy_(torch.where(excess > 1, cut_m, displacement_m))
-            if turn_m is not None:
-                turn_m.copy_(torch.maximum(torch.minimum(turn_m, limit_m), -limit_m))
-    yaw_rad = np.zeros(len(problem.frame)) if turn_m is None else turn_m.detach().numpy()[:, 0] / weights.yaw_lever_m
-    return RootMoves(displacement_m.detach().numpy().astype(np.float64), yaw_rad.astype(np.float64))
+    return along_m.detach().numpy()[:, 0].astype(np.float64)
 
 
 def contact_distance_m(
@@ -105,14 +84,12 @@ def contact_distance_m(
 
 
 class _Losses:
-    """Weighted sum of the five losses as a function of displacements (K, 3) and, if any, turns (K, 1): the ways in
-    meters of a point at the lever."""
+    """Weighted sum of the five losses as a function of ways along the sight (K, 1)."""
 
     def __init__(self, problem: RootProblem, weights: RootWeights) -> None:
         self.weights, self.problem = weights, problem
-        self.sight = _tensor(problem.sight.direction)
+        self.direction = _tensor(problem.direction)
         self.root_m, self.skin_m = _tensor(problem.frame_root_m[problem.frame]), _tensor(problem.skin_m)
-        self.skin_root_m = _tensor(problem.frame_root_m[problem.skin_frame])
         frames, rows = np.unique(problem.skin_frame, return_inverse=True)
         self.frames, self.skin_row = max(len(frames), 1), torch.as_tensor(rows)
         self.skin_place = _between(problem.frame, problem.skin_frame)
@@ -126,48 +103,35 @@ class _Losses:
         if self.depth:
             frame = np.concatenate([np.full(len(target.visible_m), target.frame) for target in problem.depth])
             self.visible_m = _tensor(np.concatenate([target.visible_m for target in problem.depth]))
-            self.visible_root_m = _tensor(problem.frame_root_m[frame])
             self.visible_place = _between(problem.frame, frame)
 
-    def __call__(self, displacement_m: torch.Tensor, turn_m: torch.Tensor | None) -> torch.Tensor:
-        w = self.weights
-        along_m, across_m = split_by_sight(displacement_m, self.sight)
+    def __call__(self, along_m: torch.Tensor) -> torch.Tensor:
+        w, displacement_m = self.weights, along_m * self.direction
         total = w.regularization * (along_m**2).mean()
-        total = total + w.regularization_across * (across_m**2).sum(-1).mean()
-        total = total + w.penetration * self._penetration(displacement_m, turn_m)
+        total = total + w.penetration * self._penetration(displacement_m)
         if self.contacts:
-            total = total + w.contact * self._contact(displacement_m, turn_m)
+            total = total + w.contact * self._contact(displacement_m)
         if len(displacement_m) > 1:
             total = total + w.displacement_change * self._change(displacement_m)
         if len(displacement_m) > 2:
             total = total + w.acceleration * self._acceleration(displacement_m)
         if self.depth:
-            visible_m = self._moved(self.visible_m, self.visible_root_m, self.visible_place, displacement_m, turn_m)
-            total = total + w.depth * self.depth(visible_m)
-        if turn_m is not None:
-            total = total + w.yaw * (turn_m**2).mean()
-            if len(turn_m) > 1:
-                total = total + w.displacement_change * self._change(turn_m)
+            total = total + w.depth * self.depth(self.visible_m + _at(displacement_m, self.visible_place))
         return total
 
-    def _penetration(self, displacement_m: torch.Tensor, turn_m: torch.Tensor | None) -> torch.Tensor:
+    def _penetration(self, displacement_m: torch.Tensor) -> torch.Tensor:
         """Mean over frames of the mean squared depth of the vertices that are inside."""
-        moved_m = self._moved(self.skin_m, self.skin_root_m, self.skin_place, displacement_m, turn_m)
-        inside_m = torch.relu(-self.problem.scene.sample(moved_m))
+        inside_m = torch.relu(-self.problem.scene.sample(self.skin_m + _at(displacement_m, self.skin_place)))
         square, count = torch.zeros(self.frames), torch.zeros(self.frames)
         square = square.index_add(0, self.skin_row, inside_m**2)
         count = count.index_add(0, self.skin_row, (inside_m > 0).float())
         return (square / count.clamp(min=1)).mean()
 
-    def _contact(self, displacement_m: torch.Tensor, turn_m: torch.Tensor | None) -> torch.Tensor:
+    def _contact(self, displacement_m: torch.Tensor) -> torch.Tensor:
         """Mean over all touches, weighed by probability, of the Huber cost of the part's distance."""
         costs, weights = [], []
         for keyframe, skin_m, probability in self.contacts:
-            moved_m = skin_m
-            if turn_m is not None:
-                yaw_rad = turn_m[keyframe, :, None] / self.weights.yaw_lever_m
-                moved_m = turned_about_y(skin_m, self.root_m[keyframe][:, None], yaw_rad)
-            distance_m = self.problem.scene.sample(moved_m + displacement_m[keyframe][:, None])
+            distance_m = self.problem.scene.sample(skin_m + displacement_m[keyframe][:, None])
             count = min(self.weights.contact_points, distance_m.shape[1])
             nearest_m = distance_m.topk(count, dim=1, largest=False).values.mean(dim=1)
             costs.append(probability * huber_of_square(nearest_m**2, self.weights.huber_m))
@@ -183,19 +147,6 @@ class _Losses:
         velocity = (self.root_m + displacement_m).diff(dim=0) / self.step[:, None]
         span = 0.5 * (self.step[1:] + self.step[:-1])
         return ((velocity.diff(dim=0) / span[:, None]) ** 2).sum(-1).mean()
-
-    def _moved(
-        self,
-        points_m: torch.Tensor,
-        root_m: torch.Tensor,
-        place: _Place,
-        displacement_m: torch.Tensor,
-        turn_m: torch.Tensor | None,
-    ) -> torch.Tensor:
-        """Points (N, 3) of frames between keyframes, turned about their roots and displaced."""
-        if turn_m is not None:
-            points_m = turned_about_y(points_m, root_m, _at(turn_m, place) / self.weights.yaw_lever_m)
-        return points_m + _at(displacement_m, place)
 
 
 _Place = tuple[torch.Tensor, torch.Tensor, torch.Tensor]

@@ -130,5 +130,7 @@ class RefinedMotion:
     prior_share: Annotated[tuple[float, ...], OnePer("people")]
     """Share of each person's measured frames in which a joint is turned by more than 3 degrees against the same solve
     without the prior."""
+    without_prior: tuple[BodyMotion, ...]
+    """The same solve from the observed motion: what is left of the result without the prior."""
     scene: SceneModel
     """The scene that the motion fits: objects moved along their lines of sight."""

@@ -1,0 +1,254 @@
+"""Real clips, stage by stage: numbers that need no truth, and marker-based or triangulated truth where there is some.
+
+    python benchmarks/real_clips.py --media ../shared/media --work real_work [--clips ocv_sts ocv_walk]
+
+Each clip is run (what is cached stays) into `--work`, and its main person is measured as stage humans, keyframes and
+refine have it, and as the same solve without the prior has it. In every row:
+
+- picture: distance of the joints from where stage humans has them, % of the standing body's height in the picture,
+  median and 95 % over the valid frames;
+- tilt: angle of pelvis to neck against up in frames in which a foot or more touches and the legs are straight, median;
+- contacts: share of touching parts (probability over 0.5) within 3 cm of a surface of the stage's own scene;
+- inside: share of frames with skin more than 1 cm inside of it; skating (`gmd`), jerk;
+- where there is truth: PA-MPJPE and root-relative MPJPE (12 limb joints), root path after rigid alignment over the
+  whole clip, acceleration error, knee and hip flexion (the `ocv` clips by `eval_mocap.py` of the media).
+
+Beside: share of frames that the prior shaped, seconds of refine per window of 121 frames. Writes Markdown and JSON, and
+one contact sheet of previews to `--work` (`sheet.png`; the footage may not be published).
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+
+from scenemi import metrics
+from scenemi.metrics import align_similarity
+from scenemi.postprocess.motion_solve import PARTS
+from stages.refine import picture_distance_ratio
+from video2anim.artifacts.images import write_png
+from video2anim.artifacts.motion_io import write_motion
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.skeleton import FEET, JOINT_INDEX, forward_kinematics
+from video2anim.eval.results import SceneResult
+from video2anim.geometry.sdf import SdfGrid
+from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, RefinedMotion, SceneModel
+
+CLIPS = (
+    "ocv_sts", "ocv_walk", "pose2sim_single_cam01", "pose2sim_single_cam02", "bodypose3d_squat", "sports2d_demo",
+    "gvhmr_tennis", "glamr_pexels_walking", "sam2_bedroom", "davis_breakdance_flare",
+)  # fmt: skip
+FPS = 30.0
+LIMBS = [JOINT_INDEX[f"{side}_{part}"] for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+         for side in ("left", "right")]  # fmt: skip
+LANDMARKS = [11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28]
+HIPS = slice(6, 8)
+STRAIGHT_DEG = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One stage of one clip; NaN where a number does not exist."""
+
+    clip: str
+    stage: str
+    picture: float
+    picture_95: float
+    tilt: float
+    contacts: float
+    inside: float
+    skating: float
+    jerk: float
+    pa_mm: float
+    relative_mm: float
+    root_mm: float
+    acceleration: float
+    knee_deg: float
+    hip_deg: float
+
+
+HEADS = (
+    "clip", "stage", "picture, %", "95 %", "tilt, deg", "contacts", "inside", "skating", "jerk, m/s3", "PA, mm",
+    "root-relative, mm", "root path, mm", "acceleration, m/s2", "knee, deg", "hip, deg",
+)  # fmt: skip
+
+
+def main() -> None:
+    """Run, measure, write."""
+    options = arguments()
+    rows: list[Row] = []
+    clips: dict[str, Any] = {}
+    for clip in options.clips:
+        folder = options.work / clip
+        command = [sys.executable, "-m", "video2anim.cli.main", "run", str(options.media / "videos" / f"{clip}.mp4")]
+        ended = subprocess.run([*command, "--out", str(folder)], capture_output=True, text=True, check=False)
+        if ended.returncode:
+            clips[clip] = ended.stderr.strip().splitlines()[-1]
+            continue
+        found, clips[clip] = of_clip(folder, options.media)
+        rows += found
+        sys.stderr.write("\n".join(map(str, found)) + "\n")
+    report = {
+        "date": datetime.date.today().isoformat(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "seed": 0, "clips": clips, "rows": [asdict(row) for row in rows],
+    }  # fmt: skip
+    target = options.out / f"real_clips-{report['date']}.json"
+    target.write_text(json.dumps(report, indent=1) + "\n")
+    sys.stdout.write(table(rows) + "\n")
+    write_png(options.work / "sheet.png", sheet([options.work / clip / "preview.mp4" for clip in options.clips]))
+
+
+def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
+    """Rows of the main person, and what the run says of itself."""
+    result = SceneResult(folder)
+    bodies, keyframed = result.get(BodyTracks), result.get(KeyframedMotion)
+    scene, refined = result.get(SceneModel), result.get(RefinedMotion)
+    if bodies is None or keyframed is None or refined is None or scene is None:
+        raise SystemExit(f"{folder}: {result.why(BodyTracks, KeyframedMotion, SceneModel, RefinedMotion)}")
+    raw = bodies.people[0]
+    made = {
+        "humans": (raw, scene), "keyframes": (keyframed.people[0], scene),
+        "refined": (refined.people[0], refined.scene), "without prior": (refined.without_prior[0], refined.scene),
+    }  # fmt: skip
+    rows = [row(folder.name, stage, motion, raw, where, media) for stage, (motion, where) in made.items()]
+    manifest = json.loads(next(folder.glob("stages/*_refine/manifest.json")).read_text())
+    windows = max(1.0, len(raw.valid) / 121)
+    return rows, {
+        "frames": len(raw.valid), "prior": refined.prior[0], "shaped": refined.prior_share[0],
+        "refine s per window": manifest["wall_time_s"] / windows,
+    }  # fmt: skip
+
+
+def row(clip: str, stage: str, motion: BodyMotion, raw: BodyMotion, scene: SceneModel, media: Path) -> Row:
+    """One stage's numbers."""
+    off = 100 * picture_distance_ratio(motion, raw)
+    body, field = shaped_body(motion.shape), SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
+    valid = np.flatnonzero(motion.valid)
+    joints_m, R_world_joint = forward_kinematics(
+        motion.R_parent_joint[valid], motion.T_world_root[valid, :3, 3], motion.rest_joints_m
+    )
+    index = np.arange(0, len(body.rest_vertices_m), 7)
+    distance_m = field.sample(body.vertices(R_world_joint, joints_m, index).astype(np.float64))
+    near = []
+    for part in PARTS:
+        touches = motion.contact[valid][:, list(part)].max(1) > 0.5
+        own = np.isin(body.vertex_part[index], part)
+        near.append(np.abs(distance_m[touches][:, own].min(1)) < 0.03)
+    touching = np.concatenate(near)
+    measured = motion.measured_joints_m
+    return Row(
+        clip, stage, float(np.median(off)), float(np.percentile(off, 95)), tilt_deg(motion),
+        float(touching.mean()) if len(touching) else float("nan"), float((distance_m.min(1) < -0.01).mean()),
+        metrics.foot_skating_gmd(measured, FPS), metrics.jerk_m_s3(measured, FPS), *against_truth(clip, motion, media),
+    )  # fmt: skip
+
+
+def tilt_deg(motion: BodyMotion) -> float:
+    """Angle of pelvis to neck against up, median over frames of straight legs with a foot that touches."""
+    touches = motion.valid & (motion.contact[:, list(FEET)].max(1) > 0.5)
+    bend = [
+        np.rad2deg(np.arccos(np.clip((np.trace(motion.R_parent_joint[:, JOINT_INDEX[name]], axis1=1, axis2=2) - 1) / 2,
+                                     -1, 1)))
+        for name in ("left_knee", "right_knee")
+    ]  # fmt: skip
+    rows = touches & (np.max(bend, 0) < STRAIGHT_DEG)
+    if not rows.any():
+        return float("nan")
+    up = motion.joints_world_m[rows, JOINT_INDEX["neck"]] - motion.joints_world_m[rows, 0]
+    return float(np.median(np.rad2deg(np.arccos(up[:, 1] / np.linalg.norm(up, axis=1)))))
+
+
+def against_truth(clip: str, motion: BodyMotion, media: Path) -> tuple[float, ...]:
+    """PA and root-relative MPJPE, root path (mm), acceleration error (m/s2), knee and hip flexion errors (deg)."""
+    if clip.startswith("ocv_"):
+        with tempfile.TemporaryDirectory() as folder:
+            path, said = Path(folder) / "motion.npz", Path(folder) / "said.json"
+            write_motion(path, motion)
+            words = [sys.executable, str(media / "eval_mocap.py"), str(path), "--clip", clip, "--json", str(said)]
+            subprocess.run(words, check=True, capture_output=True)
+            found = json.loads(said.read_text())
+        names = ("pa_mpjpe_mm", "mpjpe_root_mm", "whole_root_mm", "accel_error_m_s2", "knee_flexion_error_deg",
+                 "hip_flexion_error_deg")  # fmt: skip
+        return tuple(found[name] for name in names)
+    reference = media / "reference" / f"{clip}_joints.npz"
+    if not reference.is_file():
+        return (float("nan"),) * 6
+    with np.load(reference) as truth:
+        true_m, time_s = truth["landmarks_camera_m"][:, LANDMARKS], truth["frame_time_s"]
+    pa, relative, roots = [], [], []
+    for frame in np.flatnonzero(motion.valid):
+        there = int(np.abs(time_s - motion.frame_time_s[frame]).argmin())
+        known = np.isfinite(true_m[there]).all(1)
+        if abs(time_s[there] - motion.frame_time_s[frame]) > 0.5 / 60 or known.sum() < 8 or not known[HIPS].all():
+            continue
+        mine, theirs = motion.joints_camera_m[frame, LIMBS], true_m[there]
+        middle, their_middle = mine[HIPS].mean(0), theirs[HIPS].mean(0)
+        fit = align_similarity(mine[known], theirs[known])
+        pa.append(np.linalg.norm(fit(mine[known]) - theirs[known], axis=1).mean())
+        relative.append(np.linalg.norm(mine[known] - middle - theirs[known] + their_middle, axis=1).mean())
+        roots.append((middle, their_middle))
+    path_m, true_path_m = np.array(roots).transpose(1, 0, 2)
+    aligned = align_similarity(path_m, true_path_m, with_scale=False)(path_m)
+    bend = np.diff(path_m, n=2, axis=0) - np.diff(true_path_m, n=2, axis=0)
+    return (
+        1000 * float(np.mean(pa)), 1000 * float(np.mean(relative)),
+        1000 * float(np.linalg.norm(aligned - true_path_m, axis=1).mean()),
+        float(np.linalg.norm(bend, axis=1).mean()) * FPS**2, float("nan"), float("nan"),
+    )  # fmt: skip
+
+
+def table(rows: list[Row]) -> str:
+    """Markdown."""
+    lines = ["| " + " | ".join(HEADS) + " |", "|---" * len(HEADS) + "|"]
+    for one in rows:
+        cells = [value if isinstance(value, str) else cell(value) for value in asdict(one).values()]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def cell(value: float) -> str:
+    """Three significant digits; nothing for NaN."""
+    return "" if np.isnan(value) else f"{value:.3g}"
+
+
+def sheet(previews: list[Path], frames: int = 3, width_px: int = 900) -> np.ndarray:
+    """Frames of each preview side by side, a clip a row."""
+    import cv2
+
+    rows = []
+    for path in previews:
+        if not path.is_file():
+            continue
+        with av.open(str(path)) as film:
+            pictures = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+        chosen = [pictures[int(k)] for k in np.linspace(0.15, 0.85, frames) * (len(pictures) - 1)]
+        size = (width_px // 1, round(chosen[0].shape[0] * width_px / chosen[0].shape[1]))
+        rows.append(np.concatenate([cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in chosen], 1))
+    return np.concatenate(rows)
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--media", type=Path, required=True)
+    parser.add_argument("--work", type=Path, required=True, help="folder of the scene folders, kept")
+    parser.add_argument("--clips", nargs="+", default=list(CLIPS))
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
