@@ -36,7 +36,7 @@ import numpy as np
 
 from scenemi import metrics
 from scenemi.metrics import align_similarity
-from scenemi.postprocess.motion_solve import PARTS
+from scenemi.postprocess.skin import PARTS
 from stages.refine import picture_distance_ratio
 from video2anim.artifacts.images import write_png
 from video2anim.artifacts.motion_io import write_motion

@@ -6,7 +6,8 @@ filled = inbetween(KeyframeMotion(R_parent_joint, translation_m, is_keyframe, re
 """
 
 from scenemi.longmotion import KeyframeMotion, LongMotion, inbetween
-from scenemi.postprocess.motion_solve import SceneMotion, Solids, solve_motions
+from scenemi.postprocess.motion_solve import SceneMotion, solve_motions
+from scenemi.postprocess.solids import Solids
 from scenemi.prior import (
     InbetweeningPrior,
     InterpolationPrior,

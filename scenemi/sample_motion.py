@@ -11,7 +11,8 @@ from scenemi.keyframes import FPS, Keyframes
 from scenemi.longmotion import KeyframeMotion, LongMotion, inbetween
 from scenemi.metrics import standing_feet
 from scenemi.model.scene_input import adult_like
-from scenemi.postprocess.motion_solve import SceneMotion, Solids, solve_motions
+from scenemi.postprocess.motion_solve import SceneMotion, solve_motions
+from scenemi.postprocess.solids import Solids
 from scenemi.prior import InbetweeningPrior
 from scenemi.scene.geometry import SceneGeometry
 from scenemi.scene.grid import distance_grid

@@ -21,7 +21,8 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, RefinedMotion, SceneModel
 
 if TYPE_CHECKING:
-    from scenemi.postprocess.motion_solve import SceneMotion, Solids
+    from scenemi.postprocess.motion_solve import SceneMotion
+    from scenemi.postprocess.solids import Solids
     from scenemi.prior import InbetweeningPrior
     from video2anim.geometry.sdf import SdfGrid
 
@@ -185,7 +186,7 @@ def _field(scene: SceneModel) -> SdfGrid:
 
 def _solids(scene: SceneModel, bodies: BodyTracks, config: RefineConfig) -> Solids:
     """The objects, that give way mostly along their horizontal lines of sight; everything together where none does."""
-    from scenemi.postprocess.motion_solve import MovableSolid, Solids
+    from scenemi.postprocess.solids import MovableSolid, Solids
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
 

@@ -20,16 +20,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from scenemi.postprocess.block_band import BlockBand, solve_together
+from scenemi.postprocess.skin import PARTS, Skin
+from scenemi.postprocess.solids import Solids
 from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from video2anim.geometry.sdf import SdfGrid
 
 if TYPE_CHECKING:
     from video2anim.body.anny_body import ShapedBody
@@ -45,14 +45,6 @@ for _joint in range(JOINTS):
         _at = int(PARENTS[_at])
 STANDING = tuple(JOINT_INDEX[name] for name in ("left_ankle", "right_ankle", "left_foot", "right_foot"))
 TRUNK = tuple(JOINT_INDEX[name] for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head"))
-PARTS: tuple[tuple[int, ...], ...] = tuple(
-    tuple(JOINT_INDEX[name] for name in names)
-    for names in (
-        ("pelvis",), ("spine3",), ("left_wrist",), ("right_wrist",),
-        ("left_ankle", "left_foot"), ("right_ankle", "right_foot"),
-    )
-)  # fmt: skip
-"""Parts that touch as one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,45 +114,6 @@ class SceneMotion:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovableSolid:
-    """A solid whose place is uncertain."""
-
-    field: SdfGrid
-    covariance_m2: Float[np.ndarray, "3 3"]
-    """Of its displacement."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Solids:
-    """What the body can touch."""
-
-    still: SdfGrid | None = None
-    """Does not give way."""
-    movable: tuple[MovableSolid, ...] = ()
-    floor: bool = True
-    """Whether the half space below y = 0 is solid."""
-
-    @property
-    def known(self) -> bool:
-        """Whether there is any."""
-        return self.floor or self.still is not None or bool(self.movable)
-
-    def distance_m(
-        self, points_m: Float[np.ndarray, "*points 3"], moved_m: Float[np.ndarray, "solids 3"]
-    ) -> tuple[Float[np.ndarray, "*points"], Int[np.ndarray, "*points"]]:
-        """Signed distance to the nearest solid, and its number among the movable ones; -1 for the others."""
-        nearest_m = points_m[..., 1].copy() if self.floor else np.full(points_m.shape[:-1], np.inf)
-        owner = np.full(nearest_m.shape, -1)
-        if self.still is not None:
-            nearest_m = np.minimum(nearest_m, self.still.sample(points_m))
-        for number, (solid, way_m) in enumerate(zip(self.movable, moved_m, strict=True)):
-            distance_m = solid.field.sample(points_m - way_m)
-            owner = np.where(distance_m < nearest_m, number, owner)
-            nearest_m = np.minimum(nearest_m, distance_m)
-        return nearest_m, owner
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Solved:
     """Corrected motions, and how far each movable solid went."""
 
@@ -196,7 +149,7 @@ class _Person:
         self.turn_rad = np.zeros((len(self.shift_m), JOINTS, 3))
         self.moved_m = np.zeros((len(solids.movable), 3))
         self.R_parent_joint, self.translation_m = given.R_parent_joint, given.translation_world_m
-        self.skin = _Skin(given.body)
+        self.skin = Skin(given.body)
         fps2 = given.fps**2
         root = fps2 * np.diff(given.translation_world_m, n=2, axis=0)
         turning = fps2 * np.diff(_rates(given.R_parent_joint), axis=0)
@@ -305,7 +258,7 @@ class _Person:
         """Chosen skin points go a way along the surface's normal, or the surface goes against it."""
         points_m = np.take_along_axis(skin_m, index[..., None], 1)
         _, owner = self.solids.distance_m(points_m, self.moved_m)
-        normal = self._normals(points_m)
+        normal = self.solids.normals(points_m, self.moved_m)
         rows = (normal[..., None, :] @ jacobians(joints_m, R_world_joint, points_m, self.skin.joint[index]))[..., 0, :]
         weight = np.broadcast_to(weight, way_m.shape)
         _add(band, rows, way_m, weight)
@@ -317,39 +270,11 @@ class _Person:
             band.shared += np.einsum("tpk,tpl->kl", weighted, gives)
             band.shared_right += np.einsum("tpk,tp->k", weighted, way_m)
 
-    def _normals(self, points_m: np.ndarray) -> np.ndarray:
-        ends_m = points_m[..., None, :] + _STEP_M * np.concatenate([np.eye(3), -np.eye(3)])
-        ends, _ = self.solids.distance_m(ends_m, self.moved_m)
-        normal = ends[..., :3] - ends[..., 3:]
-        return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-
 
 TOUCHING_POINTS = 5
 """Nearest skin points of a touching part that are brought to the surface."""
 DEEPEST_POINTS = 12
 """Skin points of a frame that are brought out of solids."""
-_STEP_M = 0.03
-"""Half the way over which a surface's normal is taken: half the spacing of the scene's field."""
-_SPREAD_POINTS, _PART_POINTS = 500, 100
-
-
-class _Skin:
-    """Sampled skin: some of everywhere, more where the body may touch."""
-
-    def __init__(self, body: ShapedBody) -> None:
-        chosen = [farthest_points(body.rest_vertices_m, _SPREAD_POINTS)]
-        for part in PARTS:
-            members = np.flatnonzero(np.isin(body.vertex_part, part))
-            chosen.append(members[farthest_points(body.rest_vertices_m[members], _PART_POINTS)])
-        ends = np.cumsum([len(some) for some in chosen])
-        self.body, self.index = body, np.concatenate(chosen)
-        self.of_part = [np.arange(a, b) for a, b in pairwise(ends)]
-        self.joint = body.vertex_part[self.index]
-
-    def at(self, joints_m: np.ndarray, R_world_joint: np.ndarray) -> Float[np.ndarray, "frames points 3"]:
-        # About the root: single precision is lost far from the origin.
-        root_m = joints_m[:, :1]
-        return self.body.vertices(R_world_joint, joints_m - root_m, self.index).astype(np.float64) + root_m
 
 
 def jacobians(
@@ -368,18 +293,6 @@ def jacobians(
     moved = np.broadcast_to(ANCESTORS[joint], arm_m.shape[:3])
     J[..., 3:] = np.where(moved[..., None, None], turns, 0.0).transpose(0, 1, 4, 2, 3).reshape(*points_m.shape, -1)
     return J
-
-
-def farthest_points(points_m: Float[np.ndarray, "points 3"], count: int) -> Int[np.ndarray, "chosen"]:
-    """Farthest-point sampling from point 0; all points where there are no more than `count`."""
-    if len(points_m) <= count:
-        return np.arange(len(points_m))
-    chosen = [0]
-    nearest = np.linalg.norm(points_m - points_m[0], axis=1)
-    while len(chosen) < count:
-        chosen.append(int(nearest.argmax()))
-        nearest = np.minimum(nearest, np.linalg.norm(points_m - points_m[chosen[-1]], axis=1))
-    return np.array(chosen)
 
 
 def _add(band: BlockBand, J: np.ndarray, off: np.ndarray, weight: np.ndarray) -> None:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from walk_scene import box_mesh, walk
+from walk_scene import box_mesh, room, walk
 
 from video2anim.artifacts.codec import read_value, write_value
 from video2anim.artifacts.folder import folder_digest, value_digest
@@ -178,7 +178,9 @@ def test_sound_edits_of_a_motion_are_taken(tmp_path: Path) -> None:
 
 def test_motions_of_a_stage_have_the_clips_frames(tmp_path: Path) -> None:
     clip = clip_in(tmp_path / "01_ingest")
-    folder = written(RefinedMotion((walk(5),), ("scenemi",), (1.0,)), tmp_path / "stages" / "14_refine")
+    folder = written(
+        RefinedMotion((walk(5),), ("scenemi",), (1.0,), (walk(5),), room()), tmp_path / "stages" / "14_refine"
+    )
     assert read_value(RefinedMotion, folder).people[0].frame_count == 5
     assert r"frame_time_s: want shape (6,), got (5,)" in refused(RefinedMotion, folder, clip)
     folder = written(BodyTracks((walk(6), walk(5, 2))), tmp_path / "stages" / "04_humans")

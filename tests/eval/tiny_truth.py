@@ -321,7 +321,9 @@ def perfect_values(folder: Path, tiny: Tiny) -> dict[type, Any]:
     motions = {
         BodyTracks: BodyTracks(people),
         KeyframedMotion: KeyframedMotion(people, keyframes),
-        RefinedMotion: RefinedMotion(people, ("interpolation",) * len(people), (1.0,) * len(people)),
+        RefinedMotion: RefinedMotion(
+            people, ("scenemi",) * len(people), (1.0,) * len(people), people, values[SceneModel]
+        ),
     }
     return values | motions
 

@@ -20,7 +20,7 @@ from video2anim.export.fbx import blender_command
 from video2anim.export.formats import MissingLibraryError
 from video2anim.pipeline.runner import StageStatus
 from video2anim.pipeline.scene_folder import locked
-from video2anim.types import RefinedMotion, SceneModel
+from video2anim.types import RefinedMotion
 
 SINGLE = [name for name, one in FORMATS.items() if one.suffixes and name != "fbx"]
 """Formats whose main file is one file, and that need no other program."""
@@ -126,9 +126,9 @@ class FinishedFolder:
 
     def value(self, kind: type) -> Any:
         made = content()
-        return {RefinedMotion: RefinedMotion(made.people, ("interpolation",) * 2, (1.0,) * 2), SceneModel: made.scene}[
-            kind
-        ]
+        assert kind is RefinedMotion
+        assert made.scene is not None
+        return RefinedMotion(made.people, ("scenemi",) * 2, (1.0,) * 2, made.people, made.scene)
 
 
 @pytest.fixture

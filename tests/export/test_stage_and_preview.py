@@ -36,7 +36,7 @@ def run_stage(clip: VideoClip, folder: Path, config: ExportConfig) -> tuple[Expo
     ctx = StageContext(folder)
     exported = export_scene(
         SourceVideo(clip.video.path, ""), clip,
-        BodyTracks(people), RefinedMotion(people, ("interpolation",) * 2, (1.0,) * 2), room(), config, ctx,
+        BodyTracks(people), RefinedMotion(people, ("scenemi",) * 2, (1.0,) * 2, people, room()), config, ctx,
     )  # fmt: skip
     return exported, ctx
 
@@ -131,8 +131,8 @@ def test_a_source_that_is_gone_is_told(gray_clip: VideoClip, tmp_path: Path) -> 
     (tmp_path / "stage").mkdir()
     ctx = StageContext(tmp_path / "stage")
     _write_pictures(
-        SourceVideo(gone.video.path, ""), gray_clip, RefinedMotion((walk(FRAMES),), ("none",), (0.0,)), room(),
-        ExportConfig(overlay_frames=0), ctx,
+        SourceVideo(gone.video.path, ""), gray_clip,
+        RefinedMotion((walk(FRAMES),), ("none",), (0.0,), (walk(FRAMES),), room()), ExportConfig(overlay_frames=0), ctx,
     )  # fmt: skip
     assert ctx.warnings == [f"the preview has no sound: the video is no longer at {gone.video.path}"]
 

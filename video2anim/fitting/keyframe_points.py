@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from video2anim.body.anny_body import ShapedBody
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
+from video2anim.geometry.sampling import farthest_points
 from video2anim.types import BodyMotion
 
 CONTACT_JOINTS = (
@@ -44,11 +45,11 @@ class SkinSample:
     def __init__(self, body: ShapedBody, *, spread: int, per_part: int) -> None:
         """Choose `spread` vertices of the whole body and up to `per_part` of each part that may touch."""
         self._body = body
-        self._spread = _farthest_points(body.rest_vertices_m, spread)
+        self._spread = farthest_points(body.rest_vertices_m, spread)
         self._parts: dict[int, np.ndarray] = {}
         for name in CONTACT_JOINTS:
             members = np.flatnonzero(body.vertex_part == JOINT_INDEX[name])
-            self._parts[JOINT_INDEX[name]] = members[_farthest_points(body.rest_vertices_m[members], per_part)]
+            self._parts[JOINT_INDEX[name]] = members[farthest_points(body.rest_vertices_m[members], per_part)]
 
     def on(self, motion: BodyMotion) -> SkinPoints:
         """The chosen vertices of a motion's every frame."""
@@ -60,15 +61,3 @@ class SkinSample:
         ends = np.cumsum([len(self._spread), *(len(part) for part in self._parts.values())])
         spread_m, *parts_m = np.split(skin_m, ends[:-1], axis=1)
         return SkinPoints(spread_m, dict(zip(self._parts, parts_m, strict=True)))
-
-
-def _farthest_points(points_m: Float[np.ndarray, "points 3"], count: int) -> Int[np.ndarray, "chosen"]:
-    """Farthest-point sampling from point 0; all points where there are no more than `count`."""
-    if len(points_m) <= count:
-        return np.arange(len(points_m))
-    chosen = [0]
-    nearest = np.linalg.norm(points_m - points_m[0], axis=1)
-    while len(chosen) < count:
-        chosen.append(int(nearest.argmax()))
-        nearest = np.minimum(nearest, np.linalg.norm(points_m - points_m[chosen[-1]], axis=1))
-    return np.array(chosen)

@@ -435,7 +435,7 @@ def test_missing_and_broken_weights_say_so(tmp_path: Any) -> None:
     save_file({"model.x": torch.zeros(1)}, str(path), header)
     with pytest.raises(InputError, match="does not fit its own configuration"):
         load_weights(path)
-    with pytest.raises(InputError, match="cannot write"):
+    with pytest.raises(InputError, match="cannot be written"):
         save_weights(tmp_path / "none" / "w.safetensors", awake(), Statistics(*(np.ones(1, np.float32),) * 4), {})
 
 

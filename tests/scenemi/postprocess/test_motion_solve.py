@@ -11,14 +11,13 @@ from synthetic import FPS, planted_walk, with_root_shift
 
 from scenemi.metrics import foot_skating_gmd, jerk_m_s3, mpjpe
 from scenemi.postprocess.motion_solve import (
-    MovableSolid,
     PictureTarget,
     SceneMotion,
-    Solids,
     SolveConfig,
     jacobians,
     solve_motions,
 )
+from scenemi.postprocess.solids import MovableSolid, Solids
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.geometry.projection import invert_rigid, project

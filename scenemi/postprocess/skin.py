@@ -1,0 +1,44 @@
+"""Sampled skin of a body, and its parts that touch as one."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.geometry.sampling import farthest_points
+
+if TYPE_CHECKING:
+    from video2anim.body.anny_body import ShapedBody
+
+PARTS: tuple[tuple[int, ...], ...] = tuple(
+    tuple(JOINT_INDEX[name] for name in names)
+    for names in (
+        ("pelvis",), ("spine3",), ("left_wrist",), ("right_wrist",),
+        ("left_ankle", "left_foot"), ("right_ankle", "right_foot"),
+    )
+)  # fmt: skip
+"""Parts that touch as one."""
+_SPREAD_POINTS, _PART_POINTS = 500, 100
+
+
+class Skin:
+    """Sampled skin: some of everywhere, more where the body may touch."""
+
+    def __init__(self, body: ShapedBody) -> None:
+        chosen = [farthest_points(body.rest_vertices_m, _SPREAD_POINTS)]
+        for part in PARTS:
+            members = np.flatnonzero(np.isin(body.vertex_part, part))
+            chosen.append(members[farthest_points(body.rest_vertices_m[members], _PART_POINTS)])
+        ends = np.cumsum([len(some) for some in chosen])
+        self.body, self.index = body, np.concatenate(chosen)
+        self.of_part = [np.arange(a, b) for a, b in pairwise(ends)]
+        self.joint = body.vertex_part[self.index]
+
+    def at(self, joints_m: np.ndarray, R_world_joint: np.ndarray) -> Float[np.ndarray, "frames points 3"]:
+        # About the root: single precision is lost far from the origin.
+        root_m = joints_m[:, :1]
+        return self.body.vertices(R_world_joint, joints_m - root_m, self.index).astype(np.float64) + root_m
