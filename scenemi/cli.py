@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -155,6 +155,7 @@ def evaluate_command(
     from scenemi.evaluation.protocol import evaluate
     from scenemi.evaluation.windows import KeyframeProtocol
     from scenemi.files import expect_writable, write_json
+    from scenemi.postprocess.in_scene import SolvedPrior
 
     if weights == INTERPOLATION:
         refuse(sampler_options(steps, temperature), f"with --weights {INTERPOLATION}")
@@ -164,7 +165,9 @@ def evaluate_command(
         if path is not None:
             expect_writable(path)
     protocol = KeyframeProtocol(60 if interval is None and probability is None else interval, probability, noise)
-    prior = choose_prior(weights, device=device_of(device), steps=steps, temperature=temperature)
+    prior: Any = choose_prior(weights, device=device_of(device), steps=steps, temperature=temperature)
+    if prior.name == "scenemi":
+        prior = SolvedPrior(prior)
     windows = chosen_windows(clips or (), scenes_from or (), split, part or DEFAULT_PART, made_up=scenes)
     with progress("windows") as on_window:
         found = evaluate(

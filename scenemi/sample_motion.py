@@ -8,21 +8,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from scenemi.keyframes import FPS, Keyframes
-from scenemi.longmotion import KeyframeMotion, LongMotion, inbetween
+from scenemi.longmotion import LongMotion, inbetween
 from scenemi.metrics import standing_feet
-from scenemi.model.scene_input import adult_like
-from scenemi.postprocess.motion_solve import SceneMotion, solve_motions
-from scenemi.postprocess.solids import Solids
-from scenemi.prior import InbetweeningPrior
+from scenemi.postprocess.in_scene import put_in_scene
+from scenemi.prior import InbetweeningPrior, KeyframeWindow, WindowMotion
 from scenemi.scene.geometry import SceneGeometry
-from scenemi.scene.grid import distance_grid
 from video2anim.body.anny_body import ShapedBody, shaped_body
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import UsageError
 
 _BODY_TOLERANCE_M = 1e-3
-_AROUND_M = 0.5
-"""How far from the joints' box solids are looked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,29 +64,16 @@ def sample_motion(
     if last + 1 < len(given.is_keyframe):
         notes.append(f"frames {last + 1} to {len(given.is_keyframe) - 1} hold the last keyframe's pose")
     if prior.name == "scenemi":
-        filled = _in_scene(filled, given, scene)
+        made = WindowMotion(filled.R_parent_joint, filled.translation_world_m)
+        held = np.arange(len(given.is_keyframe))
+        whole = KeyframeWindow(
+            made.R_parent_joint, made.translation_world_m, given.is_keyframe | (held <= first) | (held >= last),
+            given.rest_joints_m, given.fps, scene, body=given.body, noise_level=given.noise_level,
+        )  # fmt: skip
+        made = put_in_scene(made, whole)
+        filled = replace(filled, R_parent_joint=made.R_parent_joint, translation_world_m=made.translation_world_m)
     joints_m, _ = forward_kinematics(filled.R_parent_joint, filled.translation_world_m, keyframes.rest_joints_m)
     return SampledMotion(filled, given.is_keyframe, standing_feet(joints_m, FPS), tuple(notes))
-
-
-def _in_scene(filled: LongMotion, given: KeyframeMotion, scene: SceneGeometry | None) -> LongMotion:
-    """The motion with standing feet at rest and its skin out of solids; exact keyframes stay."""
-    joints_m, _ = forward_kinematics(filled.R_parent_joint, filled.translation_world_m, given.rest_joints_m)
-    solids = Solids(floor=False)
-    if scene is not None:
-        around_m = joints_m.reshape(-1, 3)
-        solids = Solids(distance_grid(scene, around_m.min(0) - _AROUND_M, around_m.max(0) + _AROUND_M), floor=False)
-    fixed = given.is_keyframe if given.noise_level == 0 else np.zeros(len(joints_m), bool)
-    solved = solve_motions(
-        [
-            SceneMotion(
-                filled.R_parent_joint, filled.translation_world_m, standing_feet(joints_m, FPS), given.rest_joints_m,
-                given.body or adult_like(given.rest_joints_m), FPS, fixed,
-            )
-        ],
-        solids,
-    )  # fmt: skip
-    return replace(filled, R_parent_joint=solved.R_parent_joint[0], translation_world_m=solved.translation_world_m[0])
 
 
 def expect_noise(level: float) -> float:

@@ -5,6 +5,7 @@
 
 - exact keyframes every 15, 30, 60 frames without scenes: error over that of interpolation (one sample; at 60 the
   mean of eight samples, and the best of eight), jerk over the truth's raw and low-passed at 8 Hz, skating, contact F1;
+  the network's own motion, and after the solve that `scenemi sample` ends with;
 - scenes that tell (`scenemi.evaluation.scenes`), r = 60, before anything is cleared after sampling: close frames more
   than 1 cm inside, with the scene shown, not shown, and by a model trained without it (`--blind`);
 - errors of the video pipeline on every frame, and with a second missing (`--errors`, of test clips);
@@ -35,6 +36,7 @@ from scenemi.evaluation.scenes import telling_share, with_pseudo_scenes
 from scenemi.evaluation.scores import mean_of
 from scenemi.evaluation.windows import FPS, EvaluationWindow, KeyframeProtocol, cut_windows, give_keyframes, window_seed
 from scenemi.files import file_digest, write_json
+from scenemi.postprocess.in_scene import SolvedPrior
 from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow, WindowMotion
 from scenemi.training.noise import PipelineErrors, told_level
 from video2anim.body.skeleton import forward_kinematics
@@ -58,6 +60,8 @@ def main() -> None:
         "weights_sha256": file_digest(prior.model.path),  # type: ignore[attr-defined]
     }  # fmt: skip
     report["inbetweening"] = [inbetweening(prior, windows, r) for r in (15, 30, 60)]
+    solved: Any = SolvedPrior(prior)  # type: ignore[arg-type]
+    report["solved"] = [inbetweening(solved, windows, r, samples=False) for r in (15, 30, 60)]
     report["scenes"] = scenes(prior, windows, options)
     if options.errors:
         report["pipeline"] = pipeline(prior, windows, PipelineErrors.read(options.errors))
@@ -66,11 +70,13 @@ def main() -> None:
     sys.stdout.write(markdown(report))
 
 
-def inbetweening(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow], interval: int) -> dict[str, Any]:
+def inbetweening(
+    prior: InbetweeningPrior, windows: Sequence[EvaluationWindow], interval: int, *, samples: bool = True
+) -> dict[str, Any]:
     """One row."""
     found = evaluate(windows, prior, KeyframeProtocol(interval))
     several = choose_prior(str(prior.model.path), device="cpu", steps=SAMPLE_STEPS)  # type: ignore[attr-defined]
-    joints = [_samples(several, window, interval) for window in windows] if interval >= 60 else []
+    joints = [_samples(several, window, interval) for window in windows] if samples and interval >= 60 else []
     errors = [np.linalg.norm(made - w.joints_m, axis=-1).mean((1, 2)) for made, w in zip(joints, windows, strict=False)]
     base = mean_of(found.baseline, "mjpe_all_m")
     row: dict[str, Any] = {
@@ -214,11 +220,13 @@ def markdown(report: dict[str, Any]) -> str:
         "| r | ratio | mean of 8 | best of 8 | jerk / truth | jerk / truth 8 Hz | skating (truth) |",
         "|---|---|---|---|---|---|---|",
     ]
-    for row in report["inbetweening"]:
+    rows = [("", row) for row in report["inbetweening"]] + [(", after the solve", row) for row in report["solved"]]
+    for after, row in rows:
         eight = [f"{row[key]:.3f}" if key in row else "" for key in ("ratio_mean_of_8", "ratio_best_of_8")]
+        skating = f"{row['skating']['mean']:.3f} ({row['skating_truth']:.3f})"
+        jerk = f"{row['jerk_over_truth']:.2f} | {row['jerk_over_truth_8hz']:.2f}"
         lines.append(
-            f"| {row['interval']} | {row['ratio']:.3f} | {eight[0]} | {eight[1]} | {row['jerk_over_truth']:.2f} | "
-            f"{row['jerk_over_truth_8hz']:.2f} | {row['skating']['mean']:.3f} ({row['skating_truth']:.3f}) |"
+            f"| {row['interval']}{after} | {row['ratio']:.3f} | {eight[0]} | {eight[1]} | {jerk} | {skating} |"
         )
     lines += ["", "| scenes, r = 60 | close frames > 1 cm inside | MJPE, m |", "|---|---|---|"]
     for name, row in report["scenes"].items():

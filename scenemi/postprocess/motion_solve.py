@@ -19,7 +19,7 @@ unknowns a frame, coupled over three frames, solved by one banded factorization 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,6 +33,7 @@ from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_ax
 
 if TYPE_CHECKING:
     from video2anim.body.anny_body import ShapedBody
+    from video2anim.geometry.sdf import SdfGrid
 
 JOINTS = len(PARENTS)
 UNKNOWNS = 3 + 3 * JOINTS
@@ -126,7 +127,12 @@ def solve_motions(given: Sequence[SceneMotion], solids: Solids, config: SolveCon
     """Motions of people in one scene, corrected together."""
     config = config or SolveConfig()
     people = [_Person(one, solids, config) for one in given]
-    moved_m = np.zeros((len(solids.movable), 3))
+    count = len(solids.movable)
+    near = [k for k, solid in enumerate(solids.movable) if any(person.comes_near(solid.field) for person in people)]
+    solids = replace(solids, movable=tuple(solids.movable[k] for k in near))
+    for person in people:
+        person.solids = solids
+    all_m, moved_m = np.zeros((count, 3)), np.zeros((len(near), 3))
     sure = np.zeros((moved_m.size, moved_m.size))
     for k, solid in enumerate(solids.movable):
         sure[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = np.linalg.inv(solid.covariance_m2)
@@ -136,7 +142,8 @@ def solve_motions(given: Sequence[SceneMotion], solids: Solids, config: SolveCon
         moved_m = moved_m + step_m.reshape(-1, 3)
         for person, step in zip(people, steps, strict=True):
             person.move(step)
-    return Solved(tuple(p.R_parent_joint for p in people), tuple(p.translation_m for p in people), moved_m)
+    all_m[near] = moved_m
+    return Solved(tuple(p.R_parent_joint for p in people), tuple(p.translation_m for p in people), all_m)
 
 
 class _Person:
@@ -147,7 +154,7 @@ class _Person:
         self.rest_m = given.rest_joints_m
         self.shift_m = np.zeros_like(given.translation_world_m)
         self.turn_rad = np.zeros((len(self.shift_m), JOINTS, 3))
-        self.moved_m = np.zeros((len(solids.movable), 3))
+        self.moved_m = np.zeros((0, 3))
         self.R_parent_joint, self.translation_m = given.R_parent_joint, given.translation_world_m
         self.skin = Skin(given.body)
         fps2 = given.fps**2
@@ -159,6 +166,11 @@ class _Person:
         self.stiffness = fps2**2 / np.concatenate(usual) ** 2
         turn_rad = np.where(np.isin(np.arange(JOINTS), TRUNK), config.trunk_rad, config.limb_rad)
         self.hold = np.concatenate([np.full(3, config.root_m), np.repeat(turn_rad, 3)]) ** -2.0
+
+    def comes_near(self, field: SdfGrid) -> bool:
+        """Whether the body comes so near a solid that the solve could bring them together."""
+        joints_m, R_world_joint = forward_kinematics(self.R_parent_joint, self.translation_m, self.rest_m)
+        return bool((field.sample(self.skin.at(joints_m, R_world_joint)) < _NEAR_M).any())
 
     def move(self, step: Float[np.ndarray, "frames 69"]) -> None:
         """Go on by a step of the unknowns."""
@@ -271,6 +283,8 @@ class _Person:
             band.shared_right += np.einsum("tpk,tp->k", weighted, way_m)
 
 
+_NEAR_M = 0.6
+"""Touch reaches 0.25 m, and the solve moves bodies and objects by less than the rest."""
 TOUCHING_POINTS = 5
 """Nearest skin points of a touching part that are brought to the surface."""
 DEEPEST_POINTS = 12

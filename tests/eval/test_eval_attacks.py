@@ -262,7 +262,7 @@ def test_outputs_that_cannot_be_written(tmp_path: Path, truth_dir: Path, scene_d
     (tmp_path / "circle").symlink_to("circle")
     before = folder_digest(truth_dir), folder_digest(scene_dir), sorted(tmp_path.iterdir())
     odd = [tmp_path, tmp_path / "no" / "x.json", tmp_path / "pipe", tmp_path / "to_device", tmp_path / "circle",
-           tmp_path / ("x" * 300), "/proc/x.json", scene_dir / "run.json" / "x", ""]  # fmt: skip
+           tmp_path / ("x" * 300), "/proc/x.json", scene_dir / "run.json" / "x"]  # fmt: skip
     for option in ("--json", "--html"):
         for path in odd:
             expect_one_line(video2anim("eval", scene_dir, "--truth", truth_dir, option, path), 3, "want a file")

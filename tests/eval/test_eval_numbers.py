@@ -313,7 +313,10 @@ def test_a_scene_without_objects_misses_all_solids(tmp_path: Path, truth_dir: Pa
         floor = scene.sdf_origin_m[1] + scene.sdf_spacing_m * np.arange(scene.sdf_m.shape[1])
         return replace(scene, objects=(), sdf_m=np.broadcast_to(floor[None, :, None], scene.sdf_m.shape).copy())
 
-    found = evaluated(tmp_path, truth_dir, tiny, {SceneModel: bare})
+    def refined(motion: RefinedMotion) -> RefinedMotion:
+        return replace(motion, scene=bare(motion.scene))
+
+    found = evaluated(tmp_path, truth_dir, tiny, {RefinedMotion: refined})
     assert value(found, "space", "occupancy_iou") == 0
     assert value(found, "space", "occupied_recall") == 0
     assert value(found, "space", "free_recall") == 1

@@ -93,8 +93,8 @@ class SceneResult:
     @property
     def scene(self) -> SceneModel | None:
         """The scene that the last motion stage fits: objects may be moved in `refine`."""
-        refined = self.get(RefinedMotion)
-        return self.get(SceneModel) if refined is None else refined.scene
+        scene, refined = self.get(SceneModel), self.get(RefinedMotion)
+        return scene if scene is None or refined is None else refined.scene
 
     def missing(self) -> list[str]:
         """Reasons of all stages without a value, in order."""
