@@ -96,6 +96,8 @@ def refine_motion(
         for by in (prior, InterpolationPrior())
     )
     solved, plain = solve_motions(made, solids), solve_motions(alone, solids)
+    moved = _moved(scene, solids, solved.moved_m, ctx)
+    after = _field(moved)
     people, alike = list(keyframed.people), list(keyframed.people)
     names, shares = ["none"] * len(people), [0.0] * len(people)
     for k, number in enumerate(seen):
@@ -110,10 +112,14 @@ def refine_motion(
         if prior.name == "scenemi":
             names[number], shares[number] = prior.name, _shaped(people[number], without)
         ctx.quality(f"frames shaped by {prior.name}{suffix}", shares[number], "ratio", "higher")
-        for when, one in (("raw", bodies.people[number]), ("without prior", without), ("refined", people[number])):
-            _report(ctx, when, one, bodies.people[number], field, suffix)
+        raw = bodies.people[number]
+        for when, one, where in (
+            ("raw", raw, field),
+            ("without prior", without, after),
+            ("refined", people[number], after),
+        ):
+            _report(ctx, when, one, raw, where, suffix)
         ctx.progress(k + 1, len(seen))
-    moved = _moved(scene, solids, solved.moved_m, ctx)
     return RefinedMotion(tuple(people), tuple(names), tuple(shares), tuple(alike), moved)
 
 
