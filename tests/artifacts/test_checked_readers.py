@@ -187,6 +187,20 @@ def test_motions_of_a_stage_have_the_clips_frames(tmp_path: Path) -> None:
     assert "want shape (6,), got (5,)" in refused(BodyTracks, folder)
 
 
+def test_motions_of_several_fields_have_files_of_their_own(tmp_path: Path) -> None:
+    people, others = (walk(5), walk(5, 2)), (walk(5, side_m=1.0), walk(5, 2, side_m=-1.0))
+    folder = written(
+        RefinedMotion(people, ("none",) * 2, (0.0,) * 2, others, room()), tmp_path / "stages" / "14_refine"
+    )
+    assert {p.name for p in folder.glob("*.npz")} >= {
+        "motion.npz", "motion_2.npz", "without_prior.npz", "without_prior_2.npz",
+    }  # fmt: skip
+    read = read_value(RefinedMotion, folder)
+    for mine, wanted in zip((*read.people, *read.without_prior), (*people, *others), strict=True):
+        np.testing.assert_array_equal(mine.R_parent_joint, wanted.R_parent_joint)
+        np.testing.assert_array_equal(mine.T_world_root, wanted.T_world_root)
+
+
 def test_keyframes_are_frames_of_the_clip(tmp_path: Path) -> None:
     for wrong in ([0, 5, 6], [-1, 2], [3, 3], [4, 1]):
         folder = written(KeyframedMotion((walk(FRAMES),), (np.array(wrong),)), tmp_path / "stages" / f"13_k{wrong[0]}")

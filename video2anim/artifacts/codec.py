@@ -1,7 +1,8 @@
 """Typed values to and from a folder that a person can open.
 
 Scalars and structure go to `value.json`; numbers to `arrays.npz`; masks and bytes, compressed, to `masks.npz`;
-images to PNG; meshes to PLY; motions to `motion.npz` / `motion_<id>.npz`; payload files stay as they are.
+images to PNG; meshes to PLY; motions of `people` to `motion.npz` / `motion_<id>.npz`,
+of other fields to files of the field's name; payload files stay as they are.
 
 The types are the schema: `value.json` is checked whole before any other file is opened, then each file that it names
 is held against the annotation of its field.
@@ -47,7 +48,9 @@ class _Writer:
         if isinstance(value, PayloadFile):
             return {"$file": value.path.resolve().relative_to(self.folder.resolve()).as_posix()}
         if isinstance(value, BodyMotion):
-            name = "motion.npz" if key.endswith("people.0") else f"motion_{value.person_id}.npz"
+            field, _, number = key.rpartition(".")
+            stem = "motion" if field.endswith("people") else field
+            name = f"{stem}.npz" if number == "0" else f"{stem}_{value.person_id}.npz"
             write_motion(self.folder / name, value)
             return {"$motion": name}
         if isinstance(value, Mesh):
