@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -37,20 +35,6 @@ def matrices(rot6d: Float[Tensor, "... 6"]) -> Float[Tensor, "... 3 3"]:
     return torch.stack([first, second, torch.linalg.cross(first, second)], -1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pose:
-    """Posed joints in the frame of the features."""
-
-    joints_m: Float[Tensor, "batch frames 22 3"]
-    R_world_joint: Float[Tensor, "batch frames 22 3 3"]
-
-
-def pose_of(features: Float[Tensor, "batch frames 201"], rest_joints_m: Float[Tensor, "batch 22 3"]) -> Pose:
-    """Joints and their orientations from the rotations and translation in denormalized features."""
-    R = matrices(features[..., ROTATIONS].unflatten(-1, (22, 6)))
-    return posed(R, features[..., TRANSLATION], rest_joints_m)
-
-
 def joints_of(
     features: Float[Tensor, "batch frames 201"], rest_joints_m: Float[Tensor, "batch 22 3"]
 ) -> Float[Tensor, "batch frames 22 3"]:
@@ -65,15 +49,6 @@ def posed_joints(
     rest_joints_m: Float[Tensor, "batch 22 3"],
 ) -> Float[Tensor, "batch frames 22 3"]:
     """Joint positions of local rotations; the same as `skeleton.forward_kinematics`."""
-    return posed(R_parent_joint, translation_m, rest_joints_m).joints_m
-
-
-def posed(
-    R_parent_joint: Float[Tensor, "batch frames 22 3 3"],
-    translation_m: Float[Tensor, "batch frames 3"],
-    rest_joints_m: Float[Tensor, "batch 22 3"],
-) -> Pose:
-    """Joints and their orientations, of local rotations."""
     orientation: list[Tensor] = [R_parent_joint[:, :, 0]] + [torch.empty(0)] * 21
     position: list[Tensor] = [translation_m + rest_joints_m[:, None, 0]] + [torch.empty(0)] * 21
     bones = rest_joints_m[:, 1:] - rest_joints_m[:, PARENTS[1:].tolist()]
@@ -85,4 +60,4 @@ def posed(
         for k, j in enumerate(joints):
             position[j] = at[:, :, k] + along[:, :, k]
             orientation[j] = turned[:, :, k]
-    return Pose(torch.stack(position, 2), torch.stack(orientation, 2))
+    return torch.stack(position, 2)
