@@ -16,6 +16,7 @@ from video2anim.errors import UsageError
 from video2anim.pipeline.options import Heights, limits, model_of, only_without
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import CameraEstimate, Intrinsics, PersonTrack, PersonTracks, VideoClip
+from video2anim.types.camera import UpEvidence
 
 if TYPE_CHECKING:
     from video2anim.fitting.ground import UpEstimate
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
 _WRONG_FACTOR = 3.0
 """Metadata that differs from what the person's perspective says by more than this factor is wrong. Estimates from a
 person alone are themselves off by up to a factor of 2.2 (V2A-Bench, `benchmarks/human_fit.py`)."""
+_LIFTER_UP_SIGMA_RAD = 0.1
+"""Error of gravity by people's poses."""
+_LEVEL_SIGMA_RAD = 0.35
+"""Cameras are held level to about 20 degrees."""
 _SURE_FRAMES = 30
 """People seen for less tell less of gravity."""
 FULL_FRAME_DIAGONAL_MM = 43.267
@@ -103,7 +108,16 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
         up_sigma_rad=up.sigma_rad,
         is_static=clip.camera_is_static,
         R_first_camera=np.tile(np.eye(3), (clip.frame_count, 1, 1)),
+        up_evidence=_up_evidence(seen, picture),
     )
+
+
+def _up_evidence(seen: np.ndarray, picture: FieldCamera | None) -> tuple[UpEvidence, ...]:
+    """Every source on its own, most certain first."""
+    sources = [] if picture is None else [UpEvidence("picture", picture.up_camera, picture.up_sigma_rad)]
+    sources.append(UpEvidence("lifter", seen, _LIFTER_UP_SIGMA_RAD))
+    sources.append(UpEvidence("level camera", np.array([0.0, -1.0, 0.0]), _LEVEL_SIGMA_RAD))
+    return tuple(sources)
 
 
 def _lifted(clip: VideoClip, track: PersonTrack, config: CameraConfig, ctx: StageContext) -> LiftedBody:

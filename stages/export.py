@@ -116,12 +116,12 @@ def _write_worst(clip: VideoClip, bodies: BodyTracks, refined: RefinedMotion, ct
     span = measured_span(main)
     if span is None:
         return []
-    written = []
+    raw, written = bodies.people[0].in_world(main.T_world_camera), []
     for moment in worst_moments(motion_quality(main, refined.scene, span, clip.fps), span):
         name = moment.what.replace(" ", "-")
         ctx.quality(moment.what, moment.value, moment.unit, "lower")
         written.append(ctx.work_dir / f"worst_{name}_{moment.frame:05d}.png")
-        write_png(written[-1], moment_picture(clip, bodies.people[0], main, refined.scene, moment.frame))
+        write_png(written[-1], moment_picture(clip, raw, main, refined.scene, moment.frame))
     return written
 
 

@@ -27,8 +27,6 @@ _REGRESSOR_ERROR_M = 0.05
 """Error that joints of a body regressor are taken to have about the pelvis; it tells none itself."""
 _FRAMES_AT_ONCE = 256
 """Of meshes in memory."""
-_SAME_SIZE = 1e-3
-"""Sizes this near to each other are left."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +58,10 @@ def recover_humans(
     clip: VideoClip, tracks: PersonTracks, camera: CameraEstimate, config: HumansConfig, ctx: StageContext
 ) -> BodyTracks:
     """Fit the selected persons and put them into a world with +Y up and the floor under the main person's feet."""
+    from video2anim.fitting.objective import FitConfig
     from video2anim.fitting.observe import observations
     from video2anim.fitting.quality import person_quality
-    from video2anim.fitting.stature import expect_heights, height_of
+    from video2anim.fitting.stature import KNOWN_SIGMA_M, expect_heights, height_of
 
     expect_heights(config.height_m, tracks.selected_ids)
     selected = tuple(track.whole(clip.frame_count) for track in tracks.selected())
@@ -75,16 +74,17 @@ def recover_humans(
         _fit(seen, raised, height_m, config, ctx)
         for seen, raised, height_m in zip(observed, lifted, heights_m, strict=True)
     ]
-    if len(fits) > 1 and config.method != "lifter":
-        fits = _on_one_floor(selected, observed, fits, camera, heights_m, ctx)
     T_world_camera, spread_m = _world(fits[0], selected[0].valid, _R_world_camera(camera), clip.fps)
     people = tuple(
         _motion(clip, track, fit, camera, T_world_camera, raised)
         for track, fit, raised in zip(selected, fits, lifted, strict=True)
     )
     quality = tuple(
-        person_quality(track, seen, fit, motion, clip.fps, **_smoothness(motion, clip.fps))
-        for track, seen, fit, motion in zip(selected, observed, fits, people, strict=True)
+        replace(
+            person_quality(track, seen, fit, motion, clip.fps, **_smoothness(motion, clip.fps)),
+            stature_sigma_m=FitConfig().stature_sigma_m if height_m is None else KNOWN_SIGMA_M,
+        )
+        for track, seen, fit, motion, height_m in zip(selected, observed, fits, people, heights_m, strict=True)
     )
     _record(people[0], quality[0], spread_m, ctx)
     for motion, judged in zip(people, quality, strict=True):
@@ -176,45 +176,6 @@ def _smoothed(observed: Observations, fit: FittedBody, config: HumansConfig) -> 
         fit.R_parent_joint, fit.translation_camera_m, np.ones(frames, bool), fps=fps, cutoff_hz=config.cutoff_hz
     )
     return reposed(observed, fit, R, translation_m)
-
-
-def _on_one_floor(
-    tracks: tuple[PersonTrack, ...],
-    observed: list[Observations],
-    fits: list[FittedBody],
-    camera: CameraEstimate,
-    heights_m: list[float | None],
-    ctx: StageContext,
-) -> list[FittedBody]:
-    """Everybody at the size that puts their feet on the floor they share; known heights hardly give."""
-    from video2anim.fitting.common_floor import grown, shared_scales
-    from video2anim.fitting.ground import floor_height
-    from video2anim.fitting.objective import FitConfig
-    from video2anim.fitting.stature import KNOWN_SIGMA_M
-
-    R_world_camera = _R_world_camera(camera)
-    fps = 1.0 / float(np.median(np.diff(observed[0].frame_time_s)))
-    usual = FitConfig()
-    below_m, distance_m = np.empty(len(fits)), np.empty(len(fits))
-    for i, (track, fit) in enumerate(zip(tracks, fits, strict=True)):
-        below_m[i] = -floor_height(_sole_heights(fit, R_world_camera)[track.valid], fps)[0]
-        root_m = np.einsum("tab,tb->ta", R_world_camera, fit.joints_camera_m[:, 0])[track.valid]
-        distance_m[i] = float(np.median(np.hypot(root_m[:, 0], root_m[:, 2])))
-    sigma_m = np.array([usual.stature_sigma_m if height_m is None else KNOWN_SIGMA_M for height_m in heights_m])
-    scales, shares = shared_scales(
-        below_m, distance_m, up_sigma_rad=camera.up_sigma_rad, stature_sigma_ratio=sigma_m / usual.stature_m
-    )
-    for track, own_m, shared in zip(tracks, below_m, shares, strict=True):
-        if not shared:
-            ctx.warn(
-                f"person {track.person_id} stands {own_m - below_m[0]:+.2f} m below the floor of person "
-                f"{tracks[0].person_id}: a child, or somebody on other ground; sizes are left as they are"
-            )
-    ctx.quality("floors apart before sizes were matched", float(np.ptp(below_m[shares])) if shares.any() else 0.0, "m")
-    return [
-        grown(seen, fit, float(scale)) if abs(scale - 1) > _SAME_SIZE else fit
-        for seen, fit, scale in zip(observed, fits, scales, strict=True)
-    ]
 
 
 def _R_world_camera(camera: CameraEstimate) -> np.ndarray:
@@ -316,4 +277,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton height", quality.stature_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=11, models=_slots)
+STAGE = StageSpec("humans", recover_humans, version=12, models=_slots)

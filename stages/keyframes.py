@@ -20,7 +20,6 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
     BodyMotion,
-    BodyTracks,
     KeyframedMotion,
     MetricDepth,
     SceneModel,
@@ -76,7 +75,6 @@ class KeyframesConfig:
 
 
 def optimize_keyframes(
-    bodies: BodyTracks,
     scene: SceneModel,
     depth: MetricDepth,
     plate: BackgroundPlate,
@@ -99,7 +97,7 @@ def optimize_keyframes(
         masks, maps = plate.selected_mask.shape[1:], depth.depth_m.shape[1:]
         ctx.warn(f"depth loss left out, masks {masks} do not fit depth {maps}")
     people, indices = [], []
-    for number, motion in enumerate(bodies.people):
+    for number, motion in enumerate(depth.bodies.people):
         keyframes = _choose_keyframes(motion.valid, config.keyframe_interval_frames)
         indices.append(keyframes)
         if len(keyframes) == 0:
@@ -109,7 +107,7 @@ def optimize_keyframes(
         seen = (depth, plate) if number == 0 and usable else None
         name = "" if number == 0 else f" (person {motion.person_id})"
         people.append(_optimize_person(motion, keyframes, grid, seen, config, ctx, name))
-        ctx.progress(number + 1, len(bodies.people))
+        ctx.progress(number + 1, len(depth.bodies.people))
     return KeyframedMotion(tuple(people), tuple(indices))
 
 

@@ -12,14 +12,10 @@ from typing import Annotated
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.errors import StageError
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
-    BackgroundPlate,
     BodyMotion,
-    BodyTracks,
-    CameraEstimate,
     InstanceMasks,
     MetricDepth,
     ObjectMesh,
@@ -55,26 +51,17 @@ def place_objects(
     meshes: ObjectMeshes,
     masks: InstanceMasks,
     depth: MetricDepth,
-    plate: BackgroundPlate,
-    bodies: BodyTracks,
-    camera: CameraEstimate,
     config: PlaceConfig,
     ctx: StageContext,
 ) -> PlacedObjects:
-    """Every object at its place. Those whose fit cannot be trusted keep their first guess or best fit and say why.
-
-    Raises:
-        StageError: there is no body (its camera lifts pixels into the world).
-    """
+    """Every object at its place. Those whose fit cannot be trusted keep their first guess or best fit and say why."""
     from video2anim.geometry.lifted_thing import ThingLifter
 
-    if not bodies.people:
-        raise StageError("place: want at least one fitted body, got none; check stage humans")
-    lifter = ThingLifter(masks, depth, plate, bodies.people[0], camera)
+    lifter = ThingLifter(masks, depth)
     placed = []
     for done, found in enumerate(meshes.objects):
         points_m = lifter.lift(found.object_id).points_world_m
-        placed.append(_place_one(found, points_m, depth, bodies.people[0], config, ctx))
+        placed.append(_place_one(found, points_m, depth, depth.bodies.people[0], config, ctx))
         ctx.progress(done + 1, len(meshes.objects))
     placed = _arranged(placed, config, ctx)
     before_m = [p.chamfer_before_m for p in placed if p.chamfer_before_m is not None]

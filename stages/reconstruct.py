@@ -21,8 +21,6 @@ from video2anim.pipeline.options import limits, model_of, only_without
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
-    BodyTracks,
-    CameraEstimate,
     CompletedObject,
     CompletedObjects,
     InstanceMasks,
@@ -85,24 +83,19 @@ def reconstruct_objects(
     masks: InstanceMasks,
     depth: MetricDepth,
     plate: BackgroundPlate,
-    bodies: BodyTracks,
-    camera: CameraEstimate,
     config: ReconstructConfig,
     ctx: StageContext,
 ) -> ObjectMeshes:
     """Meshes in their own frames (+Y up, resting on y = 0, centered) with a first pose.
 
     Raises:
-        StageError: there is no body (its camera lifts pixels into the world).
         InputError: the user's meshes cannot be read.
         UsageError: `model` names one of another slot, or an option is out of range.
         ModelMissingError: the network's weights are absent, or no network of its contract.
     """
     from video2anim.geometry.lifted_thing import ThingLifter
 
-    if not bodies.people:
-        raise StageError("reconstruct: want at least one fitted body, got none; check stage humans")
-    lifter = ThingLifter(masks, depth, plate, bodies.people[0], camera)
+    lifter = ThingLifter(masks, depth)
     foreign = _user_meshes(config)
     numbers = {found.object_id for found in completed.objects}
     if unused := sorted(foreign.keys() - numbers):

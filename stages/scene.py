@@ -95,7 +95,6 @@ def build_scene(
     depth: MetricDepth,
     masks: InstanceMasks,
     plate: BackgroundPlate,
-    bodies: BodyTracks,
     config: SceneConfig,
     ctx: StageContext,
 ) -> SceneModel:
@@ -108,8 +107,8 @@ def build_scene(
     from video2anim.geometry.scene_mesh import floor_patch, world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
 
-    motion_m = _motion_bounds(bodies)
-    body = bodies.people[0]
+    bodies = depth.bodies
+    motion_m, body = _motion_bounds(bodies), bodies.people[0]
     if config.scan:
         return _scanned(motion_m, depth, bodies, config, ctx)
     objects = _with_supports(placed.objects, bodies, ctx) if config.supports else list(placed.objects)

@@ -2,8 +2,9 @@
 
 Provider `geometric`: an object is an upright region that stands on the floor, is nearer than the background behind it
 and has an object's size. There is no semantic class; the label is `object`. Any other provider is a model of slot
-`segment`: what it recognises in the plate is held to an object's size by the metric depth, and joined by the regions of
-depth that it does not explain. An empty list is a valid answer.
+`segment`: what it recognises in the plate is held to an object's size by the depth, and joined by the regions of depth
+that it does not explain. Depth is brought to meters by floor and person roughly: stage metric does it for good, with
+what is found here. An empty list is a valid answer.
 """
 
 from __future__ import annotations
@@ -12,16 +13,26 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from video2anim.errors import StageError
 from video2anim.pipeline.options import limits, model_of
 from video2anim.pipeline.stage import StageContext, StageSpec
-from video2anim.types import BackgroundPlate, BodyTracks, InstanceMasks, MetricDepth, ObjectInstance
+from video2anim.types import (
+    BackgroundPlate,
+    BodyTracks,
+    CameraEstimate,
+    DepthClip,
+    InstanceMasks,
+    ObjectInstance,
+    VideoClip,
+)
 
 if TYPE_CHECKING:
     from video2anim.geometry.joined_objects import SeenThing
     from video2anim.geometry.object_regions import RegionLimits, Regions
+    from video2anim.models.segmentation import Segmentation
+    from video2anim.types import BodyMotion
 
 _FLOOR_TOLERANCE_M = 0.3
 """Recognised floor may lie so far off the floor by its depth."""
@@ -46,34 +57,45 @@ class SegmentConfig:
 
 
 def segment_plate(
-    plate: BackgroundPlate, depth: MetricDepth, bodies: BodyTracks, config: SegmentConfig, ctx: StageContext
+    clip: VideoClip,
+    plate: BackgroundPlate,
+    depth: DepthClip,
+    bodies: BodyTracks,
+    camera: CameraEstimate,
+    config: SegmentConfig,
+    ctx: StageContext,
 ) -> InstanceMasks:
     """Instances, best score first, and the floor, at the size of the plate.
 
     Raises:
         StageError: there is no body (its camera gives gravity and the floor).
     """
+    from video2anim.calibration.gather import first_depth_m, picture_evidence
     from video2anim.geometry.joined_objects import SeenThing
+    from video2anim.geometry.masks import shrunk
     from video2anim.geometry.object_regions import RegionLimits, find_regions
+    from video2anim.models.segmentation import CLASSES
 
     if not bodies.people:
         raise StageError("segment: want at least one fitted body, got none; check stage humans")
-    height, width = depth.background_depth_m.shape
-    body = bodies.people[0]
+    shape, body = depth.background_value.shape, bodies.people[0]
+    seen = None if config.provider == "geometric" else ctx.model(config.provider).segment(plate.plate_rgb)
+    named = np.zeros(shape, bool) if seen is None else shrunk(seen.semantic == CLASSES.index("floor"), shape)
+    evidence = picture_evidence(depth, plate, bodies, camera, named, clip.fps, ctx.rng("segment/points"))
+    depth_m = first_depth_m(evidence, depth, body)
+    valid = depth.background_valid & np.isfinite(depth_m)
+    depth_m = np.where(np.isfinite(depth_m), depth_m, 1e3)
     limits = RegionLimits(
         smallest_ratio=config.smallest_ratio,
         smallest_m=config.smallest_m,
         largest_m=config.largest_m,
         most=4 * config.most_objects,
     )
-    depth_m = depth.background_depth_m.astype(np.float64)
-    regions = find_regions(
-        depth_m, depth.background_valid, body.T_world_camera[0], body.intrinsics.resized(width, height), limits
-    )
-    if config.provider == "geometric":
+    regions = find_regions(depth_m, valid, body.T_world_camera[0], body.intrinsics.resized(*shape[::-1]), limits)
+    if seen is None:
         found, floor = [SeenThing("object", r.score, r.mask) for r in regions.objects], regions.floor
     else:
-        found, floor = _with_network(plate, depth, regions, limits, bodies, config, ctx)
+        found, floor = _with_network(seen, depth_m, valid, regions, limits, body, ctx)
     scores = [item.score + 0.5 * _occlusion_share(item, plate) for item in found]
     order = [i for i in np.argsort(scores)[::-1] if scores[i] >= config.least_score][: config.most_objects]
     instances = tuple(
@@ -92,12 +114,12 @@ def segment_plate(
 
 
 def _with_network(
-    plate: BackgroundPlate,
-    depth: MetricDepth,
+    seen: Segmentation,
+    depth_m: Float[np.ndarray, "small_height small_width"],
+    valid: Bool[np.ndarray, "small_height small_width"],
     regions: Regions,
     limits: RegionLimits,
-    bodies: BodyTracks,
-    config: SegmentConfig,
+    body: BodyMotion,
     ctx: StageContext,
 ) -> tuple[list[SeenThing], Bool[np.ndarray, "small_height small_width"]]:
     """What the network recognises, joined with the regions of depth; and the floor by both."""
@@ -106,19 +128,16 @@ def _with_network(
     from video2anim.geometry.projection import backproject, transform_points
     from video2anim.models.segmentation import CLASSES
 
-    seen = ctx.model(config.provider).segment(plate.plate_rgb)
-    height, width = depth.background_depth_m.shape
-    shape = (height, width)
+    shape = depth_m.shape
     recognised = [SeenThing(i.label, i.score, shrunk(i.mask, shape)) for i in seen.instances if i.kind == "furniture"]
     built = shrunk(np.isin(seen.semantic, [CLASSES.index(name) for name in ("floor", "wall", "ceiling")]), shape)
-    body = bodies.people[0]
-    camera_m = backproject(depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height))
+    camera_m = backproject(depth_m, body.intrinsics.resized(*shape[::-1]))
     world_m = transform_points(body.T_world_camera[0], camera_m.reshape(-1, 3)).reshape(camera_m.shape)
-    found = joined_objects(recognised, regions.objects, built, world_m, depth.background_valid, limits)
+    found = joined_objects(recognised, regions.objects, built, world_m, valid, limits)
     ctx.quality("recognised", len(recognised), "objects")
     named = shrunk(seen.semantic == CLASSES.index("floor"), shape)
     # Where depth says flat and low and the network has no other idea, or where it says floor and depth does not object.
-    low = ~depth.background_valid | (np.abs(world_m[..., 1]) < _FLOOR_TOLERANCE_M)
+    low = ~valid | (np.abs(world_m[..., 1]) < _FLOOR_TOLERANCE_M)
     return found, (named & low) | (regions.floor & built)
 
 
@@ -150,4 +169,4 @@ def _enlarge(small: Bool[np.ndarray, "h w"], plate_rgb: UInt8[np.ndarray, "h w 3
     return large
 
 
-STAGE = StageSpec("segment", segment_plate, version=4, models=("segment",))
+STAGE = StageSpec("segment", segment_plate, version=5, models=("segment",))

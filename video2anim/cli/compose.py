@@ -50,7 +50,7 @@ from video2anim.types import ExportedFiles
 from video2anim.types.clip import SourceVideo
 
 MODULES = (
-    ingest, track, camera, humans, background, depth, metric, segment,
+    ingest, track, camera, humans, background, depth, segment, metric,
     complete, reconstruct, place, scene, keyframes, refine, export,
 )  # fmt: skip
 DEFAULT_PRESET = "embedded"

@@ -11,6 +11,7 @@ import numpy as np
 from video2anim.pipeline.runner import Runner, StageStatus
 from video2anim.pipeline.scene_folder import RunRecord
 from video2anim.types import (
+    BodyMotion,
     BodyTracks,
     CameraEstimate,
     ExportedFiles,
@@ -60,7 +61,7 @@ def report_html(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], 
             stages=tuple(stages),
             models=tuple(ModelRow(name, license_, find_model(name).source.text) for name, license_ in used.items()),
             camera=runner.value(CameraEstimate),
-            motions={name: runner.value(kind).people for name, kind in MOTIONS.items()},
+            motions=motions_of(runner),
             priors=tuple(
                 f"{name}, {share:.0%} of the measured frames are others than without it" if name != "none" else "none"
                 for name, share in zip(refined.prior, refined.prior_share, strict=True)
@@ -74,6 +75,13 @@ def report_html(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], 
             ),
         )
     )
+
+
+def motions_of(runner: Runner) -> dict[str, tuple[BodyMotion, ...]]:
+    """People of every motion stage, all in the world of the scene."""
+    motions = {name: runner.value(kind).people for name, kind in MOTIONS.items()}
+    T_world_camera = motions["refined"][0].T_world_camera
+    return motions | {"raw": tuple(motion.in_world(T_world_camera) for motion in motions["raw"])}
 
 
 def found_people(tracks: PersonTracks, bodies: BodyTracks, frame_count: int) -> tuple[FoundPerson, ...]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from video2anim.artifacts.folder import file_digest
 from video2anim.cli.compose import open_scene
-from video2anim.cli.report import MOTIONS
+from video2anim.cli.report import MOTIONS, motions_of
 from video2anim.errors import ModelMissingError, UsageError
 from video2anim.pipeline.runner import Runner
 from video2anim.pipeline.scene_folder import STAGES
@@ -60,7 +60,7 @@ def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None) -
     if screenshot is not None:
         _expect_free(scene_dir, screenshot)
     _expect_made(runner, "refine")
-    motions = {name: runner.value(kind).people for name, kind in MOTIONS.items()}
+    motions = motions_of(runner)
     shown = viewer.SceneView(motions=motions, scene=runner.value(RefinedMotion).scene)
     if screenshot is None:
         viewer.view(shown, title=f"video2anim {scene_dir}", frame=frame, stage=motion)

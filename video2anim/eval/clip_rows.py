@@ -82,7 +82,7 @@ def track_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
 
 def camera_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
     """Lens, gravity and height of the camera."""
-    camera, bodies = result.get(CameraEstimate), result.get(BodyTracks)
+    camera, bodies = result.get(CameraEstimate), result.bodies
     true_size = truth.intrinsics
     true_first, first = _first_known(frames)
     numbers: dict[str, float | str] = {spec.key: result.why(CameraEstimate) for spec in CAMERA}

@@ -19,7 +19,6 @@ from video2anim.eval.true_scene import read_glb, world_mesh
 from video2anim.eval.truth import TrueObject, Truth
 from video2anim.geometry.projection import transform_points
 from video2anim.types import (
-    BodyTracks,
     CompletedObjects,
     InstanceMasks,
     Mesh,
@@ -207,7 +206,7 @@ def compared_objects(
 
 def scene_objects(result: SceneResult, truth: Truth) -> list[dict[str, float]]:
     """`compared_objects` of the finished scene by the main person's camera; none where a stage is missing."""
-    scene, bodies, instances = result.scene, result.get(BodyTracks), result.get(InstanceMasks)
+    scene, bodies, instances = result.scene, result.bodies, result.get(InstanceMasks)
     if scene is None or bodies is None:
         return []
     T = truth_from_estimate(bodies.people[0].T_world_camera, truth, match_frames(result.clip, truth))

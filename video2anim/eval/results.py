@@ -86,9 +86,19 @@ class SceneResult:
         return clip
 
     def motions(self) -> dict[str, tuple[BodyMotion, ...]]:
-        """People of every motion stage that is there."""
+        """People of every motion stage that is there, all in the world of the calibrated camera."""
         found = {name: self.get(kind) for name, kind in MOTION_STAGES.items()}
-        return {name: value.people for name, value in found.items() if value is not None}
+        people = {name: value.people for name, value in found.items() if value is not None}
+        if "raw" in people and (metric := self.get(MetricDepth)) is not None:
+            T_world_camera = metric.bodies.people[0].T_world_camera
+            people["raw"] = tuple(motion.in_world(T_world_camera) for motion in people["raw"])
+        return people
+
+    @property
+    def bodies(self) -> BodyTracks | None:
+        """The observed people after calibration; as stage humans has them where it is not there."""
+        metric = self.get(MetricDepth)
+        return self.get(BodyTracks) if metric is None else metric.bodies
 
     @property
     def scene(self) -> SceneModel | None:

@@ -54,7 +54,7 @@ def depth_targets(
         seen = plate.selected_mask[p] & depth.valid[d] & (depth.depth_m[d] > 0)
         if not motion.valid[frame] or seen.sum() < _LEAST_POINTS:
             continue
-        T_world_camera = depth.T_world_camera[frame]
+        T_world_camera = motion.T_world_camera[frame]
         points_m = transform_points(T_world_camera, backproject(depth.depth_m[d], intrinsics)[seen])
         _, R_world_joint = forward_kinematics(
             motion.R_parent_joint[frame], motion.T_world_root[frame, :3, 3], motion.rest_joints_m

@@ -5,6 +5,7 @@ Every value is a frozen dataclass of numpy arrays and plain values. `stored()` m
 
 from video2anim.types.camera import CameraEstimate, Intrinsics
 from video2anim.types.clip import SourceInfo, SourceVideo, VideoClip
+from video2anim.types.metric import MetricDepth
 from video2anim.types.motion import BodyMotion, BodyShape, BodyTracks, KeyframedMotion, PersonQuality, RefinedMotion
 from video2anim.types.people import PersonTrack, PersonTracks, Thumbnail
 from video2anim.types.results import ExportedFiles
@@ -15,7 +16,6 @@ from video2anim.types.scene import (
     DepthClip,
     InstanceMasks,
     Mesh,
-    MetricDepth,
     ObjectInstance,
     ObjectMesh,
     ObjectMeshes,

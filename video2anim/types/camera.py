@@ -39,6 +39,17 @@ class Intrinsics:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class UpEvidence:
+    """What one source says of gravity, on its own."""
+
+    source: str
+    """`picture` (perspective fields and straight edges), `lifter` (people's poses) or `level camera`."""
+    up_camera: Annotated[Float[np.ndarray, "3"], Holds.DIRECTION]
+    """Unit vector against gravity in camera axes, first frame."""
+    sigma_rad: NonNegativeFloat
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CameraEstimate:
     """Lens and gravity of the clip's camera."""
 
@@ -58,3 +69,5 @@ class CameraEstimate:
     R_first_camera: Annotated[Float[np.ndarray, "frames 3 3"], Holds.ROTATION]
     """Rotation of each frame's camera against the first one's. Identity means fixed; where `is_static` is False it is
     an assumption, not an estimate."""
+    up_evidence: tuple[UpEvidence, ...] = ()
+    """The single sources, for the fit of stage metric."""

@@ -64,6 +64,15 @@ class BodyMotion:
         rows = np.flatnonzero(self.valid)
         return self.joints_world_m[rows[0] : rows[-1] + 1] if len(rows) else self.joints_world_m[:0]
 
+    def in_world(self, T_world_camera: Float[np.ndarray, "frames 4 4"]) -> BodyMotion:
+        """The same motion before the same cameras, in a world in which these stand elsewhere."""
+        T_camera_own = np.linalg.inv(self.T_world_camera)
+        T_world_root = T_world_camera @ T_camera_own @ self.T_world_root
+        R = self.R_parent_joint.copy()
+        R[:, 0] = T_world_root[:, :3, :3]
+        moved = self.with_pose(translation_world_m=T_world_root[:, :3, 3], R_parent_joint=R)
+        return replace(moved, T_world_camera=T_world_camera)
+
     def with_pose(self, *, translation_world_m: np.ndarray, R_parent_joint: np.ndarray) -> BodyMotion:
         """The same person in another motion; joints by forward kinematics."""
         from video2anim.body.skeleton import forward_kinematics
@@ -94,6 +103,8 @@ class PersonQuality:
     """From the highest to the lowest joint of the T-pose."""
     fast_share: float
     """Share of the frames in which the root moves faster than anybody can."""
+    stature_sigma_m: float = 0.09
+    """Standard deviation of the standing height before the clip is looked at: of adults, or of what the user gave."""
     doubts: tuple[str, ...] = ()
     """Reasons not to trust the person's motion; empty: none found."""
 

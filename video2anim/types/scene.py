@@ -62,29 +62,6 @@ class DepthClip:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MetricDepth:
-    """Scale and offset that make a `DepthClip` metric (paper 8.1), and the depth they give."""
-
-    scale: PositiveFloat
-    offset_m: FiniteFloat
-    """Metres for kind `depth`, 1/metres for `disparity`."""
-    scale_sigma: float
-    offset_sigma: float
-    chamfer_before_m: NonNegativeFloat | None
-    """None where no fit was possible."""
-    chamfer_after_m: NonNegativeFloat | None
-    trusted: bool
-    """False where the person covers too little to fix the scale."""
-    reason: str
-    frame_index: Annotated[Int[np.ndarray, "samples"], Holds.FRAMES]
-    depth_m: Annotated[Float[np.ndarray, "samples small_height small_width"], Holds.GAPS]
-    valid: Bool[np.ndarray, "samples small_height small_width"]
-    background_depth_m: Annotated[Float[np.ndarray, "small_height small_width"], Holds.GAPS]
-    background_valid: Bool[np.ndarray, "small_height small_width"]
-    T_world_camera: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ObjectInstance:
     """One thing in the plate."""
 

@@ -23,18 +23,8 @@ from video2anim.types.motion import BodyMotion
 _MOST_FRAMES = 60
 _VOTES = 3
 """Frames that must agree on a pixel."""
-_MOST_HIDDEN = 0.2
-"""Of a thing that somebody passes before, so much of the body may be missing, as a share of what is seen of it; where
-more is, they pass behind, and masks that are a little too large touch the thing."""
 _MOVED_M = 0.02
 """A camera that went farther sees other things at the same pixels."""
-_QUANTILE = 0.9
-"""Of a thing's pixels: the person was near it at a few of them."""
-_LEAST_PIXELS = 20
-_SLACK_LOG = 0.05
-"""So much farther than a thing the person may be: neither depth is better known."""
-_LARGEST_LOG = 0.35
-"""A thing that would have to go farther is left where it is: one of the two is wrong."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,22 +91,3 @@ def _depth_of(camera_m: np.ndarray, faces: np.ndarray, intrinsics: Intrinsics) -
     # Skin points are sparse on people near by: a pixel takes the nearest of its neighbors.
     nearest_m = cv2.erode(np.where(np.isfinite(nearest_m), nearest_m, 1e6), np.ones((3, 3)))
     return np.where(nearest_m < 1e6, nearest_m, 0.0)
-
-
-def factor_behind(
-    depth_m: Float[np.ndarray, "height width"],
-    shows: Bool[np.ndarray, "height width"],
-    passed: Passed,
-) -> float:
-    """By what a thing's depth is to be multiplied so that it is behind who was seen before it; 1 where it is.
-
-    Args:
-        depth_m: Of the picture.
-        shows: Pixels that show the thing.
-        passed: The person.
-    """
-    inner = cv2.erode(shows.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & (passed.depth_m > 0)
-    if inner.sum() < _LEAST_PIXELS or passed.hidden[shows].sum() > _MOST_HIDDEN * passed.seen[shows].sum():
-        return 1.0
-    lacks = float(np.quantile(np.log(passed.depth_m[inner] / depth_m[inner]), _QUANTILE)) - _SLACK_LOG
-    return float(np.exp(lacks)) if 0 < lacks < _LARGEST_LOG else 1.0

@@ -1,0 +1,1 @@
+"""One fit of camera, people's sizes, floor, depth and objects' distances."""

@@ -1,0 +1,88 @@
+"""People and their camera after the fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from video2anim.body.anny_body import anny_model
+from video2anim.calibration.fit import Calibration
+from video2anim.fitting.ground import level_frame
+from video2anim.geometry.projection import invert_rigid, transform_points
+from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.types import BodyMotion, BodyTracks, Intrinsics
+from video2anim.types.motion import BodyShape
+
+_HALVINGS = 30
+
+
+def calibrated(bodies: BodyTracks, found: Calibration) -> BodyTracks:
+    """The same people at their sizes, under the lens and above the floor of the fit (+Y up, floor at y = 0, origin
+    below the main person's first valid root). Each keeps its place and size in the picture."""
+    main = bodies.people[0]
+    k = main.intrinsics
+    lens = found.focal_px / k.fx_px
+    intrinsics = Intrinsics(found.focal_px, k.fy_px * lens, k.cx_px, k.cy_px, k.width_px, k.height_px)
+    R_first_camera = main.T_world_camera[0, :3, :3].T @ main.T_world_camera[:, :3, :3]
+    T_world_camera = np.tile(np.eye(4), (main.frame_count, 1, 1))
+    T_world_camera[:, :3, :3] = level_frame(found.up_camera) @ R_first_camera
+    T_world_camera[:, 1, 3] = found.camera_height_m
+    people = [
+        _moved(body, float(ratio), lens, intrinsics, T_world_camera)
+        for body, ratio in zip(bodies.people, found.stature_ratio, strict=True)
+    ]
+    first = people[0].joints_world_m[np.flatnonzero(people[0].valid)[0], 0] if people[0].valid.any() else np.zeros(3)
+    away_m = -first * np.array([1.0, 0.0, 1.0])
+    T_world_camera[:, :3, 3] += away_m
+    people = [
+        replace(body, T_world_camera=T_world_camera).with_pose(
+            translation_world_m=body.T_world_root[:, :3, 3] + away_m, R_parent_joint=body.R_parent_joint
+        )
+        for body in people
+    ]
+    return BodyTracks(tuple(people), bodies.quality)
+
+
+def _moved(
+    body: BodyMotion, ratio: float, lens: float, intrinsics: Intrinsics, T_world_camera: Float[np.ndarray, "frames 4 4"]
+) -> BodyMotion:
+    """One person under another lens and of another size; a phenotype that ends before the size does limits it."""
+    shape, rest_joints_m, reached = resized(body.shape, body.rest_joints_m, ratio)
+    T_camera_world = invert_rigid(body.T_world_camera)
+    root_m = transform_points(T_camera_world, body.T_world_root[:, None, :3, 3])[:, 0]
+    at_m = reached * root_m * np.array([1.0, 1.0, lens])
+    old = root_m / np.linalg.norm(root_m, axis=-1, keepdims=True)
+    turn = matrix_from_axis_angle(np.cross(old, at_m / np.linalg.norm(at_m, axis=-1, keepdims=True)))
+    R_parent_joint = body.R_parent_joint.copy()
+    R_parent_joint[:, 0] = T_world_camera[:, :3, :3] @ turn @ T_camera_world[:, :3, :3] @ R_parent_joint[:, 0]
+    same = replace(body, shape=shape, rest_joints_m=rest_joints_m, intrinsics=intrinsics, T_world_camera=T_world_camera)
+    world_m = transform_points(T_world_camera, at_m[:, None])[:, 0]
+    return same.with_pose(translation_world_m=world_m, R_parent_joint=R_parent_joint)
+
+
+def resized(
+    shape: BodyShape, rest_joints_m: Float[np.ndarray, "22 3"], ratio: float
+) -> tuple[BodyShape, Float[np.ndarray, "22 3"], float]:
+    """Shape and rest joints of the body model at another stature (phenotype `height`), and the ratio reached."""
+    parameters = {name: float(value) for name, value in shape.parameters.items()}
+
+    def skeleton(height: float) -> tuple[float, np.ndarray]:
+        with torch.no_grad():
+            rest = anny_model().rest_skeleton(
+                {name: torch.tensor(v) for name, v in (parameters | {"height": height}).items()}
+            )
+        return float(rest.stature_m), rest.rest_joints_m.numpy().astype(np.float64)
+
+    if shape.model != "anny" or abs(ratio - 1) < 1e-3:
+        return shape, rest_joints_m, 1.0
+    now_m, _ = skeleton(parameters["height"])
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if skeleton(middle)[0] < ratio * now_m else (low, middle)
+    height = 0.5 * (low + high)
+    reached_m, joints_m = skeleton(height)
+    return replace(shape, parameters=parameters | {"height": height}), joints_m, reached_m / now_m

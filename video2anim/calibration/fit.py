@@ -1,0 +1,371 @@
+"""One robust least-squares fit over the lens, gravity, the floor, people's statures, the scale and offset of depth, and
+the distance of every object (docs/calibration.md has the factor graph).
+
+A video of one camera shows a scene only up to its size; statures' prior and the usual heights of furniture fix that.
+Every residual is divided by its standard deviation (`Sigmas`). Evidence may be wrong altogether (a child, a step, what
+was taken for floor), so residuals of observations count by Cauchy's logarithm; priors count squared. The covariance is
+the inverse of J^T J.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.spatial import KDTree
+
+from video2anim.calibration.evidence import Evidence, PixelEvidence
+from video2anim.geometry.rotations import matrix_from_axis_angle
+
+
+@dataclass(frozen=True, slots=True)
+class Sigmas:
+    """Standard deviations of the residuals."""
+
+    up_limit: float = 2.0
+    """Sources of gravity count squared up to so many deviations, then by the logarithm. With 1, a person on a step
+    tilts a room whose edges are plain."""
+    sole_m: float = 0.03
+    """Height of a standing sole (the floor spread of stage humans on clips with one floor)."""
+    sole_distance_ratio: float = 0.03
+    """Distance of a body along the line of sight from frame to frame."""
+    upright_rad: float = 0.3
+    """Direction from feet to center of mass in a look (walking, reaching, bending)."""
+    floor_log: float = 0.08
+    """Depth of a floor pixel, logarithm; the pixels of one picture count as `floor_looks` only."""
+    floor_looks: float = 12.0
+    skin_log: float = 0.05
+    """Depth of skin against that of the nearest depth pixel, logarithm: of the distance alone, since the shape of a
+    body in a network's depth tells nothing of the lens."""
+    skin_looks: float = 1.0
+    """The skin points of a frame count as so many: they err together."""
+    distance_log: float = 0.12
+    """Depth of one object, or of the person, against that of another, logarithm (`benchmarks/object_errors.py`)."""
+    foot_px: float = 1.5
+    """Row in which an object's mask ends."""
+    overhang_log: float = 0.08
+    """So much nearer than its foot an object may be: its lower edge may be off the floor."""
+    behind_log: float = 0.05
+    """Order of object and person: neither depth is better known."""
+
+
+USUAL_HEIGHT_M = {
+    "table": (0.74, 0.04), "dining table": (0.74, 0.04), "desk": (0.74, 0.04), "chair": (0.88, 0.08),
+    "armchair": (0.90, 0.10), "sofa": (0.82, 0.08), "couch": (0.82, 0.08), "stool": (0.47, 0.08), "door": (2.03, 0.06),
+}  # fmt: skip
+"""Height of furniture and its spread: table tops 0.72 to 0.76 m and doors 1.985 and 2.11 m by the standards, seats 0.42
+to 0.48 m, backs of chairs 0.8 to 1.0 m by catalogs."""
+_ROUNDS = 4
+"""Looks for the nearest points of skin and depth."""
+_PAIRS = 30
+"""Pairs of points a frame and side."""
+_SETTLED = 1e-3
+_OTHER_RAD = np.deg2rad(5.0)
+"""Starts that are nearer than this find the same."""
+_NEAREST = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """The best state with standard deviations of logarithms, angles and meters."""
+
+    focal_px: float
+    focal_log_sigma: float
+    up_camera: Float[np.ndarray, "3"]
+    up_sigma_rad: float
+    camera_height_m: float
+    camera_height_sigma_m: float
+    stature_ratio: Float[np.ndarray, "persons"]
+    """Sizes over those of stage humans."""
+    stature_log_sigma: Float[np.ndarray, "persons"]
+    scale: float
+    offset: float
+    scale_log_sigma: float
+    offset_sigma: float
+    person_depth_log: float
+    """By how much the network sees the main person nearer than the floor tells; logarithm of the factor on depth."""
+    object_depth_log: Float[np.ndarray, "objects"]
+    """The same of every object."""
+    object_depth_log_sigma: Float[np.ndarray, "objects"]
+    residuals: dict[str, float]
+    """Root mean square of each kind of evidence, in standard deviations: far above 1 is a conflict."""
+    chamfer_before_m: float
+    chamfer_after_m: float
+
+
+def metric_depth(kind: str, value: np.ndarray, scale: float, offset: float) -> Float[np.ndarray, "..."]:
+    """Meters of relative depth or disparity; what the model sends behind the camera or beyond 1 km is NaN."""
+    line = scale * np.asarray(value, dtype=np.float64) + offset
+    depth_m = line if kind == "depth" else 1.0 / np.where(line > _NEAREST, line, np.nan)
+    return np.where((depth_m > 0.02) & (depth_m < 1e3), depth_m, np.nan)
+
+
+class _State:
+    """Named parts of the vector of unknowns: every entry is 0 at the start and of order 1."""
+
+    def __init__(self, x: np.ndarray, problem: _Problem) -> None:
+        e, n = problem.evidence, len(problem.evidence.people)
+        self.lens = float(np.exp(x[0]))
+        self.focal_px = e.focal_px * self.lens
+        self.up = matrix_from_axis_angle(problem.tangent @ x[1:3]) @ problem.up
+        self.height_m = problem.height_m * float(np.exp(x[3]))
+        self.scale = problem.line[0] * float(np.exp(x[4]))
+        self.offset = problem.line[1] + x[5] * problem.unit
+        self.person_log = x[6]
+        self.size = np.exp(x[7 : 7 + n])
+        self.object_log = x[7 + n :]
+
+    def rays(self, pixel: np.ndarray) -> np.ndarray:
+        """Rays of unit z-depth."""
+        return np.concatenate([pixel / self.focal_px, np.ones((*pixel.shape[:-1], 1))], -1)
+
+    def body(self, points_m: np.ndarray, root_m: np.ndarray, size: float) -> np.ndarray:
+        """Points of a body of another size under another lens: it keeps its place and size in the picture, and turns
+        with its ray."""
+        moved_m = size * root_m * np.array([1.0, 1.0, self.lens])
+        return moved_m + size * self.turned(points_m - root_m, root_m)
+
+    def turned(self, vectors: np.ndarray, root_m: np.ndarray) -> np.ndarray:
+        """Vectors about roots, turned from the old ray to the new one."""
+        old = root_m / np.linalg.norm(root_m, axis=-1, keepdims=True)
+        new = root_m * np.array([1.0, 1.0, self.lens])
+        new = new / np.linalg.norm(new, axis=-1, keepdims=True)
+        R = matrix_from_axis_angle(np.cross(old, new))
+        return (np.broadcast_to(R, (*vectors.shape[:-1], 3, 3)) @ vectors[..., None])[..., 0]
+
+
+class _Problem:
+    """Residuals around a start."""
+
+    def __init__(
+        self, evidence: Evidence, sigmas: Sigmas, up: np.ndarray, height_m: float, line: tuple[float, float]
+    ) -> None:
+        self.evidence, self.sigmas, self.up = evidence, sigmas, up
+        self.height_m, self.line = height_m, line
+        self.unit = max(line[0] * abs(evidence.middle_value), 1e-9)
+        self.tangent = np.linalg.svd(up[None])[2][1:].T
+        self.pairs: tuple[np.ndarray, np.ndarray, PixelEvidence] | None = None
+
+    def inverse_log(self, value: np.ndarray, state: _State) -> np.ndarray:
+        """Logarithm of the depth of values, smoothly bounded where the line leaves what is sensible."""
+        line = state.scale * value + state.offset
+        line = np.logaddexp(0.0, (line - _NEAREST) / (0.02 * self.unit)) * 0.02 * self.unit + _NEAREST
+        return np.log(line) if self.evidence.kind == "depth" else -np.log(line)
+
+    def pair(self, state: _State) -> None:
+        """Nearest points between skin and lifted depth, both ways, of all frames together."""
+        skins, roots, pixels, values = [], [], [], []
+        for one in self.evidence.skin:
+            skin_m = state.body(one.skin_m, one.root_m, float(state.size[0]))
+            depth_m = self.lifted(one.pixel, one.value, state)
+            some = [
+                np.linspace(0, len(points) - 1, min(_PAIRS, len(points))).astype(int) for points in (skin_m, depth_m)
+            ]
+            skin = np.concatenate([some[0], KDTree(skin_m).query(depth_m[some[1]])[1]])
+            depth = np.concatenate([KDTree(depth_m).query(skin_m[some[0]])[1], some[1]])
+            skins.append(one.skin_m[skin])
+            roots.append(np.broadcast_to(one.root_m, skins[-1].shape))
+            pixels.append(one.pixel[depth])
+            values.append(one.value[depth])
+        if skins:
+            seen = PixelEvidence(np.concatenate(pixels), np.concatenate(values))
+            self.pairs = np.concatenate(skins), np.concatenate(roots), seen
+
+    def lifted(self, pixel: np.ndarray, value: np.ndarray, state: _State) -> np.ndarray:
+        """Points of the main person's depth."""
+        return state.rays(pixel) * np.exp(state.person_log + self.inverse_log(value, state))[:, None]
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        return np.concatenate([weight * _cauchy(r, limit) for _, r, weight, limit in self.rows(x)])
+
+    def rows(self, x: np.ndarray) -> list[tuple[str, np.ndarray, float, float]]:
+        """Kind of evidence, residuals over their deviations, root of the weight, and where Cauchy's cost sets in."""
+        e, s, state = self.evidence, self.sigmas, _State(x, self)
+        rows = [("lens", np.array([x[0] / e.focal_log_sigma]), 1.0, np.inf)]
+        rows += [
+            (f"up by {one.source}", _apart(state.up, one.up_camera) / one.sigma_rad, 1.0, s.up_limit) for one in e.up
+        ]
+        own = state.offset / (state.scale * e.middle_value)
+        rows.append(("usual offset", np.array([(own - e.usual_offset) / e.usual_offset_sigma]), 1.0, np.inf))
+        depth_logs = np.concatenate([[state.person_log], state.object_log])
+        rows.append(("distances", depth_logs / s.distance_log, 1.0, np.inf))
+        for size, person in zip(state.size, e.people, strict=True):
+            rows.append(("stature", np.array([np.log(size) / person.stature_sigma]), 1.0, np.inf))
+            soles_m = state.body(person.soles_m, person.soles_root_m, size)
+            sigma_m = np.hypot(s.sole_m * size, s.sole_distance_ratio * soles_m @ state.up)
+            rows.append(("soles on the floor", (soles_m @ state.up + state.height_m) / sigma_m, 1.0, 1.0))
+            upright = state.turned(person.upright, person.upright_root_m)
+            rows.append(("upright", _apart(state.up, upright).reshape(-1) / s.upright_rad, 1.0, 1.0))
+        if len(e.floor.value):
+            rows.append(("floor pixels", self._floor(e.floor, state) / s.floor_log,
+                         (s.floor_looks / len(e.floor.value)) ** 0.5, 1.0))  # fmt: skip
+        if self.pairs is not None:
+            skin_m, root_m, seen = self.pairs
+            skin_log = np.log(np.maximum(state.body(skin_m, root_m, state.size[0])[:, 2], 0.1))
+            off = (skin_log - state.person_log - self.inverse_log(seen.value, state)) / s.skin_log
+            rows.append(("skin to its depth", off, (s.skin_looks * len(e.skin) / len(off)) ** 0.5, 1.0))
+        return rows + self._objects(state)
+
+    def _floor(self, floor: PixelEvidence, state: _State) -> np.ndarray:
+        return self.inverse_log(floor.value, state) - self._log_floor(floor.pixel, state)
+
+    def _log_floor(self, pixel: np.ndarray, state: _State) -> np.ndarray:
+        """Logarithm of the depth at which rays meet the floor."""
+        return np.log(state.height_m / np.maximum(-state.rays(pixel) @ state.up, _NEAREST))
+
+    def _objects(self, state: _State) -> list[tuple[str, np.ndarray, float, float]]:
+        e, s, rows = self.evidence, self.sigmas, []
+        for log, one in zip(state.object_log, e.objects, strict=True):
+            if one.foot is not None:
+                off = log + self._floor(one.foot, state)
+                slope = 1 / np.maximum(-state.rays(one.foot.pixel) @ state.up, _NEAREST)
+                sigma = s.foot_px / state.focal_px * slope
+                nearer = 0.0 if one.foot_is_cut else np.minimum(off + s.overhang_log, 0)
+                off = np.maximum(off, 0) + nearer
+                rows.append(("objects' feet on the floor", off / np.hypot(sigma, 0.02), 1.0, 1.0))
+            if one.top is not None and one.label in USUAL_HEIGHT_M:
+                usual_m, sigma_m = USUAL_HEIGHT_M[one.label]
+                z_m = np.exp(log + self.inverse_log(one.top.value, state))
+                top_m = z_m * (state.rays(one.top.pixel) @ state.up) + state.height_m
+                rows.append(("sizes of furniture", (top_m - usual_m) / sigma_m, 1.0, 1.0))
+            if one.behind is not None:
+                person_log = np.log(one.behind_person_m * state.lens * state.size[0])
+                nearer = person_log - log - self.inverse_log(one.behind.value, state)
+                rows.append(("objects behind the person", np.maximum(nearer, 0) / s.behind_log, 1.0, 1.0))
+        return rows
+
+
+def calibrate(evidence: Evidence, sigmas: Sigmas | None = None) -> Calibration:
+    """The state that explains the evidence best, from several starts of gravity.
+
+    Raises:
+        ValueError: nobody.
+    """
+    if not evidence.people:
+        raise ValueError("calibrate: want at least one person")
+    sigmas = sigmas or Sigmas()
+    start = np.zeros(7 + len(evidence.people) + len(evidence.objects))
+    fits = [_solve(_started(evidence, sigmas, up), start, rounds=1) for up in _starts(evidence)]
+    best, problem = min(fits, key=lambda fit: fit[0].cost)
+    return _result(*_solve(problem, best.x))
+
+
+def _starts(evidence: Evidence) -> list[np.ndarray]:
+    """Directions that differ."""
+    starts: list[np.ndarray] = []
+    for one in evidence.up:
+        if all(np.linalg.norm(_apart(one.up_camera, other)) > _OTHER_RAD for other in starts):
+            starts.append(one.up_camera)
+    return starts
+
+
+def _started(evidence: Evidence, sigmas: Sigmas, up: np.ndarray) -> _Problem:
+    height_m = _floor_below_m(-evidence.people[0].soles_m @ up, sigmas)
+    return _Problem(evidence, sigmas, up, height_m, first_line(evidence, up, height_m))
+
+
+def _floor_below_m(below_m: Float[np.ndarray, "windows"], sigmas: Sigmas) -> float:
+    """The lowest level on which soles stood again and again, under the camera."""
+    near = np.abs(below_m[:, None] - below_m) < 3 * sigmas.sole_m
+    often = near.sum(1) >= min(max(2, len(below_m) / 12), near.sum(1).max())
+    return max(float(np.median(below_m[near[np.argmax(np.where(often, below_m, -np.inf))]])), 0.05)
+
+
+def first_line(evidence: Evidence, up: np.ndarray, height_m: float) -> tuple[float, float]:
+    """Scale and offset by floor pixels and the person's medians, in the values' own domain, where they are linear:
+    ridge regression towards the network's usual offset."""
+    rays = np.concatenate([evidence.floor.pixel / evidence.focal_px, np.ones((len(evidence.floor.value), 1))], 1)
+    x = np.concatenate([evidence.floor.value, [np.median(one.value) for one in evidence.skin]])
+    z_m = np.concatenate([
+        height_m / np.maximum(-rays @ up, _NEAREST), [np.median(one.skin_m[:, 2]) for one in evidence.skin],
+    ])  # fmt: skip
+    if not len(x):
+        # Neither floor nor reliable person: the main person's distance is that of the picture's middle.
+        x, z_m = np.array([evidence.middle_value]), evidence.people[0].soles_root_m[:1, 2]
+    y = z_m if evidence.kind == "depth" else 1 / z_m
+    middle, usual = evidence.middle_value, evidence.usual_offset
+    weight = np.ones(len(x))
+    scale = float(np.median(y / (x + usual * middle)))
+    slope = 0.0
+    for _ in range(10):
+        # y = scale (x + usual middle) + slope middle; slope is held near 0 by the usual offset's spread.
+        A = np.stack([x + usual * middle, np.full(len(x), middle)], 1)
+        ridge = np.diag([0.0, weight.sum() * 0.01 * middle**2 / evidence.usual_offset_sigma**2])
+        scale, slope = np.linalg.solve((A.T * weight) @ A + ridge + 1e-12 * np.eye(2), (A.T * weight) @ y)
+        off = np.abs(A @ [scale, slope] - y) / y
+        weight = 1 / (1 + (off / 0.1) ** 2) / y**2
+        weight /= weight.max()
+    if scale <= 0:
+        scale, slope = float(np.median(y / (x + usual * middle))), 0.0
+    return float(scale), float((scale * usual + slope) * middle)
+
+
+def _solve(problem: _Problem, x: np.ndarray, rounds: int = _ROUNDS) -> tuple[OptimizeResult, _Problem]:
+    problem.pair(_State(x, problem))
+    found = least_squares(problem.residuals, x, x_scale=0.1, max_nfev=30, xtol=1e-4)
+    if rounds > 1 and np.abs(found.x - x).max() > _SETTLED:
+        return _solve(problem, found.x, rounds - 1)
+    return found, problem
+
+
+def _result(found: OptimizeResult, problem: _Problem) -> Calibration:
+    x, e = found.x, problem.evidence
+    state, start = _State(x, problem), _State(np.zeros_like(x), problem)
+    J = found.jac
+    sigma = np.sqrt(np.diag(np.linalg.inv(J.T @ J + 1e-9 * np.eye(len(x)))))
+    n = len(e.people)
+    return Calibration(
+        focal_px=state.focal_px,
+        focal_log_sigma=float(sigma[0]),
+        up_camera=state.up,
+        up_sigma_rad=float(np.hypot(sigma[1], sigma[2]) / 2**0.5),
+        camera_height_m=state.height_m,
+        camera_height_sigma_m=float(state.height_m * sigma[3]),
+        stature_ratio=state.size,
+        stature_log_sigma=sigma[7 : 7 + n],
+        scale=state.scale,
+        offset=float(state.offset),
+        scale_log_sigma=float(sigma[4]),
+        offset_sigma=float(sigma[5] * problem.unit),
+        person_depth_log=float(state.person_log),
+        object_depth_log=state.object_log,
+        object_depth_log_sigma=sigma[7 + n :],
+        residuals=_by_kind(problem.rows(x)),
+        chamfer_before_m=_chamfer_m(problem, start),
+        chamfer_after_m=_chamfer_m(problem, state),
+    )
+
+
+def _by_kind(rows: Sequence[tuple[str, np.ndarray, float, float]]) -> dict[str, float]:
+    kinds = dict.fromkeys(kind for kind, *_ in rows)
+    every = {kind: np.concatenate([r for own, r, *_ in rows if own == kind]) for kind in kinds}
+    return {kind: float(np.sqrt(np.mean(r**2))) for kind, r in every.items() if len(r)}
+
+
+def _chamfer_m(problem: _Problem, state: _State) -> float:
+    from video2anim.geometry.chamfer import chamfer_m
+
+    distances_m = [
+        chamfer_m(
+            problem.lifted(one.pixel, one.value, state), state.body(one.skin_m, one.root_m, state.size[0]),
+            trim_ratio=0.05,
+        )
+        for one in problem.evidence.skin
+    ]  # fmt: skip
+    return float(np.mean(distances_m or [np.nan]))
+
+
+def _apart(up: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Angles between directions, as vectors about which one turns into the other."""
+    axis = np.cross(up, directions)
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = np.arctan2(sine, (directions @ up)[..., None])
+    return axis * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)
+
+
+def _cauchy(r: np.ndarray, limit: float) -> np.ndarray:
+    """Residuals whose square is Cauchy's cost of the given ones: logarithmic beyond the limit."""
+    return r if np.isinf(limit) else np.sign(r) * limit * np.sqrt(np.log1p((r / limit) ** 2))

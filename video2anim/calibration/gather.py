@@ -1,0 +1,281 @@
+"""Evidence of the fit from what the stages before it made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.skeleton import FEET, JOINT_INDEX, forward_kinematics
+from video2anim.calibration.evidence import (
+    Evidence,
+    ObjectEvidence,
+    PersonEvidence,
+    PixelEvidence,
+    SkinEvidence,
+)
+from video2anim.calibration.fit import USUAL_HEIGHT_M, first_line, metric_depth
+from video2anim.calibration.passed import Passed, passed_before
+from video2anim.fitting.ground import center_of_mass
+from video2anim.geometry.masks import shrunk
+from video2anim.geometry.projection import invert_rigid, project, transform_points
+from video2anim.geometry.visible import visible_vertices
+from video2anim.types import BackgroundPlate, BodyMotion, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
+
+USUAL_OFFSET = {"room-depth": (1.25, 0.6), "geometric": (0.0, 0.02)}
+"""Offset of depth over scale times the picture's middle value, and its spread, by provider: of the shipped network in
+the rooms of V2A-Bench (geometric mean 1.22), and of depth that is in proportion to the true one by its making."""
+_OTHER_DEPTH, _OTHER_DISPARITY = (0.0, 0.3), (0.5, 1.0)
+_LOOKS_PER_S, _MOST_LOOKS = 3.0, 9
+"""Errors of neighboring frames are alike, and those of one clip have a part in common."""
+_STRAIGHT_COS = 0.5
+"""Hips bent by less than 60 degrees: walkers bend them by 30, people who sit by 90."""
+_WINDOW_S = 0.6
+"""Somebody who stands, walks or runs has a foot down at least once in this time."""
+_LENS_SIGMA = 0.03
+"""Error of the lens beside what stage camera says: surest estimates are 1 to 4 % off on clips with a known one."""
+_FRAMES_AT_ONCE = 256
+_SKIN_FRAMES, _SKIN_POINTS, _LEAST_PIXELS = 24, 300, 40
+_FLOOR_PIXELS, _FARTHEST_FLOOR_M = 300, 12.0
+_FOOT_QUANTILE = 0.05
+"""Between its legs an object ends above the floor, which seems farther: the feet are the nearest of the ends."""
+_LEAST_COLUMNS, _LEAST_SHARE = 6, 0.15
+"""Columns of an object that must be seen to end on the floor, and their share of all."""
+_TOP_QUANTILE = 0.97
+_BEHIND_QUANTILE, _BEHIND_PIXELS, _MOST_HIDDEN = 0.9, 20, 0.2
+"""Of an object's pixels the person was near it at a few; where more of the body than a share is missing, they pass
+behind it, and masks that are a little too large touch it."""
+
+
+def person_evidence(body: BodyMotion, fps: float, stature_sigma_m: float) -> PersonEvidence:
+    """Soles and balance of one person, in the first frame's camera."""
+    shaped = shaped_body(body.shape)
+    T = invert_rigid(body.T_world_camera[0])
+    frames = np.flatnonzero(body.valid)
+    skin = np.flatnonzero(np.isin(shaped.vertex_part, FEET))
+    lowest_m = np.empty((len(frames), 3))
+    for begin in range(0, len(frames), _FRAMES_AT_ONCE):
+        some = frames[begin : begin + _FRAMES_AT_ONCE]
+        feet_m = posed(body, some, skin)
+        at = feet_m[..., 1].argmin(1)
+        lowest_m[begin : begin + len(some)] = np.take_along_axis(feet_m, at[:, None, None], 1)[:, 0]
+    windows = np.array_split(np.arange(len(frames)), max(1, round(len(frames) / max(1.0, _WINDOW_S * fps))))
+    # Not the very lowest, which is the worst outlier.
+    low = np.array([part[np.argsort(lowest_m[part, 1])[len(part) // 10]] for part in windows])
+    standing = frames[_standing(body.joints_world_m[frames])]
+    looks = min(len(standing), max(1, round(len(standing) / fps * _LOOKS_PER_S)), _MOST_LOOKS)
+    looks = standing[np.linspace(0, len(standing) - 1, looks).round().astype(int)]
+    joints_m = body.joints_world_m[looks]
+    upright = center_of_mass(joints_m) - joints_m[:, FEET].mean(1)
+    upright /= np.linalg.norm(upright, axis=-1, keepdims=True)
+    looks_root_m = transform_points(T, joints_m[:, 0])
+    root_m = transform_points(T, body.joints_world_m[frames, 0])
+    return PersonEvidence(
+        person_id=body.person_id,
+        stature_sigma=stature_sigma_m / float(np.ptp(shaped.rest_vertices_m[:, 1])),
+        soles_m=transform_points(T, lowest_m[low]),
+        soles_root_m=root_m[low],
+        upright=upright @ T[:3, :3].T,
+        upright_root_m=looks_root_m,
+    )
+
+
+def _standing(joints_m: Float[np.ndarray, "frames 22 3"]) -> Bool[np.ndarray, "frames"]:
+    """Frames in which both thighs go on where the trunk ends: people who stand or walk, however they lean."""
+    trunk = joints_m[:, JOINT_INDEX["neck"]] - joints_m[:, JOINT_INDEX["pelvis"]]
+    trunk /= np.linalg.norm(trunk, axis=-1, keepdims=True)
+    straight = np.ones(len(joints_m), bool)
+    for side in ("left", "right"):
+        thigh = joints_m[:, JOINT_INDEX[f"{side}_hip"]] - joints_m[:, JOINT_INDEX[f"{side}_knee"]]
+        straight &= (thigh * trunk).sum(-1) > _STRAIGHT_COS * np.linalg.norm(thigh, axis=-1)
+    return straight
+
+
+def posed(
+    body: BodyMotion, frames: Int[np.ndarray, "frames"], index: Int[np.ndarray, "points"] | None = None
+) -> Float[np.ndarray, "frames points 3"]:
+    """Skin in the world."""
+    joints_m, R = forward_kinematics(body.R_parent_joint[frames], body.T_world_root[frames, :3, 3], body.rest_joints_m)
+    shaped = shaped_body(body.shape)
+    return np.asarray(shaped.vertices(R, joints_m, index) if index is not None else shaped.vertices(R, joints_m), float)
+
+
+def picture_evidence(
+    depth: DepthClip,
+    plate: BackgroundPlate,
+    bodies: BodyTracks,
+    camera: CameraEstimate,
+    floor: Bool[np.ndarray, "height width"],
+    fps: float,
+    rng: np.random.Generator,
+) -> Evidence:
+    """Everything but the objects; `floor` is at the size of the depth map."""
+    main = bodies.people[0]
+    pairs = zip(bodies.people, bodies.quality, strict=True)
+    people = tuple(person_evidence(body, fps, judged.stature_sigma_m) for body, judged in pairs)
+    other = _OTHER_DEPTH if depth.kind == "depth" else _OTHER_DISPARITY
+    usual, spread = USUAL_OFFSET.get(depth.provider, other)
+    k = main.intrinsics
+    return Evidence(
+        focal_px=k.fx_px,
+        focal_log_sigma=float(np.hypot(camera.focal_sigma_ratio, _LENS_SIGMA)),
+        up=camera.up_evidence,
+        people=people,
+        kind=depth.kind,
+        skin=skin_evidence(depth, plate, main, rng),
+        floor=_floor_pixels(depth, main, people, floor),
+        objects=(),
+        usual_offset=usual,
+        usual_offset_sigma=spread,
+        middle_value=float(np.median(depth.background_value)),
+    )
+
+
+def with_objects(
+    evidence: Evidence, depth: DepthClip, plate: BackgroundPlate, main: BodyMotion, masks: InstanceMasks
+) -> Evidence:
+    """The same with what is seen of the objects."""
+    T = main.T_world_camera[0]
+    depth_m = first_depth_m(evidence, depth, main)
+    floor = shrunk(masks.floor_mask, depth_m.shape)
+    passed = passed_before(main, plate.frame_index, plate.selected_mask, main.intrinsics.resized(*depth_m.shape[::-1]))
+    view = _View(depth.background_value, depth_m, depth.background_valid & np.isfinite(depth_m), floor, main, T)
+    own = [(one, shrunk(one.mask, depth_m.shape)) for one in masks.instances]
+    return replace(evidence, objects=tuple(view.object(one.object_id, one.label, mask, passed) for one, mask in own))
+
+
+def first_depth_m(evidence: Evidence, depth: DepthClip, main: BodyMotion) -> Float[np.ndarray, "height width"]:
+    """Depth of the plate by the line through floor and person under the camera of stage humans; NaN where none."""
+    T = main.T_world_camera[0]
+    line = first_line(evidence, T[1, :3], max(float(T[1, 3]), 0.05))
+    return metric_depth(depth.kind, depth.background_value, *line)
+
+
+def skin_evidence(
+    depth: DepthClip, plate: BackgroundPlate, body: BodyMotion, rng: np.random.Generator
+) -> tuple[SkinEvidence, ...]:
+    """Frames in which both the main person's body and enough of their reliable pixels are known."""
+    reliable = plate.selected_mask & depth.valid
+    samples = np.flatnonzero((reliable.sum((1, 2)) >= _LEAST_PIXELS) & body.valid[depth.frame_index])
+    if not len(samples):
+        return ()
+    samples = samples[np.unique(np.linspace(0, len(samples) - 1, _SKIN_FRAMES).round().astype(int))]
+    faces, found = shaped_body(body.shape).faces, []
+    for sample, skin_world_m in zip(samples, posed(body, depth.frame_index[samples]), strict=True):
+        frame = depth.frame_index[sample]
+        T = invert_rigid(body.T_world_camera[frame])
+        skin_m = transform_points(T, skin_world_m)
+        seen = np.flatnonzero(visible_vertices(skin_m, faces, body.intrinsics))
+        if len(seen) < _LEAST_PIXELS:
+            continue
+        rows, columns = rng.permutation(np.argwhere(reliable[sample]))[:_SKIN_POINTS].T
+        found.append(
+            SkinEvidence(
+                transform_points(T, body.joints_world_m[frame, :1])[0],
+                skin_m[rng.permutation(seen)[:_SKIN_POINTS]],
+                _pixels(rows, columns, body, depth.value.shape[1:]),
+                depth.value[sample, rows, columns].astype(np.float64),
+            )
+        )
+    return tuple(found)
+
+
+def _pixels(rows: Any, columns: Any, body: BodyMotion, shape: tuple[int, ...]) -> np.ndarray:
+    """(..., 2) from the picture's middle, in pixels of the clip."""
+    k = body.intrinsics
+    small = k.resized(shape[1], shape[0])
+    across = np.stack([columns - small.cx_px, rows - small.cy_px], -1)
+    return across * np.array([k.fx_px / small.fx_px, k.fx_px / small.fy_px])
+
+
+def _floor_pixels(
+    depth: DepthClip, main: BodyMotion, people: tuple[PersonEvidence, ...], floor: Bool[np.ndarray, "height width"]
+) -> PixelEvidence:
+    """Pixels well inside of recognized floor, as many far as near, and those under feet that stood."""
+    shape = depth.background_value.shape
+    k = main.intrinsics.resized(shape[1], shape[0])
+    sure = cv2.erode(floor.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    for person in people:
+        at = np.round(project(person.soles_m[person.soles_m[:, 2] > 0.1], k)).astype(int)
+        inside = ((at >= 0) & (at < [shape[1], shape[0]])).all(1)
+        sure[at[inside, 1], at[inside, 0]] = True
+    rows, columns = np.nonzero(sure & depth.background_valid)
+    pixel = _pixels(rows, columns, main, shape)
+    T = main.T_world_camera[0]
+    down = -(np.concatenate([pixel / main.intrinsics.fx_px, np.ones((len(pixel), 1))], 1) @ T[1, :3])
+    reach_m = max(float(T[1, 3]), 0.05) / np.maximum(down, 1e-6)
+    usable = np.flatnonzero((down > 0.02) & (reach_m < _FARTHEST_FLOOR_M))
+    if len(usable) > _FLOOR_PIXELS:
+        order = usable[np.argsort(reach_m[usable])]
+        log = np.log(reach_m[order])
+        wanted = np.linspace(log[0], log[-1], _FLOOR_PIXELS)
+        usable = order[np.unique(np.searchsorted(log, wanted).clip(0, len(order) - 1))]
+    value = depth.background_value[rows[usable], columns[usable]].astype(np.float64)
+    return PixelEvidence(pixel[usable], value)
+
+
+class _View:
+    """Measures objects in one picture."""
+
+    def __init__(
+        self, value: np.ndarray, depth_m: np.ndarray, known: np.ndarray, floor: np.ndarray, main: BodyMotion,
+        T: np.ndarray,
+    ) -> None:  # fmt: skip
+        self.value, self.depth_m, self.known, self.floor, self.main = value, depth_m, known, floor, main
+        rows, columns = np.indices(value.shape)
+        self.pixel = _pixels(rows, columns, main, value.shape)
+        rays = np.concatenate([self.pixel / main.intrinsics.fx_px, np.ones((*value.shape, 1))], -1)
+        self.rise, self.height_m = rays @ T[1, :3], float(T[1, 3])
+
+    def object(
+        self, object_id: int, label: str, own: Bool[np.ndarray, "height width"], passed: Passed
+    ) -> ObjectEvidence:
+        """What is seen of one object."""
+        foot, cut = self._foot(own)
+        top = self._top(own) if foot is not None and label in USUAL_HEIGHT_M and not own[0].any() else None
+        behind, person_m = self._behind(own & self.known, passed)
+        return ObjectEvidence(object_id, label, foot, cut, top, behind, person_m)
+
+    def _at(self, row: int, column: int) -> PixelEvidence:
+        return PixelEvidence(self.pixel[[row], [column]], self.value[[row], [column]].astype(np.float64))
+
+    def _foot(self, own: np.ndarray) -> tuple[PixelEvidence | None, bool]:
+        """Where it meets the floor, and whether the picture cuts it."""
+        cut = bool(own[-1].any() or own[:, 0].any() or own[:, -1].any())
+        inner = cv2.erode(own.astype(np.uint8), np.ones((2, 2), np.uint8)).astype(bool) & self.known
+        columns = np.flatnonzero(own.any(0) & inner.any(0))
+        if not len(columns) or self.height_m <= 0.1:
+            return None, cut
+        rows = len(own)
+        lowest = rows - 1 - np.argmax(own[::-1, columns], axis=0)
+        inside = rows - 1 - np.argmax(inner[::-1, columns], axis=0)
+        on_floor = self.floor[np.minimum(lowest + 2, rows - 1), columns]
+        rise = self.rise[lowest, columns]
+        stands = np.flatnonzero((lowest < rows - 2) & on_floor & (rise < -0.02) & (lowest - inside < 4))
+        if len(stands) < max(_LEAST_COLUMNS, _LEAST_SHARE * len(columns)):
+            return None, cut
+        ratio = np.log(self.height_m / -rise[stands] / self.depth_m[inside[stands], columns[stands]])
+        chosen = stands[np.argsort(ratio)[int(_FOOT_QUANTILE * len(stands))]]
+        at = self._at(int(inside[chosen]), int(columns[chosen]))
+        return PixelEvidence(self.pixel[[lowest[chosen]], [columns[chosen]]], at.value), cut
+
+    def _top(self, own: np.ndarray) -> PixelEvidence | None:
+        rows, columns = np.nonzero(own & self.known)
+        if len(rows) < _BEHIND_PIXELS:
+            return None
+        height_m = self.height_m + self.depth_m[rows, columns] * self.rise[rows, columns]
+        chosen = np.argsort(height_m)[int(_TOP_QUANTILE * len(rows))]
+        return self._at(int(rows[chosen]), int(columns[chosen]))
+
+    def _behind(self, own: np.ndarray, passed: Passed) -> tuple[PixelEvidence | None, float]:
+        inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & (passed.depth_m > 0)
+        rows, columns = np.nonzero(inner)
+        if len(rows) < _BEHIND_PIXELS or passed.hidden[own].sum() > _MOST_HIDDEN * passed.seen[own].sum():
+            return None, 0.0
+        lacks = np.log(passed.depth_m[rows, columns] / self.depth_m[rows, columns])
+        chosen = np.argsort(lacks)[int(_BEHIND_QUANTILE * (len(rows) - 1))]
+        return self._at(int(rows[chosen]), int(columns[chosen])), float(passed.depth_m[rows[chosen], columns[chosen]])

@@ -1,0 +1,43 @@
+"""The clip in meters: what the fit of stage metric gives."""
+
+# `stored()` marks how a field lies on disk; it is no default, though it stands where one would.
+# pyright: reportGeneralTypeIssues=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from pydantic import FiniteFloat, NonNegativeFloat, PositiveFloat
+
+from video2anim.types.motion import BodyTracks
+from video2anim.types.storage import Holds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MetricDepth:
+    """Scale and offset that make a `DepthClip` metric (paper 8.1), the depth they give, every object and the people at
+    their own distance, and the people and camera that were fitted with them."""
+
+    scale: PositiveFloat
+    offset_m: FiniteFloat
+    """Metres for kind `depth`, 1/metres for `disparity`."""
+    scale_sigma: float
+    offset_sigma: float
+    chamfer_before_m: NonNegativeFloat | None
+    """None where no fit was possible."""
+    chamfer_after_m: NonNegativeFloat | None
+    trusted: bool
+    """False where the person covers too little to fix the scale."""
+    reason: str
+    frame_index: Annotated[Int[np.ndarray, "samples"], Holds.FRAMES]
+    depth_m: Annotated[Float[np.ndarray, "samples small_height small_width"], Holds.GAPS]
+    valid: Bool[np.ndarray, "samples small_height small_width"]
+    background_depth_m: Annotated[Float[np.ndarray, "small_height small_width"], Holds.GAPS]
+    background_valid: Bool[np.ndarray, "small_height small_width"]
+    object_sigma: dict[str, NonNegativeFloat]
+    """Standard deviation of the logarithm of each object's depth, by its number."""
+    bodies: BodyTracks
+    """People and camera as the same fit has them: the bodies that later stages work on."""
