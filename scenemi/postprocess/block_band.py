@@ -60,20 +60,21 @@ class BlockBand:
         """H^-1 g and H^-1 times the coupling with the shared unknowns, by banded Cholesky factorization: frames x
         unknowns^3 operations."""
         frames, count, _ = self.same.shape
-        band = np.zeros((REACH * count + 1, frames * count))
-        column = np.arange(count)
-        for row in range(count):
-            lower = column[: row + 1]
-            band[row - lower[:, None], lower[:, None] + count * np.arange(frames)] = self.same[:, row, : row + 1].T
-        for row in range(count):
-            # Row `row` of frame t + 1, all columns of frame t.
-            below = count + row - column
-            band[below[:, None], column[:, None] + count * np.arange(frames - 1)] = self.next[:, :, row].T
-            if frames > 2:
-                band[2 * count, row + count * np.arange(frames - 2)] = self.after[:, row]
-        sides = np.concatenate([self.right[..., None], self.cross], 2).reshape(frames * count, -1)
-        solved = solveh_banded(band, sides, lower=True, check_finite=False).reshape(frames, count, -1)
-        return solved[..., 0], solved[..., 1:]
+        # [t, k]: column of unknown k of frame t, from the diagonal down; LAPACK's storage, transposed.
+        band = np.zeros((frames, count, REACH * count + 1))
+        for k in range(count):
+            band[:, k, : count - k] = self.same[:, k, k:]
+            band[:-1, k, count - k : 2 * count - k] = self.next[:, k]
+        band[:-2, :, REACH * count] = self.after
+        used = self.cross.any((0, 1))
+        sides = np.concatenate([self.right[None], np.moveaxis(self.cross[..., used], 2, 0)])
+        solved = solveh_banded(
+            band.reshape(frames * count, -1).T, sides.reshape(len(sides), -1).T, overwrite_ab=True, overwrite_b=True,
+            lower=True, check_finite=False,
+        ).T.reshape(sides.shape)  # fmt: skip
+        of_shared = np.zeros_like(self.cross)
+        of_shared[..., used] = np.moveaxis(solved[1:], 0, 2)
+        return solved[0], of_shared
 
 
 def solve_together(

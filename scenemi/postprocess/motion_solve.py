@@ -26,14 +26,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from scenemi.postprocess.block_band import BlockBand, solve_together
-from scenemi.postprocess.skin import PARTS, Skin
+from scenemi.postprocess.skin import PARTS, skin_of
 from scenemi.postprocess.solids import Solids
 from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 
 if TYPE_CHECKING:
     from video2anim.body.anny_body import ShapedBody
-    from video2anim.geometry.sdf import SdfGrid
 
 JOINTS = len(PARENTS)
 UNKNOWNS = 3 + 3 * JOINTS
@@ -44,6 +43,8 @@ for _joint in range(JOINTS):
     while _at >= 0:
         ANCESTORS[_joint, _at] = True
         _at = int(PARENTS[_at])
+TURNED_BY = np.repeat(ANCESTORS, 3, axis=1)
+"""The same of the three unknowns of a."""
 STANDING = tuple(JOINT_INDEX[name] for name in ("left_ankle", "right_ankle", "left_foot", "right_foot"))
 TRUNK = tuple(JOINT_INDEX[name] for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head"))
 
@@ -127,12 +128,7 @@ def solve_motions(given: Sequence[SceneMotion], solids: Solids, config: SolveCon
     """Motions of people in one scene, corrected together."""
     config = config or SolveConfig()
     people = [_Person(one, solids, config) for one in given]
-    count = len(solids.movable)
-    near = [k for k, solid in enumerate(solids.movable) if any(person.comes_near(solid.field) for person in people)]
-    solids = replace(solids, movable=tuple(solids.movable[k] for k in near))
-    for person in people:
-        person.solids = solids
-    all_m, moved_m = np.zeros((count, 3)), np.zeros((len(near), 3))
+    moved_m = np.zeros((len(solids.movable), 3))
     sure = np.zeros((moved_m.size, moved_m.size))
     for k, solid in enumerate(solids.movable):
         sure[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = np.linalg.inv(solid.covariance_m2)
@@ -142,21 +138,21 @@ def solve_motions(given: Sequence[SceneMotion], solids: Solids, config: SolveCon
         moved_m = moved_m + step_m.reshape(-1, 3)
         for person, step in zip(people, steps, strict=True):
             person.move(step)
-    all_m[near] = moved_m
-    return Solved(tuple(p.R_parent_joint for p in people), tuple(p.translation_m for p in people), all_m)
+    return Solved(tuple(p.R_parent_joint for p in people), tuple(p.translation_m for p in people), moved_m)
 
 
 class _Person:
     """The present motion of one person, and its normal equations."""
 
     def __init__(self, given: SceneMotion, solids: Solids, config: SolveConfig) -> None:
-        self.given, self.solids, self.config = given, solids, config
+        self.given, self.config = given, config
+        self.solids = replace(solids, reach_m=config.touch_reach_m + _PART_M)
         self.rest_m = given.rest_joints_m
         self.shift_m = np.zeros_like(given.translation_world_m)
         self.turn_rad = np.zeros((len(self.shift_m), JOINTS, 3))
         self.moved_m = np.zeros((0, 3))
         self.R_parent_joint, self.translation_m = given.R_parent_joint, given.translation_world_m
-        self.skin = Skin(given.body)
+        self.skin = skin_of(given.body)
         fps2 = given.fps**2
         root = fps2 * np.diff(given.translation_world_m, n=2, axis=0)
         turning = fps2 * np.diff(_rates(given.R_parent_joint), axis=0)
@@ -166,11 +162,6 @@ class _Person:
         self.stiffness = fps2**2 / np.concatenate(usual) ** 2
         turn_rad = np.where(np.isin(np.arange(JOINTS), TRUNK), config.trunk_rad, config.limb_rad)
         self.hold = np.concatenate([np.full(3, config.root_m), np.repeat(turn_rad, 3)]) ** -2.0
-
-    def comes_near(self, field: SdfGrid) -> bool:
-        """Whether the body comes so near a solid that the solve could bring them together."""
-        joints_m, R_world_joint = forward_kinematics(self.R_parent_joint, self.translation_m, self.rest_m)
-        return bool((field.sample(self.skin.at(joints_m, R_world_joint)) < _NEAR_M).any())
 
     def move(self, step: Float[np.ndarray, "frames 69"]) -> None:
         """Go on by a step of the unknowns."""
@@ -209,13 +200,12 @@ class _Person:
         D = np.zeros((*z_m.shape, 2, 3))
         D[..., 0, 0], D[..., 1, 1] = fx / z_m, fy / z_m
         D[..., :, 2] = -camera_m[..., :2] * focal / z_m[..., None] ** 2
-        D = D @ R[:, None]
         off_px = seen.joints_px - at_px
         sigma_px = self.config.picture_ratio * seen.height_px[:, None]
         weight = in_front / sigma_px**2
-        J = jacobians(joints_m, R_world_joint, joints_m, np.arange(JOINTS))
-        J = (D @ J).reshape(len(J), 2 * JOINTS, UNKNOWNS)
-        _add(band, J, off_px.reshape(len(J), -1), np.repeat(weight, 2, axis=1))
+        directions = (D @ R[:, None]).reshape(len(D), -1, 3)
+        rows = rows_along(joints_m, R_world_joint, np.repeat(joints_m, 2, 1), np.repeat(np.arange(JOINTS), 2), directions)
+        _add(band, rows, off_px.reshape(len(D), -1), np.repeat(weight, 2, axis=1))
 
     def _stance(self, band: BlockBand, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
         config, fps = self.config, self.given.fps
@@ -224,8 +214,9 @@ class _Person:
         speed = fps * np.diff(joints_m[:, feet], axis=0)
         slow = _believed(np.linalg.norm(speed, axis=-1) / config.odd_speed_m_s)
         weight = np.where(both > config.contact_threshold, both, 0.0) * slow / config.stance_m_s**2
-        J = fps * jacobians(joints_m, R_world_joint, joints_m[:, feet], np.array(feet))
-        J = J.reshape(len(J), 3 * len(feet), UNKNOWNS)
+        along = np.broadcast_to(np.tile(fps * np.eye(3), (len(feet), 1)), (len(joints_m), 3 * len(feet), 3))
+        every = np.repeat(feet, 3)
+        J = rows_along(joints_m, R_world_joint, joints_m[:, every], every, along)
         weights, off = np.repeat(weight, 3, axis=1), -speed.reshape(len(speed), 3 * len(feet))
         before, after = J[:-1] * weights[..., None], J[1:] * weights[..., None]
         band.same[:-1] += before.transpose(0, 2, 1) @ J[:-1]
@@ -235,78 +226,72 @@ class _Person:
         band.right[1:] += (after.transpose(0, 2, 1) @ off[..., None])[..., 0]
 
     def _surfaces(self, band: BlockBand, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
-        config, contact = self.config, self.given.contact
+        """Chosen skin points go a way along the surface's normal, or the surface goes against it."""
         skin_m = self.skin.at(joints_m, R_world_joint)
-        distance_m, _ = self.solids.distance_m(skin_m, self.moved_m)
-        touching = np.zeros((len(joints_m), len(PARTS)))
+        distance_m, owner = self.solids.distance_m(skin_m, self.moved_m)
+        index, way_m, weight = self._corrections(distance_m)
+        active = weight > 0
+        points_m, owner = np.take_along_axis(skin_m, index[..., None], 1), np.take_along_axis(owner, index, 1)
+        normal = np.zeros_like(points_m)
+        normal[active] = self.solids.normals(points_m[active], self.moved_m)
+        rows = rows_along(joints_m, R_world_joint, points_m, self.skin.joint[index], normal)
+        _add(band, rows, way_m, weight)
+        own = owner[..., None] == np.arange(len(self.moved_m))
+        gives = (-normal[..., None, :] * own[..., None]).reshape(*owner.shape, -1)
+        weighted = gives * weight[..., None]
+        band.cross += rows.transpose(0, 2, 1) @ weighted
+        band.shared += np.einsum("tpk,tpl->kl", weighted, gives)
+        band.shared_right += np.einsum("tpk,tp->k", weighted, way_m)
+
+    def _corrections(
+        self, distance_m: Float[np.ndarray, "frames skin"]
+    ) -> tuple[Int[np.ndarray, "frames points"], Float[np.ndarray, "frames points"], Float[np.ndarray, "frames points"]]:
+        """Skin points that are not where they should be: their numbers, the way they should go, and its weight."""
+        config, contact = self.config, self.given.contact
+        margin_m = np.zeros_like(distance_m)
+        found = []
         for k, part in enumerate(PARTS):
             chance = contact[:, list(part)].max(1)
-            touching[:, k] = np.where(chance > config.contact_threshold, chance, 0.0)
+            touching = np.where(chance > config.contact_threshold, chance, 0.0)
             rows = self.skin.of_part[k]
             index = rows[np.argpartition(distance_m[:, rows], TOUCHING_POINTS - 1, axis=1)[:, :TOUCHING_POINTS]]
             gap_m = np.take_along_axis(distance_m, index, 1)
             near = _believed(np.abs(gap_m).mean(1) / config.touch_reach_m)
-            weight = (touching[:, k] * near / (config.touch_m**2 * TOUCHING_POINTS))[:, None]
-            self._along_normals(band, joints_m, R_world_joint, skin_m, index, -gap_m, weight)
-        margin_m = np.zeros_like(distance_m)
-        for k in (-2, -1):
-            margin_m[:, self.skin.of_part[k]] = np.where(touching[:, k] > 0, 0.0, config.swing_clearance_m)[:, None]
+            weight = touching * near / (config.touch_m**2 * TOUCHING_POINTS)
+            found.append((index, -gap_m, np.broadcast_to(weight[:, None], gap_m.shape)))
+            if k >= len(PARTS) - 2:
+                margin_m[:, rows] = np.where(touching > 0, 0.0, config.swing_clearance_m)[:, None]
         missing_m = margin_m - distance_m
         index = np.argpartition(-missing_m, DEEPEST_POINTS - 1, axis=1)[:, :DEEPEST_POINTS]
         missing_m = np.take_along_axis(missing_m, index, 1)
         weight = (missing_m > 0) * _believed(np.maximum(missing_m, 0) / config.odd_depth_m) / config.depth_m**2
-        self._along_normals(band, joints_m, R_world_joint, skin_m, index, missing_m, weight)
-
-    def _along_normals(
-        self,
-        band: BlockBand,
-        joints_m: np.ndarray,
-        R_world_joint: np.ndarray,
-        skin_m: np.ndarray,
-        index: Int[np.ndarray, "frames points"],
-        way_m: Float[np.ndarray, "frames points"],
-        weight: np.ndarray,
-    ) -> None:
-        """Chosen skin points go a way along the surface's normal, or the surface goes against it."""
-        points_m = np.take_along_axis(skin_m, index[..., None], 1)
-        _, owner = self.solids.distance_m(points_m, self.moved_m)
-        normal = self.solids.normals(points_m, self.moved_m)
-        rows = (normal[..., None, :] @ jacobians(joints_m, R_world_joint, points_m, self.skin.joint[index]))[..., 0, :]
-        weight = np.broadcast_to(weight, way_m.shape)
-        _add(band, rows, way_m, weight)
-        if len(self.moved_m):
-            own = owner[..., None] == np.arange(len(self.moved_m))
-            gives = (-normal[..., None, :] * own[..., None]).reshape(*owner.shape, -1)
-            weighted = gives * weight[..., None]
-            band.cross += rows.transpose(0, 2, 1) @ weighted
-            band.shared += np.einsum("tpk,tpl->kl", weighted, gives)
-            band.shared_right += np.einsum("tpk,tp->k", weighted, way_m)
+        found.append((index, missing_m, weight))
+        indices, ways_m, weights = (np.concatenate(some, 1) for some in zip(*found, strict=True))
+        return indices, ways_m, weights
 
 
-_NEAR_M = 0.6
-"""Touch reaches 0.25 m, and the solve moves bodies and objects by less than the rest."""
+_PART_M = 0.1
+"""The nearest skin points of a touching part differ in distance by less."""
 TOUCHING_POINTS = 5
 """Nearest skin points of a touching part that are brought to the surface."""
 DEEPEST_POINTS = 12
 """Skin points of a frame that are brought out of solids."""
 
 
-def jacobians(
+def rows_along(
     joints_m: Float[np.ndarray, "frames 22 3"],
     R_world_joint: Float[np.ndarray, "frames 22 3 3"],
     points_m: Float[np.ndarray, "frames points 3"],
     joint: Int[np.ndarray, "*frames points"],
-) -> Float[np.ndarray, "frames points 3 69"]:
-    """How points that move with a joint depend on the unknowns: d p = d + sum over the joint and its ancestors a of
-    (R_world_a w_a) x (p - p_a)."""
-    J = np.zeros((*points_m.shape, UNKNOWNS))
-    J[..., range(3), range(3)] = 1.0
-    arm_m = points_m[:, :, None] - joints_m[:, None]
-    # Rows of the matrix of (R w) x r: column k is R[:, k] x r.
-    turns = np.cross(R_world_joint.transpose(0, 1, 3, 2)[:, None], arm_m[..., None, :])
-    moved = np.broadcast_to(ANCESTORS[joint], arm_m.shape[:3])
-    J[..., 3:] = np.where(moved[..., None, None], turns, 0.0).transpose(0, 1, 4, 2, 3).reshape(*points_m.shape, -1)
-    return J
+    direction: Float[np.ndarray, "frames points 3"],
+) -> Float[np.ndarray, "frames points 69"]:
+    """How far points that move with a joint go along a direction n, by the unknowns: d p = d + sum over the joint and
+    its ancestors a of (R_world_a w_a) x (p - p_a), so the row of w_a is n (p_a x R_world_a) + (p x n) R_world_a."""
+    frames = len(joints_m)
+    lever = np.cross(joints_m[..., None], R_world_joint, axis=2)
+    turns = np.concatenate([lever, R_world_joint], 2).transpose(0, 2, 1, 3).reshape(frames, 6, 3 * JOINTS)
+    turned = np.concatenate([direction, np.cross(points_m, direction)], -1) @ turns
+    return np.concatenate([direction, turned * TURNED_BY[joint]], -1)
 
 
 def _add(band: BlockBand, J: np.ndarray, off: np.ndarray, weight: np.ndarray) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,12 @@ PARTS: tuple[tuple[int, ...], ...] = tuple(
 )  # fmt: skip
 """Parts that touch as one."""
 _SPREAD_POINTS, _PART_POINTS = 500, 100
+
+
+@lru_cache(maxsize=8)
+def skin_of(body: ShapedBody) -> Skin:
+    """The sampled skin of a body; the last few are kept."""
+    return Skin(body)
 
 
 class Skin:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -31,6 +31,8 @@ class Solids:
     movable: tuple[MovableSolid, ...] = ()
     floor: bool = True
     """Whether the half space below y = 0 is solid."""
+    reach_m: float = np.inf
+    """Movable solids farther from a point than this need not be found."""
 
     @property
     def known(self) -> bool:
@@ -41,15 +43,18 @@ class Solids:
         self, points_m: Float[np.ndarray, "*points 3"], moved_m: Float[np.ndarray, "solids 3"]
     ) -> tuple[Float[np.ndarray, "*points"], Int[np.ndarray, "*points"]]:
         """Signed distance to the nearest solid, and its number among the movable ones; -1 for the others."""
-        nearest_m = points_m[..., 1].copy() if self.floor else np.full(points_m.shape[:-1], np.inf)
-        owner = np.full(nearest_m.shape, -1)
+        flat_m = points_m.reshape(-1, 3)
+        nearest_m = flat_m[:, 1].copy() if self.floor else np.full(len(flat_m), self.reach_m)
+        owner = np.full(len(flat_m), -1)
         if self.still is not None:
-            nearest_m = np.minimum(nearest_m, self.still.sample(points_m))
+            nearest_m = np.minimum(nearest_m, self.still.sample(flat_m))
         for number, (solid, way_m) in enumerate(zip(self.movable, moved_m, strict=True)):
-            distance_m = solid.field.sample(points_m - way_m)
-            owner = np.where(distance_m < nearest_m, number, owner)
-            nearest_m = np.minimum(nearest_m, distance_m)
-        return nearest_m, owner
+            field = replace(solid.field, origin_m=solid.field.origin_m + way_m)
+            near = field.within(flat_m, self.reach_m)
+            distance_m = field.sample(flat_m[near])
+            closer = distance_m < nearest_m[near]
+            nearest_m[near[closer]], owner[near[closer]] = distance_m[closer], number
+        return nearest_m.reshape(points_m.shape[:-1]), owner.reshape(points_m.shape[:-1])
 
     def normals(
         self, points_m: Float[np.ndarray, "*points 3"], moved_m: Float[np.ndarray, "solids 3"]

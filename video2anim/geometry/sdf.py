@@ -5,6 +5,7 @@ Positive in free space, negative inside a solid. Node (i, j, k) lies at origin +
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,8 @@ _QUERY_NODES = 200_000
 """Nodes handled at once, bounding memory."""
 _NEAREST_SAMPLES = 6
 """Surface samples whose triangles are tried per node."""
+_LEAF_SAMPLES = 64
+"""Surface samples in a leaf of the tree: far nodes, equally far from many, are found twice as fast as with 10."""
 _RAY_SHIFT = np.array([7.3e-5, 3.1e-5])
 """Share of the spacing by which parity rays miss the grid nodes, so that no ray runs along an edge of an
 axis-aligned mesh."""
@@ -35,6 +38,22 @@ class SdfGrid:
     def sample(self, points_m: Any) -> Any:
         """Distance at points (..., 3), numpy or torch; see `sample_sdf`."""
         return sample_sdf(self.sdf_m, self.origin_m, self.spacing_m, points_m)
+
+    def within(self, points_m: Float[np.ndarray, "points 3"], reach_m: float) -> Int[np.ndarray, "found"]:
+        """Numbers of the points in the box of all that is nearer than `reach_m`: what `sample` finds nearer is there."""
+        index = np.arange(len(points_m))
+        near = self.sdf_m < reach_m
+        for axis in range(3):
+            nodes = np.flatnonzero(near.any(tuple({0, 1, 2} - {axis})))
+            if not len(nodes):
+                return nodes
+            low_m, high_m = self.origin_m[axis] + self.spacing_m * (nodes[[0, -1]] + [-1, 1])
+            # Beyond the grid distances go on.
+            low_m -= reach_m if nodes[0] == 0 else 0.0
+            high_m += reach_m if nodes[-1] == near.shape[axis] - 1 else 0.0
+            at_m = points_m[index, axis]
+            index = index[(at_m >= low_m) & (at_m <= high_m)]
+        return index
 
 
 def sample_sdf(sdf_m: Any, origin_m: Any, spacing_m: float, points_m: Any) -> Any:
@@ -54,24 +73,27 @@ def sample_sdf(sdf_m: Any, origin_m: Any, spacing_m: float, points_m: Any) -> An
 
 
 def _sample(module: Any, grid: Any, origin: Any, spacing_m: float, points_m: Any) -> Any:
-    last = [n - 1 for n in grid.shape]
-    node = (points_m - origin) / spacing_m
-    parts = [module.clip(node[..., axis], 0.0, float(last[axis])) for axis in range(3)]
-    stack = {"axis": -1} if module is np else {"dim": -1}
-    inside = module.stack(parts, **stack)
-    beyond = (node - inside) * spacing_m
-    outside_m = ((beyond * beyond).sum(-1) + 1e-24) ** 0.5 - 1e-12
-    # The cell's lower corner; the last node belongs to the last cell.
-    low = [module.clip(_floor_index(module, p), 0, max(n - 1, 0)) for p, n in zip(parts, last, strict=True)]
-    high = [module.clip(i + 1, 0, n) for i, n in zip(low, last, strict=True)]
-    fraction = [p - i for p, i in zip(parts, low, strict=True)]
-    value = 0.0
-    for corner in np.ndindex(2, 2, 2):
-        index = tuple(high[a] if corner[a] else low[a] for a in range(3))
-        weight = 1.0
-        for a in range(3):
-            weight = weight * (fraction[a] if corner[a] else 1 - fraction[a])
-        value = value + weight * grid[index]
+    corner, outside, fractions, steps = 0, 0.0, [], []
+    for axis, count in enumerate(grid.shape):
+        node = (points_m[..., axis] - origin[axis]) / spacing_m
+        inside = module.clip(node, 0.0, float(count - 1))
+        outside = outside + (node - inside) ** 2
+        # The cell's lower corner; the last node belongs to the last cell.
+        low = module.clip(_floor_index(module, inside), 0, max(count - 2, 0))
+        fractions.append(inside - low)
+        corner = corner * count + low
+        steps.append(math.prod(grid.shape[axis + 1 :]) if count > 1 else 0)
+    values = grid.reshape(-1)
+
+    def along(axis: int, start: int) -> Any:
+        """Value at the fractions from an axis on, of the cell's corner that lies `start` values on."""
+        if axis == 3:
+            return values.take(corner + start)
+        low = along(axis + 1, start)
+        return low + fractions[axis] * (along(axis + 1, start + steps[axis]) - low)
+
+    value = along(0, 0)
+    outside_m = spacing_m * ((outside + 1e-24) ** 0.5 - 1e-12)
     return value + module.where(value < 0, -outside_m, outside_m)
 
 
@@ -158,7 +180,7 @@ def unsigned_distance(
     Infinite where no sample lies within reach.
     """
     samples_m, owner = surface_samples(triangles_m, sample_step_m)
-    tree = KDTree(samples_m)
+    tree = KDTree(samples_m, leafsize=_LEAF_SAMPLES)
     count = min(_NEAREST_SAMPLES, len(samples_m))
     result = np.empty(len(points_m))
     for start in range(0, len(points_m), _QUERY_NODES):
