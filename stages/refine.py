@@ -34,6 +34,8 @@ _DIFFERENT_RAD = np.deg2rad(3.0)
 """A joint's rotation differs when it does by more than this."""
 _MOVED_M = 0.001
 """Objects that moved less stay."""
+_FAR_M = 0.5
+"""Distances beyond this are not measured: touch reaches 0.25 m, and normals are taken one spacing around."""
 _VERTICES = 500
 """Skin vertices that penetration is measured with."""
 
@@ -206,7 +208,7 @@ def _solids(scene: SceneModel, bodies: BodyTracks, config: RefineConfig) -> Soli
         spacing_m = max(scene.sdf_spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
         away_m = 0.5 * bounds_m.sum(0) - camera_m
         away_m[1] = 0.0
-        field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None)
+        field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None, reach_m=_FAR_M)
         along = config.object_distance_ratio**2 * np.outer(away_m, away_m)
         across = config.object_across_ratio**2 * (away_m @ away_m) * np.diag([1.0, 0.0, 1.0])
         movable.append(MovableSolid(field, along + across + np.diag([0.0, config.object_top_m**2, 0.0])))

@@ -204,7 +204,8 @@ class _Person:
         sigma_px = self.config.picture_ratio * seen.height_px[:, None]
         weight = in_front / sigma_px**2
         directions = (D @ R[:, None]).reshape(len(D), -1, 3)
-        rows = rows_along(joints_m, R_world_joint, np.repeat(joints_m, 2, 1), np.repeat(np.arange(JOINTS), 2), directions)
+        points_m, joint = np.repeat(joints_m, 2, 1), np.repeat(np.arange(JOINTS), 2)
+        rows = rows_along(joints_m, R_world_joint, points_m, joint, directions)
         _add(band, rows, off_px.reshape(len(D), -1), np.repeat(weight, 2, axis=1))
 
     def _stance(self, band: BlockBand, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
@@ -243,10 +244,9 @@ class _Person:
         band.shared += np.einsum("tpk,tpl->kl", weighted, gives)
         band.shared_right += np.einsum("tpk,tp->k", weighted, way_m)
 
-    def _corrections(
-        self, distance_m: Float[np.ndarray, "frames skin"]
-    ) -> tuple[Int[np.ndarray, "frames points"], Float[np.ndarray, "frames points"], Float[np.ndarray, "frames points"]]:
-        """Skin points that are not where they should be: their numbers, the way they should go, and its weight."""
+    def _corrections(self, distance_m: Float[np.ndarray, "frames skin"]) -> list[np.ndarray]:
+        """Skin points that may not be where they should: their numbers, the way they should go in m, and its weight,
+        each (frames, points)."""
         config, contact = self.config, self.given.contact
         margin_m = np.zeros_like(distance_m)
         found = []
@@ -266,8 +266,9 @@ class _Person:
         missing_m = np.take_along_axis(missing_m, index, 1)
         weight = (missing_m > 0) * _believed(np.maximum(missing_m, 0) / config.odd_depth_m) / config.depth_m**2
         found.append((index, missing_m, weight))
-        indices, ways_m, weights = (np.concatenate(some, 1) for some in zip(*found, strict=True))
-        return indices, ways_m, weights
+        index, way_m, weight = (np.concatenate(some, 1) for some in zip(*found, strict=True))
+        at_work = weight.any(0)
+        return [index[:, at_work], way_m[:, at_work], weight[:, at_work]]
 
 
 _PART_M = 0.1

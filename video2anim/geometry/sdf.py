@@ -40,9 +40,8 @@ class SdfGrid:
         return sample_sdf(self.sdf_m, self.origin_m, self.spacing_m, points_m)
 
     def within(self, points_m: Float[np.ndarray, "points 3"], reach_m: float) -> Int[np.ndarray, "found"]:
-        """Numbers of the points in the box of all that is nearer than `reach_m`: what `sample` finds nearer is there."""
-        index = np.arange(len(points_m))
-        near = self.sdf_m < reach_m
+        """Numbers of the points in the box around all that is nearer than `reach_m`: others sample farther."""
+        near, found = self.sdf_m < reach_m, np.ones(len(points_m), bool)
         for axis in range(3):
             nodes = np.flatnonzero(near.any(tuple({0, 1, 2} - {axis})))
             if not len(nodes):
@@ -51,9 +50,8 @@ class SdfGrid:
             # Beyond the grid distances go on.
             low_m -= reach_m if nodes[0] == 0 else 0.0
             high_m += reach_m if nodes[-1] == near.shape[axis] - 1 else 0.0
-            at_m = points_m[index, axis]
-            index = index[(at_m >= low_m) & (at_m <= high_m)]
-        return index
+            found &= (points_m[:, axis] >= low_m) & (points_m[:, axis] <= high_m)
+        return np.flatnonzero(found)
 
 
 def sample_sdf(sdf_m: Any, origin_m: Any, spacing_m: float, points_m: Any) -> Any:
@@ -121,10 +119,11 @@ def build_sdf_grid(
         bounds_m: lowest and highest corner of the grid; the highest is rounded up to a whole spacing.
         floor_y_m: height of the floor plane, None for none.
         reach_m: solids farther from a node than this are not looked for, which is much faster: the node keeps the
-            distance to the floor and nearer solids, and inside a solid it is at least this deep.
+            distance to the floor and nearer solids, or gets this where there are none, and inside a solid it is at
+            least this deep.
 
     Raises:
-        ValueError: bounds without extent or a spacing that is not positive.
+        ValueError: bounds without extent, a spacing that is not positive, or neither a solid with faces nor a floor.
     """
     low_m, high_m = np.asarray(bounds_m, dtype=np.float64)
     if not spacing_m > 0 or not (high_m > low_m).all():
@@ -134,11 +133,12 @@ def build_sdf_grid(
     sdf_m = np.full(shape, np.inf)
     if floor_y_m is not None:
         sdf_m = np.minimum(sdf_m, (axes[1] - floor_y_m)[None, :, None])
-    for solid in solids:
-        if len(solid.faces):
-            _lower_by_solid(sdf_m, solid, axes, spacing_m, reach_m)
-    if not np.isfinite(sdf_m).all():
+    faced = [solid for solid in solids if len(solid.faces)]
+    if floor_y_m is None and not faced:
         raise ValueError("build_sdf_grid: neither a solid with faces nor a floor was given")
+    for solid in faced:
+        _lower_by_solid(sdf_m, solid, axes, spacing_m, reach_m)
+    sdf_m[np.isinf(sdf_m)] = reach_m
     return SdfGrid(sdf_m.astype(np.float32), low_m, spacing_m)
 
 
