@@ -133,8 +133,10 @@ def solve_motions(given: Sequence[SceneMotion], solids: Solids, config: SolveCon
     for k, solid in enumerate(solids.movable):
         sure[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = np.linalg.inv(solid.covariance_m2)
     for _ in range(config.iterations):
-        bands = [person.equations(moved_m) for person in people]
-        steps, step_m = solve_together(bands, sure, -sure @ moved_m.reshape(-1))
+        # Not kept in a variable: of a long motion they fill hundreds of megabytes.
+        steps, step_m = solve_together(
+            [person.equations(moved_m) for person in people], sure, -sure @ moved_m.reshape(-1)
+        )
         moved_m = moved_m + step_m.reshape(-1, 3)
         for person, step in zip(people, steps, strict=True):
             person.move(step)
@@ -181,32 +183,36 @@ class _Person:
         band.same[:, diagonal, diagonal] += self.hold
         band.right -= self.hold * now
         band.add_second_difference(now, self.stiffness)
-        if self.given.picture is not None:
-            self._picture(band, self.given.picture, joints_m, R_world_joint)
         self._stance(band, joints_m, R_world_joint)
-        if self.solids.known:
-            self._surfaces(band, joints_m, R_world_joint)
+        for start in range(0, len(joints_m), _CHUNK_FRAMES):
+            frames = slice(start, start + _CHUNK_FRAMES)
+            if self.given.picture is not None:
+                self._picture(band, self.given.picture, frames, joints_m[frames], R_world_joint[frames])
+            if self.solids.known:
+                self._surfaces(band, frames, joints_m[frames], R_world_joint[frames])
         band.fix(self.given.fixed)
         return band
 
-    def _picture(self, band: BlockBand, seen: PictureTarget, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
-        R, t = seen.T_camera_world[:, :3, :3], seen.T_camera_world[:, :3, 3]
+    def _picture(
+        self, band: BlockBand, seen: PictureTarget, frames: slice, joints_m: np.ndarray, R_world_joint: np.ndarray
+    ) -> None:
+        R, t = seen.T_camera_world[frames, :3, :3], seen.T_camera_world[frames, :3, 3]
         camera_m = np.einsum("tab,tjb->tja", R, joints_m) + t[:, None]
         z_m = np.maximum(camera_m[..., 2], 0.1)
         fx, fy = seen.camera_matrix[0, 0], seen.camera_matrix[1, 1]
         focal = np.array([fx, fy])
         at_px = camera_m[..., :2] / z_m[..., None] * focal + seen.camera_matrix[:2, 2]
-        in_front = (camera_m[..., 2] > 0.1) & seen.seen[:, None]
+        in_front = (camera_m[..., 2] > 0.1) & seen.seen[frames, None]
         D = np.zeros((*z_m.shape, 2, 3))
         D[..., 0, 0], D[..., 1, 1] = fx / z_m, fy / z_m
         D[..., :, 2] = -camera_m[..., :2] * focal / z_m[..., None] ** 2
-        off_px = seen.joints_px - at_px
-        sigma_px = self.config.picture_ratio * seen.height_px[:, None]
+        off_px = seen.joints_px[frames] - at_px
+        sigma_px = self.config.picture_ratio * seen.height_px[frames, None]
         weight = in_front / sigma_px**2
         directions = (D @ R[:, None]).reshape(len(D), -1, 3)
         points_m, joint = np.repeat(joints_m, 2, 1), np.repeat(np.arange(JOINTS), 2)
         rows = rows_along(joints_m, R_world_joint, points_m, joint, directions)
-        _add(band, rows, off_px.reshape(len(D), -1), np.repeat(weight, 2, axis=1))
+        _add(band, frames, rows, off_px.reshape(len(D), -1), np.repeat(weight, 2, axis=1))
 
     def _stance(self, band: BlockBand, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
         config, fps = self.config, self.given.fps
@@ -226,28 +232,30 @@ class _Person:
         band.right[:-1] -= (before.transpose(0, 2, 1) @ off[..., None])[..., 0]
         band.right[1:] += (after.transpose(0, 2, 1) @ off[..., None])[..., 0]
 
-    def _surfaces(self, band: BlockBand, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
+    def _surfaces(self, band: BlockBand, frames: slice, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
         """Chosen skin points go a way along the surface's normal, or the surface goes against it."""
         skin_m = self.skin.at(joints_m, R_world_joint)
         distance_m, owner = self.solids.distance_m(skin_m, self.moved_m)
-        index, way_m, weight = self._corrections(distance_m)
+        index, way_m, weight = self._corrections(distance_m, self.given.contact[frames])
         active = weight > 0
         points_m, owner = np.take_along_axis(skin_m, index[..., None], 1), np.take_along_axis(owner, index, 1)
         normal = np.zeros_like(points_m)
         normal[active] = self.solids.normals(points_m[active], self.moved_m)
         rows = rows_along(joints_m, R_world_joint, points_m, self.skin.joint[index], normal)
-        _add(band, rows, way_m, weight)
+        _add(band, frames, rows, way_m, weight)
         own = owner[..., None] == np.arange(len(self.moved_m))
         gives = (-normal[..., None, :] * own[..., None]).reshape(*owner.shape, -1)
         weighted = gives * weight[..., None]
-        band.cross += rows.transpose(0, 2, 1) @ weighted
+        band.cross[frames] += rows.transpose(0, 2, 1) @ weighted
         band.shared += np.einsum("tpk,tpl->kl", weighted, gives)
         band.shared_right += np.einsum("tpk,tp->k", weighted, way_m)
 
-    def _corrections(self, distance_m: Float[np.ndarray, "frames skin"]) -> list[np.ndarray]:
+    def _corrections(
+        self, distance_m: Float[np.ndarray, "frames skin"], contact: Float[np.ndarray, "frames 22"]
+    ) -> list[np.ndarray]:
         """Skin points that may not be where they should: their numbers, the way they should go in m, and its weight,
         each (frames, points)."""
-        config, contact = self.config, self.given.contact
+        config = self.config
         margin_m = np.zeros_like(distance_m)
         found = []
         for k, part in enumerate(PARTS):
@@ -271,6 +279,8 @@ class _Person:
         return [index[:, at_work], way_m[:, at_work], weight[:, at_work]]
 
 
+_CHUNK_FRAMES = 128
+"""Frames whose rows are held at once: more are not faster, and their memory stays below 50 MB."""
 _PART_M = 0.1
 """The nearest skin points of a touching part differ in distance by less."""
 TOUCHING_POINTS = 5
@@ -295,11 +305,11 @@ def rows_along(
     return np.concatenate([direction, turned * TURNED_BY[joint]], -1)
 
 
-def _add(band: BlockBand, J: np.ndarray, off: np.ndarray, weight: np.ndarray) -> None:
-    """Residuals of single frames: J (frames, rows, unknowns), off and weight (frames, rows)."""
+def _add(band: BlockBand, frames: slice, J: np.ndarray, off: np.ndarray, weight: np.ndarray) -> None:
+    """Residuals of some frames, each of one: J (frames, rows, unknowns), off and weight (frames, rows)."""
     weighted = (J * weight[..., None]).transpose(0, 2, 1)
-    band.same += weighted @ J
-    band.right += (weighted @ off[..., None])[..., 0]
+    band.same[frames] += weighted @ J
+    band.right[frames] += (weighted @ off[..., None])[..., 0]
 
 
 def _rates(R: Float[np.ndarray, "frames 22 3 3"]) -> Float[np.ndarray, "steps 22 3"]:
