@@ -2,6 +2,7 @@
 
     python benchmarks/scenemi/reach.py --motion cmu.npz --split split.json --weights small [--blind FILE] \
         [--errors pipeline_errors.npz] [--out benchmarks/scenemi/results/reach.json]
+    python benchmarks/scenemi/reach.py --motion cmu.npz --split split.json --part val --every 8 --choose-solve
 
 - exact keyframes every 15, 30, 60 frames without scenes: error over that of interpolation (one sample; at 60 the
   mean of eight samples, and the best of eight), jerk over the truth's raw and low-passed at 8 Hz, skating, contact F1;
@@ -11,6 +12,9 @@
 - errors of the video pipeline on every frame, and with a second missing (`--errors`, of test clips);
 - 20 steps against 1000, seconds a window.
 Intervals are 95 % over clips.
+
+`--choose-solve` compares settings of the solve without a picture (`WITHOUT_PICTURE`) instead, one changed at a time,
+and prints error and skating; choose on `--part val`.
 """
 
 from __future__ import annotations
@@ -36,7 +40,7 @@ from scenemi.evaluation.scenes import telling_share, with_pseudo_scenes
 from scenemi.evaluation.scores import mean_of
 from scenemi.evaluation.windows import FPS, EvaluationWindow, KeyframeProtocol, cut_windows, give_keyframes, window_seed
 from scenemi.files import file_digest, write_json
-from scenemi.postprocess.in_scene import SolvedPrior
+from scenemi.postprocess.in_scene import WITHOUT_PICTURE, SolvedPrior, put_in_scene
 from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow, WindowMotion
 from scenemi.training.noise import PipelineErrors, told_level
 from video2anim.body.skeleton import forward_kinematics
@@ -45,6 +49,11 @@ from video2anim.geometry.rotations import matrix_from_axis_angle
 SAMPLES = 8
 """Of a window, each of `SAMPLE_STEPS` steps; all else is the expected motion, one step."""
 MISSING_FRAMES = 30
+SOLVES: dict[str, tuple[float, ...]] = {
+    "root_m": (0.002, 0.02), "trunk_rad": (0.005, 0.03), "limb_rad": (0.3, 0.8), "acceleration_ratio": (2.0, 10.0),
+    "stance_m_s": (0.02, 0.1), "odd_speed_m_s": (1.0, 4.0), "contact_threshold": (0.01, 0.1, 0.3),
+}  # fmt: skip
+"""Other values than those of `WITHOUT_PICTURE`."""
 
 
 def main() -> None:
@@ -53,6 +62,9 @@ def main() -> None:
     names = read_split(options.split)[options.part]
     windows = cut_windows([MotionArchive.read(path) for path in options.motion], names)[:: options.every]
     prior = choose_prior(options.weights, device="cpu", steps=options.steps)
+    if options.choose_solve:
+        sys.stdout.write(choice_of_solve(prior, windows))
+        return
     report: dict[str, Any] = {
         "machine": f"{platform.machine()}, {torch.get_num_threads()} threads, Python {platform.python_version()}",
         "date": datetime.date.today().isoformat(), "seed": 0, "steps": options.steps, "windows": len(windows),
@@ -99,6 +111,34 @@ def inbetweening(
         row["ratio_mean_of_8"] = float(np.mean(mean)) / base
         row["ratio_best_of_8"] = float(np.mean([error.min() for error in errors])) / base
     return row
+
+
+def choice_of_solve(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow]) -> str:
+    """Error and skating at r = 30 and 60 without the solve and with every candidate."""
+    candidates = {"none": None, "present": WITHOUT_PICTURE} | {
+        f"{name} {value:g}": replace(WITHOUT_PICTURE, **{name: value})
+        for name, values in SOLVES.items()
+        for value in values
+    }
+    rows: dict[str, list[float]] = {name: [] for name in ["truth", *candidates]}
+    for interval in (30, 60):
+        given = [give_keyframes(window, KeyframeProtocol(interval)).keyframes for window in windows]
+        made = _filled(prior, given, range(len(given)))
+        rows["truth"] += [0.0, float(np.mean([metrics.foot_skating_gmd(w.joints_m, FPS) for w in windows]))]
+        for name, config in candidates.items():
+            solved = made if config is None else [put_in_scene(m, g, config) for m, g in zip(made, given, strict=True)]
+            joints_m = [_joints(m, w) for m, w in zip(solved, windows, strict=True)]
+            errors = [metrics.mpjpe(j, w.joints_m) for j, w in zip(joints_m, windows, strict=True)]
+            rows[name] += [1000 * float(np.mean(errors))]
+            rows[name] += [float(np.mean([metrics.foot_skating_gmd(j, FPS) for j in joints_m]))]
+            sys.stderr.write(f"{interval} {name} {rows[name]}\n")
+    lines = [
+        f"{len(windows)} windows\n",
+        "| solve | MJPE r = 30, mm | skating | MJPE r = 60, mm | skating |",
+        "|---" * 5 + "|",
+    ]
+    lines += [f"| {name} | {a:.2f} | {b:.3f} | {c:.2f} | {d:.3f} |" for name, (a, b, c, d) in rows.items()]
+    return "\n".join(lines) + "\n"
 
 
 def _samples(prior: InbetweeningPrior, window: EvaluationWindow, interval: int) -> np.ndarray:
@@ -255,6 +295,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--errors", type=Path)
     parser.add_argument("--steps", type=int, default=1)
     parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--choose-solve", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/scenemi/results/reach.json"))
     return parser.parse_args()
 

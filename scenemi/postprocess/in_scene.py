@@ -33,7 +33,7 @@ _ROUNDS = 2
 """Which feet stand is seen better when they have been held once."""
 
 
-def put_in_scene(made: WindowMotion, given: KeyframeWindow) -> WindowMotion:
+def put_in_scene(made: WindowMotion, given: KeyframeWindow, config: SolveConfig = WITHOUT_PICTURE) -> WindowMotion:
     """A filled motion of any length after the solve; its keyframes stay where they are exact, its seed in any case."""
     from scenemi.model.scene_input import adult_like
 
@@ -50,7 +50,7 @@ def put_in_scene(made: WindowMotion, given: KeyframeWindow) -> WindowMotion:
             made.R_parent_joint, made.translation_world_m, slow_feet(joints_m, given.fps), given.rest_joints_m, body,
             given.fps, fixed,
         )  # fmt: skip
-        solved = solve_motions([start], Solids(field, floor=False), WITHOUT_PICTURE)
+        solved = solve_motions([start], Solids(field, floor=False), config)
         made = WindowMotion(solved.R_parent_joint[0], solved.translation_world_m[0])
     return made
 
