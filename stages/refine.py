@@ -36,6 +36,9 @@ _MOVED_M = 0.001
 """Objects that moved less stay."""
 _FAR_M = 0.5
 """Distances beyond this are not measured: touch reaches 0.25 m, and normals are taken one spacing around."""
+_TOUCH_M = 0.007
+"""Standard deviation of the distance of touching skin to a surface: with the solve's own 0.015, half of the feet that stand
+stay more than 3 cm above the floor where its tilt or the stride's depth is a few degrees off."""
 _VERTICES = 500
 """Skin vertices that penetration is measured with."""
 
@@ -62,6 +65,8 @@ class RefineConfig:
     """The same of its place across the horizontal line of sight."""
     object_top_m: Annotated[float, limits("m", gt=0, le=10)] = 0.05
     """Standard deviation of its height."""
+    support_m: Annotated[float, limits("m", gt=0, le=10)] = 0.05
+    """Standard deviation of an inferred support's place, each way: only the body that rested on it tells of it."""
 
     def __post_init__(self) -> None:
         if self.overlap_frames >= self.window_frames:
@@ -78,7 +83,7 @@ def refine_motion(
     Raises:
         ModelMissingError: the prior is set to `scenemi` and its weights are absent.
     """
-    from scenemi.postprocess.motion_solve import solve_motions
+    from scenemi.postprocess.motion_solve import SolveConfig, solve_motions
     from scenemi.prior import InterpolationPrior, load_prior
 
     prior = load_prior(config.prior, device=ctx.device, seed=ctx.seed)
@@ -97,7 +102,8 @@ def refine_motion(
         ]
         for by in (prior, InterpolationPrior())
     )
-    solved, plain = solve_motions(made, solids), solve_motions(alone, solids)
+    solve = SolveConfig(touch_m=_TOUCH_M)
+    solved, plain = solve_motions(made, solids, solve), solve_motions(alone, solids, solve)
     moved = _moved(scene, solids, solved.moved_m, ctx)
     after = _field(moved)
     people, alike = list(keyframed.people), list(keyframed.people)
@@ -105,12 +111,10 @@ def refine_motion(
     for k, number in enumerate(seen):
         motion = keyframed.people[number]
         suffix = "" if number == 0 else f" (person {motion.person_id})"
-        people[number] = motion.with_pose(
-            translation_world_m=solved.translation_world_m[k], R_parent_joint=solved.R_parent_joint[k]
+        people[number], alike[number] = (
+            _touching(motion, one.translation_world_m[k], one.R_parent_joint[k], after) for one in (solved, plain)
         )
-        without = alike[number] = motion.with_pose(
-            translation_world_m=plain.translation_world_m[k], R_parent_joint=plain.R_parent_joint[k]
-        )
+        without = alike[number]
         if prior.name == "scenemi":
             names[number], shares[number] = prior.name, _shaped(people[number], without)
         ctx.quality(f"frames shaped by {prior.name}{suffix}", shares[number], "ratio", "higher")
@@ -156,6 +160,7 @@ def _observation(motion: BodyMotion) -> SceneMotion:
     """The motion after keyframes, and where the picture shows it: keyframes go along their lines of sight."""
     from scenemi.postprocess.motion_solve import PictureTarget, SceneMotion
     from video2anim.body.anny_body import shaped_body
+    from video2anim.fitting.touching import believed
     from video2anim.geometry.projection import invert_rigid, project
 
     shaped = shaped_body(motion.shape)
@@ -166,7 +171,7 @@ def _observation(motion: BodyMotion) -> SceneMotion:
         motion.intrinsics.fy_px * stature_m / np.maximum(camera_m[:, 0, 2], 0.1),
         invert_rigid(motion.T_world_camera), motion.intrinsics.matrix(),
     )  # fmt: skip
-    contact = np.where(motion.valid[:, None], motion.contact, 0.0)
+    contact = believed(motion, shaped)
     fixed = np.zeros(motion.frame_count, bool)
     return SceneMotion(
         motion.R_parent_joint, motion.T_world_root[:, :3, 3], contact, motion.rest_joints_m, shaped, FPS, fixed, picture
@@ -195,6 +200,7 @@ def _field(scene: SceneModel) -> SdfGrid:
 def _solids(scene: SceneModel, bodies: BodyTracks, config: RefineConfig) -> Solids:
     """The objects, that give way mostly along their horizontal lines of sight; everything together where none does."""
     from scenemi.postprocess.solids import MovableSolid, Solids
+    from video2anim.fitting.supports import SUPPORT
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
 
@@ -211,7 +217,9 @@ def _solids(scene: SceneModel, bodies: BodyTracks, config: RefineConfig) -> Soli
         field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None, reach_m=_FAR_M)
         along = config.object_distance_ratio**2 * np.outer(away_m, away_m)
         across = config.object_across_ratio**2 * (away_m @ away_m) * np.diag([1.0, 0.0, 1.0])
-        movable.append(MovableSolid(field, along + across + np.diag([0.0, config.object_top_m**2, 0.0])))
+        covariance_m2 = along + across + np.diag([0.0, config.object_top_m**2, 0.0])
+        inferred = item.label == SUPPORT
+        movable.append(MovableSolid(field, config.support_m**2 * np.eye(3) if inferred else covariance_m2))
     return Solids(None, tuple(movable))
 
 
@@ -228,6 +236,17 @@ def _moved(scene: SceneModel, solids: Solids, moved_m: Float[np.ndarray, "solids
     nodes = np.stack(np.meshgrid(*(np.arange(n) for n in scene.sdf_m.shape), indexing="ij"), -1)
     slabs = [solids.distance_m(scene.sdf_origin_m + scene.sdf_spacing_m * slab, moved_m)[0] for slab in nodes]
     return replace(scene, objects=tuple(objects), sdf_m=np.stack(slabs).astype(np.float32))
+
+
+def _touching(
+    motion: BodyMotion, translation_world_m: np.ndarray, R_parent_joint: np.ndarray, scene: SdfGrid
+) -> BodyMotion:
+    """The motion at a solved pose, with its contacts as they are there."""
+    from video2anim.body.anny_body import shaped_body
+    from video2anim.fitting.touching import touches
+
+    posed = motion.with_pose(translation_world_m=translation_world_m, R_parent_joint=R_parent_joint)
+    return replace(posed, contact=touches(posed, shaped_body(motion.shape), scene, motion.contact))
 
 
 def _shaped(refined: BodyMotion, without: BodyMotion) -> float:
@@ -276,4 +295,4 @@ def picture_distance_ratio(motion: BodyMotion, seen: BodyMotion) -> Float[np.nda
     return apart_px * np.maximum(there[:, 0, 2], 0.1) / (seen.intrinsics.fy_px * stature_m)
 
 
-STAGE = StageSpec("refine", refine_motion, version=8, models=("prior",))
+STAGE = StageSpec("refine", refine_motion, version=9, models=("prior",))

@@ -30,13 +30,18 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
+    from video2anim.fitting.supports import Support
     from video2anim.geometry.sdf import SdfGrid
 
 _FAR_SCAN_M = 0.25
 """A scan that stays farther from the video's depth is probably not in place."""
-SUPPORT = "support"
-"""Label of solids that are known by the feet on them alone."""
-
+_UNKNOWN_M = 0.25
+"""What rests this far from every surface rests on something that is not in the scene: nearer ones the solve of stage
+refine brings together."""
+_LOW_M = 0.3
+"""Heights of single contacts are uncertain by several centimetres, so lower steps and seats are not claimed."""
+_LEAST_FRAMES = 8
+"""Frames (0.27 s) in which a part rests too far from every surface, from which a support is inferred."""
 
 _ShiftM = Annotated[float, limits("m", ge=-10_000_000, le=10_000_000)]
 """Scans in the coordinates of a survey lie far from the origin."""
@@ -77,7 +82,7 @@ class SceneConfig:
     most_faces: Annotated[int, limits("faces", ge=12, le=1_000_000), only_with("scan", "")] = 4000
     """Of an object whose shape the body's path changes."""
     supports: Annotated[bool, only_with("scan", "")] = True
-    """Put a solid under places well above the floor where feet rested and no object was found."""
+    """Put a solid where a part of the body rested and no surface is near."""
     scan: str = user_path()
     """Mesh file of the room (metres, triangles facing the room), in place of what the video shows."""
     scan_up: Annotated[Literal["y", "z"], only_without("scan", "")] = "y"
@@ -111,8 +116,12 @@ def build_scene(
     motion_m, body = _motion_bounds(bodies), bodies.people[0]
     if config.scan:
         return _scanned(motion_m, depth, bodies, config, ctx)
-    objects = _with_supports(placed.objects, bodies, ctx) if config.supports else list(placed.objects)
-    objects = _not_refuted(objects, bodies, config, ctx)
+    rested = _rested(bodies) if config.supports else []
+    objects = _not_refuted(_under_high_feet(placed.objects, rested, bodies, ctx), bodies, config, ctx)
+    supports = _supports(objects, rested, bodies, ctx)
+    ctx.quality("refuted", len(placed.objects) - len(objects), "objects")
+    ctx.quality("supports inferred", len(supports), "objects")
+    objects += supports
     solids = [world_mesh(p.mesh, p.T_world_object, p.scale) for p in objects]
     bounds_m = _field_bounds(motion_m, solids, config)
     spacing_m = _field_spacing(bounds_m, config)
@@ -122,7 +131,6 @@ def build_scene(
     floor = floor_patch(low, high, plate.plate_rgb, masks.floor_mask, body.T_world_camera[0], body.intrinsics)
     background = _background(depth, masks, plate, bodies, config)
     ctx.quality("objects", len(objects), "objects")
-    ctx.quality("refuted", len(placed.objects) - sum(p.label != SUPPORT for p in objects), "objects")
     ctx.quality("objects_in_field", len(near), "objects")
     ctx.quality("sdf_spacing", spacing_m, "m", "lower")
     ctx.quality("sdf_nodes", grid.sdf_m.size, "nodes")
@@ -257,39 +265,62 @@ def _crossed_ratio(field: SdfGrid, motion: BodyMotion, config: SceneConfig) -> f
     return float(2 * inside.sum() / max(1, motion.valid.sum()))
 
 
-def _with_supports(objects: Sequence[PlacedObject], bodies: BodyTracks, ctx: StageContext) -> list[PlacedObject]:
-    """Objects brought under feet that rested high up; where none is near, a box from the floor up to the soles."""
+def _rested(bodies: BodyTracks) -> list[tuple[int, Support]]:
+    """Surfaces that parts of people rested on, with the person's number."""
     from video2anim.body.anny_body import shaped_body
-    from video2anim.fitting.free_space import supports_from_feet
-    from video2anim.geometry.scene_mesh import box_mesh
+    from video2anim.fitting.supports import rested_places
+
+    return [(one.person_id, found) for one in bodies.people for found in rested_places(one, shaped_body(one.shape))]
+
+
+def _under_high_feet(
+    objects: Sequence[PlacedObject], rested: list[tuple[int, Support]], bodies: BodyTracks, ctx: StageContext
+) -> list[PlacedObject]:
+    """Objects brought under feet that rested high up."""
     from video2anim.geometry.support_fit import fit_under_feet
 
     kept = list(objects)
-    number = max((item.object_id for item in kept), default=0)
-    for motion in bodies.people:
-        camera_m = motion.T_world_camera[0, [0, 2], 3]
-        for support in supports_from_feet(motion, shaped_body(motion.shape)):
-            fitted = [fit_under_feet(o, support.low_m, support.high_m, support.top_m, camera_m) for o in kept]
-            found = next((i for i, item in enumerate(fitted) if item is not None), None)
-            if found is not None:
-                kept[found] = fitted[found]  # type: ignore[call-overload]
+    camera_m = bodies.people[0].T_world_camera[0, [0, 2], 3]
+    for person, support in rested:
+        if support.kind != "feet" or support.top_m < _LOW_M:
+            continue
+        for number, item in enumerate(kept):
+            fitted = fit_under_feet(item, *support.footprint_m, support.top_m, camera_m)
+            if fitted is not None:
+                kept[number] = fitted
                 ctx.warn(
-                    f"object {kept[found].object_id} is moved and cut to {support.top_m:.2f} m so that it meets the "
-                    f"feet of person {motion.person_id} that rested there"
+                    f"object {item.object_id} is moved and cut to {support.top_m:.2f} m so that it meets the "
+                    f"feet of person {person} that rested there"
                 )
-                continue
-            number += 1
-            size, middle = support.high_m - support.low_m, 0.5 * (support.low_m + support.high_m)
-            T_world_object = np.eye(4)
-            T_world_object[[0, 2], 3] = middle
-            mesh = box_mesh(float(size[0]), support.top_m, float(size[1]))
-            reason = f"inferred: feet rested here in {support.frames} foot-frames"
-            kept.append(PlacedObject(number, SUPPORT, mesh, 1.0, T_world_object, None, None, True, reason))
-            ctx.warn(
-                f"a support of {support.top_m:.2f} m height is inferred from where the feet of person "
-                f"{motion.person_id} rested; its sides are unknown"
-            )
+                break
     return kept
+
+
+def _supports(
+    objects: Sequence[PlacedObject], rested: list[tuple[int, Support]], bodies: BodyTracks, ctx: StageContext
+) -> list[PlacedObject]:
+    """A solid for every place where a part rested far from objects and floor, and through which nobody goes."""
+    from video2anim.body.anny_body import shaped_body
+    from video2anim.fitting.supports import SUPPORT, standing_solid
+    from video2anim.geometry.scene_mesh import world_mesh
+
+    people = [(motion, shaped_body(motion.shape)) for motion in bodies.people]
+    number = max((item.object_id for item in objects), default=0)
+    made: list[PlacedObject] = []
+    for person, support in rested:
+        solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *made)]
+        far = int((support.gaps_m(solids, reach_m=2 * _UNKNOWN_M) > _UNKNOWN_M).sum())
+        if far < _LEAST_FRAMES or (support.level and support.top_m < _LOW_M):
+            continue
+        told = f"the {support.kind} of person {person} rested in {far} frames at {support.top_m:.2f} m"
+        solid = standing_solid(support, people)
+        if solid is None:
+            ctx.warn(f"{told} with no surface near, but bodies pass there too: no support is inferred")
+            continue
+        number += 1
+        made.append(PlacedObject(number, SUPPORT, solid[0], 1.0, solid[1], None, None, True, f"inferred: {told}"))
+        ctx.warn(f"a support is inferred, since {told} with no surface near; its sides are unknown")
+    return made
 
 
 def _motion_bounds(bodies: BodyTracks) -> Float[np.ndarray, "2 3"]:
@@ -359,4 +390,4 @@ def _background(
     return room_surface(depth_m.astype(np.float64), wanted, rgb, body.T_world_camera[0], body.intrinsics.resized(*size))
 
 
-STAGE = StageSpec("scene", build_scene, version=9)
+STAGE = StageSpec("scene", build_scene, version=10)

@@ -13,6 +13,8 @@ FITTED = "top and place fitted to the feet that rested on it"
 _HEIGHT_SLACK = 0.25
 """Largest relative change of height."""
 _LARGEST_SHIFT_M = 1.0
+_UNEVEN_M = 0.25
+"""How far a made top may lie below the soles on it: a level top that is seen at a flat angle bends so much."""
 
 
 def fit_under_feet(
@@ -26,7 +28,7 @@ def fit_under_feet(
 
     Seen from the camera, nothing of the object may rise above the soles where the feet stood: what does (a tree behind
     taken for the object, say) is cut down in those columns of the picture. Then the object is moved by the smallest
-    horizontal shift, and its height is scaled, so that it meets the soles.
+    horizontal shift, and its height is scaled, so that it meets the soles. Under them its top is level.
     """
     vertices_m = item.mesh.vertices_m * item.scale
     world_m = vertices_m @ item.T_world_object[:3, :3].T + item.T_world_object[:3, 3]
@@ -42,6 +44,9 @@ def fit_under_feet(
     if np.linalg.norm(shift_m) > _LARGEST_SHIFT_M:
         return None
     new_height_m = np.where(column, np.minimum(world_m[:, 1], reached_m), world_m[:, 1]) * (top_m / reached_m)
+    places_m = world_m[:, [0, 2]] + shift_m
+    trodden = (places_m >= low_xz_m).all(1) & (places_m <= high_xz_m).all(1) & (new_height_m > top_m - _UNEVEN_M)
+    new_height_m[trodden] = top_m
     mesh_m = item.mesh.vertices_m.astype(np.float64).copy()
     mesh_m[:, 1] = (new_height_m - item.T_world_object[1, 3]) / item.scale
     T_world_object = item.T_world_object.copy()
