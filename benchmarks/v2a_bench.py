@@ -23,9 +23,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from scenemi import metrics
+from video2anim.eval.alignment import match_frames, match_people, truth_from_estimate
+from video2anim.eval.motion_rows import CommonFrames, common_frames
 from video2anim.eval.object_rows import scene_objects
 from video2anim.eval.results import SceneResult
 from video2anim.eval.truth import read_truth
+from video2anim.geometry.projection import transform_points
+from video2anim.types import BodyMotion, BodyTracks, RefinedMotion
 
 SEED = 0
 MARKS = ("<!-- v2a-bench -->", "<!-- /v2a-bench -->")
@@ -62,6 +69,7 @@ def main() -> None:
         "same_clips_as_recorded": same_as_recorded(made),
         "cost": cost(results, [clip["name"] for clip in made["clips"]]),
         "objects": objects(truth, results, [clip["name"] for clip in made["clips"]]),
+        "prior": prior_at_work(truth, results, [clip["name"] for clip in made["clips"]]),
         "evaluation": json.loads(report_json.read_text()),
     }
     options.out.mkdir(parents=True, exist_ok=True)
@@ -126,6 +134,71 @@ def objects(truth: Path, results: Path, names: list[str]) -> dict[str, Any]:
     return {"count": len(rows), "medians": medians, "rows": rows}
 
 
+def prior_at_work(truth: Path, results: Path, names: list[str]) -> dict[str, Any]:
+    """What the prior did to the main person of each clip: share of frames that it shaped, errors with and without it,
+    and the mean difference (with minus without) with its paired bootstrap interval over clips."""
+    rows = [row for name in names if (row := _with_and_without(truth / name, results / name)) is not None]
+    differences = {
+        key: paired_interval([row["refined"][key] - row["without_prior"][key] for row in rows])
+        for key in (PAIRED if rows else ())
+    }
+    return {"rows": rows, "differences": differences, "resamples": RESAMPLES, "seed": SEED}
+
+
+def _with_and_without(truth_dir: Path, scene_dir: Path) -> dict[str, Any] | None:
+    """One clip's row; None where no person was matched to the main one of the truth, or was measured in 3 frames."""
+    result, truth = SceneResult(scene_dir), read_truth(truth_dir)
+    bodies, refined = result.get(BodyTracks), result.get(RefinedMotion)
+    if bodies is None or refined is None:
+        sys.exit(f"{scene_dir}: {result.why(BodyTracks, RefinedMotion)}")
+    frames = match_frames(result.clip, truth)
+    match = next((match for match in match_people(bodies.people, truth, frames) if match.truth == 0), None)
+    if match is None:
+        return None
+    raw = bodies.people[match.estimate]
+    common = common_frames(raw, truth.main, frames)
+    if len(common.measured) < 3:
+        return None
+    T_true_estimate = truth_from_estimate(raw.T_world_camera, truth, frames)
+    return {
+        "clip": truth.name,
+        "prior": refined.prior[match.estimate],
+        "share": refined.prior_share[match.estimate],
+        **{
+            name: errors(people[match.estimate], truth.main, common, T_true_estimate, truth.fps)
+            for name, people in (("refined", refined.people), ("without_prior", refined.without_prior))
+        },
+    }
+
+
+def errors(
+    motion: BodyMotion, true: BodyMotion, common: CommonFrames, T_true_estimate: np.ndarray, fps: float
+) -> dict[str, float]:
+    """W-MPJPE and PA-MPJPE in metres over measured frames, acceleration error in m/s2 over the span, as in `eval`."""
+    mine_m, true_m = motion.joints_world_m, true.joints_world_m[common.true_index]
+    span_m = transform_points(T_true_estimate, mine_m[common.span])
+    return {
+        "w_mpjpe": metrics.w_mpjpe(mine_m[common.measured], true_m[common.measured]),
+        "acceleration_error": metrics.acceleration_error_m_s2(span_m, true_m[common.span], fps),
+        "pa_mpjpe": metrics.pa_mpjpe(mine_m[common.measured], true_m[common.measured]),
+    }
+
+
+def paired_interval(differences: list[float]) -> dict[str, float]:
+    """Mean of the clips' differences with its 95 % percentile-bootstrap interval."""
+    values = np.array(differences)
+    drawn = np.random.default_rng(SEED).integers(0, len(values), (RESAMPLES, len(values)))
+    low, high = np.percentile(values[drawn].mean(1), [2.5, 97.5])
+    return {"mean": float(values.mean()), "low": float(low), "high": float(high)}
+
+
+RESAMPLES = 10_000
+"""Bootstrap draws of the paired intervals."""
+PAIRED = {
+    "w_mpjpe": ("W-MPJPE, mm", 1000), "acceleration_error": ("acceleration error, m/s²", 1),
+    "pa_mpjpe": ("PA-MPJPE, mm", 1000),
+}  # fmt: skip
+"""Title and factor of what is compared with and without the prior."""
 OBJECT_MEDIANS = {"chamfer": "Chamfer", "center_error": "middle"}
 MOTION_ROWS = (
     ("motion", "mpjpe", "root-relative MPJPE, mm", 1000), ("motion", "pa_mpjpe", "PA-MPJPE, mm", 1000),
@@ -174,7 +247,30 @@ def tables(report: dict[str, Any]) -> str:
         statistic = row_of(group, name)["statistics"][column]
         median = "" if statistic is None else number(statistic["median"])
         lines.append(f"| {key}: {title} | {cell(statistic, 1)} | {median} |")
-    return "\n".join(lines)
+    return "\n".join([*lines, "", *prior_table(report["prior"])])
+
+
+def prior_table(found: dict[str, Any]) -> list[str]:
+    """Markdown: per clip the share of frames that the prior shaped and the errors with / without it, then the means."""
+    titles = [title for title, _ in PAIRED.values()]
+    lines = [
+        f"The prior at work: main persons, with / without it; difference of the means with paired 95 % intervals over "
+        f"clips ({found['resamples']} resamples, seed {found['seed']}).",
+        "",
+        f"| clip | frames shaped | {' | '.join(titles)} |",
+        "|---" * (2 + len(titles)) + "|",
+    ]
+    for row in found["rows"]:
+        cells = [
+            f"{number(factor * row['refined'][key])} / {number(factor * row['without_prior'][key])}"
+            for key, (_, factor) in PAIRED.items()
+        ]
+        lines.append(f"| {row['clip']} | {row['share']:.2f} | {' | '.join(cells)} |")
+    if found["rows"]:
+        share = statistics.mean(row["share"] for row in found["rows"])
+        cells = [cell(found["differences"][key], factor) for key, (_, factor) in PAIRED.items()]
+        lines.append(f"| mean difference | {share:.2f} | {' | '.join(cells)} |")
+    return lines
 
 
 def pooled(found: dict[str, Any]) -> str:

@@ -18,7 +18,7 @@ from video2anim.synth.world import ActedMotion, Prop
 HEIGHTS = (0.1, 0.45, 0.9)
 CASES = [(kind, height, seed) for kind in ACTS for height, seed in zip(HEIGHTS, (1, 2, 3), strict=True)]
 PROPS = {
-    "walk": set(), "sit": {"seat"}, "lie": {"bed"}, "step_up": {"step"}, "pick_up": {"item", "table"},
+    "walk": set(), "return": set(), "sit": {"seat"}, "lie": {"bed"}, "step_up": {"step"}, "pick_up": {"item", "table"},
     "lean": {"table", "wall"}, "reach": {"table"},
 }  # fmt: skip
 

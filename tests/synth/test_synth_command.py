@@ -28,7 +28,7 @@ SMALL = ("--size", "96x72", "--longest", "0.3")
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("--preset", "nice"), 2, "--preset: want one of bench, random"),
+        (("--preset", "nice"), 2, "--preset: want one of bench, random, hidden"),
         (("--count", "25"), 2, "--count: want 1 to 24"),
         (("--count", "0"), 2, "--count"),
         (("--seed", "-1"), 2, "--seed"),

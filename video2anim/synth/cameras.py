@@ -14,7 +14,7 @@ from video2anim.synth.render.surfaces import of_objects
 from video2anim.synth.world import Room
 from video2anim.types import Intrinsics
 
-_NEVER_HIDES = ("ceiling", "floor", "rug", "picture", "skirting")
+NEVER_HIDES = ("ceiling", "floor", "rug", "picture", "skirting")
 """Things that do not hide people from a camera inside the room."""
 _FRAME_STEP = 10
 """Every how many frames the view is checked."""
@@ -73,7 +73,7 @@ def place_camera(
     frames = joints_m.shape[1]
     points = joints_m[:, :: min(_FRAME_STEP, max(frames - 1, 1))].reshape(-1, 22, 3)
     boxes = _furniture_boxes(room)
-    caster = of_objects(thing for thing in room.objects if thing.label not in _NEVER_HIDES).caster()
+    caster = of_objects(thing for thing in room.objects if thing.label not in NEVER_HIDES).caster()
     wished = float(np.clip(_USUAL_FOV_RAD * np.exp(rng.normal(0.0, _FOV_SPREAD)), *request.fov_y_rad))
     found: list[_Candidate] = []
     for _ in range(tries):

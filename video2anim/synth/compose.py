@@ -10,12 +10,13 @@ from jaxtyping import Float
 from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError
-from video2anim.synth.acting import act, joined
+from video2anim.synth.acting import ACTS, act, joined
 from video2anim.synth.acting.curves import turned
 from video2anim.synth.cameras import CameraRequest, place_camera
+from video2anim.synth.hiding import hidden_view
 from video2anim.synth.library import MotionLibrary
 from video2anim.synth.looks import make_looks
-from video2anim.synth.presets import ACTED, ClipSpec
+from video2anim.synth.presets import ClipSpec, hiding_of
 from video2anim.synth.render.lens import covers_picture
 from video2anim.synth.rooms import build_room, penetration_m, split_items
 from video2anim.synth.world import ActedMotion, Actor, MovingObject, Room, SceneObject, SensorModel, Shot
@@ -25,6 +26,8 @@ FPS = 30.0
 DEEPEST_M = 0.01
 """No body vertex may lie deeper than this in any object."""
 _ATTEMPTS = 8
+_HIDING_STRIDE = 60
+"""Every how many vertices of the skin decide whether somebody is hidden."""
 _APART_M = 0.3
 """Least distance between two people's bodies."""
 
@@ -93,7 +96,13 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
         height_m=(1.0, 2.2) if spec.preset == "bench" else (0.8, 2.6),
     )  # fmt: skip
     joints = np.stack([person.joints_m for person in people])
-    lens, T_world_camera = place_camera(spec.rng("camera", attempt), room, joints, request)
+    hiding, camera_rng = hiding_of(spec), spec.rng("camera", attempt)
+    if hiding is None:
+        lens, T_world_camera = place_camera(camera_rng, room, joints, request)
+    else:
+        room, lens, T_world_camera = hidden_view(
+            camera_rng, room, swept, joints[0], people[0].vertices_m[:, ::_HIDING_STRIDE], request, hiding
+        )
     actors = []
     for number, person in enumerate(people):
         face_material, materials = make_looks(person.body, spec.rng(f"looks {number}", attempt))
@@ -149,7 +158,7 @@ def _motion(
 ) -> ActedMotion:
     """Captured where the library has the kind, acted otherwise; acted kinds may begin with a captured walk."""
     low, high = spec.duration_s
-    if kind not in ACTED and library is not None:
+    if kind not in ACTS and library is not None:
         captured = library.draw("walk_turn" if kind == "turn" else kind, body, rng, least_s=low)
         if captured is not None:
             length = int(rng.uniform(low, high) * FPS)
@@ -159,7 +168,7 @@ def _motion(
                 captured.name, captured.kind, captured.source, captured.translation_m[piece],
                 captured.R_parent_joint[piece], captured.contact[piece],
             )  # fmt: skip
-    if kind not in ACTED:
+    if kind not in ACTS:
         kind = "walk"
     walk = library.draw("walk", body, rng) if library is not None and rng.random() < 0.6 else None
     if walk is None:

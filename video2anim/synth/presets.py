@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -18,9 +19,38 @@ _BENCH: tuple[tuple[str, ...], ...] = (
 )  # fmt: skip
 ACTED = ("walk", "sit", "lie", "step_up", "pick_up", "lean", "reach")
 CAPTURED = ("walk", "walk_turn", "chore", "gesture", "pickup", "dance", "sport", "arms")
-PRESETS = ("bench", "random")
+PRESETS = ("bench", "random", "hidden")
 LARGEST_SEED = 2**63 - 1
 """What every reader of `set.json` and `meta.json` can hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hiding:
+    """How the person of a clip of preset `hidden` gets out of sight."""
+
+    behind: Literal["shelf", "cabinet"] | None
+    """A thing between camera and person; None = the person leaves the picture."""
+    hidden_s: tuple[float, float]
+    """Range of the length of the one hidden stretch."""
+    when: Literal["passing", "turning", "low"]
+    """The thing stands before the person as it goes across the line of sight, turns round, or is lowest."""
+    width_m: tuple[float, float] = (0.0, 0.0)
+    height_m: tuple[float, float] = (0.0, 0.0)
+    camera_height_m: tuple[float, float] = (1.0, 2.2)
+
+
+_TALL, _LOW = (1.8, 2.1), (0.9, 1.3)
+"""Heights of things, metres, that hide somebody who stands, and somebody who sits or crouches."""
+_LONG_S, _SHORT_S = (1.0, 3.0), (0.3, 0.95)
+_HIDDEN: tuple[tuple[str, str, Hiding], ...] = (
+    ("walk_behind_shelf", "walk", Hiding("shelf", _LONG_S, "passing", (0.8, 1.4), _TALL)),
+    ("walk_behind_cabinet", "walk", Hiding("cabinet", _SHORT_S, "passing", (0.5, 1.0), _TALL)),
+    ("crouch_behind_cabinet", "pick_up", Hiding("cabinet", (0.3, 3.0), "low", (1.2, 2.0), _LOW, (0.9, 1.25))),
+    ("sit_behind_cabinet", "sit", Hiding("cabinet", _LONG_S, "low", (1.0, 2.0), _LOW, (0.9, 1.25))),
+    ("leave_and_return", "return", Hiding(None, _LONG_S, "turning")),
+    ("return_behind_shelf", "return", Hiding("shelf", _LONG_S, "turning", (0.9, 1.7), _TALL)),
+)
+"""Name, what the person does, how it is hidden."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +74,24 @@ class ClipSpec:
 
 
 def clip_specs(preset: str, count: int | None, seed: int) -> tuple[ClipSpec, ...]:
-    """The clips of a preset; `bench` has 24, `random` as many as asked (default 24).
+    """The clips of a preset; `bench` has 24, `hidden` 6, `random` as many as asked (default 24).
 
     Raises:
         UsageError: unknown preset, or a count that it does not have.
     """
     if preset not in PRESETS:
         raise UsageError(f"--preset: want one of {', '.join(PRESETS)}, got {preset!r}")
-    count = len(_BENCH) if count is None else count
-    expect_count_and_seed(count, seed, len(_BENCH) if preset == "bench" else 1_000_000)
-    return tuple((_bench if preset == "bench" else _random)(seed, index) for index in range(count))
+    make, most = {
+        "bench": (_bench, len(_BENCH)), "hidden": (_hidden, len(_HIDDEN)), "random": (_random, 1_000_000)
+    }[preset]  # fmt: skip
+    count = min(most, len(_BENCH)) if count is None else count
+    expect_count_and_seed(count, seed, most)
+    return tuple(make(seed, index) for index in range(count))
+
+
+def hiding_of(spec: ClipSpec) -> Hiding | None:
+    """How the person of a clip gets out of sight; None where it stays in sight."""
+    return _HIDDEN[spec.index][2] if spec.preset == "hidden" else None
 
 
 def expect_count_and_seed(count: int, seed: int, most: int) -> None:
@@ -71,6 +109,11 @@ def expect_count_and_seed(count: int, seed: int, most: int) -> None:
 def _bench(seed: int, index: int) -> ClipSpec:
     kinds = _BENCH[index]
     return ClipSpec(f"{index:02d}_{'_and_'.join(kinds)}", "bench", seed, index, kinds, (6.0, 9.0))
+
+
+def _hidden(seed: int, index: int) -> ClipSpec:
+    name, kind, _ = _HIDDEN[index]
+    return ClipSpec(f"{index:02d}_{name}", "hidden", seed, index, (kind,), (6.0, 9.0))
 
 
 def _random(seed: int, index: int) -> ClipSpec:

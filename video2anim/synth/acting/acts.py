@@ -35,8 +35,28 @@ def act_walk(script: Script) -> ActedMotion:
     return motion_of("walk", perform(script))
 
 
+def act_return(script: Script) -> ActedMotion:
+    """Walk away, turn round in a small bow and come back."""
+    rng, size = script.rng, script.size
+    out = script.yaw_rad + rng.uniform(-0.15, 0.15)
+    far = script.center_m + turned(out) @ np.array([0.0, 0.0, rng.uniform(2.2, 3.0)])
+    aside = rng.choice([-1.0, 1.0]) * rng.uniform(0.7, 1.0) * size.scale
+    turned_round = far + turned(out) @ np.array([aside, 0.0, 0.0])
+    back = out + np.pi + rng.uniform(-0.15, 0.15)
+    home = turned_round + turned(back) @ np.array([0.0, 0.0, 3.0])
+    legs = (
+        bezier(script.center_m, script.yaw_rad, far, out),
+        bezier(far, out, turned_round, out + np.pi, bend=0.7),
+        bezier(turned_round, out + np.pi, home, back),
+    )
+    path_m = np.concatenate([legs[0], legs[1][1:], legs[2][1:]])
+    walk(script, path_m, random_pace(script), close=False)
+    return motion_of("return", perform(script))
+
+
 ACTS: dict[str, Callable[[Script], ActedMotion]] = {
     "walk": act_walk,
+    "return": act_return,
     "sit": act_sit,
     "lie": act_lie,
     "step_up": act_step_up,

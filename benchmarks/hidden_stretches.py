@@ -1,0 +1,182 @@
+"""What the prior makes of stretches in which the person is hidden: six synthetic clips, errors on hidden frames only.
+
+    python benchmarks/hidden_stretches.py --work hidden_work
+
+Makes the clips of `video2anim synth --preset hidden --seed 0` in `<work>/truth`, runs the pipeline into
+`<work>/results` (what is finished is kept), and compares on every hidden stretch of 0.3 s and more:
+
+- refined: the result; without prior: the same solve from the observed motion with its gaps bridged;
+- interpolation: joint rotations (slerp) and root (linear) between the last frame in sight before the stretch and the
+  first one after it, as stage humans has them.
+
+W-MPJPE is aligned (similarity) by the last two frames in sight before the stretch, PA-MPJPE in every frame. Stretches
+of 1 s and more stand apart. A person whom the tracker does not find again after the stretch has no result there; such
+stretches are named and are in no mean. Writes `benchmarks/results/hidden_stretches-<date>.json`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from v2a_bench import call, number
+
+from scenemi import metrics
+from video2anim.eval.alignment import FrameMatch, match_frames, match_people
+from video2anim.eval.hidden import hidden_frames, hidden_stretches
+from video2anim.eval.results import SceneResult
+from video2anim.eval.truth import Truth, read_truth
+from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
+from video2anim.types import BodyMotion, BodyTracks, RefinedMotion
+
+SEED = 0
+LONG_S = 1.0
+BAR = 0.6
+"""Most that W-MPJPE of the result may be of interpolation's, on stretches of `LONG_S` and more."""
+METHODS = ("refined", "without prior", "interpolation")
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """One hidden stretch of one clip; errors in mm by method, none where the person is not found again."""
+
+    clip: str
+    first_frame: int
+    last_frame: int
+    seconds: float
+    measured: float
+    """Share of its frames in which the tracker claims a person nevertheless."""
+    tracks: int
+    """Persons of stage humans; the clips show one."""
+    prior: str
+    w_mpjpe_mm: dict[str, float]
+    pa_mpjpe_mm: dict[str, float]
+
+
+def main() -> None:
+    """Make, run, measure, report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, default=Path("hidden_work"), help="clips and scene folders, kept")
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
+    parser.add_argument("--seed", type=int, default=SEED, help="of the clips; the published table has 0")
+    options = parser.parse_args()
+    truth = options.work / "truth"
+    call("synth", "--preset", "hidden", "--seed", str(options.seed), "--out", str(truth))
+    names = [clip["name"] for clip in json.loads((truth / "set.json").read_text())["clips"]]
+    stretches: list[Stretch] = []
+    for name in names:
+        scene_dir = options.work / "results" / name
+        call("run", str(truth / name / "video.mp4"), "--out", str(scene_dir), "--person", "all", "--until", "refine")
+        stretches += of_clip(scene_dir, truth / name)
+    report = {
+        "date": datetime.date.today().isoformat(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "seed": options.seed,
+        "stretches": [asdict(one) for one in stretches],
+        "means": {"long": means(stretches, long=True), "short": means(stretches, long=False)},
+    }
+    options.out.mkdir(parents=True, exist_ok=True)
+    target = options.out / f"hidden_stretches-{report['date']}.json"
+    target.write_text(json.dumps(report, indent=1) + "\n")
+    sys.stdout.write(f"{table(stretches)}\n{target}\n")
+
+
+def of_clip(scene_dir: Path, truth_dir: Path) -> list[Stretch]:
+    """The hidden stretches of one clip."""
+    result, truth = SceneResult(scene_dir), read_truth(truth_dir)
+    bodies, refined = result.get(BodyTracks), result.get(RefinedMotion)
+    if bodies is None or refined is None:
+        raise SystemExit(f"{scene_dir}: {result.why(BodyTracks, RefinedMotion)}")
+    frames = match_frames(result.clip, truth)
+    matches = match_people(bodies.people, truth, frames)
+    if not matches:
+        raise SystemExit(f"{scene_dir}: no person of stage humans is the one of the truth")
+    person = matches[0].estimate
+    hidden = hidden_frames(truth)[frames.true_index]
+    motions = {"refined": refined.people[person], "without prior": refined.without_prior[person]}
+    return [
+        stretch(truth, frames, hidden, span, bodies, person, motions, refined.prior[person])
+        for span in hidden_stretches(hidden, truth.fps)
+    ]
+
+
+def stretch(
+    truth: Truth, frames: FrameMatch, hidden: np.ndarray, span: tuple[int, int], bodies: BodyTracks, person: int,
+    motions: dict[str, BodyMotion], prior: str,
+) -> Stretch:  # fmt: skip
+    """Errors of each method on one stretch."""
+    first, last = span
+    raw = bodies.people[person]
+    in_sight = raw.valid & ~hidden
+    before, after = np.flatnonzero(in_sight[:first])[-2:], last + 1 + np.flatnonzero(in_sight[last + 1 :])[:1]
+    w, pa = {}, {}
+    if len(before) == 2 and len(after) == 1:
+        inside = np.arange(first, last + 1)
+        rows = np.concatenate([before, inside])
+        true_m = truth.main.joints_world_m[frames.true_index[rows]]
+        made = {name: motion.joints_world_m[rows] for name, motion in motions.items()}
+        made["interpolation"] = interpolated(raw, int(before[1]), int(after[0])).joints_world_m[rows]
+        w = {name: 1000 * w_mpjpe_after(joints_m, true_m) for name, joints_m in made.items()}
+        pa = {name: 1000 * metrics.pa_mpjpe(joints_m[2:], true_m[2:]) for name, joints_m in made.items()}
+    length_s = (last - first + 1) / truth.fps
+    measured = float(raw.valid[first : last + 1].mean())
+    return Stretch(truth.name, first, last, length_s, measured, len(bodies.people), prior, w, pa)
+
+
+def w_mpjpe_after(estimate_m: np.ndarray, true_m: np.ndarray) -> float:
+    """Mean error in metres of all frames but the first two, by which the estimate is aligned as W-MPJPE is."""
+    head = slice(0, metrics.W_ALIGN_FRAMES)
+    align = metrics.align_similarity(estimate_m[head].reshape(-1, 3), true_m[head].reshape(-1, 3))
+    return metrics.mpjpe(align(estimate_m[metrics.W_ALIGN_FRAMES :]), true_m[metrics.W_ALIGN_FRAMES :])
+
+
+def interpolated(motion: BodyMotion, first: int, last: int) -> BodyMotion:
+    """The motion with all between two frames replaced: rotations by slerp, root along a line at even speed."""
+    R, root_m = motion.R_parent_joint.copy(), motion.T_world_root[:, :3, 3].copy()
+    share = np.linspace(0.0, 1.0, last - first + 1)
+    ends = quaternion_from_matrix(R[[first, last]])
+    R[first : last + 1] = matrix_from_quaternion(slerp(ends[[0]], ends[[1]], share[:, None, None]))
+    root_m[first : last + 1] = root_m[first] + share[:, None] * (root_m[last] - root_m[first])
+    return motion.with_pose(translation_world_m=root_m, R_parent_joint=R)
+
+
+def means(stretches: list[Stretch], *, long: bool) -> dict[str, Any]:
+    """Means over the stretches of 1 s and more, or over the shorter ones, and the ratio of the bar."""
+    chosen = [one for one in stretches if (one.seconds >= LONG_S) == long and one.w_mpjpe_mm]
+    if not chosen:
+        return {"stretches": 0}
+    w = {name: float(np.mean([one.w_mpjpe_mm[name] for one in chosen])) for name in METHODS}
+    pa = {name: float(np.mean([one.pa_mpjpe_mm[name] for one in chosen])) for name in METHODS}
+    ratio = w["refined"] / w["interpolation"]
+    return {"stretches": len(chosen), "w_mpjpe_mm": w, "pa_mpjpe_mm": pa, "ratio": ratio}
+
+
+def table(stretches: list[Stretch]) -> str:
+    """Markdown: a row a stretch, then the means."""
+    heads = ["clip", "hidden, s", "claimed", *(f"W, {name}" for name in METHODS), *(f"PA, {name}" for name in METHODS)]
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    for one in stretches:
+        cells = [number(part[name]) for part in (one.w_mpjpe_mm, one.pa_mpjpe_mm) for name in METHODS if part]
+        told = cells or ["not found again"]
+        lines.append(f"| {one.clip} | {one.seconds:.2f} | {one.measured:.2f} | " + " | ".join(told) + " |")
+    for long, title in ((True, "1 s and more"), (False, "shorter")):
+        mean = means(stretches, long=long)
+        if mean["stretches"]:
+            cells = [number(mean[part][name]) for part in ("w_mpjpe_mm", "pa_mpjpe_mm") for name in METHODS]
+            lines.append(f"| mean, {title} ({mean['stretches']}) | | | " + " | ".join(cells) + " |")
+    long = means(stretches, long=True)
+    if long["stretches"]:
+        lines += ["", f"W-MPJPE over interpolation's, 1 s and more: {long['ratio']:.2f} (bar: {BAR})"]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
