@@ -79,7 +79,7 @@ def main() -> None:
         RECORDED.write_text(json.dumps({k: made[k] for k in ("benchmark", "motion_sources", "clips")}, indent=1) + "\n")
     if not options.count:
         put_table(Path("README.md"), tables(report))
-    sys.stdout.write(f"{tables(report)}\n{target}\n{report_html}\n")
+    sys.stdout.write(f"{tables(report)}\n\n{prior_table(report['prior'])}\n{target}\n{report_html}\n")
 
 
 def make(options: argparse.Namespace, truth: Path) -> dict[str, Any]:
@@ -247,16 +247,25 @@ def tables(report: dict[str, Any]) -> str:
         statistic = row_of(group, name)["statistics"][column]
         median = "" if statistic is None else number(statistic["median"])
         lines.append(f"| {key}: {title} | {cell(statistic, 1)} | {median} |")
-    return "\n".join([*lines, "", *prior_table(report["prior"])])
+    return "\n".join([*lines, "", prior_sentence(report["prior"])])
 
 
-def prior_table(found: dict[str, Any]) -> list[str]:
-    """Markdown: per clip the share of frames that the prior shaped and the errors with / without it, then the means."""
+def prior_sentence(found: dict[str, Any]) -> str:
+    """Mean share of frames that the prior shaped, and the mean differences, with it minus without it."""
+    if not found["rows"]:
+        return "The prior: no main person was measured."
+    share = statistics.mean(row["share"] for row in found["rows"])
+    told = [f"{title} {cell(found['differences'][key], factor)}" for key, (title, factor) in PAIRED.items()]
+    return (
+        f"The prior shaped {share:.2f} of the main persons' frames. With it minus without it, means with paired 95 % "
+        f"intervals over {len(found['rows'])} clips ({found['resamples']} resamples): {'; '.join(told)}."
+    )
+
+
+def prior_table(found: dict[str, Any]) -> str:
+    """Markdown: per clip the share of frames that the prior shaped, and errors with / without it."""
     titles = [title for title, _ in PAIRED.values()]
     lines = [
-        f"The prior at work: main persons, with / without it; difference of the means with paired 95 % intervals over "
-        f"clips ({found['resamples']} resamples, seed {found['seed']}).",
-        "",
         f"| clip | frames shaped | {' | '.join(titles)} |",
         "|---" * (2 + len(titles)) + "|",
     ]
@@ -266,11 +275,7 @@ def prior_table(found: dict[str, Any]) -> list[str]:
             for key, (_, factor) in PAIRED.items()
         ]
         lines.append(f"| {row['clip']} | {row['share']:.2f} | {' | '.join(cells)} |")
-    if found["rows"]:
-        share = statistics.mean(row["share"] for row in found["rows"])
-        cells = [cell(found["differences"][key], factor) for key, (_, factor) in PAIRED.items()]
-        lines.append(f"| mean difference | {share:.2f} | {' | '.join(cells)} |")
-    return lines
+    return "\n".join(lines)
 
 
 def pooled(found: dict[str, Any]) -> str:
