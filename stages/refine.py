@@ -36,9 +36,6 @@ _MOVED_M = 0.001
 """Objects that moved less stay."""
 _FAR_M = 0.5
 """Distances beyond this are not measured: touch reaches 0.25 m, and normals are taken one spacing around."""
-_TOUCH_M = 0.007
-"""Standard deviation of the distance of touching skin to a surface. With the solve's own 0.015, half of the feet that
-stand stay more than 3 cm above the floor where its tilt or the depth of a stride is a few degrees off."""
 _VERTICES = 500
 """Skin vertices that penetration is measured with."""
 
@@ -83,7 +80,7 @@ def refine_motion(
     Raises:
         ModelMissingError: the prior is set to `scenemi` and its weights are absent.
     """
-    from scenemi.postprocess.motion_solve import SolveConfig, solve_motions
+    from scenemi.postprocess.motion_solve import solve_motions
     from scenemi.prior import InterpolationPrior, load_prior
 
     prior = load_prior(config.prior, device=ctx.device, seed=ctx.seed)
@@ -102,8 +99,7 @@ def refine_motion(
         ]
         for by in (prior, InterpolationPrior())
     )
-    solve = SolveConfig(touch_m=_TOUCH_M)
-    solved, plain = solve_motions(made, solids, solve), solve_motions(alone, solids, solve)
+    solved, plain = solve_motions(made, solids), solve_motions(alone, solids)
     moved = _moved(scene, solids, solved.moved_m, ctx)
     after = _field(moved)
     people, alike = list(keyframed.people), list(keyframed.people)

@@ -23,7 +23,7 @@ _AROUND_M = 0.5
 """How far from the joints' box solids are looked for."""
 WITHOUT_PICTURE = SolveConfig(
     root_m=0.005, trunk_rad=0.01, limb_rad=0.5, acceleration_ratio=5.0, stance_m_s=0.05, odd_speed_m_s=2.0,
-    contact_threshold=0.03,
+    contact_threshold=0.03, touch_m=0.015, touch_reach_m=0.25,
 )  # fmt: skip
 """Nothing but the network says where the body is: legs give way, root and trunk only to solids. Feet that slide at up
 to 0.94 m/s are held. Chosen on an eighth of the test windows of `benchmarks/scenemi/reach.py` (r = 30 and 60: skating
