@@ -36,15 +36,13 @@ if TYPE_CHECKING:
 
 JOINTS = len(PARENTS)
 UNKNOWNS = 3 + 3 * JOINTS
-ANCESTORS = np.zeros((JOINTS, JOINTS), bool)
-"""[j, a]: turning joint a moves joint j and what hangs on it (a = j counts for points of j, not for the joint)."""
+TURNED_BY = np.zeros((JOINTS, 3 * JOINTS))
+"""[j, 3 a + axis]: 1 where turning joint a moves points of joint j: a is j or one of its ancestors."""
 for _joint in range(JOINTS):
     _at = _joint
     while _at >= 0:
-        ANCESTORS[_joint, _at] = True
+        TURNED_BY[_joint, 3 * _at : 3 * _at + 3] = 1.0
         _at = int(PARENTS[_at])
-TURNED_BY = np.repeat(ANCESTORS, 3, axis=1)
-"""The same of the three unknowns of a."""
 STANDING = tuple(JOINT_INDEX[name] for name in ("left_ankle", "right_ankle", "left_foot", "right_foot"))
 TRUNK = tuple(JOINT_INDEX[name] for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head"))
 
@@ -245,7 +243,7 @@ class _Person:
         rows = rows_along(joints_m, R_world_joint, points_m, self.skin.joint[index], normal)
         _add(band, frames, rows, way_m, weight)
         own = owner[..., None] == np.arange(len(self.moved_m))
-        gives = (-normal[..., None, :] * own[..., None]).reshape(*owner.shape, -1)
+        gives = (-normal[..., None, :] * own[..., None]).reshape(*owner.shape, self.moved_m.size)
         weighted = gives * weight[..., None]
         band.cross[frames] += rows.transpose(0, 2, 1) @ weighted
         band.shared += np.einsum("tpk,tpl->kl", weighted, gives)

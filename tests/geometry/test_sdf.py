@@ -94,6 +94,27 @@ def test_meshes_without_faces_are_skipped_and_nothing_at_all_is_refused() -> Non
         build_sdf_grid([], BOUNDS_M[::-1], 0.25)
 
 
+def test_what_is_out_of_reach_gets_the_reach() -> None:
+    solid = [as_mesh(box((0.4, 0.4, 0.4), (0.2, 0.3, 0)))]
+    exact = build_sdf_grid(solid, BOUNDS_M, SPACING_M, floor_y_m=None)
+    near = build_sdf_grid(solid, BOUNDS_M, SPACING_M, floor_y_m=None, reach_m=0.15)
+    np.testing.assert_allclose(near.sdf_m, np.clip(exact.sdf_m, -0.15, 0.15), atol=1e-6)
+    # What lies between nodes is that far from all surface samples, not from the surface.
+    assert (exact.sdf_m > 0.15).any()
+    assert (exact.sdf_m < -0.15).any()
+
+
+@pytest.mark.parametrize("reach_m", [0.1, 0.4, np.inf])
+def test_points_within_reach_are_found(reach_m: float) -> None:
+    grid = build_sdf_grid([as_mesh(box((0.4, 0.3, 0.5), (0.6, 0.3, 0), 0.4))], BOUNDS_M, SPACING_M, floor_y_m=None)
+    points_m = np.random.default_rng(6).uniform(-2, 2, (20_000, 3))
+    found = grid.within(points_m, reach_m)
+    distance_m = grid.sample(points_m)
+    assert np.isin(np.flatnonzero(distance_m < reach_m), found).all()
+    assert distance_m[found].max() < 3 * reach_m
+    assert len(grid.within(points_m, -1.0)) == 0
+
+
 def random_grid() -> SdfGrid:
     values = np.random.default_rng(2).normal(size=(5, 4, 6)).astype(np.float32)
     return SdfGrid(values, np.array([-1.0, 0.5, 2.0]), 0.3)

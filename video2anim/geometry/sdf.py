@@ -40,7 +40,8 @@ class SdfGrid:
         return sample_sdf(self.sdf_m, self.origin_m, self.spacing_m, points_m)
 
     def within(self, points_m: Float[np.ndarray, "points 3"], reach_m: float) -> Int[np.ndarray, "found"]:
-        """Numbers of the points in the box around all that is nearer than `reach_m`: others sample farther."""
+        """Numbers of the points in the box around all that is nearer than `reach_m`: others sample farther, unless a
+        solid is cut off by the grid's edge."""
         near, found = self.sdf_m < reach_m, np.ones(len(points_m), bool)
         for axis in range(3):
             nodes = np.flatnonzero(near.any(tuple({0, 1, 2} - {axis})))

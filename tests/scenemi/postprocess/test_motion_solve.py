@@ -160,6 +160,30 @@ def test_two_people_share_a_solid_that_gives_way() -> None:
     np.testing.assert_allclose(both.translation_world_m[0], alone.translation_world_m[0], atol=1e-6)
 
 
+def test_solids_out_of_reach_are_as_if_they_were_not_there() -> None:
+    field = pillar(0.3, 0.0)
+    far = replace(Solids(None, (MovableSolid(field, np.eye(3)),)), reach_m=0.3)
+    points_m = np.random.default_rng(0).uniform([-2, 0, -2], [2, 2, 2], (5000, 3))
+    moved_m = np.array([[0.1, 0.0, -0.2]])
+    exact_m, exact_owner = replace(far, reach_m=np.inf).distance_m(points_m, moved_m)
+    found_m, owner = far.distance_m(points_m, moved_m)
+    near = exact_m < 0.3
+    np.testing.assert_array_equal(found_m[near], exact_m[near])
+    np.testing.assert_array_equal(owner[near], exact_owner[near])
+    assert (found_m[~near] >= 0.3).all()
+    assert (owner != exact_owner).any()
+
+
+def test_a_body_that_nothing_is_near_stays() -> None:
+    motion = planted_walk(FRAMES)
+    high = replace(
+        given(with_root_shift(motion, np.tile([0.0, 5.0, 0.0], (FRAMES, 1)))), contact=np.zeros((FRAMES, 22))
+    )
+    found = solve_motions([high], Solids(None, (MovableSolid(pillar(0.3, 0.0), np.eye(3)),)))
+    np.testing.assert_allclose(found.translation_world_m[0], high.translation_world_m, atol=1e-12)
+    np.testing.assert_allclose(found.moved_m, 0.0, atol=1e-12)
+
+
 def test_fixed_frames_stay() -> None:
     raw = with_root_shift(planted_walk(FRAMES), np.tile([0.0, -0.04, 0.0], (FRAMES, 1)))
     start = given(raw)
