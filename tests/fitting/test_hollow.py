@@ -10,8 +10,8 @@ import trimesh
 from synthetic import planted_walk
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.fitting.free_space import posed_vertices
 from video2anim.fitting.hollow import hollowed
+from video2anim.fitting.touching import posed_vertices
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.geometry.sdf import build_sdf_grid
 from video2anim.types import BodyMotion, Mesh

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from synthetic import planted_walk
 
-from stages.scene import SUPPORT, SceneConfig, _not_refuted, _with_supports
+from stages.scene import SceneConfig, _not_refuted, _rested, _supports, _under_high_feet
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.skeleton import JOINT_INDEX
-from video2anim.fitting.free_space import posed_vertices, stood_inside
+from video2anim.fitting.free_space import stood_inside
+from video2anim.fitting.supports import SUPPORT
+from video2anim.fitting.touching import posed_vertices
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.pipeline.stage import StageContext
@@ -30,22 +32,35 @@ def box_at(x_m: float, z_m: float) -> PlacedObject:
     return PlacedObject(1, "object", box_mesh(1.0, 1.5, 1.0), 1.0, T_world_object, 0.0, 0.0, True, "")
 
 
+def supports(motion: BodyMotion, objects: list[PlacedObject], ctx: StageContext) -> list[PlacedObject]:
+    bodies = BodyTracks((motion,))
+    return _supports(objects, _rested(bodies), bodies, ctx)
+
+
 def test_feet_on_a_roof_put_a_support_under_them(tmp_path: Path) -> None:
-    motion = raised(planted_walk(90), 1.6)
-    made = _with_supports([], BodyTracks((motion,)), StageContext(tmp_path))
-    assert [item.label for item in made] == [SUPPORT]
-    assert made[0].mesh.vertices_m[:, 1].max() == pytest.approx(1.6, abs=0.05)
-    assert made[0].mesh.vertices_m[:, 1].min() == pytest.approx(0.0, abs=1e-9)
+    ctx = StageContext(tmp_path)
+    (made,) = supports(raised(planted_walk(90), 1.6), [box_at(5.0, 0.0)], ctx)
+    assert (made.label, made.object_id) == (SUPPORT, 2)
+    assert made.reason.startswith("inferred: the feet of person 1 rested in ")
+    solid = world_mesh(made.mesh, made.T_world_object, made.scale)
+    assert solid.vertices_m[:, 1].max() == pytest.approx(1.6, abs=0.05)
+    assert solid.vertices_m[:, 1].min() == pytest.approx(0.0, abs=1e-6)
+    assert len(ctx.warnings) == 1
 
 
 def test_feet_on_the_floor_need_no_support(tmp_path: Path) -> None:
-    assert _with_supports([], BodyTracks((planted_walk(90),)), StageContext(tmp_path)) == []
+    assert supports(planted_walk(90), [], StageContext(tmp_path)) == []
+
+
+def test_feet_on_something_that_is_there_need_no_support(tmp_path: Path) -> None:
+    roof = replace(box_at(0.0, 1.0), mesh=box_mesh(4.0, 1.5, 6.0))
+    assert supports(raised(planted_walk(90), 1.6), [roof], StageContext(tmp_path)) == []
 
 
 def test_feet_in_the_air_without_contact_claim_nothing(tmp_path: Path) -> None:
     motion = raised(planted_walk(90), 1.6)
     motion = replace(motion, contact=np.zeros_like(motion.contact))
-    assert _with_supports([], BodyTracks((motion,)), StageContext(tmp_path)) == []
+    assert supports(motion, [], StageContext(tmp_path)) == []
 
 
 @pytest.mark.parametrize(("aside_m", "kept"), [(0.0, 0), (2.5, 1)])
@@ -72,7 +87,8 @@ def test_an_object_a_little_off_is_brought_under_the_feet(tmp_path: Path) -> Non
     T_world_object[[0, 2], 3] = middle[[0, 2]] + [0.4, 0.0]
     size = np.ptp(feet_m, axis=0)[[0, 2]] + 1.0
     shed = PlacedObject(1, "object", box_mesh(size[0], 1.45, size[1]), 1.0, T_world_object, None, None, True, "")
-    made = _with_supports([shed], BodyTracks((motion,)), StageContext(tmp_path))
+    bodies = BodyTracks((motion,))
+    made = _under_high_feet([shed], _rested(bodies), bodies, StageContext(tmp_path))
     assert [item.object_id for item in made] == [1]
     assert made[0].mesh.vertices_m[:, 1].max() == pytest.approx(1.6, abs=0.05)
     under = made[0].mesh.vertices_m[:, [0, 2]] + made[0].T_world_object[[0, 2], 3]

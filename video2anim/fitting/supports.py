@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -13,7 +13,7 @@ from video2anim.body.skeleton import PARENTS, forward_kinematics
 from video2anim.fitting.free_space import passed_through
 from video2anim.fitting.touching import LIKELY, PARTS, believed, posed_vertices, skin_of
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
-from video2anim.geometry.sdf import build_sdf_grid
+from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.types.motion import BodyMotion
 from video2anim.types.scene import Mesh
 
@@ -46,12 +46,15 @@ _PATCH_M = 0.03
 """Skin no farther than this from the part's foremost touches too."""
 _MARGIN_M = 0.1
 """A support reaches a hand's width beyond the skin on it."""
-_SLABS = ((0.1, _MARGIN_M), (0.1, 0.0), (0.05, 0.0))
+_SLABS = ((0.1, _MARGIN_M), (0.1, 0.05), (0.05, 0.05))
 """Thickness and margin (m) of what cannot reach down to the floor, since legs pass there."""
-_CROSSED_RATIO = 0.25
-"""A support that bodies pass through in more frames, over those that rest on it, is not there."""
-_CROSSED_M, _CROSSED_SHARE = 0.02, 0.002
+_CROSSED_RATIO = 1.0
+"""A support that bodies pass through in as many frames as rest on it is not there."""
+_CROSSED_M, _CROSSED_SHARE = 0.01, 0.002
 """They pass through where so much of their skin (of a calf: a hand's width of its height) is so deep in it."""
+
+_SAME_M = 0.1
+"""A part this near the distance that it has when it rests may rest there, though the picture does not say so."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +69,8 @@ class Rest:
     """Touching skin of all its frames."""
     nearest_m: Float[np.ndarray, "frames 3"]
     """Foremost skin point of each frame."""
+    joint_m: Float[np.ndarray, "frames 3"]
+    """The part's joint."""
 
     @property
     def place_m(self) -> Float[np.ndarray, "3"]:
@@ -84,6 +89,8 @@ class Support:
     level: bool
     nearest_m: Float[np.ndarray, "frames 3"]
     """Foremost skin point of each frame that speaks for it."""
+    over_m: float
+    """How far the part's joint is from the surface when it rests there."""
 
     @property
     def top_m(self) -> float:
@@ -134,22 +141,35 @@ def standing_solid(
     Args:
         people: everybody who may pass there.
     """
-    joints = [joint for part in KINDS[support.kind] for joint in PARTS[part]]
-    resting = [*joints, *PARENTS[joints], *np.flatnonzero(np.isin(PARENTS, joints))]
     shapes = [(support.top_m, _MARGIN_M)] if support.level else []
     for thickness_m, margin_m in (*shapes, *_SLABS):
         mesh, T_world_box = support.solid(min(thickness_m, support.top_m) if support.level else thickness_m, margin_m)
         solid = world_mesh(mesh, T_world_box, 1.0)
         bounds_m = np.stack([solid.vertices_m.min(0) - 0.1, solid.vertices_m.max(0) + 0.1])
         field = build_sdf_grid([solid], bounds_m, max(0.02, float(np.ptp(bounds_m, axis=0).max()) / 60), floor_y_m=None)
-        crossed = sum(
-            passed_through(field, *one, deep_m=_CROSSED_M, share=_CROSSED_SHARE, resting=resting).sum()
-            for one in people
-        )
-        # Every second frame is looked at.
-        if 2 * crossed <= _CROSSED_RATIO * len(support.nearest_m):
+        crossed = sum(_crossed_frames(field, support, *one) for one in people)
+        if crossed < _CROSSED_RATIO * len(support.nearest_m):
             return mesh, T_world_box
     return None
+
+
+def _crossed_frames(solid: SdfGrid, support: Support, motion: BodyMotion, body: ShapedBody) -> int:
+    """Frames in which somebody is inside, not counting what rests on top: the part and the joints beside it, while the
+    part is as far from the surface as when it rests."""
+    joints = [joint for part in KINDS[support.kind] for joint in PARTS[part]]
+    beside = [*joints, *PARENTS[joints], *np.flatnonzero(np.isin(PARENTS, joints))]
+    normal, top_m = support.T_world_top[:3, 1], support.T_world_top[:3, 3]
+    over_m = (motion.joints_world_m[:, joints[0]] - top_m) @ normal
+    at_rest = np.abs(over_m - support.over_m) < _SAME_M
+    inside = sum(
+        passed_through(
+            solid, replace(motion, valid=motion.valid & chosen), body,
+            deep_m=_CROSSED_M, share=_CROSSED_SHARE, resting=resting,
+        ).sum()
+        for chosen, resting in ((at_rest, beside), (~at_rest, ()))
+    )  # fmt: skip
+    # Every second frame is looked at.
+    return 2 * int(inside)
 
 
 def _rests(
@@ -159,7 +179,7 @@ def _rests(
     for frames in _stretches(contact > LIKELY):
         if len(frames) < _LEAST_FRAMES:
             continue
-        _, R_world_joint = forward_kinematics(
+        joints_m, R_world_joint = forward_kinematics(
             motion.R_parent_joint[frames], motion.T_world_root[frames, :3, 3], motion.rest_joints_m
         )
         facing = (R_world_joint[:, joints[0]] @ np.array(_FACING[kind], np.float64)).mean(0)
@@ -172,7 +192,8 @@ def _rests(
         ahead_m = skin_m @ facing
         foremost = ahead_m.argmax(1)
         patch = ahead_m > ahead_m.max(1, keepdims=True) - _PATCH_M
-        yield Rest(len(frames), -facing, level, skin_m[patch], skin_m[np.arange(len(frames)), foremost])
+        nearest_m = skin_m[np.arange(len(frames)), foremost]
+        yield Rest(len(frames), -facing, level, skin_m[patch], nearest_m, joints_m[:, joints[0]])
 
 
 def _stretches(chosen: Bool[np.ndarray, "frames"]) -> list[Int[np.ndarray, "some"]]:
@@ -213,4 +234,5 @@ def _support(kind: str, rests: list[Rest]) -> Support:
     T_world_top = np.eye(4)
     T_world_top[:3, :3] = R_world_top
     T_world_top[:3, 3] = R_world_top @ [middle[0], top_m, middle[1]]
-    return Support(kind, T_world_top, high - low, rests[0].level, nearest_m)
+    over_m = float(np.median(np.concatenate([rest.joint_m for rest in rests]) @ normal)) - top_m
+    return Support(kind, T_world_top, high - low, rests[0].level, nearest_m, over_m)

@@ -108,8 +108,8 @@ def touches(
 ) -> Float[np.ndarray, "frames 22"]:
     """Where a motion touches its scene: 1 where a part is within 3 cm of a surface and slow, else 0.
 
-    Against the true contacts of feet in synthetic clips this is as good as the picture's word (F1 0.94 to 0.97), and the
-    scene's alone is worse (0.86 to 0.93): it counts feet that are about to land.
+    Against the true contacts of feet in synthetic clips this is as good as the picture alone (F1 0.94 to 0.97), the
+    scene alone is worse (0.86 to 0.93): it counts feet that are about to land.
 
     Args:
         motion: in the scene; every frame is looked at.
