@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import minimum_filter1d
 from scipy.spatial import KDTree
 
 from video2anim.body.anny_body import ShapedBody
@@ -78,7 +79,9 @@ def believed(motion: BodyMotion, body: ShapedBody) -> Float[np.ndarray, "frames 
     hands on the own body."""
     contact = np.where(motion.valid[:, None], motion.contact, 0.0)
     for name, joints in PARTS.items():
-        flies = speed_m_s(motion, joints[0], along=_ALONG) > _SLOW_SEEN_M_S
+        # A foot that lands or leaves is slow a moment after or before: it does not fly.
+        speed = minimum_filter1d(speed_m_s(motion, joints[0], along=_ALONG), 2 * _WINDOW_FRAMES + 1)
+        flies = speed > _SLOW_SEEN_M_S
         contact[np.ix_(flies, joints)] = 0.0
         if name.endswith("hand"):
             frames = np.flatnonzero(contact[:, joints[0]] > LIKELY)
