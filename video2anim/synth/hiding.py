@@ -133,7 +133,7 @@ def _leaving(
 ) -> tuple[Room, Intrinsics, np.ndarray] | None:  # fmt: skip
     """A picture that holds the near part of the way only."""
     gone_m = np.linalg.norm(joints_m[:, 0] - joints_m[0, 0], axis=-1)
-    kept = gone_m < rng.uniform(0.25, 0.7) * gone_m.max()
+    kept = gone_m < rng.uniform(0.25, 0.95) * gone_m.max()
     lens, T = place_camera(rng, room, joints_m[None, kept], request)
     camera_m = T[0, :3, 3]
     if np.linalg.norm(joints_m - camera_m, axis=-1).min() < _NEAREST_M:

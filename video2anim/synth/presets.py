@@ -40,13 +40,13 @@ class Hiding:
 
 
 _TALL, _LOW = (1.8, 2.1), (0.9, 1.3)
-"""Heights of things, metres, that hide somebody who stands, and somebody who sits or crouches."""
+"""Heights of things, metres, that hide somebody who stands, and somebody who crouches."""
 _LONG_S, _SHORT_S = (1.0, 3.0), (0.3, 0.95)
 _HIDDEN: tuple[tuple[str, str, Hiding], ...] = (
     ("walk_behind_shelf", "walk", Hiding("shelf", _LONG_S, "passing", (0.8, 1.4), _TALL)),
     ("walk_behind_cabinet", "walk", Hiding("cabinet", _SHORT_S, "passing", (0.5, 1.0), _TALL)),
     ("crouch_behind_cabinet", "pick_up", Hiding("cabinet", (0.3, 3.0), "low", (1.2, 2.0), _LOW, (0.9, 1.25))),
-    ("sit_behind_cabinet", "sit", Hiding("cabinet", _LONG_S, "low", (1.0, 2.0), _LOW, (0.9, 1.25))),
+    ("leave_briefly", "return", Hiding(None, _SHORT_S, "turning")),
     ("leave_and_return", "return", Hiding(None, _LONG_S, "turning")),
     ("return_behind_shelf", "return", Hiding("shelf", _LONG_S, "turning", (0.9, 1.7), _TALL)),
 )
