@@ -57,15 +57,15 @@ def fit_metric(
     Where neither floor nor person shows reliable depth, no depth is valid: only the sizes of people are known then.
 
     Raises:
-        StageError: there is no body.
+        StageError: there is no body, or none in any frame.
     """
     from video2anim.calibration.bodies import calibrated
     from video2anim.calibration.fit import calibrate
     from video2anim.calibration.gather import picture_evidence, with_objects
     from video2anim.geometry.masks import shrunk
 
-    if not bodies.people:
-        raise StageError("metric: want at least one fitted body, got none; check stage humans")
+    if not bodies.people or not bodies.people[0].valid.any():
+        raise StageError("metric: want a fitted body with at least one valid frame, got none; check stage humans")
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
     evidence = with_objects(
         picture_evidence(depth, plate, bodies, camera, floor, clip.fps, ctx.rng("metric/points")),

@@ -68,7 +68,7 @@ def segment_plate(
     """Instances, best score first, and the floor, at the size of the plate.
 
     Raises:
-        StageError: there is no body (its camera gives gravity and the floor).
+        StageError: there is no body in any frame (its camera gives gravity and the floor).
     """
     from video2anim.calibration.gather import first_depth_m, picture_evidence
     from video2anim.geometry.joined_objects import SeenThing
@@ -76,8 +76,8 @@ def segment_plate(
     from video2anim.geometry.object_regions import RegionLimits, find_regions
     from video2anim.models.segmentation import CLASSES
 
-    if not bodies.people:
-        raise StageError("segment: want at least one fitted body, got none; check stage humans")
+    if not bodies.people or not bodies.people[0].valid.any():
+        raise StageError("segment: want a fitted body with at least one valid frame, got none; check stage humans")
     shape, body = depth.background_value.shape, bodies.people[0]
     seen = None if config.provider == "geometric" else ctx.model(config.provider).segment(plate.plate_rgb)
     named = np.zeros(shape, bool) if seen is None else shrunk(seen.semantic == CLASSES.index("floor"), shape)

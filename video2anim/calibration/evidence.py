@@ -83,3 +83,4 @@ class Evidence:
     usual_offset_sigma: float
     """...and its standard deviation."""
     middle_value: float
+    """Of the sizes of the picture's values: some networks put their zero into the middle of the picture."""

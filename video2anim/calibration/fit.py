@@ -242,10 +242,10 @@ def calibrate(evidence: Evidence, sigmas: Sigmas | None = None) -> Calibration:
     """The state that explains the evidence best, from several starts of gravity.
 
     Raises:
-        ValueError: nobody.
+        ValueError: nobody, or no source of gravity.
     """
-    if not evidence.people:
-        raise ValueError("calibrate: want at least one person")
+    if not evidence.people or not len(evidence.people[0].soles_m) or not evidence.up:
+        raise ValueError("calibrate: want a person who was seen and at least one source of gravity")
     sigmas = sigmas or Sigmas()
     start = np.zeros(7 + len(evidence.people) + len(evidence.objects))
     fits = [_solve(_started(evidence, sigmas, up), start, rounds=1) for up in _starts(evidence)]
@@ -286,21 +286,26 @@ def first_line(evidence: Evidence, up: np.ndarray, height_m: float) -> tuple[flo
         # Neither floor nor reliable person: the main person's distance is that of the picture's middle.
         x, z_m = np.array([evidence.middle_value]), evidence.people[0].soles_root_m[:1, 2]
     y = z_m if evidence.kind == "depth" else 1 / z_m
-    middle, usual = evidence.middle_value, evidence.usual_offset
-    weight = np.ones(len(x))
-    scale = float(np.median(y / (x + usual * middle)))
-    slope = 0.0
+    unit = evidence.middle_value
+    x, usual = x / unit, evidence.usual_offset
+    # Skin is on the near side of the body, and networks see people at distances of their own: it does not outvote floor.
+    floor, skin = len(evidence.floor.value), len(evidence.skin)
+    trust = np.ones(len(x))
+    trust[floor:] = min(1.0, floor / skin) if floor and skin else 1.0
+    weight = trust
     for _ in range(10):
-        # y = scale (x + usual middle) + slope middle; slope is held near 0 by the usual offset's spread.
-        A = np.stack([x + usual * middle, np.full(len(x), middle)], 1)
-        ridge = np.diag([0.0, weight.sum() * 0.01 * middle**2 / evidence.usual_offset_sigma**2])
-        scale, slope = np.linalg.solve((A.T * weight) @ A + ridge + 1e-12 * np.eye(2), (A.T * weight) @ y)
-        off = np.abs(A @ [scale, slope] - y) / y
-        weight = 1 / (1 + (off / 0.1) ** 2) / y**2
+        # y = scale (x + usual) + more; what is more than the usual offset is held near 0 by the spread of that.
+        A = np.stack([x + usual, np.ones(len(x))], 1)
+        ridge = np.diag([0.0, weight.sum() * 0.01 / evidence.usual_offset_sigma**2])
+        scale, more = np.linalg.solve((A.T * weight) @ A + ridge + 1e-12 * np.eye(2), (A.T * weight) @ y)
+        off = np.abs(A @ [scale, more] - y) / y
+        weight = trust / (1 + (off / 0.1) ** 2) / y**2
         weight /= weight.max()
     if scale <= 0:
-        scale, slope = float(np.median(y / (x + usual * middle))), 0.0
-    return float(scale), float((scale * usual + slope) * middle)
+        # Values that fall where they should rise: through the medians, as flat as the usual offset says.
+        scale = float(np.median(y)) / (1 + usual)
+        more = float(np.median(y - scale * (x + usual)))
+    return float(scale / unit), float(scale * usual + more)
 
 
 def _solve(problem: _Problem, x: np.ndarray, rounds: int = _ROUNDS) -> tuple[OptimizeResult, _Problem]:

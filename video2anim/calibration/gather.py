@@ -25,6 +25,7 @@ from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.geometry.visible import visible_vertices
 from video2anim.types import BackgroundPlate, BodyMotion, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
+from video2anim.types.camera import UpEvidence
 
 USUAL_OFFSET = {"room-depth": (1.25, 0.6), "geometric": (0.0, 0.02)}
 """Offset of depth over scale times the picture's middle value, and its spread, by provider: of the shipped network in
@@ -38,6 +39,8 @@ _WINDOW_S = 0.6
 """Somebody who stands, walks or runs has a foot down at least once in this time."""
 _LENS_SIGMA = 0.03
 """Error of the lens beside what stage camera says: surest estimates are 1 to 4 % off on clips with a known one."""
+_LEAST_UP_SIGMA_RAD = 0.002
+"""No source knows gravity better than a tenth of a degree, whatever it says."""
 _FRAMES_AT_ONCE = 256
 _SKIN_FRAMES, _SKIN_POINTS, _LEAST_PIXELS = 24, 300, 40
 _FLOOR_PIXELS, _FARTHEST_FLOOR_M = 300, 12.0
@@ -64,8 +67,9 @@ def person_evidence(body: BodyMotion, fps: float, stature_sigma_m: float) -> Per
         at = feet_m[..., 1].argmin(1)
         lowest_m[begin : begin + len(some)] = np.take_along_axis(feet_m, at[:, None, None], 1)[:, 0]
     windows = np.array_split(np.arange(len(frames)), max(1, round(len(frames) / max(1.0, _WINDOW_S * fps))))
+    windows = [part for part in windows if len(part)]
     # Not the very lowest, which is the worst outlier.
-    low = np.array([part[np.argsort(lowest_m[part, 1])[len(part) // 10]] for part in windows])
+    low = np.array([part[np.argsort(lowest_m[part, 1])[len(part) // 10]] for part in windows], int)
     standing = frames[_standing(body.joints_world_m[frames])]
     looks = min(len(standing), max(1, round(len(standing) / fps * _LOOKS_PER_S)), _MOST_LOOKS)
     looks = standing[np.linspace(0, len(standing) - 1, looks).round().astype(int)]
@@ -123,7 +127,7 @@ def picture_evidence(
     return Evidence(
         focal_px=k.fx_px,
         focal_log_sigma=float(np.hypot(camera.focal_sigma_ratio, _LENS_SIGMA)),
-        up=camera.up_evidence,
+        up=_up_evidence(camera),
         people=people,
         kind=depth.kind,
         skin=skin_evidence(depth, plate, main, rng),
@@ -131,8 +135,20 @@ def picture_evidence(
         objects=(),
         usual_offset=usual,
         usual_offset_sigma=spread,
-        middle_value=float(np.median(depth.background_value)),
+        middle_value=_middle(np.abs(depth.background_value)),
     )
+
+
+def _middle(size: Float[np.ndarray, "height width"]) -> float:
+    """Median, or the largest where most are 0; 1 where all are."""
+    return float(np.median(size)) or float(size.max()) or 1.0
+
+
+def _up_evidence(camera: CameraEstimate) -> tuple[UpEvidence, ...]:
+    """What the sources say; the camera's own answer where none is named."""
+    own = UpEvidence(camera.up_source, camera.up_camera, camera.up_sigma_rad)
+    sources = camera.up_evidence or (own,)
+    return tuple(replace(one, sigma_rad=max(one.sigma_rad, _LEAST_UP_SIGMA_RAD)) for one in sources)
 
 
 def with_objects(
