@@ -118,6 +118,7 @@ def _place_one(
         position_sigma_m=_known(fit.position_sigma_m),
         yaw_sigma_rad=_known(fit.yaw_sigma_rad),
         scale_sigma=_known(fit.scale_sigma),
+        distance_sigma=depth.object_sigma[str(found.object_id)],
     )
 
 

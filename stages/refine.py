@@ -56,10 +56,10 @@ class RefineConfig:
     """Length of one synthesis (paper: N = 121)."""
     overlap_frames: Annotated[int, limits("frames", ge=0, le=100_000)] = 60
     """Frames of a window that seed the next (paper: v = 60)."""
-    object_distance_ratio: Annotated[float, limits(ge=0, le=10)] = 0.1
-    """Standard deviation of an object's distance from the camera, over that distance; 0 = objects do not move."""
+    objects_move: bool = True
+    """Whether objects give way along their lines of sight, as far as the calibration leaves their distance open."""
     object_across_ratio: Annotated[float, limits(gt=0, le=10)] = 0.01
-    """The same of its place across the horizontal line of sight."""
+    """Standard deviation of an object's place across the horizontal line of sight, over its distance."""
     object_top_m: Annotated[float, limits("m", gt=0, le=10)] = 0.05
     """Standard deviation of its height."""
     support_m: Annotated[float, limits("m", gt=0, le=10)] = 0.05
@@ -86,7 +86,7 @@ def refine_motion(
     prior = load_prior(config.prior, device=ctx.device, seed=ctx.seed)
     if config.prior == "auto" and prior.name != "scenemi":
         ctx.warn("no scenemi weights present: the observed motion is not repaired, only fitted to picture and scene")
-    solids, field = _solids(scene, bodies, config), _field(scene)
+    solids, field = _solids(scene, keyframed.people[0], config), _field(scene)
     seen = [number for number, motion in enumerate(keyframed.people) if motion.valid.any()]
     for motion in keyframed.people:
         if not motion.valid.any():
@@ -114,7 +114,7 @@ def refine_motion(
         if prior.name == "scenemi":
             names[number], shares[number] = prior.name, _shaped(people[number], without)
         ctx.quality(f"frames shaped by {prior.name}{suffix}", shares[number], "ratio", "higher")
-        raw = bodies.people[number]
+        raw = bodies.people[number].in_world(motion.T_world_camera)
         for when, one, where in (
             ("raw", raw, field),
             ("without prior", without, after),
@@ -193,16 +193,16 @@ def _field(scene: SceneModel) -> SdfGrid:
     return SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
 
 
-def _solids(scene: SceneModel, bodies: BodyTracks, config: RefineConfig) -> Solids:
+def _solids(scene: SceneModel, main: BodyMotion, config: RefineConfig) -> Solids:
     """The objects, that give way mostly along their horizontal lines of sight; everything together where none does."""
     from scenemi.postprocess.solids import MovableSolid, Solids
     from video2anim.fitting.supports import SUPPORT
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
 
-    if not scene.objects or config.object_distance_ratio == 0:
+    if not scene.objects or not config.objects_move:
         return Solids(_field(scene), floor=False)
-    camera_m = bodies.people[0].T_world_camera[0, :3, 3]
+    camera_m = main.T_world_camera[0, :3, 3]
     movable = []
     for item in scene.objects:
         solid = world_mesh(item.mesh, item.T_world_object, item.scale)
@@ -211,7 +211,7 @@ def _solids(scene: SceneModel, bodies: BodyTracks, config: RefineConfig) -> Soli
         away_m = 0.5 * bounds_m.sum(0) - camera_m
         away_m[1] = 0.0
         field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None, reach_m=_FAR_M)
-        along = config.object_distance_ratio**2 * np.outer(away_m, away_m)
+        along = item.distance_sigma**2 * np.outer(away_m, away_m)
         across = config.object_across_ratio**2 * (away_m @ away_m) * np.diag([1.0, 0.0, 1.0])
         covariance_m2 = along + across + np.diag([0.0, config.object_top_m**2, 0.0])
         inferred = item.label == SUPPORT

@@ -137,7 +137,7 @@ def test_an_object_in_a_body_gives_way_and_the_scene_says_so() -> None:
     middle_m = refined.scene.objects[0].T_world_object[:3, 3] + [0.0, 0.85, 0.0]
     assert field.sample(middle_m[None])[0] < -0.05
     assert mpjpe(refined.people[0].joints_world_m, truth.joints_world_m) < 0.02
-    stiff, _ = refine(truth, replace(PLAIN, object_distance_ratio=0.0), scene(item))
+    stiff, _ = refine(truth, replace(PLAIN, objects_move=False), scene(item))
     assert stiff.scene.objects[0] is item
 
 

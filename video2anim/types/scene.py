@@ -137,6 +137,9 @@ class PlacedObject:
     """Standard deviation of the horizontal place; None where nothing was fitted."""
     yaw_sigma_rad: NonNegativeFloat | None = None
     scale_sigma: NonNegativeFloat | None = None
+    distance_sigma: NonNegativeFloat = 0.12
+    """Standard deviation of the logarithm of its distance from the camera, by the fit of stage metric; by default that
+    of a network's depth from thing to thing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
