@@ -288,7 +288,7 @@ def first_line(evidence: Evidence, up: np.ndarray, height_m: float) -> tuple[flo
     y = z_m if evidence.kind == "depth" else 1 / z_m
     unit = evidence.middle_value
     x, usual = x / unit, evidence.usual_offset
-    # Skin is on the near side of the body, and networks see people at distances of their own: it does not outvote floor.
+    # Networks see people at distances of their own: skin does not outvote floor.
     floor, skin = len(evidence.floor.value), len(evidence.skin)
     trust = np.ones(len(x))
     trust[floor:] = min(1.0, floor / skin) if floor and skin else 1.0

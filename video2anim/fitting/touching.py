@@ -82,7 +82,7 @@ def believed(motion: BodyMotion, body: ShapedBody) -> Float[np.ndarray, "frames 
         # A foot that lands or leaves is slow a moment after or before: it does not fly.
         speed = minimum_filter1d(speed_m_s(motion, joints[0], along=_ALONG), 2 * _WINDOW_FRAMES + 1)
         flies = speed > _SLOW_SEEN_M_S
-        contact[np.ix_(flies, joints)] = 0.0
+        contact[np.ix_(flies, np.array(joints))] = 0.0
         if name.endswith("hand"):
             frames = np.flatnonzero(contact[:, joints[0]] > LIKELY)
             contact[frames[on_own_body(motion, body, joints[0], frames)], joints[0]] = 0.0
