@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from video2anim.calibration.evidence import Evidence
     from video2anim.calibration.fit import Calibration
 
+_OTHER_GROUND_M = 0.25
+"""Lower steps are within what a stature of two standard deviations explains at the height of a camera."""
 _CONFLICT = 3.0
 """Evidence that is off by more than so many standard deviations (root mean square) contradicts the rest."""
 
@@ -78,6 +80,9 @@ def fit_metric(
     conflicts = [kind for kind, off in found.residuals.items() if off > _CONFLICT]
     if conflicts:
         ctx.warn(f"evidence that contradicts the rest, and counts little: {', '.join(conflicts)}")
+    for body, above_m in zip(bodies.people[1:], found.above_floor_m[1:], strict=True):
+        if abs(above_m) > _OTHER_GROUND_M:
+            ctx.warn(f"person {body.person_id} stands {above_m:+.2f} m from the floor: a child, or on other ground")
     _record(found, ctx)
     return _applied(depth, plate, masks, evidence, found, calibrated(bodies, found), problem)
 

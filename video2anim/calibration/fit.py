@@ -81,6 +81,8 @@ class Calibration:
     stature_ratio: Float[np.ndarray, "persons"]
     """Sizes over those of stage humans."""
     stature_log_sigma: Float[np.ndarray, "persons"]
+    above_floor_m: Float[np.ndarray, "persons"]
+    """Height of each person's soles over the floor, median."""
     scale: float
     offset: float
     scale_log_sigma: float
@@ -331,6 +333,12 @@ def _result(found: OptimizeResult, problem: _Problem) -> Calibration:
         camera_height_sigma_m=float(state.height_m * sigma[3]),
         stature_ratio=state.size,
         stature_log_sigma=sigma[7 : 7 + n],
+        above_floor_m=np.array(
+            [
+                state.height_m + np.median(state.body(one.soles_m, one.soles_root_m, size) @ state.up)
+                for one, size in zip(e.people, state.size, strict=True)
+            ]
+        ),
         scale=state.scale,
         offset=float(state.offset),
         scale_log_sigma=float(sigma[4]),
