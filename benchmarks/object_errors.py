@@ -29,9 +29,6 @@ from video2anim.eval.truth import Truth, read_truth
 from video2anim.geometry.lifted_thing import ThingLifter
 from video2anim.geometry.masks import shrunk
 from video2anim.types import (
-    BackgroundPlate,
-    BodyTracks,
-    CameraEstimate,
     DepthClip,
     InstanceMasks,
     MetricDepth,
@@ -84,7 +81,7 @@ def main() -> None:
 
 def of_clip(clip: Clip) -> dict[str, Any]:
     """Logs of scale and stature against the truth; AbsRel of the plate's depth."""
-    body, true = clip.get(BodyTracks).people[0], clip.truth.main
+    body, true = clip.get(MetricDepth).bodies.people[0], clip.truth.main
     depth, value = clip.get(MetricDepth).background_depth_m, clip.get(DepthClip).background_value
     true_m = resample_nearest(clip.truth.background_depth_m, depth.shape)
     known = true_m > 0
@@ -103,8 +100,8 @@ def of_clip(clip: Clip) -> dict[str, Any]:
 
 def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
     """Each matched piece of furniture."""
-    body, masks = clip.get(BodyTracks).people[0], clip.get(InstanceMasks)
-    lifter = ThingLifter(masks, clip.get(MetricDepth), clip.get(BackgroundPlate), body, clip.get(CameraEstimate))
+    depth, masks = clip.get(MetricDepth), clip.get(InstanceMasks)
+    body, lifter = depth.bodies.people[0], ThingLifter(masks, depth)
     furniture = clip.truth.furniture(LEAST_VISIBLE_PX)
     pairs = pairs_by_mask(match_masks(masks, furniture, clip.truth))
     T = truth_from_estimate(body.T_world_camera, clip.truth, match_frames(clip.result.clip, clip.truth))

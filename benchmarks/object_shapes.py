@@ -32,7 +32,6 @@ from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
     BackgroundPlate,
     BodyTracks,
-    CameraEstimate,
     InstanceMasks,
     Mesh,
     MetricDepth,
@@ -76,12 +75,12 @@ def main() -> None:
 def of_clip(truth: Truth, pictures: Path | None) -> list[dict]:
     """One row per piece of furniture that counts."""
     furniture = truth.furniture(LEAST_VISIBLE_PX)
-    masks, plate, depth, bodies, camera = true_inputs(truth)
+    masks, plate, depth = true_inputs(truth)
     ctx = StageContext(Path())
     started = time.process_time()
     completed = complete_objects(plate, masks, depth, CompleteConfig(), ctx)
-    meshes = reconstruct_objects(completed, masks, depth, plate, bodies, camera, ReconstructConfig(), ctx)
-    placed = place_objects(meshes, masks, depth, plate, bodies, camera, PlaceConfig(), ctx)
+    meshes = reconstruct_objects(completed, masks, depth, plate, ReconstructConfig(), ctx)
+    placed = place_objects(meshes, masks, depth, PlaceConfig(), ctx)
     seconds = (time.process_time() - started) / max(len(masks.instances), 1)
     if pictures:
         picture(truth, placed, pictures / f"{truth.name}.png")
@@ -116,7 +115,7 @@ def in_world(item: ObjectMeshes | PlacedObjects):
     return world, box_of(own_m, item.T_world_object)
 
 
-def true_inputs(truth: Truth) -> tuple[InstanceMasks, BackgroundPlate, MetricDepth, BodyTracks, CameraEstimate]:
+def true_inputs(truth: Truth) -> tuple[InstanceMasks, BackgroundPlate, MetricDepth]:
     """What the stages before would hand over if they made no error."""
     height, width = truth.background_depth_m.shape
     instances = []
@@ -127,16 +126,13 @@ def true_inputs(truth: Truth) -> tuple[InstanceMasks, BackgroundPlate, MetricDep
         instances.append(ObjectInstance(item.object_id, item.label, 1.0, box, mask))
     masks = InstanceMasks("truth", tuple(instances), truth.floor_mask)
     none = np.zeros((0, height, width), bool)
-    frames = truth.main.frame_count
+    body = replace(truth.main, intrinsics=truth.intrinsics.resized(width, height))
     plate = BackgroundPlate(truth.plate_rgb, np.ones((height, width), np.float32), np.zeros(0, np.int64), none, none)
     depth = MetricDepth(
         1.0, 0.0, 0.0, 0.0, None, None, True, "truth", np.zeros(0, np.int64), none.astype(np.float32), none,
-        truth.background_depth_m, truth.background_depth_m > 0, np.tile(truth.main.T_world_camera[0], (frames, 1, 1)),
+        truth.background_depth_m, truth.background_depth_m > 0, {}, BodyTracks((body,)),
     )  # fmt: skip
-    body = replace(truth.main, intrinsics=truth.intrinsics.resized(width, height))
-    up_camera, still = truth.main.T_world_camera[0, 1, :3], np.tile(np.eye(3), (frames, 1, 1))
-    camera = CameraEstimate(body.intrinsics, "user", 0.0, up_camera, "user", 0.0, True, still)
-    return masks, plate, depth, BodyTracks((body,)), camera
+    return masks, plate, depth
 
 
 def picture(truth: Truth, placed: PlacedObjects, path: Path) -> None:

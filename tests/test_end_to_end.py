@@ -214,20 +214,20 @@ def test_preview_and_report_can_be_opened(scene: Scene) -> None:
 
 
 def test_painting_a_mask_makes_exactly_what_follows_stale(scene: Scene, copy: Path) -> None:
-    mask_path = sorted((copy / "stages" / "08_segment").glob("instances.*.mask.png"))[0]
+    mask_path = sorted((copy / "stages" / "07_segment").glob("instances.*.mask.png"))[0]
     mask = cv2.imread(str(mask_path), cv2.IMREAD_UNCHANGED)
     rows, _ = np.nonzero(mask)
     mask[: (rows.min() + rows.max()) // 2] = 0
     assert cv2.imwrite(str(mask_path), mask)
     painted = file_digest(mask_path)
-    before = dict.fromkeys(STAGE_NAMES[:7], "cached") | {"segment": "edited"}
-    assert video2anim("status", copy).states == before | dict.fromkeys(STAGE_NAMES[8:], "stale")
+    before = dict.fromkeys(STAGE_NAMES[:6], "cached") | {"segment": "edited"}
+    assert video2anim("status", copy).states == before | dict.fromkeys(STAGE_NAMES[7:], "stale")
     rerun = video2anim(*scene.words(copy), "--until", "place")
     assert rerun.code == 0, rerun.err
-    assert rerun.states == before | dict.fromkeys(STAGE_NAMES[8:11], "ran")
+    assert rerun.states == before | dict.fromkeys(STAGE_NAMES[7:11], "ran")
     assert file_digest(mask_path) == painted
     after = payload_digests(copy)
-    assert {name for name in FOLDERS if after[name] != scene.digests[name]} == set(FOLDERS[7:11])
+    assert {name for name in FOLDERS if after[name] != scene.digests[name]} == set(FOLDERS[6:11])
     states = video2anim("status", copy).states
     assert states["place"] == "cached"
     assert states["scene"] == states["export"] == "stale"
@@ -267,7 +267,7 @@ def test_from_until_and_stage(scene: Scene, copy: Path) -> None:
     assert rerun.states == dict.fromkeys(STAGE_NAMES[:8], "cached") | dict.fromkeys(STAGE_NAMES[8:11], "ran")
     one = video2anim("stage", copy, "segment")
     assert one.code == 0, one.err
-    assert one.states == dict.fromkeys(STAGE_NAMES[:7], "cached") | {"segment": "ran"}
+    assert one.states == dict.fromkeys(STAGE_NAMES[:6], "cached") | {"segment": "ran"}
     assert payload_digests(copy) == scene.digests, "the same work gives the same bytes"
     assert set(video2anim("status", copy).states.values()) == {"cached"}
 
@@ -499,7 +499,7 @@ def test_links_in_a_shared_folder_are_refused(copy: Path, tmp_path: Path) -> Non
 
 
 def test_a_kept_edit_stays_through_a_change_before_it(scene: Scene, copy: Path) -> None:
-    mask = sorted((copy / "stages" / "08_segment").glob("instances.*.mask.png"))[0]
+    mask = sorted((copy / "stages" / "07_segment").glob("instances.*.mask.png"))[0]
     picture = cv2.imread(str(mask), cv2.IMREAD_UNCHANGED)
     picture[:5, :5] = 255
     assert cv2.imwrite(str(mask), picture)
@@ -507,7 +507,7 @@ def test_a_kept_edit_stays_through_a_change_before_it(scene: Scene, copy: Path) 
     words = ("run", "--out", copy, "--height-m", "1.7", "--until", "segment")
     refused = video2anim(*words)
     assert refused.code == 2
-    assert "08_segment" in refused.err
+    assert "07_segment" in refused.err
     assert "--keep-edits" in refused.err
     kept = video2anim(*words, "--keep-edits")
     assert kept.code == 0, kept.err

@@ -46,7 +46,7 @@ COMMANDS = {
 }  # fmt: skip
 STAGES = [
     ("ingest", "VideoClip"), ("track", "PersonTracks"), ("camera", "CameraEstimate"), ("humans", "BodyTracks"),
-    ("background", "BackgroundPlate"), ("depth", "DepthClip"), ("metric", "MetricDepth"), ("segment", "InstanceMasks"),
+    ("background", "BackgroundPlate"), ("depth", "DepthClip"), ("segment", "InstanceMasks"), ("metric", "MetricDepth"),
     ("complete", "CompletedObjects"), ("reconstruct", "ObjectMeshes"), ("place", "PlacedObjects"),
     ("scene", "SceneModel"), ("keyframes", "KeyframedMotion"), ("refine", "RefinedMotion"), ("export", "ExportedFiles"),
 ]  # fmt: skip

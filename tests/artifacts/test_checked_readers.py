@@ -437,7 +437,7 @@ def masks_folder(tmp_path: Path) -> Path:
     mask = np.zeros((HEIGHT, WIDTH), bool)
     mask[2:5, 3:7] = True
     value = InstanceMasks("p", (ObjectInstance(1, "a", 0.5, np.zeros(4), mask),), np.zeros((HEIGHT, WIDTH), bool))
-    return written(value, tmp_path / "stages" / "08_segment")
+    return written(value, tmp_path / "stages" / "07_segment")
 
 
 def as_painted(mask: np.ndarray, kind: str) -> np.ndarray:

@@ -1,12 +1,11 @@
-"""Who is seen before a thing is nearer than the thing."""
+"""Where a person was seen, and how far away they were there."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from walk_scene import walk
 
-from video2anim.geometry.behind_people import Passed, factor_behind, passed_before
+from video2anim.calibration.passed import passed_before
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.types import BodyMotion
 
@@ -55,40 +54,3 @@ def test_covered_pixels_without_the_person_are_hidden_ones() -> None:
     assert not unseen.seen.any()
     np.testing.assert_array_equal(unseen.hidden, seen.seen)
     assert not seen.hidden.any()
-
-
-def picture(thing_m: float, person_m: float, hidden: int = 0) -> tuple[np.ndarray, np.ndarray, Passed]:
-    """A thing in the middle, and a person before its left half in ten frames."""
-    depth_m, shows = np.full(SIZE, 9.0), np.zeros(SIZE, bool)
-    shows[30:70, 40:80] = True
-    depth_m[shows] = thing_m
-    before = np.zeros(SIZE, bool)
-    before[10:80, 30:60] = True
-    counts = before.astype(np.int32)
-    return depth_m, shows, Passed(np.where(before, person_m, 0.0), 10 * counts, hidden * counts)
-
-
-def test_a_thing_nearer_than_who_is_before_it_moves_behind() -> None:
-    factor = factor_behind(*picture(3.0, 3.6))
-    assert 3.0 * factor == pytest.approx(3.6, rel=0.06)
-
-
-@pytest.mark.parametrize(("thing_m", "person_m", "hidden", "why"), [
-    (3.0, 2.5, 0, "it is behind already"),
-    (3.0, 3.1, 0, "within the error of both"),
-    (3.0, 6.0, 0, "so far off that one of the two is wrong"),
-    (3.0, 3.6, 4, "the person passes behind it: a mask is too large"),
-])  # fmt: skip
-def test_otherwise_it_stays(thing_m: float, person_m: float, hidden: int, why: str) -> None:
-    assert factor_behind(*picture(thing_m, person_m, hidden)) == 1.0, why
-
-
-def test_a_touch_of_outlines_is_no_evidence() -> None:
-    depth_m, shows, passed = picture(3.0, 3.6)
-    edge = np.zeros(SIZE, bool)
-    edge[:36] = True
-    touching = Passed(np.where(edge, passed.depth_m, 0.0), passed.seen, passed.hidden)
-    assert factor_behind(depth_m, shows, touching) > 1.0
-    edge[31:] = False
-    touching = Passed(np.where(edge, passed.depth_m, 0.0), passed.seen, passed.hidden)
-    assert factor_behind(depth_m, shows, touching) == 1.0

@@ -71,7 +71,7 @@ TURN = np.array(
 """T_estimated_true: the estimated world against the true one."""
 STAGES = {
     VideoClip: "01_ingest", PersonTracks: "02_track", CameraEstimate: "03_camera", BodyTracks: "04_humans",
-    BackgroundPlate: "05_background", DepthClip: "06_depth", MetricDepth: "07_metric", InstanceMasks: "08_segment",
+    BackgroundPlate: "05_background", DepthClip: "06_depth", InstanceMasks: "07_segment", MetricDepth: "08_metric",
     CompletedObjects: "09_complete", ObjectMeshes: "10_reconstruct", PlacedObjects: "11_place", SceneModel: "12_scene",
     KeyframedMotion: "13_keyframes", RefinedMotion: "14_refine",
 }  # fmt: skip
@@ -364,10 +364,10 @@ def _depth_values(tiny: Tiny) -> dict[type, Any]:
     depth = np.stack([tiny.maps(int(t))[0] for t in index])
     bare, _ = tiny.maps(None)
     yes = np.ones_like(depth, bool)
-    T = np.tile(TURN @ camera_pose(), (FRAMES, 1, 1))
+    bodies = BodyTracks(tuple(in_estimate(person) for person in tiny.people))
     # Relative depth: metres = 4 * value + 0.5.
     relative = DepthClip("depth", "tiny", index, (depth - 0.5) / 4, np.ones_like(depth), yes, (bare - 0.5) / 4, yes[0])
-    metric = MetricDepth(4.0, 0.5, 0.0, 0.0, None, None, True, "", index, depth, yes, bare, yes[0], T)
+    metric = MetricDepth(4.0, 0.5, 0.0, 0.0, None, None, True, "", index, depth, yes, bare, yes[0], {}, bodies)
     return {DepthClip: relative, MetricDepth: metric}
 
 

@@ -143,7 +143,6 @@ def test_valid_values_stay_what_they_were() -> None:
         ("scene.scan_up=z",),
         ("scene.scan=room.ply", "scene.walked_m=2"),
         ("reconstruct.model_resolution=64",),
-        ("metric.evidence=body", "metric.segment_model=eomt-small-coco"),
     ],
 )
 def test_an_option_that_means_nothing_is_an_error(given: tuple[str, ...]) -> None:
@@ -151,8 +150,8 @@ def test_an_option_that_means_nothing_is_an_error(given: tuple[str, ...]) -> Non
 
 
 def test_what_is_chosen_later_may_make_an_option_of_a_preset_meaningless() -> None:
-    layers = [("preset", load_preset("standard")), ("--set", {"metric": {"evidence": "body"}})]
-    assert resolve(NODES, "p", layers).stages["metric"].segment_model == "eomt-small-coco"
+    layers = [("preset", {"camera": {"field_frames": 5}}), ("--set", {"camera": {"camera_model": "none"}})]
+    assert resolve(NODES, "p", layers).stages["camera"].field_frames == 5
     early = [("mine", {"depth": {"far_m": 20}}), ("--set", {"depth": {"provider": "geometric"}})]
     assert resolve(NODES, "p", early).stages["depth"].far_m == 20
     with pytest.raises(UsageError, match=r"depth\.far_m: means nothing"):
@@ -161,7 +160,7 @@ def test_what_is_chosen_later_may_make_an_option_of_a_preset_meaningless() -> No
 
 def test_a_record_of_a_run_is_taken_as_it_is() -> None:
     """It names every option, so none of them was chosen against another."""
-    layers = [("preset", load_preset("standard")), ("--set", {"metric": {"evidence": "body"}})]
+    layers = [("preset", {"camera": {"field_frames": 5}}), ("--set", {"camera": {"camera_model": "none"}})]
     before = resolve(NODES, "p", layers)
     assert resolve(NODES, "p", [("run.json", before.as_dict())]) == before
 

@@ -50,7 +50,7 @@ def depth_of(motion: BodyMotion, frames: np.ndarray, *, trusted: bool = True) ->
     empty = np.zeros(DEPTH_SIZE)
     metric = MetricDepth(
         1.0, 0.0, 0.0, 0.0, 0.0, 0.0, trusted, "person too small", frames, depth_m, seen, empty, empty > 0,
-        motion.T_world_camera,
+        {}, BodyTracks((motion,)),
     )  # fmt: skip
     picture = np.zeros((motion.intrinsics.height_px, motion.intrinsics.width_px, 3), dtype=np.uint8)
     return metric, BackgroundPlate(picture, empty + 1, frames, seen, seen)
@@ -62,7 +62,8 @@ def optimize(
     """The stage on one person, with options of its configuration."""
     ctx = StageContext(Path())
     config = replace(KeyframesConfig(iterations=120), **options)
-    return optimize_keyframes(BodyTracks((raw,)), where, *(depth or no_depth(raw)), config, ctx), ctx
+    metric, plate = depth or no_depth(raw)
+    return optimize_keyframes(where, replace(metric, bodies=BodyTracks((raw,))), plate, config, ctx), ctx
 
 
 def quality(ctx: StageContext, name: str) -> float:

@@ -17,6 +17,7 @@ from stages.place import PlaceConfig, place_objects
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
 from stages.scene import SceneConfig, build_scene
 from stages.segment import SegmentConfig, segment_plate
+from video2anim.geometry.projection import invert_rigid
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
     CompletedObjects,
@@ -34,8 +35,8 @@ class Chain:
     """What each stage made, and the context they spoke to."""
 
     depth: DepthClip
-    metric: MetricDepth
     masks: InstanceMasks
+    metric: MetricDepth
     completed: CompletedObjects
     meshes: ObjectMeshes
     placed: PlacedObjects
@@ -43,9 +44,19 @@ class Chain:
     ctx: StageContext
 
 
+def T_room_world(room: Room, chain: Chain) -> np.ndarray:
+    """The room's world from the calibrated one, by the camera that both have."""
+    return room.bodies.people[0].T_world_camera[0] @ invert_rigid(chain.metric.bodies.people[0].T_world_camera[0])
+
+
 def depth_of(room: Room, ctx: StageContext) -> DepthClip:
-    """The geometric provider never reads the clip's video, so none is given."""
-    return estimate_depth(None, room.plate, room.bodies, room.camera, DepthConfig(provider="geometric"), ctx)  # type: ignore[arg-type]
+    """The geometric provider never reads the clip's video."""
+    return estimate_depth(room.clip, room.plate, room.bodies, room.camera, DepthConfig(provider="geometric"), ctx)
+
+
+def masks_of(room: Room, depth: DepthClip, config: SegmentConfig, ctx: StageContext) -> InstanceMasks:
+    """Stage segment."""
+    return segment_plate(room.clip, room.plate, depth, room.bodies, room.camera, config, ctx)
 
 
 @functools.cache
@@ -53,15 +64,13 @@ def run_chain(room: Room) -> Chain:
     """All seven stages with default configuration."""
     ctx = StageContext(Path())
     depth = depth_of(room, ctx)
-    metric = fit_metric(depth, room.plate, room.bodies, MetricConfig(), ctx)
-    masks = segment_plate(room.plate, metric, room.bodies, SegmentConfig(provider="geometric"), ctx)
+    masks = masks_of(room, depth, SegmentConfig(provider="geometric"), ctx)
+    metric = fit_metric(room.clip, depth, room.plate, room.bodies, masks, room.camera, MetricConfig(), ctx)
     completed = complete_objects(room.plate, masks, metric, CompleteConfig(), ctx)
-    meshes = reconstruct_objects(
-        completed, masks, metric, room.plate, room.bodies, room.camera, ReconstructConfig(), ctx
-    )
-    placed = place_objects(meshes, masks, metric, room.plate, room.bodies, room.camera, PlaceConfig(), ctx)
-    scene = build_scene(placed, metric, masks, room.plate, room.bodies, SceneConfig(), ctx)
-    return Chain(depth, metric, masks, completed, meshes, placed, scene, ctx)
+    meshes = reconstruct_objects(completed, masks, metric, room.plate, ReconstructConfig(), ctx)
+    placed = place_objects(meshes, masks, metric, PlaceConfig(), ctx)
+    scene = build_scene(placed, metric, masks, room.plate, SceneConfig(), ctx)
+    return Chain(depth, masks, metric, completed, meshes, placed, scene, ctx)
 
 
 def all_finite(value: Any) -> bool:

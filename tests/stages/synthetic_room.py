@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,19 +12,36 @@ import numpy as np
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.skeleton import FEET, forward_kinematics
 from video2anim.geometry.projection import invert_rigid, pixel_rays, project, transform_points
-from video2anim.types import BackgroundPlate, BodyMotion, BodyShape, BodyTracks, CameraEstimate, Intrinsics
+from video2anim.types import (
+    BackgroundPlate,
+    BodyMotion,
+    BodyShape,
+    BodyTracks,
+    CameraEstimate,
+    Intrinsics,
+    MetricDepth,
+    PayloadFile,
+    PersonQuality,
+    SourceInfo,
+    VideoClip,
+)
+from video2anim.types.camera import UpEvidence
 
 WALL_Z_M = -6.5
 BOX_CENTER_M = np.array([1.1, 0.45, -4.4])
 BOX_SIZE_M = np.array([0.9, 0.9, 0.6])
 BOX_YAW_RAD = 0.0
 FLOOR, WALL, BOX = 1, 2, 3
+SURE = PersonQuality(2.5, 0.01, 50.0, 0.1, 0.04, 1.0, 1.55, 0.0, stature_sigma_m=0.01)
+"""A person whose height is known."""
 
 
 @dataclass(frozen=True, eq=False)
 class Room:
     """Everything the stages take, and the truth they should find."""
 
+    clip: VideoClip
+    """There is no file behind it: no stage after depth reads pictures."""
     plate: BackgroundPlate
     bodies: BodyTracks
     camera: CameraEstimate
@@ -158,6 +176,27 @@ def make_room(
     plate = BackgroundPlate(plate_rgb, 1 - masks.mean(0), index, masks, masks)
     up_camera = T_world_camera[1, :3].copy()
     camera = CameraEstimate(
-        motion.intrinsics, "user", 0.01, up_camera, "user", 0.01, True, np.tile(np.eye(3), (frames, 1, 1))
-    )
-    return Room(plate, BodyTracks((motion,)), camera, depth_m, surface, surface_full)
+        motion.intrinsics, "user", 0.01, up_camera, "user", 0.01, True, np.tile(np.eye(3), (frames, 1, 1)),
+        (UpEvidence("picture", up_camera, 0.01),),
+    )  # fmt: skip
+    return Room(clip_of(motion), plate, BodyTracks((motion,), (SURE,)), camera, depth_m, surface, surface_full)
+
+
+def clip_of(motion: BodyMotion) -> VideoClip:
+    """The clip of a motion at 30 fps."""
+    k, time_s = motion.intrinsics, motion.frame_time_s
+    source = SourceInfo("h264", "yuv420p", k.width_px, k.height_px, 0, 1.0, 30.0, *[len(time_s)] * 2, time_s[-1], 0.0)
+    return VideoClip(
+        PayloadFile(Path("none.mp4")), k.width_px, k.height_px, 30.0, time_s, time_s, source, ((0.0, 1.0),), 0, True,
+        0.0, (),
+    )  # fmt: skip
+
+
+def true_depth(room: Room, depth_m: np.ndarray | None = None, bodies: BodyTracks | None = None) -> MetricDepth:
+    """Depth without error of the plate alone, or another one; 0 and what is beyond 50 m is unknown."""
+    depth_m = room.depth_m if depth_m is None else depth_m
+    none = np.zeros((0, *depth_m.shape))
+    return MetricDepth(
+        1.0, 0.0, 0.0, 0.0, None, None, True, "truth", np.zeros(0, np.int64), none, none.astype(bool),
+        depth_m, (depth_m > 0) & (depth_m < 50), {}, room.bodies if bodies is None else bodies,
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Scale and offset from the body."""
+"""Depth in meters and calibrated people by the fit of stage metric."""
 
 from __future__ import annotations
 
@@ -7,90 +7,133 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scene_chain import all_finite, depth_of
-from synthetic_room import FLOOR, make_room
+from scene_chain import all_finite, depth_of, masks_of
+from synthetic_room import FLOOR, Room, make_room
 
 from stages.metric import MetricConfig, fit_metric
-from video2anim.geometry.depth_fit import FrameEvidence, fit_depth, metric_depth
-from video2anim.geometry.flat_depth import USUAL_OFFSET
+from stages.segment import SegmentConfig
+from video2anim.calibration.fit import metric_depth
+from video2anim.calibration.gather import USUAL_OFFSET
+from video2anim.errors import StageError
+from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.visible import visible_vertices
 from video2anim.pipeline.stage import StageContext
-from video2anim.types import Intrinsics
+from video2anim.types import BodyTracks, DepthClip, InstanceMasks, Intrinsics, MetricDepth
+from video2anim.types.camera import UpEvidence
 
 
-@pytest.mark.parametrize("factor", [0.2, 1.0, 7.0])
-def test_scale_recovered_under_unknown_factor(factor: float) -> None:
+def metric_of(
+    room: Room, depth: DepthClip, ctx: StageContext | None = None, masks: InstanceMasks | None = None
+) -> MetricDepth:
+    """Stages segment (unless there are masks) and metric."""
+    ctx = ctx or StageContext(Path())
+    masks = masks or masks_of(room, depth, SegmentConfig(provider="geometric"), ctx)
+    return fit_metric(room.clip, depth, room.plate, room.bodies, masks, room.camera, MetricConfig(), ctx)
+
+
+def floor_ratio(room: Room, found: MetricDepth) -> float:
+    """Found over true depth of the floor."""
+    floor = found.background_valid & (room.surface == FLOOR)
+    return float(np.median(found.background_depth_m[floor] / room.depth_m[floor]))
+
+
+def test_the_factor_of_relative_depth_does_not_matter() -> None:
     room = make_room()
     depth = depth_of(room, StageContext(Path()))
-    scaled = replace(depth, value=depth.value * np.float32(factor), background_value=depth.background_value * factor)
-    found = fit_metric(scaled, room.plate, room.bodies, MetricConfig(), StageContext(Path()))
-    assert found.trusted
-    assert found.chamfer_after_m <= found.chamfer_before_m
-    floor = found.background_valid & (room.surface == FLOOR)
-    # A flat figure stands at the near edge of the feet, a few centimetres before the body's middle: 6 % band.
-    assert np.median(found.background_depth_m[floor] / room.depth_m[floor]) == pytest.approx(1.0, abs=0.06)
+    found = []
+    for factor in (0.2, 1.0, 7.0):
+        scaled = replace(
+            depth, value=depth.value * np.float32(factor), background_value=depth.background_value * factor
+        )
+        found.append(metric_of(room, scaled))
+        assert found[-1].trusted, found[-1].reason
+        assert found[-1].chamfer_after_m <= found[-1].chamfer_before_m
+        # The person's height is known to 1 cm, and so is the room's size.
+        assert floor_ratio(room, found[-1]) == pytest.approx(1.0, abs=0.02)
+        assert found[-1].scale * factor == pytest.approx(found[0].scale * 0.2, rel=0.005)
+    for other in found[1:]:
+        np.testing.assert_allclose(other.background_depth_m, found[0].background_depth_m, rtol=0.005)
+        np.testing.assert_allclose(
+            other.bodies.people[0].joints_world_m, found[0].bodies.people[0].joints_world_m, atol=0.01
+        )
 
 
-def _evidence(kind: str, scale: float, offset: float, middles: list[float]) -> list[FrameEvidence]:
-    """Curved bodies and exact relative depth of the same surface on other pixels."""
-    rng = np.random.default_rng(3)
-    frames = []
-    for middle in middles:
-        parts = []
-        for _ in range(2):
-            angle, up = rng.uniform(-1.3, 1.3, 250), rng.uniform(-0.9, 0.9, 250)
-            parts.append(np.stack([0.3 * np.sin(angle), up, middle - 0.3 * np.cos(angle)], -1))
-        body, surface = parts
-        metric = surface[:, 2] if kind == "depth" else 1 / surface[:, 2]
-        frames.append(FrameEvidence(body, surface / surface[:, 2:], (metric - offset) / scale))
-    return frames
-
-
-@pytest.mark.parametrize(("kind", "scale", "offset"), [("depth", 2.5, 0.8), ("disparity", 0.4, 0.05)])
-def test_fit_recovers_scale_and_offset(kind: str, scale: float, offset: float) -> None:
-    frames = _evidence(kind, scale, offset, [2.5, 3.5, 5.0, 6.0])
-    fit = fit_depth(frames, kind, with_offset=True, rng=np.random.default_rng(0))
-    assert fit.scale == pytest.approx(scale, rel=0.03)
-    assert fit.offset == pytest.approx(offset, abs=0.06 if kind == "depth" else 0.01)
-    assert fit.chamfer_after_m < 0.5 * fit.chamfer_before_m
+def test_people_and_camera_come_with_the_depth() -> None:
+    """The same person, on the floor under the camera of the fit; each object says how sure its distance is."""
+    room = make_room()
+    found = metric_of(room, depth_of(room, StageContext(Path())))
+    body, before = found.bodies.people[0], room.bodies.people[0]
+    assert found.bodies.quality == room.bodies.quality
+    assert body.T_world_camera[0, 1, 3] == pytest.approx(1.6, rel=0.02)
+    np.testing.assert_allclose(body.joints_world_m[:, :, 1], before.joints_world_m[:, :, 1], atol=0.05)
+    np.testing.assert_allclose(body.joints_world_m[0, 0, [0, 2]], 0.0, atol=1e-9)
+    assert list(found.object_sigma) == ["1"]
+    assert 0.01 < found.object_sigma["1"] < 0.12
 
 
 def test_depth_behind_the_camera_is_not_a_number_but_never_leaves() -> None:
     assert np.isnan(metric_depth("disparity", np.array([-1.0]), 1.0, 0.0)).all()
     assert np.isnan(metric_depth("depth", np.array([1.0]), 1.0, -2.0)).all()
+    np.testing.assert_allclose(metric_depth("disparity", np.array([1.0, 4.0]), 0.5, 0.0), [2.0, 0.5])
+    np.testing.assert_allclose(metric_depth("depth", np.array([1.0, 4.0]), 0.5, 1.0), [1.5, 3.0])
 
 
-def test_without_person_depth_the_floor_gives_an_untrusted_scale() -> None:
+def test_without_person_depth_the_floor_gives_the_scale() -> None:
     room = make_room()
     depth = depth_of(room, StageContext(Path()))
-    blind = replace(depth, valid=depth.valid & ~room.plate.selected_mask)
-    ctx = StageContext(Path())
-    found = fit_metric(blind, room.plate, room.bodies, MetricConfig(), ctx)
-    assert not found.trusted
-    assert "floor below the camera" in found.reason
-    assert ctx.warnings
-    good = found.background_valid & (room.surface == FLOOR)
-    assert np.median(found.background_depth_m[good] / room.depth_m[good]) == pytest.approx(1.0, abs=0.02)
+    found = metric_of(room, replace(depth, valid=depth.valid & ~room.plate.selected_mask))
+    assert found.trusted, found.reason
+    assert found.chamfer_after_m is None
+    assert floor_ratio(room, found) == pytest.approx(1.0, abs=0.02)
 
 
 def test_without_person_and_floor_nothing_is_metric() -> None:
     room = make_room(pitch_deg=-20.0)
-    depth = depth_of(room, StageContext(Path()))
-    found = fit_metric(depth, room.plate, room.bodies, MetricConfig(), StageContext(Path()))
+    ctx = StageContext(Path())
+    found = metric_of(room, depth_of(room, ctx), ctx)
     assert not found.trusted
+    assert "no depth is metric" in found.reason
+    assert any("not trusted" in warning for warning in ctx.warnings)
     assert not found.valid.any()
     assert not found.background_valid.any()
     assert all_finite(found)
 
 
-def test_standing_still_fixes_the_offset() -> None:
+def test_nobody_in_any_frame_is_an_error() -> None:
     room = make_room()
     depth = depth_of(room, StageContext(Path()))
-    config = MetricConfig(least_range_ratio=0.9)
-    found = fit_metric(depth, room.plate, room.bodies, config, StageContext(Path()))
-    assert found.trusted
-    assert found.offset_m == 0.0
-    assert "offset fixed at 0" in found.reason
+    body = room.bodies.people[0]
+    unseen = BodyTracks((replace(body, valid=np.zeros_like(body.valid)),), room.bodies.quality)
+    for bodies in (BodyTracks(()), unseen):
+        with pytest.raises(StageError, match="at least one valid frame"):
+            metric_of(replace(room, bodies=bodies), depth, masks=InstanceMasks("none", (), room.surface_full == FLOOR))
+        with pytest.raises(StageError, match="at least one valid frame"):
+            masks_of(replace(room, bodies=bodies), depth, SegmentConfig(provider="geometric"), StageContext(Path()))
+
+
+def test_evidence_that_contradicts_the_rest_is_named() -> None:
+    """The picture's gravity is 25 degrees off, against a body that glides upright over a floor."""
+    room = make_room()
+    up = room.camera.up_camera
+    wrong = matrix_from_axis_angle(np.array([0.0, 0.0, np.deg2rad(25.0)])) @ up
+    sources = (UpEvidence("picture", wrong, np.deg2rad(2.0)), UpEvidence("lifter", up, 0.1))
+    room = replace(room, camera=replace(room.camera, up_evidence=sources))
+    ctx = StageContext(Path())
+    found = metric_of(room, depth_of(room, ctx), ctx)
+    assert any("up by picture" in warning and "contradicts" in warning for warning in ctx.warnings)
+    off_rad = np.arccos(np.clip(found.bodies.people[0].T_world_camera[0, 1, :3] @ up, -1, 1))
+    assert np.rad2deg(off_rad) < 2
+    told = {quality.name: quality.value for quality in ctx.qualities}
+    assert told["residual: up by picture"] > 3
+
+
+def test_a_camera_without_named_sources_has_its_own_gravity() -> None:
+    """Edited folders, and cameras whose sigma is 0."""
+    room = make_room()
+    room = replace(room, camera=replace(room.camera, up_evidence=(), up_sigma_rad=0.0))
+    found = metric_of(room, depth_of(room, StageContext(Path())))
+    off_rad = np.arccos(np.clip(found.bodies.people[0].T_world_camera[0, 1, :3] @ room.camera.up_camera, -1, 1))
+    assert np.rad2deg(off_rad) < 0.2
 
 
 def test_visibility_keeps_the_near_side_only() -> None:
@@ -114,27 +157,22 @@ def test_visibility_keeps_the_near_side_only() -> None:
     assert seen[2000:].sum() < 0.05 * 1000
 
 
-def test_a_person_at_one_distance_does_not_flatten_the_scene() -> None:
-    """Disparity whose person shows nothing but error: the best scale for it is near 0, and is not taken."""
+def test_a_person_whose_depth_is_noise_does_not_flatten_the_scene() -> None:
+    """Disparity whose person shows nothing but error: the best scale for them alone is near 0."""
     room = make_room()
     plain = depth_of(room, StageContext(Path()))
     rng = np.random.default_rng(0)
     disparity = 1 / np.maximum(plain.value, 0.1)
     noise = np.where(room.plate.person_mask, rng.normal(0, 1.0, (len(disparity), 1, 1)), 0.0)
-    usual = USUAL_OFFSET["room-depth"]
+    usual = USUAL_OFFSET["room-depth"][0]
     background = 1 / np.maximum(plain.background_value, 0.1)
     shift = usual / (1 + usual) * float(np.median(background))
     depth = replace(
         plain, kind="disparity", provider="room-depth", value=(disparity - shift + noise).astype(np.float32),
         background_value=background - shift,
     )  # fmt: skip
-    config = MetricConfig(evidence="body", least_range_ratio=0.0)
-    found = fit_metric(depth, room.plate, room.bodies, config, StageContext(Path()))
+    nowhere = InstanceMasks("none", (), np.zeros(room.surface_full.shape, bool))
+    found = metric_of(room, depth, masks=nowhere)
     far, near = np.quantile(found.background_depth_m[found.background_valid], [0.95, 0.05])
     true_far, true_near = np.quantile(room.depth_m[found.background_valid], [0.95, 0.05])
-    assert found.offset_m == pytest.approx(found.scale * usual * np.median(depth.background_value), rel=1e-6)
     assert far / near > 0.7 * true_far / true_near
-    unknown = replace(depth, provider="of-the-user")
-    flat = fit_metric(unknown, room.plate, room.bodies, config, StageContext(Path()))
-    assert not flat.trusted
-    assert "flat" in flat.reason

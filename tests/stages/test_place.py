@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from scene_chain import run_chain
+from scene_chain import T_room_world, run_chain
 from synthetic_room import BOX_CENTER_M, camera_pose, make_room
 
 from stages.place import PlaceConfig, place_objects
@@ -21,9 +21,11 @@ from video2anim.types import Intrinsics, ObjectMeshes
 
 @pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(14.0, 0.0), (22.0, 12.0)])
 def test_box_is_placed(pitch_deg: float, roll_deg: float) -> None:
-    placed = run_chain(make_room(pitch_deg=pitch_deg, roll_deg=roll_deg)).placed.objects[0]
+    room = make_room(pitch_deg=pitch_deg, roll_deg=roll_deg)
+    chain = run_chain(room)
+    placed = chain.placed.objects[0]
     assert placed.trusted, placed.reason
-    offset = placed.T_world_object[:3, 3] - BOX_CENTER_M
+    offset = (T_room_world(room, chain) @ placed.T_world_object)[:3, 3] - BOX_CENTER_M
     assert np.hypot(offset[0], offset[2]) < 0.25
     assert placed.T_world_object[1, 3] == 0
     assert np.allclose(placed.T_world_object[:3, 1], [0, 1, 0])
@@ -41,8 +43,7 @@ def test_a_raised_object_keeps_its_height(least_points: int) -> None:
     raised[1, 3] = 0.7
     meshes = ObjectMeshes((replace(found, T_world_object=raised),))
     config, ctx = PlaceConfig(least_points=least_points), StageContext(Path())
-    inputs = (chain.masks, chain.metric, room.plate, room.bodies, room.camera)
-    (placed,) = place_objects(meshes, *inputs, config, ctx).objects
+    (placed,) = place_objects(meshes, chain.masks, chain.metric, config, ctx).objects
     assert placed.T_world_object[1, 3] == 0.7
 
 

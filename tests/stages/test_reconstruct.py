@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 from scene_chain import run_chain
-from synthetic_room import BOX, BOX_CENTER_M, BOX_SIZE_M, FLOOR, Room, camera_pose, make_room
+from synthetic_room import BOX, BOX_CENTER_M, BOX_SIZE_M, FLOOR, Room, camera_pose, make_room, true_depth
 
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
-from video2anim.errors import StageError
 from video2anim.geometry.amodal import object_picture
 from video2anim.geometry.projection import transform_points
 from video2anim.pipeline.stage import StageContext
@@ -21,22 +20,12 @@ from video2anim.types import (
     CompletedObject,
     CompletedObjects,
     InstanceMasks,
-    MetricDepth,
     ObjectInstance,
     ObjectMesh,
     ObjectMeshes,
 )
 
 ROOM_RGB, RIM_RGB, THING_RGB = (80, 90, 80), (0, 250, 0), (200, 30, 30)
-
-
-def metric_depth(room: Room, depth_m: np.ndarray) -> MetricDepth:
-    """Depth without error; 0 is unknown."""
-    none = np.zeros((0, *depth_m.shape))
-    return MetricDepth(
-        1.0, 0.0, 0.0, 0.0, None, None, True, "truth", np.zeros(0, np.int64), none, none.astype(bool),
-        depth_m, (depth_m > 0) & (depth_m < 50), room.bodies.people[0].T_world_camera,
-    )  # fmt: skip
 
 
 def reconstruct(
@@ -47,7 +36,6 @@ def reconstruct(
     floor: np.ndarray | None = None,
     config: ReconstructConfig | None = None,
     ctx: StageContext | None = None,
-    bodies: BodyTracks | None = None,
 ) -> ObjectMeshes:
     """The stage on things whose outlines are known and not hidden."""
     instances, completed = [], []
@@ -58,10 +46,8 @@ def reconstruct(
     return reconstruct_objects(
         CompletedObjects(tuple(completed)),
         InstanceMasks("truth", tuple(instances), room.surface_full == FLOOR if floor is None else floor),
-        metric_depth(room, room.depth_m if depth_m is None else depth_m),
+        true_depth(room, depth_m),
         room.plate,
-        room.bodies if bodies is None else bodies,
-        room.camera,
         config or ReconstructConfig(),
         ctx or StageContext(Path()),
     )
@@ -264,8 +250,6 @@ def test_objects_without_depth_are_dropped_and_told() -> None:
     assert "object 1" in ctx.warnings[0]
 
 
-def test_no_objects_and_no_body() -> None:
+def test_no_objects() -> None:
     room = make_room()
     assert reconstruct(room, []).objects == ()
-    with pytest.raises(StageError, match="at least one fitted body"):
-        reconstruct(room, [room.surface_full == BOX], bodies=BodyTracks(()))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from scene_chain import all_finite
-from synthetic_room import BOX, BOX_CENTER_M, BOX_SIZE_M, FLOOR, WALL_Z_M, Room, make_room
+from synthetic_room import BOX, BOX_CENTER_M, BOX_SIZE_M, FLOOR, WALL_Z_M, Room, make_room, true_depth
 from trimesh.visual import ColorVisuals
 
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
@@ -26,7 +26,6 @@ from video2anim.types import (
     CompletedObject,
     CompletedObjects,
     InstanceMasks,
-    MetricDepth,
     ObjectInstance,
     ObjectMesh,
     PlacedObjects,
@@ -34,14 +33,6 @@ from video2anim.types import (
 )
 
 GREEN = (10, 200, 30)
-
-
-def true_depth(room: Room) -> MetricDepth:
-    none = np.zeros((0, *room.depth_m.shape))
-    return MetricDepth(
-        1.0, 0.0, 0.0, 0.0, None, None, True, "truth", np.zeros(0, np.int64), none, none.astype(bool),
-        room.depth_m, room.depth_m < 50, room.bodies.people[0].T_world_camera,
-    )  # fmt: skip
 
 
 def true_masks(room: Room, objects: int) -> InstanceMasks:
@@ -61,8 +52,6 @@ def reconstruct(config: ReconstructConfig, ctx: StageContext | None = None, obje
         masks,
         true_depth(room),
         room.plate,
-        room.bodies,
-        room.camera,
         config,
         ctx or StageContext(Path()),
     )
@@ -261,7 +250,7 @@ def scene_with(scan: trimesh.Trimesh, path: Path, ctx: StageContext | None = Non
     scan.export(path)
     room = make_room(small=(32, 18))
     return build_scene(
-        PlacedObjects(()), true_depth(room), true_masks(room, 1), room.plate, room.bodies,
+        PlacedObjects(()), true_depth(room), true_masks(room, 1), room.plate,
         SceneConfig(scan=str(path), sdf_spacing_m=0.35, **options), ctx or StageContext(Path()),  # type: ignore[arg-type]
     )  # fmt: skip
 
@@ -349,6 +338,6 @@ def test_a_scan_needs_a_readable_file_and_a_body(tmp_path: Path) -> None:
         for bodies, kind in ((room.bodies, InputError), (BodyTracks(()), StageError)):
             with pytest.raises(kind):
                 build_scene(
-                    PlacedObjects(()), true_depth(room), true_masks(room, 1), room.plate, bodies,
+                    PlacedObjects(()), true_depth(room, bodies=bodies), true_masks(room, 1), room.plate,
                     SceneConfig(scan=str(tmp_path / name)), StageContext(Path()),
                 )  # fmt: skip

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scene_chain import run_chain
+from scene_chain import masks_of, run_chain
 from synthetic_room import BOX, FLOOR, make_room
 
-from stages.segment import SegmentConfig, segment_plate
+from stages.segment import SegmentConfig
 from video2anim.geometry.object_regions import RegionLimits, find_regions
 from video2anim.pipeline.stage import StageContext
 
@@ -58,5 +58,5 @@ def test_size_limits_are_obeyed() -> None:
     room = make_room()
     chain = run_chain(room)
     config = SegmentConfig(provider="geometric", largest_m=0.5)
-    masks = segment_plate(room.plate, chain.metric, room.bodies, config, StageContext(Path()))
+    masks = masks_of(room, chain.depth, config, StageContext(Path()))
     assert masks.instances == ()
