@@ -32,6 +32,8 @@ class Sigmas:
     """Height of a standing sole (the floor spread of stage humans on clips with one floor)."""
     sole_distance_ratio: float = 0.03
     """Distance of a body along the line of sight from frame to frame."""
+    other_sole_looks: float = 6.0
+    """Soles of anybody but the main person count as so many: who is on another floor is there all the time."""
     upright_rad: float = 0.3
     """Direction from feet to center of mass in a look (walking, reaching, bending)."""
     floor_log: float = 0.08
@@ -194,11 +196,12 @@ class _Problem:
         rows.append(("usual offset", np.array([(own - e.usual_offset) / e.usual_offset_sigma]), 1.0, np.inf))
         depth_logs = np.concatenate([[state.person_log], state.object_log])
         rows.append(("distances", depth_logs / s.distance_log, 1.0, np.inf))
-        for size, person in zip(state.size, e.people, strict=True):
+        for number, (size, person) in enumerate(zip(state.size, e.people, strict=True)):
             rows.append(("stature", np.array([np.log(size) / person.stature_sigma]), 1.0, np.inf))
             soles_m = state.body(person.soles_m, person.soles_root_m, size)
             sigma_m = np.hypot(s.sole_m * size, s.sole_distance_ratio * soles_m @ state.up)
-            rows.append(("soles on the floor", (soles_m @ state.up + state.height_m) / sigma_m, 1.0, 1.0))
+            weight = min(1.0, s.other_sole_looks / max(len(soles_m), 1)) ** 0.5 if number else 1.0
+            rows.append(("soles on the floor", (soles_m @ state.up + state.height_m) / sigma_m, weight, 1.0))
             upright = state.turned(person.upright, person.upright_root_m)
             rows.append(("upright", _apart(state.up, upright).reshape(-1) / s.upright_rad, 1.0, 1.0))
         if len(e.floor.value):
@@ -305,7 +308,7 @@ def first_line(evidence: Evidence, up: np.ndarray, height_m: float) -> tuple[flo
         weight /= weight.max()
     if scale <= 0:
         # Values that fall where they should rise: through the medians, as flat as the usual offset says.
-        scale = float(np.median(y)) / (1 + usual)
+        scale = float(np.median(y)) / (1 + max(usual, 0.0))
         more = float(np.median(y - scale * (x + usual)))
     return float(scale / unit), float(scale * usual + more)
 

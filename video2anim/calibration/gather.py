@@ -30,7 +30,9 @@ from video2anim.types.camera import UpEvidence
 USUAL_OFFSET = {"room-depth": (1.25, 0.6), "geometric": (0.0, 0.02)}
 """Offset of depth over scale times the picture's middle value, and its spread, by provider: of the shipped network in
 the rooms of V2A-Bench (geometric mean 1.22), and of depth that is in proportion to the true one by its making."""
-_OTHER_DEPTH, _OTHER_DISPARITY = (0.0, 0.3), (0.5, 1.0)
+_OTHER_DEPTH, _OTHER_DISPARITY = (0.0, 0.3), (0.5, 5.0)
+"""Of networks of which nothing is known. The zero of disparity may lie right behind the farthest wall, and that wall
+may be the middle of the picture's values."""
 _LOOKS_PER_S, _MOST_LOOKS = 3.0, 9
 """Errors of neighboring frames are alike, and those of one clip have a part in common."""
 _STRAIGHT_COS = 0.5
