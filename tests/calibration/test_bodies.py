@@ -26,7 +26,7 @@ def found(body: BodyMotion, lens: float, *ratios: float, up_camera: np.ndarray |
     own_up = body.T_world_camera[0, 1, :3]
     return Calibration(
         lens * body.intrinsics.fx_px, 0.03, own_up if up_camera is None else up_camera, 0.02, CAMERA_HEIGHT_M, 0.05,
-        people, 0.03 + 0 * people, 1.0, 0.0, 0.1, 0.1, 0.0, np.zeros(0), np.zeros(0), {}, 0.1, 0.1,
+        people, 0.03 + 0 * people, 0 * people, 1.0, 0.0, 0.1, 0.1, 0.0, np.zeros(0), np.zeros(0), {}, 0.1, 0.1,
     )  # fmt: skip
 
 
