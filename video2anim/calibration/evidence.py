@@ -29,7 +29,7 @@ class PersonEvidence:
 class SkinEvidence:
     """The main person in one frame: visible skin, and the depth of their reliable pixels (paper 8.1)."""
 
-    root_m: Float[np.ndarray, "3"]
+    root_m: Float[np.ndarray, "*vertices 3"]
     skin_m: Float[np.ndarray, "vertices 3"]
     pixel: Float[np.ndarray, "pixels 2"]
     """From the picture's middle, in pixels of the clip."""
@@ -62,6 +62,9 @@ class ObjectEvidence:
     """A pixel before which the main person was seen..."""
     behind_person_m: float
     """...at this depth: the object is not nearer."""
+    under_feet: SkinEvidence | None = None
+    """Soles of the main person that stood on it, each with its root, and the object's depth there. Where it meets the
+    floor then tells nothing: the floor is what people stand on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -46,6 +46,8 @@ class Sigmas:
     """The skin points of a frame count as so many: they err together."""
     distance_log: float = 0.12
     """Depth of one object, or of the person, against that of another, logarithm (`benchmarks/object_errors.py`)."""
+    under_feet_looks: float = 4.0
+    """Soles that stood on one object count as so many."""
     foot_px: float = 1.5
     """Row in which an object's mask ends."""
     overhang_log: float = 0.08
@@ -224,6 +226,11 @@ class _Problem:
     def _objects(self, state: _State) -> list[tuple[str, np.ndarray, float, float]]:
         e, s, rows = self.evidence, self.sigmas, []
         for log, one in zip(state.object_log, e.objects, strict=True):
+            if one.under_feet is not None:
+                soles = one.under_feet
+                sole_log = np.log(np.maximum(state.body(soles.skin_m, soles.root_m, state.size[0])[:, 2], 0.1))
+                off = (log + self.inverse_log(soles.value, state) - sole_log) / s.skin_log
+                rows.append(("objects under feet", off, (s.under_feet_looks / len(off)) ** 0.5, 1.0))
             if one.foot is not None:
                 off = log + self._floor(one.foot, state)
                 slope = 1 / np.maximum(-state.rays(one.foot.pixel) @ state.up, _NEAREST)

@@ -50,6 +50,8 @@ _FOOT_QUANTILE = 0.05
 """Between its legs an object ends above the floor, which seems farther: the feet are the nearest of the ends."""
 _LEAST_COLUMNS, _LEAST_SHARE = 6, 0.15
 """Columns of an object that must be seen to end on the floor, and their share of all."""
+_LEAST_STOOD = 2
+"""Soles that must have stood on an object: one may be an error of its outline."""
 _TOP_QUANTILE = 0.97
 _BEHIND_QUANTILE, _BEHIND_PIXELS, _MOST_HIDDEN = 0.9, 20, 0.2
 """Of an object's pixels the person was near it at a few; where more of the body than a share is missing, they pass
@@ -163,7 +165,8 @@ def with_objects(
     passed = passed_before(main, plate.frame_index, plate.selected_mask, main.intrinsics.resized(*depth_m.shape[::-1]))
     view = _View(depth.background_value, depth_m, depth.background_valid & np.isfinite(depth_m), floor, main, T)
     own = [(one, shrunk(one.mask, depth_m.shape)) for one in masks.instances]
-    return replace(evidence, objects=tuple(view.object(one.object_id, one.label, mask, passed) for one, mask in own))
+    seen = (view.object(one.object_id, one.label, mask, passed, evidence.people[0]) for one, mask in own)
+    return replace(evidence, objects=tuple(seen))
 
 
 def first_depth_m(evidence: Evidence, depth: DepthClip, main: BodyMotion) -> Float[np.ndarray, "height width"]:
@@ -250,13 +253,28 @@ class _View:
         self.rise, self.height_m = rays @ T[1, :3], float(T[1, 3])
 
     def object(
-        self, object_id: int, label: str, own: Bool[np.ndarray, "height width"], passed: Passed
+        self, object_id: int, label: str, own: Bool[np.ndarray, "height width"], passed: Passed, main: PersonEvidence
     ) -> ObjectEvidence:
         """What is seen of one object."""
         foot, cut = self._foot(own)
+        soles = self._under_feet(own, main)
+        foot = foot if soles is None else None
         top = self._top(own) if foot is not None and label in USUAL_HEIGHT_M and not own[0].any() else None
         behind, person_m = self._behind(own & self.known, passed)
-        return ObjectEvidence(object_id, label, foot, cut, top, behind, person_m)
+        return ObjectEvidence(object_id, label, foot, cut, top, behind, person_m, soles)
+
+    def _under_feet(self, own: np.ndarray, main: PersonEvidence) -> SkinEvidence | None:
+        """Soles that stood well inside the object's outline: the plate shows the object there, not what hides it."""
+        inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & self.known
+        small = self.main.intrinsics.resized(own.shape[1], own.shape[0])
+        column, row = np.round(project(main.soles_m, small)).astype(int).T
+        inside = (main.soles_m[:, 2] > 0.1) & (column >= 0) & (column < own.shape[1]) & (row >= 0) & (row < len(own))
+        inside[inside] = inner[row[inside], column[inside]]
+        if inside.sum() < _LEAST_STOOD:
+            return None
+        row, column = row[inside], column[inside]
+        value = self.value[row, column].astype(np.float64)
+        return SkinEvidence(main.soles_root_m[inside], main.soles_m[inside], self.pixel[row, column], value)
 
     def _at(self, row: int, column: int) -> PixelEvidence:
         return PixelEvidence(self.pixel[[row], [column]], self.value[[row], [column]].astype(np.float64))
