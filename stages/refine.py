@@ -36,6 +36,8 @@ _MOVED_M = 0.001
 """Objects that moved less stay."""
 _FAR_M = 0.5
 """Distances beyond this are not measured: touch reaches 0.25 m, and normals are taken one spacing around."""
+_SLAB_SPACING_M = 0.02
+"""Of the field of an inferred support: slabs of 5 cm are lost between the nodes of the scene's."""
 _VERTICES = 500
 """Skin vertices that penetration is measured with."""
 
@@ -207,14 +209,15 @@ def _solids(scene: SceneModel, main: BodyMotion, config: RefineConfig) -> Solids
     for item in scene.objects:
         solid = world_mesh(item.mesh, item.T_world_object, item.scale)
         bounds_m = np.stack([solid.vertices_m.min(0) - 0.3, solid.vertices_m.max(0) + 0.3])
-        spacing_m = max(scene.sdf_spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
+        inferred = item.label == SUPPORT
+        finest_m = min(_SLAB_SPACING_M, scene.sdf_spacing_m) if inferred else scene.sdf_spacing_m
+        spacing_m = max(finest_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
         away_m = 0.5 * bounds_m.sum(0) - camera_m
         away_m[1] = 0.0
         field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None, reach_m=_FAR_M)
         along = item.distance_sigma**2 * np.outer(away_m, away_m)
         across = config.object_across_ratio**2 * (away_m @ away_m) * np.diag([1.0, 0.0, 1.0])
         covariance_m2 = along + across + np.diag([0.0, config.object_top_m**2, 0.0])
-        inferred = item.label == SUPPORT
         movable.append(MovableSolid(field, config.support_m**2 * np.eye(3) if inferred else covariance_m2))
     return Solids(None, tuple(movable))
 
