@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import minimum_filter1d
 from scipy.spatial import KDTree
 
 from video2anim.body.anny_body import ShapedBody
@@ -34,8 +33,9 @@ _SLOW_SEEN_M_S = 0.6
 """The same of a motion straight from the picture: landmarks of a part at rest still move by 0.2 to 0.5 m/s."""
 _ALONG = 0.25
 """There, motion along the line of sight counts so much: one camera sees it badly, and its jitter would hide rest."""
-_WINDOW_FRAMES = 3
-"""Speed is taken over so many frames before and after (0.2 s in all): single steps hold the estimate's jitter."""
+_WINDOW_FRAMES = 2
+"""Speed is taken over so many frames before and after (0.13 s in all): single steps hold the estimate's jitter, and a
+longer time takes feet for flying that have just landed."""
 _OWN_BODY_M = 0.05
 """A hand this near the skin of the rest of the body rests on it."""
 _STRIDE = 3
@@ -58,7 +58,7 @@ def skin_of(body: ShapedBody, joints: tuple[int, ...]) -> Int[np.ndarray, "verti
 
 
 def speed_m_s(motion: BodyMotion, joint: int, *, along: float = 1.0) -> Float[np.ndarray, "frames"]:
-    """Speed of a joint over about 0.2 s around each frame.
+    """Speed of a joint over 0.13 s around each frame.
 
     Args:
         along: what motion along the line of sight counts; one camera sees it badly.
@@ -79,9 +79,7 @@ def believed(motion: BodyMotion, body: ShapedBody) -> Float[np.ndarray, "frames 
     hands on the own body."""
     contact = np.where(motion.valid[:, None], motion.contact, 0.0)
     for name, joints in PARTS.items():
-        # A foot that lands or leaves is slow a moment after or before: it does not fly.
-        speed = minimum_filter1d(speed_m_s(motion, joints[0], along=_ALONG), 2 * _WINDOW_FRAMES + 1)
-        flies = speed > _SLOW_SEEN_M_S
+        flies = speed_m_s(motion, joints[0], along=_ALONG) > _SLOW_SEEN_M_S
         contact[np.ix_(flies, np.array(joints))] = 0.0
         if name.endswith("hand"):
             frames = np.flatnonzero(contact[:, joints[0]] > LIKELY)
