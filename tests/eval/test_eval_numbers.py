@@ -173,6 +173,7 @@ def test_a_wrong_up_direction_of_the_estimated_world_is_no_body_error(
         return moved.with_pose(translation_world_m=root_m, R_parent_joint=R)
 
     edits = {kind: people_edit(tilted) for kind in (BodyTracks, KeyframedMotion, RefinedMotion)}
+    edits[MetricDepth] = lambda depth: replace(depth, bodies=edits[BodyTracks](depth.bodies))
     found = evaluated(tmp_path, truth_dir, tiny, edits)
     for key in ("mpjpe", "root_error", "acceleration_error"):
         assert row(found, "motion", key).values == pytest.approx((0, 0, 0), abs=1e-9)
