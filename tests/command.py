@@ -15,7 +15,7 @@ from video2anim.artifacts.folder import folder_digest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 STAGE_NAMES = (
-    "ingest", "track", "camera", "humans", "background", "depth", "metric", "segment", "complete", "reconstruct",
+    "ingest", "track", "camera", "humans", "background", "depth", "segment", "metric", "complete", "reconstruct",
     "place", "scene", "keyframes", "refine", "export",
 )  # fmt: skip
 FOLDERS = tuple(f"{number:02d}_{name}" for number, name in enumerate(STAGE_NAMES, start=1))
