@@ -304,7 +304,7 @@ def first_line(evidence: Evidence, up: np.ndarray, height_m: float) -> tuple[flo
     floor, skin = len(evidence.floor.value), len(evidence.skin)
     trust = np.ones(len(x))
     trust[floor:] = min(1.0, floor / skin) if floor and skin else 1.0
-    weight = trust
+    weight, scale, more = trust, 0.0, 0.0
     for _ in range(10):
         # y = scale (x + usual) + more; what is more than the usual offset is held near 0 by the spread of that.
         A = np.stack([x + usual, np.ones(len(x))], 1)

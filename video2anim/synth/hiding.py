@@ -183,5 +183,5 @@ def _seen_ratio(pixel: np.ndarray, seen: np.ndarray) -> Float[np.ndarray, "frame
     """Area of the box of what is seen over that of the whole body's box, per frame."""
     low = np.where(seen[..., None], pixel, np.inf).min(1)
     high = np.where(seen[..., None], pixel, -np.inf).max(1)
-    box_px = np.where(seen.any(1)[:, None], high - low, 0.0)
+    box_px = np.where(np.any(seen, axis=1)[:, None], high - low, 0.0)
     return box_px.prod(-1) / np.maximum(np.ptp(pixel, axis=1).prod(-1), 1.0)
