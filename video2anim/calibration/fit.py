@@ -355,7 +355,12 @@ def _result(found: OptimizeResult, problem: _Problem) -> Calibration:
         offset_sigma=float(sigma[5] * problem.unit),
         person_depth_log=float(state.person_log),
         object_depth_log=state.object_log,
-        object_depth_log_sigma=sigma[7 + n :],
+        object_depth_log_sigma=np.array(
+            [
+                np.hypot(own, 0.0 if one.foot is None else 0.5 * problem.sigmas.overhang_log)
+                for own, one in zip(sigma[7 + n :], e.objects, strict=True)
+            ]
+        ),
         residuals=_by_kind(problem.rows(x)),
         chamfer_before_m=_chamfer_m(problem, start),
         chamfer_after_m=_chamfer_m(problem, state),
