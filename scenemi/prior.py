@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from video2anim.body.skeleton import PARENTS
 from video2anim.errors import ModelMissingError, UsageError
@@ -125,6 +125,11 @@ class InterpolationPrior:
 
     name = "interpolation"
 
+    def __init__(self, *, monotone: bool = False) -> None:
+        """With `monotone`, the root's spline does not overshoot: a natural one leaves a gap between dense and noisy
+        keyframes at whatever speed their noise has."""
+        self._spline = PchipInterpolator if monotone else CubicSpline
+
     def fill(self, window: KeyframeWindow) -> WindowMotion:
         keys = np.flatnonzero(window.is_keyframe)
         frames = np.arange(len(window.is_keyframe))
@@ -136,7 +141,7 @@ class InterpolationPrior:
         between = slerp(quaternions[left], quaternions[left + 1], weight[:, None, None])
         R_parent_joint = matrix_from_quaternion(between)
         R_parent_joint[keys] = window.R_parent_joint[keys]
-        translation_m = CubicSpline(keys, window.translation_world_m[keys])(frames)
+        translation_m = self._spline(keys, window.translation_world_m[keys])(frames)
         translation_m[keys] = window.translation_world_m[keys]
         return WindowMotion(R_parent_joint, translation_m)
 

@@ -267,4 +267,4 @@ def _weights(config: KeyframesConfig) -> RootWeights:
     )
 
 
-STAGE = StageSpec("keyframes", optimize_keyframes, version=9)
+STAGE = StageSpec("keyframes", optimize_keyframes, version=10)

@@ -160,4 +160,4 @@ def _arranged(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext
     return moved
 
 
-STAGE = StageSpec("place", place_objects, version=7)
+STAGE = StageSpec("place", place_objects, version=8)

@@ -236,4 +236,4 @@ def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[
     return picture
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=7, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=8, models=(SLOT,))

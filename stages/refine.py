@@ -88,6 +88,8 @@ def refine_motion(
     prior = load_prior(config.prior, device=ctx.device, seed=ctx.seed)
     if config.prior == "auto" and prior.name != "scenemi":
         ctx.warn("no scenemi weights present: the observed motion is not repaired, only fitted to picture and scene")
+    bridging = InterpolationPrior(monotone=True)
+    prior = prior if prior.name == "scenemi" else bridging
     solids, field = _solids(scene, keyframed.people[0], config), _field(scene)
     seen = [number for number, motion in enumerate(keyframed.people) if motion.valid.any()]
     for motion in keyframed.people:
@@ -99,7 +101,7 @@ def refine_motion(
             _filled(keyframed.people[number], one, by, field, config, ctx)
             for number, one in zip(seen, observed, strict=True)
         ]
-        for by in (prior, InterpolationPrior())
+        for by in (prior, bridging)
     )
     solved, plain = solve_motions(made, solids), solve_motions(alone, solids)
     moved = _moved(scene, solids, solved.moved_m, ctx)
@@ -294,4 +296,4 @@ def picture_distance_ratio(motion: BodyMotion, seen: BodyMotion) -> Float[np.nda
     return apart_px * np.maximum(there[:, 0, 2], 0.1) / (seen.intrinsics.fy_px * stature_m)
 
 
-STAGE = StageSpec("refine", refine_motion, version=9, models=("prior",))
+STAGE = StageSpec("refine", refine_motion, version=10, models=("prior",))

@@ -390,4 +390,4 @@ def _background(
     return room_surface(depth_m.astype(np.float64), wanted, rgb, body.T_world_camera[0], body.intrinsics.resized(*size))
 
 
-STAGE = StageSpec("scene", build_scene, version=10)
+STAGE = StageSpec("scene", build_scene, version=11)
