@@ -68,11 +68,13 @@ def main() -> None:
 def compared(scene: Path, truth: Path, sigmas: Sigmas) -> list[dict[str, float | str]]:
     """One row for each kind of evidence that is left out."""
     result = SceneResult(scene)
-    depth, plate, bodies, camera, masks = (
-        result.get(kind) for kind in (DepthClip, BackgroundPlate, BodyTracks, CameraEstimate, InstanceMasks)
-    )
-    for value in (depth, plate, bodies, camera, masks):
-        assert value is not None
+    depth, plate, bodies = result.get(DepthClip), result.get(BackgroundPlate), result.get(BodyTracks)
+    camera, masks = result.get(CameraEstimate), result.get(InstanceMasks)
+    assert depth is not None
+    assert plate is not None
+    assert bodies is not None
+    assert camera is not None
+    assert masks is not None
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
     whole = picture_evidence(depth, plate, bodies, camera, floor, result.clip.fps, np.random.default_rng(0))
     whole = with_objects(whole, depth, plate, bodies.people[0], masks)
