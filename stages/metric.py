@@ -164,7 +164,7 @@ def _meters(
     depth: DepthClip, value: Float[np.ndarray, "..."], valid: Bool[np.ndarray, "..."], found: Calibration
 ) -> tuple[Float[np.ndarray, "..."], Bool[np.ndarray, "..."]]:
     """Depth, with pixels that the fit sends nowhere marked invalid and held at the farthest sensible depth."""
-    from video2anim.calibration.fit import metric_depth
+    from video2anim.calibration.line import metric_depth
 
     depth_m = metric_depth(depth.kind, value, found.scale, found.offset)
     sane = np.isfinite(depth_m)
@@ -175,4 +175,4 @@ def _if_measured(value_m: float) -> float | None:
     return float(value_m) if np.isfinite(value_m) else None
 
 
-STAGE = StageSpec("metric", fit_metric, version=13)
+STAGE = StageSpec("metric", fit_metric, version=14)

@@ -10,7 +10,8 @@ import pytest
 from evidence_cases import HONEST, Thing, World, degrees_between, times, up_of
 
 from video2anim.calibration.evidence import Evidence, PixelEvidence
-from video2anim.calibration.fit import Calibration, calibrate, metric_depth
+from video2anim.calibration.fit import Calibration, calibrate
+from video2anim.calibration.line import metric_depth
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types.camera import UpEvidence
 

@@ -12,8 +12,8 @@ from synthetic_room import FLOOR, Room, make_room
 
 from stages.metric import MetricConfig, fit_metric
 from stages.segment import SegmentConfig
-from video2anim.calibration.fit import metric_depth
 from video2anim.calibration.gather import USUAL_OFFSET
+from video2anim.calibration.line import metric_depth
 from video2anim.errors import StageError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.visible import visible_vertices

@@ -18,6 +18,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import KDTree
 
 from video2anim.calibration.evidence import Evidence, PixelEvidence
+from video2anim.calibration.line import NEAREST, first_line
 from video2anim.geometry.rotations import matrix_from_axis_angle
 
 
@@ -66,10 +67,12 @@ _ROUNDS = 4
 """Looks for the nearest points of skin and depth."""
 _PAIRS = 30
 """Pairs of points a frame and side."""
+_BOUNDED = 0.0
+"""Residuals with Geman and McClure's cost, at most 1 each: however high another level is, a man on a roof does not tilt
+the ground."""
 _SETTLED = 1e-3
 _OTHER_RAD = np.deg2rad(5.0)
 """Starts that are nearer than this find the same."""
-_NEAREST = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,13 +103,6 @@ class Calibration:
     """Root mean square of each kind of evidence, in standard deviations: far above 1 is a conflict."""
     chamfer_before_m: float
     chamfer_after_m: float
-
-
-def metric_depth(kind: str, value: np.ndarray, scale: float, offset: float) -> Float[np.ndarray, "..."]:
-    """Meters of relative depth or disparity; what the model sends behind the camera or beyond 1 km is NaN."""
-    line = scale * np.asarray(value, dtype=np.float64) + offset
-    depth_m = line if kind == "depth" else 1.0 / np.where(line > _NEAREST, line, np.nan)
-    return np.where((depth_m > 0.02) & (depth_m < 1e3), depth_m, np.nan)
 
 
 class _State:
@@ -158,7 +154,7 @@ class _Problem:
     def inverse_log(self, value: np.ndarray, state: _State) -> np.ndarray:
         """Logarithm of the depth of values, smoothly bounded where the line leaves what is sensible."""
         line = state.scale * value + state.offset
-        line = np.logaddexp(0.0, (line - _NEAREST) / (0.02 * self.unit)) * 0.02 * self.unit + _NEAREST
+        line = np.logaddexp(0.0, (line - NEAREST) / (0.02 * self.unit)) * 0.02 * self.unit + NEAREST
         return np.log(line) if self.evidence.kind == "depth" else -np.log(line)
 
     def pair(self, state: _State) -> None:
@@ -185,10 +181,10 @@ class _Problem:
         return state.rays(pixel) * np.exp(state.person_log + self.inverse_log(value, state))[:, None]
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        return np.concatenate([weight * _cauchy(r, limit) for _, r, weight, limit in self.rows(x)])
+        return np.concatenate([weight * _robust(r, limit) for _, r, weight, limit in self.rows(x)])
 
     def rows(self, x: np.ndarray) -> list[tuple[str, np.ndarray, float, float]]:
-        """Kind of evidence, residuals over their deviations, root of the weight, and where Cauchy's cost sets in."""
+        """Kind of evidence, residuals over their deviations, root of the weight, and the limit of `_robust`."""
         e, s, state = self.evidence, self.sigmas, _State(x, self)
         rows = [("lens", np.array([x[0] / e.focal_log_sigma]), 1.0, np.inf)]
         rows += [
@@ -203,7 +199,7 @@ class _Problem:
             soles_m = state.body(person.soles_m, person.soles_root_m, size)
             sigma_m = np.hypot(s.sole_m * size, s.sole_distance_ratio * soles_m @ state.up)
             weight = min(1.0, s.other_sole_looks / max(len(soles_m), 1)) ** 0.5 if number else 1.0
-            rows.append(("soles on the floor", (soles_m @ state.up + state.height_m) / sigma_m, weight, 1.0))
+            rows.append(("soles on the floor", (soles_m @ state.up + state.height_m) / sigma_m, weight, _BOUNDED))
             upright = state.turned(person.upright, person.upright_root_m)
             rows.append(("upright", _apart(state.up, upright).reshape(-1) / s.upright_rad, 1.0, 1.0))
         if len(e.floor.value):
@@ -221,7 +217,7 @@ class _Problem:
 
     def _log_floor(self, pixel: np.ndarray, state: _State) -> np.ndarray:
         """Logarithm of the depth at which rays meet the floor."""
-        return np.log(state.height_m / np.maximum(-state.rays(pixel) @ state.up, _NEAREST))
+        return np.log(state.height_m / np.maximum(-state.rays(pixel) @ state.up, NEAREST))
 
     def _objects(self, state: _State) -> list[tuple[str, np.ndarray, float, float]]:
         e, s, rows = self.evidence, self.sigmas, []
@@ -233,7 +229,7 @@ class _Problem:
                 rows.append(("objects under feet", off, (s.under_feet_looks / len(off)) ** 0.5, 1.0))
             if one.foot is not None:
                 off = log + self._floor(one.foot, state)
-                slope = 1 / np.maximum(-state.rays(one.foot.pixel) @ state.up, _NEAREST)
+                slope = 1 / np.maximum(-state.rays(one.foot.pixel) @ state.up, NEAREST)
                 sigma = s.foot_px / state.focal_px * slope
                 nearer = 0.0 if one.foot_is_cut else np.minimum(off + s.overhang_log, 0)
                 off = np.maximum(off, 0) + nearer
@@ -284,40 +280,6 @@ def _floor_below_m(below_m: Float[np.ndarray, "windows"], sigmas: Sigmas) -> flo
     near = np.abs(below_m[:, None] - below_m) < 3 * sigmas.sole_m
     often = near.sum(1) >= min(max(2, len(below_m) / 12), near.sum(1).max())
     return max(float(np.median(below_m[near[np.argmax(np.where(often, below_m, -np.inf))]])), 0.05)
-
-
-def first_line(evidence: Evidence, up: np.ndarray, height_m: float) -> tuple[float, float]:
-    """Scale and offset by floor pixels and the person's medians, in the values' own domain, where they are linear:
-    ridge regression towards the network's usual offset."""
-    rays = np.concatenate([evidence.floor.pixel / evidence.focal_px, np.ones((len(evidence.floor.value), 1))], 1)
-    x = np.concatenate([evidence.floor.value, [np.median(one.value) for one in evidence.skin]])
-    z_m = np.concatenate([
-        height_m / np.maximum(-rays @ up, _NEAREST), [np.median(one.skin_m[:, 2]) for one in evidence.skin],
-    ])  # fmt: skip
-    if not len(x):
-        # Neither floor nor reliable person: the main person's distance is that of the picture's middle.
-        x, z_m = np.array([evidence.middle_value]), evidence.people[0].soles_root_m[:1, 2]
-    y = z_m if evidence.kind == "depth" else 1 / z_m
-    unit = evidence.middle_value
-    x, usual = x / unit, evidence.usual_offset
-    # Networks see people at distances of their own: skin does not outvote floor.
-    floor, skin = len(evidence.floor.value), len(evidence.skin)
-    trust = np.ones(len(x))
-    trust[floor:] = min(1.0, floor / skin) if floor and skin else 1.0
-    weight, scale, more = trust, 0.0, 0.0
-    for _ in range(10):
-        # y = scale (x + usual) + more; what is more than the usual offset is held near 0 by the spread of that.
-        A = np.stack([x + usual, np.ones(len(x))], 1)
-        ridge = np.diag([0.0, weight.sum() * 0.01 / evidence.usual_offset_sigma**2])
-        scale, more = np.linalg.solve((A.T * weight) @ A + ridge + 1e-12 * np.eye(2), (A.T * weight) @ y)
-        off = np.abs(A @ [scale, more] - y) / y
-        weight = trust / (1 + (off / 0.1) ** 2) / y**2
-        weight /= weight.max()
-    if scale <= 0:
-        # Values that fall where they should rise: through the medians, as flat as the usual offset says.
-        scale = float(np.median(y)) / (1 + max(usual, 0.0))
-        more = float(np.median(y - scale * (x + usual)))
-    return float(scale / unit), float(scale * usual + more)
 
 
 def _solve(problem: _Problem, x: np.ndarray, rounds: int = _ROUNDS) -> tuple[OptimizeResult, _Problem]:
@@ -394,6 +356,8 @@ def _apart(up: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return axis * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)
 
 
-def _cauchy(r: np.ndarray, limit: float) -> np.ndarray:
-    """Residuals whose square is Cauchy's cost of the given ones: logarithmic beyond the limit."""
+def _robust(r: np.ndarray, limit: float) -> np.ndarray:
+    """Residuals whose square is the cost of the given ones: Cauchy's, logarithmic beyond the limit, or `_BOUNDED`."""
+    if limit == _BOUNDED:
+        return r / np.sqrt(1 + r * r)
     return r if np.isinf(limit) else np.sign(r) * limit * np.sqrt(np.log1p((r / limit) ** 2))

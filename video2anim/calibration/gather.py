@@ -18,7 +18,8 @@ from video2anim.calibration.evidence import (
     PixelEvidence,
     SkinEvidence,
 )
-from video2anim.calibration.fit import USUAL_HEIGHT_M, first_line, metric_depth
+from video2anim.calibration.fit import USUAL_HEIGHT_M
+from video2anim.calibration.line import first_line, metric_depth
 from video2anim.calibration.passed import Passed, passed_before
 from video2anim.fitting.ground import center_of_mass
 from video2anim.geometry.masks import shrunk
