@@ -77,7 +77,7 @@ def fit_metric(
     problem = _problem(evidence, found, config)
     if problem:
         ctx.warn(f"depth scale is not trusted: {problem}")
-    conflicts = [kind for kind, off in found.residuals.items() if off > _CONFLICT]
+    conflicts = [kind for kind, off in found.residuals.items() if off > _CONFLICT and kind != "soles on other levels"]
     if conflicts:
         ctx.warn(f"evidence that contradicts the rest, and counts little: {', '.join(conflicts)}")
     for body, above_m in zip(bodies.people[1:], found.above_floor_m[1:], strict=True):
@@ -175,4 +175,4 @@ def _if_measured(value_m: float) -> float | None:
     return float(value_m) if np.isfinite(value_m) else None
 
 
-STAGE = StageSpec("metric", fit_metric, version=14)
+STAGE = StageSpec("metric", fit_metric, version=15)

@@ -68,8 +68,7 @@ _ROUNDS = 4
 _PAIRS = 30
 """Pairs of points a frame and side."""
 _BOUNDED = 0.0
-"""Residuals with Geman and McClure's cost, at most 1 each: however high another level is, a man on a roof does not tilt
-the ground."""
+"""Residuals with Geman and McClure's cost, at most 1 each: a man on a roof does not tilt the ground below him."""
 _SETTLED = 1e-3
 _OTHER_RAD = np.deg2rad(5.0)
 """Starts that are nearer than this find the same."""
@@ -147,6 +146,9 @@ class _Problem:
     ) -> None:
         self.evidence, self.sigmas, self.up = evidence, sigmas, up
         self.height_m, self.line = height_m, line
+        below_m = -evidence.people[0].soles_m @ up
+        self.on_floor = np.abs(below_m - height_m) < 3 * sigmas.sole_m
+        """Soles of the main person that are on the level which the fit starts with."""
         self.unit = max(line[0] * abs(evidence.middle_value), 1e-9)
         self.tangent = np.linalg.svd(up[None])[2][1:].T
         self.pairs: tuple[np.ndarray, np.ndarray, PixelEvidence] | None = None
@@ -199,7 +201,10 @@ class _Problem:
             soles_m = state.body(person.soles_m, person.soles_root_m, size)
             sigma_m = np.hypot(s.sole_m * size, s.sole_distance_ratio * soles_m @ state.up)
             weight = min(1.0, s.other_sole_looks / max(len(soles_m), 1)) ** 0.5 if number else 1.0
-            rows.append(("soles on the floor", (soles_m @ state.up + state.height_m) / sigma_m, weight, _BOUNDED))
+            off = (soles_m @ state.up + state.height_m) / sigma_m
+            floor = self.on_floor if number == 0 else np.zeros(len(off), bool)
+            rows.append(("soles on the floor", off[floor], weight, 1.0))
+            rows.append(("soles on other levels", off[~floor], weight, _BOUNDED))
             upright = state.turned(person.upright, person.upright_root_m)
             rows.append(("upright", _apart(state.up, upright).reshape(-1) / s.upright_rad, 1.0, 1.0))
         if len(e.floor.value):
