@@ -274,4 +274,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=12, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=13, models=("lifter", "camera"))
