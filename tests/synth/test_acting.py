@@ -187,7 +187,7 @@ def test_round_trip_through_the_motion_archive(tmp_path: Path) -> None:
 
 
 def test_unknown_kind_is_refused_in_one_line() -> None:
-    with pytest.raises(UsageError, match="want one of walk, sit"):
+    with pytest.raises(UsageError, match="want one of walk, return, sit"):
         act("swim", adult(0.45), np.random.default_rng(0))
 
 

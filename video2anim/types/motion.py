@@ -103,10 +103,10 @@ class PersonQuality:
     """From the highest to the lowest joint of the T-pose."""
     fast_share: float
     """Share of the frames in which the root moves faster than anybody can."""
-    stature_sigma_m: float = 0.09
-    """Standard deviation of the standing height before the clip is looked at: of adults, or of what the user gave."""
     doubts: tuple[str, ...] = ()
     """Reasons not to trust the person's motion; empty: none found."""
+    stature_sigma_m: float = 0.09
+    """Standard deviation of the standing height before the clip is looked at: of adults, or of what the user gave."""
 
     @property
     def trusted(self) -> bool:
