@@ -7,6 +7,8 @@ refine have it, and as the same solve without the prior has it. In every row:
 
 - picture: distance of the joints from where stage humans has them, % of the standing body's height in the picture,
   median and 95 % over the valid frames;
+- misses: distance of the 12 limb joints from their BlazePose landmarks (visibility over 0.5) over that of stage humans,
+  median over the frames;
 - tilt: angle of pelvis to neck against up in frames in which a foot or more touches and the legs are straight, median;
 - contacts of stage humans (parts with a probability over 0.5, in every row the same ones): share that is within 3 cm
   of what was observed of the stage's own scene (objects, floor), of inferred supports alone, and share that touches
@@ -15,8 +17,10 @@ refine have it, and as the same solve without the prior has it. In every row:
 - where there is truth: PA-MPJPE and root-relative MPJPE (12 limb joints), root path after rigid alignment over the
   whole clip, acceleration error, knee and hip flexion (the `ocv` clips by `eval_mocap.py` of the media).
 
-Beside: share of frames that the prior shaped, seconds of refine per window of 121 frames. Writes Markdown and JSON, and
-one contact sheet of previews to `--work` (`sheet.png`; the footage may not be published).
+Beside: share of frames that the prior shaped, seconds of refine per window of 121 frames; order: share of the pixels at
+which the person is seen before an object whose depth is behind theirs; lens (%) and gravity (degrees) off where known.
+Writes Markdown and JSON, and one contact sheet of previews to `--work` (`sheet.png`; the footage may not be
+published).
 """
 
 from __future__ import annotations
@@ -42,13 +46,27 @@ from stages.refine import picture_distance_ratio
 from video2anim.artifacts.images import write_png
 from video2anim.artifacts.motion_io import write_motion
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import FEET, JOINT_INDEX, forward_kinematics
+from video2anim.body.skeleton import FEET, JOINT_INDEX, TOUCHING_PARTS
+from video2anim.calibration.passed import passed_before
 from video2anim.eval.results import SceneResult
 from video2anim.fitting.supports import SUPPORT
-from video2anim.fitting.touching import LIKELY, NEAR_M, PARTS, believed, posed_vertices, skin_of
+from video2anim.fitting.touching import LIKELY, NEAR_M, believed, posed_vertices, skin_of
+from video2anim.geometry.masks import shrunk
+from video2anim.geometry.projection import project
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
-from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, RefinedMotion, SceneModel
+from video2anim.types import (
+    BackgroundPlate,
+    BodyMotion,
+    BodyTracks,
+    InstanceMasks,
+    KeyframedMotion,
+    MetricDepth,
+    PersonTrack,
+    PersonTracks,
+    RefinedMotion,
+    SceneModel,
+)
 
 CLIPS = (
     "ocv_sts", "ocv_walk", "pose2sim_single_cam01", "pose2sim_single_cam02", "bodypose3d_squat", "sports2d_demo",
@@ -70,6 +88,7 @@ class Row:
     stage: str
     picture: float
     picture_95: float
+    misses: float
     tilt: float
     contacts: float
     on_supports: float
@@ -86,7 +105,7 @@ class Row:
 
 
 HEADS = (
-    "clip", "stage", "picture, %", "95 %", "tilt, deg", "contacts", "on supports", "no touch",
+    "clip", "stage", "picture, %", "95 %", "misses", "tilt, deg", "contacts", "on supports", "no touch",
     "inside", "skating", "jerk, m/s3", "PA, mm",
     "root-relative, mm", "root path, mm", "acceleration, m/s2", "knee, deg", "hip, deg",
 )  # fmt: skip
@@ -125,33 +144,74 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
     scene, refined = result.get(SceneModel), result.get(RefinedMotion)
     if bodies is None or keyframed is None or refined is None or scene is None:
         raise SystemExit(f"{folder}: {result.why(BodyTracks, KeyframedMotion, SceneModel, RefinedMotion)}")
-    raw = bodies.people[0]
+    tracks, metric = result.get(PersonTracks), result.get(MetricDepth)
+    masks, plate = result.get(InstanceMasks), result.get(BackgroundPlate)
+    assert tracks is not None
+    assert metric is not None
+    assert masks is not None
+    assert plate is not None
+    track = tracks.selected()[0].whole(result.clip.frame_count)
+    raw = bodies.people[0].in_world(keyframed.people[0].T_world_camera)
     made = {
         "humans": (raw, scene), "keyframes": (keyframed.people[0], scene),
         "refined": (refined.people[0], refined.scene), "without prior": (refined.without_prior[0], refined.scene),
     }  # fmt: skip
-    rows = [row(folder.name, stage, motion, raw, where, media) for stage, (motion, where) in made.items()]
+    rows = [row(folder.name, stage, motion, raw, track, where, media) for stage, (motion, where) in made.items()]
     manifest = json.loads(next(folder.glob("stages/*_refine/manifest.json")).read_text())
     windows = max(1.0, len(raw.valid) / 121)
     return rows, {
         "frames": len(raw.valid), "prior": refined.prior[0], "shaped": refined.prior_share[0],
-        "refine s per window": manifest["wall_time_s"] / windows,
+        "refine s per window": manifest["wall_time_s"] / windows, "order": depth_order(metric, masks, plate),
+        **camera_off(folder.name, metric.bodies.people[0], media),
     }  # fmt: skip
 
 
-def row(clip: str, stage: str, motion: BodyMotion, raw: BodyMotion, scene: SceneModel, media: Path) -> Row:
+def depth_order(metric: MetricDepth, masks: InstanceMasks, plate: BackgroundPlate) -> float:
+    """Share of the pixels of objects at which the main person is seen whose depth is not before the person."""
+    shape = metric.background_depth_m.shape
+    body = metric.bodies.people[0]
+    passed = passed_before(body, plate.frame_index, plate.selected_mask, body.intrinsics.resized(*shape[::-1]))
+    things = np.any([shrunk(one.mask, shape) for one in masks.instances] or [np.zeros(shape, bool)], axis=0)
+    asked = things & (passed.depth_m > 0) & metric.background_valid
+    return float((metric.background_depth_m >= passed.depth_m)[asked].mean()) if asked.any() else float("nan")
+
+
+def camera_off(clip: str, body: BodyMotion, media: Path) -> dict[str, float]:
+    """Focal length in % and gravity in degrees off the media's; for `ocv` these are themselves good to 2 degrees."""
+    path = media / "reference" / f"{clip}.json"
+    if not path.is_file():
+        return {}
+    known = json.loads(path.read_text())
+    camera = known.get("camera", known)
+    off = {"lens off, %": 100 * (body.intrinsics.fx_px / camera["fx"] - 1)}
+    if "R_camera_world" not in camera:
+        return off
+    # The laboratory of `ocv` has y up, that of `pose2sim` z.
+    up = np.array(camera["R_camera_world"])[:, 2 if "up_in_camera" in known else 1]
+    return off | {"gravity off, deg": float(np.degrees(np.arccos(np.clip(up @ body.T_world_camera[0, 1, :3], -1, 1))))}
+
+
+def misses_px(motion: BodyMotion, track: PersonTrack) -> np.ndarray:
+    """Mean distance of the limb joints from their landmarks, per frame; NaN where none is seen."""
+    joints_px = project(motion.joints_camera_m[:, LIMBS], motion.intrinsics)
+    off_px = np.linalg.norm(joints_px - track.landmarks_px[:, LANDMARKS], axis=-1)
+    seen = (track.valid & motion.valid)[:, None] & (np.nan_to_num(track.visibility[:, LANDMARKS]) > 0.5)
+    return np.where(seen, off_px, 0.0).sum(1) / np.where(seen.any(1), seen.sum(1), np.nan)
+
+
+def row(
+    clip: str, stage: str, motion: BodyMotion, raw: BodyMotion, track: PersonTrack, scene: SceneModel, media: Path
+) -> Row:
     """One stage's numbers."""
     off = 100 * picture_distance_ratio(motion, raw)
     body, field = shaped_body(motion.shape), SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
     valid = np.flatnonzero(motion.valid)
-    joints_m, R_world_joint = forward_kinematics(
-        motion.R_parent_joint[valid], motion.T_world_root[valid, :3, 3], motion.rest_joints_m
-    )
     index = np.arange(0, len(body.rest_vertices_m), 7)
-    distance_m = field.sample(body.vertices(R_world_joint, joints_m, index).astype(np.float64))
+    distance_m = field.sample(posed_vertices(motion, body, index, valid))
+    misses = float(np.nanmedian(misses_px(motion, track)) / np.nanmedian(misses_px(raw, track)))
     measured = motion.measured_joints_m
     return Row(
-        clip, stage, float(np.median(off)), float(np.percentile(off, 95)), tilt_deg(motion),
+        clip, stage, float(np.median(off)), float(np.percentile(off, 95)), misses, tilt_deg(motion),
         *contact_shares(motion, raw, scene), float((distance_m.min(1) < -0.01).mean()),
         metrics.foot_skating_gmd(measured, FPS), metrics.jerk_m_s3(measured, FPS), *against_truth(clip, motion, media),
     )  # fmt: skip
@@ -168,7 +228,7 @@ def contact_shares(motion: BodyMotion, raw: BodyMotion, scene: SceneModel) -> tu
         inferred = build_sdf_grid(supports, bounds_m, scene.sdf_spacing_m, floor_y_m=None)
     found = np.zeros((0, 3), bool)
     likely = believed(raw, body)
-    for joints in PARTS.values():
+    for joints in TOUCHING_PARTS.values():
         frames = np.flatnonzero(raw.valid & motion.valid & (raw.contact[:, list(joints)].max(1) > LIKELY))
         skin_m = posed_vertices(motion, body, skin_of(body, joints), frames)
         if not len(frames):

@@ -159,7 +159,7 @@ def _with_and_without(truth_dir: Path, scene_dir: Path) -> dict[str, Any] | None
     common = common_frames(raw, truth.main, frames)
     if len(common.measured) < 3:
         return None
-    T_true_estimate = truth_from_estimate(raw.T_world_camera, truth, frames)
+    T_true_estimate = truth_from_estimate(refined.people[match.estimate].T_world_camera, truth, frames)
     return {
         "clip": truth.name,
         "prior": refined.prior[match.estimate],

@@ -267,4 +267,4 @@ def _weights(config: KeyframesConfig) -> RootWeights:
     )
 
 
-STAGE = StageSpec("keyframes", optimize_keyframes, version=10)
+STAGE = StageSpec("keyframes", optimize_keyframes, version=11)

@@ -175,4 +175,4 @@ def _if_measured(value_m: float) -> float | None:
     return float(value_m) if np.isfinite(value_m) else None
 
 
-STAGE = StageSpec("metric", fit_metric, version=15)
+STAGE = StageSpec("metric", fit_metric, version=16)

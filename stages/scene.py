@@ -40,8 +40,6 @@ _UNKNOWN_M = 0.25
 refine brings together."""
 _LOW_M = 0.3
 """Heights of single contacts are uncertain by several centimetres, so lower steps and seats are not claimed."""
-_LEAST_FRAMES = 8
-"""Frames (0.27 s) in which a part rests too far from every surface, from which a support is inferred."""
 
 _ShiftM = Annotated[float, limits("m", ge=-10_000_000, le=10_000_000)]
 """Scans in the coordinates of a survey lie far from the origin."""
@@ -301,7 +299,7 @@ def _supports(
 ) -> list[PlacedObject]:
     """A solid for every place where a part rested far from objects and floor, and through which nobody goes."""
     from video2anim.body.anny_body import shaped_body
-    from video2anim.fitting.supports import SUPPORT, standing_solid
+    from video2anim.fitting.supports import LEAST_FRAMES, SUPPORT, standing_solid
     from video2anim.geometry.scene_mesh import world_mesh
 
     people = [(motion, shaped_body(motion.shape)) for motion in bodies.people]
@@ -310,7 +308,7 @@ def _supports(
     for person, support in rested:
         solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *made)]
         far = int((support.gaps_m(solids, reach_m=2 * _UNKNOWN_M) > _UNKNOWN_M).sum())
-        if far < _LEAST_FRAMES or (support.level and support.top_m < _LOW_M):
+        if far < LEAST_FRAMES or (support.level and support.top_m < _LOW_M):
             continue
         told = f"the {support.kind} of person {person} rested in {far} frames at {support.top_m:.2f} m"
         solid = standing_solid(support, people)

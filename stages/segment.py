@@ -169,4 +169,4 @@ def _enlarge(small: Bool[np.ndarray, "h w"], plate_rgb: UInt8[np.ndarray, "h w 3
     return large
 
 
-STAGE = StageSpec("segment", segment_plate, version=5, models=("segment",))
+STAGE = StageSpec("segment", segment_plate, version=6, models=("segment",))

@@ -9,20 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.body.skeleton import TOUCHING_PARTS
 from video2anim.geometry.sampling import farthest_points
 
 if TYPE_CHECKING:
     from video2anim.body.anny_body import ShapedBody
 
-PARTS: tuple[tuple[int, ...], ...] = tuple(
-    tuple(JOINT_INDEX[name] for name in names)
-    for names in (
-        ("pelvis",), ("spine3",), ("left_wrist",), ("right_wrist",),
-        ("left_ankle", "left_foot"), ("right_ankle", "right_foot"),
-    )
-)  # fmt: skip
-"""Parts that touch as one."""
+PARTS = tuple(TOUCHING_PARTS.values())
 _SPREAD_POINTS, _PART_POINTS = 500, 100
 
 

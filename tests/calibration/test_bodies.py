@@ -12,7 +12,7 @@ from walk_scene import walk
 from video2anim.body.anny_body import shaped_body
 from video2anim.calibration.bodies import calibrated
 from video2anim.calibration.fit import Calibration
-from video2anim.calibration.gather import posed
+from video2anim.fitting.touching import posed_vertices
 from video2anim.geometry.projection import project
 from video2anim.types import BodyMotion, BodyTracks
 
@@ -99,7 +99,7 @@ def test_soles_of_a_true_camera_are_on_the_floor() -> None:
     body = planted_walk(30)
     right = replace(found(body, 1.0, 1.0), camera_height_m=float(body.T_world_camera[0, 1, 3]))
     after = calibrated(BodyTracks((body,)), right).people[0]
-    lowest_m = posed(after, np.arange(30))[..., 1].min(1)
+    lowest_m = posed_vertices(after, shaped_body(after.shape), None, np.arange(30))[..., 1].min(1)
     np.testing.assert_allclose(lowest_m, 0.0, atol=0.01)
 
 

@@ -9,9 +9,9 @@ import pytest
 from synthetic import planted_walk, rotation
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import FEET, JOINT_INDEX
+from video2anim.body.skeleton import FEET, JOINT_INDEX, TOUCHING_PARTS
 from video2anim.fitting.supports import Support, rested_places, standing_solid
-from video2anim.fitting.touching import PARTS, believed, on_own_body, posed_vertices, touches
+from video2anim.fitting.touching import believed, on_own_body, posed_vertices, touches
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.geometry.sdf import build_sdf_grid
 from video2anim.types import BodyMotion, Mesh
@@ -161,7 +161,7 @@ def test_a_motion_touches_where_it_is_near_and_slow_and_the_picture_says_so(over
     planted = walk.contact[:, feet] > 0.5
     assert (found[:, feet] > 0.5)[~planted].sum() == 0
     assert ((found[:, feet] > 0.5)[planted].mean() > 0.6) == stands
-    assert found[:, [j for joints in PARTS.values() for j in joints if j not in feet]].max() == 0.0
+    assert found[:, [j for joints in TOUCHING_PARTS.values() for j in joints if j not in feet]].max() == 0.0
 
 
 def test_feet_that_nobody_saw_stand_where_they_are_near_and_slow() -> None:

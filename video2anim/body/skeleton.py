@@ -20,6 +20,20 @@ JOINT_INDEX: dict[str, int] = {name: index for index, name in enumerate(JOINT_NA
 
 FEET: tuple[int, ...] = tuple(JOINT_INDEX[n] for n in ("left_ankle", "right_ankle", "left_foot", "right_foot"))
 
+TOUCHING_PARTS: dict[str, tuple[int, ...]] = {
+    name: tuple(JOINT_INDEX[joint] for joint in joints)
+    for name, joints in {
+        "seat": ("pelvis",),
+        "back": ("spine3",),
+        "left hand": ("left_wrist",),
+        "right hand": ("right_wrist",),
+        "left foot": ("left_ankle", "left_foot"),
+        "right foot": ("right_ankle", "right_foot"),
+    }.items()
+}
+"""Joints whose skin touches as one: were heel and toe pulled to a surface apart, a foot whose pitch is a little wrong
+would be pressed into it."""
+
 
 def forward_kinematics(R_parent_joint: Any, translation_m: Any, rest_joints_m: Any) -> tuple[Any, Any]:
     """Joints (..., 22, 3) and their orientations R_world_joint (..., 22, 3, 3). numpy or torch.

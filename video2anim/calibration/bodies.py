@@ -9,10 +9,9 @@ import torch
 from jaxtyping import Float
 
 from video2anim.body.anny_body import anny_model
-from video2anim.calibration.fit import Calibration
+from video2anim.calibration.fit import Calibration, under_lens
 from video2anim.fitting.ground import level_frame
 from video2anim.geometry.projection import invert_rigid, transform_points
-from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyMotion, BodyTracks, Intrinsics
 from video2anim.types.motion import BodyShape
 
@@ -53,13 +52,11 @@ def _moved(
     shape, rest_joints_m, reached = resized(body.shape, body.rest_joints_m, ratio)
     T_camera_world = invert_rigid(body.T_world_camera)
     root_m = transform_points(T_camera_world, body.T_world_root[:, None, :3, 3])[:, 0]
-    at_m = reached * root_m * np.array([1.0, 1.0, lens])
-    old = root_m / np.linalg.norm(root_m, axis=-1, keepdims=True)
-    turn = matrix_from_axis_angle(np.cross(old, at_m / np.linalg.norm(at_m, axis=-1, keepdims=True)))
+    at_m, turn = under_lens(root_m, lens)
     R_parent_joint = body.R_parent_joint.copy()
     R_parent_joint[:, 0] = T_world_camera[:, :3, :3] @ turn @ T_camera_world[:, :3, :3] @ R_parent_joint[:, 0]
     same = replace(body, shape=shape, rest_joints_m=rest_joints_m, intrinsics=intrinsics, T_world_camera=T_world_camera)
-    world_m = transform_points(T_world_camera, at_m[:, None])[:, 0]
+    world_m = transform_points(T_world_camera, reached * at_m[:, None])[:, 0]
     return same.with_pose(translation_world_m=world_m, R_parent_joint=R_parent_joint)
 
 

@@ -27,9 +27,10 @@ class PersonEvidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinEvidence:
-    """The main person in one frame: visible skin, and the depth of their reliable pixels (paper 8.1)."""
+    """Skin of the main person and depth of pixels that show it (paper 8.1), or what it stands on."""
 
     root_m: Float[np.ndarray, "*vertices 3"]
+    """One for all, of one frame; or of the frame of each vertex."""
     skin_m: Float[np.ndarray, "vertices 3"]
     pixel: Float[np.ndarray, "pixels 2"]
     """From the picture's middle, in pixels of the clip."""

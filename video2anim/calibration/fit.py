@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 
 from video2anim.calibration.evidence import Evidence, PixelEvidence
 from video2anim.calibration.line import NEAREST, first_line
+from video2anim.fitting.ground import lowest_level
 from video2anim.geometry.rotations import matrix_from_axis_angle
 
 
@@ -33,24 +34,22 @@ class Sigmas:
     """Height of a standing sole (the floor spread of stage humans on clips with one floor)."""
     sole_distance_ratio: float = 0.03
     """Distance of a body along the line of sight from frame to frame."""
-    other_sole_looks: float = 6.0
-    """Soles of anybody but the main person count as so many: who is on another floor is there all the time."""
     upright_rad: float = 0.3
     """Direction from feet to center of mass in a look (walking, reaching, bending)."""
+    looks: float = 12.0
+    """Points of one thing err together: the floor's pixels, and the soles of another person, count as no more than so
+    many. The skin points of a frame count as one."""
     floor_log: float = 0.08
-    """Depth of a floor pixel, logarithm; the pixels of one picture count as `floor_looks` only."""
-    floor_looks: float = 12.0
+    """Depth of a floor pixel, logarithm."""
     skin_log: float = 0.05
     """Depth of skin against that of the nearest depth pixel, logarithm: of the distance alone, since the shape of a
     body in a network's depth tells nothing of the lens."""
-    skin_looks: float = 1.0
-    """The skin points of a frame count as so many: they err together."""
     distance_log: float = 0.12
     """Depth of one object, or of the person, against that of another, logarithm (`benchmarks/object_errors.py`)."""
-    under_feet_looks: float = 4.0
-    """Soles that stood on one object count as so many."""
     foot_px: float = 1.5
     """Row in which an object's mask ends."""
+    foot_log: float = 0.02
+    """Distance of the floor there for other reasons: floors are not flat, lenses distort."""
     overhang_log: float = 0.08
     """So much nearer than its foot an object may be: its lower edge may be off the floor."""
     behind_log: float = 0.05
@@ -69,7 +68,10 @@ _PAIRS = 30
 """Pairs of points a frame and side."""
 _BOUNDED = 0.0
 """Residuals with Geman and McClure's cost, at most 1 each: a man on a roof does not tilt the ground below him."""
+_LOWEST_CAMERA_M = 0.05
+"""A camera below the soles starts here: the logarithm of its height is an unknown."""
 _SETTLED = 1e-3
+"""Unknowns, of order 1, that moved less since the last look are where they stay."""
 _OTHER_RAD = np.deg2rad(5.0)
 """Starts that are nearer than this find the same."""
 
@@ -104,6 +106,16 @@ class Calibration:
     chamfer_after_m: float
 
 
+def under_lens(
+    root_m: Float[np.ndarray, "*bodies 3"], lens: float
+) -> tuple[Float[np.ndarray, "*bodies 3"], Float[np.ndarray, "*bodies 3 3"]]:
+    """Where bodies are under a focal length that is `lens` times as long, at the same pixel and size, and the turn from
+    their old ray to the new one (camera frame)."""
+    moved_m = root_m * np.array([1.0, 1.0, lens])
+    old, new = (one / np.linalg.norm(one, axis=-1, keepdims=True) for one in (root_m, moved_m))
+    return moved_m, np.asarray(matrix_from_axis_angle(np.cross(old, new)))
+
+
 class _State:
     """Named parts of the vector of unknowns: every entry is 0 at the start and of order 1."""
 
@@ -126,30 +138,27 @@ class _State:
     def body(self, points_m: np.ndarray, root_m: np.ndarray, size: float) -> np.ndarray:
         """Points of a body of another size under another lens: it keeps its place and size in the picture, and turns
         with its ray."""
-        moved_m = size * root_m * np.array([1.0, 1.0, self.lens])
-        return moved_m + size * self.turned(points_m - root_m, root_m)
+        moved_m, _ = under_lens(root_m, self.lens)
+        return size * (moved_m + self.turned(points_m - root_m, root_m))
 
     def turned(self, vectors: np.ndarray, root_m: np.ndarray) -> np.ndarray:
         """Vectors about roots, turned from the old ray to the new one."""
-        old = root_m / np.linalg.norm(root_m, axis=-1, keepdims=True)
-        new = root_m * np.array([1.0, 1.0, self.lens])
-        new = new / np.linalg.norm(new, axis=-1, keepdims=True)
-        R = matrix_from_axis_angle(np.cross(old, new))
+        _, R = under_lens(root_m, self.lens)
         return (np.broadcast_to(R, (*vectors.shape[:-1], 3, 3)) @ vectors[..., None])[..., 0]
 
 
 class _Problem:
     """Residuals around a start."""
 
-    def __init__(
-        self, evidence: Evidence, sigmas: Sigmas, up: np.ndarray, height_m: float, line: tuple[float, float]
-    ) -> None:
+    def __init__(self, evidence: Evidence, sigmas: Sigmas, up: np.ndarray) -> None:
         self.evidence, self.sigmas, self.up = evidence, sigmas, up
-        self.height_m, self.line = height_m, line
-        below_m = -evidence.people[0].soles_m @ up
-        self.on_floor = np.abs(below_m - height_m) < 3 * sigmas.sole_m
-        """Soles of the main person that are on the level which the fit starts with."""
-        self.unit = max(line[0] * abs(evidence.middle_value), 1e-9)
+        soles_m = evidence.people[0].soles_m @ up
+        level_m = lowest_level(soles_m)
+        self.height_m = max(-float(np.median(level_m)), _LOWEST_CAMERA_M)
+        self.on_floor = (soles_m >= level_m.min()) & (soles_m <= level_m.max())
+        """Soles of the main person that are on the floor that the fit starts with."""
+        self.line = first_line(evidence, up, self.height_m)
+        self.unit = max(self.line[0] * abs(evidence.middle_value), 1e-9)
         self.tangent = np.linalg.svd(up[None])[2][1:].T
         self.pairs: tuple[np.ndarray, np.ndarray, PixelEvidence] | None = None
 
@@ -182,6 +191,10 @@ class _Problem:
         """Points of the main person's depth."""
         return state.rays(pixel) * np.exp(state.person_log + self.inverse_log(value, state))[:, None]
 
+    def weight(self, points: int) -> float:
+        """Root of the weight of each of so many points of one thing."""
+        return min(1.0, self.sigmas.looks / max(points, 1)) ** 0.5
+
     def residuals(self, x: np.ndarray) -> np.ndarray:
         return np.concatenate([weight * _robust(r, limit) for _, r, weight, limit in self.rows(x)])
 
@@ -200,7 +213,7 @@ class _Problem:
             rows.append(("stature", np.array([np.log(size) / person.stature_sigma]), 1.0, np.inf))
             soles_m = state.body(person.soles_m, person.soles_root_m, size)
             sigma_m = np.hypot(s.sole_m * size, s.sole_distance_ratio * soles_m @ state.up)
-            weight = min(1.0, s.other_sole_looks / max(len(soles_m), 1)) ** 0.5 if number else 1.0
+            weight = self.weight(len(soles_m)) if number else 1.0
             off = (soles_m @ state.up + state.height_m) / sigma_m
             floor = self.on_floor if number == 0 else np.zeros(len(off), bool)
             rows.append(("soles on the floor", off[floor], weight, 1.0))
@@ -208,13 +221,13 @@ class _Problem:
             upright = state.turned(person.upright, person.upright_root_m)
             rows.append(("upright", _apart(state.up, upright).reshape(-1) / s.upright_rad, 1.0, 1.0))
         if len(e.floor.value):
-            rows.append(("floor pixels", self._floor(e.floor, state) / s.floor_log,
-                         (s.floor_looks / len(e.floor.value)) ** 0.5, 1.0))  # fmt: skip
+            off = self._floor(e.floor, state) / s.floor_log
+            rows.append(("floor pixels", off, self.weight(len(off)), 1.0))
         if self.pairs is not None:
             skin_m, root_m, seen = self.pairs
             skin_log = np.log(np.maximum(state.body(skin_m, root_m, state.size[0])[:, 2], 0.1))
             off = (skin_log - state.person_log - self.inverse_log(seen.value, state)) / s.skin_log
-            rows.append(("skin to its depth", off, (s.skin_looks * len(e.skin) / len(off)) ** 0.5, 1.0))
+            rows.append(("skin to its depth", off, (len(e.skin) / len(off)) ** 0.5, 1.0))
         return rows + self._objects(state)
 
     def _floor(self, floor: PixelEvidence, state: _State) -> np.ndarray:
@@ -231,14 +244,14 @@ class _Problem:
                 soles = one.under_feet
                 sole_log = np.log(np.maximum(state.body(soles.skin_m, soles.root_m, state.size[0])[:, 2], 0.1))
                 off = (log + self.inverse_log(soles.value, state) - sole_log) / s.skin_log
-                rows.append(("objects under feet", off, (s.under_feet_looks / len(off)) ** 0.5, 1.0))
+                rows.append(("objects under feet", off, 1.0, 1.0))
             if one.foot is not None:
                 off = log + self._floor(one.foot, state)
                 slope = 1 / np.maximum(-state.rays(one.foot.pixel) @ state.up, NEAREST)
                 sigma = s.foot_px / state.focal_px * slope
                 nearer = 0.0 if one.foot_is_cut else np.minimum(off + s.overhang_log, 0)
                 off = np.maximum(off, 0) + nearer
-                rows.append(("objects' feet on the floor", off / np.hypot(sigma, 0.02), 1.0, 1.0))
+                rows.append(("objects' feet on the floor", off / np.hypot(sigma, s.foot_log), 1.0, 1.0))
             if one.top is not None and one.label in USUAL_HEIGHT_M:
                 usual_m, sigma_m = USUAL_HEIGHT_M[one.label]
                 z_m = np.exp(log + self.inverse_log(one.top.value, state))
@@ -261,7 +274,7 @@ def calibrate(evidence: Evidence, sigmas: Sigmas | None = None) -> Calibration:
         raise ValueError("calibrate: want a person who was seen and at least one source of gravity")
     sigmas = sigmas or Sigmas()
     start = np.zeros(7 + len(evidence.people) + len(evidence.objects))
-    fits = [_solve(_started(evidence, sigmas, up), start, rounds=1) for up in _starts(evidence)]
+    fits = [_solve(_Problem(evidence, sigmas, up), start, rounds=1) for up in _starts(evidence)]
     best, problem = min(fits, key=lambda fit: fit[0].cost)
     return _result(*_solve(problem, best.x))
 
@@ -273,18 +286,6 @@ def _starts(evidence: Evidence) -> list[np.ndarray]:
         if all(np.linalg.norm(_apart(one.up_camera, other)) > _OTHER_RAD for other in starts):
             starts.append(one.up_camera)
     return starts
-
-
-def _started(evidence: Evidence, sigmas: Sigmas, up: np.ndarray) -> _Problem:
-    height_m = _floor_below_m(-evidence.people[0].soles_m @ up, sigmas)
-    return _Problem(evidence, sigmas, up, height_m, first_line(evidence, up, height_m))
-
-
-def _floor_below_m(below_m: Float[np.ndarray, "windows"], sigmas: Sigmas) -> float:
-    """The lowest level on which soles stood again and again, under the camera."""
-    near = np.abs(below_m[:, None] - below_m) < 3 * sigmas.sole_m
-    often = near.sum(1) >= min(max(2, len(below_m) / 12), near.sum(1).max())
-    return max(float(np.median(below_m[near[np.argmax(np.where(often, below_m, -np.inf))]])), 0.05)
 
 
 def _solve(problem: _Problem, x: np.ndarray, rounds: int = _ROUNDS) -> tuple[OptimizeResult, _Problem]:

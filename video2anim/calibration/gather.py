@@ -7,10 +7,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import FEET, JOINT_INDEX, forward_kinematics
+from video2anim.body.skeleton import FEET, JOINT_INDEX
 from video2anim.calibration.evidence import (
     Evidence,
     ObjectEvidence,
@@ -22,6 +22,7 @@ from video2anim.calibration.fit import USUAL_HEIGHT_M
 from video2anim.calibration.line import first_line, metric_depth
 from video2anim.calibration.passed import Passed, passed_before
 from video2anim.fitting.ground import center_of_mass
+from video2anim.fitting.touching import posed_vertices
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.geometry.visible import visible_vertices
@@ -45,8 +46,11 @@ _LENS_SIGMA = 0.03
 _LEAST_UP_SIGMA_RAD = 0.002
 """No source knows gravity better than a tenth of a degree, whatever it says."""
 _FRAMES_AT_ONCE = 256
+"""Frames whose feet are in memory at once."""
 _SKIN_FRAMES, _SKIN_POINTS, _LEAST_PIXELS = 24, 300, 40
+"""Frames with both skin and depth that enter, points of either in each, and how many there must be of either."""
 _FLOOR_PIXELS, _FARTHEST_FLOOR_M = 300, 12.0
+"""Beyond, a degree of tilt moves the floor by more than the depth of the shipped network errs."""
 _FOOT_QUANTILE = 0.05
 """Between its legs an object ends above the floor, which seems farther: the feet are the nearest of the ends."""
 _LEAST_COLUMNS, _LEAST_SHARE = 6, 0.15
@@ -54,6 +58,7 @@ _LEAST_COLUMNS, _LEAST_SHARE = 6, 0.15
 _LEAST_STOOD = 2
 """Soles that must have stood on an object: one may be an error of its outline."""
 _TOP_QUANTILE = 0.97
+"""Of the heights of an object's pixels: the very highest are those of an outline that is too large."""
 _BEHIND_QUANTILE, _BEHIND_PIXELS, _MOST_HIDDEN = 0.9, 20, 0.2
 """Of an object's pixels the person was near it at a few; where more of the body than a share is missing, they pass
 behind it, and masks that are a little too large touch it."""
@@ -68,7 +73,7 @@ def person_evidence(body: BodyMotion, fps: float, stature_sigma_m: float) -> Per
     lowest_m = np.empty((len(frames), 3))
     for begin in range(0, len(frames), _FRAMES_AT_ONCE):
         some = frames[begin : begin + _FRAMES_AT_ONCE]
-        feet_m = posed(body, some, skin)
+        feet_m = posed_vertices(body, shaped, skin, some)
         at = feet_m[..., 1].argmin(1)
         lowest_m[begin : begin + len(some)] = np.take_along_axis(feet_m, at[:, None, None], 1)[:, 0]
     windows = np.array_split(np.arange(len(frames)), max(1, round(len(frames) / max(1.0, _WINDOW_S * fps))))
@@ -102,15 +107,6 @@ def _standing(joints_m: Float[np.ndarray, "frames 22 3"]) -> Bool[np.ndarray, "f
         thigh = joints_m[:, JOINT_INDEX[f"{side}_hip"]] - joints_m[:, JOINT_INDEX[f"{side}_knee"]]
         straight &= (thigh * trunk).sum(-1) > _STRAIGHT_COS * np.linalg.norm(thigh, axis=-1)
     return straight
-
-
-def posed(
-    body: BodyMotion, frames: Int[np.ndarray, "frames"], index: Int[np.ndarray, "points"] | None = None
-) -> Float[np.ndarray, "frames points 3"]:
-    """Skin in the world."""
-    joints_m, R = forward_kinematics(body.R_parent_joint[frames], body.T_world_root[frames, :3, 3], body.rest_joints_m)
-    shaped = shaped_body(body.shape)
-    return np.asarray(shaped.vertices(R, joints_m, index) if index is not None else shaped.vertices(R, joints_m), float)
 
 
 def picture_evidence(
@@ -186,12 +182,13 @@ def skin_evidence(
     if not len(samples):
         return ()
     samples = samples[np.unique(np.linspace(0, len(samples) - 1, _SKIN_FRAMES).round().astype(int))]
-    faces, found = shaped_body(body.shape).faces, []
-    for sample, skin_world_m in zip(samples, posed(body, depth.frame_index[samples]), strict=True):
+    shaped, found = shaped_body(body.shape), []
+    skins_m = posed_vertices(body, shaped, None, depth.frame_index[samples])
+    for sample, skin_world_m in zip(samples, skins_m, strict=True):
         frame = depth.frame_index[sample]
         T = invert_rigid(body.T_world_camera[frame])
         skin_m = transform_points(T, skin_world_m)
-        seen = np.flatnonzero(visible_vertices(skin_m, faces, body.intrinsics))
+        seen = np.flatnonzero(visible_vertices(skin_m, shaped.faces, body.intrinsics))
         if len(seen) < _LEAST_PIXELS:
             continue
         rows, columns = rng.permutation(np.argwhere(reliable[sample]))[:_SKIN_POINTS].T

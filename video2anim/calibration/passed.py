@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import forward_kinematics
+from video2anim.fitting.touching import posed_vertices
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.geometry.visible import surface_points
 from video2anim.types.camera import Intrinsics
@@ -64,11 +64,10 @@ def passed_before(
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _MOST_FRAMES).round().astype(int))]
     at = frames[chosen]
     shaped = shaped_body(body.shape)
-    _, R_world_joint = forward_kinematics(body.R_parent_joint[at], body.T_world_root[at, :3, 3], body.rest_joints_m)
-    skins_m = shaped.vertices(R_world_joint, body.joints_world_m[at])
+    skins_m = posed_vertices(body, shaped, None, at)
     T_camera_world = invert_rigid(body.T_world_camera[0])
     for skin_m, mask in zip(skins_m, masks[chosen], strict=True):
-        camera_m = transform_points(T_camera_world, skin_m.astype(np.float64))
+        camera_m = transform_points(T_camera_world, skin_m)
         there_m = _depth_of(camera_m, shaped.faces, intrinsics)
         own_m = np.where(mask, there_m, 0.0)
         inner = cv2.erode((there_m > 0).astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)

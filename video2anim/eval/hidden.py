@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.eval.truth import Truth
+from video2anim.fitting.touching import posed_vertices
 from video2anim.geometry.projection import project
 
 HIDDEN_RATIO = 0.25
@@ -40,11 +40,8 @@ def _whole_box_px(truth: Truth) -> Float[np.ndarray, "frames 4"]:
     """Box of the body's projection, in and outside the picture; NaN where a part of it is behind the lens."""
     motion = truth.main
     body = shaped_body(motion.shape)
-    joints_m, R_world_joint = forward_kinematics(
-        motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m
-    )
     index = np.arange(0, len(body.rest_vertices_m), _SKIN_STRIDE)
-    skin_m = body.vertices(R_world_joint, joints_m, index).astype(np.float64)
+    skin_m = posed_vertices(motion, body, index, np.arange(motion.frame_count))
     R, camera_m = motion.T_world_camera[:, :3, :3], motion.T_world_camera[:, None, :3, 3]
     skin_camera_m = (skin_m - camera_m) @ R
     ahead = skin_camera_m[..., 2].min(1) > _NEAR_M

@@ -126,26 +126,36 @@ def foot_contact(
 
 
 def floor_height(
-    sole_height_m: Float[np.ndarray, "frames feet"], fps: float, *, window_s: float = 0.6, level_gap_m: float = 0.25
+    sole_height_m: Float[np.ndarray, "frames feet"], fps: float, *, window_s: float = 0.6
 ) -> tuple[float, float]:
     """Height of the lowest level that carries the body again and again, and the spread of that level.
 
     Somebody who stands, walks or runs has a foot down at least once in about 0.6 s, so the low end of the soles in
-    every such window is a support, unless the body is in the air or lies. Supports may lie at several heights (steps,
-    a roof, a bed): they are parted where nothing lies within `level_gap_m`, and the lowest level seen in at least two
-    windows (and a twelfth of all) is the floor. Stairs are nearer to each other than that: where what is left is no
-    level, its lowest part is taken if a fifth of all windows agree on it.
+    every such window is a support, unless the body is in the air or lies: the floor is their `lowest_level`.
 
     Args:
         sole_height_m: lowest point of each foot, valid frames in order of time.
     """
     lowest = sole_height_m.min(1)
     windows = max(1, round(len(lowest) / max(1.0, window_s * fps)))
-    supports = np.sort([np.percentile(part, 10) for part in np.array_split(lowest, windows)])
-    levels = np.split(supports, np.flatnonzero(np.diff(supports) > level_gap_m) + 1)
-    wanted = max(2, len(supports) / 12)
-    level = _lowest_stair(next((one for one in levels if len(one) >= wanted), max(levels, key=len)), len(supports))
+    level = lowest_level(np.array([np.percentile(part, 10) for part in np.array_split(lowest, windows)]))
     return float(np.median(level)), float(np.std(level))
+
+
+def lowest_level(
+    supports_m: Float[np.ndarray, "windows"], *, level_gap_m: float = 0.25
+) -> Float[np.ndarray, "some_windows"]:
+    """Those of the heights at which a body stood that are on the floor, sorted.
+
+    Supports may lie at several heights (steps, a roof, a bed): they are parted where nothing lies within `level_gap_m`,
+    and the lowest level seen in at least two windows (and a twelfth of all) is the floor. Stairs are nearer to each
+    other than that: where what is left is no level, its lowest part is taken if a fifth of all windows agree on it.
+    """
+    supports_m = np.sort(supports_m)
+    levels = np.split(supports_m, np.flatnonzero(np.diff(supports_m) > level_gap_m) + 1)
+    wanted = max(2, len(supports_m) / 12)
+    level = next((one for one in levels if len(one) >= wanted), max(levels, key=len))
+    return _lowest_stair(level, len(supports_m))
 
 
 def _lowest_stair(heights_m: Float[np.ndarray, "windows"], windows: int) -> Float[np.ndarray, "some_windows"]:

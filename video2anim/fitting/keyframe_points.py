@@ -8,22 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.body.anny_body import ShapedBody
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
+from video2anim.body.skeleton import TOUCHING_PARTS, forward_kinematics
 from video2anim.geometry.sampling import farthest_points
 from video2anim.types import BodyMotion
 
-CONTACT_JOINTS = (
-    "pelvis", "left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist",
-)  # fmt: skip
-"""Parts that may be pulled to a surface. The back (spine3) is told, not pulled: no clip has shown yet that it helps."""
-TOUCHING: tuple[tuple[int, ...], ...] = tuple(
-    tuple(JOINT_INDEX[name] for name in names)
-    for names in (
-        ("pelvis",), ("left_ankle", "left_foot"), ("right_ankle", "right_foot"), ("left_wrist",), ("right_wrist",),
-    )
-)  # fmt: skip
-"""Parts that touch as one: a foot touches where it is lowest. Were heel and toe pulled to the surface apart, a foot
-whose pitch is a little wrong would be pressed into it."""
+TOUCHING = tuple(TOUCHING_PARTS.values())
+"""Parts that are pulled to a surface."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,9 +37,9 @@ class SkinSample:
         self._body = body
         self._spread = farthest_points(body.rest_vertices_m, spread)
         self._parts: dict[int, np.ndarray] = {}
-        for name in CONTACT_JOINTS:
-            members = np.flatnonzero(body.vertex_part == JOINT_INDEX[name])
-            self._parts[JOINT_INDEX[name]] = members[farthest_points(body.rest_vertices_m[members], per_part)]
+        for joint in (joint for joints in TOUCHING for joint in joints):
+            members = np.flatnonzero(body.vertex_part == joint)
+            self._parts[joint] = members[farthest_points(body.rest_vertices_m[members], per_part)]
 
     def on(self, motion: BodyMotion) -> SkinPoints:
         """The chosen vertices of a motion's every frame."""

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from video2anim.body.anny_body import ShapedBody
-from video2anim.body.skeleton import PARENTS, forward_kinematics
+from video2anim.body.skeleton import PARENTS, TOUCHING_PARTS, forward_kinematics
 from video2anim.fitting.free_space import passed_through
-from video2anim.fitting.touching import LIKELY, PARTS, believed, posed_vertices, skin_of
+from video2anim.fitting.touching import LIKELY, believed, posed_vertices, skin_of
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.types.motion import BodyMotion
@@ -36,7 +36,7 @@ _LEVEL = ("seat", "feet")
 """These rest on level surfaces, whatever way their skin faces."""
 _LEVEL_DEG = 45.0
 """So do others that face down within this: a palm on a table."""
-_LEAST_FRAMES = 8
+LEAST_FRAMES = 8
 """A rest lasts at least so long (0.27 s); shorter ones are flickers of the contact."""
 _LINK_M = 0.8
 """Rests whose places are within a stride of each other use one support..."""
@@ -127,7 +127,7 @@ def rested_places(motion: BodyMotion, body: ShapedBody) -> list[Support]:
     contact = believed(motion, body)
     for kind, parts in KINDS.items():
         rests: list[Rest] = []
-        for joints in (PARTS[part] for part in parts):
+        for joints in (TOUCHING_PARTS[part] for part in parts):
             rests += _rests(motion, body, contact[:, list(joints)].max(1), kind, joints)
         found += [_support(kind, group) for group in _at_one_place(rests)]
     return found
@@ -156,7 +156,7 @@ def standing_solid(
 def _crossed_frames(solid: SdfGrid, support: Support, motion: BodyMotion, body: ShapedBody) -> int:
     """Frames in which somebody is inside, not counting what rests on top: the part and the joints beside it, while the
     part is as far from the surface as when it rests."""
-    joints = [joint for part in KINDS[support.kind] for joint in PARTS[part]]
+    joints = [joint for part in KINDS[support.kind] for joint in TOUCHING_PARTS[part]]
     beside = [*joints, *PARENTS[joints], *np.flatnonzero(np.isin(PARENTS, joints))]
     normal, top_m = support.T_world_top[:3, 1], support.T_world_top[:3, 3]
     over_m = (motion.joints_world_m[:, joints[0]] - top_m) @ normal
@@ -177,7 +177,7 @@ def _rests(
 ) -> Iterator[Rest]:
     """Stretches in which a part is in contact."""
     for frames in _stretches(contact > LIKELY):
-        if len(frames) < _LEAST_FRAMES:
+        if len(frames) < LEAST_FRAMES:
             continue
         joints_m, R_world_joint = forward_kinematics(
             motion.R_parent_joint[frames], motion.T_world_root[frames, :3, 3], motion.rest_joints_m

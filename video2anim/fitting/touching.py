@@ -7,22 +7,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from video2anim.body.anny_body import ShapedBody
-from video2anim.body.skeleton import FEET, JOINT_INDEX, forward_kinematics
+from video2anim.body.skeleton import FEET, JOINT_INDEX, TOUCHING_PARTS, forward_kinematics
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.motion import BodyMotion
 
-PARTS: dict[str, tuple[int, ...]] = {
-    name: tuple(JOINT_INDEX[joint] for joint in joints)
-    for name, joints in {
-        "seat": ("pelvis",),
-        "back": ("spine3",),
-        "left hand": ("left_wrist",),
-        "right hand": ("right_wrist",),
-        "left foot": ("left_ankle", "left_foot"),
-        "right foot": ("right_ankle", "right_foot"),
-    }.items()
-}
-"""Joints whose skin touches as one."""
 LIKELY = 0.5
 """Contact probability from which a part is taken to touch."""
 NEAR_M = 0.03
@@ -43,9 +31,9 @@ _STRIDE = 3
 
 
 def posed_vertices(
-    motion: BodyMotion, body: ShapedBody, index: Int[np.ndarray, "chosen"], frames: Int[np.ndarray, "some"]
+    motion: BodyMotion, body: ShapedBody, index: Int[np.ndarray, "chosen"] | None, frames: Int[np.ndarray, "some"]
 ) -> Float[np.ndarray, "some chosen 3"]:
-    """World positions of chosen vertices at chosen frames."""
+    """World positions of chosen vertices (None: all) at chosen frames."""
     joints_m, R_world_joint = forward_kinematics(
         motion.R_parent_joint[frames], motion.T_world_root[frames, :3, 3], motion.rest_joints_m
     )
@@ -78,7 +66,7 @@ def believed(motion: BodyMotion, body: ShapedBody) -> Float[np.ndarray, "frames 
     """Contact probability of an observed motion, without what cannot be touch of the scene: parts that fly, and
     hands on the own body."""
     contact = np.where(motion.valid[:, None], motion.contact, 0.0)
-    for name, joints in PARTS.items():
+    for name, joints in TOUCHING_PARTS.items():
         flies = speed_m_s(motion, joints[0], along=_ALONG) > _SLOW_SEEN_M_S
         contact[np.ix_(flies, np.array(joints))] = 0.0
         if name.endswith("hand"):
@@ -119,7 +107,7 @@ def touches(
     """
     frames = np.arange(motion.frame_count)
     contact = np.zeros(likely.shape)
-    for joints in PARTS.values():
+    for joints in TOUCHING_PARTS.values():
         near = np.abs(scene.sample(posed_vertices(motion, body, skin_of(body, joints), frames)).min(1)) < NEAR_M
         for joint in joints:
             told = (likely[:, joint] > LIKELY) | (~motion.valid & (joint in FEET))
