@@ -102,6 +102,16 @@ class CompletedObjects:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ObjectPart:
+    """A run of faces of an object's mesh that is one thing to a body: a closed surface of its own."""
+
+    name: str
+    """`seat`, `back`, `arm`, `leg`, `top`, `base`, `board`, `body`..."""
+    first_face: NonNegativeInt
+    face_count: NonNegativeInt
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ObjectMesh:
     """A reconstructed object in its own frame: +Y up, resting on y = 0, centred in x and z."""
 
@@ -111,7 +121,16 @@ class ObjectMesh:
     """How it was made: `box` or `carved` with its assumptions, `user mesh`, `triposr`, `program`."""
     mesh: Annotated[Mesh, Holds.SOMETHING]
     T_world_object: Annotated[Float[np.ndarray, "4 4"], Holds.RIGID]
-    """First guess of the pose."""
+    """First guess of the pose; of a fitted form its pose."""
+    parts: tuple[ObjectPart, ...] = ()
+    """None where the shape has no known parts."""
+    chamfer_m: NonNegativeFloat | None = None
+    """Mean distance of the object's depth points from a fitted form; None for other meshes, which stage place fits."""
+    position_sigma_m: NonNegativeFloat | None = None
+    """Standard deviation of a fitted form's horizontal place; likewise the next two."""
+    yaw_sigma_rad: NonNegativeFloat | None = None
+    size_sigma: NonNegativeFloat | None = None
+    """Of the logarithm of its sizes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,6 +159,8 @@ class PlacedObject:
     distance_sigma: NonNegativeFloat = 0.12
     """Standard deviation of the logarithm of its distance from the camera, by the fit of stage metric; by default that
     of a network's depth from thing to thing."""
+    parts: tuple[ObjectPart, ...] = ()
+    """None where the shape has no known parts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
