@@ -33,8 +33,6 @@ class PlaceConfig:
 
     yaw_starts_deg: tuple[_TurnDeg, ...] = (-60.0, -30.0, 30.0, 60.0, 90.0, 180.0)
     """Yaws tried besides the first guess, relative to it, for meshes whose front is unknown."""
-    own_yaw_starts_deg: tuple[_TurnDeg, ...] = ()
-    """The same for meshes that stage reconstruct made in their place: their yaw comes from the picture."""
     points: Annotated[int, limits(ge=1, le=1_000_000)] = 300
     """At most so many mesh points and depth points."""
     least_points: Annotated[int, limits(ge=1, le=1_000_000)] = 30
@@ -84,12 +82,18 @@ def _place_one(
 ) -> PlacedObject:
     from video2anim.geometry.placement import Placement, place
 
-    if len(points_m) < config.least_points:
+    if found.chamfer_m is not None:
+        # A form was fitted in its place.
+        fit = Placement(
+            found.T_world_object, 1.0, np.nan, found.chamfer_m, _nan(found.position_sigma_m),
+            _nan(found.yaw_sigma_rad), _nan(found.size_sigma),
+        )  # fmt: skip
+        far = found.chamfer_m > config.largest_chamfer_m
+        problem = f"form and depth stay {found.chamfer_m:.2f} m apart" if far else ""
+    elif len(points_m) < config.least_points:
         fit = Placement(found.T_world_object, 1.0, np.nan, np.nan)
         problem = f"only {len(points_m)} reliable depth pixels (want {config.least_points}); pose is the first guess"
     else:
-        made_here = found.method.startswith(("box", "carved"))
-        turns = config.own_yaw_starts_deg if made_here else config.yaw_starts_deg
         fit = place(
             found.mesh.vertices_m.astype(np.float64),
             found.mesh.faces,
@@ -97,7 +101,7 @@ def _place_one(
             points_m,
             body.T_world_camera[0],
             body.intrinsics,
-            yaw_starts_rad=tuple(np.deg2rad(turns)),
+            yaw_starts_rad=tuple(np.deg2rad(config.yaw_starts_deg)),
             rng=ctx.rng(f"place/{found.object_id}"),
             most_points=config.points,
         )
@@ -119,7 +123,12 @@ def _place_one(
         yaw_sigma_rad=_known(fit.yaw_sigma_rad),
         scale_sigma=_known(fit.scale_sigma),
         distance_sigma=depth.object_sigma[str(found.object_id)],
+        parts=found.parts,
     )
+
+
+def _nan(value: float | None) -> float:
+    return np.nan if value is None else value
 
 
 def _known(value: float) -> float | None:
@@ -160,4 +169,4 @@ def _arranged(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext
     return moved
 
 
-STAGE = StageSpec("place", place_objects, version=8)
+STAGE = StageSpec("place", place_objects, version=9)

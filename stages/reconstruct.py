@@ -1,8 +1,8 @@
-"""Stage reconstruct: a closed, colored mesh of every object.
+"""Stage reconstruct: a closed, colored mesh of every object, at its place.
 
-Everything in the object's box that the camera does not see to be free is solid; what is free on one side is free on the
-other where the object is symmetric. Sides that nothing shows are assumed, and the method says so. Meshes of the
-user, of a network, or of a program of theirs, take the place of these, in this order.
+Forms of furniture and simple solids are fitted to depth, outline, what rested on the object and where bodies were; the
+one with the most evidence is kept. Meshes of the user, of a network, or of a program of theirs, take the place of
+these, in this order.
 """
 
 from __future__ import annotations
@@ -31,10 +31,11 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
-    from video2anim.geometry.lifted_thing import ThingLifter
-    from video2anim.geometry.object_solid import ObjectSolid
+    from video2anim.objects.evidence import SeenObject
 
 SLOT = "object-mesh"
+_NEVER_SEEN = 0.02
+"""Pixels that are free of people in a smaller share of the frames hide what is there."""
 FINEST = 256
 """Most samples of a network's field along a side: what TripoSR's own program takes."""
 
@@ -50,18 +51,12 @@ def _with_digest(command: str) -> str:
 
 @dataclass(frozen=True)
 class ReconstructConfig:
-    """Detail of the meshes, and what is assumed of hidden sides."""
+    """Detail of the meshes, and what is believed of depth."""
 
     most_faces: Annotated[int, limits("faces", ge=12, le=1_000_000)] = 4000
     """Upper limit of faces per object."""
-    cubes_along: Annotated[int, limits(ge=4, le=256)] = 40
-    """Cubes along the longest side of an object."""
-    thickness_ratio: Annotated[float, limits(gt=0, le=10)] = 0.35
-    """Assumed thickness of what is seen from the front alone, as a share of the root of width times height."""
-    thickest_m: Annotated[float, limits("m", gt=0, le=100)] = 0.8
-    """Largest assumed thickness."""
-    depth_error_ratio: Annotated[float, limits(ge=0, le=1)] = 0.01
-    """Error of depth within an object, as a share of its distance; nothing nearer than that is called free."""
+    depth_error_ratio: Annotated[float, limits(gt=0, le=1)] = 0.04
+    """Standard deviation of depth within an object, as a share of its distance."""
     least_points: Annotated[int, limits(ge=1, le=1_000_000)] = 30
     """Objects with fewer reliable depth pixels are dropped."""
     meshes: str = user_path()
@@ -93,28 +88,54 @@ def reconstruct_objects(
         UsageError: `model` names one of another slot, or an option is out of range.
         ModelMissingError: the network's weights are absent, or no network of its contract.
     """
-    from video2anim.geometry.lifted_thing import ThingLifter
+    from video2anim.fitting.supports import rested_and_inner_m
+    from video2anim.geometry.masks import enlarged
+    from video2anim.objects.evidence import ObjectViews, PeopleEvidence
 
-    lifter = ThingLifter(masks, depth)
+    unseen = enlarged(plate.seen_ratio, depth.background_depth_m.shape) < _NEVER_SEEN
+    people = PeopleEvidence(*rested_and_inner_m(depth.bodies))
+    views = ObjectViews(masks, depth, unseen, people, config.depth_error_ratio)
     foreign = _user_meshes(config)
     numbers = {found.object_id for found in completed.objects}
     if unused := sorted(foreign.keys() - numbers):
         names = ", ".join(foreign[number].name for number in unused)
         ctx.warn(f"{names} in {config.meshes}: there is no object of that number, only {sorted(numbers)}; not used")
-    meshes, boxes = [], 0
+    meshes: list[ObjectMesh] = []
     for done, found in enumerate(completed.objects):
-        solid = _solid(found, lifter, config)
-        if solid is None:
+        seen = views.object(found, ctx.rng(f"reconstruct/{found.object_id}"))
+        if seen is None or len(seen.points_m) < config.least_points:
             ctx.warn(f"object {found.object_id} has too little reliable depth and is dropped")
         else:
-            meshes.append(_foreign(found, solid, foreign, config, ctx) or _mesh(found, solid, plate, config))
-            boxes += meshes[-1].method.startswith("box")
+            mesh = _foreign(found, seen, foreign, config, ctx) or _fitted(found, seen, plate, depth, config)
+            meshes.append(mesh)
         ctx.progress(done + 1, len(completed.objects))
     ctx.quality("meshes", len(meshes), "objects")
-    ctx.quality("boxes", boxes, "objects")
     ctx.quality("dropped", len(completed.objects) - len(meshes), "objects", "lower")
     ctx.quality("most_faces", max((len(m.mesh.faces) for m in meshes), default=0), "faces")
     return ObjectMeshes(tuple(meshes))
+
+
+def _fitted(
+    found: CompletedObject, seen: SeenObject, plate: BackgroundPlate, depth: MetricDepth, config: ReconstructConfig
+) -> ObjectMesh:
+    """The form with the most evidence."""
+    from video2anim.objects.meshing import ObjectPicture, form_mesh
+    from video2anim.objects.recognize import log_prior, recognized
+
+    best = recognized(seen, log_prior(found.label))[0]
+    body, (height, width) = depth.bodies.people[0], plate.plate_rgb.shape[:2]
+    picture = ObjectPicture(
+        _completed_picture(found, plate), found.amodal_mask, body.intrinsics.resized(width, height),
+        body.T_world_camera[0],
+    )  # fmt: skip
+    mesh, parts = form_mesh(best, picture, config.most_faces)
+    label = best.form.name if found.label in ("object", "furniture") else found.label
+    sigma = best.sigma
+    return ObjectMesh(
+        found.object_id, label, f"form: {best.form.name}{' ' * bool(best.form.variant)}{best.form.variant}", mesh,
+        best.T_world_object, parts, best.distance_m(seen.points_m), float(np.hypot(*sigma[:2])), float(sigma[2]),
+        float(np.sqrt(np.mean(sigma[6:] ** 2))),
+    )  # fmt: skip
 
 
 def _user_meshes(config: ReconstructConfig) -> dict[int, Path]:
@@ -124,19 +145,19 @@ def _user_meshes(config: ReconstructConfig) -> dict[int, Path]:
 
 
 def _foreign(
-    found: CompletedObject, solid: ObjectSolid, files: dict[int, Path], config: ReconstructConfig, ctx: StageContext
+    found: CompletedObject, seen: SeenObject, files: dict[int, Path], config: ReconstructConfig, ctx: StageContext
 ) -> ObjectMesh | None:
     """The user's mesh of the object, that of the network or that of the user's program; None if there is none."""
     from video2anim.artifacts.user_files import read_mesh_file
     from video2anim.models.external_mesh import mesh_by_program
 
     if found.object_id in files:
-        return _adopted(found, solid, read_mesh_file(files[found.object_id]), "user mesh")
+        return _adopted(found, seen, read_mesh_file(files[found.object_id]), "user mesh")
     if config.model != NO_MODEL:
         network = ctx.model(config.model)
         try:
             mesh = network.mesh(found.image_rgb, most_faces=config.most_faces, resolution=config.model_resolution)
-            return _adopted(found, solid, mesh, network.name, in_metres=False)
+            return _adopted(found, seen, mesh, network.name, in_metres=False)
         except StageError as error:
             instead = "by the program" if config.command else "of what is seen"
             ctx.warn(f"object {found.object_id} is made {instead} instead: {error}")
@@ -144,7 +165,7 @@ def _foreign(
         return None
     try:
         with mesh_by_program(config.command, found.image_rgb, config.command_timeout_s) as file:
-            return _adopted(found, solid, read_mesh_file(file), "program")
+            return _adopted(found, seen, read_mesh_file(file), "program")
     except (StageError, InputError) as error:
         ctx.warn(
             f"object {found.object_id} is made of what is seen instead: {error}; once that is mended, "
@@ -154,7 +175,7 @@ def _foreign(
 
 
 def _adopted(
-    found: CompletedObject, solid: ObjectSolid, mesh: Mesh, method: str, *, in_metres: bool = True
+    found: CompletedObject, seen: SeenObject, mesh: Mesh, method: str, *, in_metres: bool = True
 ) -> ObjectMesh:
     """A mesh of any unit in the place of what was seen: as high as that.
 
@@ -162,7 +183,7 @@ def _adopted(
     """
     low, high = mesh.vertices_m.min(0), mesh.vertices_m.max(0)
     base = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
-    box = solid.box
+    box = seen.box()
     # By height; what lies flat has none to go by.
     tall = high[1] - low[1] > 0.1 * (high - low).max()
     ratio = float(box.size_m[1] / (high[1] - low[1]) if tall else box.size_m.max() / max((high - low).max(), 1e-6))
@@ -172,46 +193,6 @@ def _adopted(
     T_world_object[:3, 3] = box.R_world_box @ np.array([box.middle_m[0], box.low_m[1], box.middle_m[2]])
     own = Mesh((scale * (mesh.vertices_m - base)).astype(np.float32), mesh.faces, mesh.vertex_rgb)
     return ObjectMesh(found.object_id, found.label, method, own, T_world_object)
-
-
-def _solid(found: CompletedObject, lifter: ThingLifter, config: ReconstructConfig) -> ObjectSolid | None:
-    from video2anim.geometry.carving import ObjectView
-    from video2anim.geometry.masks import shrunk
-    from video2anim.geometry.object_solid import SolidLimits, object_solid
-
-    own, known = lifter.own(found.object_id), lifter.known
-    if (own & known).sum() < config.least_points:
-        return None
-    thing = lifter.lift(found.object_id)
-    added = shrunk(found.amodal_mask, own.shape) & ~own
-    view = ObjectView(
-        thing.depth_m, known & ~added, own, lifter.floor & ~own, lifter.T_world_camera, lifter.lens, thing.shows
-    )
-    limits = SolidLimits(
-        most_along=config.cubes_along, thickness_ratio=config.thickness_ratio, thickest_m=config.thickest_m
-    )
-    distance_m = float(np.median(thing.depth_m[thing.shows]))
-    return object_solid(own, added, view, limits, blur_m=config.depth_error_ratio * distance_m)
-
-
-def _mesh(found: CompletedObject, solid: ObjectSolid, plate: BackgroundPlate, config: ReconstructConfig) -> ObjectMesh:
-    from video2anim.geometry.solid_mesh import box_surface, mesh_of_voxels, surface_colors
-
-    box = solid.box
-    if solid.method.startswith("box"):
-        vertices_m, faces = box_surface(box.low_m, box.high_m, config.most_faces)
-    else:
-        vertices_m, faces = mesh_of_voxels(solid.voxels, config.most_faces)
-    world_m = vertices_m @ box.R_world_box.T
-    rgb = surface_colors(
-        world_m, _completed_picture(found, plate), solid.view, box, solid.voxels.mirrored, 3 * solid.voxels.spacing_m
-    )
-    low, high = vertices_m.min(0), vertices_m.max(0)
-    base = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
-    T_world_object = np.eye(4)
-    T_world_object[:3, :3], T_world_object[:3, 3] = box.R_world_box, box.R_world_box @ base
-    mesh = Mesh((vertices_m - base).astype(np.float32), faces, rgb)
-    return ObjectMesh(found.object_id, found.label, solid.method, mesh, T_world_object)
 
 
 def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[np.ndarray, "height width 3"]:
@@ -236,4 +217,4 @@ def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[
     return picture
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=8, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=9, models=(SLOT,))

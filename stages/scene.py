@@ -19,7 +19,6 @@ from video2anim.pipeline.options import limits, only_with, only_without
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
-    BodyMotion,
     BodyTracks,
     InstanceMasks,
     Mesh,
@@ -31,7 +30,6 @@ from video2anim.types import (
 
 if TYPE_CHECKING:
     from video2anim.fitting.supports import Support
-    from video2anim.geometry.sdf import SdfGrid
 
 _FAR_SCAN_M = 0.25
 """A scan that stays farther from the video's depth is probably not in place."""
@@ -61,24 +59,8 @@ class SceneConfig:
     """Room surface beyond this depth is left out."""
     background_long_side_px: Annotated[int, limits("px", ge=16, le=16_384), only_with("scan", "")] = 192
     """Resolution of the room surface."""
-    free_depth_m: Annotated[float, limits("m", ge=0, le=10), only_with("scan", "")] = 0.05
-    """Skin deeper than this inside an object speaks against the object's place."""
-    free_share: Annotated[float, limits(ge=0, le=1), only_with("scan", "")] = 0.005
-    """Share of the skin (hands and feet left out) that must be that deep for a frame to count."""
-    free_frames_ratio: Annotated[float, limits(ge=0, le=10), only_with("scan", "")] = 0.2
-    """Share of the frames that speaks against an object; a body that touches or sits may sink in now and then."""
-    stood_deep_m: Annotated[float, limits("m", ge=0, le=10), only_with("scan", "")] = 0.04
-    """An object in which soles stood deeper than this..."""
-    stood_frames: Annotated[int, limits("frames", ge=1, le=1_000_000), only_with("scan", "")] = 8
-    """...in so many frames loses what was above them."""
-    hollow_margin_m: Annotated[float, limits("m", ge=0, le=10), only_with("scan", "")] = 0.02
-    """What is taken out where the body was stops so far from its skin."""
     walked_m: Annotated[float, limits("m", ge=0, le=1000), only_with("scan", "")] = 0.5
     """An object in which the pelvis makes a longer way is in the wrong place, and left out."""
-    least_left_ratio: Annotated[float, limits(ge=0, le=1), only_with("scan", "")] = 0.4
-    """So is an object of which less is left without the places where the body was."""
-    most_faces: Annotated[int, limits("faces", ge=12, le=1_000_000), only_with("scan", "")] = 4000
-    """Of an object whose shape the body's path changes."""
     supports: Annotated[bool, only_with("scan", "")] = True
     """Put a solid where a part of the body rested and no surface is near."""
     scan: str = user_path()
@@ -115,9 +97,9 @@ def build_scene(
     if config.scan:
         return _scanned(motion_m, depth, bodies, config, ctx)
     rested = _rested(bodies) if config.supports else []
-    objects = _not_refuted(_under_high_feet(placed.objects, rested, bodies, ctx), bodies, config, ctx)
+    objects = _not_walked_through(placed.objects, bodies, config, ctx)
     supports = _supports(objects, rested, bodies, ctx)
-    ctx.quality("refuted", len(placed.objects) - len(objects), "objects")
+    ctx.quality("walked through", len(placed.objects) - len(objects), "objects")
     ctx.quality("supports inferred", len(supports), "objects")
     objects += supports
     solids = [world_mesh(p.mesh, p.T_world_object, p.scale) for p in objects]
@@ -178,12 +160,11 @@ def _scanned(
     return SceneModel((), empty_mesh(), scan, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
 
 
-def _not_refuted(
-    objects: list[PlacedObject], bodies: BodyTracks, config: SceneConfig, ctx: StageContext
+def _not_walked_through(
+    objects: Sequence[PlacedObject], bodies: BodyTracks, config: SceneConfig, ctx: StageContext
 ) -> list[PlacedObject]:
-    """Objects without what the observed bodies contradict: where a body was for long, there is no solid."""
+    """Objects without those that somebody walks through: their place or depth is wrong."""
     from video2anim.fitting.free_space import walked_inside_m
-    from video2anim.fitting.hollow import hollowed
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
 
@@ -193,74 +174,15 @@ def _not_refuted(
         bounds_m = np.stack([solid.vertices_m.min(0) - 0.2, solid.vertices_m.max(0) + 0.2])
         spacing_m = max(config.sdf_spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
         field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None)
-        crossed = max(_crossed_ratio(field, motion, config) for motion in bodies.people)
-        if crossed < config.free_frames_ratio:
-            kept.append(_under_feet(item, solid, field, bodies, config, ctx))
-            continue
         walked_m = max(walked_inside_m(field, motion) for motion in bodies.people)
-        told = f"object {item.object_id} ({item.label}): the observed body is inside it in {crossed:.0%} of the frames"
-        if walked_m > config.walked_m:
-            ctx.warn(f"{told} and walks {walked_m:.1f} m there, so its place or depth is wrong; it is left out")
+        if walked_m <= config.walked_m:
+            kept.append(item)
             continue
-        left = hollowed(solid, bodies.people, margin_m=config.hollow_margin_m, most_faces=config.most_faces)
-        share = 0.0 if left is None else left.left_ratio
-        if left is None or share < config.least_left_ratio:
-            ctx.warn(f"{told}, so its place or depth is wrong; it is left out ({share:.0%} would be left)")
-            continue
-        ctx.warn(f"{told}; {_percent(1 - share)} of it, where the body was, is taken out")
-        kept.append(_reshaped(item, left.mesh))
+        ctx.warn(
+            f"object {item.object_id} ({item.label}): somebody walks {walked_m:.1f} m in it, so its place or depth is "
+            "wrong; it is left out"
+        )
     return kept
-
-
-def _percent(share: float) -> str:
-    return f"{share:.0%}" if share >= 0.005 else "less than 1%"
-
-
-def _under_feet(
-    item: PlacedObject, solid: Mesh, field: SdfGrid, bodies: BodyTracks, config: SceneConfig, ctx: StageContext
-) -> PlacedObject:
-    """The object without what is above soles that stood on it: how high a step is, feet know better than depth."""
-    from dataclasses import replace
-
-    from video2anim.body.anny_body import shaped_body
-    from video2anim.fitting.free_space import stood_inside
-    from video2anim.fitting.hollow import hollowed
-
-    standing = []
-    for motion in bodies.people:
-        inside = stood_inside(field, motion, shaped_body(motion.shape), deep_m=config.stood_deep_m)
-        if inside.sum() >= config.stood_frames:
-            standing.append(replace(motion, valid=inside))
-    if not standing:
-        return item
-    # Soles are not soft.
-    left = hollowed(solid, standing, margin_m=0.0, most_faces=config.most_faces)
-    if left is None or left.left_ratio < config.least_left_ratio:
-        return item
-    told = f"object {item.object_id} ({item.label}): feet stood in it"
-    ctx.warn(f"{told}; {_percent(1 - left.left_ratio)} of it, where the body was, is taken out")
-    return _reshaped(item, left.mesh)
-
-
-def _reshaped(item: PlacedObject, solid_world: Mesh) -> PlacedObject:
-    """The same object with another shape, given in the world."""
-    from dataclasses import replace
-
-    from video2anim.geometry.projection import invert_rigid, transform_points
-
-    own_m = transform_points(invert_rigid(item.T_world_object), solid_world.vertices_m.astype(np.float64)) / item.scale
-    mesh = replace(solid_world, vertices_m=own_m.astype(np.float32))
-    return replace(item, mesh=mesh, reason=f"{item.reason}; hollowed where the body was".lstrip("; "))
-
-
-def _crossed_ratio(field: SdfGrid, motion: BodyMotion, config: SceneConfig) -> float:
-    """Share of the looked-at frames in which the body is inside a solid."""
-    from video2anim.body.anny_body import shaped_body
-    from video2anim.fitting.free_space import passed_through
-
-    body = shaped_body(motion.shape)
-    inside = passed_through(field, motion, body, deep_m=config.free_depth_m, share=config.free_share)
-    return float(2 * inside.sum() / max(1, motion.valid.sum()))
 
 
 def _rested(bodies: BodyTracks) -> list[tuple[int, Support]]:
@@ -269,29 +191,6 @@ def _rested(bodies: BodyTracks) -> list[tuple[int, Support]]:
     from video2anim.fitting.supports import rested_places
 
     return [(one.person_id, found) for one in bodies.people for found in rested_places(one, shaped_body(one.shape))]
-
-
-def _under_high_feet(
-    objects: Sequence[PlacedObject], rested: list[tuple[int, Support]], bodies: BodyTracks, ctx: StageContext
-) -> list[PlacedObject]:
-    """Objects brought under feet that rested high up."""
-    from video2anim.geometry.support_fit import fit_under_feet
-
-    kept = list(objects)
-    camera_m = bodies.people[0].T_world_camera[0, [0, 2], 3]
-    for person, support in rested:
-        if support.kind != "feet" or support.top_m < _LOW_M:
-            continue
-        for number, item in enumerate(kept):
-            fitted = fit_under_feet(item, *support.footprint_m, support.top_m, camera_m)
-            if fitted is not None:
-                kept[number] = fitted
-                ctx.warn(
-                    f"object {item.object_id} is moved and cut to {support.top_m:.2f} m so that it meets the "
-                    f"feet of person {person} that rested there"
-                )
-                break
-    return kept
 
 
 def _supports(
@@ -388,4 +287,4 @@ def _background(
     return room_surface(depth_m.astype(np.float64), wanted, rgb, body.T_world_camera[0], body.intrinsics.resized(*size))
 
 
-STAGE = StageSpec("scene", build_scene, version=11)
+STAGE = StageSpec("scene", build_scene, version=12)

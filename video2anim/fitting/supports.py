@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from video2anim.body.anny_body import ShapedBody
-from video2anim.body.skeleton import PARENTS, TOUCHING_PARTS, forward_kinematics
+from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.skeleton import JOINT_INDEX, PARENTS, TOUCHING_PARTS, forward_kinematics
 from video2anim.fitting.free_space import passed_through
 from video2anim.fitting.touching import LIKELY, believed, posed_vertices, skin_of
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
-from video2anim.types.motion import BodyMotion
+from video2anim.types.motion import BodyMotion, BodyTracks
 from video2anim.types.scene import Mesh
 
 SUPPORT = "support"
@@ -53,6 +53,16 @@ _CROSSED_RATIO = 1.0
 _CROSSED_M, _CROSSED_SHARE = 0.01, 0.002
 """They pass through where so much of their skin (of a calf: a hand's width of its height) is so deep in it."""
 
+_ABOVE_FLOOR_M = 0.1
+"""What rests lower rests on the floor, within what one camera leaves open."""
+_INNER = tuple(
+    JOINT_INDEX[name] for name in (
+        "pelvis", "left_hip", "right_hip", "left_knee", "right_knee", "spine1", "spine2", "spine3", "neck", "head",
+    )
+)  # fmt: skip
+"""Joints of trunk, hips, knees and head; hands and feet touch things."""
+_EVERY = 5
+"""Frames from one look at where bodies are to the next."""
 _SAME_M = 0.1
 """A part this near the distance that it has when it rests may rest there, though the picture does not say so."""
 
@@ -131,6 +141,21 @@ def rested_places(motion: BodyMotion, body: ShapedBody) -> list[Support]:
             rests += _rests(motion, body, contact[:, list(joints)].max(1), kind, joints)
         found += [_support(kind, group) for group in _at_one_place(rests)]
     return found
+
+
+def rested_and_inner_m(
+    bodies: BodyTracks,
+) -> tuple[Float[np.ndarray, "rests 3"], Float[np.ndarray, "inner 3"]]:
+    """Skin of all people where it rested above the floor, and joints deep in their bodies, where no thing is."""
+    rested = [
+        place.nearest_m[place.nearest_m[:, 1] > _ABOVE_FLOOR_M]
+        for motion in bodies.people
+        for place in rested_places(motion, shaped_body(motion.shape))
+    ]
+    inner = [
+        motion.joints_world_m[motion.valid][::_EVERY][:, list(_INNER)].reshape(-1, 3) for motion in bodies.people
+    ]
+    return np.concatenate([np.zeros((0, 3)), *rested]), np.concatenate([np.zeros((0, 3)), *inner])
 
 
 def standing_solid(

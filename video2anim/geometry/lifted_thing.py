@@ -50,8 +50,12 @@ class ThingLifter:
         """The thing's depth."""
         own = self._masks[object_id]
         shows = thing_pixels(own, self.known, self._depth_m, self.T_world_camera, self.lens, self._behind)
-        points_m = transform_points(self.T_world_camera, backproject(self._depth_m, self.lens)[shows])
-        return LiftedThing(own, shows, self._depth_m, points_m)
+        return LiftedThing(own, shows, self._depth_m, self.world_m()[shows])
+
+    def world_m(self) -> Float[np.ndarray, "height width 3"]:
+        """World points of all pixels."""
+        camera_m = backproject(self._depth_m, self.lens)
+        return transform_points(self.T_world_camera, camera_m.reshape(-1, 3)).reshape(camera_m.shape)
 
     @cached_property
     def _behind(self) -> Float[np.ndarray, "height width"] | None:

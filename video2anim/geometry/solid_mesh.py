@@ -1,23 +1,29 @@
-"""Watertight, colored meshes of carved solids."""
+"""Closed meshes of solids that are given as cubes, for networks that make objects of pictures."""
 
 from __future__ import annotations
 
-import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
-from scipy.spatial import KDTree
+from dataclasses import dataclass
 
-from video2anim.geometry.carving import ObjectView, Voxels
-from video2anim.geometry.projection import invert_rigid, project, transform_points
-from video2anim.geometry.upright_box import UprightBox
+import numpy as np
+from jaxtyping import Bool, Float, Int
 
 _SMOOTHING_ROUNDS = 6
 """Rounds of Taubin smoothing, which takes the stairs off and keeps the volume."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Voxels:
+    """Cubes; cube (i, j, k) has its lowest corner at origin + spacing * (i, j, k)."""
+
+    filled: Bool[np.ndarray, "x y z"]
+    origin_m: Float[np.ndarray, "3"]
+    spacing_m: float
+
+
 def mesh_of_voxels(
     voxels: Voxels, most_faces: int
 ) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
-    """Closed surface around the filled cubes, in axes of the box (marching cubes, smoothed, simplified).
+    """Closed surface around the filled cubes, in axes of the cubes (marching cubes, smoothed, simplified).
 
     Raises:
         ValueError: no cube is filled.
@@ -91,81 +97,3 @@ def outward(vertices_m: np.ndarray, faces: np.ndarray) -> Int[np.ndarray, "faces
     a, b, c = (vertices_m[faces[:, k]] for k in range(3))
     volume = np.einsum("nd,nd->n", a, np.cross(b, c)).sum()
     return (faces if volume >= 0 else faces[:, ::-1]).astype(np.int64)
-
-
-def box_surface(
-    low_m: Float[np.ndarray, "3"], high_m: Float[np.ndarray, "3"], most_faces: int, finest_m: float = 0.02
-) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
-    """Closed box whose sides are divided into cells, so that vertices can hold colors; at least 12 faces."""
-    size = high_m - low_m
-    cell_m = max(float(np.sqrt(4 * (size * np.roll(size, 1)).sum() / most_faces)), finest_m)
-    counts = np.maximum(np.round(size / cell_m).astype(int), 1)
-    while 4 * (counts * np.roll(counts, 1)).sum() > most_faces and counts.max() > 1:
-        cell_m *= 1.02
-        counts = np.maximum(np.round(size / cell_m).astype(int), 1)
-    axes = [np.linspace(low_m[a], high_m[a], counts[a] + 1) for a in range(3)]
-    shape = tuple(len(axis) for axis in axes)
-    number = np.arange(np.prod(shape)).reshape(shape)
-    quads = []
-    for axis in range(3):
-        for side, turned in ((0, True), (-1, False)):
-            sheet = np.take(number, side, axis=axis)
-            # The remaining axes in order: their cross product points along +axis for axes 0 and 2.
-            corners = np.stack([sheet[:-1, :-1], sheet[1:, :-1], sheet[1:, 1:], sheet[:-1, 1:]], -1).reshape(-1, 4)
-            quads.append(corners[:, ::-1] if turned != (axis == 1) else corners)
-    quad = np.concatenate(quads)
-    faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
-    used, faces = np.unique(faces, return_inverse=True)
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    return grid[used], faces.reshape(-1, 3)
-
-
-def surface_colors(
-    vertices_world_m: Float[np.ndarray, "vertices 3"],
-    picture_rgb: UInt8[np.ndarray, "rows columns 3"],
-    view: ObjectView,
-    box: UprightBox,
-    mirrored: tuple[str, ...],
-    tolerance_m: float,
-) -> UInt8[np.ndarray, "vertices 3"]:
-    """Colors of the picture where the camera sees the vertex; elsewhere of its mirror image, or of the nearest vertex.
-
-    Args:
-        vertices_world_m: Of the mesh.
-        picture_rgb: Of any size; the thing with its hidden parts inpainted.
-        view: What the camera sees, with its pixel size.
-        box: Whose middle planes mirror.
-        mirrored: Axes about which the thing is symmetric.
-        tolerance_m: A vertex may lie so far behind the seen surface and still be seen.
-    """
-    camera_m = transform_points(invert_rigid(view.T_world_camera), vertices_world_m)
-    pixels = project(np.column_stack([camera_m[:, :2], np.maximum(camera_m[:, 2], 0.05)]), view.intrinsics)
-    seen = _seen(camera_m[:, 2], pixels, view, tolerance_m)
-    scale = picture_rgb.shape[1] / view.depth_m.shape[1], picture_rgb.shape[0] / view.depth_m.shape[0]
-    u = np.clip(np.round((pixels[:, 0] + 0.5) * scale[0] - 0.5), 0, picture_rgb.shape[1] - 1).astype(int)
-    v = np.clip(np.round((pixels[:, 1] + 0.5) * scale[1] - 0.5), 0, picture_rgb.shape[0] - 1).astype(int)
-    colors = picture_rgb[v, u].copy()
-    if not seen.any():
-        return np.full_like(colors, 127)
-    own = box.to_box(vertices_world_m)
-    places, from_ = [own[seen]], [np.flatnonzero(seen)]
-    for axis, name in ((0, "x"), (2, "z")):
-        if name in mirrored:
-            image = own[seen].copy()
-            image[:, axis] = 2 * box.middle_m[axis] - image[:, axis]
-            places.append(image)
-            from_.append(from_[0])
-    _, nearest = KDTree(np.concatenate(places)).query(own[~seen])
-    colors[~seen] = colors[np.concatenate(from_)[nearest]]
-    return colors
-
-
-def _seen(z_m: np.ndarray, pixels: np.ndarray, view: ObjectView, tolerance_m: float) -> Bool[np.ndarray, "vertices"]:
-    """Vertices whose pixel is the thing's and whose depth is the surface's."""
-    height, width = view.depth_m.shape
-    index = np.round(pixels).astype(int)
-    inside = (z_m > 0.05) & (index >= 0).all(1) & (index < [width, height]).all(1)
-    seen = np.zeros(len(z_m), bool)
-    column, row = index[inside].T
-    seen[inside] = view.own[row, column] & (np.abs(z_m[inside] - view.depth_m[row, column]) < tolerance_m)
-    return seen

@@ -162,8 +162,7 @@ def surface(
     import trimesh
     from skimage.measure import marching_cubes
 
-    from video2anim.geometry.carving import Voxels
-    from video2anim.geometry.solid_mesh import mesh_of_voxels, outward, simplified
+    from video2anim.geometry.solid_mesh import Voxels, mesh_of_voxels, outward, simplified
 
     spacing = 2.0 * RADIUS / (len(density) - 1)
     ratio = np.clip(density.astype(np.float64) / DENSITY_FROM, 1.0 / _MOST_RATIO, _MOST_RATIO)
@@ -174,7 +173,7 @@ def surface(
     vertices, faces = simplified(np.asarray(mesh.vertices), np.asarray(mesh.faces), most_faces)
     if len(faces) > most_faces or not trimesh.Trimesh(vertices, faces, process=False).is_watertight:
         origin = np.full(3, -RADIUS - 0.5 * spacing)
-        vertices, faces = mesh_of_voxels(Voxels(solid, np.zeros_like(solid), origin, spacing, ()), most_faces)
+        vertices, faces = mesh_of_voxels(Voxels(solid, origin, spacing), most_faces)
     return np.clip(vertices, -RADIUS, RADIUS), outward(vertices, faces)
 
 

@@ -118,7 +118,7 @@ class ObjectMesh:
     object_id: NonNegativeInt
     label: str
     method: str
-    """How it was made: `box` or `carved` with its assumptions, `user mesh`, `triposr`, `program`."""
+    """How it was made: `form: NAME` of a fitted form, `user mesh`, `triposr`, `program`."""
     mesh: Annotated[Mesh, Holds.SOMETHING]
     T_world_object: Annotated[Float[np.ndarray, "4 4"], Holds.RIGID]
     """First guess of the pose; of a fitted form its pose."""

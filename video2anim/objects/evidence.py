@@ -1,0 +1,133 @@
+"""What one camera and the people show of the objects, for their fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from video2anim.geometry.lifted_thing import LiftedThing, ThingLifter
+from video2anim.geometry.masks import shrunk
+from video2anim.geometry.projection import invert_rigid
+from video2anim.geometry.thing_pixels import surface_normals
+from video2anim.geometry.upright_box import UprightBox, fit_upright_box, turned_to
+from video2anim.objects.form_fit import ObjectEvidence
+from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
+
+_POINTS = 160
+"""Pixels of an object that are looked at: twice as many change no size by a centimeter."""
+_LEAST_POINTS = 3
+_RAISED_M = 0.15
+"""What ends so far above the floor, where the picture goes on below it, stands on something else."""
+_NEAR_M = 0.3
+"""Skin and bodies so near to the box of an object's depth points may touch it: the error of its place."""
+_LEAST_DISTANCE_SIGMA = 0.005
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PeopleEvidence:
+    """Where people were, in the world."""
+
+    rested_m: Float[np.ndarray, "rests 3"]
+    """Foremost skin of parts that rested on something above the floor."""
+    body_m: Float[np.ndarray, "inner 3"]
+    """Joints deep in the body: no object is there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenObject:
+    """One object with what is known of it."""
+
+    evidence: ObjectEvidence
+    points_m: Float[np.ndarray, "points 3"]
+    """Its depth points in the world."""
+    normals: Float[np.ndarray, "points 3"]
+    """Of those points."""
+
+    def box(self) -> UprightBox:
+        """The box around them, +z of its frame on the side that faces the camera."""
+        return turned_to(fit_upright_box(self.points_m, self.normals), self.evidence.camera_m)
+
+
+class ObjectViews:
+    """The objects of one picture."""
+
+    def __init__(
+        self,
+        masks: InstanceMasks,
+        depth: MetricDepth,
+        unseen: Bool[np.ndarray, "height width"],
+        people: PeopleEvidence,
+        depth_sigma: float,
+    ) -> None:
+        """`unseen`: pixels that people always covered; `depth_sigma`: of log depth within an object."""
+        self._lifter, self._depth, self._unseen = ThingLifter(masks, depth), depth, unseen
+        self._people, self._depth_sigma = people, depth_sigma
+        self._lifted = {i.object_id: self._lifter.lift(i.object_id) for i in masks.instances}
+        self._distance_m = {
+            number: float(np.median(one.depth_m[one.shows])) if one.shows.any() else np.inf
+            for number, one in self._lifted.items()
+        }
+        self._world_m = self._lifter.world_m()
+        self._normals = surface_normals(self._world_m)
+
+    def object(self, found: CompletedObject, rng: np.random.Generator) -> SeenObject | None:
+        """None if hardly any of its pixels has reliable depth."""
+        thing, lifter = self._lifted[found.object_id], self._lifter
+        own, known = thing.own, lifter.known
+        if thing.shows.sum() < _LEAST_POINTS:
+            return None
+        hidden = self._unseen | self._nearer(found.object_id)
+        outside, k = self._outside_px(found, thing, hidden), lifter.lens
+        chosen = np.flatnonzero(own & (thing.shows | ~known))
+        row, column = np.unravel_index(chosen[rng.permutation(len(chosen))[:_POINTS]], own.shape)
+        local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones(len(row))], -1)
+        points_m = self._world_m[thing.shows]
+        low, high = points_m.min(0) - _NEAR_M, points_m.max(0) + _NEAR_M
+        rested_m, body_m = (
+            some[((some > low) & (some < high)).all(1)] for some in (self._people.rested_m, self._people.body_m)
+        )
+        sigma = self._depth.object_sigma.get(str(found.object_id), _LEAST_DISTANCE_SIGMA)
+        evidence = ObjectEvidence(
+            camera_m=lifter.T_world_camera[:3, 3].copy(),
+            T_camera_world=invert_rigid(lifter.T_world_camera),
+            intrinsics=k,
+            rays=local @ lifter.T_world_camera[:3, :3].T,
+            depth_m=np.where(thing.shows[row, column], thing.depth_m[row, column], np.nan),
+            outside_px=outside,
+            free_m=np.where(own & known, thing.depth_m, 0.0),
+            depth_sigma=self._depth_sigma,
+            distance_sigma=max(sigma, _LEAST_DISTANCE_SIGMA),
+            raised=self._is_raised(own, points_m, hidden),
+            rested_m=rested_m,
+            body_m=body_m,
+        )
+        return SeenObject(evidence, points_m, self._normals[thing.shows])
+
+    def _outside_px(self, found: CompletedObject, thing: LiftedThing, hidden: np.ndarray) -> Float[np.ndarray, "h w"]:
+        """Distance of pixels from where the object may be."""
+        allowed = shrunk(found.amodal_mask, thing.own.shape) | thing.own
+        # Between a mask's pixels, what is seen to be background does not belong to the object.
+        allowed &= ~(thing.own & self._lifter.known & ~thing.shows)
+        closed = cv2.morphologyEx((allowed | hidden).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+        return cv2.distanceTransform(1 - closed, cv2.DIST_L2, 5).astype(np.float64)
+
+    def _nearer(self, object_id: int) -> Bool[np.ndarray, "height width"]:
+        """Pixels of objects that are nearer to the camera."""
+        hides = np.zeros(self._lifter.known.shape, bool)
+        for number, other in self._lifted.items():
+            if number != object_id and self._distance_m[number] < self._distance_m[object_id]:
+                hides |= other.own
+        return hides
+
+    def _is_raised(self, own: np.ndarray, points_m: np.ndarray, hidden: np.ndarray) -> bool:
+        """Whether it ends high above the floor though nothing hides its lower end."""
+        if np.percentile(points_m[:, 1], 2) < _RAISED_M:
+            return False
+        columns = np.flatnonzero(own.any(0))
+        below = len(own) + 1 - np.argmax(own[::-1, columns], axis=0)
+        inside = below < len(own)
+        at = (np.minimum(below, len(own) - 1), columns)
+        return bool((inside & ~hidden[at] & ~self._lifter.floor[at]).mean() > 0.5)

@@ -1,0 +1,250 @@
+"""A form laid onto what is seen of an object: sizes, place and yaw by least squares, the form by its evidence.
+
+One fit joins the object's depth points, its outline (what it must cover and what it must not), the usual sizes of its
+kind, what rested on it and where bodies were. Forms and starts are compared by the Laplace approximation of their
+evidence (MacKay 2003, ch. 27-28), so that a form with more sizes must explain more. Place and scale by the distance
+between object and depth are those of the paper, 8.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.geometry.projection import invert_rigid, transform_points
+from video2anim.objects.furniture import Form
+from video2anim.objects.solids import Solids
+from video2anim.types.camera import Intrinsics
+
+POSE = ("x", "z", "yaw", "base", "distance", "stretch")
+"""What every form has beside its sizes: place (m), turn (rad), height that it rests on (m), logarithm of the correction
+of its depth, and of how depth spreads within it."""
+_STEP = np.array([2e-3, 2e-3, 4e-3, 2e-3, 2e-3, 1e-2])
+_SIZE_STEP = 4e-3
+"""Steps of the numerical derivative: well below what a pixel shows, well above rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitSigmas:
+    """Standard deviations and numbers of independent looks."""
+
+    outline_px: float = 1.5
+    """Of an object's outline, in pixels of the depth map: masks are that good (`benchmarks/room_net.py`)."""
+    looks: float = 30.0
+    """Neighboring pixels err together: all pixels of an object count as so many independent ones."""
+    form_m: float = 0.02
+    """Things differ so much from their form: cushions bulge, edges are round."""
+    rest_m: float = 0.03
+    """Skin that rests on a surface is so near to it."""
+    body_m: float = 0.05
+    """Bodies are so deep in things by their own error."""
+    base_m: float = 0.005
+    """Height of the feet of what stands on the floor."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectEvidence:
+    """What is known of one object. Rays have length 1 along the camera's axis, so that depth times ray is a point."""
+
+    camera_m: Float[np.ndarray, "3"]
+    T_camera_world: Float[np.ndarray, "4 4"]
+    intrinsics: Intrinsics
+    """Of the depth map."""
+    rays: Float[np.ndarray, "points 3"]
+    """World, of some of its pixels."""
+    depth_m: Float[np.ndarray, "points"]
+    """NaN where it is not reliable."""
+    outside_px: Float[np.ndarray, "height width"]
+    """How far each pixel is from where the object may be: its outline and what hides it."""
+    free_m: Float[np.ndarray, "height width"]
+    """Depth up to which the camera sees through each pixel; 0 where that is not known."""
+    depth_sigma: float
+    """Standard deviation of the logarithm of depth within the object."""
+    distance_sigma: float
+    """The same of the object's whole distance."""
+    raised: bool = False
+    """It does not stand on the floor."""
+    rested_m: Float[np.ndarray, "rests 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    """Skin that rested on it."""
+    body_m: Float[np.ndarray, "inner 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    """Points where bodies were."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FormFit:
+    """One form at its best place."""
+
+    form: Form
+    values: Float[np.ndarray, "values"]
+    """`POSE`, then logarithms of sizes."""
+    log_evidence: float
+    sigma: Float[np.ndarray, "values"]
+    """Standard deviations of the values."""
+
+    @property
+    def T_world_object(self) -> Float[np.ndarray, "4 4"]:
+        x, z, yaw, base = self.values[:4]
+        c, s = np.cos(yaw), np.sin(yaw)
+        return np.array([[c, 0, s, x], [0, 1, 0, base], [-s, 0, c, z], [0, 0, 0, 1.0]])
+
+    @property
+    def sizes_m(self) -> Float[np.ndarray, "sizes"]:
+        return np.exp(self.values[len(POSE) :])
+
+    @property
+    def correction(self) -> tuple[float, float]:
+        """Of the object's depth: logarithm of its factor, and of its spread."""
+        return float(self.values[4]), float(self.values[5])
+
+    def distance_m(self, points_m: Float[np.ndarray, "points 3"]) -> float:
+        """Mean distance of world points from its surface; the object's correction of depth is not applied."""
+        own_m = transform_points(invert_rigid(self.T_world_object), points_m)
+        return float(np.abs(self.solids()[1].distance_m(own_m[None])[0].min(0)).mean())
+
+    def solids(self) -> tuple[tuple[str, ...], Solids]:
+        """Names of the parts, and the solids in the object's frame."""
+        return self.form.build(self.sizes_m[None])
+
+
+class FormProblem:
+    """Residuals of one form in units of their standard deviations, for a batch of values."""
+
+    def __init__(
+        self, form: Form, evidence: ObjectEvidence, base_m: float, sigmas: FitSigmas, samples_per_side: int
+    ) -> None:
+        self.form, self.evidence, self.sigmas, self.samples = form, evidence, sigmas, samples_per_side
+        known = np.isfinite(evidence.depth_m)
+        self.point_rays, self.point_m = evidence.rays[known], evidence.depth_m[known]
+        self.log_depth = np.log(self.point_m)
+        self.middle = float(np.median(self.log_depth)) if known.any() else 0.0
+        self.pixel_m = float(np.exp(self.middle)) / evidence.intrinsics.fx_px
+        self.outline_m = float(np.hypot(sigmas.outline_px * self.pixel_m, sigmas.form_m))
+        share = known.sum() / max(len(known), 1)
+        self.point_weight = np.sqrt(sigmas.looks * share / max(known.sum(), 1))
+        self.ray_weight = np.sqrt(sigmas.looks / max(len(known), 1))
+        self.steps = np.concatenate([_STEP, np.full(len(form.sizes), _SIZE_STEP)])
+        self.prior_sigma = np.concatenate([
+            [np.inf, np.inf, np.inf, 0.15 if evidence.raised else sigmas.base_m, evidence.distance_sigma,
+             2 * evidence.distance_sigma], form.spread,
+        ])  # fmt: skip
+        self.prior_mean = np.concatenate([[0, 0, 0, base_m, 0, 0], np.log(form.usual_m)])
+
+    def residuals(self, values: Float[np.ndarray, "batch values"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Those of depth and skin, which have outliers and count by Cauchy's logarithm; those of the outline and of
+        bodies, which count by their size when they are large; those of priors, squared."""
+        evidence, sigmas = self.evidence, self.sigmas
+        _, solids = self.form.build(np.exp(values[:, len(POSE) :]))
+        batch = len(values)
+        depth_m = np.exp(values[:, 4:5] + values[:, 5:6] * (self.log_depth - self.middle)) * self.point_m
+        points = evidence.camera_m + self.point_rays * depth_m[..., None]
+        to_surface = np.abs(solids.distance_m(self._own(values, points)).min(1))
+        noise_m = np.hypot(evidence.depth_sigma * self.point_m, self.outline_m)
+        origin = self._own(values, np.broadcast_to(evidence.camera_m, (batch, 1, 3)))[:, 0]
+        rays = self._turned(values, np.broadcast_to(evidence.rays, (batch, *evidence.rays.shape)))
+        missed = self.ray_weight * solids.miss_m(origin, rays) / self.outline_m
+        outside, before = self._intrusion(values, solids)
+        loose, firm = [self.point_weight * to_surface / noise_m, before], [missed, outside]
+        if len(evidence.rested_m):
+            loose.append(self._to_solids_m(values, solids, evidence.rested_m, np.abs) / sigmas.rest_m)
+        if len(evidence.body_m):
+            firm.append(self._to_solids_m(values, solids, evidence.body_m, _depth_inside) / sigmas.body_m)
+        prior = (values - self.prior_mean)[:, 3:] / self.prior_sigma[3:]
+        return np.concatenate(loose, 1), np.concatenate(firm, 1), prior
+
+    def _to_solids_m(
+        self, values: np.ndarray, solids: Solids, points_m: np.ndarray, of: Callable[[np.ndarray], np.ndarray]
+    ) -> np.ndarray:
+        """Distances of world points, weighted as so many looks."""
+        own_m = self._own(values, np.broadcast_to(points_m, (len(values), *points_m.shape)))
+        weight = np.sqrt(min(self.sigmas.looks, len(points_m)) / len(points_m))
+        return weight * of(solids.distance_m(own_m).min(1))
+
+    def _intrusion(self, values: np.ndarray, solids: Solids) -> tuple[np.ndarray, np.ndarray]:
+        """How far surface samples are outside the outline, and before what the camera sees."""
+        evidence = self.evidence
+        own = solids.surface_points_m(self.samples)
+        c, s = np.cos(values[:, 2])[:, None], np.sin(values[:, 2])[:, None]
+        world = np.stack([
+            c * own[..., 0] + s * own[..., 2] + values[:, 0:1], own[..., 1] + values[:, 3:4],
+            c * own[..., 2] - s * own[..., 0] + values[:, 1:2],
+        ], -1)  # fmt: skip
+        camera = world @ evidence.T_camera_world[:3, :3].T + evidence.T_camera_world[:3, 3]
+        z, k = np.maximum(camera[..., 2], 0.05), evidence.intrinsics
+        u, v = camera[..., 0] / z * k.fx_px + k.cx_px, camera[..., 1] / z * k.fy_px + k.cy_px
+        weight = np.sqrt(self.sigmas.looks / own.shape[1])
+        height, width = evidence.free_m.shape
+        within = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
+        at = (np.where(within, np.round(v), 0).astype(int), np.where(within, np.round(u), 0).astype(int))
+        free = np.where(within, evidence.free_m[at], 0.0) * np.exp(values[:, 4:5])
+        before = np.log(np.maximum(free / z, 1.0)) / np.hypot(evidence.depth_sigma, self.sigmas.form_m / z)
+        outside = _sampled(evidence.outside_px, u, v) * self.pixel_m / self.outline_m
+        return weight * outside, weight * before
+
+    def _turned(self, values: np.ndarray, v: np.ndarray) -> np.ndarray:
+        c, s = np.cos(values[:, 2])[:, None], np.sin(values[:, 2])[:, None]
+        return np.stack([c * v[..., 0] - s * v[..., 2], v[..., 1], s * v[..., 0] + c * v[..., 2]], -1)
+
+    def _own(self, values: np.ndarray, points_m: np.ndarray) -> np.ndarray:
+        place = np.stack([values[:, 0], values[:, 3], values[:, 1]], -1)
+        return self._turned(values, points_m - place[:, None])
+
+    def cost(self, values: Float[np.ndarray, "batch values"]) -> Float[np.ndarray, "batch"]:
+        """Negative logarithm of likelihood and prior, up to a constant of the evidence."""
+        loose, firm, prior = self.residuals(values)
+        return 0.5 * np.log1p(loose**2).sum(1) + (np.sqrt(1 + firm**2) - 1).sum(1) + 0.5 * (prior**2).sum(1)
+
+    def fitted(self, start: Float[np.ndarray, "values"], rounds: int) -> tuple[np.ndarray, float, np.ndarray]:
+        """Levenberg-Marquardt from one start: values, cost, and the curvature there."""
+        values, damping = start.copy(), 1e-2
+        best = float(self.cost(values[None])[0])
+        curvature = np.eye(len(start))
+        for _ in range(rounds):
+            moved = values + np.concatenate([np.zeros((1, len(values))), np.diag(self.steps)])
+            loose, firm, prior = self.residuals(moved)
+            found = np.concatenate([loose, firm, prior], 1)
+            weight = np.concatenate([1 / (1 + loose[0] ** 2), 1 / np.sqrt(1 + firm[0] ** 2), np.ones(prior.shape[1])])
+            slope = (found[1:] - found[0]) / self.steps[:, None]
+            curvature, down = (slope * weight) @ slope.T, slope @ (weight * found[0])
+            scale = np.diag(curvature) + 1e-6
+            tried = np.stack([
+                values - np.linalg.solve(curvature + np.diag(lam * scale), down)
+                for lam in (damping, 10 * damping, 100 * damping)
+            ])  # fmt: skip
+            tried[:, len(POSE) :] = np.clip(tried[:, len(POSE) :], np.log(0.01), np.log(20.0))
+            costs = self.cost(tried)
+            k = int(np.argmin(costs))
+            if not costs[k] < best:
+                damping *= 100
+                if damping > 1e4:
+                    break
+                continue
+            gain, best, values = best - float(costs[k]), float(costs[k]), tried[k]
+            damping = max(1e-4, damping * (0.1, 1.0, 10.0)[k])
+            if gain < 1e-3:
+                break
+        return values, best, curvature
+
+    def laplace(self, cost: float, curvature: np.ndarray) -> float:
+        """Logarithm of the evidence, up to a constant that all forms share."""
+        _, determinant = np.linalg.slogdet(curvature + 1e-9 * np.eye(len(curvature)))
+        spread = self.form.spread
+        return -cost - float(np.log(spread).sum()) - 0.5 * float(determinant)
+
+
+def _depth_inside(distance_m: np.ndarray) -> np.ndarray:
+    return np.maximum(-distance_m, 0)
+
+
+def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Bilinear values of a picture; 0 beyond its edges, where nothing is known."""
+    height, width = image.shape
+    inside = (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
+    u, v = np.clip(u, 0, width - 1.001), np.clip(v, 0, height - 1.001)
+    i, j = u.astype(int), v.astype(int)
+    a, b = u - i, v - j
+    value = (image[j, i] * (1 - a) + image[j, i + 1] * a) * (1 - b)
+    value += (image[j + 1, i] * (1 - a) + image[j + 1, i + 1] * a) * b
+    return np.where(inside, value, 0.0)

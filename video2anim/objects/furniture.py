@@ -1,0 +1,285 @@
+"""Forms of furniture: a few sizes each, and the solids that they give.
+
+Usual sizes are those of catalogues, in meters: the middle of the range in which two thirds of the pieces lie, and half
+its width as a share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.objects.solids import Solids
+
+Sizes = Float[np.ndarray, "batch sizes"]
+_Rows = list[tuple[str, list, list]]
+"""Name, center (x, y, z) and full size (x, y, z) of every solid; numbers or arrays over the batch."""
+
+LEG_M = 0.045
+"""Thickness of a leg."""
+_TILT_RAD = 0.13
+"""Lean of the back of a chair: 5 to 11 degrees are usual."""
+_SOFT_BACK_M = 0.16
+"""Thickness of an upholstered back."""
+_BOARD_M = 0.025
+"""Thickness of boards and table tops: 18 to 40 mm are usual."""
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """One size of a form."""
+
+    name: str
+    usual_m: float
+    spread: float
+    """Standard deviation of its logarithm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """A kind of thing."""
+
+    name: str
+    """Class of thing, such as `chair`; several forms may share one."""
+    sizes: tuple[Size, ...]
+    """`width` is along x, `depth` along z, `height` that of the whole."""
+    build: Callable[[Sizes], tuple[tuple[str, ...], Solids]]
+    """Solids of a batch of sizes (m), and the names of the parts."""
+    variant: str = ""
+    turns: int = 4
+    """Quarter turns in which it looks different."""
+    share: float = 1.0
+    """How common it is among things in rooms and gardens, against a chair."""
+
+    @property
+    def usual_m(self) -> Float[np.ndarray, "sizes"]:
+        return np.array([size.usual_m for size in self.sizes])
+
+    @property
+    def spread(self) -> Float[np.ndarray, "sizes"]:
+        return np.array([size.spread for size in self.sizes])
+
+
+def _solids(
+    rows: _Rows, batch: int, *, tilted: tuple[str, ...] = (), tilt_rad: float = 0.0, round_: tuple[str, ...] = ()
+) -> tuple[tuple[str, ...], Solids]:
+    names = tuple(name for name, _, _ in rows)
+    shape = (batch, len(rows), 3)
+    center, half = np.empty(shape), np.empty(shape)
+    for k, (_, middle, size) in enumerate(rows):
+        for axis in range(3):
+            center[:, k, axis], half[:, k, axis] = middle[axis], 0.5 * np.asarray(size[axis])
+    tilt = np.broadcast_to([tilt_rad if name in tilted else 0.0 for name in names], (batch, len(rows)))
+    return names, Solids(center, np.maximum(half, 1e-3), tilt, np.array([name in round_ for name in names]))
+
+
+def _legs(w, d, top, z0=0.0) -> _Rows:
+    x, z = 0.5 * w - 0.6 * LEG_M, 0.5 * d - 0.6 * LEG_M
+    return [("leg", [sx * x, 0.5 * top, z0 + sz * z], [LEG_M, top, LEG_M]) for sx in (-1, 1) for sz in (-1, 1)]
+
+
+def _chair(s: Sizes):
+    w, d, h, back = s.T
+    thick = 0.045
+    rows = [("seat", [0, h - 0.5 * thick, 0], [w, thick, d])]
+    lean = 0.5 * back * np.sin(_TILT_RAD)
+    rows.append(("back", [0, h + 0.5 * back, -0.5 * d - lean], [w, back, 0.035]))
+    return _solids(rows + _legs(w, d, h - thick), len(s), tilted=("back",), tilt_rad=_TILT_RAD)
+
+
+def _soft_seat(s: Sizes):
+    w, d, h, back, arm, rise = s.T
+    rear = _SOFT_BACK_M
+    rows = [
+        ("seat", [0, 0.5 * h + 0.03, 0], [w, h - 0.06, d]),
+        ("back", [0, 0.5 * (h + back) + 0.03, -0.5 * d - 0.5 * rear], [w + 2 * arm, h + back - 0.06, rear]),
+    ]
+    for side in (-1, 1):
+        x = side * 0.5 * (w + arm)
+        rows.append(("arm", [x, 0.5 * (h + rise) + 0.03, -0.0], [arm, h + rise - 0.06, d]))
+    return _solids(rows, len(s))
+
+
+def _stool(s: Sizes):
+    w, d, h = s.T
+    thick = 0.05
+    return _solids([("seat", [0, h - 0.5 * thick, 0], [w, thick, d]), *_legs(0.9 * w, 0.9 * d, h - thick)], len(s))
+
+
+def _table(s: Sizes):
+    w, d, h = s.T
+    top = ("top", [0, h - 0.5 * _BOARD_M, 0], [w, _BOARD_M, d])
+    return _solids([top, *_legs(w - 0.06, d - 0.06, h - _BOARD_M)], len(s))
+
+
+def _panel_table(s: Sizes):
+    w, d, h = s.T
+    top = h - _BOARD_M
+    rows = [("top", [0, h - 0.5 * _BOARD_M, 0], [w, _BOARD_M, d])]
+    rows += [("leg", [side * (0.5 * w - 0.06), 0.5 * top, 0], [_BOARD_M, top, d - 0.08]) for side in (-1, 1)]
+    return _solids(rows, len(s))
+
+
+def _desk(side: int) -> Callable[[Sizes], tuple[tuple[str, ...], Solids]]:
+    def build(s: Sizes):
+        w, d, h = s.T
+        names, table = _table(s)
+        top = h - _BOARD_M
+        rows: _Rows = [("drawers", [side * (0.5 * w - 0.26), 0.5 * top + 0.02, 0], [0.4, top - 0.06, d - 0.12])]
+        more, drawers = _solids(rows, len(s))
+        joined = Solids(
+            np.concatenate([table.center_m, drawers.center_m], 1), np.concatenate([table.half_m, drawers.half_m], 1),
+            np.concatenate([table.tilt_rad, drawers.tilt_rad], 1), np.concatenate([table.round, drawers.round]),
+        )  # fmt: skip
+        return names + more, joined
+
+    return build
+
+
+def _round_table(s: Sizes):
+    across, h, foot = s.T
+    top = h - 0.03
+    rows = [
+        ("top", [0, h - 0.015, 0], [across, 0.03, across]),
+        ("leg", [0, 0.5 * top, 0], [0.08, top, 0.08]),
+        ("base", [0, 0.015, 0], [foot, 0.03, foot]),
+    ]
+    return _solids(rows, len(s), round_=("top", "leg", "base"))
+
+
+def _round_table_on_legs(s: Sizes):
+    across, h = s.T
+    rows = [("top", [0, h - 0.015, 0], [across, 0.03, across]), *_legs(0.62 * across, 0.62 * across, h - 0.03)]
+    return _solids(rows, len(s), round_=("top",))
+
+
+def _swivel_chair(s: Sizes):
+    w, d, h, back = s.T
+    rows = [
+        ("seat", [0, h - 0.035, 0], [w, 0.07, d]),
+        ("back", [0, h + 0.55 * back, -0.5 * d - 0.5 * back * np.sin(_TILT_RAD)], [w, 0.9 * back, 0.045]),
+        ("leg", [0, 0.5 * (h - 0.07), 0], [0.07, h - 0.07, 0.07]),
+        ("base", [0, 0.05, 0], [0.55, 0.06, 0.55]),
+    ]
+    return _solids(rows, len(s), tilted=("back",), tilt_rad=_TILT_RAD, round_=("leg", "base"))
+
+
+def _kitchen(s: Sizes):
+    w, d, h, gap, upper, shallow = s.T
+    rows = [
+        ("body", [0, 0.5 * h, 0], [w, h, d]),
+        ("top cabinet", [0, h + gap + 0.5 * upper, 0.5 * (shallow - d)], [w, upper, shallow]),
+    ]
+    return _solids(rows, len(s))
+
+
+def _bed(s: Sizes):
+    w, length, h, head = s.T
+    rows = [
+        ("bed", [0, 0.5 * h + 0.04, 0], [w, h - 0.08, length]),
+        ("headboard", [0, 0.5 * (h + head), -0.5 * length - 0.03], [w, h + head, 0.06]),
+    ]
+    return _solids(rows, len(s))
+
+
+def _shelf(boards: int) -> Callable[[Sizes], tuple[tuple[str, ...], Solids]]:
+    def build(s: Sizes):
+        w, d, h = s.T
+        rows: _Rows = [("side", [side * (0.5 * w - 0.011), 0.5 * h, 0], [0.022, h, d]) for side in (-1, 1)]
+        rows.append(("back", [0, 0.5 * h, -0.5 * d + 0.005], [w, h, 0.01]))
+        for k in range(boards):
+            top = 0.08 + (h - 0.08) * k / (boards - 1)
+            rows.append(("board", [0, top - 0.011, 0], [w - 0.04, 0.022, d]))
+        # What stands on the boards: its front is what the camera sees.
+        rows.append(("contents", [0, 0.5 * h, -0.2 * d], [w - 0.05, h - 0.04, 0.55 * d]))
+        return _solids(rows, len(s))
+
+    return build
+
+
+def _box(s: Sizes):
+    w, d, h = s.T
+    return _solids([("body", [0, 0.5 * h, 0], [w, h, d])], len(s))
+
+
+def _lamp(s: Sizes):
+    shade, tall, h, foot = s.T
+    rows = [
+        ("base", [0, 0.015, 0], [foot, 0.03, foot]),
+        ("pole", [0, 0.5 * (h - tall), 0], [0.025, h - tall, 0.025]),
+        ("shade", [0, h - 0.5 * tall, 0], [shade, tall, shade]),
+    ]
+    return _solids(rows, len(s), round_=("base", "pole", "shade"))
+
+
+def _plant(s: Sizes):
+    leaves, pot_h, h, pot = s.T
+    rows = [
+        ("pot", [0, 0.5 * pot_h, 0], [pot, pot_h, pot]),
+        ("leaves", [0, 0.5 * (h + pot_h), 0], [leaves, h - pot_h, leaves]),
+    ]
+    return _solids(rows, len(s), round_=("pot", "leaves"))
+
+
+def _steps(s: Sizes):
+    w, d, h = s.T
+    rows = [
+        ("tread", [0, 0.25 * h, 0.25 * d], [w, 0.5 * h, 0.5 * d]),
+        ("tread", [0, 0.5 * h, -0.25 * d], [w, h, 0.5 * d]),
+    ]
+    return _solids(rows, len(s))
+
+
+def _drum(s: Sizes):
+    across, h = s.T
+    return _solids([("body", [0, 0.5 * h, 0], [across, h, across])], len(s), round_=("body",))
+
+
+def _size(name: str, usual_m: float, spread: float) -> Size:
+    return Size(name, usual_m, spread)
+
+
+FORMS: tuple[Form, ...] = (
+    Form("chair", (_size("width", 0.45, 0.12), _size("depth", 0.43, 0.1), _size("seat height", 0.455, 0.05),
+                   _size("back height", 0.45, 0.2)), _chair),
+    Form("chair", (_size("width", 0.48, 0.12), _size("depth", 0.45, 0.1), _size("seat height", 0.47, 0.08),
+                   _size("back height", 0.5, 0.2)), _swivel_chair, "swivel"),
+    Form("armchair", (_size("width", 0.57, 0.1), _size("depth", 0.55, 0.1), _size("seat height", 0.42, 0.08),
+                      _size("back height", 0.46, 0.2), _size("arm width", 0.14, 0.3), _size("arm rise", 0.19, 0.2)),
+         _soft_seat),
+    Form("sofa", (_size("width", 1.6, 0.2), _size("depth", 0.57, 0.1), _size("seat height", 0.42, 0.08),
+                  _size("back height", 0.42, 0.2), _size("arm width", 0.14, 0.3), _size("arm rise", 0.19, 0.2)),
+         _soft_seat),
+    Form("stool", (_size("width", 0.36, 0.12), _size("depth", 0.36, 0.12), _size("seat height", 0.48, 0.2)), _stool,
+         turns=2),
+    Form("table", (_size("width", 1.4, 0.3), _size("depth", 0.85, 0.2), _size("height", 0.74, 0.04)), _table, turns=2),
+    Form("table", (_size("width", 1.0, 0.25), _size("depth", 0.6, 0.2), _size("height", 0.42, 0.15)), _table, "low", 2),
+    Form("table", (_size("width", 1.4, 0.3), _size("depth", 0.85, 0.2), _size("height", 0.74, 0.04)), _panel_table,
+         "panels", 2),
+    Form("table", (_size("width", 0.95, 0.2), _size("height", 0.72, 0.1), _size("foot", 0.5, 0.2)), _round_table,
+         "round", 1),
+    Form("table", (_size("width", 0.85, 0.25), _size("height", 0.6, 0.25)), _round_table_on_legs, "round, legs", 2),
+    Form("desk", (_size("width", 1.3, 0.2), _size("depth", 0.68, 0.15), _size("height", 0.73, 0.04)), _desk(1),
+         "drawers at +x"),
+    Form("desk", (_size("width", 1.3, 0.2), _size("depth", 0.68, 0.15), _size("height", 0.73, 0.04)), _desk(-1),
+         "drawers at -x"),
+    Form("bed", (_size("width", 1.3, 0.3), _size("depth", 2.02, 0.04), _size("height", 0.5, 0.15),
+                 _size("head rise", 0.4, 0.4)), _bed),
+    Form("shelf", (_size("width", 0.9, 0.25), _size("depth", 0.32, 0.2), _size("height", 1.5, 0.3)), _shelf(4), "4"),
+    Form("shelf", (_size("width", 0.9, 0.25), _size("depth", 0.32, 0.2), _size("height", 1.9, 0.15)), _shelf(6), "6"),
+    Form("cabinet", (_size("width", 0.9, 0.4), _size("depth", 0.45, 0.25), _size("height", 1.0, 0.5)), _box, turns=2),
+    Form("cabinet", (_size("width", 2.2, 0.3), _size("depth", 0.6, 0.06), _size("height", 0.9, 0.04),
+                     _size("gap", 0.55, 0.1), _size("upper height", 0.65, 0.15),
+                     _size("upper depth", 0.35, 0.1)), _kitchen, "kitchen", share=0.2),
+    Form("lamp", (_size("width", 0.4, 0.25), _size("shade height", 0.28, 0.3), _size("height", 1.55, 0.15),
+                  _size("foot", 0.28, 0.2)), _lamp, turns=1, share=0.3),
+    Form("plant", (_size("width", 0.5, 0.4), _size("pot height", 0.3, 0.3), _size("height", 1.1, 0.35),
+                   _size("pot", 0.3, 0.3)), _plant, turns=1, share=0.3),
+    Form("steps", (_size("width", 0.6, 0.4), _size("depth", 0.55, 0.3), _size("height", 0.36, 0.3)), _steps, share=0.1),
+    Form("box", (_size("width", 0.6, 0.8), _size("depth", 0.6, 0.8), _size("height", 0.6, 0.8)), _box, turns=2),
+    Form("drum", (_size("width", 0.4, 0.6), _size("height", 0.5, 0.6)), _drum, turns=1, share=0.05),
+)  # fmt: skip
+"""All that is tried. `box` and `drum` are what is left for things of no known kind."""

@@ -1,0 +1,132 @@
+"""Closed, colored meshes of fitted forms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy.spatial import KDTree
+
+from video2anim.geometry.projection import invert_rigid, project, transform_points
+from video2anim.objects.form_fit import FormFit
+from video2anim.objects.solids import Solids
+from video2anim.types import Mesh, ObjectPart
+from video2anim.types.camera import Intrinsics
+
+_FINEST_M = 0.02
+_SEEN_M = 0.03
+"""A surface so far behind the first that a ray meets is still the one that is seen: sides meet at edges."""
+_SIDE_M = 0.15
+"""A side that looks elsewhere counts as so far away when a color is looked for."""
+_GRAY = 127
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectPicture:
+    """Colors of one object; any size."""
+
+    rgb: UInt8[np.ndarray, "height width 3"]
+    own: Bool[np.ndarray, "height width"]
+    """Pixels that show it or were completed."""
+    intrinsics: Intrinsics
+    T_world_camera: Float[np.ndarray, "4 4"]
+
+
+def form_mesh(fit: FormFit, picture: ObjectPicture, most_faces: int) -> tuple[Mesh, tuple[ObjectPart, ...]]:
+    """The form's parts as closed surfaces of at most that many faces together, in the object's frame."""
+    names, solids = fit.solids()
+    cell_m = _FINEST_M
+    pieces = solids.meshes(cell_m)
+    while sum(len(faces) for _, faces in pieces) > most_faces and cell_m < 10:
+        cell_m *= 1.15
+        pieces = solids.meshes(cell_m)
+    vertices, faces, parts, first, count = [], [], [], 0, 0
+    for name, (own_m, own_faces) in zip(names, pieces, strict=True):
+        vertices.append(own_m)
+        faces.append(own_faces + count)
+        parts.append(ObjectPart(name, first, len(own_faces)))
+        first, count = first + len(own_faces), count + len(own_m)
+    vertices_m, every = np.concatenate(vertices), np.concatenate(faces)
+    rgb = _colors(vertices_m, every, solids, fit.T_world_object, picture)
+    return Mesh(vertices_m.astype(np.float32), every, rgb), tuple(parts)
+
+
+def _colors(
+    vertices_m: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    solids: Solids,
+    T_world_object: Float[np.ndarray, "4 4"],
+    picture: ObjectPicture,
+) -> UInt8[np.ndarray, "vertices 3"]:
+    """Those of the picture where the camera sees a vertex; elsewhere of the nearest seen place that looks the same way,
+    in the object or in its mirror image."""
+    T_object_camera = invert_rigid(T_world_object) @ picture.T_world_camera
+    camera_m = transform_points(invert_rigid(T_object_camera), vertices_m)
+    ahead = camera_m[:, 2] > 0.05
+    pixels = project(np.where(ahead[:, None], camera_m, [0.0, 0.0, 1.0]), picture.intrinsics)
+    height, width = picture.own.shape
+    u, v = (np.round(pixels[:, k]).astype(int) for k in (0, 1))
+    inside = ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    u, v = np.clip(u, 0, width - 1), np.clip(v, 0, height - 1)
+    rays = vertices_m - T_object_camera[:3, 3]
+    first = solids.first_hit(T_object_camera[None, :3, 3], rays[None])[0]
+    seen = inside & picture.own[v, u] & ((1 - first) * np.linalg.norm(rays, axis=-1) < _SEEN_M)
+    rgb = picture.rgb[v, u].copy()
+    if not seen.any():
+        some = picture.rgb[picture.own]
+        return np.tile(np.median(some, axis=0).astype(np.uint8) if len(some) else np.uint8(_GRAY), (len(rgb), 1))
+    normals = _vertex_normals(vertices_m, faces)
+    place = np.concatenate([vertices_m, _SIDE_M * normals], 1)
+    mirrored = place * np.array([-1.0, 1, 1, -1, 1, 1])
+    source = np.flatnonzero(seen)
+    _, nearest = KDTree(np.concatenate([place[seen], mirrored[seen]])).query(place[~seen])
+    rgb[~seen] = rgb[np.concatenate([source, source])[nearest]]
+    return rgb
+
+
+def _vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals, the mean of the faces around a vertex."""
+    a, b, c = (vertices_m[faces[:, k]] for k in range(3))
+    normal, total = np.cross(b - a, c - a), np.zeros_like(vertices_m)
+    for k in range(3):
+        np.add.at(total, faces[:, k], normal)
+    return total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-12)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How well a form explains an object."""
+
+    outline_iou: float
+    """Of its outline and the object's, where nothing hides it."""
+    depth_error_m: float
+    """Median distance between what the camera measured and the form."""
+
+
+def verdict(fit: FormFit, own: Bool[np.ndarray, "height width"], open_: Bool[np.ndarray, "height width"],
+            depth_m: Float[np.ndarray, "height width"], shows: Bool[np.ndarray, "height width"],
+            intrinsics: Intrinsics, T_world_camera: Float[np.ndarray, "4 4"]) -> Verdict:
+    """Compare the form, drawn, with the object.
+
+    Args:
+        own: The object's visible pixels.
+        open_: Pixels in which nothing hides it.
+        depth_m: Measured.
+        shows: Pixels whose depth is the object's.
+    """
+    height, width = own.shape
+    row, column = np.mgrid[:height, :width]
+    k = intrinsics
+    local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones_like(row)], -1).reshape(-1, 3)
+    T_object_camera = invert_rigid(fit.T_world_object) @ T_world_camera
+    _, solids = fit.solids()
+    hit = solids.first_hit(T_object_camera[None, :3, 3], (local @ T_object_camera[:3, :3].T)[None])[0]
+    hit = hit.reshape(height, width)
+    drawn = np.isfinite(hit)
+    union = (drawn | own) & open_
+    iou = float((drawn & own & open_).sum() / max(int(union.sum()), 1))
+    both = drawn & shows
+    change, _ = fit.correction
+    error = np.abs(depth_m[both] * np.exp(change) - hit[both])
+    return Verdict(iou, float(np.median(error)) if both.any() else float("inf"))

@@ -1,0 +1,101 @@
+"""Which form an object has: every form is tried from several sides, and the one with the most evidence kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.geometry.upright_box import UprightBox
+from video2anim.objects.evidence import SeenObject
+from video2anim.objects.form_fit import FitSigmas, FormFit, FormProblem
+from video2anim.objects.furniture import FORMS, Form
+
+_SCREEN_SAMPLES, _SAMPLES = 3, 7
+"""Surface samples along a side of a solid, while forms are compared and at the end."""
+_SCREEN_ROUNDS, _ROUNDS = 6, 25
+_KEPT = 4
+"""Starts that are followed to the end."""
+
+
+def recognized(
+    seen: SeenObject,
+    log_prior: Mapping[str, float],
+    forms: Sequence[Form] = FORMS,
+    sigmas: FitSigmas | None = None,
+) -> list[FormFit]:
+    """The forms that were followed to the end, best first.
+
+    Args:
+        log_prior: Logarithm of the probability of each class of form before the object was measured; classes that are
+            not named are not tried.
+    """
+    sigmas = FitSigmas() if sigmas is None else sigmas
+    evidence, box = seen.evidence, seen.box()
+    base_m = max(float(np.percentile(seen.points_m[:, 1], 2)), 0.0) if evidence.raised else 0.0
+    screened = []
+    for form in forms:
+        if form.name not in log_prior:
+            continue
+        problem = FormProblem(form, evidence, base_m, sigmas, _SCREEN_SAMPLES)
+        tried = [problem.fitted(start, _SCREEN_ROUNDS) for start in _starts(form, box, base_m)]
+        prior = log_prior[form.name] + float(np.log(form.share))
+        scores = [problem.laplace(cost, curvature) + prior for _, cost, curvature in tried]
+        screened.append((max(scores), form, tried[int(np.argmax(scores))][0]))
+    screened.sort(key=lambda one: -one[0])
+    found = []
+    for _, form, values in screened[:_KEPT]:
+        prior = log_prior[form.name] + float(np.log(form.share))
+        problem = FormProblem(form, evidence, base_m, sigmas, _SAMPLES)
+        values, cost, curvature = problem.fitted(values, _ROUNDS)
+        sigma = np.sqrt(np.maximum(np.diag(np.linalg.pinv(curvature + 1e-9 * np.eye(len(curvature)))), 0))
+        found.append(FormFit(form, values, problem.laplace(cost, curvature) + prior, sigma))
+    return sorted(found, key=lambda fit: -fit.log_evidence)
+
+
+def _starts(form: Form, box: UprightBox, base_m: float) -> list[Float[np.ndarray, "values"]]:
+    """The form before what was seen of the object, in every quarter turn in which it looks different.
+
+    Sizes that were seen start with those of the box, within what is usual.
+    """
+    yaw = float(np.arctan2(box.R_world_box[0, 2], box.R_world_box[2, 2]))
+    extent_m = np.array([box.size_m[0], box.high_m[1] - base_m, box.size_m[2]])
+    made = []
+    for turn in range(form.turns):
+        axis_of = {"width": 2 * (turn % 2), "depth": 2 - 2 * (turn % 2), "height": 1}
+        logs = []
+        for size in form.sizes:
+            log, axis = float(np.log(size.usual_m)), axis_of.get(size.name)
+            if axis is not None and box.measured[axis]:
+                seen = float(np.log(max(extent_m[axis], 0.03)))
+                log = float(np.clip(seen, log - 2 * size.spread, log + 2 * size.spread))
+            logs.append(log)
+        sizes = dict(zip((size.name for size in form.sizes), np.exp(logs), strict=True))
+        middle = box.middle_m.copy()
+        middle[2] = box.high_m[2] - 0.5 * sizes.get("depth" if turn % 2 == 0 else "width", sizes["width"])
+        x, _, z = box.R_world_box @ middle
+        made.append(np.array([x, z, yaw + turn * np.pi / 2, base_m, 0.0, 0.0, *logs]))
+    return made
+
+
+_SYNONYMS = {
+    "couch": "sofa", "dining table": "table", "coffee table": "table", "potted plant": "plant", "bookcase": "shelf",
+    "wardrobe": "cabinet", "chest of drawers": "cabinet", "cupboard": "cabinet", "refrigerator": "cabinet",
+    "ottoman": "stool", "bench": "stool", "stairs": "steps", "step": "steps", "swivel chair": "chair",
+}  # fmt: skip
+"""Words of segmentation networks for classes of forms."""
+_MISNAMED = 0.02
+"""How often a network that names a thing names it wrongly, for each other class."""
+
+
+def log_prior(label: str) -> dict[str, float]:
+    """Logarithm of the probability of every class of form, by what a network called the object.
+
+    Names that no form has say nothing.
+    """
+    classes = sorted({form.name for form in FORMS})
+    name = _SYNONYMS.get(label, label)
+    if name not in classes:
+        return dict.fromkeys(classes, 0.0)
+    return {other: 0.0 if other == name else float(np.log(_MISNAMED)) for other in classes}
