@@ -7,7 +7,6 @@ presence, landmarks it can see, and a crop that settles when it is fitted again 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +15,7 @@ from jaxtyping import Float, UInt8
 from video2anim.models.blazepose import BlazePose, PoseEstimate, roi_of_detection
 from video2anim.models.blazepose_detector import Detections, concatenate
 from video2anim.models.roi import SquareRoi
+from video2anim.models.tiles import square_tiles
 
 MIN_PRESENCE_NEW = 0.9
 MIN_PRESENCE_KEPT = 0.5
@@ -26,8 +26,6 @@ _MAX_FITS = 4
 _SETTLED_SHIFT = 0.06
 _SETTLED_SCALE = 0.1
 _SETTLED_TURN_RAD = 0.12
-_TILE_OVERLAP = 0.4
-_ZOOMS = (1, 2)
 _MIN_TILE_PX = 112
 """Below half the detector's input a tile only magnifies blur."""
 _SAME_DISTANCE = 0.25
@@ -42,7 +40,7 @@ def scan(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], *, min_sco
     """Crops that may hold a person, best first, each body once: whole picture and square tiles at two zooms."""
     height, width = image.shape[:2]
     parts = [pose.detect(image, min_score=min_score)]
-    for x0, y0, side in _tiles(width, height):
+    for x0, y0, side in square_tiles(width, height, least_px=_MIN_TILE_PX):
         tile = image[y0 : y0 + side, x0 : x0 + side]
         parts.append(pose.detect(tile, min_score=min_score).shifted(x0, y0))
     return _distinct(concatenate(parts))
@@ -136,22 +134,6 @@ def mask_share(inner: PoseEstimate, outer: PoseEstimate) -> float:
 def hips_px(found: PoseEstimate) -> Float[np.ndarray, "2"]:
     """Middle of the hips in pixels."""
     return found.landmarks_px[list(_HIPS)].mean(axis=0)
-
-
-def _tiles(width: int, height: int) -> Iterator[tuple[int, int, int]]:
-    for zoom in _ZOOMS:
-        side = min(width, height) // zoom
-        if side < _MIN_TILE_PX or (zoom == 1 and width == height):
-            continue
-        for y0 in _starts(height, side):
-            for x0 in _starts(width, side):
-                yield x0, y0, side
-
-
-def _starts(length: int, side: int) -> list[int]:
-    spare = length - side
-    count = 1 + math.ceil(spare / (side * (1.0 - _TILE_OVERLAP)))
-    return [round(spare * k / max(count - 1, 1)) for k in range(count)]
 
 
 def _distinct(found: Detections) -> list[SquareRoi]:
