@@ -13,6 +13,8 @@ from video2anim.geometry.object_regions import Region, RegionLimits
 
 _COVERED = 0.5
 """A region that recognised things cover to this share is one of them."""
+_LEFT = 0.5
+"""A recognised thing of which better ones leave less than this share is one of them, or several taken for one."""
 _BUILT = 0.6
 """A region that lies on walls, ceiling and floor to this share is no object."""
 _LEAST_PART = 0.15
@@ -50,6 +52,8 @@ def joined_objects(
     taken = np.zeros(built.shape, bool)
     for thing in recognised:
         mask = _main_parts(thing.mask & ~taken)
+        if mask.sum() < _LEFT * thing.mask.sum():
+            continue
         if mask.mean() < limits.smallest_ratio or not _has_object_size(points_world_m[mask & valid], limits):
             continue
         found.append(SeenThing(thing.label, thing.score, mask))

@@ -87,6 +87,8 @@ _SYNONYMS = {
 """Words of segmentation networks for classes of forms."""
 _MISNAMED = 0.02
 """How often a network that names a thing names it wrongly, for each other class."""
+_BROAD = {"chair": ("armchair", "sofa", "stool"), "table": ("desk",), "desk": ("table",), "box": ("cabinet", "stool")}
+"""Classes that the same word may mean as well."""
 
 
 def log_prior(label: str) -> dict[str, float]:
@@ -98,4 +100,5 @@ def log_prior(label: str) -> dict[str, float]:
     name = _SYNONYMS.get(label, label)
     if name not in classes:
         return dict.fromkeys(classes, 0.0)
-    return {other: 0.0 if other == name else float(np.log(_MISNAMED)) for other in classes}
+    meant = (name, *_BROAD.get(name, ()))
+    return {other: 0.0 if other in meant else float(np.log(_MISNAMED)) for other in classes}
