@@ -15,10 +15,10 @@ from video2anim.types import BodyMotion
 
 TYPES = [
     "BackgroundPlate", "BodyMotion", "BodyShape", "BodyTracks", "CameraEstimate", "CompletedObject", "CompletedObjects",
-    "DepthClip", "ExportedFiles", "InstanceMasks", "Intrinsics", "KeyframedMotion", "Mesh", "MetricDepth",
-    "ObjectInstance", "ObjectMesh", "ObjectMeshes", "PayloadFile", "PersonQuality", "PersonTrack", "PersonTracks",
-    "PlacedObject", "PlacedObjects", "RefinedMotion", "SceneModel", "SourceInfo", "SourceVideo", "Storage", "Thumbnail",
-    "VideoClip", "stored",
+    "Contact", "DepthClip", "ExportedFiles", "InstanceMasks", "Intrinsics", "KeyframedMotion", "Mesh", "MetricDepth",
+    "ObjectInstance", "ObjectMesh", "ObjectMeshes", "ObjectPart", "PayloadFile", "PersonQuality", "PersonTrack",
+    "PersonTracks", "PlacedObject", "PlacedObjects", "RefinedMotion", "SceneModel", "SourceInfo", "SourceVideo",
+    "Storage", "Thumbnail", "VideoClip", "stored",
 ]  # fmt: skip
 COMMANDS = {
     "": {"--version", "--debug"},

@@ -15,7 +15,7 @@ LIKELY = 0.5
 """Contact probability from which a part is taken to touch."""
 NEAR_M = 0.03
 """Skin this near a surface touches it: what a body fitted to a video is off by at best."""
-_SLOW_M_S = 0.4
+SLOW_M_S = 0.4
 """What touches hardly moves. A foot that stands is below 0.1 m/s after the solve, one that swings above 1."""
 _SLOW_SEEN_M_S = 0.6
 """The same of a motion straight from the picture: landmarks of a part at rest still move by 0.2 to 0.5 m/s."""
@@ -111,5 +111,5 @@ def touches(
         near = np.abs(scene.sample(posed_vertices(motion, body, skin_of(body, joints), frames)).min(1)) < NEAR_M
         for joint in joints:
             told = (likely[:, joint] > LIKELY) | (~motion.valid & (joint in FEET))
-            contact[:, joint] = near & (speed_m_s(motion, joint) < _SLOW_M_S) & told
+            contact[:, joint] = near & (speed_m_s(motion, joint) < SLOW_M_S) & told
     return contact

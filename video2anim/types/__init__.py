@@ -5,6 +5,7 @@ Every value is a frozen dataclass of numpy arrays and plain values. `stored()` m
 
 from video2anim.types.camera import CameraEstimate, Intrinsics
 from video2anim.types.clip import SourceInfo, SourceVideo, VideoClip
+from video2anim.types.contact import Contact
 from video2anim.types.metric import MetricDepth
 from video2anim.types.motion import BodyMotion, BodyShape, BodyTracks, KeyframedMotion, PersonQuality, RefinedMotion
 from video2anim.types.people import PersonTrack, PersonTracks, Thumbnail
@@ -34,6 +35,7 @@ __all__ = [
     "CameraEstimate",
     "CompletedObject",
     "CompletedObjects",
+    "Contact",
     "DepthClip",
     "ExportedFiles",
     "InstanceMasks",

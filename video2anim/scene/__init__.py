@@ -1,0 +1,1 @@
+"""The scene: room surfaces and who touches what."""

@@ -1,0 +1,236 @@
+"""The contact graph: which part of a body touches which surface of which object, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.skeleton import JOINT_INDEX, TOUCHING_PARTS
+from video2anim.fitting.touching import LIKELY, NEAR_M, SLOW_M_S, posed_vertices, skin_of, speed_m_s
+from video2anim.geometry.nearest_surface import nearest_surface
+from video2anim.geometry.scene_mesh import world_mesh
+from video2anim.types.contact import FLOOR, Contact
+from video2anim.types.motion import BodyMotion
+from video2anim.types.scene import PlacedObject, SceneModel
+
+RESTING_PARTS: dict[str, tuple[int, ...]] = {
+    name: (JOINT_INDEX[joint],)
+    for name, joint in {
+        "head": "head",
+        "left forearm": "left_elbow", "right forearm": "right_elbow",
+        "left thigh": "left_hip", "right thigh": "right_hip",
+        "left shin": "left_knee", "right shin": "right_knee",
+    }.items()
+}  # fmt: skip
+"""Parts of which the picture does not say whether they touch. They count where they lie on something: a motion solved
+out of its scene touches sides of objects wherever it would have gone through them."""
+BODY_PARTS = TOUCHING_PARTS | RESTING_PARTS
+STAY_M = 0.05
+"""Between frames within `NEAR_M` a part touches all the while it stays so near: distances jitter by 1 to 2 cm."""
+SHORTEST_S = 0.1
+"""Gaps and contacts that are shorter are flickers: a step, the shortest touch there is, lasts 0.2 s."""
+_RESTING_M, _RESTING_STAY_M = 0.01, 0.03
+"""The same distances of parts that lie on something: without the picture's word, what passes 3 cm above a seat rests on
+it no more than what hangs beside it."""
+_RESTING_SHARE = 0.06
+"""So much of a limb's skin is within that: of a shin that kneels 0.09 to 0.26, of a thigh that sits 0.08 to 0.32; of a
+shin, the hollow of whose knee meets the edge of a seat, up to 0.057."""
+_SAME_M = 0.01
+"""Surfaces whose gap is the least one within what the solve leaves are touched together."""
+_MOST_SKIN = 120
+"""Points of skin per part that are looked at: at most 2 cm apart."""
+_LEVEL_DEG = 45.0
+"""A face that looks up or down within this is `top` or `underside`, others are `side`."""
+_LOOKS = ("top", "side", "underside")
+_USUAL = {"seat": "top", "top": "top", "arm": "top", "back": "side", "leg": "side", "board": "side"}
+"""Where the face of an object's part looks that the part's name alone stands for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solid:
+    """An object in the world, its faces grouped into surfaces."""
+
+    placed: PlacedObject
+    triangles_m: Float[np.ndarray, "faces 3 3"]
+    names: tuple[str, ...]
+    """Of the surfaces."""
+    carries: Bool[np.ndarray, "surfaces"]
+    """Whether a surface looks up."""
+    surface: Int[np.ndarray, "faces"]
+    """Number of each face's surface."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gaps:
+    """How far parts of a body are from surfaces; the first surface is the floor."""
+
+    gap_m: Float[np.ndarray, "surfaces parts frames"]
+    """Distance of the nearest or deepest skin; infinite beyond `STAY_M`, and where the part cannot touch."""
+    share: Float[np.ndarray, "surfaces parts frames"]
+    """Share of the part's skin within `_RESTING_STAY_M` of the surface."""
+
+
+def contact_graph(motion: BodyMotion, scene: SceneModel) -> tuple[Contact, ...]:
+    """Contacts of one person with the floor and the objects, by part of the body and start.
+
+    Hands, feet, seat and back touch where the motion says so (probability over 0.5) and skin is within 3 cm of a
+    surface. Head, forearms, thighs and shins, of which no motion says so, touch where they lie on a surface that looks
+    up: within 1 cm, and slower than 0.4 m/s. What may carry a part, within 5 cm, goes before what is beside it: a foot
+    on the floor that is near the side of a chair does not touch the chair.
+
+    Args:
+        motion: in the scene, at best that of stage refine, whose contacts are those of its own skin.
+        scene: as the motion fits it (`RefinedMotion.scene`).
+    """
+    solids = [_solid(placed) for placed in scene.objects]
+    owners: list[tuple[int | None, str, str]] = [(None, FLOOR, FLOOR)]
+    for one in solids:
+        owners += [(one.placed.object_id, one.placed.label, name) for name in one.names]
+    carries = np.concatenate([[True], *(one.carries for one in solids)])
+    gaps = _gaps(motion, shaped_body(motion.shape), solids)
+    shortest = round(SHORTEST_S / float(np.median(np.diff(motion.frame_time_s)))) if motion.frame_count > 1 else 1
+    found = []
+    for part, name in enumerate(BODY_PARTS):
+        gap_m = gaps.gap_m[:, part]
+        touched = _touched(name, gap_m, gaps.share[:, part], carries, shortest)
+        for surface, first, last in ((one, *run) for one, row in enumerate(touched) for run in _runs(row)):
+            distance_m = gap_m[surface, first : last + 1]
+            distance_m = distance_m[np.isfinite(distance_m)]
+            found.append(
+                Contact(
+                    motion.person_id, name, *owners[surface], float(motion.frame_time_s[first]),
+                    float(motion.frame_time_s[last]), float(distance_m.mean()),
+                    float(distance_m[np.abs(distance_m).argmax()]),
+                )
+            )  # fmt: skip
+    order = list(BODY_PARTS)
+    return tuple(sorted(found, key=lambda one: (order.index(one.body_part), one.start_s)))
+
+
+def scene_contacts(people: Sequence[BodyMotion], scene: SceneModel) -> tuple[Contact, ...]:
+    """Contacts of everybody, person by person."""
+    return tuple(contact for motion in people for contact in contact_graph(motion, scene))
+
+
+def _solid(placed: PlacedObject) -> _Solid:
+    """Surfaces of an object: faces of one part that look the same way."""
+    whole = world_mesh(placed.mesh, placed.T_world_object, placed.scale)
+    triangles_m = whole.vertices_m[whole.faces]
+    normals = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
+    up = normals[:, 1] / np.maximum(np.linalg.norm(normals, axis=-1), 1e-300)
+    steep = np.cos(np.deg2rad(_LEVEL_DEG))
+    looks = np.where(up > steep, 0, np.where(up < -steep, 2, 1))
+    parts = np.zeros_like(looks)
+    for number, part in enumerate(placed.parts, start=1):
+        parts[part.first_face : part.first_face + part.face_count] = number
+    kinds, surface = np.unique(len(_LOOKS) * parts + looks, return_inverse=True)
+    named = ["", *(part.name for part in placed.parts)]
+    names = tuple(_surface_name(named[kind // len(_LOOKS)], _LOOKS[kind % len(_LOOKS)]) for kind in kinds)
+    return _Solid(placed, triangles_m, names, kinds % len(_LOOKS) == 0, surface)
+
+
+def _surface_name(part: str, look: str) -> str:
+    return part if part and _USUAL.get(part) == look else f"{part} {look}".strip()
+
+
+def _gaps(motion: BodyMotion, body: ShapedBody, solids: Sequence[_Solid]) -> _Gaps:
+    """Distances of all parts in all frames in which they may touch."""
+    points, parts, frames, counts = [], [], [], []
+    for part, (name, joints) in enumerate(BODY_PARTS.items()):
+        skin = skin_of(body, joints)
+        skin = skin[:: -(-len(skin) // _MOST_SKIN)]
+        may = np.flatnonzero(_may_touch(motion, name))
+        points.append(posed_vertices(motion, body, skin, may).reshape(-1, 3))
+        parts.append(np.full(len(points[-1]), part))
+        frames.append(np.repeat(may, len(skin)))
+        counts.append(len(skin))
+    point_m, part, frame = np.concatenate(points), np.concatenate(parts), np.concatenate(frames)
+    size = 1 + sum(len(one.names) for one in solids), len(BODY_PARTS), motion.frame_count
+    gap_m, near = np.full(size, np.inf), np.zeros(size)
+
+    def meet(surface: Int[np.ndarray, "hits"], hit: Int[np.ndarray, "hits"], distance_m: np.ndarray) -> None:
+        where = surface, part[hit], frame[hit]
+        np.minimum.at(gap_m, where, distance_m)
+        np.add.at(near, where, np.abs(distance_m) < _RESTING_STAY_M)
+
+    low = np.flatnonzero(point_m[:, 1] < STAY_M)
+    meet(np.zeros_like(low), low, point_m[low, 1])
+    first = 1
+    for one in solids:
+        found = nearest_surface(point_m, one.triangles_m, reach_m=STAY_M)
+        meet(first + one.surface[found.face], found.point, found.distance_m)
+        first += len(one.names)
+    return _Gaps(gap_m, near / np.array(counts)[:, None])
+
+
+def _may_touch(motion: BodyMotion, part: str) -> Bool[np.ndarray, "frames"]:
+    """Where the motion says that a part touches; where it is slow enough for that, of parts it says nothing of."""
+    joints = BODY_PARTS[part]
+    if part in TOUCHING_PARTS:
+        return motion.contact[:, list(joints)].max(1) > LIKELY
+    return speed_m_s(motion, joints[0]) < SLOW_M_S
+
+
+def _touched(
+    part: str,
+    gap_m: Float[np.ndarray, "surfaces frames"],
+    share: Float[np.ndarray, "surfaces frames"],
+    carries: Bool[np.ndarray, "surfaces"],
+    shortest: int,
+) -> Bool[np.ndarray, "surfaces frames"]:
+    """Frames in which a part touches each surface.
+
+    Args:
+        part: its name.
+        gap_m: of the part.
+        share: of its skin near each surface.
+        carries: surfaces that look up.
+        shortest: frames of the shortest gap and contact that count.
+    """
+    rests = part in RESTING_PARTS
+    near_m, stay_m = (_RESTING_M, _RESTING_STAY_M) if rests else (NEAR_M, STAY_M)
+    near, stays = np.abs(gap_m) < near_m, np.abs(gap_m) < stay_m
+    if rests:
+        enough = carries[:, None] & ((share >= _RESTING_SHARE) | (part == "head"))
+        near, stays = near & enough, stays & enough
+    elif part != "back":  # A back leans against what is behind it.
+        near[~carries] &= ~(stays & carries[:, None]).any(0)
+    # Skin in a solid and skin on it touch alike.
+    open_m = np.where(near, np.maximum(gap_m, 0.0), np.inf)
+    near &= open_m <= open_m.min(0, initial=np.inf) + _SAME_M
+    touched = np.stack([_lasting(_held(*one), shortest) for one in zip(near, stays, strict=True)])
+    if part != "back":
+        beside = touched[~carries] & ~touched[carries].any(0)
+        touched[~carries] = np.stack([_lasting(one, shortest) for one in beside]) if len(beside) else beside
+    return touched
+
+
+def _held(near: Bool[np.ndarray, "frames"], stays: Bool[np.ndarray, "frames"]) -> Bool[np.ndarray, "frames"]:
+    """Frames that are near, and those between two of them all through which the part stays."""
+    held = near.copy()
+    for first, last in _runs(near | stays):
+        inside = first + np.flatnonzero(near[first : last + 1])
+        if len(inside):
+            held[inside[0] : inside[-1] + 1] = True
+    return held
+
+
+def _lasting(touched: Bool[np.ndarray, "frames"], shortest: int) -> Bool[np.ndarray, "frames"]:
+    """The same with gaps shorter than so many frames closed, and shorter contacts dropped."""
+    lasting = touched.copy()
+    for first, last in _runs(~touched):
+        if last - first + 1 < shortest and first > 0 and last < len(touched) - 1:
+            lasting[first : last + 1] = True
+    for first, last in _runs(lasting):
+        lasting[first : last + 1] = last - first + 1 >= shortest
+    return lasting
+
+
+def _runs(chosen: Bool[np.ndarray, "frames"]) -> list[tuple[int, int]]:
+    """First and last frames of what is chosen without a break."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
+    return [(int(first), int(end) - 1) for first, end in zip(edges[::2], edges[1::2], strict=True)]
