@@ -1,4 +1,4 @@
-"""Stage 15: the files that other programs open, and the preview."""
+"""Stage 15: the files that other programs open, the preview, and who touches what."""
 
 from __future__ import annotations
 
@@ -64,12 +64,14 @@ def export_scene(
     """
     from video2anim.artifacts.motion_io import write_motion
     from video2anim.export.formats import ExportScene, MissingLibraryError, person_file, write_format
+    from video2anim.scene.contact_graph import scene_contacts
 
     written: list[Path] = []
     for index, motion in enumerate(refined.people):
         written.append(ctx.work_dir / person_file("motion", motion, index, ".npz"))
         write_motion(written[-1], motion)
-    content = ExportScene(refined.people, refined.scene)
+    contacts = scene_contacts(refined.people, refined.scene)
+    content = ExportScene(refined.people, refined.scene, contacts)
     for name in config.formats:
         try:
             written += write_format(name, content, ctx.work_dir)
@@ -79,8 +81,9 @@ def export_scene(
     if config.worst_moments:
         written += _write_worst(clip, bodies, refined, ctx)
     ctx.quality("files", len(written), "", "none")
+    ctx.quality("contacts", len(contacts), "", "none")
     ctx.quality("size", sum(path.stat().st_size for path in written) / 1e6, "MB", "none")
-    return ExportedFiles(tuple(PayloadFile(path) for path in written))
+    return ExportedFiles(tuple(PayloadFile(path) for path in written), contacts)
 
 
 def _write_pictures(
@@ -133,4 +136,4 @@ def _spread(frames: list[int], count: int) -> list[int]:
     return sorted({frames[int(share * len(frames))] for share in steps})
 
 
-STAGE = StageSpec("export", export_scene, version=6)
+STAGE = StageSpec("export", export_scene, version=7)

@@ -112,6 +112,16 @@ def test_second_run_is_all_cached(scene: Scene) -> None:
     assert payload_digests(scene.folder) == scene.digests
 
 
+def test_contacts_are_told_alike_in_record_stage_and_glb(scene: Scene) -> None:
+    told = json.loads((scene.folder / "run.json").read_text())["contacts"]
+    assert told == json.loads((scene.folder / "stages" / "15_export" / "value.json").read_text())["contacts"]
+    nodes = Reread(scene.folder / "scene.glb").document.nodes
+    in_glb = [row for node in nodes for row in node.extras.get("contacts", ())]
+    assert [{"object_id": None} | row for row in in_glb] == [
+        {key: value for key, value in row.items() if key != "person_id"} for row in told
+    ]
+
+
 def test_manifests_explain_every_stage(scene: Scene) -> None:
     record = json.loads((scene.folder / "run.json").read_text())
     assert record["input_digest"] == file_digest(scene.video)

@@ -22,7 +22,7 @@ from video2anim.export.frames import linear_from_srgb
 from video2anim.export.glb import write_object_glb, write_scene_glb
 from video2anim.geometry.projection import project, transform_points
 from video2anim.geometry.rotations import matrix_from_quaternion
-from video2anim.types import BodyMotion
+from video2anim.types import BodyMotion, Contact
 
 COMPONENTS = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -242,6 +242,21 @@ def test_unmeasured_frames_are_named(path: Path, people: tuple[BodyMotion, BodyM
     reread = Reread(path)
     extras = reread.document.nodes[reread.node("person_7")].extras
     assert extras["frames_without_measurement"] == np.flatnonzero(~people[1].valid).tolist() == [6]
+
+
+def test_contacts_are_at_the_node_of_the_person(tmp_path: Path, people: tuple[BodyMotion, BodyMotion]) -> None:
+    hand = Contact(7, "left hand", 3, "storage box", "top", 0.1, 0.3, 0.004, -0.01)
+    foot = Contact(7, "left foot", None, "floor", "floor", 0.0, 0.2, 0.0, 0.01)
+    write_scene_glb(tmp_path / "told.glb", tuple(map(character_of, people)), room(), contacts=(hand, foot))
+    reread = Reread(tmp_path / "told.glb")
+    extras = [reread.document.nodes[reread.node(f"person_{number}")].extras for number in (people[0].person_id, 7)]
+    assert "contacts" not in extras[0]
+    assert extras[1]["contacts"] == [
+        {"body_part": "left hand", "object_id": 3, "label": "storage box", "surface": "top", "start_s": 0.1,
+         "end_s": 0.3, "mean_distance_m": 0.004, "largest_distance_m": -0.01},
+        {"body_part": "left foot", "label": "floor", "surface": "floor", "start_s": 0.0, "end_s": 0.2,
+         "mean_distance_m": 0.0, "largest_distance_m": 0.01},
+    ]  # fmt: skip
 
 
 def test_strongest_influences_keep_order_and_sum() -> None:

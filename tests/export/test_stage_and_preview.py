@@ -9,14 +9,19 @@ from pathlib import Path
 
 import av
 import numpy as np
+import pygltflib
 import pytest
 from walk_scene import room, walk
 
 from stages.export import ExportConfig, _write_pictures, export_scene
+from video2anim.artifacts.codec import read_value, write_value
 from video2anim.artifacts.motion_io import read_motion
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.skeleton import JOINT_INDEX
 from video2anim.errors import UsageError
 from video2anim.export import FORMATS, ExportScene, write_format
 from video2anim.export.preview import hidden_share, moment_picture, overlay_frame, side_viewpoint, write_preview
+from video2anim.fitting.touching import posed_vertices
 from video2anim.geometry.projection import project
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
@@ -55,6 +60,31 @@ def test_stage_leaves_all_files(gray_clip: VideoClip, tmp_path: Path) -> None:
     assert read_motion(tmp_path / "motion_7.npz").person_id == 7
 
 
+def test_stage_tells_who_touches_what(gray_clip: VideoClip, tmp_path: Path) -> None:
+    """A foot that the motion says to touch, at the height of the floor: in the value and in the GLB."""
+    people = (walk(FRAMES), walk(FRAMES, 7, side_m=-1.0))
+    contact = np.zeros_like(people[1].contact)
+    contact[:, JOINT_INDEX["left_foot"]] = 1.0
+    body = shaped_body(people[1].shape)
+    foot = np.flatnonzero(body.vertex_part == JOINT_INDEX["left_foot"])
+    low_m = posed_vertices(people[1], body, foot, np.arange(FRAMES))[..., 1].min(1)
+    root_m = people[1].T_world_root[:, :3, 3] - np.outer(low_m, [0.0, 1.0, 0.0])
+    lower = people[1].with_pose(translation_world_m=root_m, R_parent_joint=people[1].R_parent_joint)
+    people = (people[0], replace(lower, contact=contact))
+    refined = RefinedMotion(people, ("none",) * 2, (0.0,) * 2, people, room())
+    config = ExportConfig(formats=("glb",), preview=False, overlay_frames=0, worst_moments=False)
+    made = export_scene(
+        SourceVideo(gray_clip.video.path, ""), gray_clip, BodyTracks(people), refined, config, StageContext(tmp_path)
+    )
+    (found,) = made.contacts
+    assert (found.person_id, found.body_part, found.object_id, found.surface) == (7, "left foot", None, "floor")
+    write_value(made, tmp_path)
+    assert read_value(ExportedFiles, tmp_path).contacts == made.contacts
+    document = pygltflib.GLTF2.load_binary(str(tmp_path / "scene.glb"))
+    (told,) = next(node for node in document.nodes if node.name == "person_7").extras["contacts"]
+    assert told["body_part"] == "left foot"
+
+
 def test_missing_usd_library_is_a_warning(
     gray_clip: VideoClip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -74,8 +104,6 @@ def test_unknown_format_is_refused(tmp_path: Path) -> None:
 
 
 def test_fbx_ready_is_a_mixamo_named_character(tmp_path: Path) -> None:
-    import pygltflib
-
     character, script = write_format("fbx-ready", ExportScene((walk(4),), room()), tmp_path)
     document = pygltflib.GLTF2.load_binary(str(character))
     names = {node.name for node in document.nodes}

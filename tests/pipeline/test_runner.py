@@ -19,7 +19,7 @@ from video2anim.pipeline.graph import GraphError, Node, build_graph
 from video2anim.pipeline.runner import Edits, Event, Runner, StageStatus
 from video2anim.pipeline.scene_folder import RunRecord, StageRow, locked, prepare, read_record, write_record
 from video2anim.pipeline.stage import StageContext, StageSpec
-from video2anim.types import SourceVideo
+from video2anim.types import Contact, SourceVideo
 
 
 @dataclass(frozen=True)
@@ -377,7 +377,11 @@ def test_unknown_preset() -> None:
 
 def record() -> RunRecord:
     rows = [StageRow("seeds", "ran", "k", 0.5)]
-    return RunRecord("v.mp4", "d", "embedded", 0, {"seeds": {"count": 3}}, {}, {}, rows, {"motion.npz": "0"})
+    contacts = [
+        Contact(1, "left hand", 2, "table", "top", 0.5, 1.0, 0.01, -0.02),
+        Contact(1, "left foot", None, "floor", "floor", 0.0, 2.0, 0.0, 0.01),
+    ]
+    return RunRecord("v.mp4", "d", "embedded", 0, {"seeds": {"count": 3}}, {}, {}, rows, {"motion.npz": "0"}, contacts)
 
 
 def test_record_round_trip(tmp_path: Path) -> None:
@@ -386,12 +390,15 @@ def test_record_round_trip(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
 
 
+CONTACT = asdict(record().contacts[0])
 WRONG = (
     '{"input_path": 3}', '{"input_path": null}', "[]", "null", '"text"', "{", "[" * 100_000, "\\xff",
     *(json.dumps(asdict(record()) | change) for change in (
         {"config": []}, {"config": "text"}, {"config": None}, {"input_path": ["a"]}, {"stages": 3}, {"stages": [{}]},
         {"stages": [None]}, {"seed": "x"}, {"results": {"motion.npz": 1}}, {"results": {"../motion.npz": "0"}},
         {"results": {"/tmp/x": "0"}}, {"results": {"objects/../../1.glb": "0"}}, {"versions": 2}, {"unknown": 1},
+        {"contacts": [{"person_id": 1}]}, {"contacts": [CONTACT | {"object_id": "2"}]},
+        {"contacts": [CONTACT | {"x": 1}]},
     )),
 )  # fmt: skip
 

@@ -245,7 +245,7 @@ def finish(
         report = partial(report_html, runner, record, rows, exported)
         new = any(row.state == "ran" for row in rows)
         placed = results.place_results(scene_dir, shown, report, record, edits, new_report=new)
-        record = replace(record, results=placed)
+        record = replace(record, results=placed, contacts=list(runner.value(ExportedFiles).contacts))
     if not has_record(scene_dir) or read_record(scene_dir) != record:
         write_record(scene_dir, record)
     return scene_outcome(scene_dir, runner, record, rows)

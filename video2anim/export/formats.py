@@ -10,7 +10,7 @@ from pathlib import Path
 
 from video2anim.errors import InputError, UsageError
 from video2anim.pipeline.scene_folder import RESULT_ASIDE
-from video2anim.types import BodyMotion, SceneModel
+from video2anim.types import BodyMotion, Contact, SceneModel
 
 
 class MissingLibraryError(UsageError):
@@ -24,6 +24,8 @@ class ExportScene:
     people: tuple[BodyMotion, ...]
     """Main person first."""
     scene: SceneModel | None
+    contacts: tuple[Contact, ...] = ()
+    """Of these people; GLB carries them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,8 @@ def _write_glb(content: ExportScene, path: Path) -> tuple[Path, ...]:
     from video2anim.export.character import character_of
     from video2anim.export.glb import write_scene_glb
 
-    write_scene_glb(path, tuple(character_of(motion) for motion in content.people), content.scene)
+    characters = tuple(character_of(motion) for motion in content.people)
+    write_scene_glb(path, characters, content.scene, contacts=content.contacts)
     return (path,)
 
 

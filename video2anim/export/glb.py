@@ -11,8 +11,10 @@ Vertices keep their four strongest joints, so a skinned vertex differs slightly 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pygltflib as gltf
@@ -23,7 +25,7 @@ from video2anim.export.character import Character, Rig
 from video2anim.export.frames import is_still, linear_from_srgb, opengl_camera_poses, vertical_fov_rad
 from video2anim.export.gltf_buffer import GltfBuffer
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
-from video2anim.types import BodyMotion, Mesh, PlacedObject
+from video2anim.types import BodyMotion, Contact, Mesh, PlacedObject
 from video2anim.viewer.normals import vertex_normals
 
 
@@ -51,6 +53,7 @@ def write_scene_glb(
     *,
     camera: bool = True,
     joint_names: tuple[str, ...] = JOINT_NAMES,
+    contacts: Sequence[Contact] = (),
 ) -> None:
     """Write people, objects, floor, background and camera to one `.glb`.
 
@@ -60,6 +63,7 @@ def write_scene_glb(
         scene: Static geometry, or None for people alone.
         camera: Whether to write the filming camera.
         joint_names: Names of the 22 joint nodes, in SMPL order.
+        contacts: What the people touch; each person's are in the extras of their node.
     """
     writer = _GlbWriter(joint_names)
     if scene is not None:
@@ -68,7 +72,7 @@ def write_scene_glb(
         for placed in scene.objects:
             writer.add_object(placed, np.asarray(placed.T_world_object))
     for character in characters:
-        writer.add_character(character)
+        writer.add_character(character, [one for one in contacts if one.person_id == character.motion.person_id])
     if characters and camera:
         writer.add_camera(characters[0].motion)
     writer.save(path)
@@ -131,7 +135,7 @@ class _GlbWriter:
                 "T_world_object": np.asarray(placed.T_world_object, float).tolist(),
             }
 
-    def add_character(self, character: Character) -> None:
+    def add_character(self, character: Character, contacts: Sequence[Contact] = ()) -> None:
         motion = character.motion
         rig = character.rig()
         joints = self._add_joints(rig)
@@ -155,6 +159,8 @@ class _GlbWriter:
             "frames_without_measurement": np.flatnonzero(~motion.valid).tolist(),
             "shape": {"model": motion.shape.model, "parameters": motion.shape.parameters},
         }
+        if contacts:
+            armature.extras["contacts"] = [_contact_extras(contact) for contact in contacts]
         self._add_root(armature)
         self._animate(motion.frame_time_s, joints[0], "translation", character.root_translation_m)
         xyzw = np.roll(rig.rotations_wxyz, -1, axis=-1)
@@ -230,6 +236,12 @@ class _GlbWriter:
             self.document.materials.append(material)
             self.materials[name] = len(self.document.materials) - 1
         return self.materials[name]
+
+
+def _contact_extras(contact: Contact) -> dict[str, Any]:
+    """A contact without its person, whose node it is at; that with the floor has no `object_id`, since Blender's
+    properties hold no null."""
+    return {name: value for name, value in asdict(contact).items() if name != "person_id" and value is not None}
 
 
 def _set_pose(node: gltf.Node, T: np.ndarray) -> None:

@@ -19,6 +19,7 @@ from pydantic.dataclasses import dataclass
 
 from video2anim.artifacts.stage_files import read_json
 from video2anim.errors import ArtifactError, InputError, UsageError
+from video2anim.types.contact import Contact
 
 STAGES = "stages"
 RECORD = "run.json"
@@ -62,6 +63,8 @@ class RunRecord:
     stages: list[StageRow] = field(default_factory=list)
     results: dict[ResultName, str] = field(default_factory=dict)
     """Files outside of `stages/` that the run wrote: path relative to the folder, and sha256."""
+    contacts: list[Contact] = field(default_factory=list)
+    """Which part of whose body touches which surface of which object, and when, in the results."""
 
     def with_rows(self, rows: Mapping[str, StageRow]) -> list[StageRow]:
         """Rows of all stages: these, and the others as they were."""

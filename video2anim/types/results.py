@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from video2anim.types.contact import Contact
 from video2anim.types.storage import PayloadFile
 
 
@@ -12,3 +13,5 @@ class ExportedFiles:
     """Result files; the runner also places them at the top of the scene folder."""
 
     files: tuple[PayloadFile, ...]
+    contacts: tuple[Contact, ...] = ()
+    """What every person of the result touches; `run.json` holds them too."""
