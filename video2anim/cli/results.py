@@ -36,13 +36,14 @@ def export_format(scene_dir: Path, format_name: str, out: Path | None) -> list[P
         InputError: the files cannot be written.
     """
     from video2anim.export import FORMATS, ExportScene, write_format
+    from video2anim.scene.contact_graph import scene_contacts
 
     runner, record = open_scene(scene_dir)
     if out is not None and format_name in FORMATS:
         _expect_free(scene_dir, out, set(record.results) - {FORMATS[format_name].main})
     _expect_made(runner, "refine")
     refined = runner.value(RefinedMotion)
-    content = ExportScene(refined.people, refined.scene)
+    content = ExportScene(refined.people, refined.scene, scene_contacts(refined.people, refined.scene))
     return list(write_format(format_name, content, out or scene_dir))
 
 
@@ -53,6 +54,7 @@ def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None) -
         UsageError: unknown motion, frame out of range, or missing system libraries.
     """
     from video2anim import viewer
+    from video2anim.scene.contact_graph import scene_contacts
 
     if motion not in MOTIONS:
         raise UsageError(f"--motion: want one of {', '.join(MOTIONS)}, got {motion!r}")
@@ -60,8 +62,9 @@ def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None) -
     if screenshot is not None:
         _expect_free(scene_dir, screenshot)
     _expect_made(runner, "refine")
-    motions = motions_of(runner)
-    shown = viewer.SceneView(motions=motions, scene=runner.value(RefinedMotion).scene)
+    refined: RefinedMotion = runner.value(RefinedMotion)
+    contacts = scene_contacts(refined.people, refined.scene)
+    shown = viewer.SceneView(motions=motions_of(runner), scene=refined.scene, contacts=contacts)
     if screenshot is None:
         viewer.view(shown, title=f"video2anim {scene_dir}", frame=frame, stage=motion)
     else:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from video2anim.body.anny_body import ShapedBody, shaped_body
 from video2anim.body.skeleton import forward_kinematics
-from video2anim.types import BodyMotion
+from video2anim.scene.contact_graph import BODY_PARTS
+from video2anim.types import BodyMotion, Contact
+from video2anim.viewer.contacts import contacts_at, touched_rgb
 from video2anim.viewer.drawing import draw_body
 from video2anim.viewer.raster import Canvas
 from video2anim.viewer.viewpoint import Viewpoint
@@ -25,8 +27,9 @@ _CHUNK_FRAMES = 30
 class PosedBodies:
     """Skinned meshes of all people, made a few frames at a time."""
 
-    def __init__(self, people: tuple[BodyMotion, ...]) -> None:
+    def __init__(self, people: tuple[BodyMotion, ...], contacts: Sequence[Contact] = ()) -> None:
         self.people = people
+        self.contacts = contacts
         self.bodies: tuple[ShapedBody, ...] = tuple(shaped_body(motion.shape) for motion in people)
 
     def frames(self, start: int, stop: int) -> Iterator[tuple[Float[np.ndarray, "vertices 3"], ...]]:
@@ -43,11 +46,14 @@ class PosedBodies:
 
     def colors(self, person: int, frame: int) -> UInt8[np.ndarray, "vertices 3"]:
         """Color of each vertex: the person's own, red towards where the body probably touches something, gray where
-        the frame was not measured."""
+        the frame was not measured; parts whose contacts are known in the color of what they touch."""
         motion, body = self.people[person], self.bodies[person]
         own = PERSON_RGB[person % len(PERSON_RGB)] if motion.valid[frame] else UNMEASURED_RGB
         touches = np.clip(motion.contact[frame], 0.0, 1.0)[body.vertex_part, None]
-        return np.rint((1.0 - touches) * np.array(own) + touches * np.array(CONTACT_RGB)).astype(np.uint8)
+        rgb = np.rint((1.0 - touches) * np.array(own) + touches * np.array(CONTACT_RGB)).astype(np.uint8)
+        for contact in contacts_at(self.contacts, motion.person_id, float(motion.frame_time_s[frame])):
+            rgb[np.isin(body.vertex_part, BODY_PARTS[contact.body_part])] = touched_rgb(contact.object_id)
+        return rgb
 
     def draw(self, canvas: Canvas, viewpoint: Viewpoint, meshes: tuple[np.ndarray, ...], frame: int) -> None:
         """Draw every person at one frame."""

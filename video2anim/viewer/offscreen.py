@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from video2anim.errors import UsageError
-from video2anim.types import BodyMotion, SceneModel
+from video2anim.types import SceneModel
 from video2anim.viewer.bodies import PosedBodies
 from video2anim.viewer.drawing import world_vertices
 from video2anim.viewer.software import oblique_viewpoint
@@ -29,7 +29,7 @@ _STARTUP_S = 10.0
 
 
 def render_open3d(
-    people: tuple[BodyMotion, ...],
+    posed: PosedBodies,
     scene: SceneModel | None,
     frame: int,
     out_png: Path,
@@ -45,7 +45,7 @@ def render_open3d(
     with tempfile.TemporaryDirectory(prefix="video2anim-view-") as folder, _display() as display:
         request = Path(folder) / "request.npz"
         picture = Path(folder) / "picture.png"
-        _write_request(request, people, scene, frame, width_px, height_px)
+        _write_request(request, posed, scene, frame, width_px, height_px)
         command = [sys.executable, "-m", "video2anim.viewer.offscreen_worker", str(request), str(picture)]
         try:
             done = subprocess.run(
@@ -93,10 +93,10 @@ def _display() -> Iterator[str]:
 
 
 def _write_request(
-    path: Path, people: tuple[BodyMotion, ...], scene: SceneModel | None, frame: int, width_px: int, height_px: int
+    path: Path, posed: PosedBodies, scene: SceneModel | None, frame: int, width_px: int, height_px: int
 ) -> None:
     """All triangles with their colors, the view, and the filming camera, for the worker."""
-    posed = PosedBodies(people)
+    people = posed.people
     (meshes,) = posed.frames(frame, frame + 1)
     vertices, faces, colors = [], [], []
     for person, (body, vertices_m) in enumerate(zip(posed.bodies, meshes, strict=True)):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from video2anim.types import BodyMotion, SceneModel
+from video2anim.types import BodyMotion, Contact, SceneModel
 from video2anim.viewer.bodies import PosedBodies
+from video2anim.viewer.contacts import contact_line, contacts_at, touched_rgb
 from video2anim.viewer.drawing import draw_frustum, draw_static, world_vertices
 from video2anim.viewer.raster import Canvas
 from video2anim.viewer.viewpoint import Viewpoint, fit_viewpoint, looking
@@ -16,21 +19,45 @@ _ELEVATION_RAD = 0.35
 _TURN_RAD = 0.6
 _SUPERSAMPLING = 2
 _HEADROOM_M = 0.25
+_WHITE = (255, 255, 255)
+_LINE_PX = 20
+"""Height of a line of text."""
 
 
 def render_software(
-    people: tuple[BodyMotion, ...], scene: SceneModel | None, frame: int, width_px: int, height_px: int
+    people: tuple[BodyMotion, ...],
+    scene: SceneModel | None,
+    frame: int,
+    width_px: int,
+    height_px: int,
+    contacts: Sequence[Contact] = (),
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Bodies at one frame, objects, floor, room and filming camera, from behind and beside that camera."""
+    """Bodies at one frame, objects, floor, room and filming camera, from behind and beside that camera; what touches
+    what stands in the lower left corner."""
     viewpoint = oblique_viewpoint(people, scene, _SUPERSAMPLING * width_px, _SUPERSAMPLING * height_px)
     canvas = Canvas.blank(_SUPERSAMPLING * width_px, _SUPERSAMPLING * height_px)
     if scene is not None:
         draw_static(canvas, viewpoint, scene, background=True, objects=True)
-    bodies = PosedBodies(people)
+    bodies = PosedBodies(people, contacts)
     (meshes,) = bodies.frames(frame, frame + 1)
     bodies.draw(canvas, viewpoint, meshes, frame)
     draw_frustum(canvas, viewpoint, people[0].T_world_camera[frame], people[0].intrinsics)
-    return cv2.resize(canvas.rgb, (width_px, height_px), interpolation=cv2.INTER_AREA)
+    picture = cv2.resize(canvas.rgb, (width_px, height_px), interpolation=cv2.INTER_AREA)
+    now = [one for person in people for one in contacts_at(contacts, person.person_id, person.frame_time_s[frame])]
+    for number, contact in enumerate(now):
+        bottom_px = height_px - _LINE_PX * (len(now) - number) + _LINE_PX // 2
+        _write(picture, contact_line(contact), (_LINE_PX // 2, bottom_px), touched_rgb(contact.object_id))
+    return picture
+
+
+def _write(
+    picture: UInt8[np.ndarray, "height width 3"], text: str, at_px: tuple[int, int], rgb: tuple[int, int, int]
+) -> None:
+    """Text with a white rim, in place, readable on whatever is there."""
+    rim = [((dx, dy), _WHITE) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+    for (dx, dy), color in (*rim, ((0, 0), rgb)):
+        place = (at_px[0] + dx, at_px[1] + dy)
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, color, 1, cv2.LINE_AA)
 
 
 def oblique_viewpoint(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from video2anim.errors import InputError, UsageError
-from video2anim.types import BodyMotion, SceneModel
+from video2anim.types import BodyMotion, Contact, SceneModel
 
 STAGES = ("raw", "keyframes", "refined")
 Renderer = Literal["software", "open3d"]
@@ -22,6 +22,8 @@ class SceneView:
     motions: dict[str, tuple[BodyMotion, ...]]
     """Any of `raw`, `keyframes`, `refined`, main person first; at least one, all of the same length."""
     scene: SceneModel | None
+    contacts: tuple[Contact, ...] = ()
+    """What the people of `refined` touch."""
 
     def people(self, stage: str | None = None) -> tuple[BodyMotion, ...]:
         """Motions of a stage; of the last one made where `stage` is None.
@@ -35,6 +37,10 @@ class SceneView:
         if stage not in self.motions:
             raise UsageError(f"view stage: want one of {', '.join(present) or 'none (no motion yet)'}, got {stage!r}")
         return self.motions[stage]
+
+    def contacts_of(self, stage: str | None = None) -> tuple[Contact, ...]:
+        """What is known of the contacts of a stage, as `people` takes it."""
+        return self.contacts if self.people(stage) is self.motions.get("refined") else ()
 
     @property
     def frame_count(self) -> int:
@@ -96,16 +102,18 @@ def screenshot(
     people = view_of.people(stage)
     _expect_frame(people, frame)
     if renderer == "open3d":
+        from video2anim.viewer.bodies import PosedBodies
         from video2anim.viewer.offscreen import render_open3d
 
-        render_open3d(people, view_of.scene, frame, out_png, width_px, height_px, timeout_s)
+        posed = PosedBodies(people, view_of.contacts_of(stage))
+        render_open3d(posed, view_of.scene, frame, out_png, width_px, height_px, timeout_s)
         return
     from video2anim.artifacts.images import write_png
     from video2anim.viewer.software import render_software
 
     if out_png.suffix.lower() != ".png":
         raise UsageError(f"screenshot: want a file that ends in .png, got {out_png}")
-    picture = render_software(people, view_of.scene, frame, width_px, height_px)
+    picture = render_software(people, view_of.scene, frame, width_px, height_px, view_of.contacts_of(stage))
     try:
         write_png(out_png, picture)
     except OSError as error:

@@ -60,7 +60,7 @@ class Player:
         self.visualizer = visualizer
         self.view_of = view_of
         self.people = view_of.people(stage)
-        self.posed = PosedBodies(self.people)
+        self.posed = PosedBodies(self.people, view_of.contacts_of(stage))
         self.frame = frame
         self.playing = frame == 0
         self.shown = {"camera": True, "objects": True, "background": True, "floor": True}
@@ -105,7 +105,7 @@ class Player:
         """Show the motion of another stage, if there is one."""
         if stage in self.view_of.motions:
             self.people = self.view_of.people(stage)
-            self.posed = PosedBodies(self.people)
+            self.posed = PosedBodies(self.people, self.view_of.contacts_of(stage))
             self.show(self.frame)
 
     def toggle(self, part: str) -> None:
