@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import re
 from html.parser import HTMLParser
@@ -13,8 +14,10 @@ from walk_scene import room, walk
 from scenemi import metrics
 from video2anim.export.quality import measured_span, motion_quality, worst_moments
 from video2anim.export.report import ModelRow, Picture, ReportInput, StageRow, format_number, render_report
+from video2anim.export.report_plots import contact_plot
 from video2anim.pipeline.stage import Quality
-from video2anim.types import BodyMotion, CameraEstimate
+from video2anim.types import BodyMotion, CameraEstimate, Contact
+from video2anim.viewer.contacts import touched_rgb
 
 FRAMES = 40
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -190,3 +193,27 @@ def test_memory_that_was_not_measured_is_not_told() -> None:
     page = render_report(ReportInput("x.mp4", (StageRow("ingest", "ran", 1, 2.5, None),)))
     assert "at most" not in page
     assert re.search(r"ingest <small>v1</small></td><td>ran</td><td class=\"n\">2\.5</td><td class=\"n\">n/a", page)
+
+
+def test_timeline_has_a_row_per_part_and_a_color_per_object() -> None:
+    motion = walk(FRAMES)
+    table = [Contact(motion.person_id, "left hand", 2, "table", where, 0.0, 1.0, 0.0, 0.0) for where in ("top", "side")]
+    floor = Contact(motion.person_id, "left foot", None, "floor", "floor", 0.5, 1.0, 0.0, 0.0)
+    uri = contact_plot([*table, floor], motion.frame_time_s)
+    svg = base64.b64decode(uri.split(",")[1]).decode()
+    words = re.findall(r">([^<>]+)</text>", svg)
+    assert [words.count(word) for word in ("left hand", "left foot", "table 2", "floor")] == [1, 1, 1, 1]
+    assert {"top", "side"} <= set(words), "both bars have room for their surface"
+    colors = [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in (touched_rgb(2), touched_rgb(None))]
+    assert [svg.count(f"fill: {color}") for color in colors] == [3, 2], "bars, and one in the legend"
+
+
+def test_page_shows_the_timeline_of_the_person_who_touches() -> None:
+    motion = walk(FRAMES)
+    contact = Contact(motion.person_id, "left foot", None, "floor", "floor", 0.5, 1.0, 0.0, 0.0)
+    report = ReportInput("clip.mp4", (), motions={"refined": (motion,)}, contacts=(contact,))
+    title = "What touches what"
+    assert title in render_report(report)
+    assert title not in render_report(dataclasses.replace(report, contacts=()))
+    others = dataclasses.replace(contact, person_id=motion.person_id + 1)
+    assert title not in render_report(dataclasses.replace(report, contacts=(others,)))

@@ -67,6 +67,7 @@ def report_html(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], 
                 for name, share in zip(refined.prior, refined.prior_share, strict=True)
             ),
             scene=refined.scene,
+            contacts=exported.contacts,
             made_with={"seed": str(record.seed), "device": ", ".join(devices)} | record.versions,
             pictures=tuple(pictures),
             moments=tuple(moments),

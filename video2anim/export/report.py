@@ -13,7 +13,7 @@ from video2anim import __version__
 from video2anim.export import report_plots
 from video2anim.export.quality import VERTEX_STRIDE, MotionQuality, measured_span, motion_quality
 from video2anim.pipeline.stage import Quality
-from video2anim.types import BodyMotion, CameraEstimate, SceneModel
+from video2anim.types import BodyMotion, CameraEstimate, Contact, SceneModel
 
 STAGE_ORDER = ("raw", "keyframes", "refined")
 _FPS = 30.0
@@ -85,6 +85,8 @@ class ReportInput:
     made_with: Mapping[str, str] = field(default_factory=dict)
     """Seed, device, and versions of what decides results, by name."""
     found: tuple[FoundPerson, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    """What the people of `refined` touch."""
 
 
 def render_report(report: ReportInput) -> str:
@@ -148,6 +150,11 @@ def _person(report: ReportInput, index: int) -> dict[str, Any]:
     ]
     if report.scene is not None:
         facts["plots"].append(("Body against scene", report_plots.clearance_plot(qualities)))
+    contacts = [contact for contact in report.contacts if contact.person_id == first.person_id]
+    if contacts:
+        facts["plots"].append(
+            ("What touches what, refined motion", report_plots.contact_plot(contacts, first.frame_time_s))
+        )
     facts["plots"].append(("Path of the pelvis from above", report_plots.path_plot(motions, report.scene)))
     return facts
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import matplotlib as mpl
 import numpy as np
@@ -13,11 +13,18 @@ from matplotlib.figure import Figure
 
 from scenemi.metrics import GMD_SPEED_M_S
 from video2anim.export.quality import MotionQuality
-from video2anim.types import BodyMotion, SceneModel
+from video2anim.types import BodyMotion, Contact, SceneModel
+from video2anim.viewer.contacts import touched_name, touched_rgb
 from video2anim.viewer.drawing import world_vertices
 
 STAGE_COLORS = {"raw": "#8a8f98", "keyframes": "#d9822b", "refined": "#1f6fb2"}
 _WIDTH_IN, _HEIGHT_IN = 8.0, 2.5
+_ROW_IN, _FRAME_IN = 0.32, 1.1
+"""Height of a row of the timeline, and of its axis and legend."""
+_BAR = 0.8
+"""Share of its row that a bar, or bars of one time together, fill."""
+_LETTER = 0.011
+"""Width of a small letter as a share of the plot's: a bar names its surface where there is room."""
 _CENTIMETRES_PER_METRE = 100.0
 
 
@@ -79,6 +86,45 @@ def path_plot(motions: Mapping[str, BodyMotion], scene: SceneModel | None) -> st
     return _finish(figure, axes)
 
 
+def contact_plot(contacts: Sequence[Contact], frame_time_s: np.ndarray) -> str:
+    """When the parts of one body touch what: a row per part, bars in the colors of the objects, with their surfaces."""
+    parts = list(dict.fromkeys(contact.body_part for contact in contacts))
+    figure, axes = _figure("", "time (s)", height_in=_FRAME_IN + _ROW_IN * len(parts))
+    last_s = float(frame_time_s[-1])
+    frame_s = float(np.median(np.diff(frame_time_s))) if len(frame_time_s) > 1 else 1.0 / 30.0
+    shown: set[str] = set()
+    for row, part in enumerate(parts):
+        bars = [contact for contact in contacts if contact.body_part == part]
+        lanes = _lanes(bars)
+        height = _BAR / (max(lanes) + 1)
+        for contact, lane in zip(bars, lanes, strict=True):
+            name, color = touched_name(contact), np.array(touched_rgb(contact.object_id)) / 255.0
+            width_s, middle = contact.end_s - contact.start_s + frame_s, row - 0.5 * _BAR + (lane + 0.5) * height
+            label = None if name in shown else name
+            axes.barh(middle, width_s, height, contact.start_s, color=color, ec="white", lw=0.5, label=label)
+            shown.add(name)
+            if contact.surface != name and width_s > _LETTER * len(contact.surface) * (last_s + frame_s):
+                at_s = contact.start_s + 0.5 * width_s
+                axes.text(at_s, middle, contact.surface, color="white", fontsize=7, ha="center", va="center")
+    axes.set_yticks(range(len(parts)), parts)
+    axes.grid(visible=False, axis="y")
+    axes.set_xlim(min(0.0, float(frame_time_s[0])), last_s + frame_s)
+    axes.set_ylim(len(parts) - 0.5, -0.5)
+    axes.legend(frameon=False, ncols=5, loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=9)
+    return _saved(figure)
+
+
+def _lanes(bars: Sequence[Contact]) -> list[int]:
+    """Lane of each bar, so that none of one time share one."""
+    ends_s: list[float] = []
+    lanes = []
+    for bar in bars:
+        lane = next((number for number, end_s in enumerate(ends_s) if end_s < bar.start_s), len(ends_s))
+        ends_s[lane : lane + 1] = [bar.end_s]
+        lanes.append(lane)
+    return lanes
+
+
 def _figure(y_label: str, x_label: str, height_in: float = _HEIGHT_IN) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(_WIDTH_IN, height_in), layout="constrained")
     axes = figure.add_subplot()
@@ -93,6 +139,10 @@ def _figure(y_label: str, x_label: str, height_in: float = _HEIGHT_IN) -> tuple[
 def _finish(figure: Figure, axes: Axes) -> str:
     if axes.get_legend_handles_labels()[0]:
         axes.legend(frameon=False, ncols=3, loc="upper right", fontsize=9)
+    return _saved(figure)
+
+
+def _saved(figure: Figure) -> str:
     target = io.BytesIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "video2anim", "font.family": "sans-serif"}):
         figure.savefig(target, format="svg", metadata={"Date": None})
