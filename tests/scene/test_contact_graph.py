@@ -20,6 +20,8 @@ FRAMES = 60
 SITTING = {"left_hip": -1.5, "right_hip": -1.5, "left_knee": 1.5, "right_knee": 1.5}
 KNEELING = {"left_knee": 1.57, "right_knee": 1.57}
 PELVIS_M = 0.6
+SKIN_M = 0.006
+"""A part of the skin is looked at: the lowest point of a hand may be missed by 5 mm."""
 
 
 def still(turned_rad: Mapping[str, float], *, pelvis_m: float | np.ndarray = PELVIS_M) -> BodyMotion:
@@ -86,7 +88,7 @@ def test_somebody_who_sits_on_a_box_touches_its_top_with_seat_and_thighs() -> No
         assert (contact.start_s, contact.end_s) == pytest.approx((0.0, (FRAMES - 1) / FPS))
     deepest_m = skin_m(motion, "pelvis")[:, 1].min() - (low_m + 0.01)
     seat = next(one for one in contacts if one.body_part == "seat")
-    assert seat.mean_distance_m == pytest.approx(deepest_m, abs=0.003), "the skin looked at is a part of it"
+    assert seat.mean_distance_m == pytest.approx(deepest_m, abs=SKIN_M)
     assert seat.largest_distance_m == pytest.approx(seat.mean_distance_m)
 
 
@@ -130,7 +132,7 @@ def test_a_hand_touches_a_table_between_two_times() -> None:
     (contact,) = hand_over_table(np.where(lies, 0.01, 0.2), np.ones(FRAMES, bool))
     assert told([contact]) == {("left hand", 7, "top")}
     assert (contact.start_s, contact.end_s) == pytest.approx((20 / FPS, 40 / FPS))
-    assert contact.mean_distance_m == pytest.approx(0.01, abs=0.003)
+    assert contact.mean_distance_m == pytest.approx(0.01, abs=SKIN_M)
 
 
 def test_what_hovers_touches_nothing() -> None:
@@ -157,7 +159,7 @@ def test_between_touches_a_hand_may_leave_by_less_than_5_cm() -> None:
     height_m[20:30], height_m[40:50] = 0.04, 0.06
     found = hand_over_table(height_m, np.ones(FRAMES, bool))
     assert [(round(one.start_s * FPS), round(one.end_s * FPS)) for one in found] == [(0, 39), (50, 59)]
-    assert found[0].largest_distance_m == pytest.approx(0.04, abs=0.003)
+    assert found[0].largest_distance_m == pytest.approx(0.04, abs=SKIN_M)
 
 
 def test_feet_stand_on_the_floor_and_not_at_the_side_of_what_is_near() -> None:

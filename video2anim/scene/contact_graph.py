@@ -30,9 +30,10 @@ RESTING_PARTS: dict[str, tuple[int, ...]] = {
 out of its scene touches sides of objects wherever it would have gone through them."""
 BODY_PARTS = TOUCHING_PARTS | RESTING_PARTS
 STAY_M = 0.05
-"""Between frames within `NEAR_M` a part touches all the while it stays so near: distances jitter by 1 to 2 cm."""
+"""Between frames within `NEAR_M` a part touches all the while it stays so near: the gap
+of a standing foot wanders by 2 cm."""
 SHORTEST_S = 0.1
-"""Gaps and contacts that are shorter are flickers: a step, the shortest touch there is, lasts 0.2 s."""
+"""Gaps and contacts that are shorter are flickers: even the foot of a runner stays for 0.2 s."""
 _RESTING_M, _RESTING_STAY_M = 0.01, 0.03
 """The same distances of parts that lie on something: without the picture's word, what passes 3 cm above a seat rests on
 it no more than what hangs beside it."""
@@ -41,8 +42,9 @@ _RESTING_SHARE = 0.06
 shin, the hollow of whose knee meets the edge of a seat, up to 0.057."""
 _SAME_M = 0.01
 """Surfaces whose gap is the least one within what the solve leaves are touched together."""
-_MOST_SKIN = 120
-"""Points of skin per part that are looked at: at most 2 cm apart."""
+_MOST_SKIN = 200
+"""Points of skin per part that are looked at: nine tenths of the skin of hands and feet lie within 1.5 cm of one, of
+other parts within 3 cm. A gap may come out 5 mm too large (of a hand, all of whose points are above its lowest)."""
 _LEVEL_DEG = 45.0
 """A face that looks up or down within this is `top` or `underside`, others are `side`."""
 _LOOKS = ("top", "side", "underside")
