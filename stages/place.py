@@ -39,6 +39,8 @@ class PlaceConfig:
     """Objects with fewer reliable depth pixels are not trusted."""
     largest_chamfer_m: Annotated[float, limits("m", ge=0, le=100)] = 0.25
     """Objects that stay farther from their depth are not trusted."""
+    least_outline_iou: Annotated[float, limits(ge=0, le=1)] = 0.5
+    """Nor are forms that cover less of their outline."""
     overlap_m: Annotated[float, limits("m", ge=0, le=100)] = 0.03
     """Objects deeper in each other than this are moved apart."""
     largest_overlap_m: Annotated[float, limits("m", ge=0, le=100)] = 0.1
@@ -88,8 +90,12 @@ def _place_one(
             found.T_world_object, 1.0, np.nan, found.chamfer_m, _nan(found.position_sigma_m),
             _nan(found.yaw_sigma_rad), _nan(found.size_sigma),
         )  # fmt: skip
-        far = found.chamfer_m > config.largest_chamfer_m
-        problem = f"form and depth stay {found.chamfer_m:.2f} m apart" if far else ""
+        if found.chamfer_m > config.largest_chamfer_m:
+            problem = f"form and depth stay {found.chamfer_m:.2f} m apart"
+        elif found.outline_iou is not None and found.outline_iou < config.least_outline_iou:
+            problem = f"form and outline overlap by {found.outline_iou:.0%} only"
+        else:
+            problem = ""
     elif len(points_m) < config.least_points:
         fit = Placement(found.T_world_object, 1.0, np.nan, np.nan)
         problem = f"only {len(points_m)} reliable depth pixels (want {config.least_points}); pose is the first guess"

@@ -119,7 +119,7 @@ def _fitted(
     found: CompletedObject, seen: SeenObject, plate: BackgroundPlate, depth: MetricDepth, config: ReconstructConfig
 ) -> ObjectMesh:
     """The form with the most evidence."""
-    from video2anim.objects.meshing import ObjectPicture, form_mesh
+    from video2anim.objects.meshing import ObjectPicture, form_mesh, outline_iou
     from video2anim.objects.recognize import log_prior, recognized
 
     best = recognized(seen, log_prior(found.label))[0]
@@ -133,8 +133,8 @@ def _fitted(
     sigma = best.sigma
     return ObjectMesh(
         found.object_id, label, f"form: {best.form.name}{' ' * bool(best.form.variant)}{best.form.variant}", mesh,
-        best.T_world_object, parts, best.distance_m(seen.points_m), float(np.hypot(*sigma[:2])), float(sigma[2]),
-        float(np.sqrt(np.mean(sigma[6:] ** 2))),
+        best.T_world_object, parts, best.chamfer_m, float(np.hypot(*sigma[:2])), float(sigma[2]),
+        float(np.sqrt(np.mean(sigma[6:] ** 2))), outline_iou(best, seen.evidence, seen.own),
     )  # fmt: skip
 
 

@@ -48,7 +48,7 @@ class SegmentConfig:
     """`geometric`, or a model of slot `segment`, by its name or as NAME@PATH."""
     finder: Annotated[str, model_of("object-finder", also=(NO_MODEL,))] = "objectron"
     """Detector that knows photographs, for chairs, tables and boxes; `none` for no detector."""
-    finder_score: Annotated[float, limits(ge=0, le=1)] = 0.45
+    finder_score: Annotated[float, limits(ge=0, le=1)] = 0.5
     """Least score of what it finds; less is wrong more often than right on plates of real clips."""
     chair_score: Annotated[float, limits(ge=0, le=1)] = 0.3
     """The same of a chair in which its second network sees the 3D box of a chair."""

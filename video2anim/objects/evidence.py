@@ -45,6 +45,8 @@ class SeenObject:
     """Its depth points in the world."""
     normals: Float[np.ndarray, "points 3"]
     """Of those points."""
+    own: Bool[np.ndarray, "height width"]
+    """Its visible pixels."""
 
     def box(self) -> UprightBox:
         """The box around them, +z of its frame on the side that faces the camera."""
@@ -104,7 +106,7 @@ class ObjectViews:
             rested_m=rested_m,
             body_m=body_m,
         )
-        return SeenObject(evidence, points_m, self._normals[thing.shows])
+        return SeenObject(evidence, points_m, self._normals[thing.shows], own)
 
     def _outside_px(self, found: CompletedObject, thing: LiftedThing, hidden: np.ndarray) -> Float[np.ndarray, "h w"]:
         """Distance of pixels from where the object may be."""

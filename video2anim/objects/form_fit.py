@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.objects.furniture import Form
 from video2anim.objects.solids import Solids
 from video2anim.types.camera import Intrinsics
@@ -22,6 +21,9 @@ from video2anim.types.camera import Intrinsics
 POSE = ("x", "z", "yaw", "base", "distance", "stretch")
 """What every form has beside its sizes: place (m), turn (rad), height that it rests on (m), logarithm of the correction
 of its depth, and of how depth spreads within it."""
+THIN = ("leg", "pole")
+"""Parts that masks lose."""
+_ROUNDS = 25
 _STEP = np.array([2e-3, 2e-3, 4e-3, 2e-3, 2e-3, 1e-2])
 _SIZE_STEP = 4e-3
 """Steps of the numerical derivative: well below what a pixel shows, well above rounding."""
@@ -43,6 +45,8 @@ class FitSigmas:
     """Bodies are so deep in things by their own error."""
     base_m: float = 0.005
     """Height of the feet of what stands on the floor."""
+    noise_looks: float = 15.0
+    """How well all these are known for one object: as from so many looks. They share an unknown factor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +87,8 @@ class FormFit:
     log_evidence: float
     sigma: Float[np.ndarray, "values"]
     """Standard deviations of the values."""
+    chamfer_m: float
+    """Mean distance of the object's depth points, corrected, from its surface."""
 
     @property
     def T_world_object(self) -> Float[np.ndarray, "4 4"]:
@@ -99,11 +105,6 @@ class FormFit:
         """Of the object's depth: logarithm of its factor, and of its spread."""
         return float(self.values[4]), float(self.values[5])
 
-    def distance_m(self, points_m: Float[np.ndarray, "points 3"]) -> float:
-        """Mean distance of world points from its surface; the object's correction of depth is not applied."""
-        own_m = transform_points(invert_rigid(self.T_world_object), points_m)
-        return float(np.abs(self.solids()[1].distance_m(own_m[None])[0].min(0)).mean())
-
     def solids(self) -> tuple[tuple[str, ...], Solids]:
         """Names of the parts, and the solids in the object's frame."""
         return self.form.build(self.sizes_m[None])
@@ -116,6 +117,7 @@ class FormProblem:
         self, form: Form, evidence: ObjectEvidence, base_m: float, sigmas: FitSigmas, samples_per_side: int
     ) -> None:
         self.form, self.evidence, self.sigmas, self.samples = form, evidence, sigmas, samples_per_side
+        self.part_names, _ = form.build(form.usual_m[None])
         known = np.isfinite(evidence.depth_m)
         self.point_rays, self.point_m = evidence.rays[known], evidence.depth_m[known]
         self.log_depth = np.log(self.point_m)
@@ -127,7 +129,7 @@ class FormProblem:
         self.ray_weight = np.sqrt(sigmas.looks / max(len(known), 1))
         self.steps = np.concatenate([_STEP, np.full(len(form.sizes), _SIZE_STEP)])
         self.prior_sigma = np.concatenate([
-            [np.inf, np.inf, np.inf, 0.15 if evidence.raised else sigmas.base_m, evidence.distance_sigma,
+            [np.inf, np.inf, np.inf, 0.15 if base_m > 0 else sigmas.base_m, evidence.distance_sigma,
              2 * evidence.distance_sigma], form.spread,
         ])  # fmt: skip
         self.prior_mean = np.concatenate([[0, 0, 0, base_m, 0, 0], np.log(form.usual_m)])
@@ -138,9 +140,7 @@ class FormProblem:
         evidence, sigmas = self.evidence, self.sigmas
         _, solids = self.form.build(np.exp(values[:, len(POSE) :]))
         batch = len(values)
-        depth_m = np.exp(values[:, 4:5] + values[:, 5:6] * (self.log_depth - self.middle)) * self.point_m
-        points = evidence.camera_m + self.point_rays * depth_m[..., None]
-        to_surface = np.abs(solids.distance_m(self._own(values, points)).min(1))
+        to_surface = self.points_to_surface_m(values, solids)
         noise_m = np.hypot(evidence.depth_sigma * self.point_m, self.outline_m)
         origin = self._own(values, np.broadcast_to(evidence.camera_m, (batch, 1, 3)))[:, 0]
         rays = self._turned(values, np.broadcast_to(evidence.rays, (batch, *evidence.rays.shape)))
@@ -153,6 +153,23 @@ class FormProblem:
             firm.append(self._to_solids_m(values, solids, evidence.body_m, _depth_inside) / sigmas.body_m)
         prior = (values - self.prior_mean)[:, 3:] / self.prior_sigma[3:]
         return np.concatenate(loose, 1), np.concatenate(firm, 1), prior
+
+    def points_to_surface_m(self, values: np.ndarray, solids: Solids) -> Float[np.ndarray, "batch points"]:
+        """Distance of the object's depth points, corrected, from the nearest surface."""
+        depth_m = np.exp(values[:, 4:5] + values[:, 5:6] * (self.log_depth - self.middle)) * self.point_m
+        points = self.evidence.camera_m + self.point_rays * depth_m[..., None]
+        return np.abs(solids.distance_m(self._own(values, points)).min(1))
+
+    def result(self, values: Float[np.ndarray, "values"], log_prior: float) -> FormFit:
+        """The fit from a start on, followed to the end."""
+        values, cost, curvature = self.fitted(values, _ROUNDS)
+        variance = np.diag(np.linalg.pinv(curvature + 1e-9 * np.eye(len(curvature))))
+        _, solids = self.form.build(np.exp(values[None, len(POSE) :]))
+        gap_m = self.points_to_surface_m(values[None], solids)
+        return FormFit(
+            self.form, values, self.laplace(cost, curvature) + log_prior, np.sqrt(np.maximum(variance, 0)),
+            float(gap_m.mean()) if gap_m.size else float("inf"),
+        )  # fmt: skip
 
     def _to_solids_m(
         self, values: np.ndarray, solids: Solids, points_m: np.ndarray, of: Callable[[np.ndarray], np.ndarray]
@@ -181,6 +198,8 @@ class FormProblem:
         free = np.where(within, evidence.free_m[at], 0.0) * np.exp(values[:, 4:5])
         before = np.log(np.maximum(free / z, 1.0)) / np.hypot(evidence.depth_sigma, self.sigmas.form_m / z)
         outside = _sampled(evidence.outside_px, u, v) * self.pixel_m / self.outline_m
+        # Outlines lose what is thin.
+        outside *= np.repeat(~np.isin(self.part_names, THIN), own.shape[1] // len(self.part_names))
         return weight * outside, weight * before
 
     def _turned(self, values: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -230,8 +249,9 @@ class FormProblem:
     def laplace(self, cost: float, curvature: np.ndarray) -> float:
         """Logarithm of the evidence, up to a constant that all forms share."""
         _, determinant = np.linalg.slogdet(curvature + 1e-9 * np.eye(len(curvature)))
-        spread = self.form.spread
-        return -cost - float(np.log(spread).sum()) - 0.5 * float(determinant)
+        known = self.sigmas.noise_looks
+        # All deviations of an object share a factor that is not known: integrated over, the cost counts like that.
+        return -known * float(np.log1p(cost / known)) - float(np.log(self.form.spread).sum()) - 0.5 * float(determinant)
 
 
 def _depth_inside(distance_m: np.ndarray) -> np.ndarray:

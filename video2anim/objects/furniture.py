@@ -51,6 +51,8 @@ class Form:
     variant: str = ""
     turns: int = 4
     """Quarter turns in which it looks different."""
+    stands: bool = True
+    """On the floor, always."""
     share: float = 1.0
     """How common it is among things in rooms and gardens, against a chair."""
 
@@ -205,6 +207,14 @@ def _box(s: Sizes):
     return _solids([("body", [0, 0.5 * h, 0], [w, h, d])], len(s))
 
 
+def _board(s: Sizes):
+    w, d, h, lower = s.T
+    tall = h - lower
+    rows = [("board", [0, lower + 0.5 * tall, 0], [w, tall, d])]
+    rows += [("leg", [side * 0.45 * w, 0.5 * lower, 0], [0.05, lower, 0.05]) for side in (-1, 1)]
+    return _solids(rows, len(s))
+
+
 def _lamp(s: Sizes):
     shade, tall, h, foot = s.T
     rows = [
@@ -270,16 +280,22 @@ FORMS: tuple[Form, ...] = (
                  _size("head rise", 0.4, 0.4)), _bed),
     Form("shelf", (_size("width", 0.9, 0.25), _size("depth", 0.32, 0.2), _size("height", 1.5, 0.3)), _shelf(4), "4"),
     Form("shelf", (_size("width", 0.9, 0.25), _size("depth", 0.32, 0.2), _size("height", 1.9, 0.15)), _shelf(6), "6"),
-    Form("cabinet", (_size("width", 0.9, 0.4), _size("depth", 0.45, 0.25), _size("height", 1.0, 0.5)), _box, turns=2),
+    Form("cabinet", (_size("width", 0.9, 0.4), _size("depth", 0.45, 0.25), _size("height", 1.0, 0.5)), _box,
+         turns=2, stands=False),
     Form("cabinet", (_size("width", 2.2, 0.3), _size("depth", 0.6, 0.06), _size("height", 0.9, 0.04),
                      _size("gap", 0.55, 0.1), _size("upper height", 0.65, 0.15),
                      _size("upper depth", 0.35, 0.1)), _kitchen, "kitchen", share=0.2),
+    Form("board", (_size("width", 1.2, 0.4), _size("depth", 0.04, 0.4), _size("height", 1.2, 0.4)), _box, turns=2,
+         stands=False, share=0.3),
+    Form("board", (_size("width", 1.4, 0.3), _size("depth", 0.04, 0.4), _size("height", 1.8, 0.15),
+                   _size("lower edge", 0.8, 0.25)), _board, "on legs", 2, share=0.3),
     Form("lamp", (_size("width", 0.4, 0.25), _size("shade height", 0.28, 0.3), _size("height", 1.55, 0.15),
-                  _size("foot", 0.28, 0.2)), _lamp, turns=1, share=0.3),
+                  _size("foot", 0.28, 0.2)), _lamp, turns=1, stands=False, share=0.3),
     Form("plant", (_size("width", 0.5, 0.4), _size("pot height", 0.3, 0.3), _size("height", 1.1, 0.35),
-                   _size("pot", 0.3, 0.3)), _plant, turns=1, share=0.3),
+                   _size("pot", 0.3, 0.3)), _plant, turns=1, stands=False, share=0.1),
     Form("steps", (_size("width", 0.6, 0.4), _size("depth", 0.55, 0.3), _size("height", 0.36, 0.3)), _steps, share=0.1),
-    Form("box", (_size("width", 0.6, 0.8), _size("depth", 0.6, 0.8), _size("height", 0.6, 0.8)), _box, turns=2),
-    Form("drum", (_size("width", 0.4, 0.6), _size("height", 0.5, 0.6)), _drum, turns=1, share=0.05),
+    Form("box", (_size("width", 0.6, 0.8), _size("depth", 0.6, 0.8), _size("height", 0.6, 0.8)), _box,
+         turns=2, stands=False),
+    Form("drum", (_size("width", 0.4, 0.6), _size("height", 0.5, 0.6)), _drum, turns=1, stands=False, share=0.05),
 )  # fmt: skip
 """All that is tried. `box` and `drum` are what is left for things of no known kind."""

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import KDTree
 
 from video2anim.geometry.projection import invert_rigid, project, transform_points
-from video2anim.objects.form_fit import FormFit
+from video2anim.objects.form_fit import FormFit, ObjectEvidence
 from video2anim.objects.solids import Solids
 from video2anim.types import Mesh, ObjectPart
 from video2anim.types.camera import Intrinsics
@@ -94,39 +94,14 @@ def _vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-12)
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """How well a form explains an object."""
-
-    outline_iou: float
-    """Of its outline and the object's, where nothing hides it."""
-    depth_error_m: float
-    """Median distance between what the camera measured and the form."""
-
-
-def verdict(fit: FormFit, own: Bool[np.ndarray, "height width"], open_: Bool[np.ndarray, "height width"],
-            depth_m: Float[np.ndarray, "height width"], shows: Bool[np.ndarray, "height width"],
-            intrinsics: Intrinsics, T_world_camera: Float[np.ndarray, "4 4"]) -> Verdict:
-    """Compare the form, drawn, with the object.
-
-    Args:
-        own: The object's visible pixels.
-        open_: Pixels in which nothing hides it.
-        depth_m: Measured.
-        shows: Pixels whose depth is the object's.
-    """
+def outline_iou(fit: FormFit, evidence: ObjectEvidence, own: Bool[np.ndarray, "height width"]) -> float:
+    """Overlap of the form, drawn, with the object's visible pixels, where nothing can hide it."""
     height, width = own.shape
     row, column = np.mgrid[:height, :width]
-    k = intrinsics
+    k, T_world_camera = evidence.intrinsics, invert_rigid(evidence.T_camera_world)
     local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones_like(row)], -1).reshape(-1, 3)
     T_object_camera = invert_rigid(fit.T_world_object) @ T_world_camera
-    _, solids = fit.solids()
-    hit = solids.first_hit(T_object_camera[None, :3, 3], (local @ T_object_camera[:3, :3].T)[None])[0]
-    hit = hit.reshape(height, width)
-    drawn = np.isfinite(hit)
-    union = (drawn | own) & open_
-    iou = float((drawn & own & open_).sum() / max(int(union.sum()), 1))
-    both = drawn & shows
-    change, _ = fit.correction
-    error = np.abs(depth_m[both] * np.exp(change) - hit[both])
-    return Verdict(iou, float(np.median(error)) if both.any() else float("inf"))
+    hit = fit.solids()[1].first_hit(T_object_camera[None, :3, 3], (local @ T_object_camera[:3, :3].T)[None])[0]
+    drawn = np.isfinite(hit).reshape(height, width)
+    open_ = own | (evidence.outside_px > 0)
+    return float((drawn & own).sum() / max(int(((drawn | own) & open_).sum()), 1))

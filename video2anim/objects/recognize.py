@@ -14,7 +14,7 @@ from video2anim.objects.furniture import FORMS, Form
 
 _SCREEN_SAMPLES, _SAMPLES = 3, 7
 """Surface samples along a side of a solid, while forms are compared and at the end."""
-_SCREEN_ROUNDS, _ROUNDS = 6, 25
+_SCREEN_ROUNDS = 6
 _KEPT = 4
 """Starts that are followed to the end."""
 
@@ -33,11 +33,12 @@ def recognized(
     """
     sigmas = FitSigmas() if sigmas is None else sigmas
     evidence, box = seen.evidence, seen.box()
-    base_m = max(float(np.percentile(seen.points_m[:, 1], 2)), 0.0) if evidence.raised else 0.0
+    lowest_m = max(float(np.percentile(seen.points_m[:, 1], 2)), 0.0) if evidence.raised else 0.0
     screened = []
     for form in forms:
         if form.name not in log_prior:
             continue
+        base_m = 0.0 if form.stands else lowest_m
         problem = FormProblem(form, evidence, base_m, sigmas, _SCREEN_SAMPLES)
         tried = [problem.fitted(start, _SCREEN_ROUNDS) for start in _starts(form, box, base_m)]
         prior = log_prior[form.name] + float(np.log(form.share))
@@ -46,11 +47,8 @@ def recognized(
     screened.sort(key=lambda one: -one[0])
     found = []
     for _, form, values in screened[:_KEPT]:
-        prior = log_prior[form.name] + float(np.log(form.share))
-        problem = FormProblem(form, evidence, base_m, sigmas, _SAMPLES)
-        values, cost, curvature = problem.fitted(values, _ROUNDS)
-        sigma = np.sqrt(np.maximum(np.diag(np.linalg.pinv(curvature + 1e-9 * np.eye(len(curvature)))), 0))
-        found.append(FormFit(form, values, problem.laplace(cost, curvature) + prior, sigma))
+        problem = FormProblem(form, evidence, 0.0 if form.stands else lowest_m, sigmas, _SAMPLES)
+        found.append(problem.result(values, log_prior[form.name] + float(np.log(form.share))))
     return sorted(found, key=lambda fit: -fit.log_evidence)
 
 
@@ -85,10 +83,13 @@ _SYNONYMS = {
     "ottoman": "stool", "bench": "stool", "stairs": "steps", "step": "steps", "swivel chair": "chair",
 }  # fmt: skip
 """Words of segmentation networks for classes of forms."""
-_MISNAMED = 0.02
+_MISNAMED = 0.001
 """How often a network that names a thing names it wrongly, for each other class."""
-_BROAD = {"chair": ("armchair", "sofa", "stool"), "table": ("desk",), "desk": ("table",), "box": ("cabinet", "stool")}
-"""Classes that the same word may mean as well."""
+_BROAD = {
+    "chair": {"armchair": 0.3, "stool": 0.1, "sofa": 0.05}, "table": {"desk": 0.5}, "desk": {"table": 0.5},
+    "box": {"cabinet": 0.5, "stool": 0.2},
+}  # fmt: skip
+"""What else the same word means, and how often against what it says."""
 
 
 def log_prior(label: str) -> dict[str, float]:
@@ -100,5 +101,5 @@ def log_prior(label: str) -> dict[str, float]:
     name = _SYNONYMS.get(label, label)
     if name not in classes:
         return dict.fromkeys(classes, 0.0)
-    meant = (name, *_BROAD.get(name, ()))
-    return {other: 0.0 if other in meant else float(np.log(_MISNAMED)) for other in classes}
+    odds = {name: 1.0, **_BROAD.get(name, {})}
+    return {other: float(np.log(odds.get(other, _MISNAMED))) for other in classes}

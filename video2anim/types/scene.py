@@ -131,6 +131,8 @@ class ObjectMesh:
     yaw_sigma_rad: NonNegativeFloat | None = None
     size_sigma: NonNegativeFloat | None = None
     """Of the logarithm of its sizes."""
+    outline_iou: NonNegativeFloat | None = None
+    """Overlap of a fitted form's outline with the object's, where nothing hides it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
