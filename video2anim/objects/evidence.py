@@ -23,6 +23,10 @@ _RAISED_M = 0.15
 """What ends so far above the floor, where the picture goes on below it, stands on something else."""
 _NEAR_M = 0.3
 """Skin and bodies so near to the box of an object's depth points may touch it: the error of its place."""
+_AROUND_M = 1.5
+"""Walls and things so near to it may be reached by its hidden part: the length of a bed less what is seen of it."""
+_OFF_FLOOR_M = 0.1
+"""Depth of the floor is off by so much."""
 _LEAST_DISTANCE_SIGMA = 0.005
 
 
@@ -105,8 +109,19 @@ class ObjectViews:
             raised=self._is_raised(own, points_m, hidden),
             rested_m=rested_m,
             body_m=body_m,
+            others_m=self._others_m(own, points_m, rng),
         )
         return SeenObject(evidence, points_m, self._normals[thing.shows], own)
+
+    def _others_m(
+        self, own: np.ndarray, points_m: np.ndarray, rng: np.random.Generator
+    ) -> Float[np.ndarray, "others 3"]:
+        """Seen points around the object that are not its own, nor the floor's."""
+        low, high = points_m.min(0) - _AROUND_M, points_m.max(0) + _AROUND_M
+        near = self._lifter.known & ~own & ~self._lifter.floor & (self._world_m[..., 1] > _OFF_FLOOR_M)
+        near &= ((self._world_m > low) & (self._world_m < high)).all(-1)
+        some = self._world_m[near]
+        return some[rng.permutation(len(some))[:_POINTS]]
 
     def _outside_px(self, found: CompletedObject, thing: LiftedThing, hidden: np.ndarray) -> Float[np.ndarray, "h w"]:
         """Distance of pixels from where the object may be."""

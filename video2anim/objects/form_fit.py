@@ -75,6 +75,8 @@ class ObjectEvidence:
     """Skin that rested on it."""
     body_m: Float[np.ndarray, "inner 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Points where bodies were."""
+    others_m: Float[np.ndarray, "others 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    """Seen points of walls and other things, which are not inside it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,6 +153,10 @@ class FormProblem:
             loose.append(self._to_solids_m(values, solids, evidence.rested_m, np.abs) / sigmas.rest_m)
         if len(evidence.body_m):
             firm.append(self._to_solids_m(values, solids, evidence.body_m, _depth_inside) / sigmas.body_m)
+        if len(evidence.others_m):
+            away_m = np.linalg.norm(evidence.others_m - evidence.camera_m, axis=-1)
+            noise_m = np.hypot(np.hypot(evidence.depth_sigma, evidence.distance_sigma) * away_m, sigmas.form_m)
+            firm.append(self._to_solids_m(values, solids, evidence.others_m, _depth_inside) / noise_m)
         prior = (values - self.prior_mean)[:, 3:] / self.prior_sigma[3:]
         return np.concatenate(loose, 1), np.concatenate(firm, 1), prior
 

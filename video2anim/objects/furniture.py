@@ -277,7 +277,7 @@ FORMS: tuple[Form, ...] = (
     Form("desk", (_size("width", 1.3, 0.2), _size("depth", 0.68, 0.15), _size("height", 0.73, 0.04)), _desk(-1),
          "drawers at -x"),
     Form("bed", (_size("width", 1.3, 0.3), _size("depth", 2.02, 0.04), _size("height", 0.5, 0.15),
-                 _size("head rise", 0.4, 0.4)), _bed),
+                 _size("head rise", 0.4, 0.4)), _bed, share=0.3),
     Form("shelf", (_size("width", 0.9, 0.25), _size("depth", 0.32, 0.2), _size("height", 1.5, 0.3)), _shelf(4), "4"),
     Form("shelf", (_size("width", 0.9, 0.25), _size("depth", 0.32, 0.2), _size("height", 1.9, 0.15)), _shelf(6), "6"),
     Form("cabinet", (_size("width", 0.9, 0.4), _size("depth", 0.45, 0.25), _size("height", 1.0, 0.5)), _box,

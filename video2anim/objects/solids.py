@@ -6,11 +6,14 @@ resting on y = 0, front towards +Z.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+_Axes = tuple[np.ndarray, np.ndarray, np.ndarray]
 _FLAT = 1e-9
 """Keeps rays along a side from dividing by nothing."""
 _SEGMENTS = 24
@@ -29,16 +32,27 @@ class Solids:
     round: Bool[np.ndarray, "parts"]
     """Which are upright cylinders."""
 
-    def _own(self, v: np.ndarray) -> np.ndarray:
-        """Vectors (batch, n, 3) along the axes of every solid: (batch, parts, n, 3)."""
+    def _own(self, v: np.ndarray) -> _Axes:
+        """Vectors (batch, n, 3) along the axes of every solid: x, y, z of shape (batch, parts, n)."""
         c, s = np.cos(self.tilt_rad)[..., None], np.sin(self.tilt_rad)[..., None]
         x, y, z = (v[:, None, :, k] for k in range(3))
-        return np.stack([np.broadcast_to(x, (*c.shape[:2], x.shape[2])), c * y - s * z, s * y + c * z], -1)
+        if not self.tilt_rad.any():
+            return x, y, z
+        return x, c * y - s * z, s * y + c * z
+
+    def _from_center(self, points_m: np.ndarray) -> _Axes:
+        x, y, z = self._own(points_m)
+        u, v, w = (part[..., 0] for part in self._own_center())
+        return x - u[..., None], y - v[..., None], z - w[..., None]
+
+    def _own_center(self) -> _Axes:
+        c, s = np.cos(self.tilt_rad)[..., None], np.sin(self.tilt_rad)[..., None]
+        x, y, z = (self.center_m[..., k, None] for k in range(3))
+        return x, c * y - s * z, s * y + c * z
 
     def distance_m(self, points_m: Float[np.ndarray, "batch points 3"]) -> Float[np.ndarray, "batch parts points"]:
         """Signed distance to every solid, negative inside."""
-        own = self._own(points_m) - self._own_center()[:, :, None]
-        return _signed(own, self.half_m[:, :, None], self.round)
+        return self._signed(self._from_center(points_m))
 
     def miss_m(
         self, origin_m: Float[np.ndarray, "batch 3"], ray: Float[np.ndarray, "batch rays 3"]
@@ -48,25 +62,43 @@ class Solids:
         The point looked at is the middle between entering and leaving the slabs of a box, which is inside the box if
         and only if the ray hits it.
         """
-        start = self._own(origin_m[:, None]) - self._own_center()[:, :, None]
-        along = self._own(ray)
-        enter, leave = _slabs(start, along, self.half_m[:, :, None], self.round)
-        at = start + 0.5 * (enter + leave)[..., None] * along
-        return np.maximum(_signed(at, self.half_m[:, :, None], self.round), 0).min(1)
+        start, along = self._from_center(origin_m[:, None]), self._own(ray)
+        enter, leave = self._slabs(start, along)
+        middle = 0.5 * (enter + leave)
+        x, y, z = (a + middle * b for a, b in zip(start, along, strict=True))
+        return np.maximum(self._signed((x, y, z)), 0).min(1)
 
     def first_hit(
         self, origin_m: Float[np.ndarray, "batch 3"], ray: Float[np.ndarray, "batch rays 3"]
     ) -> Float[np.ndarray, "batch rays"]:
         """Where along each ray (in its lengths) it enters a solid; infinite where it hits none. Cylinders count as the
         square boxes around them."""
-        start = self._own(origin_m[:, None]) - self._own_center()[:, :, None]
-        enter, leave = _slabs(start, self._own(ray), self.half_m[:, :, None], self.round)
+        enter, leave = self._slabs(self._from_center(origin_m[:, None]), self._own(ray))
         return np.where((enter <= leave) & (enter > 0), enter, np.inf).min(1)
 
-    def _own_center(self) -> np.ndarray:
-        c, s = np.cos(self.tilt_rad), np.sin(self.tilt_rad)
-        x, y, z = (self.center_m[..., k] for k in range(3))
-        return np.stack([x, c * y - s * z, s * y + c * z], -1)
+    def _signed(self, own: _Axes) -> np.ndarray:
+        """Signed distance of points that are given from the solids' centers, along their axes."""
+        half = self.half_m[:, :, :, None]
+        x, y, z = (np.abs(part) - half[:, :, k] for k, part in enumerate(own))
+        inside = np.minimum(np.maximum(np.maximum(x, y), z), 0)
+        box = np.sqrt(np.maximum(x, 0) ** 2 + np.maximum(y, 0) ** 2 + np.maximum(z, 0) ** 2) + inside
+        if not self.round.any():
+            return box
+        aside = np.sqrt(own[0] ** 2 + own[2] ** 2) - half[:, :, 0]
+        disk = np.sqrt(np.maximum(aside, 0) ** 2 + np.maximum(y, 0) ** 2) + np.minimum(np.maximum(aside, y), 0)
+        return np.where(self.round[None, :, None], disk, box)
+
+    def _slabs(self, start: _Axes, along: _Axes) -> tuple[np.ndarray, np.ndarray]:
+        """Where rays are between all three pairs of a box's sides; of a cylinder those of the square around it."""
+        enter: Any = -np.inf
+        leave: Any = np.inf
+        for axis in range(3):
+            of = np.where(self.round, 0, axis) if axis == 2 else np.full(len(self.round), axis)
+            half = np.take_along_axis(self.half_m, of[None, :, None], 2)
+            steep = np.where(np.abs(along[axis]) < _FLAT, _FLAT, along[axis])
+            first, second = (-half - start[axis]) / steep, (half - start[axis]) / steep
+            enter, leave = np.maximum(enter, np.minimum(first, second)), np.minimum(leave, np.maximum(first, second))
+        return enter, leave
 
     def surface_points_m(self, per_side: int) -> Float[np.ndarray, "batch points 3"]:
         """The same lattice of points on the sides of every solid, per_side^2 on each side."""
@@ -97,25 +129,7 @@ class Solids:
         return made
 
 
-def _signed(own: np.ndarray, half: np.ndarray, round_: np.ndarray) -> np.ndarray:
-    """Signed distance of points in the axes of a solid."""
-    beyond = np.abs(own) - half
-    box = np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(-1), 0)
-    if not round_.any():
-        return box
-    aside, over = np.hypot(own[..., 0], own[..., 2]) - half[..., 0], beyond[..., 1]
-    disk = np.hypot(np.maximum(aside, 0), np.maximum(over, 0)) + np.minimum(np.maximum(aside, over), 0)
-    return np.where(round_[None, :, None], disk, box)
-
-
-def _slabs(start: np.ndarray, along: np.ndarray, half: np.ndarray, round_: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays are between all three pairs of a box's sides; of a cylinder those of the square around it."""
-    half = np.where(round_[None, :, None, None], half[..., [0, 1, 0]], half)
-    steep = np.where(np.abs(along) < _FLAT, np.where(along < 0, -_FLAT, _FLAT), along)
-    first, second = (-half - start) / steep, (half - start) / steep
-    return np.minimum(first, second).max(-1), np.maximum(first, second).min(-1)
-
-
+@functools.cache
 def _lattice(per_side: int) -> np.ndarray:
     """Points on the sides of the cube from -1 to 1."""
     steps = np.linspace(-1, 1, per_side)
