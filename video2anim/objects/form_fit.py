@@ -42,7 +42,7 @@ class FitSigmas:
     rest_m: float = 0.03
     """Skin that rests on a surface is so near to it."""
     body_m: float = 0.05
-    """Bodies are so deep in things by their own error."""
+    """Bodies are so deep in things by their own error, beside that of the object's distance from them."""
     base_m: float = 0.005
     """Height of the feet of what stands on the floor."""
     noise_looks: float = 15.0
@@ -152,7 +152,9 @@ class FormProblem:
         if len(evidence.rested_m):
             loose.append(self._to_solids_m(values, solids, evidence.rested_m, np.abs) / sigmas.rest_m)
         if len(evidence.body_m):
-            firm.append(self._to_solids_m(values, solids, evidence.body_m, _depth_inside) / sigmas.body_m)
+            away_m = np.linalg.norm(evidence.body_m - evidence.camera_m, axis=-1)
+            noise_m = np.hypot(evidence.distance_sigma * away_m, sigmas.body_m)
+            firm.append(self._to_solids_m(values, solids, evidence.body_m, _depth_inside) / noise_m)
         if len(evidence.others_m):
             away_m = np.linalg.norm(evidence.others_m - evidence.camera_m, axis=-1)
             noise_m = np.hypot(np.hypot(evidence.depth_sigma, evidence.distance_sigma) * away_m, sigmas.form_m)
@@ -168,12 +170,12 @@ class FormProblem:
 
     def result(self, values: Float[np.ndarray, "values"], log_prior: float) -> FormFit:
         """The fit from a start on, followed to the end."""
-        values, cost, curvature = self.fitted(values, _ROUNDS)
+        values, curvature = self.fitted(values, _ROUNDS)
         variance = np.diag(np.linalg.pinv(curvature + 1e-9 * np.eye(len(curvature))))
         _, solids = self.form.build(np.exp(values[None, len(POSE) :]))
         gap_m = self.points_to_surface_m(values[None], solids)
         return FormFit(
-            self.form, values, self.laplace(cost, curvature) + log_prior, np.sqrt(np.maximum(variance, 0)),
+            self.form, values, self.laplace(values, curvature) + log_prior, np.sqrt(np.maximum(variance, 0)),
             float(gap_m.mean()) if gap_m.size else float("inf"),
         )  # fmt: skip
 
@@ -218,11 +220,16 @@ class FormProblem:
 
     def cost(self, values: Float[np.ndarray, "batch values"]) -> Float[np.ndarray, "batch"]:
         """Negative logarithm of likelihood and prior, up to a constant of the evidence."""
-        loose, firm, prior = self.residuals(values)
-        return 0.5 * np.log1p(loose**2).sum(1) + (np.sqrt(1 + firm**2) - 1).sum(1) + 0.5 * (prior**2).sum(1)
+        misfit, unusual = self._costs(values)
+        return misfit + unusual
 
-    def fitted(self, start: Float[np.ndarray, "values"], rounds: int) -> tuple[np.ndarray, float, np.ndarray]:
-        """Levenberg-Marquardt from one start: values, cost, and the curvature there."""
+    def _costs(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Those of likelihood and prior."""
+        loose, firm, prior = self.residuals(values)
+        return 0.5 * np.log1p(loose**2).sum(1) + (np.sqrt(1 + firm**2) - 1).sum(1), 0.5 * (prior**2).sum(1)
+
+    def fitted(self, start: Float[np.ndarray, "values"], rounds: int) -> tuple[np.ndarray, np.ndarray]:
+        """Levenberg-Marquardt from one start: values, and the curvature there."""
         values, damping = start.copy(), 1e-2
         best = float(self.cost(values[None])[0])
         curvature = np.eye(len(start))
@@ -250,14 +257,16 @@ class FormProblem:
             damping = max(1e-4, damping * (0.1, 1.0, 10.0)[k])
             if gain < 1e-3:
                 break
-        return values, best, curvature
+        return values, curvature
 
-    def laplace(self, cost: float, curvature: np.ndarray) -> float:
+    def laplace(self, values: Float[np.ndarray, "values"], curvature: np.ndarray) -> float:
         """Logarithm of the evidence, up to a constant that all forms share."""
         _, determinant = np.linalg.slogdet(curvature + 1e-9 * np.eye(len(curvature)))
+        misfit, unusual = (float(part[0]) for part in self._costs(values[None]))
         known = self.sigmas.noise_looks
-        # All deviations of an object share a factor that is not known: integrated over, the cost counts like that.
-        return -known * float(np.log1p(cost / known)) - float(np.log(self.form.spread).sum()) - 0.5 * float(determinant)
+        # All deviations of an object share a factor that is not known: integrated over, the misfit counts like that.
+        fit = -known * float(np.log1p(misfit / known)) - unusual
+        return fit - float(np.log(self.form.spread).sum()) - 0.5 * float(determinant)
 
 
 def _depth_inside(distance_m: np.ndarray) -> np.ndarray:

@@ -292,10 +292,10 @@ FORMS: tuple[Form, ...] = (
     Form("lamp", (_size("width", 0.4, 0.25), _size("shade height", 0.28, 0.3), _size("height", 1.55, 0.15),
                   _size("foot", 0.28, 0.2)), _lamp, turns=1, stands=False, share=0.3),
     Form("plant", (_size("width", 0.5, 0.4), _size("pot height", 0.3, 0.3), _size("height", 1.1, 0.35),
-                   _size("pot", 0.3, 0.3)), _plant, turns=1, stands=False, share=0.1),
+                   _size("pot", 0.3, 0.3)), _plant, turns=1, stands=False, share=0.05),
     Form("steps", (_size("width", 0.6, 0.4), _size("depth", 0.55, 0.3), _size("height", 0.36, 0.3)), _steps, share=0.1),
     Form("box", (_size("width", 0.6, 0.8), _size("depth", 0.6, 0.8), _size("height", 0.6, 0.8)), _box,
          turns=2, stands=False),
-    Form("drum", (_size("width", 0.4, 0.6), _size("height", 0.5, 0.6)), _drum, turns=1, stands=False, share=0.05),
+    Form("drum", (_size("width", 0.4, 0.6), _size("height", 0.5, 0.6)), _drum, turns=1, stands=False, share=0.01),
 )  # fmt: skip
 """All that is tried. `box` and `drum` are what is left for things of no known kind."""

@@ -42,7 +42,7 @@ def recognized(
         problem = FormProblem(form, evidence, base_m, sigmas, _SCREEN_SAMPLES)
         tried = [problem.fitted(start, _SCREEN_ROUNDS) for start in _starts(form, box, base_m)]
         prior = log_prior[form.name] + float(np.log(form.share))
-        scores = [problem.laplace(cost, curvature) + prior for _, cost, curvature in tried]
+        scores = [problem.laplace(*one) + prior for one in tried]
         screened.append((max(scores), form, tried[int(np.argmax(scores))][0]))
     screened.sort(key=lambda one: -one[0])
     found = []
