@@ -23,7 +23,7 @@ import numpy as np
 from stages.complete import CompleteConfig, complete_objects
 from stages.place import PlaceConfig, place_objects
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
-from video2anim.eval.boxes import box_iou_3d, box_of, chamfer_m, surface_points
+from video2anim.eval.boxes import box_iou_3d, box_of, chamfer_m, rest_height_m, surface_points
 from video2anim.eval.object_rows import LEAST_VISIBLE_PX
 from video2anim.eval.true_scene import read_glb, world_mesh
 from video2anim.eval.truth import Truth, read_truth
@@ -40,7 +40,7 @@ from video2anim.types import (
     PlacedObjects,
 )  # fmt: skip
 
-MEDIANS = ("chamfer_m", "chamfer_first_m", "middle_m")
+MEDIANS = ("chamfer_m", "chamfer_first_m", "middle_m", "height_m")
 
 
 def main() -> None:
@@ -79,7 +79,7 @@ def of_clip(truth: Truth, pictures: Path | None) -> list[dict]:
     ctx = StageContext(Path())
     started = time.process_time()
     completed = complete_objects(plate, masks, depth, CompleteConfig(), ctx)
-    meshes = reconstruct_objects(completed, masks, depth, plate, ReconstructConfig(), ctx)
+    meshes = reconstruct_objects(completed, masks, depth, plate, ReconstructConfig(depth_error_ratio=0.01), ctx)
     placed = place_objects(meshes, masks, depth, PlaceConfig(), ctx)
     seconds = (time.process_time() - started) / max(len(masks.instances), 1)
     if pictures:
@@ -89,7 +89,7 @@ def of_clip(truth: Truth, pictures: Path | None) -> list[dict]:
     rows = []
     for item in furniture:
         row = {"clip": truth.name, "label": item.label, "pixels": item.visible_px, "seconds": seconds}
-        row |= {"method": None, "chamfer_m": None, "middle_m": None, "chamfer_first_m": None, "box_iou": None}
+        row |= {"method": None, "chamfer_m": None, "middle_m": None, "chamfer_first_m": None, "box_iou": None, "height_m": None}
         if item.object_id in last:
             mesh, box = in_world(last[item.object_id])
             before, _ = in_world(first[item.object_id])
@@ -101,6 +101,7 @@ def of_clip(truth: Truth, pictures: Path | None) -> list[dict]:
                 "chamfer_first_m": chamfer_m(surface_points(before, np.random.default_rng(0)), true_m),
                 "middle_m": float(np.linalg.norm(box.center_m - true_box.center_m)),
                 "box_iou": box_iou_3d(box, true_box),
+                "height_m": abs(rest_height_m(mesh) - rest_height_m(world_mesh(item))),
                 "size_m": (2 * box.half_m).round(2).tolist(),
                 "true_size_m": (2 * true_box.half_m).round(2).tolist(),
             }
@@ -130,7 +131,8 @@ def true_inputs(truth: Truth) -> tuple[InstanceMasks, BackgroundPlate, MetricDep
     plate = BackgroundPlate(truth.plate_rgb, np.ones((height, width), np.float32), np.zeros(0, np.int64), none, none)
     depth = MetricDepth(
         1.0, 0.0, 0.0, 0.0, None, None, True, "truth", np.zeros(0, np.int64), none.astype(np.float32), none,
-        truth.background_depth_m, truth.background_depth_m > 0, {}, BodyTracks((body,)),
+        truth.background_depth_m, truth.background_depth_m > 0,
+        {str(item.object_id): 0.0 for item in instances}, BodyTracks((body,)),
     )  # fmt: skip
     return masks, plate, depth
 

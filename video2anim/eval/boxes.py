@@ -14,6 +14,10 @@ from video2anim.types import Mesh
 
 SURFACE_POINTS = 4000
 """Points per surface of the Chamfer distance."""
+_RAYS = 40
+"""Rays along each side of a footprint that look for its level."""
+_LEVEL_M = 0.04
+"""Cushions are level within this."""
 _THINNEST_M = 1e-3
 """Extent given to a box that is flat along an axis."""
 
@@ -81,3 +85,25 @@ def chamfer_m(a_m: Float[np.ndarray, "points 3"], b_m: Float[np.ndarray, "others
     to_b, _ = KDTree(b_m).query(a_m)
     to_a, _ = KDTree(a_m).query(b_m)
     return float(0.5 * (np.mean(to_b) + np.mean(to_a)))
+
+
+def rest_height_m(mesh: Mesh) -> float:
+    """Height of the level on which most could be put down: of a chair's seat, of a table's top. Meters, world.
+
+    Rays fall onto a grid over the footprint; the 4 cm of height in which most of them land decide.
+    """
+    import trimesh
+
+    low, high = mesh.vertices_m.min(0).astype(np.float64), mesh.vertices_m.max(0).astype(np.float64)
+    x, z = (np.linspace(low[axis], high[axis], _RAYS + 2)[1:-1] for axis in (0, 2))
+    across, along = (grid.ravel() for grid in np.meshgrid(x, z))
+    starts = np.stack([across, np.full(len(across), high[1] + 0.1), along], -1)
+    solid = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
+    down = np.tile([0.0, -1.0, 0.0], (len(starts), 1))
+    landed, _, _ = solid.ray.intersects_location(starts, down, multiple_hits=False)
+    if not len(landed):
+        return float(high[1])
+    heights = np.sort(landed[:, 1])
+    many = np.searchsorted(heights, heights + _LEVEL_M, side="right") - np.arange(len(heights))
+    first = int(np.argmax(many))
+    return float(np.median(heights[first : first + many[first]]))

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 
 from video2anim.eval.alignment import match_frames, resample_nearest, truth_from_estimate
-from video2anim.eval.boxes import OrientedBox, box_iou_3d, box_of, chamfer_m, surface_points
+from video2anim.eval.boxes import OrientedBox, box_iou_3d, box_of, chamfer_m, rest_height_m, surface_points
 from video2anim.eval.model import Group, Spec, make_group
 from video2anim.eval.picture_rows import mask_iou
 from video2anim.eval.results import SceneResult
@@ -55,6 +55,7 @@ OBJECTS = (
     Spec("chamfer", "Chamfer distance", "m", "lower", _UNMATCHED),
     Spec("center_error", "error of the middle", "m", "lower", _UNMATCHED),
     Spec("box_iou", "3D box IoU", "", "higher", _UNMATCHED),
+    Spec("height_error", "error of the height of seat or top", "m", "lower", _UNMATCHED),
     Spec("size_ratio", "box diagonal, estimate over truth", "", "one", _UNMATCHED),
 )
 _SEED = 0
@@ -199,6 +200,7 @@ def compared_objects(
             "chamfer": chamfer_m(mine_m, true_m),
             "center_error": float(np.linalg.norm(box.center_m - true_boxes[j].center_m)),
             "box_iou": box_iou_3d(box, true_boxes[j]),
+            "height_error": abs(rest_height_m(mesh) - rest_height_m(world_mesh(furniture[j]))),
             "size_ratio": float(np.linalg.norm(box.half_m) / np.linalg.norm(true_boxes[j].half_m)),
         })  # fmt: skip
     return rows
@@ -217,7 +219,7 @@ def scene_objects(result: SceneResult, truth: Truth) -> list[dict[str, float]]:
 
 def _means(rows: Sequence[dict[str, float]], furniture: Sequence[TrueObject]) -> dict[str, float]:
     """Means over matched pieces of furniture."""
-    names = ("chamfer", "center_error", "box_iou", "size_ratio")
+    names = ("chamfer", "center_error", "box_iou", "height_error", "size_ratio")
     means = {key: float(np.mean([row[key] for row in rows])) if rows else np.nan for key in names}
     return {"reconstructed": len(rows) / len(furniture) if furniture else np.nan, **means}
 
