@@ -89,7 +89,7 @@ def of_clip(truth: Truth, pictures: Path | None) -> list[dict]:
     rows = []
     for item in furniture:
         row = {"clip": truth.name, "label": item.label, "pixels": item.visible_px, "seconds": seconds}
-        row |= {"method": None, "chamfer_m": None, "middle_m": None, "chamfer_first_m": None, "box_iou": None, "height_m": None}
+        row |= dict.fromkeys(("method", "chamfer_m", "middle_m", "chamfer_first_m", "box_iou", "height_m"))
         if item.object_id in last:
             mesh, box = in_world(last[item.object_id])
             before, _ = in_world(first[item.object_id])
