@@ -130,6 +130,7 @@ def _place_one(
         scale_sigma=_known(fit.scale_sigma),
         distance_sigma=depth.object_sigma[str(found.object_id)],
         parts=found.parts,
+        textures=found.textures,
     )
 
 

@@ -128,12 +128,12 @@ def _fitted(
         _completed_picture(found, plate), found.amodal_mask, body.intrinsics.resized(width, height),
         body.T_world_camera[0],
     )  # fmt: skip
-    mesh, parts = form_mesh(best, picture, config.most_faces)
+    mesh, parts, texture = form_mesh(best, picture, config.most_faces)
     label = best.form.name if found.label in ("object", "furniture") else found.label
     sigma = best.sigma
     return ObjectMesh(
         found.object_id, label, f"form: {best.form.name}{' ' * bool(best.form.variant)}{best.form.variant}", mesh,
-        best.T_world_object, parts, best.chamfer_m, float(np.hypot(*sigma[:2])), float(sigma[2]),
+        best.T_world_object, parts, (texture,), best.chamfer_m, float(np.hypot(*sigma[:2])), float(sigma[2]),
         float(np.sqrt(np.mean(sigma[6:] ** 2))), outline_iou(best, seen.evidence, seen.own),
     )  # fmt: skip
 
@@ -217,4 +217,4 @@ def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[
     return picture
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=9, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=10, models=(SLOT,))

@@ -25,7 +25,7 @@ from video2anim.export.character import Character, Rig
 from video2anim.export.frames import is_still, linear_from_srgb, opengl_camera_poses, vertical_fov_rad
 from video2anim.export.gltf_buffer import GltfBuffer
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
-from video2anim.types import BodyMotion, Contact, Mesh, PlacedObject
+from video2anim.types import BodyMotion, Contact, Mesh, PlacedObject, Texture
 from video2anim.viewer.normals import vertex_normals
 
 
@@ -126,7 +126,10 @@ class _GlbWriter:
         return self._add_root(node)
 
     def add_object(self, placed: PlacedObject, T: np.ndarray) -> None:
-        index = self.add_mesh(object_name(placed), placed.mesh, unlit=False, T=T, scale=placed.scale)
+        if placed.textures:
+            index = self._add_textured(object_name(placed), placed.mesh, placed.textures[0], T, placed.scale)
+        else:
+            index = self.add_mesh(object_name(placed), placed.mesh, unlit=False, T=T, scale=placed.scale)
         if index is not None:
             self.document.nodes[index].extras = {
                 "object_id": int(placed.object_id),
@@ -134,6 +137,29 @@ class _GlbWriter:
                 "trusted": bool(placed.trusted),
                 "T_world_object": np.asarray(placed.T_world_object, float).tolist(),
             }
+
+    def _add_textured(self, name: str, mesh: Mesh, texture: Texture, T: np.ndarray, scale: float) -> int:
+        """Static mesh with a picture on it; flat faces, so every corner is a vertex of its own."""
+        corners_m = mesh.vertices_m.astype(np.float64)[mesh.faces]
+        normals = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+        target = gltf.ARRAY_BUFFER
+        attributes = gltf.Attributes(
+            POSITION=self.buffer.add(corners_m.reshape(-1, 3), target=target, bounds=True),
+            NORMAL=self.buffer.add(np.repeat(normals, 3, axis=0), target=target),
+            TEXCOORD_0=self.buffer.add(texture.corner_uv.reshape(-1, 2), target=target),
+        )
+        sampler = gltf.Texture(source=self.buffer.add_png(texture.image_rgb))
+        self.document.textures.append(sampler)
+        picture = gltf.TextureInfo(index=len(self.document.textures) - 1)
+        surface = gltf.PbrMetallicRoughness(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=0.7)
+        self.document.materials.append(gltf.Material(name=f"{name}_photo", pbrMetallicRoughness=surface))
+        corner = np.arange(3 * len(mesh.faces)).reshape(-1, 3)
+        index = self._add_primitive(name, attributes, corner, len(self.document.materials) - 1)
+        node = gltf.Node(name=name, mesh=index)
+        _set_pose(node, T)
+        node.scale = [float(scale)] * 3
+        return self._add_root(node)
 
     def add_character(self, character: Character, contacts: Sequence[Contact] = ()) -> None:
         motion = character.motion

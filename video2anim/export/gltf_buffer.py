@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pygltflib as gltf
 
+from video2anim.artifacts.images import png_bytes
+
 _ALIGNMENT_BYTES = 4
 _COMPONENT_TYPES = {
     np.dtype(np.float32): gltf.FLOAT,
@@ -52,6 +54,12 @@ class GltfBuffer:
             accessor.max = np.atleast_1d(packed.max(0)).tolist()
         self._document.accessors.append(accessor)
         return len(self._document.accessors) - 1
+
+    def add_png(self, image_rgb: np.ndarray) -> int:
+        """Append a picture and return the index of its image."""
+        view = self._add_view(png_bytes(image_rgb), None)
+        self._document.images.append(gltf.Image(bufferView=view, mimeType="image/png"))
+        return len(self._document.images) - 1
 
     def _add_view(self, blob: bytes, target: int | None) -> int:
         view = gltf.BufferView(buffer=0, byteOffset=self._length_bytes, byteLength=len(blob), target=target)

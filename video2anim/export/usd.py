@@ -19,6 +19,7 @@ from video2anim.export.character import INFLUENCES, Character, Rig
 from video2anim.export.frames import is_still, linear_from_srgb, opengl_camera_poses
 from video2anim.export.glb import FAR_M, NEAR_M, SKIN_RGB, object_name
 from video2anim.geometry.rotations import matrix_from_quaternion
+from video2anim.geometry.scene_mesh import with_vertex_colors
 from video2anim.types import BodyMotion, Mesh, PlacedObject, SceneModel
 
 FPS = 30.0
@@ -93,7 +94,8 @@ def _define_triangles(
 def _define_object(stage: Usd.Stage, placed: PlacedObject, material: UsdShade.Material) -> None:
     if len(placed.mesh.faces) == 0:
         return
-    node = _define_mesh(stage, f"/World/objects/{object_name(placed)}", placed.mesh, material)
+    mesh = with_vertex_colors(placed.mesh, placed.textures)
+    node = _define_mesh(stage, f"/World/objects/{object_name(placed)}", mesh, material)
     scaling = np.diag([placed.scale, placed.scale, placed.scale, 1.0])
     node.AddTransformOp().Set(_matrix(np.asarray(placed.T_world_object) @ scaling))
     node.GetPrim().SetCustomDataByKey("label", placed.label)

@@ -5,21 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt8
 from scipy.spatial import KDTree
 
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.objects.form_fit import FormFit, ObjectEvidence
 from video2anim.objects.solids import Solids
-from video2anim.types import Mesh, ObjectPart
+from video2anim.objects.texture import textured
+from video2anim.types import Mesh, ObjectPart, Texture
 from video2anim.types.camera import Intrinsics
 
-_FINEST_M = 0.02
 _SEEN_M = 0.03
 """A surface so far behind the first that a ray meets is still the one that is seen: sides meet at edges."""
 _SIDE_M = 0.15
 """A side that looks elsewhere counts as so far away when a color is looked for."""
 _GRAY = 127
+_SOURCES = 4000
+"""Seen places at most in which a color is looked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,54 +35,63 @@ class ObjectPicture:
     T_world_camera: Float[np.ndarray, "4 4"]
 
 
-def form_mesh(fit: FormFit, picture: ObjectPicture, most_faces: int) -> tuple[Mesh, tuple[ObjectPart, ...]]:
-    """The form's parts as closed surfaces of at most that many faces together, in the object's frame."""
+def form_mesh(fit: FormFit, picture: ObjectPicture, most_faces: int) -> tuple[Mesh, tuple[ObjectPart, ...], Texture]:
+    """The form's parts as closed surfaces of few faces, in the object's frame, and their texture.
+
+    Raises:
+        ValueError: the parts have more faces than that.
+    """
     names, solids = fit.solids()
-    cell_m = _FINEST_M
-    pieces = solids.meshes(cell_m)
-    while sum(len(faces) for _, faces in pieces) > most_faces and cell_m < 10:
-        cell_m *= 1.15
-        pieces = solids.meshes(cell_m)
     vertices, faces, parts, first, count = [], [], [], 0, 0
-    for name, (own_m, own_faces) in zip(names, pieces, strict=True):
+    for name, (own_m, own_faces) in zip(names, solids.meshes(), strict=True):
         vertices.append(own_m)
         faces.append(own_faces + count)
         parts.append(ObjectPart(name, first, len(own_faces)))
         first, count = first + len(own_faces), count + len(own_m)
+    if first > most_faces:
+        raise ValueError(f"form_mesh: {fit.form.name} has {first} faces, want at most {most_faces}")
     vertices_m, every = np.concatenate(vertices), np.concatenate(faces)
-    rgb = _colors(vertices_m, every, solids, fit.T_world_object, picture)
-    return Mesh(vertices_m.astype(np.float32), every, rgb), tuple(parts)
+    # A pixel of the picture at the object's distance.
+    away_m = float(np.linalg.norm(fit.T_world_object[:3, 3] - picture.T_world_camera[:3, 3]))
+    finest_m = away_m / picture.intrinsics.fx_px
+
+    def color(points_m: np.ndarray, normals: np.ndarray) -> UInt8[np.ndarray, "points 3"]:
+        return _colors(points_m, normals, solids, fit.T_world_object, picture)
+
+    rgb = color(vertices_m, _vertex_normals(vertices_m, every))
+    return Mesh(vertices_m.astype(np.float32), every, rgb), tuple(parts), textured(vertices_m, every, color, finest_m)
 
 
 def _colors(
-    vertices_m: Float[np.ndarray, "vertices 3"],
-    faces: Int[np.ndarray, "faces 3"],
+    points_m: Float[np.ndarray, "points 3"],
+    normals: Float[np.ndarray, "points 3"],
     solids: Solids,
     T_world_object: Float[np.ndarray, "4 4"],
     picture: ObjectPicture,
-) -> UInt8[np.ndarray, "vertices 3"]:
-    """Those of the picture where the camera sees a vertex; elsewhere of the nearest seen place that looks the same way,
+) -> UInt8[np.ndarray, "points 3"]:
+    """Those of the picture where the camera sees a point; elsewhere of the nearest seen place that looks the same way,
     in the object or in its mirror image."""
     T_object_camera = invert_rigid(T_world_object) @ picture.T_world_camera
-    camera_m = transform_points(invert_rigid(T_object_camera), vertices_m)
+    camera_m = transform_points(invert_rigid(T_object_camera), points_m)
     ahead = camera_m[:, 2] > 0.05
     pixels = project(np.where(ahead[:, None], camera_m, [0.0, 0.0, 1.0]), picture.intrinsics)
     height, width = picture.own.shape
     u, v = (np.round(pixels[:, k]).astype(int) for k in (0, 1))
     inside = ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)
     u, v = np.clip(u, 0, width - 1), np.clip(v, 0, height - 1)
-    rays = vertices_m - T_object_camera[:3, 3]
-    first = solids.first_hit(T_object_camera[None, :3, 3], rays[None])[0]
-    seen = inside & picture.own[v, u] & ((1 - first) * np.linalg.norm(rays, axis=-1) < _SEEN_M)
+    rays = points_m - T_object_camera[:3, 3]
+    seen = inside & picture.own[v, u]
+    first = solids.first_hit(T_object_camera[None, :3, 3], rays[None, seen])[0]
+    seen[seen] = (1 - first) * np.linalg.norm(rays[seen], axis=-1) < _SEEN_M
     rgb = picture.rgb[v, u].copy()
     if not seen.any():
         some = picture.rgb[picture.own]
         return np.tile(np.median(some, axis=0).astype(np.uint8) if len(some) else np.uint8(_GRAY), (len(rgb), 1))
-    normals = _vertex_normals(vertices_m, faces)
-    place = np.concatenate([vertices_m, _SIDE_M * normals], 1)
-    mirrored = place * np.array([-1.0, 1, 1, -1, 1, 1])
+    place = np.concatenate([points_m, _SIDE_M * normals], 1)
     source = np.flatnonzero(seen)
-    _, nearest = KDTree(np.concatenate([place[seen], mirrored[seen]])).query(place[~seen])
+    source = source[:: max(1, len(source) // _SOURCES)]
+    mirrored = place[source] * np.array([-1.0, 1, 1, -1, 1, 1])
+    _, nearest = KDTree(np.concatenate([place[source], mirrored])).query(place[~seen])
     rgb[~seen] = rgb[np.concatenate([source, source])[nearest]]
     return rgb
 

@@ -83,7 +83,7 @@ _SYNONYMS = {
     "ottoman": "stool", "bench": "stool", "stairs": "steps", "step": "steps", "swivel chair": "chair",
 }  # fmt: skip
 """Words of segmentation networks for classes of forms."""
-_MISNAMED = 0.001
+_MISNAMED = 1e-4
 """How often a network that names a thing names it wrongly, for each other class."""
 _BROAD = {
     "chair": {"armchair": 0.3, "stool": 0.1, "sofa": 0.05}, "table": {"desk": 0.5}, "desk": {"table": 0.5},

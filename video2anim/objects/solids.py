@@ -115,17 +115,15 @@ class Solids:
         turned = np.stack([own[..., 0], c * own[..., 1] + s * own[..., 2], -s * own[..., 1] + c * own[..., 2]], -1)
         return (turned + self.center_m[:, :, None]).reshape(len(turned), -1, 3)
 
-    def meshes(
-        self, cell_m: float
-    ) -> list[tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]]:
-        """A closed surface for every solid of the first set, divided into cells so that vertices can hold colors."""
+    def meshes(self) -> list[tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]]:
+        """A closed surface for every solid of the first set: 12 faces of a box, 96 of a cylinder."""
         made = []
         for k in range(self.half_m.shape[1]):
-            half = self.half_m[0, k]
-            vertices, faces = _cylinder(half, cell_m) if self.round[k] else _box(half, cell_m)
+            vertices, faces = (_CYLINDER if self.round[k] else _BOX)
             c, s = np.cos(self.tilt_rad[0, k]), np.sin(self.tilt_rad[0, k])
             turn = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
-            made.append((vertices @ turn.T + self.center_m[0, k], faces))
+            half = self.half_m[0, k, [0, 1, 0]] if self.round[k] else self.half_m[0, k]
+            made.append(((vertices * half) @ turn.T + self.center_m[0, k], faces))
         return made
 
 
@@ -143,40 +141,24 @@ def _lattice(per_side: int) -> np.ndarray:
     return np.unique(np.round(np.concatenate(sides), 9), axis=0)
 
 
-def _box(half: np.ndarray, cell_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """A box of grids that share their edges."""
-    axes = [np.linspace(-h, h, max(1, round(2 * h / cell_m)) + 1) for h in half]
-    shape = tuple(len(axis) for axis in axes)
-    number = np.arange(np.prod(shape)).reshape(shape)
-    quads = []
-    for axis in range(3):
-        for side, turned in ((0, True), (-1, False)):
-            sheet = np.take(number, side, axis=axis)
-            corners = np.stack([sheet[:-1, :-1], sheet[1:, :-1], sheet[1:, 1:], sheet[:-1, 1:]], -1).reshape(-1, 4)
-            quads.append(corners[:, ::-1] if turned != (axis == 1) else corners)
-    quad = np.concatenate(quads)
-    used, faces = np.unique(np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]), return_inverse=True)
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    return grid[used], faces.reshape(-1, 3)
+def _unit_box() -> tuple[np.ndarray, np.ndarray]:
+    """From -1 to 1; corner 4 i + 2 j + k has x, y, z high where i, j, k are 1."""
+    corners = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij"), -1).reshape(-1, 3)
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    return corners, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
-def _cylinder(half: np.ndarray, cell_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rings from the middle of the lower end over the side to that of the upper end."""
-    across = max(1, round(half[0] / cell_m))
-    tall = max(1, round(2 * half[1] / cell_m))
-    inner = half[0] * np.arange(1, across + 1) / across
-    radius = np.concatenate([inner, np.full(tall - 1, half[0]), inner[::-1]])
-    height = np.concatenate([np.full(across, -1.0), np.linspace(-1, 1, tall + 1)[1:-1], np.full(across, 1.0)]) * half[1]
+def _unit_cylinder() -> tuple[np.ndarray, np.ndarray]:
+    """Radius 1, y from -1 to 1."""
     angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
-    rings = np.stack([
-        radius[:, None] * np.sin(angle), np.repeat(height[:, None], _SEGMENTS, 1), radius[:, None] * np.cos(angle)
-    ], -1)  # fmt: skip
-    vertices = np.concatenate([rings.reshape(-1, 3), [[0, -half[1], 0], [0, half[1], 0]]])
-    count = len(radius)
-    number = np.arange(count * _SEGMENTS).reshape(count, _SEGMENTS)
-    right = np.roll(number, -1, axis=1)
-    a, b, c, d = number[:-1].ravel(), right[:-1].ravel(), right[1:].ravel(), number[1:].ravel()
-    side = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
-    low = np.stack([right[0], number[0], np.full(_SEGMENTS, count * _SEGMENTS)], -1)
-    high = np.stack([number[-1], right[-1], np.full(_SEGMENTS, count * _SEGMENTS + 1)], -1)
-    return vertices, np.concatenate([side, low, high])
+    ring = np.stack([np.sin(angle), np.zeros(_SEGMENTS), np.cos(angle)], -1)
+    up = np.array([0.0, 1.0, 0.0])
+    vertices = np.concatenate([ring - up, ring + up, [-up, up]])
+    a = np.arange(_SEGMENTS)
+    b = np.roll(a, -1)
+    c, d, low, high = b + _SEGMENTS, a + _SEGMENTS, np.full_like(a, 2 * _SEGMENTS), np.full_like(a, 2 * _SEGMENTS + 1)
+    faces = [np.stack(corners, -1) for corners in ((a, b, c), (a, c, d), (b, a, low), (d, c, high))]
+    return vertices, np.concatenate(faces)
+
+
+_BOX, _CYLINDER = _unit_box(), _unit_cylinder()

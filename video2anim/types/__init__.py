@@ -24,6 +24,7 @@ from video2anim.types.scene import (
     PlacedObject,
     PlacedObjects,
     SceneModel,
+    Texture,
 )
 from video2anim.types.storage import PayloadFile, Storage, stored
 
@@ -58,6 +59,7 @@ __all__ = [
     "SourceInfo",
     "SourceVideo",
     "Storage",
+    "Texture",
     "Thumbnail",
     "VideoClip",
     "stored",

@@ -102,6 +102,15 @@ class CompletedObjects:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Texture:
+    """A picture on the faces of a mesh."""
+
+    image_rgb: UInt8[np.ndarray, "rows columns 3"] = stored(Storage.IMAGE)
+    corner_uv: Float[np.ndarray, "faces 3 2"]
+    """Place of every corner of every face in the picture: 0..1, (0, 0) its upper left, as glTF has it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ObjectPart:
     """A run of faces of an object's mesh that is one thing to a body: a closed surface of its own."""
 
@@ -124,6 +133,8 @@ class ObjectMesh:
     """First guess of the pose; of a fitted form its pose."""
     parts: tuple[ObjectPart, ...] = ()
     """None where the shape has no known parts."""
+    textures: tuple[Texture, ...] = ()
+    """One, or none where the colors of the vertices are all there is."""
     chamfer_m: NonNegativeFloat | None = None
     """Mean distance of the object's depth points from a fitted form; None for other meshes, which stage place fits."""
     position_sigma_m: NonNegativeFloat | None = None
@@ -163,6 +174,8 @@ class PlacedObject:
     of a network's depth from thing to thing."""
     parts: tuple[ObjectPart, ...] = ()
     """None where the shape has no known parts."""
+    textures: tuple[Texture, ...] = ()
+    """One, or none where the colors of the vertices are all there is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

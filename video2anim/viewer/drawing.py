@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from video2anim.geometry.projection import transform_points
+from video2anim.geometry.scene_mesh import with_vertex_colors, world_mesh
 from video2anim.types import Intrinsics, Mesh, PlacedObject, SceneModel
 from video2anim.viewer.raster import Canvas, Light, draw_lines, draw_mesh
 from video2anim.viewer.viewpoint import Viewpoint
@@ -22,6 +23,11 @@ def world_vertices(placed: PlacedObject) -> Float[np.ndarray, "vertices 3"]:
     return transform_points(np.asarray(placed.T_world_object), placed.scale * np.asarray(placed.mesh.vertices_m))
 
 
+def drawable_mesh(placed: PlacedObject) -> Mesh:
+    """A placed object in the world with a color per vertex."""
+    return world_mesh(with_vertex_colors(placed.mesh, placed.textures), placed.T_world_object, placed.scale)
+
+
 def draw_static(canvas: Canvas, viewpoint: Viewpoint, scene: SceneModel, *, background: bool, objects: bool) -> None:
     """Draw the floor with a metre grid, and on demand the room surface and the objects."""
     _draw(canvas, viewpoint, scene.floor, np.asarray(scene.floor.vertices_m), light="none")
@@ -31,7 +37,8 @@ def draw_static(canvas: Canvas, viewpoint: Viewpoint, scene: SceneModel, *, back
         _draw(canvas, viewpoint, scene.background, np.asarray(scene.background.vertices_m), light="none")
     if objects:
         for placed in scene.objects:
-            _draw(canvas, viewpoint, placed.mesh, world_vertices(placed), light="flat")
+            mesh = drawable_mesh(placed)
+            _draw(canvas, viewpoint, mesh, mesh.vertices_m, light="flat")
 
 
 def draw_body(

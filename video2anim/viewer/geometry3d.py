@@ -8,7 +8,7 @@ import numpy as np
 
 from video2anim.errors import UsageError
 from video2anim.types import Intrinsics, Mesh, SceneModel
-from video2anim.viewer.drawing import frustum, world_vertices
+from video2anim.viewer.drawing import drawable_mesh, frustum
 
 SYSTEM_PACKAGES = "libusb-1.0-0 libgl1 libegl1 libgomp1"
 
@@ -47,7 +47,9 @@ def static_meshes(scene: SceneModel | None) -> dict[str, list[Any]]:
     return {
         "floor": _static(scene.floor, np.asarray(scene.floor.vertices_m)),
         "background": _static(scene.background, np.asarray(scene.background.vertices_m)),
-        "objects": [part for placed in scene.objects for part in _static(placed.mesh, world_vertices(placed))],
+        "objects": [
+            part for mesh in map(drawable_mesh, scene.objects) for part in _static(mesh, np.asarray(mesh.vertices_m))
+        ],
     }
 
 

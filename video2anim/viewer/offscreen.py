@@ -13,7 +13,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ import numpy as np
 from video2anim.errors import UsageError
 from video2anim.types import SceneModel
 from video2anim.viewer.bodies import PosedBodies
-from video2anim.viewer.drawing import world_vertices
+from video2anim.viewer.drawing import drawable_mesh
 from video2anim.viewer.software import oblique_viewpoint
 
 _XVFB_PACKAGE = "xvfb"
@@ -104,7 +103,7 @@ def _write_request(
         faces.append(body.faces)
         colors.append(posed.colors(person, frame))
     if scene is not None:
-        placed = [replace(part.mesh, vertices_m=world_vertices(part)) for part in scene.objects]
+        placed = [drawable_mesh(part) for part in scene.objects]
         for mesh in (scene.floor, scene.background, *placed):
             vertices.append(np.asarray(mesh.vertices_m))
             faces.append(np.asarray(mesh.faces))
