@@ -1,4 +1,4 @@
-"""Stage scene: objects, floor, room surface and a signed distance field, in one world frame.
+"""Stage scene: objects, floor, walls and what is seen beyond, and a signed distance field, in one world frame.
 
 A scan of the user's takes the place of all that.
 """
@@ -20,6 +20,7 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundPlate,
     BodyTracks,
+    DepthClip,
     InstanceMasks,
     Mesh,
     MetricDepth,
@@ -52,13 +53,13 @@ class SceneConfig:
     most_nodes: Annotated[int, limits("nodes", ge=1000, le=100_000_000)] = 3_000_000
     """Upper limit of nodes of the distance field."""
     margin_m: Annotated[float, limits("m", ge=0, le=100)] = 1.0
-    """Room around the motion."""
+    """Room and floor around the motion."""
     reach_m: Annotated[float, limits("m", ge=0, le=1000), only_with("scan", "")] = 3.0
     """Objects up to this far from the motion lie wholly in the distance field."""
     far_m: Annotated[float, limits("m", gt=0, le=10_000)] = 30.0
-    """Room surface beyond this depth is left out."""
-    background_long_side_px: Annotated[int, limits("px", ge=16, le=16_384), only_with("scan", "")] = 192
-    """Resolution of the room surface."""
+    """What is farther goes onto one backdrop behind everything; with a scan, depth beyond this does not count."""
+    backdrop_faces: Annotated[int, limits("faces", ge=100, le=1_000_000), only_with("scan", "")] = 30_000
+    """Of walls, ceiling and all else that is seen behind people and objects, together."""
     walked_m: Annotated[float, limits("m", ge=0, le=1000), only_with("scan", "")] = 0.5
     """An object in which the pelvis makes a longer way is in the wrong place, and left out."""
     supports: Annotated[bool, only_with("scan", "")] = True
@@ -78,6 +79,7 @@ class SceneConfig:
 def build_scene(
     placed: PlacedObjects,
     depth: MetricDepth,
+    clip_depth: DepthClip,
     masks: InstanceMasks,
     plate: BackgroundPlate,
     config: SceneConfig,
@@ -89,11 +91,14 @@ def build_scene(
         StageError: no body has a valid frame (the scene is built around the motion).
         InputError: the scan cannot be read.
     """
-    from video2anim.geometry.scene_mesh import floor_patch, world_mesh
+    from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
+    from video2anim.scene.backdrop import BackdropConfig, backdrop
+    from video2anim.scene.ground import ground_mesh
+    from video2anim.scene.view import relative_sigma
 
     bodies = depth.bodies
-    motion_m, body = _motion_bounds(bodies), bodies.people[0]
+    motion_m = _motion_bounds(bodies)
     if config.scan:
         return _scanned(motion_m, depth, bodies, config, ctx)
     rested = _rested(bodies) if config.supports else []
@@ -107,14 +112,16 @@ def build_scene(
     spacing_m = _field_spacing(bounds_m, config)
     near = [solid for solid in solids if _overlap(solid, bounds_m)]
     grid = build_sdf_grid(near, bounds_m, spacing_m, floor_y_m=0.0)
-    low, high = bounds_m[:, [0, 2]]
-    floor = floor_patch(low, high, plate.plate_rgb, masks.floor_mask, body.T_world_camera[0], body.intrinsics)
-    background = _background(depth, masks, plate, bodies, config)
+    reach = BackdropConfig(config.far_m, config.backdrop_faces)
+    seen = backdrop(depth, masks, plate, reach, relative_sigma(depth, clip_depth))
+    around_m = motion_m[:, [0, 2]] + np.array([[-config.margin_m], [config.margin_m]])
+    floor, background = ground_mesh(seen, plate, around_m), seen.mesh
     ctx.quality("objects", len(objects), "objects")
     ctx.quality("objects_in_field", len(near), "objects")
     ctx.quality("sdf_spacing", spacing_m, "m", "lower")
     ctx.quality("sdf_nodes", grid.sdf_m.size, "nodes")
     ctx.quality("background_faces", len(background.faces), "faces")
+    ctx.quality("walls", sum(piece.name.startswith("wall") for piece in seen.pieces), "pieces")
     return SceneModel(tuple(objects), floor, background, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
 
 
@@ -259,32 +266,4 @@ def _overlap(solid: Mesh, bounds_m: Float[np.ndarray, "2 3"]) -> bool:
     return bool((low <= bounds_m[1]).all() and (high >= bounds_m[0]).all())
 
 
-def _background(
-    depth: MetricDepth, masks: InstanceMasks, plate: BackgroundPlate, bodies: BodyTracks, config: SceneConfig
-) -> Mesh:
-    """Room surface: reliable plate depth that is neither floor nor object nor far away."""
-    import cv2
-
-    from video2anim.geometry.masks import shrunk
-    from video2anim.geometry.scene_mesh import room_surface
-
-    height, width = depth.background_depth_m.shape
-    shrink = min(1.0, config.background_long_side_px / max(height, width))
-    size = (max(2, round(width * shrink)), max(2, round(height * shrink)))
-    objects = np.zeros(masks.floor_mask.shape, dtype=bool)
-    for instance in masks.instances:
-        objects |= instance.mask
-    depth_m = cv2.resize(depth.background_depth_m.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
-    valid = cv2.resize(depth.background_valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
-    wanted = (
-        valid
-        & (depth_m < config.far_m)
-        & ~shrunk(masks.floor_mask, size[::-1], 0.75)
-        & ~shrunk(objects, size[::-1], 0.25)
-    )
-    rgb = cv2.resize(plate.plate_rgb, size, interpolation=cv2.INTER_AREA)
-    body = bodies.people[0]
-    return room_surface(depth_m.astype(np.float64), wanted, rgb, body.T_world_camera[0], body.intrinsics.resized(*size))
-
-
-STAGE = StageSpec("scene", build_scene, version=12)
+STAGE = StageSpec("scene", build_scene, version=13)

@@ -69,7 +69,7 @@ def run_chain(room: Room) -> Chain:
     completed = complete_objects(room.plate, masks, metric, CompleteConfig(), ctx)
     meshes = reconstruct_objects(completed, masks, metric, room.plate, ReconstructConfig(), ctx)
     placed = place_objects(meshes, masks, metric, PlaceConfig(), ctx)
-    scene = build_scene(placed, metric, masks, room.plate, SceneConfig(), ctx)
+    scene = build_scene(placed, metric, depth, masks, room.plate, SceneConfig(), ctx)
     return Chain(depth, masks, metric, completed, meshes, placed, scene, ctx)
 
 

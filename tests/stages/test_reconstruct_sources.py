@@ -25,6 +25,7 @@ from video2anim.types import (
     BodyTracks,
     CompletedObject,
     CompletedObjects,
+    DepthClip,
     InstanceMasks,
     ObjectInstance,
     ObjectMesh,
@@ -33,6 +34,18 @@ from video2anim.types import (
 )
 
 GREEN = (10, 200, 30)
+NO_SAMPLES = np.zeros((0, 18, 32))
+DEPTH = DepthClip(
+    "depth",
+    "truth",
+    np.zeros(0, int),
+    NO_SAMPLES,
+    NO_SAMPLES,
+    NO_SAMPLES > 0,
+    np.ones((18, 32)),
+    np.ones((18, 32), bool),
+)
+"""A scan needs none of it."""
 
 
 def true_masks(room: Room, objects: int) -> InstanceMasks:
@@ -250,7 +263,7 @@ def scene_with(scan: trimesh.Trimesh, path: Path, ctx: StageContext | None = Non
     scan.export(path)
     room = make_room(small=(32, 18))
     return build_scene(
-        PlacedObjects(()), true_depth(room), true_masks(room, 1), room.plate,
+        PlacedObjects(()), true_depth(room), DEPTH, true_masks(room, 1), room.plate,
         SceneConfig(scan=str(path), sdf_spacing_m=0.35, **options), ctx or StageContext(Path()),  # type: ignore[arg-type]
     )  # fmt: skip
 
@@ -338,6 +351,6 @@ def test_a_scan_needs_a_readable_file_and_a_body(tmp_path: Path) -> None:
         for bodies, kind in ((room.bodies, InputError), (BodyTracks(()), StageError)):
             with pytest.raises(kind):
                 build_scene(
-                    PlacedObjects(()), true_depth(room, bodies=bodies), true_masks(room, 1), room.plate,
+                    PlacedObjects(()), true_depth(room, bodies=bodies), DEPTH, true_masks(room, 1), room.plate,
                     SceneConfig(scan=str(tmp_path / name)), StageContext(Path()),
                 )  # fmt: skip

@@ -54,7 +54,8 @@ def test_node_limit_is_kept() -> None:
     room = make_room()
     chain = run_chain(room)
     config = SceneConfig(most_nodes=20_000)
-    scene = build_scene(chain.placed, chain.metric, chain.masks, room.plate, config, StageContext(chain.ctx.work_dir))
+    ctx = StageContext(chain.ctx.work_dir)
+    scene = build_scene(chain.placed, chain.metric, chain.depth, chain.masks, room.plate, config, ctx)
     assert scene.sdf_m.size <= 20_000
     assert scene.sdf_spacing_m > config.sdf_spacing_m
 

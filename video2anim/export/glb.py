@@ -251,11 +251,12 @@ class _GlbWriter:
         self.animation.channels.append(gltf.AnimationChannel(sampler=len(self.animation.samplers) - 1, target=target))
 
     def _material(self, name: str) -> int:
-        """Index of a shared material: `skin`, `matte` (lit vertex colours) or `photo` (colours hold the light)."""
+        """Index of a shared material: `skin`, `matte` (lit vertex colours) or `photo` (colours hold the light;
+        seen from its front alone, so that a wall or ceiling hides nothing from behind)."""
         if name not in self.materials:
             rgba = [*linear_from_srgb(np.array(SKIN_RGB)).tolist(), 1.0] if name == "skin" else [1.0] * 4
             surface = gltf.PbrMetallicRoughness(baseColorFactor=rgba, metallicFactor=0.0, roughnessFactor=0.7)
-            material = gltf.Material(name=name, pbrMetallicRoughness=surface, doubleSided=name != "skin")
+            material = gltf.Material(name=name, pbrMetallicRoughness=surface, doubleSided=name == "matte")
             if name == "photo":
                 material.extensions = {_UNLIT: {}}
                 self.document.extensionsUsed.append(_UNLIT)

@@ -1,17 +1,17 @@
-"""Colored meshes of floor and room surface, from a plate and its metric depth."""
+"""Small meshes: none, a grid's triangles, an object in the world, a box, several as one."""
 
 from __future__ import annotations
 
-import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from collections.abc import Sequence
 
-from video2anim.geometry.projection import backproject, invert_rigid, project, transform_points
-from video2anim.types.camera import Intrinsics
+import numpy as np
+from jaxtyping import Float, Int
+
+from video2anim.geometry.projection import transform_points
 from video2anim.types.scene import Mesh, Texture
 
 _MOST_CELLS = 64
 """Cells along a side at most."""
-_UNSEEN_FLOOR_RGB = (128, 128, 128)
 
 
 def empty_mesh() -> Mesh:
@@ -19,33 +19,16 @@ def empty_mesh() -> Mesh:
     return Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int64), np.zeros((0, 3), np.uint8))
 
 
-def floor_patch(
-    low_xz_m: Float[np.ndarray, "2"],
-    high_xz_m: Float[np.ndarray, "2"],
-    plate_rgb: UInt8[np.ndarray, "height width 3"],
-    floor_mask: Bool[np.ndarray, "height width"],
-    T_world_camera: Float[np.ndarray, "4 4"],
-    intrinsics: Intrinsics,
-    *,
-    most_vertices: int = 12_000,
-    finest_m: float = 0.05,
-) -> Mesh:
-    """Grid on y = 0, facing up, colored where the picture shows the floor; elsewhere the floor's median color."""
-    extent = np.maximum(high_xz_m - low_xz_m, finest_m)
-    step_m = max(finest_m, float(np.sqrt(extent.prod() / most_vertices)))
-    columns, rows = (max(2, int(np.ceil(e / step_m)) + 1) for e in extent)
-    x, z = np.meshgrid(np.linspace(low_xz_m[0], high_xz_m[0], columns), np.linspace(low_xz_m[1], high_xz_m[1], rows))
-    vertices = np.stack([x, np.zeros_like(x), z], -1).reshape(-1, 3)
-    camera_m = transform_points(invert_rigid(T_world_camera), vertices)
-    ahead = camera_m[:, 2] > 0.05
-    camera_m[~ahead] = (0.0, 0.0, 1.0)
-    pixels = project(camera_m, intrinsics)
-    inside = ahead & (pixels >= 0).all(1) & (pixels <= [intrinsics.width_px - 1, intrinsics.height_px - 1]).all(1)
-    u, v = (np.where(inside, np.round(pixels[:, k]), 0).astype(int) for k in (0, 1))
-    shown = inside & floor_mask[v, u]
-    usual = np.median(plate_rgb[floor_mask], axis=0) if floor_mask.any() else np.array(_UNSEEN_FLOOR_RGB)
-    rgb = np.where(shown[:, None], plate_rgb[v, u], usual.astype(np.uint8)).astype(np.uint8)
-    return Mesh(vertices.astype(np.float32), grid_faces(rows, columns), rgb)
+def joined(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    if not meshes:
+        return empty_mesh()
+    starts = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes)])[:-1]
+    return Mesh(
+        np.concatenate([mesh.vertices_m for mesh in meshes]),
+        np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]),
+        np.concatenate([mesh.vertex_rgb for mesh in meshes]),
+    )
 
 
 def grid_faces(rows: int, columns: int) -> Int[np.ndarray, "faces 3"]:
@@ -53,28 +36,6 @@ def grid_faces(rows: int, columns: int) -> Int[np.ndarray, "faces 3"]:
     corner = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = corner[:-1, :-1].ravel(), corner[:-1, 1:].ravel(), corner[1:, :-1].ravel(), corner[1:, 1:].ravel()
     return np.concatenate([np.stack([a, c, b], -1), np.stack([b, c, d], -1)])
-
-
-def room_surface(
-    depth_m: Float[np.ndarray, "height width"],
-    wanted: Bool[np.ndarray, "height width"],
-    rgb: UInt8[np.ndarray, "height width 3"],
-    T_world_camera: Float[np.ndarray, "4 4"],
-    intrinsics: Intrinsics,
-    *,
-    break_ratio: float = 0.1,
-) -> Mesh:
-    """Triangulated depth grid, cut where the depth steps by more than the ratio; triangles face the camera."""
-    height, width = depth_m.shape
-    faces = grid_faces(height, width)
-    flat = depth_m.ravel()[faces]
-    keep = wanted.ravel()[faces].all(1) & (flat.max(1) < flat.min(1) * (1 + break_ratio))
-    faces = faces[keep]
-    if not len(faces):
-        return empty_mesh()
-    used, local = np.unique(faces, return_inverse=True)
-    points = transform_points(T_world_camera, backproject(depth_m, intrinsics).reshape(-1, 3)[used])
-    return Mesh(points.astype(np.float32), local.reshape(-1, 3).astype(np.int64), rgb.reshape(-1, 3)[used])
 
 
 def world_mesh(mesh: Mesh, T_world_object: Float[np.ndarray, "4 4"], scale: float) -> Mesh:

@@ -10,9 +10,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.sparse import coo_matrix, diags
-from scipy.sparse.linalg import spsolve
 
+from video2anim.geometry.harmonic import harmonic_fill
 from video2anim.geometry.projection import backproject, transform_points
 from video2anim.types.camera import Intrinsics
 
@@ -65,24 +64,8 @@ def inverse_background(
     told = share > 0.5
     if not told.any():
         return None
-    filled = _harmonic(np.where(told, total / np.maximum(share, 1e-6), 0.0).astype(np.float64), told)
+    filled = harmonic_fill(np.where(told, total / np.maximum(share, 1e-6), 0.0).astype(np.float64), told)
     return cv2.resize(filled, (width, height), interpolation=cv2.INTER_LINEAR)
-
-
-def _harmonic(value: np.ndarray, told: np.ndarray) -> Float[np.ndarray, "rows columns"]:
-    """Known cells as they are, the others each the mean of its neighbors."""
-    cell = np.arange(value.size).reshape(value.shape)
-    a = np.concatenate([cell[:, :-1].ravel(), cell[:-1].ravel()])
-    b = np.concatenate([cell[:, 1:].ravel(), cell[1:].ravel()])
-    near = coo_matrix((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, a])), shape=(value.size,) * 2).tocsr()
-    free = (~told).ravel()
-    if not free.any():
-        return value
-    degree = np.asarray(near.sum(1)).ravel()
-    laplacian = (diags(degree) - near).tocsr()
-    filled = value.ravel().copy()
-    filled[free] = spsolve(laplacian[free][:, free].tocsc(), near[free][:, ~free] @ filled[~free])
-    return filled.reshape(value.shape)
 
 
 def thing_pixels(

@@ -1,1 +1,1 @@
-"""The scene: room surfaces and who touches what."""
+"""The scene: floor, walls, ceiling, what is seen beyond, and who touches what."""

@@ -191,7 +191,7 @@ class SceneModel:
     floor: Mesh
     """Patch of y = 0 under the scene."""
     background: Mesh
-    """Room surface behind the objects."""
+    """Walls, ceiling, upright cards and a backdrop of what is seen behind objects; triangles face the camera."""
     sdf_m: Float[np.ndarray, "x y z"]
     """Signed distance to the nearest solid at grid nodes, positive in free space."""
     sdf_origin_m: Float[np.ndarray, "3"]

@@ -14,6 +14,8 @@ from video2anim.viewer.viewpoint import Viewpoint
 _GRID_RGB = (176, 182, 190)
 _FRUSTUM_RGB = (40, 70, 160)
 _GRID_STEP_M = 1.0
+_GRID_PIECES = 5
+"""Pieces of a line between two others: it ends to one piece where the floor ends."""
 _GRID_LIMIT = 60
 """Lines per direction at most; the step grows for larger floors."""
 
@@ -34,7 +36,7 @@ def draw_static(canvas: Canvas, viewpoint: Viewpoint, scene: SceneModel, *, back
     if len(scene.floor.vertices_m):
         _draw_grid(canvas, viewpoint, np.asarray(scene.floor.vertices_m))
     if background:
-        _draw(canvas, viewpoint, scene.background, np.asarray(scene.background.vertices_m), light="none")
+        _draw(canvas, viewpoint, scene.background, np.asarray(scene.background.vertices_m), light="none", closed=True)
     if objects:
         for placed in scene.objects:
             mesh = drawable_mesh(placed)
@@ -75,27 +77,46 @@ def frustum(
     return T_world_camera[:3, 3], transform_points(T_world_camera, depth_m * rays)
 
 
-def _draw(canvas: Canvas, viewpoint: Viewpoint, mesh: Mesh, vertices_world_m: np.ndarray, *, light: Light) -> None:
+def _draw(
+    canvas: Canvas,
+    viewpoint: Viewpoint,
+    mesh: Mesh,
+    vertices_world_m: np.ndarray,
+    *,
+    light: Light,
+    closed: bool = False,
+) -> None:
     if len(mesh.faces):
         corners_m = viewpoint.to_camera(vertices_world_m)
-        draw_mesh(canvas, corners_m, np.asarray(mesh.faces), mesh.vertex_rgb, viewpoint.intrinsics, light=light)
+        faces = np.asarray(mesh.faces)
+        draw_mesh(canvas, corners_m, faces, mesh.vertex_rgb, viewpoint.intrinsics, closed=closed, light=light)
 
 
 def _draw_grid(canvas: Canvas, viewpoint: Viewpoint, floor_m: np.ndarray) -> None:
-    low, high = floor_m.min(0)[[0, 2]], floor_m.max(0)[[0, 2]]
+    """Lines every meter, or wider on large floors, where there is floor."""
+    from scipy.spatial import KDTree
+
+    flat_m = floor_m[:, [0, 2]]
+    low, high = flat_m.min(0), flat_m.max(0)
     step_m = _GRID_STEP_M * max(1.0, np.ceil((high - low).max() / _GRID_LIMIT))
+    piece_m = step_m / _GRID_PIECES
     starts, ends = [], []
     for axis in (0, 1):
         at = np.arange(np.ceil(low[axis] / step_m), np.floor(high[axis] / step_m) + 1) * step_m
-        for side, store in ((low, starts), (high, ends)):
-            points = np.zeros((len(at), 3))
-            points[:, 2 * axis] = at
-            points[:, 2 - 2 * axis] = side[1 - axis]
+        along = np.arange(low[1 - axis], high[1 - axis], piece_m)
+        line, begin = (field.ravel() for field in np.meshgrid(at, along, indexing="ij"))
+        for side, store in ((begin, starts), (np.minimum(begin + piece_m, high[1 - axis]), ends)):
+            points = np.zeros((len(line), 3))
+            points[:, 2 * axis] = line
+            points[:, 2 - 2 * axis] = side
             store.append(points)
+    start_m, end_m = np.concatenate(starts), np.concatenate(ends)
+    gap_m = KDTree(flat_m).query(0.5 * (start_m + end_m)[:, [0, 2]])[0]
+    on_floor = gap_m < 0.5 * piece_m
     draw_lines(
         canvas,
-        viewpoint.to_camera(np.concatenate(starts)),
-        viewpoint.to_camera(np.concatenate(ends)),
+        viewpoint.to_camera(start_m[on_floor]),
+        viewpoint.to_camera(end_m[on_floor]),
         _GRID_RGB,
         viewpoint.intrinsics,
     )

@@ -1,0 +1,254 @@
+"""What is seen behind the people and things of a clip, as clean pieces: walls, ceiling, cards, one backdrop."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from video2anim.geometry.scene_mesh import empty_mesh, joined
+from video2anim.scene.extent import BODY_M, Part, before_walls, behind_people, parts_of, rectangle
+from video2anim.scene.heading import Heading, room_heading
+from video2anim.scene.patches import clear, cut_mesh, painted, tidy
+from video2anim.scene.planes import Plane, room_planes
+from video2anim.scene.regions import FLOOR, HIDDEN, LOW, SKY, cards, labeled, sky
+from video2anim.scene.view import View, look
+from video2anim.types.metric import MetricDepth
+from video2anim.types.motion import BodyMotion
+from video2anim.types.scene import BackgroundPlate, InstanceMasks, Mesh
+
+_LEAST_KNOWN = 0.1
+"""Of the picture: with less depth than this nothing is called far."""
+_RASTER_M = 0.05
+"""Places nearer to each other are one."""
+_THROUGH = 0.15
+"""Where the picture shows something by so large a share farther than a piece, the piece is not there."""
+_SMOOTH_PX = 3.0
+"""Outlines are smooth over so many pixels of the view."""
+_CLEAR_PX = 2
+"""Colors so near to things are mixed with theirs."""
+_CARD_CLOSE = 0.08
+"""Of the picture: gaps in cards that things hide are closed up to this width on both sides."""
+_MOST_CUT = 0.1
+"""A piece that loses a larger share because people were behind it is before them: it is left out."""
+_BEHIND = 1.1
+"""The backdrop's distance over that of the farthest other thing."""
+
+
+@dataclass(frozen=True)
+class BackdropConfig:
+    """Detail and reach."""
+
+    far_m: float = 30.0
+    """What is farther goes onto the backdrop behind everything."""
+    most_faces: int = 30_000
+    """Of all pieces together."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """`wall 1`, `ceiling`, `card 2`, `backdrop`: one flat mesh of the world."""
+
+    name: str
+    mesh: Mesh
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Backdrop:
+    """Pieces of what is seen behind people and things."""
+
+    pieces: tuple[Piece, ...]
+    parts: tuple[Part, ...]
+    view: View
+    floor: Bool[np.ndarray, "height width"]
+    """Pixels of the view that show the floor, also beyond the floor's mask."""
+    far_m: float
+    is_room: bool
+    """Edges of the picture run along walls at right angles."""
+
+    @property
+    def mesh(self) -> Mesh:
+        """All pieces as one."""
+        return joined([piece.mesh for piece in self.pieces])
+
+
+def backdrop(
+    depth: MetricDepth,
+    masks: InstanceMasks,
+    plate: BackgroundPlate,
+    config: BackdropConfig,
+    relative_sigma: Float[np.ndarray, "small_height small_width"] | None = None,
+) -> Backdrop:
+    """Pieces for everything seen that is neither floor nor object nor sky.
+
+    Args:
+        relative_sigma: standard deviation of the plate's depth as a share of it; None where unknown.
+    """
+    sigma = np.zeros_like(depth.background_depth_m) if relative_sigma is None else relative_sigma
+    view = look(depth, masks, plate, sigma, config.far_m)
+    body = depth.bodies.people[0]
+    heading = room_heading(plate.plate_rgb, view.T_world_camera, body.intrinsics)
+    paths_m = body_paths(depth.bodies.people)
+    people_m = _people_depth(view, paths_m)
+    planes, label = _explained(view, heading, people_m, paths_m)
+    parts = parts_of(view, planes, label, paths_m, None if heading is None else heading.turn_rad)
+    parts += _far_part(view, parts, label == len(planes) - 1, paths_m)
+    share = _cell_share(parts, view, config.most_faces)
+    surface_m = _surface_depth(view, parts, label)
+    pieces, numbers = [], Counter[str]()
+    for part in parts:
+        mesh = _piece(part, parts, surface_m, label, view, people_m, plate.plate_rgb, share)
+        if len(mesh.faces):
+            kind = part.plane.kind
+            numbers[kind] += 1
+            pieces.append(Piece(f"{kind} {numbers[kind]}" if kind in ("wall", "card") else kind, mesh))
+    return Backdrop(tuple(pieces), tuple(parts), view, label == FLOOR, config.far_m, heading is not None)
+
+
+def body_paths(people: Sequence[BodyMotion]) -> Float[np.ndarray, "points 3"]:
+    """Joints of all people in all measured frames, each place once (on a raster of 5 cm)."""
+    joints = [person.joints_world_m[person.valid].reshape(-1, 3) for person in people]
+    points_m = np.concatenate([np.zeros((0, 3)), *joints])
+    points_m = points_m[np.isfinite(points_m).all(1)]
+    return np.unique(np.round(points_m / _RASTER_M), axis=0) * _RASTER_M
+
+
+def _explained(
+    view: View,
+    heading: Heading | None,
+    people_m: Float[np.ndarray, "height width"],
+    paths_m: Float[np.ndarray, "points 3"],
+) -> tuple[list[Plane], Int[np.ndarray, "height width"]]:
+    """Planes, the far backdrop last, and per pixel the number of the one it shows.
+
+    Low flat things count as floor, higher ones as things; all ceilings count as the clearest one.
+    """
+    # Where depth is unknown there are gaps below the horizon, and what is far above it; all unknown says nothing.
+    far = (view.direction[..., 1] > 0) & (view.known.mean() > _LEAST_KNOWN)
+    open_to = ~view.floor & ~view.things & (view.known | far)
+    measured = open_to & view.known & ~view.unsure
+    planes = room_planes(view, measured, heading)
+    planes += cards(view, measured, planes)
+    planes.append(Plane("backdrop", view.T_world_camera[:3, 2], 1.0))
+    label = labeled(view, open_to, planes)
+    free = [plane for k, plane in enumerate(planes) if not _before_people(plane, label == k, view, people_m, paths_m)]
+    if len(free) < len(planes):
+        planes, label = free, labeled(view, open_to, free)
+    label[sky(view, label)] = SKY
+    ceilings = [index for index, plane in enumerate(planes) if plane.kind == "ceiling"]
+    for index, plane in enumerate(planes):
+        if plane.kind == "level":
+            low = view.camera_m[1] - plane.distance_m < LOW * view.eye_m
+            label[label == index] = FLOOR if low else HIDDEN
+        elif plane.kind == "ceiling":
+            label[label == index] = ceilings[0]
+        elif plane.kind == "wall":
+            height_m = view.camera_m[1] + plane.depth_m(view.direction) * view.direction[..., 1]
+            if ceilings:
+                roof_m = view.camera_m[1] + planes[ceilings[0]].distance_m
+                label[(label == index) & (height_m > roof_m)] = ceilings[0]
+            label[(label == index) & (height_m < -LOW * view.eye_m)] = FLOOR
+    return planes, label
+
+
+def _before_people(plane: Plane, own: np.ndarray, view: View, people_m: np.ndarray, paths_m: np.ndarray) -> bool:
+    """People were behind the plane, farther than it can be pushed."""
+    if plane.kind in ("backdrop", "level") or not own.any():
+        return False
+    pushed = behind_people(plane, rectangle(plane, own, view), view, paths_m)
+    return bool((people_m[own] > pushed.depth_m(view.direction[own])).mean() > _MOST_CUT)
+
+
+def _people_depth(view: View, paths_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "height width"]:
+    """Largest depth that people had at each pixel, around their joints and to their skin; 0 where they never were."""
+    reached_m = np.zeros(view.shape, np.float32)
+    pixel, depth_m, _ = view.pixels(paths_m)
+    for index in np.argsort(depth_m):
+        if depth_m[index] > BODY_M:
+            center = np.clip(np.round(pixel[index]), -10_000, 10_000).astype(int)
+            radius = max(1, round(BODY_M / float(depth_m[index]) * view.intrinsics.fx_px))
+            cv2.circle(reached_m, center.tolist(), radius, float(depth_m[index] + 0.5 * BODY_M), -1)
+    return reached_m
+
+
+def _far_part(view: View, parts: list[Part], own: np.ndarray, paths_m: np.ndarray) -> list[Part]:
+    """The backdrop behind everything else, square to the sight; none where nothing is far."""
+    if not own.any():
+        return []
+    corners_m = [part.patch.grid(1e9).reshape(-1, 3) for part in parts]
+    _, reached_m, _ = view.pixels(np.concatenate([paths_m, *corners_m]))
+    seen_m = view.depth_m[view.known & ~view.unsure]
+    distance_m = _BEHIND * max(1.0, *(float(some.max()) for some in (reached_m, seen_m) if len(some)))
+    plane = Plane("backdrop", view.T_world_camera[:3, 2], distance_m)
+    return [Part(plane, rectangle(plane, own, view), own)]
+
+
+def _cell_share(parts: Sequence[Part], view: View, most_faces: int) -> float:
+    """Size of a cell over its part's distance: alike in the picture for all, and as many as allowed in all."""
+    faces = 0.0
+    for part in parts:
+        extent_m = part.patch.high_m - part.patch.low_m
+        faces += 2 * float(np.prod(extent_m)) / part.reach_m(view) ** 2
+    return max(np.sqrt(faces / most_faces), 1 / view.intrinsics.fx_px)
+
+
+def _surface_depth(
+    view: View, parts: Sequence[Part], label: Int[np.ndarray, "height width"]
+) -> Float[np.ndarray, "height width"]:
+    """Depth of what each pixel shows, by its part or of the thing; 0 where it is not known, infinite for sky. The floor
+    counts as the foot of what is seen above it: it belongs to a wall's place or to what is seen through a gap."""
+    surface_m = np.where(label == SKY, np.inf, np.where(view.things & view.known, view.depth_m, 0.0))
+    for part in parts:
+        surface_m[part.own] = part.plane.depth_m(view.direction[part.own])
+    rows = np.arange(view.shape[0])[:, None]
+    above = np.maximum.accumulate(np.where(label == FLOOR, 0, rows), axis=0)
+    return np.take_along_axis(surface_m, above, axis=0)
+
+
+def _piece(
+    part: Part,
+    parts: Sequence[Part],
+    surface_m: Float[np.ndarray, "height width"],
+    label: Int[np.ndarray, "height width"],
+    view: View,
+    people_m: Float[np.ndarray, "height width"],
+    plate_rgb: UInt8[np.ndarray, "height width 3"],
+    share: float,
+) -> Mesh:
+    """A part's colored grid, not where the picture shows something farther, nor before people."""
+    nodes_m = part.patch.grid(share * part.reach_m(view))
+    pixel, depth_m, inside = view.pixels(nodes_m.reshape(-1, 3))
+    column, row = (np.where(inside, np.round(pixel[:, k]), 0).astype(int) for k in (0, 1))
+    solid = part.plane.kind in ("wall", "ceiling")
+    own_m = part.plane.depth_m(view.direction)
+    covered = surface_m < own_m * (1 + _THROUGH) if solid else _closed(part, surface_m, view)
+    kept = np.where(inside, (part.own | covered)[row, column], solid)
+    before = inside & (people_m[row, column] > depth_m)
+    if (kept & before).sum() > _MOST_CUT * kept.sum():
+        return empty_mesh()
+    field = tidy((kept & ~before).reshape(nodes_m.shape[:2]), max(1, round(_SMOOTH_PX / view.intrinsics.fx_px / share)))
+    if part.plane.kind == "ceiling":
+        field = np.minimum(field, before_walls(parts, nodes_m, view))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        near = np.abs(np.log(surface_m / own_m)) < _THROUGH
+    taken = np.logical_or.reduce([other.own for other in parts])
+    ceiling = np.logical_or.reduce([taken & False, *(other.own for other in parts if other.plane.kind == "ceiling")])
+    # What no part explains is drawn on what is there, unless it is before that.
+    loose = ~taken & view.known & (view.depth_m > own_m * (1 - _THROUGH))
+    shown = part.own | ((label >= 0) & (loose | (near & ~ceiling)))
+    nearer = ~shown & ((surface_m < own_m) | (label == FLOOR))
+    shown &= clear(~nearer, _CLEAR_PX)
+    return cut_mesh(nodes_m, painted(nodes_m, view, shown, plate_rgb), field)
+
+
+def _closed(part: Part, surface_m: np.ndarray, view: View) -> Bool[np.ndarray, "height width"]:
+    """A card's pixels, and what is nearer between and below them."""
+    size = 2 * round(_CARD_CLOSE * max(view.shape)) + 1
+    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    padded = cv2.morphologyEx(np.pad(part.own, size).astype(np.uint8), cv2.MORPH_CLOSE, disk)
+    around = np.maximum.accumulate(padded[size:-size, size:-size] > 0, axis=0)
+    return part.own | (around & (surface_m < (1 + _THROUGH) * part.plane.depth_m(view.direction)))

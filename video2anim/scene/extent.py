@@ -1,0 +1,228 @@
+"""Where planes of a room end: at the floor, behind the people, at each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from video2anim.scene.patches import Patch
+from video2anim.scene.planes import Plane
+from video2anim.scene.regions import CARD_SIGMAS, FLOOR
+from video2anim.scene.view import View
+
+BODY_M = 0.3
+"""From a joint to the skin and what swings around it: no piece is nearer to people's paths than this."""
+MOST_PUSH = 0.3
+"""A piece that would have to stand by a larger share farther to be behind the people is before them in truth."""
+_SCALE_SIGMA = 0.15
+"""Of the logarithm of a whole wall's depth by networks: measured as 0.06 to 0.17 on renders of furnished rooms."""
+_GRAVITY_RAD = np.deg2rad(1.0)
+"""Error of gravity and of the line where floor and wall meet."""
+_LEAST_FOOT = 0.05
+"""Of the picture's columns: shorter lines where floor and wall meet say nothing."""
+_CORNER = 0.25
+"""Pieces that end within this share of the distance from where they meet, end there."""
+_ALONG, _ACROSS = np.cos(np.deg2rad(15.0)), np.sin(np.deg2rad(30.0))
+"""Walls turned by less than 15 degrees face alike; walls that meet at less than 30 degrees have no corner."""
+_LEAST_SHARE = 0.003
+"""Of the picture: smaller remains are no part."""
+_CARD_GAP = 0.35
+"""A card whose lower end is no higher above the floor than this share of its height stands on it."""
+_UP = np.array([0.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """A plane with its extent and the pixels that show it."""
+
+    plane: Plane
+    patch: Patch
+    own: Bool[np.ndarray, "height width"]
+
+    def reach_m(self, view: View) -> float:
+        """Usual distance of what it shows from the camera."""
+        direction = view.direction[self.own]
+        return float(np.median(np.linalg.norm(direction, axis=-1) * np.minimum(self.plane.depth_m(direction), 1e3)))
+
+
+def parts_of(
+    view: View,
+    planes: Sequence[Plane],
+    label: Int[np.ndarray, "height width"],
+    paths_m: Float[np.ndarray, "points 3"],
+    heading_rad: float | None,
+) -> list[Part]:
+    """Each plane that pixels show, where its foot and the people say, as the rectangle that holds its pixels."""
+    if heading_rad is None:
+        wall = next((plane for plane in planes if plane.kind == "wall"), None)
+        heading_rad = 0.0 if wall is None else float(np.arctan2(wall.normal[2], wall.normal[0]))
+    parts = []
+    for index, plane in enumerate(planes):
+        own = label == index
+        if plane.kind == "backdrop" or own.sum() < _LEAST_SHARE * own.size:
+            continue
+        # Pixels that are here only because no plane explains them say nothing of its extent.
+        explained = own & (np.abs(plane.off(view)) < CARD_SIGMAS)
+        explained = explained if explained.any() else own
+        if plane.kind == "wall":
+            plane = _footed(plane, own, label == FLOOR, view)
+        plane = behind_people(plane, rectangle(plane, explained, view, heading_rad), view, paths_m)
+        parts.append(Part(plane, rectangle(plane, explained, view, heading_rad), own))
+    return _cornered(parts, view)
+
+
+def rectangle(plane: Plane, own: Bool[np.ndarray, "height width"], view: View, heading_rad: float = 0.0) -> Patch:
+    """Least rectangle around a plane's pixels; walls go down to the floor, cards where they nearly reach it."""
+    if plane.kind == "ceiling":
+        across = np.array([np.cos(heading_rad), 0.0, np.sin(heading_rad)])
+        upward = np.cross(-plane.normal, across)
+    else:
+        upward = _UP - plane.normal * plane.normal[1]
+        upward /= np.linalg.norm(upward)
+        across = np.cross(upward, -plane.normal)
+    origin_m = view.camera_m + plane.normal * plane.distance_m
+    solid = cv2.morphologyEx(own.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).astype(bool)
+    direction = view.direction[solid if solid.any() else own]
+    depth_m = plane.depth_m(direction)
+    met = np.isfinite(depth_m)
+    if not met.any():
+        return Patch(origin_m, across, upward, np.zeros(2), np.zeros(2))
+    points_m = direction[met] * depth_m[met][:, None] - plane.normal * plane.distance_m
+    on_plane = np.stack([points_m @ across, points_m @ upward], 1)
+    low, high = on_plane.min(0), on_plane.max(0)
+    if plane.kind in ("wall", "card"):
+        floor_b = -origin_m[1]
+        if plane.kind == "wall" or low[1] - floor_b < _CARD_GAP * (high[1] - floor_b):
+            low[1] = floor_b
+        low[1] = max(low[1], floor_b)
+        high[1] = max(high[1], low[1])
+    return Patch(origin_m, across, upward, low, high)
+
+
+def _footed(plane: Plane, own: np.ndarray, floor: np.ndarray, view: View) -> Plane:
+    """The wall moved towards where the floor ends under it, whose depth gravity alone tells.
+
+    Both distances are weighted by their errors: that of the foot grows with its distance, seen from the camera's
+    height.
+    """
+    foot = np.zeros_like(own)
+    foot[1:] = own[:-1] & floor[1:]
+    foot &= view.direction[..., 1] < -1e-3
+    # Floor and wall meet between two rows.
+    direction = 0.5 * (view.direction + np.roll(view.direction, 1, axis=0))[foot]
+    direction = direction[direction[:, 1] < -1e-3]
+    on_floor_m = direction * (-view.camera_m[1] / direction[:, 1:2])
+    along = on_floor_m @ plane.normal
+    if (along > 0).sum() < _LEAST_FOOT * view.shape[1]:
+        return plane
+    log_ratio = float(np.median(np.log(along[along > 0] / plane.distance_m)))
+    distance_m = float(np.median(np.linalg.norm(on_floor_m[along > 0], axis=1)))
+    foot_sigma = _GRAVITY_RAD * distance_m / max(view.camera_m[1], 0.1)
+    share = _SCALE_SIGMA**2 / (_SCALE_SIGMA**2 + foot_sigma**2)
+    return plane.pushed(float(np.exp(share * np.clip(log_ratio, -MOST_PUSH, MOST_PUSH))))
+
+
+def behind_people(plane: Plane, patch: Patch, view: View, paths_m: Float[np.ndarray, "points 3"]) -> Plane:
+    """The plane pushed along the sight until nobody is seen behind it."""
+    from_camera_m = paths_m - view.camera_m
+    along = from_camera_m @ plane.normal
+    from_camera_m, along = from_camera_m[along > 0.1], along[along > 0.1]
+    met_m = from_camera_m * (plane.distance_m / along)[:, None] - plane.normal * plane.distance_m
+    on_plane = np.stack([met_m @ patch.across, met_m @ patch.upward], 1)
+    within = ((on_plane > patch.low_m - BODY_M) & (on_plane < patch.high_m + BODY_M)).all(1)
+    if not within.any():
+        return plane
+    need = float((along[within].max() + BODY_M) / plane.distance_m)
+    return plane.pushed(need) if 1 < need <= 1 + MOST_PUSH else plane
+
+
+def _cornered(parts: list[Part], view: View) -> list[Part]:
+    """Walls that end near where they meet end there; likewise walls and the ceiling."""
+    low = {id(part): part.patch.low_m.copy() for part in parts}
+    high = {id(part): part.patch.high_m.copy() for part in parts}
+
+    def ends_at(part: Part, axis: int, value: float, reach_m: float) -> bool:
+        edges = (low[id(part)], high[id(part)])
+        nearest = min(edges, key=lambda edge: abs(edge[axis] - value))
+        return bool(abs(nearest[axis] - value) < reach_m)
+
+    def end_at(part: Part, axis: int, value: float) -> None:
+        edges = (low[id(part)], high[id(part)])
+        min(edges, key=lambda edge: abs(edge[axis] - value))[axis] = value
+
+    walls = [part for part in parts if part.plane.kind == "wall"]
+    for number, one in enumerate(walls):
+        for other in walls[number + 1 :]:
+            normals = np.stack([one.plane.normal, other.plane.normal])[:, [0, 2]]
+            if abs(np.linalg.det(normals)) < _ACROSS:
+                continue
+            x, z = np.linalg.solve(normals, [one.plane.distance_m, other.plane.distance_m])
+            meet_m, reach_m = np.array([x, 0.0, z]), _CORNER * float(np.hypot(x, z))
+            values = [float(meet_m @ part.patch.across) for part in (one, other)]
+            if all(ends_at(part, 0, v, reach_m) for part, v in zip((one, other), values, strict=True)):
+                for part, value in zip((one, other), values, strict=True):
+                    end_at(part, 0, value)
+                # The picture's border cuts near walls lower than far ones; in truth a room's walls are of one height.
+                top = max(high[id(part)][1] for part in (one, other))
+                high[id(one)][1] = high[id(other)][1] = top
+    for roof in (part for part in parts if part.plane.kind == "ceiling"):
+        for wall in walls:
+            height_m = float(roof.patch.origin_m[1])
+            top = height_m - float(wall.patch.origin_m[1])
+            if high[id(wall)][1] > top or ends_at(wall, 1, top, _CORNER * height_m):
+                high[id(wall)][1] = top
+            for axis, along in enumerate((roof.patch.across, roof.patch.upward)):
+                if abs(wall.plane.normal @ along) > _ALONG and not _has_wall_behind(wall, parts):
+                    value = wall.plane.distance_m / float(wall.plane.normal @ along)
+                    if ends_at(roof, axis, value, _CORNER * wall.plane.distance_m):
+                        end_at(roof, axis, value)
+    ended = []
+    for part in parts:
+        patch = replace(part.patch, low_m=low[id(part)], high_m=np.maximum(high[id(part)], low[id(part)]))
+        ended.append(replace(part, patch=patch, own=part.own & _holds(patch, part.plane, view)))
+    return ended
+
+
+def _holds(patch: Patch, plane: Plane, view: View) -> Bool[np.ndarray, "height width"]:
+    """Pixels at which the rectangle is met."""
+    depth_m = plane.depth_m(view.direction)
+    met = np.isfinite(depth_m)
+    points_m = view.camera_m + view.direction * np.where(met, depth_m, 0.0)[..., None] - patch.origin_m
+    on_plane = np.stack([points_m @ patch.across, points_m @ patch.upward], -1)
+    slack_m = 0.02 * plane.distance_m
+    return met & ((on_plane > patch.low_m - slack_m) & (on_plane < patch.high_m + slack_m)).all(-1)
+
+
+def before_walls(
+    parts: Sequence[Part], points_m: Float[np.ndarray, "rows columns 3"], view: View, *, endless: bool = False
+) -> Float[np.ndarray, "rows columns"]:
+    """How far points are before the walls that stand between them and the camera, in meters; less than 0 behind one.
+
+    Args:
+        endless: walls have no end to the sides.
+    """
+    room_m = np.full(points_m.shape[:-1], np.inf)
+    from_camera_m = points_m - view.camera_m
+    for part in parts:
+        if part.plane.kind != "wall" or (endless and _has_wall_behind(part, parts)):
+            continue
+        along = from_camera_m @ part.plane.normal
+        across = from_camera_m @ part.patch.across * (part.plane.distance_m / np.maximum(along, 1e-6))
+        hidden = along > 0
+        if not endless:
+            hidden &= (across > part.patch.low_m[0]) & (across < part.patch.high_m[0])
+        room_m = np.where(hidden, np.minimum(room_m, part.plane.distance_m - along), room_m)
+    return np.minimum(room_m, 1.0)
+
+
+def _has_wall_behind(part: Part, parts: Sequence[Part]) -> bool:
+    return any(
+        other.plane.kind == "wall"
+        and other.plane.distance_m > part.plane.distance_m
+        and other.plane.normal @ part.plane.normal > _ALONG
+        for other in parts
+    )

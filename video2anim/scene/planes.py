@@ -1,0 +1,185 @@
+"""Planes of a room by voting: walls and ceiling that explain a picture's depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from video2anim.scene.heading import Heading
+from video2anim.scene.view import View
+
+DEPTH_SIGMA = 0.05
+"""Standard deviation of the logarithm of a network's depth about a wall, that of the clip's scale left out: measured
+as 0.03 to 0.10 on renders of furnished rooms."""
+INLIER_SIGMAS = 2.5
+_HEADINGS = 120
+"""Directions of walls that are tried: every 3 degrees."""
+_BIN = 0.6 * DEPTH_SIGMA
+"""Width of a bin of the logarithm of a plane's distance."""
+_NEAREST_M, _FARTHEST_M = 0.3, 300.0
+_GRAZING = 0.1
+"""Cosine between sight and normal: planes seen flatter are lines, to which no depth belongs."""
+_ASIDE = 0.45
+"""Walls that no edges speak for must be seen from farther aside: round things pass for flat ones from flat angles."""
+_FACING = 0.75
+"""Cosine to a plane's normal from which the slope of the depth speaks for it."""
+_LEAST_SHARE = 0.03
+"""Of the picture: planes that explain less are things..."""
+_LEAST_SQUARE = 0.015
+"""...but ceilings, and walls square to the heading that the edges tell, are likelier: their strips count, too."""
+_SAME_RAD = np.deg2rad(15.0)
+"""Planes so little turned against each other and within the noise are one."""
+_MOST_PLANES = 7
+_EDGES_LOSS = 0.5
+"""Walls are turned to the heading that the edges tell where it costs no more than this share of the pixels they
+explain: slopes of networks' depth are off by 5 to 20 degrees."""
+_WALL_RAD = np.deg2rad(12.0)
+"""Without edges, walls no farther than this from square to the first one are taken for square..."""
+_LOSS = 0.15
+"""...where it costs no more than this share of the pixels they explain."""
+_UP = np.array([0.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """normal . (x - camera) = distance."""
+
+    kind: str
+    """`wall`, `ceiling`, `level` (a flat thing below the eye), `card` (upright, for what is no plane), `backdrop`."""
+    normal: Float[np.ndarray, "3"]
+    """Unit vector away from the camera, in world axes."""
+    distance_m: float
+
+    def depth_m(self, direction: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
+        """Depth at which the plane is met along directions of a `View`; infinite where it is not."""
+        along = direction @ self.normal
+        met = along > _GRAZING * np.linalg.norm(direction, axis=-1)
+        return np.where(met, self.distance_m / np.where(met, along, 1.0), np.inf)
+
+    def off(self, view: View) -> Float[np.ndarray, "height width"]:
+        """Logarithm of the seen depth over the plane's, in `DEPTH_SIGMA`; infinite where the plane is not met."""
+        plane_m = self.depth_m(view.direction)
+        met = np.isfinite(plane_m)
+        return np.where(met, np.log(view.depth_m / np.where(met, plane_m, 1.0)) / DEPTH_SIGMA, np.inf)
+
+    def pushed(self, ratio: float) -> Plane:
+        """The same in the picture, at `ratio` times the distance."""
+        return replace(self, distance_m=self.distance_m * ratio)
+
+
+def room_planes(view: View, open_to: Bool[np.ndarray, "height width"], heading: Heading | None) -> list[Plane]:
+    """Planes that explain pixels of `open_to`, the one that explains most first.
+
+    Args:
+        heading: of the room's walls by the picture's edges: walls near a right angle to it are turned there, since
+            edges know it better than slopes of depth. Without it walls are turned square to the first wall, where that
+            explains as much.
+    """
+    normals, left, found = view.normals(), open_to.copy(), []
+    square, reach, loss = (heading.turn_rad, heading.reach_rad, _EDGES_LOSS) if heading else (None, _WALL_RAD, _LOSS)
+    for _ in range(_MOST_PLANES):
+        plane = _voted(view, normals, left)
+        if plane is None:
+            break
+        if plane.kind == "wall":
+            plane = _refined(plane, view, normals, left)
+            square = _heading(plane) if square is None else square
+            turned = _squared(plane, square, reach, view, normals, left)
+            before, after = ((left & supporting(one, view, normals)).sum() for one in (plane, turned))
+            plane = turned if after >= (1 - loss) * before else plane
+        explained = left & supporting(plane, view, normals)
+        likely = plane.kind == "ceiling" or (heading is not None and _is_square(plane, heading.turn_rad))
+        if explained.sum() < (_LEAST_SQUARE if likely else _LEAST_SHARE) * left.size:
+            break
+        doubtful = plane.kind == "wall" and not likely and _aside(plane, view, explained) < _ASIDE
+        if doubtful:
+            left &= ~explained
+            continue
+        if not any(_same(plane, other) for other in found):
+            found.append(plane)
+        # The whole noise around it is spent, also where the slope says otherwise: no second plane beside the first.
+        left &= np.abs(plane.off(view)) > INLIER_SIGMAS
+    return found
+
+
+def supporting(
+    plane: Plane, view: View, normals: Float[np.ndarray, "height width 3"]
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels whose depth and slope speak for the plane."""
+    return (np.abs(plane.off(view)) < INLIER_SIGMAS) & (-normals @ plane.normal > _FACING)
+
+
+def _voted(view: View, normals: np.ndarray, left: np.ndarray) -> Plane | None:
+    """The plane with most votes among all headings and distances, and both level ones."""
+    offset_m, normal = view.offset_m[left], normals[left]
+    if len(offset_m) < _LEAST_SQUARE * left.size:
+        return None
+    turn = np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
+    candidates = np.concatenate([np.stack([np.cos(turn), 0 * turn, np.sin(turn)], 1), [_UP, -_UP]])
+    length = np.linalg.norm(offset_m, axis=1)
+    edges = np.arange(np.log(_NEAREST_M), np.log(_FARTHEST_M), _BIN)
+    kernel = np.exp(-0.5 * (np.arange(-4, 5) * _BIN / DEPTH_SIGMA) ** 2)
+    best = (0.0, 0, 0)
+    for index, candidate in enumerate(candidates):
+        along = offset_m @ candidate
+        vote = (along > _GRAZING * length) & (-normal @ candidate > _FACING)
+        count, _ = np.histogram(np.log(along[vote]), edges)
+        smooth = np.convolve(count, kernel, "same")
+        top = int(smooth.argmax())
+        best = max(best, (float(smooth[top]), index, top))
+    _, index, top = best
+    kind = "wall" if index < _HEADINGS else ("ceiling" if index == _HEADINGS else "level")
+    return Plane(kind, candidates[index], float(np.exp(edges[top] + 0.5 * _BIN)))
+
+
+def _refined(plane: Plane, view: View, normals: np.ndarray, left: np.ndarray) -> Plane:
+    """Heading and distance by least squares of the logarithm of depth over the pixels that speak for it."""
+    for _ in range(6):
+        chosen = left & supporting(plane, view, normals)
+        if chosen.sum() < 8:
+            return plane
+        flat = view.direction[chosen][:, [0, 2]] * view.depth_m[chosen][:, None]
+        weight = (1 - (plane.off(view)[chosen] / INLIER_SIGMAS) ** 2) ** 2
+        # One over depth is linear in a plane's parameters; times depth, errors are relative.
+        across = np.linalg.lstsq(flat * weight[:, None], weight, rcond=None)[0]
+        size = float(np.hypot(*across))
+        if not np.isfinite(size) or size < 1e-6:
+            return plane
+        plane = Plane("wall", np.array([across[0], 0.0, across[1]]) / size, 1 / size)
+    return plane
+
+
+def _heading(plane: Plane) -> float:
+    return float(np.arctan2(plane.normal[2], plane.normal[0]))
+
+
+def _aside(plane: Plane, view: View, explained: np.ndarray) -> float:
+    """Usual cosine between sight and normal."""
+    direction = view.direction[explained]
+    return float(np.median(direction @ plane.normal / np.linalg.norm(direction, axis=-1)))
+
+
+def _is_square(plane: Plane, heading_rad: float) -> bool:
+    return abs(np.sin(2 * (_heading(plane) - heading_rad))) < 1e-6
+
+
+def _same(a: Plane, b: Plane) -> bool:
+    turned = np.arccos(np.clip(a.normal @ b.normal, -1, 1))
+    return bool(turned < _SAME_RAD and abs(np.log(a.distance_m / b.distance_m)) < INLIER_SIGMAS * DEPTH_SIGMA)
+
+
+def _squared(
+    plane: Plane, square_rad: float, reach_rad: float, view: View, normals: np.ndarray, left: np.ndarray
+) -> Plane:
+    """The wall turned to the nearest right angle to a heading, at its pixels' usual distance; the wall itself where
+    that would be a larger turn than `reach_rad`."""
+    own = _heading(plane)
+    square = square_rad + np.round((own - square_rad) / (np.pi / 2)) * np.pi / 2
+    if abs(own - square) > reach_rad:
+        return plane
+    normal = np.array([np.cos(square), 0.0, np.sin(square)])
+    along = view.offset_m[left & supporting(plane, view, normals)] @ normal
+    along = along[along > 0]
+    return Plane("wall", normal, float(np.exp(np.median(np.log(along))))) if len(along) else plane

@@ -1,0 +1,174 @@
+"""Which plane each pixel of a picture shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from video2anim.scene.planes import DEPTH_SIGMA, INLIER_SIGMAS, Plane
+from video2anim.scene.view import View
+
+FLOOR, HIDDEN, SKY = -1, -2, -3
+"""Labels beside the numbers of planes: ground, what objects or low things hide, sky."""
+_CARD_COST = 0.5
+"""A card must explain so much better than a wall: with enough cards everything is explained."""
+CARD_SIGMAS = 5.0
+"""Trees, hedges and clutter are so thick, in deviations of depth, about their card."""
+_SLOPE_COST = 0.3
+"""For a slope square to the plane's."""
+_WORST = 2.0
+"""Of what is impossible."""
+_UNKNOWN_COST = 0.6
+"""Where depth is unknown all planes cost the same..."""
+_FAR_COST = 0.5
+"""...and the backdrop less: a gap in a plane is the plane's by what is around it, larger ones are far."""
+_SMOOTH_SHARE = 0.025
+"""Of the picture's long side: radius over which a pixel's costs are averaged along the picture's colors."""
+_EDGE_EPSILON = 0.02**2
+"""Variance of a color (0 to 1) that is an edge of the picture."""
+_CRUMB, CARD_CRUMB = 0.006, 0.03
+"""Of the picture: smaller regions of planes, or of cards, go to those around them."""
+_MOST_CARDS = 6
+_CARD_BIN = 0.05
+"""Width of a bin of the logarithm of cards' distance."""
+LOW = 0.2
+"""Of the camera's height: flat things lower than this are drawn on the floor, as mats, thresholds, rising ground and
+the depth's error."""
+_LEVEL_SLOPE = 0.7
+"""Cosine to up from which a slope is level."""
+
+_SKY_BRIGHT, _SKY_HUE, _SKY_HUE_SPAN, _SKY_EVEN = 0.8, 107, 15, 12.0
+"""Value (0 to 1) of overcast sky; hue of blue sky and its span (OpenCV's half degrees); standard deviation of lightness
+(0 to 255) among neighbors."""
+_SKY_M = 4.5
+"""Walls of rooms are seldom so high."""
+
+
+def cards(view: View, open_to: Bool[np.ndarray, "height width"], planes: Sequence[Plane]) -> list[Plane]:
+    """Upright planes that face the camera, one per distance at which much stands that no plane explains."""
+    left = open_to.copy()
+    for plane in planes:
+        left &= np.abs(plane.off(view)) > CARD_SIGMAS
+    ahead = view.T_world_camera[:3, 2] * [1.0, 0.0, 1.0]
+    size = float(np.linalg.norm(ahead))
+    if size < 0.2:
+        return []
+    ahead, found = ahead / size, []
+    distance_m = view.offset_m @ ahead
+    left &= distance_m > 0.3
+    half = CARD_SIGMAS * DEPTH_SIGMA
+    for _ in range(_MOST_CARDS):
+        if left.sum() < CARD_CRUMB * left.size:
+            break
+        log_m = np.log(distance_m[left])
+        edges = np.arange(log_m.min() - _CARD_BIN, log_m.max() + 2 * _CARD_BIN, _CARD_BIN)
+        count = np.convolve(np.histogram(log_m, edges)[0], np.ones(round(2 * half / _CARD_BIN)), "same")
+        middle = edges[int(count.argmax())] + 0.5 * _CARD_BIN
+        near = np.abs(log_m - middle) < half
+        if near.sum() < CARD_CRUMB * left.size:
+            break
+        card = Plane("card", ahead, float(np.exp(np.median(log_m[near]))))
+        found.append(card)
+        left &= np.abs(card.off(view)) * DEPTH_SIGMA > half
+    return found
+
+
+def labeled(
+    view: View, open_to: Bool[np.ndarray, "height width"], planes: Sequence[Plane]
+) -> Int[np.ndarray, "height width"]:
+    """Number of the plane that each pixel shows, or one of the labels above.
+
+    Each plane's misfit of depth and slope is averaged along the picture's colors before the least is taken, so regions
+    end at edges of the picture.
+    """
+    normals = view.normals()
+    costs = [_smooth(_floor_cost(view, normals), open_to, view)]
+    costs += [_smooth(_cost(plane, view, normals), open_to, view) for plane in planes]
+    best = np.argmin(costs, axis=0) - 1
+    label = np.where(open_to, best, np.where(view.floor, FLOOR, HIDDEN))
+    least = [round((CARD_CRUMB if plane.kind == "card" else _CRUMB) * label.size) for plane in planes]
+    return _without_crumbs(label, open_to, [*least, round(_CRUMB * label.size)])
+
+
+def _cost(plane: Plane, view: View, normals: np.ndarray) -> Float[np.ndarray, "height width"]:
+    """0 where a plane explains depth and slope, 1 where it does not."""
+    if plane.kind == "backdrop":
+        return np.where(view.unsure, 0.0, np.where(view.known, _WORST, _FAR_COST))
+    reach = CARD_SIGMAS if plane.kind == "card" else INLIER_SIGMAS
+    off = _misfit(plane.off(view) / reach)
+    if plane.kind == "card":
+        cost = _CARD_COST + (1 - _CARD_COST) * off
+    else:
+        cost = off + _SLOPE_COST * np.clip(1 + normals @ plane.normal, 0, 1)
+    return np.where(view.unsure, _WORST, np.where(view.known, cost, _UNKNOWN_COST))
+
+
+def _misfit(deviations: np.ndarray) -> np.ndarray:
+    """From 0 to 1, half at one deviation, and never flat (Geman and McClure 1987): of planes that are all wrong the
+    least wrong one is taken."""
+    square = np.minimum(np.abs(deviations), 1e3) ** 2
+    return square / (1 + square)
+
+
+def _floor_cost(view: View, normals: np.ndarray) -> Float[np.ndarray, "height width"]:
+    """0 where depth is that of the floor: ground that the floor's mask lacks."""
+    height_m = view.camera_m[1] + view.offset_m[..., 1]
+    cost = _misfit(height_m / (LOW * view.eye_m))
+    cost += _SLOPE_COST * np.clip(1 - np.maximum(normals[..., 1], 0) / _LEVEL_SLOPE, 0, 1)
+    return np.where(view.known & ~view.unsure & (view.direction[..., 1] < 0), cost, _WORST)
+
+
+def _smooth(cost: np.ndarray, open_to: np.ndarray, view: View) -> Float[np.ndarray, "height width"]:
+    radius = max(2, round(_SMOOTH_SHARE * max(view.shape)))
+    guide, weight = view.rgb.astype(np.float32) / 255, open_to.astype(np.float32)
+    total, share = (
+        cv2.ximgproc.guidedFilter(guide, field.astype(np.float32), radius, _EDGE_EPSILON)
+        for field in (cost * weight, weight)
+    )
+    return np.where(share > 0.05, total / np.maximum(share, 0.05), cost)
+
+
+def _without_crumbs(label: np.ndarray, open_to: np.ndarray, least: list[int]) -> Int[np.ndarray, "height width"]:
+    """Regions of fewer pixels than `least` (by label, floor last) given to the label that most of their border
+    touches, or hidden among things."""
+    label = label.copy()
+    for _ in range(3):
+        changed = False
+        for value in np.unique(label[open_to]):
+            _, parts = cv2.connectedComponents(((label == value) & open_to).astype(np.uint8), connectivity=4)
+            for index, where in enumerate(ndimage.find_objects(parts), 1):
+                box = tuple(slice(max(0, s.start - 1), s.stop + 1) for s in where)
+                part = parts[box] == index
+                if part.sum() >= least[value]:
+                    continue
+                rim = ndimage.binary_dilation(part) & ~part
+                around = label[box][rim]
+                values, count = np.unique(around[around != HIDDEN], return_counts=True)
+                label[box][part] = values[count.argmax()] if len(values) else HIDDEN
+                changed = True
+        if not changed:
+            break
+    return label
+
+
+def sky(view: View, label: Int[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+    """Bright or blue even regions that touch the picture's top, higher than rooms are or of unknown depth."""
+    hue, saturation, value = cv2.split(cv2.cvtColor(view.rgb, cv2.COLOR_RGB2HSV))
+    bright = value > _SKY_BRIGHT * 255
+    blue = (np.abs(hue.astype(int) - _SKY_HUE) < _SKY_HUE_SPAN) & (saturation > 40) & (value > 0.4 * 255)
+    tone = cv2.cvtColor(view.rgb, cv2.COLOR_RGB2LAB)[..., 0].astype(np.float32)
+    even = cv2.blur(tone**2, (5, 5)) - cv2.blur(tone, (5, 5)) ** 2 < _SKY_EVEN**2
+    candidate = (bright | blue) & even & (label >= 0) & (view.direction[..., 1] > 0)
+    candidate = cv2.morphologyEx(candidate.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    count, parts = cv2.connectedComponents(candidate.astype(np.uint8), connectivity=4)
+    found = np.zeros_like(candidate)
+    height_m = np.where(view.known, view.camera_m[1] + view.offset_m[..., 1], np.inf)
+    for index in range(1, count):
+        part = parts == index
+        if part[0].any() and part.sum() > _CRUMB * part.size and np.median(height_m[part]) > _SKY_M:
+            found |= part
+    return found

@@ -1,0 +1,128 @@
+"""The picture without people and things as directions and depths from its camera, at a size for looking at regions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from scipy import ndimage
+
+from video2anim.geometry.masks import shrunk
+from video2anim.geometry.projection import invert_rigid, pixel_rays, project, transform_points
+from video2anim.types.camera import Intrinsics
+from video2anim.types.metric import MetricDepth
+from video2anim.types.scene import BackgroundPlate, DepthClip, InstanceMasks
+
+LONG_SIDE_PX = 192
+"""Depth networks draw nothing finer, and regions need no more."""
+MOST_DOUBT = 0.3
+"""Depth with a standard deviation over this share of it says no more than far."""
+_NORMAL_BLUR_PX = 2.0
+"""Networks' depth ripples at a few pixels; a surface's slope shows over more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One look at the room. Directions are in world axes, from the camera, with a part of 1 along the view axis: a
+    direction times a depth is an offset from the camera in meters."""
+
+    T_world_camera: Float[np.ndarray, "4 4"]
+    intrinsics: Intrinsics
+    direction: Float[np.ndarray, "height width 3"]
+    depth_m: Float[np.ndarray, "height width"]
+    known: Bool[np.ndarray, "height width"]
+    unsure: Bool[np.ndarray, "height width"]
+    """Depth known so badly, or so large, that it says no more than far."""
+    floor: Bool[np.ndarray, "height width"]
+    things: Bool[np.ndarray, "height width"]
+    """Objects: what is behind them is hidden."""
+    rgb: UInt8[np.ndarray, "height width 3"]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.depth_m.shape  # type: ignore[return-value]
+
+    @property
+    def camera_m(self) -> Float[np.ndarray, "3"]:
+        return self.T_world_camera[:3, 3]
+
+    @property
+    def eye_m(self) -> float:
+        """Height of the camera above the floor, at least a decimeter: the yardstick for what is low."""
+        return max(float(self.camera_m[1]), 0.1)
+
+    @property
+    def offset_m(self) -> Float[np.ndarray, "height width 3"]:
+        """From the camera to what each pixel shows."""
+        return self.direction * self.depth_m[..., None]
+
+    def normals(self) -> Float[np.ndarray, "height width 3"]:
+        """Unit normals of the depth, towards the camera."""
+        inverse = cv2.GaussianBlur((1 / self.depth_m).astype(np.float64), (0, 0), _NORMAL_BLUR_PX)
+        points_m = self.direction / inverse[..., None]
+        normal = np.cross(np.gradient(points_m, axis=0), np.gradient(points_m, axis=1))
+        return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+
+    def pixels(
+        self, points_world_m: Float[np.ndarray, "points 3"]
+    ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points"], Bool[np.ndarray, "points"]]:
+        """Pixel, depth, and whether the picture holds it, of points of the world."""
+        camera_m = transform_points(invert_rigid(self.T_world_camera), np.asarray(points_world_m, np.float64))
+        ahead = camera_m[:, 2] > 0.05
+        camera_m[~ahead] = (0.0, 0.0, 1.0)
+        pixel = project(camera_m, self.intrinsics)
+        size = np.array([self.intrinsics.width_px, self.intrinsics.height_px])
+        return pixel, camera_m[:, 2], ahead & (pixel > -0.5).all(1) & (pixel < size - 0.5).all(1)
+
+
+def look(
+    depth: MetricDepth, masks: InstanceMasks, plate: BackgroundPlate, relative_sigma: np.ndarray, far_m: float
+) -> View:
+    """The first frame's view of the plate. `relative_sigma` is of the plate's depth, as a share of it."""
+    body = depth.bodies.people[0]
+    height, width = depth.background_depth_m.shape
+    shrink = min(1.0, LONG_SIDE_PX / max(height, width))
+    size = (max(8, round(width * shrink)), max(8, round(height * shrink)))
+    lens = body.intrinsics.resized(*size)
+
+    def small(values: np.ndarray) -> np.ndarray:
+        return cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_NEAREST_EXACT)
+
+    depth_m = small(depth.background_depth_m)
+    known = (small(depth.background_valid) > 0) & np.isfinite(depth_m) & (depth_m > 0.05)
+    depth_m = np.where(known, depth_m, np.float32(far_m)).astype(np.float64)
+    objects = np.zeros(masks.floor_mask.shape, dtype=bool)
+    for instance in masks.instances:
+        objects |= instance.mask
+    floor, things = shrunk(masks.floor_mask, size[::-1], 0.5), shrunk(objects, size[::-1], 0.25)
+    count, gaps = cv2.connectedComponents((~known & ~things & ~floor).astype(np.uint8), connectivity=4)
+    for index in range(1, count):
+        rim = ndimage.binary_dilation(gaps == index) & (gaps != index)
+        # A gap of depth that lies mostly within a thing, or between it and the floor, is the thing's.
+        if (things | floor)[rim].sum() > 0.5 * rim.sum():
+            things |= gaps == index
+    T_world_camera = body.T_world_camera[0]
+    return View(
+        T_world_camera,
+        lens,
+        pixel_rays(lens) @ T_world_camera[:3, :3].T,
+        depth_m,
+        known,
+        known & ((depth_m > far_m) | (small(relative_sigma) > MOST_DOUBT)),
+        floor,
+        things,
+        cv2.resize(plate.plate_rgb, size, interpolation=cv2.INTER_AREA),
+    )
+
+
+def relative_sigma(depth: MetricDepth, clip: DepthClip) -> Float[np.ndarray, "small_height small_width"]:
+    """Standard deviation of the plate's depth as a share of it: of scale, offset and the provider's own values."""
+    value = clip.background_value
+    own = np.ma.median(np.ma.masked_array(clip.sigma, ~(clip.valid & np.isfinite(clip.sigma))), axis=0).filled(0.0)
+    sigma = np.sqrt((value * depth.scale_sigma) ** 2 + depth.offset_sigma**2 + (depth.scale * own) ** 2)
+    plate_m = depth.background_depth_m
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = sigma * plate_m if clip.kind == "disparity" else sigma / plate_m
+    return np.where(np.isfinite(share), share, np.inf)
