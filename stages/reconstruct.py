@@ -91,10 +91,15 @@ def reconstruct_objects(
     from video2anim.fitting.supports import rested_and_inner_m
     from video2anim.geometry.masks import enlarged
     from video2anim.objects.evidence import ObjectViews, PeopleEvidence
+    from video2anim.scene.heading import room_heading
 
     unseen = enlarged(plate.seen_ratio, depth.background_depth_m.shape) < _NEVER_SEEN
     people = PeopleEvidence(*rested_and_inner_m(depth.bodies))
-    views = ObjectViews(masks, depth, unseen, people, config.depth_error_ratio)
+    body, (height, width) = depth.bodies.people[0], plate.plate_rgb.shape[:2]
+    heading = room_heading(plate.plate_rgb, body.T_world_camera[0], body.intrinsics.resized(width, height))
+    # A yaw turns z towards x, a heading x towards z.
+    room_yaw_rad = None if heading is None else -heading.turn_rad
+    views = ObjectViews(masks, depth, unseen, people, config.depth_error_ratio, room_yaw_rad)
     foreign = _user_meshes(config)
     numbers = {found.object_id for found in completed.objects}
     if unused := sorted(foreign.keys() - numbers):

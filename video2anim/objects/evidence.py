@@ -67,8 +67,11 @@ class ObjectViews:
         unseen: Bool[np.ndarray, "height width"],
         people: PeopleEvidence,
         depth_sigma: float,
+        room_yaw_rad: float | None,
     ) -> None:
-        """`unseen`: pixels that people always covered; `depth_sigma`: of log depth within an object."""
+        """`unseen`: pixels that people always covered; `depth_sigma`: of log depth within an object; `room_yaw_rad`: of
+        the walls, modulo a right angle."""
+        self._room_yaw_rad = room_yaw_rad
         self._lifter, self._depth, self._unseen = ThingLifter(masks, depth), depth, unseen
         self._people, self._depth_sigma = people, depth_sigma
         self._lifted = {i.object_id: self._lifter.lift(i.object_id) for i in masks.instances}
@@ -110,6 +113,7 @@ class ObjectViews:
             rested_m=rested_m,
             body_m=body_m,
             others_m=self._others_m(own, points_m, rng),
+            room_yaw_rad=self._room_yaw_rad,
         )
         return SeenObject(evidence, points_m, self._normals[thing.shows], own)
 

@@ -43,6 +43,10 @@ class FitSigmas:
     """Skin that rests on a surface is so near to it."""
     body_m: float = 0.05
     """Bodies are so deep in things by their own error, beside that of the object's distance from them."""
+    square_rad: float = 0.05
+    """Furniture that stands square in its room is so by this (3 degrees)..."""
+    square_looks: float = 2.0
+    """...which counts as so many looks: nine of ten pieces do, and others cost the logarithm of that."""
     base_m: float = 0.005
     """Height of the feet of what stands on the floor."""
     noise_looks: float = 15.0
@@ -77,6 +81,8 @@ class ObjectEvidence:
     """Points where bodies were."""
     others_m: Float[np.ndarray, "others 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Seen points of walls and other things, which are not inside it."""
+    room_yaw_rad: float | None = None
+    """Of the room's walls, modulo a right angle; None where the picture does not tell it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,6 +157,10 @@ class FormProblem:
         loose, firm = [self.point_weight * to_surface / noise_m, before], [missed, outside]
         if len(evidence.rested_m):
             loose.append(self._to_solids_m(values, solids, evidence.rested_m, np.abs) / sigmas.rest_m)
+        if evidence.room_yaw_rad is not None:
+            turn = 4 * (values[:, 2] - evidence.room_yaw_rad)
+            off = np.arctan2(np.sin(turn), np.cos(turn)) / 4 / sigmas.square_rad
+            loose.append(np.sqrt(np.expm1(sigmas.square_looks * np.log1p(off**2)))[:, None])
         if len(evidence.body_m):
             away_m = np.linalg.norm(evidence.body_m - evidence.camera_m, axis=-1)
             noise_m = np.hypot(evidence.distance_sigma * away_m, sigmas.body_m)

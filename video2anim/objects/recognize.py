@@ -15,6 +15,8 @@ from video2anim.objects.furniture import FORMS, Form
 _SCREEN_SAMPLES, _SAMPLES = 3, 7
 """Surface samples along a side of a solid, while forms are compared and at the end."""
 _SCREEN_ROUNDS = 6
+_RAISED = 0.05
+"""How often a box or a cabinet stands on something else than the floor."""
 _KEPT = 4
 """Starts that are followed to the end."""
 
@@ -41,15 +43,22 @@ def recognized(
         base_m = 0.0 if form.stands else lowest_m
         problem = FormProblem(form, evidence, base_m, sigmas, _SCREEN_SAMPLES)
         tried = [problem.fitted(start, _SCREEN_ROUNDS) for start in _starts(form, box, base_m)]
-        prior = log_prior[form.name] + float(np.log(form.share))
+        prior = _prior(form, base_m, log_prior)
         scores = [problem.laplace(*one) + prior for one in tried]
         screened.append((max(scores), form, tried[int(np.argmax(scores))][0]))
     screened.sort(key=lambda one: -one[0])
     found = []
     for _, form, values in screened[:_KEPT]:
-        problem = FormProblem(form, evidence, 0.0 if form.stands else lowest_m, sigmas, _SAMPLES)
-        found.append(problem.result(values, log_prior[form.name] + float(np.log(form.share))))
+        base_m = 0.0 if form.stands else lowest_m
+        problem = FormProblem(form, evidence, base_m, sigmas, _SAMPLES)
+        found.append(problem.result(values, _prior(form, base_m, log_prior)))
     return sorted(found, key=lambda fit: -fit.log_evidence)
+
+
+def _prior(form: Form, base_m: float, log_prior: Mapping[str, float]) -> float:
+    """Logarithm of the probability of a form before it is seen."""
+    raised = _RAISED if base_m > 0 and form.name in ("box", "cabinet") else 1.0
+    return log_prior[form.name] + float(np.log(form.share * raised))
 
 
 def _starts(form: Form, box: UprightBox, base_m: float) -> list[Float[np.ndarray, "values"]]:
