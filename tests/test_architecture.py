@@ -125,11 +125,11 @@ def test_lower_levels_never_import_higher_ones_nor_siblings() -> None:
     assert not wrong
 
 
-def test_scenemi_fitting_and_scene_see_only_the_base() -> None:
+def test_scenemi_fitting_and_objects_see_only_the_base() -> None:
     wrong = [
         f"{relative(path)}:{line} imports {name}"
         for path in sources()
-        if (here := part_of(module_name(path))) in ("scenemi", "video2anim.fitting", "video2anim.scene")
+        if (here := part_of(module_name(path))) in ("scenemi", "video2anim.fitting", "video2anim.objects")
         for name, line, _ in imported(path)
         if (there := part_of(name)) not in (None, here) and LEVELS[there] != 0
     ]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
@@ -9,6 +12,7 @@ from video2anim.geometry.projection import transform_points
 from video2anim.geometry.scene_mesh import with_vertex_colors, world_mesh
 from video2anim.types import Intrinsics, Mesh, PlacedObject, SceneModel
 from video2anim.viewer.raster import Canvas, Light, draw_lines, draw_mesh
+from video2anim.viewer.shadows import contact_shaded
 from video2anim.viewer.viewpoint import Viewpoint
 
 _GRID_RGB = (176, 182, 190)
@@ -30,17 +34,27 @@ def drawable_mesh(placed: PlacedObject) -> Mesh:
     return world_mesh(with_vertex_colors(placed.mesh, placed.textures), placed.T_world_object, placed.scale)
 
 
-def draw_static(canvas: Canvas, viewpoint: Viewpoint, scene: SceneModel, *, background: bool, objects: bool) -> None:
-    """Draw the floor with a metre grid, and on demand the room surface and the objects."""
-    _draw(canvas, viewpoint, scene.floor, np.asarray(scene.floor.vertices_m), light="none")
-    if len(scene.floor.vertices_m):
-        _draw_grid(canvas, viewpoint, np.asarray(scene.floor.vertices_m))
+def draw_static(
+    canvas: Canvas,
+    viewpoint: Viewpoint,
+    scene: SceneModel,
+    *,
+    background: bool,
+    objects: bool,
+    bodies_m: Sequence[Float[np.ndarray, "vertices 3"]] = (),
+) -> None:
+    """Draw the floor with a meter grid, and on demand the room surface and the objects, which shade the floor that they
+    stand on; so do the bodies given, which are not drawn."""
+    placed = [drawable_mesh(one) for one in scene.objects] if objects else []
+    shaded = contact_shaded(scene.floor, [*(mesh.vertices_m for mesh in placed), *bodies_m])
+    floor = replace(scene.floor, vertex_rgb=shaded)
+    _draw(canvas, viewpoint, floor, np.asarray(floor.vertices_m), light="none")
+    if len(floor.vertices_m):
+        _draw_grid(canvas, viewpoint, np.asarray(floor.vertices_m))
     if background:
         _draw(canvas, viewpoint, scene.background, np.asarray(scene.background.vertices_m), light="none", closed=True)
-    if objects:
-        for placed in scene.objects:
-            mesh = drawable_mesh(placed)
-            _draw(canvas, viewpoint, mesh, mesh.vertices_m, light="flat")
+    for mesh in placed:
+        _draw(canvas, viewpoint, mesh, mesh.vertices_m, light="flat")
 
 
 def draw_body(

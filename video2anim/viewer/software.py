@@ -36,10 +36,10 @@ def render_software(
     what stands in the lower left corner."""
     viewpoint = oblique_viewpoint(people, scene, _SUPERSAMPLING * width_px, _SUPERSAMPLING * height_px)
     canvas = Canvas.blank(_SUPERSAMPLING * width_px, _SUPERSAMPLING * height_px)
-    if scene is not None:
-        draw_static(canvas, viewpoint, scene, background=True, objects=True)
     bodies = PosedBodies(people, contacts)
     (meshes,) = bodies.frames(frame, frame + 1)
+    if scene is not None:
+        draw_static(canvas, viewpoint, scene, background=True, objects=True, bodies_m=meshes)
     bodies.draw(canvas, viewpoint, meshes, frame)
     draw_frustum(canvas, viewpoint, people[0].T_world_camera[frame], people[0].intrinsics)
     picture = cv2.resize(canvas.rgb, (width_px, height_px), interpolation=cv2.INTER_AREA)
