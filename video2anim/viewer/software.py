@@ -16,7 +16,8 @@ from video2anim.viewer.raster import Canvas
 from video2anim.viewer.viewpoint import Viewpoint, fit_viewpoint, looking
 
 _ELEVATION_RAD = 0.35
-_TURN_RAD = 0.6
+TURN_RAD = 0.6
+"""Of the usual view against the filming camera's."""
 _SUPERSAMPLING = 2
 _HEADROOM_M = 0.25
 _WHITE = (255, 255, 255)
@@ -31,11 +32,13 @@ def render_software(
     width_px: int,
     height_px: int,
     contacts: Sequence[Contact] = (),
+    turn_rad: float = TURN_RAD,
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Bodies at one frame, objects, floor, room and filming camera, from behind and beside that camera; what touches
     what stands in the lower left corner."""
-    viewpoint = oblique_viewpoint(people, scene, _SUPERSAMPLING * width_px, _SUPERSAMPLING * height_px)
-    canvas = Canvas.blank(_SUPERSAMPLING * width_px, _SUPERSAMPLING * height_px)
+    size_px = _SUPERSAMPLING * width_px, _SUPERSAMPLING * height_px
+    viewpoint = oblique_viewpoint(people, scene, *size_px, turn_rad)
+    canvas = Canvas.blank(*size_px)
     bodies = PosedBodies(people, contacts)
     (meshes,) = bodies.frames(frame, frame + 1)
     if scene is not None:
@@ -61,12 +64,17 @@ def _write(
 
 
 def oblique_viewpoint(
-    people: tuple[BodyMotion, ...], scene: SceneModel | None, width_px: int, height_px: int
+    people: tuple[BodyMotion, ...],
+    scene: SceneModel | None,
+    width_px: int,
+    height_px: int,
+    turn_rad: float = TURN_RAD,
 ) -> Viewpoint:
     """A camera turned and raised from the filming one that sees the whole path and the objects near it."""
     points_m = framed_points(people, scene)
     forward = people[0].T_world_camera[0, :3, 2]
-    turn = np.array([[np.cos(_TURN_RAD), 0, np.sin(_TURN_RAD)], [0, 1, 0], [-np.sin(_TURN_RAD), 0, np.cos(_TURN_RAD)]])
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
     return fit_viewpoint(points_m, looking(turn @ forward, _ELEVATION_RAD), width_px=width_px, height_px=height_px)
 
 
