@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from video2anim.geometry.carving import ObjectView, Voxels
 from video2anim.geometry.projection import pixel_rays
 from video2anim.geometry.upright_box import UprightBox
 from video2anim.types.camera import Intrinsics
@@ -60,14 +59,6 @@ class Shot:
     def mask(self, *numbers: int) -> np.ndarray:
         return np.isin(self.shown, numbers)
 
-    def view(self, own: np.ndarray, hidden: np.ndarray | None = None) -> ObjectView:
-        """The thing of these pixels; `hidden` ones are unknown."""
-        known = self.shown != SKY
-        if hidden is not None:
-            known &= ~hidden
-        floor = self.mask(FLOOR) & ~own
-        return ObjectView(self.depth_m, known, own, floor, self.T_world_camera, LENS)
-
 
 def looking(eye_m: tuple[float, float, float], target_m: tuple[float, float, float]) -> np.ndarray:
     """T_world_camera of a camera without roll."""
@@ -103,12 +94,6 @@ def shoot(blocks: Sequence[Block], T_world_camera: np.ndarray) -> Shot:
         normal = np.where(hit[..., None], side, normal)
     depth_m = np.where(shown == SKY, 0.0, depth_m)
     return Shot(depth_m, shown, eye_m + ray * depth_m[..., None], normal, T_world_camera)
-
-
-def centres_m(voxels: Voxels, box: UprightBox) -> np.ndarray:
-    """Middles of all cubes in the world, of shape (x, y, z, 3)."""
-    index = np.stack(np.meshgrid(*(np.arange(n) for n in voxels.filled.shape), indexing="ij"), -1)
-    return (voxels.origin_m + voxels.spacing_m * (index + 0.5)) @ box.R_world_box.T
 
 
 def yaw_error_rad(box: UprightBox, yaw_rad: float) -> float:

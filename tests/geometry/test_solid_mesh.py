@@ -1,25 +1,19 @@
-"""Closed, colored meshes of cubes and boxes."""
+"""Closed meshes of cubes."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from seen_boxes import LENS, Block, Shot, about_y, looking, shoot
 
-from video2anim.geometry.carving import Voxels
-from video2anim.geometry.solid_mesh import box_surface, mesh_of_voxels, outward, simplified, surface_colors
-from video2anim.geometry.upright_box import UprightBox
+from video2anim.geometry.solid_mesh import Voxels, mesh_of_voxels, outward, simplified
 
 ORIGIN_M = np.array([3.0, 0.5, -7.0])
 SPACING_M = 0.05
-FRONT_RGB, SIDE_RGB, TOP_RGB, ROOM_RGB = (0, 0, 250), (250, 0, 0), (0, 250, 0), (90, 90, 90)
 
 
 def cubes(filled: np.ndarray) -> Voxels:
-    return Voxels(filled, filled, ORIGIN_M, SPACING_M, ())
+    return Voxels(filled, ORIGIN_M, SPACING_M)
 
 
 def shape_of(name: str) -> np.ndarray:
@@ -111,33 +105,8 @@ def test_face_limit_holds_for_tables_with_thin_legs() -> None:
         filled[:, -thick:] = True
         for x in (slice(0, 3), slice(-3, None)):
             filled[x, :, :3] = filled[x, :, -3:] = True
-        counts.append(len(mesh_of_voxels(Voxels(filled, filled, np.zeros(3), 0.03, ()), 4000)[1]))
+        counts.append(len(mesh_of_voxels(Voxels(filled, np.zeros(3), 0.03), 4000)[1]))
     assert max(counts) <= 4000
-
-
-@settings(max_examples=40, deadline=None, derandomize=True)
-@given(size=st.tuples(*[st.floats(0.02, 2.5)] * 3), most=st.integers(12, 5000), seed=st.integers(0, 1000))
-def test_box_surface_is_closed_with_the_exact_volume(size: tuple[float, ...], most: int, seed: int) -> None:
-    low_m = np.random.default_rng(seed).uniform(-5, 5, 3)
-    vertices_m, faces = box_surface(low_m, low_m + np.array(size), most)
-    assert len(faces) <= most
-    mesh = checked(vertices_m, faces)
-    assert mesh.volume == pytest.approx(np.prod(size), rel=1e-6)
-    assert mesh.euler_number == 2
-    np.testing.assert_allclose(mesh.bounds, [low_m, low_m + size], atol=1e-9)
-    assert len(np.unique(faces)) == len(vertices_m), "every vertex belongs to a face"
-    on_side = np.isclose(vertices_m, low_m, atol=1e-9) | np.isclose(vertices_m, low_m + size, atol=1e-9)
-    assert on_side.any(1).all()
-
-
-def test_box_surface_uses_what_it_may() -> None:
-    """Cells are square where the box allows it, and no finer than asked for."""
-    vertices_m, faces = box_surface(np.zeros(3), np.array([1.0, 0.5, 0.03]), 400)
-    assert 300 < len(faces) <= 400
-    assert len(np.unique(np.round(vertices_m[:, 2], 6))) == 2
-    assert np.diff(np.unique(np.round(vertices_m[:, 0], 6))).max() < 0.15
-    _, coarse = box_surface(np.zeros(3), np.array([1.0, 0.5, 0.03]), 4000, finest_m=0.1)
-    assert len(coarse) == 4 * (10 * 5 + 10 * 1 + 5 * 1)
 
 
 def test_simplified_leaves_small_meshes_alone() -> None:
@@ -175,126 +144,3 @@ def test_faces_are_turned_outward(inside_out: bool) -> None:
     faces = np.asarray(box.faces)[:, ::-1] if inside_out else np.asarray(box.faces)
     turned = outward(np.asarray(box.vertices) - 10.0, faces)
     assert trimesh.Trimesh(box.vertices, turned, process=False).volume == pytest.approx(6.0)
-
-
-BLOCK = Block((0.2, 0.4, -3.0), (1.0, 0.8, 0.6), -0.5)
-
-
-def painted(block: Block, others: list[Block] | None = None) -> tuple[Shot, np.ndarray]:
-    """A camera that sees front, top and the right side, and the picture with a color for each."""
-    shot = shoot([block, *(others or [])], looking((0.0, 1.6, 0.0), (0.1, 0.4, -3.0)))
-    own = shot.normal @ block.R_world_block
-    picture = np.full((*shot.shown.shape, 3), ROOM_RGB, np.uint8)
-    for axis, rgb in ((0, SIDE_RGB), (1, TOP_RGB), (2, FRONT_RGB)):
-        picture[shot.mask(0) & (np.abs(own[..., axis]) > 0.9)] = rgb
-    return shot, picture
-
-
-def colors_of(
-    block: Block, mirrored: tuple[str, ...], others: list[Block] | None = None, scale: int = 1
-) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices in axes of the block about its middle, and their colors."""
-    shot, picture = painted(block, others)
-    middle_m, half = np.array(block.middle_m) @ block.R_world_block, 0.5 * np.array(block.size_m)
-    box = UprightBox(block.R_world_block, middle_m - half, middle_m + half, np.ones(3, bool))
-    vertices_m, _ = box_surface(box.low_m, box.high_m, 4000, finest_m=0.05)
-    large = picture.repeat(scale, 0).repeat(scale, 1)
-    view = shot.view(shot.mask(0))
-    return vertices_m - middle_m, surface_colors(
-        vertices_m @ box.R_world_box.T, large, view, box, mirrored, tolerance_m=0.05
-    )
-
-
-def face(vertices_m: np.ndarray, axis: int, side: int) -> np.ndarray:
-    """Vertices on one side of the block, off its edges."""
-    half = 0.5 * np.array(BLOCK.size_m)
-    rest = [k for k in range(3) if k != axis]
-    on = np.isclose(vertices_m[:, axis], side * half[axis], atol=1e-6)
-    return on & (np.abs(vertices_m[:, rest]) < half[rest] - 0.06).all(1)
-
-
-def share(rgb: np.ndarray, wanted: tuple[int, int, int]) -> float:
-    assert len(rgb) > 10
-    return float((rgb == wanted).all(1).mean())
-
-
-def seen_side() -> int:
-    """Which of the two sides along the block's x the camera sees."""
-    shot, _ = painted(BLOCK)
-    side = (shot.normal @ BLOCK.R_world_block)[shot.mask(0)][:, 0]
-    assert (side > 0.9).any() != (side < -0.9).any()
-    return 1 if (side > 0.9).any() else -1
-
-
-@pytest.mark.parametrize("scale", [1, 3])
-def test_seen_vertices_have_the_colors_of_the_picture_at_any_size(scale: int) -> None:
-    vertices_m, rgb = colors_of(BLOCK, (), scale=scale)
-    assert rgb.dtype == np.uint8
-    assert share(rgb[face(vertices_m, 0, seen_side())], SIDE_RGB) == 1
-    assert share(rgb[face(vertices_m, 1, 1)], TOP_RGB) == 1
-    assert share(rgb[face(vertices_m, 2, 1)], FRONT_RGB) == 1
-    assert share(rgb, ROOM_RGB) < 0.05, "only the outline may mix with the room"
-
-
-def test_hidden_vertices_have_the_colors_of_their_mirror_image() -> None:
-    hidden = -seen_side()
-    vertices_m, rgb = colors_of(BLOCK, ("x", "z"))
-    assert share(rgb[face(vertices_m, 0, hidden)], SIDE_RGB) > 0.95
-    assert share(rgb[face(vertices_m, 2, -1)], FRONT_RGB) > 0.95
-
-
-def test_without_symmetry_hidden_vertices_have_the_nearest_color() -> None:
-    """The hidden side is nearest to the front and the top; no color of the other side comes there."""
-    vertices_m, rgb = colors_of(BLOCK, ())
-    left = rgb[face(vertices_m, 0, -seen_side())]
-    assert share(left, SIDE_RGB) == 0
-    assert share(left, FRONT_RGB) + share(left, TOP_RGB) > 0.9
-    _, only_x = colors_of(BLOCK, ("x",))
-    assert share(only_x[face(vertices_m, 0, -seen_side())], SIDE_RGB) > 0.95
-
-
-def test_what_stands_before_the_thing_does_not_color_it() -> None:
-    """A post hides the middle of the front: vertices there have the color of the front beside it."""
-    post = Block((0.1, 0.5, -2.2), (0.08, 1.0, 0.08))
-    vertices_m, rgb = colors_of(BLOCK, (), [post])
-    shot, _ = painted(BLOCK, [post])
-    assert shot.mask(1).sum() > 500
-    assert share(rgb[face(vertices_m, 2, 1)], FRONT_RGB) > 0.97
-
-
-def test_vertices_far_behind_the_seen_surface_are_not_seen() -> None:
-    """A vertex 0.3 m behind the front, just under the top: it has the color of the top, not of its own pixel."""
-    shot, picture = painted(BLOCK)
-    own_normal = shot.normal @ BLOCK.R_world_block
-    on_top = shot.world_m[shot.mask(0) & (own_normal[..., 1] > 0.9)]
-    on_front = shot.world_m[shot.mask(0) & (own_normal[..., 2] > 0.9)]
-    highest_m = on_front[on_front[:, 1].argmax()]
-    ray = highest_m - shot.T_world_camera[:3, 3]
-    behind_m = highest_m + 0.3 * ray / np.linalg.norm(ray)
-    box = UprightBox(np.eye(3), np.zeros(3), np.ones(3), np.ones(3, bool))
-    vertices_m = np.concatenate([on_top, highest_m[None], behind_m[None]])
-    for tolerance_m, expected in ((0.05, TOP_RGB), (0.5, FRONT_RGB)):
-        rgb = surface_colors(vertices_m, picture, shot.view(shot.mask(0)), box, (), tolerance_m)
-        np.testing.assert_array_equal(rgb[-2], FRONT_RGB)
-        np.testing.assert_array_equal(rgb[-1], expected)
-
-
-def test_nothing_seen_is_gray() -> None:
-    shot, picture = painted(BLOCK)
-    box = UprightBox(about_y(0.0), np.zeros(3), np.ones(3), np.ones(3, bool))
-    behind_camera = np.array([[0.0, 1.0, 5.0], [0.3, 0.2, 4.0]])
-    rgb = surface_colors(behind_camera, picture, shot.view(shot.mask(0)), box, ("x",), 0.05)
-    np.testing.assert_array_equal(rgb, np.full((2, 3), 127, np.uint8))
-
-
-def test_pixels_of_a_larger_picture_are_found_by_their_middles() -> None:
-    """Pixel u of the depth map covers pixels 3u to 3u + 2 of the picture: its middle is 3u + 1."""
-    shot, _ = painted(BLOCK)
-    picture = np.zeros((3 * LENS.height_px, 3 * LENS.width_px, 3), np.uint8)
-    picture[..., 0] = np.arange(3 * LENS.width_px) % 251
-    picture[..., 1] = (np.arange(3 * LENS.height_px) % 251)[:, None]
-    rows, columns = np.nonzero(shot.mask(0))
-    box = UprightBox(np.eye(3), np.zeros(3), np.ones(3), np.ones(3, bool))
-    rgb = surface_colors(shot.world_m[rows, columns], picture, shot.view(shot.mask(0)), box, (), 0.05)
-    np.testing.assert_array_equal(rgb[:, 0], (3 * columns + 1) % 251)
-    np.testing.assert_array_equal(rgb[:, 1], (3 * rows + 1) % 251)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
 from seen_boxes import FLOOR, LENS, Block, Shot, looking, shoot, table
 
-from video2anim.geometry.object_solid import SolidLimits, object_solid
 from video2anim.geometry.thing_pixels import inverse_background, thing_pixels
 
 CAMERA = looking((0.0, 1.6, 0.0), (0.0, 0.6, -3.0))
@@ -61,20 +58,6 @@ def test_between_the_legs_of_a_table_there_is_no_table(away_m: float) -> None:
     assert not found[~own].any()
     assert found[true].mean() > 0.85
     assert found[own & ~true].mean() < 0.1
-
-
-def test_solid_of_a_bad_mask_is_as_deep_as_the_thing() -> None:
-    blocks = [*table(1.0, 0.75, 0.6, (0.2, -2.6), 0.4), WALL]
-    shot = shoot(blocks, CAMERA)
-    own = blob(shot.mask(0, 1, 2, 3, 4))
-    view = shot.view(own)
-    loose = object_solid(own, ~ALL, view, SolidLimits())
-    tight = object_solid(own, ~ALL, replace(view, shows=shown(shot, own)), SolidLimits())
-    assert loose is not None
-    assert tight is not None
-    loose_m, tight_m = (np.sort(found.box.size_m[[0, 2]]) for found in (loose, tight))
-    assert loose_m[1] > 1.4
-    assert tight_m == pytest.approx([0.6, 1.0], abs=0.15)
 
 
 def test_mask_over_the_outline_of_a_cabinet_takes_nothing_of_the_wall() -> None:

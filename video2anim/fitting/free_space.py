@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool
 
 from video2anim.body.anny_body import ShapedBody
 from video2anim.body.skeleton import JOINT_INDEX
@@ -15,8 +15,6 @@ from video2anim.types.motion import BodyMotion
 
 _MAY_BE_INSIDE = ("left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist")
 """Parts that touch things and whose place is least certain."""
-_SOLE_M = 0.03
-"""Skin of a foot no higher than this above its lowest is its sole."""
 
 
 def passed_through(
@@ -35,28 +33,6 @@ def passed_through(
         return inside
     depth_m = -solid.sample(posed_vertices(motion, body, index, frames))
     inside[frames] = (depth_m > deep_m).mean(1) > share
-    return inside
-
-
-def _standing_feet(
-    motion: BodyMotion, body: ShapedBody
-) -> Iterator[tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some chosen 3"]]]:
-    """Frames in which a foot is in contact, and its skin there, in the world; for each side that ever is."""
-    for side in ("left", "right"):
-        parts = [JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"]]
-        frames = np.flatnonzero(motion.valid & (motion.contact[:, parts].max(1) > 0.5))
-        if len(frames):
-            index = np.flatnonzero(np.isin(body.vertex_part, parts))[::4]
-            yield frames, posed_vertices(motion, body, index, frames)
-
-
-def stood_inside(solid: SdfGrid, motion: BodyMotion, body: ShapedBody, *, deep_m: float) -> Bool[np.ndarray, "frames"]:
-    """Frames in which a foot in contact has most of its lower skin deeper in a solid than `deep_m`."""
-    inside = np.zeros(motion.frame_count, dtype=bool)
-    for frames, foot_m in _standing_feet(motion, body):
-        sole = foot_m[..., 1] < foot_m[..., 1].min(1, keepdims=True) + _SOLE_M
-        deep = (-solid.sample(foot_m) > deep_m) & sole
-        inside[frames] |= deep.sum(1) > 0.5 * sole.sum(1)
     return inside
 
 
