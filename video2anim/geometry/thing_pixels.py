@@ -90,7 +90,7 @@ def thing_pixels(
     sight_m = world_m - camera_m
     distance_m = np.linalg.norm(sight_m, axis=-1)
     top_m = max(float(np.percentile(world_m[seen][:, 1], 95)), 0.05)
-    kept = seen & (world_m[..., 1] >= np.minimum(_FLOOR_M + _FLOOR_SHARE * distance_m, _LOWEST_SHARE * top_m))
+    kept = seen & (world_m[..., 1] >= np.minimum(floor_band_m(distance_m), _LOWEST_SHARE * top_m))
     if inverse_background_m is not None and kept.sum() >= _LEAST_PIXELS:
         share = depth_m * inverse_background_m
         front = float(np.percentile(share[kept], 25))
@@ -99,6 +99,11 @@ def thing_pixels(
     facing = np.abs((_gentler_normals(world_m) * sight_m).sum(-1))
     kept &= facing > _GRAZING * distance_m
     return kept if kept.sum() >= max(_LEAST_PIXELS, _LEAST_SHARE * seen.sum()) else seen
+
+
+def floor_band_m(distance_m: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Height below which depth does not tell a thing from the floor."""
+    return _FLOOR_M + _FLOOR_SHARE * distance_m
 
 
 def surface_normals(world_m: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:

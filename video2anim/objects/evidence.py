@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from video2anim.geometry.lifted_thing import LiftedThing, ThingLifter
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid
-from video2anim.geometry.thing_pixels import surface_normals
+from video2anim.geometry.thing_pixels import floor_band_m, surface_normals
 from video2anim.geometry.upright_box import UprightBox, fit_upright_box, turned_to
 from video2anim.objects.form_fit import ObjectEvidence
 from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
@@ -53,8 +53,13 @@ class SeenObject:
     """Its visible pixels."""
 
     def box(self) -> UprightBox:
-        """The box around them, +z of its frame on the side that faces the camera."""
-        return turned_to(fit_upright_box(self.points_m, self.normals), self.evidence.camera_m)
+        """The box around them, down to the floor if it stands there; +z of its frame faces the camera."""
+        box = turned_to(fit_upright_box(self.points_m, self.normals), self.evidence.camera_m)
+        if self.evidence.raised:
+            return box
+        # The lowest of its pixels are left to the floor, or hidden.
+        low_m = box.low_m * np.array([1.0, 0.0, 1.0])
+        return box.with_bounds(low_m, np.maximum(box.high_m, low_m))
 
 
 class ObjectViews:
@@ -131,9 +136,18 @@ class ObjectViews:
         """Distance of pixels from where the object may be."""
         allowed = shrunk(found.amodal_mask, thing.own.shape) | thing.own
         # Between a mask's pixels, what is seen to be background does not belong to the object.
-        allowed &= ~(thing.own & self._lifter.known & ~thing.shows)
+        allowed &= ~(thing.own & self._lifter.known & ~thing.shows) | self._foot(thing)
         closed = cv2.morphologyEx((allowed | hidden).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
         return cv2.distanceTransform(1 - closed, cv2.DIST_L2, 5).astype(np.float64)
+
+    def _foot(self, thing: LiftedThing) -> Bool[np.ndarray, "height width"]:
+        """What is too low to be told from the floor by depth, right below what shows the object."""
+        distance_m = np.linalg.norm(self._world_m - self._lifter.T_world_camera[:3, 3], axis=-1)
+        low = self._world_m[..., 1] < floor_band_m(distance_m)
+        away_m = np.median(distance_m[thing.shows])
+        down_px = int(np.ceil(floor_band_m(away_m) / away_m * self._lifter.lens.fy_px))
+        below = cv2.dilate(thing.shows.astype(np.uint8), np.ones((down_px + 1, 1), np.uint8), anchor=(0, down_px))
+        return thing.own & low & (below > 0)
 
     def _nearer(self, object_id: int) -> Bool[np.ndarray, "height width"]:
         """Pixels of objects that are nearer to the camera."""
