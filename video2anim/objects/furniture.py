@@ -101,7 +101,7 @@ def _soft_seat(s: Sizes):
     ]
     for side in (-1, 1):
         x = side * 0.5 * (w + arm)
-        rows.append(("arm", [x, 0.5 * (h + rise) + 0.03, -0.0], [arm, h + rise - 0.06, d]))
+        rows.append(("arm", [x, 0.5 * (h + rise), 0], [arm, h + rise, d]))
     return _solids(rows, len(s))
 
 
