@@ -64,7 +64,7 @@ def run_chain(room: Room) -> Chain:
     """All seven stages with default configuration."""
     ctx = StageContext(Path())
     depth = depth_of(room, ctx)
-    masks = masks_of(room, depth, SegmentConfig(provider="geometric"), ctx)
+    masks = masks_of(room, depth, SegmentConfig(provider="geometric", finder="none"), ctx)
     metric = fit_metric(room.clip, depth, room.plate, room.bodies, masks, room.camera, MetricConfig(), ctx)
     completed = complete_objects(room.plate, masks, metric, CompleteConfig(), ctx)
     meshes = reconstruct_objects(completed, masks, metric, room.plate, ReconstructConfig(), ctx)

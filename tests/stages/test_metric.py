@@ -27,7 +27,7 @@ def metric_of(
 ) -> MetricDepth:
     """Stages segment (unless there are masks) and metric."""
     ctx = ctx or StageContext(Path())
-    masks = masks or masks_of(room, depth, SegmentConfig(provider="geometric"), ctx)
+    masks = masks or masks_of(room, depth, SegmentConfig(provider="geometric", finder="none"), ctx)
     return fit_metric(room.clip, depth, room.plate, room.bodies, masks, room.camera, MetricConfig(), ctx)
 
 
@@ -103,12 +103,13 @@ def test_nobody_in_any_frame_is_an_error() -> None:
     room = make_room()
     depth = depth_of(room, StageContext(Path()))
     body = room.bodies.people[0]
+    config = SegmentConfig(provider="geometric", finder="none")
     unseen = BodyTracks((replace(body, valid=np.zeros_like(body.valid)),), room.bodies.quality)
     for bodies in (BodyTracks(()), unseen):
         with pytest.raises(StageError, match="at least one valid frame"):
             metric_of(replace(room, bodies=bodies), depth, masks=InstanceMasks("none", (), room.surface_full == FLOOR))
         with pytest.raises(StageError, match="at least one valid frame"):
-            masks_of(replace(room, bodies=bodies), depth, SegmentConfig(provider="geometric"), StageContext(Path()))
+            masks_of(replace(room, bodies=bodies), depth, config, StageContext(Path()))
 
 
 def test_evidence_that_contradicts_the_rest_is_named() -> None:

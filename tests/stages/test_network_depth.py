@@ -98,7 +98,7 @@ def _stages(
 ) -> tuple[InstanceMasks, MetricDepth]:
     """Segment and metric."""
     depth = depth or _depth(room, ctx)
-    segment = SegmentConfig(provider="floor")
+    segment = SegmentConfig(provider="floor", finder="none")
     masks = segment_plate(room.clip, room.plate, depth, room.bodies, room.camera, segment, ctx)
     metric = fit_metric(room.clip, depth, room.plate, room.bodies, masks, room.camera, config or MetricConfig(), ctx)
     return masks, metric
