@@ -70,7 +70,7 @@ def _colors(
     picture: ObjectPicture,
 ) -> UInt8[np.ndarray, "points 3"]:
     """Those of the picture where the camera sees a point; elsewhere of the nearest seen place that looks the same way,
-    in the object or in its mirror image."""
+    in the object or in its mirror images."""
     T_object_camera = invert_rigid(T_world_object) @ picture.T_world_camera
     camera_m = transform_points(invert_rigid(T_object_camera), points_m)
     ahead = camera_m[:, 2] > 0.05
@@ -88,11 +88,12 @@ def _colors(
         some = picture.rgb[picture.own]
         return np.tile(np.median(some, axis=0).astype(np.uint8) if len(some) else np.uint8(_GRAY), (len(rgb), 1))
     place = np.concatenate([points_m, _SIDE_M * normals], 1)
-    source = np.flatnonzero(seen)
-    source = source[:: max(1, len(source) // _SOURCES)]
-    mirrored = place[source] * np.array([-1.0, 1, 1, -1, 1, 1])
-    _, nearest = KDTree(np.concatenate([place[source], mirrored])).query(place[~seen])
-    rgb[~seen] = rgb[np.concatenate([source, source])[nearest]]
+    some = np.flatnonzero(seen)
+    some = some[:: max(1, len(some) // _SOURCES)]
+    # Left to right, front to rear, and both.
+    images = [place[some] * np.tile([x, 1.0, z], 2) for x in (1.0, -1.0) for z in (1.0, -1.0)]
+    _, nearest = KDTree(np.concatenate(images)).query(place[~seen])
+    rgb[~seen] = rgb[np.tile(some, len(images))[nearest]]
     return rgb
 
 
