@@ -17,6 +17,8 @@ from video2anim.objects.solids import Solids
 Sizes = Float[np.ndarray, "batch sizes"]
 _Rows = list[tuple[str, list, list]]
 """Name, center (x, y, z) and full size (x, y, z) of every solid; numbers or arrays over the batch."""
+_Built = tuple[tuple[str, ...], Solids]
+"""Names of the parts, and the solids."""
 
 LEG_M = 0.045
 """Thickness of a leg."""
@@ -46,7 +48,7 @@ class Form:
     """Class of thing, such as `chair`; several forms may share one."""
     sizes: tuple[Size, ...]
     """`width` is along x, `depth` along z, `height` that of the whole."""
-    build: Callable[[Sizes], tuple[tuple[str, ...], Solids]]
+    build: Callable[[Sizes], _Built]
     """Solids of a batch of sizes (m), and the names of the parts."""
     variant: str = ""
     turns: int = 4
@@ -67,7 +69,7 @@ class Form:
 
 def _solids(
     rows: _Rows, batch: int, *, tilted: tuple[str, ...] = (), tilt_rad: float = 0.0, round_: tuple[str, ...] = ()
-) -> tuple[tuple[str, ...], Solids]:
+) -> _Built:
     names = tuple(name for name, _, _ in rows)
     shape = (batch, len(rows), 3)
     center, half = np.empty(shape), np.empty(shape)
@@ -78,12 +80,12 @@ def _solids(
     return names, Solids(center, np.maximum(half, 1e-3), tilt, np.array([name in round_ for name in names]))
 
 
-def _legs(w, d, top, z0=0.0) -> _Rows:
+def _legs(w: np.ndarray, d: np.ndarray, top: np.ndarray) -> _Rows:
     x, z = 0.5 * w - 0.6 * LEG_M, 0.5 * d - 0.6 * LEG_M
-    return [("leg", [sx * x, 0.5 * top, z0 + sz * z], [LEG_M, top, LEG_M]) for sx in (-1, 1) for sz in (-1, 1)]
+    return [("leg", [sx * x, 0.5 * top, sz * z], [LEG_M, top, LEG_M]) for sx in (-1, 1) for sz in (-1, 1)]
 
 
-def _chair(s: Sizes):
+def _chair(s: Sizes) -> _Built:
     w, d, h, back = s.T
     thick = 0.045
     rows = [("seat", [0, h - 0.5 * thick, 0], [w, thick, d])]
@@ -92,7 +94,7 @@ def _chair(s: Sizes):
     return _solids(rows + _legs(w, d, h - thick), len(s), tilted=("back",), tilt_rad=_TILT_RAD)
 
 
-def _soft_seat(s: Sizes):
+def _soft_seat(s: Sizes) -> _Built:
     w, d, h, back, arm, rise = s.T
     rear = _SOFT_BACK_M
     rows = [
@@ -105,19 +107,19 @@ def _soft_seat(s: Sizes):
     return _solids(rows, len(s))
 
 
-def _stool(s: Sizes):
+def _stool(s: Sizes) -> _Built:
     w, d, h = s.T
     thick = 0.05
     return _solids([("seat", [0, h - 0.5 * thick, 0], [w, thick, d]), *_legs(0.9 * w, 0.9 * d, h - thick)], len(s))
 
 
-def _table(s: Sizes):
+def _table(s: Sizes) -> _Built:
     w, d, h = s.T
     top = ("top", [0, h - 0.5 * _BOARD_M, 0], [w, _BOARD_M, d])
     return _solids([top, *_legs(w - 0.06, d - 0.06, h - _BOARD_M)], len(s))
 
 
-def _panel_table(s: Sizes):
+def _panel_table(s: Sizes) -> _Built:
     w, d, h = s.T
     top = h - _BOARD_M
     rows = [("top", [0, h - 0.5 * _BOARD_M, 0], [w, _BOARD_M, d])]
@@ -125,8 +127,8 @@ def _panel_table(s: Sizes):
     return _solids(rows, len(s))
 
 
-def _desk(side: int) -> Callable[[Sizes], tuple[tuple[str, ...], Solids]]:
-    def build(s: Sizes):
+def _desk(side: int) -> Callable[[Sizes], _Built]:
+    def build(s: Sizes) -> _Built:
         w, d, h = s.T
         names, table = _table(s)
         top = h - _BOARD_M
@@ -141,7 +143,7 @@ def _desk(side: int) -> Callable[[Sizes], tuple[tuple[str, ...], Solids]]:
     return build
 
 
-def _round_table(s: Sizes):
+def _round_table(s: Sizes) -> _Built:
     across, h, foot = s.T
     top = h - 0.03
     rows = [
@@ -152,13 +154,13 @@ def _round_table(s: Sizes):
     return _solids(rows, len(s), round_=("top", "leg", "base"))
 
 
-def _round_table_on_legs(s: Sizes):
+def _round_table_on_legs(s: Sizes) -> _Built:
     across, h = s.T
     rows = [("top", [0, h - 0.015, 0], [across, 0.03, across]), *_legs(0.62 * across, 0.62 * across, h - 0.03)]
     return _solids(rows, len(s), round_=("top",))
 
 
-def _swivel_chair(s: Sizes):
+def _swivel_chair(s: Sizes) -> _Built:
     w, d, h, back = s.T
     rows = [
         ("seat", [0, h - 0.035, 0], [w, 0.07, d]),
@@ -169,7 +171,7 @@ def _swivel_chair(s: Sizes):
     return _solids(rows, len(s), tilted=("back",), tilt_rad=_TILT_RAD, round_=("leg", "base"))
 
 
-def _kitchen(s: Sizes):
+def _kitchen(s: Sizes) -> _Built:
     w, d, h, gap, upper, shallow = s.T
     rows = [
         ("body", [0, 0.5 * h, 0], [w, h, d]),
@@ -178,7 +180,7 @@ def _kitchen(s: Sizes):
     return _solids(rows, len(s))
 
 
-def _bed(s: Sizes):
+def _bed(s: Sizes) -> _Built:
     w, length, h, head = s.T
     rows = [
         ("bed", [0, 0.5 * h + 0.04, 0], [w, h - 0.08, length]),
@@ -187,8 +189,8 @@ def _bed(s: Sizes):
     return _solids(rows, len(s))
 
 
-def _shelf(boards: int) -> Callable[[Sizes], tuple[tuple[str, ...], Solids]]:
-    def build(s: Sizes):
+def _shelf(boards: int) -> Callable[[Sizes], _Built]:
+    def build(s: Sizes) -> _Built:
         w, d, h = s.T
         rows: _Rows = [("side", [side * (0.5 * w - 0.011), 0.5 * h, 0], [0.022, h, d]) for side in (-1, 1)]
         rows.append(("back", [0, 0.5 * h, -0.5 * d + 0.005], [w, h, 0.01]))
@@ -202,12 +204,12 @@ def _shelf(boards: int) -> Callable[[Sizes], tuple[tuple[str, ...], Solids]]:
     return build
 
 
-def _box(s: Sizes):
+def _box(s: Sizes) -> _Built:
     w, d, h = s.T
     return _solids([("body", [0, 0.5 * h, 0], [w, h, d])], len(s))
 
 
-def _board(s: Sizes):
+def _board(s: Sizes) -> _Built:
     w, d, h, lower = s.T
     tall = h - lower
     rows = [("board", [0, lower + 0.5 * tall, 0], [w, tall, d])]
@@ -215,7 +217,7 @@ def _board(s: Sizes):
     return _solids(rows, len(s))
 
 
-def _lamp(s: Sizes):
+def _lamp(s: Sizes) -> _Built:
     shade, tall, h, foot = s.T
     rows = [
         ("base", [0, 0.015, 0], [foot, 0.03, foot]),
@@ -225,7 +227,7 @@ def _lamp(s: Sizes):
     return _solids(rows, len(s), round_=("base", "pole", "shade"))
 
 
-def _plant(s: Sizes):
+def _plant(s: Sizes) -> _Built:
     leaves, pot_h, h, pot = s.T
     rows = [
         ("pot", [0, 0.5 * pot_h, 0], [pot, pot_h, pot]),
@@ -234,7 +236,7 @@ def _plant(s: Sizes):
     return _solids(rows, len(s), round_=("pot", "leaves"))
 
 
-def _steps(s: Sizes):
+def _steps(s: Sizes) -> _Built:
     w, d, h = s.T
     rows = [
         ("tread", [0, 0.25 * h, 0.25 * d], [w, 0.5 * h, 0.5 * d]),
@@ -243,7 +245,7 @@ def _steps(s: Sizes):
     return _solids(rows, len(s))
 
 
-def _drum(s: Sizes):
+def _drum(s: Sizes) -> _Built:
     across, h = s.T
     return _solids([("body", [0, 0.5 * h, 0], [across, h, across])], len(s), round_=("body",))
 
