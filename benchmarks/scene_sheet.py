@@ -45,7 +45,8 @@ def row(folder: Path, at: float, turns: tuple[float, ...]) -> list[np.ndarray]:
     people = result.motions()["refined"]
     valid = np.flatnonzero(people[0].valid)
     frame = int(valid[int(at * (len(valid) - 1))])
-    views = [render_software(people, result.scene, frame, *SIZE_PX, contacts=result.record.contacts, turn_rad=t) for t in turns]
+    touches = result.record.contacts
+    views = [render_software(people, result.scene, frame, *SIZE_PX, contacts=touches, turn_rad=turn) for turn in turns]
     return [fitted(input_frame(result, frame)), *views]
 
 

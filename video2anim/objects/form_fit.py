@@ -8,8 +8,8 @@ between object and depth are those of the paper, 8.1.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +23,10 @@ POSE = ("x", "z", "yaw", "base", "distance", "stretch")
 of its depth, and of how depth spreads within it."""
 THIN = ("leg", "pole")
 """Parts that masks lose."""
+LEANED_ON = ("back", "headboard")
+"""Parts that bodies meet from the front; on others they rest from above."""
+_BEHIND_M = 0.3
+"""Deeper than skin is behind a front by error."""
 _ROUNDS = 25
 _STEP = np.array([2e-3, 2e-3, 4e-3, 2e-3, 2e-3, 1e-2])
 _SIZE_STEP = 4e-3
@@ -156,7 +160,8 @@ class FormProblem:
         outside, before = self._intrusion(values, solids)
         loose, firm = [self.point_weight * to_surface / noise_m, before], [missed, outside]
         if len(evidence.rested_m):
-            loose.append(self._to_solids_m(values, solids, evidence.rested_m, np.abs) / sigmas.rest_m)
+            carrying = _carrying(self.part_names, solids)
+            loose.append(self._to_solids_m(values, carrying, evidence.rested_m, np.abs) / sigmas.rest_m)
         if evidence.room_yaw_rad is not None:
             turn = 4 * (values[:, 2] - evidence.room_yaw_rad)
             off = np.arctan2(np.sin(turn), np.cos(turn)) / 4 / sigmas.square_rad
@@ -277,6 +282,18 @@ class FormProblem:
         # All deviations of an object share a factor that is not known: integrated over, the misfit counts like that.
         fit = -known * float(np.log1p(misfit / known)) - unusual
         return fit - float(np.log(self.form.spread).sum()) - 0.5 * float(determinant)
+
+
+def _carrying(names: Sequence[str], solids: Solids) -> Solids:
+    """The solids as what rests on them meets them: by their tops and fronts, so they go on below and behind."""
+    center_m, half_m = solids.center_m.copy(), solids.half_m.copy()
+    leaning = np.isin(names, LEANED_ON)
+    top_m = (center_m + half_m)[..., 1]
+    center_m[..., 1] = half_m[..., 1] = 0.5 * top_m
+    away = np.stack([np.zeros_like(top_m), np.sin(solids.tilt_rad), np.cos(solids.tilt_rad)], -1)
+    center_m[:, leaning] = (solids.center_m - 0.5 * _BEHIND_M * away)[:, leaning]
+    half_m[:, leaning] = solids.half_m[:, leaning] + [0.0, 0.0, 0.5 * _BEHIND_M]
+    return replace(solids, center_m=center_m, half_m=half_m)
 
 
 def _depth_inside(distance_m: np.ndarray) -> np.ndarray:

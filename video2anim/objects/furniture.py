@@ -123,7 +123,7 @@ def _panel_table(s: Sizes) -> _Built:
     w, d, h = s.T
     top = h - _BOARD_M
     rows = [("top", [0, h - 0.5 * _BOARD_M, 0], [w, _BOARD_M, d])]
-    rows += [("leg", [side * (0.5 * w - 0.06), 0.5 * top, 0], [_BOARD_M, top, d - 0.08]) for side in (-1, 1)]
+    rows += [("side", [side * (0.5 * w - 0.06), 0.5 * top, 0], [_BOARD_M, top, d - 0.08]) for side in (-1, 1)]
     return _solids(rows, len(s))
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -59,21 +58,26 @@ class Solids:
     ) -> Float[np.ndarray, "batch rays"]:
         """About how far each ray passes the nearest solid; 0 for rays that hit one.
 
-        The point looked at is the middle between entering and leaving the slabs of a box, which is inside the box if
-        and only if the ray hits it.
+        The point looked at is the middle between entering and leaving, which is inside if and only if the ray hits. Of
+        a ray along a side both may be far away; no point of the solid is farther along the ray than its extent.
         """
         start, along = self._from_center(origin_m[:, None]), self._own(ray)
-        enter, leave = self._slabs(start, along)
-        middle = 0.5 * (enter + leave)
+        enter, leave = self._spans(start, along)
+        square = sum(part**2 for part in along)
+        beside = -sum(a * b for a, b in zip(start, along, strict=True)) / square
+        half = self.half_m[:, :, :, None]
+        deep = np.where(self.round[:, None], half[:, :, 0], half[:, :, 2])
+        across = np.abs(along[0]) * half[:, :, 0] + np.abs(along[2]) * deep
+        extent = (across + np.abs(along[1]) * half[:, :, 1]) / square
+        middle = np.clip(0.5 * (enter + leave), beside - extent, beside + extent)
         x, y, z = (a + middle * b for a, b in zip(start, along, strict=True))
         return np.maximum(self._signed((x, y, z)), 0).min(1)
 
     def first_hit(
         self, origin_m: Float[np.ndarray, "batch 3"], ray: Float[np.ndarray, "batch rays 3"]
     ) -> Float[np.ndarray, "batch rays"]:
-        """Where along each ray (in its lengths) it enters a solid; infinite where it hits none. Cylinders count as the
-        square boxes around them."""
-        enter, leave = self._slabs(self._from_center(origin_m[:, None]), self._own(ray))
+        """Where along each ray (in its lengths) it enters a solid; infinite where it hits none."""
+        enter, leave = self._spans(self._from_center(origin_m[:, None]), self._own(ray))
         return np.where((enter <= leave) & (enter > 0), enter, np.inf).min(1)
 
     def _signed(self, own: _Axes) -> np.ndarray:
@@ -88,17 +92,28 @@ class Solids:
         disk = np.sqrt(np.maximum(aside, 0) ** 2 + np.maximum(y, 0) ** 2) + np.minimum(np.maximum(aside, y), 0)
         return np.where(self.round[None, :, None], disk, box)
 
-    def _slabs(self, start: _Axes, along: _Axes) -> tuple[np.ndarray, np.ndarray]:
-        """Where rays are between all three pairs of a box's sides; of a cylinder those of the square around it."""
-        enter: Any = -np.inf
-        leave: Any = np.inf
+    def _spans(self, start: _Axes, along: _Axes) -> tuple[np.ndarray, np.ndarray]:
+        """Where rays enter and leave: a box is between its three pairs of sides, a cylinder between its ends and within
+        its circle. They leave before they enter what they miss."""
+        half = self.half_m[:, :, :, None]
+        low, high = [], []
         for axis in range(3):
-            of = np.where(self.round, 0, axis) if axis == 2 else np.full(len(self.round), axis)
-            half = np.take_along_axis(self.half_m, of[None, :, None], 2)
-            steep = np.where(np.abs(along[axis]) < _FLAT, _FLAT, along[axis])
-            first, second = (-half - start[axis]) / steep, (half - start[axis]) / steep
-            enter, leave = np.maximum(enter, np.minimum(first, second)), np.minimum(leave, np.maximum(first, second))
-        return enter, leave
+            steep = np.where(np.abs(along[axis]) < _FLAT, np.where(along[axis] < 0, -_FLAT, _FLAT), along[axis])
+            first, second = (-half[:, :, axis] - start[axis]) / steep, (half[:, :, axis] - start[axis]) / steep
+            low.append(np.minimum(first, second))
+            high.append(np.maximum(first, second))
+        enter = np.maximum(np.maximum(low[0], low[1]), low[2])
+        leave = np.minimum(np.minimum(high[0], high[1]), high[2])
+        if not self.round.any():
+            return enter, leave
+        square = np.maximum(along[0] ** 2 + along[2] ** 2, _FLAT**2)
+        nearest = -(start[0] * along[0] + start[2] * along[2]) / square
+        apart = (start[0] + nearest * along[0]) ** 2 + (start[2] + nearest * along[2]) ** 2
+        inner = half[:, :, 0] ** 2 - apart
+        reach = np.sign(inner) * np.sqrt(np.abs(inner) / square)
+        round_ = self.round[None, :, None]
+        enter = np.where(round_, np.maximum(nearest - reach, low[1]), enter)
+        return enter, np.where(round_, np.minimum(nearest + reach, high[1]), leave)
 
     def surface_points_m(self, per_side: int) -> Float[np.ndarray, "batch points 3"]:
         """The same lattice of points on the sides of every solid, per_side^2 on each side."""
