@@ -92,8 +92,6 @@ _SYNONYMS = {
     "ottoman": "stool", "bench": "stool", "stairs": "steps", "step": "steps", "swivel chair": "chair",
 }  # fmt: skip
 """Words of segmentation networks for classes of forms."""
-_MISNAMED = 1e-4
-"""How often a network that names a thing names it wrongly, for each other class."""
 _BROAD = {
     "chair": {"armchair": 0.3, "stool": 0.1, "sofa": 0.05}, "table": {"desk": 0.5}, "desk": {"table": 0.5},
     "box": {"cabinet": 0.5, "stool": 0.2},
@@ -102,13 +100,12 @@ _BROAD = {
 
 
 def log_prior(label: str) -> dict[str, float]:
-    """Logarithm of the probability of every class of form, by what a network called the object.
+    """Logarithm of the probability of the classes of forms that a network's name for an object may mean.
 
-    Names that no form has say nothing.
+    Names that no form has say nothing: all classes are then as likely.
     """
     classes = sorted({form.name for form in FORMS})
     name = _SYNONYMS.get(label, label)
     if name not in classes:
         return dict.fromkeys(classes, 0.0)
-    odds = {name: 1.0, **_BROAD.get(name, {})}
-    return {other: float(np.log(odds.get(other, _MISNAMED))) for other in classes}
+    return {name: 0.0, **{other: float(np.log(share)) for other, share in _BROAD.get(name, {}).items()}}
