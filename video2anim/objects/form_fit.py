@@ -31,6 +31,9 @@ _ROUNDS = 25
 _STEP = np.array([2e-3, 2e-3, 4e-3, 2e-3, 2e-3, 1e-2])
 _SIZE_STEP = 4e-3
 """Steps of the numerical derivative: well below what a pixel shows, well above rounding."""
+_WIDE = 10.0
+"""Times wider are those for standard deviations, as wide as these are: where masks and depth jump from pixel to pixel,
+narrow ones see a steep slope and no error is left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,13 +189,24 @@ class FormProblem:
     def result(self, values: Float[np.ndarray, "values"], log_prior: float) -> FormFit:
         """The fit from a start on, followed to the end."""
         values, curvature = self.fitted(values, _ROUNDS)
-        variance = np.diag(np.linalg.pinv(curvature + 1e-9 * np.eye(len(curvature))))
         _, solids = self.form.build(np.exp(values[None, len(POSE) :]))
         gap_m = self.points_to_surface_m(values[None], solids)
         return FormFit(
-            self.form, values, self.laplace(values, curvature) + log_prior, np.sqrt(np.maximum(variance, 0)),
+            self.form, values, self.laplace(values, curvature) + log_prior, self._sigma(values),
             float(gap_m.mean()) if gap_m.size else float("inf"),
         )  # fmt: skip
+
+    def _sigma(self, values: Float[np.ndarray, "values"]) -> Float[np.ndarray, "values"]:
+        """Standard deviations of the fitted values."""
+        wide = _WIDE * np.diag(self.steps)
+        loose, firm, prior = self.residuals(np.concatenate([values[None], values + wide, values - wide]))
+        weight = np.concatenate([1 / (1 + loose[0] ** 2), 1 / np.sqrt(1 + firm[0] ** 2), np.ones(prior.shape[1])])
+        found = np.concatenate([loose, firm, prior], 1)[1:]
+        slope = (found[: len(values)] - found[len(values) :]) / (2 * _WIDE * self.steps[:, None])
+        variance = np.diag(np.linalg.pinv((slope * weight) @ slope.T + 1e-9 * np.eye(len(values))))
+        # The shared factor of all deviations, as in `laplace`.
+        misfit, _ = self._costs(values[None])
+        return np.sqrt(np.maximum(variance, 0) * (1 + float(misfit[0]) / self.sigmas.noise_looks))
 
     def _to_solids_m(
         self, values: np.ndarray, solids: Solids, points_m: np.ndarray, of: Callable[[np.ndarray], np.ndarray]
