@@ -24,6 +24,8 @@ from video2anim.types import (
     PlacedObjects,
 )
 
+_FINENESS = 50
+"""Edges are shorter than this part of the object for the fit."""
 _TurnDeg = Annotated[float, limits("degrees", ge=-360, le=360)]
 
 
@@ -82,6 +84,8 @@ def _place_one(
     config: PlaceConfig,
     ctx: StageContext,
 ) -> PlacedObject:
+    from trimesh.remesh import subdivide_to_size
+
     from video2anim.geometry.placement import Placement, place
 
     if found.chamfer_m is not None:
@@ -100,9 +104,13 @@ def _place_one(
         fit = Placement(found.T_world_object, 1.0, np.nan, np.nan)
         problem = f"only {len(points_m)} reliable depth pixels (want {config.least_points}); pose is the first guess"
     else:
+        # The fit goes by vertices, of which plain meshes have few.
+        vertices_m, faces = subdivide_to_size(
+            found.mesh.vertices_m.astype(np.float64), found.mesh.faces, float(np.ptp(found.mesh.vertices_m)) / _FINENESS
+        )
         fit = place(
-            found.mesh.vertices_m.astype(np.float64),
-            found.mesh.faces,
+            vertices_m,
+            faces,
             found.T_world_object,
             points_m,
             body.T_world_camera[0],

@@ -53,8 +53,8 @@ def _with_digest(command: str) -> str:
 class ReconstructConfig:
     """Detail of the meshes, and what is believed of depth."""
 
-    most_faces: Annotated[int, limits("faces", ge=12, le=1_000_000)] = 4000
-    """Upper limit of faces per object."""
+    most_faces: Annotated[int, limits("faces", ge=300, le=1_000_000)] = 4000
+    """Upper limit of faces of a network's mesh; forms have fewer than 300."""
     depth_error_ratio: Annotated[float, limits(gt=0, le=1)] = 0.04
     """Standard deviation of depth within an object, as a share of its distance."""
     least_points: Annotated[int, limits(ge=1, le=1_000_000)] = 30
@@ -133,7 +133,7 @@ def _fitted(
         _completed_picture(found, plate), found.amodal_mask, body.intrinsics.resized(width, height),
         body.T_world_camera[0],
     )  # fmt: skip
-    mesh, parts, texture = form_mesh(best, picture, config.most_faces)
+    mesh, parts, texture = form_mesh(best, picture)
     label = best.form.name if found.label in ("object", "furniture") else found.label
     sigma = best.sigma
     return ObjectMesh(

@@ -18,7 +18,7 @@ TYPES = [
     "Contact", "DepthClip", "ExportedFiles", "InstanceMasks", "Intrinsics", "KeyframedMotion", "Mesh", "MetricDepth",
     "ObjectInstance", "ObjectMesh", "ObjectMeshes", "ObjectPart", "PayloadFile", "PersonQuality", "PersonTrack",
     "PersonTracks", "PlacedObject", "PlacedObjects", "RefinedMotion", "SceneModel", "SourceInfo", "SourceVideo",
-    "Storage", "Thumbnail", "VideoClip", "stored",
+    "Storage", "Texture", "Thumbnail", "VideoClip", "stored",
 ]  # fmt: skip
 COMMANDS = {
     "": {"--version", "--debug"},

@@ -35,12 +35,8 @@ class ObjectPicture:
     T_world_camera: Float[np.ndarray, "4 4"]
 
 
-def form_mesh(fit: FormFit, picture: ObjectPicture, most_faces: int) -> tuple[Mesh, tuple[ObjectPart, ...], Texture]:
-    """The form's parts as closed surfaces of few faces, in the object's frame, and their texture.
-
-    Raises:
-        ValueError: the parts have more faces than that.
-    """
+def form_mesh(fit: FormFit, picture: ObjectPicture) -> tuple[Mesh, tuple[ObjectPart, ...], Texture]:
+    """The form's parts as closed surfaces of few faces, in the object's frame, and their texture."""
     names, solids = fit.solids()
     vertices, faces, parts, first, count = [], [], [], 0, 0
     for name, (own_m, own_faces) in zip(names, solids.meshes(), strict=True):
@@ -48,8 +44,6 @@ def form_mesh(fit: FormFit, picture: ObjectPicture, most_faces: int) -> tuple[Me
         faces.append(own_faces + count)
         parts.append(ObjectPart(name, first, len(own_faces)))
         first, count = first + len(own_faces), count + len(own_m)
-    if first > most_faces:
-        raise ValueError(f"form_mesh: {fit.form.name} has {first} faces, want at most {most_faces}")
     vertices_m, every = np.concatenate(vertices), np.concatenate(faces)
     # A pixel of the picture at the object's distance.
     away_m = float(np.linalg.norm(fit.T_world_object[:3, 3] - picture.T_world_camera[:3, 3]))
