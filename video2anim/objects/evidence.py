@@ -21,6 +21,8 @@ _POINTS = 160
 _LEAST_POINTS = 3
 _RAISED_M = 0.15
 """What ends so far above the floor, where the picture goes on below it, stands on something else."""
+_STEP, _STEP_M = 0.1, 0.05
+"""What carries a thing is as far and as high as its lower end; what hides that is nearer by this share, or higher."""
 _NEAR_M = 0.3
 """Skin and bodies so near to the box of an object's depth points may touch it: the error of its place."""
 _AROUND_M = 1.5
@@ -93,8 +95,8 @@ class ObjectViews:
         own, known = thing.own, lifter.known
         if thing.shows.sum() < _LEAST_POINTS:
             return None
-        hidden = self._unseen | self._nearer(found.object_id)
-        outside, k = self._outside_px(found, thing, hidden), lifter.lens
+        nearer = self._nearer(found.object_id)
+        outside, k = self._outside_px(found, thing, self._unseen | nearer), lifter.lens
         chosen = np.flatnonzero(own & (thing.shows | ~known))
         row, column = np.unravel_index(chosen[rng.permutation(len(chosen))[:_POINTS]], own.shape)
         local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones(len(row))], -1)
@@ -114,7 +116,7 @@ class ObjectViews:
             free_m=np.where(own & known, thing.depth_m, 0.0),
             depth_sigma=self._depth_sigma,
             distance_sigma=max(sigma, _LEAST_DISTANCE_SIGMA),
-            raised=self._is_raised(own, points_m, hidden),
+            raised=self._is_raised(own, points_m, nearer),
             rested_m=rested_m,
             body_m=body_m,
             others_m=self._others_m(own, points_m, rng),
@@ -157,12 +159,15 @@ class ObjectViews:
                 hides |= other.own
         return hides
 
-    def _is_raised(self, own: np.ndarray, points_m: np.ndarray, hidden: np.ndarray) -> bool:
+    def _is_raised(self, own: np.ndarray, points_m: np.ndarray, nearer: np.ndarray) -> bool:
         """Whether it ends high above the floor though nothing hides its lower end."""
         if np.percentile(points_m[:, 1], 2) < _RAISED_M:
             return False
         columns = np.flatnonzero(own.any(0))
         below = len(own) + 1 - np.argmax(own[::-1, columns], axis=0)
         inside = below < len(own)
-        at = (np.minimum(below, len(own) - 1), columns)
-        return bool((inside & ~hidden[at] & ~self._lifter.floor[at]).mean() > 0.5)
+        at, end = (np.minimum(below, len(own) - 1), columns), (np.minimum(below, len(own)) - 2, columns)
+        depth_m, up_m = self._depth.background_depth_m, self._world_m[..., 1]
+        carries = (depth_m[at] > (1 - _STEP) * depth_m[end]) & (up_m[at] < up_m[end] + _STEP_M)
+        hidden = self._unseen[at] | (nearer[at] & ~carries)
+        return bool((inside & ~hidden & ~self._lifter.floor[at]).mean() > 0.5)
