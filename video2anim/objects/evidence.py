@@ -21,7 +21,7 @@ _POINTS = 160
 _LEAST_POINTS = 3
 _RAISED_M = 0.15
 """What ends so far above the floor, where the picture goes on below it, stands on something else."""
-_STEP, _STEP_M = 0.1, 0.05
+_STEP, _STEP_M = 0.1, 0.02
 """What carries a thing is as far and as high as its lower end; what hides that is nearer by this share, or higher."""
 _NEAR_M = 0.3
 """Skin and bodies so near to the box of an object's depth points may touch it: the error of its place."""
