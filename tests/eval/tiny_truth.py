@@ -391,7 +391,7 @@ def _object_values(tiny: Tiny) -> dict[type, Any]:
         image = np.full((4, 4, 3), 127, np.uint8)
         completed.append(CompletedObject(number, "object", whole, image, (0, 0), 0.0))
         pose = TURN @ box.pose
-        meshes.append(ObjectMesh(number, "object", "carved", box.mesh(), pose))
+        meshes.append(ObjectMesh(number, "object", "form: box", box.mesh(), pose))
         placed.append(PlacedObject(number, "object", box.mesh(), 1.0, pose, None, None, True, ""))
     floor = np.kron(bare == FLOOR_ID, enlarge).astype(bool)
     grid = estimated_field(tiny.boxes)

@@ -61,10 +61,10 @@ def place_again(chain: Chain, found: ObjectMesh, config: PlaceConfig | None = No
 
 
 def test_a_fitted_form_stays_and_another_mesh_is_fitted() -> None:
-    """Put 0.2 m aside and turned, a form is where its fit says; a mesh without a fit goes back to its depth points."""
+    """Put 0.4 m aside, a form is where its fit says; a mesh without a fit goes back to its depth points."""
     chain, found = box_of_the_chain()
     aside = found.T_world_object.copy()
-    aside[0, 3] += 0.2
+    aside[0, 3] += 0.4
     (kept,) = place_again(chain, replace(found, T_world_object=aside))
     np.testing.assert_array_equal(kept.T_world_object, aside)
     assert kept.chamfer_before_m is None
@@ -73,7 +73,7 @@ def test_a_fitted_form_stays_and_another_mesh_is_fitted() -> None:
     )  # fmt: skip
     assert kept.parts == found.parts
     (fitted,) = place_again(chain, replace(found, T_world_object=aside, chamfer_m=None))
-    assert abs(fitted.T_world_object[0, 3] - found.T_world_object[0, 3]) < 0.1
+    assert abs(fitted.T_world_object[0, 3] - found.T_world_object[0, 3]) < 0.2
     assert fitted.chamfer_after_m < fitted.chamfer_before_m
     assert 0.8 < fitted.scale < 1.25
 
