@@ -10,6 +10,7 @@ import trimesh
 from furnished import furnished
 from seen_boxes import LENS, Block, about_y, looking, shoot
 
+from video2anim.geometry.scene_mesh import with_vertex_colors
 from video2anim.objects.form_fit import POSE, FormFit
 from video2anim.objects.furniture import FORMS, Form
 from video2anim.objects.meshing import ObjectPicture, form_mesh, outline_iou
@@ -44,6 +45,12 @@ def painted(scale: int = 1, others: tuple[Block, ...] = ()) -> ObjectPicture:
     return ObjectPicture(rgb, mask, lens, shot.T_world_camera)
 
 
+def dense(fit: FormFit, picture: ObjectPicture) -> Mesh:
+    """The form's mesh with its texture as colors of many vertices."""
+    mesh, _, texture = form_mesh(fit, picture)
+    return with_vertex_colors(mesh, (texture,))
+
+
 def side(mesh: Mesh, axis: int, sign: int) -> np.ndarray:
     """Colors of the vertices on one side, off its edges."""
     half = 0.5 * np.array(BLOCK.size_m)
@@ -66,7 +73,7 @@ def seen_side() -> int:
 
 @pytest.mark.parametrize("scale", [1, 3])
 def test_seen_sides_have_the_colors_of_the_picture_at_any_size(scale: int) -> None:
-    mesh, _ = form_mesh(true_fit(), painted(scale), 20_000)
+    mesh = dense(true_fit(), painted(scale))
     assert mesh.vertex_rgb.dtype == np.uint8
     assert share(side(mesh, 0, seen_side()), SIDE_RGB) > 0.99
     assert share(side(mesh, 1, 1), TOP_RGB) > 0.99
@@ -75,7 +82,7 @@ def test_seen_sides_have_the_colors_of_the_picture_at_any_size(scale: int) -> No
 
 
 def test_hidden_sides_have_the_colors_of_their_mirror_images() -> None:
-    mesh, _ = form_mesh(true_fit(), painted(), 20_000)
+    mesh = dense(true_fit(), painted())
     assert share(side(mesh, 0, -seen_side()), SIDE_RGB) > 0.9
     assert share(side(mesh, 2, -1), FRONT_RGB) > 0.9
 
@@ -84,7 +91,7 @@ def test_what_stands_before_the_thing_does_not_color_it() -> None:
     """A post hides the middle of the front: vertices there have the color of the front beside it."""
     picture = painted(1, (Block((0.1, 0.5, -2.2), (0.08, 1.0, 0.08)),))
     assert share(picture.rgb[picture.own], ROOM_RGB) == 0
-    mesh, _ = form_mesh(true_fit(), picture, 20_000)
+    mesh = dense(true_fit(), picture)
     assert share(side(mesh, 2, 1), FRONT_RGB) > 0.97
 
 
@@ -108,28 +115,30 @@ def test_parts_behind_parts_do_not_have_their_colors() -> None:
     nearest = np.argmin(first, 0).reshape(row.shape)
     own = np.isfinite(np.min(first, 0)).reshape(row.shape)
     rgb = np.where(own[..., None], np.where((nearest == names.index("back"))[..., None], (0, 0, 250), (250, 0, 0)), 90)
-    mesh, parts = form_mesh(fit, ObjectPicture(rgb.astype(np.uint8), own, LENS, camera), 20_000)
+    mesh, parts, texture = form_mesh(fit, ObjectPicture(rgb.astype(np.uint8), own, LENS, camera))
     for part in parts:
-        vertex = np.unique(mesh.faces[part.first_face : part.first_face + part.face_count])
+        faces = slice(part.first_face, part.first_face + part.face_count)
+        piece = replace(mesh, faces=mesh.faces[faces])
+        piece = with_vertex_colors(piece, (replace(texture, corner_uv=texture.corner_uv[faces]),))
         wanted = (0, 0, 250) if part.name == "back" else (250, 0, 0)
         if part.name in ("seat", "back"):
-            assert share(mesh.vertex_rgb[vertex], wanted) > 0.75, part.name
+            assert share(piece.vertex_rgb, wanted) > 0.75, part.name
 
 
 def test_what_no_pixel_shows_has_the_middle_color_of_the_object_or_gray() -> None:
     """A fit beside the picture."""
     picture, beside = painted(), fit_of(BOX, np.array([0.5, 0.5, 0.5]), (0.0, 4.0))
-    mesh, _ = form_mesh(beside, picture, 1000)
+    mesh = dense(beside, picture)
     assert share(mesh.vertex_rgb, tuple(np.median(picture.rgb[picture.own], axis=0).astype(int))) == 1
-    gray, _ = form_mesh(beside, replace(picture, own=np.zeros_like(picture.own)), 1000)
+    gray = dense(beside, replace(picture, own=np.zeros_like(picture.own)))
     assert share(gray.vertex_rgb, (127, 127, 127)) == 1
 
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: f"{form.name} {form.variant}".strip())
-@pytest.mark.parametrize("most_faces", [4000, 1000])
-def test_every_form_keeps_the_limit_and_its_parts_are_all_of_its_faces(form: Form, most_faces: int) -> None:
-    mesh, parts = form_mesh(fit_of(form, form.usual_m), painted(), most_faces)
-    assert 12 <= len(mesh.faces) <= most_faces
+def test_every_form_has_few_faces_and_its_parts_are_all_of_them(form: Form) -> None:
+    mesh, parts, texture = form_mesh(fit_of(form, form.usual_m), painted())
+    assert 12 <= len(mesh.faces) < 300
+    assert texture.corner_uv.shape == (len(mesh.faces), 3, 2)
     assert all(isinstance(part, ObjectPart) for part in parts)
     ends = [part.first_face + part.face_count for part in parts]
     assert [part.first_face for part in parts] == [0, *ends[:-1]]
@@ -144,13 +153,6 @@ def test_every_form_keeps_the_limit_and_its_parts_are_all_of_its_faces(form: For
         assert piece.volume > 0
         distance_m = solids.distance_m(mesh.vertices_m[np.unique(faces)][None].astype(float))[0, number]
         np.testing.assert_allclose(distance_m, 0, atol=1e-5)
-
-
-def test_a_mesh_uses_the_faces_that_it_may() -> None:
-    fit = true_fit()
-    fine, coarse = (len(form_mesh(fit, painted(), most)[0].faces) for most in (4000, 400))
-    assert 200 < coarse <= 400
-    assert 2000 < fine <= 4000
 
 
 def test_the_outline_of_the_truth_is_that_of_the_object() -> None:

@@ -49,7 +49,7 @@ def first_hit_of(shape: trimesh.Trimesh, origin_m: np.ndarray, ray: np.ndarray) 
 def test_a_positive_tilt_leans_back() -> None:
     """Backs of chairs lean away from the front, which is +z."""
     back = Solids(np.zeros((1, 1, 3)), np.array([[[0.2, 0.5, 0.01]]]), np.full((1, 1), 0.3), np.array([False]))
-    (vertices_m, _), *_ = back.meshes(10.0)
+    (vertices_m, _), *_ = back.meshes()
     upper = vertices_m[:, 1] > 0
     assert vertices_m[upper][:, 2].mean() < -0.1 < 0.1 < vertices_m[~upper][:, 2].mean()
 
@@ -129,9 +129,9 @@ def some_sizes(form: Form) -> np.ndarray:
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: f"{form.name} {form.variant}".strip())
 def test_every_part_of_every_form_is_a_closed_surface(form: Form) -> None:
-    for number, sizes_m in enumerate(some_sizes(form)):
+    for sizes_m in some_sizes(form):
         names, solids = form.build(sizes_m[None])
-        pieces = solids.meshes(0.04 if number == 0 else 0.2)
+        pieces = solids.meshes()
         assert len(names) == len(pieces) == solids.half_m.shape[1]
         for part, (vertices_m, faces) in enumerate(pieces):
             mesh = trimesh.Trimesh(vertices_m, faces, process=False)
