@@ -105,7 +105,7 @@ def _place_one(
         problem = f"only {len(points_m)} reliable depth pixels (want {config.least_points}); pose is the first guess"
     else:
         # The fit goes by vertices, of which plain meshes have few.
-        vertices_m, faces = subdivide_to_size(
+        vertices_m, faces, *_ = subdivide_to_size(
             found.mesh.vertices_m.astype(np.float64), found.mesh.faces, float(np.ptp(found.mesh.vertices_m)) / _FINENESS
         )
         fit = place(

@@ -55,7 +55,7 @@ def outlined(
         return found
     cv2.setRNGSeed(0)
     models = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(looks, trimap, None, *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(looks, trimap, (0, 0, 0, 0), *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
     cut = np.isin(trimap, (cv2.GC_FGD, cv2.GC_PR_FGD)).astype(np.uint8)
     found[window] = cv2.resize(cut, tuple(high - low), interpolation=cv2.INTER_NEAREST) > 0
     return found
