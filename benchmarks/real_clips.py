@@ -33,6 +33,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,7 @@ from video2anim.types import (
     BackgroundPlate,
     BodyMotion,
     BodyTracks,
+    Contact,
     InstanceMasks,
     KeyframedMotion,
     MetricDepth,
@@ -162,8 +164,22 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
     return rows, {
         "frames": len(raw.valid), "prior": refined.prior[0], "shaped": refined.prior_share[0],
         "refine s per window": manifest["wall_time_s"] / windows, "order": depth_order(metric, masks, plate),
+        **right_class(folder.name, result.record.contacts),
         **camera_off(folder.name, metric.bodies.people[0], media),
     }  # fmt: skip
+
+
+def right_class(clip: str, contacts: Sequence[Contact]) -> dict[str, float | None]:
+    """Share of the time in which a part touches something other than the floor that is of a class that it touches in the
+    clip, by `real_contacts.json`; None where it touches nothing else."""
+    wanted = json.loads(Path(__file__).with_name("real_contacts.json").read_text()).get(clip, {})
+    shares: dict[str, float | None] = {}
+    for part, classes in wanted.items():
+        own = [one for one in contacts if one.body_part == part and one.label != "floor"]
+        total_s = sum(one.end_s - one.start_s for one in own)
+        right_s = sum(one.end_s - one.start_s for one in own if one.label in classes)
+        shares[f"{part} on {' or '.join(classes)}"] = right_s / total_s if total_s else None
+    return shares
 
 
 def depth_order(metric: MetricDepth, masks: InstanceMasks, plate: BackgroundPlate) -> float:
