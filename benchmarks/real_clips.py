@@ -170,8 +170,8 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
 
 
 def right_class(clip: str, contacts: Sequence[Contact]) -> dict[str, float | None]:
-    """Share of the time in which a part touches something other than the floor that is of a class that it touches in the
-    clip, by `real_contacts.json`; None where it touches nothing else."""
+    """Of the time in which a part touches something other than the floor, the share with things of the class that it
+    touches in the clip, by `real_contacts.json`; None where it touches nothing else."""
     wanted = json.loads(Path(__file__).with_name("real_contacts.json").read_text()).get(clip, {})
     shares: dict[str, float | None] = {}
     for part, classes in wanted.items():
