@@ -47,7 +47,8 @@ class Form:
     name: str
     """Class of thing, such as `chair`; several forms may share one."""
     sizes: tuple[Size, ...]
-    """`width` is along x, `depth` along z, `height` that of the whole."""
+    """`width` is along x, `depth` along z; `height` is that of the whole, but of a bed without its headboard and of a
+    kitchen's lower row."""
     build: Callable[[Sizes], _Built]
     """Solids of a batch of sizes (m), and the names of the parts."""
     variant: str = ""

@@ -122,7 +122,8 @@ class ObjectPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectMesh:
-    """A reconstructed object in its own frame: +Y up, resting on y = 0, centred in x and z."""
+    """A reconstructed object in its own frame: +Y up, front towards +Z, resting on y = 0, its seat, top or body over
+    the origin."""
 
     object_id: NonNegativeInt
     label: str
