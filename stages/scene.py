@@ -101,9 +101,9 @@ def build_scene(
     motion_m = _motion_bounds(bodies)
     if config.scan:
         return _scanned(motion_m, depth, bodies, config, ctx)
-    rested = _rested(bodies) if config.supports else []
-    objects = _not_walked_through(placed.objects, bodies, config, ctx)
-    supports = _supports(objects, rested, bodies, ctx)
+    rested = _rested(bodies)
+    objects = _not_walked_through(placed.objects, rested, bodies, config, ctx)
+    supports = _supports(objects, rested, bodies, ctx) if config.supports else []
     ctx.quality("walked through", len(placed.objects) - len(objects), "objects")
     ctx.quality("supports inferred", len(supports), "objects")
     objects += supports
@@ -168,10 +168,15 @@ def _scanned(
 
 
 def _not_walked_through(
-    objects: Sequence[PlacedObject], bodies: BodyTracks, config: SceneConfig, ctx: StageContext
+    objects: Sequence[PlacedObject],
+    rested: list[tuple[int, Support]],
+    bodies: BodyTracks,
+    config: SceneConfig,
+    ctx: StageContext,
 ) -> list[PlacedObject]:
-    """Objects without those that somebody walks through: their place or depth is wrong."""
+    """Objects without those that somebody walks through and nobody uses: their place or depth is wrong."""
     from video2anim.fitting.free_space import walked_inside_m
+    from video2anim.fitting.supports import LEAST_FRAMES
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
 
@@ -182,7 +187,9 @@ def _not_walked_through(
         spacing_m = max(config.sdf_spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
         field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None)
         walked_m = max(walked_inside_m(field, motion) for motion in bodies.people)
-        if walked_m <= config.walked_m:
+        near = [support.gaps_m([solid], reach_m=2 * _UNKNOWN_M) for _, support in rested if support.top_m > _LOW_M]
+        used = any((gap_m < _UNKNOWN_M).sum() >= LEAST_FRAMES for gap_m in near)
+        if used or walked_m <= config.walked_m:
             kept.append(item)
             continue
         ctx.warn(
@@ -266,4 +273,4 @@ def _overlap(solid: Mesh, bounds_m: Float[np.ndarray, "2 3"]) -> bool:
     return bool((low <= bounds_m[1]).all() and (high >= bounds_m[0]).all())
 
 
-STAGE = StageSpec("scene", build_scene, version=13)
+STAGE = StageSpec("scene", build_scene, version=14)

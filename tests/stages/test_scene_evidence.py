@@ -67,8 +67,18 @@ def test_only_an_object_that_is_walked_through_is_left_out(tmp_path: Path, aside
     place = middle + aside_m * side
     ctx = StageContext(tmp_path)
     placed = [box_at(place[0], place[2])]
-    assert len(_not_walked_through(placed, BodyTracks((motion,)), SceneConfig(), ctx)) == kept
+    assert len(_not_walked_through(placed, [], BodyTracks((motion,)), SceneConfig(), ctx)) == kept
     assert ["somebody walks" in warning for warning in ctx.warnings] == [True] * (1 - kept)
+
+
+def test_what_somebody_rests_on_stays_though_another_walks_in_it(tmp_path: Path) -> None:
+    """One stands still on a roof, another walks along under it: the roof is there, the other's place is off."""
+    still = raised(planted_walk(90), 1.6)
+    walker, ctx = planted_walk(90), StageContext(tmp_path)
+    shed = [replace(box_at(0.0, 1.0), mesh=box_mesh(4.0, 1.6, 6.0))]
+    bodies = BodyTracks((still, walker))
+    assert _not_walked_through(shed, [], bodies, SceneConfig(), ctx) == []
+    assert _not_walked_through(shed, _rested(bodies), bodies, SceneConfig(), ctx) == shed
 
 
 def test_a_body_that_stands_in_an_object_does_not_take_it_away(tmp_path: Path) -> None:
@@ -79,6 +89,6 @@ def test_a_body_that_stands_in_an_object_does_not_take_it_away(tmp_path: Path) -
     )
     x_m, _, z_m = standing.T_world_root[0, :3, 3]
     placed, ctx = [box_at(x_m, z_m)], StageContext(tmp_path)
-    assert _not_walked_through(placed, BodyTracks((standing,)), SceneConfig(), ctx) == placed
+    assert _not_walked_through(placed, [], BodyTracks((standing,)), SceneConfig(), ctx) == placed
     assert ctx.warnings == []
-    assert _not_walked_through(placed, BodyTracks((walk,)), SceneConfig(), ctx) == []
+    assert _not_walked_through(placed, [], BodyTracks((walk,)), SceneConfig(), ctx) == []
