@@ -222,4 +222,4 @@ def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[
     return picture
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=10, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=11, models=(SLOT,))

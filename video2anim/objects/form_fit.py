@@ -32,8 +32,8 @@ _STEP = np.array([2e-3, 2e-3, 4e-3, 2e-3, 2e-3, 1e-2])
 _SIZE_STEP = 4e-3
 """Steps of the numerical derivative: well below what a pixel shows, well above rounding."""
 _WIDE = 10.0
-"""Times wider are those for standard deviations, as wide as these are: where masks and depth jump from pixel to pixel,
-narrow ones see a steep slope and no error is left."""
+"""Times wider are those for evidence and standard deviations, as wide as errors are: where masks and depth jump from
+pixel to pixel, narrow ones see a steep slope and no error is left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,22 +188,26 @@ class FormProblem:
 
     def result(self, values: Float[np.ndarray, "values"], log_prior: float) -> FormFit:
         """The fit from a start on, followed to the end."""
-        values, curvature = self.fitted(values, _ROUNDS)
+        values = self.fitted(values, _ROUNDS)
         _, solids = self.form.build(np.exp(values[None, len(POSE) :]))
         gap_m = self.points_to_surface_m(values[None], solids)
         return FormFit(
-            self.form, values, self.laplace(values, curvature) + log_prior, self._sigma(values),
+            self.form, values, self.laplace(values) + log_prior, self._sigma(values),
             float(gap_m.mean()) if gap_m.size else float("inf"),
         )  # fmt: skip
 
-    def _sigma(self, values: Float[np.ndarray, "values"]) -> Float[np.ndarray, "values"]:
-        """Standard deviations of the fitted values."""
+    def _information(self, values: Float[np.ndarray, "values"]) -> Float[np.ndarray, "values values"]:
+        """Curvature of the cost, over steps as wide as errors are."""
         wide = _WIDE * np.diag(self.steps)
         loose, firm, prior = self.residuals(np.concatenate([values[None], values + wide, values - wide]))
         weight = np.concatenate([1 / (1 + loose[0] ** 2), 1 / np.sqrt(1 + firm[0] ** 2), np.ones(prior.shape[1])])
         found = np.concatenate([loose, firm, prior], 1)[1:]
         slope = (found[: len(values)] - found[len(values) :]) / (2 * _WIDE * self.steps[:, None])
-        variance = np.diag(np.linalg.pinv((slope * weight) @ slope.T + 1e-9 * np.eye(len(values))))
+        return (slope * weight) @ slope.T + 1e-9 * np.eye(len(values))
+
+    def _sigma(self, values: Float[np.ndarray, "values"]) -> Float[np.ndarray, "values"]:
+        """Standard deviations of the fitted values."""
+        variance = np.diag(np.linalg.pinv(self._information(values)))
         # The shared factor of all deviations, as in `laplace`.
         misfit, _ = self._costs(values[None])
         return np.sqrt(np.maximum(variance, 0) * (1 + float(misfit[0]) / self.sigmas.noise_looks))
@@ -257,11 +261,10 @@ class FormProblem:
         loose, firm, prior = self.residuals(values)
         return 0.5 * np.log1p(loose**2).sum(1) + (np.sqrt(1 + firm**2) - 1).sum(1), 0.5 * (prior**2).sum(1)
 
-    def fitted(self, start: Float[np.ndarray, "values"], rounds: int) -> tuple[np.ndarray, np.ndarray]:
-        """Levenberg-Marquardt from one start: values, and the curvature there."""
+    def fitted(self, start: Float[np.ndarray, "values"], rounds: int) -> Float[np.ndarray, "values"]:
+        """Levenberg-Marquardt from one start."""
         values, damping = start.copy(), 1e-2
         best = float(self.cost(values[None])[0])
-        curvature = np.eye(len(start))
         for _ in range(rounds):
             moved = values + np.concatenate([np.zeros((1, len(values))), np.diag(self.steps)])
             loose, firm, prior = self.residuals(moved)
@@ -286,11 +289,11 @@ class FormProblem:
             damping = max(1e-4, damping * (0.1, 1.0, 10.0)[k])
             if gain < 1e-3:
                 break
-        return values, curvature
+        return values
 
-    def laplace(self, values: Float[np.ndarray, "values"], curvature: np.ndarray) -> float:
+    def laplace(self, values: Float[np.ndarray, "values"]) -> float:
         """Logarithm of the evidence, up to a constant that all forms share."""
-        _, determinant = np.linalg.slogdet(curvature + 1e-9 * np.eye(len(curvature)))
+        _, determinant = np.linalg.slogdet(self._information(values))
         misfit, unusual = (float(part[0]) for part in self._costs(values[None]))
         known = self.sigmas.noise_looks
         # All deviations of an object share a factor that is not known: integrated over, the misfit counts like that.

@@ -44,8 +44,8 @@ def recognized(
         problem = FormProblem(form, evidence, base_m, sigmas, _SCREEN_SAMPLES)
         tried = [problem.fitted(start, _SCREEN_ROUNDS) for start in _starts(form, box, base_m)]
         prior = _prior(form, base_m, log_prior)
-        scores = [problem.laplace(*one) + prior for one in tried]
-        screened.append((max(scores), form, tried[int(np.argmax(scores))][0]))
+        scores = [problem.laplace(values) + prior for values in tried]
+        screened.append((max(scores), form, tried[int(np.argmax(scores))]))
     screened.sort(key=lambda one: -one[0])
     found = []
     for _, form, values in screened[:_KEPT]:
@@ -94,7 +94,7 @@ _SYNONYMS = {
 """Words of segmentation networks for classes of forms."""
 _BROAD = {
     "chair": {"armchair": 0.3, "stool": 0.1, "sofa": 0.05}, "table": {"desk": 0.5}, "desk": {"table": 0.5},
-    "box": {"cabinet": 0.5, "stool": 0.2},
+    "box": {"stool": 0.2},
 }  # fmt: skip
 """What else the same word means, and how often against what it says."""
 
