@@ -265,10 +265,10 @@ def test_editing_a_keyframe_keeps_the_edit(scene: Scene, copy: Path) -> None:
 
 
 def test_late_option_reruns_late_stages_only(scene: Scene, copy: Path) -> None:
-    changed = video2anim(*scene.words(copy, refine__object_top_m="0.06"))
+    changed = video2anim(*scene.words(copy, refine__keyframe_interval_frames="6"))
     assert changed.code == 0, changed.err
     assert changed.states == dict.fromkeys(STAGE_NAMES[:13], "cached") | {"refine": "ran", "export": "ran"}
-    assert json.loads((copy / "run.json").read_text())["config"]["refine"]["object_top_m"] == 0.06
+    assert json.loads((copy / "run.json").read_text())["config"]["refine"]["keyframe_interval_frames"] == 6
     # `stage` and `status` use the settings the folder was made with.
     assert set(video2anim("status", copy).states.values()) == {"cached"}
 

@@ -57,9 +57,5 @@ def test_pipeline_on_a_synthetic_clip(judged: Judged) -> None:
     assert judged.page.stat().st_size > 10_000
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="74 m/s3 after 69 in stage humans (truth about 54), which shook more (117) before it had limb lengths",
-)
 def test_refinement_does_not_shake_the_body(judged: Judged) -> None:
     assert judged.mean("motion", "jerk") < judged.mean("motion", "jerk", 0)
