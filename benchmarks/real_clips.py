@@ -33,6 +33,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -64,6 +65,7 @@ from video2anim.types import (
     InstanceMasks,
     KeyframedMotion,
     MetricDepth,
+    ObjectMeshes,
     PersonTrack,
     PersonTracks,
     RefinedMotion,
@@ -148,6 +150,8 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
         raise SystemExit(f"{folder}: {result.why(BodyTracks, KeyframedMotion, SceneModel, RefinedMotion)}")
     tracks, metric = result.get(PersonTracks), result.get(MetricDepth)
     masks, plate = result.get(InstanceMasks), result.get(BackgroundPlate)
+    meshes = result.get(ObjectMeshes)
+    assert meshes is not None
     assert tracks is not None
     assert metric is not None
     assert masks is not None
@@ -164,6 +168,8 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
     return rows, {
         "frames": len(raw.valid), "prior": refined.prior[0], "shaped": refined.prior_share[0],
         "refine s per window": manifest["wall_time_s"] / windows, "order": depth_order(metric, masks, plate),
+        "forms": dict(Counter(one.method for one in meshes.objects)),
+        "trusted": sum(one.trusted for one in scene.objects) / max(len(scene.objects), 1),
         **right_class(folder.name, result.record.contacts),
         **camera_off(folder.name, metric.bodies.people[0], media),
     }  # fmt: skip

@@ -34,8 +34,6 @@ SLOT = "completer"
 class CompleteConfig:
     """Limits of the completion."""
 
-    unseen_ratio: Annotated[float, limits(ge=0, le=1)] = 0.02
-    """Pixels that are free of people in a smaller share of the frames count as never seen."""
     largest_completed_ratio: Annotated[float, limits(ge=0, le=1)] = 0.5
     """If more than this share of the completed outline were invented, the visible outline is kept instead."""
     model: Annotated[str, model_of("completer", also=(NO_MODEL,))] = NO_MODEL
@@ -60,14 +58,11 @@ def complete_objects(
     Raises:
         ModelMissingError: its weights are absent, or no network of its contract.
     """
-    import cv2
-
     from video2anim.geometry.amodal import object_picture
+    from video2anim.geometry.masks import never_seen
 
     completer = None if config.model == NO_MODEL else ctx.model(config.model)
-    height, width = plate.plate_rgb.shape[:2]
-    seen = cv2.resize(plate.seen_ratio.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
-    unseen = seen < config.unseen_ratio
+    unseen = never_seen(plate.seen_ratio, plate.plate_rgb.shape[:2])
     distance_m = {i.object_id: _distance_m(i, depth) for i in masks.instances}
     objects = []
     for done, instance in enumerate(masks.instances):

@@ -1,7 +1,8 @@
 """Stage place: metric pose of every object mesh (paper 8.1).
 
-Visible mesh points and the object's depth points are brought together by Chamfer distance over horizontal position, yaw
-and scale. Objects stay upright, rest on the floor or on each other, and do not run into each other.
+Forms have their place already. Of other meshes, visible points and the object's depth points are brought together by
+Chamfer distance over horizontal position, yaw and scale. Objects stay upright, rest on the floor or on each other, and
+do not run into each other.
 """
 
 from __future__ import annotations
@@ -62,8 +63,14 @@ def place_objects(
     lifter = ThingLifter(masks, depth)
     placed = []
     for done, found in enumerate(meshes.objects):
-        points_m = lifter.lift(found.object_id).points_world_m
-        placed.append(_place_one(found, points_m, depth, depth.bodies.people[0], config, ctx))
+        if found.chamfer_m is not None:
+            item = _fitted_form(found, found.chamfer_m, config)
+        else:
+            points_m = lifter.lift(found.object_id).points_world_m
+            item = _by_chamfer(found, points_m, depth.bodies.people[0], config, ctx)
+        if item.trusted and not depth.trusted:
+            item = replace(item, trusted=False, reason="the scale of depth is not trusted")
+        placed.append(replace(item, distance_sigma=depth.object_sigma[str(found.object_id)]))
         ctx.progress(done + 1, len(meshes.objects))
     placed = _arranged(placed, config, ctx)
     before_m = [p.chamfer_before_m for p in placed if p.chamfer_before_m is not None]
@@ -76,31 +83,33 @@ def place_objects(
     return PlacedObjects(tuple(placed))
 
 
-def _place_one(
+def _fitted_form(found: ObjectMesh, chamfer_m: float, config: PlaceConfig) -> PlacedObject:
+    """A form where its fit has it."""
+    problem = ""
+    if chamfer_m > config.largest_chamfer_m:
+        problem = f"form and depth stay {chamfer_m:.2f} m apart"
+    elif found.outline_iou is not None and found.outline_iou < config.least_outline_iou:
+        problem = f"form and outline overlap by {found.outline_iou:.0%} only"
+    return PlacedObject(
+        found.object_id, found.label, found.mesh, 1.0, found.T_world_object, None, chamfer_m, not problem,
+        problem or f"fitted as {found.method.removeprefix('form: ')}", found.position_sigma_m, found.yaw_sigma_rad,
+        found.size_sigma, parts=found.parts, textures=found.textures,
+    )  # fmt: skip
+
+
+def _by_chamfer(
     found: ObjectMesh,
     points_m: Float[np.ndarray, "points 3"],
-    depth: MetricDepth,
     body: BodyMotion,
     config: PlaceConfig,
     ctx: StageContext,
 ) -> PlacedObject:
+    """Any other mesh, by the distance to its depth points."""
     from trimesh.remesh import subdivide_to_size
 
     from video2anim.geometry.placement import Placement, place
 
-    if found.chamfer_m is not None:
-        # A form was fitted in its place.
-        fit = Placement(
-            found.T_world_object, 1.0, np.nan, found.chamfer_m, _nan(found.position_sigma_m),
-            _nan(found.yaw_sigma_rad), _nan(found.size_sigma),
-        )  # fmt: skip
-        if found.chamfer_m > config.largest_chamfer_m:
-            problem = f"form and depth stay {found.chamfer_m:.2f} m apart"
-        elif found.outline_iou is not None and found.outline_iou < config.least_outline_iou:
-            problem = f"form and outline overlap by {found.outline_iou:.0%} only"
-        else:
-            problem = ""
-    elif len(points_m) < config.least_points:
+    if len(points_m) < config.least_points:
         fit = Placement(found.T_world_object, 1.0, np.nan, np.nan)
         problem = f"only {len(points_m)} reliable depth pixels (want {config.least_points}); pose is the first guess"
     else:
@@ -121,29 +130,12 @@ def _place_one(
         )
         far = fit.chamfer_after_m > config.largest_chamfer_m
         problem = f"mesh and depth stay {fit.chamfer_after_m:.2f} m apart" if far else ""
-    if not problem and not depth.trusted:
-        problem = "the scale of depth is not trusted"
     return PlacedObject(
-        object_id=found.object_id,
-        label=found.label,
-        mesh=found.mesh,
-        scale=fit.scale,
-        T_world_object=fit.T_world_object,
-        chamfer_before_m=fit.chamfer_before_m if np.isfinite(fit.chamfer_before_m) else None,
-        chamfer_after_m=fit.chamfer_after_m if np.isfinite(fit.chamfer_after_m) else None,
-        trusted=not problem,
-        reason=problem or f"fitted to {len(points_m)} depth points",
-        position_sigma_m=_known(fit.position_sigma_m),
-        yaw_sigma_rad=_known(fit.yaw_sigma_rad),
-        scale_sigma=_known(fit.scale_sigma),
-        distance_sigma=depth.object_sigma[str(found.object_id)],
-        parts=found.parts,
+        found.object_id, found.label, found.mesh, fit.scale, fit.T_world_object, _known(fit.chamfer_before_m),
+        _known(fit.chamfer_after_m), not problem, problem or f"fitted to {len(points_m)} depth points",
+        _known(fit.position_sigma_m), _known(fit.yaw_sigma_rad), _known(fit.scale_sigma), parts=found.parts,
         textures=found.textures,
-    )
-
-
-def _nan(value: float | None) -> float:
-    return np.nan if value is None else value
+    )  # fmt: skip
 
 
 def _known(value: float) -> float | None:
@@ -184,4 +176,4 @@ def _arranged(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext
     return moved
 
 
-STAGE = StageSpec("place", place_objects, version=9)
+STAGE = StageSpec("place", place_objects, version=10)

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from video2anim.objects.evidence import SeenObject
 
 SLOT = "object-mesh"
-_NEVER_SEEN = 0.02
-"""Pixels that are free of people in a smaller share of the frames hide what is there."""
 FINEST = 256
 """Most samples of a network's field along a side: what TripoSR's own program takes."""
 
@@ -89,11 +87,11 @@ def reconstruct_objects(
         ModelMissingError: the network's weights are absent, or no network of its contract.
     """
     from video2anim.fitting.supports import rested_and_inner_m
-    from video2anim.geometry.masks import enlarged
+    from video2anim.geometry.masks import never_seen
     from video2anim.objects.evidence import ObjectViews, PeopleEvidence
     from video2anim.scene.heading import room_heading
 
-    unseen = enlarged(plate.seen_ratio, depth.background_depth_m.shape) < _NEVER_SEEN
+    unseen = never_seen(plate.seen_ratio, depth.background_depth_m.shape)
     people = PeopleEvidence(*rested_and_inner_m(depth.bodies))
     body, (height, width) = depth.bodies.people[0], plate.plate_rgb.shape[:2]
     heading = room_heading(plate.plate_rgb, body.T_world_camera[0], body.intrinsics.resized(width, height))

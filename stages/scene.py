@@ -61,7 +61,7 @@ class SceneConfig:
     backdrop_faces: Annotated[int, limits("faces", ge=100, le=1_000_000), only_with("scan", "")] = 30_000
     """Of walls, ceiling and all else that is seen behind people and objects, together."""
     walked_m: Annotated[float, limits("m", ge=0, le=1000), only_with("scan", "")] = 0.5
-    """An object in which the pelvis makes a longer way is in the wrong place, and left out."""
+    """An object in which a pelvis makes a longer way is in the wrong place: left out unless somebody rests on it."""
     supports: Annotated[bool, only_with("scan", "")] = True
     """Put a solid where a part of the body rested and no surface is near."""
     scan: str = user_path()

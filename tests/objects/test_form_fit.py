@@ -44,7 +44,7 @@ def test_a_box_is_found_again(yaw_rad: float) -> None:
     np.testing.assert_allclose(fit.sizes_m, (0.4, 0.7, 0.5) if swapped else (0.7, 0.4, 0.5), atol=0.03)
     np.testing.assert_allclose(fit.T_world_object[:3, 3], [0.2, 0, -3.0], atol=0.03)
     assert fit.chamfer_m < 0.02
-    np.testing.assert_allclose(fit.correction, 0, atol=0.02)
+    np.testing.assert_allclose(fit.values[4:6], 0, atol=0.02)
 
 
 @pytest.mark.parametrize("yaw_rad", [0.3, 1.3, 2.8, -1.8])

@@ -135,6 +135,7 @@ class _GlbWriter:
                 "object_id": int(placed.object_id),
                 "label": placed.label,
                 "trusted": bool(placed.trusted),
+                "parts": [asdict(part) for part in placed.parts],
                 "T_world_object": np.asarray(placed.T_world_object, float).tolist(),
             }
 

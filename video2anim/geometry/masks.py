@@ -6,6 +6,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+_NEVER_SEEN = 0.02
+"""Of the frames: less is an error of the people's masks."""
+
 
 def shrunk(
     mask: Bool[np.ndarray, "height width"], shape: tuple[int, ...], share: float = 0.5
@@ -14,8 +17,9 @@ def shrunk(
     return cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA) > share
 
 
-def enlarged(
-    values: Float[np.ndarray, "small_height small_width"], shape: tuple[int, ...]
-) -> Float[np.ndarray, "rows columns"]:
-    """Values between the pixels; `shape` is (rows, columns)."""
-    return cv2.resize(values.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+def never_seen(
+    seen_ratio: Float[np.ndarray, "small_height small_width"], shape: tuple[int, ...]
+) -> Bool[np.ndarray, "rows columns"]:
+    """Pixels that people covered in nearly all frames, from the share of frames in which they did not."""
+    seen = cv2.resize(seen_ratio.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+    return seen < _NEVER_SEEN

@@ -242,7 +242,7 @@ MODELS: tuple[ModelEntry, ...] = (
         adapter="video2anim.models.gem_x:GemSmpl",
     ),
     ModelEntry(
-        slot="object-finder",
+        slot="finder",
         name="objectron",
         runtime="tflite",
         source=NpmSource(

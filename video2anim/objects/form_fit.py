@@ -115,11 +115,6 @@ class FormFit:
     def sizes_m(self) -> Float[np.ndarray, "sizes"]:
         return np.exp(self.values[len(POSE) :])
 
-    @property
-    def correction(self) -> tuple[float, float]:
-        """Of the object's depth: logarithm of its factor, and of its spread."""
-        return float(self.values[4]), float(self.values[5])
-
     def solids(self) -> tuple[tuple[str, ...], Solids]:
         """Names of the parts, and the solids in the object's frame."""
         return self.form.build(self.sizes_m[None])

@@ -52,7 +52,7 @@ def form_mesh(fit: FormFit, picture: ObjectPicture) -> tuple[Mesh, tuple[ObjectP
     def color(points_m: np.ndarray, normals: np.ndarray) -> UInt8[np.ndarray, "points 3"]:
         return _colors(points_m, normals, solids, fit.T_world_object, picture)
 
-    rgb = color(vertices_m, _vertex_normals(vertices_m, every))
+    rgb = color(vertices_m, np.zeros_like(vertices_m))
     return Mesh(vertices_m.astype(np.float32), every, rgb), tuple(parts), textured(vertices_m, every, color, finest_m)
 
 
@@ -89,15 +89,6 @@ def _colors(
     _, nearest = KDTree(np.concatenate(images)).query(place[~seen])
     rgb[~seen] = rgb[np.tile(some, len(images))[nearest]]
     return rgb
-
-
-def _vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals, the mean of the faces around a vertex."""
-    a, b, c = (vertices_m[faces[:, k]] for k in range(3))
-    normal, total = np.cross(b - a, c - a), np.zeros_like(vertices_m)
-    for k in range(3):
-        np.add.at(total, faces[:, k], normal)
-    return total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-12)
 
 
 def outline_iou(fit: FormFit, evidence: ObjectEvidence, own: Bool[np.ndarray, "height width"]) -> float:

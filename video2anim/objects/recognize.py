@@ -30,8 +30,8 @@ def recognized(
     """The forms that were followed to the end, best first.
 
     Args:
-        log_prior: Logarithm of the probability of each class of form before the object was measured; classes that are
-            not named are not tried.
+        log_prior: Logarithm of the odds of each class of form before the object was measured; classes that are not
+            named are not tried.
     """
     sigmas = FitSigmas() if sigmas is None else sigmas
     evidence, box = seen.evidence, seen.box()
@@ -56,7 +56,7 @@ def recognized(
 
 
 def _prior(form: Form, base_m: float, log_prior: Mapping[str, float]) -> float:
-    """Logarithm of the probability of a form before it is seen."""
+    """Logarithm of the odds of a form before it is seen."""
     raised = _RAISED if base_m > 0 and form.name in ("box", "cabinet") else 1.0
     return log_prior[form.name] + float(np.log(form.share * raised))
 
@@ -100,7 +100,7 @@ _BROAD = {
 
 
 def log_prior(label: str) -> dict[str, float]:
-    """Logarithm of the probability of the classes of forms that a network's name for an object may mean.
+    """Logarithm of the odds of the classes of forms that a network's name for an object may mean, against what it says.
 
     Names that no form has say nothing: all classes are then as likely.
     """

@@ -48,8 +48,13 @@ other parts within 3 cm. A gap may come out 5 mm too large (of a hand, all of wh
 _LEVEL_DEG = 45.0
 """A face that looks up or down within this is `top` or `underside`, others are `side`."""
 _LOOKS = ("top", "side", "underside")
-_USUAL = {"seat": "top", "top": "top", "arm": "top", "back": "side", "leg": "side", "board": "side"}
+_USUAL = {
+    "seat": "top", "top": "top", "arm": "top", "bed": "top", "tread": "top", "back": "side", "leg": "side",
+    "board": "side",
+}  # fmt: skip
 """Where the face of an object's part looks that the part's name alone stands for."""
+_WHOLE = "body"
+"""The one part of a box says nothing that the object's name does not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +141,9 @@ def _solid(placed: PlacedObject) -> _Solid:
 
 
 def _surface_name(part: str, look: str) -> str:
-    return part if part and _USUAL.get(part) == look else f"{part} {look}".strip()
+    if not part or part == _WHOLE:
+        return look
+    return part if _USUAL.get(part) == look else f"{part} {look}"
 
 
 def _gaps(motion: BodyMotion, body: ShapedBody, solids: Sequence[_Solid]) -> _Gaps:

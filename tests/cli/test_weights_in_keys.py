@@ -1,0 +1,35 @@
+"""A stage's cache key holds the weights of every network that its configuration names."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import pytest
+
+from stages.segment import STAGE, SegmentConfig
+from video2anim.cli.compose import TableModels, pipeline_nodes
+from video2anim.models.table import MODELS
+from video2anim.pipeline.graph import Node
+from video2anim.pipeline.stage import NO_MODEL, slots_of
+
+NAMES = {entry.name for entry in MODELS}
+
+
+def networks(config: Any) -> set[str]:
+    """Names of networks among the values of a configuration."""
+    return {value for field in fields(config) if (value := getattr(config, field.name)) in NAMES}
+
+
+@pytest.mark.parametrize("node", pipeline_nodes(), ids=lambda node: node.name)
+def test_every_network_that_a_stage_names_is_in_its_key(node: Node) -> None:
+    config = node.config_type()
+    assert networks(config) <= TableModels().digests(slots_of(node.spec, config), config).keys()
+
+
+def test_the_detector_and_what_it_requires_are_in_the_key_of_segment_unless_it_is_left_out() -> None:
+    config = SegmentConfig()
+    digests = TableModels().digests(slots_of(STAGE, config), config)
+    assert {"room-segment", "objectron", "objectron-chair"} <= digests.keys()
+    without = replace(config, finder=NO_MODEL)
+    assert TableModels().digests(slots_of(STAGE, without), without).keys() == {"room-segment"}
