@@ -17,7 +17,7 @@ from video2anim.objects.form_fit import ObjectEvidence
 from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
 
 _POINTS = 160
-"""Pixels of an object that are looked at: twice as many change no size by a centimeter."""
+"""Pixels of an object that are looked at; the time of a fit grows with them."""
 _LEAST_POINTS = 3
 _RAISED_M = 0.15
 """What ends so far above the floor, where the picture goes on below it, stands on something else."""

@@ -1,7 +1,7 @@
 """Forms of furniture: a few sizes each, and the solids that they give.
 
-Usual sizes are those of catalogues, in meters: the middle of the range in which two thirds of the pieces lie, and half
-its width as a share.
+Usual sizes are real ones, those in which the synthetic rooms draw their furniture
+(`video2anim.synth.rooms`): the middle of the range, and about half of it as a share of that.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Form:
     stands: bool = True
     """On the floor, always."""
     share: float = 1.0
-    """How common it is among things in rooms and gardens, against a chair."""
+    """How common it is among things in rooms and gardens, against a chair: a judgment, not a count."""
 
     @property
     def usual_m(self) -> Float[np.ndarray, "sizes"]:
