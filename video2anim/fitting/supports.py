@@ -152,9 +152,7 @@ def rested_and_inner_m(
         for motion in bodies.people
         for place in rested_places(motion, shaped_body(motion.shape))
     ]
-    inner = [
-        motion.joints_world_m[motion.valid][::_EVERY][:, list(_INNER)].reshape(-1, 3) for motion in bodies.people
-    ]
+    inner = [motion.joints_world_m[motion.valid][::_EVERY][:, list(_INNER)].reshape(-1, 3) for motion in bodies.people]
     return np.concatenate([np.zeros((0, 3)), *rested]), np.concatenate([np.zeros((0, 3)), *inner])
 
 

@@ -134,7 +134,7 @@ class Solids:
         """A closed surface for every solid of the first set: 12 faces of a box, 96 of a cylinder."""
         made = []
         for k in range(self.half_m.shape[1]):
-            vertices, faces = (_CYLINDER if self.round[k] else _BOX)
+            vertices, faces = _CYLINDER if self.round[k] else _BOX
             c, s = np.cos(self.tilt_rad[0, k]), np.sin(self.tilt_rad[0, k])
             turn = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
             half = self.half_m[0, k, [0, 1, 0]] if self.round[k] else self.half_m[0, k]
