@@ -152,6 +152,27 @@ class ObjectMeshes:
     objects: tuple[ObjectMesh, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """A stretch of frames in which somebody has an object in hand."""
+
+    person_id: NonNegativeInt
+    hand: str
+    """`left hand`, `right hand` or `both hands`."""
+    first_frame: NonNegativeInt
+    last_frame: NonNegativeInt
+    """The last one held."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectPath:
+    """Rigid motion of an object that somebody moves: one pose per frame of the clip, constant while nobody holds it."""
+
+    T_world_object: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
+    holds: tuple[Hold, ...]
+    """In order of time."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedObject:
     """Metric pose of an object (paper 8.1): x_world = T_world_object @ (scale * x_object)."""
@@ -177,6 +198,8 @@ class PlacedObject:
     """None where the shape has no known parts."""
     textures: tuple[Texture, ...] = ()
     """One, or none where the colors of the vertices are all there is."""
+    path: tuple[ObjectPath, ...] = ()
+    """One where somebody moves it; `T_world_object` is then its pose in the first frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
