@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.types import BodyMotion, BodyShape, Intrinsics, Mesh, PlacedObject, SceneModel
+from video2anim.types import BodyMotion, BodyShape, Hold, Intrinsics, Mesh, ObjectPath, PlacedObject, SceneModel
 
 FPS = 30.0
 
@@ -98,3 +100,17 @@ def room() -> SceneModel:
         objects=(box,), floor=floor, background=wall, sdf_m=height_m.copy(),
         sdf_origin_m=np.array([-3.0, -0.6, -3.0]), sdf_spacing_m=0.2,
     )  # fmt: skip
+
+
+def room_with_carried_box(frames: int = 24, person_id: int = 1) -> SceneModel:
+    """The room; its box rests, is carried in an arc 1.5 m along -X while it turns, and rests again."""
+    scene = room()
+    (box,) = scene.objects
+    first, last = frames // 4, 3 * frames // 4
+    share = np.clip((np.arange(frames) - first + 1) / (last - first + 2), 0.0, 1.0)
+    T_world_object = np.tile(box.T_world_object, (frames, 1, 1))
+    T_world_object[:, 0, 3] -= 1.5 * share
+    T_world_object[:, 1, 3] += 0.6 * np.sin(np.pi * share) * (share < 1)
+    T_world_object[:, :3, :3] = rotation("y", 1.4 * share) @ T_world_object[:, :3, :3]
+    path = ObjectPath(T_world_object, (Hold(person_id, "right hand", first, last),))
+    return replace(scene, objects=(replace(box, path=(path,)),))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from walk_scene import room, walk
+from walk_scene import room, room_with_carried_box, walk
 
 from video2anim.artifacts.codec import read_value, write_value
 from video2anim.artifacts.folder import folder_digest, remove_unfinished, whole_or_absent
@@ -18,7 +18,7 @@ from video2anim.artifacts.manifest import Manifest, read_manifest
 from video2anim.artifacts.meshes import read_ply, write_ply
 from video2anim.artifacts.motion_io import read_motion, write_motion
 from video2anim.errors import ArtifactError
-from video2anim.types import BodyTracks, Mesh, PayloadFile, PersonQuality, SceneModel, Storage, stored
+from video2anim.types import BodyTracks, Hold, Mesh, PayloadFile, PersonQuality, SceneModel, Storage, stored
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,24 @@ def test_scene_and_motion_round_trip(tmp_path: Path) -> None:
         np.testing.assert_array_equal(before.valid, after.valid)
         assert before.shape == after.shape
         assert before.intrinsics == after.intrinsics
+
+
+def test_a_carried_object_round_trip(tmp_path: Path) -> None:
+    scene = room_with_carried_box(24)
+    write_value(scene, tmp_path)
+    (placed,), (before,) = read_value(SceneModel, tmp_path).objects, scene.objects
+    np.testing.assert_array_equal(placed.path[0].T_world_object, before.path[0].T_world_object)
+    assert placed.holds == before.holds == (Hold(1, "right hand", 6, 18),)
+    for frame in (0, 12, 23):
+        np.testing.assert_array_equal(placed.pose(frame), before.path[0].T_world_object[frame])
+    np.testing.assert_array_equal(room().objects[0].pose(7), before.T_world_object)
+    assert room().objects[0].holds == ()
+    bent = before.path[0].T_world_object.copy()
+    bent[3, 0, 0] += 0.1
+    wrong = replace(before, path=(replace(before.path[0], T_world_object=bent),))
+    write_value(replace(scene, objects=(wrong,)), tmp_path)
+    with pytest.raises(ArtifactError, match="rigid"):
+        read_value(SceneModel, tmp_path)
 
 
 def test_nothing_is_pickled(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from walk_scene import room, walk
+from walk_scene import room, room_with_carried_box, walk
 
 from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.body.smplx_body import DIR_VARIABLE, MEAN_PELVIS_M, shaped_smpl
@@ -192,3 +192,22 @@ def test_usd_skeleton_skin_objects_and_camera(tmp_path: Path) -> None:
     pose = np.array(camera.transform).T
     np.testing.assert_allclose(pose[:3, 2], -motion.T_world_camera[11, :3, 2], atol=1e-6)
     np.testing.assert_allclose(pose[:3, 3], motion.T_world_camera[11, :3, 3], atol=1e-6)
+
+
+def test_usd_object_follows_its_path(tmp_path: Path) -> None:
+    Usd = pytest.importorskip("pxr.Usd")
+    from pxr import Gf, UsdGeom
+
+    from video2anim.export.usd import write_usd
+
+    motion, scene = walk(24), room_with_carried_box(24)
+    write_usd(tmp_path / "scene.usdc", (character_of(motion),), scene)
+    (placed,) = scene.objects
+    stage = Usd.Stage.Open(str(tmp_path / "scene.usdc"))
+    box = UsdGeom.Xformable(stage.GetPrimAtPath("/World/objects/object_3_storage_box"))
+    (transform,) = box.GetOrderedXformOps()
+    assert len(transform.GetTimeSamples()) < motion.frame_count, "at rest two keys do"
+    for frame in range(motion.frame_count):
+        corner = box.ComputeLocalToWorldTransform(frame).Transform(Gf.Vec3d(*placed.mesh.vertices_m[5].tolist()))
+        expected = placed.path[0].T_world_object[frame] @ [*(placed.scale * placed.mesh.vertices_m[5]), 1.0]
+        np.testing.assert_allclose(np.array(corner), expected[:3], atol=1e-6)

@@ -13,7 +13,7 @@ import numpy as np
 import pygltflib as gltf
 import pytest
 import trimesh
-from walk_scene import room, walk
+from walk_scene import room, room_with_carried_box, walk
 
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.skeleton import JOINT_NAMES, forward_kinematics
@@ -223,7 +223,8 @@ def test_the_khronos_validator_finds_nothing(path: Path, tmp_path: Path) -> None
         pytest.skip("no node with gltf-validator: `make .venv/.programs`, or name its folder in NODE_PATH")
     write_object_glb(tmp_path / "3.glb", room().objects[0])
     write_scene_glb(tmp_path / "still.glb", (character_of(walk(5)),), None)
-    files = [path, tmp_path / "3.glb", tmp_path / "still.glb"]
+    write_scene_glb(tmp_path / "carried.glb", (character_of(walk(24)),), room_with_carried_box(24))
+    files = [path, *(tmp_path / f"{name}.glb" for name in ("3", "still", "carried"))]
     command = [node, str(Path(__file__).with_name("gltf_validate.js")), str(modules), *map(str, files)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -257,6 +258,39 @@ def test_contacts_are_at_the_node_of_the_person(tmp_path: Path, people: tuple[Bo
         {"body_part": "left foot", "label": "floor", "surface": "floor", "start_s": 0.0, "end_s": 0.2,
          "mean_distance_m": 0.0, "largest_distance_m": 0.01},
     ]  # fmt: skip
+
+
+def test_a_carried_object_follows_its_path(tmp_path: Path) -> None:
+    motion, scene = walk(24), room_with_carried_box(24)
+    write_scene_glb(tmp_path / "carried.glb", (character_of(motion),), scene)
+    reread, (placed,) = Reread(tmp_path / "carried.glb"), scene.objects
+    index = reread.node("object_3_storage_box")
+    (animation,) = reread.document.animations
+    channels = {
+        one.target.path: animation.samplers[one.sampler] for one in animation.channels if one.target.node == index
+    }
+    assert set(channels) == {"translation", "rotation"}
+    assert all(sampler.interpolation == "LINEAR" for sampler in channels.values())
+    key_s = reread.array(channels["translation"].input)[:, 0]
+    (hold,) = placed.holds
+    np.testing.assert_allclose(
+        key_s[[0, 1, -2, -1]], motion.frame_time_s[[0, hold.first_frame - 1, hold.last_frame + 1, -1]]
+    )
+    at_m, xyzw = (reread.array(channels[name].output) for name in ("translation", "rotation"))
+    assert ((xyzw[1:] * xyzw[:-1]).sum(1) > 0).all()
+    for frame, time_s in enumerate(motion.frame_time_s):
+        # A viewer's linear interpolation; where keys were left out both neighbors are the same.
+        moved = [[np.interp(time_s, key_s, column) for column in values.T] for values in (at_m, xyzw)]
+        T = placed.path[0].T_world_object[frame]
+        np.testing.assert_allclose(moved[0], T[:3, 3], atol=1e-5)
+        np.testing.assert_allclose(matrix_from_quaternion(np.roll(moved[1], 1)), T[:3, :3], atol=1e-5)
+    node = reread.document.nodes[index]
+    assert node.scale == [2.0] * 3
+    assert node.extras["holds"] == [
+        {"person_id": 1, "hand": "right hand", "start_s": motion.frame_time_s[6], "end_s": motion.frame_time_s[18]}
+    ]
+    write_scene_glb(tmp_path / "alone.glb", (), scene)
+    assert Reread(tmp_path / "alone.glb").document.animations == []
 
 
 def test_strongest_influences_keep_order_and_sum() -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from video2anim.types import Intrinsics
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """T_opencv_opengl: camera axes of glTF and USD (+X right, +Y up, looking along -Z) into OpenCV's."""
 
+_SAME = 1e-9
+"""From one frame to the next; a thousandth of what counts for a whole clip, so that slow motion is not lost."""
 ZUP_FROM_YUP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """R_zup_yup: +Y up to +Z up by a quarter turn about +X, as Blender's glTF import does."""
 
@@ -22,6 +24,13 @@ def opengl_camera_poses(T_world_camera: Float[np.ndarray, "frames 4 4"]) -> Floa
 def is_still(T_world_camera: Float[np.ndarray, "frames 4 4"], tolerance: float = 1e-6) -> bool:
     """Whether the poses are all the same (metres and matrix entries within `tolerance`)."""
     return bool(np.abs(T_world_camera - T_world_camera[:1]).max() <= tolerance)
+
+
+def needed_keys(T_world_object: Float[np.ndarray, "frames 4 4"]) -> Int[np.ndarray, "keys"]:
+    """Frames that a linear track needs: the first, the last, and those beside which the pose changes."""
+    step = np.abs(np.diff(T_world_object, axis=0)).max((1, 2)) > _SAME
+    edges = np.concatenate([[True], step, [True]])
+    return np.flatnonzero(edges[:-1] | edges[1:])
 
 
 def vertical_fov_rad(intrinsics: Intrinsics) -> float:

@@ -22,10 +22,16 @@ import pygltflib as gltf
 from video2anim import __version__
 from video2anim.body.skeleton import JOINT_NAMES, PARENTS
 from video2anim.export.character import Character, Rig
-from video2anim.export.frames import is_still, linear_from_srgb, opengl_camera_poses, vertical_fov_rad
+from video2anim.export.frames import (
+    is_still,
+    linear_from_srgb,
+    needed_keys,
+    opengl_camera_poses,
+    vertical_fov_rad,
+)
 from video2anim.export.gltf_buffer import GltfBuffer
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
-from video2anim.types import BodyMotion, Contact, Mesh, PlacedObject, Texture
+from video2anim.types import BodyMotion, Contact, Hold, Mesh, PlacedObject, Texture
 from video2anim.viewer.normals import vertex_normals
 
 
@@ -60,7 +66,8 @@ def write_scene_glb(
     Args:
         path: File to make.
         characters: People, main person first; the camera is the one their motions carry.
-        scene: Static geometry, or None for people alone.
+        scene: Objects and room, or None for people alone. Objects that somebody moves are animated in the time of the
+            people; without people they stay where they are at first.
         camera: Whether to write the filming camera.
         joint_names: Names of the 22 joint nodes, in SMPL order.
         contacts: What the people touch; each person's are in the extras of their node.
@@ -69,8 +76,9 @@ def write_scene_glb(
     if scene is not None:
         writer.add_mesh("floor", scene.floor, unlit=False)
         writer.add_mesh("background", scene.background, unlit=True)
+        time_s = characters[0].motion.frame_time_s if characters else None
         for placed in scene.objects:
-            writer.add_object(placed, np.asarray(placed.T_world_object))
+            writer.add_object(placed, np.asarray(placed.T_world_object), time_s)
     for character in characters:
         writer.add_character(character, [one for one in contacts if one.person_id == character.motion.person_id])
     if characters and camera:
@@ -79,7 +87,8 @@ def write_scene_glb(
 
 
 def write_object_glb(path: Path, placed: PlacedObject) -> None:
-    """Write one object in metres in its own frame (resting on y = 0); its world pose is in the node's extras."""
+    """Write one object in metres in its own frame (resting on y = 0), not animated; its world pose, in the first frame
+    where somebody moves it, is in the node's extras."""
     writer = _GlbWriter()
     writer.add_object(placed, np.eye(4))
     writer.save(path)
@@ -125,19 +134,25 @@ class _GlbWriter:
             node.scale = [float(scale)] * 3
         return self._add_root(node)
 
-    def add_object(self, placed: PlacedObject, T: np.ndarray) -> None:
+    def add_object(self, placed: PlacedObject, T: np.ndarray, time_s: np.ndarray | None = None) -> None:
+        """An object at a pose; where it is moved and the times of the clip's frames are given, along its path."""
         if placed.textures:
             index = self._add_textured(object_name(placed), placed.mesh, placed.textures[0], T, placed.scale)
         else:
             index = self.add_mesh(object_name(placed), placed.mesh, unlit=False, T=T, scale=placed.scale)
-        if index is not None:
-            self.document.nodes[index].extras = {
-                "object_id": int(placed.object_id),
-                "label": placed.label,
-                "trusted": bool(placed.trusted),
-                "parts": [asdict(part) for part in placed.parts],
-                "T_world_object": np.asarray(placed.T_world_object, float).tolist(),
-            }
+        if index is None:
+            return
+        extras = {
+            "object_id": int(placed.object_id),
+            "label": placed.label,
+            "trusted": bool(placed.trusted),
+            "parts": [asdict(part) for part in placed.parts],
+            "T_world_object": np.asarray(placed.T_world_object, float).tolist(),
+        }
+        if placed.path and time_s is not None:
+            extras["holds"] = [_hold_extras(hold, time_s) for hold in placed.holds]
+            self._animate_pose(time_s, index, np.asarray(placed.path[0].T_world_object))
+        self.document.nodes[index].extras = extras
 
     def _add_textured(self, name: str, mesh: Mesh, texture: Texture, T: np.ndarray, scale: float) -> int:
         """Static mesh with a picture on it; flat faces, so every corner is a vertex of its own."""
@@ -207,10 +222,7 @@ class _GlbWriter:
         node = gltf.Node(name="camera", camera=len(self.document.cameras) - 1)
         _set_pose(node, poses[0])
         index = self._add_root(node)
-        if not is_still(poses):
-            wxyz = continuous_quaternions(quaternion_from_matrix(poses[:, :3, :3]))
-            self._animate(motion.frame_time_s, index, "translation", poses[:, :3, 3])
-            self._animate(motion.frame_time_s, index, "rotation", np.roll(wxyz, -1, axis=-1))
+        self._animate_pose(motion.frame_time_s, index, poses)
 
     def save(self, path: Path) -> None:
         if self.animation.channels:
@@ -239,6 +251,15 @@ class _GlbWriter:
         index = len(self.document.nodes) - 1
         self.roots.append(index)
         return index
+
+    def _animate_pose(self, time_s: np.ndarray, node: int, T_world_node: np.ndarray) -> None:
+        """Channels of a node that moves, with the keys that it needs; none where it is still."""
+        if is_still(T_world_node):
+            return
+        keys = needed_keys(T_world_node)
+        wxyz = continuous_quaternions(quaternion_from_matrix(T_world_node[keys, :3, :3]))
+        self._animate(time_s[keys], node, "translation", T_world_node[keys, :3, 3])
+        self._animate(time_s[keys], node, "rotation", np.roll(wxyz, -1, axis=-1))
 
     def _animate(self, time_s: np.ndarray, node: int, path: str, values: np.ndarray) -> None:
         key = np.asarray(time_s, np.float32).tobytes()
@@ -270,6 +291,12 @@ def _contact_extras(contact: Contact) -> dict[str, Any]:
     """A contact without its person, whose node it is at; that with the floor has no `object_id`, since Blender's
     properties hold no null."""
     return {name: value for name, value in asdict(contact).items() if name != "person_id" and value is not None}
+
+
+def _hold_extras(hold: Hold, time_s: np.ndarray) -> dict[str, Any]:
+    """A stretch in which somebody has the object in hand, in the times of contacts."""
+    start_s, end_s = (float(time_s[frame]) for frame in (hold.first_frame, hold.last_frame))
+    return {"person_id": int(hold.person_id), "hand": hold.hand, "start_s": start_s, "end_s": end_s}
 
 
 def _set_pose(node: gltf.Node, T: np.ndarray) -> None:

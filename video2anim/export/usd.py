@@ -16,7 +16,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from video2anim.body.skeleton import JOINT_NAMES, PARENTS
 from video2anim.export.character import INFLUENCES, Character, Rig
-from video2anim.export.frames import is_still, linear_from_srgb, opengl_camera_poses
+from video2anim.export.frames import is_still, linear_from_srgb, needed_keys, opengl_camera_poses
 from video2anim.export.glb import FAR_M, NEAR_M, SKIN_RGB, object_name
 from video2anim.geometry.rotations import matrix_from_quaternion
 from video2anim.geometry.scene_mesh import with_vertex_colors
@@ -48,8 +48,9 @@ def write_usd(path: Path, characters: tuple[Character, ...], scene: SceneModel |
                 _define_mesh(stage, f"/World/{name}", mesh, material)
         # A folder without a type has no place in space for Blender, which then loses the turn of the up axis below it.
         UsdGeom.Xform.Define(stage, "/World/objects")
+        time_s = characters[0].motion.frame_time_s if characters else None
         for placed in scene.objects:
-            _define_object(stage, placed, material)
+            _define_object(stage, placed, material, time_s)
     for character in characters:
         _define_character(stage, character, material)
     if characters:
@@ -91,13 +92,21 @@ def _define_triangles(
     return prim
 
 
-def _define_object(stage: Usd.Stage, placed: PlacedObject, material: UsdShade.Material) -> None:
+def _define_object(
+    stage: Usd.Stage, placed: PlacedObject, material: UsdShade.Material, time_s: np.ndarray | None
+) -> None:
+    """An object where it is; along its path where it is moved and the times of the clip's frames are given."""
     if len(placed.mesh.faces) == 0:
         return
     mesh = with_vertex_colors(placed.mesh, placed.textures)
     node = _define_mesh(stage, f"/World/objects/{object_name(placed)}", mesh, material)
     scaling = np.diag([placed.scale, placed.scale, placed.scale, 1.0])
-    node.AddTransformOp().Set(_matrix(np.asarray(placed.T_world_object) @ scaling))
+    transform = node.AddTransformOp()
+    transform.Set(_matrix(np.asarray(placed.T_world_object) @ scaling))
+    if placed.path and time_s is not None:
+        poses = np.asarray(placed.path[0].T_world_object)
+        for key in needed_keys(poses):
+            transform.Set(_matrix(poses[key] @ scaling), Usd.TimeCode(float(time_s[key]) * FPS))
     node.GetPrim().SetCustomDataByKey("label", placed.label)
     node.GetPrim().SetCustomDataByKey("trusted", bool(placed.trusted))
 

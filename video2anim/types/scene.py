@@ -201,6 +201,15 @@ class PlacedObject:
     path: tuple[ObjectPath, ...] = ()
     """One where somebody moves it; `T_world_object` is then its pose in the first frame."""
 
+    def pose(self, frame: int) -> Float[np.ndarray, "4 4"]:
+        """`T_world_object` in a frame of the clip."""
+        return self.path[0].T_world_object[frame] if self.path else self.T_world_object
+
+    @property
+    def holds(self) -> tuple[Hold, ...]:
+        """When somebody has it in hand, in order of time."""
+        return self.path[0].holds if self.path else ()
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedObjects:
