@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from walk_scene import room, walk
+from walk_scene import room, room_with_carried_box, walk
 
 from scenemi import metrics
 from video2anim.export.quality import measured_span, motion_quality, worst_moments
@@ -217,3 +217,21 @@ def test_page_shows_the_timeline_of_the_person_who_touches() -> None:
     assert title not in render_report(dataclasses.replace(report, contacts=()))
     others = dataclasses.replace(contact, person_id=motion.person_id + 1)
     assert title not in render_report(dataclasses.replace(report, contacts=(others,)))
+
+
+def test_page_tells_who_moved_what_how_far() -> None:
+    motion, scene = walk(FRAMES), room_with_carried_box(FRAMES)
+    page = render_report(ReportInput("clip.mp4", (), motions={"refined": (motion,)}, scene=scene))
+    (placed,) = scene.objects
+    (hold,) = placed.holds
+    way_m = np.linalg.norm(np.diff(placed.path[0].T_world_object[:, :3, 3], axis=0), axis=-1)
+    row = re.search(
+        r"<td>storage box 3</td><td>1</td><td>right hand</td>"
+        r"<td class=\"n\">(.*?)</td><td class=\"n\">(.*?)</td><td class=\"n\">(.*?)</td></tr>",
+        page,
+    )
+    assert row is not None
+    start_s, end_s = motion.frame_time_s[[hold.first_frame, hold.last_frame]]
+    held_m = way_m[hold.first_frame - 1 : hold.last_frame].sum()
+    assert row.groups() == tuple(map(format_number, (start_s, end_s, held_m)))
+    assert "Moved objects" not in render_report(ReportInput("clip.mp4", (), motions={"raw": (motion,)}, scene=room()))

@@ -11,7 +11,7 @@ import av
 import numpy as np
 import pygltflib
 import pytest
-from walk_scene import room, walk
+from walk_scene import room, room_with_carried_box, walk
 
 from stages.export import ExportConfig, _write_pictures, export_scene
 from video2anim.artifacts.codec import read_value, write_value
@@ -32,6 +32,7 @@ from video2anim.types import (
     SourceVideo,
     VideoClip,
 )
+from video2anim.viewer.drawing import world_vertices
 
 FRAMES = 8
 
@@ -177,6 +178,24 @@ def test_preview_has_every_frame_and_both_panels(gray_clip: VideoClip, tmp_path:
     skin = (side[..., 0] - side[..., 2] > 35).mean()
     assert blue > 0.002, "the box is in the side view"
     assert skin > 0.002, "the body is in the side view"
+
+
+def test_preview_and_moments_show_a_carried_box_where_it_is(gray_clip: VideoClip, tmp_path: Path) -> None:
+    people, scene = (walk(FRAMES),), room_with_carried_box(FRAMES)
+    write_preview(tmp_path / "preview.mp4", gray_clip, people, scene)
+    viewpoint, (placed,) = side_viewpoint(people, scene, 560, 360), scene.objects
+    with av.open(str(tmp_path / "preview.mp4")) as container:
+        pictures = [frame.to_ndarray(format="rgb24")[:, 640:].astype(int) for frame in container.decode(video=0)]
+    at_px = []
+    for frame in (0, 3, 7):
+        rows, columns = np.nonzero(pictures[frame][..., 2] - pictures[frame][..., 0] > 60)
+        middle_m = world_vertices(placed, frame).mean(0)
+        (expected,) = project(viewpoint.to_camera(middle_m[None]), viewpoint.intrinsics)
+        np.testing.assert_allclose([columns.mean(), rows.mean()], expected, atol=20)
+        at_px.append(np.array([columns.mean(), rows.mean()]))
+    assert np.linalg.norm(at_px[1] - at_px[0]) > 25
+    moved, still = (moment_picture(gray_clip, *people, *people, where, 5, height_px=200) for where in (scene, room()))
+    assert np.abs(moved.astype(int) - still).max(-1)[:, -200:].mean() > 5
 
 
 def test_overlay_covers_the_joints_and_nothing_far_away(gray_clip: VideoClip) -> None:

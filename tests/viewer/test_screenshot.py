@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import cv2
 import numpy as np
 import pytest
-from walk_scene import room, walk
+from walk_scene import room, room_with_carried_box, walk
 
 from video2anim.errors import InputError, UsageError
+from video2anim.geometry.projection import project
+from video2anim.geometry.scene_mesh import grid_faces
+from video2anim.types import BodyMotion, Mesh, SceneModel
 from video2anim.viewer import SceneView, screenshot, view
+from video2anim.viewer.drawing import draw_static, world_vertices
+from video2anim.viewer.raster import Canvas
+from video2anim.viewer.software import oblique_viewpoint
 
 FRAMES = 10
 
@@ -40,6 +49,81 @@ def test_software_picture_shows_body_and_box(scene_view: SceneView, tmp_path: Pa
     assert skin_share(picture) > 0.005
     blue = picture[..., 0].astype(int) - picture[..., 2] > 60
     assert blue.mean() > 0.005
+
+
+def blue_pixels(picture_bgr: np.ndarray) -> np.ndarray:
+    """Of the box, by row and column."""
+    picture = picture_bgr.astype(int)
+    return np.argwhere(picture[..., 0] - picture[..., 2] > 60)
+
+
+def expected_px(people: tuple[BodyMotion, ...], scene: SceneModel, frame: int) -> np.ndarray:
+    """Where the middle of the box is in the picture of a frame, row and column."""
+    (placed,) = scene.objects
+    viewpoint = oblique_viewpoint(people, scene, 480, 270)
+    middle_m = world_vertices(placed, frame).mean(0)
+    return project(viewpoint.to_camera(middle_m[None]), viewpoint.intrinsics)[0, ::-1]
+
+
+def test_a_carried_box_is_drawn_where_it_is_in_each_frame(tmp_path: Path) -> None:
+    people, scene = (walk(24, side_m=-1.0),), room_with_carried_box(24)
+    shown, found = SceneView({"refined": people}, scene), []
+    for frame in (2, 12, 22):
+        screenshot(shown, frame, tmp_path / "shot.png", width_px=480, height_px=270)
+        found.append(blue_pixels(cv2.imread(str(tmp_path / "shot.png"))))
+        # The middle of what is seen of a box is not quite its own.
+        np.testing.assert_allclose(found[-1].mean(0), expected_px(people, scene, frame), atol=8)
+    assert np.linalg.norm(found[0].mean(0) - found[2].mean(0)) > 50
+
+
+def test_the_shadow_goes_with_the_carried_box() -> None:
+    people, scene = (walk(24),), room_with_carried_box(24)
+    x, z = np.meshgrid(np.linspace(-2, 2, 81), np.linspace(-2, 2, 81))
+    cells_m = np.stack([x, 0 * x, z], -1).reshape(-1, 3)
+    floor = Mesh(cells_m, grid_faces(81, 81), np.full(cells_m.shape, 200, np.uint8))
+    viewpoint = oblique_viewpoint(people, scene, 480, 270)
+    (placed,) = scene.objects
+    corners_m = [world_vertices(placed, frame) for frame in (0, 23)]
+    beside_m = np.stack([[*one[one[:, 2].argmax(), [0]], 0.0, one[:, 2].max() + 0.03] for one in corners_m])
+    column, row = np.rint(project(viewpoint.to_camera(beside_m), viewpoint.intrinsics)).astype(int).T
+    light = []
+    for frame in (0, 23):
+        canvas = Canvas.blank(480, 270)
+        draw_static(canvas, viewpoint, replace(scene, floor=floor), background=False, objects=True, frame=frame)
+        light.append(canvas.rgb[row, column].mean(-1))
+    assert light[0][0] < 198
+    assert light[1][1] < 198
+    assert light[0][1] == light[1][0] == 200, "there is none where the box is not"
+
+
+def test_the_window_moves_the_carried_box(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a stand-in for open3d, which needs a display."""
+
+    class Triangles(SimpleNamespace):
+        def compute_vertex_normals(self) -> None: ...
+
+    library = MagicMock()
+    library.utility.Vector3dVector = library.utility.Vector3iVector = np.array
+    library.geometry.TriangleMesh = lambda vertices, triangles: Triangles(vertices=vertices, triangles=triangles)
+    monkeypatch.setitem(sys.modules, "open3d", library)
+    for module in ("geometry3d", "window"):
+        monkeypatch.delitem(sys.modules, f"video2anim.viewer.{module}", raising=False)
+    window = importlib.import_module("video2anim.viewer.window")
+    scene, visualizer = room_with_carried_box(24), MagicMock()
+    player = window.Player(visualizer, SceneView({"refined": (walk(24),)}, scene), 3)
+    (box,), (placed,) = player.parts["objects"], scene.objects
+    for frame in (12, 20, 0):
+        visualizer.update_geometry.reset_mock()
+        player.show(frame)
+        np.testing.assert_allclose(box.vertices, world_vertices(placed, frame), atol=1e-6)
+        assert any(call.args[0] is box for call in visualizer.update_geometry.call_args_list)
+    player.toggle("objects")
+    visualizer.update_geometry.reset_mock()
+    player.show(12)
+    assert not any(call.args[0] is box for call in visualizer.update_geometry.call_args_list), "it is hidden"
+    np.testing.assert_allclose(box.vertices, world_vertices(placed, 12), atol=1e-6)
+    for module in ("geometry3d", "window"):
+        sys.modules.pop(f"video2anim.viewer.{module}")
 
 
 def test_stages_differ(scene_view: SceneView, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from video2anim.geometry.sdf import SdfGrid
 from video2anim.types import BodyMotion, Intrinsics, SceneModel, VideoClip
 from video2anim.video import FrameWriter, read_frame, read_frames
 from video2anim.viewer.bodies import PosedBodies
-from video2anim.viewer.drawing import draw_frustum, draw_static
+from video2anim.viewer.drawing import draw_frustum, draw_static, objects_stay
 from video2anim.viewer.raster import Canvas
 from video2anim.viewer.software import framed_points
 from video2anim.viewer.viewpoint import Viewpoint, fit_viewpoint, looking
@@ -73,8 +73,7 @@ def write_preview(
     width_px, height_px = _panel_size(clip, size.panel_height_px)
     lens = people[0].intrinsics.resized(width_px, height_px)
     side = side_viewpoint(people, scene, size.side_width_px, height_px)
-    side_empty = Canvas.blank(size.side_width_px, height_px)
-    draw_static(side_empty, side, scene, background=False, objects=True)
+    side_empty = _empty_scene(scene, side, 0)
     total = min(clip.frame_count, people[0].frame_count)
     silent = path.with_name(f".silent-{path.name}")
     with FrameWriter(
@@ -85,6 +84,8 @@ def write_preview(
         ):
             small = cv2.resize(picture, (width_px, height_px), interpolation=cv2.INTER_AREA)
             left = _overlay(small, bodies, meshes, frame, lens)
+            if frame and not objects_stay(scene, frame):
+                side_empty = _empty_scene(scene, side, frame)
             right = side_empty.copy()
             draw_frustum(right, side, people[0].T_world_camera[frame], people[0].intrinsics)
             bodies.draw(right, side, meshes, frame)
@@ -121,12 +122,19 @@ def moment_picture(
     viewpoint = _clear_viewpoint(points_m, np.concatenate(around), sideways, scene, size_px, size_px)
     for motion in (raw, refined):
         canvas = Canvas.blank(size_px, size_px)
-        draw_static(canvas, viewpoint, scene, background=False, objects=True)
+        draw_static(canvas, viewpoint, scene, background=False, objects=True, frame=frame)
         bodies = PosedBodies((motion,))
         (meshes,) = bodies.frames(frame, frame + 1)
         bodies.draw(canvas, viewpoint, meshes, frame)
         panels.append(canvas.rgb)
     return np.concatenate(panels, axis=1)
+
+
+def _empty_scene(scene: SceneModel, viewpoint: Viewpoint, frame: int) -> Canvas:
+    """Floor and objects of a frame, without people."""
+    canvas = Canvas.blank(viewpoint.intrinsics.width_px, viewpoint.intrinsics.height_px)
+    draw_static(canvas, viewpoint, scene, background=False, objects=True, frame=frame)
+    return canvas
 
 
 def side_viewpoint(people: tuple[BodyMotion, ...], scene: SceneModel, width_px: int, height_px: int) -> Viewpoint:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from video2anim import __version__
@@ -104,6 +105,7 @@ def render_report(report: ReportInput) -> str:
         pictures=[(picture.caption, report_plots.data_uri(picture.png, "image/png")) for picture in report.pictures],
         moments=[(moment.caption, report_plots.data_uri(moment.png, "image/png")) for moment in report.moments],
         found=[(person, report_plots.data_uri(person.png, "image/png")) for person in report.found],
+        moved=_moved_objects(report),
         total_s=sum(stage.wall_time_s for stage in report.stages),
         peak_mb=max((stage.peak_memory_mb for stage in report.stages if stage.peak_memory_mb), default=None),
         warnings=[(stage.name, text) for stage in report.stages for text in stage.warnings],
@@ -177,6 +179,28 @@ def _comparison(qualities: Mapping[str, MotionQuality]) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _moved_objects(report: ReportInput) -> list[dict[str, Any]]:
+    """One row per stretch in which somebody has an object in hand: who, with which hand, when, and how far it went."""
+    people = next(iter(report.motions.values()), ())
+    rows = []
+    for placed in report.scene.objects if report.scene is not None and people else ():
+        for hold in placed.holds:
+            held = slice(max(0, hold.first_frame - 1), hold.last_frame + 1)
+            way_m = placed.path[0].T_world_object[held, :3, 3]
+            time_s = people[0].frame_time_s
+            rows.append(
+                {
+                    "name": f"{placed.label} {placed.object_id}",
+                    "person": hold.person_id,
+                    "hand": hold.hand,
+                    "start_s": float(time_s[hold.first_frame]),
+                    "end_s": float(time_s[hold.last_frame]),
+                    "way_m": float(np.linalg.norm(np.diff(way_m, axis=0), axis=-1).sum()),
+                }
+            )
+    return sorted(rows, key=lambda row: row["start_s"])
 
 
 def _camera_facts(camera: CameraEstimate | None) -> list[tuple[str, str]]:

@@ -70,7 +70,8 @@ def skating_plot(qualities: Mapping[str, MotionQuality]) -> str:
 
 
 def path_plot(motions: Mapping[str, BodyMotion], scene: SceneModel | None) -> str:
-    """The pelvis from above with the outlines of the objects (convex)."""
+    """The pelvis from above with the outlines of the objects (convex) where they are at first, and the ways of those
+    that somebody moves, dotted."""
     figure, axes = _figure("z (m), towards the viewer", "x (m)", height_in=4.0)
     for placed in scene.objects if scene is not None else ():
         vertices_m = world_vertices(placed)
@@ -78,6 +79,9 @@ def path_plot(motions: Mapping[str, BodyMotion], scene: SceneModel | None) -> st
             outline = _hull(vertices_m[:, [0, 2]])
             axes.fill(outline[:, 0], outline[:, 1], color="#4b5563", alpha=0.25, lw=0)
             axes.annotate(placed.label, outline.mean(0), ha="center", va="center", fontsize=8)
+        if placed.path:
+            way_m = placed.path[0].T_world_object[:, :3, 3]
+            axes.plot(way_m[:, 0], way_m[:, 2], color="#4b5563", lw=1, ls=":")
     for stage, motion in motions.items():
         pelvis_m = np.where(motion.valid[:, None], motion.joints_world_m[:, 0], np.nan)
         axes.plot(pelvis_m[:, 0], pelvis_m[:, 2], color=STAGE_COLORS[stage], lw=1.3, label=stage)

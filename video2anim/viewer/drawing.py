@@ -24,14 +24,19 @@ _GRID_LIMIT = 60
 """Lines per direction at most; the step grows for larger floors."""
 
 
-def world_vertices(placed: PlacedObject) -> Float[np.ndarray, "vertices 3"]:
-    """Vertices of a placed object in the world."""
-    return transform_points(np.asarray(placed.T_world_object), placed.scale * np.asarray(placed.mesh.vertices_m))
+def world_vertices(placed: PlacedObject, frame: int = 0) -> Float[np.ndarray, "vertices 3"]:
+    """Vertices of a placed object in the world, at a frame of the clip."""
+    return transform_points(np.asarray(placed.pose(frame)), placed.scale * np.asarray(placed.mesh.vertices_m))
 
 
-def drawable_mesh(placed: PlacedObject) -> Mesh:
-    """A placed object in the world with a color per vertex."""
-    return world_mesh(with_vertex_colors(placed.mesh, placed.textures), placed.T_world_object, placed.scale)
+def drawable_mesh(placed: PlacedObject, frame: int = 0) -> Mesh:
+    """A placed object in the world with a color per vertex, at a frame of the clip."""
+    return world_mesh(with_vertex_colors(placed.mesh, placed.textures), placed.pose(frame), placed.scale)
+
+
+def objects_stay(scene: SceneModel, frame: int) -> bool:
+    """Whether every object stands at a frame where it stood in the one before."""
+    return all(np.array_equal(one.pose(frame - 1), one.pose(frame)) for one in scene.objects if one.path)
 
 
 def draw_static(
@@ -41,11 +46,12 @@ def draw_static(
     *,
     background: bool,
     objects: bool,
+    frame: int = 0,
     bodies_m: Sequence[Float[np.ndarray, "vertices 3"]] = (),
 ) -> None:
-    """Draw the floor with a meter grid, and on demand the room surface and the objects, which shade the floor that they
-    stand on; so do the bodies given, which are not drawn."""
-    placed = [drawable_mesh(one) for one in scene.objects] if objects else []
+    """Draw the floor with a meter grid, and on demand the room surface and the objects where they are at a frame, which
+    shade the floor that they stand on; so do the bodies given, which are not drawn."""
+    placed = [drawable_mesh(one, frame) for one in scene.objects] if objects else []
     shaded = contact_shaded(scene.floor, [*(mesh.vertices_m for mesh in placed), *bodies_m])
     floor = replace(scene.floor, vertex_rgb=shaded)
     _draw(canvas, viewpoint, floor, np.asarray(floor.vertices_m), light="none")

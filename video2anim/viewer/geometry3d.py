@@ -40,15 +40,18 @@ def move_mesh(mesh: Any, vertices_m: np.ndarray, rgb: np.ndarray) -> None:
     mesh.compute_vertex_normals()
 
 
-def static_meshes(scene: SceneModel | None) -> dict[str, list[Any]]:
-    """Meshes of a scene by the group that keys switch: `floor`, `background`, `objects`."""
+def scene_meshes(scene: SceneModel | None, frame: int) -> dict[str, list[Any]]:
+    """Meshes of a scene at a frame by the group that keys switch: `floor`, `background`, `objects` (those that have
+    faces, in their order)."""
     if scene is None:
         return {"floor": [], "background": [], "objects": []}
     return {
         "floor": _static(scene.floor, np.asarray(scene.floor.vertices_m)),
         "background": _static(scene.background, np.asarray(scene.background.vertices_m)),
         "objects": [
-            part for mesh in map(drawable_mesh, scene.objects) for part in _static(mesh, np.asarray(mesh.vertices_m))
+            part
+            for mesh in (drawable_mesh(placed, frame) for placed in scene.objects)
+            for part in _static(mesh, np.asarray(mesh.vertices_m))
         ],
     }
 

@@ -103,7 +103,7 @@ def _write_request(
         faces.append(body.faces)
         colors.append(posed.colors(person, frame))
     if scene is not None:
-        placed = [drawable_mesh(part) for part in scene.objects]
+        placed = [drawable_mesh(part, frame) for part in scene.objects]
         for mesh in (scene.floor, scene.background, *placed):
             vertices.append(np.asarray(mesh.vertices_m))
             faces.append(np.asarray(mesh.faces))

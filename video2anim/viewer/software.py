@@ -20,6 +20,8 @@ TURN_RAD = 0.6
 """Of the usual view against the filming camera's."""
 _SUPERSAMPLING = 2
 _HEADROOM_M = 0.25
+_LOOKED_AT_FRAMES = 15
+"""Of an object that moves, the place in every such frame and the last is kept in the picture."""
 _WHITE = (255, 255, 255)
 _LINE_PX = 20
 """Height of a line of text."""
@@ -42,7 +44,7 @@ def render_software(
     bodies = PosedBodies(people, contacts)
     (meshes,) = bodies.frames(frame, frame + 1)
     if scene is not None:
-        draw_static(canvas, viewpoint, scene, background=True, objects=True, bodies_m=meshes)
+        draw_static(canvas, viewpoint, scene, background=True, objects=True, frame=frame, bodies_m=meshes)
     bodies.draw(canvas, viewpoint, meshes, frame)
     draw_frustum(canvas, viewpoint, people[0].T_world_camera[frame], people[0].intrinsics)
     picture = cv2.resize(canvas.rgb, (width_px, height_px), interpolation=cv2.INTER_AREA)
@@ -89,7 +91,12 @@ def framed_points(
     points = [paths_m + np.array([0.0, _HEADROOM_M, 0.0]), paths_m * [1.0, 0.0, 1.0]]
     middle_m = np.median(paths_m, axis=0)
     for placed in scene.objects if scene is not None else ():
-        vertices_m = world_vertices(placed)
-        if len(vertices_m) and np.linalg.norm(vertices_m.mean(0) - middle_m) < object_reach_m:
-            points.append(vertices_m)
+        count = len(placed.path[0].T_world_object) if placed.path else 1
+        frames = sorted({*range(0, count, _LOOKED_AT_FRAMES), count - 1})
+        places = [world_vertices(placed, frame) for frame in frames]
+        points += [
+            vertices_m
+            for vertices_m in places
+            if len(vertices_m) and np.linalg.norm(vertices_m.mean(0) - middle_m) < object_reach_m
+        ]
     return np.concatenate(points)

@@ -14,7 +14,8 @@ import numpy as np
 
 from video2anim.errors import UsageError
 from video2anim.viewer.bodies import PosedBodies
-from video2anim.viewer.geometry3d import camera_lines, move_mesh, o3d, static_meshes, triangle_mesh
+from video2anim.viewer.drawing import drawable_mesh
+from video2anim.viewer.geometry3d import camera_lines, move_mesh, o3d, scene_meshes, triangle_mesh
 from video2anim.viewer.software import oblique_viewpoint
 from video2anim.viewer.view import STAGES, SceneView
 from video2anim.viewer.viewpoint import Viewpoint
@@ -64,7 +65,7 @@ class Player:
         self.frame = frame
         self.playing = frame == 0
         self.shown = {"camera": True, "objects": True, "background": True, "floor": True}
-        self.parts = static_meshes(view_of.scene)
+        self.parts = scene_meshes(view_of.scene, frame)
         self.parts["camera"] = [camera_lines(self.people[0].T_world_camera[frame], self.people[0].intrinsics)]
         (meshes,) = self.posed.frames(frame, frame + 1)
         self.bodies = [
@@ -90,16 +91,29 @@ class Player:
             self.visualizer.update_renderer()
 
     def show(self, frame: int) -> None:
-        """Move bodies and camera to a frame."""
-        self.frame = int(np.clip(frame, 0, self.view_of.frame_count - 1))
+        """Move bodies, objects and camera to a frame."""
+        self.frame, before = int(np.clip(frame, 0, self.view_of.frame_count - 1)), self.frame
         (meshes,) = self.posed.frames(self.frame, self.frame + 1)
         for person, (mesh, vertices_m) in enumerate(zip(self.bodies, meshes, strict=True)):
             move_mesh(mesh, vertices_m, self.posed.colors(person, self.frame))
             self.visualizer.update_geometry(mesh)
+        self._move_objects(before)
         (old,) = self.parts["camera"]
         old.points = camera_lines(self.people[0].T_world_camera[self.frame], self.people[0].intrinsics).points
         if self.shown["camera"]:
             self.visualizer.update_geometry(old)
+
+    def _move_objects(self, before: int) -> None:
+        """Put objects that somebody moves where they are, as far as they were elsewhere in the frame shown before."""
+        scene = self.view_of.scene
+        drawn = [placed for placed in scene.objects if len(placed.mesh.faces)] if scene is not None else []
+        for placed, part in zip(drawn, self.parts["objects"], strict=True):
+            if np.array_equal(placed.pose(before), placed.pose(self.frame)):
+                continue
+            mesh = drawable_mesh(placed, self.frame)
+            move_mesh(part, mesh.vertices_m, mesh.vertex_rgb)
+            if self.shown["objects"]:
+                self.visualizer.update_geometry(part)
 
     def use_stage(self, stage: str) -> None:
         """Show the motion of another stage, if there is one."""
