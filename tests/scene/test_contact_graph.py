@@ -14,7 +14,7 @@ from video2anim.body.skeleton import JOINT_INDEX
 from video2anim.fitting.touching import posed_vertices
 from video2anim.geometry.scene_mesh import box_mesh, empty_mesh
 from video2anim.scene.contact_graph import contact_graph, scene_contacts
-from video2anim.types import BodyMotion, Contact, Mesh, ObjectPart, PlacedObject, SceneModel
+from video2anim.types import BodyMotion, Contact, Hold, Mesh, ObjectPart, ObjectPath, PlacedObject, SceneModel
 
 FRAMES = 60
 SITTING = {"left_hip": -1.5, "right_hip": -1.5, "left_knee": 1.5, "right_knee": 1.5}
@@ -204,3 +204,46 @@ def test_turned_scaled_objects_and_further_people() -> None:
     contacts = scene_contacts((motion, other), scene_of(box))
     assert [one.person_id for one in contacts] == [1] * 3 + [9] * 3
     assert told(contacts) == {(part, 4, "top") for part in ("seat", "left thigh", "right thigh")}
+
+
+def moved(item: PlacedObject, way_m: np.ndarray, *holds: Hold) -> PlacedObject:
+    """An object that is so far from its place in each frame."""
+    T_world_object = np.tile(item.T_world_object, (len(way_m), 1, 1))
+    T_world_object[:, :3, 3] += way_m
+    return replace(item, T_world_object=T_world_object[0], path=(ObjectPath(T_world_object, holds),))
+
+
+def test_who_sits_on_a_stool_that_was_pulled_there_touches_it_from_then_on() -> None:
+    motion, low_m = sitting()
+    box = placed(4, "stool", box_mesh(0.6, low_m + 0.01, 0.6), [0.0, 0.0, 0.1])
+    way_m = np.zeros((FRAMES, 3))
+    way_m[:, 0] = np.clip(1.0 - np.arange(FRAMES) / 30.0, 0.0, None)
+    contacts = contact_graph(motion, scene_of(moved(box, way_m)))
+    assert told(contacts) == {(part, 4, "top") for part in ("seat", "left thigh", "right thigh")}
+    for contact in contacts:
+        assert 10 / FPS < contact.start_s < 30 / FPS, "it touches before the stool is all the way there"
+        assert contact.end_s == pytest.approx((FRAMES - 1) / FPS)
+
+
+def test_a_hand_touches_what_it_carries_all_the_way_and_nothing_else() -> None:
+    """A hand goes forward with a board under it, over a table that is as high as the board's top."""
+    motion = still({}, pelvis_m=0.95)
+    hand_m = skin_m(motion, "left_wrist")
+    way_m = np.outer(np.clip(np.arange(FRAMES) - 10, 0, 30) / 30.0, [0.0, 0.0, 1.0])
+    root_m = motion.T_world_root[:, :3, 3] + way_m
+    motion = motion.with_pose(translation_world_m=root_m, R_parent_joint=motion.R_parent_joint)
+    at_m = [hand_m[:, 0].mean(), hand_m[:, 1].min() - 0.02, hand_m[:, 2].mean()]
+    board = placed(6, "board", box_mesh(0.3, 0.02, 0.3), at_m)
+    table = placed(7, "table", box_mesh(0.3, hand_m[:, 1].min(), 3.0), [at_m[0], 0.0, 0.0])
+    hold = Hold(motion.person_id, "left hand", 5, 45)
+    (contact,) = contact_graph(motion, scene_of(table, moved(board, way_m, hold)))
+    assert told([contact]) == {("left hand", 6, "top")}
+    assert (contact.start_s, contact.end_s) == pytest.approx((5 / FPS, 45 / FPS))
+    assert contact.largest_distance_m == pytest.approx(0.0, abs=SKIN_M)
+    both = Hold(motion.person_id, "both hands", 5, 45)
+    assert told(contact_graph(motion, scene_of(table, moved(board, way_m, both)))) == told([contact])
+    somebody = Hold(motion.person_id + 1, "left hand", 5, 45)
+    assert contact_graph(motion, scene_of(table, moved(board, way_m, somebody))) == ()
+    # Where the board does not come along, the hand leaves it.
+    (left,) = contact_graph(motion, scene_of(moved(board, 0 * way_m, hold)))
+    assert left.end_s < 20 / FPS

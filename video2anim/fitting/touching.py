@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from video2anim.body.anny_body import ShapedBody
 from video2anim.body.skeleton import FEET, JOINT_INDEX, TOUCHING_PARTS, forward_kinematics
+from video2anim.geometry.moving_field import MovingField
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.motion import BodyMotion
 
@@ -93,7 +96,11 @@ def on_own_body(
 
 
 def touches(
-    motion: BodyMotion, body: ShapedBody, scene: SdfGrid, likely: Float[np.ndarray, "frames 22"]
+    motion: BodyMotion,
+    body: ShapedBody,
+    scene: SdfGrid,
+    likely: Float[np.ndarray, "frames 22"],
+    moving: Sequence[MovingField] = (),
 ) -> Float[np.ndarray, "frames 22"]:
     """Where a motion touches its scene: 1 where a part is within 3 cm of a surface and slow, else 0.
 
@@ -104,11 +111,14 @@ def touches(
         motion: in the scene; every frame is looked at.
         likely: contact probability from the picture. Seen parts touch only where it says so, per joint: heel and toes
             touch one after the other. In frames without a picture, feet that are near and slow stand.
+        moving: what somebody moves, which the field of the scene does not hold.
     """
     frames = np.arange(motion.frame_count)
     contact = np.zeros(likely.shape)
     for joints in TOUCHING_PARTS.values():
-        near = np.abs(scene.sample(posed_vertices(motion, body, skin_of(body, joints), frames)).min(1)) < NEAR_M
+        skin_m = posed_vertices(motion, body, skin_of(body, joints), frames)
+        gaps_m = [field.sample(skin_m).min(1) for field in (scene, *moving)]
+        near = np.abs(np.min(gaps_m, axis=0)) < NEAR_M
         for joint in joints:
             told = (likely[:, joint] > LIKELY) | (~motion.valid & (joint in FEET))
             contact[:, joint] = near & (speed_m_s(motion, joint) < SLOW_M_S) & told

@@ -12,6 +12,7 @@ from video2anim.body.anny_body import ShapedBody, shaped_body
 from video2anim.body.skeleton import JOINT_INDEX, TOUCHING_PARTS
 from video2anim.fitting.touching import LIKELY, NEAR_M, SLOW_M_S, posed_vertices, skin_of, speed_m_s
 from video2anim.geometry.nearest_surface import nearest_surface
+from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.types.contact import FLOOR, Contact
 from video2anim.types.motion import BodyMotion
@@ -59,7 +60,7 @@ _WHOLE = "body"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solid:
-    """An object in the world, its faces grouped into surfaces."""
+    """An object in the world, its faces grouped into surfaces; one that somebody moves where it is at first."""
 
     placed: PlacedObject
     triangles_m: Float[np.ndarray, "faces 3 3"]
@@ -88,6 +89,9 @@ def contact_graph(motion: BodyMotion, scene: SceneModel) -> tuple[Contact, ...]:
     surface. Head, forearms, thighs and shins, of which no motion says so, touch where they lie on a surface that looks
     up: within 1 cm, and slower than 0.4 m/s. What may carry a part, within 5 cm, goes before what is beside it: a foot
     on the floor that is near the side of a chair does not touch the chair.
+
+    What somebody moves is touched where it is in each frame; its surfaces have the names of how it stands at first. A
+    hand that holds it needs no word of the motion, and touches nothing else.
 
     Args:
         motion: in the scene, at best that of stage refine, whose contacts are those of its own skin.
@@ -125,7 +129,7 @@ def scene_contacts(people: Sequence[BodyMotion], scene: SceneModel) -> tuple[Con
 
 def _solid(placed: PlacedObject) -> _Solid:
     """Surfaces of an object: faces of one part that look the same way."""
-    whole = world_mesh(placed.mesh, placed.T_world_object, placed.scale)
+    whole = world_mesh(placed.mesh, placed.pose(0), placed.scale)
     triangles_m = whole.vertices_m[whole.faces]
     normals = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
     up = normals[:, 1] / np.maximum(np.linalg.norm(normals, axis=-1), 1e-300)
@@ -148,11 +152,13 @@ def _surface_name(part: str, look: str) -> str:
 
 def _gaps(motion: BodyMotion, body: ShapedBody, solids: Sequence[_Solid]) -> _Gaps:
     """Distances of all parts in all frames in which they may touch."""
+    held = np.array([_held_in(name, one.placed, motion) for one in solids for name in BODY_PARTS], bool)
+    held = held.reshape(len(solids), len(BODY_PARTS), motion.frame_count)
     points, parts, frames, counts = [], [], [], []
     for part, (name, joints) in enumerate(BODY_PARTS.items()):
         skin = skin_of(body, joints)
         skin = skin[:: -(-len(skin) // _MOST_SKIN)]
-        may = np.flatnonzero(_may_touch(motion, name))
+        may = np.flatnonzero(_may_touch(motion, name) | held[:, part].any(0))
         points.append(posed_vertices(motion, body, skin, may).reshape(-1, 3))
         parts.append(np.full(len(points[-1]), part))
         frames.append(np.repeat(may, len(skin)))
@@ -170,10 +176,38 @@ def _gaps(motion: BodyMotion, body: ShapedBody, solids: Sequence[_Solid]) -> _Ga
     meet(np.zeros_like(low), low, point_m[low, 1])
     first = 1
     for one in solids:
-        found = nearest_surface(point_m, one.triangles_m, reach_m=STAY_M)
+        own_m = _beside_first(point_m, frame, one.placed)
+        found = nearest_surface(own_m, one.triangles_m, reach_m=STAY_M)
         meet(first + one.surface[found.face], found.point, found.distance_m)
         first += len(one.names)
-    return _Gaps(gap_m, near / np.array(counts)[:, None])
+    # What holds one thing touches no other.
+    owner = np.repeat(np.arange(-1, len(solids)), [1, *(len(one.names) for one in solids)])
+    others = held.any(0) & ~np.concatenate([np.zeros((1, *held.shape[1:]), bool), held])[owner + 1]
+    return _Gaps(np.where(others, np.inf, gap_m), np.where(others, 0.0, near / np.array(counts)[:, None]))
+
+
+def _held_in(part: str, placed: PlacedObject, motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
+    """Frames in which a part of the body is a hand that has an object."""
+    held = np.zeros(motion.frame_count, bool)
+    for hold in placed.holds:
+        both = hold.hand == "both hands" and part.endswith("hand")
+        if hold.person_id == motion.person_id and (both or hold.hand == part):
+            held[hold.first_frame : hold.last_frame + 1] = True
+    return held
+
+
+def _beside_first(
+    point_m: Float[np.ndarray, "points 3"], frame: Int[np.ndarray, "points"], placed: PlacedObject
+) -> Float[np.ndarray, "points 3"]:
+    """Points of frames, brought to where they would be beside the object in the first frame."""
+    if not placed.path:
+        return point_m
+    T_first_frame = placed.pose(0) @ invert_rigid(np.asarray(placed.path[0].T_world_object))
+    own_m, order = np.empty_like(point_m), np.argsort(frame, kind="stable")
+    starts = np.searchsorted(frame[order], np.arange(1, len(T_first_frame)))
+    for T, rows in zip(T_first_frame, np.split(order, starts), strict=True):
+        own_m[rows] = transform_points(T, point_m[rows])
+    return own_m
 
 
 def _may_touch(motion: BodyMotion, part: str) -> Bool[np.ndarray, "frames"]:
