@@ -38,7 +38,7 @@ from video2anim.eval.results import SceneResult
 from video2anim.eval.truth import Truth, read_truth
 from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from video2anim.pipeline.stage import StageContext
-from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, RefinedMotion, SceneModel
+from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, MetricDepth, RefinedMotion, SceneModel
 
 SEED = 0
 LONG_S = 1.0
@@ -97,8 +97,10 @@ def of_clip(scene_dir: Path, truth_dir: Path) -> list[Stretch]:
     result, truth = SceneResult(scene_dir), read_truth(truth_dir)
     bodies, keyframed = result.get(BodyTracks), result.get(KeyframedMotion)
     scene, refined = result.get(SceneModel), result.get(RefinedMotion)
-    if bodies is None or keyframed is None or scene is None or refined is None:
-        raise SystemExit(f"{scene_dir}: {result.why(BodyTracks, KeyframedMotion, SceneModel, RefinedMotion)}")
+    depth = result.get(MetricDepth)
+    if bodies is None or depth is None or keyframed is None or scene is None or refined is None:
+        why = result.why(BodyTracks, MetricDepth, KeyframedMotion, SceneModel, RefinedMotion)
+        raise SystemExit(f"{scene_dir}: {why}")
     frames = match_frames(result.clip, truth)
     same = [k for k, person in enumerate(bodies.people) if match_people([person], truth, frames)]
     if not same:
@@ -107,7 +109,8 @@ def of_clip(scene_dir: Path, truth_dir: Path) -> list[Stretch]:
     if len(same) > 1:
         raw = joined([bodies.people[k] for k in same])
         given = KeyframedMotion((joined([keyframed.people[k] for k in same]),), (keyframed.keyframe_index[person],))
-        refined, person = refine_motion(BodyTracks((raw,)), given, scene, RefineConfig(), StageContext(scene_dir)), 0
+        ctx = StageContext(scene_dir)
+        refined, person = refine_motion(BodyTracks((raw,)), depth, given, scene, RefineConfig(), ctx), 0
     motions = {"refined": refined.people[person], "without prior": refined.without_prior[person]}
     hidden = hidden_frames(truth)[frames.true_index]
     return [

@@ -27,7 +27,7 @@ from stages.refine import RefineConfig, refine_motion
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.eval.results import SceneResult
 from video2anim.pipeline.stage import StageContext
-from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, SceneModel
+from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, MetricDepth, SceneModel
 
 SETTINGS = {
     "no prior": RefineConfig(prior="interpolation"),
@@ -53,13 +53,15 @@ def main() -> None:
     for scene, truth in clips.items():
         result = SceneResult(scene)
         bodies, keyframed, model = result.get(BodyTracks), result.get(KeyframedMotion), result.get(SceneModel)
+        depth = result.get(MetricDepth)
         assert bodies is not None
+        assert depth is not None
         assert keyframed is not None
         assert model is not None
         motions = {"stage humans": bodies.people[0]}
         for name, config in SETTINGS.items():
             ctx = StageContext(options.work)
-            motions[name] = refine_motion(bodies, keyframed, model, config, ctx).people[0]
+            motions[name] = refine_motion(bodies, depth, keyframed, model, config, ctx).people[0]
         for name, motion in motions.items():
             numbers = against_media(scene.name, motion, options.media) if truth is None else against_clip(motion, truth)
             rows.append({"clip": scene.name, "setting": name} | dict(zip(COLUMNS, numbers, strict=True)))

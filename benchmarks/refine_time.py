@@ -31,7 +31,7 @@ from scenemi.postprocess import motion_solve
 from stages import refine
 from video2anim.eval.results import SceneResult
 from video2anim.pipeline.stage import StageContext
-from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, SceneModel
+from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, MetricDepth, SceneModel
 
 WINDOW = 121
 PARTS = {
@@ -85,8 +85,9 @@ def of_scene(folder: Path, options: argparse.Namespace, spent: dict[str, float])
     """One scene's row."""
     result = SceneResult(folder)
     bodies, keyframed, scene = result.get(BodyTracks), result.get(KeyframedMotion), result.get(SceneModel)
-    if bodies is None or keyframed is None or scene is None:
-        raise SystemExit(f"{folder}: {result.why(BodyTracks, KeyframedMotion, SceneModel)}")
+    depth = result.get(MetricDepth)
+    if bodies is None or depth is None or keyframed is None or scene is None:
+        raise SystemExit(f"{folder}: {result.why(BodyTracks, MetricDepth, KeyframedMotion, SceneModel)}")
     if options.frames:
         bodies = replace(bodies, people=tuple(longer(one, options.frames) for one in bodies.people))
         keyframed = replace(keyframed, people=tuple(longer(one, options.frames) for one in keyframed.people))
@@ -97,7 +98,7 @@ def of_scene(folder: Path, options: argparse.Namespace, spent: dict[str, float])
         spent.update(dict.fromkeys(spent, 0.0))
         wall, processor = time.perf_counter(), time.process_time()
         with tempfile.TemporaryDirectory() as work:
-            refine.refine_motion(bodies, keyframed, scene, refine.RefineConfig(), StageContext(Path(work)))
+            refine.refine_motion(bodies, depth, keyframed, scene, refine.RefineConfig(), StageContext(Path(work)))
         wall, processor = time.perf_counter() - wall, time.process_time() - processor
         runs.append({"wall": wall, "processor": processor} | spent)
     runs = sorted(runs[1:], key=lambda run: run["wall"])

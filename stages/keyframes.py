@@ -9,7 +9,8 @@ displacement, not the motion, is interpolated, so the raw motion keeps its detai
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -22,6 +23,7 @@ from video2anim.types import (
     BodyMotion,
     KeyframedMotion,
     MetricDepth,
+    PlacedObject,
     SceneModel,
 )
 
@@ -106,13 +108,14 @@ def optimize_keyframes(
             continue
         seen = (depth, plate) if number == 0 and usable else None
         name = "" if number == 0 else f" (person {motion.person_id})"
-        people.append(_optimize_person(motion, keyframes, grid, seen, config, ctx, name))
+        people.append(_optimize_person(motion, scene.objects, keyframes, grid, seen, config, ctx, name))
         ctx.progress(number + 1, len(depth.bodies.people))
     return KeyframedMotion(tuple(people), tuple(indices))
 
 
 def _optimize_person(
     motion: BodyMotion,
+    objects: Sequence[PlacedObject],
     keyframes: Int[np.ndarray, "keyframes"],
     grid: SdfGrid,
     seen: tuple[MetricDepth, BackgroundPlate] | None,
@@ -120,11 +123,13 @@ def _optimize_person(
     ctx: StageContext,
     name: str,
 ) -> BodyMotion:
-    """One person moved; `name` ends the names of its quality numbers."""
+    """One person moved; `name` ends the names of its quality numbers. Hands that hold one of the objects touch no
+    solid."""
     from video2anim.body.anny_body import shaped_body
     from video2anim.fitting.keyframe_depth import depth_targets
     from video2anim.fitting.keyframe_points import SkinSample
     from video2anim.fitting.keyframe_roots import solve_along
+    from video2anim.objects.path import holding
 
     body = shaped_body(motion.shape)
     sample = SkinSample(body, spread=config.sampled_vertices, per_part=config.vertices_per_contact_part)
@@ -132,7 +137,8 @@ def _optimize_person(
     targets = (
         depth_targets(motion, body, *seen, points=config.depth_points, rng=ctx.rng("depth points")) if seen else ()
     )
-    problem = _root_problem(motion, keyframes, before, grid, targets, config)
+    free = replace(motion, contact=np.where(holding(objects, motion), 0.0, motion.contact))
+    problem = _root_problem(free, keyframes, before, grid, targets, config)
     along_m = solve_along(
         problem, _weights(config), iterations=config.iterations, learning_rate_m=config.learning_rate_m
     )
@@ -267,4 +273,4 @@ def _weights(config: KeyframesConfig) -> RootWeights:
     )
 
 
-STAGE = StageSpec("keyframes", optimize_keyframes, version=11)
+STAGE = StageSpec("keyframes", optimize_keyframes, version=12)

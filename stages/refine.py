@@ -4,11 +4,13 @@ least-squares solve puts it into the picture and the scene (`scenemi.postprocess
 The prior is `scenemi`; where its weights are absent the observed motion itself goes into the solve, and that is said.
 The same solve without the prior is made too: the share of frames in which the two differ says how much the prior did.
 What body and scene disagree in is given to the scene where its distance from the camera is uncertain: the stage returns
-the scene with objects moved along their lines of sight.
+the scene with objects moved along their lines of sight. What somebody moves is no solid: it follows the hand that has
+it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,12 +20,21 @@ from jaxtyping import Bool, Float
 from video2anim.errors import UsageError
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
-from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, RefinedMotion, SceneModel
+from video2anim.types import (
+    BodyMotion,
+    BodyTracks,
+    KeyframedMotion,
+    MetricDepth,
+    PlacedObject,
+    RefinedMotion,
+    SceneModel,
+)
 
 if TYPE_CHECKING:
     from scenemi.postprocess.motion_solve import SceneMotion
     from scenemi.postprocess.solids import Solids
     from scenemi.prior import InbetweeningPrior
+    from video2anim.geometry.moving_field import MovingField
     from video2anim.geometry.sdf import SdfGrid
 
 FPS = 30.0
@@ -75,7 +86,12 @@ class RefineConfig:
 
 
 def refine_motion(
-    bodies: BodyTracks, keyframed: KeyframedMotion, scene: SceneModel, config: RefineConfig, ctx: StageContext
+    bodies: BodyTracks,
+    depth: MetricDepth,
+    keyframed: KeyframedMotion,
+    scene: SceneModel,
+    config: RefineConfig,
+    ctx: StageContext,
 ) -> RefinedMotion:
     """Make the final motion of every person, and the scene that it fits.
 
@@ -84,6 +100,7 @@ def refine_motion(
     """
     from scenemi.postprocess.motion_solve import solve_motions
     from scenemi.prior import InterpolationPrior, load_prior
+    from video2anim.objects.path import follow_hand
 
     prior = load_prior(config.prior, device=ctx.device, seed=ctx.seed)
     if config.prior == "auto" and prior.name != "scenemi":
@@ -95,7 +112,7 @@ def refine_motion(
     for motion in keyframed.people:
         if not motion.valid.any():
             ctx.warn(f"person {motion.person_id} has no valid frame, motion left as it is")
-    observed = [_observation(keyframed.people[number]) for number in seen]
+    observed = [_observation(keyframed.people[number], scene.objects) for number in seen]
     made, alone = (
         [
             _filled(keyframed.people[number], one, by, field, config, ctx)
@@ -104,15 +121,24 @@ def refine_motion(
         for by in (prior, bridging)
     )
     solved, plain = solve_motions(made, solids), solve_motions(alone, solids)
-    moved = _moved(scene, solids, solved.moved_m, ctx)
-    after = _field(moved)
     people, alike = list(keyframed.people), list(keyframed.people)
-    names, shares = ["none"] * len(people), [0.0] * len(people)
     for k, number in enumerate(seen):
+        people[number], alike[number] = (
+            keyframed.people[number].with_pose(
+                translation_world_m=one.translation_world_m[k], R_parent_joint=one.R_parent_joint[k]
+            )
+            for one in (solved, plain)
+        )
+    moved = _moved(scene, solids, solved.moved_m, ctx)
+    # The paths were found with the bodies of stage metric.
+    moved = replace(moved, objects=tuple(follow_hand(item, depth.bodies.people, people) for item in moved.objects))
+    after, moving = _field(moved), _moving(moved)
+    names, shares = ["none"] * len(people), [0.0] * len(people)
+    for done, number in enumerate(seen, start=1):
         motion = keyframed.people[number]
         suffix = "" if number == 0 else f" (person {motion.person_id})"
         people[number], alike[number] = (
-            _touching(motion, one.translation_world_m[k], one.R_parent_joint[k], after) for one in (solved, plain)
+            _touching(one, after, moving, moved.objects) for one in (people[number], alike[number])
         )
         without = alike[number]
         if prior.name == "scenemi":
@@ -125,7 +151,7 @@ def refine_motion(
             ("refined", people[number], after),
         ):
             _report(ctx, when, one, raw, where, suffix)
-        ctx.progress(k + 1, len(seen))
+        ctx.progress(done, len(seen))
     return RefinedMotion(tuple(people), tuple(names), tuple(shares), tuple(alike), moved)
 
 
@@ -156,12 +182,14 @@ def _filled(
     return replace(observed, R_parent_joint=made.R_parent_joint, translation_world_m=made.translation_world_m)
 
 
-def _observation(motion: BodyMotion) -> SceneMotion:
-    """The motion after keyframes, and where the picture shows it: keyframes go along their lines of sight."""
+def _observation(motion: BodyMotion, objects: Sequence[PlacedObject]) -> SceneMotion:
+    """The motion after keyframes, and where the picture shows it: keyframes go along their lines of sight. Hands that
+    hold something touch no solid."""
     from scenemi.postprocess.motion_solve import PictureTarget, SceneMotion
     from video2anim.body.anny_body import shaped_body
     from video2anim.fitting.touching import believed
     from video2anim.geometry.projection import invert_rigid, project
+    from video2anim.objects.path import holding
 
     shaped = shaped_body(motion.shape)
     camera_m = motion.joints_camera_m
@@ -171,7 +199,7 @@ def _observation(motion: BodyMotion) -> SceneMotion:
         motion.intrinsics.fy_px * stature_m / np.maximum(camera_m[:, 0, 2], 0.1),
         invert_rigid(motion.T_world_camera), motion.intrinsics.matrix(),
     )  # fmt: skip
-    contact = believed(motion, shaped)
+    contact = np.where(holding(objects, motion), 0.0, believed(motion, shaped))
     fixed = np.zeros(motion.frame_count, bool)
     return SceneMotion(
         motion.R_parent_joint, motion.T_world_root[:, :3, 3], contact, motion.rest_joints_m, shaped, FPS, fixed, picture
@@ -198,17 +226,19 @@ def _field(scene: SceneModel) -> SdfGrid:
 
 
 def _solids(scene: SceneModel, main: BodyMotion, config: RefineConfig) -> Solids:
-    """The objects, that give way mostly along their horizontal lines of sight; everything together where none does."""
+    """The objects, that give way mostly along their horizontal lines of sight; everything together where none does.
+    What somebody moves is none of them, as it is not in the scene's field."""
     from scenemi.postprocess.solids import MovableSolid, Solids
     from video2anim.fitting.supports import SUPPORT
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
 
-    if not scene.objects or not config.objects_move:
+    standing = [item for item in scene.objects if not item.path]
+    if not standing or not config.objects_move:
         return Solids(_field(scene), floor=False)
     camera_m = main.T_world_camera[0, :3, 3]
     movable = []
-    for item in scene.objects:
+    for item in standing:
         solid = world_mesh(item.mesh, item.T_world_object, item.scale)
         bounds_m = np.stack([solid.vertices_m.min(0) - 0.3, solid.vertices_m.max(0) + 0.3])
         inferred = item.label == SUPPORT
@@ -228,8 +258,12 @@ def _moved(scene: SceneModel, solids: Solids, moved_m: Float[np.ndarray, "solids
     """The scene with its objects where the solve has them."""
     if not (np.abs(moved_m) > _MOVED_M).any():
         return scene
-    objects = []
-    for item, way_m in zip(scene.objects, moved_m, strict=True):
+    objects, ways_m = [], iter(moved_m)
+    for item in scene.objects:
+        if item.path:
+            objects.append(item)
+            continue
+        way_m = next(ways_m)
         T = item.T_world_object.copy()
         T[:3, 3] += way_m
         objects.append(replace(item, T_world_object=T))
@@ -239,15 +273,34 @@ def _moved(scene: SceneModel, solids: Solids, moved_m: Float[np.ndarray, "solids
     return replace(scene, objects=tuple(objects), sdf_m=np.stack(slabs).astype(np.float32))
 
 
+def _moving(scene: SceneModel) -> tuple[MovingField, ...]:
+    """Fields of the objects that somebody moves."""
+    from video2anim.geometry.moving_field import MovingField
+    from video2anim.geometry.scene_mesh import world_mesh
+    from video2anim.geometry.sdf import build_sdf_grid
+
+    fields = []
+    for item in scene.objects:
+        if item.path:
+            solid = world_mesh(item.mesh, np.eye(4), item.scale)
+            bounds_m = np.stack([solid.vertices_m.min(0) - 0.1, solid.vertices_m.max(0) + 0.1])
+            spacing_m = max(_SLAB_SPACING_M, float(np.ptp(bounds_m, axis=0).max()) / 60)
+            field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None, reach_m=_FAR_M)
+            fields.append(MovingField(field, np.asarray(item.path[0].T_world_object)))
+    return tuple(fields)
+
+
 def _touching(
-    motion: BodyMotion, translation_world_m: np.ndarray, R_parent_joint: np.ndarray, scene: SdfGrid
+    motion: BodyMotion, scene: SdfGrid, moving: Sequence[MovingField], objects: Sequence[PlacedObject]
 ) -> BodyMotion:
-    """The motion at a solved pose, with its contacts as they are there."""
+    """A solved motion, that has its observed contacts, with those that it has in the scene; a hand that holds something
+    touches it."""
     from video2anim.body.anny_body import shaped_body
     from video2anim.fitting.touching import touches
+    from video2anim.objects.path import holding
 
-    posed = motion.with_pose(translation_world_m=translation_world_m, R_parent_joint=R_parent_joint)
-    return replace(posed, contact=touches(posed, shaped_body(motion.shape), scene, motion.contact))
+    contact = touches(motion, shaped_body(motion.shape), scene, motion.contact, moving)
+    return replace(motion, contact=np.where(holding(objects, motion), 1.0, contact))
 
 
 def _shaped(refined: BodyMotion, without: BodyMotion) -> float:
@@ -296,4 +349,4 @@ def picture_distance_ratio(motion: BodyMotion, seen: BodyMotion) -> Float[np.nda
     return apart_px * np.maximum(there[:, 0, 2], 0.1) / (seen.intrinsics.fy_px * stature_m)
 
 
-STAGE = StageSpec("refine", refine_motion, version=10, models=("prior",))
+STAGE = StageSpec("refine", refine_motion, version=11, models=("prior",))

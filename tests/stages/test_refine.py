@@ -11,12 +11,26 @@ from synthetic import FPS, planted_walk, with_root_shift
 
 import scenemi.prior
 from scenemi.metrics import jerk_m_s3, mpjpe
-from stages.refine import RefineConfig, calm_frames, picture_distance_ratio, refine_motion
+from stages.refine import RefineConfig, _field, _moving, calm_frames, picture_distance_ratio, refine_motion
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import ModelMissingError
+from video2anim.fitting.touching import touches
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.pipeline.stage import StageContext
-from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, Mesh, PlacedObject, RefinedMotion, SceneModel
+from video2anim.types import (
+    BodyMotion,
+    BodyTracks,
+    Hold,
+    KeyframedMotion,
+    Mesh,
+    MetricDepth,
+    ObjectPath,
+    PlacedObject,
+    RefinedMotion,
+    SceneModel,
+)
 
 FRAMES = 150
 PLAIN = RefineConfig(prior="interpolation")
@@ -28,8 +42,8 @@ def no_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def scene(*objects: PlacedObject) -> SceneModel:
-    """A floor, and objects."""
-    solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in objects]
+    """A floor, and objects; those that somebody moves are not in the field."""
+    solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in objects if not item.path]
     grid = build_sdf_grid(solids, np.array([[-1.5, -0.4, -1.2], [1.5, 2.0, 6.0]]), 0.1)
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 3), dtype=np.uint8))
     return SceneModel(objects, empty, empty, grid.sdf_m, grid.origin_m, grid.spacing_m)
@@ -41,13 +55,27 @@ def pillar(x_m: float, z_m: float) -> PlacedObject:
     return PlacedObject(7, "pillar", box_mesh(0.3, 1.7, 0.3), 1.0, T_world_object, None, None, True, "")
 
 
+def metric(motion: BodyMotion) -> MetricDepth:
+    """What the fit of stage metric gives, of which refine takes the bodies."""
+    maps, flat = np.ones((1, 2, 2)), np.ones((2, 2))
+    return MetricDepth(
+        1.0, 0.0, 0.0, 0.0, None, None, True, "", np.zeros(1, int), maps, maps > 0, flat, flat > 0, {},
+        BodyTracks((motion,)),
+    )  # fmt: skip
+
+
 def refine(
-    motion: BodyMotion, config: RefineConfig | None = None, where: SceneModel | None = None
+    motion: BodyMotion,
+    config: RefineConfig | None = None,
+    where: SceneModel | None = None,
+    fitted: BodyMotion | None = None,
 ) -> tuple[RefinedMotion, StageContext]:
+    """Refine a motion whose path-giving body, that of stage metric, may be another."""
     ctx = StageContext(Path())
     keys = np.union1d(np.arange(0, motion.frame_count, 5), [motion.frame_count - 1])
     given = KeyframedMotion((motion,), (keys[motion.valid[keys]],))
-    return refine_motion(BodyTracks((motion,)), given, where or scene(), config or RefineConfig(), ctx), ctx
+    depth = metric(fitted or motion)
+    return refine_motion(BodyTracks((motion,)), depth, given, where or scene(), config or RefineConfig(), ctx), ctx
 
 
 def quality(ctx: StageContext, name: str) -> float:
@@ -139,6 +167,57 @@ def test_an_object_in_a_body_gives_way_and_the_scene_says_so() -> None:
     assert mpjpe(refined.people[0].joints_world_m, truth.joints_world_m) < 0.02
     stiff, _ = refine(truth, replace(PLAIN, objects_move=False), scene(item))
     assert stiff.scene.objects[0] is item
+
+
+def carried(motion: BodyMotion, wrist: int, hold: Hold, *, half_m: float = 0.05) -> PlacedObject:
+    """A small box that is at a wrist, moved rigidly with it, while it is held, and stays where that begins and ends."""
+    _, R_world_joint = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
+    frame = np.clip(np.arange(motion.frame_count), hold.first_frame, hold.last_frame)
+    T_world_object = np.tile(np.eye(4), (motion.frame_count, 1, 1))
+    T_world_object[:, :3, :3] = R_world_joint[frame, wrist]
+    T_world_object[:, :3, 3] = motion.joints_world_m[frame, wrist]
+    mesh = box_mesh(2 * half_m, 2 * half_m, 2 * half_m)
+    path = ObjectPath(T_world_object, (hold,))
+    return PlacedObject(5, "cup", mesh, 1.0, T_world_object[0], None, None, True, "", path=(path,))
+
+
+def test_a_carried_object_is_no_solid_and_follows_the_hand() -> None:
+    """The path was found with a body that was 6 cm farther from the camera than the result's."""
+    truth, wrist = planted_walk(61), 21
+    item = carried(truth, wrist, Hold(truth.person_id, "right hand", 15, 45))
+    beside = pillar(3.0, 3.0)
+    nearer = with_root_shift(truth, np.tile([0.06, 0.0, 0.0], (61, 1)))
+    refined, _ = refine(nearer, PLAIN, scene(item, beside), fitted=truth)
+    found, body = refined.scene.objects[0], refined.people[0]
+    T = found.path[0].T_world_object
+    np.testing.assert_array_equal(found.T_world_object, T[0])
+    np.testing.assert_allclose(T[21:40, :3, 3], body.joints_world_m[21:40, wrist], atol=1e-6)
+    np.testing.assert_array_equal(T[:15], item.path[0].T_world_object[:15])
+    np.testing.assert_array_equal(T[46:], item.path[0].T_world_object[46:])
+    assert (body.contact[15:46, wrist] == 1.0).all(), "a hand that holds touches what it holds"
+    # The same motion without the object: nothing pushes or pulls the body.
+    alone, _ = refine(nearer, PLAIN, scene(beside))
+    np.testing.assert_array_equal(body.joints_world_m, alone.people[0].joints_world_m)
+
+
+def test_a_moved_object_is_touched_where_it_rests() -> None:
+    """A block under a standing foot, that is pulled away later; it is in no field of the scene."""
+    truth = planted_walk(61)
+    stance = np.flatnonzero(truth.contact[:, 10] > 0.5)[1:9]
+    assert (np.diff(stance) == 1).all()
+    lifted = with_root_shift(truth, np.tile([0.0, 0.3, 0.0], (61, 1)))
+    at_m = lifted.joints_world_m[stance, 10].mean(0)
+    T_world_object = np.tile(np.eye(4), (61, 1, 1))
+    T_world_object[:, [0, 2], 3] = at_m[[0, 2]]
+    T_world_object[stance[-1] + 8 :, 0, 3] += 1.0
+    path = ObjectPath(T_world_object, ())
+    block = PlacedObject(5, "box", box_mesh(0.4, 0.3, 0.4), 1.0, T_world_object[0], None, None, True, "", path=(path,))
+    body, field = shaped_body(lifted.shape), _field(scene())
+    without = touches(lifted, body, field, lifted.contact)
+    contact = touches(lifted, body, field, lifted.contact, _moving(scene(block)))
+    assert not without[stance, 10].any()
+    assert contact[stance[2:-2], 10].all()
+    assert not contact[stance[-1] + 8 :, 10].any()
 
 
 def test_a_person_never_seen_is_passed_on_with_a_warning() -> None:
