@@ -15,8 +15,8 @@ from video2anim.types import BodyMotion
 
 TYPES = [
     "BackgroundPlate", "BodyMotion", "BodyShape", "BodyTracks", "CameraEstimate", "CompletedObject", "CompletedObjects",
-    "Contact", "DepthClip", "ExportedFiles", "InstanceMasks", "Intrinsics", "KeyframedMotion", "Mesh", "MetricDepth",
-    "ObjectInstance", "ObjectMesh", "ObjectMeshes", "ObjectPart", "PayloadFile", "PersonQuality", "PersonTrack",
+    "Contact", "DepthClip", "ExportedFiles", "Hold", "InstanceMasks", "Intrinsics", "KeyframedMotion", "Mesh",
+    "MetricDepth", "ObjectInstance", "ObjectMesh", "ObjectMeshes", "ObjectPart", "ObjectPath", "PayloadFile", "PersonQuality", "PersonTrack",
     "PersonTracks", "PlacedObject", "PlacedObjects", "RefinedMotion", "SceneModel", "SourceInfo", "SourceVideo",
     "Storage", "Texture", "Thumbnail", "VideoClip", "stored",
 ]  # fmt: skip
