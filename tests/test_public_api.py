@@ -14,11 +14,12 @@ from video2anim.cli.main import app
 from video2anim.types import BodyMotion
 
 TYPES = [
-    "BackgroundPlate", "BodyMotion", "BodyShape", "BodyTracks", "CameraEstimate", "CompletedObject", "CompletedObjects",
-    "Contact", "DepthClip", "ExportedFiles", "Hold", "InstanceMasks", "Intrinsics", "KeyframedMotion", "Mesh",
-    "MetricDepth", "ObjectInstance", "ObjectMesh", "ObjectMeshes", "ObjectPart", "ObjectPath", "PayloadFile", "PersonQuality", "PersonTrack",
-    "PersonTracks", "PlacedObject", "PlacedObjects", "RefinedMotion", "SceneModel", "SourceInfo", "SourceVideo",
-    "Storage", "Texture", "Thumbnail", "VideoClip", "stored",
+    "BackgroundPlate", "BodyMotion", "BodyShape", "BodyTracks", "CameraEstimate", "CompletedObject",
+    "CompletedObjects", "Contact", "DepthClip", "ExportedFiles", "Hold", "InstanceMasks", "Intrinsics",
+    "KeyframedMotion", "Mesh", "MetricDepth", "ObjectInstance", "ObjectMesh", "ObjectMeshes", "ObjectPart",
+    "ObjectPath", "PayloadFile", "PersonQuality", "PersonTrack", "PersonTracks", "PlacedObject", "PlacedObjects",
+    "RefinedMotion", "SceneModel", "SourceInfo", "SourceVideo", "Storage", "Texture", "Thumbnail", "VideoClip",
+    "stored",
 ]  # fmt: skip
 COMMANDS = {
     "": {"--version", "--debug"},

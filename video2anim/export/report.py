@@ -183,7 +183,7 @@ def _comparison(qualities: Mapping[str, MotionQuality]) -> list[dict[str, Any]]:
 
 def _moved_objects(report: ReportInput) -> list[dict[str, Any]]:
     """One row per stretch in which somebody has an object in hand: who, with which hand, when, and how far it went."""
-    people = next(iter(report.motions.values()), ())
+    people: tuple[BodyMotion, ...] = next(iter(report.motions.values()), ())
     rows = []
     for placed in report.scene.objects if report.scene is not None and people else ():
         for hold in placed.holds:
