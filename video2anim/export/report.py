@@ -183,13 +183,14 @@ def _comparison(qualities: Mapping[str, MotionQuality]) -> list[dict[str, Any]]:
 
 def _moved_objects(report: ReportInput) -> list[dict[str, Any]]:
     """One row per stretch in which somebody has an object in hand: who, with which hand, when, and how far it went."""
-    people: tuple[BodyMotion, ...] = next(iter(report.motions.values()), ())
-    rows = []
-    for placed in report.scene.objects if report.scene is not None and people else ():
+    people = next(iter(report.motions.values()), ())
+    if report.scene is None or not people:
+        return []
+    time_s, rows = people[0].frame_time_s, []
+    for placed in report.scene.objects:
         for hold in placed.holds:
             held = slice(max(0, hold.first_frame - 1), hold.last_frame + 1)
             way_m = placed.path[0].T_world_object[held, :3, 3]
-            time_s = people[0].frame_time_s
             rows.append(
                 {
                     "name": f"{placed.label} {placed.object_id}",
