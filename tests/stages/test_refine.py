@@ -169,8 +169,8 @@ def test_an_object_in_a_body_gives_way_and_the_scene_says_so() -> None:
     assert stiff.scene.objects[0] is item
 
 
-def carried(motion: BodyMotion, wrist: int, hold: Hold, *, half_m: float = 0.05) -> PlacedObject:
-    """A small box that is at a wrist, moved rigidly with it, while it is held, and stays where that begins and ends."""
+def carried(motion: BodyMotion, wrist: int, hold: Hold, *, half_m: float = 0.15) -> PlacedObject:
+    """A box that is at a wrist, moved rigidly with it, while it is held, and stays where that begins and ends."""
     _, R_world_joint = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
     frame = np.clip(np.arange(motion.frame_count), hold.first_frame, hold.last_frame)
     T_world_object = np.tile(np.eye(4), (motion.frame_count, 1, 1))
