@@ -11,7 +11,15 @@ from synthetic import FPS, planted_walk, with_root_shift
 
 import scenemi.prior
 from scenemi.metrics import jerk_m_s3, mpjpe
-from stages.refine import RefineConfig, _field, _moving, calm_frames, picture_distance_ratio, refine_motion
+from stages.refine import (
+    RefineConfig,
+    _field,
+    _moving,
+    _observation,
+    calm_frames,
+    picture_distance_ratio,
+    refine_motion,
+)
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import ModelMissingError
@@ -169,14 +177,15 @@ def test_an_object_in_a_body_gives_way_and_the_scene_says_so() -> None:
     assert stiff.scene.objects[0] is item
 
 
-def carried(motion: BodyMotion, wrist: int, hold: Hold, *, half_m: float = 0.15) -> PlacedObject:
-    """A box that is at a wrist, moved rigidly with it, while it is held, and stays where that begins and ends."""
+def carried(motion: BodyMotion, wrist: int, hold: Hold, *, half_m: float = 0.12) -> PlacedObject:
+    """A box around a wrist, moved rigidly with it, while it is held, and stays where that begins and ends."""
     _, R_world_joint = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
     frame = np.clip(np.arange(motion.frame_count), hold.first_frame, hold.last_frame)
     T_world_object = np.tile(np.eye(4), (motion.frame_count, 1, 1))
     T_world_object[:, :3, :3] = R_world_joint[frame, wrist]
     T_world_object[:, :3, 3] = motion.joints_world_m[frame, wrist]
     mesh = box_mesh(2 * half_m, 2 * half_m, 2 * half_m)
+    mesh = replace(mesh, vertices_m=mesh.vertices_m - np.array([0.0, half_m, 0.0]))
     path = ObjectPath(T_world_object, (hold,))
     return PlacedObject(5, "cup", mesh, 1.0, T_world_object[0], None, None, True, "", path=(path,))
 
@@ -198,6 +207,17 @@ def test_a_carried_object_is_no_solid_and_follows_the_hand() -> None:
     # The same motion without the object: nothing pushes or pulls the body.
     alone, _ = refine(nearer, PLAIN, scene(beside))
     np.testing.assert_array_equal(body.joints_world_m, alone.people[0].joints_world_m)
+
+
+def test_a_hand_that_holds_something_is_not_drawn_to_solids() -> None:
+    slow, wrist = planted_walk(61, speed_m_s=0.1), 21
+    contact = slow.contact.copy()
+    contact[:, wrist] = 1.0
+    motion = replace(slow, contact=contact)
+    item = carried(motion, wrist, Hold(motion.person_id, "right hand", 15, 45))
+    empty, full = (_observation(motion, objects).contact[:, wrist] for objects in ((), (item,)))
+    assert (empty == 1.0).all()
+    np.testing.assert_array_equal(np.flatnonzero(full == 0.0), np.arange(15, 46))
 
 
 def test_a_moved_object_is_touched_where_it_rests() -> None:
