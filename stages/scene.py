@@ -27,6 +27,7 @@ from video2anim.types import (
     PlacedObject,
     PlacedObjects,
     SceneModel,
+    VideoClip,
 )
 
 if TYPE_CHECKING:
@@ -77,6 +78,7 @@ class SceneConfig:
 
 
 def build_scene(
+    clip: VideoClip,
     placed: PlacedObjects,
     depth: MetricDepth,
     clip_depth: DepthClip,
@@ -93,6 +95,8 @@ def build_scene(
     """
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
+    from video2anim.objects.carried import with_moved_objects
+    from video2anim.objects.path import resting
     from video2anim.scene.backdrop import BackdropConfig, backdrop
     from video2anim.scene.ground import ground_mesh
     from video2anim.scene.view import relative_sigma
@@ -102,12 +106,17 @@ def build_scene(
     if config.scan:
         return _scanned(motion_m, depth, bodies, config, ctx)
     rested = _rested(bodies)
-    objects = _not_walked_through(placed.objects, rested, bodies, config, ctx)
-    supports = _supports(objects, rested, bodies, ctx) if config.supports else []
-    ctx.quality("walked through", len(placed.objects) - len(objects), "objects")
+    found = with_moved_objects(clip, plate, masks, bodies.people, placed.objects)
+    moved = [item for item in found if item.path]
+    still = [item for item in found if not item.path]
+    objects = _not_walked_through(still, rested, bodies, config, ctx)
+    settled = [resting(item) for item in moved]
+    supports = _supports([*objects, *settled], rested, bodies, ctx) if config.supports else []
+    ctx.quality("walked through", len(still) - len(objects), "objects")
+    ctx.quality("moved", len(moved), "objects")
     ctx.quality("supports inferred", len(supports), "objects")
     objects += supports
-    solids = [world_mesh(p.mesh, p.T_world_object, p.scale) for p in objects]
+    solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in objects]
     bounds_m = _field_bounds(motion_m, solids, config)
     spacing_m = _field_spacing(bounds_m, config)
     near = [solid for solid in solids if _overlap(solid, bounds_m)]
@@ -122,6 +131,7 @@ def build_scene(
     ctx.quality("sdf_nodes", grid.sdf_m.size, "nodes")
     ctx.quality("background_faces", len(background.faces), "faces")
     ctx.quality("walls", sum(piece.name.startswith("wall") for piece in seen.pieces), "pieces")
+    objects += moved
     return SceneModel(tuple(objects), floor, background, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
 
 
@@ -273,4 +283,4 @@ def _overlap(solid: Mesh, bounds_m: Float[np.ndarray, "2 3"]) -> bool:
     return bool((low <= bounds_m[1]).all() and (high >= bounds_m[0]).all())
 
 
-STAGE = StageSpec("scene", build_scene, version=14)
+STAGE = StageSpec("scene", build_scene, version=15)

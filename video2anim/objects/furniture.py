@@ -302,3 +302,5 @@ FORMS: tuple[Form, ...] = (
     Form("drum", (_size("width", 0.4, 0.6), _size("height", 0.5, 0.6)), _drum, turns=1, stands=False, share=0.01),
 )  # fmt: skip
 """All that is tried. `box` and `drum` are what is left for things of no known kind."""
+
+BOX = next(form for form in FORMS if form.name == "box")

@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.objects.form_fit import FormFit, ObjectEvidence
+from video2anim.objects.furniture import BOX
 from video2anim.objects.solids import Solids
 from video2anim.objects.texture import textured
 from video2anim.types import Mesh, ObjectPart, Texture
@@ -37,7 +38,19 @@ class ObjectPicture:
 
 def form_mesh(fit: FormFit, picture: ObjectPicture) -> tuple[Mesh, tuple[ObjectPart, ...], Texture]:
     """The form's parts as closed surfaces of few faces, in the object's frame, and their texture."""
-    names, solids = fit.solids()
+    return _painted(*fit.solids(), fit.T_world_object, picture)
+
+
+def box_object(
+    size_m: tuple[float, float, float], T_world_object: Float[np.ndarray, "4 4"], picture: ObjectPicture
+) -> tuple[Mesh, tuple[ObjectPart, ...], Texture]:
+    """A box of known width, height and depth that stands on the origin of its frame."""
+    return _painted(*BOX.build(np.array([[size_m[0], size_m[2], size_m[1]]])), T_world_object, picture)
+
+
+def _painted(
+    names: tuple[str, ...], solids: Solids, T_world_object: Float[np.ndarray, "4 4"], picture: ObjectPicture
+) -> tuple[Mesh, tuple[ObjectPart, ...], Texture]:
     vertices, faces, parts, first, count = [], [], [], 0, 0
     for name, (own_m, own_faces) in zip(names, solids.meshes(), strict=True):
         vertices.append(own_m)
@@ -46,11 +59,11 @@ def form_mesh(fit: FormFit, picture: ObjectPicture) -> tuple[Mesh, tuple[ObjectP
         first, count = first + len(own_faces), count + len(own_m)
     vertices_m, every = np.concatenate(vertices), np.concatenate(faces)
     # A pixel of the picture at the object's distance.
-    away_m = float(np.linalg.norm(fit.T_world_object[:3, 3] - picture.T_world_camera[:3, 3]))
+    away_m = float(np.linalg.norm(T_world_object[:3, 3] - picture.T_world_camera[:3, 3]))
     finest_m = away_m / picture.intrinsics.fx_px
 
     def color(points_m: np.ndarray, normals: np.ndarray) -> UInt8[np.ndarray, "points 3"]:
-        return _colors(points_m, normals, solids, fit.T_world_object, picture)
+        return _colors(points_m, normals, solids, T_world_object, picture)
 
     rgb = color(vertices_m, np.zeros_like(vertices_m))
     return Mesh(vertices_m.astype(np.float32), every, rgb), tuple(parts), textured(vertices_m, every, color, finest_m)

@@ -59,6 +59,17 @@ def follow_hand(placed: PlacedObject, before: Sequence[BodyMotion], after: Seque
     return replace(placed, T_world_object=T_world_object[0], path=(replace(path, T_world_object=T_world_object),))
 
 
+def resting(placed: PlacedObject) -> PlacedObject:
+    """The object as a thing that stays, where it is longest."""
+    if not placed.path:
+        return placed
+    T = placed.path[0].T_world_object
+    ends = np.concatenate([[True], np.abs(np.diff(T, axis=0)).max((1, 2)) > 0, [True]])
+    starts = np.flatnonzero(ends)
+    longest = starts[int(np.diff(starts).argmax())]
+    return replace(placed, T_world_object=T[longest], path=())
+
+
 def holding(objects: Sequence[PlacedObject], motion: BodyMotion) -> Bool[np.ndarray, "frames 22"]:
     """Wrists of a person that have an object in hand."""
     held = np.zeros(motion.contact.shape, bool)

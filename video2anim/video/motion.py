@@ -33,7 +33,8 @@ class Registration:
 
     H_reference_frame: Float[np.ndarray, "3 3"]
     """Homography from the frame's pixels into the reference's, both at full resolution."""
-    inlier_count: int
+    background_px: Float[np.ndarray, "points 2"]
+    """Places of the frame that agree, at full resolution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,15 +85,17 @@ class BackgroundRegistration:
             return None
         H_reference_frame = self._H_reference_link @ linked.H_reference_frame
         self._link, self._H_reference_link = features, H_reference_frame
-        return Registration(H_reference_frame, linked.inlier_count)
+        return Registration(H_reference_frame, linked.background_px)
 
     def drift_ratio(self, registration: Registration) -> float:
-        """Mean displacement of the picture's corners and centre, as a share of its width."""
-        w, h = self._width_px - 1.0, self._height_px - 1.0
-        marks_px = np.array([[0, 0], [w, 0], [0, h], [w, h], [0.5 * w, 0.5 * h]])
-        homogeneous = np.c_[marks_px, np.ones(len(marks_px))] @ registration.H_reference_frame.T
+        """Mean displacement of the places that agree, as a share of the picture's width.
+
+        Not of the picture's corners: where the places lie on one side, a homography says little of the other.
+        """
+        seen_px = registration.background_px
+        homogeneous = np.c_[seen_px, np.ones(len(seen_px))] @ registration.H_reference_frame.T
         moved_px = homogeneous[:, :2] / homogeneous[:, 2:]
-        return float(np.linalg.norm(moved_px - marks_px, axis=1).mean() / self._width_px)
+        return float(np.linalg.norm(moved_px - seen_px, axis=1).mean() / self._width_px)
 
     def _features(
         self, rgb: UInt8[np.ndarray, "height width 3"], background: UInt8[np.ndarray, "height width"] | None = None
@@ -132,7 +135,7 @@ class BackgroundRegistration:
             [[self._scale, 0, 0.5 * self._scale - 0.5], [0, self._scale, 0.5 * self._scale - 0.5], [0, 0, 1.0]]
         )
         H_full = np.linalg.inv(to_work) @ H @ to_work
-        return Registration(H_full / H_full[2, 2], len(frame_px))
+        return Registration(H_full / H_full[2, 2], (frame_px + 0.5) / self._scale - 0.5)
 
     def _spread(self, points_px: Float[np.ndarray, "points 2"]) -> bool:
         size_px = np.array([self._width_px, self._height_px]) * self._scale
