@@ -177,7 +177,9 @@ def test_carried_things_move_and_are_not_in_the_plate() -> None:
     carried = SceneObject(900, "box", thing.parts, np.eye(4))
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, :3, 3] = [[-0.2, 1.0, 0.8], [0.3, 1.1, 0.8]]
-    renderer = Renderer(dataclasses.replace(shot, moving=(MovingObject(carried, poses),)))
+    renderer = Renderer(
+        dataclasses.replace(shot, moving=(MovingObject(carried, poses, np.ones((len(poses), 2), bool)),))
+    )
     assert 900 not in renderer.plate().instance
     columns = []
     for t in (0, 1):

@@ -15,6 +15,7 @@ from video2anim.eval.alignment import (
     match_people,
     truth_from_estimate,
 )
+from video2anim.eval.carried_rows import carried_group
 from video2anim.eval.clip_rows import camera_group, ingest_group, track_group
 from video2anim.eval.model import Evaluation, Group, PersonEvaluation, Row, make_group
 from video2anim.eval.motion_rows import MOTION, common_frames, motion_curves, motion_group
@@ -54,6 +55,7 @@ def evaluate(scene_dir: Path | str, truth_dir: Path | str) -> Evaluation:
         segment_group(result, truth),
         complete_group(result, truth),
         objects_group(result, truth, T_true_estimate),
+        carried_group(result, truth, frames, T_true_estimate),
         space_group(scene, truth, field, T_true_estimate),
     )
     return Evaluation(truth.name, _facts(result, truth), groups, evaluated, tuple(result.missing() + people.notes()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
 from pydantic import Field, FiniteFloat, NonNegativeInt
 
-from video2anim.artifacts.arrays import MOST_M, Axes, expect_content, opened_archive
+from video2anim.artifacts.arrays import MOST_M, Archive, Axes, expect_content, opened_archive
 from video2anim.artifacts.images import read_png
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.artifacts.stage_files import member, read_json
@@ -37,6 +37,13 @@ _ARRAYS: dict[str, Any] = {
     "person_box_px": Annotated[Float[np.ndarray, "people frames 4"], Holds.GAPS],
 }
 """What is read of `truth.npz` besides the main person's motion, and what it must be."""
+_MOVING: dict[str, Any] = {
+    "moving_object_id": Int[np.ndarray, "moving"],
+    "T_world_moving": Annotated[Float[np.ndarray, "moving frames 4 4"], Holds.RIGID],
+    "moving_held": Bool[np.ndarray, "moving frames"],
+    "moving_hands": Bool[np.ndarray, "moving 2"],
+}
+"""The same, of things that somebody moves; older truth has none of it."""
 _Place = Annotated[float, Field(ge=-MOST_M, le=MOST_M)]
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
@@ -89,6 +96,12 @@ class TrueObject:
     file: Path
     visible_px: int
     """Pixels in the first background map."""
+    T_world_object_frames: Float[np.ndarray, "frames 4 4"] | None = None
+    """Pose in every frame; None where it does not move, or an older truth does not tell."""
+    held: Bool[np.ndarray, "frames"] | None = None
+    """Whether a hand holds it; None as above."""
+    hands: tuple[bool, bool] = (False, False)
+    """Whether the left and the right hand ever hold it."""
 
     @property
     def stands(self) -> bool:
@@ -197,6 +210,7 @@ def _truth(folder: Path, meta: _Meta) -> Truth:
         raise ArtifactError(f"persons: want {[person.person_id for person in people]}, got {ids} in {folder}")
     with opened_archive(folder / "truth.npz") as archive:
         found = {key: archive.read(key, hint, axes) for key, hint in _ARRAYS.items()}
+        moved = _moved_things(archive, axes)
     seen = dict(zip(found["object_id"].tolist(), found["object_visible_px"].tolist(), strict=True))
     return Truth(
         folder=folder,
@@ -214,13 +228,31 @@ def _truth(folder: Path, meta: _Meta) -> Truth:
         background_instance=found["background_instance"][0],
         amodal=dict(zip(found["amodal_object_id"].tolist(), found["amodal"], strict=True)),
         person_box_px=found["person_box_px"],
-        objects=tuple(_object(folder, thing, seen) for thing in meta.objects),
+        objects=tuple(_object(folder, thing, seen, moved) for thing in meta.objects),
         is_static=bool(found["is_static"]),
     )
 
 
-def _object(folder: Path, thing: _Thing, seen: dict[int, int]) -> TrueObject:
+_Moved = tuple[Float[np.ndarray, "frames 4 4"], Bool[np.ndarray, "frames"], tuple[bool, bool]]
+
+
+def _moved_things(archive: Archive, axes: Axes) -> dict[int, _Moved]:
+    """Poses, holding and hands of each thing that moves."""
+    if "moving_object_id" not in archive:
+        return {}
+    read = {key: archive.read(key, hint, axes) for key, hint in _MOVING.items()}
+    return {
+        int(number): (read["T_world_moving"][k], read["moving_held"][k], (bool(left), bool(right)))
+        for k, (number, (left, right)) in enumerate(zip(read["moving_object_id"], read["moving_hands"], strict=True))
+    }
+
+
+def _object(folder: Path, thing: _Thing, seen: dict[int, int], moved: dict[int, _Moved]) -> TrueObject:
     T, number = np.array(thing.T_world_object), thing.object_id
     expect_content(T, (Holds.RIGID,), {}, f"T_world_object of object {number}", folder / "meta.json")
     file = member(folder, thing.file)
-    return TrueObject(number, thing.label, thing.is_furniture, thing.is_moving, T, file, seen.get(number, 0))
+    still = TrueObject(number, thing.label, thing.is_furniture, thing.is_moving, T, file, seen.get(number, 0))
+    if number not in moved:
+        return still
+    frames, held, hands = moved[number]
+    return replace(still, T_world_object_frames=frames, held=held, hands=hands)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError
-from video2anim.synth.acting import ACTS, act, joined
+from video2anim.synth.acting import ACTS, CARRIES, act, act_carry, joined
 from video2anim.synth.acting.curves import turned
 from video2anim.synth.cameras import CameraRequest, place_camera
 from video2anim.synth.hiding import hidden_view
@@ -19,6 +19,7 @@ from video2anim.synth.looks import make_looks
 from video2anim.synth.presets import ClipSpec, hiding_of
 from video2anim.synth.render.lens import covers_picture
 from video2anim.synth.rooms import build_room, penetration_m, split_items
+from video2anim.synth.showing import showing_view, swept_points
 from video2anim.synth.world import ActedMotion, Actor, MovingObject, Room, SceneObject, SensorModel, Shot
 from video2anim.types import BodyMotion, BodyShape, Intrinsics
 
@@ -28,6 +29,8 @@ DEEPEST_M = 0.01
 _ATTEMPTS = 8
 _HIDING_STRIDE = 60
 """Every how many vertices of the skin decide whether somebody is hidden."""
+_SPACING_M = 0.06
+"""Of points on the box around a thing that is carried."""
 _APART_M = 0.3
 """Least distance between two people's bodies."""
 
@@ -84,7 +87,7 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
     people = _performances(spec, options, attempt)
     rng = spec.rng("room", attempt)
     props = tuple(prop for person in people for prop in person.acted.props)
-    swept = _skin(people, options.skin_stride)
+    swept = np.concatenate([_skin(people, options.skin_stride), *(swept_points(p.acted, _SPACING_M) for p in people)])
     furnished = build_room(
         rng, swept_m=swept, props=props, room_size_m=options.room_size_m,
         clutter=float(rng.uniform(0.2, 0.9)), meshes=options.meshes, prop_depth_m=0.8 * DEEPEST_M,
@@ -93,11 +96,16 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
     room = _without_offenders(swept, room)
     request = CameraRequest(
         options.width_px, options.height_px, handheld=spec.handheld,
-        height_m=(1.0, 2.2) if spec.preset == "bench" else (0.8, 2.6),
+        height_m=(1.0, 2.2) if spec.preset in ("bench", "carried") else (0.8, 2.6),
     )  # fmt: skip
     joints = np.stack([person.joints_m for person in people])
     hiding, camera_rng = hiding_of(spec), spec.rng("camera", attempt)
-    if hiding is None:
+    if spec.preset == "carried":
+        first = people[0]
+        lens, T_world_camera = showing_view(
+            camera_rng, room, first.acted, joints[0], first.vertices_m, first.body.faces, request
+        )
+    elif hiding is None:
         lens, T_world_camera = place_camera(camera_rng, room, joints, request)
     else:
         room, lens, T_world_camera = hidden_view(
@@ -111,7 +119,7 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
     facts: dict[str, str | float | int] = {"attempt": attempt, "kind": "+".join(spec.kinds)}
     return Shot(
         spec.name, room, tuple(actors), lens, T_world_camera, not spec.handheld,
-        draw_sensor(spec.rng("sensor", attempt), spec, lens), _carried(people, items), facts,
+        draw_sensor(spec.rng("sensor", attempt), spec, lens), _carried(people, items, room), facts,
     )  # fmt: skip
 
 
@@ -157,6 +165,8 @@ def _motion(
     kind: str, body: ShapedBody, rng: np.random.Generator, spec: ClipSpec, library: MotionLibrary | None
 ) -> ActedMotion:
     """Captured where the library has the kind, acted otherwise; acted kinds may begin with a captured walk."""
+    if kind in CARRIES:
+        return act_carry(kind, body, rng)
     low, high = spec.duration_s
     if kind not in ACTS and library is not None:
         captured = library.draw("walk_turn" if kind == "turn" else kind, body, rng, least_s=low)
@@ -182,9 +192,10 @@ def _motion(
 
 def _cut(acted: ActedMotion, frames: int) -> ActedMotion:
     pose = acted.item_pose[:frames] if acted.item_pose is not None else None
+    held = acted.item_held[:frames] if acted.item_held is not None else None
     return replace(
         acted, translation_m=acted.translation_m[:frames], R_parent_joint=acted.R_parent_joint[:frames],
-        contact=acted.contact[:frames], item_pose=pose,
+        contact=acted.contact[:frames], item_pose=pose, item_held=held,
     )  # fmt: skip
 
 
@@ -252,14 +263,18 @@ def _props_apart(placed: list[Performance], person: Performance, R: np.ndarray, 
     return True
 
 
-def _carried(people: list[Performance], items: dict[int, SceneObject]) -> tuple[MovingObject, ...]:
-    """Things that are picked up, with their poses; `items` are numbered by their prop among all props."""
-    moving, first = [], 0
+def _carried(people: list[Performance], items: dict[int, SceneObject], room: Room) -> tuple[MovingObject, ...]:
+    """Things that are moved, with their poses; `items` of the room are numbered by their prop among all props."""
+    moving, first, unused = [], 0, max(thing.object_id for thing in (*room.objects, *items.values())) + 1
     for person in people:
-        for number, thing in items.items():
-            if first <= number < first + len(person.acted.props) and person.acted.item_pose is not None:
-                moving.append(MovingObject(thing, person.acted.item_pose))
-        first += len(person.acted.props)
+        acted = person.acted
+        if acted.item_pose is not None and acted.item_held is not None:
+            mine = [thing for number, thing in items.items() if first <= number < first + len(acted.props)]
+            if acted.item is not None:
+                mine.append(acted.item.moved(acted.item_pose[0], unused))
+                unused += 1
+            moving += [MovingObject(thing, acted.item_pose, acted.item_held) for thing in mine]
+        first += len(acted.props)
     return tuple(moving)
 
 

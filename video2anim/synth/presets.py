@@ -19,7 +19,7 @@ _BENCH: tuple[tuple[str, ...], ...] = (
 )  # fmt: skip
 ACTED = ("walk", "sit", "lie", "step_up", "pick_up", "lean", "reach")
 CAPTURED = ("walk", "walk_turn", "chore", "gesture", "pickup", "dance", "sport", "arms")
-PRESETS = ("bench", "random", "hidden")
+PRESETS = ("bench", "random", "hidden", "carried")
 LARGEST_SEED = 2**63 - 1
 """What every reader of `set.json` and `meta.json` can hold."""
 
@@ -51,6 +51,15 @@ _HIDDEN: tuple[tuple[str, str, Hiding], ...] = (
     ("return_behind_shelf", "return", Hiding("shelf", _LONG_S, "turning", (0.9, 1.7), _TALL)),
 )
 """Name, what the person does, how it is hidden."""
+_CARRIED: tuple[tuple[str, str], ...] = (
+    ("pick_up_from_floor", "carry_from_floor"),
+    ("carry_and_put_down", "carry_between"),
+    ("carry_box", "carry_box"),
+    ("drink_from_cup", "drink"),
+    ("pull_chair", "pull_chair"),
+    ("walk_with_bag", "carry_bag"),
+)
+"""Name, and what the person does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +83,7 @@ class ClipSpec:
 
 
 def clip_specs(preset: str, count: int | None, seed: int) -> tuple[ClipSpec, ...]:
-    """The clips of a preset; `bench` has 24, `hidden` 6, `random` as many as asked (default 24).
+    """The clips of a preset; `bench` has 24, `hidden` and `carried` 6, `random` as many as asked (default 24).
 
     Raises:
         UsageError: unknown preset, or a count that it does not have.
@@ -82,7 +91,8 @@ def clip_specs(preset: str, count: int | None, seed: int) -> tuple[ClipSpec, ...
     if preset not in PRESETS:
         raise UsageError(f"--preset: want one of {', '.join(PRESETS)}, got {preset!r}")
     make, most = {
-        "bench": (_bench, len(_BENCH)), "hidden": (_hidden, len(_HIDDEN)), "random": (_random, 1_000_000)
+        "bench": (_bench, len(_BENCH)), "hidden": (_hidden, len(_HIDDEN)), "carried": (_carried, len(_CARRIED)),
+        "random": (_random, 1_000_000),
     }[preset]  # fmt: skip
     count = min(most, len(_BENCH)) if count is None else count
     expect_count_and_seed(count, seed, most)
@@ -114,6 +124,11 @@ def _bench(seed: int, index: int) -> ClipSpec:
 def _hidden(seed: int, index: int) -> ClipSpec:
     name, kind, _ = _HIDDEN[index]
     return ClipSpec(f"{index:02d}_{name}", "hidden", seed, index, (kind,), (6.0, 9.0))
+
+
+def _carried(seed: int, index: int) -> ClipSpec:
+    name, kind = _CARRIED[index]
+    return ClipSpec(f"{index:02d}_{name}", "carried", seed, index, (kind,), (5.0, 12.0))
 
 
 def _random(seed: int, index: int) -> ClipSpec:

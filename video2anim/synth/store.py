@@ -140,6 +140,13 @@ def _write_truth(work: Path, shot: Shot, labels: _Labels) -> None:
         "amodal": np.stack(amodal) if amodal else np.zeros((0, *labels.bare_instance[0].shape), bool),
         "person_box_px": labels.box,
     }
+    if shot.moving:
+        extra |= {
+            "moving_object_id": np.array([item.thing.object_id for item in shot.moving]),
+            "T_world_moving": np.stack([item.T_world_object for item in shot.moving]),
+            "moving_held": np.stack([item.held.any(1) for item in shot.moving]),
+            "moving_hands": np.stack([item.held.any(0) for item in shot.moving]),
+        }
     main, *others = (actor.motion for actor in shot.actors)
     np.savez_compressed(work / "truth.npz", allow_pickle=False, **motion_arrays(main), **extra)
     for motion in others:

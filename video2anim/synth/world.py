@@ -160,6 +160,8 @@ class MovingObject:
 
     thing: SceneObject
     T_world_object: Float[np.ndarray, "frames 4 4"]
+    held: Bool[np.ndarray, "frames 2"]
+    """Whether the left and the right hand hold it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,7 +180,11 @@ class ActedMotion:
     spine3 = back."""
     props: tuple[Prop, ...] = ()
     item_pose: Float[np.ndarray, "frames 4 4"] | None = None
-    """World pose of the `item` prop while it is carried (before and after it rests)."""
+    """World pose of the thing that is moved (before and after it rests)."""
+    item_held: Bool[np.ndarray, "frames 2"] | None = None
+    """Whether the left and the right hand hold it."""
+    item: SceneObject | None = None
+    """The thing itself, where the motion is made for it; else the room has it for the `item` prop."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,6 +2,7 @@
 
 from video2anim.synth.acting.acts import ACTS, act
 from video2anim.synth.acting.archive import to_source_clip
+from video2anim.synth.acting.carry import CARRIES, act_carry
 from video2anim.synth.acting.join import joined
 
-__all__ = ["ACTS", "act", "joined", "to_source_clip"]
+__all__ = ["ACTS", "CARRIES", "act", "act_carry", "joined", "to_source_clip"]

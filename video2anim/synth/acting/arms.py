@@ -13,7 +13,7 @@ from video2anim.geometry.rotations import (
     quaternion_from_matrix,
     slerp,
 )
-from video2anim.synth.acting.curves import axis_rotation, smooth_lift, turned, window
+from video2anim.synth.acting.curves import axis_rotation, ease, smooth_lift, turned, window
 from video2anim.synth.acting.limbs import arm_rotations
 from video2anim.synth.acting.measure import ARM, LEG
 from video2anim.synth.acting.script import HandGoal, Script
@@ -45,7 +45,7 @@ def place_hands(
         world = quaternion_from_matrix(R_world[:, wrist])
         for goal in goals:
             weight = window(t, goal.start_s, goal.touch_s, goal.leave_s, goal.end_s)[:, None]
-            place, R_hand = _goal(goal, joints, pelvis_m, heading_rad)
+            place, R_hand = _goal(goal, t, joints, pelvis_m, heading_rad)
             target = target + weight * (place - target)
             out = np.array([1.0 if side == 0 else -1.0, 1.0, 1.0]) * np.array(goal.elbow)
             towards = R_world[:, 0] @ (out / np.linalg.norm(out))
@@ -97,13 +97,16 @@ def _elbow_direction(joints: np.ndarray, shoulder: int, elbow: int, wrist: int) 
 
 
 def _goal(
-    goal: HandGoal, joints: np.ndarray, pelvis_m: np.ndarray, heading_rad: np.ndarray
+    goal: HandGoal, t: np.ndarray, joints: np.ndarray, pelvis_m: np.ndarray, heading_rad: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """World wrist position and orientation of a goal at every frame."""
     count = len(pelvis_m)
     if goal.frame == "world":
         R = None if goal.R_hand is None else np.broadcast_to(goal.R_hand, (count, 3, 3))
-        return np.broadcast_to(goal.offset_m, (count, 3)), R
+        if goal.slide is None:
+            return np.broadcast_to(goal.offset_m, (count, 3)), R
+        start, end, move_m = goal.slide
+        return goal.offset_m + ease((t - start) / (end - start))[:, None] * move_m, R
     heading = turned(heading_rad)
     R = None if goal.R_hand is None else heading @ goal.R_hand
     if goal.frame == "body":

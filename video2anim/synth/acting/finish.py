@@ -64,6 +64,7 @@ def cut(motion: ActedMotion, first: int, stop: int) -> ActedMotion:
         for p in motion.props
     )
     item = None if motion.item_pose is None else motion.item_pose[first:stop]
+    held = None if motion.item_held is None else motion.item_held[first:stop]
     return replace(
         motion,
         translation_m=motion.translation_m[first:stop],
@@ -71,6 +72,7 @@ def cut(motion: ActedMotion, first: int, stop: int) -> ActedMotion:
         contact=motion.contact[first:stop],
         props=props,
         item_pose=item,
+        item_held=held,
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -48,7 +50,9 @@ def act_pick_up(script: Script) -> ActedMotion:
     if on_table:
         shift = turned(yaw) @ np.array([0.0, 0.0, 0.08])
         props.append(Prop("table", (place[0] + shift[0], height, place[2] + shift[2]), back, (0.5, 0.3), frames))
-    return motion_of("pick_up", done, tuple(props), pose)
+    held = np.zeros((len(done.t), 2), bool)
+    held[int(np.ceil(grasp * FPS)) :, side] = True
+    return replace(motion_of("pick_up", done, tuple(props), pose), item_held=held)
 
 
 def _grasping(

@@ -53,7 +53,7 @@ def joined(
     R, translation = _stand(R, translation, captured_joints, captured_world[-1], contact[-1], acted, rest)
     down = acted.contact & _still(R, translation, rest)
     count = len(translation_m) - 1
-    item = acted.item_pose
+    item, held = acted.item_pose, acted.item_held
     return replace(
         acted,
         translation_m=np.concatenate([translation_m[:-1], translation]),
@@ -61,6 +61,7 @@ def joined(
         contact=np.concatenate([contact[:-1], down]).astype(bool),
         props=tuple(replace(p, frames=(p.frames[0] + count, p.frames[1] + count)) for p in acted.props),
         item_pose=None if item is None else np.concatenate([np.repeat(item[:1], count, 0), item]),
+        item_held=None if held is None else np.concatenate([np.repeat(held[:1], count, 0), held]),
     )
 
 
