@@ -79,7 +79,7 @@ def _behind(
     """All of the motion in the picture, with a thing before a part of it."""
     lens, T_world_camera = place_camera(rng, room, joints_m[None], request)
     camera_m = T_world_camera[0, :3, 3]
-    pixel, seen = _in_picture(lens, T_world_camera[0], skin_m)
+    pixel, seen = in_picture(lens, T_world_camera[0], skin_m)
     seen &= ~_blocked(_caster(room), camera_m, skin_m)
     for _ in range(_PLACES):
         thing = _thing_before(rng, room, camera_m, joints_m, hiding)
@@ -138,7 +138,7 @@ def _leaving(
     camera_m = T[0, :3, 3]
     if np.linalg.norm(joints_m - camera_m, axis=-1).min() < _NEAREST_M:
         return None
-    pixel, seen = _in_picture(lens, T[0], skin_m)
+    pixel, seen = in_picture(lens, T[0], skin_m)
     seen &= ~_blocked(_caster(room), camera_m, skin_m)
     return (room, lens, np.tile(T[0], (len(joints_m), 1, 1))) if _is_hidden_once(pixel, seen, hiding) else None
 
@@ -147,11 +147,11 @@ def _caster(room: Room) -> Caster:
     return of_objects(thing for thing in room.objects if thing.label not in NEVER_HIDES).caster()
 
 
-def _in_picture(
-    lens: Intrinsics, T_world_camera: np.ndarray, skin_m: np.ndarray
-) -> tuple[Float[np.ndarray, "frames points 2"], Bool[np.ndarray, "frames points"]]:
-    """Where skin points are in the picture's plane, and whether they are inside the picture."""
-    camera_m = transform_points(invert_rigid(T_world_camera), skin_m)
+def in_picture(
+    lens: Intrinsics, T_world_camera: np.ndarray, points_m: Float[np.ndarray, "*points 3"]
+) -> tuple[Float[np.ndarray, "*points 2"], Bool[np.ndarray, "*points"]]:
+    """Where points are in the picture's plane, and whether they are inside it."""
+    camera_m = transform_points(invert_rigid(T_world_camera), points_m)
     ahead = camera_m[..., 2] > _AHEAD_M
     pixel = project(np.where(ahead[..., None], camera_m, [0.0, 0.0, 1.0]), lens)
     inside = (pixel > -0.5) & (pixel < np.array([lens.width_px, lens.height_px]) - 0.5)

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 
 from video2anim.errors import InputError
 from video2anim.synth.cameras import NEVER_HIDES, CameraRequest, place_camera
+from video2anim.synth.hiding import in_picture
 from video2anim.synth.render.caster import Caster
 from video2anim.synth.render.surfaces import of_objects
 from video2anim.synth.world import ActedMotion, Room
@@ -15,8 +16,9 @@ from video2anim.types import Intrinsics
 _CAMERAS = 8
 _FRAMES = 16
 """Views that are compared, and frames looked at in each."""
-LEAST_SEEN = 0.6
-"""Least share of the thing's points that neither body nor room hides, over the clip."""
+LEAST_SEEN = 0.5
+"""Least share of the thing's points that are in the picture and hidden by neither body nor room: over the clip, and in
+its first and its last frame."""
 _INSET_M = 0.003
 
 
@@ -64,11 +66,14 @@ def showing_view(
         eye = T_world_camera[0, :3, 3]
         seen = []
         for body, T in zip(bodies, acted.item_pose[frames], strict=True):
-            ray = points @ T[:3, :3].T + T[:3, 3] - eye
+            world_m = points @ T[:3, :3].T + T[:3, 3]
+            ray = world_m - eye
             start = np.broadcast_to(eye, ray.shape)
-            seen.append(1.0 - (body.blocked(start, ray, 1.0) | room_caster.blocked(start, ray, 0.98)).mean())
-        if np.mean(seen) > most:
-            best, most = (lens, T_world_camera), float(np.mean(seen))
+            hidden = body.blocked(start, ray, 1.0) | room_caster.blocked(start, ray, 0.98)
+            seen.append((in_picture(lens, T_world_camera[0], world_m)[1] & ~hidden).mean())
+        worst = min(float(np.mean(seen)), seen[0], seen[-1])
+        if worst > most:
+            best, most = (lens, T_world_camera), worst
     if best is None or most < LEAST_SEEN:
-        raise InputError(f"every camera sees at most {100 * most:.0f} % of the thing that is moved")
+        raise InputError("every camera loses sight of the thing that is moved")
     return best

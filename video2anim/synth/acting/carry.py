@@ -16,7 +16,7 @@ from video2anim.body.anny_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.synth.acting.curves import FPS, axis_rotation, turned
 from video2anim.synth.acting.finish import cut, motion_of
-from video2anim.synth.acting.grip import Grip, Hands, bag_grip, side_grip, thing_in, top_grip
+from video2anim.synth.acting.grip import Grip, Hands, bag_grip, expect_sane, side_grip, thing_in, top_grip
 from video2anim.synth.acting.measure import measure
 from video2anim.synth.acting.perform import Performed, perform
 from video2anim.synth.acting.script import HandGoal, Script
@@ -28,6 +28,8 @@ _BEFORE_S, _AFTER_S = 2.0, 1.6
 """What is kept of the motion before the thing is grasped and after it is let go."""
 _ABOVE_M = 0.1
 """Things are lifted from, and lowered to, a table through a place so far above it."""
+_BEFORE_KNEES_M = (0.06, 0.3)
+"""From and to the floor through one so much farther ahead and higher."""
 _REACHED_M = 0.0005
 """Most that a wrist may be off its goal where a thing is grasped or let go."""
 _EVENT_S = (2.0, 0.6)
@@ -57,9 +59,9 @@ def _spot(script: Script, aside_m: float, height_m: float, ahead_m: float) -> _S
 
 
 def _bend(script: Script, wrist_height_m: float, start_s: float, span_s: float) -> None:
-    """Bends and crouches, the more the lower the wrists must get."""
+    """Bends and crouches, the more the lower the wrists must get; knees stay back, for the thing passes before them."""
     low = float(np.clip((1.05 * script.size.scale - wrist_height_m) / (0.85 * script.size.scale), 0.15, 1.0))
-    script.keyed.key(start_s, span_s, crouch=0.36 * low * low, pelvis_pitch=0.55 * low, spine_flex=0.7 * low)
+    script.keyed.key(start_s, span_s, crouch=0.2 * low * low, pelvis_pitch=0.75 * low, spine_flex=0.65 * low)
     script.keyed.key(start_s, 0.8 * span_s, neck_flex=0.3)
 
 
@@ -87,15 +89,18 @@ def _lift(script: Script, hands: Hands, spot: _Spot, carry_m: Float[np.ndarray, 
     grasp, low = script.now_s, spot.position_m[1] < 0.3
     up = script.rng.uniform(1.0, 1.2) + 0.3 * low
     _straighten(script, grasp + (0.2 if low else 0.1), up)
-    if not low:
-        hands.at(_above(spot), grasp, grasp + 0.5 * up)
-    hands.carry(carry_m, grasp + (0.0 if low else 0.2 * up), grasp + up)
+    hands.at(_above(spot, script.size.scale), grasp, grasp + 0.55 * up)
+    hands.carry(carry_m, grasp + (0.35 if low else 0.2) * up, grasp + up)
     script.now_s = grasp + up
 
 
-def _above(spot: _Spot) -> Float[np.ndarray, "4 4"]:
+def _above(spot: _Spot, scale: float) -> Float[np.ndarray, "4 4"]:
+    """On the way to and from a spot: clear of the table's top, or before the knees."""
     T = spot.T
-    T[1, 3] += _ABOVE_M
+    if spot.position_m[1] < 0.3:
+        T[:3, 3] += scale * (_BEFORE_KNEES_M[0] * T[:3, 2] + _BEFORE_KNEES_M[1] * T[:3, 1])
+    else:
+        T[1, 3] += _ABOVE_M
     return T
 
 
@@ -105,9 +110,8 @@ def _put(script: Script, hands: Hands, spot: _Spot) -> float:
     start, span = script.now_s + script.rng.uniform(0.1, 0.25), script.rng.uniform(1.2, 1.4) + 0.3 * low
     # Who bends before the arms go down need not stretch them.
     _bend(script, spot.position_m[1] + hands.wrist_over_m, start, (0.85 if low else 1.0) * span)
-    if not low:
-        hands.at(_above(spot), start, start + 0.75 * span)
-    hands.at(spot.T, start + (0.2 if low else 0.4) * span, start + span)
+    hands.at(_above(spot, script.size.scale), start + 0.1 * span, start + 0.7 * span)
+    hands.at(spot.T, start + (0.5 if low else 0.4) * span, start + span)
     release = start + span + 0.15
     hands.beside(spot.T, release, release + 0.35, out_m=0.08, up_m=0.04)
     if not low:
@@ -193,6 +197,7 @@ def _finished(
         if np.abs(end - pose[release]).max() > 2 * _REACHED_M:
             raise InputError(f"{thing.label} would be let go askew; act the motion again")
         pose[release + 1 :] = end
+    expect_sane(script, done, hands, thing, pose, range(grasp, release + 1))
     held = np.zeros((count, 2), bool)
     held[grasp : release + 1, [grip.side for grip in hands.grips]] = True
     motion = replace(motion_of(kind, done, props), item_pose=pose, item_held=held, item=thing)
@@ -264,13 +269,13 @@ def carry_between(script: Script) -> ActedMotion:
 def carry_box(script: Script) -> ActedMotion:
     """Lift a box from the floor with both hands, carry it elsewhere and set it down."""
     size, rng = script.size, script.rng
-    thing = Grip.thing(rng, ("box",), (rng.uniform(0.32, 0.38), rng.uniform(0.26, 0.3)), rng.uniform(0.26, 0.32))
+    thing = Grip.thing(rng, ("box",), (rng.uniform(0.32, 0.38), rng.uniform(0.24, 0.28)), rng.uniform(0.19, 0.23))
     grips = tuple(side_grip(size, side, thing, inward_rad=0.0, droop_rad=0.6, flat=True) for side in (0, 1))
     hands = Hands(script, grips)
     approach(script, rng.uniform(1.5, 1.9))
     spot = _spot(script, 0.0, 0.0, 0.44 * size.scale)
     grasp = _take(script, hands, spot)
-    carry = hands.off_shoulder(0.0, -0.8, 0.6, 0.78)
+    carry = hands.off_shoulder(0.0, -0.68, 0.72, 0.8)
     carry[0] = hands.grips[0].offset_m[0]
     _lift(script, hands, spot, carry)
     bearing = rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 0.8)

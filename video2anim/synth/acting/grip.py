@@ -7,12 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from video2anim.errors import InputError
 from video2anim.synth.acting.curves import turned
+from video2anim.synth.acting.finish import probes
 from video2anim.synth.acting.measure import BodyMeasure
 from video2anim.synth.acting.perform import Performed
 from video2anim.synth.acting.script import HandGoal, Script
 from video2anim.synth.render.caster import Caster
 from video2anim.synth.rooms import make_furniture
+from video2anim.synth.rooms.clearance import penetration_m
 from video2anim.synth.rooms.decor import scaled_into
 from video2anim.synth.world import SceneObject
 
@@ -20,6 +23,8 @@ _PALM_M = (0.095, 0.034, 0.012)
 """Middle of the palm from the wrist of a middle adult: along the fingers, out of the palm, towards the thumb."""
 _FINGERS_M = 0.046
 """So far out of the palm a flat side lies that the bent fingers rest on."""
+_SLIP_M, _THROUGH_M = 0.0008, 0.01
+"""Most that a second hand may move on the thing, and that the body may enter it."""
 _SIDE_ELBOW = (0.7, -0.7, -0.4)
 
 
@@ -211,3 +216,27 @@ def thing_in(done: Performed, hands: Hands, frames: slice) -> Float[np.ndarray, 
     T = np.broadcast_to(np.eye(4), (len(done.t[frames]), 4, 4)).copy()
     T[:, :3, :3], T[:, :3, 3] = done.R_world_joint[frames, wrist], done.joints_m[frames, wrist]
     return T @ grip.T_hand_thing
+
+
+def expect_sane(
+    script: Script, done: Performed, hands: Hands, thing: SceneObject, pose: Float[np.ndarray, "frames 4 4"],
+    held: range,
+) -> None:  # fmt: skip
+    """No hand slips on the thing, and it does not go through the body.
+
+    Raises:
+        InputError: it does.
+    """
+    for grip in hands.grips[1:]:
+        wrist_m = done.joints_m[held.start : held.stop, 20 + grip.side]
+        own = pose[held.start : held.stop, :3, :3] @ grip.offset_m + pose[held.start : held.stop, :3, 3] - wrist_m
+        slip_m = float(np.linalg.norm(own, axis=1).max())
+        if slip_m > _SLIP_M:
+            raise InputError(f"a hand slips by {1000 * slip_m:.1f} mm on the {thing.label}; act the motion again")
+    frames = np.arange(0, len(pose), 4)
+    body = ~np.isin(script.size.probe_part, [20 + grip.side for grip in hands.grips])
+    skin = probes(done, script.size, frames)[:, body]
+    local = (skin - pose[frames, None, :3, 3]) @ pose[frames, :3, :3]
+    deepest_m = float(penetration_m([thing.moved(np.eye(4))], local.reshape(-1, 3)).max())
+    if deepest_m > _THROUGH_M:
+        raise InputError(f"the {thing.label} goes {100 * deepest_m:.1f} cm into the body; act the motion again")
