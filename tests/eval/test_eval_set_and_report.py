@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 from video2anim.cli.evaluate import eval_command, eval_set_command
 from video2anim.errors import InputError
 from video2anim.eval.aggregate import evaluate_set, paired_folders, statistic
+from video2anim.eval.carried_rows import CARRIED
 from video2anim.eval.clip_rows import CAMERA, INGEST, TRACK
 from video2anim.eval.evaluate import evaluate
 from video2anim.eval.model import SetEvaluation, Spec
@@ -34,7 +35,7 @@ ALL_ROWS = {
     "ingest": INGEST, "track": TRACK, "camera": CAMERA, "motion": MOTION, "true_scene": BODY_IN_SCENE,
     "true_scene_laid": BODY_IN_SCENE, "own_scene": BODY_IN_SCENE,
     "background": BACKGROUND, "depth": DEPTH, "segment": SEGMENT, "complete": COMPLETE,
-    "objects": OBJECTS, "space": SPACE,
+    "objects": OBJECTS, "carried": CARRIED, "space": SPACE,
 }  # fmt: skip
 
 

@@ -1,0 +1,140 @@
+"""How well things that somebody moves are followed: six synthetic clips, true paths against estimated ones.
+
+    python benchmarks/carried.py --work carried_work
+
+Makes the clips of `video2anim synth --preset carried --seed 0` in `<work>/truth`, runs the pipeline into
+`<work>/results` (what is finished is kept), and compares the path of every thing that is moved in truth with the
+estimated path nearest to it, in the true world by the shared camera (docs/evaluation.md, `carried`). Writes
+`benchmarks/results/carried-<date>.json` and the table beside it as `.md`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import math
+import os
+import platform
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from v2a_bench import call, number
+
+from video2anim.eval.alignment import match_frames, truth_from_estimate
+from video2anim.eval.carried_rows import MovedThings, moved_things
+from video2anim.eval.results import SceneResult
+from video2anim.eval.truth import Truth, read_truth
+from video2anim.types import BodyTracks, SceneModel
+
+SEED = 0
+HEADS = ("clip", "thing", "found", "middle off, mean, m", "95 %, m", "hold off, frames", "false paths")
+
+
+@dataclass(frozen=True, slots=True)
+class ClipRow:
+    """One clip; errors are None where the thing has no path."""
+
+    clip: str
+    thing: str
+    """Label of the thing that is moved in truth."""
+    found: bool
+    path_mean_m: float | None
+    path_p95_m: float | None
+    hold_error_frames: float | None
+    """Mean absolute error of the first and the last frame held; None where no hold is told."""
+    false_paths: int
+
+
+def main() -> None:
+    """Make, run, measure, report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, default=Path("carried_work"), help="clips and scene folders, kept")
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
+    parser.add_argument("--seed", type=int, default=SEED, help="of the clips; the published table has 0")
+    options = parser.parse_args()
+    truth = options.work / "truth"
+    call("synth", "--preset", "carried", "--seed", str(options.seed), "--out", str(truth))
+    rows: list[ClipRow] = []
+    for name in [clip["name"] for clip in json.loads((truth / "set.json").read_text())["clips"]]:
+        scene_dir = options.work / "results" / name
+        call("run", str(truth / name / "video.mp4"), "--out", str(scene_dir), "--person", "all", "--until", "refine")
+        rows += of_clip(scene_dir, truth / name)
+    report = {
+        "date": datetime.date.today().isoformat(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "seed": options.seed,
+        "clips": [asdict(row) for row in rows],
+        "means": means(rows),
+    }
+    options.out.mkdir(parents=True, exist_ok=True)
+    target = options.out / f"carried-{report['date']}.json"
+    target.write_text(json.dumps(report, indent=1) + "\n")
+    target.with_suffix(".md").write_text(f"Seed {options.seed}; {report['machine']}.\n\n{table(rows)}\n")
+    sys.stdout.write(f"{table(rows)}\n{target}\n")
+
+
+def of_clip(scene_dir: Path, truth_dir: Path) -> list[ClipRow]:
+    """A row for each thing that is moved in a clip."""
+    result, truth = SceneResult(scene_dir), read_truth(truth_dir)
+    scene, bodies = result.scene, result.bodies
+    if scene is None or bodies is None or not bodies.people:
+        raise SystemExit(f"{scene_dir}: {result.why(BodyTracks, SceneModel) or 'nobody was fitted'}")
+    frames = match_frames(result.clip, truth)
+    T_true_estimate = truth_from_estimate(bodies.people[0].T_world_camera, truth, frames)
+    return clip_rows(truth, moved_things(scene.objects, truth, frames, T_true_estimate))
+
+
+def clip_rows(truth: Truth, found: MovedThings) -> list[ClipRow]:
+    """Rows from what was matched; false paths stand with the first thing of the clip."""
+    rows = []
+    for place, thing in enumerate(found.things):
+        there = thing.estimate_id is not None
+        rows.append(
+            ClipRow(
+                truth.name, thing.label, there,
+                float(thing.error_m.mean()) if there else None,
+                float(np.percentile(thing.error_m, 95)) if there else None,
+                thing.hold_error_frames if math.isfinite(thing.hold_error_frames) else None,
+                0 if place else found.false_paths,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def means(rows: list[ClipRow]) -> dict[str, Any]:
+    """Share found, means over the rows that have the number, sum of false paths."""
+    told = {key: [getattr(row, key) for row in rows if getattr(row, key) is not None] for key in _AVERAGED}
+    return {
+        "found": float(np.mean([row.found for row in rows])) if rows else None,
+        **{key: float(np.mean(values)) if values else None for key, values in told.items()},
+        "false_paths": sum(row.false_paths for row in rows),
+    }
+
+
+_AVERAGED = ("path_mean_m", "path_p95_m", "hold_error_frames")
+
+
+def table(rows: list[ClipRow]) -> str:
+    """Markdown: a row a clip, then the means."""
+    lines = ["| " + " | ".join(HEADS) + " |", "|---" * len(HEADS) + "|"]
+    for row in rows:
+        cells = [_cell(getattr(row, key)) for key in _AVERAGED]
+        lines.append(
+            f"| {row.clip} | {row.thing} | {'yes' if row.found else 'no'} | {' | '.join(cells)} | {row.false_paths} |"
+        )
+    mean = means(rows)
+    cells = [_cell(mean[key]) for key in _AVERAGED]
+    lines.append(f"| mean, sum | | {_cell(mean['found'])} | {' | '.join(cells)} | {mean['false_paths']} |")
+    return "\n".join(lines)
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else number(value)
+
+
+if __name__ == "__main__":
+    main()
