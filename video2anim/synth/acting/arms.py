@@ -13,7 +13,7 @@ from video2anim.geometry.rotations import (
     quaternion_from_matrix,
     slerp,
 )
-from video2anim.synth.acting.curves import axis_rotation, ease, smooth_lift, turned, window
+from video2anim.synth.acting.curves import axis_rotation, smooth_lift, steady, turned, window
 from video2anim.synth.acting.limbs import arm_rotations
 from video2anim.synth.acting.measure import ARM, LEG
 from video2anim.synth.acting.script import HandGoal, Script
@@ -106,7 +106,7 @@ def _goal(
         if goal.slide is None:
             return np.broadcast_to(goal.offset_m, (count, 3)), R
         start, end, move_m = goal.slide
-        return goal.offset_m + ease((t - start) / (end - start))[:, None] * move_m, R
+        return goal.offset_m + steady((t - start) / (end - start))[:, None] * move_m, R
     heading = turned(heading_rad)
     R = None if goal.R_hand is None else heading @ goal.R_hand
     if goal.frame == "body":

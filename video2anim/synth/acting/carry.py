@@ -70,11 +70,14 @@ def _straighten(script: Script, start_s: float, span_s: float) -> None:
     script.keyed.rest(start_s + 0.2, 0.8, "neck_flex")
 
 
-def _take(script: Script, hands: Hands, spot: _Spot) -> float:
-    """Reaches for the thing; gives the time of the grasp, which is the script's time afterwards."""
+def _take(script: Script, hands: Hands, spot: _Spot, *, lower_m: float = 0.0) -> float:
+    """Reaches for the thing; gives the time of the grasp, which is the script's time afterwards.
+
+    `lower_m`: bends as for something so much lower, so that the arm has something to give.
+    """
     low = spot.position_m[1] < 0.3
     start, span = script.now_s + script.rng.uniform(0.0, 0.15), script.rng.uniform(1.0, 1.2) + 0.2 * low
-    _bend(script, spot.position_m[1] + hands.wrist_over_m, start, span)
+    _bend(script, spot.position_m[1] + hands.wrist_over_m - lower_m, start, span)
     if not low:
         hands.beside(spot.T, start, start + 0.5 * span, out_m=0.09, up_m=0.16, back_m=0.14)
     hands.beside(spot.T, start + (0.0 if low else 0.3 * span), start + 0.75 * span, out_m=0.09, up_m=0.05)
@@ -327,20 +330,25 @@ def pull_chair(script: Script) -> ActedMotion:
     approach(script, rng.uniform(1.6, 2.0))
     rear = float(thing.merged()[0][:, 2].min())
     spot = _spot(script, out * 0.14 * size.scale, 0.0, 0.36 * size.scale - rear)
-    grasp = _take(script, hands, spot)
+    grasp = _take(script, hands, spot, lower_m=0.2 * size.scale)
     move = -turned(script.yaw_rad)[:, 2] * rng.uniform(0.6, 0.85)
     steps, center = 3, script.center_m
     begin = script.now_s
     for k in range(1, steps + 1):
         turn(script, script.yaw_rad, center + move * k / steps)
-    hands.slide(begin + 0.1, script.now_s, move)
+    hands.slide(begin, script.now_s, move)
     release = script.now_s + 0.3
     goal = _Spot(spot.position_m + move, spot.yaw_rad)
     hands.beside(goal.T, release, release + 0.4, out_m=0.02, up_m=0.1)
     hands.free(release + 0.3, release + 1.1)
     _straighten(script, release + 0.1, 1.0)
     script.now_s = release + 1.5
-    return _finished(script, "pull_chair", thing, hands, (grasp, spot), (release, goal))
+    motion = _finished(script, "pull_chair", thing, hands, (grasp, spot), (release, goal))
+    assert motion.item_pose is not None
+    off_floor_m = float(np.abs(motion.item_pose[:, 1, 3]).max())
+    if off_floor_m > 2 * _REACHED_M:
+        raise InputError(f"the chair leaves the floor by {1000 * off_floor_m:.0f} mm; act the motion again")
+    return motion
 
 
 def carry_bag(script: Script) -> ActedMotion:

@@ -21,6 +21,14 @@ def ease(u: np.ndarray | float) -> np.ndarray:
     return x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 
+def steady(u: np.ndarray, ramp: float = 0.2) -> np.ndarray:
+    """Progress at even speed between a speeding up and a slowing down that take the share `ramp` each."""
+    x = np.clip(u, 0.0, 1.0)
+    y = np.minimum(x, 1.0 - x)
+    half = np.where(y < ramp, 0.5 * y * y / ramp, y - 0.5 * ramp) / (1.0 - ramp)
+    return np.where(x < 0.5, half, 1.0 - half)
+
+
 def window(t: np.ndarray, rise: float, full: float, leave: float, end: float) -> Float[np.ndarray, "frames"]:
     """0 before `rise`, 1 from `full` to `leave`, 0 after `end`, eased between."""
     up = ease((t - rise) / max(full - rise, 1e-6))

@@ -111,7 +111,7 @@ def bag_grip(size: BodyMeasure, side: int, thing: SceneObject) -> Grip:
     R = fingers(side, 0.0, 1.35)
     vertices, _ = thing.merged()
     out = 1.0 - 2.0 * side
-    forth, deep, thumb = np.array((_PALM_M[0] + 0.015, _FINGERS_M - 0.01, _PALM_M[2])) * size.scale
+    forth, deep, thumb = np.array((_PALM_M[0] + 0.05, _FINGERS_M - 0.006, _PALM_M[2])) * size.scale
     palm = R @ np.array([out * forth, -deep, thumb])
     quarter = turned(-np.pi / 2)
     offset = np.array([0.0, float(vertices[:, 1].max()) - 0.008, 0.0]) - palm
