@@ -17,8 +17,8 @@ _CAMERAS = 8
 _FRAMES = 16
 """Views that are compared, and frames looked at in each."""
 LEAST_SEEN = 0.5
-"""Least share of the thing's points that are in the picture and hidden by neither body nor room: over the clip, and in
-its first and its last frame."""
+"""Least share of the thing's points that are in the picture and hidden by neither body nor room, on average over each
+third of the clip: before, while and after it is carried."""
 _INSET_M = 0.003
 
 
@@ -71,7 +71,7 @@ def showing_view(
             start = np.broadcast_to(eye, ray.shape)
             hidden = body.blocked(start, ray, 1.0) | room_caster.blocked(start, ray, 0.98)
             seen.append((in_picture(lens, T_world_camera[0], world_m)[1] & ~hidden).mean())
-        worst = min(float(np.mean(seen)), seen[0], seen[-1])
+        worst = min(float(third.mean()) for third in np.array_split(np.array(seen), 3))
         if worst > most:
             best, most = (lens, T_world_camera), worst
     if best is None or most < LEAST_SEEN:
