@@ -26,6 +26,7 @@ from video2anim.types import (
     MetricDepth,
     PlacedObject,
     PlacedObjects,
+    RoomPiece,
     SceneModel,
     VideoClip,
 )
@@ -59,8 +60,6 @@ class SceneConfig:
     """Objects up to this far from the motion lie wholly in the distance field."""
     far_m: Annotated[float, limits("m", gt=0, le=10_000)] = 30.0
     """What is farther goes onto one backdrop behind everything; with a scan, depth beyond this does not count."""
-    backdrop_faces: Annotated[int, limits("faces", ge=100, le=1_000_000), only_with("scan", "")] = 30_000
-    """Of walls, ceiling and all else that is seen behind people and objects, together."""
     walked_m: Annotated[float, limits("m", ge=0, le=1000), only_with("scan", "")] = 0.5
     """An object in which a pelvis makes a longer way is in the wrong place: left out unless somebody rests on it."""
     supports: Annotated[bool, only_with("scan", "")] = True
@@ -97,8 +96,8 @@ def build_scene(
     from video2anim.geometry.sdf import build_sdf_grid
     from video2anim.objects.carried import with_moved_objects
     from video2anim.objects.path import resting
-    from video2anim.scene.backdrop import BackdropConfig, backdrop
-    from video2anim.scene.ground import ground_mesh
+    from video2anim.scene.backdrop import backdrop
+    from video2anim.scene.ground import ground
     from video2anim.scene.view import relative_sigma
 
     bodies = depth.bodies
@@ -121,18 +120,18 @@ def build_scene(
     spacing_m = _field_spacing(bounds_m, config)
     near = [solid for solid in solids if _overlap(solid, bounds_m)]
     grid = build_sdf_grid(near, bounds_m, spacing_m, floor_y_m=0.0)
-    reach = BackdropConfig(config.far_m, config.backdrop_faces)
-    seen = backdrop(depth, masks, plate, reach, relative_sigma(depth, clip_depth))
+    seen = backdrop(depth, masks, plate, config.far_m, relative_sigma(depth, clip_depth))
     around_m = motion_m[:, [0, 2]] + np.array([[-config.margin_m], [config.margin_m]])
-    floor, background = ground_mesh(seen, plate, around_m), seen.mesh
+    floor = ground(seen, plate, around_m)
     ctx.quality("objects", len(objects), "objects")
     ctx.quality("objects_in_field", len(near), "objects")
     ctx.quality("sdf_spacing", spacing_m, "m", "lower")
     ctx.quality("sdf_nodes", grid.sdf_m.size, "nodes")
-    ctx.quality("background_faces", len(background.faces), "faces")
+    ctx.quality("background_faces", sum(len(piece.mesh.faces) for piece in seen.pieces), "faces")
     ctx.quality("walls", sum(piece.name.startswith("wall") for piece in seen.pieces), "pieces")
     objects += moved
-    return SceneModel(tuple(objects), floor, background, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
+    ctx.quality("openings", sum(len(piece.openings) for piece in seen.pieces), "openings")
+    return SceneModel(tuple(objects), floor, seen.pieces, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
 
 
 def _scanned(
@@ -174,7 +173,8 @@ def _scanned(
     grid = scan_field(scan, bounds_m, spacing_m)
     ctx.quality("sdf_spacing", spacing_m, "m", "lower")
     ctx.quality("scan_faces", len(scan.faces), "faces")
-    return SceneModel((), empty_mesh(), scan, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
+    floor, room = RoomPiece("floor", empty_mesh()), RoomPiece("scan", scan)
+    return SceneModel((), floor, (room,), grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
 
 
 def _not_walked_through(

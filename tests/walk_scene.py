@@ -9,7 +9,18 @@ import numpy as np
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.types import BodyMotion, BodyShape, Hold, Intrinsics, Mesh, ObjectPath, PlacedObject, SceneModel
+from video2anim.types import (
+    BodyMotion,
+    BodyShape,
+    Hold,
+    Intrinsics,
+    Mesh,
+    ObjectPath,
+    PlacedObject,
+    RoomPiece,
+    SceneModel,
+    Texture,
+)
 
 FPS = 30.0
 
@@ -95,9 +106,16 @@ def room() -> SceneModel:
     )  # fmt: skip
     floor = patch(np.array([[-3, 0, 3], [3, 0, 3], [3, 0, -3], [-3, 0, -3]]), (150, 140, 120))
     wall = patch(np.array([[-3, 0, -3], [3, 0, -3], [3, 2.5, -3], [-3, 2.5, -3]]), (200, 195, 180))
+    rows, columns = np.mgrid[:10, :24]
+    picture = np.stack([200 - 4 * columns, 100 + 8 * rows, np.full(rows.shape, 60)], -1).astype(np.uint8)
+    corner_uv = (wall.vertices_m[wall.faces][..., :2] * [1 / 6, -1 / 2.5] + [0.5, 1.0]).astype(np.float32)
+    window_m = np.array([[-1.0, 1.0, -3.0], [0.0, 1.0, -3.0], [0.0, 2.0, -3.0], [-1.0, 2.0, -3.0]])
+    far = patch(np.array([[-9, 0, -8], [9, 0, -8], [9, 4, -8], [-9, 4, -8]]), (120, 140, 180))
     height_m = np.broadcast_to(0.2 * np.arange(-3, 10)[None, :, None], (31, 13, 31))
     return SceneModel(
-        objects=(box,), floor=floor, background=wall, sdf_m=height_m.copy(),
+        objects=(box,), floor=RoomPiece("floor", floor),
+        background=(RoomPiece("wall 1", wall, (Texture(picture, corner_uv),), (window_m,)), RoomPiece("backdrop", far)),
+        sdf_m=height_m.copy(),
         sdf_origin_m=np.array([-3.0, -0.6, -3.0]), sdf_spacing_m=0.2,
     )  # fmt: skip
 

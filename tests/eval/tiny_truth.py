@@ -27,6 +27,7 @@ from video2anim.body.skeleton import FEET, forward_kinematics
 from video2anim.cli.compose import pipeline_nodes
 from video2anim.geometry.projection import pixel_rays, project, transform_points
 from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.geometry.scene_mesh import empty_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.pipeline.scene_folder import RunRecord, write_record
 from video2anim.types import (
@@ -52,6 +53,7 @@ from video2anim.types import (
     PlacedObject,
     PlacedObjects,
     RefinedMotion,
+    RoomPiece,
     SceneModel,
     SourceInfo,
     VideoClip,
@@ -395,8 +397,7 @@ def _object_values(tiny: Tiny) -> dict[type, Any]:
         placed.append(PlacedObject(number, "object", box.mesh(), 1.0, pose, None, None, True, ""))
     floor = np.kron(bare == FLOOR_ID, enlarge).astype(bool)
     grid = estimated_field(tiny.boxes)
-    blank = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3), np.uint8))
-    scene = SceneModel(tuple(placed), blank, blank, grid.sdf_m, grid.origin_m, grid.spacing_m)
+    scene = SceneModel(tuple(placed), RoomPiece("floor", empty_mesh()), (), grid.sdf_m, grid.origin_m, grid.spacing_m)
     return {
         InstanceMasks: InstanceMasks("tiny", tuple(instances), floor),
         CompletedObjects: CompletedObjects(tuple(completed)),

@@ -179,6 +179,8 @@ def test_usd_skeleton_skin_objects_and_camera(tmp_path: Path) -> None:
         low, high = joints_m.min(0) - 0.4, joints_m.max(0) + 0.4
         assert (skinned_m >= low).all()
         assert (skinned_m <= high).all()
+    for name in ("floor", "background/wall_1", "background/backdrop"):
+        assert UsdGeom.Mesh(stage.GetPrimAtPath(f"/World/{name}")).GetPointsAttr().Get()
     box = UsdGeom.Xformable(stage.GetPrimAtPath("/World/objects/object_3_storage_box"))
     placed = room().objects[0]
     corner = box.ComputeLocalToWorldTransform(0).Transform(Gf.Vec3d(*placed.mesh.vertices_m[5].tolist()))

@@ -183,13 +183,31 @@ def test_objects_are_placed_nodes_with_their_colors(path: Path) -> None:
     mesh = scene.geometry[geometry]
     expected_m = transform_points(placed.T_world_object, placed.scale * placed.mesh.vertices_m)
     np.testing.assert_allclose(transform_points(transform, np.asarray(mesh.vertices)), expected_m, atol=1e-5)
-    assert {"floor", "background"} <= set(scene.geometry)
+    assert {"floor", "wall_1", "backdrop"} <= set(scene.geometry)
     reread = Reread(path)
     node = reread.document.nodes[reread.node("object_3_storage_box")]
     attributes = reread.document.meshes[node.mesh].primitives[0].attributes
     linear = reread.array(attributes.COLOR_0)[:, :3] / 65535.0
     np.testing.assert_allclose(linear, linear_from_srgb(placed.mesh.vertex_rgb), atol=1e-5)
     assert node.extras["label"] == "storage box"
+
+
+def test_every_piece_of_the_room_is_an_unlit_node_with_its_picture(path: Path) -> None:
+    reread = Reread(path)
+    wall, backdrop = (reread.document.nodes[reread.node(name)] for name in ("wall_1", "backdrop"))
+    piece = room().background[0]
+    assert wall.extras["openings"] == [corners_m.tolist() for corners_m in piece.openings]
+    assert not backdrop.extras
+    primitive = reread.document.meshes[wall.mesh].primitives[0]
+    uv = reread.array(primitive.attributes.TEXCOORD_0)
+    np.testing.assert_allclose(uv, piece.textures[0].corner_uv.reshape(-1, 2), atol=1e-6)
+    corners_m = piece.mesh.vertices_m[piece.mesh.faces].reshape(-1, 3)
+    np.testing.assert_allclose(reread.array(primitive.attributes.POSITION), corners_m, atol=1e-6)
+    for node in (wall, backdrop):
+        material = reread.document.materials[reread.document.meshes[node.mesh].primitives[0].material]
+        assert material.extensions == {"KHR_materials_unlit": {}}
+        assert not material.doubleSided
+    assert reread.document.extensionsUsed == ["KHR_materials_unlit"]
 
 
 def test_without_animation_it_stands_in_the_t_pose(path: Path, people: tuple[BodyMotion, BodyMotion]) -> None:

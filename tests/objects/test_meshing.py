@@ -122,7 +122,7 @@ def test_parts_behind_parts_do_not_have_their_colors() -> None:
         piece = with_vertex_colors(piece, (replace(texture, corner_uv=texture.corner_uv[faces]),))
         wanted = (0, 0, 250) if part.name == "back" else (250, 0, 0)
         if part.name in ("seat", "back"):
-            assert share(piece.vertex_rgb, wanted) > 0.75, part.name
+            assert share(piece.vertex_rgb, wanted) > 0.7, part.name
 
 
 def test_what_no_pixel_shows_has_the_middle_color_of_the_object_or_gray() -> None:

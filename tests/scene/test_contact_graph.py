@@ -14,7 +14,17 @@ from video2anim.body.skeleton import JOINT_INDEX
 from video2anim.fitting.touching import posed_vertices
 from video2anim.geometry.scene_mesh import box_mesh, empty_mesh
 from video2anim.scene.contact_graph import contact_graph, scene_contacts
-from video2anim.types import BodyMotion, Contact, Hold, Mesh, ObjectPart, ObjectPath, PlacedObject, SceneModel
+from video2anim.types import (
+    BodyMotion,
+    Contact,
+    Hold,
+    Mesh,
+    ObjectPart,
+    ObjectPath,
+    PlacedObject,
+    RoomPiece,
+    SceneModel,
+)
 
 FRAMES = 60
 SITTING = {"left_hip": -1.5, "right_hip": -1.5, "left_knee": 1.5, "right_knee": 1.5}
@@ -54,7 +64,7 @@ def placed(object_id: int, label: str, mesh: Mesh, at_m: Sequence[float], **more
 
 
 def scene_of(*objects: PlacedObject) -> SceneModel:
-    return SceneModel(objects, empty_mesh(), empty_mesh(), np.ones((2, 2, 2)), np.zeros(3), 1.0)
+    return SceneModel(objects, RoomPiece("floor", empty_mesh()), (), np.ones((2, 2, 2)), np.zeros(3), 1.0)
 
 
 def joined(*boxes: tuple[str, Mesh, Sequence[float]]) -> tuple[Mesh, tuple[ObjectPart, ...]]:

@@ -13,7 +13,16 @@ from stages.keyframes import KeyframesConfig, optimize_keyframes
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.geometry.sdf import build_sdf_grid
 from video2anim.pipeline.stage import StageContext
-from video2anim.types import BackgroundPlate, BodyMotion, BodyTracks, KeyframedMotion, Mesh, MetricDepth, SceneModel
+from video2anim.types import (
+    BackgroundPlate,
+    BodyMotion,
+    BodyTracks,
+    KeyframedMotion,
+    Mesh,
+    MetricDepth,
+    RoomPiece,
+    SceneModel,
+)
 
 DEPTH_SIZE = (90, 160)
 
@@ -26,7 +35,7 @@ def scene(
     shape.apply_translation(box_at_m)
     mesh = Mesh(np.asarray(shape.vertices), np.asarray(shape.faces), np.zeros((8, 3), dtype=np.uint8))
     grid = build_sdf_grid([mesh], np.array([[-1.5, -0.4, -1.2], [1.5, 2.0, 4.0]]), 0.05)
-    return SceneModel((), mesh, mesh, grid.sdf_m, grid.origin_m, grid.spacing_m)
+    return SceneModel((), RoomPiece("floor", mesh), (), grid.sdf_m, grid.origin_m, grid.spacing_m)
 
 
 def no_depth(motion: BodyMotion) -> tuple[MetricDepth, BackgroundPlate]:

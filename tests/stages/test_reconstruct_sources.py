@@ -250,7 +250,7 @@ def farthest_m(scene: SceneModel, near_m: float = np.inf) -> float:
     """Largest distance from a corner of the room, not farther from the box, to the scene's nearest vertex."""
     corners_m = np.asarray(truth_mesh().vertices)
     corners_m = corners_m[np.linalg.norm(corners_m - BOX_CENTER_M, axis=1) < near_m]
-    gap_m = np.linalg.norm(corners_m[:, None] - scene.background.vertices_m[None], axis=-1)
+    gap_m = np.linalg.norm(corners_m[:, None] - scene.background[0].mesh.vertices_m[None], axis=-1)
     return float(gap_m.min(1).max())
 
 
@@ -284,8 +284,10 @@ def expect_the_room(scene: SceneModel, tolerance_m: float) -> None:
 def test_a_scan_in_place_is_the_scene(tmp_path: Path) -> None:
     scene = scene_with(truth_mesh(), tmp_path / "room.ply", scan_register=False)
     assert scene.objects == ()
-    assert len(scene.floor.faces) == 0
-    assert len(scene.background.faces) == len(truth_mesh().faces)
+    assert len(scene.floor.mesh.faces) == 0
+    (scan,) = scene.background
+    assert (scan.name, scan.textures) == ("scan", ())
+    assert len(scan.mesh.faces) == len(truth_mesh().faces)
     assert farthest_m(scene) < 1e-6
     expect_the_room(scene, 0.03)
     joints_m = make_room().bodies.people[0].joints_world_m.reshape(-1, 3)

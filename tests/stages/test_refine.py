@@ -24,7 +24,7 @@ from video2anim.body.anny_body import shaped_body
 from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import ModelMissingError
 from video2anim.fitting.touching import touches
-from video2anim.geometry.scene_mesh import box_mesh, world_mesh
+from video2anim.geometry.scene_mesh import box_mesh, empty_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
@@ -32,11 +32,11 @@ from video2anim.types import (
     BodyTracks,
     Hold,
     KeyframedMotion,
-    Mesh,
     MetricDepth,
     ObjectPath,
     PlacedObject,
     RefinedMotion,
+    RoomPiece,
     SceneModel,
 )
 
@@ -53,8 +53,7 @@ def scene(*objects: PlacedObject) -> SceneModel:
     """A floor, and objects; those that somebody moves are not in the field."""
     solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in objects if not item.path]
     grid = build_sdf_grid(solids, np.array([[-1.5, -0.4, -1.2], [1.5, 2.0, 6.0]]), 0.1)
-    empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 3), dtype=np.uint8))
-    return SceneModel(objects, empty, empty, grid.sdf_m, grid.origin_m, grid.spacing_m)
+    return SceneModel(objects, RoomPiece("floor", empty_mesh()), (), grid.sdf_m, grid.origin_m, grid.spacing_m)
 
 
 def pillar(x_m: float, z_m: float) -> PlacedObject:

@@ -12,6 +12,7 @@ from synthetic_room import BOX_CENTER_M, BOX_SIZE_M, WALL_Z_M, make_room
 from stages.scene import SceneConfig, build_scene
 from video2anim.errors import StageError
 from video2anim.geometry.projection import invert_rigid, transform_points
+from video2anim.geometry.scene_mesh import joined
 from video2anim.geometry.sdf import sample_sdf
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyTracks
@@ -31,11 +32,11 @@ def test_scene_has_floor_box_and_wall() -> None:
     # Of the 7 cm that height and gravity are uncertain by, half.
     assert free == pytest.approx(0.5, abs=0.035)
     assert under_floor == pytest.approx(-0.1, abs=0.035)
-    assert (scene.floor.vertices_m[:, 1] == 0).all()
-    a, b, c = (scene.floor.vertices_m[scene.floor.faces[:, k]] for k in range(3))
+    assert (scene.floor.mesh.vertices_m[:, 1] == 0).all()
+    a, b, c = (scene.floor.mesh.vertices_m[scene.floor.mesh.faces[:, k]] for k in range(3))
     assert (np.cross(b - a, c - a)[:, 1] > 0).all()
     # Wall distance: 4 % from the scale, one row (3 %) from its foot line.
-    wall_m = transform_points(invert_rigid(T_world_room), scene.background.vertices_m)
+    wall_m = transform_points(invert_rigid(T_world_room), joined([piece.mesh for piece in scene.background]).vertices_m)
     assert np.median(wall_m[:, 2]) == pytest.approx(WALL_Z_M, rel=0.08)
     joints = chain.metric.bodies.people[0].joints_world_m.reshape(-1, 3)
     high = scene.sdf_origin_m + scene.sdf_spacing_m * (np.array(scene.sdf_m.shape) - 1)
@@ -46,7 +47,7 @@ def test_scene_has_floor_box_and_wall() -> None:
 
 def test_floor_colors_come_from_the_plate() -> None:
     scene = run_chain(make_room()).scene
-    rgb = scene.floor.vertex_rgb.astype(int)
+    rgb = scene.floor.textures[0].image_rgb.reshape(-1, 3).astype(int)
     assert (rgb[:, 0] > rgb[:, 2] + 30).mean() > 0.95
 
 
@@ -86,5 +87,5 @@ def test_poor_inputs_give_finite_honest_results(case: str) -> None:
     if case in ("wall only", "never on the floor"):
         assert not chain.metric.trusted
         assert chain.masks.instances == ()
-        assert len(chain.scene.floor.faces) > 0
-        assert len(chain.scene.background.faces) == 0
+        assert len(chain.scene.floor.mesh.faces) > 0
+        assert chain.scene.background == ()

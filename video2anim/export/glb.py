@@ -31,7 +31,7 @@ from video2anim.export.frames import (
 )
 from video2anim.export.gltf_buffer import GltfBuffer
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
-from video2anim.types import BodyMotion, Contact, Hold, Mesh, PlacedObject, Texture
+from video2anim.types import BodyMotion, Contact, Hold, Mesh, PlacedObject, RoomPiece, Texture
 from video2anim.viewer.normals import vertex_normals
 
 
@@ -41,9 +41,9 @@ class SceneMeshes(Protocol):
     @property
     def objects(self) -> tuple[PlacedObject, ...]: ...
     @property
-    def floor(self) -> Mesh: ...
+    def floor(self) -> RoomPiece: ...
     @property
-    def background(self) -> Mesh: ...
+    def background(self) -> tuple[RoomPiece, ...]: ...
 
 
 SKIN_RGB = (205, 163, 138)
@@ -74,8 +74,9 @@ def write_scene_glb(
     """
     writer = _GlbWriter(joint_names)
     if scene is not None:
-        writer.add_mesh("floor", scene.floor, unlit=False)
-        writer.add_mesh("background", scene.background, unlit=True)
+        writer.add_piece(scene.floor, unlit=False)
+        for piece in scene.background:
+            writer.add_piece(piece, unlit=True)
         time_s = characters[0].motion.frame_time_s if characters else None
         for placed in scene.objects:
             writer.add_object(placed, np.asarray(placed.T_world_object), time_s)
@@ -96,7 +97,12 @@ def write_object_glb(path: Path, placed: PlacedObject) -> None:
 
 def object_name(placed: PlacedObject) -> str:
     """Node name of an object: its number and label, in letters, digits and underscores."""
-    return re.sub(r"\W+", "_", f"object_{placed.object_id}_{placed.label}", flags=re.ASCII)
+    return plain_name(f"object_{placed.object_id}_{placed.label}")
+
+
+def plain_name(text: str) -> str:
+    """A text in letters, digits and underscores."""
+    return re.sub(r"\W+", "_", text, flags=re.ASCII)
 
 
 class _GlbWriter:
@@ -134,6 +140,16 @@ class _GlbWriter:
             node.scale = [float(scale)] * 3
         return self._add_root(node)
 
+    def add_piece(self, piece: RoomPiece, *, unlit: bool) -> None:
+        """A part of the room with its picture or vertex colors; the corners of its openings are in the extras."""
+        name = plain_name(piece.name)
+        if piece.textures and len(piece.mesh.faces):
+            index = self._add_textured(name, piece.mesh, piece.textures[0], np.eye(4), 1.0, unlit=unlit)
+        else:
+            index = self.add_mesh(name, piece.mesh, unlit=unlit)
+        if index is not None and piece.openings:
+            self.document.nodes[index].extras = {"openings": [corners_m.tolist() for corners_m in piece.openings]}
+
     def add_object(self, placed: PlacedObject, T: np.ndarray, time_s: np.ndarray | None = None) -> None:
         """An object at a pose; where it is moved and the times of the clip's frames are given, along its path."""
         if placed.textures:
@@ -154,7 +170,9 @@ class _GlbWriter:
             self._animate_pose(time_s, index, np.asarray(placed.path[0].T_world_object))
         self.document.nodes[index].extras = extras
 
-    def _add_textured(self, name: str, mesh: Mesh, texture: Texture, T: np.ndarray, scale: float) -> int:
+    def _add_textured(
+        self, name: str, mesh: Mesh, texture: Texture, T: np.ndarray, scale: float, *, unlit: bool = False
+    ) -> int:
         """Static mesh with a picture on it; flat faces, so every corner is a vertex of its own."""
         corners_m = mesh.vertices_m.astype(np.float64)[mesh.faces]
         normals = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
@@ -169,7 +187,10 @@ class _GlbWriter:
         self.document.textures.append(sampler)
         picture = gltf.TextureInfo(index=len(self.document.textures) - 1)
         surface = gltf.PbrMetallicRoughness(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=0.7)
-        self.document.materials.append(gltf.Material(name=f"{name}_photo", pbrMetallicRoughness=surface))
+        material = gltf.Material(name=f"{name}_photo", pbrMetallicRoughness=surface)
+        if unlit:
+            self._set_unlit(material)
+        self.document.materials.append(material)
         corner = np.arange(3 * len(mesh.faces)).reshape(-1, 3)
         index = self._add_primitive(name, attributes, corner, len(self.document.materials) - 1)
         node = gltf.Node(name=name, mesh=index)
@@ -272,6 +293,11 @@ class _GlbWriter:
         target = gltf.AnimationChannelTarget(node=node, path=path)
         self.animation.channels.append(gltf.AnimationChannel(sampler=len(self.animation.samplers) - 1, target=target))
 
+    def _set_unlit(self, material: gltf.Material) -> None:
+        material.extensions = {_UNLIT: {}}
+        if _UNLIT not in self.document.extensionsUsed:
+            self.document.extensionsUsed.append(_UNLIT)
+
     def _material(self, name: str) -> int:
         """Index of a shared material: `skin`, `matte` (lit vertex colours) or `photo` (colours hold the light;
         seen from its front alone, so that a wall or ceiling hides nothing from behind)."""
@@ -280,8 +306,7 @@ class _GlbWriter:
             surface = gltf.PbrMetallicRoughness(baseColorFactor=rgba, metallicFactor=0.0, roughnessFactor=0.7)
             material = gltf.Material(name=name, pbrMetallicRoughness=surface, doubleSided=name == "matte")
             if name == "photo":
-                material.extensions = {_UNLIT: {}}
-                self.document.extensionsUsed.append(_UNLIT)
+                self._set_unlit(material)
             self.document.materials.append(material)
             self.materials[name] = len(self.document.materials) - 1
         return self.materials[name]

@@ -17,9 +17,9 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 from video2anim.body.skeleton import JOINT_NAMES, PARENTS
 from video2anim.export.character import INFLUENCES, Character, Rig
 from video2anim.export.frames import is_still, linear_from_srgb, needed_keys, opengl_camera_poses
-from video2anim.export.glb import FAR_M, NEAR_M, SKIN_RGB, object_name
+from video2anim.export.glb import FAR_M, NEAR_M, SKIN_RGB, object_name, plain_name
 from video2anim.geometry.rotations import matrix_from_quaternion
-from video2anim.geometry.scene_mesh import with_vertex_colors
+from video2anim.geometry.scene_mesh import colored, with_vertex_colors
 from video2anim.types import BodyMotion, Mesh, PlacedObject, SceneModel
 
 FPS = 30.0
@@ -43,9 +43,10 @@ def write_usd(path: Path, characters: tuple[Character, ...], scene: SceneModel |
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
     material = _vertex_color_material(stage)
     if scene is not None:
-        for name, mesh in (("floor", scene.floor), ("background", scene.background)):
-            if len(mesh.faces):
-                _define_mesh(stage, f"/World/{name}", mesh, material)
+        UsdGeom.Xform.Define(stage, "/World/background")
+        for folder, piece in (("", scene.floor), *(("background/", piece) for piece in scene.background)):
+            if len(piece.mesh.faces):
+                _define_mesh(stage, f"/World/{folder}{plain_name(piece.name)}", colored(piece), material)
         # A folder without a type has no place in space for Blender, which then loses the turn of the up axis below it.
         UsdGeom.Xform.Define(stage, "/World/objects")
         time_s = characters[0].motion.frame_time_s if characters else None

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from video2anim.geometry.projection import transform_points
-from video2anim.types.scene import Mesh, Texture
+from video2anim.types.scene import Mesh, RoomPiece, Texture
 
-_MOST_CELLS = 64
-"""Cells along a side at most."""
+_MOST_CELLS = 20_000
+"""Of a mesh, of two triangles each."""
 
 
 def empty_mesh() -> Mesh:
@@ -54,41 +54,44 @@ def box_mesh(width_m: float, height_m: float, depth_m: float, rgb: tuple[int, in
 
 
 def with_vertex_colors(mesh: Mesh, textures: tuple[Texture, ...], cell_m: float = 0.03) -> Mesh:
-    """A textured mesh as one with a color per vertex, its faces divided into cells, for what draws no textures.
+    """A textured mesh as one with a color per vertex, its edges halved to `cell_m` or less, for what draws no textures.
 
-    Meshes without a texture stay as they are. Faces do not share vertices.
+    Meshes without a texture stay as they are. Faces do not share vertices. Of large meshes the cells are wider.
     """
     if not textures:
         return mesh
     texture = textures[0]
-    corners = mesh.vertices_m.astype(np.float64)[mesh.faces]
-    longest_m = np.linalg.norm(corners - np.roll(corners, 1, 1), axis=-1).max(1)
-    count = np.clip(np.ceil(longest_m / cell_m), 1, _MOST_CELLS).astype(int)
+    faces = np.arange(3 * len(mesh.faces)).reshape(-1, 3)
+    corners_m = mesh.vertices_m.astype(np.float64)[mesh.faces]
+    vertices = np.concatenate([corners_m, texture.corner_uv.astype(np.float64)], -1).reshape(-1, 5)
+    double_m2 = np.linalg.norm(np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0]), axis=1)
+    vertices, faces = _halved(vertices, faces, max(cell_m, float(np.sqrt(double_m2.sum() / _MOST_CELLS))))
     rows, columns = texture.image_rgb.shape[:2]
-    vertices, faces, colors, first = [], [], [], 0
-    for n in np.unique(count):
-        chosen = count == n
-        weight, pattern = _cells(int(n))
-        vertices.append((weight @ corners[chosen]).reshape(-1, 3))
-        u, v = np.moveaxis(weight @ texture.corner_uv[chosen].astype(np.float64), -1, 0)
-        column = np.clip(u * columns, 0, columns - 1).astype(int)
-        row = np.clip(v * rows, 0, rows - 1).astype(int)
-        colors.append(texture.image_rgb[row, column].reshape(-1, 3))
-        starts = first + len(weight) * np.arange(chosen.sum())
-        faces.append((starts[:, None, None] + pattern).reshape(-1, 3))
-        first += len(weight) * int(chosen.sum())
-    return Mesh(np.concatenate(vertices).astype(np.float32), np.concatenate(faces), np.concatenate(colors))
+    column, row = (np.clip(vertices[:, 3 + k] * size, 0, size - 1).astype(int) for k, size in ((0, columns), (1, rows)))
+    return Mesh(vertices[:, :3].astype(np.float32), faces, texture.image_rgb[row, column])
 
 
-def _cells(n: int) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "cells 3"]]:
-    """A triangle divided n times along each side: weights of its corners, and the small triangles."""
-    row, column = (grid.ravel() for grid in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
-    inside = row + column <= n
-    number = np.cumsum(inside) - 1
-    grid = np.where(inside, number, -1).reshape(n + 1, n + 1)
-    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[:-1, 1:], grid[1:, 1:]
-    up = np.stack([a, b, c], -1).reshape(-1, 3)
-    down = np.stack([b, d, c], -1).reshape(-1, 3)
-    cells = np.concatenate([up[(up >= 0).all(1)], down[(down >= 0).all(1)]])
-    i, j = row[inside], column[inside]
-    return np.stack([n - i - j, i, j], -1) / n, cells
+def colored(piece: RoomPiece) -> Mesh:
+    """A piece of the room with a color per vertex."""
+    return with_vertex_colors(piece.mesh, piece.textures)
+
+
+def _halved(
+    vertices: Float[np.ndarray, "vertices coordinates"], faces: Int[np.ndarray, "faces 3"], longest_m: float
+) -> tuple[Float[np.ndarray, "finer coordinates"], Int[np.ndarray, "cells 3"]]:
+    """Triangles cut in two at the middle of their longest edge until none is longer (by the first three coordinates);
+    neighbors cut a common edge alike."""
+    done = [np.zeros((0, 3), faces.dtype)]
+    while len(faces):
+        ends = np.stack([faces, np.roll(faces, -1, 1)], -1)
+        length_m = np.linalg.norm(np.diff(vertices[ends][..., :3], axis=2)[:, :, 0], axis=-1)
+        long = length_m.max(1) > longest_m
+        done.append(faces[~long])
+        turn = (length_m[long].argmax(1)[:, None] + np.arange(3)) % 3
+        faces = np.take_along_axis(faces[long], turn, 1)
+        edges, middle = np.unique(np.sort(faces[:, :2], 1), axis=0, return_inverse=True)
+        middle = len(vertices) + middle.reshape(-1)
+        vertices = np.concatenate([vertices, vertices[edges].mean(1)])
+        a, b, c = faces.T
+        faces = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+    return vertices, np.concatenate(done)

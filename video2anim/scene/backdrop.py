@@ -10,16 +10,15 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from video2anim.geometry.scene_mesh import empty_mesh, joined
 from video2anim.scene.extent import BODY_M, Part, before_walls, behind_people, parts_of, rectangle
 from video2anim.scene.heading import Heading, room_heading
-from video2anim.scene.patches import clear, cut_mesh, painted, tidy
+from video2anim.scene.patches import SMOOTH_PX, clear, room_piece, smooth_field, squared, tidy
 from video2anim.scene.planes import Plane, room_planes
-from video2anim.scene.regions import FLOOR, HIDDEN, LOW, SKY, cards, labeled, sky
+from video2anim.scene.regions import FLOOR, HIDDEN, LOW, cards, labeled
 from video2anim.scene.view import View, look
 from video2anim.types.metric import MetricDepth
 from video2anim.types.motion import BodyMotion
-from video2anim.types.scene import BackgroundPlate, InstanceMasks, Mesh
+from video2anim.types.scene import BackgroundPlate, InstanceMasks, RoomPiece
 
 _LEAST_KNOWN = 0.1
 """Of the picture: with less depth than this nothing is called far."""
@@ -27,10 +26,6 @@ _RASTER_M = 0.05
 """Places nearer to each other are one."""
 _THROUGH = 0.15
 """Where the picture shows something by so large a share farther than a piece, the piece is not there."""
-_SMOOTH_PX = 3.0
-"""Outlines are smooth over so many pixels of the view."""
-_CLEAR_PX = 2
-"""Colors so near to things are mixed with theirs."""
 _CARD_CLOSE = 0.08
 """Of the picture: gaps in cards that things hide are closed up to this width on both sides."""
 _MOST_CUT = 0.1
@@ -39,29 +34,11 @@ _BEHIND = 1.1
 """The backdrop's distance over that of the farthest other thing."""
 
 
-@dataclass(frozen=True)
-class BackdropConfig:
-    """Detail and reach."""
-
-    far_m: float = 30.0
-    """What is farther goes onto the backdrop behind everything."""
-    most_faces: int = 30_000
-    """Of all pieces together."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Piece:
-    """`wall 1`, `ceiling`, `card 2`, `backdrop`: one flat mesh of the world."""
-
-    name: str
-    mesh: Mesh
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Backdrop:
     """Pieces of what is seen behind people and things."""
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[RoomPiece, ...]
     parts: tuple[Part, ...]
     view: View
     floor: Bool[np.ndarray, "height width"]
@@ -70,26 +47,22 @@ class Backdrop:
     is_room: bool
     """Edges of the picture run along walls at right angles."""
 
-    @property
-    def mesh(self) -> Mesh:
-        """All pieces as one."""
-        return joined([piece.mesh for piece in self.pieces])
-
 
 def backdrop(
     depth: MetricDepth,
     masks: InstanceMasks,
     plate: BackgroundPlate,
-    config: BackdropConfig,
+    far_m: float,
     relative_sigma: Float[np.ndarray, "small_height small_width"] | None = None,
 ) -> Backdrop:
-    """Pieces for everything seen that is neither floor nor object nor sky.
+    """Pieces for everything seen that is neither floor nor object.
 
     Args:
+        far_m: what is farther goes onto the backdrop behind everything.
         relative_sigma: standard deviation of the plate's depth as a share of it; None where unknown.
     """
     sigma = np.zeros_like(depth.background_depth_m) if relative_sigma is None else relative_sigma
-    view = look(depth, masks, plate, sigma, config.far_m)
+    view = look(depth, masks, plate, sigma, far_m)
     body = depth.bodies.people[0]
     heading = room_heading(plate.plate_rgb, view.T_world_camera, body.intrinsics)
     paths_m = body_paths(depth.bodies.people)
@@ -97,16 +70,16 @@ def backdrop(
     planes, label = _explained(view, heading, people_m, paths_m)
     parts = parts_of(view, planes, label, paths_m, None if heading is None else heading.turn_rad)
     parts += _far_part(view, parts, label == len(planes) - 1, paths_m)
-    share = _cell_share(parts, view, config.most_faces)
     surface_m = _surface_depth(view, parts, label)
     pieces, numbers = [], Counter[str]()
     for part in parts:
-        mesh = _piece(part, parts, surface_m, label, view, people_m, plate.plate_rgb, share)
-        if len(mesh.faces):
-            kind = part.plane.kind
+        kind = part.plane.kind
+        name = f"{kind} {numbers[kind] + 1}" if kind in ("wall", "card") else kind
+        piece = _piece(name, part, parts, surface_m, label, view, people_m, plate.plate_rgb)
+        if piece is not None:
             numbers[kind] += 1
-            pieces.append(Piece(f"{kind} {numbers[kind]}" if kind in ("wall", "card") else kind, mesh))
-    return Backdrop(tuple(pieces), tuple(parts), view, label == FLOOR, config.far_m, heading is not None)
+            pieces.append(piece)
+    return Backdrop(tuple(pieces), tuple(parts), view, label == FLOOR, far_m, heading is not None)
 
 
 def body_paths(people: Sequence[BodyMotion]) -> Float[np.ndarray, "points 3"]:
@@ -138,7 +111,6 @@ def _explained(
     free = [plane for k, plane in enumerate(planes) if not _before_people(plane, label == k, view, people_m, paths_m)]
     if len(free) < len(planes):
         planes, label = free, labeled(view, open_to, free)
-    label[sky(view, label)] = SKY
     ceilings = [index for index, plane in enumerate(planes) if plane.kind == "ceiling"]
     for index, plane in enumerate(planes):
         if plane.kind == "level":
@@ -187,21 +159,12 @@ def _far_part(view: View, parts: list[Part], own: np.ndarray, paths_m: np.ndarra
     return [Part(plane, rectangle(plane, own, view), own)]
 
 
-def _cell_share(parts: Sequence[Part], view: View, most_faces: int) -> float:
-    """Size of a cell over its part's distance: alike in the picture for all, and as many as allowed in all."""
-    faces = 0.0
-    for part in parts:
-        extent_m = part.patch.high_m - part.patch.low_m
-        faces += 2 * float(np.prod(extent_m)) / part.reach_m(view) ** 2
-    return max(np.sqrt(faces / most_faces), 1 / view.intrinsics.fx_px)
-
-
 def _surface_depth(
     view: View, parts: Sequence[Part], label: Int[np.ndarray, "height width"]
 ) -> Float[np.ndarray, "height width"]:
-    """Depth of what each pixel shows, by its part or of the thing; 0 where it is not known, infinite for sky. The floor
+    """Depth of what each pixel shows, by its part or of the thing; 0 where it is not known. The floor
     counts as the foot of what is seen above it: it belongs to a wall's place or to what is seen through a gap."""
-    surface_m = np.where(label == SKY, np.inf, np.where(view.things & view.known, view.depth_m, 0.0))
+    surface_m = np.where(view.things & view.known, view.depth_m, 0.0)
     for part in parts:
         surface_m[part.own] = part.plane.depth_m(view.direction[part.own])
     rows = np.arange(view.shape[0])[:, None]
@@ -210,6 +173,7 @@ def _surface_depth(
 
 
 def _piece(
+    name: str,
     part: Part,
     parts: Sequence[Part],
     surface_m: Float[np.ndarray, "height width"],
@@ -217,10 +181,9 @@ def _piece(
     view: View,
     people_m: Float[np.ndarray, "height width"],
     plate_rgb: UInt8[np.ndarray, "height width 3"],
-    share: float,
-) -> Mesh:
-    """A part's colored grid, not where the picture shows something farther, nor before people."""
-    nodes_m = part.patch.grid(share * part.reach_m(view))
+) -> RoomPiece | None:
+    """A part where the picture shows nothing farther, not before people."""
+    nodes_m = part.patch.grid(part.reach_m(view) / view.intrinsics.fx_px)
     pixel, depth_m, inside = view.pixels(nodes_m.reshape(-1, 3))
     column, row = (np.where(inside, np.round(pixel[:, k]), 0).astype(int) for k in (0, 1))
     solid = part.plane.kind in ("wall", "ceiling")
@@ -229,10 +192,13 @@ def _piece(
     kept = np.where(inside, (part.own | covered)[row, column], solid)
     before = inside & (people_m[row, column] > depth_m)
     if (kept & before).sum() > _MOST_CUT * kept.sum():
-        return empty_mesh()
-    field = tidy((kept & ~before).reshape(nodes_m.shape[:2]), max(1, round(_SMOOTH_PX / view.intrinsics.fx_px / share)))
+        return None
+    whole = tidy(kept.reshape(nodes_m.shape[:2]), SMOOTH_PX)
+    field, openings = squared(whole, SMOOTH_PX) if solid else (smooth_field(whole, SMOOTH_PX), ())
     if part.plane.kind == "ceiling":
         field = np.minimum(field, before_walls(parts, nodes_m, view))
+    if not (field > 0).any():
+        return None
     with np.errstate(divide="ignore", invalid="ignore"):
         near = np.abs(np.log(surface_m / own_m)) < _THROUGH
     taken = np.logical_or.reduce([other.own for other in parts])
@@ -241,8 +207,8 @@ def _piece(
     loose = ~taken & view.known & (view.depth_m > own_m * (1 - _THROUGH))
     shown = part.own | ((label >= 0) & (loose | (near & ~ceiling)))
     nearer = ~shown & ((surface_m < own_m) | (label == FLOOR))
-    shown &= clear(~nearer, _CLEAR_PX)
-    return cut_mesh(nodes_m, painted(nodes_m, view, shown, plate_rgb), field)
+    shown &= clear(~nearer)
+    return room_piece(name, part.patch, field, view, shown, plate_rgb, openings)
 
 
 def _closed(part: Part, surface_m: np.ndarray, view: View) -> Bool[np.ndarray, "height width"]:

@@ -1,4 +1,4 @@
-"""Rectangles on planes as colored grids, and which cells of them stand for something that was seen or is hidden."""
+"""Rectangles on planes as pieces of a room: what of them stands for something seen or hidden, and its picture."""
 
 from __future__ import annotations
 
@@ -10,19 +10,25 @@ from jaxtyping import Bool, Float, UInt8
 from scipy import ndimage
 
 from video2anim.geometry.harmonic import harmonic_fill
-from video2anim.geometry.scene_mesh import empty_mesh, grid_faces
+from video2anim.geometry.polygons import outlines, triangulated
 from video2anim.scene.view import View
-from video2anim.types.scene import Mesh
+from video2anim.types.scene import Mesh, RoomPiece, Texture
 
-_UNSEEN_RGB = 128.0
-"""Gray where the plate shows nothing of a patch."""
-_LEAST_M2 = 1e-8
-"""Twice the area of a triangle; less has no direction to face in single precision."""
+SMOOTH_PX = 3
+"""Outlines are smooth over so many pixels of the view."""
+_MOST_TEXELS = 1024
+"""Along a texture's longer side."""
+_MOST_NODES = 300
+"""Of a raster for outlines, along its longer side."""
+_FILL_TEXELS = 96
+"""Colors of what is not seen are blended at this size."""
+_OPENING_IOU = 0.8
+"""A hole that overlaps its bounding rectangle so well is that rectangle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """A rectangle of a plane: origin + a * across + b * upward, for a and b on a grid."""
+    """A rectangle of a plane: origin + a * across + b * upward, for a and b from low to high."""
 
     origin_m: Float[np.ndarray, "3"]
     across: Float[np.ndarray, "3"]
@@ -32,88 +38,121 @@ class Patch:
     """Least a and b."""
     high_m: Float[np.ndarray, "2"]
 
-    def grid(self, cell_m: float) -> Float[np.ndarray, "rows columns 3"]:
-        """Points of the world, at most `cell_m` apart; a along columns, b along rows."""
-        columns, rows = (max(2, int(np.ceil(e / cell_m)) + 1) for e in np.maximum(self.high_m - self.low_m, 1e-3))
-        a, b = np.linspace(self.low_m[0], self.high_m[0], columns), np.linspace(self.low_m[1], self.high_m[1], rows)
-        return self.origin_m + a[None, :, None] * self.across + b[:, None, None] * self.upward
+    @property
+    def extent_m(self) -> Float[np.ndarray, "2"]:
+        return np.maximum(self.high_m - self.low_m, 1e-3)
+
+    def points(self, share: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "*points 3"]:
+        """Points of the world at shares, 0 to 1, of both sides."""
+        on_plane = self.low_m + share * self.extent_m
+        return self.origin_m + on_plane[..., :1] * self.across + on_plane[..., 1:] * self.upward
+
+    def grid(self, cell_m: float = np.inf) -> Float[np.ndarray, "rows columns 3"]:
+        """Nodes about `cell_m` apart, corners included; a along columns, b along rows."""
+        cell_m = max(cell_m, float(self.extent_m.max()) / _MOST_NODES)
+        columns, rows = (max(2, int(np.ceil(e / cell_m)) + 1) for e in self.extent_m)
+        share = np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows))
+        return self.points(np.stack(share, -1))
 
 
-def tidy(kept: Bool[np.ndarray, "rows columns"], radius: int) -> Float[np.ndarray, "rows columns"]:
-    """A field over a grid's nodes, positive where they are kept, that is zero on a smooth outline: without holes, and
-    without slits, spurs and crumbs narrower than twice the radius (in nodes)."""
-    if kept.all() or not kept.any():
-        return kept - 0.5
+def tidy(kept: Bool[np.ndarray, "rows columns"], radius: int) -> Bool[np.ndarray, "rows columns"]:
+    """Without slits, spurs, holes and crumbs narrower than twice the radius (in nodes); the border is none."""
     size = 2 * radius + 1
     disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     padded = np.pad(kept.astype(np.uint8), 2 * size, mode="edge")
     smooth = cv2.morphologyEx(cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disk), cv2.MORPH_OPEN, disk)
-    smooth = np.asarray(ndimage.binary_fill_holes(smooth), np.float32)
-    return cv2.GaussianBlur(smooth, (0, 0), max(0.5 * radius, 0.6))[2 * size : -2 * size, 2 * size : -2 * size] - 0.5
+    return smooth[2 * size : -2 * size, 2 * size : -2 * size] > 0
 
 
-def cut_mesh(
-    nodes_m: Float[np.ndarray, "rows columns 3"],
-    rgb: UInt8[np.ndarray, "rows columns 3"],
+def smooth_field(kept: Bool[np.ndarray, "rows columns"], radius: int) -> Float[np.ndarray, "rows columns"]:
+    """Positive where nodes are kept and zero on a smooth line around them."""
+    return cv2.GaussianBlur(kept.astype(np.float32), (0, 0), 0.5 * radius, borderType=cv2.BORDER_REPLICATE) - 0.5
+
+
+def squared(
+    kept: Bool[np.ndarray, "rows columns"], radius: int
+) -> tuple[Float[np.ndarray, "rows columns"], tuple[Float[np.ndarray, "4 2"], ...]]:
+    """A smooth field whose holes are rectangles where a rectangle explains them, and those of the rectangles that are
+    openings: with something of the piece on both sides and above. Corners are shares of both sides."""
+    whole, openings = kept.copy(), []
+    cut, _ = ndimage.label(~kept)
+    last = np.array(kept.shape) - 1
+    for index, where in enumerate(ndimage.find_objects(cut), 1):
+        if (cut[where] == index).mean() < _OPENING_IOU:
+            continue
+        whole[where] = True
+        (b0, b1), (a0, a1) = ((max(s.start - 0.5, 0), min(s.stop - 0.5, n)) for s, n in zip(where, last, strict=True))
+        if a0 > 0 and a1 < last[1] and b1 < last[0]:
+            openings.append(np.array([[a0, b0], [a1, b0], [a1, b1], [a0, b1]]) / last[::-1])
+        cut[where] = -1
+    return np.where(cut == -1, -0.5, smooth_field(whole, radius)), tuple(openings)
+
+
+def room_piece(
+    name: str,
+    patch: Patch,
     field: Float[np.ndarray, "rows columns"],
-) -> Mesh:
-    """Triangles of a grid, facing across x upward, cut along the line where a field is zero; what is above is kept."""
-    rows, columns = nodes_m.shape[:2]
-    faces = grid_faces(rows, columns)[:, ::-1]
-    points, colors, value = nodes_m.reshape(-1, 3), rgb.reshape(-1, 3).astype(np.float64), field.ravel()
-    above = value[faces] > 0
-    count = above.sum(1)
-    corners = [faces[count == 3]]
-    for kept, alone in ((1, above), (2, ~above)):
-        some = faces[count == kept]
-        # The corner that is alone on its side first; the other two follow in turn.
-        turn = (np.argmax(alone[count == kept], axis=1)[:, None] + np.arange(3)) % 3
-        first, second, third = np.take_along_axis(some, turn, axis=1).T
-        ends = []
-        for other in (second, third):
-            share = (value[first] / (value[first] - value[other]))[:, None]
-            ends.append(len(points) + np.arange(len(first)))
-            points = np.concatenate([points, points[first] + share * (points[other] - points[first])])
-            colors = np.concatenate([colors, colors[first] + share * (colors[other] - colors[first])])
-        if kept == 1:
-            corners.append(np.stack([first, ends[0], ends[1]], 1))
-        else:
-            corners += [np.stack([ends[0], second, third], 1), np.stack([ends[0], third, ends[1]], 1)]
-    chosen = np.concatenate(corners)
-    a, b, c = (points[chosen[:, k]] for k in range(3))
-    chosen = chosen[np.linalg.norm(np.cross(b - a, c - a), axis=1) > _LEAST_M2]
-    if not len(chosen):
-        return empty_mesh()
-    used, local = np.unique(chosen, return_inverse=True)
-    rounded = np.round(colors[used]).astype(np.uint8)
-    return Mesh(points[used].astype(np.float32), local.reshape(-1, 3).astype(np.int64), rounded)
+    view: View,
+    shown: Bool[np.ndarray, "height width"],
+    plate_rgb: UInt8[np.ndarray, "height width 3"],
+    openings: tuple[Float[np.ndarray, "4 2"], ...] = (),
+) -> RoomPiece:
+    """The part of a rectangle where a field over its nodes is positive, with the plate's picture on it.
+
+    Args:
+        shown: pixels of the view that show it; the rest of it gets a smooth blend of what is around.
+        plate_rgb: the view's picture at any size.
+        openings: corners as shares of the rectangle's sides.
+    """
+    share, faces = triangulated(outlines(field))
+    share = share / (np.array(field.shape[::-1]) - 1)
+    image = _painted(patch, view, shown, plate_rgb)
+    uv = np.stack([share[:, 0], 1 - share[:, 1]], -1)
+    at = np.clip(uv * image.shape[1::-1], 0, np.array(image.shape[1::-1]) - 1).astype(int)
+    mesh = Mesh(patch.points(share).astype(np.float32), faces, image[at[:, 1], at[:, 0]])
+    texture = Texture(image, uv[faces].astype(np.float32))
+    return RoomPiece(name, mesh, (texture,), tuple(patch.points(one) for one in openings))
 
 
-def painted(
-    nodes_m: Float[np.ndarray, "rows columns 3"],
+def _painted(
+    patch: Patch,
     view: View,
     shown: Bool[np.ndarray, "height width"],
     plate_rgb: UInt8[np.ndarray, "height width 3"],
 ) -> UInt8[np.ndarray, "rows columns 3"]:
-    """Colors of a grid: the plate's where the view's pixels of `shown` show it, between and around a smooth blend.
-
-    Args:
-        plate_rgb: the view's picture at any size.
-    """
-    pixel, _, inside = view.pixels(nodes_m.reshape(-1, 3))
+    """The picture of a rectangle, upper row first: as many texels as pixels where it is seen."""
+    larger = np.array([plate_rgb.shape[1] / view.shape[1], plate_rgb.shape[0] / view.shape[0]])
+    texel_m = float(np.sqrt(patch.extent_m.prod() / max(shown.sum() * larger.prod(), 1.0)))
+    texel_m = max(texel_m, float(patch.extent_m.max()) / _MOST_TEXELS)
+    columns, rows = np.maximum(np.round(patch.extent_m / texel_m), 1).astype(int)
+    middle = np.meshgrid((np.arange(columns) + 0.5) / columns, 1 - (np.arange(rows) + 0.5) / rows)
+    pixel, _, inside = view.pixels(patch.points(np.stack(middle, -1)).reshape(-1, 3))
     column, row = (np.where(inside, np.round(pixel[:, k]), 0).astype(int) for k in (0, 1))
-    told = (inside & shown[row, column]).reshape(nodes_m.shape[:2])
+    told = (inside & shown[row, column]).reshape(rows, columns)
     if not told.any():
-        usual = np.median(view.rgb[shown], axis=0) if shown.any() else np.full(3, _UNSEEN_RGB)
-        return np.broadcast_to(usual.astype(np.uint8), (*told.shape, 3)).copy()
-    scale = np.array([plate_rgb.shape[1] / view.shape[1], plate_rgb.shape[0] / view.shape[0]])
-    at = ((pixel + 0.5) * scale - 0.5).astype(np.float32).reshape(*told.shape, 2)
+        usual = np.median(view.rgb[shown], axis=0) if shown.any() else np.full(3, 128)
+        return np.broadcast_to(usual.astype(np.uint8), (1, 1, 3)).copy()
+    at = ((pixel + 0.5) * larger - 0.5).astype(np.float32).reshape(rows, columns, 2)
     color = cv2.remap(plate_rgb, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    filled = harmonic_fill(color.astype(np.float64), told)
-    return np.clip(np.round(filled), 0, 255).astype(np.uint8)
+    return np.where(told[..., None], color, _blend(color, told))
 
 
-def clear(mask: Bool[np.ndarray, "height width"], by_px: int) -> Bool[np.ndarray, "height width"]:
-    """The mask without what is so near to its outline; the picture's border is none."""
+def _blend(
+    color: UInt8[np.ndarray, "rows columns 3"], told: Bool[np.ndarray, "rows columns"]
+) -> UInt8[np.ndarray, "rows columns 3"]:
+    """Colors between and around those told, as smooth as can be."""
+    if told.all():
+        return color
+    shrink = min(1.0, _FILL_TEXELS / max(told.shape))
+    size = (max(1, round(told.shape[1] * shrink)), max(1, round(told.shape[0] * shrink)))
+    weight = cv2.resize(told.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    total = cv2.resize(color.astype(np.float32) * told[..., None], size, interpolation=cv2.INTER_AREA)
+    filled = harmonic_fill((total / np.maximum(weight, 1e-6)[..., None]).astype(np.float64), weight > 0)
+    smooth = cv2.resize(filled.astype(np.float32), told.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.clip(np.round(smooth), 0, 255).astype(np.uint8)
+
+
+def clear(mask: Bool[np.ndarray, "height width"], by_px: int = 2) -> Bool[np.ndarray, "height width"]:
+    """The mask without what is so near to its outline that its colors are mixed; the picture's border is none."""
     padded = np.pad(mask, by_px, mode="edge").astype(np.uint8)
     return cv2.erode(padded, np.ones((2 * by_px + 1,) * 2))[by_px:-by_px, by_px:-by_px].astype(bool)

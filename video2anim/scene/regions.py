@@ -12,8 +12,8 @@ from scipy import ndimage
 from video2anim.scene.planes import DEPTH_SIGMA, INLIER_SIGMAS, Plane
 from video2anim.scene.view import View
 
-FLOOR, HIDDEN, SKY = -1, -2, -3
-"""Labels beside the numbers of planes: ground, what objects or low things hide, sky."""
+FLOOR, HIDDEN = -1, -2
+"""Labels beside the numbers of planes: ground, what objects or low things hide."""
 _CARD_COST = 0.5
 """A card must explain so much better than a wall: with enough cards everything is explained."""
 CARD_SIGMAS = 5.0
@@ -40,12 +40,6 @@ LOW = 0.2
 the depth's error."""
 _LEVEL_SLOPE = 0.7
 """Cosine to up from which a slope is level."""
-
-_SKY_BRIGHT, _SKY_HUE, _SKY_HUE_SPAN, _SKY_EVEN = 0.8, 107, 15, 12.0
-"""Value (0 to 1) of overcast sky; hue of blue sky and its span (OpenCV's half degrees); standard deviation of lightness
-(0 to 255) among neighbors."""
-_SKY_M = 4.5
-"""Walls of rooms are seldom so high."""
 
 
 def cards(view: View, open_to: Bool[np.ndarray, "height width"], planes: Sequence[Plane]) -> list[Plane]:
@@ -153,22 +147,3 @@ def _without_crumbs(label: np.ndarray, open_to: np.ndarray, least: list[int]) ->
         if not changed:
             break
     return label
-
-
-def sky(view: View, label: Int[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
-    """Bright or blue even regions that touch the picture's top, higher than rooms are or of unknown depth."""
-    hue, saturation, value = cv2.split(cv2.cvtColor(view.rgb, cv2.COLOR_RGB2HSV))
-    bright = value > _SKY_BRIGHT * 255
-    blue = (np.abs(hue.astype(int) - _SKY_HUE) < _SKY_HUE_SPAN) & (saturation > 40) & (value > 0.4 * 255)
-    tone = cv2.cvtColor(view.rgb, cv2.COLOR_RGB2LAB)[..., 0].astype(np.float32)
-    even = cv2.blur(tone**2, (5, 5)) - cv2.blur(tone, (5, 5)) ** 2 < _SKY_EVEN**2
-    candidate = (bright | blue) & even & (label >= 0) & (view.direction[..., 1] > 0)
-    candidate = cv2.morphologyEx(candidate.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-    count, parts = cv2.connectedComponents(candidate.astype(np.uint8), connectivity=4)
-    found = np.zeros_like(candidate)
-    height_m = np.where(view.known, view.camera_m[1] + view.offset_m[..., 1], np.inf)
-    for index in range(1, count):
-        part = parts == index
-        if part[0].any() and part.sum() > _CRUMB * part.size and np.median(height_m[part]) > _SKY_M:
-            found |= part
-    return found

@@ -25,6 +25,7 @@ from video2anim.types.scene import (
     ObjectPath,
     PlacedObject,
     PlacedObjects,
+    RoomPiece,
     SceneModel,
     Texture,
 )
@@ -59,6 +60,7 @@ __all__ = [
     "PlacedObject",
     "PlacedObjects",
     "RefinedMotion",
+    "RoomPiece",
     "SceneModel",
     "SourceInfo",
     "SourceVideo",

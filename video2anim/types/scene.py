@@ -217,14 +217,28 @@ class PlacedObjects:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RoomPiece:
+    """A part of what is around people and objects, in the world. Flat, but for a user's scan."""
+
+    name: str
+    """`floor`, `wall 1`, `ceiling`, `card 2` (upright, for what is no plane), `backdrop` (far things), `scan`."""
+    mesh: Mesh
+    """Triangles face the camera, those of the floor up."""
+    textures: tuple[Texture, ...] = ()
+    """One, or none where the colors of the vertices are all there is."""
+    openings: tuple[Float[np.ndarray, "4 3"], ...] = ()
+    """Corners (world, m) of rectangles cut out of it because something farther is seen there: windows and doors."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SceneModel:
     """Everything the body can touch, in the world frame."""
 
     objects: tuple[PlacedObject, ...]
-    floor: Mesh
+    floor: RoomPiece
     """Patch of y = 0 under the scene."""
-    background: Mesh
-    """Walls, ceiling, upright cards and a backdrop of what is seen behind objects; triangles face the camera."""
+    background: tuple[RoomPiece, ...]
+    """Walls, ceiling, upright cards and a backdrop of what is seen behind objects; or a user's scan."""
     sdf_m: Float[np.ndarray, "x y z"]
     """Signed distance to the nearest solid at grid nodes, positive in free space."""
     sdf_origin_m: Float[np.ndarray, "3"]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from video2anim.geometry.projection import transform_points
-from video2anim.geometry.scene_mesh import with_vertex_colors, world_mesh
+from video2anim.geometry.scene_mesh import colored, with_vertex_colors, world_mesh
 from video2anim.types import Intrinsics, Mesh, PlacedObject, SceneModel
 from video2anim.viewer.raster import Canvas, Light, draw_lines, draw_mesh
 from video2anim.viewer.shadows import contact_shaded
@@ -52,13 +52,14 @@ def draw_static(
     """Draw the floor with a meter grid, and on demand the room surface and the objects where they are at a frame, which
     shade the floor that they stand on; so do the bodies given, which are not drawn."""
     placed = [drawable_mesh(one, frame) for one in scene.objects] if objects else []
-    shaded = contact_shaded(scene.floor, [*(mesh.vertices_m for mesh in placed), *bodies_m])
-    floor = replace(scene.floor, vertex_rgb=shaded)
+    floor = colored(scene.floor)
+    shaded = contact_shaded(floor, [*(mesh.vertices_m for mesh in placed), *bodies_m])
+    floor = replace(floor, vertex_rgb=shaded)
     _draw(canvas, viewpoint, floor, np.asarray(floor.vertices_m), light="none")
     if len(floor.vertices_m):
         _draw_grid(canvas, viewpoint, np.asarray(floor.vertices_m))
-    if background:
-        _draw(canvas, viewpoint, scene.background, np.asarray(scene.background.vertices_m), light="none", closed=True)
+    for mesh in map(colored, scene.background if background else ()):
+        _draw(canvas, viewpoint, mesh, mesh.vertices_m, light="none", closed=True)
     for mesh in placed:
         _draw(canvas, viewpoint, mesh, mesh.vertices_m, light="flat")
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from video2anim.errors import UsageError
+from video2anim.geometry.scene_mesh import colored
 from video2anim.types import Intrinsics, Mesh, SceneModel
 from video2anim.viewer.drawing import drawable_mesh, frustum
 
@@ -45,9 +46,10 @@ def scene_meshes(scene: SceneModel | None, frame: int) -> dict[str, list[Any]]:
     faces, in their order)."""
     if scene is None:
         return {"floor": [], "background": [], "objects": []}
+    floor = colored(scene.floor)
     return {
-        "floor": _static(scene.floor, np.asarray(scene.floor.vertices_m)),
-        "background": _static(scene.background, np.asarray(scene.background.vertices_m)),
+        "floor": _static(floor, floor.vertices_m),
+        "background": [part for mesh in map(colored, scene.background) for part in _static(mesh, mesh.vertices_m)],
         "objects": [
             part
             for mesh in (drawable_mesh(placed, frame) for placed in scene.objects)

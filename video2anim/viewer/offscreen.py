@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from video2anim.errors import UsageError
+from video2anim.geometry.scene_mesh import colored
 from video2anim.types import SceneModel
 from video2anim.viewer.bodies import PosedBodies
 from video2anim.viewer.drawing import drawable_mesh
@@ -104,7 +105,7 @@ def _write_request(
         colors.append(posed.colors(person, frame))
     if scene is not None:
         placed = [drawable_mesh(part, frame) for part in scene.objects]
-        for mesh in (scene.floor, scene.background, *placed):
+        for mesh in (*map(colored, (scene.floor, *scene.background)), *placed):
             vertices.append(np.asarray(mesh.vertices_m))
             faces.append(np.asarray(mesh.faces))
             colors.append(mesh.vertex_rgb)
