@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from video2anim.scene.extent import BODY_M, Part, before_walls, behind_people, parts_of, rectangle
+from video2anim.scene.extent import BODY_M, THROUGH, Part, before_walls, behind_people, parts_of, rectangle
 from video2anim.scene.heading import Heading, room_heading
 from video2anim.scene.patches import SMOOTH_PX, clear, room_piece, smooth_field, squared, tidy
 from video2anim.scene.planes import Plane, room_planes
@@ -24,14 +24,8 @@ _LEAST_KNOWN = 0.1
 """Of the picture: with less depth than this nothing is called far."""
 _RASTER_M = 0.05
 """Places nearer to each other are one."""
-_THROUGH = 0.15
-"""Where the picture shows something by so large a share farther than a piece, the piece is not there."""
-_CARD_CLOSE = 0.08
-"""Of the picture: gaps in cards that things hide are closed up to this width on both sides."""
 _MOST_CUT = 0.1
 """A piece that loses a larger share because people were behind it is before them: it is left out."""
-_BEHIND = 1.1
-"""The backdrop's distance over that of the farthest other thing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +37,8 @@ class Backdrop:
     view: View
     floor: Bool[np.ndarray, "height width"]
     """Pixels of the view that show the floor, also beyond the floor's mask."""
+    surface_m: Float[np.ndarray, "height width"]
+    """Depth of what pixels show, by its part; what stands above it for the floor."""
     far_m: float
     is_room: bool
     """Edges of the picture run along walls at right angles."""
@@ -75,11 +71,11 @@ def backdrop(
     for part in parts:
         kind = part.plane.kind
         name = f"{kind} {numbers[kind] + 1}" if kind in ("wall", "card") else kind
-        piece = _piece(name, part, parts, surface_m, label, view, people_m, plate.plate_rgb)
+        piece = _piece(name, part, parts, surface_m, label, view, plate.plate_rgb)
         if piece is not None:
             numbers[kind] += 1
             pieces.append(piece)
-    return Backdrop(tuple(pieces), tuple(parts), view, label == FLOOR, far_m, heading is not None)
+    return Backdrop(tuple(pieces), tuple(parts), view, label == FLOOR, surface_m, far_m, heading is not None)
 
 
 def body_paths(people: Sequence[BodyMotion]) -> Float[np.ndarray, "points 3"]:
@@ -154,7 +150,7 @@ def _far_part(view: View, parts: list[Part], own: np.ndarray, paths_m: np.ndarra
     corners_m = [part.patch.grid(1e9).reshape(-1, 3) for part in parts]
     _, reached_m, _ = view.pixels(np.concatenate([paths_m, *corners_m]))
     seen_m = view.depth_m[view.known & ~view.unsure]
-    distance_m = _BEHIND * max(1.0, *(float(some.max()) for some in (reached_m, seen_m) if len(some)))
+    distance_m = (1 + THROUGH) * max(1.0, *(float(some.max()) for some in (reached_m, seen_m) if len(some)))
     plane = Plane("backdrop", view.T_world_camera[:3, 2], distance_m)
     return [Part(plane, rectangle(plane, own, view), own)]
 
@@ -179,42 +175,28 @@ def _piece(
     surface_m: Float[np.ndarray, "height width"],
     label: Int[np.ndarray, "height width"],
     view: View,
-    people_m: Float[np.ndarray, "height width"],
     plate_rgb: UInt8[np.ndarray, "height width 3"],
 ) -> RoomPiece | None:
-    """A part where the picture shows nothing farther, not before people."""
+    """A part where the picture shows nothing farther."""
     nodes_m = part.patch.grid(part.reach_m(view) / view.intrinsics.fx_px)
-    pixel, depth_m, inside = view.pixels(nodes_m.reshape(-1, 3))
-    column, row = (np.where(inside, np.round(pixel[:, k]), 0).astype(int) for k in (0, 1))
     solid = part.plane.kind in ("wall", "ceiling")
     own_m = part.plane.depth_m(view.direction)
-    covered = surface_m < own_m * (1 + _THROUGH) if solid else _closed(part, surface_m, view)
-    kept = np.where(inside, (part.own | covered)[row, column], solid)
-    before = inside & (people_m[row, column] > depth_m)
-    if (kept & before).sum() > _MOST_CUT * kept.sum():
-        return None
-    whole = tidy(kept.reshape(nodes_m.shape[:2]), SMOOTH_PX)
+    # Cards and the backdrop are there where they are seen, and behind what is nearer below that.
+    covered = ~part.is_open(view, surface_m) & (solid | np.maximum.accumulate(part.own, axis=0))
+    kept = view.sampled(part.own | covered, nodes_m, solid)
+    whole = tidy(kept, SMOOTH_PX)
     field, openings = squared(whole, SMOOTH_PX) if solid else (smooth_field(whole, SMOOTH_PX), ())
     if part.plane.kind == "ceiling":
-        field = np.minimum(field, before_walls(parts, nodes_m, view))
+        field = np.minimum(field, before_walls(parts, nodes_m, view, surface_m))
     if not (field > 0).any():
         return None
     with np.errstate(divide="ignore", invalid="ignore"):
-        near = np.abs(np.log(surface_m / own_m)) < _THROUGH
+        near = np.abs(np.log(surface_m / own_m)) < THROUGH
     taken = np.logical_or.reduce([other.own for other in parts])
     ceiling = np.logical_or.reduce([taken & False, *(other.own for other in parts if other.plane.kind == "ceiling")])
     # What no part explains is drawn on what is there, unless it is before that.
-    loose = ~taken & view.known & (view.depth_m > own_m * (1 - _THROUGH))
+    loose = ~taken & view.known & (view.depth_m > own_m * (1 - THROUGH))
     shown = part.own | ((label >= 0) & (loose | (near & ~ceiling)))
     nearer = ~shown & ((surface_m < own_m) | (label == FLOOR))
     shown &= clear(~nearer)
     return room_piece(name, part.patch, field, view, shown, plate_rgb, openings)
-
-
-def _closed(part: Part, surface_m: np.ndarray, view: View) -> Bool[np.ndarray, "height width"]:
-    """A card's pixels, and what is nearer between and below them."""
-    size = 2 * round(_CARD_CLOSE * max(view.shape)) + 1
-    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    padded = cv2.morphologyEx(np.pad(part.own, size).astype(np.uint8), cv2.MORPH_CLOSE, disk)
-    around = np.maximum.accumulate(padded[size:-size, size:-size] > 0, axis=0)
-    return part.own | (around & (surface_m < (1 + _THROUGH) * part.plane.depth_m(view.direction)))

@@ -18,6 +18,8 @@ BODY_M = 0.3
 """From a joint to the skin and what swings around it: no piece is nearer to people's paths than this."""
 MOST_PUSH = 0.3
 """A piece that would have to stand by a larger share farther to be behind the people is before them in truth."""
+THROUGH = 0.15
+"""Where the picture shows something by so large a share farther than a piece, the piece is not there."""
 _SCALE_SIGMA = 0.15
 """Of the logarithm of a whole wall's depth by networks: measured as 0.06 to 0.17 on renders of furnished rooms."""
 _GRAVITY_RAD = np.deg2rad(1.0)
@@ -30,8 +32,6 @@ _ALONG, _ACROSS = np.cos(np.deg2rad(15.0)), np.sin(np.deg2rad(30.0))
 """Walls turned by less than 15 degrees face alike; walls that meet at less than 30 degrees have no corner."""
 _LEAST_SHARE = 0.003
 """Of the picture: smaller remains are no part."""
-_CARD_GAP = 0.35
-"""A card whose lower end is no higher above the floor than this share of its height stands on it."""
 _UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -47,6 +47,10 @@ class Part:
         """Usual distance of what it shows from the camera."""
         direction = view.direction[self.own]
         return float(np.median(np.linalg.norm(direction, axis=-1) * np.minimum(self.plane.depth_m(direction), 1e3)))
+
+    def is_open(self, view: View, surface_m: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+        """Where pixels show something farther."""
+        return surface_m > (1 + THROUGH) * self.plane.depth_m(view.direction)
 
 
 def parts_of(
@@ -76,7 +80,7 @@ def parts_of(
 
 
 def rectangle(plane: Plane, own: Bool[np.ndarray, "height width"], view: View, heading_rad: float = 0.0) -> Patch:
-    """Least rectangle around a plane's pixels; walls go down to the floor, cards where they nearly reach it."""
+    """Least rectangle around a plane's pixels; walls and cards go down to the floor."""
     if plane.kind == "ceiling":
         across = np.array([np.cos(heading_rad), 0.0, np.sin(heading_rad)])
         upward = np.cross(-plane.normal, across)
@@ -95,10 +99,7 @@ def rectangle(plane: Plane, own: Bool[np.ndarray, "height width"], view: View, h
     on_plane = np.stack([points_m @ across, points_m @ upward], 1)
     low, high = on_plane.min(0), on_plane.max(0)
     if plane.kind in ("wall", "card"):
-        floor_b = -origin_m[1]
-        if plane.kind == "wall" or low[1] - floor_b < _CARD_GAP * (high[1] - floor_b):
-            low[1] = floor_b
-        low[1] = max(low[1], floor_b)
+        low[1] = -origin_m[1]
         high[1] = max(high[1], low[1])
     return Patch(origin_m, across, upward, low, high)
 
@@ -198,11 +199,17 @@ def _holds(patch: Patch, plane: Plane, view: View) -> Bool[np.ndarray, "height w
 
 
 def before_walls(
-    parts: Sequence[Part], points_m: Float[np.ndarray, "rows columns 3"], view: View, *, endless: bool = False
+    parts: Sequence[Part],
+    points_m: Float[np.ndarray, "rows columns 3"],
+    view: View,
+    surface_m: Float[np.ndarray, "height width"],
+    *,
+    endless: bool = False,
 ) -> Float[np.ndarray, "rows columns"]:
     """How far points are before the walls that stand between them and the camera, in meters; less than 0 behind one.
 
     Args:
+        surface_m: depth of what each pixel shows.
         endless: walls have no end to the sides.
     """
     room_m = np.full(points_m.shape[:-1], np.inf)
@@ -215,6 +222,7 @@ def before_walls(
         hidden = along > 0
         if not endless:
             hidden &= (across > part.patch.low_m[0]) & (across < part.patch.high_m[0])
+            hidden &= ~view.sampled(part.is_open(view, surface_m), points_m, False)
         room_m = np.where(hidden, np.minimum(room_m, part.plane.distance_m - along), room_m)
     return np.minimum(room_m, 1.0)
 

@@ -27,17 +27,15 @@ def ground(found: Backdrop, plate: BackgroundPlate, around_m: Float[np.ndarray, 
     seen_m = (view.camera_m + direction * depth_m[:, None])[depth_m < found.far_m][:, [0, 2]]
     if len(seen_m):
         points_m.append(np.percentile(seen_m, [_STRAY, 100 - _STRAY], axis=0))
-    walls = [part.patch for part in found.parts if part.plane.kind == "wall"]
-    points_m += [patch.grid().reshape(-1, 3)[:, [0, 2]] for patch in walls]
+    points_m += [one.patch.grid().reshape(-1, 3)[:, [0, 2]] for one in found.parts if one.plane.kind == "wall"]
     low, high = np.concatenate(points_m).min(0), np.concatenate(points_m).max(0)
     # z across and x upward: the patch faces up.
     patch = Patch(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), low[::-1], high[::-1])
     nodes_m = patch.grid(0.0)
-    pixel, _, inside = view.pixels(nodes_m.reshape(-1, 3))
-    column, row = (np.where(inside, np.round(pixel[:, k]), 0).astype(int) for k in (0, 1))
-    known = tidy((inside & found.floor[row, column]).reshape(nodes_m.shape[:2]), SMOOTH_PX)
+    known = tidy(view.sampled(found.floor, nodes_m, False), SMOOTH_PX)
     known |= ((nodes_m[..., [0, 2]] > around_m[0]) & (nodes_m[..., [0, 2]] < around_m[1])).all(-1)
     # Only a room's walls go on where they are not seen.
-    room_m = before_walls(found.parts, nodes_m, view, endless=True) if found.is_room else np.ones(known.shape)
-    field = np.minimum(before_walls(found.parts, nodes_m, view), np.maximum(smooth_field(known, SMOOTH_PX), room_m))
+    walls = (found.parts, nodes_m, view, found.surface_m)
+    room_m = before_walls(*walls, endless=True) if found.is_room else np.ones(known.shape)
+    field = np.minimum(before_walls(*walls), np.maximum(smooth_field(known, SMOOTH_PX), room_m))
     return room_piece("floor", patch, field, view, shown, plate.plate_rgb)

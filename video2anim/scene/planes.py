@@ -21,24 +21,16 @@ _BIN = 0.6 * DEPTH_SIGMA
 _NEAREST_M, _FARTHEST_M = 0.3, 300.0
 _GRAZING = 0.1
 """Cosine between sight and normal: planes seen flatter are lines, to which no depth belongs."""
-_ASIDE = 0.45
-"""Walls that no edges speak for must be seen from farther aside: round things pass for flat ones from flat angles."""
 _FACING = 0.75
 """Cosine to a plane's normal from which the slope of the depth speaks for it."""
-_LEAST_SHARE = 0.03
-"""Of the picture: planes that explain less are things..."""
-_LEAST_SQUARE = 0.015
-"""...but ceilings, and walls square to the heading that the edges tell, are likelier: their strips count, too."""
-_SAME_RAD = np.deg2rad(15.0)
-"""Planes so little turned against each other and within the noise are one."""
+_LEAST_SHARE = 0.015
+"""Of the picture: planes that explain less are things."""
 _MOST_PLANES = 7
-_EDGES_LOSS = 0.5
+_LOSS = 0.5
 """Walls are turned to the heading that the edges tell where it costs no more than this share of the pixels they
 explain: slopes of networks' depth are off by 5 to 20 degrees."""
 _WALL_RAD = np.deg2rad(12.0)
-"""Without edges, walls no farther than this from square to the first one are taken for square..."""
-_LOSS = 0.15
-"""...where it costs no more than this share of the pixels they explain."""
+"""Without edges, walls no farther than this from square to the first one are taken for square."""
 _UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -78,7 +70,7 @@ def room_planes(view: View, open_to: Bool[np.ndarray, "height width"], heading: 
             explains as much.
     """
     normals, left, found = view.normals(), open_to.copy(), []
-    square, reach, loss = (heading.turn_rad, heading.reach_rad, _EDGES_LOSS) if heading else (None, _WALL_RAD, _LOSS)
+    square, reach = (heading.turn_rad, heading.reach_rad) if heading else (None, _WALL_RAD)
     for _ in range(_MOST_PLANES):
         plane = _voted(view, normals, left)
         if plane is None:
@@ -88,17 +80,11 @@ def room_planes(view: View, open_to: Bool[np.ndarray, "height width"], heading: 
             square = _heading(plane) if square is None else square
             turned = _squared(plane, square, reach, view, normals, left)
             before, after = ((left & supporting(one, view, normals)).sum() for one in (plane, turned))
-            plane = turned if after >= (1 - loss) * before else plane
+            plane = turned if after >= (1 - _LOSS) * before else plane
         explained = left & supporting(plane, view, normals)
-        likely = plane.kind == "ceiling" or (heading is not None and _is_square(plane, heading.turn_rad))
-        if explained.sum() < (_LEAST_SQUARE if likely else _LEAST_SHARE) * left.size:
+        if explained.sum() < _LEAST_SHARE * left.size:
             break
-        doubtful = plane.kind == "wall" and not likely and _aside(plane, view, explained) < _ASIDE
-        if doubtful:
-            left &= ~explained
-            continue
-        if not any(_same(plane, other) for other in found):
-            found.append(plane)
+        found.append(plane)
         # The whole noise around it is spent, also where the slope says otherwise: no second plane beside the first.
         left &= np.abs(plane.off(view)) > INLIER_SIGMAS
     return found
@@ -114,7 +100,7 @@ def supporting(
 def _voted(view: View, normals: np.ndarray, left: np.ndarray) -> Plane | None:
     """The plane with most votes among all headings and distances, and both level ones."""
     offset_m, normal = view.offset_m[left], normals[left]
-    if len(offset_m) < _LEAST_SQUARE * left.size:
+    if len(offset_m) < _LEAST_SHARE * left.size:
         return None
     turn = np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
     candidates = np.concatenate([np.stack([np.cos(turn), 0 * turn, np.sin(turn)], 1), [_UP, -_UP]])
@@ -153,21 +139,6 @@ def _refined(plane: Plane, view: View, normals: np.ndarray, left: np.ndarray) ->
 
 def _heading(plane: Plane) -> float:
     return float(np.arctan2(plane.normal[2], plane.normal[0]))
-
-
-def _aside(plane: Plane, view: View, explained: np.ndarray) -> float:
-    """Usual cosine between sight and normal."""
-    direction = view.direction[explained]
-    return float(np.median(direction @ plane.normal / np.linalg.norm(direction, axis=-1)))
-
-
-def _is_square(plane: Plane, heading_rad: float) -> bool:
-    return abs(np.sin(2 * (_heading(plane) - heading_rad))) < 1e-6
-
-
-def _same(a: Plane, b: Plane) -> bool:
-    turned = np.arccos(np.clip(a.normal @ b.normal, -1, 1))
-    return bool(turned < _SAME_RAD and abs(np.log(a.distance_m / b.distance_m)) < INLIER_SIGMAS * DEPTH_SIGMA)
 
 
 def _squared(

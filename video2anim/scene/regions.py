@@ -18,8 +18,6 @@ _CARD_COST = 0.5
 """A card must explain so much better than a wall: with enough cards everything is explained."""
 CARD_SIGMAS = 5.0
 """Trees, hedges and clutter are so thick, in deviations of depth, about their card."""
-_SLOPE_COST = 0.3
-"""For a slope square to the plane's."""
 _WORST = 2.0
 """Of what is impossible."""
 _UNKNOWN_COST = 0.6
@@ -32,14 +30,11 @@ _EDGE_EPSILON = 0.02**2
 """Variance of a color (0 to 1) that is an edge of the picture."""
 _CRUMB, CARD_CRUMB = 0.006, 0.03
 """Of the picture: smaller regions of planes, or of cards, go to those around them."""
-_MOST_CARDS = 6
 _CARD_BIN = 0.05
 """Width of a bin of the logarithm of cards' distance."""
 LOW = 0.2
 """Of the camera's height: flat things lower than this are drawn on the floor, as mats, thresholds, rising ground and
 the depth's error."""
-_LEVEL_SLOPE = 0.7
-"""Cosine to up from which a slope is level."""
 
 
 def cards(view: View, open_to: Bool[np.ndarray, "height width"], planes: Sequence[Plane]) -> list[Plane]:
@@ -55,9 +50,7 @@ def cards(view: View, open_to: Bool[np.ndarray, "height width"], planes: Sequenc
     distance_m = view.offset_m @ ahead
     left &= distance_m > 0.3
     half = CARD_SIGMAS * DEPTH_SIGMA
-    for _ in range(_MOST_CARDS):
-        if left.sum() < CARD_CRUMB * left.size:
-            break
+    while left.sum() >= CARD_CRUMB * left.size:
         log_m = np.log(distance_m[left])
         edges = np.arange(log_m.min() - _CARD_BIN, log_m.max() + 2 * _CARD_BIN, _CARD_BIN)
         count = np.convolve(np.histogram(log_m, edges)[0], np.ones(round(2 * half / _CARD_BIN)), "same")
@@ -76,28 +69,24 @@ def labeled(
 ) -> Int[np.ndarray, "height width"]:
     """Number of the plane that each pixel shows, or one of the labels above.
 
-    Each plane's misfit of depth and slope is averaged along the picture's colors before the least is taken, so regions
+    Each plane's misfit of depth is averaged along the picture's colors before the least is taken, so regions
     end at edges of the picture.
     """
-    normals = view.normals()
-    costs = [_smooth(_floor_cost(view, normals), open_to, view)]
-    costs += [_smooth(_cost(plane, view, normals), open_to, view) for plane in planes]
+    costs = [_smooth(cost, open_to, view) for cost in (_floor_cost(view), *(_cost(plane, view) for plane in planes))]
     best = np.argmin(costs, axis=0) - 1
     label = np.where(open_to, best, np.where(view.floor, FLOOR, HIDDEN))
     least = [round((CARD_CRUMB if plane.kind == "card" else _CRUMB) * label.size) for plane in planes]
     return _without_crumbs(label, open_to, [*least, round(_CRUMB * label.size)])
 
 
-def _cost(plane: Plane, view: View, normals: np.ndarray) -> Float[np.ndarray, "height width"]:
-    """0 where a plane explains depth and slope, 1 where it does not."""
+def _cost(plane: Plane, view: View) -> Float[np.ndarray, "height width"]:
+    """0 where a plane explains depth, 1 where it does not."""
     if plane.kind == "backdrop":
         return np.where(view.unsure, 0.0, np.where(view.known, _WORST, _FAR_COST))
     reach = CARD_SIGMAS if plane.kind == "card" else INLIER_SIGMAS
-    off = _misfit(plane.off(view) / reach)
+    cost = _misfit(plane.off(view) / reach)
     if plane.kind == "card":
-        cost = _CARD_COST + (1 - _CARD_COST) * off
-    else:
-        cost = off + _SLOPE_COST * np.clip(1 + normals @ plane.normal, 0, 1)
+        cost = _CARD_COST + (1 - _CARD_COST) * cost
     return np.where(view.unsure, _WORST, np.where(view.known, cost, _UNKNOWN_COST))
 
 
@@ -108,11 +97,10 @@ def _misfit(deviations: np.ndarray) -> np.ndarray:
     return square / (1 + square)
 
 
-def _floor_cost(view: View, normals: np.ndarray) -> Float[np.ndarray, "height width"]:
+def _floor_cost(view: View) -> Float[np.ndarray, "height width"]:
     """0 where depth is that of the floor: ground that the floor's mask lacks."""
     height_m = view.camera_m[1] + view.offset_m[..., 1]
     cost = _misfit(height_m / (LOW * view.eye_m))
-    cost += _SLOPE_COST * np.clip(1 - np.maximum(normals[..., 1], 0) / _LEVEL_SLOPE, 0, 1)
     return np.where(view.known & ~view.unsure & (view.direction[..., 1] < 0), cost, _WORST)
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Shaped, UInt8
 from scipy import ndimage
 
 from video2anim.geometry.masks import shrunk
@@ -75,6 +76,14 @@ class View:
         pixel = project(camera_m, self.intrinsics)
         size = np.array([self.intrinsics.width_px, self.intrinsics.height_px])
         return pixel, camera_m[:, 2], ahead & (pixel > -0.5).all(1) & (pixel < size - 0.5).all(1)
+
+    def sampled(
+        self, values: Shaped[np.ndarray, "height width"], points_world_m: Float[np.ndarray, "*points 3"], outside: Any
+    ) -> Shaped[np.ndarray, "*points"]:
+        """Values of the pixels that points of the world are at; `outside` of the picture another."""
+        pixel, _, inside = self.pixels(points_world_m.reshape(-1, 3))
+        column, row = (np.where(inside, np.round(pixel[:, k]), 0).astype(int) for k in (0, 1))
+        return np.where(inside, values[row, column], outside).reshape(points_world_m.shape[:-1])
 
 
 def look(
