@@ -193,10 +193,9 @@ def _piece(
     with np.errstate(divide="ignore", invalid="ignore"):
         near = np.abs(np.log(surface_m / own_m)) < THROUGH
     taken = np.logical_or.reduce([other.own for other in parts])
-    ceiling = np.logical_or.reduce([taken & False, *(other.own for other in parts if other.plane.kind == "ceiling")])
     # What no part explains is drawn on what is there, unless it is before that.
     loose = ~taken & view.known & (view.depth_m > own_m * (1 - THROUGH))
-    shown = part.own | ((label >= 0) & (loose | (near & ~ceiling)))
+    shown = part.own | ((label >= 0) & (loose | near))
     nearer = ~shown & ((surface_m < own_m) | (label == FLOOR))
     shown &= clear(~nearer)
     return room_piece(name, part.patch, field, view, shown, plate_rgb, openings)

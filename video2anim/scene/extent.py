@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -143,47 +144,39 @@ def behind_people(plane: Plane, patch: Patch, view: View, paths_m: Float[np.ndar
 
 def _cornered(parts: list[Part], view: View) -> list[Part]:
     """Walls that end near where they meet end there; likewise walls and the ceiling."""
-    low = {id(part): part.patch.low_m.copy() for part in parts}
-    high = {id(part): part.patch.high_m.copy() for part in parts}
+    ends_m = np.array([[part.patch.low_m, part.patch.high_m] for part in parts])
 
-    def ends_at(part: Part, axis: int, value: float, reach_m: float) -> bool:
-        edges = (low[id(part)], high[id(part)])
-        nearest = min(edges, key=lambda edge: abs(edge[axis] - value))
-        return bool(abs(nearest[axis] - value) < reach_m)
+    def gaps_m(index: int, axis: int, value_m: float) -> Float[np.ndarray, "2"]:
+        return np.abs(ends_m[index, :, axis] - value_m)
 
-    def end_at(part: Part, axis: int, value: float) -> None:
-        edges = (low[id(part)], high[id(part)])
-        min(edges, key=lambda edge: abs(edge[axis] - value))[axis] = value
-
-    walls = [part for part in parts if part.plane.kind == "wall"]
-    for number, one in enumerate(walls):
-        for other in walls[number + 1 :]:
-            normals = np.stack([one.plane.normal, other.plane.normal])[:, [0, 2]]
-            if abs(np.linalg.det(normals)) < _ACROSS:
-                continue
-            x, z = np.linalg.solve(normals, [one.plane.distance_m, other.plane.distance_m])
-            meet_m, reach_m = np.array([x, 0.0, z]), _CORNER * float(np.hypot(x, z))
-            values = [float(meet_m @ part.patch.across) for part in (one, other)]
-            if all(ends_at(part, 0, v, reach_m) for part, v in zip((one, other), values, strict=True)):
-                for part, value in zip((one, other), values, strict=True):
-                    end_at(part, 0, value)
-                # The picture's border cuts near walls lower than far ones; in truth a room's walls are of one height.
-                top = max(high[id(part)][1] for part in (one, other))
-                high[id(one)][1] = high[id(other)][1] = top
-    for roof in (part for part in parts if part.plane.kind == "ceiling"):
-        for wall in walls:
-            height_m = float(roof.patch.origin_m[1])
-            top = height_m - float(wall.patch.origin_m[1])
-            if high[id(wall)][1] > top or ends_at(wall, 1, top, _CORNER * height_m):
-                high[id(wall)][1] = top
+    walls = [index for index, part in enumerate(parts) if part.plane.kind == "wall"]
+    for pair in itertools.combinations(walls, 2):
+        normals = np.stack([parts[index].plane.normal[[0, 2]] for index in pair])
+        if abs(np.linalg.det(normals)) < _ACROSS:
+            continue
+        x, z = np.linalg.solve(normals, [parts[index].plane.distance_m for index in pair])
+        values_m = [float(np.array([x, 0.0, z]) @ parts[index].patch.across) for index in pair]
+        gaps = [gaps_m(index, 0, value_m) for index, value_m in zip(pair, values_m, strict=True)]
+        if all(gap.min() < _CORNER * np.hypot(x, z) for gap in gaps):
+            for index, value_m, gap in zip(pair, values_m, gaps, strict=True):
+                ends_m[index, gap.argmin(), 0] = value_m
+            # The picture's border cuts near walls lower than far ones; in truth a room's walls are of one height.
+            ends_m[list(pair), 1, 1] = ends_m[list(pair), 1, 1].max()
+    for number, roof in enumerate(parts):
+        for index in walls if roof.plane.kind == "ceiling" else ():
+            wall = parts[index]
+            top_m = float(roof.patch.origin_m[1] - wall.patch.origin_m[1])
+            if ends_m[index, 1, 1] > top_m - _CORNER * float(roof.patch.origin_m[1]):
+                ends_m[index, 1, 1] = top_m
             for axis, along in enumerate((roof.patch.across, roof.patch.upward)):
                 if abs(wall.plane.normal @ along) > _ALONG and not _has_wall_behind(wall, parts):
-                    value = wall.plane.distance_m / float(wall.plane.normal @ along)
-                    if ends_at(roof, axis, value, _CORNER * wall.plane.distance_m):
-                        end_at(roof, axis, value)
+                    value_m = wall.plane.distance_m / float(wall.plane.normal @ along)
+                    gap = gaps_m(number, axis, value_m)
+                    if gap.min() < _CORNER * wall.plane.distance_m:
+                        ends_m[number, gap.argmin(), axis] = value_m
     ended = []
-    for part in parts:
-        patch = replace(part.patch, low_m=low[id(part)], high_m=np.maximum(high[id(part)], low[id(part)]))
+    for part, (low_m, high_m) in zip(parts, ends_m, strict=True):
+        patch = replace(part.patch, low_m=low_m, high_m=np.maximum(high_m, low_m))
         ended.append(replace(part, patch=patch, own=part.own & _holds(patch, part.plane, view)))
     return ended
 

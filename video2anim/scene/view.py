@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
-from scipy import ndimage
 
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, pixel_rays, project, transform_points
@@ -106,12 +105,6 @@ def look(
     for instance in masks.instances:
         objects |= instance.mask
     floor, things = shrunk(masks.floor_mask, size[::-1], 0.5), shrunk(objects, size[::-1], 0.25)
-    count, gaps = cv2.connectedComponents((~known & ~things & ~floor).astype(np.uint8), connectivity=4)
-    for index in range(1, count):
-        rim = ndimage.binary_dilation(gaps == index) & (gaps != index)
-        # A gap of depth that lies mostly within a thing, or between it and the floor, is the thing's.
-        if (things | floor)[rim].sum() > 0.5 * rim.sum():
-            things |= gaps == index
     T_world_camera = body.T_world_camera[0]
     return View(
         T_world_camera,
