@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from video2anim.scene.extent import BODY_M, THROUGH, Part, before_walls, behind_people, parts_of, rectangle
-from video2anim.scene.heading import Heading, room_heading
+from video2anim.scene.heading import room_heading
 from video2anim.scene.patches import SMOOTH_PX, clear, room_piece, smooth_field, squared, tidy
 from video2anim.scene.planes import Plane, room_planes
 from video2anim.scene.regions import FLOOR, HIDDEN, LOW, cards, labeled
@@ -20,8 +20,6 @@ from video2anim.types.metric import MetricDepth
 from video2anim.types.motion import BodyMotion
 from video2anim.types.scene import BackgroundPlate, InstanceMasks, RoomPiece
 
-_LEAST_KNOWN = 0.1
-"""Of the picture: with less depth than this nothing is called far."""
 _RASTER_M = 0.05
 """Places nearer to each other are one."""
 _MOST_CUT = 0.1
@@ -40,8 +38,6 @@ class Backdrop:
     surface_m: Float[np.ndarray, "height width"]
     """Depth of what pixels show, by its part; what stands above it for the floor."""
     far_m: float
-    is_room: bool
-    """Edges of the picture run along walls at right angles."""
 
 
 def backdrop(
@@ -60,11 +56,11 @@ def backdrop(
     sigma = np.zeros_like(depth.background_depth_m) if relative_sigma is None else relative_sigma
     view = look(depth, masks, plate, sigma, far_m)
     body = depth.bodies.people[0]
-    heading = room_heading(plate.plate_rgb, view.T_world_camera, body.intrinsics)
+    heading_rad = room_heading(plate.plate_rgb, view.T_world_camera, body.intrinsics)
     paths_m = body_paths(depth.bodies.people)
     people_m = _people_depth(view, paths_m)
-    planes, label = _explained(view, heading, people_m, paths_m)
-    parts = parts_of(view, planes, label, paths_m, None if heading is None else heading.turn_rad)
+    planes, label = _explained(view, heading_rad, people_m, paths_m)
+    parts = parts_of(view, planes, label, paths_m, heading_rad)
     parts += _far_part(view, parts, label == len(planes) - 1, paths_m)
     surface_m = _surface_depth(view, parts, label)
     pieces, numbers = [], Counter[str]()
@@ -75,7 +71,7 @@ def backdrop(
         if piece is not None:
             numbers[kind] += 1
             pieces.append(piece)
-    return Backdrop(tuple(pieces), tuple(parts), view, label == FLOOR, surface_m, far_m, heading is not None)
+    return Backdrop(tuple(pieces), tuple(parts), view, label == FLOOR, surface_m, far_m)
 
 
 def body_paths(people: Sequence[BodyMotion]) -> Float[np.ndarray, "points 3"]:
@@ -88,7 +84,7 @@ def body_paths(people: Sequence[BodyMotion]) -> Float[np.ndarray, "points 3"]:
 
 def _explained(
     view: View,
-    heading: Heading | None,
+    heading_rad: float | None,
     people_m: Float[np.ndarray, "height width"],
     paths_m: Float[np.ndarray, "points 3"],
 ) -> tuple[list[Plane], Int[np.ndarray, "height width"]]:
@@ -96,11 +92,10 @@ def _explained(
 
     Low flat things count as floor, higher ones as things; all ceilings count as the clearest one.
     """
-    # Where depth is unknown there are gaps below the horizon, and what is far above it; all unknown says nothing.
-    far = (view.direction[..., 1] > 0) & (view.known.mean() > _LEAST_KNOWN)
-    open_to = ~view.floor & ~view.things & (view.known | far)
+    # Where depth is unknown there are gaps below the horizon, and what is far above it.
+    open_to = ~view.floor & ~view.things & (view.known | (view.direction[..., 1] > 0))
     measured = open_to & view.known & ~view.unsure
-    planes = room_planes(view, measured, heading)
+    planes = room_planes(view, measured, heading_rad)
     planes += cards(view, measured, planes)
     planes.append(Plane("backdrop", view.T_world_camera[:3, 2], 1.0))
     label = labeled(view, open_to, planes)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from video2anim.scene.patches import Patch
 from video2anim.scene.planes import Plane
-from video2anim.scene.regions import CARD_SIGMAS, FLOOR
+from video2anim.scene.regions import FLOOR
 from video2anim.scene.view import View
 
 BODY_M = 0.3
@@ -31,8 +31,6 @@ _CORNER = 0.25
 """Pieces that end within this share of the distance from where they meet, end there."""
 _ALONG, _ACROSS = np.cos(np.deg2rad(15.0)), np.sin(np.deg2rad(30.0))
 """Walls turned by less than 15 degrees face alike; walls that meet at less than 30 degrees have no corner."""
-_LEAST_SHARE = 0.003
-"""Of the picture: smaller remains are no part."""
 _UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -68,15 +66,12 @@ def parts_of(
     parts = []
     for index, plane in enumerate(planes):
         own = label == index
-        if plane.kind == "backdrop" or own.sum() < _LEAST_SHARE * own.size:
+        if plane.kind == "backdrop" or not own.any():
             continue
-        # Pixels that are here only because no plane explains them say nothing of its extent.
-        explained = own & (np.abs(plane.off(view)) < CARD_SIGMAS)
-        explained = explained if explained.any() else own
         if plane.kind == "wall":
             plane = _footed(plane, own, label == FLOOR, view)
-        plane = behind_people(plane, rectangle(plane, explained, view, heading_rad), view, paths_m)
-        parts.append(Part(plane, rectangle(plane, explained, view, heading_rad), own))
+        plane = behind_people(plane, rectangle(plane, own, view, heading_rad), view, paths_m)
+        parts.append(Part(plane, rectangle(plane, own, view, heading_rad), own))
     return _cornered(parts, view)
 
 
@@ -169,7 +164,7 @@ def _cornered(parts: list[Part], view: View) -> list[Part]:
             if ends_m[index, 1, 1] > top_m - _CORNER * float(roof.patch.origin_m[1]):
                 ends_m[index, 1, 1] = top_m
             for axis, along in enumerate((roof.patch.across, roof.patch.upward)):
-                if abs(wall.plane.normal @ along) > _ALONG and not _has_wall_behind(wall, parts):
+                if abs(wall.plane.normal @ along) > _ALONG:
                     value_m = wall.plane.distance_m / float(wall.plane.normal @ along)
                     gap = gaps_m(number, axis, value_m)
                     if gap.min() < _CORNER * wall.plane.distance_m:

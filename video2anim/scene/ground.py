@@ -34,8 +34,7 @@ def ground(found: Backdrop, plate: BackgroundPlate, around_m: Float[np.ndarray, 
     nodes_m = patch.grid(0.0)
     known = tidy(view.sampled(found.floor, nodes_m, False), SMOOTH_PX)
     known |= ((nodes_m[..., [0, 2]] > around_m[0]) & (nodes_m[..., [0, 2]] < around_m[1])).all(-1)
-    # Only a room's walls go on where they are not seen.
     walls = (found.parts, nodes_m, view, found.surface_m)
-    room_m = before_walls(*walls, endless=True) if found.is_room else np.ones(known.shape)
-    field = np.minimum(before_walls(*walls), np.maximum(smooth_field(known, SMOOTH_PX), room_m))
+    beside = np.maximum(smooth_field(known, SMOOTH_PX), before_walls(*walls, endless=True))
+    field = np.minimum(before_walls(*walls), beside)
     return room_piece("floor", patch, field, view, shown, plate.plate_rgb)

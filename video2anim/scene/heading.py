@@ -8,8 +8,6 @@ depth are 5 to 20 degrees off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -19,12 +17,6 @@ from video2anim.types.camera import Intrinsics
 _STEP_RAD = np.deg2rad(0.5)
 _EDGE_SIGMA_RAD = np.deg2rad(1.0)
 """By which edges miss their vanishing point: error of their ends, of lens and of gravity."""
-_UPRIGHT_RAD = np.deg2rad(2.0)
-"""Edges whose plane is so near to upright run up, or tell nothing."""
-_FULL_LENGTH = 0.1
-"""Edges of this length (radians) and more count whole."""
-_FULL_SHARE = 0.65
-"""Of the edges' weight in furnished rooms' renders: edges that agree so well are right wherever depth slopes."""
 _LEAST_SCORE = 0.15
 """Of the edges' weight, that a room's heading explains beyond what a chance heading does."""
 _SECOND = 0.5
@@ -33,20 +25,10 @@ _APART_RAD = np.deg2rad(8.0)
 """...where it is farther than this from it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Heading:
-    """How a room's walls stand."""
-
-    turn_rad: float
-    """atan2(z, x) of their normals in the world, modulo a right angle."""
-    reach_rad: float
-    """Walls whose depth slopes by no more than this from square are square: the wider, the more edges agree."""
-
-
 def room_heading(
     plate_rgb: UInt8[np.ndarray, "height width 3"], T_world_camera: Float[np.ndarray, "4 4"], lens: Intrinsics
-) -> Heading | None:
-    """The heading that the picture's edges tell; None where they do not."""
+) -> float | None:
+    """atan2(z, x) of the walls' normals in the world, modulo a right angle; None where edges do not tell."""
     height = lens.height_px
     ends = straight_edges(plate_rgb).ends.reshape(-1, 2, 2)
     if not len(ends):
@@ -65,12 +47,12 @@ def room_heading(
         # The same turn of an edge about its middle turns its plane less against a direction that it points at.
         aside = np.sqrt(np.maximum(1 - (along @ direction) ** 2, 0.01))
         fit = np.maximum(fit, np.exp(-0.5 * (normal @ direction / aside / _EDGE_SIGMA_RAD) ** 2))
-    weight = np.minimum(1, length / _FULL_LENGTH) * (np.abs(normal[:, 1]) > np.sin(_UPRIGHT_RAD))
+    # Edges whose plane is upright run up, or tell nothing.
+    weight = length * np.abs(normal[:, 1])
     # An edge that suits every heading, on the horizon, counts for none.
     score = weight @ (fit - fit.mean(1, keepdims=True))
     best = int(score.argmax())
     apart = np.abs((turns - turns[best] + np.pi / 4) % (np.pi / 2) - np.pi / 4) > _APART_RAD
-    if score[best] < max(_LEAST_SCORE * weight.sum(), 1.0) or score[apart].max() > _SECOND * score[best]:
+    if score[best] < _LEAST_SCORE * weight.sum() or score[apart].max() > _SECOND * score[best]:
         return None
-    share = float(score[best] / weight.sum())
-    return Heading(float(turns[best]), np.pi / 4 * min(1.0, share / _FULL_SHARE))
+    return float(turns[best])

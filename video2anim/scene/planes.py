@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from video2anim.scene.heading import Heading
 from video2anim.scene.view import View
 
 DEPTH_SIGMA = 0.05
@@ -16,21 +15,20 @@ as 0.03 to 0.10 on renders of furnished rooms."""
 INLIER_SIGMAS = 2.5
 _HEADINGS = 120
 """Directions of walls that are tried: every 3 degrees."""
-_BIN = 0.6 * DEPTH_SIGMA
+BIN = 0.6 * DEPTH_SIGMA
 """Width of a bin of the logarithm of a plane's distance."""
-_NEAREST_M, _FARTHEST_M = 0.3, 300.0
 _GRAZING = 0.1
 """Cosine between sight and normal: planes seen flatter are lines, to which no depth belongs."""
 _FACING = 0.75
 """Cosine to a plane's normal from which the slope of the depth speaks for it."""
 _LEAST_SHARE = 0.015
 """Of the picture: planes that explain less are things."""
-_MOST_PLANES = 7
 _LOSS = 0.5
 """Walls are turned to the heading that the edges tell where it costs no more than this share of the pixels they
 explain: slopes of networks' depth are off by 5 to 20 degrees."""
-_WALL_RAD = np.deg2rad(12.0)
-"""Without edges, walls no farther than this from square to the first one are taken for square."""
+_REACH_RAD = np.deg2rad(22.5)
+"""Walls no farther than this from a right angle to the heading are taken for square: that of the picture's edges, or of
+the first wall."""
 _UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -61,24 +59,23 @@ class Plane:
         return replace(self, distance_m=self.distance_m * ratio)
 
 
-def room_planes(view: View, open_to: Bool[np.ndarray, "height width"], heading: Heading | None) -> list[Plane]:
+def room_planes(view: View, open_to: Bool[np.ndarray, "height width"], heading_rad: float | None) -> list[Plane]:
     """Planes that explain pixels of `open_to`, the one that explains most first.
 
     Args:
-        heading: of the room's walls by the picture's edges: walls near a right angle to it are turned there, since
+        heading_rad: of the room's walls by the picture's edges: walls near a right angle to it are turned there, since
             edges know it better than slopes of depth. Without it walls are turned square to the first wall, where that
             explains as much.
     """
-    normals, left, found = view.normals(), open_to.copy(), []
-    square, reach = (heading.turn_rad, heading.reach_rad) if heading else (None, _WALL_RAD)
-    for _ in range(_MOST_PLANES):
+    normals, left, found, square = view.normals(), open_to.copy(), [], heading_rad
+    while True:
         plane = _voted(view, normals, left)
         if plane is None:
             break
         if plane.kind == "wall":
             plane = _refined(plane, view, normals, left)
             square = _heading(plane) if square is None else square
-            turned = _squared(plane, square, reach, view, normals, left)
+            turned = _squared(plane, square, view, normals, left)
             before, after = ((left & supporting(one, view, normals)).sum() for one in (plane, turned))
             plane = turned if after >= (1 - _LOSS) * before else plane
         explained = left & supporting(plane, view, normals)
@@ -105,8 +102,8 @@ def _voted(view: View, normals: np.ndarray, left: np.ndarray) -> Plane | None:
     turn = np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
     candidates = np.concatenate([np.stack([np.cos(turn), 0 * turn, np.sin(turn)], 1), [_UP, -_UP]])
     length = np.linalg.norm(offset_m, axis=1)
-    edges = np.arange(np.log(_NEAREST_M), np.log(_FARTHEST_M), _BIN)
-    kernel = np.exp(-0.5 * (np.arange(-4, 5) * _BIN / DEPTH_SIGMA) ** 2)
+    edges = np.arange(np.log(_GRAZING * length.min()), np.log(length.max()) + 2 * BIN, BIN)
+    kernel = np.exp(-0.5 * (np.arange(-4, 5) * BIN / DEPTH_SIGMA) ** 2)
     best = (0.0, 0, 0)
     for index, candidate in enumerate(candidates):
         along = offset_m @ candidate
@@ -117,7 +114,7 @@ def _voted(view: View, normals: np.ndarray, left: np.ndarray) -> Plane | None:
         best = max(best, (float(smooth[top]), index, top))
     _, index, top = best
     kind = "wall" if index < _HEADINGS else ("ceiling" if index == _HEADINGS else "level")
-    return Plane(kind, candidates[index], float(np.exp(edges[top] + 0.5 * _BIN)))
+    return Plane(kind, candidates[index], float(np.exp(edges[top] + 0.5 * BIN)))
 
 
 def _refined(plane: Plane, view: View, normals: np.ndarray, left: np.ndarray) -> Plane:
@@ -141,14 +138,12 @@ def _heading(plane: Plane) -> float:
     return float(np.arctan2(plane.normal[2], plane.normal[0]))
 
 
-def _squared(
-    plane: Plane, square_rad: float, reach_rad: float, view: View, normals: np.ndarray, left: np.ndarray
-) -> Plane:
+def _squared(plane: Plane, square_rad: float, view: View, normals: np.ndarray, left: np.ndarray) -> Plane:
     """The wall turned to the nearest right angle to a heading, at its pixels' usual distance; the wall itself where
-    that would be a larger turn than `reach_rad`."""
+    that would be a larger turn than `_REACH_RAD`."""
     own = _heading(plane)
     square = square_rad + np.round((own - square_rad) / (np.pi / 2)) * np.pi / 2
-    if abs(own - square) > reach_rad:
+    if abs(own - square) > _REACH_RAD:
         return plane
     normal = np.array([np.cos(square), 0.0, np.sin(square)])
     along = view.offset_m[left & supporting(plane, view, normals)] @ normal

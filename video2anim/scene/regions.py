@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from video2anim.scene.planes import DEPTH_SIGMA, INLIER_SIGMAS, Plane
+from video2anim.scene.planes import BIN, DEPTH_SIGMA, INLIER_SIGMAS, Plane
 from video2anim.scene.view import View
 
 FLOOR, HIDDEN = -1, -2
@@ -30,8 +30,6 @@ _EDGE_EPSILON = 0.02**2
 """Variance of a color (0 to 1) that is an edge of the picture."""
 _CRUMB, CARD_CRUMB = 0.006, 0.03
 """Of the picture: smaller regions of planes, or of cards, go to those around them."""
-_CARD_BIN = 0.05
-"""Width of a bin of the logarithm of cards' distance."""
 LOW = 0.2
 """Of the camera's height: flat things lower than this are drawn on the floor, as mats, thresholds, rising ground and
 the depth's error."""
@@ -52,9 +50,9 @@ def cards(view: View, open_to: Bool[np.ndarray, "height width"], planes: Sequenc
     half = CARD_SIGMAS * DEPTH_SIGMA
     while left.sum() >= CARD_CRUMB * left.size:
         log_m = np.log(distance_m[left])
-        edges = np.arange(log_m.min() - _CARD_BIN, log_m.max() + 2 * _CARD_BIN, _CARD_BIN)
-        count = np.convolve(np.histogram(log_m, edges)[0], np.ones(round(2 * half / _CARD_BIN)), "same")
-        middle = edges[int(count.argmax())] + 0.5 * _CARD_BIN
+        edges = np.arange(log_m.min() - BIN, log_m.max() + 2 * BIN, BIN)
+        count = np.convolve(np.histogram(log_m, edges)[0], np.ones(round(2 * half / BIN)), "same")
+        middle = edges[int(count.argmax())] + 0.5 * BIN
         near = np.abs(log_m - middle) < half
         if near.sum() < CARD_CRUMB * left.size:
             break
