@@ -94,9 +94,9 @@ def reconstruct_objects(
     unseen = never_seen(plate.seen_ratio, depth.background_depth_m.shape)
     people = PeopleEvidence(*rested_and_inner_m(depth.bodies))
     body, (height, width) = depth.bodies.people[0], plate.plate_rgb.shape[:2]
-    heading = room_heading(plate.plate_rgb, body.T_world_camera[0], body.intrinsics.resized(width, height))
+    heading_rad = room_heading(plate.plate_rgb, body.T_world_camera[0], body.intrinsics.resized(width, height))
     # A yaw turns z towards x, a heading x towards z.
-    room_yaw_rad = None if heading is None else -heading.turn_rad
+    room_yaw_rad = None if heading_rad is None else -heading_rad
     views = ObjectViews(masks, depth, unseen, people, config.depth_error_ratio, room_yaw_rad)
     foreign = _user_meshes(config)
     numbers = {found.object_id for found in completed.objects}

@@ -178,7 +178,7 @@ def test_edges_tell_the_heading_of_walls() -> None:
         world = room(yaw_deg)
         heading = room_heading(world.plate.plate_rgb, world.pose, LENS)
         assert heading is not None
-        assert abs((np.rad2deg(heading.turn_rad) + 45) % 90 - 45) < 1.0
+        assert abs((np.rad2deg(heading) + 45) % 90 - 45) < 1.0
 
 
 def test_walls_and_ceiling_are_where_they_are() -> None:
@@ -278,6 +278,8 @@ def test_a_door_is_a_rectangle_of_the_wall_and_shows_what_is_behind(round_top: b
     np.testing.assert_allclose([low[0], high[0], high[1]], [-0.15, 0.95, 2.0], atol=0.08)
     assert low[1] == pytest.approx(0.0, abs=0.01)
     assert len(near.mesh.faces) == 6
+    gap_m = np.linalg.norm(near.mesh.vertices_m[:, None] - corners_m, axis=-1)
+    assert gap_m.min(0).max() < 1e-3
 
 
 def test_pieces_come_back_from_disk(tmp_path: Path) -> None:

@@ -153,9 +153,9 @@ def _far_part(view: View, parts: list[Part], own: np.ndarray, paths_m: np.ndarra
 def _surface_depth(
     view: View, parts: Sequence[Part], label: Int[np.ndarray, "height width"]
 ) -> Float[np.ndarray, "height width"]:
-    """Depth of what each pixel shows, by its part or of the thing; 0 where it is not known. The floor
+    """Depth of what each pixel shows, by its part; 0 where that is a thing or not known. The floor
     counts as the foot of what is seen above it: it belongs to a wall's place or to what is seen through a gap."""
-    surface_m = np.where(view.things & view.known, view.depth_m, 0.0)
+    surface_m = np.zeros(view.shape)
     for part in parts:
         surface_m[part.own] = part.plane.depth_m(view.direction[part.own])
     rows = np.arange(view.shape[0])[:, None]

@@ -17,6 +17,10 @@ from video2anim.types.camera import Intrinsics
 _STEP_RAD = np.deg2rad(0.5)
 _EDGE_SIGMA_RAD = np.deg2rad(1.0)
 """By which edges miss their vanishing point: error of their ends, of lens and of gravity."""
+_UPRIGHT_RAD = np.deg2rad(2.0)
+"""Edges whose plane is so near to upright run up, or tell nothing."""
+_FULL_LENGTH = 0.1
+"""Edges of this length (radians) and more count whole."""
 _LEAST_SCORE = 0.15
 """Of the edges' weight, that a room's heading explains beyond what a chance heading does."""
 _SECOND = 0.5
@@ -47,12 +51,11 @@ def room_heading(
         # The same turn of an edge about its middle turns its plane less against a direction that it points at.
         aside = np.sqrt(np.maximum(1 - (along @ direction) ** 2, 0.01))
         fit = np.maximum(fit, np.exp(-0.5 * (normal @ direction / aside / _EDGE_SIGMA_RAD) ** 2))
-    # Edges whose plane is upright run up, or tell nothing.
-    weight = length * np.abs(normal[:, 1])
+    weight = np.minimum(1, length / _FULL_LENGTH) * (np.abs(normal[:, 1]) > np.sin(_UPRIGHT_RAD))
     # An edge that suits every heading, on the horizon, counts for none.
     score = weight @ (fit - fit.mean(1, keepdims=True))
     best = int(score.argmax())
     apart = np.abs((turns - turns[best] + np.pi / 4) % (np.pi / 2) - np.pi / 4) > _APART_RAD
-    if score[best] < _LEAST_SCORE * weight.sum() or score[apart].max() > _SECOND * score[best]:
+    if score[best] < max(_LEAST_SCORE * weight.sum(), 1.0) or score[apart].max() > _SECOND * score[best]:
         return None
     return float(turns[best])

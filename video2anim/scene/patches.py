@@ -104,8 +104,13 @@ def room_piece(
         plate_rgb: the view's picture at any size.
         openings: corners as shares of the rectangle's sides.
     """
+    last = np.array(field.shape[::-1]) - 1
     share, faces = triangulated(outlines(field))
-    share = share / (np.array(field.shape[::-1]) - 1)
+    # Outlines cut corners by half a cell.
+    for corner in np.reshape(openings, (-1, 2)) * last:
+        gap = np.linalg.norm(share - corner, axis=1)
+        share[gap.argmin()] = corner if gap.min() < 1 else share[gap.argmin()]
+    share = share / last
     image = _painted(patch, view, shown, plate_rgb)
     uv = np.stack([share[:, 0], 1 - share[:, 1]], -1)
     at = np.clip(uv * image.shape[1::-1], 0, np.array(image.shape[1::-1]) - 1).astype(int)
