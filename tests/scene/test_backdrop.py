@@ -253,13 +253,14 @@ def test_pictures_of_pieces_are_the_plate() -> None:
         assert np.median(np.abs(off[same])) <= 4, piece.name
 
 
-@pytest.mark.parametrize("round_top", [False, True])
-def test_a_door_is_a_rectangle_of_the_wall_and_shows_what_is_behind(round_top: bool) -> None:
-    """A wall at 4 m with a hole, 1.1 by 2 m, through which another at 7 m is seen."""
+@pytest.mark.parametrize("is_round", [False, True])
+def test_a_door_is_a_rectangle_of_the_wall_and_shows_what_is_behind(is_round: bool) -> None:
+    """A wall at 4 m with a hole, 1.1 by 2 m, through which another at 7 m is seen; a round hole off the floor, as by
+    errors of depth, is none."""
 
     def reaches(p: np.ndarray) -> np.ndarray:
         hole = (np.abs(p[..., 0] - 0.4) < 0.55) & (p[..., 1] < 2.0)
-        if round_top:
+        if is_round:
             hole = np.hypot(p[..., 0] - 0.4, p[..., 1] - 1.1) < 0.9
         return (p[..., 1] > 0) & ~hole
 
@@ -269,9 +270,9 @@ def test_a_door_is_a_rectangle_of_the_wall_and_shows_what_is_behind(round_top: b
     (far,) = [p for p in found.pieces if abs(p.mesh.vertices_m[:, 2].mean() + 7.0) < 0.3]
     expect_simple(near)
     assert far.openings == ()
-    if round_top:
+    if is_round:
         assert near.openings == ()
-        assert 10 < len(near.mesh.faces) < 60
+        assert len(near.mesh.faces) == 2
         return
     (corners_m,) = near.openings
     low, high = corners_m.min(0), corners_m.max(0)

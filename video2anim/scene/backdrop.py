@@ -176,8 +176,9 @@ def _piece(
     nodes_m = part.patch.grid(part.reach_m(view) / view.intrinsics.fx_px)
     solid = part.plane.kind in ("wall", "ceiling")
     own_m = part.plane.depth_m(view.direction)
-    # Cards and the backdrop are there where they are seen, and behind what is nearer below that.
-    covered = ~part.is_open(view, surface_m) & (solid | np.maximum.accumulate(part.own, axis=0))
+    # Cards and the backdrop are there where they are seen, and behind what is clearly nearer below that.
+    hidden = np.maximum.accumulate(part.own, axis=0) & (surface_m < own_m * (1 - THROUGH))
+    covered = ~part.is_open(view, surface_m) if solid else hidden
     kept = view.sampled(part.own | covered, nodes_m, solid)
     whole = tidy(kept, SMOOTH_PX)
     field, openings = squared(whole, SMOOTH_PX) if solid else (smooth_field(whole, SMOOTH_PX), ())

@@ -72,13 +72,16 @@ def smooth_field(kept: Bool[np.ndarray, "rows columns"], radius: int) -> Float[n
 def squared(
     kept: Bool[np.ndarray, "rows columns"], radius: int
 ) -> tuple[Float[np.ndarray, "rows columns"], tuple[Float[np.ndarray, "4 2"], ...]]:
-    """A smooth field whose holes are rectangles where a rectangle explains them, and those of the rectangles that are
-    openings: with something of the piece on both sides and above. Corners are shares of both sides."""
+    """A smooth field with holes where a rectangle explains them, cut as rectangles where it explains what is missing at
+    the border, and those of the rectangles that are openings: with something of the piece on both sides and above.
+    Corners are shares of both sides."""
     whole, openings = kept.copy(), []
     cut, _ = ndimage.label(~kept)
     last = np.array(kept.shape) - 1
     for index, where in enumerate(ndimage.find_objects(cut), 1):
+        inside = all(s.start > 0 and s.stop <= n for s, n in zip(where, last, strict=True))
         if (cut[where] == index).mean() < _OPENING_IOU:
+            whole[where] |= inside & (cut[where] == index)
             continue
         whole[where] = True
         (b0, b1), (a0, a1) = ((max(s.start - 0.5, 0), min(s.stop - 0.5, n)) for s, n in zip(where, last, strict=True))
