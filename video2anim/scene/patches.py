@@ -76,7 +76,7 @@ def squared(
     the border, and those of the rectangles that are openings: with something of the piece on both sides and above.
     Corners are shares of both sides."""
     whole, openings = kept.copy(), []
-    cut, _ = ndimage.label(~kept)
+    _, cut = cv2.connectedComponents((~kept).astype(np.uint8), connectivity=4)
     last = np.array(kept.shape) - 1
     for index, where in enumerate(ndimage.find_objects(cut), 1):
         inside = all(s.start > 0 and s.stop <= n for s, n in zip(where, last, strict=True))
