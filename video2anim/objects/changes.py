@@ -1,17 +1,18 @@
 """Places of a fixed camera's picture that look different for good from some moment on: something left or came there.
 
-A pixel changes where the medians of its colors before and after a moment differ by more than its noise. People hide what
-happens when somebody takes a thing, so that the moment is known as a stretch: from the last look at the old color to the
-first at the new one.
+A pixel changes where the medians of its colors before and after a moment differ by more than its noise. People hide
+what happens when somebody takes a thing, so that the moment is known as a stretch: from the last look at the old color
+to the first at the new one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Int, UInt8
 from scipy import ndimage
 
 _WINDOW = 6
@@ -28,8 +29,10 @@ _TELLING = 0.3
 _EVEN = 0.15
 """Logarithms of the light's change that differ by less are the same: a shadow takes the same share of every channel,
 over its whole area."""
-_THIN = 0.12
-"""Half the width of the border of a shadow that touches an object, against the square root of its area."""
+_PIECE = 0.2
+"""Smaller pieces against the largest are not the object's."""
+_WEAK = 0.25
+"""What changes by a smaller share of the upper quartile is a shadow of the object."""
 _BORDER_PX = 2
 """The edge of an object is looked at so far inside and outside its outline."""
 
@@ -64,46 +67,95 @@ def lasting_changes(
         wanted: Where to look.
         least_px: Pixels of the smallest.
     """
-    rows, columns = np.nonzero(cv2.dilate(wanted.astype(np.uint8), np.ones((2 * _BORDER_PX + 3,) * 2)))
-    if not len(rows) or len(rgb) <= 2 * _WINDOW:
+    pixels = _Pixels.of(rgb, hidden, wanted) if len(rgb) > 2 * _WINDOW else None
+    if pixels is None:
         return ()
-    color = np.stack([_lab(picture)[rows, columns] for picture in rgb])
-    seen = ~hidden[:, rows, columns]
-    lively = _lively(color, seen)
-    rows, columns, color, seen = rows[lively], columns[lively], color[:, lively], seen[:, lively]
-    if not len(rows):
-        return ()
-    before, after = _medians(color, seen)[:-1], _medians(color[::-1], seen[::-1])[::-1][1:]
-    step = np.linalg.norm(after - before, axis=-1)
-    jitter = np.where(seen[1:], np.linalg.norm(color[1:] - before, axis=-1), 0)
-    noise = np.maximum(_NOISE_LAB, np.median(np.nan_to_num(jitter), axis=0))
-    changed = np.zeros((len(step), *wanted.shape), bool)
-    changed[:, rows, columns] = np.nan_to_num(step) > _NOISES * noise
-    labels, _ = ndimage.label(changed, np.ones((3, 3, 3)))
-    place = np.full(wanted.shape, -1)
-    place[rows, columns] = np.arange(len(rows))
     found = []
-    for number, box in enumerate(ndimage.find_objects(labels), start=1):
-        inside = labels[box] == number
-        if inside.any(0).sum() < least_px:
-            continue
-        # The moment in which the most of it changes.
-        amount = np.where(inside, step[box[0]][:, place[box[1:]].clip(0)], 0).sum((1, 2))
-        at = box[0].start + int(amount.argmax())
-        whole = np.zeros(wanted.shape, bool)
-        whole[box[1:]] = inside.any(0)
-        whole &= place >= 0
-        states = [np.where((place >= 0)[..., None], state[at][place.clip(0)], np.nan) for state in (before, after)]
-        pieces, count = ndimage.label(ndimage.binary_opening(whole & ~_shadow(*states), np.ones((2, 2))))
+    for whole, at in pixels.events(least_px):
+        states = pixels.state(pixels.before[at]), pixels.state(pixels.after[at])
+        pieces, count = _labeled(ndimage.binary_opening(whole & ~_shadow(*states), np.ones((2, 2))))
         for piece in range(1, count + 1):
-            mask = ndimage.binary_fill_holes(pieces == piece) & (place >= 0)
-            mask = _cut(mask, *states) & (place >= 0)
+            mask = _cut(ndimage.binary_fill_holes(pieces == piece) & pixels.known, *states) & pixels.known
             if mask.sum() < least_px:
                 continue
-            own = place[mask]
-            first, last = _moment(color[:, own], seen[:, own], before[at, own], after[at, own], at)
+            first, last = pixels.moment(mask, at)
             found.append(_told(mask, first, last, rgb, hidden, *states))
     return tuple(sorted(found, key=lambda change: change.last))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pixels:
+    """Pixels that may change, through time."""
+
+    place: Int[np.ndarray, "height width"]
+    """Number of each pixel; -1 where nothing is looked for."""
+    color: Float32[np.ndarray, "samples pixels 3"]
+    seen: Bool[np.ndarray, "samples pixels"]
+    before: Float32[np.ndarray, "gaps pixels 3"]
+    """Color before the moment between a sample and the next."""
+    after: Float32[np.ndarray, "gaps pixels 3"]
+
+    @classmethod
+    def of(cls, rgb: np.ndarray, hidden: np.ndarray, wanted: Bool[np.ndarray, "height width"]) -> _Pixels | None:
+        """Those that are wanted; None where nothing moves there."""
+        around = np.ones((2 * _BORDER_PX + 3,) * 2, np.uint8)
+        rows, columns = np.nonzero(cv2.dilate(wanted.astype(np.uint8), around))
+        if not len(rows):
+            return None
+        color = np.stack([_lab(picture)[rows, columns] for picture in rgb])
+        seen = ~hidden[:, rows, columns]
+        lively = _lively(color, seen)
+        if not lively.any():
+            return None
+        color, seen = color[:, lively], seen[:, lively]
+        place = np.full(wanted.shape, -1)
+        place[rows[lively], columns[lively]] = np.arange(int(lively.sum()))
+        return cls(place, color, seen, _medians(color, seen)[:-1], _medians(color[::-1], seen[::-1])[::-1][1:])
+
+    @property
+    def known(self) -> Bool[np.ndarray, "height width"]:
+        return self.place >= 0
+
+    def state(self, color: Float32[np.ndarray, "pixels 3"]) -> Float32[np.ndarray, "height width 3"]:
+        """Colors of all pixels as a picture, NaN where nothing is looked for."""
+        return np.where(self.known[..., None], color[self.place.clip(0)], np.nan).astype(np.float32)
+
+    def events(self, least_px: float) -> Iterator[tuple[Bool[np.ndarray, "height width"], int]]:
+        """Pixels that change together, and the gap between samples in which most of them do."""
+        step = np.linalg.norm(self.after - self.before, axis=-1)
+        jitter = np.where(self.seen[1:], np.linalg.norm(self.color[1:] - self.before, axis=-1), 0)
+        noise = np.maximum(_NOISE_LAB, np.median(np.nan_to_num(jitter), axis=0))
+        changed = (np.nan_to_num(step) > _NOISES * noise)[:, self.place.clip(0)] & self.known
+        labels, _ = _labeled(changed, np.ones((3, 3, 3)))
+        for number, box in enumerate(ndimage.find_objects(labels), start=1):
+            inside = labels[box] == number
+            if inside.any(0).sum() < least_px:
+                continue
+            amount = np.where(inside, step[box[0]][:, self.place[box[1:]].clip(0)], 0).sum((1, 2))
+            whole = np.zeros(self.place.shape, bool)
+            whole[box[1:]] = inside.any(0)
+            yield whole, box[0].start + int(amount.argmax())
+
+    def moment(self, mask: Bool[np.ndarray, "height width"], about: int) -> tuple[int, int]:
+        """Samples of the last look at the old state and the first at the new; what sees too little does not count."""
+        own = self.place[mask]
+        color, seen = self.color[:, own], self.seen[:, own]
+        from_old, from_new = (np.linalg.norm(color - state[about, own], axis=-1) for state in (self.before, self.after))
+        looks = seen.sum(1)
+        told = looks > _TELLING * seen.shape[1]
+        new = ((from_old > from_new) & seen).sum(1) > 0.5 * looks
+        sample = np.arange(len(color))
+        old = sample[told & ~new & (sample <= about + _WINDOW)]
+        first = int(old[-1]) if len(old) else 0
+        later = sample[told & new & (sample > first)]
+        return first, int(later[0]) if len(later) else len(color) - 1
+
+
+def _labeled(mask: np.ndarray, structure: np.ndarray | None = None) -> tuple[np.ndarray, int]:
+    """Connected parts, numbered from 1, and how many."""
+    labels = np.zeros(mask.shape, np.int32)
+    count = ndimage.label(mask, structure, output=labels)
+    return labels, int(count)  # pyright: ignore[reportArgumentType]
 
 
 def _cut(
@@ -111,29 +163,14 @@ def _cut(
     before: Float32[np.ndarray, "height width 3"],
     after: Float32[np.ndarray, "height width 3"],
 ) -> Bool[np.ndarray, "height width"]:
-    """The part that changes most, by GrabCut on the change itself: shadows at its border change less."""
-    change = _light_change(before, after)
+    """Without the shadows at its border, which change less than the most of it."""
     amount = np.nan_to_num(np.linalg.norm(after - before, axis=-1))
-    channels = np.stack([5 * amount, 100 * np.abs(change.mean(-1)), 100 * np.ptp(change, axis=-1)], -1)
-    picture = channels.clip(0, 255).astype(np.uint8)
-    radius = max(2, round(0.25 * float(np.sqrt(mask.sum()))))
-    around = cv2.dilate(mask.astype(np.uint8), np.ones((2 * radius + 1,) * 2, np.uint8)) > 0
-    rows, columns = np.flatnonzero(around.any(1)), np.flatnonzero(around.any(0))
-    box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-    seeds = np.full(mask.shape, cv2.GC_BGD, np.uint8)
-    seeds[around] = cv2.GC_PR_BGD
-    seeds[mask] = cv2.GC_PR_FGD
-    strong = mask & (amount > np.median(amount[mask]))
-    seeds[strong] = cv2.GC_FGD
-    own = seeds[box].copy()
-    if (own == cv2.GC_BGD).any() or (own == cv2.GC_PR_BGD).any():
-        models = np.zeros((1, 65)), np.zeros((1, 65))
-        cv2.grabCut(np.ascontiguousarray(picture[box]), own, None, *models, 3, cv2.GC_INIT_WITH_MASK)
-    cut = np.zeros_like(mask)
-    cut[box] = (own == cv2.GC_FGD) | (own == cv2.GC_PR_FGD)
-    cut = ndimage.binary_opening(cut, np.ones((2, 2)))
-    labels, count = ndimage.label(cut)
-    return cut if not count else ndimage.binary_fill_holes(labels == 1 + np.bincount(labels.ravel())[1:].argmax())
+    strong = ndimage.binary_opening(mask & (amount > _WEAK * np.percentile(amount[mask], 75)), np.ones((2, 2)))
+    labels, count = _labeled(ndimage.binary_closing(strong, np.ones((5, 5))))
+    if not count:
+        return mask
+    area = np.bincount(labels.ravel())[1:]
+    return mask & ndimage.binary_fill_holes(np.isin(labels, 1 + np.flatnonzero(area > _PIECE * area.max())))
 
 
 def _lively(
@@ -188,25 +225,6 @@ def _medians(
         kept[:, free] = np.concatenate([kept[1:, free], now[None, free]])
         medians[k] = np.median(kept, axis=0)
     return medians
-
-
-def _moment(
-    color: Float32[np.ndarray, "samples pixels 3"],
-    seen: Bool[np.ndarray, "samples pixels"],
-    before: Float32[np.ndarray, "pixels 3"],
-    after: Float32[np.ndarray, "pixels 3"],
-    about: int,
-) -> tuple[int, int]:
-    """Samples of the last look at the old state and the first at the new one; those that see too little do not count."""
-    is_new = np.linalg.norm(color - before, axis=-1) > np.linalg.norm(color - after, axis=-1)
-    looks = seen.sum(1)
-    told = looks > _TELLING * seen.shape[1]
-    new = (is_new & seen).sum(1) > 0.5 * looks
-    sample = np.arange(len(color))
-    old = sample[told & ~new & (sample <= about + _WINDOW)]
-    first = int(old[-1]) if len(old) else 0
-    later = sample[told & new & (sample > first)]
-    return first, int(later[0]) if len(later) else len(color) - 1
 
 
 def _told(

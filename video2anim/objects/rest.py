@@ -1,0 +1,132 @@
+"""Where something lies that a hand takes or puts down."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from video2anim.geometry.projection import pixel_rays
+from video2anim.geometry.scene_mesh import world_mesh
+from video2anim.objects.hands import HandPath, upright
+from video2anim.types import InstanceMasks, PlacedObject
+from video2anim.types.camera import Intrinsics
+
+_RESTS_M = 0.25
+"""A level surface so far below or above the bottom of something is what it rests on."""
+_HAND_SIGMA_M = 0.15
+"""Standard deviation of a hand's distance from the camera."""
+_FLOOR_SIGMA_M, _TOP_SIGMA_M = 0.02, 0.06
+"""Those of the heights of the floor and of objects' tops (`benchmarks/v2a_bench.py`)."""
+_SAME_OBJECT = 0.3
+"""Share of the smaller outline in the other from which both are of one object..."""
+_LARGER = 3.0
+"""...unless its outline is so much larger: things stand on tables."""
+_ALIKE = 0.7
+"""Sizes of one object by two outlines: logarithm of their ratio, a factor of 2."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """An object where it lies."""
+
+    T_world_object: Float[np.ndarray, "4 4"]
+    size_m: tuple[float, float, float]
+    """Width, height and depth in its frame."""
+
+    @classmethod
+    def of(cls, item: PlacedObject) -> Rest:
+        """Of an object of the scene."""
+        width_m, height_m, depth_m = (item.scale * np.ptp(item.mesh.vertices_m.astype(float), axis=0)).tolist()
+        return cls(item.T_world_object, (width_m, height_m, depth_m))
+
+    @property
+    def middle_m(self) -> Float[np.ndarray, "3"]:
+        """Of its box, in the world."""
+        return self.T_world_object[:3, 3] + 0.5 * self.size_m[1] * self.T_world_object[:3, 1]
+
+    def alike(self, other: Rest) -> bool:
+        """Both may be one object."""
+        return bool(np.abs(np.log(np.divide(self.size_m, other.size_m))).max() < _ALIKE)
+
+
+class SceneAtRest:
+    """The scene in which something moves, in the pictures of a fixed camera."""
+
+    def __init__(
+        self,
+        objects: Sequence[PlacedObject],
+        masks: InstanceMasks,
+        lens: Intrinsics,
+        T_world_camera: Float[np.ndarray, "4 4"],
+    ) -> None:
+        self.objects, self.lens, self.T_world_camera = {item.object_id: item for item in objects}, lens, T_world_camera
+        size = (lens.width_px, lens.height_px)
+        self._masks = {
+            item.object_id: cv2.resize(item.mask.astype(np.uint8), size, interpolation=cv2.INTER_AREA) > 0
+            for item in masks.instances
+            if item.object_id in self.objects
+        }
+        self._solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in objects]
+
+    def known(self, outline: Bool[np.ndarray, "height width"]) -> PlacedObject | None:
+        """The object of the background image that has an outline, or a part of it."""
+        best, found = _SAME_OBJECT, None
+        for number, mask in self._masks.items():
+            shared = (mask & outline).sum() / max(min(mask.sum(), outline.sum()), 1)
+            if shared > best and mask.sum() < _LARGER * outline.sum():
+                best, found = shared, self.objects[number]
+        return found
+
+    def rest(self, mask: Bool[np.ndarray, "height width"], hand: HandPath, frame: int) -> Rest:
+        """A box around what a change shows, at the distance of the hand that has it then, on what is under it."""
+        rows, columns = np.nonzero(mask)
+        depth_m = float(hand.depth_m[frame])
+        R, origin_m = self.T_world_camera[:3, :3], self.T_world_camera[:3, 3]
+        across_m = (np.ptp(columns) + 1) * depth_m / self.lens.fx_px
+        down_m = (np.ptp(rows) + 1) * depth_m / self.lens.fy_px
+        # A box as deep as wide, seen from above by the camera's pitch, shows its front and its top.
+        sine = float(np.clip(-R[1, 2], 0, 0.95))
+        height_m = max((down_m - across_m * sine) / np.sqrt(1 - sine**2), 0.25 * across_m)
+        low = R @ pixel_rays(self.lens)[rows.max(), round(columns.mean())]
+        front_m = origin_m + depth_m * low
+        support_m = self._support_m(front_m)
+        if support_m is not None and low[1] < 0:
+            # Where the line of sight meets the support is the less certain the flatter it meets it.
+            sigma_m = _FLOOR_SIGMA_M if support_m == 0 else _TOP_SIGMA_M
+            weight = (low[1] * _HAND_SIGMA_M / sigma_m) ** 2
+            front_m = origin_m + low * (depth_m + weight * (support_m - origin_m[1]) / low[1]) / (1 + weight)
+            front_m[1] = support_m
+        ahead = np.array([R[0, 2], 0, R[2, 2]]) / np.hypot(R[0, 2], R[2, 2])
+        T = np.eye(4)
+        T[:3, :3] = upright(np.arctan2(-ahead[[0]], -ahead[[2]]))[0]
+        T[:3, 3] = front_m + 0.5 * across_m * ahead
+        return Rest(T, (across_m, height_m, across_m))
+
+    def lowered(self, rest: Rest) -> Rest:
+        """The same object upright on what is under it."""
+        T = np.eye(4)
+        T[:3, :3] = upright(np.arctan2(rest.T_world_object[[0], 2], rest.T_world_object[[2], 2]))[0]
+        T[:3, 3] = rest.T_world_object[:3, 3]
+        support_m = self._support_m(T[:3, 3])
+        T[1, 3] = T[1, 3] if support_m is None else support_m
+        return Rest(T, rest.size_m)
+
+    def _support_m(self, bottom_m: Float[np.ndarray, "3"]) -> float | None:
+        """Height of the level surface nearest to the bottom of something; None where none is near."""
+        heights = [0.0]
+        for solid in self._solids:
+            corners = solid.vertices_m[solid.faces]
+            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            level = normal[:, 1] > 0.9 * np.maximum(np.linalg.norm(normal, axis=-1), 1e-12)
+            low, high = (
+                corners[level][..., [0, 2]].min(1) - _TOP_SIGMA_M,
+                corners[level][..., [0, 2]].max(1) + _TOP_SIGMA_M,
+            )
+            over = ((low <= bottom_m[[0, 2]]) & (bottom_m[[0, 2]] <= high)).all(1)
+            heights += corners[level][over].mean(1)[:, 1].tolist()
+        gap_m = np.abs(np.array(heights) - bottom_m[1])
+        return float(heights[int(gap_m.argmin())]) if gap_m.min() < _RESTS_M else None
