@@ -33,6 +33,7 @@ from video2anim.types import (
 
 if TYPE_CHECKING:
     from video2anim.fitting.supports import Support
+    from video2anim.objects.carried import Pictures
 
 _FAR_SCAN_M = 0.25
 """A scan that stays farther from the video's depth is probably not in place."""
@@ -105,7 +106,8 @@ def build_scene(
     if config.scan:
         return _scanned(motion_m, depth, bodies, config, ctx)
     rested = _rested(bodies)
-    found = with_moved_objects(clip, plate, masks, bodies.people, placed.objects)
+    pictures = _pictures(clip, plate)
+    found = placed.objects if pictures is None else with_moved_objects(pictures, masks, bodies.people, placed.objects)
     moved = [item for item in found if item.path]
     still = [item for item in found if not item.path]
     objects = _not_walked_through(still, rested, bodies, config, ctx)
@@ -132,6 +134,30 @@ def build_scene(
     objects += moved
     ctx.quality("openings", sum(len(piece.openings) for piece in seen.pieces), "openings")
     return SceneModel(tuple(objects), floor, seen.pieces, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
+
+
+def _pictures(clip: VideoClip, plate: BackgroundPlate) -> Pictures | None:
+    """Small pictures with where people are in them; None for a camera that moves."""
+    import cv2
+
+    from video2anim.objects.carried import LONG_SIDE_PX, MOST_SAMPLES, Pictures
+    from video2anim.video import read_frames
+
+    if not clip.camera_is_static or len(plate.frame_index) < 2:
+        return None
+    step = int(plate.frame_index[1])
+    regular = np.flatnonzero(plate.frame_index % step == 0)
+    every = -(-len(regular) // MOST_SAMPLES)
+    rows = regular[::every]
+    scale = min(1.0, LONG_SIDE_PX / max(clip.width_px, clip.height_px))
+    size = (round(clip.width_px * scale), round(clip.height_px * scale))
+    frames = read_frames(clip, 0, int(plate.frame_index[rows[-1]]) + 1, step * every)
+    rgb = np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
+    people = [
+        cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) for mask in plate.person_mask[rows]
+    ]
+    plate_rgb = cv2.resize(plate.plate_rgb, size, interpolation=cv2.INTER_AREA)
+    return Pictures(rgb, np.stack(people) > 0, plate_rgb, step * every)
 
 
 def _scanned(

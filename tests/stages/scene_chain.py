@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from video2anim.types import (
     ObjectMeshes,
     PlacedObjects,
     SceneModel,
+    VideoClip,
 )
 
 
@@ -59,6 +60,11 @@ def masks_of(room: Room, depth: DepthClip, config: SegmentConfig, ctx: StageCont
     return segment_plate(room.clip, room.plate, depth, room.bodies, room.camera, config, ctx)
 
 
+def unfilmed(room: Room) -> VideoClip:
+    """The room's clip as of a camera that moves: it has no video in which somebody could move things."""
+    return replace(room.clip, camera_is_static=False)
+
+
 @functools.cache
 def run_chain(room: Room) -> Chain:
     """All seven stages with default configuration."""
@@ -69,7 +75,7 @@ def run_chain(room: Room) -> Chain:
     completed = complete_objects(room.plate, masks, metric, CompleteConfig(), ctx)
     meshes = reconstruct_objects(completed, masks, metric, room.plate, ReconstructConfig(), ctx)
     placed = place_objects(meshes, masks, metric, PlaceConfig(), ctx)
-    scene = build_scene(placed, metric, depth, masks, room.plate, SceneConfig(), ctx)
+    scene = build_scene(unfilmed(room), placed, metric, depth, masks, room.plate, SceneConfig(), ctx)
     return Chain(depth, masks, metric, completed, meshes, placed, scene, ctx)
 
 

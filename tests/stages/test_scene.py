@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scene_chain import T_room_world, all_finite, run_chain
+from scene_chain import T_room_world, all_finite, run_chain, unfilmed
 from synthetic_room import BOX_CENTER_M, BOX_SIZE_M, WALL_Z_M, make_room
 
 from stages.scene import SceneConfig, build_scene
@@ -56,7 +56,7 @@ def test_node_limit_is_kept() -> None:
     chain = run_chain(room)
     config = SceneConfig(most_nodes=20_000)
     ctx = StageContext(chain.ctx.work_dir)
-    scene = build_scene(chain.placed, chain.metric, chain.depth, chain.masks, room.plate, config, ctx)
+    scene = build_scene(unfilmed(room), chain.placed, chain.metric, chain.depth, chain.masks, room.plate, config, ctx)
     assert scene.sdf_m.size <= 20_000
     assert scene.sdf_spacing_m > config.sdf_spacing_m
 

@@ -20,12 +20,13 @@ from video2anim.objects.changes import Change, lasting_changes
 from video2anim.objects.hands import NEAR_M, Grip, HandPath, grip, hands_of, holders, reach, upright
 from video2anim.objects.meshing import ObjectPicture, box_object
 from video2anim.objects.rest import Rest, SceneAtRest
-from video2anim.types import BackgroundPlate, BodyMotion, Hold, InstanceMasks, ObjectPath, PlacedObject, VideoClip
+from video2anim.types import BodyMotion, Hold, InstanceMasks, ObjectPath, PlacedObject
 
-_LONG_SIDE_PX = 480
-_LEAST_PX = 30
-"""Of that picture: a cup at 4 m."""
-_MOST_SAMPLES = 400
+LONG_SIDE_PX = 480
+"""Of the pictures that are looked at."""
+_LEAST_PX = 60
+"""Of that picture: a cup at 3 m. Smaller changes are borders of shadows and of people as often."""
+MOST_SAMPLES = 400
 _MOST_GRIPS = 12
 """Every two of them are tried together: 2 s."""
 _LOOKS = 3
@@ -46,52 +47,28 @@ _FADE_FRAMES = 10
 """In which the difference between an object's rest and the hand fades by two thirds: a third of a second."""
 
 
-def with_moved_objects(
-    clip: VideoClip,
-    plate: BackgroundPlate,
-    masks: InstanceMasks,
-    people: Sequence[BodyMotion],
-    objects: Sequence[PlacedObject],
-) -> list[PlacedObject]:
-    """The objects, those that somebody moves with their paths, and boxes for moved things that were not among them.
-
-    Nothing is found where the camera moves, and nothing that never rests for a second.
-    """
-    if not clip.camera_is_static or len(plate.frame_index) < 2:
-        return list(objects)
-    pictures = _pictures(clip, plate)
-    lens = people[0].intrinsics.resized(*pictures.rgb.shape[2:0:-1])
-    hands = [hand for motion in people for hand in hands_of(motion, lens)]
-    changes = lasting_changes(pictures.rgb, pictures.hidden, reach(hands, lens), _LEAST_PX)
-    largest = sorted(changes, key=lambda change: change.mask.sum(), reverse=True)
-    found = [grip(change, hands, pictures.step, lens) for change in largest]
-    grips = [one for one in found if one is not None][:_MOST_GRIPS]
-    scene = SceneAtRest(objects, masks, lens, people[0].T_world_camera[0])
-    ways = [way for pair in _pairs(grips) for way in _ways(*pair, scene, pictures)]
-    kept = {item.object_id: item for item in objects}
-    for way in _apart(ways):
-        item = _placed(way, scene, max(kept, default=0) + 1)
-        kept[item.object_id] = item
-    return list(kept.values())
-
-
 @dataclass(frozen=True, eq=False)
-class _Pictures:
-    """Reduced pictures of a clip."""
+class Pictures:
+    """Small pictures of a fixed camera's clip, equally spaced in time."""
 
     rgb: UInt8[np.ndarray, "samples height width 3"]
-    hidden: Bool[np.ndarray, "samples height width"]
+    person_mask: Bool[np.ndarray, "samples height width"]
     """Where people are in them."""
     plate_rgb: UInt8[np.ndarray, "height width 3"]
     step: int
     """Frames from one to the next."""
 
     @functools.cached_property
+    def hidden(self) -> Bool[np.ndarray, "samples height width"]:
+        """Where people are or may be."""
+        return np.stack([cv2.dilate(mask.astype(np.uint8), _MARGIN) > 0 for mask in self.person_mask])
+
+    @functools.cached_property
     def _people(self) -> list[Float[np.ndarray, "some 3"]]:
         """Some colors of people in each picture."""
         found = []
-        for rgb, hidden in zip(self.rgb, self.hidden, strict=True):
-            colors = _lab(rgb)[cv2.erode(hidden.astype(np.uint8), _MARGIN) > 0]
+        for rgb, mask in zip(self.rgb, self.person_mask, strict=True):
+            colors = _lab(rgb)[mask]
             found.append(colors[:: max(1, len(colors) // _COLORS)])
         return found
 
@@ -109,23 +86,29 @@ class _Pictures:
         return bool((with_it > without).mean() > _SHOWN)
 
 
-def _pictures(clip: VideoClip, plate: BackgroundPlate) -> _Pictures:
-    from video2anim.video import read_frames
+def with_moved_objects(
+    pictures: Pictures,
+    masks: InstanceMasks,
+    people: Sequence[BodyMotion],
+    objects: Sequence[PlacedObject],
+) -> list[PlacedObject]:
+    """The objects, those that somebody moves with their paths, and boxes for moved things that were not among them.
 
-    step = int(plate.frame_index[1])
-    regular = np.flatnonzero(plate.frame_index % step == 0)
-    every = -(-len(regular) // _MOST_SAMPLES)
-    rows = regular[::every]
-    scale = min(1.0, _LONG_SIDE_PX / max(clip.width_px, clip.height_px))
-    size = (round(clip.width_px * scale), round(clip.height_px * scale))
-    frames = read_frames(clip, 0, int(plate.frame_index[rows[-1]]) + 1, step * every)
-    rgb = np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
-    hidden = [
-        cv2.dilate(cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), _MARGIN) > 0
-        for mask in plate.person_mask[rows]
-    ]
-    plate_rgb = cv2.resize(plate.plate_rgb, size, interpolation=cv2.INTER_AREA)
-    return _Pictures(rgb, np.stack(hidden), plate_rgb, step * every)
+    Nothing is found that never rests for a second.
+    """
+    lens = people[0].intrinsics.resized(*pictures.rgb.shape[2:0:-1])
+    hands = [hand for motion in people for hand in hands_of(motion, lens)]
+    changes = lasting_changes(pictures.rgb, pictures.hidden, reach(hands, lens), _LEAST_PX)
+    largest = sorted(changes, key=lambda change: change.mask.sum(), reverse=True)
+    found = [grip(change, hands, pictures.step, lens) for change in largest]
+    grips = [one for one in found if one is not None][:_MOST_GRIPS]
+    scene = SceneAtRest(objects, masks, lens, people[0].T_world_camera[0])
+    ways = [way for pair in _pairs(grips) for way in _ways(*pair, scene, pictures)]
+    kept = {item.object_id: item for item in objects}
+    for way in _apart(ways):
+        item = _placed(way, scene, max(kept, default=0) + 1)
+        kept[item.object_id] = item
+    return list(kept.values())
 
 
 def _pairs(grips: Sequence[Grip]) -> list[tuple[Grip | None, Grip | None]]:
@@ -169,7 +152,7 @@ class _Way:
     """Pixels that show it in the hand, summed over the pictures, and twice where both ends were seen."""
 
 
-def _ways(taken: Grip | None, put: Grip | None, scene: SceneAtRest, pictures: _Pictures) -> list[_Way]:
+def _ways(taken: Grip | None, put: Grip | None, scene: SceneAtRest, pictures: Pictures) -> list[_Way]:
     """With each hand that may have moved it, if the pictures show it there."""
     grips = [one for one in (taken, put) if one is not None]
     # Where a known object is in the picture, otherwise where most is seen.
@@ -247,7 +230,7 @@ def _looks(
     rest: Rest,
     hold: tuple[int, int],
     scene: SceneAtRest,
-    pictures: _Pictures,
+    pictures: Pictures,
 ) -> _Looks:
     """Of the object that a change shows, in a hand that takes it from its rest or puts it there.
 
