@@ -1,11 +1,13 @@
 """How well things that somebody moves are followed: six synthetic clips, true paths against estimated ones.
 
-    python benchmarks/carried.py --work carried_work
+    python benchmarks/carried.py --work carried_work [--told-height]
 
 Makes the clips of `video2anim synth --preset carried --seed 0` in `<work>/truth`, runs the pipeline into
 `<work>/results` (what is finished is kept), and compares the path of every thing that is moved in truth with the
 estimated path nearest to it, in the true world by the shared camera (docs/evaluation.md, `carried`). Writes
-`benchmarks/results/carried-<date>.json` and the table beside it as `.md`.
+`benchmarks/results/carried-<date>.json` and the table beside it as `.md`. Beside each path stands how far the wrist of
+the hand that holds it in truth is off in the same frames: one camera does not know how large, and so how far, somebody
+is. `--told-height` tells the pipeline the main person's true height.
 """
 
 from __future__ import annotations
@@ -24,14 +26,17 @@ from typing import Any
 import numpy as np
 from v2a_bench import call, number
 
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.skeleton import JOINT_INDEX
 from video2anim.eval.alignment import match_frames, truth_from_estimate
 from video2anim.eval.carried_rows import MovedThings, moved_things
 from video2anim.eval.results import SceneResult
 from video2anim.eval.truth import Truth, read_truth
-from video2anim.types import BodyTracks, SceneModel
+from video2anim.geometry.projection import transform_points
+from video2anim.types import BodyTracks, RefinedMotion, SceneModel
 
 SEED = 0
-HEADS = ("clip", "thing", "found", "middle off, mean, m", "95 %, m", "hold off, frames", "false paths")
+HEADS = ("clip", "thing", "found", "middle off, mean, m", "95 %, m", "wrist off, m", "hold off, frames", "false paths")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +49,8 @@ class ClipRow:
     found: bool
     path_mean_m: float | None
     path_p95_m: float | None
+    wrist_mean_m: float | None
+    """Of the holding hand, while the thing is held in truth."""
     hold_error_frames: float | None
     """Mean absolute error of the first and the last frame held; None where no hold is told."""
     false_paths: int
@@ -55,23 +62,27 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=Path("carried_work"), help="clips and scene folders, kept")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--seed", type=int, default=SEED, help="of the clips; the published table has 0")
+    parser.add_argument("--told-height", action="store_true", help="tell the main person's true height")
     options = parser.parse_args()
     truth = options.work / "truth"
     call("synth", "--preset", "carried", "--seed", str(options.seed), "--out", str(truth))
     rows: list[ClipRow] = []
     for name in [clip["name"] for clip in json.loads((truth / "set.json").read_text())["clips"]]:
-        scene_dir = options.work / "results" / name
-        call("run", str(truth / name / "video.mp4"), "--out", str(scene_dir), "--person", "all", "--until", "refine")
+        scene_dir = options.work / ("results_told" if options.told_height else "results") / name
+        known = ("--height-m", f"1={height_m(truth / name):.3f}") if options.told_height else ()
+        video = str(truth / name / "video.mp4")
+        call("run", video, "--out", str(scene_dir), "--person", "all", "--until", "refine", *known)
         rows += of_clip(scene_dir, truth / name)
     report = {
         "date": datetime.date.today().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
         "seed": options.seed,
+        "height told": options.told_height,
         "clips": [asdict(row) for row in rows],
         "means": means(rows),
     }
     options.out.mkdir(parents=True, exist_ok=True)
-    target = options.out / f"carried-{report['date']}.json"
+    target = options.out / f"carried{'-told-height' if options.told_height else ''}-{report['date']}.json"
     target.write_text(json.dumps(report, indent=1) + "\n")
     target.with_suffix(".md").write_text(f"Seed {options.seed}; {report['machine']}.\n\n{table(rows)}\n")
     sys.stdout.write(f"{table(rows)}\n{target}\n")
@@ -85,10 +96,24 @@ def of_clip(scene_dir: Path, truth_dir: Path) -> list[ClipRow]:
         raise SystemExit(f"{scene_dir}: {result.why(BodyTracks, SceneModel) or 'nobody was fitted'}")
     frames = match_frames(result.clip, truth)
     T_true_estimate = truth_from_estimate(bodies.people[0].T_world_camera, truth, frames)
-    return clip_rows(truth, moved_things(scene.objects, truth, frames, T_true_estimate))
+    refined = result.get(RefinedMotion)
+    main = (refined.people if refined else bodies.people)[0]
+    joints_m = transform_points(T_true_estimate, main.joints_world_m.astype(np.float64))
+    gap_m = np.linalg.norm(joints_m - truth.main.joints_world_m[frames.true_index], axis=-1)
+    wrist_m = {}
+    for item in truth.objects:
+        if item.held is not None and item.hands is not None:
+            held = item.held[frames.true_index] & frames.known
+            wrist_m[item.object_id] = float(gap_m[held][:, np.flatnonzero(item.hands) + _LEFT_WRIST].mean())
+    return clip_rows(truth, moved_things(scene.objects, truth, frames, T_true_estimate), wrist_m)
 
 
-def clip_rows(truth: Truth, found: MovedThings) -> list[ClipRow]:
+def height_m(truth_dir: Path) -> float:
+    """Of the main person's body."""
+    return float(np.ptp(shaped_body(read_truth(truth_dir).main.shape).rest_vertices_m[:, 1]))
+
+
+def clip_rows(truth: Truth, found: MovedThings, wrist_m: dict[int, float]) -> list[ClipRow]:
     """Rows from what was matched; false paths stand with the first thing of the clip."""
     rows = []
     for place, thing in enumerate(found.things):
@@ -98,6 +123,7 @@ def clip_rows(truth: Truth, found: MovedThings) -> list[ClipRow]:
                 truth.name, thing.label, there,
                 float(thing.error_m.mean()) if there else None,
                 float(np.percentile(thing.error_m, 95)) if there else None,
+                wrist_m.get(thing.object_id),
                 thing.hold_error_frames if math.isfinite(thing.hold_error_frames) else None,
                 0 if place else found.false_paths,
             )
@@ -115,7 +141,9 @@ def means(rows: list[ClipRow]) -> dict[str, Any]:
     }
 
 
-_AVERAGED = ("path_mean_m", "path_p95_m", "hold_error_frames")
+_AVERAGED = ("path_mean_m", "path_p95_m", "wrist_mean_m", "hold_error_frames")
+_LEFT_WRIST = JOINT_INDEX["left_wrist"]
+"""The right one is next."""
 
 
 def table(rows: list[ClipRow]) -> str:
