@@ -299,4 +299,4 @@ def _record_quality(
     ctx.quality("camera_drift", drift_ratio, "width")
 
 
-STAGE = StageSpec("ingest", ingest, version=2)
+STAGE = StageSpec("ingest", ingest, version=3)
