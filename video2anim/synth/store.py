@@ -19,7 +19,7 @@ from video2anim.geometry.scene_mesh import empty_mesh
 from video2anim.synth.render import PERSON_ID, Picture, Renderer, Sensor
 from video2anim.synth.render.texture import material_rgb, unrolled
 from video2anim.synth.world import FURNITURE_LABELS, LABELS, STRUCTURE_LABELS, Part, SceneObject, Shot
-from video2anim.types import Mesh, PlacedObject
+from video2anim.types import Mesh, PlacedObject, RoomPiece
 from video2anim.video import FrameWriter
 from video2anim.viewer.normals import vertex_normals
 
@@ -31,8 +31,8 @@ DEPTH_UNIT_M = 0.001
 @dataclass(frozen=True, slots=True, eq=False)
 class _SceneMeshes:
     objects: tuple[PlacedObject, ...]
-    floor: Mesh
-    background: Mesh
+    floor: RoomPiece
+    background: tuple[RoomPiece, ...]
 
 
 def write_clip(
@@ -159,7 +159,7 @@ def _write_meshes(work: Path, shot: Shot) -> None:
     placed = [placed_object(thing) for thing in things]
     for thing in placed:
         write_object_glb(work / "objects" / f"{thing.object_id}.glb", thing)
-    scene = _SceneMeshes(tuple(placed), empty_mesh(), empty_mesh())
+    scene = _SceneMeshes(tuple(placed), RoomPiece("floor", empty_mesh()), ())
     write_scene_glb(work / "scene.glb", tuple(character_of(actor.motion) for actor in shot.actors), scene)
 
 
