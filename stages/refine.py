@@ -227,13 +227,14 @@ def _field(scene: SceneModel) -> SdfGrid:
 
 def _solids(scene: SceneModel, main: BodyMotion, config: RefineConfig) -> Solids:
     """The objects, that give way mostly along their horizontal lines of sight; everything together where none does.
-    What somebody moves is none of them, as it is not in the scene's field."""
+    What somebody moves is one if it stays where it is for more than half of the clip, as it is in the scene's field."""
     from scenemi.postprocess.solids import MovableSolid, Solids
     from video2anim.fitting.supports import SUPPORT
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
+    from video2anim.objects.path import settled
 
-    standing = [item for item in scene.objects if not item.path]
+    standing = [item for item in map(settled, scene.objects) if item is not None]
     if not standing or not config.objects_move:
         return Solids(_field(scene), floor=False)
     camera_m = main.T_world_camera[0, :3, 3]
@@ -256,21 +257,28 @@ def _solids(scene: SceneModel, main: BodyMotion, config: RefineConfig) -> Solids
 
 def _moved(scene: SceneModel, solids: Solids, moved_m: Float[np.ndarray, "solids 3"], ctx: StageContext) -> SceneModel:
     """The scene with its objects where the solve has them."""
+    from video2anim.objects.path import settled
+
     if not (np.abs(moved_m) > _MOVED_M).any():
         return scene
     objects, ways_m = [], iter(moved_m)
     for item in scene.objects:
-        if item.path:
+        if settled(item) is None:
             objects.append(item)
             continue
         way_m = next(ways_m)
-        T = item.T_world_object.copy()
-        T[:3, 3] += way_m
-        objects.append(replace(item, T_world_object=T))
+        paths = tuple(replace(path, T_world_object=_shifted(path.T_world_object, way_m)) for path in item.path)
+        objects.append(replace(item, T_world_object=_shifted(item.T_world_object, way_m), path=paths))
         ctx.quality(f"object {item.object_id} moved", float(np.linalg.norm(way_m)), "m")
     nodes = np.stack(np.meshgrid(*(np.arange(n) for n in scene.sdf_m.shape), indexing="ij"), -1)
     slabs = [solids.distance_m(scene.sdf_origin_m + scene.sdf_spacing_m * slab, moved_m)[0] for slab in nodes]
     return replace(scene, objects=tuple(objects), sdf_m=np.stack(slabs).astype(np.float32))
+
+
+def _shifted(T: Float[np.ndarray, "*frames 4 4"], way_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "*frames 4 4"]:
+    moved = T.copy()
+    moved[..., :3, 3] += way_m
+    return moved
 
 
 def _moving(scene: SceneModel) -> tuple[MovingField, ...]:

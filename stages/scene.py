@@ -96,7 +96,7 @@ def build_scene(
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
     from video2anim.objects.carried import with_moved_objects
-    from video2anim.objects.path import resting
+    from video2anim.objects.path import settled
     from video2anim.scene.backdrop import backdrop
     from video2anim.scene.ground import ground
     from video2anim.scene.view import relative_sigma
@@ -111,13 +111,13 @@ def build_scene(
     moved = [item for item in found if item.path]
     still = [item for item in found if not item.path]
     objects = _not_walked_through(still, rested, bodies, config, ctx)
-    settled = [resting(item) for item in moved]
-    supports = _supports([*objects, *settled], rested, bodies, ctx) if config.supports else []
+    stay = [item for item in map(settled, moved) if item is not None]
+    supports = _supports([*objects, *stay], rested, bodies, ctx) if config.supports else []
     ctx.quality("walked through", len(still) - len(objects), "objects")
     ctx.quality("moved", len(moved), "objects")
     ctx.quality("supports inferred", len(supports), "objects")
     objects += supports
-    solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in objects]
+    solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *stay)]
     bounds_m = _field_bounds(motion_m, solids, config)
     spacing_m = _field_spacing(bounds_m, config)
     near = [solid for solid in solids if _overlap(solid, bounds_m)]

@@ -182,7 +182,8 @@ def test_benchmark_rows(
     assert one.path_mean_m == pytest.approx(0.1)
     assert one.path_p95_m == pytest.approx(0.1)
     assert one.hold_error_frames == pytest.approx(2.0)
-    assert one.wrist_mean_m is not None and one.wrist_mean_m < 0.3
+    assert one.wrist_mean_m is not None
+    assert one.wrist_mean_m < 0.3
     lost = script.ClipRow("other", "cup", False, None, None, None, None, 2)
     mean = script.means([one, lost])
     assert mean["found"] == 0.5

@@ -17,7 +17,9 @@ from scipy import ndimage
 
 _WINDOW = 6
 """Looks before and after a moment that medians are taken of: a second of a clip sampled every fifth frame. What stays
-for a shorter time is not at rest."""
+for less is not at rest."""
+_CALM = 5
+"""Of these, so many must look alike: a hand or a face passes, or one is seen through noise."""
 _LUMINANCE_WEIGHT = 0.5
 """Cast shadows change luminance most; it counts for less, as for the masks of people."""
 _NOISE_LAB = 1.5
@@ -218,12 +220,14 @@ def _lab(rgb: UInt8[np.ndarray, "height width 3"]) -> Float32[np.ndarray, "heigh
 def _medians(
     color: Float32[np.ndarray, "samples pixels 3"], seen: Bool[np.ndarray, "samples pixels"]
 ) -> Float32[np.ndarray, "samples pixels 3"]:
-    """Median of each pixel's latest looks up to every sample; NaN for fewer than a window."""
+    """Median of each pixel's latest looks up to every sample; NaN for fewer than a window, or where they differ."""
     kept = np.full((_WINDOW, *color.shape[1:]), np.nan, np.float32)
     medians = np.empty_like(color)
     for k, (now, free) in enumerate(zip(color, seen, strict=True)):
         kept[:, free] = np.concatenate([kept[1:, free], now[None, free]])
         medians[k] = np.median(kept, axis=0)
+        near = np.linalg.norm(kept - medians[k], axis=-1) < 0.5 * _NOISES * _NOISE_LAB
+        medians[k, near.sum(0) < _CALM] = np.nan
     return medians
 
 

@@ -59,15 +59,16 @@ def follow_hand(placed: PlacedObject, before: Sequence[BodyMotion], after: Seque
     return replace(placed, T_world_object=T_world_object[0], path=(replace(path, T_world_object=T_world_object),))
 
 
-def resting(placed: PlacedObject) -> PlacedObject:
-    """The object as a thing that stays, where it is longest."""
+def settled(placed: PlacedObject) -> PlacedObject | None:
+    """The object as a thing that stays where it is, if it does for more than half of the clip."""
     if not placed.path:
         return placed
     T = placed.path[0].T_world_object
-    ends = np.concatenate([[True], np.abs(np.diff(T, axis=0)).max((1, 2)) > 0, [True]])
-    starts = np.flatnonzero(ends)
-    longest = starts[int(np.diff(starts).argmax())]
-    return replace(placed, T_world_object=T[longest], path=())
+    starts = np.flatnonzero(np.concatenate([[True], np.abs(np.diff(T, axis=0)).max((1, 2)) > 0, [True]]))
+    longest = int(np.diff(starts).argmax())
+    if 2 * (starts[longest + 1] - starts[longest]) <= len(T):
+        return None
+    return replace(placed, T_world_object=T[starts[longest]], path=())
 
 
 def holding(objects: Sequence[PlacedObject], motion: BodyMotion) -> Bool[np.ndarray, "frames 22"]:

@@ -100,11 +100,13 @@ class SceneAtRest:
             weight = (low[1] * _HAND_SIGMA_M / sigma_m) ** 2
             front_m = origin_m + low * (depth_m + weight * (support_m - origin_m[1]) / low[1]) / (1 + weight)
             front_m[1] = support_m
+            nearer = float((front_m - origin_m) @ R[:, 2]) / depth_m
+            across_m, height_m = nearer * across_m, nearer * height_m
         ahead = np.array([R[0, 2], 0, R[2, 2]]) / np.hypot(R[0, 2], R[2, 2])
         T = np.eye(4)
         T[:3, :3] = upright(np.arctan2(-ahead[[0]], -ahead[[2]]))[0]
         T[:3, 3] = front_m + 0.5 * across_m * ahead
-        return Rest(T, (across_m, height_m, across_m))
+        return Rest(T, (float(across_m), float(height_m), float(across_m)))
 
     def lowered(self, rest: Rest) -> Rest:
         """The same object upright on what is under it."""
@@ -128,5 +130,6 @@ class SceneAtRest:
             )
             over = ((low <= bottom_m[[0, 2]]) & (bottom_m[[0, 2]] <= high)).all(1)
             heights += corners[level][over].mean(1)[:, 1].tolist()
-        gap_m = np.abs(np.array(heights) - bottom_m[1])
+        # What seems to be under the floor is on it.
+        gap_m = np.abs(np.array(heights) - max(bottom_m[1], 0.0))
         return float(heights[int(gap_m.argmin())]) if gap_m.min() < _RESTS_M else None
