@@ -18,7 +18,8 @@ TYPES = [
     "CompletedObjects", "Contact", "DepthClip", "ExportedFiles", "Hold", "InstanceMasks", "Intrinsics",
     "KeyframedMotion", "Mesh", "MetricDepth", "ObjectInstance", "ObjectMesh", "ObjectMeshes", "ObjectPart",
     "ObjectPath", "PayloadFile", "PersonQuality", "PersonTrack", "PersonTracks", "PlacedObject", "PlacedObjects",
-    "RefinedMotion", "SceneModel", "SourceInfo", "SourceVideo", "Storage", "Texture", "Thumbnail", "VideoClip",
+    "RefinedMotion",
+    "RoomPiece", "SceneModel", "SourceInfo", "SourceVideo", "Storage", "Texture", "Thumbnail", "VideoClip",
     "stored",
 ]  # fmt: skip
 COMMANDS = {
