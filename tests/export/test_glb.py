@@ -247,7 +247,8 @@ def test_the_khronos_validator_finds_nothing(path: Path, tmp_path: Path) -> None
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     for issues in json.loads(done.stdout):
-        assert issues["messages"] == []
+        # glTF 2.0 allows pictures of any size; the validator mentions it.
+        assert [issue for issue in issues["messages"] if issue["code"] != "IMAGE_NPOT_DIMENSIONS"] == []
 
 
 def test_single_object_file_is_metric_in_its_own_frame(tmp_path: Path) -> None:

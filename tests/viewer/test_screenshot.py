@@ -19,7 +19,7 @@ from walk_scene import room, room_with_carried_box, walk
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.projection import project
 from video2anim.geometry.scene_mesh import grid_faces
-from video2anim.types import BodyMotion, Mesh, SceneModel
+from video2anim.types import BodyMotion, Mesh, RoomPiece, SceneModel
 from video2anim.viewer import SceneView, screenshot, view
 from video2anim.viewer.drawing import draw_static, world_vertices
 from video2anim.viewer.raster import Canvas
@@ -80,7 +80,7 @@ def test_the_shadow_goes_with_the_carried_box() -> None:
     people, scene = (walk(24),), room_with_carried_box(24)
     x, z = np.meshgrid(np.linspace(-2, 2, 81), np.linspace(-2, 2, 81))
     cells_m = np.stack([x, 0 * x, z], -1).reshape(-1, 3)
-    floor = Mesh(cells_m, grid_faces(81, 81), np.full(cells_m.shape, 200, np.uint8))
+    floor = RoomPiece("floor", Mesh(cells_m, grid_faces(81, 81), np.full(cells_m.shape, 200, np.uint8)))
     viewpoint = oblique_viewpoint(people, scene, 480, 270)
     (placed,) = scene.objects
     corners_m = [world_vertices(placed, frame) for frame in (0, 23)]
