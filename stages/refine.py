@@ -4,8 +4,8 @@ least-squares solve puts it into the picture and the scene (`scenemi.postprocess
 The prior is `scenemi`; where its weights are absent the observed motion itself goes into the solve, and that is said.
 The same solve without the prior is made too: the share of frames in which the two differ says how much the prior did.
 What body and scene disagree in is given to the scene where its distance from the camera is uncertain: the stage returns
-the scene with objects moved along their lines of sight. What somebody moves is no solid: it follows the hand that has
-it.
+the scene with objects moved along their lines of sight. What somebody moves follows the hand that has
+it; it is a solid only where it stays for more than half of the clip.
 """
 
 from __future__ import annotations
@@ -357,4 +357,4 @@ def picture_distance_ratio(motion: BodyMotion, seen: BodyMotion) -> Float[np.nda
     return apart_px * np.maximum(there[:, 0, 2], 0.1) / (seen.intrinsics.fy_px * stature_m)
 
 
-STAGE = StageSpec("refine", refine_motion, version=11, models=("prior",))
+STAGE = StageSpec("refine", refine_motion, version=12, models=("prior",))

@@ -309,4 +309,4 @@ def _overlap(solid: Mesh, bounds_m: Float[np.ndarray, "2 3"]) -> bool:
     return bool((low <= bounds_m[1]).all() and (high >= bounds_m[0]).all())
 
 
-STAGE = StageSpec("scene", build_scene, version=15)
+STAGE = StageSpec("scene", build_scene, version=16)

@@ -11,14 +11,20 @@ from synthetic import planted_walk
 
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.projection import invert_rigid, project, transform_points
+from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.objects.changes import Change
-from video2anim.objects.hands import NEAR_M, Grip, HandPath, gaps_m, grip, hands_of, holders, reach, upright
+from video2anim.objects.hands import NEAR_M, Grip, HandPath, gaps_m, grip, hands_of, holders, reach
 
 FRAMES, STEP = 200, 5
 DEPTH_M = 3.0
 NEAR_PX = NEAR_M * LENS.fx_px / DEPTH_M
 FAR_AWAY = (20.0, 20.0)
 BOX = (slice(120, 140), slice(150, 170))
+
+
+def turned(yaw_rad: np.ndarray) -> np.ndarray:
+    """About the vertical."""
+    return matrix_from_axis_angle(np.reshape(yaw_rad, (-1, 1)) * np.array([0.0, 1.0, 0.0]))
 
 
 def hand(
@@ -50,7 +56,7 @@ def visit(
 def together(gap_m: np.ndarray | float, yaw_rad: np.ndarray | float = 0.0) -> tuple[HandPath, HandPath]:
     """Left and right hand so far apart, around a common middle that moves."""
     middle_m = np.stack([np.linspace(-0.5, 0.5, FRAMES), np.zeros(FRAMES), np.full(FRAMES, DEPTH_M)], -1)
-    across = upright(np.broadcast_to(yaw_rad, FRAMES))[:, :, 0] * np.reshape(gap_m, (-1, 1))
+    across = turned(np.broadcast_to(yaw_rad, FRAMES))[:, :, 0] * np.reshape(gap_m, (-1, 1))
     made = []
     for name, side in (("left hand", -0.5), ("right hand", 0.5)):
         T = np.tile(np.eye(4), (FRAMES, 1, 1))
@@ -187,7 +193,7 @@ def test_both_hands_hold_it_together_where_they_keep_their_distance() -> None:
     assert (both.name, both.person_id) == ("both hands", 1)
     middle_m = 0.5 * (left.T_world_hand + right.T_world_hand)[:, :3, 3]
     np.testing.assert_allclose(both.T_world_hand[:, :3, 3], middle_m, atol=1e-9)
-    np.testing.assert_allclose(both.T_world_hand[:, :3, :3], upright(yaw_rad), atol=1e-6)
+    np.testing.assert_allclose(both.T_world_hand[:, :3, :3], turned(yaw_rad), atol=1e-6)
     np.testing.assert_allclose(both.depth_m, middle_m[:, 2], atol=1e-9)
     np.testing.assert_allclose(both.pixels, project(middle_m, LENS), atol=1.0)
 
@@ -213,13 +219,3 @@ def test_a_hand_that_is_near_at_one_end_alone_holds_it_alone() -> None:
     for grips in ([grip_of(left, right), grip_of(right, came=True)], [grip_of(left), grip_of(right, came=True)]):
         assert set(holders(grips, 20, 150)) == {"left hand", "right hand"}
     assert list(holders([grip_of(right)], 20, 150)) == ["right hand"]
-
-
-def test_upright_turns_about_the_vertical() -> None:
-    R = upright(np.array([0.0, 0.5, -2.0]))
-    np.testing.assert_allclose(R @ R.swapaxes(1, 2), np.tile(np.eye(3), (3, 1, 1)), atol=1e-12)
-    np.testing.assert_allclose(np.linalg.det(R), 1.0)
-    np.testing.assert_allclose(R[0], np.eye(3))
-    np.testing.assert_allclose(R[:, :, 1], np.tile([0.0, 1.0, 0.0], (3, 1)))
-    # +Z turns towards +X.
-    np.testing.assert_allclose(R[1, :, 2], [np.sin(0.5), 0.0, np.cos(0.5)])

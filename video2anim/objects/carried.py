@@ -16,8 +16,9 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import KDTree
 
 from video2anim.geometry.projection import invert_rigid, project, transform_points
+from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.objects.changes import Change, lasting_changes
-from video2anim.objects.hands import NEAR_M, Grip, HandPath, grip, hands_of, holders, reach, upright
+from video2anim.objects.hands import NEAR_M, UP, Grip, HandPath, grip, hands_of, holders, reach
 from video2anim.objects.meshing import ObjectPicture, box_object
 from video2anim.objects.rest import Rest, SceneAtRest
 from video2anim.types import BodyMotion, Hold, InstanceMasks, ObjectPath, PlacedObject
@@ -27,9 +28,11 @@ LONG_SIDE_PX = 480
 _LEAST_PX = 60
 """Of that picture: a cup at 3 m. Smaller changes are borders of shadows and of people as often."""
 MOST_SAMPLES = 400
+"""Of them: 200 MB; longer clips are looked at less often."""
 _MOST_GRIPS = 12
 """Every two of them are tried together: 2 s."""
 _LOOKS = 3
+"""Fewer pictures of a hold tell nothing."""
 _ALIKE_LAB = 8.0
 """Colors of one object differ by less: noise, light and blur."""
 _SEEN = 0.1
@@ -184,7 +187,7 @@ def _ways(taken: Grip | None, put: Grip | None, scene: SceneAtRest, pictures: Pi
             rests[True] = scene.lowered(Rest(loose[last], best.size_m))
         T = _path(hand, first, last, rests, scene.T_world_camera)
         if pulled:
-            T[:, :3, :3] = upright(np.arctan2(T[:, 0, 2], T[:, 2, 2]))
+            T[:, :3, :3] = matrix_from_axis_angle(np.arctan2(T[:, 0, 2], T[:, 2, 2])[:, None] * UP)
             T[:, 1, 3] = best.T_world_object[1, 3]
         seen, held = looks.held(first, last)
         hold = Hold(hand.person_id, name, first, last)

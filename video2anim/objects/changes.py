@@ -75,8 +75,9 @@ def lasting_changes(
     found = []
     for whole, at in pixels.events(least_px):
         states = pixels.state(pixels.before[at]), pixels.state(pixels.after[at])
-        pieces, count = _labeled(ndimage.binary_opening(whole & ~_shadow(*states), np.ones((2, 2))))
-        for piece in range(1, count + 1):
+        opened = ndimage.binary_opening(whole & ~_shadow(*states), np.ones((2, 2)))
+        count, pieces = cv2.connectedComponents(opened.astype(np.uint8), connectivity=4)
+        for piece in range(1, count):
             mask = _cut(ndimage.binary_fill_holes(pieces == piece) & pixels.known, *states) & pixels.known
             if mask.sum() < least_px:
                 continue
@@ -128,7 +129,8 @@ class _Pixels:
         jitter = np.where(self.seen[1:], np.linalg.norm(self.color[1:] - self.before, axis=-1), 0)
         noise = np.maximum(_NOISE_LAB, np.median(np.nan_to_num(jitter), axis=0))
         changed = (np.nan_to_num(step) > _NOISES * noise)[:, self.place.clip(0)] & self.known
-        labels, _ = _labeled(changed, np.ones((3, 3, 3)))
+        labels = np.zeros(changed.shape, np.int32)
+        ndimage.label(changed, np.ones((3, 3, 3)), output=labels)
         for number, box in enumerate(ndimage.find_objects(labels), start=1):
             inside = labels[box] == number
             if inside.any(0).sum() < least_px:
@@ -153,13 +155,6 @@ class _Pixels:
         return first, int(later[0]) if len(later) else len(color) - 1
 
 
-def _labeled(mask: np.ndarray, structure: np.ndarray | None = None) -> tuple[np.ndarray, int]:
-    """Connected parts, numbered from 1, and how many."""
-    labels = np.zeros(mask.shape, np.int32)
-    count = ndimage.label(mask, structure, output=labels)
-    return labels, int(count)  # pyright: ignore[reportArgumentType]
-
-
 def _cut(
     mask: Bool[np.ndarray, "height width"],
     before: Float32[np.ndarray, "height width 3"],
@@ -168,8 +163,9 @@ def _cut(
     """Without the shadows at its border, which change less than the most of it."""
     amount = np.nan_to_num(np.linalg.norm(after - before, axis=-1))
     strong = ndimage.binary_opening(mask & (amount > _WEAK * np.percentile(amount[mask], 75)), np.ones((2, 2)))
-    labels, count = _labeled(ndimage.binary_closing(strong, np.ones((5, 5))))
-    if not count:
+    closed = ndimage.binary_closing(strong, np.ones((5, 5))).astype(np.uint8)
+    count, labels = cv2.connectedComponents(closed, connectivity=4)
+    if count == 1:
         return mask
     area = np.bincount(labels.ravel())[1:]
     return mask & ndimage.binary_fill_holes(np.isin(labels, 1 + np.flatnonzero(area > _PIECE * area.max())))

@@ -11,11 +11,13 @@ from jaxtyping import Bool, Float
 
 from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.projection import invert_rigid, project, transform_points
+from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.objects.changes import Change
 from video2anim.objects.path import BOTH
 from video2anim.types import BodyMotion
 from video2anim.types.camera import Intrinsics
 
+UP = np.array([0.0, 1.0, 0.0])
 NEAR_M = 0.2
 """A hand so near the outline of what leaves or comes, at the hand's distance, has to do with it: a hand's length."""
 _HAND_M = 0.09
@@ -134,17 +136,8 @@ def _both(left: HandPath, right: HandPath) -> HandPath:
     """Between both hands, turned as the line from one to the other turns."""
     T = left.T_world_hand.copy()
     across = right.T_world_hand[:, :3, 3] - left.T_world_hand[:, :3, 3]
-    T[:, :3, :3] = upright(np.arctan2(-across[:, 2], across[:, 0]))
+    yaw_rad = np.arctan2(-across[:, 2], across[:, 0])
+    T[:, :3, :3] = matrix_from_axis_angle(yaw_rad[:, None] * UP)
     T[:, :3, 3] += 0.5 * across
     pixels, depth_m = 0.5 * (left.pixels + right.pixels), 0.5 * (left.depth_m + right.depth_m)
     return HandPath(left.person_id, BOTH, T, pixels, depth_m, left.valid & right.valid)
-
-
-def upright(yaw_rad: Float[np.ndarray, "frames"]) -> Float[np.ndarray, "frames 3 3"]:
-    """Rotations about the vertical."""
-    R = np.zeros((len(yaw_rad), 3, 3))
-    R[:, 0, 0] = R[:, 2, 2] = np.cos(yaw_rad)
-    R[:, 0, 2] = np.sin(yaw_rad)
-    R[:, 2, 0] = -R[:, 0, 2]
-    R[:, 1, 1] = 1
-    return R

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.geometry.projection import pixel_rays
+from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.scene_mesh import world_mesh
-from video2anim.objects.hands import HandPath, upright
+from video2anim.objects.hands import UP, HandPath
 from video2anim.types import InstanceMasks, PlacedObject
 from video2anim.types.camera import Intrinsics
 
@@ -104,14 +105,14 @@ class SceneAtRest:
             across_m, height_m = nearer * across_m, nearer * height_m
         ahead = np.array([R[0, 2], 0, R[2, 2]]) / np.hypot(R[0, 2], R[2, 2])
         T = np.eye(4)
-        T[:3, :3] = upright(np.arctan2(-ahead[[0]], -ahead[[2]]))[0]
+        T[:3, :3] = matrix_from_axis_angle(np.arctan2(-ahead[0], -ahead[2]) * UP)
         T[:3, 3] = front_m + 0.5 * across_m * ahead
         return Rest(T, (float(across_m), float(height_m), float(across_m)))
 
     def lowered(self, rest: Rest) -> Rest:
         """The same object upright on what is under it."""
         T = np.eye(4)
-        T[:3, :3] = upright(np.arctan2(rest.T_world_object[[0], 2], rest.T_world_object[[2], 2]))[0]
+        T[:3, :3] = matrix_from_axis_angle(np.arctan2(rest.T_world_object[0, 2], rest.T_world_object[2, 2]) * UP)
         T[:3, 3] = rest.T_world_object[:3, 3]
         support_m = self._support_m(T[:3, 3])
         T[1, 3] = T[1, 3] if support_m is None else support_m
