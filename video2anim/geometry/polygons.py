@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Int
+from mapbox_earcut import triangulate_float64
 from skimage.measure import approximate_polygon, find_contours
 
 _TOLERANCE = 0.75
@@ -56,64 +56,10 @@ def triangulated(
         inner = [hole for hole in holes if cv2.pointPolygonTest(ring.astype(np.float32), hole[0].tolist(), False) > 0]
         corners = np.concatenate([ring, *inner])
         points.append(corners)
-        faces.append(first + _ears(corners, _bridged(ring, inner)))
+        ends = np.cumsum([len(ring), *map(len, inner)]).astype(np.uint32)
+        faces.append(first + triangulate_float64(corners, ends).reshape(-1, 3).astype(int))
         first += len(corners)
     return np.concatenate(points), np.concatenate(faces)
-
-
-def _bridged(ring: np.ndarray, holes: Sequence[np.ndarray]) -> list[int]:
-    """One closed way along all rings of a polygon, with a way there and back to each hole; numbers of corners."""
-    corners = np.concatenate([ring, *holes])
-    starts = np.cumsum([len(ring), *map(len, holes)])
-    edges = [np.stack([n := np.arange(len(ring)), np.roll(n, -1)], 1)]
-    edges += [np.stack([n := np.arange(a, b), np.roll(n, -1)], 1) for a, b in itertools.pairwise(starts)]
-    edge = np.concatenate(edges)
-    way = list(range(len(ring)))
-    # From right to left: a hole's rightmost corner then sees the way.
-    for number in sorted(range(len(holes)), key=lambda k: -holes[k][:, 0].max()):
-        loop = np.arange(starts[number], starts[number + 1])
-        loop = np.roll(loop, -int(holes[number][:, 0].argmax()))
-        gap = np.linalg.norm(corners[way] - corners[loop[0]], axis=1)
-        for at in np.argsort(gap):
-            # A corner that has a bridge is there twice, and only one of the two would do.
-            free = way.count(way[at]) == 1
-            if free and not _crosses(corners[loop[0]], corners[way[at]], corners[edge[:, 0]], corners[edge[:, 1]]):
-                break
-        else:
-            continue
-        edge = np.concatenate([edge, [[loop[0], way[at]]]])
-        way = [*way[: at + 1], *loop.tolist(), int(loop[0]), *way[at:]]
-    return way
-
-
-def _crosses(a: np.ndarray, b: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
-    """Whether a line properly crosses any of others."""
-    one, two = _cross(b - a, start - a), _cross(b - a, end - a)
-    three, four = _cross(end - start, a - start), _cross(end - start, b - start)
-    return bool(((one * two < -1e-9) & (three * four < -1e-9)).any())
-
-
-def _ears(corners: np.ndarray, way: list[int]) -> Int[np.ndarray, "faces 3"]:
-    """Ears cut off a way around a polygon, the best shaped first."""
-    faces = []
-    while len(way) > 2:
-        number = np.array(way)
-        p = corners[number]
-        a, b, c = np.roll(p, 1, 0), p, np.roll(p, -1, 0)
-        area = _cross(b - a, c - a)
-        longest = np.maximum.reduce([((x - y) ** 2).sum(1) for x, y in ((a, b), (b, c), (c, a))])
-        quality = area / np.maximum(longest, 1e-12)
-        inside = np.ones((len(p), len(p)), bool)
-        for x, y in ((a, b), (b, c), (c, a)):
-            inside &= _cross((y - x)[:, None], p[None] - x[:, None]) >= -1e-9
-        for x in (a, b, c):
-            inside &= ((p[None] - x[:, None]) ** 2).sum(-1) > 1e-12
-        quality[inside.any(1)] -= 10.0
-        best = int(quality.argmax())
-        if area[best] > 1e-9:
-            faces.append([number[best - 1], number[best], number[(best + 1) % len(number)]])
-        del way[best]
-    return np.array(faces, int).reshape(-1, 3)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
