@@ -4,7 +4,7 @@
 
 Scenes are folders of `video2anim run` (stage track at least). Every track is cut in three, and first and last third are
 compared by `Looks.distance`: of the same track, and of different tracks of any scenes. The thresholds in
-`video2anim/models/tracking.py` are taken from this.
+`video2anim/tracking/tracker.py` are taken from this.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from video2anim.artifacts.codec import read_value
-from video2anim.models.appearance import Looks, clothes
+from video2anim.tracking.appearance import Looks, clothes
 from video2anim.types import PersonTracks, VideoClip
 from video2anim.video import read_frames
 

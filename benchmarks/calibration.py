@@ -30,8 +30,8 @@ from video2anim.calibration.evidence import Evidence, PixelEvidence
 from video2anim.calibration.fit import Calibration, Sigmas, calibrate
 from video2anim.calibration.gather import picture_evidence, with_objects
 from video2anim.calibration.line import metric_depth
-from video2anim.eval.results import SceneResult
 from video2anim.geometry.masks import shrunk
+from video2anim.lab.eval.results import SceneResult
 from video2anim.types import BackgroundPlate, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
 
 NONE = PixelEvidence(np.zeros((0, 2)), np.zeros(0))

@@ -27,13 +27,13 @@ import numpy as np
 from v2a_bench import call, number
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import JOINT_INDEX
-from video2anim.eval.alignment import match_frames, truth_from_estimate
-from video2anim.eval.carried_rows import MovedThings, moved_things
-from video2anim.eval.results import SceneResult
-from video2anim.eval.truth import Truth, read_truth
 from video2anim.geometry.projection import transform_points
+from video2anim.lab.eval.alignment import match_frames, truth_from_estimate
+from video2anim.lab.eval.carried_rows import MovedThings, moved_things
+from video2anim.lab.eval.results import SceneResult
+from video2anim.lab.eval.truth import Truth, read_truth
 from video2anim.types import BodyTracks, RefinedMotion, SceneModel
+from video2anim.types.skeleton import JOINT_INDEX
 
 SEED = 0
 HEADS = ("clip", "thing", "found", "middle off, mean, m", "95 %, m", "wrist off, m", "hold off, frames", "false paths")

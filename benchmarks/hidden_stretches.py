@@ -32,11 +32,11 @@ from v2a_bench import call, number
 
 from scenemi import metrics
 from stages.refine import RefineConfig, refine_motion
-from video2anim.eval.alignment import FrameMatch, match_frames, match_people
-from video2anim.eval.hidden import hidden_frames, hidden_stretches
-from video2anim.eval.results import SceneResult
-from video2anim.eval.truth import Truth, read_truth
 from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
+from video2anim.lab.eval.alignment import FrameMatch, match_frames, match_people
+from video2anim.lab.eval.hidden import hidden_frames, hidden_stretches
+from video2anim.lab.eval.results import SceneResult
+from video2anim.lab.eval.truth import Truth, read_truth
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, MetricDepth, RefinedMotion, SceneModel
 

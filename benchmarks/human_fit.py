@@ -23,7 +23,7 @@ import numpy as np
 from main_job import JOINTS, LANDMARKS, accuracy, centered, pa_mpjpe_mm
 
 from video2anim.artifacts.codec import read_value
-from video2anim.eval.truth import read_truth
+from video2anim.lab.eval.truth import read_truth
 from video2anim.types import BodyTracks, PersonTracks, VideoClip
 
 METHODS = ("optimizer", "lifter", "both")

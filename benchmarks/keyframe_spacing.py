@@ -25,7 +25,7 @@ from real_clips import against_truth
 from scenemi import metrics
 from stages.refine import RefineConfig, refine_motion
 from video2anim.artifacts.motion_io import read_motion
-from video2anim.eval.results import SceneResult
+from video2anim.lab.eval.results import SceneResult
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, MetricDepth, SceneModel
 

@@ -4,7 +4,7 @@
 
 Clips are those of `video2anim synth`, scenes their folders of the same names, run until `track`. For every 15th frame
 the rotation that turns the 3D landmarks onto the true joints is set against the rotation of the viewing ray: slope 1
-would mean that landmarks come in the ray's axes, 0 that they come in the camera's. `video2anim.fitting.initial` holds
+would mean that landmarks come in the ray's axes, 0 that they come in the camera's. `video2anim.humans.initial` holds
 the result.
 """
 
@@ -18,10 +18,10 @@ import numpy as np
 from main_job import JOINTS, LANDMARKS
 
 from video2anim.artifacts.codec import read_value
-from video2anim.eval.truth import read_truth
-from video2anim.fitting.initial import ray_rotation
 from video2anim.geometry.rotations import axis_angle_from_matrix, nearest_rotation
-from video2anim.lifting.residuals import track_of, true_keypoints
+from video2anim.humans.initial import ray_rotation
+from video2anim.lab.eval.truth import read_truth
+from video2anim.lab.lifter.residuals import track_of, true_keypoints
 from video2anim.types import PersonTracks
 
 EVERY = 15

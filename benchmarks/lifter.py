@@ -25,8 +25,8 @@ from main_job import accuracy
 
 from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.folder import file_digest
-from video2anim.models.fetch import model_path
-from video2anim.models.table import find_model
+from video2anim.networks.fetch import model_path
+from video2anim.networks.table import find_model
 from video2anim.types import VideoClip
 
 CAPTURED = ("ocv_sts", "ocv_walk")

@@ -26,9 +26,9 @@ import numpy as np
 from scenemi.metrics import align_similarity
 from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.motion_io import read_motion
-from video2anim.body.skeleton import JOINT_INDEX
 from video2anim.export.quality import measured_span, motion_quality
 from video2anim.types import BodyTracks, KeyframedMotion, PersonTracks, RefinedMotion, VideoClip
+from video2anim.types.skeleton import JOINT_INDEX
 
 LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 JOINTS = [JOINT_INDEX[f"{side}_{part}"] for part in LIMBS for side in ("left", "right")]

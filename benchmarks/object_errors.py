@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from video2anim.eval.alignment import match_frames, resample_nearest, truth_from_estimate
-from video2anim.eval.object_rows import LEAST_VISIBLE_PX, compared_objects, match_masks, pairs_by_mask
-from video2anim.eval.results import SceneResult
-from video2anim.eval.truth import Truth, read_truth
-from video2anim.geometry.lifted_thing import ThingLifter
 from video2anim.geometry.masks import shrunk
+from video2anim.lab.eval.alignment import match_frames, resample_nearest, truth_from_estimate
+from video2anim.lab.eval.object_rows import LEAST_VISIBLE_PX, compared_objects, match_masks, pairs_by_mask
+from video2anim.lab.eval.results import SceneResult
+from video2anim.lab.eval.truth import Truth, read_truth
+from video2anim.objects.backproject import ThingLifter
 from video2anim.types import (
     DepthClip,
     InstanceMasks,

@@ -27,11 +27,11 @@ import numpy as np
 from stages.complete import CompleteConfig, complete_objects
 from stages.place import PlaceConfig, place_objects
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
-from video2anim.eval.boxes import box_iou_3d, box_of, chamfer_m, rest_height_m, surface_points
-from video2anim.eval.object_rows import LEAST_VISIBLE_PX
-from video2anim.eval.true_scene import read_glb, world_mesh
-from video2anim.eval.truth import Truth, read_truth
 from video2anim.geometry.projection import transform_points
+from video2anim.lab.eval.boxes import box_iou_3d, box_of, chamfer_m, rest_height_m, surface_points
+from video2anim.lab.eval.object_rows import LEAST_VISIBLE_PX
+from video2anim.lab.eval.true_scene import read_glb, world_mesh
+from video2anim.lab.eval.truth import Truth, read_truth
 from video2anim.objects import recognize
 from video2anim.objects.form_fit import FitSigmas
 from video2anim.pipeline.stage import StageContext

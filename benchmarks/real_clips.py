@@ -48,15 +48,14 @@ from stages.refine import picture_distance_ratio
 from video2anim.artifacts.images import write_png
 from video2anim.artifacts.motion_io import write_motion
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import FEET, JOINT_INDEX, TOUCHING_PARTS
+from video2anim.body.contact import LIKELY, NEAR_M, believed, posed_vertices, skin_of
 from video2anim.calibration.passed import passed_before
-from video2anim.eval.results import SceneResult
-from video2anim.fitting.supports import SUPPORT
-from video2anim.fitting.touching import LIKELY, NEAR_M, believed, posed_vertices, skin_of
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import project
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
+from video2anim.lab.eval.results import SceneResult
+from video2anim.scene.supports import SUPPORT
 from video2anim.types import (
     BackgroundPlate,
     BodyMotion,
@@ -71,6 +70,7 @@ from video2anim.types import (
     RefinedMotion,
     SceneModel,
 )
+from video2anim.types.skeleton import FEET, JOINT_INDEX, TOUCHING_PARTS
 
 CLIPS = (
     "ocv_sts", "ocv_walk", "pose2sim_single_cam01", "pose2sim_single_cam02", "bodypose3d_squat", "sports2d_demo",

@@ -29,7 +29,7 @@ import numpy as np
 
 from scenemi.postprocess import motion_solve
 from stages import refine
-from video2anim.eval.results import SceneResult
+from video2anim.lab.eval.results import SceneResult
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, MetricDepth, SceneModel
 

@@ -28,13 +28,13 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from video2anim.synth.compose import compose
-from video2anim.synth.generate import SynthConfig, compose_options, start_worker
-from video2anim.synth.presets import clip_specs
-from video2anim.synth.render import Renderer
-from video2anim.synth.render.surfaces import of_objects
-from video2anim.synth.render.view import Eye
-from video2anim.synth.world import Shot
+from video2anim.lab.synth.compose import compose
+from video2anim.lab.synth.generate import SynthConfig, compose_options, start_worker
+from video2anim.lab.synth.presets import clip_specs
+from video2anim.lab.synth.render import Renderer
+from video2anim.lab.synth.render.surfaces import of_objects
+from video2anim.lab.synth.render.view import Eye
+from video2anim.lab.synth.world import Shot
 
 SEED = 0
 CASES = (

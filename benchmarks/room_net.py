@@ -23,13 +23,13 @@ import cv2
 import numpy as np
 
 from video2anim.artifacts.images import read_picture
-from video2anim.geometry.hue_jitter import jittered_disparity
+from video2anim.depth.test_time_views import jittered_disparity
+from video2anim.geometry.line_segments import camera_with_edges, straight_edges
 from video2anim.geometry.perspective_field import FieldCamera, fit_camera
-from video2anim.geometry.room_lines import camera_with_edges, straight_edges
-from video2anim.models import find_model, model_path
-from video2anim.models.room_net import RoomCamera, RoomDepth, RoomNet, RoomSegment
-from video2anim.models.segmentation import CLASSES
-from video2anim.perception.samples import CLASS_TABLE, SMALLEST_RATIO
+from video2anim.lab.scene_network.samples import CLASS_TABLE, SMALLEST_RATIO
+from video2anim.networks import find_model, model_path
+from video2anim.networks.room_net import RoomCamera, RoomDepth, RoomNet, RoomSegment
+from video2anim.networks.segmentation import CLASSES
 
 NEAREST_INVERSE = 1 / 50
 """Inverse depths are held above this: 50 m."""

@@ -32,10 +32,10 @@ from scenemi.scene.geometry import SceneGeometry
 from scenemi.scene.pseudo import PseudoScenes
 from scenemi.scene.voxels import DEFAULT_GRID, occupancy
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.geometry.sdf import surface_samples
-from video2anim.synth.acting import act
+from video2anim.lab.synth.acting import act
 from video2anim.types.motion import BodyShape
+from video2anim.types.skeleton import forward_kinematics
 
 SEED = 0
 FRAMES = 121

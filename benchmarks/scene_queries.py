@@ -22,9 +22,9 @@ import numpy as np
 import torch
 from scipy.spatial import KDTree
 
-from video2anim.eval.true_scene import connected_parts, world_mesh
-from video2anim.eval.truth import read_truth
 from video2anim.geometry.sdf import build_sdf_grid
+from video2anim.lab.eval.true_scene import connected_parts, world_mesh
+from video2anim.lab.eval.truth import read_truth
 from video2anim.types import Mesh
 
 QUERIES = 1_000_000

@@ -20,7 +20,7 @@ import av
 import cv2
 import numpy as np
 
-from video2anim.eval.results import SceneResult
+from video2anim.lab.eval.results import SceneResult
 from video2anim.viewer.software import render_software
 
 SIZE_PX = (480, 270)

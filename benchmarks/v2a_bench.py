@@ -26,12 +26,12 @@ from typing import Any
 import numpy as np
 
 from scenemi import metrics
-from video2anim.eval.alignment import match_frames, match_people, truth_from_estimate
-from video2anim.eval.motion_rows import CommonFrames, common_frames
-from video2anim.eval.object_rows import scene_objects
-from video2anim.eval.results import SceneResult
-from video2anim.eval.truth import read_truth
 from video2anim.geometry.projection import transform_points
+from video2anim.lab.eval.alignment import match_frames, match_people, truth_from_estimate
+from video2anim.lab.eval.motion_rows import CommonFrames, common_frames
+from video2anim.lab.eval.object_rows import scene_objects
+from video2anim.lab.eval.results import SceneResult
+from video2anim.lab.eval.truth import read_truth
 from video2anim.types import BodyMotion, BodyTracks, RefinedMotion
 
 SEED = 0

@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.body.anny_body import ShapedBody
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.rotations import matrix_from_rot6d, rot6d_from_matrix
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 TRANSLATION = slice(0, 3)
 ROTATIONS = slice(3, 135)

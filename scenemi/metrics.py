@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
 
-from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.types.skeleton import JOINT_INDEX
 
 ANKLES = (JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"])
 TOES = (JOINT_INDEX["left_foot"], JOINT_INDEX["right_foot"])

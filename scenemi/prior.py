@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from video2anim.body.skeleton import PARENTS
 from video2anim.errors import ModelMissingError, UsageError
 from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from video2anim.geometry.sdf import SdfGrid
+from video2anim.types.skeleton import PARENTS
 
 if TYPE_CHECKING:
     from scenemi.scene.geometry import SceneGeometry

@@ -18,8 +18,8 @@ from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import BackgroundPlate, PersonTracks, VideoClip
 
 if TYPE_CHECKING:
-    from video2anim.models.segmentation import SegmentModel
-    from video2anim.video.figure import Raster
+    from video2anim.background.person_segmentation import Raster
+    from video2anim.networks.segmentation import SegmentModel
 
 _SAMPLE_BYTES = 256 * 2**20
 """Memory for full-size samples of the plate."""
@@ -70,8 +70,8 @@ def make_background(
     Raises:
         InputError: the clip's video cannot be read.
     """
-    from video2anim.video.figure import Raster
-    from video2anim.video.plate import fill_unseen, median_plate, updated_plate
+    from video2anim.background.background_image import fill_unseen, median_plate, updated_plate
+    from video2anim.background.person_segmentation import Raster
 
     raster = Raster.of_clip(clip.width_px, clip.height_px, config.long_side_px)
     frame_index = np.unique(np.r_[0 : clip.frame_count : config.frame_step, clip.frame_count - 1])
@@ -114,7 +114,7 @@ def _generous_masks(
     tracks: PersonTracks, frame_index: Int[np.ndarray, "samples"], raster: Raster
 ) -> Bool[np.ndarray, "samples small_height small_width"]:
     """Everything that may be a person, with a margin."""
-    from video2anim.video.figure import dilated, person_probability
+    from video2anim.background.person_segmentation import dilated, person_probability
 
     masks = np.zeros((len(frame_index), raster.height_px, raster.width_px), bool)
     for row, frame in enumerate(frame_index):
@@ -133,7 +133,7 @@ def _grown(
     raster: Raster,
 ) -> Bool[np.ndarray, "samples small_height small_width"]:
     """Sharp masks, joined with the model's own, with a small margin."""
-    from video2anim.video.figure import dilated, person_probability
+    from video2anim.background.person_segmentation import dilated, person_probability
 
     grown = masks.copy()
     for row, frame in enumerate(frame_index):
@@ -161,7 +161,7 @@ def _collect(
     """Read and align the frames of the median."""
     import cv2
 
-    from video2anim.video.motion import BackgroundRegistration
+    from video2anim.camera.background_registration import BackgroundRegistration
 
     count = len(frame_index)
     affordable = max(_FEWEST_SAMPLES, _SAMPLE_BYTES // (3 * clip.width_px * clip.height_px))
@@ -221,7 +221,7 @@ def _masks(
     ctx: StageContext,
 ) -> _People:
     """Masks by figure and ground, and by what a network sees."""
-    from video2anim.video.figure import lab_difference, person_probability, refine_mask
+    from video2anim.background.person_segmentation import lab_difference, person_probability, refine_mask
 
     shape = (len(frame_index), raster.height_px, raster.width_px)
     people = _People(np.zeros(shape, bool), np.zeros(shape, bool))
@@ -248,7 +248,7 @@ def _named_people(
     """Where the network sees people, on the reduced picture."""
     import cv2
 
-    from video2anim.models.segmentation import CLASSES
+    from video2anim.networks.segmentation import CLASSES
 
     semantic = model.segment(raster.reduce(picture)).semantic
     size = (raster.width_px, raster.height_px)

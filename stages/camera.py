@@ -19,10 +19,10 @@ from video2anim.types import CameraEstimate, Intrinsics, PersonTrack, PersonTrac
 from video2anim.types.camera import UpEvidence
 
 if TYPE_CHECKING:
-    from video2anim.fitting.ground import UpEstimate
-    from video2anim.fitting.lifter_input import LiftedBody
-    from video2anim.fitting.problem import FittedBody
     from video2anim.geometry.perspective_field import FieldCamera
+    from video2anim.humans.ground import UpEstimate
+    from video2anim.humans.lifter_input import LiftedBody
+    from video2anim.humans.problem import FittedBody
 
 _WRONG_FACTOR = 3.0
 """Metadata that differs from what the person's perspective says by more than this factor is wrong. Estimates from a
@@ -69,9 +69,9 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     Raises:
         UsageError: a focal length that no camera has.
     """
-    from video2anim.fitting.problem import evenly_spread
-    from video2anim.fitting.stature import expect_heights
     from video2anim.geometry.perspective_field import pitch_roll_of
+    from video2anim.humans.body_height import expect_heights
+    from video2anim.humans.problem import evenly_spread
 
     _expect_sane(config, clip)
     expect_heights(config.height_m, tracks.selected_ids)
@@ -122,8 +122,8 @@ def _up_evidence(seen: np.ndarray, picture: FieldCamera | None) -> tuple[UpEvide
 
 def _lifted(clip: VideoClip, track: PersonTrack, config: CameraConfig, ctx: StageContext) -> LiftedBody:
     """The lifter's answer under the first guess of the lens, on which it depends little."""
-    from video2anim.fitting.lifting import lift
-    from video2anim.fitting.observe import observations
+    from video2anim.humans.lifting import lift
+    from video2anim.humans.observe import observations
 
     intrinsics = Intrinsics.centered(config.focal_px or _usual_focal_px(clip), clip.width_px, clip.height_px)
     times_s = clip.frame_time_s[track.first_frame : track.first_frame + len(track.valid)]
@@ -132,8 +132,8 @@ def _lifted(clip: VideoClip, track: PersonTrack, config: CameraConfig, ctx: Stag
 
 def _picture_camera(clip: VideoClip, config: CameraConfig, ctx: StageContext) -> FieldCamera | None:
     """Lens and gravity by the perspective fields and straight edges of a few pictures of the same view."""
+    from video2anim.geometry.line_segments import camera_with_edges, straight_edges
     from video2anim.geometry.perspective_field import fit_camera
-    from video2anim.geometry.room_lines import camera_with_edges, straight_edges
     from video2anim.video import read_frames
 
     if config.camera_model == NO_MODEL:
@@ -155,7 +155,7 @@ def _picture_camera(clip: VideoClip, config: CameraConfig, ctx: StageContext) ->
 
 def _focal_prior(clip: VideoClip, picture: FieldCamera | None) -> tuple[float, float]:
     """Focal length over the longer side before the person is looked at, and the deviation of its logarithm."""
-    from video2anim.fitting.objective import FitConfig
+    from video2anim.humans.objective import FitConfig
 
     usual, sigma = math.log(FitConfig().focal_ratio), FitConfig().focal_log_sigma
     if picture is None:
@@ -184,7 +184,7 @@ def _metadata_focal_px(clip: VideoClip) -> float | None:
 
 
 def _usual_focal_px(clip: VideoClip) -> float:
-    from video2anim.fitting.objective import FitConfig
+    from video2anim.humans.objective import FitConfig
 
     return FitConfig().focal_ratio * max(clip.width_px, clip.height_px)
 
@@ -199,10 +199,10 @@ def _focal(
     ctx: StageContext,
 ) -> tuple[float, float, str, FittedBody]:
     """Focal length, its relative sigma, where it comes from, and the body fitted under it."""
-    from video2anim.fitting.objective import FitConfig
-    from video2anim.fitting.observe import observations
-    from video2anim.fitting.optimize import fit_body
-    from video2anim.fitting.stature import KNOWN_SIGMA_M, height_of
+    from video2anim.humans.body_height import KNOWN_SIGMA_M, height_of
+    from video2anim.humans.objective import FitConfig
+    from video2anim.humans.observe import observations
+    from video2anim.humans.optimize import fit_body
 
     ratio, log_sigma = _focal_prior(clip, picture)
     fit_config = replace(FitConfig(), focal_ratio=ratio, focal_log_sigma=log_sigma)
@@ -255,7 +255,7 @@ def _up_seen(people: list[tuple[LiftedBody, PersonTrack]]) -> np.ndarray:
 
 def _up(body: FittedBody, seen: np.ndarray, duration_s: float) -> UpEstimate:
     """Up as the body's balance and the lifter see it, with equal weight."""
-    from video2anim.fitting.ground import UpEstimate, up_from_balance
+    from video2anim.humans.ground import UpEstimate, up_from_balance
 
     balance = up_from_balance(body.joints_camera_m, duration_s)
     together = seen + balance.up

@@ -25,7 +25,7 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
-    from video2anim.models.mask_completer import MaskCompleter
+    from video2anim.networks.mask_completer import MaskCompleter
 
 SLOT = "completer"
 
@@ -58,8 +58,8 @@ def complete_objects(
     Raises:
         ModelMissingError: its weights are absent, or no network of its contract.
     """
-    from video2anim.geometry.amodal import object_picture
     from video2anim.geometry.masks import never_seen
+    from video2anim.networks.amodal import object_picture
 
     completer = None if config.model == NO_MODEL else ctx.model(config.model)
     unseen = never_seen(plate.seen_ratio, plate.plate_rgb.shape[:2])
@@ -95,7 +95,7 @@ def _completed(
     ctx: StageContext,
 ) -> _Completion:
     """What the network says; where there is none or it fails, what geometry says."""
-    from video2anim.geometry.amodal import amodal_mask
+    from video2anim.networks.amodal import amodal_mask
 
     if completer is not None:
         try:

@@ -20,7 +20,7 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import BackgroundPlate, BodyTracks, CameraEstimate, DepthClip, VideoClip
 
 if TYPE_CHECKING:
-    from video2anim.geometry.plane_depth import StageSet
+    from video2anim.depth.planar_scene import StageSet
 
 _SAME_VIEW = 0.01
 """Camera motion, in metres and radians, below which the plate still is the frame's background."""
@@ -92,8 +92,8 @@ def _geometric(
 ) -> DepthClip:
     import cv2
 
-    from video2anim.geometry.figure_depth import standing_feet
-    from video2anim.geometry.plane_depth import StageSetConfig, stage_set_depth
+    from video2anim.depth.person_depth import standing_feet
+    from video2anim.depth.planar_scene import StageSetConfig, stage_set_depth
 
     height, width = plate.seen_ratio.shape
     main = bodies.people[0]
@@ -111,7 +111,7 @@ def _geometric(
 
 
 def _nothing_known(height: int, width: int) -> StageSet:
-    from video2anim.geometry.plane_depth import StageSet
+    from video2anim.depth.planar_scene import StageSet
 
     unknown = np.zeros((height, width), dtype=bool)
     return StageSet(np.ones((height, width)), np.ones((height, width)), unknown, np.zeros((height, width), np.int32))
@@ -121,8 +121,8 @@ def _with_people(
     plate: BackgroundPlate, bodies: BodyTracks, stage_set: StageSet, is_static: bool, config: DepthConfig
 ) -> DepthClip:
     """Stage set behind, the person as an upright figure before it, in every sampled frame."""
-    from video2anim.geometry.cylinder import GravityView
-    from video2anim.geometry.figure_depth import figure_distance, standing_feet
+    from video2anim.depth.person_depth import figure_distance, standing_feet
+    from video2anim.geometry.gravity_view import GravityView
 
     main = bodies.people[0]
     height, width = plate.seen_ratio.shape
@@ -209,7 +209,7 @@ def _steady(
     ctx: StageContext,
 ) -> None:
     """Bring every sample to the plate, in place: people from their own picture, all else from the plate."""
-    from video2anim.geometry.steady_depth import fitted_line, flicker
+    from video2anim.depth.temporal_alignment import fitted_line, flicker
 
     value, sigma, known = background
     still = known & ~person_mask.any(0)
@@ -239,7 +239,7 @@ def _jittered(
     """Value, its deviation and reliable pixels, at the working resolution."""
     import cv2
 
-    from video2anim.geometry.hue_jitter import jittered_disparity, reliable
+    from video2anim.depth.test_time_views import jittered_disparity, reliable
 
     size = (shape[1], shape[0])
     small_rgb = cv2.resize(image_rgb, _shrunk(image_rgb, size), interpolation=cv2.INTER_AREA)

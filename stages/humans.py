@@ -20,8 +20,8 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
-    from video2anim.fitting.lifter_input import LiftedBody
-    from video2anim.fitting.problem import FittedBody, Observations
+    from video2anim.humans.lifter_input import LiftedBody
+    from video2anim.humans.problem import FittedBody, Observations
 
 _REGRESSOR_ERROR_M = 0.05
 """Error that joints of a body regressor are taken to have about the pelvis; it tells none itself."""
@@ -58,10 +58,10 @@ def recover_humans(
     clip: VideoClip, tracks: PersonTracks, camera: CameraEstimate, config: HumansConfig, ctx: StageContext
 ) -> BodyTracks:
     """Fit the selected persons and put them into a world with +Y up and the floor under the main person's feet."""
-    from video2anim.fitting.objective import FitConfig
-    from video2anim.fitting.observe import observations
-    from video2anim.fitting.quality import person_quality
-    from video2anim.fitting.stature import KNOWN_SIGMA_M, expect_heights, height_of
+    from video2anim.humans.body_height import KNOWN_SIGMA_M, expect_heights, height_of
+    from video2anim.humans.objective import FitConfig
+    from video2anim.humans.observe import observations
+    from video2anim.humans.quality import person_quality
 
     expect_heights(config.height_m, tracks.selected_ids)
     selected = tuple(track.whole(clip.frame_count) for track in tracks.selected())
@@ -95,7 +95,7 @@ def recover_humans(
 
 def _lifted(observed: list[Observations], config: HumansConfig, ctx: StageContext) -> list[LiftedBody] | list[None]:
     """The network's answer for each person; nothing where it is not asked for."""
-    from video2anim.fitting.lifting import lift
+    from video2anim.humans.lifting import lift
 
     if config.method == "optimizer":
         return [None] * len(observed)
@@ -104,7 +104,7 @@ def _lifted(observed: list[Observations], config: HumansConfig, ctx: StageContex
 
 
 def _is_regressor(config: HumansConfig) -> bool:
-    from video2anim.models import find_model
+    from video2anim.networks import find_model
 
     return config.method != "optimizer" and find_model(config.model).slot == "body-regressor"
 
@@ -125,7 +125,7 @@ def _regressed(
     ctx: StageContext,
 ) -> list[LiftedBody]:
     """The rotations of a body regressor, where it saw the person, on the lifter's bodies."""
-    from video2anim.models.regressors import regress
+    from video2anim.networks.regressors import regress
     from video2anim.video import read_frames
 
     network = ctx.model(config.model)
@@ -147,10 +147,10 @@ def _fit(
     config: HumansConfig,
     ctx: StageContext,
 ) -> FittedBody:
-    from video2anim.fitting.long_clip import fit_long
-    from video2anim.fitting.objective import FitConfig
-    from video2anim.fitting.optimize import place_lifted
-    from video2anim.fitting.stature import KNOWN_SIGMA_M
+    from video2anim.humans.body_height import KNOWN_SIGMA_M
+    from video2anim.humans.long_clip import fit_long
+    from video2anim.humans.objective import FitConfig
+    from video2anim.humans.optimize import place_lifted
 
     fit_config = FitConfig()
     if height_m is not None:
@@ -165,8 +165,8 @@ def _fit(
 
 def _smoothed(observed: Observations, fit: FittedBody, config: HumansConfig) -> FittedBody:
     """Without the jitter of the landmarks, where the frame rate shows it."""
-    from video2anim.fitting.optimize import reposed
-    from video2anim.geometry.smoothing import low_pass
+    from video2anim.humans.optimize import reposed
+    from video2anim.humans.smoothing import low_pass
 
     frames = len(observed.valid)
     fps = 1.0 / float(np.median(np.diff(observed.frame_time_s))) if frames > 1 else 0.0
@@ -180,14 +180,14 @@ def _smoothed(observed: Observations, fit: FittedBody, config: HumansConfig) -> 
 
 def _R_world_camera(camera: CameraEstimate) -> np.ndarray:
     """(T, 3, 3)"""
-    from video2anim.fitting.ground import level_frame
+    from video2anim.humans.ground import level_frame
 
     return level_frame(camera.up_camera) @ camera.R_first_camera
 
 
 def _world(fit: FittedBody, valid: np.ndarray, R_world_camera: np.ndarray, fps: float) -> tuple[np.ndarray, float]:
     """T_world_camera (T, 4, 4) with the floor at y = 0 and the first valid root over the origin; floor spread."""
-    from video2anim.fitting.ground import floor_height
+    from video2anim.humans.ground import floor_height
 
     joints = np.einsum("tab,tjb->tja", R_world_camera, fit.joints_camera_m)
     floor_m, spread_m = floor_height(_sole_heights(fit, R_world_camera)[valid], fps)
@@ -201,7 +201,7 @@ def _world(fit: FittedBody, valid: np.ndarray, R_world_camera: np.ndarray, fps: 
 def _sole_heights(fit: FittedBody, R_world_camera: np.ndarray) -> np.ndarray:
     """(T, 2) height of the lowest point of the left and the right foot above the camera."""
     from video2anim.body.anny_body import shaped_body
-    from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
+    from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
     body = shaped_body(fit.shape)
     R_parent_joint = fit.R_parent_joint.copy()
@@ -226,8 +226,8 @@ def _motion(
     T_world_camera: np.ndarray,
     lifted: LiftedBody | None,
 ) -> BodyMotion:
-    from video2anim.fitting.ground import foot_contact
-    from video2anim.fitting.lifter_input import CONTACT_INDEX
+    from video2anim.humans.ground import foot_contact
+    from video2anim.humans.lifter_input import CONTACT_INDEX
 
     R_world_camera, t_world_camera = T_world_camera[:, :3, :3], T_world_camera[:, :3, 3]
     R_parent_joint = fit.R_parent_joint.copy()
@@ -264,7 +264,7 @@ def _smoothness(motion: BodyMotion, fps: float) -> dict[str, float]:
 
 
 def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: StageContext) -> None:
-    from video2anim.body.skeleton import FEET
+    from video2anim.types.skeleton import FEET
 
     ctx.quality("reprojection", quality.reprojection_px, "px", "lower")
     ctx.quality("reprojection over size", 100 * quality.reprojection_ratio, "%", "lower")

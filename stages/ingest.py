@@ -65,9 +65,9 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         InputError: the source is missing, no video, too short, or has no such shot; or the disk is full.
         StageError: the clip cannot be written.
     """
+    from video2anim.camera.background_registration import STATIC_DRIFT_RATIO
     from video2anim.video.cfr import constant_rate_index
     from video2anim.video.decode import probe
-    from video2anim.video.motion import STATIC_DRIFT_RATIO
     from video2anim.video.survey import survey_source
 
     header = probe(source.path)
@@ -191,8 +191,8 @@ def _write_clip(
     path: Path,
     ctx: StageContext,
 ) -> _Written:
+    from video2anim.camera.background_registration import CameraMotion
     from video2anim.video.encode import FrameWriter
-    from video2anim.video.motion import CameraMotion
 
     count = len(source_time_s)
     samples = min(_MOTION_SAMPLES, max(1, count // _MOTION_STEP))

@@ -28,10 +28,10 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
-    from video2anim.fitting.keyframe_depth import DepthTarget
-    from video2anim.fitting.keyframe_points import SkinPoints
-    from video2anim.fitting.keyframe_roots import ContactPart, RootProblem, RootWeights
     from video2anim.geometry.sdf import SdfGrid
+    from video2anim.motion.keyframe_depth import DepthTarget
+    from video2anim.motion.keyframe_points import SkinPoints
+    from video2anim.motion.keyframe_roots import ContactPart, RootProblem, RootWeights
 
 
 @dataclass(frozen=True)
@@ -126,9 +126,9 @@ def _optimize_person(
     """One person moved; `name` ends the names of its quality numbers. Hands that hold one of the objects touch no
     solid."""
     from video2anim.body.anny_body import shaped_body
-    from video2anim.fitting.keyframe_depth import depth_targets
-    from video2anim.fitting.keyframe_points import SkinSample
-    from video2anim.fitting.keyframe_roots import solve_along
+    from video2anim.motion.keyframe_depth import depth_targets
+    from video2anim.motion.keyframe_points import SkinSample
+    from video2anim.motion.keyframe_roots import solve_along
     from video2anim.objects.path import holding
 
     body = shaped_body(motion.shape)
@@ -185,8 +185,8 @@ def _root_problem(
     config: KeyframesConfig,
 ) -> RootProblem:
     """World-frame arrays at the keyframes; touches whose surface is out of reach are left out."""
-    from video2anim.fitting.keyframe_points import TOUCHING
-    from video2anim.fitting.keyframe_roots import ContactPart, RootProblem, contact_distance_m
+    from video2anim.motion.keyframe_points import TOUCHING
+    from video2anim.motion.keyframe_roots import ContactPart, RootProblem, contact_distance_m
 
     contacts: list[ContactPart] = []
     for joints in TOUCHING:
@@ -236,8 +236,8 @@ def _report_keyframes(
     config: KeyframesConfig,
 ) -> None:
     """Contact distance and depth agreement before and after."""
-    from video2anim.fitting.keyframe_roots import contact_distance_m
     from video2anim.geometry.chamfer import chamfer_m
+    from video2anim.motion.keyframe_roots import contact_distance_m
 
     frames = problem.frame
     touching = {
@@ -259,7 +259,7 @@ def _report_keyframes(
 
 
 def _weights(config: KeyframesConfig) -> RootWeights:
-    from video2anim.fitting.keyframe_roots import RootWeights
+    from video2anim.motion.keyframe_roots import RootWeights
 
     return RootWeights(
         regularization=config.weight_regularization,

@@ -58,7 +58,7 @@ def place_objects(
     ctx: StageContext,
 ) -> PlacedObjects:
     """Every object at its place. Those whose fit cannot be trusted keep their first guess or best fit and say why."""
-    from video2anim.geometry.lifted_thing import ThingLifter
+    from video2anim.objects.backproject import ThingLifter
 
     lifter = ThingLifter(masks, depth)
     placed = []
@@ -107,7 +107,7 @@ def _by_chamfer(
     """Any other mesh, by the distance to its depth points."""
     from trimesh.remesh import subdivide_to_size
 
-    from video2anim.geometry.placement import Placement, place
+    from video2anim.objects.placement import Placement, place
 
     if len(points_m) < config.least_points:
         fit = Placement(found.T_world_object, 1.0, np.nan, np.nan)
@@ -144,8 +144,8 @@ def _known(value: float) -> float | None:
 
 def _arranged(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext) -> list[PlacedObject]:
     """Objects on what carries them, and apart."""
-    from video2anim.geometry.arrangement import Standing, arrange
     from video2anim.geometry.scene_mesh import world_mesh
+    from video2anim.objects.collisions import Standing, arrange
 
     standing = [
         Standing(

@@ -42,7 +42,7 @@ _COMMAND = r"(?s)^$|\{image\}.*\{mesh\}|\{mesh\}.*\{image\}"
 
 
 def _with_digest(command: str) -> str:
-    from video2anim.models.external_mesh import program_digest
+    from video2anim.networks.external_mesh import program_digest
 
     return f"{command} (sha256 {program_digest(command)})"
 
@@ -86,10 +86,10 @@ def reconstruct_objects(
         UsageError: `model` names one of another slot, or an option is out of range.
         ModelMissingError: the network's weights are absent, or no network of its contract.
     """
-    from video2anim.fitting.supports import rested_and_inner_m
     from video2anim.geometry.masks import never_seen
     from video2anim.objects.evidence import ObjectViews, PeopleEvidence
     from video2anim.scene.heading import room_heading
+    from video2anim.scene.supports import rested_and_inner_m
 
     unseen = never_seen(plate.seen_ratio, depth.background_depth_m.shape)
     people = PeopleEvidence(*rested_and_inner_m(depth.bodies))
@@ -152,7 +152,7 @@ def _foreign(
 ) -> ObjectMesh | None:
     """The user's mesh of the object, that of the network or that of the user's program; None if there is none."""
     from video2anim.artifacts.user_files import read_mesh_file
-    from video2anim.models.external_mesh import mesh_by_program
+    from video2anim.networks.external_mesh import mesh_by_program
 
     if found.object_id in files:
         return _adopted(found, seen, read_mesh_file(files[found.object_id]), "user mesh")

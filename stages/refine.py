@@ -187,7 +187,7 @@ def _observation(motion: BodyMotion, objects: Sequence[PlacedObject]) -> SceneMo
     hold something touch no solid."""
     from scenemi.postprocess.motion_solve import PictureTarget, SceneMotion
     from video2anim.body.anny_body import shaped_body
-    from video2anim.fitting.touching import believed
+    from video2anim.body.contact import believed
     from video2anim.geometry.projection import invert_rigid, project
     from video2anim.objects.path import holding
 
@@ -229,10 +229,10 @@ def _solids(scene: SceneModel, main: BodyMotion, config: RefineConfig) -> Solids
     """The objects, that give way mostly along their horizontal lines of sight; everything together where none does.
     What somebody moves is one if it stays where it is for more than half of the clip, as it is in the scene's field."""
     from scenemi.postprocess.solids import MovableSolid, Solids
-    from video2anim.fitting.supports import SUPPORT
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
     from video2anim.objects.path import settled
+    from video2anim.scene.supports import SUPPORT
 
     standing = [item for item in map(settled, scene.objects) if item is not None]
     if not standing or not config.objects_move:
@@ -304,7 +304,7 @@ def _touching(
     """A solved motion, that has its observed contacts, with those that it has in the scene; a hand that holds something
     touches it."""
     from video2anim.body.anny_body import shaped_body
-    from video2anim.fitting.touching import touches
+    from video2anim.body.contact import touches
     from video2anim.objects.path import holding
 
     contact = touches(motion, shaped_body(motion.shape), scene, motion.contact, moving)
@@ -323,7 +323,7 @@ def _report(ctx: StageContext, when: str, motion: BodyMotion, seen: BodyMotion, 
     """Quality from the first to the last valid frame."""
     from scenemi import metrics
     from video2anim.body.anny_body import shaped_body
-    from video2anim.body.skeleton import forward_kinematics
+    from video2anim.types.skeleton import forward_kinematics
 
     measured = np.flatnonzero(motion.valid)
     span = slice(int(measured[0]), int(measured[-1]) + 1)

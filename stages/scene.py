@@ -32,8 +32,8 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
-    from video2anim.fitting.supports import Support
     from video2anim.objects.carried import Pictures
+    from video2anim.scene.supports import Support
 
 _FAR_SCAN_M = 0.25
 """A scan that stays farther from the video's depth is probably not in place."""
@@ -169,8 +169,8 @@ def _scanned(
     from video2anim.artifacts.user_files import read_mesh_file
     from video2anim.geometry.projection import backproject, transform_points
     from video2anim.geometry.rotations import matrix_from_axis_angle
-    from video2anim.geometry.scan import registered, scan_field
     from video2anim.geometry.scene_mesh import empty_mesh
+    from video2anim.scene.scan import registered, scan_field
 
     scan = read_mesh_file(Path(config.scan))
     T_world_scan = np.eye(4)
@@ -211,10 +211,10 @@ def _not_walked_through(
     ctx: StageContext,
 ) -> list[PlacedObject]:
     """Objects without those that somebody walks through and nobody uses: their place or depth is wrong."""
-    from video2anim.fitting.free_space import walked_inside_m
-    from video2anim.fitting.supports import LEAST_FRAMES
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
+    from video2anim.scene.free_space import walked_inside_m
+    from video2anim.scene.supports import LEAST_FRAMES
 
     kept = []
     for item in objects:
@@ -238,7 +238,7 @@ def _not_walked_through(
 def _rested(bodies: BodyTracks) -> list[tuple[int, Support]]:
     """Surfaces that parts of people rested on, with the person's number."""
     from video2anim.body.anny_body import shaped_body
-    from video2anim.fitting.supports import rested_places
+    from video2anim.scene.supports import rested_places
 
     return [(one.person_id, found) for one in bodies.people for found in rested_places(one, shaped_body(one.shape))]
 
@@ -248,8 +248,8 @@ def _supports(
 ) -> list[PlacedObject]:
     """A solid for every place where a part rested far from objects and floor, and through which nobody goes."""
     from video2anim.body.anny_body import shaped_body
-    from video2anim.fitting.supports import LEAST_FRAMES, SUPPORT, standing_solid
     from video2anim.geometry.scene_mesh import world_mesh
+    from video2anim.scene.supports import LEAST_FRAMES, SUPPORT, standing_solid
 
     people = [(motion, shaped_body(motion.shape)) for motion in bodies.people]
     number = max((item.object_id for item in objects), default=0)

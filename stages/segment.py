@@ -30,9 +30,9 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
-    from video2anim.geometry.joined_objects import SeenThing
-    from video2anim.geometry.object_regions import RegionLimits, Regions
-    from video2anim.models.segmentation import Segmentation
+    from video2anim.networks.segmentation import Segmentation
+    from video2anim.objects.depth_regions import RegionLimits, Regions
+    from video2anim.objects.merge import SeenThing
     from video2anim.types import BodyMotion
 
 _FURNITURE_WORDS = ("chair", "table", "desk", "box")
@@ -80,10 +80,10 @@ def segment_plate(
         StageError: there is no body in any frame (its camera gives gravity and the floor).
     """
     from video2anim.calibration.gather import first_depth_m, picture_evidence
-    from video2anim.geometry.joined_objects import SeenThing
     from video2anim.geometry.masks import shrunk
-    from video2anim.geometry.object_regions import RegionLimits, find_regions
-    from video2anim.models.segmentation import CLASSES
+    from video2anim.networks.segmentation import CLASSES
+    from video2anim.objects.depth_regions import RegionLimits, find_regions
+    from video2anim.objects.merge import SeenThing
 
     if not bodies.people or not bodies.people[0].valid.any():
         raise StageError("segment: want a fitted body with at least one valid frame, got none; check stage humans")
@@ -131,8 +131,8 @@ def _named_by_finder(
     ctx: StageContext,
 ) -> list[SeenThing]:
     """Things that the detector names, outlined, best first."""
-    from video2anim.geometry.joined_objects import SeenThing
     from video2anim.geometry.masks import shrunk
+    from video2anim.objects.merge import SeenThing
     from video2anim.objects.outline import outlined
 
     if config.finder == NO_MODEL:
@@ -161,10 +161,10 @@ def _with_networks(
     ctx: StageContext,
 ) -> tuple[list[SeenThing], Bool[np.ndarray, "small_height small_width"]]:
     """What the networks recognise, joined with the regions of depth; and the floor by both."""
-    from video2anim.geometry.joined_objects import SeenThing, joined_objects
     from video2anim.geometry.masks import shrunk
     from video2anim.geometry.projection import backproject, transform_points
-    from video2anim.models.segmentation import CLASSES
+    from video2anim.networks.segmentation import CLASSES
+    from video2anim.objects.merge import SeenThing, joined_objects
 
     shape = depth_m.shape
     recognised, built, floor = list(named), np.zeros(shape, bool), np.zeros(shape, bool)

@@ -14,8 +14,8 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import PersonTrack, PersonTracks, Thumbnail, VideoClip
 
 if TYPE_CHECKING:
-    from video2anim.models.blazepose import PoseEstimate
-    from video2anim.models.tracking import Track
+    from video2anim.networks.blazepose import PoseEstimate
+    from video2anim.tracking.tracker import Track
 
 LANDMARKS = 33
 MASK_SIZE = 64
@@ -58,7 +58,7 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
         UsageError: `person` names nobody found.
         ModelMissingError: the models' weights cannot be had.
     """
-    from video2anim.models.tracking import Tracker, rejoined
+    from video2anim.tracking.tracker import Tracker, rejoined
     from video2anim.video import read_frames
     from video2anim.video.heap import pictures_apart
 

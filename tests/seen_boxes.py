@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from video2anim.geometry.projection import pixel_rays
-from video2anim.geometry.upright_box import UprightBox
+from video2anim.objects.upright_box import UprightBox
 from video2anim.types.camera import Intrinsics
 
 LENS = Intrinsics.centered(300.0, 320, 240)

@@ -7,10 +7,10 @@ import torch
 
 from video2anim.body.anny_body import ADULT, anny_model, shaped_body
 from video2anim.body.leg_ik import LEGS, move_ankles
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.projection import invert_rigid
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyMotion, BodyShape, Intrinsics
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 FPS = 30.0
 STEP_S = 0.5

@@ -15,27 +15,23 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 PACKAGES = ("video2anim", "scenemi", "stages")
 LEVELS = {
     "video2anim": 0, "video2anim.types": 0, "video2anim.geometry": 0, "video2anim.body": 0, "video2anim.errors": 0,
-    "scenemi": 1, "video2anim.models": 1, "video2anim.artifacts": 1, "video2anim.video": 1, "video2anim.fitting": 1,
-    "video2anim.objects": 1, "video2anim.scene": 1,
-    "video2anim.pipeline": 2, "video2anim.viewer": 2, "video2anim.export": 2,
-    "video2anim.synth": 2, "video2anim.eval": 2, "video2anim.calibration": 2,
-    "stages": 3, "video2anim.lifting": 3, "video2anim.perception": 3,
-    "video2anim.cli": 4,
+    "scenemi": 1, "video2anim.networks": 1, "video2anim.artifacts": 1, "video2anim.video": 1,
+    "video2anim.background": 2, "video2anim.camera": 2, "video2anim.depth": 2, "video2anim.humans": 2,
+    "video2anim.objects": 2, "video2anim.scene": 2, "video2anim.tracking": 2,
+    "video2anim.calibration": 3, "video2anim.motion": 3,
+    "video2anim.pipeline": 4, "video2anim.viewer": 4, "video2anim.export": 4,
+    "stages": 5, "video2anim.lab": 5,
+    "video2anim.cli": 6,
 }  # fmt: skip
 """Part -> level. Lower never imports higher."""
 MAY_SEE = {
-    ("video2anim.scene", "video2anim.fitting"),
     ("video2anim.export", "video2anim.viewer"),
     ("video2anim.export", "video2anim.pipeline"),
-    ("video2anim.synth", "video2anim.export"),
-    ("video2anim.synth", "video2anim.viewer"),
-    ("video2anim.eval", "video2anim.export"),
-    ("video2anim.eval", "video2anim.pipeline"),
 }
 """Pairs of one level, (importer, imported), that the design allows; level 0 is one whole."""
 HOMES = {
-    "onnxruntime": ("video2anim/models/", "scenemi/model/onnx_denoiser.py"),
-    "ai_edge_litert": ("video2anim/models/",),
+    "onnxruntime": ("video2anim/networks/", "scenemi/model/onnx_denoiser.py"),
+    "ai_edge_litert": ("video2anim/networks/",),
     "open3d": ("video2anim/viewer/",),
 }
 """Libraries that only these folders may import."""
@@ -125,11 +121,11 @@ def test_lower_levels_never_import_higher_ones_nor_siblings() -> None:
     assert not wrong
 
 
-def test_scenemi_fitting_and_objects_see_only_the_base() -> None:
+def test_scenemi_sees_only_the_base() -> None:
     wrong = [
         f"{relative(path)}:{line} imports {name}"
         for path in sources()
-        if (here := part_of(module_name(path))) in ("scenemi", "video2anim.fitting", "video2anim.objects")
+        if (here := part_of(module_name(path))) == "scenemi"
         for name, line, _ in imported(path)
         if (there := part_of(name)) not in (None, here) and LEVELS[there] != 0
     ]
@@ -168,7 +164,7 @@ def test_scenemi_meets_the_pipeline_in_few_stages() -> None:
                     users.setdefault(relative(path), set()).add(name)
     for path_name, names in users.items():
         if path_name != "stages/refine.py":
-            reads_motion = path_name.startswith(("video2anim/synth/", "video2anim/lifting/"))
+            reads_motion = path_name.startswith("video2anim/lab/")
             seen = "scenemi." if reads_motion else "scenemi.metrics"
             assert all(name.startswith(seen) for name in names), f"{path_name} imports {names}"
     assert "stages/refine.py" in users

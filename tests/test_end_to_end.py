@@ -20,8 +20,8 @@ from test_glb import Reread
 
 from video2anim.artifacts.folder import file_digest
 from video2anim.artifacts.motion_io import read_motion, write_motion
-from video2anim.body.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.geometry.projection import transform_points
+from video2anim.types.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
 
 pytestmark = pytest.mark.slow
 

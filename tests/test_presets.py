@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from video2anim.cli.compose import pipeline_nodes, preset_models
-from video2anim.models import find_model
+from video2anim.networks import find_model
 from video2anim.pipeline.config import load_preset, preset_names, presets_dir, resolve
 
 REPOSITORY = Path(__file__).resolve().parents[1]

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 import scenemi
-from video2anim import errors, export, models, types, viewer
+from video2anim import errors, export, networks, types, viewer
 from video2anim.cli.compose import pipeline_nodes
 from video2anim.cli.main import app
 from video2anim.types import BodyMotion
@@ -125,5 +125,5 @@ def test_exit_codes() -> None:
 def test_packages() -> None:
     assert {"KeyframeMotion", "inbetween", "load_prior", "InbetweeningPrior"} <= set(scenemi.__all__)
     assert set(export.FORMATS) == {"glb", "usd", "bvh", "amass", "fbx", "fbx-ready"}
-    assert {"find_model", "load_model", "pull", "verify"} <= set(models.__all__)
+    assert {"find_model", "load_model", "pull", "verify"} <= set(networks.__all__)
     assert viewer.__all__ == ["SceneView", "screenshot", "view"]

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import (
     BodyMotion,
@@ -21,6 +20,7 @@ from video2anim.types import (
     SceneModel,
     Texture,
 )
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 FPS = 30.0
 

@@ -1,4 +1,4 @@
-"""Fits the walking styles of `video2anim/synth/acting/gait.npz`.
+"""Fits the walking styles of `video2anim/lab/synth/acting/gait.npz`.
 
 From walks of the CMU Graphics Lab motion capture database in the training split: pelvis, spine and arm angles as
 Fourier series over the phase of the gait (0 = left heel strike, pi = right). Only coefficients are kept.
@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from scenemi.data.container import MotionArchive, read_split
-from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.types.skeleton import JOINT_INDEX
 
 HARMONICS = 4
 CHANNELS = (

@@ -15,8 +15,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from scenemi.data.files import file_digest
 from scenemi.data.sources import attribution_of, is_free, license_of
-from scenemi.files import file_digest
 from scenemi.model.weights import WEIGHTS_FOLDER, load_weights
 
 CARD = """# SceneMI weights `{name}`

@@ -19,10 +19,10 @@ from safetensors.numpy import save_file
 
 from scenemi.data.augment import mirrored
 from scenemi.data.container import MotionArchive, read_split
+from scenemi.data.files import file_digest
 from scenemi.data.retarget import retarget
 from scenemi.evaluation.motion_autoencoder import AutoencoderConfig, MotionAutoencoder, motion_channels, to_tensors
 from scenemi.evaluation.windows import adult_body
-from scenemi.files import file_digest
 from scenemi.windows import WINDOW_FRAMES
 
 SHORTEST_FRAMES = 61

@@ -1,4 +1,4 @@
-"""Train the temporal lifter that ships in `video2anim/models/weights`: one run that goes on.
+"""Train the temporal lifter that ships in `video2anim/networks/weights`: one run that goes on.
 
     python training/lifter.py run --motion ../shared/motion --minutes 30
     python training/lifter.py progress
@@ -8,7 +8,7 @@ The first run makes what is missing in the cache: clips of `video2anim synth` an
 quarter of an hour of one core), and the store of motions (some minutes). Then it trains from the last checkpoint for
 the given time or until it is interrupted; it may be killed at any time. Without a checkpoint it starts from the shipped
 weights if they have the same architecture. `export` writes the averaged network, with `--cooldown` after so many steps
-with a falling rate, and prints the digest that `video2anim/models/table.py` has to follow.
+with a falling rate, and prints the digest that `video2anim/networks/table.py` has to follow.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from pathlib import Path
 import torch
 
 from video2anim.artifacts.codec import read_value
-from video2anim.lifting.motions import kept_motions
-from video2anim.lifting.network import LifterNetwork, export_onnx, read_onnx
-from video2anim.lifting.residuals import ResidualLibrary, collect
-from video2anim.lifting.samples import LiftingSampler
-from video2anim.lifting.store import keep, kept, mapped
-from video2anim.lifting.train import LiftingConfig, cooled, describe, read_average, read_progress, train
-from video2anim.models.fetch import cache_dir
+from video2anim.lab.lifter.motions import kept_motions
+from video2anim.lab.lifter.network import LifterNetwork, export_onnx, read_onnx
+from video2anim.lab.lifter.residuals import ResidualLibrary, collect
+from video2anim.lab.lifter.samples import LiftingSampler
+from video2anim.lab.lifter.store import keep, kept, mapped
+from video2anim.lab.lifter.train import LiftingConfig, cooled, describe, read_average, read_progress, train
+from video2anim.networks.fetch import cache_dir
 from video2anim.types import PersonTracks
 
 ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
@@ -43,7 +43,7 @@ CLIP_WORDS = ("--preset", "random", "--seed", "7201", "--size", "480x848", "--lo
 CLIP_MOTION = ("cmu.npz", "deepmimic.npz")
 HELD_OUT = 6
 """Errors of every sixth clip are for validation."""
-SHIPPED = Path(__file__).parents[1] / "video2anim" / "models" / "weights" / "lifter.onnx"
+SHIPPED = Path(__file__).parents[1] / "video2anim" / "networks" / "weights" / "lifter.onnx"
 
 
 def main() -> None:

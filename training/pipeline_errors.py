@@ -20,11 +20,11 @@ import torch
 from lifter import CLIPS, samplers  # beside this file
 
 from stages.humans import HumansConfig, recover_humans
-from video2anim.fitting.landmarks import LANDMARK_ORDER
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from video2anim.lifting.samples import LiftingSampler, Sighting
-from video2anim.models import load_model
-from video2anim.models.fetch import cache_dir
+from video2anim.humans.landmarks import LANDMARK_ORDER
+from video2anim.lab.lifter.samples import LiftingSampler, Sighting
+from video2anim.networks import load_model
+from video2anim.networks.fetch import cache_dir
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyMotion, CameraEstimate, Intrinsics, PersonTrack, PersonTracks, VideoClip
 from video2anim.types.clip import SourceInfo

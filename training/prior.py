@@ -25,7 +25,7 @@ import time
 from pathlib import Path
 from typing import IO
 
-from video2anim.models.fetch import cache_dir
+from video2anim.networks.fetch import cache_dir
 
 ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
 ACTED, ACTED_SEED = 600, 50
@@ -119,7 +119,7 @@ def turn(command: list[str], options: argparse.Namespace, left_minutes: float) -
 
 def prior_command(options: argparse.Namespace, *words: str) -> list[str]:
     """`scenemi train` on the free archives and the acted clips."""
-    command = [sys.executable, "-m", "scenemi.cli", "train", "--split", str(options.motion / "split.json")]
+    command = [sys.executable, "-m", "scenemi.cli.main", "train", "--split", str(options.motion / "split.json")]
     for path in (*(options.motion / name for name in ARCHIVES), cache() / "acted.npz"):
         command += ["--motion", str(path)]
     if errors_path().is_file():

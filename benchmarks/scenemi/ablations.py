@@ -24,8 +24,8 @@ from typing import Any
 
 import torch
 
+from scenemi.data.files import write_json
 from scenemi.data.split import Split
-from scenemi.files import write_json
 from scenemi.model.build import build_denoiser
 from scenemi.training.checkpoint import CHECKPOINT, Checkpoint, load_checkpoint
 from scenemi.training.config import TrainConfig

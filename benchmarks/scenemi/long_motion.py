@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from scenemi.choice import choose_prior
 from scenemi.data.container import MotionArchive, read_split
+from scenemi.data.files import write_json
 from scenemi.data.retarget import RetargetedMotion, retarget
 from scenemi.evaluation.scenes import with_pseudo_scenes
 from scenemi.evaluation.seams import keyframe_motion, seam_jerk
 from scenemi.evaluation.windows import KeyframeProtocol, adult_body, cut_windows, give_keyframes
-from scenemi.files import write_json
 from scenemi.longmotion import inbetween
+from scenemi.model.choice import choose_prior
 from scenemi.prior import InbetweeningPrior
 
 

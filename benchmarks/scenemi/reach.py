@@ -32,19 +32,19 @@ import numpy as np
 import torch
 
 from scenemi import metrics
-from scenemi.choice import SAMPLE_STEPS, choose_prior
 from scenemi.data.container import MotionArchive, read_split
+from scenemi.data.files import file_digest, write_json
 from scenemi.evaluation.ablation import AblatedPrior
 from scenemi.evaluation.protocol import Evaluation, evaluate, fill_batch
 from scenemi.evaluation.scenes import telling_share, with_pseudo_scenes
 from scenemi.evaluation.scores import mean_of
 from scenemi.evaluation.windows import FPS, EvaluationWindow, KeyframeProtocol, cut_windows, give_keyframes, window_seed
-from scenemi.files import file_digest, write_json
+from scenemi.model.choice import SAMPLE_STEPS, choose_prior
 from scenemi.postprocess.in_scene import WITHOUT_PICTURE, SolvedPrior, put_in_scene
 from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow, WindowMotion
 from scenemi.training.noise import PipelineErrors, told_level
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.types.skeleton import forward_kinematics
 
 SAMPLES = 8
 """Of a window, each of `SAMPLE_STEPS` steps; all else is the expected motion, one step."""

@@ -28,15 +28,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from scenemi.choice import INTERPOLATION, choose_prior
 from scenemi.data.container import MotionArchive, read_split
+from scenemi.data.files import file_digest, write_json
 from scenemi.evaluation.ablation import AblatedPrior
 from scenemi.evaluation.fid import FID_DIGEST, shipped_features
 from scenemi.evaluation.protocol import Evaluation, evaluate
 from scenemi.evaluation.scenes import SCENE_SEED, Obstacles, with_pseudo_scenes
 from scenemi.evaluation.scores import over_seeds
 from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol, cut_windows
-from scenemi.files import file_digest, write_json
+from scenemi.model.choice import INTERPOLATION, choose_prior
 from scenemi.prior import InbetweeningPrior
 
 TABLES = ("1", "2", "3", "6", "7", "8", "9")

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 
 from scenemi.data.adults import draw_adults
-from scenemi.files import write_json
+from scenemi.data.files import write_json
 from scenemi.training.batches import PoolBatches
 from scenemi.training.config import TrainConfig
 from scenemi.training.loop import POOL

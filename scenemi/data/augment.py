@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from scenemi.data.interpolate import blended, cubic_taps, nearest_rows, unit
 from scenemi.data.retarget import RetargetedMotion
-from video2anim.body.skeleton import JOINT_NAMES
 from video2anim.geometry.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
+from video2anim.types.skeleton import JOINT_NAMES
 
 TARGET_FPS = 30.0
 _OTHER = {"left": "right", "right": "left"}

@@ -20,8 +20,8 @@ from jaxtyping import Float, Int16
 from scenemi.data.plain_files import read_arrays, read_json_value
 from scenemi.data.source_clip import LEAST_FPS, MOST_FPS, SourceClip, SourceSkeleton
 from scenemi.data.sources import is_free, license_of
-from video2anim.body.skeleton import JOINT_NAMES
 from video2anim.errors import InputError
+from video2anim.types.skeleton import JOINT_NAMES
 
 __all__ = ["FORMAT_VERSION", "MotionArchive", "SourceClip", "SourceSkeleton", "read_split", "write_archive"]
 

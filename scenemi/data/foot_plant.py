@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import distance_transform_edt
 
-from scenemi.data.contacts import runs
+from scenemi.contacts import runs
 from scenemi.data.fading import envelope, faded
 from scenemi.data.foot_mesh import Sole
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle

@@ -13,7 +13,7 @@ from scenemi.data.foot_plant import FootPose
 from scenemi.data.hinge_limb import hip_drop
 from video2anim.body.anny_body import ShapedBody
 from video2anim.body.leg_ik import LEGS
-from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.types.skeleton import JOINT_INDEX
 
 HIPS = (JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"])
 _NEAR_FLOOR_M = 0.3

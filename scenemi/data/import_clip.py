@@ -14,9 +14,9 @@ from scenemi.data.joint_names import JointMap
 from scenemi.data.plain_files import MOST_FRAMES
 from scenemi.data.posture import on_smpl_joints, posture_axes, posture_problem
 from scenemi.data.source_clip import LEAST_FPS, MOST_FPS, SourceClip, SourceSkeleton
-from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES
 
 Up = Literal["auto", "y", "z"]
 UNITS_M: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}

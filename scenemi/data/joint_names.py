@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES
 from video2anim.errors import InputError
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES
 
 _TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")
 _LIMBS = ("hip", "knee", "ankle", "foot", "collar", "shoulder", "elbow", "wrist")

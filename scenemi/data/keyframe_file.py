@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from scenemi.data.keyframes import FPS, JOINTS, Keyframes, checked_keyframes
 from scenemi.data.plain_files import (
     Numbers,
     OneNumber,
@@ -19,7 +20,6 @@ from scenemi.data.plain_files import (
     read_json,
     shaped,
 )
-from scenemi.keyframes import FPS, JOINTS, Keyframes, checked_keyframes
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import matrix_from_axis_angle

@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from scenemi.contacts import runs
 from scenemi.data.augment import resampled
 from scenemi.data.bend import LEAST_WAY_M, bent, way_m
-from scenemi.data.contacts import runs
 from scenemi.data.container import MotionArchive
 from scenemi.data.retarget import RetargetedMotion, retarget
 from video2anim.body.anny_body import ShapedBody, shaped_body
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
 from video2anim.types import BodyShape
+from video2anim.types.skeleton import forward_kinematics
 
 FPS = 30.0
 _VERSION = 2

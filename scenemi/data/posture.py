@@ -13,13 +13,13 @@ from jaxtyping import Float
 from scenemi.data.rest_pose import foot_axes
 from scenemi.data.retarget import carried_over
 from scenemi.data.source_clip import SourceClip, SourceSkeleton
-from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
 from video2anim.geometry.rotations import (
     continuous_quaternions,
     nearest_rotation,
     quaternion_from_matrix,
     rotation_between,
 )
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
 
 _MAX_LEG_RAD = np.radians(30)
 _MAX_ELBOW_RAD = np.radians(45)

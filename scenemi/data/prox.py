@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from scenemi.data.contacts import runs
+from scenemi.contacts import runs
 from scenemi.data.plain_files import read_array, read_json_value
 from scenemi.data.smpl_clip import R_Y_UP_Z_UP, smpl_clip
 from scenemi.data.source_clip import SourceClip

@@ -20,9 +20,9 @@ import numpy as np
 from jaxtyping import Float
 
 from scenemi.data.container import SourceSkeleton
-from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle, nearest_rotation
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES
 
 Vector = tuple[float, float, float]
 TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head", "left_collar", "right_collar")

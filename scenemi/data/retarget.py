@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from scenemi.contacts import ContactConfig, foot_contacts
 from scenemi.data.body_measure import BodyMeasure, measure_body
-from scenemi.data.contacts import ContactConfig, foot_contacts
 from scenemi.data.container import SourceClip, SourceSkeleton
 from scenemi.data.foot_plant import FootPose, place_foot, pose_foot, turned_about
 from scenemi.data.hinge_limb import bend_leg, move_wrist
@@ -22,9 +22,9 @@ from scenemi.data.hip_path import height_correction, out_of_floor, reach_drop, s
 from scenemi.data.rest_pose import rest_axes
 from video2anim.body.anny_body import ShapedBody
 from video2anim.body.leg_ik import LEGS
-from video2anim.body.skeleton import JOINT_INDEX, PARENTS
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from video2anim.types.skeleton import JOINT_INDEX, PARENTS
 
 _CHAINS = (("pelvis", "spine1", "spine2", "spine3"), ("spine3", "neck", "head"))
 """Joints without a source between joints with one turn in equal shares."""

@@ -12,7 +12,7 @@ from scenemi.data.retarget import RetargetedMotion
 from scenemi.metrics import jerk_m_s3
 from video2anim.body.anny_body import ShapedBody
 from video2anim.body.leg_ik import LEGS
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 _SIDES = ("left", "right")
 LIMBS = tuple(

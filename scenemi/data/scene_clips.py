@@ -18,9 +18,9 @@ from scenemi.data.split import Part, Split
 from scenemi.data.trumans import read_trumans, read_trumans_sdf
 from scenemi.scene.geometry import SceneGeometry
 from video2anim.body.anny_body import ShapedBody
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import UsageError
 from video2anim.geometry.sdf import SdfGrid
+from video2anim.types.skeleton import forward_kinematics
 
 SCENE_SOURCES = ("trumans", "gimo", "prox")
 _TEST_ROOMS_OF_PROX = ("MPH16", "MPH1Library", "N0SittingBooth", "N3OpenArea")

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from scenemi.data.plain_files import Numbers, checked, expect_file, one_line, read_arrays, shaped
-from scenemi.scene_field import ScenePart, expect_scene
+from scenemi.scene.scene_parts import ScenePart, expect_scene
 from video2anim.errors import InputError
 from video2anim.types.scene import MOST_FACES
 

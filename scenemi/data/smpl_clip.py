@@ -16,11 +16,11 @@ from jaxtyping import Float
 from scenemi.data.import_clip import at_fps, on_floor, with_glitches
 from scenemi.data.source_clip import SourceClip, SourceSkeleton
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.body.smplx_body import MEAN_PELVIS_M
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, matrix_from_axis_angle, quaternion_from_matrix
 from video2anim.types import BodyShape
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS, forward_kinematics
 
 SmplModel = Literal["smpl", "smplh", "smplx"]
 PELVIS_M = MEAN_PELVIS_M

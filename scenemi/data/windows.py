@@ -35,10 +35,10 @@ from scenemi.data.sources import BROKEN_CLIPS
 from scenemi.data.split import Part, Split
 from scenemi.windows import WINDOW_FRAMES
 from video2anim.body.anny_body import ShapedBody, shaped_body
-from video2anim.body.skeleton import JOINT_NAMES
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_quaternion
 from video2anim.types import BodyShape
+from video2anim.types.skeleton import JOINT_NAMES
 
 _OF_ARMS_AND_HEAD = ("neck", "head", "collar", "shoulder", "elbow", "wrist")
 ARMS_AND_HEAD = np.array([i for i, name in enumerate(JOINT_NAMES) if name.endswith(_OF_ARMS_AND_HEAD)])

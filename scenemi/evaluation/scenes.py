@@ -13,7 +13,7 @@ from scenemi.prior import InterpolationPrior
 from scenemi.scene.basis_points import anchor_vertices
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.pseudo import PseudoConfig, PseudoScenes
-from video2anim.body.skeleton import forward_kinematics
+from video2anim.types.skeleton import forward_kinematics
 
 SCENE_SEED = 20_251
 BLIND_INTERVAL = 60

@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from scenemi import metrics
 from scenemi.evaluation.windows import FPS, EvaluationWindow
 from scenemi.prior import WindowMotion
-from video2anim.body.skeleton import forward_kinematics
+from video2anim.types.skeleton import forward_kinematics
 
 SKIN_VERTICES = 1500
 """About how many vertices of the skin are tested against the scene (every k-th one)."""

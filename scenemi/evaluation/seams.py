@@ -11,7 +11,7 @@ from scenemi.data.retarget import RetargetedMotion
 from scenemi.evaluation.windows import FPS, adult_body
 from scenemi.longmotion import KeyframeMotion, LongMotion
 from scenemi.windows import select_keyframes
-from video2anim.body.skeleton import forward_kinematics
+from video2anim.types.skeleton import forward_kinematics
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
 from scenemi.model.transformer import Transformer
 from scenemi.scene.field import REACH_M
 from scenemi.windows import WINDOW_FRAMES
-from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.types.skeleton import JOINT_INDEX
 
 # Shapes: B windows, N frames, F = 201 features, P points of the body asked for in the scene
 

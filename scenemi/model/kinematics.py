@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from scenemi.features import ROTATIONS, TRANSLATION
-from video2anim.body.skeleton import PARENTS
+from video2anim.types.skeleton import PARENTS
 
 
 def _levels() -> tuple[tuple[list[int], list[int]], ...]:

@@ -15,9 +15,9 @@ from scenemi.scene.basis_points import anchor_vertices, bps
 from scenemi.scene.geometry import SceneGeometry
 from scenemi.scene.voxels import GridSpec, occupancy
 from video2anim.body.anny_body import ADULT, ShapedBody, anny_model, shaped_body
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.motion import BodyShape
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 _HEIGHTS = np.linspace(0.0, 1.0, 6)
 """Values of Anny's `height` tried for a skeleton without a body."""

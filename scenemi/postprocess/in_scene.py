@@ -14,7 +14,7 @@ from scenemi.postprocess.solids import Solids
 from scenemi.prior import KeyframeWindow, WindowMotion, is_exact
 from scenemi.scene.geometry import SceneGeometry
 from scenemi.scene.grid import distance_grid
-from video2anim.body.skeleton import forward_kinematics
+from video2anim.types.skeleton import forward_kinematics
 
 if TYPE_CHECKING:
     from scenemi.model.prior import DiffusionPrior

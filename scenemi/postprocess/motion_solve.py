@@ -28,8 +28,8 @@ from jaxtyping import Bool, Float, Int
 from scenemi.postprocess.block_band import BlockBand, solve_together
 from scenemi.postprocess.skin import PARTS, skin_of
 from scenemi.postprocess.solids import Solids
-from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from video2anim.types.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 
 if TYPE_CHECKING:
     from video2anim.body.anny_body import ShapedBody

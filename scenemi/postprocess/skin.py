@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.skeleton import TOUCHING_PARTS
 from video2anim.geometry.sampling import farthest_points
+from video2anim.types.skeleton import TOUCHING_PARTS
 
 if TYPE_CHECKING:
     from video2anim.body.anny_body import ShapedBody

@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
 from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
-from video2anim.body.skeleton import JOINT_INDEX
 from video2anim.types.motion import BodyShape
+from video2anim.types.skeleton import JOINT_INDEX
 
 _SKIN_SAMPLES = 1500
 _SLACK_M = 0.013

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from scenemi.data.contacts import runs
+from scenemi.contacts import runs
 from scenemi.scene.body_balls import BodyBalls
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.furniture import Piece, block, seat_of, table_of
 from scenemi.scene.sliding import Slide, SweptBody, nearest_free
-from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.types.skeleton import JOINT_INDEX
 
 _HIPS = [JOINT_INDEX[n] for n in ("pelvis", "left_hip", "right_hip")]
 _TRUNK = [JOINT_INDEX[n] for n in ("pelvis", "spine1", "spine2", "spine3", "left_hip", "right_hip")]

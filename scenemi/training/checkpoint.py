@@ -11,9 +11,9 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from scenemi.data.files import write_tensors
 from scenemi.data.plain_files import one_line
 from scenemi.features import Statistics
-from scenemi.files import write_tensors
 from scenemi.model.build import build_denoiser
 from scenemi.model.weights import statistics_from
 from scenemi.training.config import TrainConfig

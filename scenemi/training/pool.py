@@ -29,8 +29,8 @@ from scenemi.scene.rows import BoxRows, SceneRows, VolumeRows
 from scenemi.training.keyframe_masks import draw_telling_mask
 from scenemi.training.scene_pool import SceneMotions
 from scenemi.windows import WINDOW_FRAMES
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError
+from video2anim.types.skeleton import forward_kinematics
 
 SHARD_WINDOWS = 1024
 UNITS_PER_METRE = 8192.0

@@ -22,7 +22,7 @@ from scenemi.scene.pseudo import PseudoScenes
 from scenemi.scene.rows import BoxRows, SceneRows
 from scenemi.training.pool import scene_boxes
 from scenemi.training.scene_pool import SceneMotions
-from video2anim.body.skeleton import forward_kinematics
+from video2anim.types.skeleton import forward_kinematics
 
 INTERVALS = (15, 30, 60)
 SCENE_INTERVAL = 60

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from video2anim.body.anny_body import ADULT, KEYPOINT_NAMES, PHENOTYPES, ShapedBody, anny_model, shaped_body
-from video2anim.body.skeleton import FEET, JOINT_INDEX, JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.errors import UsageError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyShape
+from video2anim.types.skeleton import FEET, JOINT_INDEX, JOINT_NAMES, PARENTS, forward_kinematics
 
 SHAPES = [
     ADULT,

@@ -17,12 +17,12 @@ import pytest
 import scipy.sparse
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.body.smpl_file import read_smpl_file
 from video2anim.body.smplx_body import DIR_VARIABLE, load_body_model
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyShape
+from video2anim.types.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 
 VERTICES = 80
 LEFT_WRIST, RIGHT_WRIST, HEAD = (JOINT_INDEX[name] for name in ("left_wrist", "right_wrist", "head"))

@@ -10,9 +10,9 @@ from synthetic import planted_walk
 from walk_scene import walk
 
 from video2anim.body.anny_body import shaped_body
+from video2anim.body.contact import posed_vertices
 from video2anim.calibration.bodies import calibrated
 from video2anim.calibration.fit import Calibration
-from video2anim.fitting.touching import posed_vertices
 from video2anim.geometry.projection import project
 from video2anim.types import BodyMotion, BodyTracks
 

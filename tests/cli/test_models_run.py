@@ -16,8 +16,8 @@ from video2anim.artifacts.images import write_png
 from video2anim.cli import pictures
 from video2anim.cli.pictures import camera_arrays
 from video2anim.geometry.perspective_field import field_of_camera
-from video2anim.models.segmentation import CLASSES
-from video2anim.synth.cameras import look
+from video2anim.lab.synth.cameras import look
+from video2anim.networks.segmentation import CLASSES
 
 HEIGHT, WIDTH = 48, 64
 ROWS, COLUMNS = 96, 128
@@ -198,7 +198,7 @@ def test_the_slots_first_model_is_the_default(
         asked.append(name)
         return Metres()
 
-    monkeypatch.setattr("video2anim.models.load_model", load)
+    monkeypatch.setattr("video2anim.networks.load_model", load)
     out = tmp_path / "depth.npz"
     words = [word for pair in told.items() for word in pair]
     found = arrays(video2anim("models", "run", "depth", *shown, "--out", out, *words), out)

@@ -9,7 +9,7 @@ import pytest
 
 from stages.segment import STAGE, SegmentConfig
 from video2anim.cli.compose import TableModels, pipeline_nodes
-from video2anim.models.table import MODELS
+from video2anim.networks.table import MODELS
 from video2anim.pipeline.graph import Node
 from video2anim.pipeline.stage import NO_MODEL, slots_of
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from walk_scene import room, room_with_carried_box, walk
 
-from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.body.smplx_body import DIR_VARIABLE, MEAN_PELVIS_M, shaped_smpl
 from video2anim.export.amass import AmassModel, write_amass
 from video2anim.export.character import character_of
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyMotion, BodyShape
+from video2anim.types.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 
 MODELS: tuple[tuple[AmassModel, int], ...] = (("smplh", 52), ("smplx", 55))
 PELVIS_M = np.array([0.01, -0.3, 0.02])

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from walk_scene import room, walk
 
-from video2anim.body.skeleton import JOINT_NAMES
 from video2anim.errors import StageError
 from video2anim.export import ExportScene, write_format
 from video2anim.export.fbx import MIXAMO_NAMES, blender_command, write_fbx
 from video2anim.geometry.projection import transform_points
 from video2anim.types import BodyMotion
+from video2anim.types.skeleton import JOINT_NAMES
 
 SCRIPT = Path(__file__).with_name("blender_reads.py")
 FRAMES = 260

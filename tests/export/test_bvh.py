@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from walk_scene import walk
 
-from video2anim.body.skeleton import JOINT_NAMES
 from video2anim.export.bvh import continuous_euler_zyx, write_bvh
 from video2anim.export.character import character_of
+from video2anim.types.skeleton import JOINT_NAMES
 
 
 def parse_bvh(text: str) -> tuple[list[str], list[int], np.ndarray, list[list[str]], np.ndarray, float]:

@@ -16,13 +16,13 @@ import trimesh
 from walk_scene import room, room_with_carried_box, walk
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import JOINT_NAMES, forward_kinematics
 from video2anim.export.character import character_of, strongest_influences
 from video2anim.export.frames import linear_from_srgb
 from video2anim.export.glb import write_object_glb, write_scene_glb
 from video2anim.geometry.projection import project, transform_points
 from video2anim.geometry.rotations import matrix_from_quaternion
 from video2anim.types import BodyMotion, Contact
+from video2anim.types.skeleton import JOINT_NAMES, forward_kinematics
 
 COMPONENTS = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}

@@ -17,11 +17,10 @@ from stages.export import ExportConfig, _write_pictures, export_scene
 from video2anim.artifacts.codec import read_value, write_value
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import JOINT_INDEX
+from video2anim.body.contact import posed_vertices
 from video2anim.errors import UsageError
 from video2anim.export import FORMATS, ExportScene, write_format
 from video2anim.export.preview import hidden_share, moment_picture, overlay_frame, side_viewpoint, write_preview
-from video2anim.fitting.touching import posed_vertices
 from video2anim.geometry.projection import project
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
@@ -32,6 +31,7 @@ from video2anim.types import (
     SourceVideo,
     VideoClip,
 )
+from video2anim.types.skeleton import JOINT_INDEX
 from video2anim.viewer.drawing import world_vertices
 
 FRAMES = 8

@@ -9,11 +9,11 @@ import pytest
 from seen_boxes import LENS
 from synthetic import planted_walk
 
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.objects.changes import Change
 from video2anim.objects.hands import NEAR_M, Grip, HandPath, gaps_m, grip, hands_of, holders, reach
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 FRAMES, STEP = 200, 5
 DEPTH_M = 3.0

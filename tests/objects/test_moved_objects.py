@@ -12,7 +12,6 @@ from scipy.interpolate import PchipInterpolator
 from seen_boxes import FLOOR, LENS, Block, looking, shoot
 
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.scene_mesh import box_mesh
@@ -26,6 +25,7 @@ from video2anim.types import (
     ObjectInstance,
     PlacedObject,
 )
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 FRAMES, STEP = 300, 5
 T_WORLD_CAMERA = looking((0.0, 1.6, 0.0), (0.0, 0.7, -3.4))

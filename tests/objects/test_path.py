@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from synthetic import planted_walk, rotation, with_root_shift
 
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.projection import invert_rigid
 from video2anim.geometry.scene_mesh import box_mesh
 from video2anim.objects.path import BLEND_FRAMES, follow_hand, holding
 from video2anim.types import BodyMotion, Hold, ObjectPath, PlacedObject
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 FRAMES = 60
 LEFT, RIGHT = JOINT_INDEX["left_wrist"], JOINT_INDEX["right_wrist"]

@@ -10,8 +10,7 @@ import pytest
 from synthetic import FPS, planted_walk, rotation
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import JOINT_INDEX
-from video2anim.fitting.touching import posed_vertices
+from video2anim.body.contact import posed_vertices
 from video2anim.geometry.scene_mesh import box_mesh, empty_mesh
 from video2anim.scene.contact_graph import contact_graph, scene_contacts
 from video2anim.types import (
@@ -25,6 +24,7 @@ from video2anim.types import (
     RoomPiece,
     SceneModel,
 )
+from video2anim.types.skeleton import JOINT_INDEX
 
 FRAMES = 60
 SITTING = {"left_hip": -1.5, "right_hip": -1.5, "left_knee": 1.5, "right_knee": 1.5}

@@ -15,8 +15,8 @@ from synthetic import planted_walk
 from scenemi import cli
 from scenemi.data.container import write_archive
 from scenemi.data.source_clip import SourceClip, SourceSkeleton
-from video2anim.body.skeleton import JOINT_NAMES, PARENTS
 from video2anim.geometry.rotations import quaternion_from_matrix
+from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
 KEYS = np.array([0, 15, 40, 60])
 

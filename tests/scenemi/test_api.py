@@ -19,7 +19,7 @@ def test_public_names_exist_and_are_the_expected_ones() -> None:
 def test_import_needs_neither_torch_nor_the_pipeline() -> None:
     code = (
         "import sys, scenemi; bad = [m for m in ('torch', 'open3d', 'stages', 'video2anim.pipeline',"
-        " 'video2anim.models', 'video2anim.artifacts') if m in sys.modules]; sys.exit(','.join(bad) or 0)"
+        " 'video2anim.networks', 'video2anim.artifacts') if m in sys.modules]; sys.exit(','.join(bad) or 0)"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stderr

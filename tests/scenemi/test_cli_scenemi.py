@@ -46,7 +46,7 @@ def room(tmp_path: Path) -> Path:
 
 def test_help_is_light_and_names_the_commands() -> None:
     code = (
-        "import sys; sys.argv = ['scenemi', '--help']\nfrom scenemi.cli import run\ntry:\n    run()\n"
+        "import sys; sys.argv = ['scenemi', '--help']\nfrom scenemi.cli.main import run\ntry:\n    run()\n"
         "except SystemExit as end:\n    assert not end.code\n"
         "bad = {'torch', 'trimesh', 'anny', 'rich.progress'} & set(sys.modules); sys.exit(','.join(bad) or 0)"
     )
@@ -377,7 +377,7 @@ def test_data_shows_and_converts(tmp_path: Path) -> None:
 
 
 def test_furniture_is_solid_and_the_shell_of_a_room_is_not() -> None:
-    from scenemi.scene_field import ScenePart, geometry_of
+    from scenemi.scene.scene_parts import ScenePart, geometry_of
 
     table = trimesh.creation.box((1.0, 0.8, 1.0), trimesh.transformations.translation_matrix((1.5, 0.4, 0.0)))
     shell = trimesh.creation.box((6.0, 3.0, 6.0), trimesh.transformations.translation_matrix((0.0, 1.5, 0.0)))

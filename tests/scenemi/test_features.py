@@ -17,9 +17,9 @@ from scenemi.features import (
     to_world,
 )
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyShape
+from video2anim.types.skeleton import forward_kinematics
 
 BODY = shaped_body(BodyShape("anny", dict(ADULT)))
 REST = BODY.rest_joints_m

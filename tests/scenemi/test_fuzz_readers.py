@@ -27,7 +27,7 @@ from scenemi.data.readers import read_clips
 from scenemi.data.retarget import retarget
 from scenemi.data.scene_file import read_scene
 from scenemi.evaluation.windows import adult_body
-from scenemi.scene_field import geometry_of
+from scenemi.scene.scene_parts import geometry_of
 from scenemi.training.config import TrainConfig
 from video2anim.errors import Video2AnimError
 

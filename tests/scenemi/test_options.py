@@ -23,7 +23,7 @@ from scenemi.data.windows import MotionSet, MotionSetConfig
 from scenemi.training.config import TrainConfig, shipped_configs
 from scenemi.training.runs import RunFiles, left_out, licenses_of
 from video2anim.errors import UsageError
-from video2anim.synth.library import MotionLibrary
+from video2anim.lab.synth.library import MotionLibrary
 
 REPOSITORY = Path(__file__).parents[2]
 

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import FEET, forward_kinematics
 from video2anim.geometry.projection import invert_rigid, pixel_rays, project, transform_points
 from video2anim.types import (
     BackgroundPlate,
@@ -26,6 +25,7 @@ from video2anim.types import (
     VideoClip,
 )
 from video2anim.types.camera import UpEvidence
+from video2anim.types.skeleton import FEET, forward_kinematics
 
 WALL_Z_M = -6.5
 BOX_CENTER_M = np.array([1.1, 0.45, -4.4])

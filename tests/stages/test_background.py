@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from stages.background import BackgroundConfig, make_background
+from video2anim.background.person_segmentation import refine_mask
 from video2anim.cli.compose import pipeline_nodes
 from video2anim.errors import UsageError
-from video2anim.models.segmentation import Segmentation
+from video2anim.networks.segmentation import Segmentation
 from video2anim.pipeline.config import resolve
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
 from video2anim.video import FrameWriter
-from video2anim.video.figure import refine_mask
 
 WIDTH, HEIGHT, COUNT = 320, 200, 48
 PERSON_W, PERSON_H, TOP = 36, 110, 60

@@ -9,7 +9,7 @@ from scene_chain import run_chain
 from synthetic_room import make_room
 
 from stages.complete import CompleteConfig, complete_objects
-from video2anim.geometry.amodal import GRAY, amodal_mask, object_picture
+from video2anim.networks.amodal import GRAY, amodal_mask, object_picture
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import InstanceMasks, ObjectInstance
 

@@ -12,7 +12,7 @@ from synthetic_room import make_room
 
 from stages import complete
 from stages.complete import CompleteConfig, complete_objects
-from video2anim import models
+from video2anim import networks
 from video2anim.cli.compose import TableModels, pipeline_nodes
 from video2anim.errors import ModelMissingError, UsageError
 from video2anim.pipeline.config import resolve
@@ -46,7 +46,7 @@ def completed(
 
 
 def context() -> StageContext:
-    return StageContext(Path(), load_model=models.load_model)
+    return StageContext(Path(), load_model=networks.load_model)
 
 
 def net(tmp_path: Path, logits: np.ndarray = YES, color: np.ndarray = GREEN) -> str:

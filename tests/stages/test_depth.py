@@ -11,10 +11,10 @@ from scene_chain import all_finite, depth_of
 from synthetic_room import BOX, FLOOR, WALL, Room, camera_pose, make_room
 
 from stages.depth import DepthConfig, estimate_depth
+from video2anim.depth.test_time_views import jittered_disparity, reliable
 from video2anim.errors import StageError
 from video2anim.geometry.column_layers import background_distance, foot_line
-from video2anim.geometry.cylinder import GravityView
-from video2anim.geometry.hue_jitter import jittered_disparity, reliable
+from video2anim.geometry.gravity_view import GravityView
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyTracks, Intrinsics
 

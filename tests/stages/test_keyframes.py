@@ -9,11 +9,11 @@ import pytest
 from keyframe_problem import depth_of, optimize, quality, root_m, scene
 from synthetic import planted_walk, rotation, with_root_shift
 
-from video2anim.body.skeleton import JOINT_INDEX
-from video2anim.fitting import keyframe_points
-from video2anim.fitting.keyframe_points import TOUCHING
 from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.motion import keyframe_points
+from video2anim.motion.keyframe_points import TOUCHING
 from video2anim.types import BodyMotion
+from video2anim.types.skeleton import JOINT_INDEX
 
 FRAMES = 91
 CAMERA_M = np.array([3.0, 3.0, 1.0])

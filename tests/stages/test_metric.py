@@ -15,8 +15,8 @@ from stages.segment import SegmentConfig
 from video2anim.calibration.gather import USUAL_OFFSET
 from video2anim.calibration.line import metric_depth
 from video2anim.errors import StageError
+from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.geometry.visible import visible_vertices
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyTracks, DepthClip, InstanceMasks, Intrinsics, MetricDepth
 from video2anim.types.camera import UpEvidence

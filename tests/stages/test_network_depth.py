@@ -17,7 +17,7 @@ from stages.depth import DepthConfig, estimate_depth
 from stages.metric import MetricConfig, fit_metric
 from stages.segment import SegmentConfig, segment_plate
 from video2anim.geometry.projection import backproject, transform_points
-from video2anim.models.segmentation import CLASSES, SeenInstance, Segmentation
+from video2anim.networks.segmentation import CLASSES, SeenInstance, Segmentation
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import DepthClip, InstanceMasks, MetricDepth
 

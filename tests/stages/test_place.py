@@ -12,9 +12,9 @@ from scene_chain import Chain, T_room_world, run_chain
 from synthetic_room import BOX_CENTER_M, camera_pose, make_room
 
 from stages.place import PlaceConfig, place_objects
-from video2anim.geometry.placement import place
+from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.projection import invert_rigid, transform_points
-from video2anim.geometry.visible import visible_vertices
+from video2anim.objects.placement import place
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import Intrinsics, ObjectMesh, ObjectMeshes, PlacedObject
 

@@ -12,8 +12,8 @@ from scene_chain import run_chain
 from synthetic_room import BOX, BOX_CENTER_M, BOX_SIZE_M, FLOOR, Room, camera_pose, make_room, true_depth
 
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
-from video2anim.geometry.amodal import object_picture
 from video2anim.geometry.projection import transform_points
+from video2anim.networks.amodal import object_picture
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
     BodyTracks,

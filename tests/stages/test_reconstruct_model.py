@@ -18,7 +18,7 @@ from test_reconstruct_sources import reconstruct as made_by
 
 from stages import reconstruct as stage
 from stages.reconstruct import ReconstructConfig
-from video2anim import models
+from video2anim import networks
 from video2anim.cli.compose import TableModels, pipeline_nodes
 from video2anim.errors import ModelMissingError, UsageError
 from video2anim.geometry.projection import transform_points
@@ -27,7 +27,7 @@ from video2anim.pipeline.stage import StageContext
 from video2anim.types import ObjectMesh
 
 
-def context(load: Callable[[str], Any] = models.load_model) -> StageContext:
+def context(load: Callable[[str], Any] = networks.load_model) -> StageContext:
     return StageContext(Path(), load_model=load)
 
 

@@ -18,8 +18,8 @@ from trimesh.visual import ColorVisuals
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
 from stages.scene import SceneConfig, build_scene
 from video2anim.errors import InputError, StageError, UsageError
-from video2anim.geometry.amodal import object_picture
 from video2anim.geometry.projection import transform_points
+from video2anim.networks.amodal import object_picture
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
     BodyTracks,

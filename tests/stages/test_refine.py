@@ -21,9 +21,8 @@ from stages.refine import (
     refine_motion,
 )
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import forward_kinematics
+from video2anim.body.contact import touches
 from video2anim.errors import ModelMissingError
-from video2anim.fitting.touching import touches
 from video2anim.geometry.scene_mesh import box_mesh, empty_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.pipeline.stage import StageContext
@@ -39,6 +38,7 @@ from video2anim.types import (
     RoomPiece,
     SceneModel,
 )
+from video2anim.types.skeleton import forward_kinematics
 
 FRAMES = 150
 PLAIN = RefineConfig(prior="interpolation")

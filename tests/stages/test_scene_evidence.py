@@ -10,9 +10,9 @@ import pytest
 from synthetic import planted_walk
 
 from stages.scene import SceneConfig, _not_walked_through, _rested, _supports
-from video2anim.fitting.supports import SUPPORT
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.pipeline.stage import StageContext
+from video2anim.scene.supports import SUPPORT
 from video2anim.types import BodyMotion, BodyTracks, PlacedObject
 
 

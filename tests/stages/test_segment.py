@@ -10,7 +10,7 @@ from scene_chain import masks_of, run_chain
 from synthetic_room import BOX, FLOOR, make_room
 
 from stages.segment import SegmentConfig
-from video2anim.geometry.object_regions import RegionLimits, find_regions
+from video2anim.objects.depth_regions import RegionLimits, find_regions
 from video2anim.pipeline.stage import StageContext
 
 

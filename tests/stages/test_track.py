@@ -14,11 +14,12 @@ import pytest
 import video2anim.video
 from stages.track import TrackConfig, track_people
 from video2anim.errors import ModelMissingError, StageError, UsageError
-from video2anim.models import load_model, people_finder
-from video2anim.models.blazepose import BlazePose, PoseEstimate
-from video2anim.models.blazepose_detector import Detections
-from video2anim.models.roi import SquareRoi
+from video2anim.networks import load_model
+from video2anim.networks.blazepose import BlazePose, PoseEstimate
+from video2anim.networks.blazepose_detector import Detections
+from video2anim.networks.roi import SquareRoi
 from video2anim.pipeline.stage import StageContext
+from video2anim.tracking import person_detection
 from video2anim.types import PayloadFile, PersonTracks, SourceInfo, VideoClip
 
 FPS = 30
@@ -265,5 +266,5 @@ def test_somebody_followed_head_down_is_looked_at_head_up(
             return seen(0.0, upright_presence, upright_visibility)
 
     tracked = seen(turn, 0.95, 0.8)
-    found = people_finder.head_up(cast(BlazePose, Pose()), image, tracked)
+    found = person_detection.head_up(cast(BlazePose, Pose()), image, tracked)
     assert (found is not tracked) == head_up

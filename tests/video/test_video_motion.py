@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from video2anim.video.motion import STATIC_DRIFT_RATIO, BackgroundRegistration, CameraMotion
+from video2anim.camera.background_registration import STATIC_DRIFT_RATIO, BackgroundRegistration, CameraMotion
 
 WIDTH, HEIGHT = 480, 300
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from video2anim.background.background_image import fill_unseen, masked_median, median_plate, updated_plate
+from video2anim.background.person_segmentation import Raster, dilated, lab_difference, person_probability, refine_mask
 from video2anim.types import PersonTrack
-from video2anim.video.figure import Raster, dilated, lab_difference, person_probability, refine_mask
-from video2anim.video.plate import fill_unseen, masked_median, median_plate, updated_plate
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 12])

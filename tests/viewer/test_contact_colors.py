@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from synthetic import planted_walk
 
-from video2anim.body.skeleton import JOINT_INDEX
 from video2anim.types import Contact
+from video2anim.types.skeleton import JOINT_INDEX
 from video2anim.viewer import SceneView
 from video2anim.viewer.bodies import CONTACT_RGB, PERSON_RGB, UNMEASURED_RGB, PosedBodies
 from video2anim.viewer.contacts import contact_line, contacts_at, touched_rgb

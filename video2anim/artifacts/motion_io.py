@@ -12,10 +12,10 @@ from pydantic import NonNegativeInt, TypeAdapter, ValidationError
 
 from video2anim.artifacts.arrays import Axes, is_array, opened_archive
 from video2anim.artifacts.stage_files import first_fault
-from video2anim.body.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.errors import ArtifactError
 from video2anim.types.camera import Intrinsics
 from video2anim.types.motion import BodyMotion, BodyShape
+from video2anim.types.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.types.storage import Holds
 
 _SCHEMA = {key: hint for key, hint in get_type_hints(BodyMotion, include_extras=True).items() if is_array(hint)}

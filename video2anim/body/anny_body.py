@@ -20,9 +20,9 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
 from video2anim.errors import UsageError
 from video2anim.types.motion import BodyShape
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
 
 PHENOTYPES: tuple[str, ...] = ("gender", "age", "muscle", "weight", "height", "proportions")
 ADULT = {"gender": 0.5, "age": 0.67, "muscle": 0.5, "weight": 0.5, "height": 0.4, "proportions": 0.5}
@@ -38,8 +38,8 @@ PEOPLES_LENGTHS = {
     "upper_leg": (0.15, 0.22), "lower_leg": (-0.30, 0.31), "upper_arm": (0.0, 0.27), "lower_arm": (0.23, 0.31),
     "shoulders": (0.24, 0.3), "trunk": (0.0, 0.5),
 }  # fmt: skip
-"""Their mean and deviation over people: those of `video2anim.lifting.bodies` (six performers), over what a unit changes
-of the middling adult (thigh 90 mm, shank 70, upper arm 59, forearm 55, shoulders 38, trunk 60)."""
+"""Their mean and deviation over people: those of `video2anim.lab.lifter.bodies` (six performers), over what a unit
+changes of the middling adult (thigh 90 mm, shank 70, upper arm 59, forearm 55, shoulders 38, trunk 60)."""
 
 _MIXAMO_BODY = dict(
     zip(

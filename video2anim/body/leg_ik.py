@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.types.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 
 _STRAIGHTEST = 0.999
 """Longest hip-ankle distance a correction may ask for, as a share of the leg: beyond it the knee would snap."""

@@ -22,10 +22,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from video2anim.body.anny_body import ShapedBody
-from video2anim.body.skeleton import PARENTS
 from video2anim.body.smpl_file import SmplFile, read_smpl_file
 from video2anim.errors import InputError, UsageError
 from video2anim.types.motion import BodyShape
+from video2anim.types.skeleton import PARENTS
 
 DIR_VARIABLE = "VIDEO2ANIM_SMPL_DIR"
 MEAN_PELVIS_M: dict[str, Float[np.ndarray, "3"]] = {

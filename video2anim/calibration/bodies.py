@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from video2anim.body.anny_body import anny_model
 from video2anim.calibration.fit import Calibration, under_lens
-from video2anim.fitting.ground import level_frame
 from video2anim.geometry.projection import invert_rigid, transform_points
+from video2anim.humans.ground import level_frame
 from video2anim.types import BodyMotion, BodyTracks, Intrinsics
 from video2anim.types.motion import BodyShape
 

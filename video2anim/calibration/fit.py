@@ -19,8 +19,8 @@ from scipy.spatial import KDTree
 
 from video2anim.calibration.evidence import Evidence, PixelEvidence
 from video2anim.calibration.line import NEAREST, first_line
-from video2anim.fitting.ground import lowest_level
 from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.humans.ground import lowest_level
 
 
 @dataclass(frozen=True, slots=True)

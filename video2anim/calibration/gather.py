@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import FEET, JOINT_INDEX
+from video2anim.body.contact import posed_vertices
 from video2anim.calibration.evidence import (
     Evidence,
     ObjectEvidence,
@@ -21,13 +21,13 @@ from video2anim.calibration.evidence import (
 from video2anim.calibration.fit import USUAL_HEIGHT_M
 from video2anim.calibration.line import first_line, metric_depth
 from video2anim.calibration.passed import Passed, passed_before
-from video2anim.fitting.ground import center_of_mass
-from video2anim.fitting.touching import posed_vertices
+from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, project, transform_points
-from video2anim.geometry.visible import visible_vertices
+from video2anim.humans.ground import center_of_mass
 from video2anim.types import BackgroundPlate, BodyMotion, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
 from video2anim.types.camera import UpEvidence
+from video2anim.types.skeleton import FEET, JOINT_INDEX
 
 USUAL_OFFSET = {"room-depth": (1.25, 0.6), "geometric": (0.0, 0.02)}
 """Offset of depth over scale times the picture's middle value, and its spread, by provider: of the shipped network in

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.fitting.touching import posed_vertices
+from video2anim.body.contact import posed_vertices
+from video2anim.geometry.line_of_sight import surface_points
 from video2anim.geometry.projection import invert_rigid, project, transform_points
-from video2anim.geometry.visible import surface_points
 from video2anim.types.camera import Intrinsics
 from video2anim.types.motion import BodyMotion
 

@@ -64,7 +64,7 @@ def pipeline_nodes() -> tuple[Node, ...]:
 
 
 class TableModels:
-    """Models by the table of `video2anim.models`.
+    """Models by the table of `video2anim.networks`.
 
     A stage's config names the model of a slot as `<slot>_model` or `<slot>`, else as `model` or `provider`.
     """
@@ -74,7 +74,7 @@ class TableModels:
         self._loaded: dict[str, Any] = {}
 
     def digests(self, slots: Sequence[str], config: Any) -> dict[str, str]:
-        from video2anim.models import weight_digests
+        from video2anim.networks import weight_digests
 
         found: dict[str, str] = {}
         for slot in slots:
@@ -84,12 +84,12 @@ class TableModels:
         return found
 
     def licenses(self, digests: Mapping[str, str]) -> dict[str, str]:
-        from video2anim.models import weight_licenses
+        from video2anim.networks import weight_licenses
 
         return weight_licenses(digests)
 
     def load(self, slot: str) -> Any:
-        from video2anim.models import load_model
+        from video2anim.networks import load_model
 
         if slot not in self._loaded:
             self._loaded[slot] = load_model(slot, on_progress=self._on_fetch)
@@ -355,7 +355,7 @@ def plain(value: Any) -> Any:
 
 def preset_models(name: str) -> list[str]:
     """Models of a preset, or the one model of that name."""
-    from video2anim.models import find_model
+    from video2anim.networks import find_model
     from video2anim.pipeline.config import preset_names
 
     if name not in preset_names():

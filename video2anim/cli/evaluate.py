@@ -13,7 +13,7 @@ import typer
 from video2anim.errors import InputError, UsageError, printable
 
 if TYPE_CHECKING:
-    from video2anim.eval.model import Evaluation, Group, SetEvaluation, SetGroup
+    from video2anim.lab.eval.model import Evaluation, Group, SetEvaluation, SetGroup
 
 _WIDE = 200
 """Columns where the output is no terminal, so that tables in files and pipes are not cut."""
@@ -30,8 +30,8 @@ def eval_command(
     html_file: HtmlFile = None,
 ) -> None:
     """Compare a scene folder with the truth of its clip; stages that have not run or are stale give no numbers."""
-    from video2anim.eval.evaluate import evaluate
-    from video2anim.eval.report import render_html, to_json
+    from video2anim.lab.eval.evaluate import evaluate
+    from video2anim.lab.eval.report import render_html, to_json
 
     _expect_writable(json_file, html_file)
     evaluation = evaluate(scene_dir, truth)
@@ -48,8 +48,8 @@ def eval_set_command(
     html_file: HtmlFile = None,
 ) -> None:
     """Compare many scene folders with their truths; clips without a usable result are counted as failures."""
-    from video2anim.eval.aggregate import evaluate_set, paired_folders
-    from video2anim.eval.report import render_html, to_json
+    from video2anim.lab.eval.aggregate import evaluate_set, paired_folders
+    from video2anim.lab.eval.report import render_html, to_json
 
     _expect_writable(json_file, html_file)
     pairs, strangers = paired_folders(results_dir, truth)
@@ -66,7 +66,7 @@ def eval_set_command(
 
 
 def _show_clip(evaluation: Evaluation) -> None:
-    from video2anim.eval.report import missing_reasons
+    from video2anim.lab.eval.report import missing_reasons
 
     _say(", ".join(f"{name} {text}" for name, text in evaluation.facts.items()))
     for group in evaluation.groups:
@@ -80,8 +80,8 @@ def _show_clip(evaluation: Evaluation) -> None:
 
 
 def _clip_table(group: Group) -> tuple[list[str], list[list[str]]]:
-    from video2anim.eval.report import better_text
     from video2anim.export.report import format_number
+    from video2anim.lab.eval.report import better_text
 
     has_truth = any(row.truth is not None for row in group.rows)
     heads = ["number", *group.columns, *(["truth"] if has_truth else []), "unit", "good is"]
@@ -107,8 +107,8 @@ def _show_set(evaluation: SetEvaluation) -> None:
 
 
 def _set_table(group: SetGroup) -> tuple[list[str], list[list[str]]]:
-    from video2anim.eval.report import better_text
     from video2anim.export.report import format_number
+    from video2anim.lab.eval.report import better_text
 
     has_truth = any(row.truth_mean is not None for row in group.rows)
     heads = ["number", *group.columns, "clips", *(["truth"] if has_truth else []), "unit", "good is"]

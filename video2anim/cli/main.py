@@ -14,7 +14,7 @@ from video2anim.cli.evaluate import eval_command, eval_set_command
 from video2anim.cli.pictures import models_run
 from video2anim.cli.synth import synth_command
 from video2anim.errors import expect_values, is_output_lost, last_words
-from video2anim.geometry.torch_device import device_of
+from video2anim.geometry.torch_setup import device_of
 
 if TYPE_CHECKING:
     from video2anim.pipeline.runner import Edits
@@ -88,7 +88,7 @@ def run_command(
     The folder remembers its video and settings: an option given changes that one setting.
     """
     from video2anim.cli import compose, show
-    from video2anim.fitting.stature import parse_heights
+    from video2anim.humans.body_height import parse_heights
     from video2anim.pipeline.config import parse_set
 
     shortcuts: dict[str, dict[str, Any]] = {}
@@ -201,7 +201,7 @@ app.command("eval-set")(eval_set_command)
 def models_list() -> None:
     """All models with slot, runtime, size, licence, and whether the weights are here."""
     from video2anim.cli import show
-    from video2anim.models import verify
+    from video2anim.networks import verify
 
     show.models_table(verify())
 
@@ -220,7 +220,7 @@ def models_pull(
 def models_verify() -> None:
     """Check the digest of every model that is here."""
     from video2anim.cli import show
-    from video2anim.models import verify
+    from video2anim.networks import verify
 
     states = verify()
     show.models_table(states)

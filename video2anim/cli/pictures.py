@@ -27,7 +27,7 @@ def models_run(
     import numpy as np
 
     from video2anim.artifacts.images import read_picture
-    from video2anim.models import find_model, load_model
+    from video2anim.networks import find_model, load_model
 
     if out.suffix != ".npz":
         raise UsageError(f"--out: want a file name that ends in .npz, got {out}")
@@ -81,8 +81,8 @@ def camera_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.nd
     """
     import numpy as np
 
+    from video2anim.geometry.line_segments import camera_with_edges, straight_edges
     from video2anim.geometry.perspective_field import fit_camera
-    from video2anim.geometry.room_lines import camera_with_edges, straight_edges
 
     height, width = pictures[0].shape[:2]
     if not hasattr(model, "field"):
@@ -114,7 +114,7 @@ def segment_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.n
     """
     import numpy as np
 
-    from video2anim.models.segmentation import CLASSES
+    from video2anim.networks.segmentation import CLASSES
 
     found = [model.segment(picture) for picture in pictures]
     every = [(number, instance) for number, one in enumerate(found) for instance in one.instances]

@@ -31,7 +31,7 @@ MOTIONS = {"raw": BodyTracks, "keyframes": KeyframedMotion, "refined": RefinedMo
 def report_html(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], exported: ExportedFiles) -> str:
     """`report.html` of a folder whose stages are all up to date."""
     from video2anim.export.report import ModelRow, Picture, ReportInput, StageRow, render_report
-    from video2anim.models import find_model
+    from video2anim.networks import find_model
     from video2anim.pipeline.stage import Quality
 
     stages, used = [], {}

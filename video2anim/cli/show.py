@@ -20,7 +20,7 @@ from video2anim.pipeline.runner import Event, StageStatus
 
 if TYPE_CHECKING:
     from video2anim.cli.compose import Outcome
-    from video2anim.models import ModelState
+    from video2anim.networks import ModelState
     from video2anim.types import InstanceMasks
 
 _WIDE = 200
@@ -124,7 +124,7 @@ def models_table(states: Sequence[ModelState]) -> None:
 
 def fail_on_damage(states: Sequence[ModelState]) -> None:
     """Raise for the first model whose file is not the one the table names."""
-    from video2anim.models import ensure
+    from video2anim.networks import ensure
 
     for state in states:
         if state.state == "damaged":
@@ -134,7 +134,7 @@ def fail_on_damage(states: Sequence[ModelState]) -> None:
 def pull(name: str) -> None:
     """Fetch a model or all models of a preset."""
     from video2anim.cli.compose import preset_models
-    from video2anim.models import pull as fetch
+    from video2anim.networks import pull as fetch
 
     with Progress(console=_err, disable=not _err.is_terminal) as bar:
         tasks = {}

@@ -37,7 +37,7 @@ def synth_command(
 ) -> None:
     """Make clips of people in furnished rooms with exact truth of everything."""
     from video2anim.cli import show
-    from video2anim.synth.generate import SynthConfig, generate
+    from video2anim.lab.synth.generate import SynthConfig, generate
 
     if frames_only and motion_only:
         raise UsageError("--frames-only and --motion-only exclude each other; give one")
@@ -58,14 +58,14 @@ def synth_command(
         preset, count, seed, width_px, height_px, tuple(motion or ()), noncommercial, meshes, room_m, longest_s=longest
     )
     if motion_only:
-        from video2anim.synth.motions import write_acted
+        from video2anim.lab.synth.motions import write_acted
 
         written = write_acted(out, count=24 if count is None else count, seed=seed)
         typer.echo(f"{out}: {written} motions")
         return
     with show.counted("clips" if not frames_only else "shards") as on_done:
         if frames_only:
-            from video2anim.synth.frames import generate_frames
+            from video2anim.lab.synth.frames import generate_frames
 
             generate_frames(config, out, workers=workers, on_done=on_done)
         else:

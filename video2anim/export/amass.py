@@ -18,12 +18,12 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.skeleton import PARENTS
 from video2anim.body.smplx_body import DIR_VARIABLE, MEAN_PELVIS_M, SmplModel, load_body_model, model_file
 from video2anim.errors import InputError
 from video2anim.export.frames import ZUP_FROM_YUP
 from video2anim.geometry.rotations import axis_angle_from_matrix
 from video2anim.types import BodyMotion, BodyShape
+from video2anim.types.skeleton import PARENTS
 
 AmassModel = Literal["smplh", "smplx"]
 _JOINTS: dict[AmassModel, int] = {"smplh": 52, "smplx": 55}

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.skeleton import JOINT_NAMES, PARENTS
 from video2anim.export.character import Character
 from video2anim.types import BodyMotion
+from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
 CENTIMETRES_PER_METRE = 100.0
 _GIMBAL_COSINE = 1e-6

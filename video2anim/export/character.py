@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from video2anim.body.anny_body import ShapedBody, shaped_body
-from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
 from video2anim.errors import StageError
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
+from video2anim.geometry.vertex_normals import vertex_normals
 from video2anim.types import BodyMotion
-from video2anim.viewer.normals import vertex_normals
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
 
 INFLUENCES = 4
 """Joints per vertex in the files; game engines and glTF viewers read no more."""

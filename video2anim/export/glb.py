@@ -20,7 +20,6 @@ import numpy as np
 import pygltflib as gltf
 
 from video2anim import __version__
-from video2anim.body.skeleton import JOINT_NAMES, PARENTS
 from video2anim.export.character import Character, Rig
 from video2anim.export.frames import (
     is_still,
@@ -31,8 +30,9 @@ from video2anim.export.frames import (
 )
 from video2anim.export.gltf_buffer import GltfBuffer
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
+from video2anim.geometry.vertex_normals import vertex_normals
 from video2anim.types import BodyMotion, Contact, Hold, Mesh, PlacedObject, RoomPiece, Texture
-from video2anim.viewer.normals import vertex_normals
+from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
 
 class SceneMeshes(Protocol):

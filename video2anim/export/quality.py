@@ -9,10 +9,10 @@ from jaxtyping import Float
 
 from scenemi import metrics
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.geometry.sdf import sample_sdf
 from video2anim.pipeline.stage import Quality
 from video2anim.types import BodyMotion, SceneModel
+from video2anim.types.skeleton import forward_kinematics
 
 VERTEX_STRIDE = 8
 """Every such vertex of the body is tested against the scene."""

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
-from video2anim.body.skeleton import JOINT_NAMES, PARENTS
 from video2anim.export.character import INFLUENCES, Character, Rig
 from video2anim.export.frames import is_still, linear_from_srgb, needed_keys, opengl_camera_poses
 from video2anim.export.glb import FAR_M, NEAR_M, SKIN_RGB, object_name, plain_name
 from video2anim.geometry.rotations import matrix_from_quaternion
 from video2anim.geometry.scene_mesh import colored, with_vertex_colors
 from video2anim.types import BodyMotion, Mesh, PlacedObject, SceneModel
+from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
 FPS = 30.0
 _APERTURE = 0.36

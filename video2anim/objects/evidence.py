@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from video2anim.geometry.lifted_thing import LiftedThing, ThingLifter
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid
-from video2anim.geometry.thing_pixels import floor_band_m, surface_normals
-from video2anim.geometry.upright_box import UprightBox, fit_upright_box, turned_to
+from video2anim.objects.backproject import LiftedThing, ThingLifter
+from video2anim.objects.foreground import floor_band_m, surface_normals
 from video2anim.objects.form_fit import ObjectEvidence
+from video2anim.objects.upright_box import UprightBox, fit_upright_box, turned_to
 from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
 
 _POINTS = 160

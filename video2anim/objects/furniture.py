@@ -1,7 +1,7 @@
 """Forms of furniture: a few sizes each, and the solids that they give.
 
 Usual sizes are real ones, those in which the synthetic rooms draw their furniture
-(`video2anim.synth.rooms`): the middle of the range, and about half of it as a share of that.
+(`video2anim.lab.synth.rooms`): the middle of the range, and about half of it as a share of that.
 """
 
 from __future__ import annotations

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.objects.changes import Change
 from video2anim.objects.path import BOTH
 from video2anim.types import BodyMotion
 from video2anim.types.camera import Intrinsics
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 UP = np.array([0.0, 1.0, 0.0])
 NEAR_M = 0.2

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from video2anim.body.skeleton import JOINT_INDEX, TOUCHING_PARTS, forward_kinematics
 from video2anim.geometry.projection import invert_rigid
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_quaternion, quaternion_from_matrix, slerp
 from video2anim.types.motion import BodyMotion
 from video2anim.types.scene import Hold, PlacedObject
+from video2anim.types.skeleton import JOINT_INDEX, TOUCHING_PARTS, forward_kinematics
 
 BOTH = "both hands"
 _HANDS = ("left hand", "right hand")

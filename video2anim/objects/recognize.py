@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.geometry.upright_box import UprightBox
 from video2anim.objects.evidence import SeenObject
 from video2anim.objects.form_fit import FitSigmas, FormFit, FormProblem
 from video2anim.objects.furniture import FORMS, Form
+from video2anim.objects.upright_box import UprightBox
 
 _SCREEN_SAMPLES, _SAMPLES = 3, 7
 """Surface samples along a side of a solid, while forms are compared and at the end."""

@@ -96,7 +96,7 @@ def model_of(slot: str, *others: str, also: tuple[str, ...] = ()) -> pydantic.Af
     slots = (slot, *others)
 
     def known(name: str) -> str:
-        from video2anim.models import find_model, list_models
+        from video2anim.networks import find_model, list_models
 
         try:
             if name in also or find_model(name).slot in slots:

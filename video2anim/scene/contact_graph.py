@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from video2anim.body.anny_body import ShapedBody, shaped_body
-from video2anim.body.skeleton import JOINT_INDEX, TOUCHING_PARTS
-from video2anim.fitting.touching import LIKELY, NEAR_M, SLOW_M_S, posed_vertices, skin_of, speed_m_s
-from video2anim.geometry.nearest_surface import nearest_surface
+from video2anim.body.contact import LIKELY, NEAR_M, SLOW_M_S, posed_vertices, skin_of, speed_m_s
 from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.geometry.scene_mesh import world_mesh
+from video2anim.scene.nearest_surface import nearest_surface
 from video2anim.types.contact import FLOOR, Contact
 from video2anim.types.motion import BodyMotion
 from video2anim.types.scene import PlacedObject, SceneModel
+from video2anim.types.skeleton import JOINT_INDEX, TOUCHING_PARTS
 
 RESTING_PARTS: dict[str, tuple[int, ...]] = {
     name: (JOINT_INDEX[joint],)

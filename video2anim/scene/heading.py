@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from video2anim.geometry.room_lines import straight_edges
+from video2anim.geometry.line_segments import straight_edges
 from video2anim.types.camera import Intrinsics
 
 _STEP_RAD = np.deg2rad(0.5)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, UInt8
 from scipy import ndimage
 
 from video2anim.geometry.harmonic import harmonic_fill
-from video2anim.geometry.polygons import outlines, triangulated
+from video2anim.scene.polygons import outlines, triangulated
 from video2anim.scene.view import View
 from video2anim.types.scene import Mesh, RoomPiece, Texture
 

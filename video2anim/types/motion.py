@@ -75,7 +75,7 @@ class BodyMotion:
 
     def with_pose(self, *, translation_world_m: np.ndarray, R_parent_joint: np.ndarray) -> BodyMotion:
         """The same person in another motion; joints by forward kinematics."""
-        from video2anim.body.skeleton import forward_kinematics
+        from video2anim.types.skeleton import forward_kinematics
 
         joints_world_m, _ = forward_kinematics(R_parent_joint, translation_world_m, self.rest_joints_m)
         T_world_root = np.tile(np.eye(4), (len(translation_world_m), 1, 1))

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from video2anim.body.anny_body import ShapedBody, shaped_body
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.scene.contact_graph import BODY_PARTS
 from video2anim.types import BodyMotion, Contact
+from video2anim.types.skeleton import forward_kinematics
 from video2anim.viewer.contacts import contacts_at, touched_rgb
 from video2anim.viewer.drawing import draw_body
 from video2anim.viewer.raster import Canvas

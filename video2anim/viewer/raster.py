@@ -12,9 +12,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from video2anim.geometry.vertex_normals import vertex_normals
 from video2anim.types import Intrinsics
 from video2anim.viewer.clipping import clip_segments_near, clip_triangles_near
-from video2anim.viewer.normals import vertex_normals
 
 _LIGHT = np.array([-0.35, -0.65, -0.67])
 """Unit direction towards the light in camera axes: over the viewer's left shoulder."""

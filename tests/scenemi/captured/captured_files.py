@@ -18,13 +18,13 @@ from synthetic import planted_walk
 
 from scenemi.data.smpl_clip import PELVIS_M, R_Y_UP_Z_UP
 from scenemi.data.source_clip import SourceClip, SourceSkeleton
-from video2anim.body.skeleton import JOINT_NAMES, PARENTS
 from video2anim.geometry.rotations import (
     axis_angle_from_matrix,
     matrix_from_axis_angle,
     matrix_from_quaternion,
     quaternion_from_matrix,
 )
+from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
 FRAMES = 150
 START_Z_M = -1.6

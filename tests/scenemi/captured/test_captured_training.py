@@ -38,8 +38,8 @@ from scenemi.training.pool import SceneShard, Shard, grow_pool, open_pool, telli
 from scenemi.training.run import Progress
 from scenemi.training.runs import RunFiles, clips_for, write_run_weights
 from scenemi.training.scene_pool import SceneMotions, prepare_scenes
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError, UsageError
+from video2anim.types.skeleton import forward_kinematics
 
 SHARD = 16
 CONFIG = TrainConfig(

@@ -16,10 +16,10 @@ from scenemi.data.retarget import retarget
 from scenemi.data.scene_clips import fit_scene, read_scene_clips, scene_folders
 from scenemi.scene.voxel_sdf import scan_sdf, voxel_sdf
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import matrix_from_quaternion
 from video2anim.types import BodyShape
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 TOLERANCE_M = {"trumans": 0.02, "gimo": 0.02, "prox": 0.02}
 """0.4 voxels of these tests, half a voxel of a scan and its corners, the corners of a coarse grid."""

@@ -9,8 +9,8 @@ import pytest
 from synthetic import FPS, planted_walk
 
 from scenemi.data.source_clip import SourceClip, SourceSkeleton
-from video2anim.body.skeleton import JOINT_NAMES, PARENTS
 from video2anim.geometry.rotations import quaternion_from_matrix
+from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 

@@ -11,9 +11,9 @@ from scenemi.data.interpolate import blended, cubic_taps
 from scenemi.data.retarget import RetargetedMotion, retarget
 from scenemi.data.source_clip import SourceClip
 from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
-from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES, forward_kinematics
 from video2anim.geometry.rotations import axis_angle_from_matrix
 from video2anim.types import BodyShape
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, forward_kinematics
 
 FLIP = np.array([-1.0, 1.0, 1.0])
 

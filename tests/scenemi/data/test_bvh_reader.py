@@ -20,10 +20,10 @@ from scenemi.data.rest_pose import rest_axes
 from scenemi.data.retarget import retarget
 from scenemi.data.source_clip import SourceClip
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.body.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_quaternion
 from video2anim.types import BodyShape
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS, forward_kinematics
 
 MIXAMO = next(c for c in CONVENTIONS if c.name == "mixamo").table()
 RIGIFY = next(c for c in CONVENTIONS if c.name == "rigify").table()

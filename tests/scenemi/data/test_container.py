@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from scenemi.data.container import MotionArchive, SourceClip, read_split, write_archive
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_quaternion
+from video2anim.types.skeleton import forward_kinematics
 
 
 def test_clips_come_back_as_written(tmp_path: Path, smpl_walk: SourceClip) -> None:

@@ -16,9 +16,9 @@ from scenemi.data.retarget import RetargetedMotion, retarget
 from scenemi.data.retarget_quality import LIMBS, measure_retarget
 from scenemi.data.sources import is_free, license_of
 from video2anim.body.leg_ik import LEGS
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import axis_angle_from_matrix
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 NOTICE = Path(__file__).resolve().parents[3] / "NOTICE"
 EXAMPLES = (

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scenemi.data.contacts import foot_contacts, runs
+from scenemi.contacts import foot_contacts, runs
 from scenemi.data.container import MotionArchive, SourceClip
 from scenemi.data.fading import envelope, faded
 from scenemi.data.hinge_limb import LegBones, bend_leg, move_wrist
@@ -17,10 +17,10 @@ from scenemi.data.retarget import RetargetedMotion, retarget
 from scenemi.data.retarget_quality import measure_retarget
 from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
 from video2anim.body.leg_ik import LEGS
-from video2anim.body.skeleton import FEET, JOINT_INDEX, PARENTS, forward_kinematics
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyShape
+from video2anim.types.skeleton import FEET, JOINT_INDEX, PARENTS, forward_kinematics
 
 EXAMPLES = (
     ("cmu.npz", "cmu_02_06"),

@@ -17,10 +17,10 @@ from scenemi.data.smpl_clip import PELVIS_M, R_Y_UP_Z_UP, SmplModel
 from scenemi.data.source_clip import SourceClip
 from scenemi.data.trumans import read_trumans, read_trumans_scene
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_quaternion
 from video2anim.types import BodyShape
+from video2anim.types.skeleton import forward_kinematics
 
 
 def parameters(clip: SourceClip, model: SmplModel, R_data_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

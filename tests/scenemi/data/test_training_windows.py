@@ -17,8 +17,8 @@ from scenemi.data.source_clip import SourceClip
 from scenemi.data.split import Split
 from scenemi.data.windows import ARMS_AND_HEAD, MotionSet, MotionSetConfig
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError
+from video2anim.types.skeleton import forward_kinematics
 
 PLAIN = MotionSetConfig(mirror=0.0, warp=0.0, store=StoreConfig(bodies_per_clip=2))
 

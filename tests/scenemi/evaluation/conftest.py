@@ -11,8 +11,8 @@ from synthetic import FPS, planted_walk
 from scenemi.data.container import MotionArchive, write_archive
 from scenemi.data.source_clip import SourceClip, SourceSkeleton
 from scenemi.evaluation.windows import EvaluationWindow, cut_windows
-from video2anim.body.skeleton import JOINT_NAMES, PARENTS
 from video2anim.geometry.rotations import quaternion_from_matrix
+from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
 LENGTHS = {"walk_260": 260, "walk_122": 122, "walk_121": 121, "walk_120": 120}
 

@@ -18,9 +18,9 @@ from scenemi.evaluation.windows import (
     with_noise,
 )
 from scenemi.features import to_canonical
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from video2anim.types.skeleton import forward_kinematics
 
 Windows = tuple[EvaluationWindow, ...]
 

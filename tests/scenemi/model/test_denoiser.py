@@ -19,8 +19,8 @@ from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
 from scenemi.model.kinematics import joints_of, matrices, posed_joints
 from scenemi.model.weights import FORMAT, load_weights, save_weights
 from scenemi.scene.field import REACH_M, BoxField
-from video2anim.body.skeleton import JOINT_INDEX, forward_kinematics
 from video2anim.errors import InputError, ModelMissingError
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 TINY = SIZES["tiny"]
 assert isinstance(TINY, ModelConfig)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from scenemi.choice import SAMPLE_STEPS, choose_prior
 from scenemi.features import BODY_LENGTHS, FEATURE_COUNT, Statistics
 from scenemi.longmotion import KeyframeMotion, inbetween
 from scenemi.model.build import build_denoiser
+from scenemi.model.choice import SAMPLE_STEPS, choose_prior
 from scenemi.model.config import SIZES
 from scenemi.model.denoiser import Denoiser
 from scenemi.model.heading import VIEW
@@ -24,10 +24,10 @@ from scenemi.scene.boxes import Boxes
 from scenemi.scene.field import REACH_M
 from scenemi.scene.geometry import SceneGeometry
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.errors import InputError, ModelMissingError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types.motion import BodyShape
+from video2anim.types.skeleton import forward_kinematics
 
 FEW = SamplerConfig(steps=4)
 

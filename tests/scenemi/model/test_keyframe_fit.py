@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from scenemi.model.keyframe_fit import REACH_FRAMES, ROUGH_SHARE, fit_keyframes, spread_over_time
 from scenemi.prior import WindowMotion
-from video2anim.body.skeleton import PARENTS, forward_kinematics
+from video2anim.types.skeleton import PARENTS, forward_kinematics
 
 FRAMES = 121
 

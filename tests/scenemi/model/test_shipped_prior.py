@@ -22,8 +22,8 @@ from scenemi.prior import WEIGHTS_FOLDER, InterpolationPrior, KeyframeWindow
 from scenemi.scene.geometry import SceneGeometry
 from scenemi.training.validate import Validation, Validator
 from scenemi.windows import WINDOW_FRAMES
-from video2anim.body.skeleton import forward_kinematics
-from video2anim.synth.acting import act, to_source_clip
+from video2anim.lab.synth.acting import act, to_source_clip
+from video2anim.types.skeleton import forward_kinematics
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 

@@ -19,11 +19,11 @@ from scenemi.postprocess.motion_solve import (
 )
 from scenemi.postprocess.solids import MovableSolid, Solids
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.skeleton import forward_kinematics
 from video2anim.geometry.projection import invert_rigid, project
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.types import BodyMotion, Mesh
+from video2anim.types.skeleton import forward_kinematics
 
 FRAMES = 61
 FLOOR = Solids()

@@ -8,8 +8,8 @@ import numpy as np
 
 from scenemi.scene.basis_points import anchor_vertices
 from video2anim.body.anny_body import ShapedBody
-from video2anim.body.skeleton import forward_kinematics
-from video2anim.synth.acting import act
+from video2anim.lab.synth.acting import act
+from video2anim.types.skeleton import forward_kinematics
 
 FRAMES = 121
 

@@ -21,7 +21,7 @@ from scenemi.training.config import TrainConfig
 from scenemi.training.losses import TrainingLoss
 from scenemi.training.noise import features_of
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.synth.acting import act, to_source_clip
+from video2anim.lab.synth.acting import act, to_source_clip
 from video2anim.types import BodyShape
 
 SHARD = 32

@@ -12,7 +12,7 @@ import torch
 from small_run import CONFIG, write_acted
 from typer.testing import CliRunner
 
-from scenemi.cli import app
+from scenemi.cli.main import app
 from scenemi.data.container import MotionArchive, write_archive
 from scenemi.data.split import Split
 from scenemi.data.windows import MotionSet

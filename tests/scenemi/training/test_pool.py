@@ -18,8 +18,8 @@ from scenemi.scene.body_balls import adult_balls
 from scenemi.scene.boxes import Boxes
 from scenemi.training import pool
 from scenemi.training.pool import MOST_BOXES, UNITS_PER_METRE, Shard, grow_pool, open_pool, scene_boxes, telling_share
-from video2anim.body.skeleton import JOINT_INDEX
 from video2anim.errors import InputError
+from video2anim.types.skeleton import JOINT_INDEX
 
 FEW = 6
 

@@ -1,0 +1,96 @@
+"""From keyframes and a scene to a whole motion: what `scenemi sample` does between reading and writing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from scenemi.data.keyframes import FPS, Keyframes
+from scenemi.longmotion import LongMotion, inbetween
+from scenemi.metrics import standing_feet
+from scenemi.postprocess.in_scene import put_in_scene
+from scenemi.prior import InbetweeningPrior, KeyframeWindow, WindowMotion
+from scenemi.scene.geometry import SceneGeometry
+from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.errors import UsageError
+from video2anim.types.skeleton import forward_kinematics
+
+_BODY_TOLERANCE_M = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledMotion:
+    """A motion of `Keyframes.to_motion` length."""
+
+    motion: LongMotion
+    is_keyframe: Bool[np.ndarray, "frames"]
+    contact: Float[np.ndarray, "frames 22"]
+    """1 where an ankle or a toe is low and slow, else 0."""
+    notes: tuple[str, ...]
+
+
+def sample_motion(
+    keyframes: Keyframes,
+    prior: InbetweeningPrior,
+    *,
+    scene: SceneGeometry | None = None,
+    length: int | None = None,
+    noise: float = 0.0,
+) -> SampledMotion:
+    """Fill keyframes to a motion.
+
+    Args:
+        keyframes: checked poses.
+        prior: fills windows.
+        scene: in the world frame, floor included.
+        length: frames of the result; after the last keyframe its pose is held.
+        noise: paper's l, how inexact the keyframes are; 0 = they are met.
+
+    Raises:
+        InputError: a length that leaves keyframes out.
+        UsageError: impossible noise.
+    """
+    given = replace(keyframes.to_motion(length), body=body_of(keyframes), noise_level=expect_noise(noise))
+    filled = inbetween(given, prior, scene=scene)
+    notes = []
+    if len(filled.bridged_index):
+        frames = ", ".join(str(frame) for frame in filled.bridged_index)
+        notes.append(f"gaps longer than a window were bridged by interpolation at frames {frames}")
+    first, last = int(keyframes.frame_index[0]), int(keyframes.frame_index[-1])
+    if first > 0:
+        notes.append(f"frames 0 to {first - 1} hold the first keyframe's pose")
+    if last + 1 < len(given.is_keyframe):
+        notes.append(f"frames {last + 1} to {len(given.is_keyframe) - 1} hold the last keyframe's pose")
+    if prior.name == "scenemi":
+        made = WindowMotion(filled.R_parent_joint, filled.translation_world_m)
+        held = np.arange(len(given.is_keyframe))
+        whole = KeyframeWindow(
+            made.R_parent_joint, made.translation_world_m, given.is_keyframe | (held <= first) | (held >= last),
+            given.rest_joints_m, given.fps, scene, body=given.body, noise_level=given.noise_level,
+        )  # fmt: skip
+        made = put_in_scene(made, whole)
+        filled = replace(filled, R_parent_joint=made.R_parent_joint, translation_world_m=made.translation_world_m)
+    joints_m, _ = forward_kinematics(filled.R_parent_joint, filled.translation_world_m, keyframes.rest_joints_m)
+    return SampledMotion(filled, given.is_keyframe, standing_feet(joints_m, FPS), tuple(notes))
+
+
+def expect_noise(level: float) -> float:
+    """The paper's l as it is.
+
+    Raises:
+        UsageError: impossible noise.
+    """
+    if not 0 <= level <= 100:
+        raise UsageError(f"noise: want degrees and centimetres from 0 to 100, got {level}")
+    return level
+
+
+def body_of(keyframes: Keyframes) -> ShapedBody | None:
+    """The body whose skeleton the keyframes have; None where theirs is another, and the prior finds one like it."""
+    if keyframes.shape.model != "anny":
+        return None
+    body = shaped_body(keyframes.shape)
+    alike = np.abs(body.rest_joints_m - keyframes.rest_joints_m).max() <= _BODY_TOLERANCE_M
+    return body if alike else None

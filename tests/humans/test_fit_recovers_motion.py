@@ -1,0 +1,272 @@
+"""The body fit against known truth: a known body, moving in a known way, seen by a known camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import planted_walk, true_keypoints
+
+import video2anim.video
+from stages.camera import FULL_FRAME_DIAGONAL_MM, CameraConfig, _up_seen, estimate_camera
+from video2anim.body.anny_body import PHENOTYPES
+from video2anim.errors import StageError
+from video2anim.geometry.perspective_field import PerspectiveField, field_of_camera
+from video2anim.geometry.projection import invert_rigid, project
+from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.humans.initial import landmark_rotation, ray_rotation, translation_from_projection
+from video2anim.humans.landmarks import BLAZEPOSE_OF_KEYPOINT, KEYPOINT_INDEX, LANDMARK_ORDER
+from video2anim.humans.lifter_input import LiftedBody
+from video2anim.humans.optimize import fit_body
+from video2anim.humans.problem import FittedBody, Observations
+from video2anim.networks import load_model
+from video2anim.pipeline.stage import StageContext
+from video2anim.types import Intrinsics, PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
+from video2anim.types.skeleton import forward_kinematics
+
+FOCAL_PX = 1100.0
+LENS = Intrinsics.centered(FOCAL_PX, 1280, 720)
+LIMBS = [16, 17, 18, 19, 20, 21, 1, 2, 4, 5, 7, 8]
+NOISE_PX, NOISE_M = 1.5, 0.02
+
+
+@dataclass(frozen=True)
+class Filmed:
+    """A walk through the picture, and its truth in the camera."""
+
+    observed: Observations
+    joints_camera_m: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def filmed() -> Filmed:
+    """A walk towards a camera that looks down a little, every third frame, with detector-like noise."""
+    motion = planted_walk(75)
+    tilt = np.radians(12.0)
+    T_world_camera = np.eye(4)
+    T_world_camera[:3, :3] = np.diag([1.0, -1, -1]) @ matrix_from_axis_angle(np.array([-tilt, 0, 0]))
+    T_world_camera[:3, 3] = [0.6, 1.7, 5.5]
+    T_camera_world = invert_rigid(T_world_camera)
+    frames = np.arange(0, 75, 3)
+    points = true_keypoints(motion)[frames] @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
+    joints = motion.joints_world_m[frames] @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
+    rng = np.random.default_rng(11)
+    pixels = project(points, LENS)
+    hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
+    # A landmark model sees a crop, which hides a part of the viewing ray's tilt.
+    R_camera_landmarks = landmark_rotation(pixels[:, hips].mean(1), LENS)
+    seen = np.einsum("tba,tkb->tka", R_camera_landmarks, points - points[:, hips].mean(1, keepdims=True))
+    observed = Observations(
+        motion.frame_time_s[frames], np.ones(len(frames), bool),
+        pixels + rng.normal(0, NOISE_PX, pixels.shape), seen + rng.normal(0, NOISE_M, seen.shape),
+        np.ones(pixels.shape[:2]), LENS,
+    )  # fmt: skip
+    assert (points[..., 2] > 1).all()
+    return Filmed(observed, joints)
+
+
+@pytest.fixture(scope="module")
+def fitted(filmed: Filmed) -> FittedBody:
+    return fit_body(filmed.observed, fit_focal=False, iterations=150)
+
+
+def root_relative_error_m(fit: FittedBody, truth_m: np.ndarray) -> float:
+    a, b = fit.joints_camera_m - fit.joints_camera_m[:, :1], truth_m - truth_m[:, :1]
+    return float(np.linalg.norm((a - b)[:, LIMBS], axis=-1).mean())
+
+
+def test_joints_are_recovered(filmed: Filmed, fitted: FittedBody) -> None:
+    assert root_relative_error_m(fitted, filmed.joints_camera_m) < 0.03
+    distance_m = np.linalg.norm(filmed.joints_camera_m[:, 0], axis=-1)
+    root_m = np.linalg.norm(fitted.joints_camera_m[:, 0] - filmed.joints_camera_m[:, 0], axis=-1)
+    assert (root_m / distance_m).max() < 0.06, "depth follows the stature prior within its 5 %"
+    found, truth = fitted.joints_camera_m[:, 0], filmed.joints_camera_m[:, 0]
+    assert np.abs(found[:, :2] - truth[:, :2] * (found[:, 2:] / truth[:, 2:])).max() < 0.03, "across the line of sight"
+
+
+def test_fit_is_consistent_in_itself(fitted: FittedBody) -> None:
+    joints_m, _ = forward_kinematics(fitted.R_parent_joint, fitted.translation_camera_m, fitted.rest_joints_m)
+    np.testing.assert_allclose(joints_m, fitted.joints_camera_m, atol=1e-4)
+    identity = np.tile(np.eye(3), (len(joints_m), 22, 1, 1))
+    np.testing.assert_allclose(fitted.R_parent_joint @ np.swapaxes(fitted.R_parent_joint, -1, -2), identity, atol=1e-5)
+    assert fitted.focal_px == pytest.approx(FOCAL_PX, rel=1e-5)
+    assert np.nanmedian(fitted.reprojection_px) < 3 * NOISE_PX
+    assert fitted.shape.model == "anny"
+    assert all(-1 <= value <= 1 for value in fitted.shape.parameters.values())
+    assert all(fitted.shape.parameters[name] >= 0 for name in PHENOTYPES)
+
+
+def test_fit_is_repeatable(filmed: Filmed) -> None:
+    again = [fit_body(filmed.observed, fit_focal=False, iterations=5).joints_camera_m for _ in range(2)]
+    np.testing.assert_array_equal(*again)
+
+
+@pytest.mark.parametrize("start_px", [800.0, 1500.0])
+def test_focal_length_is_recovered_from_any_start(filmed: Filmed, start_px: float) -> None:
+    """A walk of 2 m towards the camera shows the lens: the estimate leaves the wrong start for the truth."""
+    o = filmed.observed
+    start = Observations(
+        o.frame_time_s, o.valid, o.keypoints_px, o.keypoints_m, o.weight, Intrinsics.centered(start_px, 1280, 720)
+    )
+    fit = fit_body(start, fit_focal=True, iterations=150)
+    assert abs(np.log(fit.focal_px / FOCAL_PX)) < 0.08
+    assert root_relative_error_m(fit, filmed.joints_camera_m) < 0.035
+
+
+def as_stage_input(observed: Observations, focal_35mm: float = 0.0) -> tuple[VideoClip, PersonTracks]:
+    """A clip and its tracks as the camera stage gets them."""
+    o, count = observed, len(observed.valid)
+    landmarks_px, landmarks_m = np.zeros((count, 33, 2)), np.zeros((count, 33, 3))
+    landmarks_px[:, LANDMARK_ORDER], landmarks_m[:, LANDMARK_ORDER] = o.keypoints_px, o.keypoints_m
+    track = PersonTrack(
+        1, o.valid, np.ones(count), np.zeros((count, 4)), landmarks_px, landmarks_m, np.ones((count, 33)),
+        np.zeros((count, 64, 64), np.uint8), np.zeros((count, 2, 3)),
+    )  # fmt: skip
+    source = SourceInfo("h264", "yuv420p", 1280, 720, 0, 1.0, 30.0, count, count, 2.5, focal_35mm)
+    times = o.frame_time_s
+    clip = VideoClip(
+        PayloadFile(Path("none.mp4")), 1280, 720, 10.0, times, times, source, ((0.0, 2.5),), 0, True, 0.0, ()
+    )
+    return clip, PersonTracks((track,), (1,), 1)
+
+
+def test_camera_stage_states_an_uncertainty_that_holds(filmed: Filmed) -> None:
+    """The focal length found by the stage is within two of its stated standard deviations."""
+    clip, tracks = as_stage_input(filmed.observed)
+    ctx = StageContext(Path(), load_model=load_model)
+    camera = estimate_camera(clip, tracks, CameraConfig(frames=15, iterations=100, camera_model="none"), ctx)
+    assert camera.focal_source == "human"
+    assert 0.02 < camera.focal_sigma_ratio <= 0.3
+    assert abs(np.log(camera.intrinsics.fx_px / FOCAL_PX)) < 2 * camera.focal_sigma_ratio
+    up = matrix_from_axis_angle(np.array([np.radians(12.0), 0, 0])) @ [0, -1.0, 0]
+    assert np.arccos(camera.up_camera @ up) < 2 * camera.up_sigma_rad
+    known = estimate_camera(
+        clip, tracks, CameraConfig(focal_px=900.0, frames=6, iterations=5, camera_model="none"), ctx
+    )
+    assert (known.intrinsics.fx_px, known.focal_source) == (900.0, "user")
+
+
+@pytest.mark.parametrize(("factor", "source"), [(1.0, "metadata"), (1.15, "metadata"), (4.0, "human"), (0.3, "human")])
+def test_metadata_is_used_unless_the_picture_contradicts_it(filmed: Filmed, factor: float, source: str) -> None:
+    """A file that gives the true 4 mm of a phone's lens for its equivalent on full frame is off by 6."""
+    focal_35mm = factor * FOCAL_PX * FULL_FRAME_DIAGONAL_MM / np.hypot(1280, 720)
+    clip, tracks = as_stage_input(filmed.observed, focal_35mm)
+    ctx = StageContext(Path(), load_model=load_model)
+    camera = estimate_camera(clip, tracks, CameraConfig(frames=12, iterations=80, camera_model="none"), ctx)
+    assert camera.focal_source == source
+    contradicted = [text for text in ctx.warnings if "contradicts" in text]
+    if source == "metadata":
+        assert camera.intrinsics.fx_px == pytest.approx(factor * FOCAL_PX)
+        assert not contradicted
+    else:
+        assert abs(np.log(camera.intrinsics.fx_px / FOCAL_PX)) < 0.2
+        assert len(contradicted) == 1
+
+
+class SeenField:
+    """A network that sees one camera in every picture."""
+
+    def __init__(self, focal_px: float, up: np.ndarray, sigma_rad: float) -> None:
+        ratio = focal_px / 720
+        self._field = PerspectiveField(
+            *field_of_camera(12, 20, 1280 / 720, ratio, up), np.full((12, 20), sigma_rad), np.full((12, 20), sigma_rad)
+        )
+
+    def field(self, image_rgb: np.ndarray) -> PerspectiveField:
+        return self._field
+
+
+@pytest.mark.parametrize(("factor", "sigma_rad", "share"), [(1.4, 0.005, 0.9), (1.4, 1.0, 0.0)])
+def test_the_picture_is_believed_as_far_as_it_is_sure(
+    filmed: Filmed, monkeypatch: pytest.MonkeyPatch, factor: float, sigma_rad: float, share: float
+) -> None:
+    """A sure field of another lens pulls the estimate most of the way to it, an unsure one leaves it alone."""
+    monkeypatch.setattr(video2anim.video, "read_frames", lambda *_: iter([np.zeros((720, 1280, 3), np.uint8)]))
+    clip, tracks = as_stage_input(filmed.observed)
+    up = matrix_from_axis_angle(np.array([np.radians(12.0), 0, 0])) @ [0, -1.0, 0]
+    seen = SeenField(factor * FOCAL_PX, up, sigma_rad)
+    ctx = StageContext(Path(), load_model=lambda name: seen if name == "seen" else load_model(name))
+    found = {}
+    for name in ("none", "seen"):
+        config = CameraConfig(frames=12, iterations=60, camera_model=name)
+        found[name] = estimate_camera(clip, tracks, config, ctx)
+    assert found["seen"].focal_source == found["seen"].up_source == "picture"
+    moved = np.log(found["seen"].intrinsics.fx_px / found["none"].intrinsics.fx_px)
+    whole = np.log(factor * FOCAL_PX / found["none"].intrinsics.fx_px)
+    assert moved / whole == pytest.approx(share, abs=0.2)
+    off = [np.arccos(np.clip(found[name].up_camera @ up, -1, 1)) for name in ("none", "seen")]
+    assert off[1] < (0.5 * off[0] + 1e-3 if sigma_rad < 0.1 else off[0] + 0.01)
+    # The two deviations are taken at slightly different lenses, so that of a picture that tells nothing may be larger.
+    assert found["seen"].focal_sigma_ratio <= 1.03 * found["none"].focal_sigma_ratio
+
+
+def test_gravity_is_seen_in_whom_the_lifter_is_sure_of(filmed: Filmed) -> None:
+    """Somebody in an odd pose, seen for as long, hardly turns what a walker says of gravity; neither does a glimpse."""
+    _, tracks = as_stage_input(filmed.observed)
+    track = tracks.people[0].whole(len(filmed.observed.valid))
+    frames = len(track.valid)
+    upright, aslant = np.array([0.0, -1.0, 0.0]), np.array([np.sin(0.5), -np.cos(0.5), 0.0])
+
+    def body(up: np.ndarray, error_m: float) -> LiftedBody:
+        return LiftedBody(
+            np.tile(np.eye(3), (frames, 22, 1, 1)), np.tile([0.0, 0.0, 4.0], (frames, 1)), np.zeros((frames, 8)),
+            np.tile(up, (frames, 1)), np.full((frames, 22), error_m), FOCAL_PX,
+        )  # fmt: skip
+
+    found = _up_seen([(body(aslant, 0.06), track), (body(upright, 0.03), track)])
+    assert np.arccos(found @ upright) < 0.05
+    glimpse = replace(track, valid=np.arange(frames) == 3)
+    found = _up_seen([(body(upright, 0.03), track), (body(aslant, 0.03), glimpse)])
+    assert np.arccos(found @ upright) < 0.05
+    assert np.linalg.norm(found) == pytest.approx(1.0)
+
+
+def test_frames_without_landmarks_are_bridged(filmed: Filmed) -> None:
+    o = filmed.observed
+    valid = o.valid.copy()
+    valid[[0, 10, 11]] = False
+    pixels, points, weight = o.keypoints_px.copy(), o.keypoints_m.copy(), o.weight.copy()
+    pixels[~valid], points[~valid], weight[~valid] = np.nan, np.nan, 0.0
+    fit = fit_body(Observations(o.frame_time_s, valid, pixels, points, weight, LENS), fit_focal=False, iterations=120)
+    assert np.isfinite(fit.joints_camera_m).all()
+    assert np.isnan(fit.reprojection_px[~valid]).all()
+    assert np.isfinite(fit.reprojection_px[valid]).all()
+    gap_m = np.linalg.norm(fit.joints_camera_m[10:12, 0] - filmed.joints_camera_m[10:12, 0], axis=-1)
+    assert gap_m.max() < 0.4
+
+
+def test_nobody_is_refused(filmed: Filmed) -> None:
+    o = filmed.observed
+    with pytest.raises(StageError, match="at least one frame"):
+        fit_body(
+            Observations(o.frame_time_s, ~o.valid, o.keypoints_px, o.keypoints_m, 0 * o.weight, LENS), fit_focal=False
+        )
+
+
+def test_translation_solves_exact_projections() -> None:
+    rng = np.random.default_rng(0)
+    points, translation = rng.normal(0, 0.5, (4, 25, 3)), np.array([[0.3, -0.2, 4.0]] * 4)
+    pixels = project(points + translation[:, None], LENS)
+    found = translation_from_projection(points, pixels, np.ones((4, 25)), LENS)
+    np.testing.assert_allclose(found, translation, atol=1e-8)
+    spoiled, weight = pixels.copy(), np.ones((4, 25))
+    spoiled[:, 3], weight[:, 3] = 9999.0, 0.0
+    np.testing.assert_allclose(translation_from_projection(points, spoiled, weight, LENS), translation, atol=1e-8)
+
+
+def test_viewing_ray_rotation() -> None:
+    pixels = np.array([[LENS.cx_px, LENS.cy_px], [100.0, 600.0], [1200.0, 10.0]])
+    R = ray_rotation(pixels, LENS)
+    np.testing.assert_allclose(R[0], np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(project(R @ [0, 0, 1.0], LENS), pixels, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0)
+
+
+def test_landmark_table() -> None:
+    """BlazePose GHUM numbering: left is even-odd paired, 11/12 shoulders, 23/24 hips, 31/32 toes."""
+    for name, number in BLAZEPOSE_OF_KEYPOINT.items():
+        if name.startswith("left") and "eye" not in name:
+            assert BLAZEPOSE_OF_KEYPOINT[name.replace("left", "right")] == number + 1
+    assert len(set(LANDMARK_ORDER)) == len(KEYPOINT_INDEX)

@@ -1,0 +1,172 @@
+"""Up, floor and contacts from motion whose truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from synthetic import planted_walk
+
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.humans.ground import floor_height, foot_contact, level_frame, up_from_balance
+from video2anim.types import BodyShape
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
+
+
+def seen_by(joints_world_m: np.ndarray, pitch_deg: float, roll_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Joints and the up vector in an OpenCV camera that looks down by `pitch_deg` and is rolled."""
+    level = np.diag([1.0, -1.0, -1.0])
+    tilt = matrix_from_axis_angle(np.array([np.radians(pitch_deg), 0, 0]))
+    roll = matrix_from_axis_angle(np.array([0, 0, np.radians(roll_deg)]))
+    R_camera_world = roll @ tilt @ level
+    return joints_world_m @ R_camera_world.T + [0, 0, 5.0], R_camera_world @ [0, 1.0, 0]
+
+
+@pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(0, 0), (20, 0), (0, 13), (15, -10)])
+def test_up_of_a_walk_in_a_tilted_camera(pitch_deg: float, roll_deg: float) -> None:
+    joints, up = seen_by(planted_walk(150).joints_world_m, pitch_deg, roll_deg)
+    found = up_from_balance(joints, 5.0)
+    assert np.linalg.norm(found.up) == pytest.approx(1.0)
+    error = np.arccos(np.clip(found.up @ up, -1, 1))
+    assert error < 2 * found.sigma_rad
+    assert np.degrees(error) < 5
+    assert found.support > 0.9
+
+
+def test_up_of_a_standing_body() -> None:
+    body = shaped_body(BodyShape("anny", dict(ADULT)))
+    joints, _ = forward_kinematics(np.tile(np.eye(3), (60, 22, 1, 1)), np.zeros((60, 3)), body.rest_joints_m)
+    seen, up = seen_by(joints, 25, 5)
+    found = up_from_balance(seen, 2.0)
+    assert np.arccos(found.up @ up) < 2 * found.sigma_rad
+
+
+def test_lying_frames_lose_their_say() -> None:
+    walk = planted_walk(120).joints_world_m
+    lying = walk @ matrix_from_axis_angle(np.array([0, 0, np.pi / 2])).T
+    mixed = np.concatenate([walk, lying[:30]])
+    joints, up = seen_by(mixed, 15, 0)
+    assert np.degrees(np.arccos(up_from_balance(joints, 5.0).up @ up)) < 6
+
+
+def test_one_short_look_says_little() -> None:
+    joints, _ = seen_by(planted_walk(90).joints_world_m, 10, 0)
+    assert up_from_balance(joints[:2], 1 / 30).sigma_rad > up_from_balance(joints, 3.0).sigma_rad
+
+
+@pytest.mark.parametrize("up", [[0, -1, 0], [0.2, -0.9, -0.3], [0, 0, -1], [0, 0, 1], [1, 0, 0]])
+def test_level_frame_is_a_rotation_with_up_on_y(up: list[float]) -> None:
+    unit = np.array(up, float) / np.linalg.norm(up)
+    R = level_frame(np.array(up, float))
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    np.testing.assert_allclose(R @ unit, [0, 1, 0], atol=1e-12)
+
+
+def test_level_camera_looks_along_minus_z() -> None:
+    R_world_camera = level_frame(np.array([0.0, -1.0, 0.0]))
+    np.testing.assert_allclose(R_world_camera @ [0, 0, 1], [0, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(R_world_camera @ [1, 0, 0], [1, 0, 0], atol=1e-12)
+
+
+def test_contact_of_planted_feet() -> None:
+    motion = planted_walk(150)
+    found = foot_contact(motion.joints_world_m, motion.valid, 30.0, motion.T_world_camera[:, :3, 3])
+    others = [j for j in range(22) if JOINT_INDEX["left_ankle"] != j and j not in (8, 10, 11)]
+    assert (found[:, others] == 0).all()
+    assert found.min() >= 0
+    assert found.max() <= 1
+    for joint in (7, 8):
+        truth, said = motion.contact[:, joint] > 0.5, found[:, joint] > 0.5
+        inner = truth & np.roll(truth, 1) & np.roll(truth, -1)
+        assert said[inner].mean() > 0.9, "a planted foot is in contact"
+        speed = np.linalg.norm(np.gradient(motion.joints_world_m[:, joint], 1 / 30, axis=0), axis=-1)
+        assert said[speed > 1.0].mean() < 0.05, "a swinging foot is not"
+
+
+def test_contact_needs_measurements_and_two_neighbours() -> None:
+    motion = planted_walk(30)
+    valid = motion.valid.copy()
+    valid[5:10] = False
+    camera_m = motion.T_world_camera[:, :3, 3]
+    assert (foot_contact(motion.joints_world_m, valid, 30.0, camera_m)[5:10] == 0).all()
+    assert (foot_contact(motion.joints_world_m[:2], valid[:2], 30.0, camera_m[:2]) == 0).all()
+
+
+def test_jitter_along_the_line_of_sight_does_not_hide_contact() -> None:
+    joints = np.repeat(planted_walk(1).joints_world_m, 20, axis=0)
+    camera_m = np.tile([0.0, 1.0, 6.0], (20, 1))
+    wobble = 0.012 * np.cos(np.pi / 2 * np.arange(20))
+    for axis, hidden in ((2, False), (0, True)):
+        moved = joints.copy()
+        moved[..., axis] += 2 * wobble[:, None]
+        contact = foot_contact(moved, np.ones(20, bool), 30.0, camera_m)[2:-2, [7, 8]]
+        assert (contact.mean() < 0.5) == hidden
+
+
+def test_raised_still_foot_carries_nothing() -> None:
+    joints = np.repeat(planted_walk(1).joints_world_m, 20, axis=0)
+    joints[:, [7, 10], 1] += 0.5
+    contact = foot_contact(joints, np.ones(20, bool), 30.0, np.tile([0.0, 1.0, 6.0], (20, 1)))
+    assert contact[:, [7, 10]].max() < 0.05
+    assert contact[:, [8, 11]].min() > 0.9
+
+
+def test_floor_is_the_lowest_level_that_carries() -> None:
+    """Half the time on a step, half on the ground, with noise; one foot is always down."""
+    rng = np.random.default_rng(4)
+    down = np.concatenate([np.full(60, 0.45), np.full(60, 0.0)]) - 1.3 + rng.normal(0, 0.01, 120)
+    lifted = down + 0.2 * np.abs(np.sin(np.arange(120) / 4))
+    floor_m, spread_m = floor_height(np.stack([down, lifted], 1), 30.0)
+    assert floor_m == pytest.approx(-1.3, abs=0.02)
+    assert spread_m < 0.03
+
+
+@pytest.mark.parametrize("stair_m", [0.15, 0.18, 0.22])
+def test_the_lowest_of_low_stairs_is_the_floor(stair_m: float) -> None:
+    """Most of the time on the upper stairs, each nearer to the next than levels that are told apart by their gap."""
+    rng = np.random.default_rng(5)
+    on = np.repeat([0, 1, 2, 3], [80, 40, 60, 120])
+    heights = (stair_m * on + rng.normal(0, 0.015, len(on)))[:, None]
+    assert floor_height(heights, 30.0)[0] == pytest.approx(0.0, abs=0.03)
+
+
+def test_two_odd_windows_are_no_stair() -> None:
+    """Somebody bends down for a second and their feet seem 20 cm lower."""
+    heights = np.random.default_rng(6).normal(0, 0.02, (216, 1))
+    heights[90:120] -= 0.22
+    assert floor_height(heights, 30.0)[0] == pytest.approx(0.0, abs=0.03)
+
+
+def test_a_ramp_keeps_its_middle() -> None:
+    """Gravity a little off: the floor seems to rise along the way."""
+    assert floor_height(np.linspace(-0.3, 0.3, 240)[:, None], 30.0)[0] == pytest.approx(0.0, abs=0.03)
+
+
+def test_time_in_the_air_is_no_floor() -> None:
+    heights = np.concatenate([np.zeros(60), 0.8 * np.ones(15), np.zeros(45)])[:, None]
+    floor_m, _ = floor_height(heights, 30.0)
+    assert floor_m == pytest.approx(0.0, abs=1e-6)
+
+
+def test_brief_dip_below_is_not_the_floor() -> None:
+    """A single wild estimate half a metre down."""
+    heights = np.zeros((120, 2))
+    heights[70:73] = -0.5
+    floor_m, _ = floor_height(heights, 30.0)
+    assert floor_m == pytest.approx(0.0, abs=1e-6)
+
+
+def test_floor_of_a_planted_walk() -> None:
+    motion = planted_walk(150)
+    body = shaped_body(motion.shape)
+    _, R_world_joint = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
+    feet = [np.flatnonzero(np.isin(body.vertex_part, side)) for side in ((7, 10), (8, 11))]
+    soles = np.stack([body.vertices(R_world_joint, motion.joints_world_m, f)[..., 1].min(1) for f in feet], 1)
+    floor_m, spread_m = floor_height(soles, 30.0)
+    assert floor_m == pytest.approx(0.0, abs=0.03)
+    assert spread_m < 0.03
+
+
+def test_very_few_frames() -> None:
+    assert floor_height(np.array([[0.1, 0.2]]), 30.0) == pytest.approx((0.1, 0.0))

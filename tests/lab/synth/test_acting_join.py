@@ -1,0 +1,66 @@
+"""A captured walk goes over into an acted motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from acting_checks import adult
+
+from scenemi.data.container import MotionArchive
+from scenemi.data.retarget import retarget
+from video2anim.body.anny_body import ShapedBody
+from video2anim.errors import UsageError
+from video2anim.lab.synth.acting import act, joined
+from video2anim.lab.synth.world import ActedMotion
+from video2anim.types.skeleton import forward_kinematics
+
+MOTION = Path(__file__).parents[4] / "shared" / "motion"
+
+
+@pytest.mark.parametrize("kind", ["sit", "pick_up", "walk"])
+def test_acted_after_acted_walk(kind: str) -> None:
+    body = adult(0.45)
+    walk, acted = act("walk", body, np.random.default_rng(1)), act(kind, body, np.random.default_rng(2))
+    count = 60
+    both = joined(walk.translation_m[:count], walk.R_parent_joint[:count], walk.contact[:count], acted, body)
+    np.testing.assert_array_equal(both.translation_m[: count - 1], walk.translation_m[: count - 1])
+    _smooth(both, body, count, slide_m=0.0016)
+    assert len(both.props) == len(acted.props)
+    for moved, prop in zip(both.props, acted.props, strict=True):
+        assert moved.position_m[1] == prop.position_m[1]
+        frame = moved.frames[0]
+        before = np.linalg.norm(acted.translation_m[prop.frames[0]] - np.array(prop.position_m))
+        after = np.linalg.norm(both.translation_m[frame] - np.array(moved.position_m))
+        assert after == pytest.approx(before, abs=1e-6)
+
+
+@pytest.mark.skipif(not (MOTION / "cmu.npz").exists(), reason="motion data not next to the repository")
+@pytest.mark.parametrize("name", ["cmu38_train_walking_2", "cmu38_train_walking_36"])
+def test_acted_after_captured_walk(name: str) -> None:
+    body = adult(0.45)
+    captured = retarget(MotionArchive.read(MOTION / "cmu.npz").clip(name), body)
+    count = min(70, len(captured.translation_m) - 6)
+    acted = act("sit", body, np.random.default_rng(3))
+    both = joined(
+        captured.translation_m[:count], captured.R_parent_joint[:count], captured.contact[:count], acted, body
+    )
+    _smooth(both, body, count, slide_m=0.005)
+
+
+def _smooth(both: ActedMotion, body: ShapedBody, count: int, slide_m: float) -> None:
+    joints, _ = forward_kinematics(both.R_parent_joint, both.translation_m, body.rest_joints_m)
+    step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
+    touching = both.contact[1:] & both.contact[:-1]
+    assert (step * touching)[count - 1 :].max() <= slide_m
+    seam = step[count - 2 : count + 5]  # what lies before is the capture's own
+    assert np.abs(np.diff(seam, axis=0)).max() < 0.045
+    assert joints[..., 1].min() > -0.02
+
+
+def test_too_short_a_capture_is_refused() -> None:
+    body = adult(0.45)
+    acted = act("walk", body, np.random.default_rng(1))
+    with pytest.raises(UsageError, match="at least 3 captured frames"):
+        joined(acted.translation_m[:2], acted.R_parent_joint[:2], acted.contact[:2], acted, body)

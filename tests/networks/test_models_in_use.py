@@ -1,0 +1,102 @@
+"""Which models a configuration really uses: those are in the cache key, and no others."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from stages import humans
+from stages.humans import HumansConfig
+from stages.refine import RefineConfig
+from video2anim.cli.compose import TableModels, pipeline_nodes, preset_models
+from video2anim.networks import weight_digests, weight_licenses
+from video2anim.pipeline.config import resolve
+from video2anim.pipeline.graph import Node
+from video2anim.pipeline.stage import StageContext, StageSpec, slots_of
+
+
+def used(stage: str, **options: Any) -> dict[str, str]:
+    """Digests in the key of a stage."""
+    node: Node = next(node for node in pipeline_nodes() if node.name == stage)
+    config = resolve(pipeline_nodes(), "p", [("test", {stage: options})]).stages[stage]
+    return TableModels().digests(slots_of(node.spec, config), config)
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Callable[[str], str]:
+    """NAME@FILE with a file of the user's own."""
+
+    def name(model: str) -> str:
+        path = tmp_path / f"{model}.onnx"
+        path.write_bytes(model.encode())
+        return f"{model}@{path}"
+
+    return name
+
+
+def test_the_lifter_is_in_the_key_where_it_is_used(own: Callable[[str], str]) -> None:
+    """Under a body regressor too, whose rotations go onto the lifter's bodies; not where landmarks alone are fitted."""
+    assert list(used("humans")) == ["lifter"]
+    assert list(used("humans", method="lifter")) == ["lifter"]
+    assert used("humans", model=own("lifter"))["lifter"] != used("humans")["lifter"]
+    for regressor in ("hmr2", "gem-smpl"):
+        found = used("humans", model=own(regressor))
+        assert set(found) == {regressor, "lifter"}
+        assert found["lifter"] == used("humans")["lifter"]
+    assert used("humans", method="optimizer") == {}
+
+
+def test_the_stage_loads_what_the_key_names(own: Callable[[str], str]) -> None:
+    """Whatever a configuration asks of its context is in its key."""
+    asked: list[str] = []
+
+    class Stop(Exception):
+        pass
+
+    def load(name: str) -> None:
+        asked.append(name)
+        raise Stop
+
+    ctx = StageContext(Path(), load_model=load)
+    for config in (HumansConfig(), HumansConfig(model=own("lifter")), HumansConfig(model=own("hmr2"))):
+        with pytest.raises(Stop):
+            humans._lifted([], config, ctx)
+        digests = TableModels().digests(slots_of(humans.STAGE, config), config)
+        assert asked.pop().partition("@")[0] in digests
+    assert humans._lifted([], HumansConfig(method="optimizer"), ctx) == []
+    assert asked == []
+
+
+def test_a_stage_that_names_the_prior_has_it_in_its_key(tmp_path: Path) -> None:
+    """Slot `prior` is filled by a field of that name."""
+    own = tmp_path / "mine.safetensors"
+    own.write_bytes(b"weights")
+    shipped = weight_digests("scenemi")
+    digests = functools.partial(TableModels().digests, ("prior",))
+    assert digests(SimpleNamespace(prior="auto")) == digests(SimpleNamespace(prior="scenemi")) == shipped
+    assert digests(RefineConfig()) == shipped
+    assert digests(SimpleNamespace(prior="interpolation")) == {}
+    assert digests(SimpleNamespace(prior=str(own)))["scenemi"] != shipped["scenemi"]
+
+
+def test_slots_by_name_or_by_configuration() -> None:
+    spec = functools.partial(StageSpec, "a", lambda: None, 1)
+    assert slots_of(spec(), None) == ()
+    assert slots_of(spec(("net",)), None) == ("net",)
+    assert slots_of(spec(lambda config: ("net",) * config), 2) == ("net", "net")
+
+
+def test_presets_fetch_what_they_use() -> None:
+    assert {"blazepose-heavy", "lifter", "room-camera", "room-depth", "room-segment"} <= set(preset_models("embedded"))
+
+
+def test_licenses_of_what_was_used(own: Callable[[str], str]) -> None:
+    """A file of the user's own has no license that the table could name."""
+    told = weight_licenses(used("humans") | used("refine"))
+    assert told == {"lifter": "Apache-2.0", "scenemi": "Apache-2.0"}
+    assert weight_licenses(used("humans", model=own("lifter"))) == {"lifter": "of the user's own file"}

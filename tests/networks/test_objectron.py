@@ -1,0 +1,241 @@
+"""Objectron: anchors, decoding, tiles and crops by hand; things and chairs of a real picture with the real weights."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from video2anim.errors import ModelMissingError
+from video2anim.networks import ensure, load_model, objectron, objectron_chair
+from video2anim.networks.blazepose_detector import box_iou
+from video2anim.networks.objectron import FoundObject, ObjectFinder
+from video2anim.networks.objectron_chair import CORNERS, ChairBox
+from video2anim.networks.tiles import square_tiles
+
+CHAIR = objectron.WORDS.index("chair")
+BOTTOM, TOP, FRONT, BACK = [1, 2, 6, 5], [3, 4, 8, 7], [2, 4, 8, 6], [1, 3, 7, 5]
+MIRRORED = [0, 5, 6, 7, 8, 1, 2, 3, 4]
+"""The corners of a box in a mirror: left is right."""
+LEFT_CHAIR_PX = np.array([163.0, 310.0, 303.0, 540.0])
+"""By hand."""
+
+
+@pytest.fixture(scope="module")
+def finder() -> ObjectFinder:
+    try:
+        return load_model("objectron")
+    except ModelMissingError as error:
+        pytest.skip(f"weights are neither in the cache nor to be had: {error}")
+
+
+@pytest.fixture(scope="module")
+def office(shared_media: Path) -> np.ndarray:
+    """First frame of the squat clip, RGB 720 x 720: a man passes office chairs."""
+    ok, bgr = cv2.VideoCapture(str(shared_media / "videos" / "bodypose3d_squat.mp4")).read()
+    assert ok
+    return np.ascontiguousarray(bgr[:, :, ::-1])
+
+
+def test_anchors_by_hand() -> None:
+    anchors = objectron.anchor_boxes()
+    assert anchors.shape == (1917, 4)
+    wide, high = 0.2 * math.sqrt(2.0), 0.2 / math.sqrt(2.0)
+    middle = 0.5 / 19
+    np.testing.assert_allclose(anchors[:2], [[middle, middle, 0.1, 0.1], [middle, middle, high, wide]])
+    np.testing.assert_allclose(anchors[2:4], [[middle, middle, wide, high], [middle, 1.5 / 19, 0.1, 0.1]])
+    second = anchors[19 * 19 * 3 :]
+    np.testing.assert_allclose(second[0], [0.05, 0.05, 0.35, 0.35])
+    np.testing.assert_allclose(second[3], [0.05, 0.05, 0.35 / math.sqrt(3.0), 0.35 * math.sqrt(3.0)])
+    np.testing.assert_allclose(second[5], [0.05, 0.05, math.sqrt(0.35 * 0.5), math.sqrt(0.35 * 0.5)])
+    np.testing.assert_allclose(anchors[-1], [0.5, 0.5, math.sqrt(0.95), math.sqrt(0.95)])
+
+
+def test_decode_by_hand() -> None:
+    codes = np.array([[1.0, -2.0, 5.0 * math.log(2.0), 0.0], [0.0, 0.0, 0.0, 0.0]])
+    anchors = np.array([[0.5, 0.5, 0.2, 0.4], [0.1, 0.1, 0.1, 0.1]])
+    logits = np.full((2, 24), -20.0)
+    logits[0, CHAIR], logits[0, 3], logits[1, 0] = math.log(4.0), -math.log(4.0), 20.0
+    boxes, scores, classes = objectron.decode(codes, logits, anchors, 0.3)
+    # Middle y = 0.5 + 0.1 x 0.2, x = 0.5 - 0.2 x 0.4; height doubled. Class 0 is nothing.
+    np.testing.assert_allclose(boxes, [[0.22, 0.32, 0.62, 0.72]])
+    np.testing.assert_allclose(scores, [0.8])
+    np.testing.assert_array_equal(classes, [CHAIR])
+
+
+def test_words_have_a_place_for_each_class() -> None:
+    assert len(objectron.WORDS) == 24
+    assert [objectron.WORDS[k] for k in (4, 5, 7, 12, 13, 15)] == ["person", "chair", "desk", "cup", "cup", "table"]
+
+
+def thing(label: str, score: float, *box_px: float) -> FoundObject:
+    return FoundObject(label, score, np.array(box_px))
+
+
+def test_each_thing_stays_once() -> None:
+    best = thing("table", 0.9, 0, 0, 10, 10)
+    chair = thing("chair", 0.8, 0, 0, 10, 10)
+    # Shares 1/3 of the union with the best one; the desk shares 9/11 of it and is the same thing by another name.
+    beside = thing("table", 0.5, 5, 0, 15, 10)
+    found = [thing("desk", 0.6, 1, 0, 11, 10), beside, thing("chair", 0.4, 0, 1, 10, 11), chair, best]
+    assert objectron.distinct(found) == (best, chair, beside)
+    assert objectron.distinct([]) == ()
+
+
+def test_what_a_tile_cuts_is_left_to_others() -> None:
+    tile = np.array([100, 0, 200, 100])
+    cut = {
+        (120.0, 20.0, 150.0, 60.0): False,
+        (101.0, 20.0, 150.0, 60.0): True,
+        (120.0, 20.0, 198.0, 60.0): True,
+        (120.0, 20.0, 150.0, 98.0): True,
+        (120.0, -3.0, 150.0, 60.0): False,  # the upper edge is the picture's
+    }
+    for box, wanted in cut.items():
+        assert objectron.is_cut(np.array(box), tile, 300, 200) is wanted, box
+    assert not objectron.is_cut(np.array([120.0, 20.0, 198.0, 98.0]), tile, 200, 100)
+
+
+def test_tiles_by_hand() -> None:
+    large, small = [(0, 0, 480), (160, 0, 480)], [(x, y, 240) for y in (0, 120, 240) for x in (0, 133, 267, 400)]
+    assert list(square_tiles(640, 480, least_px=150)) == large + small
+    assert list(square_tiles(640, 480, least_px=241)) == large
+    # A square picture has no tile of its own size.
+    assert list(square_tiles(300, 300, least_px=150)) == [(x, y, 150) for y in (0, 75, 150) for x in (0, 75, 150)]
+
+
+class _SpotNet:
+    """Stands for the detector: a chair of a tenth of the input where the picture is brightest."""
+
+    output_shapes = ((1, 1917, 4), (1, 1917, 24))
+
+    def __init__(self, path: Path) -> None:
+        self.anchors = objectron.anchor_boxes()
+
+    def __call__(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        assert image.shape == (300, 300, 3)
+        assert image.min() >= -1.0
+        codes, logits = np.zeros((1, 1917, 4)), np.full((1, 1917, 24), -20.0)
+        if image.max() > 0.0:
+            rows, columns = np.nonzero(image[..., 0] > 0.5 * image.max())
+            spot = np.array([rows.mean() + 0.5, columns.mean() + 0.5]) / 300
+            nearest = 3 * np.argmin(np.linalg.norm(self.anchors[: 19 * 19 * 3 : 3, :2] - spot, axis=1))
+            codes[0, nearest, :2] = 10.0 * (spot - self.anchors[nearest, :2]) / 0.1
+            logits[0, nearest, CHAIR] = 2.0
+        return codes, logits
+
+
+class _ChairNet:
+    """Stands for the chair network: is sure at its second look, and sees the corners of its crop."""
+
+    output_shapes = ((1, 18), (1, 1))
+    input_size_px = 224
+
+    def __init__(self, path: Path) -> None:
+        self.sure = iter([0.2, 0.9, 0.4] * 2)
+
+    def __call__(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        points = np.zeros((1, 9, 2))
+        points[0, 0], points[0, 8] = (112.0, 112.0), (224.0, 224.0)
+        return points.reshape(1, 18), np.array([[next(self.sure)]])
+
+
+@pytest.fixture
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> ObjectFinder:
+    monkeypatch.setattr(objectron, "TfliteNet", _SpotNet)
+    monkeypatch.setattr(objectron_chair, "TfliteNet", _ChairNet)
+    return ObjectFinder(Path(), Path())
+
+
+def test_tiles_see_a_thing_where_it_is(stand_in: ObjectFinder) -> None:
+    image = np.zeros((480, 640, 3), np.uint8)
+    image[298:303, 418:423] = 255
+    found = stand_in.find(image)
+    assert {item.label for item in found} == {"chair"}
+    middles = np.array([0.5 * (item.box_px[:2] + item.box_px[2:]) for item in found])
+    np.testing.assert_allclose(middles, np.tile([420.0, 300.0], (len(found), 1)), atol=0.6)
+    widths = sorted(float(item.box_px[2] - item.box_px[0]) for item in found)
+    # 64 x 48 in the whole picture and 48 x 48 in its tiles are the same (IoU 3/4); 24 x 24 in tiles of half the side.
+    np.testing.assert_allclose(widths, [24.0, 64.0])
+
+
+def test_the_surest_of_three_crops_in_pixels_of_the_picture(stand_in: ObjectFinder) -> None:
+    box = stand_in.chair_box(np.zeros((480, 640, 3), np.uint8), np.array([100.0, 50.0, 200.0, 90.0]))
+    assert box is not None
+    assert box.confidence == pytest.approx(0.9)
+    # Crops are squares around (150, 70) of 1.3, 1.45 and 1.6 times 100 px; the surest is the second.
+    np.testing.assert_allclose(box.points_px[[0, 1, 8]], [[150, 70], [77.5, -2.5], [222.5, 142.5]])
+    # Their corners, eight of nine points, lie 7.5 x sqrt(2) px from those of the other crops.
+    assert box.spread_px == pytest.approx(math.sqrt(8 / 9) * 7.5 * math.sqrt(2.0))
+    assert stand_in.chair_box(np.zeros((480, 640, 3), np.uint8), np.zeros(4) + 5.0, min_confidence=0.95) is None
+
+
+def test_order_of_the_corners() -> None:
+    assert CORNERS.shape == (9, 3)
+    for corners, axis, side in ((BOTTOM, 1, -1), (TOP, 1, 1), (FRONT, 2, 1), (BACK, 2, -1)):
+        assert (CORNERS[corners, axis] == side).all()
+    # Each goes around its face: neighbors differ in one coordinate.
+    for ring in (BOTTOM, TOP, FRONT, BACK):
+        steps = CORNERS[ring] - CORNERS[np.roll(ring, 1)]
+        assert (np.count_nonzero(steps, axis=1) == 1).all()
+    np.testing.assert_array_equal(CORNERS[MIRRORED], CORNERS * (-1, 1, 1))
+
+
+@pytest.mark.parametrize("name", ["objectron", "objectron-chair"])
+def test_other_networks_are_refused(name: str, finder: ObjectFinder) -> None:
+    other = "objectron-chair" if name == "objectron" else "objectron"
+    with pytest.raises(ModelMissingError, match="want outputs"):
+        load_model(f"{name}@{ensure(other)}")
+
+
+def test_chairs_of_an_office(finder: ObjectFinder, office: np.ndarray) -> None:
+    found = finder.find(office)
+    assert [item.score for item in found] == sorted((item.score for item in found), reverse=True)
+    assert not any(item.score > 0.5 for item in found if item.label not in ("chair", "shoe"))
+    sure = sorted(
+        (item.box_px for item in found if item.label == "chair" and item.score > 0.6), key=lambda box_px: box_px[0]
+    )
+    np.testing.assert_allclose(sure, np.stack([LEFT_CHAIR_PX, np.array([293, 311, 425, 506])]), atol=16)
+    man = next(item.box_px for item in found if item.label == "person")
+    assert box_iou(man, np.array([[443, 0, 694, 719]]))[0] > 0.7
+
+
+def left_chair(finder: ObjectFinder, office: np.ndarray) -> ChairBox:
+    box = finder.chair_box(office, LEFT_CHAIR_PX)
+    assert box is not None
+    return box
+
+
+def test_the_box_of_a_chair_stands_upright_and_faces_the_camera(finder: ObjectFinder, office: np.ndarray) -> None:
+    box = left_chair(finder, office)
+    points = box.points_px
+    assert box.confidence > 0.9
+    assert box.spread_px < 22.0
+    assert (points[BOTTOM, 1] > points[TOP, 1] + 100.0).all()
+    assert np.linalg.norm(points[1:].mean(axis=0) - points[0]) < 15.0, "the center is in the middle"
+    # Its back is at the wall: the foot of the front is lower in the picture, and the sitter's left is to the right.
+    assert points[[2, 6], 1].min() > points[[1, 5], 1].max() + 10.0
+    assert points[[5, 6], 0].min() > points[[1, 2], 0].max() + 80.0
+
+
+def test_bare_floor_has_no_chair_box(finder: ObjectFinder, office: np.ndarray) -> None:
+    assert finder.chair_box(office, np.array([20.0, 560.0, 200.0, 700.0])) is None
+
+
+def test_mirrored_picture_gives_mirrored_boxes(finder: ObjectFinder, office: np.ndarray) -> None:
+    """Left is the sitter's."""
+    mirrored = np.ascontiguousarray(office[:, ::-1])
+    there, back = (
+        next(item for item in finder.find(image) if item.label == "chair").box_px for image in (office, mirrored)
+    )
+    np.testing.assert_allclose(719.0 - back[[2, 0]], there[[0, 2]], atol=12.0)
+    box = left_chair(finder, office)
+    x0, y0, x1, y1 = LEFT_CHAIR_PX
+    other = finder.chair_box(mirrored, np.array([719.0 - x1, y0, 719.0 - x0, y1]))
+    assert other is not None
+    # The network's own scatter is a few percent of the chair; another order of the corners is off by half its width.
+    turned_px = np.array([719.0, 0.0]) + other.points_px[MIRRORED] * (-1, 1)
+    assert np.linalg.norm(turned_px - box.points_px, axis=1).mean() < 22.0

@@ -1,0 +1,92 @@
+"""Telling people by their clothes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from video2anim.networks.blazepose import PoseEstimate
+from video2anim.networks.roi import SquareRoi
+from video2anim.tracking.appearance import Looks, clothes
+from video2anim.tracking.tracker import Track, rejoined
+
+RED, BLUE, GREEN, GREY = (180, 40, 40), (40, 60, 170), (50, 140, 60), (120, 120, 120)
+CORNERS = {11: (40, -60), 12: (-40, -60), 23: (25, 20), 24: (-25, 20), 25: (25, 90), 26: (-25, 90)}
+
+
+def landmarks(x_px: float, y_px: float) -> np.ndarray:
+    points = np.zeros((33, 2))
+    for index, corner in CORNERS.items():
+        points[index] = corner
+    return points + np.array([x_px, y_px])
+
+
+def picture(
+    x_px: float, y_px: float, top: tuple[int, ...], bottom: tuple[int, ...], *, light: float = 1.0, seed: int = 0
+) -> np.ndarray:
+    """Somebody in one colour above and one below the hips, before a noisy wall."""
+    rng = np.random.default_rng(seed)
+    image = np.full((300, 400, 3), 90.0)
+    x, y = round(x_px), round(y_px)
+    image[y - 62 : y + 20, x - 50 : x + 50] = top
+    image[y + 20 : y + 92, x - 40 : x + 40] = bottom
+    return np.clip(light * image + rng.normal(0, 6, image.shape), 0, 255).astype(np.uint8)
+
+
+def looks(*pictures: np.ndarray, x_px: float = 150.0) -> Looks:
+    found = Looks()
+    for image in pictures:
+        found.add(clothes(image, landmarks(x_px, 120), np.ones(33)))
+    return found
+
+
+def test_same_clothes_in_other_light_are_nearer_than_other_clothes() -> None:
+    here = looks(picture(150, 120, RED, BLUE))
+    darker = looks(picture(150, 120, RED, BLUE, light=0.85, seed=1))
+    exchanged = looks(picture(150, 120, BLUE, RED, seed=2))
+    other_trousers = looks(picture(150, 120, RED, GREEN, seed=3))
+    assert here.distance(here) == pytest.approx(0.0, abs=1e-6)
+    assert here.distance(darker) < 0.6 * here.distance(other_trousers)
+    assert here.distance(other_trousers) < here.distance(exchanged)
+    assert here.distance(exchanged) > 0.7
+
+
+def test_parts_that_are_not_seen_say_nothing() -> None:
+    visibility = np.ones(33)
+    visibility[25] = 0.1
+    half = Looks(clothes(picture(150, 120, RED, GREEN), landmarks(150, 120), visibility))
+    whole = looks(picture(150, 120, RED, GREEN))
+    blue = looks(picture(150, 120, RED, BLUE, seed=1))
+    assert half.distance(blue) < 0.5 * whole.distance(blue), "the trunk alone is compared"
+    assert np.isnan(half.distance(Looks()))
+    outside = clothes(picture(150, 120, RED, GREEN), landmarks(-900, 120), np.ones(33))
+    assert not outside.any()
+
+
+def track(frames: range, clothing: Looks | None) -> Track:
+    roi = SquareRoi(150.0, 120.0, 300.0, 0.0)
+    mask = np.zeros((64, 64), np.uint8)
+    made = Track(looks=clothing)
+    for frame in frames:
+        made.put(frame, PoseEstimate(1.0, landmarks(150, 120), np.zeros((33, 3)), np.ones(33), mask, roi, roi))
+    return made
+
+
+def spans(tracks: list[Track]) -> list[tuple[int, int, int]]:
+    return sorted((min(one.estimates), one.last_frame, len(one.estimates)) for one in tracks)
+
+
+def test_who_comes_back_in_the_same_clothes_is_the_same() -> None:
+    red, red_later, red_last = (looks(picture(150, 120, RED, BLUE, seed=seed)) for seed in range(3))
+    green = looks(picture(150, 120, GREEN, GREY, seed=7))
+    tracks = [track(range(0, 50), red), track(range(0, 400), green), track(range(120, 200), red_later),
+              track(range(300, 350), red_last)]  # fmt: skip
+    assert spans(rejoined(tracks, 300)) == [(0, 349, 180), (0, 399, 400)]
+    assert len(rejoined([track(range(0, 50), red), track(range(120, 200), red_later)], 60)) == 2, "gone for too long"
+    assert len(rejoined([track(range(0, 50), red), track(range(120, 200), None)], 300)) == 2, "not seen well enough"
+
+
+def test_a_team_in_the_same_clothes_is_not_mixed_up() -> None:
+    red = [looks(picture(150, 120, RED, BLUE, seed=seed)) for seed in range(3)]
+    tracks = [track(range(0, 50), red[0]), track(range(0, 400), red[1]), track(range(120, 200), red[2])]
+    assert len(rejoined(tracks, 300)) == 3

@@ -1,0 +1,1 @@
+"""The background image, and which pixels are the person."""

@@ -1,0 +1,1 @@
+"""Depth of frames and background: planar proxy, people, alignment over time."""

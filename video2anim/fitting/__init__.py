@@ -1,1 +1,0 @@
-"""Fitting the body to picture landmarks over time: initial guess, objective, optimiser, ground and contacts."""

@@ -1,0 +1,170 @@
+"""Up direction, floor and contacts from a moving body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from video2anim.types.skeleton import JOINT_INDEX
+
+_SEGMENTS = (
+    ("pelvis", "spine3", 0.43), ("neck", "head", 0.08),
+    ("left_shoulder", "left_elbow", 0.028), ("right_shoulder", "right_elbow", 0.028),
+    ("left_elbow", "left_wrist", 0.022), ("right_elbow", "right_wrist", 0.022),
+    ("left_hip", "left_knee", 0.100), ("right_hip", "right_knee", 0.100),
+    ("left_knee", "left_ankle", 0.061), ("right_knee", "right_ankle", 0.061),
+)  # fmt: skip
+"""Mass share of body segments (Winter 2009, table 4.1), each at the middle of its joints."""
+_LOOKS_PER_S = 3.0
+_LEVEL_SIGMA_M = 0.07
+"""Supports of one level spread less than this."""
+_FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpEstimate:
+    up: Float[np.ndarray, "3"]
+    """Unit vector, in the frame of the joints."""
+    sigma_rad: float
+    support: float
+    """Share of frames that agree within 20 degrees."""
+
+
+def center_of_mass(joints_m: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "frames 3"]:
+    """Whole-body centre of mass from segment masses."""
+    total = np.zeros((len(joints_m), 3))
+    mass = sum(share for _, _, share in _SEGMENTS)
+    for start, end, share in _SEGMENTS:
+        total += share / mass * 0.5 * (joints_m[:, JOINT_INDEX[start]] + joints_m[:, JOINT_INDEX[end]])
+    return total
+
+
+def up_from_balance(
+    joints_camera_m: Float[np.ndarray, "frames 22 3"],
+    duration_s: float,
+    *,
+    prior_up: Float[np.ndarray, "3"] | None = None,
+    prior_sigma_rad: float = 0.35,
+    frame_sigma_rad: float = 0.3,
+) -> UpEstimate:
+    """Direction against gravity: a body that stands or walks has, on average, its centre of mass over its feet.
+
+    Iteratively re-weighted mean of the directions feet -> centre of mass, so lying, bending or airborne frames lose
+    their say, combined with a weak belief that cameras are held level. Errors of neighboring frames are strongly
+    correlated: every third of a second of the time the frames span counts as one look, however many frames it has.
+    """
+    feet = joints_camera_m[:, [JOINT_INDEX[name] for name in _FEET]].mean(1)
+    direction = center_of_mass(joints_camera_m) - feet
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    level = np.array([0.0, -1.0, 0.0]) if prior_up is None else prior_up
+    looks = max(1.0, duration_s * _LOOKS_PER_S)
+    share = min(1.0, looks / len(joints_camera_m)) / frame_sigma_rad**2
+    up = np.median(direction, axis=0)
+    up /= np.linalg.norm(up)
+    for _ in range(20):
+        off = np.arccos(np.clip(direction @ up, -1, 1))
+        weight = 1.0 / (1.0 + (off / frame_sigma_rad) ** 2) ** 2
+        total = share * (weight[:, None] * direction).sum(0) + level / prior_sigma_rad**2
+        up = total / np.linalg.norm(total)
+    off = np.arccos(np.clip(direction @ up, -1, 1))
+    weight = 1.0 / (1.0 + (off / frame_sigma_rad) ** 2) ** 2
+    information = share * weight.sum() + 1.0 / prior_sigma_rad**2
+    return UpEstimate(up, float(information**-0.5), float((off < np.radians(20.0)).mean()))
+
+
+def level_frame(up_camera: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """R_world_camera with `up_camera` on +Y and the camera's horizontal forward direction on -Z.
+
+    A camera that looks straight up or down has no horizontal forward; its image x axis then gives +X.
+    """
+    y = up_camera / np.linalg.norm(up_camera)
+    forward = np.array([0.0, 0.0, 1.0]) - y[2] * y
+    if np.linalg.norm(forward) > 1e-3:
+        z = -forward / np.linalg.norm(forward)
+        x = np.cross(y, z)
+    else:
+        x = np.array([1.0, 0.0, 0.0]) - y[0] * y
+        x /= np.linalg.norm(x)
+        z = np.cross(x, y)
+    return np.stack([x, y, z])
+
+
+def foot_contact(
+    joints_world_m: Float[np.ndarray, "frames 22 3"],
+    valid: Bool[np.ndarray, "frames"],
+    fps: float,
+    camera_world_m: Float[np.ndarray, "frames 3"],
+    *,
+    speed_m_s: float = 0.35,
+    softness_m_s: float = 0.1,
+) -> Float[np.ndarray, "frames 22"]:
+    """Contact probability of each joint; only feet are judged, all others are 0.
+
+    Motion along the line of sight counts a quarter: one camera sees it badly, and its jitter would hide contact.
+
+    A foot joint is in contact while it moves slower than `speed_m_s` and is not much higher than the other foot:
+    a planted foot carries the body, so it is the lower one or both rest.
+    """
+    contact = np.zeros(joints_world_m.shape[:2])
+    if len(joints_world_m) < 3:
+        return contact
+    velocity = np.gradient(joints_world_m, 1.0 / fps, axis=0)
+    sight = joints_world_m - camera_world_m[:, None]
+    sight /= np.maximum(np.linalg.norm(sight, axis=-1, keepdims=True), 1e-6)
+    along = (velocity * sight).sum(-1, keepdims=True) * sight
+    speed = np.linalg.norm(velocity - 0.75 * along, axis=-1)
+    for name in _FEET:
+        joint = JOINT_INDEX[name]
+        other = JOINT_INDEX[name.replace("left", "right") if "left" in name else name.replace("right", "left")]
+        slow = 1.0 / (1.0 + np.exp((speed[:, joint] - speed_m_s) / softness_m_s))
+        above = joints_world_m[:, joint, 1] - joints_world_m[:, other, 1]
+        low = 1.0 / (1.0 + np.exp((above - 0.12) / 0.03))
+        contact[:, joint] = slow * low * valid
+    return contact
+
+
+def floor_height(
+    sole_height_m: Float[np.ndarray, "frames feet"], fps: float, *, window_s: float = 0.6
+) -> tuple[float, float]:
+    """Height of the lowest level that carries the body again and again, and the spread of that level.
+
+    Somebody who stands, walks or runs has a foot down at least once in about 0.6 s, so the low end of the soles in
+    every such window is a support, unless the body is in the air or lies: the floor is their `lowest_level`.
+
+    Args:
+        sole_height_m: lowest point of each foot, valid frames in order of time.
+    """
+    lowest = sole_height_m.min(1)
+    windows = max(1, round(len(lowest) / max(1.0, window_s * fps)))
+    level = lowest_level(np.array([np.percentile(part, 10) for part in np.array_split(lowest, windows)]))
+    return float(np.median(level)), float(np.std(level))
+
+
+def lowest_level(
+    supports_m: Float[np.ndarray, "windows"], *, level_gap_m: float = 0.25
+) -> Float[np.ndarray, "some_windows"]:
+    """Those of the heights at which a body stood that are on the floor, sorted.
+
+    Supports may lie at several heights (steps, a roof, a bed): they are parted where nothing lies within `level_gap_m`,
+    and the lowest level seen in at least two windows (and a twelfth of all) is the floor. Stairs are nearer to each
+    other than that: where what is left is no level, its lowest part is taken if a fifth of all windows agree on it.
+    """
+    supports_m = np.sort(supports_m)
+    levels = np.split(supports_m, np.flatnonzero(np.diff(supports_m) > level_gap_m) + 1)
+    wanted = max(2, len(supports_m) / 12)
+    level = next((one for one in levels if len(one) >= wanted), max(levels, key=len))
+    return _lowest_stair(level, len(supports_m))
+
+
+def _lowest_stair(heights_m: Float[np.ndarray, "windows"], windows: int) -> Float[np.ndarray, "some_windows"]:
+    """The lowest of sorted heights, cut at their widest gap as long as they spread more than the noise of one level."""
+    while np.std(heights_m) > _LEVEL_SIGMA_M:
+        cut = int(np.argmax(np.diff(heights_m))) + 1
+        low = heights_m[:cut]
+        # A ramp (gravity a little off) has no gap that stands out; two odd windows are no level.
+        if len(low) < max(3, windows / 5) or heights_m[cut] - low[-1] < 2 * np.std(low):
+            break
+        heights_m = low
+    return heights_m

@@ -1,0 +1,307 @@
+"""The objective of the body fit: a negative log posterior in torch.
+
+Every term is a squared (or Huber) residual over a standard deviation with a physical unit, so weights can be read
+and questioned. Landmark errors of one clip are not independent; `FitConfig.landmark_share` says how much each counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from video2anim.body.anny_body import ADULT, PEOPLES_LENGTHS, AnnyModel
+from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d
+from video2anim.humans.initial import landmark_rotation
+from video2anim.humans.landmarks import KEYPOINT_INDEX, KEYPOINT_TRUST
+from video2anim.humans.lifter_input import LiftedBody
+from video2anim.humans.problem import Observations
+from video2anim.types.camera import Intrinsics
+from video2anim.types.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """Standard deviations of the fit's terms."""
+
+    landmark_2d_ratio: float = 0.004
+    """Pixel error of a limb landmark as a share of the person's box diagonal."""
+    landmark_2d_px: float = 3.0
+    """Error of landmarks that no size of the person can undercut: that of the pictures' own pixels."""
+    landmark_3d_m: float = 0.05
+    """Error of a 3D landmark across the line of sight."""
+    landmark_3d_depth_m: float = 0.10
+    """Error of a 3D landmark along the line of sight."""
+    landmark_share: float = 0.3
+    """Weight of each 3D landmark; below 1 because their errors are strongly correlated over time."""
+    acceleration_m_s2: float = 25.0
+    """Joint acceleration that is nothing special; larger ones count linearly. What it leaves of jitter is for a filter
+    to take out: a tighter prior couples the frames so that the fit is slow to leave its start."""
+    angular_rate_rad_s: float = 8.0
+    """Joint angle rate that is nothing special."""
+    stature_m: float = 1.70
+    """Mean standing height of adults (NCD-RisC 2016: women 1.59 to 1.65 m, men 1.71 to 1.78 m in most regions)."""
+    stature_sigma_m: float = 0.09
+    shape_sigma: float = 0.4
+    """Spread of the other phenotypes, whose whole range is 1. Gender lies near its ends, and the body model's whole
+    range of proportions changes the legs' share of the stature by only 1.6 points, no more than adults differ."""
+    prior_share: float = 4.0
+    """Weight of the shape and lens priors per frame: a detector's bias is the same in every frame, so the evidence of
+    a long clip on shape and lens does not grow with its length as independent errors would let it."""
+    focal_ratio: float = 0.9
+    """Median of focal length over the longer image side for phones, webcams and camcorders (24 to 45 mm equivalent)."""
+    focal_log_sigma: float = 0.3
+    lifted_m: float = 0.05
+    """Error of the lifter's joints, relative to the pelvis, across the line of sight, where it expects the usual one;
+    it grows with what the lifter expects."""
+    lifted_depth_m: float = 0.08
+    """The same along the line of sight."""
+    lifted_share: float = 1.0
+    """Weight of each lifted joint, as `landmark_share`."""
+    landmark_share_lifted: float = 0.05
+    """Weight of each 3D landmark where the lifter has read them already: against marker-based capture they are twice as
+    far off (`benchmarks/lifter.py`; with 0.3 for both weights PA-MPJPE was 51 and 42 mm on `ocv_sts` and `ocv_walk`,
+    with these 47 and 37)."""
+    lifted_distance_ratio: float = 0.1
+    """Error of the lifter's distance of the body, the same in all frames of a clip."""
+    lifted_angle_rad: float = 0.4
+    """Error of the lifter's joint angles, where it expects the usual error of the joints that they move."""
+    lifted_usual_m: float = 0.035
+    """Distance from the truth that the lifter expects of a joint on motion like that of its training."""
+
+
+_ANGLE_SIGMA_RAD = {
+    "spine": 0.35, "neck": 0.45, "head": 0.5, "collar": 0.22, "wrist": 0.6, "foot": 0.3,
+    "ankle": 0.75, "hip": 1.5, "shoulder": 1.8, "knee": 0.22, "elbow": 0.3,
+}  # fmt: skip
+"""Prior spread of joint angles about rest; for knees and elbows off their hinge axis."""
+_HINGES = {"left_knee": (0, 1.0), "right_knee": (0, 1.0), "left_elbow": (1, -1.0), "right_elbow": (1, 1.0)}
+"""Hinge joints: axis of flexion in the joint frame and its positive sense."""
+_HINGE_SIGMA_RAD, _OVERSTRETCH_SIGMA_RAD, _FOREARM_TWIST_SIGMA_RAD = 3.0, 0.1, 0.8
+_LEAST_DOUBT = 0.5
+"""Share of the usual error below which the lifter's own expectation is not believed."""
+PERSON = ADULT | {name: mean for name, (mean, _) in PEOPLES_LENGTHS.items()}
+"""The middling adult with people's proportions, from which a fit starts."""
+SHAPE_PARAMETERS = ("height", "gender", "weight", "proportions", *PEOPLES_LENGTHS)
+"""Parameters that are fitted; age and muscle cannot be told from landmarks."""
+
+
+@dataclass(slots=True)
+class Parameters:
+    """Free variables of the fit (torch leaves)."""
+
+    root_rot6d: torch.Tensor
+    """(T, 6)"""
+    angles_rad: torch.Tensor
+    """(T, 21, 3) rotation vectors of joints 1 to 21."""
+    translation_m: torch.Tensor
+    """(T, 3) in the camera, for the focal length that the fit starts with; see `Objective.translation_m`."""
+    shape_offset: torch.Tensor
+    """(10,) offsets of `SHAPE_PARAMETERS` from the shape that the fit starts with."""
+    log_focal: torch.Tensor
+    """() logarithm of the focal length in pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    joints_m: torch.Tensor
+    keypoints_m: torch.Tensor
+    R_camera_joint: torch.Tensor
+    R_parent_joint: torch.Tensor
+    rest_joints_m: torch.Tensor
+    stature_m: torch.Tensor
+
+
+class Objective:
+    """Negative log posterior of `Parameters` given `Observations`."""
+
+    def __init__(
+        self,
+        observed: Observations,
+        model: AnnyModel,
+        base_shape: dict[str, float],
+        config: FitConfig,
+        lifted: LiftedBody | None = None,
+    ) -> None:
+        self.observed, self.model, self.config = observed, model, config
+        self._lifted = None if lifted is None else torch.from_numpy(lifted.R_parent_joint).float()
+        self._distance_per_px: torch.Tensor | None = None
+        if lifted is not None:
+            # Distance grows with the focal length: what the lifter sees is their ratio.
+            distance_m = torch.from_numpy(lifted.translation_camera_m[:, 2]).float().clamp_min(0.1)
+            self._distance_per_px = distance_m / lifted.focal_px
+        if lifted is not None:
+            expected = np.maximum(lifted.error_m / config.lifted_usual_m, _LEAST_DOUBT)
+            self._doubt = torch.from_numpy(expected).float()
+            moved = np.stack([expected[:, np.flatnonzero(j == PARENTS)].max(1, initial=0) for j in range(22)], 1)
+            self._angle_doubt = torch.from_numpy(np.maximum(moved, expected)).float()
+        self._believed = torch.from_numpy(observed.valid).float()
+        self._base_shape = base_shape
+        k = observed.intrinsics
+        self._center = torch.tensor([k.cx_px, k.cy_px], dtype=torch.float32)
+        self._long_side = max(k.width_px, k.height_px)
+        weight = observed.weight * KEYPOINT_TRUST
+        self._weight = torch.from_numpy(weight).float()
+        self._pixels = torch.from_numpy(np.nan_to_num(observed.keypoints_px)).float()
+        size = np.where(observed.valid, observed.size_px, np.nan)
+        typical = np.nanmedian(size)
+        share_px = config.landmark_2d_ratio * np.where(np.isfinite(size), size, typical)
+        self._sigma_px = torch.from_numpy(np.hypot(share_px, config.landmark_2d_px)).float()
+        # NaN rows carry zero weight.
+        self._points = torch.from_numpy(np.nan_to_num(observed.keypoints_m)).float()
+        step_s = np.diff(observed.frame_time_s)
+        self._step_s = torch.from_numpy(step_s).float()
+        self._angle_sigma, self._hinge = _angle_prior()
+        self._prior_weight = max(1.0, config.prior_share * int(observed.valid.sum()))
+        self._start_log_focal = float(np.log(k.fx_px))
+        with torch.no_grad():
+            phenotype = {name: torch.tensor(value) for name, value in base_shape.items()}
+            self.start_stature_m = float(model.rest_skeleton(phenotype).stature_m)
+        self.set_focal(float(k.fx_px))
+
+    def set_focal(self, focal_px: float) -> None:
+        """Recompute what depends on the focal length only weakly: the axes of the 3D landmarks."""
+        k = self.observed.intrinsics
+        here = Intrinsics(focal_px, focal_px, k.cx_px, k.cy_px, k.width_px, k.height_px)
+        hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
+        center = np.nan_to_num(self.observed.keypoints_px[:, hips].mean(1), nan=0.5 * k.width_px)
+        self._R_camera_landmarks = torch.from_numpy(landmark_rotation(center, here)).float()
+
+    def shape(self, parameters: Parameters) -> dict[str, torch.Tensor]:
+        """Phenotypes in [0, 1] and lengths in [-1, 1]."""
+        values = {name: torch.tensor(value) for name, value in self._base_shape.items()}
+        for i, name in enumerate(SHAPE_PARAMETERS):
+            least = -1.0 if name in PEOPLES_LENGTHS else 0.0
+            values[name] = (values[name] + parameters.shape_offset[i]).clamp(least, 1.0)
+        return values
+
+    def translation_m(self, parameters: Parameters, stature_m: torch.Tensor) -> torch.Tensor:
+        """(T, 3) root translations. They grow with the body, and depth grows with the focal length, which leaves the
+        body's place and size in the picture as they are: shape and focal length can then move without fighting every
+        frame's translation.
+        """
+        zoom = torch.exp(parameters.log_focal - self._start_log_focal)
+        grown = stature_m / self.start_stature_m
+        return parameters.translation_m * torch.stack([grown, grown, grown * zoom])
+
+    def predict(self, parameters: Parameters) -> Prediction:
+        """Pose the body."""
+        rest = self.model.rest_skeleton(self.shape(parameters))
+        R_root = matrix_from_rot6d(parameters.root_rot6d)
+        R = torch.cat([R_root[:, None], matrix_from_axis_angle(parameters.angles_rad)], 1)
+        joints, R_camera_joint = forward_kinematics(
+            R, self.translation_m(parameters, rest.stature_m), rest.rest_joints_m
+        )
+        keypoints = rest.keypoints_m(joints, R_camera_joint)
+        return Prediction(joints, keypoints, R_camera_joint, R, rest.rest_joints_m, rest.stature_m)
+
+    def residual_px(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
+        """(T, K, 2) projected minus observed keypoints."""
+        z = prediction.keypoints_m[..., 2:].clamp_min(0.1)
+        projected = torch.exp(parameters.log_focal) * prediction.keypoints_m[..., :2] / z + self._center
+        return projected - self._pixels
+
+    def cost(self, parameters: Parameters) -> torch.Tensor:
+        """The negative log posterior, up to a constant."""
+        prediction = self.predict(parameters)
+        c = self.config
+        error = self.residual_px(prediction, parameters) / self._sigma_px[:, None, None]
+        data = (self._weight * _huber((error**2).sum(-1), 2.0)).sum()
+        if self._lifted is None:
+            data = data + c.landmark_share * self._landmarks_3d(prediction) + self._pose(parameters)
+        else:
+            data = data + c.landmark_share_lifted * self._landmarks_3d(prediction)
+            data = data + self._as_lifted(prediction, self._lifted) + self._hinges(parameters)
+            data = data + self._as_far(prediction, parameters)
+        return data + self._motion(prediction, parameters) + self._shape(prediction, parameters)
+
+    def _as_lifted(self, prediction: Prediction, R_parent_joint: torch.Tensor) -> torch.Tensor:
+        """Joints (about the pelvis, of a body of this shape) and angles as the lifter has them."""
+        c = self.config
+        zero = torch.zeros_like(prediction.joints_m[:, 0])
+        wanted, _ = forward_kinematics(R_parent_joint, zero, prediction.rest_joints_m)
+        off = prediction.joints_m - prediction.joints_m[:, :1] - wanted
+        turned = torch.einsum("tba,tjb->tja", self._R_camera_landmarks, off)
+        sigma = torch.tensor([c.lifted_m, c.lifted_m, c.lifted_depth_m])
+        joints = _huber(((turned / sigma / self._doubt[..., None]) ** 2).sum(-1), 2.0).sum(1)
+        # The squared distance of two rotation matrices is twice the squared angle, for small angles.
+        apart = (prediction.R_parent_joint - R_parent_joint).square().sum((-1, -2)) / 2
+        angles = _huber(apart / (c.lifted_angle_rad * self._angle_doubt) ** 2, 2.0).sum(1)
+        return c.lifted_share * (self._believed * (joints + angles)).sum()
+
+    def _as_far(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
+        """The distance that the lifter sees in the size of a body of middling build; a small one is as much nearer."""
+        assert self._distance_per_px is not None
+        wanted = parameters.log_focal + (self._distance_per_px * prediction.stature_m / self.start_stature_m).log()
+        off = (self._believed * (prediction.joints_m[:, 0, 2].clamp_min(0.1).log() - wanted)).sum()
+        ratio = off / self._believed.sum() / self.config.lifted_distance_ratio
+        return 0.5 * self._prior_weight * ratio.square()
+
+    def _landmarks_3d(self, prediction: Prediction) -> torch.Tensor:
+        hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
+        relative = prediction.keypoints_m - prediction.keypoints_m[:, hips].mean(1, keepdim=True)
+        # The landmark model tells poses, not sizes: everybody is as tall as a middling adult to it.
+        relative = relative * (self.start_stature_m / prediction.stature_m)
+        turned = torch.einsum("tba,tkb->tka", self._R_camera_landmarks, relative)
+        wanted = self._points - self._points[:, hips].mean(1, keepdim=True)
+        sigma = torch.tensor([self.config.landmark_3d_m, self.config.landmark_3d_m, self.config.landmark_3d_depth_m])
+        return (self._weight * _huber((((turned - wanted) / sigma) ** 2).sum(-1), 2.0)).sum()
+
+    def _motion(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
+        """Accelerations of joints and rates of angles; frames may be any time apart."""
+        if len(self._step_s) < 2:
+            return torch.zeros(())
+        step = self._step_s[:, None, None]
+        velocity = prediction.joints_m.diff(dim=0) / step
+        between = 0.5 * (step[1:] + step[:-1])
+        # For a body of the mean height: else the prior would make people small, since the small move less.
+        scale = self.config.acceleration_m_s2 * prediction.stature_m / self.config.stature_m
+        acceleration = velocity.diff(dim=0) / between / scale
+        rate = parameters.angles_rad.diff(dim=0) / step / self.config.angular_rate_rad_s
+        # Joints move together: 22 accelerations say about as much as 7 independent ones.
+        return 0.3 * (_huber((acceleration**2).sum(-1), 1.5).sum() + _huber((rate**2).sum(-1), 1.5).sum())
+
+    def _pose(self, parameters: Parameters) -> torch.Tensor:
+        rest = ((parameters.angles_rad / self._angle_sigma) ** 2).sum()
+        return 0.5 * rest + self._hinges(parameters)
+
+    def _hinges(self, parameters: Parameters) -> torch.Tensor:
+        total = torch.zeros(())
+        for joint, axis, sense in self._hinge:
+            bent = -sense * parameters.angles_rad[:, joint, axis]
+            total = total + (torch.relu(bent) / _OVERSTRETCH_SIGMA_RAD).square().sum()
+        return 0.5 * total
+
+    def _shape(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
+        c = self.config
+        sigma = torch.tensor([*[c.shape_sigma] * 3, *(sigma for _, sigma in PEOPLES_LENGTHS.values())])
+        spread = (parameters.shape_offset[1:] / sigma).square().sum()
+        stature = ((prediction.stature_m - c.stature_m) / c.stature_sigma_m).square()
+        prior_focal = np.log(c.focal_ratio * self._long_side)
+        focal = ((parameters.log_focal - prior_focal) / c.focal_log_sigma).square()
+        return 0.5 * self._prior_weight * (spread + stature + focal)
+
+
+def _huber(square: torch.Tensor, knee: float) -> torch.Tensor:
+    """0.5 x square up to the knee (in sigmas), linear beyond."""
+    root = (square + 1e-12).sqrt()
+    return torch.where(root < knee, 0.5 * square, knee * root - 0.5 * knee * knee)
+
+
+def _angle_prior() -> tuple[torch.Tensor, list[tuple[int, int, float]]]:
+    """(21, 3) prior spreads, and hinges as (row, axis, sense)."""
+    sigma = torch.empty(21, 3)
+    hinges = []
+    for name, joint in JOINT_INDEX.items():
+        if joint == 0:
+            continue
+        part = name.split("_")[-1].rstrip("123")
+        sigma[joint - 1] = _ANGLE_SIGMA_RAD[part]
+        if name in _HINGES:
+            axis, sense = _HINGES[name]
+            sigma[joint - 1, axis] = _HINGE_SIGMA_RAD
+            if part == "elbow":
+                sigma[joint - 1, 0] = _FOREARM_TWIST_SIGMA_RAD
+            hinges.append((joint - 1, axis, sense))
+    return sigma, hinges

@@ -1,0 +1,28 @@
+"""From a tracked person to what the fit sees."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from video2anim.humans.landmarks import LANDMARK_ORDER, MIRROR_KEYPOINT
+from video2anim.humans.left_right import swapped_frames
+from video2anim.humans.problem import Observations
+from video2anim.types.camera import Intrinsics
+from video2anim.types.people import PersonTrack
+
+
+def observations(
+    track: PersonTrack, frame_time_s: np.ndarray, intrinsics: Intrinsics, frames: np.ndarray | None = None
+) -> Observations:
+    """Landmarks of a track (all frames, or the chosen ones) in the order of the body's keypoints, left and right set
+    right where they were exchanged for a moment."""
+    pixels, points = track.landmarks_px[:, LANDMARK_ORDER], track.landmarks_m[:, LANDMARK_ORDER]
+    weight = np.nan_to_num(np.where(track.valid[:, None], track.visibility[:, LANDMARK_ORDER], 0.0))
+    swapped = swapped_frames(pixels, points, weight, track.valid, frame_time_s)
+    if swapped.any():
+        for values in (pixels, points, weight):
+            values[swapped] = values[swapped][:, MIRROR_KEYPOINT]
+    chosen = np.arange(len(track.valid)) if frames is None else frames
+    return Observations(
+        frame_time_s[chosen], track.valid[chosen], pixels[chosen], points[chosen], weight[chosen], intrinsics
+    )

@@ -1,0 +1,193 @@
+"""Run the body fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from video2anim.body.anny_body import PEOPLES_LENGTHS, anny_model
+from video2anim.errors import StageError
+from video2anim.geometry.rotations import axis_angle_from_matrix, rot6d_from_matrix
+from video2anim.geometry.torch_threads import one_thread
+from video2anim.humans.initial import (
+    landmark_rotation,
+    rotations_from_keypoints,
+    translation_from_projection,
+)
+from video2anim.humans.landmarks import KEYPOINT_INDEX
+from video2anim.humans.lifter_input import LiftedBody
+from video2anim.humans.objective import PERSON, SHAPE_PARAMETERS, FitConfig, Objective, Parameters
+from video2anim.humans.problem import FittedBody, Observations
+from video2anim.types.motion import BodyShape
+from video2anim.types.skeleton import forward_kinematics
+
+
+@one_thread()
+def fit_body(
+    observed: Observations,
+    *,
+    fit_focal: bool,
+    fit_shape: bool = True,
+    shape: dict[str, float] | None = None,
+    config: FitConfig | None = None,
+    iterations: int = 250,
+    warm: FittedBody | None = None,
+    lifted: LiftedBody | None = None,
+    on_step: Callable[[int, int], None] | None = None,
+) -> FittedBody:
+    """Fit rotations, translation and shape (and the focal length, if asked) to landmarks over time.
+
+    Args:
+        observed: landmarks; its intrinsics give the centre and the first focal length.
+        fit_focal: treat the focal length as unknown under the prior of `config`.
+        fit_shape: treat the shape as unknown; else it stays `shape`.
+        shape: Anny parameters to start from (default: `PERSON`).
+        warm: an earlier fit of the same frames to start from, possibly under another focal length.
+        lifted: the lifter's answer for the same frames, to start from and to stay near.
+
+    Raises:
+        StageError: fewer than one valid frame.
+    """
+    if not observed.valid.any():
+        raise StageError("body fit: want at least one frame with landmarks, got none")
+    base = dict.fromkeys(PEOPLES_LENGTHS, 0.0) | shape if shape else dict(PERSON)
+    objective = Objective(observed, anny_model(), base, config or FitConfig(), lifted)
+    parameters = _start(observed, objective, lifted) if warm is None else _start_warm(observed, objective, warm, base)
+    leaves = [parameters.root_rot6d, parameters.angles_rad, parameters.translation_m]
+    rates = [0.02, 0.02, 0.02]
+    if fit_shape:
+        leaves.append(parameters.shape_offset)
+        rates.append(0.01)
+    if fit_focal:
+        leaves.append(parameters.log_focal)
+        rates.append(0.02)
+    for leaf in leaves:
+        leaf.requires_grad_(True)
+    groups = [{"params": [leaf], "lr": rate} for leaf, rate in zip(leaves, rates, strict=True)]
+    optimizer = torch.optim.Adam(groups, betas=(0.9, 0.98))
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, max_lr=[2 * r for r in rates], total_steps=iterations, pct_start=0.15, cycle_momentum=False
+    )
+    for step in range(iterations):
+        optimizer.zero_grad()
+        cost = objective.cost(parameters)
+        cost.backward()
+        optimizer.step()
+        schedule.step()
+        if fit_focal and step % 25 == 24:
+            objective.set_focal(float(parameters.log_focal.detach().exp()))
+        if on_step is not None:
+            on_step(step + 1, iterations)
+    return _finish(objective, parameters, base)
+
+
+@one_thread()
+def place_lifted(observed: Observations, lifted: LiftedBody, config: FitConfig | None = None) -> FittedBody:
+    """The lifter's answer as it is, on an adult of middling build; no height is taken into account.
+
+    Raises:
+        StageError: fewer than one valid frame.
+    """
+    if not observed.valid.any():
+        raise StageError("body fit: want at least one frame with landmarks, got none")
+    objective = Objective(observed, anny_model(), dict(PERSON), config or FitConfig(), lifted)
+    parameters = Parameters(
+        torch.from_numpy(rot6d_from_matrix(lifted.R_parent_joint[:, 0])).float(),
+        torch.from_numpy(axis_angle_from_matrix(lifted.R_parent_joint[:, 1:])).float(),
+        torch.from_numpy(lifted.translation_camera_m).float(),
+        torch.zeros(len(SHAPE_PARAMETERS)),
+        torch.tensor(float(np.log(observed.intrinsics.fx_px))),
+    )
+    return _finish(objective, parameters, dict(PERSON))
+
+
+def reposed(
+    observed: Observations,
+    fit: FittedBody,
+    R_parent_joint: Float[np.ndarray, "frames 22 3 3"],
+    translation_camera_m: Float[np.ndarray, "frames 3"],
+) -> FittedBody:
+    """The fitted body in other poses, with their joints and reprojection errors."""
+    joints_m, R = forward_kinematics(R_parent_joint, translation_camera_m, fit.rest_joints_m)
+    with torch.no_grad():
+        rest = anny_model().rest_skeleton({k: torch.tensor(float(v)) for k, v in fit.shape.parameters.items()})
+        points_m = rest.keypoints_m(torch.from_numpy(joints_m).float(), torch.from_numpy(R).float()).numpy()
+    k = observed.intrinsics
+    shown_px = fit.focal_px * points_m[..., :2] / np.maximum(points_m[..., 2:], 0.1) + (k.cx_px, k.cy_px)
+    error_px = np.linalg.norm(shown_px - observed.keypoints_px, axis=-1)
+    return replace(
+        fit, R_parent_joint=R_parent_joint, translation_camera_m=translation_camera_m, joints_camera_m=joints_m,
+        reprojection_px=np.where(observed.weight > 0, error_px, np.nan),
+    )  # fmt: skip
+
+
+def _start(observed: Observations, objective: Objective, lifted: LiftedBody | None) -> Parameters:
+    valid = np.flatnonzero(observed.valid)
+    hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
+    center = observed.keypoints_px[valid][:, hips].mean(1)
+    R_camera_landmarks = landmark_rotation(center, observed.intrinsics)
+    points = np.einsum("tab,tkb->tka", R_camera_landmarks, observed.keypoints_m[valid])
+    rest = objective.model.rest_skeleton({k: torch.tensor(v) for k, v in PERSON.items()})
+    if lifted is None:
+        local = rotations_from_keypoints(points, rest.rest_joints_m.numpy().astype(np.float64))
+    else:
+        local = lifted.R_parent_joint[valid]
+    translation = translation_from_projection(
+        points, observed.keypoints_px[valid], observed.weight[valid], observed.intrinsics
+    )
+    behind = translation[:, 2] < 0.3
+    translation[behind] = np.median(translation[~behind], axis=0) if (~behind).any() else [0.0, 0.0, 3.0]
+    nearest = np.abs(np.arange(len(observed.valid))[:, None] - valid[None]).argmin(1)
+    angles = axis_angle_from_matrix(local[:, 1:])
+
+    def leaf(array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array[nearest])).float()
+
+    return Parameters(
+        leaf(rot6d_from_matrix(local[:, 0])), leaf(angles), leaf(translation),
+        torch.zeros(len(SHAPE_PARAMETERS)), torch.tensor(float(np.log(observed.intrinsics.fx_px))),
+    )  # fmt: skip
+
+
+def _start_warm(observed: Observations, objective: Objective, warm: FittedBody, base: dict[str, float]) -> Parameters:
+    """The earlier body, moved along the line of sight so that it keeps its size in the picture."""
+    start_m = objective.start_stature_m
+    grown = float(
+        objective.model.rest_skeleton({k: torch.tensor(v) for k, v in warm.shape.parameters.items()}).stature_m
+    )
+    translation = warm.translation_camera_m * (start_m / grown)
+    translation[:, 2] *= observed.intrinsics.fx_px / warm.focal_px
+    offset = [warm.shape.parameters.get(name, 0.0) - base[name] for name in SHAPE_PARAMETERS]
+
+    def leaf(array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).float()
+
+    return Parameters(
+        leaf(rot6d_from_matrix(warm.R_parent_joint[:, 0])),
+        leaf(axis_angle_from_matrix(warm.R_parent_joint[:, 1:])),
+        leaf(translation), torch.tensor(offset, dtype=torch.float32),
+        torch.tensor(float(np.log(observed.intrinsics.fx_px))),
+    )  # fmt: skip
+
+
+def _finish(objective: Objective, parameters: Parameters, base: dict[str, float]) -> FittedBody:
+    with torch.no_grad():
+        prediction = objective.predict(parameters)
+        error = objective.residual_px(prediction, parameters).norm(dim=-1).numpy().astype(np.float64)
+        cost = float(objective.cost(parameters))
+        translation = objective.translation_m(parameters, prediction.stature_m).numpy().astype(np.float64)
+        shape = {name: float(value) for name, value in objective.shape(parameters).items()}
+    return FittedBody(
+        prediction.R_parent_joint.numpy().astype(np.float64),
+        translation,
+        prediction.joints_m.numpy().astype(np.float64),
+        prediction.rest_joints_m.numpy().astype(np.float64),
+        BodyShape("anny", base | shape),
+        float(parameters.log_focal.detach().exp()),
+        np.where(objective.observed.weight > 0, error, np.nan),
+        cost,
+    )

@@ -1,0 +1,109 @@
+"""How far a fitted person can be trusted, from the fit alone: no truth is needed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.humans.landmarks import BLAZEPOSE_OF_KEYPOINT
+from video2anim.humans.problem import FittedBody, Observations
+from video2anim.types.motion import BodyMotion, PersonQuality
+from video2anim.types.people import PersonTrack
+
+_BONES = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+_MOST_REPROJECTION = 0.04
+"""Share of the person's size: beyond it the body is not the one in the picture (landmarks err by about 0.01)."""
+_LEAST_VALID = 0.5
+_MOST_BONE_SPREAD = 0.2
+"""Bones do not change: a detector that sees them change this much mixes people up or guesses."""
+_FASTEST_M_S = 13.0
+"""No root moves faster: the fastest sprint measured is 12.4 m/s."""
+_MOST_FAST = 0.02
+_STATURES_M = (0.7, 2.2)
+_SURE_FRAMES = 15
+
+
+def person_quality(
+    track: PersonTrack,
+    observed: Observations,
+    fit: FittedBody,
+    motion: BodyMotion,
+    fps: float,
+    *,
+    jerk_m_s3: float,
+    skating_gmd: float,
+) -> PersonQuality:
+    """Numbers of one person's fit, and a verdict.
+
+    Args:
+        track: landmarks as they were detected.
+        observed: the same as the fit saw them.
+        fit: the body in the camera.
+        motion: the body in the world.
+        fps: frames per second.
+        jerk_m_s3: of `motion.measured_joints_m`.
+        skating_gmd: the same.
+    """
+    valid = np.flatnonzero(motion.valid)
+    error_px = np.nanmedian(fit.reprojection_px[valid], axis=1)
+    found = PersonQuality(
+        reprojection_px=float(np.nanmedian(fit.reprojection_px)),
+        reprojection_ratio=float(np.nanmedian(error_px / observed.size_px[valid])),
+        jerk_m_s3=jerk_m_s3,
+        skating_gmd=skating_gmd,
+        bone_spread=bone_spread(track),
+        valid_share=float(motion.valid.mean()),
+        stature_m=float(np.ptp(fit.rest_joints_m[:, 1])),
+        fast_share=_fast_share(motion.measured_joints_m[:, 0], fps),
+    )
+    return replace(found, doubts=tuple(_doubts(found, len(valid))))
+
+
+def bone_spread(track: PersonTrack) -> float:
+    """Median over the limbs' bones of the robust relative spread of their length in the 3D landmarks; NaN if unseen."""
+    spreads = []
+    for side in ("left", "right"):
+        for start, end in _BONES:
+            first, second = (BLAZEPOSE_OF_KEYPOINT[f"{side}_{part}"] for part in (start, end))
+            seen = track.valid & (np.minimum(track.visibility[:, first], track.visibility[:, second]) > 0.5)
+            if seen.sum() < _SURE_FRAMES:
+                continue
+            length_m = np.linalg.norm(track.landmarks_m[seen, first] - track.landmarks_m[seen, second], axis=-1)
+            middle_m = np.median(length_m)
+            spreads.append(1.4826 * np.median(np.abs(length_m - middle_m)) / middle_m)
+    return float(np.median(spreads)) if spreads else float("nan")
+
+
+def _fast_share(root_m: Float[np.ndarray, "frames 3"], fps: float) -> float:
+    """Share of the steps in which the root moves faster than anybody can."""
+    if len(root_m) < 2:
+        return 0.0
+    return float((np.linalg.norm(np.diff(root_m, axis=0), axis=-1) * fps > _FASTEST_M_S).mean())
+
+
+def _doubts(quality: PersonQuality, valid_frames: int) -> list[str]:
+    """Why the track should not be trusted, in words; empty if nothing speaks against it."""
+    low, high = _STATURES_M
+    checks = (
+        (
+            quality.reprojection_ratio > _MOST_REPROJECTION,
+            f"the body misses its landmarks by {quality.reprojection_ratio:.1%} of its size",
+        ),
+        (quality.valid_share < _LEAST_VALID, f"seen in {quality.valid_share:.0%} of the frames only"),
+        (valid_frames < _SURE_FRAMES, f"seen in {valid_frames} frames only"),
+        (
+            quality.bone_spread > _MOST_BONE_SPREAD,
+            f"limbs change their length by {quality.bone_spread:.0%}: hidden, or two people mixed up",
+        ),
+        (
+            quality.fast_share > _MOST_FAST,
+            f"faster than anybody can run in {quality.fast_share:.0%} of the frames: the place or the camera is wrong",
+        ),
+        (
+            not low <= quality.stature_m <= high,
+            f"{quality.stature_m:.2f} m from head to foot: the scale or the focal length is wrong",
+        ),
+    )
+    return [text for holds, text in checks if holds]

@@ -1,0 +1,154 @@
+"""Numbers of things that somebody moves: estimated paths against true ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.optimize import linear_sum_assignment
+
+from video2anim.geometry.projection import transform_points
+from video2anim.lab.eval.alignment import FrameMatch
+from video2anim.lab.eval.model import Group, Spec, make_group
+from video2anim.lab.eval.results import SceneResult
+from video2anim.lab.eval.true_scene import read_glb
+from video2anim.lab.eval.truth import TrueObject, Truth
+from video2anim.types import PlacedObject, SceneModel
+
+SAME_PATH_M = 1.0
+"""A path farther than this from a true one, on average, is not that thing's."""
+MOVES_M = 1e-3
+"""A thing moves in a frame where a corner of its box goes farther than this from the frame before."""
+_NOTHING_MOVES = "nothing is moved in the clip"
+_NO_PATH = "no path was matched to a thing that is moved"
+_OLD = "the truth was made before it told how things move; make the clip again"
+CARRIED = (
+    Spec("carried_found", "share of the moved things that have a path", "", "higher", _NOTHING_MOVES),
+    Spec("carried_path_m", "error of the middle while it is moved", "m", "lower", _NO_PATH),
+    Spec("carried_false", "paths of things that nobody moves", "", "lower"),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovedThing:
+    """A thing that is moved in truth, and the path that was matched to it."""
+
+    object_id: int
+    """In the truth."""
+    label: str
+    estimate_id: int | None
+    """Number of the estimated object; None where none has a path near it."""
+    error_m: Float[np.ndarray, "frames"]
+    """Distance of the middles in each common frame from the first to the last in which it moves; empty without a
+    path."""
+    hold_error_frames: float
+    """Mean absolute error of the first and the last frame held; NaN without a hold."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovedThings:
+    """All things that are moved in truth, and how many paths are left over."""
+
+    things: tuple[MovedThing, ...]
+    false_paths: int
+
+
+def carried_group(
+    result: SceneResult, truth: Truth, frames: FrameMatch, T_true_estimate: Float[np.ndarray, "4 4"] | str
+) -> Group:
+    """Paths of moved things in the finished scene."""
+    title, scene = "Moved things", result.scene
+    if scene is None or isinstance(T_true_estimate, str):
+        why = result.why(SceneModel) or str(T_true_estimate)
+        return make_group("carried", title, CARRIED, {"value": why})
+    if any(item.is_moving and item.T_world_object_frames is None for item in truth.objects):
+        return make_group("carried", title, CARRIED, {"value": _OLD})
+    found = moved_things(scene.objects, truth, frames, T_true_estimate)
+    return make_group("carried", title, CARRIED, {"value": carried_numbers(found)}, note=_note(found))
+
+
+def carried_numbers(found: MovedThings) -> dict[str, float]:
+    """The rows of the group; every thing weighs the same."""
+    errors_m = [float(thing.error_m.mean()) for thing in found.things if thing.estimate_id is not None]
+    return {
+        "carried_found": len(errors_m) / len(found.things) if found.things else np.nan,
+        "carried_path_m": float(np.mean(errors_m)) if errors_m else np.nan,
+        "carried_false": float(found.false_paths),
+    }
+
+
+def _note(found: MovedThings) -> str:
+    told = [f"{thing.label}: {'found' if thing.estimate_id is not None else 'not found'}" for thing in found.things]
+    return f"{', '.join(told)}." if told else ""
+
+
+def moved_things(
+    objects: Sequence[PlacedObject], truth: Truth, frames: FrameMatch, T_true_estimate: Float[np.ndarray, "4 4"]
+) -> MovedThings:
+    """Estimated paths and true things matched one to one by the least mean distance of the middles."""
+    true = [item for item in truth.objects if item.T_world_object_frames is not None]
+    mine = [thing for thing in objects if thing.path]
+    spans = [_span(item, frames) for item in true]
+    error_m = [
+        [_distances(thing, item, span, frames, T_true_estimate) for item, span in zip(true, spans, strict=True)]
+        for thing in mine
+    ]
+    mean_m = np.array([[e.mean() if len(e) else np.inf for e in row] for row in error_m]).reshape(len(mine), len(true))
+    near = mean_m <= SAME_PATH_M
+    rows, columns = linear_sum_assignment(np.where(near, mean_m, 1e6))
+    pairs = {int(j): int(i) for i, j in zip(rows, columns, strict=True) if near[i, j]}
+    things = [
+        MovedThing(
+            item.object_id, item.label, mine[pairs[j]].object_id, error_m[pairs[j]][j],
+            hold_error(mine[pairs[j]], item, frames),
+        )
+        if j in pairs
+        else MovedThing(item.object_id, item.label, None, np.zeros(0), np.nan)
+        for j, item in enumerate(true)
+    ]  # fmt: skip
+    return MovedThings(tuple(things), len(mine) - len(pairs))
+
+
+def hold_error(thing: PlacedObject, item: TrueObject, frames: FrameMatch) -> float:
+    """Mean absolute error of the first and of the last frame in which somebody holds it, in frames."""
+    held = np.flatnonzero(item.held[frames.true_index] & frames.known) if item.held is not None else np.zeros(0)
+    holds = thing.path[0].holds
+    if not len(held) or not holds:
+        return float("nan")
+    first, last = min(hold.first_frame for hold in holds), max(hold.last_frame for hold in holds)
+    return 0.5 * float(abs(first - held[0]) + abs(last - held[-1]))
+
+
+def _box(vertices_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return vertices_m.min(0).astype(np.float64), vertices_m.max(0).astype(np.float64)
+
+
+def _span(item: TrueObject, frames: FrameMatch) -> Int[np.ndarray, "span"]:
+    """Frames of the estimate with a true one from the first to the last in which the thing moves."""
+    T = item.T_world_object_frames
+    assert T is not None
+    low, high = _box(read_glb(item.file).vertices_m)
+    corners = np.stack(np.meshgrid(*np.stack([low, high], -1), indexing="ij"), -1).reshape(-1, 3)
+    world_m = corners @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]
+    moves = np.flatnonzero(np.linalg.norm(np.diff(world_m, axis=0), axis=-1).max(1) > MOVES_M)
+    if not len(moves):
+        return np.zeros(0, np.int64)
+    inside = (frames.true_index >= moves[0]) & (frames.true_index <= moves[-1] + 1)
+    return np.flatnonzero(frames.known & inside)
+
+
+def _distances(
+    thing: PlacedObject, item: TrueObject, span: np.ndarray, frames: FrameMatch, T_true_estimate: np.ndarray
+) -> Float[np.ndarray, "span"]:
+    """Distance of the middles of the two boxes in each frame of a span; empty where a path cannot be compared."""
+    T_path, T_true = thing.path[0].T_world_object, item.T_world_object_frames
+    assert T_true is not None
+    if not len(thing.mesh.vertices_m) or len(T_path) != len(frames.true_index):
+        return np.zeros(0)
+    mine = thing.scale * 0.5 * sum(_box(thing.mesh.vertices_m))
+    true = 0.5 * sum(_box(read_glb(item.file).vertices_m))
+    mine_m = transform_points(T_true_estimate, T_path[span, :3, :3] @ mine + T_path[span, :3, 3])
+    T_same = T_true[frames.true_index[span]]
+    return np.linalg.norm(mine_m - (T_same[:, :3, :3] @ true + T_same[:, :3, 3]), axis=-1)

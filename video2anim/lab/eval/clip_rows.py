@@ -1,0 +1,185 @@
+"""Numbers of the clip and its camera: ingest, track, camera."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.optimize import linear_sum_assignment
+
+from video2anim.lab.eval.alignment import FrameMatch
+from video2anim.lab.eval.model import Group, Spec, make_group
+from video2anim.lab.eval.results import SceneResult
+from video2anim.lab.eval.truth import Truth
+from video2anim.types import BodyTracks, CameraEstimate, Intrinsics, PersonTracks
+
+MATCH_IOU = 0.3
+"""Least overlap of a landmark box with the box of visible pixels to be the same person: one spans joints also where
+they are hidden, the other skin and clothes where they are not."""
+
+
+INGEST = (
+    Spec("frames", "frames", "", "none"),
+    Spec("fps", "frame rate", "Hz", "none"),
+    Spec("kept", "share of the clip's time that was kept", "", "one"),
+    Spec("static", "fixed or moving camera told right", "", "higher"),
+)
+_UNSEEN = "no person is seen in the truth"
+TRACK = (
+    Spec("recall", "person frames found", "", "higher", _UNSEEN),
+    Spec("main_recall", "frames of the main person found", "", "higher", _UNSEEN),
+    Spec("precision", "found person frames that are right", "", "higher", "nobody was found"),
+    Spec("box_iou", "box overlap (IoU) where found", "", "higher", "nobody was found"),
+    Spec("id_switches", "identity switches", "", "lower"),
+)
+_UNCLAIMED = "no standard deviation was claimed"
+CAMERA = (
+    Spec("focal_error", "focal length error", "%", "lower"),
+    Spec("fov_error", "vertical field of view error", "°", "lower"),
+    Spec("gravity_error", "gravity error", "°", "lower"),
+    Spec("height_error", "camera height error", "m", "lower"),
+    Spec("focal_sigmas", "focal length error over its claimed deviation", "σ", "none", _UNCLAIMED),
+    Spec("gravity_sigmas", "gravity error over its claimed deviation", "σ", "none", _UNCLAIMED),
+)
+
+
+def ingest_group(result: SceneResult, truth: Truth) -> Group:
+    """Frames, frame rate, and whether a fixed camera was recognised."""
+    clip = result.clip
+    numbers = {
+        "frames": clip.frame_count,
+        "fps": clip.fps,
+        "kept": clip.frame_count / clip.fps / truth.duration_s,
+        "static": float(clip.camera_is_static == truth.is_static),
+    }
+    true = {"frames": len(truth.frame_time_s), "fps": truth.fps}
+    return make_group("ingest", "Clip", INGEST, {"value": numbers}, truth=true)
+
+
+def track_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
+    """Persons found, by CLEAR MOT on boxes."""
+    tracks = result.get(PersonTracks)
+    if tracks is None:
+        return make_group("track", "Tracking people", TRACK, {"value": result.why(PersonTracks)})
+    size = truth.intrinsics
+    scale = np.array([size.width_px / result.clip.width_px, size.height_px / result.clip.height_px])
+    known = np.flatnonzero(frames.known)
+    whole = [track.whole(result.clip.frame_count) for track in tracks.people]
+    boxes = np.array([np.where(t.valid[:, None], t.box_px, np.nan)[known] for t in whole])
+    boxes = (boxes.reshape(len(tracks.people), len(known), 4) + 0.5) * np.tile(scale, 2) - 0.5
+    found = match_boxes(truth.person_box_px[:, frames.true_index[known]], boxes)
+    numbers = {
+        "recall": found.recall(),
+        "main_recall": found.recall(0),
+        "precision": found.precision(),
+        "box_iou": found.mean_iou(),
+        "id_switches": found.switches,
+    }
+    note = f"{len(tracks.people)} tracks against {len(truth.people)} persons."
+    return make_group("track", "Tracking people", TRACK, {"value": numbers}, note=note)
+
+
+def camera_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
+    """Lens, gravity and height of the camera."""
+    camera, bodies = result.get(CameraEstimate), result.bodies
+    true_size = truth.intrinsics
+    true_first, first = _first_known(frames)
+    numbers: dict[str, float | str] = {spec.key: result.why(CameraEstimate) for spec in CAMERA}
+    note = ""
+    if camera is not None:
+        lens = camera.intrinsics.resized(true_size.width_px, true_size.height_px)
+        focal_px = abs(lens.fy_px - true_size.fy_px)
+        sigma_px = lens.fy_px * camera.focal_sigma_ratio
+        gravity_rad = angle_rad(camera.up_camera, truth.up_camera[true_first])
+        numbers |= {
+            "focal_error": 100 * focal_px / true_size.fy_px,
+            "fov_error": abs(_fov_y_deg(lens) - _fov_y_deg(true_size)),
+            "gravity_error": math.degrees(gravity_rad),
+            "focal_sigmas": focal_px / sigma_px if sigma_px > 0 else math.nan,
+            "gravity_sigmas": gravity_rad / camera.up_sigma_rad if camera.up_sigma_rad > 0 else math.nan,
+        }
+        note = f"Focal length from {camera.focal_source}, up direction from {camera.up_source}."
+    numbers["height_error"] = result.why(BodyTracks) or "nobody was fitted"
+    if bodies is not None and bodies.people:
+        true_height_m = truth.main.T_world_camera[true_first, 1, 3]
+        numbers["height_error"] = abs(float(bodies.people[0].T_world_camera[first, 1, 3] - true_height_m))
+    return make_group("camera", "Camera", CAMERA, {"value": numbers}, note=note)
+
+
+class BoxMatch:
+    """True persons against tracks over frames."""
+
+    def __init__(self, track: Int[np.ndarray, "people frames"], iou: Float[np.ndarray, "people frames"]) -> None:
+        self.track = track
+        """Track of each seen person, -1 = missed, -2 = the person is not seen."""
+        self.iou = iou
+        self.false_boxes = 0
+        self.switches = 0
+
+    def recall(self, person: int | None = None) -> float:
+        chosen = self.track if person is None else self.track[[person]]
+        seen = chosen != -2
+        return float((chosen[seen] >= 0).mean()) if seen.any() else math.nan
+
+    def precision(self) -> float:
+        right = int((self.track >= 0).sum())
+        return right / (right + self.false_boxes) if right + self.false_boxes else math.nan
+
+    def mean_iou(self) -> float:
+        matched = self.track >= 0
+        return float(self.iou[matched].mean()) if matched.any() else math.nan
+
+
+def match_boxes(
+    true_px: Float[np.ndarray, "people frames 4"], found_px: Float[np.ndarray, "tracks frames 4"]
+) -> BoxMatch:
+    """Match boxes frame by frame; a person keeps the track of before while it overlaps (Bernardin & Stiefelhagen 2008).
+
+    Rows of NaN are absent.
+    """
+    people, count = true_px.shape[:2]
+    match = BoxMatch(np.full((people, count), -2), np.full((people, count), np.nan))
+    last = np.full(people, -1)
+    for frame in range(count):
+        seen = np.flatnonzero(np.isfinite(true_px[:, frame]).all(-1))
+        there = np.flatnonzero(np.isfinite(found_px[:, frame]).all(-1))
+        match.track[seen, frame] = -1
+        iou = box_iou(true_px[seen, frame], found_px[there, frame])
+        # Holding on to the track of before outweighs any better overlap.
+        gain = np.where(iou >= MATCH_IOU, iou + (last[seen][:, None] == there[None]), 0.0)
+        taken = 0
+        for i, j in zip(*linear_sum_assignment(-gain), strict=True):
+            if iou[i, j] < MATCH_IOU:
+                continue
+            person, track = seen[i], there[j]
+            match.switches += int(last[person] not in (-1, track))
+            match.track[person, frame], match.iou[person, frame], last[person] = track, iou[i, j], track
+            taken += 1
+        match.false_boxes += len(there) - taken
+    return match
+
+
+def box_iou(a: Float[np.ndarray, "rows 4"], b: Float[np.ndarray, "columns 4"]) -> Float[np.ndarray, "rows columns"]:
+    """Intersection over union of boxes x0, y0, x1, y1."""
+    low = np.maximum(a[:, None, :2], b[None, :, :2])
+    high = np.minimum(a[:, None, 2:], b[None, :, 2:])
+    inner = np.clip(high - low, 0, None).prod(-1)
+    area_a, area_b = (np.clip(x[:, 2:] - x[:, :2], 0, None).prod(-1) for x in (a, b))
+    return inner / np.maximum(area_a[:, None] + area_b[None] - inner, 1e-9)
+
+
+def angle_rad(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle between two directions, exact also when it is tiny."""
+    return math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b))
+
+
+def _fov_y_deg(lens: Intrinsics) -> float:
+    return math.degrees(2 * math.atan2(0.5 * lens.height_px, lens.fy_px))
+
+
+def _first_known(frames: FrameMatch) -> tuple[int, int]:
+    """First frame that both have, in the truth and in the estimate."""
+    known = np.flatnonzero(frames.known)
+    first = int(known[0]) if len(known) else 0
+    return int(frames.true_index[first]), first

@@ -1,0 +1,248 @@
+"""Numbers of things: their masks in the picture, hidden parts, shapes and places."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import linear_sum_assignment
+
+from video2anim.geometry.projection import transform_points
+from video2anim.lab.eval.alignment import match_frames, resample_nearest, truth_from_estimate
+from video2anim.lab.eval.boxes import OrientedBox, box_iou_3d, box_of, chamfer_m, rest_height_m, surface_points
+from video2anim.lab.eval.model import Group, Spec, make_group
+from video2anim.lab.eval.picture_rows import mask_iou
+from video2anim.lab.eval.results import SceneResult
+from video2anim.lab.eval.true_scene import read_glb, world_mesh
+from video2anim.lab.eval.truth import TrueObject, Truth
+from video2anim.types import (
+    CompletedObjects,
+    InstanceMasks,
+    Mesh,
+    ObjectMeshes,
+    PlacedObjects,
+    SceneModel,
+)
+
+LEAST_VISIBLE_PX = 2000
+"""Pixels of the clip that must be seen of a piece of furniture for it to count."""
+FOUND_IOU = 0.5
+"""Least mask overlap of a found instance."""
+SAME_IOU = 0.25
+"""Least mask overlap of two things whose shapes are compared."""
+SAME_PLACE_M = 0.5
+"""Largest distance of the middles of two things that no mask ties together."""
+_IGNORED_SHARE = 0.5
+"""A surplus instance with this share of its pixels on things that do not count is neither right nor wrong."""
+_NO_FURNITURE = "no furniture is seen well enough"
+SEGMENT = (
+    Spec("floor_iou", "floor IoU", "", "higher", "no floor is seen"),
+    Spec("precision", "furniture precision at IoU 0.5", "", "higher", "no instance was found"),
+    Spec("recall", "furniture recall at IoU 0.5", "", "higher", _NO_FURNITURE),
+    Spec("f1", "furniture F1 at IoU 0.5", "", "higher", _NO_FURNITURE),
+    Spec("best_iou", "mean best IoU of the furniture", "", "higher", _NO_FURNITURE),
+)
+_UNMATCHED = "no object was matched"
+COMPLETE = (
+    Spec("amodal_iou", "whole outline (amodal) IoU", "", "higher", _UNMATCHED),
+    Spec("visible_iou", "the same with the visible mask instead", "", "none", _UNMATCHED),
+)
+OBJECTS = (
+    Spec("reconstructed", "share of the furniture that has a shape", "", "higher", _NO_FURNITURE),
+    Spec("chamfer", "Chamfer distance", "m", "lower", _UNMATCHED),
+    Spec("center_error", "error of the middle", "m", "lower", _UNMATCHED),
+    Spec("box_iou", "3D box IoU", "", "higher", _UNMATCHED),
+    Spec("height_error", "error of the height of seat or top", "m", "lower", _UNMATCHED),
+    Spec("size_ratio", "box diagonal, estimate over truth", "", "one", _UNMATCHED),
+)
+_SEED = 0
+"""Of the points drawn on surfaces: every evaluation draws the same."""
+
+
+class _Thing(Protocol):
+    """What the three stages with shapes have in common."""
+
+    @property
+    def object_id(self) -> int: ...
+    @property
+    def mesh(self) -> Mesh: ...
+    @property
+    def T_world_object(self) -> np.ndarray: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MaskMatch:
+    """Masks of the segment stage against true furniture, at the size of the true maps."""
+
+    masks: dict[int, Bool[np.ndarray, "height width"]]
+    """By estimated object."""
+    iou: Float[np.ndarray, "found furniture"]
+
+
+def match_masks(instances: InstanceMasks, furniture: Sequence[TrueObject], truth: Truth) -> MaskMatch:
+    """Overlaps of every instance with every piece of furniture that counts."""
+    shape = truth.background_instance.shape
+    masks = {item.object_id: resample_nearest(item.mask, shape) for item in instances.instances}
+    iou = [[mask_iou(mask, truth.mask(true.object_id)) for true in furniture] for mask in masks.values()]
+    return MaskMatch(masks, np.nan_to_num(np.array(iou, np.float64).reshape(len(masks), len(furniture))))
+
+
+def segment_group(result: SceneResult, truth: Truth) -> Group:
+    """Floor and furniture in the plate."""
+    title = "Segmentation"
+    found = result.get(InstanceMasks)
+    if found is None:
+        return make_group("segment", title, SEGMENT, {"value": result.why(InstanceMasks)})
+    furniture = truth.furniture(LEAST_VISIBLE_PX)
+    match = match_masks(found, furniture, truth)
+    counted = instance_scores(match, furniture, truth)
+    floor = resample_nearest(found.floor_mask, truth.floor_mask.shape)
+    numbers = {
+        "floor_iou": mask_iou(floor, truth.floor_mask) if truth.floor_mask.any() else np.nan,
+        **counted,
+        "best_iou": _best_iou(match, furniture),
+    }
+    note = f"{found.provider}: {len(found.instances)} instances, {len(furniture)} pieces of furniture count."
+    return make_group("segment", title, SEGMENT, {"value": numbers}, note=note)
+
+
+def instance_scores(match: MaskMatch, furniture: Sequence[TrueObject], truth: Truth) -> dict[str, float]:
+    """Precision, recall and F1 of instances at IoU 0.5; what lies on things that do not count is ignored."""
+    rows, columns = linear_sum_assignment(-match.iou)
+    right = {int(i) for i, j in zip(rows, columns, strict=True) if match.iou[i, j] >= FOUND_IOU}
+    counting = {item.object_id for item in furniture}
+    ignored = [item.object_id for item in truth.objects if item.is_furniture and item.object_id not in counting]
+    on_ignored = np.isin(truth.background_instance, ignored)
+    surplus = 0
+    for i, mask in enumerate(match.masks.values()):
+        if i not in right and not (mask.any() and on_ignored[mask].mean() >= _IGNORED_SHARE):
+            surplus += 1
+    claimed, true = len(right) + surplus, len(furniture)
+    return {
+        "precision": len(right) / claimed if claimed else np.nan,
+        "recall": len(right) / true if true else np.nan,
+        "f1": 2 * len(right) / (claimed + true) if true else np.nan,
+    }
+
+
+def _best_iou(match: MaskMatch, furniture: Sequence[TrueObject]) -> float:
+    if not furniture:
+        return float("nan")
+    return float(match.iou.max(0).mean()) if len(match.iou) else 0.0
+
+
+def complete_group(result: SceneResult, truth: Truth) -> Group:
+    """Restored outlines of the things whose visible masks were found."""
+    title = "Completion behind other things"
+    completed, found = result.get(CompletedObjects), result.get(InstanceMasks)
+    if completed is None or found is None:
+        return make_group("complete", title, COMPLETE, {"value": result.why(CompletedObjects, InstanceMasks)})
+    furniture = [item for item in truth.furniture(LEAST_VISIBLE_PX) if item.object_id in truth.amodal]
+    match = match_masks(found, furniture, truth)
+    whole = {item.object_id: item.amodal_mask for item in completed.objects}
+    numbers: dict[str, list[float]] = {"amodal_iou": [], "visible_iou": []}
+    for number, j in pairs_by_mask(match).items():
+        if number in whole:
+            true = truth.amodal[furniture[j].object_id]
+            numbers["amodal_iou"].append(mask_iou(resample_nearest(whole[number], true.shape), true))
+            numbers["visible_iou"].append(mask_iou(match.masks[number], true))
+    means = {key: float(np.mean(values)) if values else np.nan for key, values in numbers.items()}
+    note = f"{len(numbers['amodal_iou'])} of {len(furniture)} pieces of furniture matched."
+    return make_group("complete", title, COMPLETE, {"value": means}, note=note)
+
+
+def pairs_by_mask(match: MaskMatch) -> dict[int, int]:
+    """Estimated object -> position of the furniture it overlaps, one to one."""
+    rows, columns = linear_sum_assignment(-match.iou)
+    numbers = list(match.masks)
+    return {numbers[i]: int(j) for i, j in zip(rows, columns, strict=True) if match.iou[i, j] >= SAME_IOU}
+
+
+def objects_group(result: SceneResult, truth: Truth, T_true_estimate: Float[np.ndarray, "4 4"] | str) -> Group:
+    """Shapes and places of furniture after reconstruct, place and scene."""
+    furniture = truth.furniture(LEAST_VISIBLE_PX)
+    instances = result.get(InstanceMasks)
+    by_mask = pairs_by_mask(match_masks(instances, furniture, truth)) if instances is not None else {}
+    columns: dict[str, dict[str, float] | str] = {}
+    notes = [f"{len(furniture)} pieces of furniture count"]
+    made = {"reconstruct": result.get(ObjectMeshes), "place": result.get(PlacedObjects), "scene": result.scene}
+    for (name, value), kind in zip(made.items(), (ObjectMeshes, PlacedObjects, SceneModel), strict=True):
+        if value is None or isinstance(T_true_estimate, str):
+            columns[name] = result.why(kind) or str(T_true_estimate)
+            continue
+        columns[name] = _means(compared_objects(value.objects, furniture, by_mask, T_true_estimate), furniture)
+        notes.append(f"{name}: {len(value.objects)} objects")
+    return make_group("objects", "Objects in space", OBJECTS, columns, note="; ".join(notes) + ".")
+
+
+def compared_objects(
+    things: Sequence[_Thing],
+    furniture: Sequence[TrueObject],
+    by_mask: dict[int, int],
+    T_true_estimate: Float[np.ndarray, "4 4"],
+) -> list[dict[str, float]]:
+    """A row for every matched piece of furniture: its number, Chamfer distance, error of the middle, box IoU, size."""
+    shapes = {thing.object_id: _own_box(thing, T_true_estimate) for thing in things if len(thing.mesh.faces)}
+    true_boxes = [box_of(read_glb(item.file).vertices_m, item.T_world_object) for item in furniture]
+    pairs = match_things({number: shape[0] for number, shape in shapes.items()}, true_boxes, by_mask)
+    rows = []
+    for number, j in pairs.items():
+        box, vertices_m = shapes[number]
+        thing = next(thing for thing in things if thing.object_id == number)
+        mesh = Mesh(vertices_m, thing.mesh.faces, thing.mesh.vertex_rgb)
+        mine_m = surface_points(mesh, np.random.default_rng(_SEED))
+        true_m = surface_points(world_mesh(furniture[j]), np.random.default_rng(_SEED))
+        rows.append({
+            "object_id": furniture[j].object_id,
+            "chamfer": chamfer_m(mine_m, true_m),
+            "center_error": float(np.linalg.norm(box.center_m - true_boxes[j].center_m)),
+            "box_iou": box_iou_3d(box, true_boxes[j]),
+            "height_error": abs(rest_height_m(mesh) - rest_height_m(world_mesh(furniture[j]))),
+            "size_ratio": float(np.linalg.norm(box.half_m) / np.linalg.norm(true_boxes[j].half_m)),
+        })  # fmt: skip
+    return rows
+
+
+def scene_objects(result: SceneResult, truth: Truth) -> list[dict[str, float]]:
+    """`compared_objects` of the finished scene by the main person's camera; none where a stage is missing."""
+    scene, bodies, instances = result.scene, result.bodies, result.get(InstanceMasks)
+    if scene is None or bodies is None:
+        return []
+    T = truth_from_estimate(bodies.people[0].T_world_camera, truth, match_frames(result.clip, truth))
+    furniture = truth.furniture(LEAST_VISIBLE_PX)
+    by_mask = {} if instances is None else pairs_by_mask(match_masks(instances, furniture, truth))
+    return compared_objects(scene.objects, furniture, by_mask, T)
+
+
+def _means(rows: Sequence[dict[str, float]], furniture: Sequence[TrueObject]) -> dict[str, float]:
+    """Means over matched pieces of furniture."""
+    names = ("chamfer", "center_error", "box_iou", "height_error", "size_ratio")
+    means = {key: float(np.mean([row[key] for row in rows])) if rows else np.nan for key in names}
+    return {"reconstructed": len(rows) / len(furniture) if furniture else np.nan, **means}
+
+
+def _own_box(thing: _Thing, T_true_estimate: np.ndarray) -> tuple[OrientedBox, np.ndarray]:
+    """Box of an estimated object in the true world, and its vertices there."""
+    scaled_m = getattr(thing, "scale", 1.0) * thing.mesh.vertices_m.astype(np.float64)
+    T_true_object = T_true_estimate @ thing.T_world_object
+    return box_of(scaled_m, T_true_object), transform_points(T_true_object, scaled_m)
+
+
+def match_things(
+    boxes: dict[int, OrientedBox], true_boxes: Sequence[OrientedBox], by_mask: dict[int, int]
+) -> dict[int, int]:
+    """Estimated object -> true one: by mask where masks overlap, of the rest by the distance of the middles."""
+    pairs = {number: j for number, j in by_mask.items() if number in boxes}
+    left = [number for number in boxes if number not in pairs]
+    open_ = [j for j in range(len(true_boxes)) if j not in pairs.values()]
+    gap_m = np.array(
+        [[np.linalg.norm(boxes[number].center_m - true_boxes[j].center_m) for j in open_] for number in left]
+    ).reshape(len(left), len(open_))
+    rows, columns = linear_sum_assignment(np.where(gap_m <= SAME_PLACE_M, gap_m, 1e6))
+    for i, j in zip(rows, columns, strict=True):
+        if gap_m[i, j] <= SAME_PLACE_M:
+            pairs[left[i]] = open_[j]
+    return pairs

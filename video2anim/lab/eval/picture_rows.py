@@ -1,0 +1,206 @@
+"""Numbers of what is seen: background plate, person masks, depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from video2anim.errors import ArtifactError
+from video2anim.lab.eval.alignment import FrameMatch, common_maps, resample_nearest
+from video2anim.lab.eval.model import Group, Spec, make_group
+from video2anim.lab.eval.results import SceneResult
+from video2anim.lab.eval.truth import Truth
+from video2anim.types import BackgroundPlate, DepthClip, MetricDepth
+
+_HIDDEN = "nobody stands before the background in a labelled frame"
+_NO_MAPS = "no sampled frame has true maps"
+BACKGROUND = (
+    Spec("psnr", "plate PSNR", "dB", "higher", "the plate equals the truth"),
+    Spec("error", "plate error", "/255", "lower"),
+    Spec("error_behind", "plate error where people passed", "/255", "lower", _HIDDEN),
+    Spec("mask_iou", "person mask IoU", "", "higher", _NO_MAPS),
+)
+_NO_VALID = "no valid pixel"
+DEPTH = (
+    Spec("abs_rel", "AbsRel, background", "", "lower", _NO_VALID),
+    Spec("delta1", "δ < 1.25, background", "", "higher", _NO_VALID),
+    Spec("abs_rel_person", "AbsRel, people", "", "lower", _NO_VALID),
+    Spec("delta1_person", "δ < 1.25, people", "", "higher", _NO_VALID),
+    Spec("covered", "share of background pixels with depth", "", "higher"),
+    Spec("covered_person", "share of people's pixels with depth", "", "higher", _NO_MAPS),
+    Spec("scale_ratio", "scale, estimate over truth", "", "one", _NO_VALID),
+    Spec("scale_error", "scale error", "%", "lower", _NO_VALID),
+)
+_LEAST_DISPARITY = 1e-3
+"""1/m; a fitted disparity below this is 1 km away and counts as that."""
+_DELTA = 1.25
+
+
+def background_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
+    """The plate against the true empty picture, and masks of people."""
+    title = "Background plate"
+    plate = result.get(BackgroundPlate)
+    if plate is None:
+        return make_group("background", title, BACKGROUND, {"value": result.why(BackgroundPlate)})
+    numbers: dict[str, float | str] = {"mask_iou": _mask_iou(plate, truth, frames)}
+    try:
+        error = plate_error(plate.plate_rgb, truth.plate_rgb)
+        behind = resample_nearest(np.asarray(truth.person_pixels.any(0)), error.shape)
+        squared = float((error**2).mean())
+        numbers |= {
+            "psnr": 10 * float(np.log10(255**2 / squared)) if squared else np.nan,
+            "error": float(error.mean()),
+            "error_behind": float(error[behind].mean()) if behind.any() else np.nan,
+        }
+    except ArtifactError as lacking:
+        numbers |= dict.fromkeys(("psnr", "error", "error_behind"), str(lacking))
+    return make_group("background", title, BACKGROUND, {"value": numbers})
+
+
+def plate_error(
+    plate_rgb: UInt8[np.ndarray, "height width 3"], true_rgb: UInt8[np.ndarray, "true_height true_width 3"]
+) -> Float[np.ndarray, "height width"]:
+    """Root mean square over the channels of the difference, in 8-bit steps, at the size of the true plate."""
+    height, width = true_rgb.shape[:2]
+    if plate_rgb.shape != true_rgb.shape:
+        plate_rgb = cv2.resize(plate_rgb, (width, height), interpolation=cv2.INTER_AREA)
+    return np.sqrt(((plate_rgb.astype(np.float64) - true_rgb) ** 2).mean(-1))
+
+
+def _mask_iou(plate: BackgroundPlate, truth: Truth, frames: FrameMatch) -> float:
+    """Mean over common frames in which somebody is seen, all people as one mask."""
+    overlaps = []
+    person_pixels = truth.person_pixels
+    for row, true_row in common_maps(plate.frame_index, truth, frames):
+        true = person_pixels[true_row]
+        if true.any():
+            mine = resample_nearest(plate.person_mask[row], true.shape)
+            overlaps.append(mask_iou(mine, true))
+    return float(np.mean(overlaps)) if overlaps else np.nan
+
+
+def mask_iou(a: Bool[np.ndarray, "height width"], b: Bool[np.ndarray, "height width"]) -> float:
+    """Intersection over union; NaN where both are empty."""
+    either = int((a | b).sum())
+    return int((a & b).sum()) / either if either else float("nan")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Estimate and true depth at the pixels that have both, and the shares that have an estimate."""
+
+    background: tuple[np.ndarray, np.ndarray]
+    person: tuple[np.ndarray, np.ndarray]
+    covered: float
+    covered_person: float
+
+
+def depth_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
+    """Depth after the best scale and offset (column `depth`), and metric depth as it is (column `metric`)."""
+    columns: dict[str, dict[str, float | str] | str] = {}
+    relative, metric = result.get(DepthClip), result.get(MetricDepth)
+    note = ""
+    if relative is None:
+        columns["fitted"] = result.why(DepthClip)
+    else:
+        pairs = _pairs(
+            relative.value, relative.valid, relative.background_value, relative.background_valid,
+            relative.frame_index, truth, frames,
+        )  # fmt: skip
+        columns["fitted"] = _depth_numbers(_fitted(pairs, relative.kind == "disparity"), fitted=True)
+        note = f"{relative.provider}, {relative.kind}."
+    if metric is None:
+        columns["metric"] = result.why(MetricDepth)
+    else:
+        pairs = _pairs(
+            metric.depth_m, metric.valid, metric.background_depth_m, metric.background_valid, metric.frame_index,
+            truth, frames,
+        )  # fmt: skip
+        columns["metric"] = _depth_numbers(pairs, fitted=False)
+        note += "" if metric.trusted else f" Metric depth is not trusted: {metric.reason}."
+    return make_group("depth", "Depth", DEPTH, columns, note=note.strip())
+
+
+def _pairs(
+    value: np.ndarray,
+    valid: np.ndarray,
+    background: np.ndarray,
+    background_valid: np.ndarray,
+    frame_index: np.ndarray,
+    truth: Truth,
+    frames: FrameMatch,
+) -> _Pairs:
+    shape = truth.background_depth_m.shape
+    true_m = truth.background_depth_m
+    known = true_m > 0
+    kept = known & resample_nearest(background_valid, shape)
+    mine, true, covered, all_px = [], [], 0, 0
+    person_pixels = truth.person_pixels
+    for row, true_row in common_maps(frame_index, truth, frames):
+        person = person_pixels[true_row] & (truth.depth_mm[true_row] > 0)
+        seen = person & resample_nearest(valid[row], shape)
+        mine.append(resample_nearest(value[row], shape)[seen])
+        true.append(truth.depth_mm[true_row][seen] / 1000)
+        covered, all_px = covered + int(seen.sum()), all_px + int(person.sum())
+    empty = np.zeros(0)
+    return _Pairs(
+        background=(resample_nearest(background, shape)[kept].astype(np.float64), true_m[kept].astype(np.float64)),
+        person=(
+            np.concatenate([empty, *mine]).astype(np.float64),
+            np.concatenate([empty, *true]).astype(np.float64),
+        ),
+        covered=float(kept.sum() / max(1, known.sum())),
+        covered_person=covered / all_px if all_px else np.nan,
+    )
+
+
+def _fitted(pairs: _Pairs, disparity: bool) -> _Pairs:
+    """Metric depth by one scale and offset, least squares over background and people alike."""
+    value = np.concatenate([pairs.background[0], pairs.person[0]])
+    true_m = np.concatenate([pairs.background[1], pairs.person[1]])
+    if not len(value):
+        return pairs
+    scale, offset = fit_scale_offset(value, 1 / true_m if disparity else true_m)
+
+    def metric(values: np.ndarray) -> np.ndarray:
+        found = scale * values + offset
+        return 1 / np.maximum(found, _LEAST_DISPARITY) if disparity else found
+
+    background, person = (metric(pairs.background[0]), pairs.background[1]), (metric(pairs.person[0]), pairs.person[1])
+    return _Pairs(background, person, pairs.covered, pairs.covered_person)
+
+
+def fit_scale_offset(value: Float[np.ndarray, "pixels"], target: Float[np.ndarray, "pixels"]) -> tuple[float, float]:
+    """Least-squares scale and offset with scale * value + offset = target; scale 0 for a constant value."""
+    spread = value - value.mean()
+    variance = float(spread @ spread)
+    scale = float(spread @ (target - target.mean())) / variance if variance > 0 else 0.0
+    return scale, float(target.mean() - scale * value.mean())
+
+
+def _depth_numbers(pairs: _Pairs, *, fitted: bool) -> dict[str, float | str]:
+    background, person = depth_errors(*pairs.background), depth_errors(*pairs.person)
+    numbers: dict[str, float | str] = {
+        "abs_rel": background[0],
+        "delta1": background[1],
+        "abs_rel_person": person[0],
+        "delta1_person": person[1],
+        "covered": pairs.covered,
+        "covered_person": pairs.covered_person,
+    }
+    if fitted:
+        return numbers | dict.fromkeys(("scale_ratio", "scale_error"), "the scale was fitted to the truth")
+    mine, true = (np.concatenate([a, b]) for a, b in zip(pairs.background, pairs.person, strict=True))
+    ratio = float(np.median(mine / true)) if len(mine) else np.nan
+    return numbers | {"scale_ratio": ratio, "scale_error": 100 * abs(ratio - 1)}
+
+
+def depth_errors(mine_m: Float[np.ndarray, "pixels"], true_m: Float[np.ndarray, "pixels"]) -> tuple[float, float]:
+    """AbsRel, the mean of |estimate - truth| / truth, and the share of pixels off by a factor below 1.25 either way."""
+    if not len(mine_m):
+        return float("nan"), float("nan")
+    abs_rel = float((np.abs(mine_m - true_m) / true_m).mean())
+    return abs_rel, float(((mine_m < _DELTA * true_m) & (true_m < _DELTA * mine_m)).mean())

@@ -1,0 +1,93 @@
+"""The temporal lifter: a residual network of dilated convolutions over time (Pavllo et al. 2019 lift 2D poses so).
+
+It works on frames folded together: motion changes little between neighbors, so a coarser clock costs a fraction and
+sees farther.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from video2anim.humans.lifter_input import FEATURES, OUTPUTS
+
+FOLD = 4
+"""Frames that the network works on as one."""
+DILATIONS = (1, 3, 9, 1, 3)
+"""Each of a convolution over 3 folds."""
+WIDTH = 384
+ONNX_OPSET = 17
+
+
+class _Block(nn.Module):
+    def __init__(self, width: int, dilation: int) -> None:
+        super().__init__()
+        self.across = nn.Conv1d(width, width, 3, padding=dilation, dilation=dilation)
+        self.within = nn.Conv1d(width, width, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.within(nn.functional.gelu(self.across(x)))
+
+
+class LifterNetwork(nn.Module):
+    """Features of frames -> rotations, place, contacts and up of each (`video2anim.humans.lifter_input`)."""
+
+    mean: Tensor
+    deviation: Tensor
+    base: Tensor
+
+    def __init__(self, width: int = WIDTH) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(FEATURES))
+        self.register_buffer("deviation", torch.ones(FEATURES))
+        self.register_buffer("base", torch.zeros(OUTPUTS))
+        self.enter = nn.Conv1d(FOLD * FEATURES, width, 1)
+        self.blocks = nn.ModuleList(_Block(width, dilation) for dilation in DILATIONS)
+        self.leave = nn.Conv1d(width, FOLD * OUTPUTS, 1)
+        nn.init.zeros_(self.leave.bias)  # type: ignore[arg-type]
+
+    def forward(self, features: Float[Tensor, "batch frames features"]) -> Float[Tensor, "batch frames outputs"]:
+        """Answers around the middle one of the training data."""
+        batch, frames = features.shape[:2]
+        valid = features[..., -1:]
+        x = ((features - self.mean) / self.deviation).clamp(-6.0, 6.0) * valid
+        x = torch.cat([x[..., :-1], valid], -1)
+        # Frames that are missing at the end are like frames without a measurement.
+        x = nn.functional.pad(x, (0, 0, 0, (FOLD - frames % FOLD) % FOLD))
+        x = self.enter(x.reshape(batch, -1, FOLD * FEATURES).transpose(1, 2))
+        for block in self.blocks:
+            x = block(x)
+        x = self.leave(x).transpose(1, 2).reshape(batch, -1, OUTPUTS)
+        return self.base + x[:, :frames]
+
+
+def export_onnx(network: LifterNetwork, path: Path) -> None:
+    """Write the network with free numbers of clips and frames."""
+    network = network.eval()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with warnings.catch_warnings():
+        # The exporter over TorchScript is deprecated, but its successor needs packages that nothing else here does.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            network, (torch.zeros(1, 60, FEATURES),), str(path), input_names=["features"], output_names=["body"],
+            dynamic_axes={"features": {0: "batch", 1: "frames"}, "body": {0: "batch", 1: "frames"}},
+            opset_version=ONNX_OPSET, dynamo=False,
+        )  # fmt: skip
+
+
+def read_onnx(path: Path) -> LifterNetwork | None:
+    """The network of an exported file, to go on training with; None if it is of another architecture."""
+    import onnx
+    from onnx import numpy_helper
+
+    network = LifterNetwork()
+    wanted = network.state_dict()
+    there = {weight.name: weight for weight in onnx.load(str(path)).graph.initializer}
+    if any(name not in there or list(value.shape) != list(there[name].dims) for name, value in wanted.items()):
+        return None
+    network.load_state_dict({name: torch.from_numpy(numpy_helper.to_array(there[name]).copy()) for name in wanted})
+    return network

@@ -1,0 +1,87 @@
+"""Poses that the clips lack. People in videos do what no clip shows, and there the network has to believe its eyes."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.humans.lifter_input import LIFTER_FPS
+from video2anim.types.skeleton import JOINT_INDEX
+
+
+def _both(*parts: str) -> list[int]:
+    return [JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right") for part in parts]
+
+
+_ARMS, _LEGS = _both("collar", "shoulder", "elbow", "wrist"), _both("hip", "knee", "ankle")
+_TRUNK = [JOINT_INDEX[name] for name in ("spine1", "spine2", "spine3", "neck", "head")]
+_WIDE = _both("shoulder", "hip")
+_NOT_HANDS = torch.tensor([True, True, True, True, False, False, True, True])
+_NOT_HANDS_OR_BACK = _NOT_HANDS & torch.tensor([True] * 7 + [False])
+_NOT_FEET = torch.tensor([False, False, False, False, True, True, False, False])
+_NONE = torch.zeros(8, dtype=torch.bool)
+_OTHER_ARMS, _OTHER_LEGS, _OTHER_TRUNK, _SWUNG, _LEANING, _TURNED = 0.25, 0.15, 0.1, 0.35, 0.15, 0.3
+"""Shares of the windows."""
+_FROM_OTHERS = (
+    (_OTHER_ARMS, _ARMS, _NOT_HANDS), (_OTHER_LEGS, _LEGS, _NOT_FEET), (_OTHER_TRUNK, _TRUNK, _NOT_HANDS_OR_BACK),
+)  # fmt: skip
+"""Share of windows, joints that come from another one, contacts that stay known."""
+_SWING_RAD, _SWING_HZ, _LEAN_RAD = 0.5, (0.1, 1.2), 0.2
+_TURN_SHARE = 0.35
+"""Of the joints."""
+_TURN_RAD = np.full((22, 1), 0.2)
+_TURN_RAD[_WIDE] = 0.45
+_TURN_RAD[_both("elbow", "knee")] = 0.1
+"""Elbows and knees are hinges: a large turn would bend them the wrong way."""
+_TURN_RAD[0] = 0.0
+
+
+def varied(
+    rng: np.random.Generator, R: Float[Tensor, "batch frames 22 3 3"], known: Bool[Tensor, "batch frames 8"]
+) -> tuple[Tensor, Tensor]:
+    """Arms, legs or trunk of another window, limbs that swing wide, bodies that lean, joints turned by a steady amount;
+    contacts that this puts in doubt are no longer known."""
+    batch, frames = R.shape[:2]
+    R, known = R.clone(), known.clone()
+    original = R.clone()
+    for number, (share, joints, kept) in enumerate(
+        ((_OTHER_ARMS, _ARMS, _NOT_HANDS), (_OTHER_LEGS, _LEGS, _NOT_FEET), (_OTHER_TRUNK, _TRUNK, _NOT_HANDS_OR_BACK)),
+        1,
+    ):
+        chosen = _some(rng, batch, share)
+        donor = (chosen + number) % batch
+        R[chosen[:, None], :, torch.tensor(joints)] = original[donor[:, None], :, torch.tensor(joints)]
+        known[chosen] &= kept
+    swung = _some(rng, batch, _SWUNG)
+    R[swung[:, None], :, torch.tensor(_WIDE)] = R[swung[:, None], :, torch.tensor(_WIDE)] @ _swings(
+        rng, len(swung), frames
+    )
+    leaning = _some(rng, batch, _LEANING)
+    lean = rng.normal(0, _LEAN_RAD, (len(leaning), 1, 3)) * [1.0, 0.0, 1.0]
+    R[leaning, :, 0] = _rotations(lean) @ R[leaning, :, 0]
+    turned = _some(rng, batch, _TURNED)
+    offset = rng.normal(0, 1, (len(turned), 1, 22, 3)) * _TURN_RAD * (rng.random((len(turned), 1, 22, 1)) < _TURN_SHARE)
+    R[turned] = R[turned] @ _rotations(offset)
+    for chosen in (swung, leaning, turned):
+        known[chosen] &= _NONE
+    return R, known
+
+
+def _some(rng: np.random.Generator, batch: int, share: float) -> Tensor:
+    return torch.from_numpy(np.flatnonzero(rng.random(batch) < share))
+
+
+def _rotations(vectors_rad: np.ndarray) -> Tensor:
+    return torch.from_numpy(matrix_from_axis_angle(vectors_rad)).float()
+
+
+def _swings(rng: np.random.Generator, batch: int, frames: int) -> Float[Tensor, "batch 4 frames 3 3"]:
+    """Turns of hips and shoulders that rise and fall over the window; half of them stay as they are."""
+    time_s = np.arange(frames)[:, None] / LIFTER_FPS
+    shape = (batch, len(_WIDE), 1, 1)
+    steady, swinging = rng.normal(0, _SWING_RAD, (2, batch, len(_WIDE), 1, 3)) * (rng.random(shape) < 0.5)
+    rate = 2 * np.pi * rng.uniform(*_SWING_HZ, shape)
+    return _rotations(steady + swinging * np.sin(rate * time_s + rng.uniform(0, 2 * np.pi, shape)))

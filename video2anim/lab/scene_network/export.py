@@ -1,0 +1,62 @@
+"""The room network as an ONNX file with weights in half precision."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from onnx import TensorProto, helper, numpy_helper
+from torch import nn
+
+from video2anim.lab.scene_network.network import RoomNetwork, normalised_convolutions
+from video2anim.networks.room_net import INPUT, OUTPUTS
+
+ONNX_OPSET = 17
+_LEAST_VALUES = 256
+"""Smaller tensors stay in single precision."""
+
+
+def export_onnx(network: RoomNetwork, path: Path) -> None:
+    """Write the network with a free picture size. Weights are stored in half precision and computed with in single."""
+    network = _folded(copy.deepcopy(network).cpu().eval())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with warnings.catch_warnings():
+        # The exporter over TorchScript is deprecated, but its successor needs packages that nothing else here does.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            network, (torch.zeros(1, 3, 96, 128),), str(path), input_names=[INPUT], output_names=list(OUTPUTS),
+            dynamic_axes={name: {2: f"{name}_rows", 3: f"{name}_columns"} for name in (INPUT, *OUTPUTS)},
+            opset_version=ONNX_OPSET, dynamo=False,
+        )  # fmt: skip
+    onnx.save(halved(onnx.load(str(path))), str(path))
+
+
+def halved(model: onnx.ModelProto) -> onnx.ModelProto:
+    """The same network with large weights as float16 and a cast before their use."""
+    graph, casts = model.graph, []
+    for tensor in graph.initializer:
+        values = numpy_helper.to_array(tensor)
+        if values.dtype != np.float32 or values.size < _LEAST_VALUES:
+            continue
+        name = tensor.name
+        tensor.CopyFrom(numpy_helper.from_array(values.astype(np.float16), f"{name}.half"))
+        casts.append(helper.make_node("Cast", [f"{name}.half"], [name], to=TensorProto.FLOAT))
+    nodes = [*casts, *graph.node]
+    del graph.node[:]
+    graph.node.extend(nodes)
+    return model
+
+
+def _folded(network: RoomNetwork) -> RoomNetwork:
+    """Batch normalisation taken into the convolutions before it."""
+    for _, sequence, number in normalised_convolutions(network):
+        convolution, norm = sequence[number], sequence[number + 1]
+        assert isinstance(convolution, nn.Conv2d)
+        assert isinstance(norm, nn.BatchNorm2d)
+        sequence[number] = nn.utils.fuse_conv_bn_eval(convolution, norm)
+        sequence[number + 1] = nn.Identity()
+    return network

@@ -1,0 +1,99 @@
+"""From solved scripts to acted motions: surfaces measured on the mesh, cut to length."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.lab.synth.acting.curves import FPS, turned
+from video2anim.lab.synth.acting.measure import BodyMeasure
+from video2anim.lab.synth.acting.perform import Performed
+from video2anim.lab.synth.world import ActedMotion, Prop
+
+SEAT_GAP_M = 0.002
+"""A surface lies this far under the lowest vertex that rests on it."""
+_REGION_DEPTH_M = 0.25
+
+
+def probes(done: Performed, size: BodyMeasure, frames: slice | np.ndarray = slice(None)) -> Float[np.ndarray, "f p 3"]:
+    """Positions of the probe vertices."""
+    return size.body.vertices(done.R_world_joint[frames], done.joints_m[frames], size.probe).astype(float)
+
+
+def local_xz(points_m: np.ndarray, prop: Prop) -> tuple[np.ndarray, np.ndarray]:
+    """x and z of points in the prop's frame."""
+    local = (points_m - np.array(prop.position_m)) @ turned(prop.yaw_rad)
+    return local[..., 0], local[..., 2]
+
+
+def over(points_m: np.ndarray, prop: Prop, margin_m: float = 0.0) -> np.ndarray:
+    """Which points lie over (or under) the prop's surface."""
+    x, z = local_xz(points_m, prop)
+    return (np.abs(x) < 0.5 * prop.size_m[0] + margin_m) & (np.abs(z) < 0.5 * prop.size_m[1] + margin_m)
+
+
+def lowest_over(points_m: np.ndarray, prop: Prop, parts: np.ndarray | None = None) -> Float[np.ndarray, "frames"]:
+    """Height of the lowest point over the prop in every frame, infinite where there is none."""
+    inside = over(points_m, prop)
+    if parts is not None:
+        inside &= parts
+    return np.where(inside, points_m[..., 1], np.inf).min(1)
+
+
+def at_height(prop: Prop, height_m: float) -> Prop:
+    """The prop with its surface at another height."""
+    x, _, z = prop.position_m
+    return replace(prop, position_m=(x, float(height_m), z))
+
+
+def motion_of(
+    kind: str, done: Performed, props: tuple[Prop, ...] = (), item_pose: Float[np.ndarray, "frames 4 4"] | None = None
+) -> ActedMotion:
+    """The acted motion of a solved script, its whole length."""
+    return ActedMotion(
+        f"acted_{kind}", kind, "synthetic", done.translation_m, done.R_parent_joint, done.contact, props, item_pose
+    )
+
+
+def cut(motion: ActedMotion, first: int, stop: int) -> ActedMotion:
+    """Frames [first, stop) of a motion; props are renumbered, those out of use in it keep their nearest frame."""
+    props = tuple(
+        replace(p, frames=tuple(int(np.clip(f - first, 0, stop - first - 1)) for f in p.frames))  # pyright: ignore[reportArgumentType]
+        for p in motion.props
+    )
+    item = None if motion.item_pose is None else motion.item_pose[first:stop]
+    held = None if motion.item_held is None else motion.item_held[first:stop]
+    return replace(
+        motion,
+        translation_m=motion.translation_m[first:stop],
+        R_parent_joint=motion.R_parent_joint[first:stop],
+        contact=motion.contact[first:stop],
+        props=props,
+        item_pose=item,
+        item_held=held,
+    )
+
+
+LEAD_S = {"sit": 2.6, "lie": 2.6}
+"""Time that is kept before the first use of a prop: the turn, and sitting down."""
+_OTHER_LEAD_S = 0.9
+_TAIL_S = 0.8
+
+
+def fitted(motion: ActedMotion, rng: np.random.Generator, duration_s: tuple[float, float]) -> ActedMotion:
+    """Cut to a length within `duration_s`: what is too much goes from the walking before the first use of a prop and
+    after its last one, then from the end; a motion that is too short stays as it is."""
+    count = len(motion.translation_m)
+    low, high = (round(s * FPS) for s in duration_s)
+    wanted = min(count, int(rng.integers(low, high + 1)))
+    begin, end = count // 3, 2 * count // 3
+    if motion.props:
+        begin, end = min(p.frames[0] for p in motion.props), max(p.frames[1] for p in motion.props)
+    before = max(0, begin - round(LEAD_S.get(motion.kind, _OTHER_LEAD_S) * FPS))
+    after = max(0, count - end - round(_TAIL_S * FPS))
+    spare = count - wanted
+    first = min(before, round(spare * before / max(1, before + after)))
+    stop = count - min(after, spare - first)
+    return cut(motion, first, min(stop, first + high))

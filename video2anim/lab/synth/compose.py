@@ -1,0 +1,338 @@
+"""From a clip specification to a shot: who moves how, in which room, seen from where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.errors import InputError
+from video2anim.lab.synth.acting import ACTS, CARRIES, act, act_carry, joined
+from video2anim.lab.synth.acting.curves import turned
+from video2anim.lab.synth.cameras import CameraRequest, place_camera
+from video2anim.lab.synth.hiding import hidden_view
+from video2anim.lab.synth.library import MotionLibrary
+from video2anim.lab.synth.looks import make_looks
+from video2anim.lab.synth.presets import ClipSpec, hiding_of
+from video2anim.lab.synth.render.lens import covers_picture
+from video2anim.lab.synth.rooms import build_room, penetration_m, split_items
+from video2anim.lab.synth.showing import showing_view, swept_points
+from video2anim.lab.synth.world import ActedMotion, Actor, MovingObject, Room, SceneObject, SensorModel, Shot
+from video2anim.types import BodyMotion, BodyShape, Intrinsics
+from video2anim.types.skeleton import forward_kinematics
+
+FPS = 30.0
+DEEPEST_M = 0.01
+"""No body vertex may lie deeper than this in any object."""
+_ATTEMPTS = 8
+_HIDING_STRIDE = 60
+"""Every how many vertices of the skin decide whether somebody is hidden."""
+_SPACING_M = 0.06
+"""Of points on the box around a thing that is carried."""
+_APART_M = 0.3
+"""Least distance between two people's bodies."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComposeOptions:
+    """What the user may fix for all clips."""
+
+    width_px: int = 640
+    height_px: int = 480
+    room_size_m: tuple[float, float] | None = None
+    meshes: tuple[SceneObject, ...] = ()
+    library: MotionLibrary | None = None
+    longest_s: float | None = None
+    """Clips are cut to this length."""
+    skin_stride: int = 1
+    """Every how many vertices of the skin are kept clear of things; more is quicker and less exact."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Performance:
+    """One person's motion on one body, with skinned vertices."""
+
+    body: ShapedBody
+    acted: ActedMotion
+    joints_m: Float[np.ndarray, "frames 22 3"]
+    vertices_m: Float[np.ndarray, "frames vertices 3"]
+
+
+class _Unsuitable(Exception):
+    """This draw does not work out; another one may."""
+
+
+def compose(spec: ClipSpec, options: ComposeOptions) -> Shot:
+    """Draw a shot. Draws that do not work out (bodies that touch, furniture in the way, no view) are drawn again.
+
+    Raises:
+        InputError: no draw works out, for example because the given room is too small for the motion.
+    """
+    reason = ""
+    for attempt in range(_ATTEMPTS):
+        try:
+            return _compose(spec, options, attempt)
+        except _Unsuitable as error:
+            reason = str(error)
+        except InputError as error:
+            if options.room_size_m is not None and attempt == _ATTEMPTS - 1:
+                raise
+            reason = str(error)
+    raise InputError(f"clip {spec.name} (seed {spec.seed}): no suitable scene in {_ATTEMPTS} draws; last: {reason}")
+
+
+def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
+    people = _performances(spec, options, attempt)
+    rng = spec.rng("room", attempt)
+    props = tuple(prop for person in people for prop in person.acted.props)
+    swept = np.concatenate([_skin(people, options.skin_stride), *(swept_points(p.acted, _SPACING_M) for p in people)])
+    furnished = build_room(
+        rng, swept_m=swept, props=props, room_size_m=options.room_size_m,
+        clutter=float(rng.uniform(0.2, 0.9)), meshes=options.meshes, prop_depth_m=0.8 * DEEPEST_M,
+    )  # fmt: skip
+    room, items = split_items(furnished)
+    room = _without_offenders(swept, room)
+    request = CameraRequest(
+        options.width_px, options.height_px, handheld=spec.handheld,
+        height_m=(1.0, 2.2) if spec.preset in ("bench", "carried") else (0.8, 2.6),
+    )  # fmt: skip
+    joints = np.stack([person.joints_m for person in people])
+    hiding, camera_rng = hiding_of(spec), spec.rng("camera", attempt)
+    if spec.preset == "carried":
+        first = people[0]
+        lens, T_world_camera = showing_view(
+            camera_rng, room, first.acted, joints[0], first.vertices_m, first.body.faces, request
+        )
+    elif hiding is None:
+        lens, T_world_camera = place_camera(camera_rng, room, joints, request)
+    else:
+        room, lens, T_world_camera = hidden_view(
+            camera_rng, room, swept, joints[0], people[0].vertices_m[:, ::_HIDING_STRIDE], request, hiding
+        )
+    actors = []
+    for number, person in enumerate(people):
+        face_material, materials = make_looks(person.body, spec.rng(f"looks {number}", attempt))
+        motion, acted = _body_motion(number, person, T_world_camera, lens), person.acted
+        actors.append(Actor(motion, face_material, materials, acted.kind, acted.source, acted.name))
+    facts: dict[str, str | float | int] = {"attempt": attempt, "kind": "+".join(spec.kinds)}
+    return Shot(
+        spec.name, room, tuple(actors), lens, T_world_camera, not spec.handheld,
+        draw_sensor(spec.rng("sensor", attempt), spec, lens), _carried(people, items, room), facts,
+    )  # fmt: skip
+
+
+def draw_shape(rng: np.random.Generator) -> BodyShape:
+    """An adult of varied build."""
+    woman = rng.random() < 0.5
+    values = {
+        "gender": rng.uniform(0.85, 1.0) if woman else rng.uniform(0.0, 0.15),
+        "age": rng.uniform(0.6, 0.85),
+        "muscle": rng.uniform(0.3, 0.75),
+        "weight": rng.uniform(0.25, 0.75),
+        "height": rng.uniform(0.2, 0.65),
+        "proportions": rng.uniform(0.35, 0.75),
+    }
+    return BodyShape("anny", {**ADULT, **{name: round(float(value), 4) for name, value in values.items()}})
+
+
+def _performances(spec: ClipSpec, options: ComposeOptions, attempt: int) -> list[Performance]:
+    people = []
+    for number, kind in enumerate(spec.kinds):
+        rng = spec.rng(f"motion {number}", attempt)
+        body = shaped_body(draw_shape(rng))
+        people.append((body, _motion(kind, body, rng, spec, options.library)))
+    frames = min(len(acted.translation_m) for _, acted in people)
+    if frames < spec.duration_s[0] * FPS * 0.75:
+        raise _Unsuitable(f"motion of {frames / FPS:.1f} s is too short")
+    if options.longest_s is not None:
+        frames = min(frames, max(int(options.longest_s * FPS), 2))
+    performed = [_perform(body, _cut(acted, frames)) for body, acted in people]
+    for person in performed:
+        lowest_m = float(person.vertices_m[::2, :, 1].min())
+        if lowest_m < -DEEPEST_M:
+            raise _Unsuitable(f"the body is {-100 * lowest_m:.1f} cm under the floor")
+    R = _facing_walls(performed[0].acted)
+    shift = -(R @ performed[0].acted.translation_m[0]) * (1.0, 0.0, 1.0)
+    placed = [_moved(performed[0], R, shift)]
+    for number, other in enumerate(performed[1:], 1):
+        placed.append(_beside(placed, other, spec.rng(f"place {number}", attempt)))
+    return placed
+
+
+def _motion(
+    kind: str, body: ShapedBody, rng: np.random.Generator, spec: ClipSpec, library: MotionLibrary | None
+) -> ActedMotion:
+    """Captured where the library has the kind, acted otherwise; acted kinds may begin with a captured walk."""
+    if kind in CARRIES:
+        return act_carry(kind, body, rng)
+    low, high = spec.duration_s
+    if kind not in ACTS and library is not None:
+        captured = library.draw("walk_turn" if kind == "turn" else kind, body, rng, least_s=low)
+        if captured is not None:
+            length = int(rng.uniform(low, high) * FPS)
+            start = int(rng.integers(0, max(len(captured.translation_m) - length, 0) + 1))
+            piece = slice(start, start + length)
+            return ActedMotion(
+                captured.name, captured.kind, captured.source, captured.translation_m[piece],
+                captured.R_parent_joint[piece], captured.contact[piece],
+            )  # fmt: skip
+    if kind not in ACTS:
+        kind = "walk"
+    walk = library.draw("walk", body, rng) if library is not None and rng.random() < 0.6 else None
+    if walk is None:
+        return act(kind, body, rng, duration_s=spec.duration_s)
+    length = min(len(walk.translation_m), int(3.0 * FPS))
+    rest = max(low - length / FPS, 4.0 if kind == "walk" else 5.5)
+    acted = act(kind, body, rng, duration_s=(rest, max(rest + 0.5, high - length / FPS)))
+    start = joined(walk.translation_m[:length], walk.R_parent_joint[:length], walk.contact[:length], acted, body)
+    return replace(start, name=f"{walk.name} > {acted.name}", source=f"{walk.source} > synthetic")
+
+
+def _cut(acted: ActedMotion, frames: int) -> ActedMotion:
+    pose = acted.item_pose[:frames] if acted.item_pose is not None else None
+    held = acted.item_held[:frames] if acted.item_held is not None else None
+    return replace(
+        acted, translation_m=acted.translation_m[:frames], R_parent_joint=acted.R_parent_joint[:frames],
+        contact=acted.contact[:frames], item_pose=pose, item_held=held,
+    )  # fmt: skip
+
+
+def _perform(body: ShapedBody, acted: ActedMotion) -> Performance:
+    joints, R_world = forward_kinematics(acted.R_parent_joint, acted.translation_m, body.rest_joints_m)
+    return Performance(body, acted, joints, body.vertices(R_world, joints))
+
+
+def _moved(person: Performance, R: np.ndarray, shift: np.ndarray) -> Performance:
+    """The whole performance with its props, turned about the vertical axis and then shifted."""
+    acted, yaw = person.acted, float(np.arctan2(R[0, 2], R[2, 2]))
+    rotations = acted.R_parent_joint.copy()
+    rotations[:, 0] = R @ rotations[:, 0]
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, shift
+    props = tuple(
+        replace(prop, position_m=tuple(float(x) for x in R @ prop.position_m + shift), yaw_rad=prop.yaw_rad + yaw)
+        for prop in acted.props
+    )
+    moved = replace(
+        acted, translation_m=acted.translation_m @ R.T + shift, R_parent_joint=rotations, props=props,
+        item_pose=None if acted.item_pose is None else T @ acted.item_pose,
+    )  # fmt: skip
+    vertices = (person.vertices_m @ R.T.astype(np.float32) + shift.astype(np.float32)).astype(np.float32)
+    return Performance(person.body, moved, person.joints_m @ R.T + shift, vertices)
+
+
+def _facing_walls(acted: ActedMotion) -> Float[np.ndarray, "3 3"]:
+    """Turn about the vertical that makes a wall the motion leans on parallel to the room's walls."""
+    yaw = next((-prop.yaw_rad for prop in acted.props if prop.kind == "wall"), 0.0)
+    return turned(yaw)
+
+
+def _beside(placed: list[Performance], person: Performance, rng: np.random.Generator) -> Performance:
+    """Turn and shift a person so that nobody comes closer than `_APART_M`, but all stay together."""
+    for distance in np.linspace(0.8, 4.0, 40):
+        yaw, bearing = rng.uniform(-np.pi, np.pi, 2)
+        R = turned(float(yaw))
+        middle = np.mean([other.joints_m[:, 0].mean(0) for other in placed], 0)
+        goal = middle + distance * np.array([np.sin(bearing), 0, np.cos(bearing)])
+        shift = (goal - R @ person.joints_m[:, 0].mean(0)) * (1.0, 0.0, 1.0)
+        joints = person.joints_m @ R.T + shift
+        if all(_apart(other.joints_m, joints) for other in placed) and _props_apart(placed, person, R, shift):
+            return _moved(person, R, shift)
+    raise _Unsuitable("two people get in each other's way")
+
+
+def _apart(a_m: np.ndarray, b_m: np.ndarray) -> bool:
+    gaps = np.linalg.norm(a_m[:, :, None, [0, 2]] - b_m[:, None, :, [0, 2]], axis=-1)
+    return bool(gaps.min() > _APART_M + 0.2)
+
+
+def _props_apart(placed: list[Performance], person: Performance, R: np.ndarray, shift: np.ndarray) -> bool:
+    """Props of one lie outside the path of the others, and apart from theirs."""
+    mine = np.array([R @ prop.position_m + shift for prop in person.acted.props]).reshape(-1, 3)[:, [0, 2]]
+    path = (person.joints_m[:, 0] @ R.T + shift)[:, [0, 2]]
+    for other in placed:
+        theirs = np.array([prop.position_m for prop in other.acted.props]).reshape(-1, 3)[:, [0, 2]]
+        walked = other.joints_m[:, 0][:, [0, 2]]
+        for points, others in ((mine, walked), (theirs, path), (mine, theirs)):
+            if len(points) and len(others):
+                gap = np.linalg.norm(points[:, None] - others[None], axis=-1).min()
+                if gap < 1.3:
+                    return False
+    return True
+
+
+def _carried(people: list[Performance], items: dict[int, SceneObject], room: Room) -> tuple[MovingObject, ...]:
+    """Things that are moved, with their poses; `items` of the room are numbered by their prop among all props."""
+    moving, first, unused = [], 0, max(thing.object_id for thing in (*room.objects, *items.values())) + 1
+    for person in people:
+        acted = person.acted
+        if acted.item_pose is not None and acted.item_held is not None:
+            mine = [thing for number, thing in items.items() if first <= number < first + len(acted.props)]
+            if acted.item is not None:
+                mine.append(acted.item.moved(acted.item_pose[0], unused))
+                unused += 1
+            moving += [MovingObject(thing, acted.item_pose, acted.item_held) for thing in mine]
+        first += len(acted.props)
+    return tuple(moving)
+
+
+def _skin(people: list[Performance], stride: int) -> Float[np.ndarray, "points 3"]:
+    """Skin points of every second frame."""
+    return np.concatenate([person.vertices_m[::2, ::stride].reshape(-1, 3) for person in people]).astype(np.float64)
+
+
+def _without_offenders(points: Float[np.ndarray, "points 3"], room: Room) -> Room:
+    """The room without furniture that any skin point of any second frame is inside of; what the motion needs stays.
+
+    Raises:
+        _Unsuitable: a body is deeper than `DEEPEST_M` in a wall or in a thing that the motion needs.
+    """
+    low, high = points.min(0), points.max(0)
+    kept = []
+    for thing in room.objects:
+        vertices = thing.merged()[0]
+        if (vertices.max(0) < low).any() or (vertices.min(0) > high).any():
+            kept.append(thing)
+            continue
+        depth_m = float(penetration_m([thing], points).max())
+        if depth_m <= DEEPEST_M:
+            kept.append(thing)
+        elif thing in room.structure or thing.note.startswith("prop "):
+            raise _Unsuitable(f"the body is {100 * depth_m:.1f} cm inside {thing.label} {thing.object_id}")
+    numbers = {thing.object_id for thing in kept}
+    return replace(room, furniture=tuple(thing for thing in room.furniture if thing.object_id in numbers))
+
+
+def _body_motion(number: int, person: Performance, T_world_camera: np.ndarray, lens: Intrinsics) -> BodyMotion:
+    acted = person.acted
+    frames = len(acted.translation_m)
+    T_world_root = np.tile(np.eye(4), (frames, 1, 1))
+    T_world_root[:, :3, :3], T_world_root[:, :3, 3] = acted.R_parent_joint[:, 0], acted.translation_m
+    return BodyMotion(
+        person_id=number, frame_time_s=np.arange(frames) / FPS, valid=np.ones(frames, bool),
+        T_world_root=T_world_root, R_parent_joint=acted.R_parent_joint, T_world_camera=T_world_camera,
+        intrinsics=lens, contact=acted.contact.astype(np.float64), shape=person.body.shape,
+        rest_joints_m=person.body.rest_joints_m, joints_world_m=person.joints_m,
+    )  # fmt: skip
+
+
+def draw_sensor(rng: np.random.Generator, spec: ClipSpec, lens: Intrinsics) -> SensorModel:
+    """A camera's faults: mild, or from mild to strong for a harsh clip. Distortion is weaker on wide lenses."""
+    tint = rng.normal(0, 0.03, 3)
+    base = SensorModel(
+        exposure=float(np.exp(rng.normal(0, 0.12))), noise_steps=float(rng.uniform(0.5, 2.5)),
+        blur_s=float(rng.choice([0.0, 1 / 120, 1 / 60])), vignette=float(rng.uniform(0, 0.25)),
+        white_balance=(float(np.exp(tint[0])), 1.0, float(np.exp(tint[2]))), crf=int(rng.integers(16, 24)),
+    )  # fmt: skip
+    if not spec.harsh:
+        return base
+    k1, k2 = float(rng.uniform(-0.12, 0.06)), float(rng.uniform(-0.02, 0.02))
+    while not covers_picture(lens, k1, k2):
+        k1, k2 = 0.8 * k1, 0.8 * k2
+    return replace(
+        base, exposure=float(np.exp(rng.normal(0, 0.35))), noise_steps=float(rng.uniform(1, 8)),
+        blur_s=float(rng.uniform(0, 1 / 30)), k1=k1, k2=k2,
+        jpeg_quality=int(rng.integers(40, 95)), crf=int(rng.integers(18, 32)),
+    )  # fmt: skip

@@ -1,0 +1,48 @@
+"""Acted motions as an archive in the motion container format."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import numpy as np
+
+from scenemi.data.container import write_archive
+from video2anim.body.anny_body import shaped_body
+from video2anim.lab.synth.acting import act, to_source_clip
+from video2anim.lab.synth.compose import draw_shape
+from video2anim.lab.synth.generate import writing
+from video2anim.lab.synth.presets import ACTED, expect_count_and_seed
+
+MOST = 100_000
+"""Motions of an archive, which is put together in memory."""
+
+
+def write_acted(path: Path, *, count: int, seed: int) -> int:
+    """Write `count` acted motions, kinds in turn, each on a body of its own; their source is `synthetic`.
+
+    Returns:
+        How many were written.
+
+    Raises:
+        UsageError: count or seed is out of range.
+        InputError: the file cannot be written.
+    """
+    expect_count_and_seed(count, seed, MOST)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            raise OSError("a link, pipe or device")
+    clips = []
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        body = shaped_body(draw_shape(rng))
+        clips.append(
+            to_source_clip(act(ACTED[number % len(ACTED)], body, rng), body, name=f"synthetic_{seed}_{number:05d}")
+        )
+    with writing(path):
+        write_archive(path, clips)
+    return len(clips)

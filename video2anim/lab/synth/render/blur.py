@@ -1,0 +1,64 @@
+"""Motion blur of a moving camera: the picture averaged along the paths of its pixels while the shutter is open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.lab.synth.render.lens import project_distorted
+from video2anim.lab.synth.render.view import Eye
+
+_STEPS = 5
+_STILL_PX = 0.4
+_NEAR_M = 0.05
+
+
+def shutter_shifts(shutter_frames: float, steps: int = _STEPS) -> list[float]:
+    """Moments within the shutter time, in frames from its middle; every part of the time counts alike."""
+    return [shutter_frames * ((step + 0.5) / steps - 0.5) for step in range(steps)]
+
+
+def steps_for(path_px: float) -> int:
+    """Number of moments for things that move this far while the shutter is open; odd, 1 if it cannot be seen."""
+    return 1 if path_px < _STILL_PX else int(min(3 + 2 * (path_px > 5), 5))
+
+
+def camera_blur(
+    radiance: Float[np.ndarray, "height width 3"],
+    position_m: Float[np.ndarray, "height width 3"],
+    before: Eye,
+    after: Eye,
+    frames_apart: float,
+    shutter_frames: float,
+) -> Float[np.ndarray, "height width 3"]:
+    """Average the picture along the flow that the camera's motion from one pose to another causes.
+
+    Args:
+        radiance: Light before the tone curve.
+        position_m: World points seen by the pixels.
+        before: Earlier camera.
+        after: Later camera.
+        frames_apart: Time between them.
+        shutter_frames: Time that the shutter is open.
+    """
+    flow = (_seen_at(position_m, after) - _seen_at(position_m, before)) / max(frames_apart, 1e-9)
+    path = flow * shutter_frames
+    if float(np.percentile(np.abs(path), 95)) < _STILL_PX:
+        return radiance
+    height, width = radiance.shape[:2]
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    shifts: Sequence[float] = shutter_shifts(shutter_frames)
+    total = np.zeros_like(radiance)
+    for shift in shifts:
+        at_x, at_y = x - shift * flow[..., 0], y - shift * flow[..., 1]
+        total += cv2.remap(radiance, at_x, at_y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    return total / len(shifts)
+
+
+def _seen_at(position_m: np.ndarray, eye: Eye) -> Float[np.ndarray, "height width 2"]:
+    camera = (position_m - eye.T_world_camera[:3, 3]) @ eye.T_world_camera[:3, :3]
+    camera[..., 2] = np.maximum(camera[..., 2], _NEAR_M)
+    return project_distorted(camera, eye.intrinsics, eye.k1, eye.k2).astype(np.float32)

@@ -1,0 +1,240 @@
+"""Moving things drawn over a finished room: their own pixels, and the light that they take from the room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from video2anim.lab.synth.render import sampling
+from video2anim.lab.synth.render.caster import Caster
+from video2anim.lab.synth.render.denoise import smooth_tiles
+from video2anim.lab.synth.render.lens import project_distorted
+from video2anim.lab.synth.render.lighting import (
+    AMBIENT_REACH_M,
+    ambient_reach,
+    lamp_reach,
+    lifted,
+    reach_of,
+    response_of,
+)
+from video2anim.lab.synth.render.surfaces import Surfaces
+from video2anim.lab.synth.render.view import (
+    SUBPIXELS,
+    Components,
+    Eye,
+    Lamps,
+    Sheet,
+    borrowed_reach,
+    rectangle_pixels,
+    sheet_of,
+    sheet_reach,
+    subpixel_points,
+)
+from video2anim.lab.synth.world import Light
+
+_COARSE = 4
+"""Shadow regions are found on every fourth pixel."""
+_STRIDE = 2
+"""Shadows are looked for on every second pixel, and sampled fully near their borders."""
+_NEAR_M = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingLayer:
+    """Moving things over a room."""
+
+    sheet: Sheet
+    """Their rectangle; only pixels where they are in front of the room."""
+    radiance: Float[np.ndarray, "pixels 3"]
+    """The whole picture, before exposure."""
+
+
+def draw_moving(
+    eye: Eye,
+    room: Sheet,
+    components: Components,
+    radiance: np.ndarray,
+    surfaces: Surfaces,
+    room_opaque: Caster,
+    lamps: Lamps,
+    blurred: Sequence[Surfaces] = (),
+) -> MovingLayer:
+    """Draw moving surfaces over the room whose finished `radiance` is given.
+
+    `blurred` are the same surfaces at moments within the shutter time: the colours are the mean of their pictures,
+    while labels and shadows on the room are those of `surfaces`.
+    """
+    caster = surfaces.caster()
+    rows, columns = rectangle_of(surfaces, eye)
+    sheet = sheet_of(eye, surfaces, caster, rows, columns, nearer_than=room.depth_m[rows, columns])
+    wanted = np.ones(room.shape, bool)
+    if not blurred:
+        wanted[rows, columns] = cv2.erode(np.isfinite(sheet.depth_m).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
+    empty = shadowed_room(room, components, radiance, surfaces, caster, lamps, wanted)
+    if not blurred:
+        if len(sheet.seen):
+            _draw_over(empty, eye, room, sheet, surfaces, caster, room_opaque, lamps)
+        return MovingLayer(sheet, empty)
+    total = np.zeros_like(empty)
+    for moment in blurred:
+        there, out = moment.caster(), empty.copy()
+        box = rectangle_of(moment, eye)
+        part = sheet_of(eye, moment, there, *box, nearer_than=room.depth_m[box])
+        if len(part.seen):
+            _draw_over(out, eye, room, part, moment, there, room_opaque, lamps)
+        total += out
+    return MovingLayer(sheet, total / len(blurred))
+
+
+def rectangle_of(surfaces: Surfaces, eye: Eye) -> tuple[slice, slice]:
+    """Rows and columns that can show the surfaces; the whole picture where they come close to the camera."""
+    height, width = eye.intrinsics.height_px, eye.intrinsics.width_px
+    R, origin = eye.T_world_camera[:3, :3], eye.T_world_camera[:3, 3]
+    camera = (surfaces.vertices_m - origin) @ R
+    if (camera[:, 2] < _NEAR_M).any():
+        return slice(0, height), slice(0, width)
+    pixels = project_distorted(camera, eye.intrinsics, eye.k1, eye.k2)
+    low = np.clip(np.floor(pixels.min(0)).astype(int) - 2, 0, [width - 1, height - 1])
+    high = np.clip(np.ceil(pixels.max(0)).astype(int) + 3, low + 1, [width, height])
+    return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+
+
+def shadowed_room(
+    room: Sheet,
+    components: Components,
+    radiance: np.ndarray,
+    surfaces: Surfaces,
+    caster: Caster,
+    lamps: Lamps,
+    wanted: Bool[np.ndarray, "height width"],
+) -> Float[np.ndarray, "pixels 3"]:
+    """Radiance of the room with the shadows, and the darkening near contact, of moving things."""
+    low, high = surfaces.vertices_m.min(0), surfaces.vertices_m.max(0)
+    lit = _Taken(room, caster, lamps)
+    channels = len(lamps.lights) + 1
+    reach = np.ones((channels, *room.shape), np.float32)
+    for channel in range(channels):
+        if channel < len(lamps.lights):
+            region = _shadow_region(room, lamps.lights[channel], low, high)
+            region &= components.matters[channel].reshape(room.shape)
+        else:
+            region = _ambient_region(room, low, high)
+        lit.fill(reach[channel], region & wanted, channel)
+    out = radiance.copy()
+    shadowed = np.asarray((reach < 1).any(0), np.uint8)
+    touched = cv2.dilate(shadowed, np.ones((5, 5), np.uint8)) > 0
+    if not touched.any():
+        return out
+    box = _bounds(touched)
+    smooth = smooth_tiles(np.moveaxis(reach[:, *box], 0, -1), room.links.cropped(*box))
+    changed = touched[box]
+    pixel = rectangle_pixels(*box, room.shape[1]).reshape(changed.shape)[changed]
+    out[pixel] = components.shaded(pixel, smooth[changed])
+    return out
+
+
+class _Taken:
+    """Light that moving things leave to the room's pixels, channel by channel (the lights, then the ambient)."""
+
+    def __init__(self, room: Sheet, caster: Caster, lamps: Lamps) -> None:
+        self._room, self._caster, self._lamps = room, caster, lamps
+        self._row_of = np.full(room.shape[0] * room.shape[1], -1)
+        self._row_of[room.seen] = np.arange(len(room.seen))
+
+    def fill(self, reach: Float[np.ndarray, "height width"], region: np.ndarray, channel: int) -> None:
+        """Write a region's reach: every second pixel first, then the pixels around which those differ."""
+        coarse = np.zeros_like(region)
+        coarse[::_STRIDE, ::_STRIDE] = region[::_STRIDE, ::_STRIDE]
+        self._sample(reach, coarse, channel)
+        seen = reach[::_STRIDE, ::_STRIDE]
+        around = np.ones((3, 3), np.uint8)
+        least, most = cv2.erode(seen, around), cv2.dilate(seen, around)
+        same = np.where(least == most, least, np.float32(-1))
+        fine = np.repeat(np.repeat(same, _STRIDE, 0), _STRIDE, 1)[: region.shape[0], : region.shape[1]]
+        np.copyto(reach, fine, where=region & (fine >= 0))
+        self._sample(reach, region & (fine < 0) & ~coarse, channel)
+
+    def _sample(self, reach: np.ndarray, chosen: np.ndarray, channel: int) -> None:
+        pixel = np.flatnonzero(chosen.reshape(-1) & (self._row_of >= 0))
+        if not len(pixel):
+            return
+        rows, points, lamps = self._row_of[pixel], self._room.points, self._lamps
+        normal, tile = points.normal[rows], sampling.tile_of(pixel, self._room.shape[1])
+        start = lifted(points.position_m[rows], normal, points.face_normal[rows])
+        if channel < len(lamps.lights):
+            light = lamps.lights[channel]
+            found = lamp_reach(start, normal, light, tile, [self._caster], lamps.rays[0])
+        else:
+            found = ambient_reach(start, normal, tile, [self._caster], lamps.rays[1])
+        reach.reshape(-1)[pixel] = found
+
+
+def _shadow_region(room: Sheet, light: Light, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Pixels whose view of a light can pass through a box: slab test on a coarse grid, widened by a cell."""
+    at = room.position_m[::_COARSE, ::_COARSE]
+    margin = 0.05 + (0.02 if light.direction is not None else light.radius_m)
+    if light.direction is None:
+        toward = np.asarray(light.position_m, np.float32) - at
+    else:
+        toward = np.broadcast_to(-20 * np.asarray(light.direction, np.float32), at.shape)
+    step = np.where(np.abs(toward) < 1e-6, np.float32(1e-6), toward)
+    first, second = (low - margin - at) / step, (high + margin - at) / step
+    enter = np.minimum(first, second).max(-1)
+    leave = np.maximum(first, second).min(-1)
+    return _widened((enter <= leave) & (leave > 0) & (enter < 1), room.shape)
+
+
+def _ambient_region(room: Sheet, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Pixels near a box."""
+    at = room.position_m[::_COARSE, ::_COARSE]
+    off = np.maximum(np.maximum(low - at, at - high), 0)
+    return _widened((off * off).sum(-1) < (0.6 * AMBIENT_REACH_M) ** 2, room.shape)
+
+
+def _widened(coarse: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    wide = cv2.dilate(coarse.astype(np.uint8), np.ones((3, 3), np.uint8))
+    return np.repeat(np.repeat(wide, _COARSE, 0), _COARSE, 1)[: shape[0], : shape[1]] > 0
+
+
+def _bounds(mask: np.ndarray) -> tuple[slice, slice]:
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def _draw_over(
+    out: np.ndarray,
+    eye: Eye,
+    room: Sheet,
+    sheet: Sheet,
+    surfaces: Surfaces,
+    caster: Caster,
+    room_opaque: Caster,
+    lamps: Lamps,
+) -> None:
+    """Colours of moving things into the picture; their edges are mixed with the room by coverage."""
+    width = room.shape[1]
+    casters = [room_opaque, caster]
+    reach = sheet_reach(sheet, lamps, casters, width)
+    response = response_of(sheet.points, surfaces.materials, lamps.lights, lamps.ambient_rgb)
+    colour = response.lit(reach.reshape(-1, reach.shape[-1])[sheet.seen])
+    pixel = rectangle_pixels(sheet.rows, sheet.columns, width)
+    behind = out[pixel]
+    out[pixel[sheet.seen]] = colour
+    shown = cv2.dilate(np.isfinite(sheet.depth_m).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    edge = np.flatnonzero(sheet.links.edges() & shown)
+    if not len(edge):
+        return
+    depth = room.depth_m[sheet.rows, sheet.columns].reshape(-1)[edge]
+    points, ray = subpixel_points(eye, surfaces, caster, pixel[edge], depth)
+    borrowed, found = borrowed_reach(points, edge[ray % len(edge)], sheet, reach)
+    lost = np.flatnonzero(~found)
+    if len(lost):
+        tile = sampling.tile_of(pixel[edge[ray[lost] % len(edge)]], width)
+        borrowed[lost] = reach_of(points.chosen(lost), tile, lamps.lights, casters, lamps.rays).stacked()
+    mixed = np.tile(behind[edge], (len(SUBPIXELS), 1))
+    mixed[ray] = response_of(points, surfaces.materials, lamps.lights, lamps.ambient_rgb).lit(borrowed)
+    out[pixel[edge]] = mixed.reshape(len(SUBPIXELS), -1, 3).mean(0)

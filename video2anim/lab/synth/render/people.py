@@ -1,0 +1,81 @@
+"""People and carried things as surfaces, at any moment of a shot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from video2anim.body.anny_body import shaped_body
+from video2anim.lab.synth.render.garments import borders_of, spanning
+from video2anim.lab.synth.render.picture import PERSON_ID
+from video2anim.lab.synth.render.surfaces import Surfaces, join, of_mesh, of_object
+from video2anim.lab.synth.world import Actor, Shot
+from video2anim.types.skeleton import forward_kinematics
+
+
+class Cast:
+    """The moving things of a shot: actors first, then carried things."""
+
+    def __init__(self, shot: Shot) -> None:
+        self._shot = shot
+        self._rest = [_rest_surfaces(actor) for actor in shot.actors]
+        self._spanning = [
+            spanning(rest.faces, rest.material, rest.materials, len(rest.vertices_m)) for rest in self._rest
+        ]
+        self._posed: dict[tuple[int, int], np.ndarray] = {}
+
+    def surfaces(self, frame: int, shift: float = 0.0) -> Surfaces:
+        """All of them at a frame, `shift` frames later (between -1 and 1; blended linearly)."""
+        pieces = [self.actor_surfaces(n, frame, shift) for n in range(len(self._shot.actors)) if self._here(n, frame)]
+        for moving in self._shot.moving:
+            here = moving.T_world_object[self._clamped(frame)]
+            other = moving.T_world_object[self._clamped(frame + int(np.sign(shift)))]
+            blended = of_object(moving.thing, here)
+            if shift:
+                goal = of_object(moving.thing, other).vertices_m
+                blended = blended.moved(blended.vertices_m + abs(shift) * (goal - blended.vertices_m))
+            pieces.append(blended)
+        return join(pieces)
+
+    def actor_surfaces(self, number: int, frame: int, shift: float = 0.0) -> Surfaces:
+        """One actor."""
+        vertices = self._vertices(number, frame)
+        if shift:
+            other = self._vertices(number, self._clamped(frame + int(np.sign(shift))))
+            vertices = vertices + abs(shift) * (other - vertices)
+        return self._rest[number].moved(vertices, self._spanning[number])
+
+    def _here(self, number: int, frame: int) -> bool:
+        return bool(self._shot.actors[number].motion.valid[frame])
+
+    def _clamped(self, frame: int) -> int:
+        return min(max(frame, 0), self._shot.frame_count - 1)
+
+    def _vertices(self, number: int, frame: int) -> np.ndarray:
+        """(V, 3) skinned vertices in the world; the last few frames are kept."""
+        key = (number, frame)
+        if key not in self._posed:
+            motion = self._shot.actors[number].motion
+            joints, R_world_joint = forward_kinematics(
+                motion.R_parent_joint[frame : frame + 1],
+                motion.T_world_root[frame : frame + 1, :3, 3],
+                motion.rest_joints_m,
+            )
+            while len(self._posed) >= 3 * len(self._shot.actors):
+                del self._posed[next(iter(self._posed))]
+            self._posed[key] = shaped_body(motion.shape).vertices(R_world_joint, joints)[0]
+        return self._posed[key]
+
+
+def _rest_surfaces(actor: Actor) -> Surfaces:
+    """An actor's body at rest; textures are evaluated here."""
+    body = shaped_body(actor.motion.shape)
+    return of_mesh(
+        body.rest_vertices_m,
+        body.faces,
+        body.rest_vertices_m,
+        smooth=True,
+        object_id=PERSON_ID + actor.motion.person_id,
+        face_material=actor.face_material,
+        materials=actor.materials,
+        borders=borders_of(body.faces, actor.face_material, actor.materials, len(body.rest_vertices_m)),
+    )

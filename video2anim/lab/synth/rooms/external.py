@@ -1,0 +1,110 @@
+"""External meshes (GLB, OBJ, PLY) as things of a room."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import UInt8
+from trimesh.visual import ColorVisuals, TextureVisuals
+
+from video2anim.errors import InputError
+from video2anim.lab.synth.world import CLUTTER_LABELS, FURNITURE_LABELS, Material, Part, SceneObject, Surface
+
+SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
+SMALLEST_M = 0.02
+LARGEST_M = 4.0
+"""A thing with a greatest extent outside this range is not in metres, or no thing of a room."""
+_FLATTEST_M = 0.002
+_NO_COLOR = (0.62, 0.60, 0.57)
+
+
+def load_meshes(folder: Path) -> tuple[SceneObject, ...]:
+    """All meshes of a folder, by name: metres, +Y up, put on y = 0 with the origin under the middle.
+
+    Vertex colours are kept; a texture or face colours are baked into the vertices. The label is the first class named
+    at the start of the file's name (`chair_oak.glb` is a chair), else `mesh`.
+
+    Raises:
+        InputError: no such folder, none of its files is a mesh, or one is unreadable, empty, flat or of a size that is
+            not a thing's in metres.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: wanted a folder with GLB, OBJ or PLY meshes, but there is none; check the path")
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    if not paths:
+        raise InputError(f"{folder}: wanted GLB, OBJ or PLY meshes, found none in the folder")
+    return tuple(load_mesh(path) for path in paths)
+
+
+def load_mesh(path: Path) -> SceneObject:
+    """One file; see `load_meshes`."""
+    meshes = _read(path)
+    points = np.concatenate([np.asarray(mesh.vertices, float)[np.unique(mesh.faces)] for mesh in meshes])
+    if not np.isfinite(points).all():
+        raise InputError(f"{path}: mesh has coordinates that are no numbers; export it again")
+    low, high = points.min(0), points.max(0)
+    extent = high - low
+    if extent.max() > LARGEST_M or extent.max() < SMALLEST_M:
+        raise InputError(
+            f"{path}: mesh is {extent.max():.3g} units long, but things of {SMALLEST_M:g} to {LARGEST_M:g} m are "
+            f"wanted; export it in metres"
+        )
+    if extent.min() < _FLATTEST_M:
+        raise InputError(f"{path}: mesh is flat ({1000 * extent.min():.2g} mm thick); a solid thing is wanted")
+    origin = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
+    parts = tuple(_part(mesh, origin) for mesh in meshes)
+    top = Surface("top", float(extent[1]), (0.0, 0.0), (float(extent[0]), float(extent[2])))
+    label = _label(path.stem)
+    surfaces = (top,) if label in ("table", "desk", "box", "cabinet") else ()
+    return SceneObject(1, label, parts, np.eye(4), surfaces, f"file {path.name}")
+
+
+def _read(path: Path) -> list[trimesh.Trimesh]:
+    """Meshes of a file, in its scene's frame."""
+    logger = logging.getLogger("trimesh")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)  # what is wrong is said once, by the error below
+    try:
+        scene = trimesh.load_scene(path)
+        meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    except Exception as error:  # readers of broken files raise anything
+        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        raise InputError(f"{path}: cannot be read as a mesh ({reason}); export it again as GLB, OBJ or PLY") from error
+    finally:
+        logger.setLevel(level)
+    if not meshes:
+        raise InputError(f"{path}: holds no triangles; export the mesh again")
+    return meshes
+
+
+def _part(mesh: trimesh.Trimesh, origin: np.ndarray) -> Part:
+    faces = np.asarray(mesh.faces, np.int64)
+    if mesh.is_watertight and mesh.volume < 0:
+        faces = faces[:, ::-1].copy()
+    material = Material("plain", _NO_COLOR, _NO_COLOR)
+    return Part(np.asarray(mesh.vertices, float) - origin, faces, material, False, _vertex_rgb(mesh))
+
+
+def _vertex_rgb(mesh: trimesh.Trimesh) -> UInt8[np.ndarray, "vertices 3"]:
+    plain = np.full((len(mesh.vertices), 3), np.round(255 * np.array(_NO_COLOR)), np.uint8)
+    visual = mesh.visual
+    try:
+        colors = visual.to_color() if isinstance(visual, TextureVisuals) else visual
+        if not isinstance(colors, ColorVisuals) or colors.kind is None:
+            return plain
+        rgb = np.asarray(colors.vertex_colors)[:, :3]
+    except (AttributeError, ValueError, IndexError, TypeError):  # a texture that is not there
+        return plain
+    return np.asarray(rgb, np.uint8) if len(rgb) == len(plain) else plain
+
+
+def _label(stem: str) -> str:
+    words = stem.lower().replace("-", "_").replace(" ", "_").split("_")
+    for label in (*FURNITURE_LABELS, *CLUTTER_LABELS):
+        if words[0].rstrip("0123456789") == label:
+            return label
+    return "mesh"

@@ -1,0 +1,53 @@
+"""Skin that keyframes are judged by: samples of the whole body, and of the parts that may touch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.body.anny_body import ShapedBody
+from video2anim.geometry.sampling import farthest_points
+from video2anim.types import BodyMotion
+from video2anim.types.skeleton import TOUCHING_PARTS, forward_kinematics
+
+TOUCHING = tuple(TOUCHING_PARTS.values())
+"""Parts that are pulled to a surface."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinPoints:
+    """Sampled skin of every frame, world frame."""
+
+    spread_m: Float[np.ndarray, "frames spread 3"]
+    parts_m: dict[int, Float[np.ndarray, "frames part 3"]]
+    """By contact joint."""
+
+    def touching_m(self, joints: tuple[int, ...]) -> Float[np.ndarray, "frames vertices 3"]:
+        """Skin of parts that touch as one."""
+        return np.concatenate([self.parts_m[joint] for joint in joints], axis=1)
+
+
+class SkinSample:
+    """Which vertices of a body are looked at."""
+
+    def __init__(self, body: ShapedBody, *, spread: int, per_part: int) -> None:
+        """Choose `spread` vertices of the whole body and up to `per_part` of each part that may touch."""
+        self._body = body
+        self._spread = farthest_points(body.rest_vertices_m, spread)
+        self._parts: dict[int, np.ndarray] = {}
+        for joint in (joint for joints in TOUCHING for joint in joints):
+            members = np.flatnonzero(body.vertex_part == joint)
+            self._parts[joint] = members[farthest_points(body.rest_vertices_m[members], per_part)]
+
+    def on(self, motion: BodyMotion) -> SkinPoints:
+        """The chosen vertices of a motion's every frame."""
+        index = np.concatenate([self._spread, *self._parts.values()])
+        root_m = motion.T_world_root[:, :3, 3]
+        # Skinned about the root and moved after: single precision is lost far from the origin.
+        joints_m, R_world_joint = forward_kinematics(motion.R_parent_joint, np.zeros_like(root_m), motion.rest_joints_m)
+        skin_m = self._body.vertices(R_world_joint, joints_m, index).astype(np.float64) + root_m[:, None]
+        ends = np.cumsum([len(self._spread), *(len(part) for part in self._parts.values())])
+        spread_m, *parts_m = np.split(skin_m, ends[:-1], axis=1)
+        return SkinPoints(spread_m, dict(zip(self._parts, parts_m, strict=True)))

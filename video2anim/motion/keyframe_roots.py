@@ -1,0 +1,172 @@
+"""How far keyframes' roots go along their lines of sight, from five losses (paper 8.2): the maths behind the keyframes
+stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from video2anim.geometry.chamfer import huber_of_square
+from video2anim.geometry.sdf import SdfGrid
+from video2anim.geometry.torch_threads import one_thread
+from video2anim.motion.keyframe_depth import DepthLoss, DepthTarget
+
+
+@dataclass(frozen=True, slots=True)
+class RootWeights:
+    """Weights of the losses, all of which are mean squares in m^2."""
+
+    regularization: float
+    contact: float
+    penetration: float
+    displacement_change: float
+    acceleration: float
+    depth: float
+    huber_m: float
+    contact_points: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactPart:
+    """Skin of what touches as one, at the keyframes where it touches."""
+
+    joints: tuple[int, ...]
+    keyframe: Int[np.ndarray, "touches"]
+    """Rows of `RootProblem.frame`."""
+    skin_m: Float[np.ndarray, "touches vertices 3"]
+    probability: Float[np.ndarray, "touches"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RootProblem:
+    """One person's keyframes, world frame."""
+
+    frame: Int[np.ndarray, "keyframes"]
+    frame_root_m: Float[np.ndarray, "frames 3"]
+    """Root of every frame of the clip."""
+    direction: Float[np.ndarray, "keyframes 3"]
+    """Unit vectors from the camera to the keyframes' roots."""
+    skin_m: Float[np.ndarray, "points 3"]
+    """Vertices to be kept out of solids, of keyframes and of frames between them."""
+    skin_frame: Int[np.ndarray, "points"]
+    """Frame of each of them."""
+    contacts: tuple[ContactPart, ...]
+    depth: tuple[DepthTarget, ...]
+    scene: SdfGrid
+
+
+@one_thread()
+def solve_along(
+    problem: RootProblem, weights: RootWeights, *, iterations: int, learning_rate_m: float
+) -> Float[np.ndarray, "keyframes"]:
+    """Ways along the lines of sight (metres) that minimize the weighted losses: Adam from zero, step size falling along
+    a cosine."""
+    losses = _Losses(problem, weights)
+    along_m = torch.zeros(len(problem.frame), 1, requires_grad=True)
+    optimizer = torch.optim.Adam([along_m], lr=learning_rate_m)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, T_max=max(1, iterations))
+    for _ in range(iterations):
+        optimizer.zero_grad()
+        losses(along_m).backward()
+        optimizer.step()
+        schedule.step()
+    return along_m.detach().numpy()[:, 0].astype(np.float64)
+
+
+def contact_distance_m(
+    skin_m: Float[np.ndarray, "touches vertices 3"], scene: SdfGrid, points: int
+) -> Float[np.ndarray, "touches"]:
+    """Signed distance of a touching part to the scene: mean over its `points` deepest vertices."""
+    return np.sort(scene.sample(skin_m), axis=1)[:, :points].mean(axis=1)
+
+
+class _Losses:
+    """Weighted sum of the five losses as a function of ways along the sight (K, 1)."""
+
+    def __init__(self, problem: RootProblem, weights: RootWeights) -> None:
+        self.weights, self.problem = weights, problem
+        self.direction = _tensor(problem.direction)
+        self.root_m, self.skin_m = _tensor(problem.frame_root_m[problem.frame]), _tensor(problem.skin_m)
+        frames, rows = np.unique(problem.skin_frame, return_inverse=True)
+        self.frames, self.skin_row = max(len(frames), 1), torch.as_tensor(rows)
+        self.skin_place = _between(problem.frame, problem.skin_frame)
+        steps = np.diff(problem.frame).astype(np.float64)
+        self.step = _tensor(steps / np.median(steps) if len(steps) else steps)
+        self.contacts = [
+            (torch.as_tensor(part.keyframe), _tensor(part.skin_m), _tensor(part.probability))
+            for part in problem.contacts
+        ]
+        self.depth = DepthLoss(problem.depth, huber_m=weights.huber_m) if problem.depth and weights.depth else None
+        if self.depth:
+            frame = np.concatenate([np.full(len(target.visible_m), target.frame) for target in problem.depth])
+            self.visible_m = _tensor(np.concatenate([target.visible_m for target in problem.depth]))
+            self.visible_place = _between(problem.frame, frame)
+
+    def __call__(self, along_m: torch.Tensor) -> torch.Tensor:
+        w, displacement_m = self.weights, along_m * self.direction
+        total = w.regularization * (along_m**2).mean()
+        total = total + w.penetration * self._penetration(displacement_m)
+        if self.contacts:
+            total = total + w.contact * self._contact(displacement_m)
+        if len(displacement_m) > 1:
+            total = total + w.displacement_change * self._change(displacement_m)
+        if len(displacement_m) > 2:
+            total = total + w.acceleration * self._acceleration(displacement_m)
+        if self.depth:
+            total = total + w.depth * self.depth(self.visible_m + _at(displacement_m, self.visible_place))
+        return total
+
+    def _penetration(self, displacement_m: torch.Tensor) -> torch.Tensor:
+        """Mean over frames of the mean squared depth of the vertices that are inside."""
+        inside_m = torch.relu(-self.problem.scene.sample(self.skin_m + _at(displacement_m, self.skin_place)))
+        square, count = torch.zeros(self.frames), torch.zeros(self.frames)
+        square = square.index_add(0, self.skin_row, inside_m**2)
+        count = count.index_add(0, self.skin_row, (inside_m > 0).float())
+        return (square / count.clamp(min=1)).mean()
+
+    def _contact(self, displacement_m: torch.Tensor) -> torch.Tensor:
+        """Mean over all touches, weighed by probability, of the Huber cost of the part's distance."""
+        costs, weights = [], []
+        for keyframe, skin_m, probability in self.contacts:
+            distance_m = self.problem.scene.sample(skin_m + displacement_m[keyframe][:, None])
+            count = min(self.weights.contact_points, distance_m.shape[1])
+            nearest_m = distance_m.topk(count, dim=1, largest=False).values.mean(dim=1)
+            costs.append(probability * huber_of_square(nearest_m**2, self.weights.huber_m))
+            weights.append(probability)
+        return torch.cat(costs).sum() / torch.cat(weights).sum()
+
+    def _change(self, move_m: torch.Tensor) -> torch.Tensor:
+        """Mean squared difference of consecutive moves, per usual keyframe step."""
+        return ((move_m.diff(dim=0) / self.step[:, None]) ** 2).sum(-1).mean()
+
+    def _acceleration(self, displacement_m: torch.Tensor) -> torch.Tensor:
+        """Mean squared second difference of the displaced roots, in meters per usual keyframe step squared."""
+        velocity = (self.root_m + displacement_m).diff(dim=0) / self.step[:, None]
+        span = 0.5 * (self.step[1:] + self.step[:-1])
+        return ((velocity.diff(dim=0) / span[:, None]) ** 2).sum(-1).mean()
+
+
+_Place = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+"""Rows of the keyframes around each frame (N,) (N,), and its place between them (N, 1) from 0 to 1."""
+
+
+def _at(move_m: torch.Tensor, place: _Place) -> torch.Tensor:
+    """Move (N, D) at frames between keyframes, linear in time."""
+    left, right, weight = place
+    before, after = move_m.index_select(0, left), move_m.index_select(0, right)
+    return before + weight * (after - before)
+
+
+def _between(keyframes: Int[np.ndarray, "keyframes"], frames: Int[np.ndarray, "points"]) -> _Place:
+    right = np.clip(np.searchsorted(keyframes, frames), 0, len(keyframes) - 1)
+    left = np.maximum(right - 1, 0)
+    span = np.maximum(keyframes[right] - keyframes[left], 1)
+    place = np.clip((frames - keyframes[left]) / span, 0.0, 1.0)
+    return torch.as_tensor(left), torch.as_tensor(right), _tensor(place[:, None])
+
+
+def _tensor(array: np.ndarray) -> torch.Tensor:
+    return torch.as_tensor(np.asarray(array), dtype=torch.float32)

@@ -1,0 +1,146 @@
+"""BlazePose: 33 landmarks in pixels and metres, and a person mask, from a crop around one person.
+
+Tensor contract of pose_landmark_{full,heavy}.tflite: input (1, 256, 256, 3) RGB in [0, 1]; outputs
+(1, 195) = 39 x (x, y, z in input pixels, visibility logit, presence logit); (1, 1) probability that a person is there;
+(1, 256, 256, 1) mask logits; (1, 64, 64, 39) heat maps; (1, 117) = 39 x (x, y, z) metres, origin between the hips, in
+the crop's axes. Landmarks 33 and 34 are the centre and the rim of the circle that makes the next crop.
+Source: the public pose_landmark graph of MediaPipe.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from video2anim.errors import ModelMissingError
+from video2anim.networks.blazepose_detector import BlazePoseDetector, Detections
+from video2anim.networks.roi import SquareRoi
+from video2anim.networks.tflite import TfliteNet
+
+LANDMARKS = 33
+_ALL = 39
+_CENTER, _RIM = 33, 34
+_MASK_SIZE = 64
+_HEATMAP_KERNEL = 7
+_HEATMAP_MIN = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseEstimate:
+    """What the network says of one crop."""
+
+    presence: float
+    """Probability that the crop shows a person."""
+    landmarks_px: Float[np.ndarray, "33 2"]
+    """In the picture's pixels."""
+    landmarks_m: Float[np.ndarray, "33 3"]
+    """Metres, origin between the hips, axes of the picture (x right, y down, z away)."""
+    visibility: Float[np.ndarray, "33"]
+    """Probability that the landmark is in the picture and not hidden."""
+    mask_crop: UInt8[np.ndarray, "64 64"]
+    """Person probability x 255 in the crop."""
+    roi: SquareRoi
+    """The crop looked at."""
+    next_roi: SquareRoi
+    """The crop that fits the person found."""
+
+    def box_px(self) -> Float[np.ndarray, "4"]:
+        """x0, y0, x1, y1 around the landmarks."""
+        return np.concatenate([self.landmarks_px.min(axis=0), self.landmarks_px.max(axis=0)])
+
+
+class BlazePose:
+    """Detector and landmark network together."""
+
+    def __init__(self, path: Path, detector_path: Path) -> None:
+        """Load the weights of the landmark network and of the detector.
+
+        Raises:
+            ModelMissingError: a file is not that network.
+        """
+        self._net = TfliteNet(path)
+        side = self._net.input_size_px
+        wanted = (
+            (1, _ALL * 5),
+            (1, 1),
+            (1, side, side, 1),
+            (1, side // 4, side // 4, _ALL),
+            (1, _ALL * 3),
+        )
+        if self._net.output_shapes != wanted:
+            raise ModelMissingError(f"{path}: want outputs {wanted}, got {self._net.output_shapes}")
+        self._detector = BlazePoseDetector(detector_path)
+
+    def detect(self, image: UInt8[np.ndarray, "height width 3"], *, min_score: float = 0.5) -> Detections:
+        """People who fill a good part of the picture."""
+        return self._detector.detect(image, min_score=min_score)
+
+    def estimate(self, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate:
+        """Landmarks of the person in the square."""
+        side = self._net.input_size_px
+        crop = roi.crop(image, side)
+        points, presence, mask_logit, heatmaps, world = self._net(crop.astype(np.float32) / 255.0)
+        points_crop, visibility = decode_landmarks(points[0], side)
+        points_crop = refine_by_heatmap(points_crop, heatmaps[0])
+        points_px = roi.to_pixels(points_crop)
+        mask = cv2.resize(_sigmoid(mask_logit[0, :, :, 0]), (_MASK_SIZE, _MASK_SIZE), interpolation=cv2.INTER_AREA)
+        return PoseEstimate(
+            presence=float(presence[0, 0]),
+            landmarks_px=points_px[:LANDMARKS],
+            landmarks_m=turn_world(world[0].reshape(_ALL, 3)[:LANDMARKS], roi.rotation_rad),
+            visibility=visibility[:LANDMARKS],
+            mask_crop=np.rint(mask * 255.0).astype(np.uint8),
+            roi=roi,
+            next_roi=SquareRoi.from_circle(points_px[_CENTER], points_px[_RIM]),
+        )
+
+
+def roi_of_detection(found: Detections, index: int) -> SquareRoi:
+    """First crop of a detected person: the full-body circle."""
+    return SquareRoi.from_circle(found.keypoints_px[index, 0], found.keypoints_px[index, 1])
+
+
+def decode_landmarks(
+    values: Float[np.ndarray, "195"], input_size: int
+) -> tuple[Float[np.ndarray, "39 2"], Float[np.ndarray, "39"]]:
+    """Landmarks in crop coordinates [0, 1] and their visibility (hidden or outside the picture = 0)."""
+    rows = values.astype(np.float64).reshape(_ALL, 5)
+    return rows[:, :2] / input_size, _sigmoid(rows[:, 3])
+
+
+def refine_by_heatmap(
+    points_crop: Float[np.ndarray, "39 2"], heatmap_logits: Float[np.ndarray, "rows columns 39"]
+) -> Float[np.ndarray, "39 2"]:
+    """Move each landmark to the centre of mass of its heat map nearby, where the map is sure of one."""
+    rows, columns, _ = heatmap_logits.shape
+    refined = points_crop.copy()
+    reach = _HEATMAP_KERNEL // 2
+    for k, (x, y) in enumerate(points_crop):
+        column, row = math.floor(x * columns), math.floor(y * rows)
+        if not (0 <= column < columns and 0 <= row < rows):
+            continue
+        r0, r1 = max(0, row - reach), min(rows, row + reach + 1)
+        c0, c1 = max(0, column - reach), min(columns, column + reach + 1)
+        weight = _sigmoid(heatmap_logits[r0:r1, c0:c1, k].astype(np.float64))
+        if weight.max() < _HEATMAP_MIN:
+            continue
+        total = weight.sum()
+        refined[k, 0] = weight.sum(axis=0) @ np.arange(c0, c1) / total / columns
+        refined[k, 1] = weight.sum(axis=1) @ np.arange(r0, r1) / total / rows
+    return refined
+
+
+def turn_world(landmarks_crop_m: Float[np.ndarray, "n 3"], rotation_rad: float) -> Float[np.ndarray, "n 3"]:
+    """World landmarks from the crop's axes to the picture's: turn about the viewing axis."""
+    cos, sin = math.cos(rotation_rad), math.sin(rotation_rad)
+    R_image_crop = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return landmarks_crop_m.astype(np.float64) @ R_image_crop.T
+
+
+def _sigmoid(logit: np.ndarray) -> np.ndarray:
+    return 1.0 / (1.0 + np.exp(-np.clip(logit, -60.0, 60.0)))

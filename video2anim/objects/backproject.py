@@ -1,0 +1,65 @@
+"""Depth of one thing and the pixels that show it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from video2anim.geometry.masks import shrunk
+from video2anim.geometry.projection import backproject, transform_points
+from video2anim.objects.foreground import inverse_background, thing_pixels
+from video2anim.types import InstanceMasks, MetricDepth
+from video2anim.types.camera import Intrinsics
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiftedThing:
+    """One thing at the size of the depth map."""
+
+    own: Bool[np.ndarray, "height width"]
+    """Its visible pixels."""
+    shows: Bool[np.ndarray, "height width"]
+    """Those with depth that show the thing itself."""
+    depth_m: Float[np.ndarray, "height width"]
+    """Of the whole picture."""
+    points_world_m: Float[np.ndarray, "points 3"]
+    """Of the pixels in `shows`."""
+
+
+class ThingLifter:
+    """Lifts the things of one picture."""
+
+    def __init__(self, masks: InstanceMasks, depth: MetricDepth) -> None:
+        height, width = depth.background_depth_m.shape
+        body = depth.bodies.people[0]
+        self.T_world_camera: Float[np.ndarray, "4 4"] = body.T_world_camera[0]
+        self.lens: Intrinsics = body.intrinsics.resized(width, height)
+        self.known: Bool[np.ndarray, "height width"] = depth.background_valid
+        self.floor: Bool[np.ndarray, "height width"] = shrunk(masks.floor_mask, (height, width))
+        self._depth_m = depth.background_depth_m.astype(np.float64)
+        self._masks = {i.object_id: shrunk(i.mask, (height, width)) for i in masks.instances}
+
+    def own(self, object_id: int) -> Bool[np.ndarray, "height width"]:
+        """Visible pixels of a thing."""
+        return self._masks[object_id]
+
+    def lift(self, object_id: int) -> LiftedThing:
+        """The thing's depth."""
+        own = self._masks[object_id]
+        shows = thing_pixels(own, self.known, self._depth_m, self.T_world_camera, self.lens, self._behind)
+        return LiftedThing(own, shows, self._depth_m, self.world_m()[shows])
+
+    def world_m(self) -> Float[np.ndarray, "height width 3"]:
+        """World points of all pixels."""
+        camera_m = backproject(self._depth_m, self.lens)
+        return transform_points(self.T_world_camera, camera_m.reshape(-1, 3)).reshape(camera_m.shape)
+
+    @cached_property
+    def _behind(self) -> Float[np.ndarray, "height width"] | None:
+        things = np.zeros(self.known.shape, bool)
+        for mask in self._masks.values():
+            things |= mask
+        return inverse_background(self._depth_m, self.known, things, self.floor)

@@ -1,0 +1,261 @@
+"""Supports that must be there: where a part of the body rested for a while and the scene has no surface near."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.contact import LIKELY, believed, posed_vertices, skin_of
+from video2anim.geometry.scene_mesh import box_mesh, world_mesh
+from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
+from video2anim.scene.free_space import passed_through
+from video2anim.types.motion import BodyMotion, BodyTracks
+from video2anim.types.scene import Mesh
+from video2anim.types.skeleton import JOINT_INDEX, PARENTS, TOUCHING_PARTS, forward_kinematics
+
+SUPPORT = "support"
+"""Label of solids that are known by what rested on them alone."""
+KINDS: dict[str, tuple[str, ...]] = {
+    "seat": ("seat",), "back": ("back",), "left hand": ("left hand",), "right hand": ("right hand",),
+    "feet": ("left foot", "right foot"),
+}  # fmt: skip
+"""Parts that may share a support."""
+_FACING = {
+    "seat": (0, -1, 0),
+    "back": (0, 0, -1),
+    "left hand": (0, -1, 0),
+    "right hand": (0, -1, 0),
+    "feet": (0, -1, 0),
+}
+"""Where the touching skin faces in the frame of the part's first joint: palms look down in the T-pose."""
+_LEVEL = ("seat", "feet")
+"""These rest on level surfaces, whatever way their skin faces."""
+_LEVEL_DEG = 45.0
+"""So do others that face down within this: a palm on a table."""
+LEAST_FRAMES = 8
+"""A rest lasts at least so long (0.27 s); shorter ones are flickers of the contact."""
+_LINK_M = 0.8
+"""Rests whose places are within a stride of each other use one support..."""
+_LINK_LEVEL_M = 0.2
+"""...if they are as high (or as far along the slab's normal) within what one camera leaves open."""
+_PATCH_M = 0.03
+"""Skin no farther than this from the part's foremost touches too."""
+_MARGIN_M = 0.1
+"""A support reaches a hand's width beyond the skin on it."""
+_SLABS = ((0.1, _MARGIN_M), (0.1, 0.05), (0.05, 0.05))
+"""Thickness and margin (m) of what cannot reach down to the floor, since legs pass there."""
+_CROSSED_RATIO = 1.0
+"""A support that bodies pass through in as many frames as rest on it is not there."""
+_CROSSED_M, _CROSSED_SHARE = 0.01, 0.002
+"""They pass through where so much of their skin (of a calf: a hand's width of its height) is so deep in it."""
+
+_ABOVE_FLOOR_M = 0.1
+"""What rests lower rests on the floor, within what one camera leaves open."""
+_INNER = tuple(
+    JOINT_INDEX[name] for name in (
+        "pelvis", "left_hip", "right_hip", "left_knee", "right_knee", "spine1", "spine2", "spine3", "neck", "head",
+    )
+)  # fmt: skip
+"""Joints of trunk, hips, knees and head; hands and feet touch things."""
+_EVERY = 5
+"""Frames from one look at where bodies are to the next."""
+_SAME_M = 0.1
+"""A part this near the distance that it has when it rests may rest there, though the picture does not say so."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """A part that did not move for a while."""
+
+    frames: int
+    normal: Float[np.ndarray, "3"]
+    """Out of the surface, into the body."""
+    level: bool
+    patch_m: Float[np.ndarray, "points 3"]
+    """Touching skin of all its frames."""
+    nearest_m: Float[np.ndarray, "frames 3"]
+    """Foremost skin point of each frame."""
+    joint_m: Float[np.ndarray, "frames 3"]
+    """The part's joint."""
+
+    @property
+    def place_m(self) -> Float[np.ndarray, "3"]:
+        return np.median(self.nearest_m, axis=0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Support:
+    """A surface on which a part of somebody rested."""
+
+    kind: str
+    T_world_top: Float[np.ndarray, "4 4"]
+    """Middle of the touched patch; y points out of the surface."""
+    size_m: Float[np.ndarray, "2"]
+    """Extent of the touching skin along x and z of that frame."""
+    level: bool
+    nearest_m: Float[np.ndarray, "frames 3"]
+    """Foremost skin point of each frame that speaks for it."""
+    over_m: float
+    """How far the part's joint is from the surface when it rests there."""
+
+    @property
+    def top_m(self) -> float:
+        return float(self.T_world_top[1, 3])
+
+    @property
+    def footprint_m(self) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+        """Corners in world x and z of a level one, with a margin."""
+        middle, half = self.T_world_top[[0, 2], 3], 0.5 * self.size_m + _MARGIN_M
+        return middle - half, middle + half
+
+    def gaps_m(self, solids: Sequence[Mesh], *, reach_m: float) -> Float[np.ndarray, "frames"]:
+        """Distance from the resting skin to the floor or the nearest solid within reach."""
+        bounds_m = np.stack([self.nearest_m.min(0) - reach_m, self.nearest_m.max(0) + reach_m])
+        near = [
+            one
+            for one in solids
+            if (one.vertices_m.min(0) < bounds_m[1]).all() and (one.vertices_m.max(0) > bounds_m[0]).all()
+        ]
+        spacing_m = max(0.04, float(np.ptp(bounds_m, axis=0).max()) / 60)
+        return build_sdf_grid(near, bounds_m, spacing_m, reach_m=reach_m).sample(self.nearest_m)
+
+    def solid(self, thickness_m: float, margin_m: float) -> tuple[Mesh, Float[np.ndarray, "4 4"]]:
+        """A box with that top, resting on y = 0 of its own frame, and the pose of that frame in the world."""
+        T_world_box = self.T_world_top.copy()
+        T_world_box[:3, 3] -= thickness_m * T_world_box[:3, 1]
+        width_m, depth_m = self.size_m + 2 * margin_m
+        return box_mesh(float(width_m), thickness_m, float(depth_m)), T_world_box
+
+
+def rested_places(motion: BodyMotion, body: ShapedBody) -> list[Support]:
+    """Surfaces that parts of a person rested on, whether the scene has them or not; rests at one place are one."""
+    found = []
+    contact = believed(motion, body)
+    for kind, parts in KINDS.items():
+        rests: list[Rest] = []
+        for joints in (TOUCHING_PARTS[part] for part in parts):
+            rests += _rests(motion, body, contact[:, list(joints)].max(1), kind, joints)
+        found += [_support(kind, group) for group in _at_one_place(rests)]
+    return found
+
+
+def rested_and_inner_m(
+    bodies: BodyTracks,
+) -> tuple[Float[np.ndarray, "rests 3"], Float[np.ndarray, "inner 3"]]:
+    """Skin of all people where it rested above the floor, and joints deep in their bodies, where no thing is."""
+    rested = [
+        place.nearest_m[place.nearest_m[:, 1] > _ABOVE_FLOOR_M]
+        for motion in bodies.people
+        for place in rested_places(motion, shaped_body(motion.shape))
+    ]
+    inner = [motion.joints_world_m[motion.valid][::_EVERY][:, list(_INNER)].reshape(-1, 3) for motion in bodies.people]
+    return np.concatenate([np.zeros((0, 3)), *rested]), np.concatenate([np.zeros((0, 3)), *inner])
+
+
+def standing_solid(
+    support: Support, people: Sequence[tuple[BodyMotion, ShapedBody]]
+) -> tuple[Mesh, Float[np.ndarray, "4 4"]] | None:
+    """The support's solid and pose: down to the floor, else a slab, if bodies pass free space only; else None.
+
+    Args:
+        people: everybody who may pass there.
+    """
+    shapes = [(support.top_m, _MARGIN_M)] if support.level else []
+    for thickness_m, margin_m in (*shapes, *_SLABS):
+        mesh, T_world_box = support.solid(min(thickness_m, support.top_m) if support.level else thickness_m, margin_m)
+        solid = world_mesh(mesh, T_world_box, 1.0)
+        bounds_m = np.stack([solid.vertices_m.min(0) - 0.1, solid.vertices_m.max(0) + 0.1])
+        field = build_sdf_grid([solid], bounds_m, max(0.02, float(np.ptp(bounds_m, axis=0).max()) / 60), floor_y_m=None)
+        crossed = sum(_crossed_frames(field, support, *one) for one in people)
+        if crossed < _CROSSED_RATIO * len(support.nearest_m):
+            return mesh, T_world_box
+    return None
+
+
+def _crossed_frames(solid: SdfGrid, support: Support, motion: BodyMotion, body: ShapedBody) -> int:
+    """Frames in which somebody is inside, not counting what rests on top: the part and the joints beside it, while the
+    part is as far from the surface as when it rests."""
+    joints = [joint for part in KINDS[support.kind] for joint in TOUCHING_PARTS[part]]
+    beside = [*joints, *PARENTS[joints], *np.flatnonzero(np.isin(PARENTS, joints))]
+    normal, top_m = support.T_world_top[:3, 1], support.T_world_top[:3, 3]
+    over_m = (motion.joints_world_m[:, joints[0]] - top_m) @ normal
+    at_rest = np.abs(over_m - support.over_m) < _SAME_M
+    inside = sum(
+        passed_through(
+            solid, replace(motion, valid=motion.valid & chosen), body,
+            deep_m=_CROSSED_M, share=_CROSSED_SHARE, resting=resting,
+        ).sum()
+        for chosen, resting in ((at_rest, beside), (~at_rest, ()))
+    )  # fmt: skip
+    # Every second frame is looked at.
+    return 2 * int(inside)
+
+
+def _rests(
+    motion: BodyMotion, body: ShapedBody, contact: Float[np.ndarray, "frames"], kind: str, joints: tuple[int, ...]
+) -> Iterator[Rest]:
+    """Stretches in which a part is in contact."""
+    for frames in _stretches(contact > LIKELY):
+        if len(frames) < LEAST_FRAMES:
+            continue
+        joints_m, R_world_joint = forward_kinematics(
+            motion.R_parent_joint[frames], motion.T_world_root[frames, :3, 3], motion.rest_joints_m
+        )
+        facing = (R_world_joint[:, joints[0]] @ np.array(_FACING[kind], np.float64)).mean(0)
+        facing /= max(float(np.linalg.norm(facing)), 1e-9)
+        level = kind in _LEVEL or -facing[1] > np.cos(np.deg2rad(_LEVEL_DEG))
+        if not level and facing[1] > np.cos(np.deg2rad(_LEVEL_DEG)):
+            continue  # Nothing rests against what is above it.
+        facing = np.array([0.0, -1.0, 0.0]) if level else facing
+        skin_m = posed_vertices(motion, body, skin_of(body, joints), frames)
+        ahead_m = skin_m @ facing
+        foremost = ahead_m.argmax(1)
+        patch = ahead_m > ahead_m.max(1, keepdims=True) - _PATCH_M
+        nearest_m = skin_m[np.arange(len(frames)), foremost]
+        yield Rest(len(frames), -facing, level, skin_m[patch], nearest_m, joints_m[:, joints[0]])
+
+
+def _stretches(chosen: Bool[np.ndarray, "frames"]) -> list[Int[np.ndarray, "some"]]:
+    """Runs of consecutive frames."""
+    index = np.flatnonzero(chosen)
+    return np.split(index, np.flatnonzero(np.diff(index) > 1) + 1) if len(index) else []
+
+
+def _at_one_place(rests: list[Rest]) -> list[list[Rest]]:
+    """Groups of rests that are linked by nearness: along the surface, and in its height."""
+    groups: list[list[Rest]] = []
+    for rest in rests:
+        near = [group for group in groups if any(_linked(rest, other) for other in group)]
+        groups = [group for group in groups if group not in near] + [[rest, *(one for group in near for one in group)]]
+    return groups
+
+
+def _linked(one: Rest, other: Rest) -> bool:
+    way_m = other.place_m - one.place_m
+    off_m = abs(float(way_m @ one.normal))
+    along_m = float(np.linalg.norm(way_m - (way_m @ one.normal) * one.normal))
+    alike = float(one.normal @ other.normal) > np.cos(np.deg2rad(_LEVEL_DEG))
+    return one.level == other.level and alike and off_m < _LINK_LEVEL_M and along_m < _LINK_M
+
+
+def _support(kind: str, rests: list[Rest]) -> Support:
+    normal = np.sum([rest.frames * rest.normal for rest in rests], axis=0)
+    normal = normal / np.linalg.norm(normal)
+    # A level patch has the world's axes; a leaning one has x level.
+    x = np.array([1.0, 0.0, 0.0]) if rests[0].level else np.cross([0.0, 1.0, 0.0], normal)
+    x = x / np.linalg.norm(x)
+    R_world_top = np.stack([x, normal, np.cross(x, normal)], axis=1)
+    nearest_m = np.concatenate([rest.nearest_m for rest in rests])
+    patch = np.concatenate([rest.patch_m for rest in rests]) @ R_world_top
+    low, high = patch[:, [0, 2]].min(0), patch[:, [0, 2]].max(0)
+    middle = 0.5 * (low + high)
+    top_m = float(np.median(nearest_m @ normal))
+    T_world_top = np.eye(4)
+    T_world_top[:3, :3] = R_world_top
+    T_world_top[:3, 3] = R_world_top @ [middle[0], top_m, middle[1]]
+    over_m = float(np.median(np.concatenate([rest.joint_m for rest in rests]) @ normal)) - top_m
+    return Support(kind, T_world_top, high - low, rests[0].level, nearest_m, over_m)

@@ -1,8 +1,0 @@
-"""Human motion that captured data lacks, made by a seeded generator."""
-
-from video2anim.synth.acting.acts import ACTS, act
-from video2anim.synth.acting.archive import to_source_clip
-from video2anim.synth.acting.carry import CARRIES, act_carry
-from video2anim.synth.acting.join import joined
-
-__all__ = ["ACTS", "CARRIES", "act", "act_carry", "joined", "to_source_clip"]

@@ -1,8 +1,0 @@
-"""The renderer of synthetic shots: ray casting, procedural textures, soft shadows, a camera's lens and sensor."""
-
-from video2anim.synth.render.lens import distort, undistort
-from video2anim.synth.render.picture import PERSON_ID, Picture
-from video2anim.synth.render.renderer import Renderer
-from video2anim.synth.render.sensor import Sensor
-
-__all__ = ["PERSON_ID", "Picture", "Renderer", "Sensor", "distort", "undistort"]

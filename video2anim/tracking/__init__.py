@@ -1,0 +1,1 @@
+"""People from frame to frame: detection, appearance, identities."""

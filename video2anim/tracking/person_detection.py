@@ -1,0 +1,175 @@
+"""Finding every person in one picture: the detector at several zooms, then proof by the landmark network.
+
+The detector alone is not believed: it fires on chairs and trees. A person is who the landmark network confirms: high
+presence, landmarks it can see, and a crop that settles when it is fitted again and again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from video2anim.networks.blazepose import BlazePose, PoseEstimate, roi_of_detection
+from video2anim.networks.blazepose_detector import Detections, concatenate
+from video2anim.networks.roi import SquareRoi
+from video2anim.networks.tiles import square_tiles
+
+MIN_PRESENCE_NEW = 0.9
+MIN_PRESENCE_KEPT = 0.5
+MIN_VISIBILITY_NEW = 0.65
+MIN_VISIBILITY_KEPT = 0.35
+_HEAD_DOWN_RAD = math.radians(100.0)
+_MAX_FITS = 4
+_SETTLED_SHIFT = 0.06
+_SETTLED_SCALE = 0.1
+_SETTLED_TURN_RAD = 0.12
+_MIN_TILE_PX = 112
+"""Below half the detector's input a tile only magnifies blur."""
+_SAME_DISTANCE = 0.25
+_SAME_MASK_SHARE = 0.6
+_MASK_ON = 127
+_TORSO = (11, 12, 23, 24)
+_TORSO_CROSSED = (12, 11, 24, 23)
+_HIPS = (23, 24)
+
+
+def scan(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], *, min_score: float) -> list[SquareRoi]:
+    """Crops that may hold a person, best first, each body once: whole picture and square tiles at two zooms."""
+    height, width = image.shape[:2]
+    parts = [pose.detect(image, min_score=min_score)]
+    for x0, y0, side in square_tiles(width, height, least_px=_MIN_TILE_PX):
+        tile = image[y0 : y0 + side, x0 : x0 + side]
+        parts.append(pose.detect(tile, min_score=min_score).shifted(x0, y0))
+    return _distinct(concatenate(parts))
+
+
+def scan_near(
+    pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi, *, min_score: float
+) -> list[SquareRoi]:
+    """The same in one tile around a place, where somebody was lost."""
+    reach = max(roi.side_px, _MIN_TILE_PX / 2)
+    height, width = image.shape[:2]
+    x0, x1 = (int(np.clip(roi.center_x_px + d * reach, 0, width)) for d in (-1, 1))
+    y0, y1 = (int(np.clip(roi.center_y_px + d * reach, 0, height)) for d in (-1, 1))
+    if min(x1 - x0, y1 - y0) < _MIN_TILE_PX // 4:
+        return []
+    return _distinct(pose.detect(image[y0:y1, x0:x1], min_score=min_score).shifted(x0, y0))
+
+
+def confirm(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate | None:
+    """Fit the crop to the person until it settles; None where nobody convincing is there."""
+    for _ in range(_MAX_FITS):
+        found = pose.estimate(image, roi)
+        if found.presence < MIN_PRESENCE_KEPT or found.visibility.mean() < MIN_VISIBILITY_KEPT:
+            return None
+        if _settled(roi, found.next_roi):
+            sure = found.presence >= MIN_PRESENCE_NEW and found.visibility.mean() >= MIN_VISIBILITY_NEW
+            return found if sure else None
+        roi = found.next_roi
+    return None
+
+
+def follow(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate | None:
+    """The person of a known crop in the next picture; None where gone."""
+    found = pose.estimate(image, roi)
+    seen = found.presence >= MIN_PRESENCE_KEPT and found.visibility.mean() >= MIN_VISIBILITY_KEPT
+    return found if seen and _continuous(roi, found.next_roi) else None
+
+
+def head_up(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], found: PoseEstimate) -> PoseEstimate:
+    """The person seen head up, where somebody followed head down looks at least as convincing so.
+
+    The crop turns with the body, so a network that lost its way in a flip would see the person head down forever.
+    """
+    if not _is_head_down(found):
+        return found
+    other = pose.estimate(image, replace(found.next_roi, rotation_rad=0.0))
+    as_sure = other.presence >= min(found.presence, MIN_PRESENCE_NEW)
+    as_clear = float(other.visibility.mean()) >= float(found.visibility.mean())
+    return other if as_sure and as_clear and not _is_head_down(other) else found
+
+
+def _is_head_down(found: PoseEstimate) -> bool:
+    turn = found.next_roi.rotation_rad
+    return abs(np.arctan2(np.sin(turn), np.cos(turn))) > _HEAD_DOWN_RAD
+
+
+def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:
+    """Whether two estimates of one picture are about the same body.
+
+    Either their torsos coincide, or one's mask lies mostly in the other's: a crop of the wrong size makes a small ghost
+    inside a body, while masks of two people exclude each other even where one stands before the other.
+    """
+    if not boxes_meet(first.box_px(), second.box_px()):
+        return False
+    return torso_distance(first, second) < _SAME_DISTANCE or (
+        max(mask_share(first, second), mask_share(second, first)) > _SAME_MASK_SHARE
+    )
+
+
+def torso_distance(first: PoseEstimate, second: PoseEstimate) -> float:
+    """Median distance of shoulders and hips, left and right exchangeable, as a share of the smaller body's radius."""
+    torso, crossed = list(_TORSO), list(_TORSO_CROSSED)
+    gap_px = np.linalg.norm(first.landmarks_px[torso] - second.landmarks_px[torso], axis=1)
+    crossed_px = np.linalg.norm(first.landmarks_px[torso] - second.landmarks_px[crossed], axis=1)
+    radius_px = min(first.next_roi.radius_px, second.next_roi.radius_px)
+    return float(min(np.median(gap_px), np.median(crossed_px)) / radius_px)
+
+
+def mask_share(inner: PoseEstimate, outer: PoseEstimate) -> float:
+    """Share of one person's mask that lies in another's; 0 for an empty mask."""
+    rows, columns = np.nonzero(inner.mask_crop > _MASK_ON)
+    if not len(rows):
+        return 0.0
+    size = inner.mask_crop.shape[0]
+    points_px = inner.roi.to_pixels((np.column_stack([columns, rows]) + 0.5) / size)
+    column, row = np.floor(outer.roi.to_crop(points_px) * size).astype(int).T
+    inside = (column >= 0) & (column < size) & (row >= 0) & (row < size)
+    return float((outer.mask_crop[row[inside], column[inside]] > _MASK_ON).sum() / len(rows))
+
+
+def hips_px(found: PoseEstimate) -> Float[np.ndarray, "2"]:
+    """Middle of the hips in pixels."""
+    return found.landmarks_px[list(_HIPS)].mean(axis=0)
+
+
+def _distinct(found: Detections) -> list[SquareRoi]:
+    """Drop detections whose body circle is another's, found better in another tile."""
+    kept: list[SquareRoi] = []
+    for index in np.argsort(-found.score, kind="stable"):
+        roi = roi_of_detection(found, int(index))
+        if roi.side_px > 0.0 and not any(overlaps(roi, other) for other in kept):
+            kept.append(roi)
+    return kept
+
+
+def overlaps(roi: SquareRoi, other: SquareRoi) -> bool:
+    """Whether two crops are about the same body: near each other and of like size."""
+    small, large = sorted((roi.side_px, other.side_px))
+    gap_px = math.hypot(roi.center_x_px - other.center_x_px, roi.center_y_px - other.center_y_px)
+    return gap_px < 0.2 * large and large < 1.5 * small
+
+
+def boxes_meet(box: Float[np.ndarray, "4"], other: Float[np.ndarray, "4"]) -> bool:
+    """Whether two boxes x0, y0, x1, y1 share a place."""
+    return bool(np.all(np.minimum(box[2:], other[2:]) > np.maximum(box[:2], other[:2])))
+
+
+def _settled(roi: SquareRoi, fitted: SquareRoi) -> bool:
+    shift, scale, turn = _change(roi, fitted)
+    return shift < _SETTLED_SHIFT and scale < _SETTLED_SCALE and turn < _SETTLED_TURN_RAD
+
+
+def _continuous(roi: SquareRoi, fitted: SquareRoi) -> bool:
+    shift, scale, _ = _change(roi, fitted)
+    return shift < 0.35 and scale < math.log(1.7)
+
+
+def _change(roi: SquareRoi, fitted: SquareRoi) -> tuple[float, float, float]:
+    shift_px = math.hypot(fitted.center_x_px - roi.center_x_px, fitted.center_y_px - roi.center_y_px)
+    turn_rad = abs(math.remainder(fitted.rotation_rad - roi.rotation_rad, 2.0 * math.pi))
+    scale = abs(math.log(max(fitted.side_px, 1e-6) / max(roi.side_px, 1e-6)))
+    return shift_px / max(roi.side_px, 1e-6), scale, turn_rad

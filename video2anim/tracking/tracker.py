@@ -1,0 +1,293 @@
+"""Following everybody through a clip: crops from frame to frame, identities by place, motion and clothes."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from video2anim.networks.blazepose import BlazePose, PoseEstimate
+from video2anim.networks.blazepose_detector import box_iou
+from video2anim.networks.roi import SquareRoi
+from video2anim.tracking import person_detection as finder
+from video2anim.tracking.appearance import Looks, clothes
+
+_BETTER_VISIBILITY = 0.1
+_HELD_FRAMES = 5
+"""A lost person is first looked for in the crop last seen, this many frames long."""
+_LOCAL_SCAN_EVERY = 3
+_LOOKED_BACK = 300
+"""Frames before the last one that may tell of a person's motion."""
+THUMBNAIL_PX = 128
+_CLEARLY = 1.1
+_LOOKS_EVERY = 5
+"""Frames between those whose colours are kept."""
+_OTHER_CLOTHES, _SAME_CLOTHES, _DISTINCT = 0.7, 0.3, 0.1
+"""Distances of clothes (`benchmarks/appearance.py`): beyond the first nobody is the same after a short loss, below the
+second somebody may be after a long one, if nobody else comes nearer than the third more."""
+_NO_PICTURE = np.zeros((THUMBNAIL_PX, THUMBNAIL_PX, 3), np.uint8)
+
+
+@dataclass(slots=True, eq=False)
+class Track:
+    """A person in the making: estimates by frame."""
+
+    estimates: dict[int, PoseEstimate] = field(default_factory=dict)
+    best: tuple[float, int, np.ndarray] = (0.0, 0, _NO_PICTURE)
+    """How well the person is seen in the best frame, its number, and the crop."""
+    last_frame: int = -1
+    looks: Looks | None = None
+    """Colours of the clothes, None before the first was seen."""
+
+    def put(self, frame: int, found: PoseEstimate) -> None:
+        """Keep what was found in a frame."""
+        self.estimates[frame] = found
+        self.last_frame = max(self.last_frame, frame)
+
+    def drop(self, frame: int) -> None:
+        """Forget what was found in a frame."""
+        del self.estimates[frame]
+        if frame == self.last_frame:
+            self.last_frame = max(self.estimates, default=-1)
+
+    @property
+    def last(self) -> PoseEstimate:
+        return self.estimates[self.last_frame]
+
+    def look_at(self, frame: int, image: np.ndarray) -> None:
+        """Keep the picture of a frame that shows the person clearly better than those before."""
+        found = self.estimates[frame]
+        seen = found.roi.side_px * float(found.visibility.mean())
+        if seen > _CLEARLY * self.best[0]:
+            upright = replace(found.roi, rotation_rad=0.0)
+            self.best = (seen, frame, upright.crop(image, THUMBNAIL_PX))
+
+    def see_clothes(self, frame: int, image: np.ndarray) -> None:
+        """Add the colours of a frame in which nobody else is near."""
+        found = self.estimates[frame]
+        self.looks = self.looks or Looks()
+        self.looks.add(clothes(image, found.landmarks_px, found.visibility))
+
+    def unlike(self, other: Looks | None) -> float:
+        """Distance of the clothes, NaN where unknown."""
+        return self.looks.distance(other) if self.looks is not None and other is not None else float("nan")
+
+    def velocity_px(self) -> np.ndarray:
+        """Median motion of the hips per frame over the last frames, (2,)."""
+        last = range(self.last_frame, self.last_frame - _LOOKED_BACK, -1)
+        frames = sorted([frame for frame in last if frame in self.estimates][:5])
+        if len(frames) < 2:
+            return np.zeros(2)
+        hips = np.array([finder.hips_px(self.estimates[frame]) for frame in frames])
+        return np.median(np.diff(hips, axis=0) / np.diff(frames)[:, None], axis=0)
+
+
+class Tracker:
+    """Follows everybody through the frames, given one after another.
+
+    Args:
+        pose: detector and landmark network.
+        fps: frames per second.
+        scan_every_s: time between searches of the whole picture for further people.
+        max_lost_s: time after which somebody lost is no longer looked for.
+        min_detection_score: detections below are not looked at.
+    """
+
+    def __init__(
+        self, pose: BlazePose, fps: float, *, scan_every_s: float, max_lost_s: float, min_detection_score: float
+    ) -> None:
+        self.tracks: list[Track] = []
+        self._pose, self._min_detection_score = pose, min_detection_score
+        self._scan_every = max(1, round(scan_every_s * fps))
+        self._max_lost = round(max_lost_s * fps)
+        self._recent: deque[tuple[int, np.ndarray]] = deque(maxlen=self._scan_every)
+        """Frames since the last scan, for the time before a person was found."""
+        self._doubted: list[tuple[int, SquareRoi]] = []
+
+    def step(self, frame: int, image: np.ndarray) -> None:
+        """Take the next frame, (H, W, 3) uint8 RGB."""
+        for track in self._alive(frame):
+            self._follow(track, frame, image)
+        self._part_duplicates(frame)
+        if frame % self._scan_every == 0:
+            self._scan(frame, image)
+        here = [track for track in self.tracks if frame in track.estimates]
+        for track in here:
+            track.look_at(frame, image)
+            if frame % _LOOKS_EVERY == 0 and not any(_near(track, other, frame) for other in here if other != track):
+                track.see_clothes(frame, image)
+        self._recent.append((frame, image))
+
+    def _alive(self, frame: int) -> list[Track]:
+        return [track for track in self.tracks if frame - track.last_frame <= self._max_lost]
+
+    def _seen(self, frame: int) -> list[PoseEstimate]:
+        return [track.estimates[frame] for track in self.tracks if frame in track.estimates]
+
+    def _follow(self, track: Track, frame: int, image: np.ndarray) -> None:
+        lost = frame - track.last_frame - 1
+        if lost < _HELD_FRAMES:
+            found = finder.follow(self._pose, image, track.last.next_roi)
+            if found is not None:
+                track.put(frame, finder.head_up(self._pose, image, found))
+                return
+        if lost % _LOCAL_SCAN_EVERY:
+            return
+        rois = finder.scan_near(self._pose, image, track.last.next_roi, min_score=self._min_detection_score)
+        self._admit(frame, image, rois)
+
+    def _part_duplicates(self, frame: int) -> None:
+        """Where two tracks sit on one body, the one that came there from farther away loses it."""
+        here = [track for track in self.tracks if frame in track.estimates]
+        for i, first in enumerate(here):
+            for second in here[i + 1 :]:
+                if frame not in first.estimates or frame not in second.estimates:
+                    continue
+                if finder.same_person(first.estimates[frame], second.estimates[frame]):
+                    loser = max((first, second), key=lambda track: _surprise(track, frame))
+                    loser.drop(frame)
+        self.tracks = [track for track in self.tracks if track.estimates]
+
+    def _scan(self, frame: int, image: np.ndarray) -> None:
+        rois = finder.scan(self._pose, image, min_score=self._min_detection_score)
+        self._admit(frame, image, rois)
+
+    def _admit(self, frame: int, image: np.ndarray, rois: list[SquareRoi]) -> None:
+        """Confirm candidates that are nobody known; give them to lost tracks or to new ones."""
+        self._doubted = [(until, roi) for until, roi in self._doubted if until > frame]
+        fresh: list[PoseEstimate] = []
+        for roi in rois:
+            known = [seen.next_roi for seen in (*self._seen(frame), *fresh)]
+            if any(finder.overlaps(roi, other) for other in (*known, *(r for _, r in self._doubted))):
+                continue
+            found = finder.confirm(self._pose, image, roi)
+            if found is None:
+                self._doubted.append((frame + 2 * self._scan_every, roi))
+            elif not self._is_known(found, frame, fresh):
+                fresh.append(found)
+        lost = [track for track in self._alive(frame) if frame not in track.estimates]
+        owners = _match_lost(lost, fresh, _looks(image, fresh), frame, self._max_lost)
+        for found, owner in zip(fresh, owners, strict=True):
+            track = owner if owner is not None else Track()
+            if owner is None:
+                self.tracks.append(track)
+            track.put(frame, found)
+            self._look_back(track, frame)
+
+    def _is_known(self, found: PoseEstimate, frame: int, fresh: list[PoseEstimate]) -> bool:
+        """Whether somebody followed already has this body; a clearly better fit then replaces that person's own."""
+        for track in self.tracks:
+            own = track.estimates.get(frame)
+            if own is not None and finder.same_person(found, own):
+                if found.visibility.mean() > own.visibility.mean() + _BETTER_VISIBILITY:
+                    track.put(frame, found)
+                return True
+        return any(finder.same_person(found, other) for other in fresh)
+
+    def _look_back(self, track: Track, frame: int) -> None:
+        """Follow a person just found backwards through the frames since the last scan."""
+        for earlier, image in reversed(self._recent):
+            if earlier >= frame or earlier in track.estimates:
+                return
+            found = finder.follow(self._pose, image, track.estimates[earlier + 1].next_roi)
+            if found is None or any(finder.same_person(found, other) for other in self._seen(earlier)):
+                return
+            track.put(earlier, found)
+
+
+def _surprise(track: Track, frame: int) -> float:
+    """Distance of this frame's hips from where the motion before would put them, in body radii."""
+    before = Track()
+    for earlier in range(frame - _LOOKED_BACK, frame):
+        if earlier in track.estimates:
+            before.put(earlier, track.estimates[earlier])
+    if not before.estimates:
+        return np.inf
+    predicted_px = finder.hips_px(before.last) + (frame - before.last_frame) * before.velocity_px()
+    radius_px = before.last.next_roi.radius_px
+    return float(np.linalg.norm(finder.hips_px(track.estimates[frame]) - predicted_px) / radius_px)
+
+
+def _near(track: Track, other: Track, frame: int) -> bool:
+    """Whether another person may cover a part of this one."""
+    return finder.boxes_meet(track.estimates[frame].box_px(), other.estimates[frame].box_px())
+
+
+def _looks(image: np.ndarray, fresh: list[PoseEstimate]) -> list[Looks]:
+    """Clothes of people just found."""
+    return [Looks(clothes(image, found.landmarks_px, found.visibility)) for found in fresh]
+
+
+def _match_lost(
+    lost: list[Track], fresh: list[PoseEstimate], looks: list[Looks], frame: int, max_lost: int
+) -> list[Track | None]:
+    """For each person just found the lost track it continues, by position, size, overlap and clothes, or None."""
+    owners: list[Track | None] = [None] * len(fresh)
+    if not lost or not fresh:
+        return owners
+    seen = list(zip(fresh, looks, strict=True))
+    cost = np.array(
+        [[_continuation_cost(track, found, worn, frame, max_lost) for found, worn in seen] for track in lost]
+    )
+    for row, column in zip(*linear_sum_assignment(np.minimum(cost, 1e6)), strict=True):
+        if np.isfinite(cost[row, column]):
+            owners[column] = lost[row]
+    return owners
+
+
+def _continuation_cost(track: Track, found: PoseEstimate, looks: Looks, frame: int, max_lost: int) -> float:
+    """Distance from the predicted place in body radii plus missing box overlap plus distance of the clothes; infinite
+    where out of reach, or in other clothes."""
+    gap = frame - track.last_frame
+    moved_px = gap * track.velocity_px()
+    radius_px = track.last.next_roi.radius_px
+    away = float(np.linalg.norm(finder.hips_px(found) - finder.hips_px(track.last) - moved_px)) / radius_px
+    growth = abs(np.log(found.next_roi.side_px / track.last.next_roi.side_px))
+    if away > 0.8 + 2.0 * gap / max(max_lost, 1) or growth > np.log(1.6):
+        return np.inf
+    iou = float(box_iou(track.last.box_px() + np.tile(moved_px, 2), found.box_px()[None])[0])
+    unlike = float(np.nan_to_num(track.unlike(looks), nan=_SAME_CLOTHES))
+    return away + growth + (1.0 - iou) + unlike if unlike < _OTHER_CLOTHES else np.inf
+
+
+def rejoined(tracks: list[Track], max_away: int) -> list[Track]:
+    """Tracks of people who left and came back, joined where their clothes are alike and like nobody else's.
+
+    Args:
+        tracks: of all people.
+        max_away: longest absence in frames.
+    """
+    while True:
+        pairs = [
+            (min(second.estimates) - first.last_frame, i, j)
+            for i, first in enumerate(tracks)
+            for j, second in enumerate(tracks)
+            if 0 < min(second.estimates) - first.last_frame <= max_away
+        ]
+        sure = [pair for pair in pairs if _is_back(tracks, *pair[1:])]
+        if not sure:
+            return tracks
+        _, i, j = min(sure)
+        first, second = tracks[i], tracks[j]
+        joined = Track(first.estimates | second.estimates, max(first.best, second.best, key=lambda best: best[0]))
+        joined.last_frame, joined.looks = second.last_frame, first.looks
+        if first.looks is not None and second.looks is not None:
+            first.looks.add(second.looks.histograms)
+        tracks = [track for number, track in enumerate(tracks) if number not in (i, j)] + [joined]
+
+
+def _is_back(tracks: list[Track], i: int, j: int) -> bool:
+    """Whether the clothes are the same, and those of nobody else in the picture with either come near them."""
+    pair = (tracks[i], tracks[j])
+    distance = tracks[i].unlike(tracks[j].looks)
+    if not distance < _SAME_CLOTHES:
+        return False
+    others = [track for track in tracks if track not in pair and any(_meet(track, one) for one in pair)]
+    return not any(track.unlike(one.looks) < distance + _DISTINCT for track in others for one in pair)
+
+
+def _meet(first: Track, second: Track) -> bool:
+    """Whether two tracks share a time, so that they are two people."""
+    return min(first.estimates) <= second.last_frame and min(second.estimates) <= first.last_frame
