@@ -3,7 +3,7 @@
     python benchmarks/appearance.py SCENE...
 
 Scenes are folders of `video2anim run` (stage track at least). Every track is cut in three, and first and last third are
-compared by `Looks.distance`: of the same track, and of different tracks of any scenes. The thresholds in
+compared by `AppearanceDescriptor.distance`: of the same track, and of different tracks of any scenes. The thresholds in
 `video2anim/tracking/tracker.py` are taken from this.
 """
 
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from video2anim.artifacts.codec import read_value
-from video2anim.tracking.appearance import Looks, clothes
+from video2anim.tracking.appearance import AppearanceDescriptor, clothing_histogram
 from video2anim.types import PersonTracks, VideoClip
 from video2anim.video import read_frames
 
@@ -25,11 +25,11 @@ EVERY = 5
 
 def main() -> None:
     """Collect, compare, print."""
-    people: dict[str, tuple[Looks, Looks]] = {}
+    people: dict[str, tuple[AppearanceDescriptor, AppearanceDescriptor]] = {}
     for scene in map(Path, sys.argv[1:]):
         clip = read_value(VideoClip, scene / "stages" / "01_ingest")
         tracks = read_value(PersonTracks, scene / "stages" / "02_track")
-        thirds = {track.person_id: (Looks(), Looks()) for track in tracks.people}
+        thirds = {track.person_id: (AppearanceDescriptor(), AppearanceDescriptor()) for track in tracks.people}
         for frame, image in enumerate(read_frames(clip)):
             if frame % EVERY:
                 continue
@@ -37,7 +37,7 @@ def main() -> None:
                 row = track.row(frame)
                 third = 3 * (frame - track.first_frame) // len(track.valid)
                 if row is not None and third != 1:
-                    seen = clothes(image, track.landmarks_px[row], track.visibility[row])
+                    seen = clothing_histogram(image, track.landmarks_px[row], track.visibility[row])
                     thirds[track.person_id][third // 2].add(seen)
         people |= {f"{scene.name}/{number}": looks for number, looks in thirds.items()}
     same = {name: first.distance(last) for name, (first, last) in people.items()}

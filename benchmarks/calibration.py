@@ -4,9 +4,9 @@
     python benchmarks/calibration.py --truth dev_work/truth --work dev_work/scenes [--sigma sole_m=0.05]
 
 Each clip is run to stage metric (what is cached stays); then the fit is made again with one kind of evidence left out.
-Depth is the plate's against the true one, share of it (median and mean over reliable pixels); height is the camera's
-over the floor; chamfer is that of the person. `--sigma NAME=VALUE` changes a standard deviation. Writes Markdown and
-JSON. Choose constants on seeds from 9001 on; V2A-Bench (seed 0) is for reporting.
+Depth is the background image's against the true one, share of it (median and mean over reliable pixels); height is the
+camera's over the floor; chamfer is that of the person. `--sigma NAME=VALUE` changes a standard deviation. Writes
+Markdown and JSON. Choose constants on seeds from 9001 on; V2A-Bench (seed 0) is for reporting.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from video2anim.calibration.gather import picture_evidence, with_objects
 from video2anim.calibration.line import metric_depth
 from video2anim.geometry.masks import shrunk
 from video2anim.lab.eval.results import SceneResult
-from video2anim.types import BackgroundPlate, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
+from video2anim.types import BackgroundImage, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
 
 NONE = PixelEvidence(np.zeros((0, 2)), np.zeros(0))
 WITHOUT: dict[str, Callable[[Evidence], Evidence]] = {
@@ -69,16 +69,16 @@ def main() -> None:
 def compared(scene: Path, truth: Path, sigmas: Sigmas) -> list[dict[str, float | str]]:
     """One row for each kind of evidence that is left out."""
     result = SceneResult(scene)
-    depth, plate, bodies = result.get(DepthClip), result.get(BackgroundPlate), result.get(BodyTracks)
+    depth, background, bodies = result.get(DepthClip), result.get(BackgroundImage), result.get(BodyTracks)
     camera, masks = result.get(CameraEstimate), result.get(InstanceMasks)
     assert depth is not None
-    assert plate is not None
+    assert background is not None
     assert bodies is not None
     assert camera is not None
     assert masks is not None
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
-    whole = picture_evidence(depth, plate, bodies, camera, floor, result.clip.fps, np.random.default_rng(0))
-    whole = with_objects(whole, depth, plate, bodies.people[0], masks)
+    whole = picture_evidence(depth, background, bodies, camera, floor, result.clip.fps, np.random.default_rng(0))
+    whole = with_objects(whole, depth, background, bodies.people[0], masks)
     meta, arrays = json.loads((truth / "meta.json").read_text()), np.load(truth / "truth.npz")
     rows = []
     for name, changed in WITHOUT.items():

@@ -1,9 +1,9 @@
-"""How well things that somebody moves are followed: six synthetic clips, true paths against estimated ones.
+"""How well objects that somebody moves are followed: six synthetic clips, true paths against estimated ones.
 
     python benchmarks/carried.py --work carried_work [--told-height]
 
 Makes the clips of `video2anim synth --preset carried --seed 0` in `<work>/truth`, runs the pipeline into
-`<work>/results` (what is finished is kept), and compares the path of every thing that is moved in truth with the
+`<work>/results` (what is finished is kept), and compares the path of every object that is moved in truth with the
 estimated path nearest to it, in the true world by the shared camera (docs/evaluation.md, `carried`). Writes
 `benchmarks/results/carried-<date>.json` and the table beside it as `.md`. Beside each path stands how far the wrist of
 the hand that holds it in truth is off in the same frames: one camera does not know how large, and so how far, somebody
@@ -29,7 +29,7 @@ from v2a_bench import call, number
 from video2anim.body.anny_body import shaped_body
 from video2anim.geometry.projection import transform_points
 from video2anim.lab.eval.alignment import match_frames, truth_from_estimate
-from video2anim.lab.eval.carried_rows import MovedThings, moved_things
+from video2anim.lab.eval.carried_rows import MovedObjects, moved_objects
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.truth import Truth, read_truth
 from video2anim.types import BodyTracks, RefinedMotion, SceneModel
@@ -41,16 +41,16 @@ HEADS = ("clip", "thing", "found", "middle off, mean, m", "95 %, m", "wrist off,
 
 @dataclass(frozen=True, slots=True)
 class ClipRow:
-    """One clip; errors are None where the thing has no path."""
+    """One clip; errors are None where the object has no path."""
 
     clip: str
-    thing: str
-    """Label of the thing that is moved in truth."""
+    label: str
+    """Label of the object that is moved in truth."""
     found: bool
     path_mean_m: float | None
     path_p95_m: float | None
     wrist_mean_m: float | None
-    """Of the holding hand, while the thing is held in truth."""
+    """Of the holding hand, while the object is held in truth."""
     hold_error_frames: float | None
     """Mean absolute error of the first and the last frame held; None where no hold is told."""
     false_paths: int
@@ -89,7 +89,7 @@ def main() -> None:
 
 
 def of_clip(scene_dir: Path, truth_dir: Path) -> list[ClipRow]:
-    """A row for each thing that is moved in a clip."""
+    """A row for each object that is moved in a clip."""
     result, truth = SceneResult(scene_dir), read_truth(truth_dir)
     scene, bodies = result.scene, result.bodies
     if scene is None or bodies is None or not bodies.people:
@@ -105,7 +105,7 @@ def of_clip(scene_dir: Path, truth_dir: Path) -> list[ClipRow]:
         if item.held is not None and item.hands is not None:
             held = item.held[frames.true_index] & frames.known
             wrist_m[item.object_id] = float(gap_m[held][:, np.flatnonzero(item.hands) + _LEFT_WRIST].mean())
-    return clip_rows(truth, moved_things(scene.objects, truth, frames, T_true_estimate), wrist_m)
+    return clip_rows(truth, moved_objects(scene.objects, truth, frames, T_true_estimate), wrist_m)
 
 
 def height_m(truth_dir: Path) -> float:
@@ -113,18 +113,18 @@ def height_m(truth_dir: Path) -> float:
     return float(np.ptp(shaped_body(read_truth(truth_dir).main.shape).rest_vertices_m[:, 1]))
 
 
-def clip_rows(truth: Truth, found: MovedThings, wrist_m: dict[int, float]) -> list[ClipRow]:
-    """Rows from what was matched; false paths stand with the first thing of the clip."""
+def clip_rows(truth: Truth, found: MovedObjects, wrist_m: dict[int, float]) -> list[ClipRow]:
+    """Rows from what was matched; false paths stand with the first object of the clip."""
     rows = []
-    for place, thing in enumerate(found.things):
-        there = thing.estimate_id is not None
+    for place, obj in enumerate(found.objects):
+        there = obj.estimate_id is not None
         rows.append(
             ClipRow(
-                truth.name, thing.label, there,
-                float(thing.error_m.mean()) if there else None,
-                float(np.percentile(thing.error_m, 95)) if there else None,
-                wrist_m.get(thing.object_id),
-                thing.hold_error_frames if math.isfinite(thing.hold_error_frames) else None,
+                truth.name, obj.label, there,
+                float(obj.error_m.mean()) if there else None,
+                float(np.percentile(obj.error_m, 95)) if there else None,
+                wrist_m.get(obj.object_id),
+                obj.hold_error_frames if math.isfinite(obj.hold_error_frames) else None,
                 0 if place else found.false_paths,
             )
         )  # fmt: skip
@@ -152,7 +152,7 @@ def table(rows: list[ClipRow]) -> str:
     for row in rows:
         cells = [_cell(getattr(row, key)) for key in _AVERAGED]
         lines.append(
-            f"| {row.clip} | {row.thing} | {'yes' if row.found else 'no'} | {' | '.join(cells)} | {row.false_paths} |"
+            f"| {row.clip} | {row.label} | {'yes' if row.found else 'no'} | {' | '.join(cells)} | {row.false_paths} |"
         )
     mean = means(rows)
     cells = [_cell(mean[key]) for key in _AVERAGED]

@@ -158,7 +158,7 @@ def errors(
 
 
 def w_mpjpe_after(estimate_m: np.ndarray, true_m: np.ndarray) -> float:
-    """Mean error in metres of all frames but the first two, by which the estimate is aligned as W-MPJPE is."""
+    """Mean error in meters of all frames but the first two, by which the estimate is aligned as W-MPJPE is."""
     head = slice(0, metrics.W_ALIGN_FRAMES)
     align = metrics.align_similarity(estimate_m[head].reshape(-1, 3), true_m[head].reshape(-1, 3))
     return metrics.mpjpe(align(estimate_m[metrics.W_ALIGN_FRAMES :]), true_m[metrics.W_ALIGN_FRAMES :])

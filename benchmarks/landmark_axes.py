@@ -47,8 +47,8 @@ def main() -> None:
             if track is None:
                 continue
             frames = np.flatnonzero(track.valid)[::EVERY]
-            middle_px = track.landmarks_px[frames][:, HIPS].mean(1)
-            rays.append(np.degrees(axis_angle_from_matrix(ray_rotation(middle_px, person.intrinsics))))
+            center_px = track.landmarks_px[frames][:, HIPS].mean(1)
+            rays.append(np.degrees(axis_angle_from_matrix(ray_rotation(center_px, person.intrinsics))))
             landmarks_m = track.landmarks_m[frames][:, LANDMARKS]
             turns.append(
                 np.degrees(

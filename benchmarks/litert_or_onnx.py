@@ -57,7 +57,7 @@ def main() -> None:
         "network": options.tflite.name,
         "frames": options.frames,
         "threads": options.threads,
-        "largest_difference": {shape: {"difference": off, "of": size} for shape, (off, size) in worst.items()},
+        "max_difference": {shape: {"difference": off, "of": size} for shape, (off, size) in worst.items()},
         "median_ms": {name: 1e3 * float(np.median(found[1:])) for name, found in seconds.items()},
     }
     text = json.dumps(report, indent=1) + "\n"

@@ -4,7 +4,7 @@ table 4, which need no truth), and, where a reference exists, the accuracy of th
     python benchmarks/main_job.py --media ../shared/media --out benchmarks/results
 
 Every clip runs in a fresh process and a fresh scene folder with the embedded preset. Pose numbers are against the
-triangulated reference of the Pose2Sim clips: 12 limb joints, millimetres, mean over frames; raw BlazePose world
+triangulated reference of the Pose2Sim clips: 12 limb joints, millimeters, mean over frames; raw BlazePose world
 landmarks of the same run stand beside them.
 """
 

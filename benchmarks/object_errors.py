@@ -1,9 +1,9 @@
-"""What the errors of objects are made of: the clip's scale, each thing's distance beside it, and the rest.
+"""What the errors of objects are made of: the clip's scale, each object's distance beside it, and the rest.
 
     python benchmarks/object_errors.py --work bench_work
 
 Reads what `benchmarks/v2a_bench.py` left: `truth/CLIP` and `results/CLIP`. A clip's scale is the camera's height over
-the floor against the true one; a thing's distance is the median depth of its pixels against the true one, beside that
+the floor against the true one; an object's distance is the median depth of its pixels against the true one, beside that
 scale. Objects are then moved along the line of sight and scaled by what is wrong with one, and with both. Writes JSON.
 """
 
@@ -24,10 +24,10 @@ import numpy as np
 
 from video2anim.geometry.masks import shrunk
 from video2anim.lab.eval.alignment import match_frames, resample_nearest, truth_from_estimate
-from video2anim.lab.eval.object_rows import LEAST_VISIBLE_PX, compared_objects, match_masks, pairs_by_mask
+from video2anim.lab.eval.object_rows import MIN_VISIBLE_PX, compared_objects, match_masks, pairs_by_mask
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.truth import Truth, read_truth
-from video2anim.objects.backproject import ThingLifter
+from video2anim.objects.backproject import ObjectBackprojector
 from video2anim.types import (
     DepthClip,
     InstanceMasks,
@@ -37,8 +37,8 @@ from video2anim.types import (
 )  # fmt: skip
 
 FAR_OFF = 0.12
-"""A thing that is this share of its distance too far is counted."""
-LEAST_PIXELS = 5
+"""An object that is this share of its distance too far is counted."""
+MIN_PIXELS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def main() -> None:
 
 
 def of_clip(clip: Clip) -> dict[str, Any]:
-    """Logs of scale and stature against the truth; AbsRel of the plate's depth."""
+    """Logs of scale and body height against the truth; AbsRel of the background image's depth."""
     body, true = clip.get(MetricDepth).bodies.people[0], clip.truth.main
     depth, value = clip.get(MetricDepth).background_depth_m, clip.get(DepthClip).background_value
     true_m = resample_nearest(clip.truth.background_depth_m, depth.shape)
@@ -101,8 +101,8 @@ def of_clip(clip: Clip) -> dict[str, Any]:
 def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
     """Each matched piece of furniture."""
     depth, masks = clip.get(MetricDepth), clip.get(InstanceMasks)
-    body, lifter = depth.bodies.people[0], ThingLifter(masks, depth)
-    furniture = clip.truth.furniture(LEAST_VISIBLE_PX)
+    body, lifter = depth.bodies.people[0], ObjectBackprojector(masks, depth)
+    furniture = clip.truth.furniture(MIN_VISIBLE_PX)
     pairs = pairs_by_mask(match_masks(masks, furniture, clip.truth))
     T = truth_from_estimate(body.T_world_camera, clip.truth, match_frames(clip.result.clip, clip.truth))
     objects = clip.get(RefinedMotion).scene.objects
@@ -132,15 +132,15 @@ def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
     return [row for row in rows.values() if "as it is" in row]
 
 
-def distances_m(lifter: ThingLifter, number: int, true_number: int, truth: Truth) -> tuple[float, float] | None:
-    """A thing's lifted and true depth, where both masks show it; None if they hardly do."""
-    thing = lifter.lift(number)
-    true_m = resample_nearest(truth.background_depth_m, thing.shows.shape)
-    both = thing.shows & shrunk(truth.mask(true_number), thing.shows.shape) & (true_m > 0)
-    if both.sum() <= LEAST_PIXELS:
+def distances_m(lifter: ObjectBackprojector, number: int, true_number: int, truth: Truth) -> tuple[float, float] | None:
+    """An object's lifted and true depth, where both masks show it; None if they hardly do."""
+    obj = lifter.lift(number)
+    true_m = resample_nearest(truth.background_depth_m, obj.shows.shape)
+    both = obj.shows & shrunk(truth.mask(true_number), obj.shows.shape) & (true_m > 0)
+    if both.sum() <= MIN_PIXELS:
         return None
-    middle_m = float(np.median(true_m[both]))
-    return float(np.median(thing.depth_m[both] / true_m[both])) * middle_m, middle_m
+    center_m = float(np.median(true_m[both]))
+    return float(np.median(obj.depth_m[both] / true_m[both])) * center_m, center_m
 
 
 def nearer(item: PlacedObject, by_log: float, camera_m: np.ndarray) -> PlacedObject:
@@ -158,23 +158,23 @@ def summary(clips: Sequence[dict[str, Any]], pieces: Sequence[dict[str, Any]]) -
     found: dict[str, Any] = {
         "pieces": len(pieces),
         "scale off (median)": float(np.median([abs(np.expm1(clip["scale_log"])) for clip in clips])),
-        "stature off (root of mean square)": float(np.sqrt(np.mean([clip["stature_log"] ** 2 for clip in clips]))),
-        "scale off without stature (median)": float(
+        "body height off (root of mean square)": float(np.sqrt(np.mean([clip["stature_log"] ** 2 for clip in clips]))),
+        "scale off without body height (median)": float(
             np.median([abs(clip["scale_log"] - clip["stature_log"]) for clip in clips])
         ),
-        "a thing's own distance off (median)": float(np.median(np.abs(np.expm1(distance)))),
-        "what the scale alone moves a thing by (median), m": float(
+        "an object's own distance off (median)": float(np.median(np.abs(np.expm1(distance)))),
+        "what the scale alone moves an object by (median), m": float(
             np.median([piece["by_scale_m"] for piece in pieces])
         ),
-        "things more than 12 % too far": len(far),
+        "objects more than 12 % too far": len(far),
         "of them cut by the border": sum(piece["cut"] for piece in far),
         "of them chairs and tables": sum(piece["label"] in ("chair", "table") for piece in far),
     }
     for key in ("absrel", "absrel_one_scale", "absrel_best_scale_and_offset"):
         found[key] = float(np.mean([clip[key] for clip in clips]))
     for name in ("as it is", "true scale", "true scale and distance"):
-        chamfer, middle = np.median([piece[name] for piece in pieces if name in piece], axis=0)
-        found[f"Chamfer and middle, m, {name}"] = [round(float(chamfer), 4), round(float(middle), 4)]
+        chamfer, center = np.median([piece[name] for piece in pieces if name in piece], axis=0)
+        found[f"Chamfer and middle, m, {name}"] = [round(float(chamfer), 4), round(float(center), 4)]
     return found
 
 

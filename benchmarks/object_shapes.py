@@ -29,14 +29,14 @@ from stages.place import PlaceConfig, place_objects
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
 from video2anim.geometry.projection import transform_points
 from video2anim.lab.eval.boxes import box_iou_3d, box_of, chamfer_m, rest_height_m, surface_points
-from video2anim.lab.eval.object_rows import LEAST_VISIBLE_PX
+from video2anim.lab.eval.object_rows import MIN_VISIBLE_PX
 from video2anim.lab.eval.true_scene import read_glb, world_mesh
 from video2anim.lab.eval.truth import Truth, read_truth
 from video2anim.objects import recognize
 from video2anim.objects.form_fit import FitSigmas
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyTracks,
     InstanceMasks,
     Mesh,
@@ -46,7 +46,7 @@ from video2anim.types import (
     PlacedObjects,
 )  # fmt: skip
 
-MEDIANS = ("chamfer_m", "chamfer_first_m", "middle_m", "height_m")
+MEDIANS = ("chamfer_m", "chamfer_first_m", "center_m", "height_m")
 
 
 def main() -> None:
@@ -87,12 +87,14 @@ def main() -> None:
 
 def of_clip(truth: Truth, pictures: Path | None, depth_sigma: float, *, named: bool) -> list[dict]:
     """One row per piece of furniture that counts."""
-    furniture = truth.furniture(LEAST_VISIBLE_PX)
-    masks, plate, depth = true_inputs(truth, named=named)
+    furniture = truth.furniture(MIN_VISIBLE_PX)
+    masks, background, depth = true_inputs(truth, named=named)
     ctx = StageContext(Path())
     started = time.process_time()
-    completed = complete_objects(plate, masks, depth, CompleteConfig(), ctx)
-    meshes = reconstruct_objects(completed, masks, depth, plate, ReconstructConfig(depth_error_ratio=depth_sigma), ctx)
+    completed = complete_objects(background, masks, depth, CompleteConfig(), ctx)
+    meshes = reconstruct_objects(
+        completed, masks, depth, background, ReconstructConfig(depth_error_ratio=depth_sigma), ctx
+    )
     placed = place_objects(meshes, masks, depth, PlaceConfig(), ctx)
     seconds = (time.process_time() - started) / max(len(masks.instances), 1)
     if pictures:
@@ -102,7 +104,7 @@ def of_clip(truth: Truth, pictures: Path | None, depth_sigma: float, *, named: b
     rows = []
     for item in furniture:
         row = {"clip": truth.name, "label": item.label, "pixels": item.visible_px, "seconds": seconds}
-        row |= dict.fromkeys(("method", "chamfer_m", "middle_m", "chamfer_first_m", "box_iou", "height_m"))
+        row |= dict.fromkeys(("method", "chamfer_m", "center_m", "chamfer_first_m", "box_iou", "height_m"))
         if item.object_id in last:
             mesh, box = in_world(last[item.object_id])
             before, _ = in_world(first[item.object_id])
@@ -113,7 +115,7 @@ def of_clip(truth: Truth, pictures: Path | None, depth_sigma: float, *, named: b
                 "class": first[item.object_id].method.removeprefix("form: ").split()[0].replace("steps", "step"),
                 "chamfer_m": chamfer_m(surface_points(mesh, np.random.default_rng(0)), true_m),
                 "chamfer_first_m": chamfer_m(surface_points(before, np.random.default_rng(0)), true_m),
-                "middle_m": float(np.linalg.norm(box.center_m - true_box.center_m)),
+                "center_m": float(np.linalg.norm(box.center_m - true_box.center_m)),
                 "box_iou": box_iou_3d(box, true_box),
                 "height_m": abs(rest_height_m(mesh) - rest_height_m(world_mesh(item))),
                 "size_m": (2 * box.half_m).round(2).tolist(),
@@ -130,11 +132,11 @@ def in_world(item: ObjectMeshes | PlacedObjects):
     return world, box_of(own_m, item.T_world_object)
 
 
-def true_inputs(truth: Truth, *, named: bool) -> tuple[InstanceMasks, BackgroundPlate, MetricDepth]:
+def true_inputs(truth: Truth, *, named: bool) -> tuple[InstanceMasks, BackgroundImage, MetricDepth]:
     """What the stages before would hand over if they made no error."""
     height, width = truth.background_depth_m.shape
     instances = []
-    for item in truth.furniture(LEAST_VISIBLE_PX):
+    for item in truth.furniture(MIN_VISIBLE_PX):
         mask = truth.mask(item.object_id)
         rows, columns = np.nonzero(mask)
         box = np.array([columns.min(), rows.min(), columns.max(), rows.max()], np.float64)
@@ -142,17 +144,19 @@ def true_inputs(truth: Truth, *, named: bool) -> tuple[InstanceMasks, Background
     masks = InstanceMasks("truth", tuple(instances), truth.floor_mask)
     none = np.zeros((0, height, width), bool)
     body = replace(truth.main, intrinsics=truth.intrinsics.resized(width, height))
-    plate = BackgroundPlate(truth.plate_rgb, np.ones((height, width), np.float32), np.zeros(0, np.int64), none, none)
+    background = BackgroundImage(
+        truth.background_rgb, np.ones((height, width), np.float32), np.zeros(0, np.int64), none, none
+    )
     depth = MetricDepth(
         1.0, 0.0, 0.0, 0.0, None, None, True, "truth", np.zeros(0, np.int64), none.astype(np.float32), none,
         truth.background_depth_m, truth.background_depth_m > 0,
         {str(item.object_id): 0.0 for item in instances}, BodyTracks((body,)),
     )  # fmt: skip
-    return masks, plate, depth
+    return masks, background, depth
 
 
 def picture(truth: Truth, placed: PlacedObjects, path: Path) -> None:
-    """The plate, the meshes seen by its camera, and from a place to the side of it."""
+    """The background image, the meshes seen by its camera, and from a place to the side of it."""
     import cv2
     import trimesh
 
@@ -161,11 +165,14 @@ def picture(truth: Truth, placed: PlacedObjects, path: Path) -> None:
         trimesh.Trimesh(m.vertices_m, m.faces, vertex_colors=m.vertex_rgb, process=False) for m in meshes
     ])  # fmt: skip
     camera = truth.main.T_world_camera[0]
-    middle = whole.vertices.mean(0)
+    center = whole.vertices.mean(0)
     beside = camera.copy()
-    turn = trimesh.transformations.rotation_matrix(np.deg2rad(70), [0, 1, 0], middle)
+    turn = trimesh.transformations.rotation_matrix(np.deg2rad(70), [0, 1, 0], center)
     beside = turn @ beside
-    views = [truth.plate_rgb, *(seen_by(whole, T, truth.intrinsics, truth.plate_rgb.shape) for T in (camera, beside))]
+    views = [
+        truth.background_rgb,
+        *(seen_by(whole, T, truth.intrinsics, truth.background_rgb.shape) for T in (camera, beside)),
+    ]
     path.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(path), np.concatenate(views, 1)[..., ::-1])
 

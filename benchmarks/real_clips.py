@@ -57,7 +57,7 @@ from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.lab.eval.results import SceneResult
 from video2anim.scene.supports import SUPPORT
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyMotion,
     BodyTracks,
     Contact,
@@ -149,13 +149,13 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
     if bodies is None or keyframed is None or refined is None or scene is None:
         raise SystemExit(f"{folder}: {result.why(BodyTracks, KeyframedMotion, SceneModel, RefinedMotion)}")
     tracks, metric = result.get(PersonTracks), result.get(MetricDepth)
-    masks, plate = result.get(InstanceMasks), result.get(BackgroundPlate)
+    masks, background = result.get(InstanceMasks), result.get(BackgroundImage)
     meshes = result.get(ObjectMeshes)
     assert meshes is not None
     assert tracks is not None
     assert metric is not None
     assert masks is not None
-    assert plate is not None
+    assert background is not None
     track = tracks.selected()[0].whole(result.clip.frame_count)
     raw = bodies.people[0].in_world(keyframed.people[0].T_world_camera)
     made = {
@@ -167,7 +167,7 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
     windows = max(1.0, len(raw.valid) / 121)
     return rows, {
         "frames": len(raw.valid), "prior": refined.prior[0], "shaped": refined.prior_share[0],
-        "refine s per window": manifest["wall_time_s"] / windows, "order": depth_order(metric, masks, plate),
+        "refine s per window": manifest["wall_time_s"] / windows, "order": depth_order(metric, masks, background),
         "forms": dict(Counter(one.method for one in meshes.objects)),
         "trusted": sum(one.trusted for one in scene.objects) / max(len(scene.objects), 1),
         **right_class(folder.name, result.record.contacts),
@@ -176,7 +176,7 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
 
 
 def right_class(clip: str, contacts: Sequence[Contact]) -> dict[str, float | None]:
-    """Of the time in which a part touches something other than the floor, the share with things of the class that it
+    """Of the time in which a part touches something other than the floor, the share with objects of the class that it
     touches in the clip, by `real_contacts.json`; None where it touches nothing else."""
     wanted = json.loads(Path(__file__).with_name("real_contacts.json").read_text()).get(clip, {})
     shares: dict[str, float | None] = {}
@@ -188,13 +188,15 @@ def right_class(clip: str, contacts: Sequence[Contact]) -> dict[str, float | Non
     return shares
 
 
-def depth_order(metric: MetricDepth, masks: InstanceMasks, plate: BackgroundPlate) -> float:
+def depth_order(metric: MetricDepth, masks: InstanceMasks, background: BackgroundImage) -> float:
     """Share of the pixels of objects at which the main person is seen whose depth is not before the person."""
     shape = metric.background_depth_m.shape
     body = metric.bodies.people[0]
-    passed = passed_before(body, plate.frame_index, plate.selected_mask, body.intrinsics.resized(*shape[::-1]))
-    things = np.any([shrunk(one.mask, shape) for one in masks.instances] or [np.zeros(shape, bool)], axis=0)
-    asked = things & (passed.depth_m > 0) & metric.background_valid
+    passed = passed_before(
+        body, background.frame_index, background.selected_mask, body.intrinsics.resized(*shape[::-1])
+    )
+    objects = np.any([shrunk(one.mask, shape) for one in masks.instances] or [np.zeros(shape, bool)], axis=0)
+    asked = objects & (passed.depth_m > 0) & metric.background_valid
     return float((metric.background_depth_m >= passed.depth_m)[asked].mean()) if asked.any() else float("nan")
 
 
@@ -302,11 +304,11 @@ def against_truth(clip: str, motion: BodyMotion, media: Path) -> tuple[float, ..
         if abs(time_s[there] - motion.frame_time_s[frame]) > 0.5 / 60 or known.sum() < 8 or not known[HIPS].all():
             continue
         mine, theirs = motion.joints_camera_m[frame, LIMBS], true_m[there]
-        middle, their_middle = mine[HIPS].mean(0), theirs[HIPS].mean(0)
+        center, their_center = mine[HIPS].mean(0), theirs[HIPS].mean(0)
         fit = align_similarity(mine[known], theirs[known])
         pa.append(np.linalg.norm(fit(mine[known]) - theirs[known], axis=1).mean())
-        relative.append(np.linalg.norm(mine[known] - middle - theirs[known] + their_middle, axis=1).mean())
-        roots.append((middle, their_middle))
+        relative.append(np.linalg.norm(mine[known] - center - theirs[known] + their_center, axis=1).mean())
+        roots.append((center, their_center))
     path_m, true_path_m = np.array(roots).transpose(1, 0, 2)
     aligned = align_similarity(path_m, true_path_m, with_scale=False)(path_m)
     bend = np.diff(path_m, n=2, axis=0) - np.diff(true_path_m, n=2, axis=0)

@@ -102,11 +102,11 @@ def of_scene(folder: Path, options: argparse.Namespace, spent: dict[str, float])
         wall, processor = time.perf_counter() - wall, time.process_time() - processor
         runs.append({"wall": wall, "processor": processor} | spent)
     runs = sorted(runs[1:], key=lambda run: run["wall"])
-    middle = runs[len(runs) // 2]
+    center = runs[len(runs) // 2]
     processor = float(np.median([run["processor"] for run in runs]))
     return {
         "scene": folder.name, "frames": frames, "people": len(bodies.people), "objects": len(scene.objects),
-        "seconds_per_window": {name: value / windows for name, value in (middle | {"processor": processor}).items()},
+        "seconds_per_window": {name: value / windows for name, value in (center | {"processor": processor}).items()},
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }  # fmt: skip
 

@@ -121,8 +121,8 @@ def measure(name: str, width_px: int, height_px: int, handheld: bool, frames: in
     shot = bench_shot(name, width_px, height_px, handheld)
     renderer = Renderer(shot)
     start = time.perf_counter()
-    renderer.plate()
-    plate_s, times, busy = time.perf_counter() - start, [], []
+    renderer.background()
+    background_s, times, busy = time.perf_counter() - start, [], []
     renderer.frame(0)
     for t in range(1, frames + 1):
         start, cpu = time.perf_counter(), time.process_time()
@@ -136,7 +136,7 @@ def measure(name: str, width_px: int, height_px: int, handheld: bool, frames: in
         "people": len(shot.actors),
         "shutter_blur": shot.sensor.blur_s > 0,
         "size_px": [width_px, height_px],
-        "plate_s": round(plate_s, 3),
+        "background_s": round(background_s, 3),
         "frame_s": round(frame_s, 4),
         "frame_cpu_s": round(statistics.median(busy), 4),
         "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
@@ -149,7 +149,7 @@ def table(report: dict) -> str:
     for row in report["frames"]:
         size = "x".join(str(n) for n in row["size_px"])
         lines.append(
-            f"{row['camera']} camera, {row['people']} person(s), {size}: room {row['plate_s']:.2f} s, "
+            f"{row['camera']} camera, {row['people']} person(s), {size}: room {row['background_s']:.2f} s, "
             f"frame {1000 * row['frame_s']:.0f} ms (CPU {1000 * row['frame_cpu_s']:.0f} ms), "
             f"{row['frames_per_s']:.1f} frames/s in {report['processes']} processes of {row['peak_memory_mib']} MiB"
         )

@@ -24,17 +24,17 @@ import numpy as np
 
 from video2anim.artifacts.images import read_picture
 from video2anim.depth.test_time_views import jittered_disparity
-from video2anim.geometry.line_segments import camera_with_edges, straight_edges
+from video2anim.geometry.line_segments import camera_with_edges, detect_line_segments
 from video2anim.geometry.perspective_field import FieldCamera, fit_camera
-from video2anim.lab.scene_network.samples import CLASS_TABLE, SMALLEST_RATIO
+from video2anim.lab.scene_network.samples import CLASS_TABLE, MIN_RATIO
 from video2anim.networks import find_model, model_path
-from video2anim.networks.room_net import RoomCamera, RoomDepth, RoomNet, RoomSegment
+from video2anim.networks.room_net import RoomCamera, RoomDepth, RoomSegment, SceneNetwork
 from video2anim.networks.segmentation import CLASSES
 
 NEAREST_INVERSE = 1 / 50
 """Inverse depths are held above this: 50 m."""
 HUE_SHIFTS_RAD = (-0.6, -0.3, 0.3, 0.6)
-LEAST_AREA_RATIO = 0.01
+MIN_AREA_RATIO = 0.01
 """Instances that a user would miss: this share of the picture and more."""
 JITTERED = 48
 TIMED = 12
@@ -62,7 +62,7 @@ def main() -> None:
 
 def renders(path: Path, folders: list[Path]) -> dict[str, float]:
     """Means and medians over held-out pictures."""
-    net, segment, depth = RoomNet(path), RoomSegment(path), RoomDepth(path)
+    net, segment, depth = SceneNetwork(path), RoomSegment(path), RoomDepth(path)
     rows: list[dict[str, float]] = []
     matched, floor = np.zeros(3), np.zeros(2)
     kept_dropped, pieces = [], []
@@ -105,7 +105,7 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
 
 
 def inverse_depth(depth_mm: np.ndarray) -> np.ndarray:
-    """1 / metres; NaN where nothing was measured."""
+    """1 / meters; NaN where nothing was measured."""
     depth_m = depth_mm.astype(np.float64) / 1000
     return np.where(depth_m > 0, 1 / np.maximum(depth_m, 1e-3), np.nan)
 
@@ -139,11 +139,11 @@ def plane_numbers(truth: np.ndarray) -> dict[str, float]:
     return {f"{name} of plane": value for name, value in scores(fitted, truth[known]).items()}
 
 
-def cameras_of(net: RoomNet, pictures: list[np.ndarray]) -> tuple[FieldCamera, FieldCamera]:
+def cameras_of(net: SceneNetwork, pictures: list[np.ndarray]) -> tuple[FieldCamera, FieldCamera]:
     """Camera of some pictures of one view by the network's fields alone, and with straight edges."""
     height, width = pictures[0].shape[:2]
     camera = fit_camera([net.see(picture).field for picture in pictures], width / height)
-    return camera, camera_with_edges(camera, [straight_edges(picture) for picture in pictures])
+    return camera, camera_with_edges(camera, [detect_line_segments(picture) for picture in pictures])
 
 
 def camera_numbers(camera: FieldCamera, maps: dict[str, np.ndarray], row: int) -> dict[str, float]:
@@ -175,7 +175,7 @@ def true_pieces(instance: np.ndarray, label: np.ndarray) -> list[np.ndarray]:
     """Masks of furniture instances."""
     furniture = label == CLASSES.index("furniture")
     true = [furniture & (instance == number) for number in np.unique(instance[furniture])]
-    return [mask for mask in true if mask.mean() >= SMALLEST_RATIO]
+    return [mask for mask in true if mask.mean() >= MIN_RATIO]
 
 
 def pieces_off(disparity: np.ndarray, truth: np.ndarray, true: list[np.ndarray]) -> list[float]:
@@ -184,20 +184,20 @@ def pieces_off(disparity: np.ndarray, truth: np.ndarray, true: list[np.ndarray])
     off = np.full(truth.shape, np.nan)
     fitted = nearest_line(disparity[known], truth[known])
     off[known] = np.log(truth[known] / np.maximum(fitted, NEAREST_INVERSE))
-    return [float(np.nanmean(off[mask])) for mask in true if mask.mean() >= LEAST_AREA_RATIO]
+    return [float(np.nanmean(off[mask])) for mask in true if mask.mean() >= MIN_AREA_RATIO]
 
 
 def matches(masks: list[np.ndarray], true: list[np.ndarray]) -> np.ndarray:
     """True positives, predicted, true: furniture instances of a size that matters, matched at IoU 0.5."""
-    large = [mask for mask in true if mask.mean() >= LEAST_AREA_RATIO]
+    large = [mask for mask in true if mask.mean() >= MIN_AREA_RATIO]
     hits, claimed = 0, 0
     for mask in masks:
         ious = [(mask & other).sum() / (mask | other).sum() for other in true]
         best = int(np.argmax(ious)) if ious else -1
         if best >= 0 and ious[best] >= 0.5:
-            if true[best].mean() >= LEAST_AREA_RATIO:
+            if true[best].mean() >= MIN_AREA_RATIO:
                 hits, claimed = hits + 1, claimed + 1
-        elif mask.mean() >= LEAST_AREA_RATIO:
+        elif mask.mean() >= MIN_AREA_RATIO:
             claimed += 1
     return np.array([hits, claimed, len(large)])
 
@@ -214,7 +214,7 @@ def kept_and_dropped(depth: RoomDepth, rgb: np.ndarray, truth: np.ndarray) -> tu
 
 def rgbd(path: Path, folder: Path) -> dict[str, float]:
     """Pictures of a rendered living room that is not ours, with depth; and the lens."""
-    net = RoomNet(path)
+    net = SceneNetwork(path)
     lens = json.loads((folder / "intrinsics_and_poses.json").read_text())
     rows, cameras = [], []
     for picture in sorted(folder.glob("color_*.jpg")):
@@ -235,7 +235,7 @@ def rgbd(path: Path, folder: Path) -> dict[str, float]:
 
 def pose2sim(path: Path, media: Path) -> dict[str, dict[str, float]]:
     """Lens and gravity of the calibrated cameras by pictures alone, nobody looked at: three frames together."""
-    net, found = RoomNet(path), {}
+    net, found = SceneNetwork(path), {}
     for name in ("pose2sim_single_cam01", "pose2sim_single_cam02"):
         truth = json.loads((media / "reference" / f"{name}.json").read_text())
         video = cv2.VideoCapture(str(media / "videos" / f"{name}.mp4"))

@@ -1,4 +1,4 @@
-"""Speed of the scene inputs: voxels, basis points and pseudo-scenes, beside scipy's KD-tree and Open3D.
+"""Speed of the scene inputs: voxels, basis points and synthetic scenes, beside scipy's KD-tree and Open3D.
 
     python benchmarks/scene_input_speed.py --out benchmarks/results
 
@@ -27,9 +27,9 @@ import trimesh
 from scipy.spatial import KDTree
 
 from scenemi.scene.basis_points import anchor_vertices, bps
-from scenemi.scene.body_balls import fit_balls
+from scenemi.scene.body_spheres import fit_spheres
 from scenemi.scene.geometry import SceneGeometry
-from scenemi.scene.pseudo import PseudoScenes
+from scenemi.scene.pseudo import SyntheticScenes
 from scenemi.scene.voxels import DEFAULT_GRID, occupancy
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.geometry.sdf import surface_samples
@@ -59,7 +59,7 @@ def main() -> None:
         "seed": SEED,
         "mesh_faces": len(mesh.faces),
         "methods": methods(mesh, centers_m, anchors_m, options.repeats),
-        "pseudo_scenes": pseudo_scenes(window, options.scenes),
+        "synthetic_scenes": synthetic_scenes(window, options.scenes),
     }
     options.out.mkdir(parents=True, exist_ok=True)
     target = options.out / f"scene_input_speed-{report['date']}.json"
@@ -151,9 +151,9 @@ def open3d_rows(
     return times, scene.compute_distance(centers32).numpy(), scene.compute_distance(points32).numpy()
 
 
-def pseudo_scenes(window: dict[str, Any], count: int) -> dict[str, float]:
+def synthetic_scenes(window: dict[str, Any], count: int) -> dict[str, float]:
     """Windows per second of one process: with the offsets of all frames, and of nine keyframes."""
-    scenes, balls = PseudoScenes(), fit_balls(window["body"])
+    scenes, spheres = SyntheticScenes(), fit_spheres(window["body"])
     args = (window["joints_m"], window["R_world_joint"], window["anchors_m"])
     keyframes = np.zeros(FRAMES, bool)
     keyframes[::15] = True
@@ -163,7 +163,7 @@ def pseudo_scenes(window: dict[str, Any], count: int) -> dict[str, float]:
         for number in range(count):
             rng = np.random.default_rng([SEED, number])
             start = time.perf_counter()
-            scenes.draw(rng, *args, balls=balls, bps_frames=frames)
+            scenes.draw(rng, *args, spheres=spheres, bps_frames=frames)
             times.append(time.perf_counter() - start)
         result[f"{name}_median_s"] = round(statistics.median(times), 5)
         result[f"{name}_windows_per_s"] = round(count / sum(times), 1)
@@ -192,9 +192,9 @@ def table(report: dict[str, Any]) -> str:
             f"{key.removesuffix('_s')} {1000 * row[key]:.1f} ms" for key in ("build_s", "voxels_s", "bps_s")
         )
         lines.append(f"{name}: {times}{wrong}")
-    pseudo = report["pseudo_scenes"]
+    pseudo = report["synthetic_scenes"]
     lines.extend(
-        f"pseudo-scenes, offsets of {name.replace('_', ' ')}: {1000 * pseudo[name + '_median_s']:.1f} ms each, "
+        f"synthetic scenes, offsets of {name.replace('_', ' ')}: {1000 * pseudo[name + '_median_s']:.1f} ms each, "
         f"{pseudo[name + '_windows_per_s']:.0f} windows/s in one process"
         for name in ("all_frames", "nine_keyframes")
     )

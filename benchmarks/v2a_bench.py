@@ -174,7 +174,7 @@ def _with_and_without(truth_dir: Path, scene_dir: Path) -> dict[str, Any] | None
 def errors(
     motion: BodyMotion, true: BodyMotion, common: CommonFrames, T_true_estimate: np.ndarray, fps: float
 ) -> dict[str, float]:
-    """W-MPJPE and PA-MPJPE in metres over measured frames, acceleration error in m/s2 over the span, as in `eval`."""
+    """W-MPJPE and PA-MPJPE in meters over measured frames, acceleration error in m/s2 over the span, as in `eval`."""
     mine_m, true_m = motion.joints_world_m, true.joints_world_m[common.true_index]
     span_m = transform_points(T_true_estimate, mine_m[common.span])
     return {

@@ -1,7 +1,7 @@
 """When the feet of a source clip stand on something: slow and low, with hysteresis, in measures of the clip itself.
 
 Sources differ: Bandai's feet are locked to 1 mm, retargeted humanoids slide at 0.3 m/s in stance and float by
-centimetres. So the speed that counts as slow, and the floor, are read from each clip.
+centimeters. So the speed that counts as slow, and the floor, are read from each clip.
 """
 
 from __future__ import annotations
@@ -134,8 +134,8 @@ def _cut_where_it_strays(
         piece_m = joint_m[start:stop, ::2]
         if stop - start < 3 or np.linalg.norm(np.ptp(piece_m, axis=0)) <= drift_m:
             continue
-        middle = start + 1 + int(speed[start + 1 : stop - 1].argmax())
-        first, last = max(start, middle - 1), min(stop, middle + 2)
+        center = start + 1 + int(speed[start + 1 : stop - 1].argmax())
+        first, last = max(start, center - 1), min(stop, center + 2)
         kept[first:last] = False
         waiting += [(start, first), (last, stop)]
     return kept

@@ -34,11 +34,11 @@ LEVEL_Z = [2, 5, 8, *range(137, 201, 3)]
 """Columns that are the x and z of a direction or position: translation, two of root orientation, 22 joints."""
 FEATURE_COUNT = 201
 BODY_LENGTHS = 7
-LEAST_STD = np.where(np.arange(FEATURE_COUNT) < 3, 0.05, 0.1)
-LEAST_STD[JOINTS] = 0.05
-"""Columns that hardly vary in most clips (collars, say) are not blown up where they do: metres, and 6D entries (0.1 is
+MIN_STD = np.where(np.arange(FEATURE_COUNT) < 3, 0.05, 0.1)
+MIN_STD[JOINTS] = 0.05
+"""Columns that hardly vary in most clips (collars, say) are not blown up where they do: meters, and 6D entries (0.1 is
 6 degrees)."""
-_LEAST_BODY_STD = 0.01
+_MIN_BODY_STD = 0.01
 LYING = 0.1
 """A root that faces up or down within this (sine) also counts by where its head points."""
 
@@ -135,9 +135,9 @@ class Statistics:
         std[LEVEL_X] = std[LEVEL_Z] = np.sqrt((std[LEVEL_X] ** 2 + std[LEVEL_Z] ** 2) / 2)
         return cls(
             features.mean(0).astype(np.float32),
-            np.maximum(std, LEAST_STD).astype(np.float32),
+            np.maximum(std, MIN_STD).astype(np.float32),
             lengths_m.mean(0).astype(np.float32),
-            np.maximum(body_std, _LEAST_BODY_STD).astype(np.float32),
+            np.maximum(body_std, _MIN_BODY_STD).astype(np.float32),
         )
 
     def normalize(self, features: Any) -> Any:
@@ -161,7 +161,7 @@ class Statistics:
 
 
 def body_lengths(body: ShapedBody) -> Float[np.ndarray, "7"]:
-    """The body shape b in metres (paper 7.3): root to head, shoulder to shoulder, shoulder to wrist, hip to hip, pelvis
+    """The body shape b in meters (paper 7.3): root to head, shoulder to shoulder, shoulder to wrist, hip to hip, pelvis
     to foot, and the thickness of chest and hips from front to back."""
     vertices, lengths = body.rest_vertices_m, list(lengths_of_skeleton(body.rest_joints_m))
     part = body.vertex_part

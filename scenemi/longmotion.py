@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeMotion:
-    """A motion of which some frames are given, in the world frame (metres)."""
+    """A motion of which some frames are given, in the world frame (meters)."""
 
     R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
     translation_world_m: Float[np.ndarray, "frames 3"]
@@ -38,7 +38,7 @@ class KeyframeMotion:
     noise_level: float = 0.0
     """Paper's l of the keyframes (`KeyframeWindow.noise_level`)."""
     noise: tuple[float, float] | None = None
-    """How far keyframes are off, degrees and centimetres, where that is not one l for both."""
+    """How far keyframes are off, degrees and centimeters, where that is not one l for both."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

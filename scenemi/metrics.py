@@ -1,6 +1,6 @@
 """Quality numbers of motion, each defined once: unit and direction stand in the docstring, thresholds in constants.
 
-Joints are the 22 SMPL joints in metres, world +Y up, floor at y = 0. A rate over nothing (no contact frame, too few
+Joints are the 22 SMPL joints in meters, world +Y up, floor at y = 0. A rate over nothing (no contact frame, too few
 frames) is NaN, never a made-up zero.
 """
 
@@ -122,7 +122,7 @@ def collision_vertex_ratio(signed_distance_m: Float[np.ndarray, "frames vertices
 
 
 def penetration_max_m(signed_distance_m: Float[np.ndarray, "frames vertices"]) -> float:
-    """Depth of the clip's deepest body vertex in the scene, 0 when none is inside. Metres, lower is better.
+    """Depth of the clip's deepest body vertex in the scene, 0 when none is inside. Meters, lower is better.
 
     Reported over a set of clips as the mean of this value.
     """
@@ -130,7 +130,7 @@ def penetration_max_m(signed_distance_m: Float[np.ndarray, "frames vertices"]) -
 
 
 def floating_m(signed_distance_m: Float[np.ndarray, "frames vertices"]) -> float:
-    """Mean over frames of the gap between body and scene beyond a 5 mm tolerance. Metres, lower is better.
+    """Mean over frames of the gap between body and scene beyond a 5 mm tolerance. Meters, lower is better.
 
     Flight phases count too: read it beside the ground truth's.
     """
@@ -144,31 +144,31 @@ def in_close_proximity(signed_distance_m: Float[np.ndarray, "frames vertices"]) 
 
 
 def mpjpe(estimate_m: Float[np.ndarray, "frames 22 3"], truth_m: Float[np.ndarray, "frames 22 3"]) -> float:
-    """Mean distance between equal joints, no alignment. Metres, lower is better."""
+    """Mean distance between equal joints, no alignment. Meters, lower is better."""
     return float(_distances(estimate_m, truth_m).mean())
 
 
 def root_relative_mpjpe(
     estimate_m: Float[np.ndarray, "frames 22 3"], truth_m: Float[np.ndarray, "frames 22 3"]
 ) -> float:
-    """MPJPE after each frame's pelvis is moved to the origin. Metres, lower is better."""
+    """MPJPE after each frame's pelvis is moved to the origin. Meters, lower is better."""
     return mpjpe(estimate_m - estimate_m[:, [ROOT]], truth_m - truth_m[:, [ROOT]])
 
 
 def pa_mpjpe(estimate_m: Float[np.ndarray, "frames 22 3"], truth_m: Float[np.ndarray, "frames 22 3"]) -> float:
-    """MPJPE after each frame is aligned by its own similarity (Procrustes). Metres, lower is better."""
+    """MPJPE after each frame is aligned by its own similarity (Procrustes). Meters, lower is better."""
     estimate_m, truth_m = expect_joints(estimate_m, "estimate_m"), expect_joints(truth_m, "truth_m")
     aligned_m = np.stack([align_similarity(e, t)(e) for e, t in zip(estimate_m, truth_m, strict=True)])
     return mpjpe(aligned_m, truth_m)
 
 
 def w_mpjpe(estimate_m: Float[np.ndarray, "frames 22 3"], truth_m: Float[np.ndarray, "frames 22 3"]) -> float:
-    """World MPJPE over chunks of 100 frames, each aligned by a similarity of its first two frames. Metres, lower."""
+    """World MPJPE over chunks of 100 frames, each aligned by a similarity of its first two frames. Meters, lower."""
     return _chunked_mpjpe(estimate_m, truth_m, W_ALIGN_FRAMES)
 
 
 def wa_mpjpe(estimate_m: Float[np.ndarray, "frames 22 3"], truth_m: Float[np.ndarray, "frames 22 3"]) -> float:
-    """World MPJPE over chunks of 100 frames, each aligned by a similarity of all its frames. Metres, lower."""
+    """World MPJPE over chunks of 100 frames, each aligned by a similarity of all its frames. Meters, lower."""
     return _chunked_mpjpe(estimate_m, truth_m, WORLD_CHUNK_FRAMES)
 
 

@@ -31,7 +31,7 @@ DEFAULT_STOP_STEP = 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeWindow:
-    """One window to fill: poses at keyframes, in the world frame (+Y up, floor at y = 0, metres)."""
+    """One window to fill: poses at keyframes, in the world frame (+Y up, floor at y = 0, meters)."""
 
     R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
     """Local rotations, joint 0 the root in the world. Rows that are no keyframes carry no information."""
@@ -45,11 +45,11 @@ class KeyframeWindow:
     seed_frames: int = 0
     """How many leading frames come from the window before; they are keyframes without noise."""
     body: ShapedBody | None = None
-    """Whose skin meets the scene; None = an adult of about the stature of `rest_joints_m`."""
+    """Whose skin meets the scene; None = an adult of about the body height of `rest_joints_m`."""
     noise_level: float = 0.0
-    """Paper's l: the keyframes (but the seed) are about l degrees and l centimetres off; 0 = exact."""
+    """Paper's l: the keyframes (but the seed) are about l degrees and l centimeters off; 0 = exact."""
     noise: Float[np.ndarray, "frames 2"] | None = None
-    """How far each keyframe is off, degrees and centimetres, where that is known better than by one l for all."""
+    """How far each keyframe is off, degrees and centimeters, where that is known better than by one l for all."""
 
     def __post_init__(self) -> None:
         frames = len(self.is_keyframe)

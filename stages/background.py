@@ -1,7 +1,7 @@
 """Stage background: the picture without its people, and where the people are.
 
-The plate is a temporal median that leaves out tracked people. A first plate, made with the person model's generous
-masks, sharpens the masks by figure and ground; the sharper masks make the final plate.
+The background image is a temporal median that leaves out tracked people. A first background image, made with the person
+model's generous masks, sharpens the masks by figure and ground; the sharper masks make the final background image.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from video2anim.pipeline.options import limits, model_of
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
-from video2anim.types import BackgroundPlate, PersonTracks, VideoClip
+from video2anim.types import BackgroundImage, PersonTracks, VideoClip
 
 if TYPE_CHECKING:
     from video2anim.background.person_segmentation import Raster
     from video2anim.networks.segmentation import SegmentModel
 
 _SAMPLE_BYTES = 256 * 2**20
-"""Memory for full-size samples of the plate."""
+"""Memory for full-size samples of the background image."""
 _FEWEST_SAMPLES = 9
 
 
 @dataclass(frozen=True)
 class BackgroundConfig:
-    """How the plate is sampled."""
+    """How the background image is sampled."""
 
     frame_step: Annotated[int, limits("frames", ge=1, le=100_000)] = 5
     """Masks are made for every such frame and the last one."""
@@ -61,7 +61,7 @@ class _People:
 
 def make_background(
     clip: VideoClip, tracks: PersonTracks, config: BackgroundConfig, ctx: StageContext
-) -> BackgroundPlate:
+) -> BackgroundImage:
     """Plate of the clip and masks of its people.
 
     For a moving camera the frames are aligned to the first one by a homography, which is exact for a turning camera
@@ -70,7 +70,7 @@ def make_background(
     Raises:
         InputError: the clip's video cannot be read.
     """
-    from video2anim.background.background_image import fill_unseen, median_plate, updated_plate
+    from video2anim.background.background_image import inpaint_unobserved, median_background, updated_background
     from video2anim.background.person_segmentation import Raster
 
     raster = Raster.of_clip(clip.width_px, clip.height_px, config.long_side_px)
@@ -79,19 +79,19 @@ def make_background(
     samples = _collect(clip, frame_index, generous, config, raster, ctx)
 
     excluded = _excluded(generous, samples, raster)
-    median = median_plate(samples.rgb, excluded)
+    median = median_background(samples.rgb, excluded)
     unseen = np.all(excluded, axis=0)
     model = None if config.segment_model == NO_MODEL else ctx.model(config.segment_model)
-    known = (fill_unseen(median, unseen), ~unseen)
+    known = (inpaint_unobserved(median, unseen), ~unseen)
     people = _masks(clip, tracks, frame_index, samples, known, raster, model, ctx)
 
     sharper = _excluded(_grown(people.any_person, tracks, frame_index, raster), samples, raster)
     unseen = np.all(sharper, axis=0)
-    plate = fill_unseen(updated_plate(median, samples.rgb, excluded, sharper), unseen)
+    background = inpaint_unobserved(updated_background(median, samples.rgb, excluded, sharper), unseen)
     seen_ratio = 1.0 - sharper.mean(axis=0, dtype=np.float32)
     _report(clip, samples, unseen, people, ctx)
-    return BackgroundPlate(
-        plate_rgb=plate,
+    return BackgroundImage(
+        background_rgb=background,
         seen_ratio=seen_ratio.astype(np.float32),
         frame_index=frame_index,
         person_mask=people.any_person,
@@ -215,7 +215,7 @@ def _masks(
     tracks: PersonTracks,
     frame_index: Int[np.ndarray, "samples"],
     samples: _Samples,
-    plate_known: tuple[UInt8[np.ndarray, "height width 3"], Bool[np.ndarray, "small_height small_width"]],
+    background_known: tuple[UInt8[np.ndarray, "height width 3"], Bool[np.ndarray, "small_height small_width"]],
     raster: Raster,
     model: SegmentModel | None,
     ctx: StageContext,
@@ -225,7 +225,7 @@ def _masks(
 
     shape = (len(frame_index), raster.height_px, raster.width_px)
     people = _People(np.zeros(shape, bool), np.zeros(shape, bool))
-    small_plate, known = raster.reduce(plate_known[0]), plate_known[1]
+    small_background, known = raster.reduce(background_known[0]), background_known[1]
     main_id = tracks.selected_ids[0] if tracks.selected_ids else None
     nobody = np.zeros(shape[1:], np.float32)
     for row, (frame, picture) in enumerate(zip(frame_index, _mask_frames(clip, frame_index), strict=True)):
@@ -233,7 +233,7 @@ def _masks(
         by_id = {t.person_id: person_probability(t, frame, raster) for t in tracks.people}
         main = nobody if main_id is None else by_id.pop(main_id, nobody)
         others = np.max([nobody, *by_id.values()], axis=0)
-        ground, ground_known = _plate_in_frame(small_plate, known, samples.H_reference_frame[row], raster)
+        ground, ground_known = _background_in_frame(small_background, known, samples.H_reference_frame[row], raster)
         difference = lab_difference(raster.reduce(picture), ground)
         named = None if model is None else _named_people(model, picture, raster)
         people.any_person[row] = refine_mask(np.maximum(main, others), difference, ground_known, named)
@@ -255,23 +255,23 @@ def _named_people(
     return cv2.resize(semantic, size, interpolation=cv2.INTER_NEAREST) == CLASSES.index("person")
 
 
-def _plate_in_frame(
-    small_plate: UInt8[np.ndarray, "small_height small_width 3"],
+def _background_in_frame(
+    small_background: UInt8[np.ndarray, "small_height small_width 3"],
     known: Bool[np.ndarray, "small_height small_width"],
     H_reference_frame: Float[np.ndarray, "3 3"],
     raster: Raster,
 ) -> tuple[UInt8[np.ndarray, "small_height small_width 3"], Bool[np.ndarray, "small_height small_width"]]:
-    """The plate as this frame's camera sees it, and where it is known."""
+    """The background image as this frame's camera sees it, and where it is known."""
     import cv2
 
     if np.array_equal(H_reference_frame, np.eye(3)):
-        return small_plate, known
+        return small_background, known
     if not np.isfinite(H_reference_frame).all():
-        return small_plate, np.zeros_like(known)
+        return small_background, np.zeros_like(known)
     H_small = np.linalg.inv(raster.T_small_image @ H_reference_frame @ np.linalg.inv(raster.T_small_image))
     size = (raster.width_px, raster.height_px)
     moved_known = cv2.warpPerspective(known.astype(np.float32), H_small, size) > 0.99
-    return cv2.warpPerspective(small_plate, H_small, size), moved_known
+    return cv2.warpPerspective(small_background, H_small, size), moved_known
 
 
 def _report(
@@ -288,14 +288,14 @@ def _report(
     if not clip.camera_is_static:
         lost = int(np.isnan(samples.H_reference_frame[:, 0, 0]).sum())
         ctx.warn(
-            "the camera moves: the background plate is aligned to the first frame by a homography"
+            "the camera moves: the background background image is aligned to the first frame by a homography"
             + (f"; {lost} of {len(samples.H_reference_frame)} sampled frames could not be aligned" if lost else "")
         )
     if unseen.mean() > 0.02:
         ctx.warn(
             f"{100 * unseen.mean():.0f} % of the background is never seen (people cover it throughout); "
-            "the plate is painted there"
+            "the background image is painted there"
         )
 
 
-STAGE = StageSpec("background", make_background, version=2, models=("segment",))
+STAGE = StageSpec("background", make_background, version=3, models=("segment",))

@@ -55,7 +55,7 @@ class CameraConfig:
     """Model of slot `camera` that gives perspective fields; `none` leaves the camera to the person alone."""
     field_frames: Annotated[int, limits(ge=1, le=1000), only_without("camera_model", NO_MODEL)] = 3
     """Pictures whose fields are fitted together; one for a moving camera."""
-    straight_edges: Annotated[bool, only_without("camera_model", NO_MODEL)] = True
+    line_segments: Annotated[bool, only_without("camera_model", NO_MODEL)] = True
     """Correct what the fields say by the straight edges of the room."""
 
 
@@ -132,7 +132,7 @@ def _lifted(clip: VideoClip, track: PersonTrack, config: CameraConfig, ctx: Stag
 
 def _picture_camera(clip: VideoClip, config: CameraConfig, ctx: StageContext) -> FieldCamera | None:
     """Lens and gravity by the perspective fields and straight edges of a few pictures of the same view."""
-    from video2anim.geometry.line_segments import camera_with_edges, straight_edges
+    from video2anim.geometry.line_segments import camera_with_edges, detect_line_segments
     from video2anim.geometry.perspective_field import fit_camera
     from video2anim.video import read_frames
 
@@ -145,9 +145,9 @@ def _picture_camera(clip: VideoClip, config: CameraConfig, ctx: StageContext) ->
     known = None if config.focal_px is None else config.focal_px / clip.height_px
     fields = [model.field(picture) for picture in pictures]
     camera = fit_camera(fields, clip.width_px / clip.height_px, focal_ratio=known)
-    if not config.straight_edges:
+    if not config.line_segments:
         return camera
-    edges = [straight_edges(picture) for picture in pictures]
+    edges = [detect_line_segments(picture) for picture in pictures]
     ctx.quality("straight edges of a picture", float(np.mean([len(one.ends) for one in edges])), "edges")
     ctx.quality("focal of fields alone", camera.focal_ratio * clip.height_px, "px")
     return camera_with_edges(camera, edges, focal_known=known is not None)
@@ -208,7 +208,7 @@ def _focal(
     fit_config = replace(FitConfig(), focal_ratio=ratio, focal_log_sigma=log_sigma)
     height_m = height_of(config.height_m, track.person_id, main_id=track.person_id)
     if height_m is not None:
-        fit_config = replace(fit_config, stature_m=height_m, stature_sigma_m=KNOWN_SIGMA_M)
+        fit_config = replace(fit_config, body_height_m=height_m, body_height_sigma_m=KNOWN_SIGMA_M)
 
     def fit(focal_px: float, free: bool, warm: FittedBody | None = None) -> FittedBody:
         intrinsics = Intrinsics.centered(focal_px, clip.width_px, clip.height_px)
@@ -255,12 +255,12 @@ def _up_seen(people: list[tuple[LiftedBody, PersonTrack]]) -> np.ndarray:
 
 def _up(body: FittedBody, seen: np.ndarray, duration_s: float) -> UpEstimate:
     """Up as the body's balance and the lifter see it, with equal weight."""
-    from video2anim.humans.ground import UpEstimate, up_from_balance
+    from video2anim.humans.ground import UpEstimate, up_from_static_equilibrium
 
-    balance = up_from_balance(body.joints_camera_m, duration_s)
+    balance = up_from_static_equilibrium(body.joints_camera_m, duration_s)
     together = seen + balance.up
     apart_rad = math.acos(float(np.clip(seen @ balance.up, -1, 1)))
-    # Two views of one thing: half their distance is the least that the mean may be wrong.
+    # Two views of one object: half their distance is the least that the mean may be wrong.
     sigma_rad = math.hypot(0.5 * apart_rad, balance.sigma_rad / math.sqrt(2))
     return UpEstimate(together / np.linalg.norm(together), sigma_rad, balance.support)
 
@@ -274,4 +274,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=13, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=14, models=("lifter", "camera"))

@@ -16,7 +16,7 @@ from video2anim.errors import StageError
 from video2anim.pipeline.options import limits, model_of
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     CompletedObject,
     CompletedObjects,
     InstanceMasks,
@@ -34,7 +34,7 @@ SLOT = "completer"
 class CompleteConfig:
     """Limits of the completion."""
 
-    largest_completed_ratio: Annotated[float, limits(ge=0, le=1)] = 0.5
+    max_completed_ratio: Annotated[float, limits(ge=0, le=1)] = 0.5
     """If more than this share of the completed outline were invented, the visible outline is kept instead."""
     model: Annotated[str, model_of("completer", also=(NO_MODEL,))] = NO_MODEL
     """Network that completes outlines and colors, `completer@FILE`; `none` leaves them to geometry."""
@@ -51,7 +51,7 @@ class _Completion:
 
 
 def complete_objects(
-    plate: BackgroundPlate, masks: InstanceMasks, depth: MetricDepth, config: CompleteConfig, ctx: StageContext
+    background: BackgroundImage, masks: InstanceMasks, depth: MetricDepth, config: CompleteConfig, ctx: StageContext
 ) -> CompletedObjects:
     """Amodal mask and picture of every instance.
 
@@ -62,7 +62,7 @@ def complete_objects(
     from video2anim.networks.amodal import object_picture
 
     completer = None if config.model == NO_MODEL else ctx.model(config.model)
-    unseen = never_seen(plate.seen_ratio, plate.plate_rgb.shape[:2])
+    unseen = never_seen(background.seen_ratio, background.background_rgb.shape[:2])
     distance_m = {i.object_id: _distance_m(i, depth) for i in masks.instances}
     objects = []
     for done, instance in enumerate(masks.instances):
@@ -70,10 +70,10 @@ def complete_objects(
             continue
         nearer = [m for m in masks.instances if distance_m[m.object_id] < distance_m[instance.object_id]]
         hidden = unseen | _union([m.mask for m in nearer], instance.mask)
-        made = _completed(plate.plate_rgb, instance, hidden & ~instance.mask, completer, ctx)
+        made = _completed(background.background_rgb, instance, hidden & ~instance.mask, completer, ctx)
         amodal = made.amodal
         ratio = 1.0 - instance.mask.sum() / max(int(amodal.sum()), 1)
-        if ratio > config.largest_completed_ratio:
+        if ratio > config.max_completed_ratio:
             ctx.warn(f"object {instance.object_id} would be {ratio:.0%} invented; its visible part is kept")
             amodal, ratio = instance.mask.copy(), 0.0
         image_rgb, corner = object_picture(made.picture_rgb, made.known, amodal)
@@ -83,12 +83,12 @@ def complete_objects(
     ratios = [o.completed_ratio for o in objects] or [0.0]
     ctx.quality("objects", len(objects), "objects")
     ctx.quality("mean_completed_ratio", float(np.mean(ratios)), "1")
-    ctx.quality("largest_completed_ratio", max(ratios), "1", "lower")
+    ctx.quality("max_completed_ratio", max(ratios), "1", "lower")
     return CompletedObjects(tuple(objects))
 
 
 def _completed(
-    plate_rgb: UInt8[np.ndarray, "height width 3"],
+    background_rgb: UInt8[np.ndarray, "height width 3"],
     instance: ObjectInstance,
     hidden: Bool[np.ndarray, "height width"],
     completer: MaskCompleter | None,
@@ -99,12 +99,12 @@ def _completed(
 
     if completer is not None:
         try:
-            said = completer.complete(plate_rgb, instance.mask, hidden)
+            said = completer.complete(background_rgb, instance.mask, hidden)
         except StageError as error:
             ctx.warn(f"object {instance.object_id} is completed by geometry instead: {error}")
         else:
             return _Completion(said.amodal, said.rgb, said.amodal)
-    return _Completion(amodal_mask(instance.mask, hidden), plate_rgb, instance.mask)
+    return _Completion(amodal_mask(instance.mask, hidden), background_rgb, instance.mask)
 
 
 def _union(masks: list[np.ndarray], like: np.ndarray) -> Bool[np.ndarray, "height width"]:

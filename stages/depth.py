@@ -1,9 +1,9 @@
-"""Stage depth: depth of the plate and of the person in sampled frames, up to one scale and offset for the clip.
+"""Stage depth: depth of the background image and of the people in sampled frames, up to one scale and offset.
 
-Provider `geometric` needs no network: gravity and the floor under the feet make a stage set (floor, upright things,
-upright background). Any other provider is a model of slot `depth`, whose uncertainty comes from hue jitter (paper 8.1).
-With a still camera the background is that of the plate in every frame, and only people are taken from the frame's own
-answer, brought to the plate's: so nothing flickers.
+Provider `geometric` needs no network: gravity and the floor under the feet make a planar scene proxy (floor, upright
+objects, upright background). Any other provider is a model of slot `depth`, whose uncertainty comes from hue jitter
+(paper 8.1). With a static camera every frame has the depth of the background image; only people come from the depth of
+the frame itself, aligned to it, so that nothing flickers.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from jaxtyping import Bool, Float, UInt8
 from video2anim.errors import StageError
 from video2anim.pipeline.options import limits, model_of, only_with, only_without
 from video2anim.pipeline.stage import StageContext, StageSpec
-from video2anim.types import BackgroundPlate, BodyTracks, CameraEstimate, DepthClip, VideoClip
+from video2anim.types import BackgroundImage, BodyTracks, CameraEstimate, DepthClip, VideoClip
 
 if TYPE_CHECKING:
-    from video2anim.depth.planar_scene import StageSet
+    from video2anim.depth.planar_scene import PlanarSceneProxy
 
 _SAME_VIEW = 0.01
-"""Camera motion, in metres and radians, below which the plate still is the frame's background."""
+"""Camera motion, in meters and radians, below which the background image still is the frame's background."""
 
 
 _HueShift = Annotated[float, limits("rad", ge=-3.1416, le=3.1416)]
@@ -40,7 +40,7 @@ class DepthConfig:
     contact_threshold: Annotated[float, limits(ge=0, le=1), only_with("provider", "geometric")] = 0.5
     """Geometric: contact probability from which a foot stands."""
     hue_shifts_rad: Annotated[tuple[_HueShift, ...], only_without("provider", "geometric")] = (-0.6, -0.3, 0.3, 0.6)
-    """Network: hue shifts of the plate's copies that give its uncertainty."""
+    """Network: hue shifts of the background image's copies that give its uncertainty."""
     frame_hue_shifts_rad: Annotated[tuple[_HueShift, ...], only_without("provider", "geometric")] = (-0.45, 0.45)
     """Network: the same for each sampled frame."""
     unreliable_ratio: Annotated[float, limits(ge=0, le=1), only_without("provider", "geometric")] = 0.04
@@ -60,13 +60,13 @@ class DepthModel(Protocol):
 
 def estimate_depth(
     clip: VideoClip,
-    plate: BackgroundPlate,
+    background_image: BackgroundImage,
     bodies: BodyTracks,
     camera: CameraEstimate,
     config: DepthConfig,
     ctx: StageContext,
 ) -> DepthClip:
-    """Relative depth of the plate and of every sampled frame, with uncertainty.
+    """Relative depth of the background image and of every sampled frame, with uncertainty.
 
     The camera's place over the floor is taken from the fitted bodies; `camera` says whether it moves.
 
@@ -76,68 +76,80 @@ def estimate_depth(
     if not bodies.people:
         raise StageError("depth: want at least one fitted body, got none; check stage humans")
     if config.provider == "geometric":
-        depth = _geometric(plate, bodies, camera, config, ctx)
+        depth = _geometric(background_image, bodies, camera, config, ctx)
     else:
-        depth = _network(clip, plate, camera.is_static, config, ctx)
-    on_person = plate.selected_mask & depth.valid
+        depth = _network(clip, background_image, camera.is_static, config, ctx)
+    on_person = background_image.selected_mask & depth.valid
     ctx.quality("background_valid_ratio", float(depth.background_valid.mean()), "1", "higher")
-    ctx.quality("person_valid_ratio", on_person.sum() / max(int(plate.selected_mask.sum()), 1), "1", "higher")
+    ctx.quality(
+        "person_valid_ratio", on_person.sum() / max(int(background_image.selected_mask.sum()), 1), "1", "higher"
+    )
     sigma = depth.sigma[depth.valid] / np.maximum(np.abs(depth.value[depth.valid]), 1e-6)
     ctx.quality("median_sigma_ratio", float(np.median(sigma)) if sigma.size else 1.0, "1", "lower")
     return depth
 
 
 def _geometric(
-    plate: BackgroundPlate, bodies: BodyTracks, camera: CameraEstimate, config: DepthConfig, ctx: StageContext
+    background_image: BackgroundImage,
+    bodies: BodyTracks,
+    camera: CameraEstimate,
+    config: DepthConfig,
+    ctx: StageContext,
 ) -> DepthClip:
     import cv2
 
     from video2anim.depth.person_depth import standing_feet
     from video2anim.depth.planar_scene import StageSetConfig, stage_set_depth
 
-    height, width = plate.seen_ratio.shape
+    height, width = background_image.seen_ratio.shape
     main = bodies.people[0]
-    small_rgb = cv2.resize(plate.plate_rgb, (width, height), interpolation=cv2.INTER_AREA)
+    small_rgb = cv2.resize(background_image.background_rgb, (width, height), interpolation=cv2.INTER_AREA)
     stands = [standing_feet(body, config.contact_threshold) for body in bodies.people]
     spots = np.concatenate([feet[on] for feet, on in stands]) * np.array([1.0, 0.0, 1.0])
     intrinsics = main.intrinsics.resized(width, height)
     settings = StageSetConfig(far_m=config.far_m)
-    stage_set = stage_set_depth(small_rgb, main.T_world_camera[0], intrinsics, spots, settings)
+    planar_scene = stage_set_depth(small_rgb, main.T_world_camera[0], intrinsics, spots, settings)
     ctx.quality("standing_spots", len(spots), "frames x feet", "higher")
-    if stage_set is None:
+    if planar_scene is None:
         ctx.warn("no foot stands on floor that the picture shows; background depth is unknown")
-        stage_set = _nothing_known(height, width)
-    return _with_people(plate, bodies, stage_set, camera.is_static, config)
+        planar_scene = _nothing_known(height, width)
+    return _with_people(background_image, bodies, planar_scene, camera.is_static, config)
 
 
-def _nothing_known(height: int, width: int) -> StageSet:
-    from video2anim.depth.planar_scene import StageSet
+def _nothing_known(height: int, width: int) -> PlanarSceneProxy:
+    from video2anim.depth.planar_scene import PlanarSceneProxy
 
     unknown = np.zeros((height, width), dtype=bool)
-    return StageSet(np.ones((height, width)), np.ones((height, width)), unknown, np.zeros((height, width), np.int32))
+    return PlanarSceneProxy(
+        np.ones((height, width)), np.ones((height, width)), unknown, np.zeros((height, width), np.int32)
+    )
 
 
 def _with_people(
-    plate: BackgroundPlate, bodies: BodyTracks, stage_set: StageSet, is_static: bool, config: DepthConfig
+    background_image: BackgroundImage,
+    bodies: BodyTracks,
+    planar_scene: PlanarSceneProxy,
+    is_static: bool,
+    config: DepthConfig,
 ) -> DepthClip:
     """Stage set behind, the person as an upright figure before it, in every sampled frame."""
     from video2anim.depth.person_depth import figure_distance, standing_feet
     from video2anim.geometry.gravity_view import GravityView
 
     main = bodies.people[0]
-    height, width = plate.seen_ratio.shape
+    height, width = background_image.seen_ratio.shape
     intrinsics = main.intrinsics.resized(width, height)
     feet_world_m, standing = standing_feet(main, config.contact_threshold)
-    samples = len(plate.frame_index)
-    depth_m = np.repeat(stage_set.depth_m[None].astype(np.float32), samples, axis=0)
-    sigma_m = np.repeat(stage_set.sigma_m[None].astype(np.float32), samples, axis=0)
-    valid = np.repeat(stage_set.valid[None], samples, axis=0) & ~plate.person_mask
+    samples = len(background_image.frame_index)
+    depth_m = np.repeat(planar_scene.depth_m[None].astype(np.float32), samples, axis=0)
+    sigma_m = np.repeat(planar_scene.sigma_m[None].astype(np.float32), samples, axis=0)
+    valid = np.repeat(planar_scene.valid[None], samples, axis=0) & ~background_image.person_mask
     view = GravityView.of_camera(main.T_world_camera[0], intrinsics)
-    for sample, frame in enumerate(plate.frame_index):
+    for sample, frame in enumerate(background_image.frame_index):
         if not is_static:
             valid[sample] &= _same_view(main.T_world_camera[frame], main.T_world_camera[0])
             view = GravityView.of_camera(main.T_world_camera[frame], intrinsics)
-        mask = plate.selected_mask[sample]
+        mask = background_image.selected_mask[sample]
         found = figure_distance(view, mask, feet_world_m[frame][standing[frame]])
         if found is None or view.camera_height_m <= 0.05:
             continue
@@ -145,16 +157,20 @@ def _with_people(
         sigma_m[sample][mask] = found[1] / view.ray_horizontal[mask]
         valid[sample] |= mask
     known = depth_m[valid] if valid.any() else np.ones(1)
-    unit_m = float(np.median(stage_set.depth_m[stage_set.valid])) if stage_set.valid.any() else float(np.median(known))
+    unit_m = (
+        float(np.median(planar_scene.depth_m[planar_scene.valid]))
+        if planar_scene.valid.any()
+        else float(np.median(known))
+    )
     return DepthClip(
         kind="depth",
         provider="geometric",
-        frame_index=plate.frame_index,
+        frame_index=background_image.frame_index,
         value=depth_m / np.float32(unit_m),
         sigma=sigma_m / np.float32(unit_m),
         valid=valid,
-        background_value=(stage_set.depth_m / unit_m).astype(np.float32),
-        background_valid=stage_set.valid,
+        background_value=(planar_scene.depth_m / unit_m).astype(np.float32),
+        background_valid=planar_scene.valid,
     )
 
 
@@ -164,26 +180,26 @@ def _same_view(T_world_a: Float[np.ndarray, "4 4"], T_world_b: Float[np.ndarray,
 
 
 def _network(
-    clip: VideoClip, plate: BackgroundPlate, is_static: bool, config: DepthConfig, ctx: StageContext
+    clip: VideoClip, background_image: BackgroundImage, is_static: bool, config: DepthConfig, ctx: StageContext
 ) -> DepthClip:
     from video2anim.video import read_frames
 
     model: DepthModel = ctx.model(config.provider)
-    shape = plate.seen_ratio.shape
-    background = _jittered(model, plate.plate_rgb, shape, config.hue_shifts_rad, config)
-    wanted = {int(frame): sample for sample, frame in enumerate(plate.frame_index)}
+    shape = background_image.seen_ratio.shape
+    background = _jittered(model, background_image.background_rgb, shape, config.hue_shifts_rad, config)
+    wanted = {int(frame): sample for sample, frame in enumerate(background_image.frame_index)}
     maps = np.zeros((2, len(wanted), *shape), dtype=np.float32)
     valid = np.zeros((len(wanted), *shape), dtype=bool)
-    for frame, image_rgb in enumerate(read_frames(clip, 0, int(plate.frame_index.max()) + 1)):
+    for frame, image_rgb in enumerate(read_frames(clip, 0, int(background_image.frame_index.max()) + 1)):
         if frame in wanted:
             sample = wanted[frame]
             answer = _jittered(model, image_rgb, shape, config.frame_hue_shifts_rad, config)
             maps[0, sample], maps[1, sample], valid[sample] = answer
             ctx.progress(sample + 1, len(wanted))
     if is_static:
-        _steady(maps, valid, background, plate.person_mask, ctx)
+        _steady(maps, valid, background, background_image.person_mask, ctx)
     if model.kind == "disparity":
-        # Its zero is anywhere: put it a little beyond the farthest thing, so that all values are positive.
+        # Its zero is anywhere: put it a little beyond the farthest object, so that all values are positive.
         known = background[0][background[2]] if background[2].any() else background[0]
         low, high = np.percentile(known, [0.5, 98])
         zero = np.float32(low - 0.05 * (high - low))
@@ -192,7 +208,7 @@ def _network(
     return DepthClip(
         kind="disparity" if model.kind == "disparity" else "depth",
         provider=config.provider,
-        frame_index=plate.frame_index,
+        frame_index=background_image.frame_index,
         value=maps[0],
         sigma=maps[1],
         valid=valid,
@@ -208,7 +224,7 @@ def _steady(
     person_mask: Bool[np.ndarray, "samples h w"],
     ctx: StageContext,
 ) -> None:
-    """Bring every sample to the plate, in place: people from their own picture, all else from the plate."""
+    """Align every sample to the background image, in place; only people keep the depth of their own frame."""
     from video2anim.depth.temporal_alignment import fitted_line, flicker
 
     value, sigma, known = background
@@ -226,7 +242,7 @@ def _steady(
         valid[sample] = np.where(people, valid[sample], known)
     if lost:
         ctx.warn(
-            f"depth: {lost} of {len(person_mask)} sampled frames could not be brought to the plate: no person depth"
+            f"depth: {lost} of {len(person_mask)} sampled frames could not be aligned to the background; no people"
         )
     if still.any():
         ctx.quality("flicker_before", before, "share of range", "lower")

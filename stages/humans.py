@@ -1,4 +1,4 @@
-"""Stage 4: bodies in metres, fitted to the landmarks of all frames together."""
+"""Stage 4: bodies in meters, fitted to the landmarks of all frames together."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def recover_humans(
     quality = tuple(
         replace(
             person_quality(track, seen, fit, motion, clip.fps, **_smoothness(motion, clip.fps)),
-            stature_sigma_m=FitConfig().stature_sigma_m if height_m is None else KNOWN_SIGMA_M,
+            body_height_sigma_m=FitConfig().body_height_sigma_m if height_m is None else KNOWN_SIGMA_M,
         )
         for track, seen, fit, motion, height_m in zip(selected, observed, fits, people, heights_m, strict=True)
     )
@@ -154,7 +154,7 @@ def _fit(
 
     fit_config = FitConfig()
     if height_m is not None:
-        fit_config = replace(fit_config, stature_m=height_m, stature_sigma_m=KNOWN_SIGMA_M)
+        fit_config = replace(fit_config, body_height_m=height_m, body_height_sigma_m=KNOWN_SIGMA_M)
     if lifted is not None and config.method == "lifter":
         if height_m is not None:
             ctx.warn("humans.method=lifter knows no height: --height-m is not used, the body is an adult of 1.70 m")
@@ -274,7 +274,7 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("bone length spread", 100 * quality.bone_spread, "%", "lower")
     ctx.quality("planted foot", 100 * float((motion.contact[:, list(FEET)].max(1) > 0.5).mean()), "% of frames")
     ctx.quality("floor spread", spread_m, "m", "lower")
-    ctx.quality("skeleton height", quality.stature_m, "m")
+    ctx.quality("skeleton height", quality.body_height_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=12, models=_slots)
+STAGE = StageSpec("humans", recover_humans, version=13, models=_slots)

@@ -21,8 +21,9 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import PayloadFile, SourceInfo, SourceVideo, VideoClip
 
 if TYPE_CHECKING:
+    from video2anim.video.source_scan import SourceScan
+
     from video2anim.video.decode import SourceHeader, Stamps
-    from video2anim.video.survey import Survey
 
 FPS = 30
 """Frame rate of every clip; all later stages count on it."""
@@ -31,7 +32,7 @@ _SMALL_SIDE_PX = 240
 _LONG_HOLE_S = 0.25
 _CUT_OFF_S = 0.5
 """Seconds by which the header may be wrong about the end."""
-_MOST_FRAMES_PER_PICTURE = 15
+_MAX_FRAMES_PER_PICTURE = 15
 """Fewer than 2 pictures a second, on average, are no film: nearly every frame would repeat the one before."""
 _MOTION_SAMPLES = 20
 _MOTION_STEP = 8
@@ -65,45 +66,46 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         InputError: the source is missing, no video, too short, or has no such shot; or the disk is full.
         StageError: the clip cannot be written.
     """
+    from video2anim.video.source_scan import scan_source
+
     from video2anim.camera.background_registration import STATIC_DRIFT_RATIO
     from video2anim.video.cfr import constant_rate_index
     from video2anim.video.decode import probe
-    from video2anim.video.survey import survey_source
 
     header = probe(source.path)
     total = 2 * header.claimed_frames
-    survey = survey_source(
+    source_scan = scan_source(
         source.path,
         header,
         start_s=config.start_s,
         stop_s=config.stop_s,
         on_picture=lambda done: ctx.progress(min(done, total // 2), total) if total else None,
     )
-    if len(survey.time_s) == 0:
+    if len(source_scan.time_s) == 0:
         raise InputError(
             f"{source.path}: no picture between start_s={config.start_s} and stop_s={config.stop_s}; "
-            f"{survey.report.frames} pictures decode in all"
+            f"{source_scan.report.frames} pictures decode in all"
         )
-    shot = _choose_shot(source.path, survey, config)
-    shot_time_s = survey.shot_time_s(shot)
+    shot = _choose_shot(source.path, source_scan, config)
+    shot_time_s = source_scan.shot_time_s(shot)
     source_time_s = shot_time_s[constant_rate_index(shot_time_s, FPS)]
     if len(source_time_s) < config.min_frames:
         raise InputError(
             f"{source.path}: want at least {config.min_frames} frames at {FPS} fps "
             f"({config.min_frames / FPS:.2f} s), got {len(source_time_s)} from {len(shot_time_s)} decoded pictures"
         )
-    if len(source_time_s) > _MOST_FRAMES_PER_PICTURE * len(shot_time_s):
+    if len(source_time_s) > _MAX_FRAMES_PER_PICTURE * len(shot_time_s):
         raise InputError(
-            f"{source.path}: want a film of at least {FPS / _MOST_FRAMES_PER_PICTURE:.0f} pictures a second, got "
+            f"{source.path}: want a film of at least {FPS / _MAX_FRAMES_PER_PICTURE:.0f} pictures a second, got "
             f"{len(shot_time_s)} pictures in {len(source_time_s) / FPS:.0f} s; choose a denser part with "
             "--set ingest.start_s=S --set ingest.stop_s=S, or another shot with --set ingest.shot=N "
-            f"(of {len(survey.shot_start)})"
+            f"(of {len(source_scan.shot_start)})"
         )
     size_px = header.upright_size_px(config.max_long_side_px)
     path = ctx.work_dir / "video.mp4"
-    written = _write_clip(source.path, header, survey.stamps, source_time_s, size_px, path, ctx)
+    written = _write_clip(source.path, header, source_scan.stamps, source_time_s, size_px, path, ctx)
     drift = written.drift_ratio
-    warnings = _warnings(header, survey, shot, shot_time_s, size_px)
+    warnings = _warnings(header, source_scan, shot, shot_time_s, size_px)
     if written.missing_frames:
         warnings.append(f"{written.missing_frames} pictures did not decode a second time; the ones before are held")
     if math.isnan(drift):
@@ -115,7 +117,7 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         )
     for text in warnings:
         ctx.warn(text)
-    _record_quality(survey, source_time_s, drift, ctx)
+    _record_quality(source_scan, source_time_s, drift, ctx)
     return VideoClip(
         video=PayloadFile(path),
         width_px=size_px[0],
@@ -123,8 +125,8 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         fps=float(FPS),
         frame_time_s=np.arange(len(source_time_s)) / FPS,
         source_time_s=source_time_s,
-        source=_source_info(header, survey),
-        shots_s=survey.shots_s(),
+        source=_source_info(header, source_scan),
+        shots_s=source_scan.shots_s(),
         shot_index=shot,
         camera_is_static=not drift > STATIC_DRIFT_RATIO,
         camera_drift_ratio=drift,
@@ -138,8 +140,8 @@ class _Written:
     missing_frames: int
 
 
-def _choose_shot(path: Path, survey: Survey, config: IngestConfig) -> int:
-    spans_s = survey.shots_s()
+def _choose_shot(path: Path, source_scan: SourceScan, config: IngestConfig) -> int:
+    spans_s = source_scan.shots_s()
     if config.shot == "longest":
         return int(np.argmax([end_s - start_s for start_s, end_s in spans_s]))
     if int(config.shot) >= len(spans_s):
@@ -211,15 +213,15 @@ def _write_clip(
 
 def _warnings(
     header: SourceHeader,
-    survey: Survey,
+    source_scan: SourceScan,
     shot: int,
     shot_time_s: Float[np.ndarray, "shot_pictures"],
     size_px: tuple[int, int],
 ) -> list[str]:
-    from video2anim.video.cfr import largest_hole_s
+    from video2anim.video.cfr import max_gap_s
 
     texts = []
-    shots_s, report = survey.shots_s(), survey.report
+    shots_s, report = source_scan.shots_s(), source_scan.report
     if len(shots_s) > 1:
         start_s, end_s = shots_s[shot]
         texts.append(
@@ -236,14 +238,14 @@ def _warnings(
             f"high dynamic range ({header.hdr}), shown as it is: dark and pale to detectors and in textures; "
             "convert the video to standard range (BT.709) before for true colors"
         )
-    if survey.stamps == "dts":
+    if source_scan.stamps == "dts":
         texts.append("the file's presentation times go back and forth; decode order and decode times are used")
-    if survey.reached_end and header.claimed_frames > report.frames:
+    if source_scan.reached_end and header.claimed_frames > report.frames:
         texts.append(
             f"the header claims {header.claimed_frames} frames, {report.frames} decode: the file is cut off or damaged"
         )
-    end_s = survey.time_s[-1] + survey.period_s
-    if survey.reached_end and header.claimed_s > end_s + _CUT_OFF_S:
+    end_s = source_scan.time_s[-1] + source_scan.period_s
+    if source_scan.reached_end and header.claimed_s > end_s + _CUT_OFF_S:
         texts.append(
             f"the header claims {header.claimed_s:.2f} s, the pictures end at {end_s:.2f} s: the file is cut off or "
             "damaged"
@@ -260,8 +262,8 @@ def _warnings(
         fps = 1.0 / float(np.median(np.diff(shot_time_s)))
         if fps < _LOW_FPS:
             texts.append(f"low frame rate: {fps:.1f} fps (want {_LOW_FPS:.0f} or more); fast motion will be lost")
-        elif largest_hole_s(shot_time_s) > _LONG_HOLE_S:
-            texts.append(f"the source shows nothing new for {largest_hole_s(shot_time_s):.2f} s; the picture is held")
+        elif max_gap_s(shot_time_s) > _LONG_HOLE_S:
+            texts.append(f"the source shows nothing new for {max_gap_s(shot_time_s):.2f} s; the picture is held")
     if min(size_px) < _SMALL_SIDE_PX:
         texts.append(
             f"small picture: {size_px[0]}x{size_px[1]} px (want a short side of {_SMALL_SIDE_PX} or more); "
@@ -270,8 +272,8 @@ def _warnings(
     return texts
 
 
-def _source_info(header: SourceHeader, survey: Survey) -> SourceInfo:
-    time_s = survey.time_s
+def _source_info(header: SourceHeader, source_scan: SourceScan) -> SourceInfo:
+    time_s = source_scan.time_s
     span_s = float(time_s[-1] - time_s[0])
     return SourceInfo(
         codec=header.codec,
@@ -281,17 +283,17 @@ def _source_info(header: SourceHeader, survey: Survey) -> SourceInfo:
         rotation_deg=header.rotation_deg,
         pixel_aspect=header.pixel_aspect,
         average_fps=(len(time_s) - 1) / span_s if span_s > 0 else header.nominal_fps,
-        decoded_frames=survey.report.frames,
+        decoded_frames=source_scan.report.frames,
         claimed_frames=header.claimed_frames,
-        duration_s=span_s + survey.period_s,
+        duration_s=span_s + source_scan.period_s,
         focal_35mm=header.focal_35mm,
     )
 
 
 def _record_quality(
-    survey: Survey, source_time_s: Float[np.ndarray, "frames"], drift_ratio: float, ctx: StageContext
+    source_scan: SourceScan, source_time_s: Float[np.ndarray, "frames"], drift_ratio: float, ctx: StageContext
 ) -> None:
-    report = survey.report
+    report = source_scan.report
     ctx.quality("frames", len(source_time_s), "")
     held_ratio = float(np.mean(np.diff(source_time_s, prepend=-np.inf) == 0))
     ctx.quality("held_frames", held_ratio, "ratio", "lower")

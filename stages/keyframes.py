@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyMotion,
     KeyframedMotion,
     MetricDepth,
@@ -79,24 +79,24 @@ class KeyframesConfig:
 def optimize_keyframes(
     scene: SceneModel,
     depth: MetricDepth,
-    plate: BackgroundPlate,
+    background: BackgroundImage,
     config: KeyframesConfig,
     ctx: StageContext,
 ) -> KeyframedMotion:
     """Optimize the keyframes' roots and carry the displacement over to all frames.
 
     Keyframes lie in valid frames only; invalid stretches are bridged. Depth is used for the main person, whose mask the
-    plate holds, and only where the depth's scale is trusted.
+    background image holds, and only where the depth's scale is trusted.
     """
     from video2anim.geometry.sdf import SdfGrid
 
     grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
-    masks_fit = plate.selected_mask.shape[1:] == depth.depth_m.shape[1:]
+    masks_fit = background.selected_mask.shape[1:] == depth.depth_m.shape[1:]
     usable = depth.trusted and masks_fit
     if not depth.trusted:
         ctx.warn(f"depth loss left out, the depth's scale is not trusted ({depth.reason})")
     elif not masks_fit:
-        masks, maps = plate.selected_mask.shape[1:], depth.depth_m.shape[1:]
+        masks, maps = background.selected_mask.shape[1:], depth.depth_m.shape[1:]
         ctx.warn(f"depth loss left out, masks {masks} do not fit depth {maps}")
     people, indices = [], []
     for number, motion in enumerate(depth.bodies.people):
@@ -106,7 +106,7 @@ def optimize_keyframes(
             ctx.warn(f"person {motion.person_id} has no valid frame, motion left as it is")
             people.append(motion)
             continue
-        seen = (depth, plate) if number == 0 and usable else None
+        seen = (depth, background) if number == 0 and usable else None
         name = "" if number == 0 else f" (person {motion.person_id})"
         people.append(_optimize_person(motion, scene.objects, keyframes, grid, seen, config, ctx, name))
         ctx.progress(number + 1, len(depth.bodies.people))
@@ -118,7 +118,7 @@ def _optimize_person(
     objects: Sequence[PlacedObject],
     keyframes: Int[np.ndarray, "keyframes"],
     grid: SdfGrid,
-    seen: tuple[MetricDepth, BackgroundPlate] | None,
+    seen: tuple[MetricDepth, BackgroundImage] | None,
     config: KeyframesConfig,
     ctx: StageContext,
     name: str,

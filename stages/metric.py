@@ -14,7 +14,7 @@ from video2anim.errors import StageError
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyTracks,
     CameraEstimate,
     DepthClip,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from video2anim.calibration.fit import Calibration
 
 _OTHER_GROUND_M = 0.25
-"""Lower steps are within what a stature of two standard deviations explains at the height of a camera."""
+"""Lower steps are within what a body height of two standard deviations explains at the height of a camera."""
 _CONFLICT = 3.0
 """Evidence that is off by more than so many standard deviations (root mean square) contradicts the rest."""
 
@@ -37,24 +37,24 @@ _CONFLICT = 3.0
 class MetricConfig:
     """What is believed of the fit."""
 
-    largest_chamfer_ratio: Annotated[float, limits(ge=0, le=10)] = 0.2
+    max_chamfer_ratio: Annotated[float, limits(ge=0, le=10)] = 0.2
     """Body and depth that stay farther apart than this share of the distance: the depth's scale is not trusted. It is
     0.03 to 0.12 on real clips where the network's depth is what the picture shows."""
-    largest_sigma_ratio: Annotated[float, limits(gt=0, le=10)] = 0.3
+    max_sigma_ratio: Annotated[float, limits(gt=0, le=10)] = 0.3
     """Nor is one whose standard deviation is a larger share of it."""
 
 
 def fit_metric(
     clip: VideoClip,
     depth: DepthClip,
-    plate: BackgroundPlate,
+    background: BackgroundImage,
     bodies: BodyTracks,
     masks: InstanceMasks,
     camera: CameraEstimate,
     config: MetricConfig,
     ctx: StageContext,
 ) -> MetricDepth:
-    """Metric depth of plate and samples, and the calibrated people with their camera.
+    """Metric depth of background image and samples, and the calibrated people with their camera.
 
     Where neither floor nor person shows reliable depth, no depth is valid: only the sizes of people are known then.
 
@@ -70,8 +70,8 @@ def fit_metric(
         raise StageError("metric: want a fitted body with at least one valid frame, got none; check stage humans")
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
     evidence = with_objects(
-        picture_evidence(depth, plate, bodies, camera, floor, clip.fps, ctx.rng("metric/points")),
-        depth, plate, bodies.people[0], masks,
+        picture_evidence(depth, background, bodies, camera, floor, clip.fps, ctx.rng("metric/points")),
+        depth, background, bodies.people[0], masks,
     )  # fmt: skip
     found = calibrate(evidence)
     problem = _problem(evidence, found, config)
@@ -84,7 +84,7 @@ def fit_metric(
         if abs(above_m) > _OTHER_GROUND_M:
             ctx.warn(f"person {body.person_id} stands {above_m:+.2f} m from the floor: a child, or on other ground")
     _record(found, ctx)
-    return _applied(depth, plate, masks, evidence, found, calibrated(bodies, found), problem)
+    return _applied(depth, background, masks, evidence, found, calibrated(bodies, found), problem)
 
 
 def _problem(evidence: Evidence, found: Calibration, config: MetricConfig) -> str:
@@ -93,10 +93,10 @@ def _problem(evidence: Evidence, found: Calibration, config: MetricConfig) -> st
         return "neither the person nor floor shows reliable depth: no depth is metric"
     if evidence.skin:
         distance_m = float(np.median([one.root_m[2] for one in evidence.skin]))
-        if found.chamfer_after_m > config.largest_chamfer_ratio * distance_m:
+        if found.chamfer_after_m > config.max_chamfer_ratio * distance_m:
             return f"body and depth stay {found.chamfer_after_m:.2f} m apart at a distance of {distance_m:.1f} m"
-    if found.scale_log_sigma > config.largest_sigma_ratio:
-        return f"it is known to {found.scale_log_sigma:.0%} only (limit {config.largest_sigma_ratio:.0%})"
+    if found.scale_log_sigma > config.max_sigma_ratio:
+        return f"it is known to {found.scale_log_sigma:.0%} only (limit {config.max_sigma_ratio:.0%})"
     return ""
 
 
@@ -110,8 +110,8 @@ def _record(found: Calibration, ctx: StageContext) -> None:
     ctx.quality("up uncertainty", float(np.rad2deg(found.up_sigma_rad)), "deg", "lower")
     ctx.quality("camera height", found.camera_height_m, "m")
     ctx.quality("camera height uncertainty", found.camera_height_sigma_m, "m", "lower")
-    ctx.quality("size over that of stage humans", float(found.stature_ratio[0]), "ratio")
-    ctx.quality("size uncertainty", float(found.stature_log_sigma[0]), "ratio", "lower")
+    ctx.quality("size over that of stage humans", float(found.body_height_ratio[0]), "ratio")
+    ctx.quality("size uncertainty", float(found.body_height_log_sigma[0]), "ratio", "lower")
     ctx.quality("person over their depth", float(np.exp(found.person_depth_log)), "ratio")
     for kind, off in found.residuals.items():
         ctx.quality(f"residual: {kind}", off, "standard deviations", "lower")
@@ -119,7 +119,7 @@ def _record(found: Calibration, ctx: StageContext) -> None:
 
 def _applied(
     depth: DepthClip,
-    plate: BackgroundPlate,
+    background: BackgroundImage,
     masks: InstanceMasks,
     evidence: Evidence,
     found: Calibration,
@@ -136,7 +136,7 @@ def _applied(
         factor[shrunk(instance.mask, shape)] = np.exp(log)
     background_m, background_valid = _meters(depth, depth.background_value, depth.background_valid, found)
     depth_m, valid = _meters(depth, depth.value, depth.valid, found)
-    people = plate.person_mask if plate.person_mask.shape == depth_m.shape else np.zeros(depth_m.shape, bool)
+    people = background.person_mask if background.person_mask.shape == depth_m.shape else np.zeros(depth_m.shape, bool)
     own = np.where(people, np.exp(found.person_depth_log), factor)
     return MetricDepth(
         scale=found.scale,

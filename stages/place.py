@@ -38,15 +38,15 @@ class PlaceConfig:
     """Yaws tried besides the first guess, relative to it, for meshes whose front is unknown."""
     points: Annotated[int, limits(ge=1, le=1_000_000)] = 300
     """At most so many mesh points and depth points."""
-    least_points: Annotated[int, limits(ge=1, le=1_000_000)] = 30
+    min_points: Annotated[int, limits(ge=1, le=1_000_000)] = 30
     """Objects with fewer reliable depth pixels are not trusted."""
-    largest_chamfer_m: Annotated[float, limits("m", ge=0, le=100)] = 0.25
+    max_chamfer_m: Annotated[float, limits("m", ge=0, le=100)] = 0.25
     """Objects that stay farther from their depth are not trusted."""
-    least_outline_iou: Annotated[float, limits(ge=0, le=1)] = 0.5
+    min_outline_iou: Annotated[float, limits(ge=0, le=1)] = 0.5
     """Nor are forms that cover less of their outline."""
     overlap_m: Annotated[float, limits("m", ge=0, le=100)] = 0.03
     """Objects deeper in each other than this are moved apart."""
-    largest_overlap_m: Annotated[float, limits("m", ge=0, le=100)] = 0.1
+    max_overlap_m: Annotated[float, limits("m", ge=0, le=100)] = 0.1
     """Objects that stay deeper in another than this are not trusted."""
 
 
@@ -58,9 +58,9 @@ def place_objects(
     ctx: StageContext,
 ) -> PlacedObjects:
     """Every object at its place. Those whose fit cannot be trusted keep their first guess or best fit and say why."""
-    from video2anim.objects.backproject import ThingLifter
+    from video2anim.objects.backproject import ObjectBackprojector
 
-    lifter = ThingLifter(masks, depth)
+    lifter = ObjectBackprojector(masks, depth)
     placed = []
     for done, found in enumerate(meshes.objects):
         if found.chamfer_m is not None:
@@ -72,7 +72,7 @@ def place_objects(
             item = replace(item, trusted=False, reason="the scale of depth is not trusted")
         placed.append(replace(item, distance_sigma=depth.object_sigma[str(found.object_id)]))
         ctx.progress(done + 1, len(meshes.objects))
-    placed = _arranged(placed, config, ctx)
+    placed = _without_collisions(placed, config, ctx)
     before_m = [p.chamfer_before_m for p in placed if p.chamfer_before_m is not None]
     after_m = [p.chamfer_after_m for p in placed if p.chamfer_after_m is not None]
     ctx.quality("objects", len(placed), "objects")
@@ -86,9 +86,9 @@ def place_objects(
 def _fitted_form(found: ObjectMesh, chamfer_m: float, config: PlaceConfig) -> PlacedObject:
     """A form where its fit has it."""
     problem = ""
-    if chamfer_m > config.largest_chamfer_m:
+    if chamfer_m > config.max_chamfer_m:
         problem = f"form and depth stay {chamfer_m:.2f} m apart"
-    elif found.outline_iou is not None and found.outline_iou < config.least_outline_iou:
+    elif found.outline_iou is not None and found.outline_iou < config.min_outline_iou:
         problem = f"form and outline overlap by {found.outline_iou:.0%} only"
     return PlacedObject(
         found.object_id, found.label, found.mesh, 1.0, found.T_world_object, None, chamfer_m, not problem,
@@ -109,9 +109,9 @@ def _by_chamfer(
 
     from video2anim.objects.placement import Placement, place
 
-    if len(points_m) < config.least_points:
+    if len(points_m) < config.min_points:
         fit = Placement(found.T_world_object, 1.0, np.nan, np.nan)
-        problem = f"only {len(points_m)} reliable depth pixels (want {config.least_points}); pose is the first guess"
+        problem = f"only {len(points_m)} reliable depth pixels (want {config.min_points}); pose is the first guess"
     else:
         # The fit goes by vertices, of which plain meshes have few.
         vertices_m, faces, *_ = subdivide_to_size(
@@ -126,9 +126,9 @@ def _by_chamfer(
             body.intrinsics,
             yaw_starts_rad=tuple(np.deg2rad(config.yaw_starts_deg)),
             rng=ctx.rng(f"place/{found.object_id}"),
-            most_points=config.points,
+            max_points=config.points,
         )
-        far = fit.chamfer_after_m > config.largest_chamfer_m
+        far = fit.chamfer_after_m > config.max_chamfer_m
         problem = f"mesh and depth stay {fit.chamfer_after_m:.2f} m apart" if far else ""
     return PlacedObject(
         found.object_id, found.label, found.mesh, fit.scale, fit.T_world_object, _known(fit.chamfer_before_m),
@@ -142,13 +142,13 @@ def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _arranged(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext) -> list[PlacedObject]:
+def _without_collisions(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext) -> list[PlacedObject]:
     """Objects on what carries them, and apart."""
     from video2anim.geometry.scene_mesh import world_mesh
-    from video2anim.objects.collisions import Standing, arrange
+    from video2anim.objects.collisions import PlacedSolid, resolve_collisions
 
     standing = [
-        Standing(
+        PlacedSolid(
             world_mesh(item.mesh, item.T_world_object, item.scale),
             # What was not fitted gives way to what was.
             1.0 if item.position_sigma_m is None else item.position_sigma_m,
@@ -156,7 +156,7 @@ def _arranged(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext
         )
         for item in placed
     ]
-    found = arrange(standing, config.overlap_m)
+    found = resolve_collisions(standing, config.overlap_m)
     moved = []
     for item, state in zip(placed, found, strict=True):
         notes, trusted = [item.reason], item.trusted
@@ -164,8 +164,8 @@ def _arranged(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext
             notes.append(f"rests on object {placed[state.rests_on].object_id}")
         flat_m = float(np.hypot(*state.shift_m[[0, 2]]))
         if flat_m > 0:
-            notes.append(f"moved by {flat_m:.2f} m out of its neighbour")
-        if state.inside_of is not None and state.overlap_after_m > config.largest_overlap_m:
+            notes.append(f"moved by {flat_m:.2f} m out of its neighbor")
+        if state.inside_of is not None and state.overlap_after_m > config.max_overlap_m:
             trusted = False
             notes.append(f"still {state.overlap_after_m:.2f} m inside object {placed[state.inside_of].object_id}")
         T_world_object = item.T_world_object.copy()

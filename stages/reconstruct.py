@@ -20,7 +20,7 @@ from video2anim.pipeline.config import counts_as, user_path
 from video2anim.pipeline.options import limits, model_of, only_without
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     CompletedObject,
     CompletedObjects,
     InstanceMasks,
@@ -51,11 +51,11 @@ def _with_digest(command: str) -> str:
 class ReconstructConfig:
     """Detail of the meshes, and what is believed of depth."""
 
-    most_faces: Annotated[int, limits("faces", ge=300, le=1_000_000)] = 4000
+    max_faces: Annotated[int, limits("faces", ge=300, le=1_000_000)] = 4000
     """Upper limit of faces of a network's mesh; forms have fewer than 300."""
     depth_error_ratio: Annotated[float, limits(gt=0, le=1)] = 0.04
     """Standard deviation of depth within an object, as a share of its distance."""
-    least_points: Annotated[int, limits(ge=1, le=1_000_000)] = 30
+    min_points: Annotated[int, limits(ge=1, le=1_000_000)] = 30
     """Objects with fewer reliable depth pixels are dropped."""
     meshes: str = user_path()
     """Folder of the user's meshes, named by object (`3.glb`; +Y up, front towards +Z)."""
@@ -75,7 +75,7 @@ def reconstruct_objects(
     completed: CompletedObjects,
     masks: InstanceMasks,
     depth: MetricDepth,
-    plate: BackgroundPlate,
+    background: BackgroundImage,
     config: ReconstructConfig,
     ctx: StageContext,
 ) -> ObjectMeshes:
@@ -91,10 +91,12 @@ def reconstruct_objects(
     from video2anim.scene.heading import room_heading
     from video2anim.scene.supports import rested_and_inner_m
 
-    unseen = never_seen(plate.seen_ratio, depth.background_depth_m.shape)
+    unseen = never_seen(background.seen_ratio, depth.background_depth_m.shape)
     people = PeopleEvidence(*rested_and_inner_m(depth.bodies))
-    body, (height, width) = depth.bodies.people[0], plate.plate_rgb.shape[:2]
-    heading_rad = room_heading(plate.plate_rgb, body.T_world_camera[0], body.intrinsics.resized(width, height))
+    body, (height, width) = depth.bodies.people[0], background.background_rgb.shape[:2]
+    heading_rad = room_heading(
+        background.background_rgb, body.T_world_camera[0], body.intrinsics.resized(width, height)
+    )
     # A yaw turns z towards x, a heading x towards z.
     room_yaw_rad = None if heading_rad is None else -heading_rad
     views = ObjectViews(masks, depth, unseen, people, config.depth_error_ratio, room_yaw_rad)
@@ -106,29 +108,29 @@ def reconstruct_objects(
     meshes: list[ObjectMesh] = []
     for done, found in enumerate(completed.objects):
         seen = views.object(found, ctx.rng(f"reconstruct/{found.object_id}"))
-        if seen is None or len(seen.points_m) < config.least_points:
+        if seen is None or len(seen.points_m) < config.min_points:
             ctx.warn(f"object {found.object_id} has too little reliable depth and is dropped")
         else:
-            mesh = _foreign(found, seen, foreign, config, ctx) or _fitted(found, seen, plate, depth, config)
+            mesh = _foreign(found, seen, foreign, config, ctx) or _fitted(found, seen, background, depth, config)
             meshes.append(mesh)
         ctx.progress(done + 1, len(completed.objects))
     ctx.quality("meshes", len(meshes), "objects")
     ctx.quality("dropped", len(completed.objects) - len(meshes), "objects", "lower")
-    ctx.quality("most_faces", max((len(m.mesh.faces) for m in meshes), default=0), "faces")
+    ctx.quality("max_faces", max((len(m.mesh.faces) for m in meshes), default=0), "faces")
     return ObjectMeshes(tuple(meshes))
 
 
 def _fitted(
-    found: CompletedObject, seen: SeenObject, plate: BackgroundPlate, depth: MetricDepth, config: ReconstructConfig
+    found: CompletedObject, seen: SeenObject, background: BackgroundImage, depth: MetricDepth, config: ReconstructConfig
 ) -> ObjectMesh:
     """The form with the most evidence."""
     from video2anim.objects.meshing import ObjectPicture, form_mesh, outline_iou
     from video2anim.objects.recognize import log_prior, recognized
 
     best = recognized(seen, log_prior(found.label))[0]
-    body, (height, width) = depth.bodies.people[0], plate.plate_rgb.shape[:2]
+    body, (height, width) = depth.bodies.people[0], background.background_rgb.shape[:2]
     picture = ObjectPicture(
-        _completed_picture(found, plate), found.amodal_mask, body.intrinsics.resized(width, height),
+        _completed_picture(found, background), found.amodal_mask, body.intrinsics.resized(width, height),
         body.T_world_camera[0],
     )  # fmt: skip
     mesh, parts, texture = form_mesh(best, picture)
@@ -159,7 +161,7 @@ def _foreign(
     if config.model != NO_MODEL:
         network = ctx.model(config.model)
         try:
-            mesh = network.mesh(found.image_rgb, most_faces=config.most_faces, resolution=config.model_resolution)
+            mesh = network.mesh(found.image_rgb, max_faces=config.max_faces, resolution=config.model_resolution)
             return _adopted(found, seen, mesh, network.name, in_metres=False)
         except StageError as error:
             instead = "by the program" if config.command else "of what is seen"
@@ -182,7 +184,7 @@ def _adopted(
 ) -> ObjectMesh:
     """A mesh of any unit in the place of what was seen: as high as that.
 
-    It keeps its own size where that is near and may be in metres.
+    It keeps its own size where that is near and may be in meters.
     """
     low, high = mesh.vertices_m.min(0), mesh.vertices_m.max(0)
     base = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
@@ -193,16 +195,17 @@ def _adopted(
     scale = 1.0 if in_metres and 0.75 < ratio < 1.33 else ratio
     T_world_object = np.eye(4)
     T_world_object[:3, :3] = box.R_world_box
-    T_world_object[:3, 3] = box.R_world_box @ np.array([box.middle_m[0], box.low_m[1], box.middle_m[2]])
+    T_world_object[:3, 3] = box.R_world_box @ np.array([box.center_m[0], box.low_m[1], box.center_m[2]])
     own = Mesh((scale * (mesh.vertices_m - base)).astype(np.float32), mesh.faces, mesh.vertex_rgb)
     return ObjectMesh(found.object_id, found.label, method, own, T_world_object)
 
 
-def _completed_picture(found: CompletedObject, plate: BackgroundPlate) -> UInt8[np.ndarray, "height width 3"]:
-    """The plate with the object's hidden parts inpainted; its outline's colors, which mix, are those further in."""
+def _completed_picture(found: CompletedObject, background: BackgroundImage) -> UInt8[np.ndarray, "height width 3"]:
+    """The background image with the object's hidden parts inpainted; its outline's colors, which mix, are those further
+    in."""
     import cv2
 
-    picture = plate.plate_rgb.copy()
+    picture = background.background_rgb.copy()
     (x, y), (h, w) = found.crop_xy_px, found.image_rgb.shape[:2]
     mask = found.amodal_mask[y : y + h, x : x + w]
     around = np.pad(mask.astype(np.uint8), 2)

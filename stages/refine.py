@@ -170,7 +170,7 @@ def _filled(
 
     interval = config.keyframe_interval_frames if prior.name == "scenemi" else 1
     keys = np.zeros(motion.frame_count, bool)
-    keys[select_keyframes(motion.frame_count, interval, usable=calm_frames(motion))] = True
+    keys[select_keyframes(motion.frame_count, interval, usable=inlier_frames(motion))] = True
     given = KeyframeMotion(
         observed.R_parent_joint, observed.translation_world_m, keys, motion.rest_joints_m, FPS, observed.body,
         noise=(config.keyframe_noise_deg, config.keyframe_noise_cm),
@@ -193,10 +193,10 @@ def _observation(motion: BodyMotion, objects: Sequence[PlacedObject]) -> SceneMo
 
     shaped = shaped_body(motion.shape)
     camera_m = motion.joints_camera_m
-    stature_m = float(np.ptp(shaped.rest_vertices_m[:, 1]))
+    body_height_m = float(np.ptp(shaped.rest_vertices_m[:, 1]))
     picture = PictureTarget(
-        project(camera_m, motion.intrinsics), calm_frames(motion) & (camera_m[:, 0, 2] > 0.1),
-        motion.intrinsics.fy_px * stature_m / np.maximum(camera_m[:, 0, 2], 0.1),
+        project(camera_m, motion.intrinsics), inlier_frames(motion) & (camera_m[:, 0, 2] > 0.1),
+        motion.intrinsics.fy_px * body_height_m / np.maximum(camera_m[:, 0, 2], 0.1),
         invert_rigid(motion.T_world_camera), motion.intrinsics.matrix(),
     )  # fmt: skip
     contact = np.where(holding(objects, motion), 0.0, believed(motion, shaped))
@@ -206,7 +206,7 @@ def _observation(motion: BodyMotion, objects: Sequence[PlacedObject]) -> SceneMo
     )
 
 
-def calm_frames(motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
+def inlier_frames(motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
     """Valid frames in which the observed body does not jump: where the landmark model changes its mind about left and
     right, or front and back, the jerk is many times what it is elsewhere, and poses tell nothing."""
     calm = motion.valid.copy()
@@ -350,11 +350,11 @@ def picture_distance_ratio(motion: BodyMotion, seen: BodyMotion) -> Float[np.nda
     from video2anim.body.anny_body import shaped_body
     from video2anim.geometry.projection import project
 
-    stature_m = float(np.ptp(shaped_body(seen.shape).rest_vertices_m[:, 1]))
+    body_height_m = float(np.ptp(shaped_body(seen.shape).rest_vertices_m[:, 1]))
     valid = motion.valid & seen.valid
     here, there = (one.joints_camera_m[valid] for one in (motion, seen))
     apart_px = np.linalg.norm(project(here, motion.intrinsics) - project(there, seen.intrinsics), axis=-1).mean(1)
-    return apart_px * np.maximum(there[:, 0, 2], 0.1) / (seen.intrinsics.fy_px * stature_m)
+    return apart_px * np.maximum(there[:, 0, 2], 0.1) / (seen.intrinsics.fy_px * body_height_m)
 
 
 STAGE = StageSpec("refine", refine_motion, version=12, models=("prior",))

@@ -18,7 +18,7 @@ from video2anim.pipeline.config import user_path
 from video2anim.pipeline.options import limits, only_with, only_without
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyTracks,
     DepthClip,
     InstanceMasks,
@@ -41,7 +41,7 @@ _UNKNOWN_M = 0.25
 """What rests this far from every surface rests on something that is not in the scene: nearer ones the solve of stage
 refine brings together."""
 _LOW_M = 0.3
-"""Heights of single contacts are uncertain by several centimetres, so lower steps and seats are not claimed."""
+"""Heights of single contacts are uncertain by several centimeters, so lower steps and seats are not claimed."""
 
 _ShiftM = Annotated[float, limits("m", ge=-10_000_000, le=10_000_000)]
 """Scans in the coordinates of a survey lie far from the origin."""
@@ -53,7 +53,7 @@ class SceneConfig:
 
     sdf_spacing_m: Annotated[float, limits("m", ge=0.001, le=5)] = 0.06
     """Spacing of the distance field; wider where the field would have too many nodes."""
-    most_nodes: Annotated[int, limits("nodes", ge=1000, le=100_000_000)] = 3_000_000
+    max_nodes: Annotated[int, limits("nodes", ge=1000, le=100_000_000)] = 3_000_000
     """Upper limit of nodes of the distance field."""
     margin_m: Annotated[float, limits("m", ge=0, le=100)] = 1.0
     """Room and floor around the motion."""
@@ -66,7 +66,7 @@ class SceneConfig:
     supports: Annotated[bool, only_with("scan", "")] = True
     """Put a solid where a part of the body rested and no surface is near."""
     scan: str = user_path()
-    """Mesh file of the room (metres, triangles facing the room), in place of what the video shows."""
+    """Mesh file of the room (meters, triangles facing the room), in place of what the video shows."""
     scan_up: Annotated[Literal["y", "z"], only_without("scan", "")] = "y"
     """The scan's upward axis."""
     scan_yaw_deg: Annotated[float, limits("degrees", ge=-360, le=360), only_without("scan", "")] = 0.0
@@ -83,7 +83,7 @@ def build_scene(
     depth: MetricDepth,
     clip_depth: DepthClip,
     masks: InstanceMasks,
-    plate: BackgroundPlate,
+    background: BackgroundImage,
     config: SceneConfig,
     ctx: StageContext,
 ) -> SceneModel:
@@ -106,7 +106,7 @@ def build_scene(
     if config.scan:
         return _scanned(motion_m, depth, bodies, config, ctx)
     rested = _rested(bodies)
-    pictures = _pictures(clip, plate)
+    pictures = _pictures(clip, background)
     found = placed.objects if pictures is None else with_moved_objects(pictures, masks, bodies.people, placed.objects)
     moved = [item for item in found if item.path]
     still = [item for item in found if not item.path]
@@ -122,9 +122,9 @@ def build_scene(
     spacing_m = _field_spacing(bounds_m, config)
     near = [solid for solid in solids if _overlap(solid, bounds_m)]
     grid = build_sdf_grid(near, bounds_m, spacing_m, floor_y_m=0.0)
-    seen = backdrop(depth, masks, plate, config.far_m, relative_sigma(depth, clip_depth))
+    seen = backdrop(depth, masks, background, config.far_m, relative_sigma(depth, clip_depth))
     around_m = motion_m[:, [0, 2]] + np.array([[-config.margin_m], [config.margin_m]])
-    floor = ground(seen, plate, around_m)
+    floor = ground(seen, background, around_m)
     ctx.quality("objects", len(objects), "objects")
     ctx.quality("objects_in_field", len(near), "objects")
     ctx.quality("sdf_spacing", spacing_m, "m", "lower")
@@ -136,28 +136,29 @@ def build_scene(
     return SceneModel(tuple(objects), floor, seen.pieces, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
 
 
-def _pictures(clip: VideoClip, plate: BackgroundPlate) -> Pictures | None:
+def _pictures(clip: VideoClip, background: BackgroundImage) -> Pictures | None:
     """Small pictures with where people are in them; None for a camera that moves."""
     import cv2
 
-    from video2anim.objects.carried import LONG_SIDE_PX, MOST_SAMPLES, Pictures
+    from video2anim.objects.carried import LONG_SIDE_PX, MAX_SAMPLES, Pictures
     from video2anim.video import read_frames
 
-    if not clip.camera_is_static or len(plate.frame_index) < 2:
+    if not clip.camera_is_static or len(background.frame_index) < 2:
         return None
-    step = int(plate.frame_index[1])
-    regular = np.flatnonzero(plate.frame_index % step == 0)
-    every = -(-len(regular) // MOST_SAMPLES)
+    step = int(background.frame_index[1])
+    regular = np.flatnonzero(background.frame_index % step == 0)
+    every = -(-len(regular) // MAX_SAMPLES)
     rows = regular[::every]
     scale = min(1.0, LONG_SIDE_PX / max(clip.width_px, clip.height_px))
     size = (round(clip.width_px * scale), round(clip.height_px * scale))
-    frames = read_frames(clip, 0, int(plate.frame_index[rows[-1]]) + 1, step * every)
+    frames = read_frames(clip, 0, int(background.frame_index[rows[-1]]) + 1, step * every)
     rgb = np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
     people = [
-        cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) for mask in plate.person_mask[rows]
+        cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        for mask in background.person_mask[rows]
     ]
-    plate_rgb = cv2.resize(plate.plate_rgb, size, interpolation=cv2.INTER_AREA)
-    return Pictures(rgb, np.stack(people) > 0, plate_rgb, step * every)
+    background_rgb = cv2.resize(background.background_rgb, size, interpolation=cv2.INTER_AREA)
+    return Pictures(rgb, np.stack(people) > 0, background_rgb, step * every)
 
 
 def _scanned(
@@ -213,8 +214,8 @@ def _not_walked_through(
     """Objects without those that somebody walks through and nobody uses: their place or depth is wrong."""
     from video2anim.geometry.scene_mesh import world_mesh
     from video2anim.geometry.sdf import build_sdf_grid
-    from video2anim.scene.free_space import walked_inside_m
-    from video2anim.scene.supports import LEAST_FRAMES
+    from video2anim.scene.free_space import path_length_inside_m
+    from video2anim.scene.supports import MIN_FRAMES
 
     kept = []
     for item in objects:
@@ -222,9 +223,9 @@ def _not_walked_through(
         bounds_m = np.stack([solid.vertices_m.min(0) - 0.2, solid.vertices_m.max(0) + 0.2])
         spacing_m = max(config.sdf_spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
         field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None)
-        walked_m = max(walked_inside_m(field, motion) for motion in bodies.people)
+        walked_m = max(path_length_inside_m(field, motion) for motion in bodies.people)
         near = [support.gaps_m([solid], reach_m=2 * _UNKNOWN_M) for _, support in rested if support.top_m > _LOW_M]
-        used = any((gap_m < _UNKNOWN_M).sum() >= LEAST_FRAMES for gap_m in near)
+        used = any((gap_m < _UNKNOWN_M).sum() >= MIN_FRAMES for gap_m in near)
         if used or walked_m <= config.walked_m:
             kept.append(item)
             continue
@@ -249,7 +250,7 @@ def _supports(
     """A solid for every place where a part rested far from objects and floor, and through which nobody goes."""
     from video2anim.body.anny_body import shaped_body
     from video2anim.geometry.scene_mesh import world_mesh
-    from video2anim.scene.supports import LEAST_FRAMES, SUPPORT, standing_solid
+    from video2anim.scene.supports import MIN_FRAMES, SUPPORT, standing_solid
 
     people = [(motion, shaped_body(motion.shape)) for motion in bodies.people]
     number = max((item.object_id for item in objects), default=0)
@@ -257,7 +258,7 @@ def _supports(
     for person, support in rested:
         solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *made)]
         far = int((support.gaps_m(solids, reach_m=2 * _UNKNOWN_M) > _UNKNOWN_M).sum())
-        if far < LEAST_FRAMES or (support.level and support.top_m < _LOW_M):
+        if far < MIN_FRAMES or (support.level and support.top_m < _LOW_M):
             continue
         told = f"the {support.kind} of person {person} rested in {far} frames at {support.top_m:.2f} m"
         solid = standing_solid(support, people)
@@ -297,7 +298,7 @@ def _field_bounds(
 def _field_spacing(bounds_m: Float[np.ndarray, "2 3"], config: SceneConfig) -> float:
     """The wanted spacing, or the finest that stays within the limit of nodes."""
     spacing_m = config.sdf_spacing_m
-    while np.prod(np.ceil(np.ptp(bounds_m, axis=0) / spacing_m) + 1) > config.most_nodes:
+    while np.prod(np.ceil(np.ptp(bounds_m, axis=0) / spacing_m) + 1) > config.max_nodes:
         spacing_m *= 1.05
     return spacing_m
 

@@ -60,13 +60,13 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
     """
     from video2anim.tracking.tracker import Tracker, rejoined
     from video2anim.video import read_frames
-    from video2anim.video.heap import pictures_apart
+    from video2anim.video.heap import frames_in_mapped_memory
 
     tracker = Tracker(
         ctx.model(config.model), clip.fps, scan_every_s=config.scan_every_s, max_lost_s=config.max_lost_s,
         min_detection_score=config.min_detection_score,
     )  # fmt: skip
-    with pictures_apart():
+    with frames_in_mapped_memory():
         for frame, image in enumerate(read_frames(clip)):
             tracker.step(frame, image)
             ctx.progress(frame + 1, clip.frame_count)

@@ -39,7 +39,7 @@ def triposr_folder(
     color_gain: float = 1.0,
     codes: tuple[int, ...] = (1, 3, 40, 64, 64),
 ) -> Path:
-    """A TripoSR whose thing is a ball around `CENTER`, as large as the picture is red or of the radius given.
+    """A TripoSR whose object is a ball around `CENTER`, as large as the picture is red or of the radius given.
 
     The scene codes are the picture's mean colors, a plane each. Density is 25 on the ball's surface, times the gain;
     color is 0.5 + 0.5 (x, y, z) in TripoSR's frame, times its gain.

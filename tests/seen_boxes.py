@@ -26,7 +26,7 @@ def about_y(angle_rad: float) -> np.ndarray:
 class Block:
     """A box that is turned about +y."""
 
-    middle_m: tuple[float, float, float]
+    center_m: tuple[float, float, float]
     size_m: tuple[float, float, float]
     yaw_rad: float = 0.0
 
@@ -36,12 +36,12 @@ class Block:
 
     def holds(self, points_world_m: np.ndarray, margin_m: float = 0.0) -> np.ndarray:
         """Points inside the block, grown by the margin."""
-        own_m = (points_world_m - self.middle_m) @ self.R_world_block
+        own_m = (points_world_m - self.center_m) @ self.R_world_block
         return np.all(np.abs(own_m) <= 0.5 * np.array(self.size_m) + margin_m, axis=-1)
 
     def turned(self, angle_rad: float) -> Block:
         """The block after the whole room turned about the world's +y."""
-        x, y, z = about_y(angle_rad) @ self.middle_m
+        x, y, z = about_y(angle_rad) @ self.center_m
         return Block((x, y, z), self.size_m, self.yaw_rad + angle_rad)
 
 
@@ -82,7 +82,7 @@ def shoot(blocks: Sequence[Block], T_world_camera: np.ndarray) -> Shot:
     normal = np.tile([0.0, 1.0, 0.0], (*shown.shape, 1))
     for number, block in enumerate(blocks):
         R = block.R_world_block
-        start, along = (eye_m - block.middle_m) @ R, ray @ R
+        start, along = (eye_m - block.center_m) @ R, ray @ R
         along = np.where(np.abs(along) < 1e-12, 1e-12, along)
         half = 0.5 * np.array(block.size_m)
         enter = np.minimum((-half - start) / along, (half - start) / along)
@@ -108,7 +108,7 @@ def size_along(box: UprightBox, block: Block) -> np.ndarray:
 
 
 def middle_world_m(box: UprightBox) -> np.ndarray:
-    return box.R_world_box @ box.middle_m
+    return box.R_world_box @ box.center_m
 
 
 def table(width_m: float, height_m: float, depth_m: float, at_m: tuple[float, float], yaw_rad: float) -> list[Block]:
@@ -119,6 +119,6 @@ def table(width_m: float, height_m: float, depth_m: float, at_m: tuple[float, fl
     for side, end in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
         foot = np.array([side * 0.5 * (width_m - thick_m), 0.0, end * 0.5 * (depth_m - thick_m)])
         x, _, z = top.R_world_block @ foot
-        middle_m = (at_m[0] + x, 0.5 * (height_m - thick_m), at_m[1] + z)
-        blocks.append(Block(middle_m, (thick_m, height_m - thick_m, thick_m), yaw_rad))
+        center_m = (at_m[0] + x, 0.5 * (height_m - thick_m), at_m[1] + z)
+        blocks.append(Block(center_m, (thick_m, height_m - thick_m, thick_m), yaw_rad))
     return blocks

@@ -1,4 +1,4 @@
-"""The shape of the code, read from its syntax trees: who imports whom, who prints, how long things are."""
+"""The shape of the code, read from its syntax trees: who imports whom, who prints, how long objects are."""
 
 from __future__ import annotations
 

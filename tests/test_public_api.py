@@ -14,7 +14,7 @@ from video2anim.cli.main import app
 from video2anim.types import BodyMotion
 
 TYPES = [
-    "BackgroundPlate", "BodyMotion", "BodyShape", "BodyTracks", "CameraEstimate", "CompletedObject",
+    "BackgroundImage", "BodyMotion", "BodyShape", "BodyTracks", "CameraEstimate", "CompletedObject",
     "CompletedObjects", "Contact", "DepthClip", "ExportedFiles", "Hold", "InstanceMasks", "Intrinsics",
     "KeyframedMotion", "Mesh", "MetricDepth", "ObjectInstance", "ObjectMesh", "ObjectMeshes", "ObjectPart",
     "ObjectPath", "PayloadFile", "PersonQuality", "PersonTrack", "PersonTracks", "PlacedObject", "PlacedObjects",
@@ -48,7 +48,7 @@ COMMANDS = {
 }  # fmt: skip
 STAGES = [
     ("ingest", "VideoClip"), ("track", "PersonTracks"), ("camera", "CameraEstimate"), ("humans", "BodyTracks"),
-    ("background", "BackgroundPlate"), ("depth", "DepthClip"), ("segment", "InstanceMasks"), ("metric", "MetricDepth"),
+    ("background", "BackgroundImage"), ("depth", "DepthClip"), ("segment", "InstanceMasks"), ("metric", "MetricDepth"),
     ("complete", "CompletedObjects"), ("reconstruct", "ObjectMeshes"), ("place", "PlacedObjects"),
     ("scene", "SceneModel"), ("keyframes", "KeyframedMotion"), ("refine", "RefinedMotion"), ("export", "ExportedFiles"),
 ]  # fmt: skip

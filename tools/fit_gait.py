@@ -28,8 +28,8 @@ CHANNELS = (
     "pelvis_yaw", "pelvis_roll", "spine_twist", "spine_side", "spine_flex",
     "l_flex", "r_flex", "l_abd", "r_abd", "l_elbow", "r_elbow",
 )  # fmt: skip
-_LEAST_CYCLES = 2
-_LEAST_SPEED_M_S = 0.6
+_MIN_CYCLES = 2
+_MIN_SPEED_M_S = 0.6
 _SMOOTH_S = 0.5
 
 
@@ -101,7 +101,7 @@ def main(folder: Path, out: Path) -> None:
         path = joints[:, 0][:, [0, 2]]
         speed = np.linalg.norm(path[-1] - path[0]) / len(path) * clip.fps
         angles, phase = walking_angles(joints, clip.fps)
-        if speed < _LEAST_SPEED_M_S or np.isfinite(phase).sum() < _LEAST_CYCLES * clip.fps:
+        if speed < _MIN_SPEED_M_S or np.isfinite(phase).sum() < _MIN_CYCLES * clip.fps:
             continue
         coefficients = fit(angles, phase)
         styles.append(coefficients)

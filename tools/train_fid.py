@@ -41,7 +41,7 @@ papers' FID.
 | steps | {steps} of batch {batch}, seed {seed} |
 | reconstruction error | {train:.3f} train, {val:.3f} val (mean square, in standard deviations) |
 | sha256 | `{digest}` |
-| licence | Apache-2.0 |
+| license | Apache-2.0 |
 
 The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF
 EIA-0196217. DeepMimic: MIT, (c) 2018 Xue Bin Peng; arpspoof/Jump: MIT, (c) 2021 arpspoof.

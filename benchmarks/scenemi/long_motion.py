@@ -24,11 +24,11 @@ import torch
 from scenemi.data.container import MotionArchive, read_split
 from scenemi.data.files import write_json
 from scenemi.data.retarget import RetargetedMotion, retarget
-from scenemi.evaluation.scenes import with_pseudo_scenes
+from scenemi.evaluation.scenes import with_synthetic_scenes
 from scenemi.evaluation.seams import keyframe_motion, seam_jerk
 from scenemi.evaluation.windows import KeyframeProtocol, adult_body, cut_windows, give_keyframes
 from scenemi.longmotion import inbetween
-from scenemi.model.choice import choose_prior
+from scenemi.model.choice import load_prior_by_name
 from scenemi.prior import InbetweeningPrior
 
 
@@ -41,10 +41,10 @@ def main() -> None:
     counts = zip(archive.names, archive.frame_counts, strict=True)
     long_names = [name for name, count in counts if name in names and count >= options.frames][: options.clips]
     clips = [retarget(archive.clip(name), body) for name in long_names]
-    windows = with_pseudo_scenes(cut_windows([archive], names)[:1])
+    windows = with_synthetic_scenes(cut_windows([archive], names)[:1])
     rows = []
     for weights in options.weights:
-        prior = choose_prior(weights, device=options.device, steps=options.steps)
+        prior = load_prior_by_name(weights, device=options.device, steps=options.steps)
         row: dict[str, Any] = {"weights": Path(weights).stem}
         for interval in options.intervals:
             window = give_keyframes(windows[0], KeyframeProtocol(interval)).keyframes

@@ -36,10 +36,10 @@ from scenemi.data.container import MotionArchive, read_split
 from scenemi.data.files import file_digest, write_json
 from scenemi.evaluation.ablation import AblatedPrior
 from scenemi.evaluation.protocol import Evaluation, evaluate, fill_batch
-from scenemi.evaluation.scenes import telling_share, with_pseudo_scenes
+from scenemi.evaluation.scenes import telling_share, with_synthetic_scenes
 from scenemi.evaluation.scores import mean_of
 from scenemi.evaluation.windows import FPS, EvaluationWindow, KeyframeProtocol, cut_windows, give_keyframes, window_seed
-from scenemi.model.choice import SAMPLE_STEPS, choose_prior
+from scenemi.model.choice import SAMPLE_STEPS, load_prior_by_name
 from scenemi.postprocess.in_scene import WITHOUT_PICTURE, SolvedPrior, put_in_scene
 from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow, WindowMotion
 from scenemi.training.noise import PipelineErrors, told_level
@@ -61,7 +61,7 @@ def main() -> None:
     options = arguments()
     names = read_split(options.split)[options.part]
     windows = cut_windows([MotionArchive.read(path) for path in options.motion], names)[:: options.every]
-    prior = choose_prior(options.weights, device="cpu", steps=options.steps)
+    prior = load_prior_by_name(options.weights, device="cpu", steps=options.steps)
     if options.choose_solve:
         sys.stdout.write(choice_of_solve(prior, windows))
         return
@@ -87,7 +87,7 @@ def inbetweening(
 ) -> dict[str, Any]:
     """One row."""
     found = evaluate(windows, prior, KeyframeProtocol(interval))
-    several = choose_prior(str(prior.model.path), device="cpu", steps=SAMPLE_STEPS)  # type: ignore[attr-defined]
+    several = load_prior_by_name(str(prior.model.path), device="cpu", steps=SAMPLE_STEPS)  # type: ignore[attr-defined]
     joints = [_samples(several, window, interval) for window in windows] if samples and interval >= 60 else []
     errors = [np.linalg.norm(made - w.joints_m, axis=-1).mean((1, 2)) for made, w in zip(joints, windows, strict=False)]
     base = mean_of(found.baseline, "mjpe_all_m")
@@ -154,14 +154,14 @@ def _joints(motion: WindowMotion, window: EvaluationWindow) -> np.ndarray:
 
 def scenes(prior: Any, windows: Sequence[EvaluationWindow], options: argparse.Namespace) -> dict[str, Any]:
     """Collisions at r = 60 before clearing."""
-    placed = with_pseudo_scenes(windows)
+    placed = with_synthetic_scenes(windows)
     rows: dict[str, InbetweeningPrior] = {
         "scene shown": prior,
         "scene not shown": AblatedPrior(prior, use_scene=False),
         "interpolation": InterpolationPrior(),
     }
     if options.blind:
-        blind: Any = choose_prior(str(options.blind), device="cpu", steps=options.steps)
+        blind: Any = load_prior_by_name(str(options.blind), device="cpu", steps=options.steps)
         rows["trained without scene"] = blind
     table: dict[str, Any] = {"telling_share": telling_share(placed)}
     for name, one in rows.items():
@@ -243,7 +243,9 @@ def steps(options: argparse.Namespace, windows: Sequence[EvaluationWindow]) -> d
     """The paper's sampler against few steps, on every eighth window."""
     some = windows[::8]
     few, many = (
-        evaluate(some, choose_prior(options.weights, device="cpu", steps=n), KeyframeProtocol(30)).mean("mjpe_all_m")
+        evaluate(some, load_prior_by_name(options.weights, device="cpu", steps=n), KeyframeProtocol(30)).mean(
+            "mjpe_all_m"
+        )
         for n in (SAMPLE_STEPS, 1000)
     )
     return {"windows": len(some), "interval": 30, "mjpe_few_m": few, "mjpe_1000_m": many, "ratio": few / many}

@@ -33,10 +33,10 @@ from scenemi.data.files import file_digest, write_json
 from scenemi.evaluation.ablation import AblatedPrior
 from scenemi.evaluation.fid import FID_DIGEST, shipped_features
 from scenemi.evaluation.protocol import Evaluation, evaluate
-from scenemi.evaluation.scenes import SCENE_SEED, Obstacles, with_pseudo_scenes
+from scenemi.evaluation.scenes import SCENE_SEED, Obstacles, with_synthetic_scenes
 from scenemi.evaluation.scores import over_seeds
 from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol, cut_windows
-from scenemi.model.choice import INTERPOLATION, choose_prior
+from scenemi.model.choice import INTERPOLATION, load_prior_by_name
 from scenemi.prior import InbetweeningPrior
 
 TABLES = ("1", "2", "3", "6", "7", "8", "9")
@@ -83,14 +83,14 @@ class Bench:
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
         names = read_split(options.split)[options.part] if options.split else None
-        windows = with_pseudo_scenes(cut_windows([MotionArchive.read(path) for path in options.motion], names))
+        windows = with_synthetic_scenes(cut_windows([MotionArchive.read(path) for path in options.motion], names))
         self.windows: tuple[EvaluationWindow, ...] = windows[:: options.every]
         self.features = None if options.no_fid else shipped_features()
         self._found: dict[tuple[object, ...], Evaluation] = {}
 
     def prior(self, weights: str, **sampler: Any) -> InbetweeningPrior:
         """A prior by its weights, with this run's steps unless others are asked for."""
-        return choose_prior(weights, device=self.options.device, **{"steps": self.options.steps} | sampler)
+        return load_prior_by_name(weights, device=self.options.device, **{"steps": self.options.steps} | sampler)
 
     def run(
         self,

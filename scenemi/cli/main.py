@@ -41,7 +41,7 @@ Temperature = Annotated[
     float | None,
     typer.Option(min=0, max=1, help="1 = motions as varied as the data; less = nearer to the expected one."),
 ]
-MOST_FRAMES = 108_000
+MAX_FRAMES = 108_000
 """An hour, see `scenemi.data.plain_files`; that module is too heavy for --help."""
 INTERPOLATION = "interpolation"
 DEFAULT_INTERVAL, DEFAULT_PART, YOUNG_STEPS = 15, "test", 2000
@@ -68,7 +68,7 @@ def sample_command(
     out: Annotated[Path, typer.Option(help="Motion to write (.npz).")],
     scene: Annotated[Path | None, typer.Option(help="Room: .glb, .ply, .obj, .npz. Default: a bare floor.")] = None,
     interval: Annotated[
-        int, typer.Option(min=1, max=MOST_FRAMES, help="Frames between keyframes, where the file does not say it.")
+        int, typer.Option(min=1, max=MAX_FRAMES, help="Frames between keyframes, where the file does not say it.")
     ] = DEFAULT_INTERVAL,
     noisy: Annotated[bool, typer.Option("--noisy", help="Keyframes are inexact (1 degree, 1 cm): clean them.")] = False,
     noise: Annotated[
@@ -76,7 +76,7 @@ def sample_command(
     ] = None,
     steps: Steps = None,
     temperature: Temperature = None,
-    length: Annotated[int | None, typer.Option(min=2, max=MOST_FRAMES, help="Frames of the result.")] = None,
+    length: Annotated[int | None, typer.Option(min=2, max=MAX_FRAMES, help="Frames of the result.")] = None,
     samples: Annotated[int, typer.Option(min=1, max=100, help="Motions to make, each with its own seed.")] = 1,
     seed: Annotated[
         int | None, typer.Option(min=0, max=2**63 - 101, help="Of the first motion; other than 0 = a sample.")
@@ -89,7 +89,7 @@ def sample_command(
     from scenemi.data.files import expect_writable, write_motion
     from scenemi.data.keyframe_file import read_keyframes
     from scenemi.data.scene_file import read_scene
-    from scenemi.model.choice import SAMPLE_STEPS, choose_prior
+    from scenemi.model.choice import SAMPLE_STEPS, load_prior_by_name
     from scenemi.scene.scene_parts import geometry_of, notes_on
 
     if noisy and noise is not None:
@@ -112,7 +112,7 @@ def sample_command(
     if weights != INTERPOLATION and (samples > 1 or first_seed != 0):
         steps = steps or SAMPLE_STEPS
     for number, target in enumerate(targets):
-        prior = choose_prior(
+        prior = load_prior_by_name(
             weights, device=prior_device, steps=steps, seed=first_seed + number, temperature=temperature
         )
         made = sample_motion(given, prior, scene=solids, length=length, noise=level)
@@ -131,7 +131,7 @@ def evaluate_command(
     scenes_from: Annotated[
         list[str] | None, typer.Option(help=f"{CAPTURED}; clips in their own scenes.", metavar="SOURCE=DIR")
     ] = None,
-    interval: Annotated[int | None, typer.Option(min=1, max=MOST_FRAMES, help="Frames between keyframes.")] = None,
+    interval: Annotated[int | None, typer.Option(min=1, max=MAX_FRAMES, help="Frames between keyframes.")] = None,
     probability: Annotated[float | None, typer.Option(help="Random keyframes with this chance, instead.")] = None,
     noise: Annotated[float, typer.Option(help="Noise of the keyframes in degrees and cm.")] = 0.0,
     steps: Steps = None,
@@ -154,7 +154,7 @@ def evaluate_command(
     from scenemi.evaluation.fid import shipped_features
     from scenemi.evaluation.protocol import evaluate
     from scenemi.evaluation.windows import KeyframeProtocol
-    from scenemi.model.choice import choose_prior
+    from scenemi.model.choice import load_prior_by_name
     from scenemi.postprocess.in_scene import SolvedPrior
 
     if weights == INTERPOLATION:
@@ -165,7 +165,7 @@ def evaluate_command(
         if path is not None:
             expect_writable(path)
     protocol = KeyframeProtocol(60 if interval is None and probability is None else interval, probability, noise)
-    prior: Any = choose_prior(weights, device=device_of(device), steps=steps, temperature=temperature)
+    prior: Any = load_prior_by_name(weights, device=device_of(device), steps=steps, temperature=temperature)
     if prior.name == "scenemi":
         prior = SolvedPrior(prior)
     windows = chosen_windows(clips or (), scenes_from or (), split, part or DEFAULT_PART, made_up=scenes)

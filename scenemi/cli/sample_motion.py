@@ -83,7 +83,7 @@ def expect_noise(level: float) -> float:
         UsageError: impossible noise.
     """
     if not 0 <= level <= 100:
-        raise UsageError(f"noise: want degrees and centimetres from 0 to 100, got {level}")
+        raise UsageError(f"noise: want degrees and centimeters from 0 to 100, got {level}")
     return level
 
 

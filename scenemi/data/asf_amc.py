@@ -26,7 +26,7 @@ from video2anim.geometry.rotations import continuous_quaternions, quaternion_fro
 
 _FINGERS = ("lfingers", "lthumb", "rfingers", "rthumb")
 _INCH_M = UNITS_M["inch"]
-_LARGEST = 1e9
+_MAX = 1e9
 _CHANNEL = re.compile("[tr][xyz]")
 
 
@@ -171,7 +171,7 @@ def _bones(lines: list[str], unit_m: float, degrees: bool) -> list[AsfBone]:
 def _numbers(words: list[str], count: int | None = None) -> Float[np.ndarray, "words"]:
     """Words as numbers of a size that lengths and angles may have."""
     numbers = np.array([float(word) for word in words])
-    if (count is not None and len(numbers) != count) or not (np.abs(numbers) <= _LARGEST).all():
+    if (count is not None and len(numbers) != count) or not (np.abs(numbers) <= _MAX).all():
         raise ValueError(f"want {count or 'finite'} numbers, got {' '.join(words)[:60]!r}")
     return numbers
 

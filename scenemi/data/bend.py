@@ -13,10 +13,10 @@ from scipy.ndimage import gaussian_filter1d
 from scenemi.data.source_clip import SourceClip
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_quaternion, quaternion_from_matrix
 
-LEAST_WAY_M = 2.0
+MIN_WAY_M = 2.0
 """Clips whose root goes less far are not bent: there is no path."""
 _SHARPEST_PER_M = 0.7
-"""Largest turn in a metre (rad): a radius of 1.4 m, as around a table."""
+"""Largest turn in a meter (rad): a radius of 1.4 m, as around a table."""
 _WAVES_M = (1.5, 8.0)
 """Length of a bend to one side and back."""
 _SMOOTHING_S = 0.4

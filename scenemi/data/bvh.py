@@ -30,9 +30,9 @@ from video2anim.geometry.rotations import continuous_quaternions
 
 _STRETCH = 0.02
 """Bones may change their length by this share of the leg; beyond, the file cannot be a skeleton of fixed lengths."""
-_MOST_JOINTS, _MOST_CHANNELS = 2000, 6
-_LARGEST = 1e9
-"""Of lengths (in millimetres a thousand kilometres) and angles."""
+_MAX_JOINTS, _MAX_CHANNELS = 2000, 6
+_MAX = 1e9
+"""Of lengths (in millimeters a thousand kilometres) and angles."""
 _AXES = dict(zip("XYZ", np.eye(3), strict=True))
 _CHANNEL = re.compile(r"^([XYZ])(position|rotation)$", re.IGNORECASE)
 
@@ -73,7 +73,7 @@ def read_bvh(
         rest_frame: frame that shows a rest posture, where the zero pose is none.
         skip_frames: frames to leave out at the start (rest poses put there by exporters).
         keep_floor: y = 0 of the file is the floor; else the floor is found below the feet.
-        source: name of the collection, for licences and balance.
+        source: name of the collection, for licenses and balance.
         kind: kind of motion.
 
     Raises:
@@ -131,8 +131,8 @@ def parse_bvh(path: str | Path) -> BvhFile:
             f"{path}: want {frames} frames of {width} finite numbers at a frame time above 0, "
             f"got {values.size} numbers and {frame_time_s:g} s"
         )
-    if not max(np.abs(offsets).max(), np.abs(values).max()) <= _LARGEST:  # nor NaN
-        raise InputError(f"{path}: broken BVH file: want numbers up to {_LARGEST:g}, whatever the unit")
+    if not max(np.abs(offsets).max(), np.abs(values).max()) <= _MAX:  # nor NaN
+        raise InputError(f"{path}: broken BVH file: want numbers up to {_MAX:g}, whatever the unit")
     position, rotation = _channels(values.reshape(frames, width), offsets, channels)
     return BvhFile(tuple(names), tuple(parents), offsets, frame_time_s, position, rotation)
 
@@ -149,8 +149,8 @@ def _hierarchy(tokens: list[str]) -> tuple[list[str], list[int], np.ndarray, lis
         if word in ("ROOT", "JOINT", "END"):
             if word == "ROOT" and names:
                 raise ValueError("more than one ROOT; split the file")
-            if len(names) == _MOST_JOINTS:
-                raise ValueError(f"more than {_MOST_JOINTS} joints")
+            if len(names) == _MAX_JOINTS:
+                raise ValueError(f"more than {_MAX_JOINTS} joints")
             stop = tokens.index("{", at)
             label = " ".join(tokens[at + 1 : stop])
             parents.append(open_joints[-1] if open_joints else -1)
@@ -165,8 +165,8 @@ def _hierarchy(tokens: list[str]) -> tuple[list[str], list[int], np.ndarray, lis
             at += 4
         elif word == "CHANNELS":
             count = int(tokens[at + 1])
-            if not 0 <= count <= _MOST_CHANNELS:
-                raise ValueError(f"want 0 to {_MOST_CHANNELS} channels of a joint, got {tokens[at + 1][:20]}")
+            if not 0 <= count <= _MAX_CHANNELS:
+                raise ValueError(f"want 0 to {_MAX_CHANNELS} channels of a joint, got {tokens[at + 1][:20]}")
             channels[open_joints[-1]] = [_channel(token) for token in tokens[at + 2 : at + 2 + count]]
             at += 2 + count
         elif word == "}":

@@ -1,6 +1,6 @@
 """Motion clips on the skeletons of their sources: one numpy archive, read lazily, written byte for byte alike.
 
-Metres, +Y up, quaternions w x y z. Rotations are stored as 16-bit integers (steps of 0.004 degrees). Two tables say
+Meters, +Y up, quaternions w x y z. Rotations are stored as 16-bit integers (steps of 0.004 degrees). Two tables say
 which source joint stands for each of the 22 SMPL joints: the one that lies nearest (`smpl_position`) and the one whose
 orientation it follows (`smpl_rotation`); -1 where the source has none. `clip_license` is there where a clip has another
 license than its source is known to have (`scenemi.data.sources`).
@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int16
 
 from scenemi.data.plain_files import read_arrays, read_json_value
-from scenemi.data.source_clip import LEAST_FPS, MOST_FPS, SourceClip, SourceSkeleton
+from scenemi.data.source_clip import MAX_FPS, MIN_FPS, SourceClip, SourceSkeleton
 from scenemi.data.sources import is_free, license_of
 from video2anim.errors import InputError
 from video2anim.types.skeleton import JOINT_NAMES
@@ -217,7 +217,7 @@ def _expect_consistent(path: Path, t: dict[str, np.ndarray]) -> None:
         for table in (t["skel_smpl_pos"], t["skel_smpl_rot"]):
             good = good and ((table >= -1) & (table < counts[:, None])).all()
     good = good and np.isfinite(t["skel_offset"]).all() and np.isfinite(t["clip_floor_shift"]).all()
-    if not good or not ((t["clip_fps"] >= LEAST_FPS) & (t["clip_fps"] <= MOST_FPS)).all():
+    if not good or not ((t["clip_fps"] >= MIN_FPS) & (t["clip_fps"] <= MAX_FPS)).all():
         raise InputError(f"{path}: clip and skeleton tables contradict each other; convert the archive again")
 
 

@@ -14,7 +14,7 @@ _SOFT, _LONGEST = 0.995, 0.9995
 """Shares of the leg: where stretching begins to saturate, and where it ends."""
 _STANDING = 0.998
 """Longest hip-ankle distance that a standing leg is given."""
-_MOST_DROP = 0.12
+_MAX_DROP = 0.12
 """Farthest a hip goes down for a foot, as a share of the leg: a foot that needs more stands wrongly."""
 _SHORTEST = 0.17
 """Shortest distance from a limb's root to its end, as a share of the limb: 160 degrees of bend."""
@@ -47,7 +47,7 @@ def hip_drop(
     reach_m = _STANDING * bones.length_m
     across_m = np.linalg.norm((hip_m - ankle_m)[:, ::2], axis=-1)
     highest_m = ankle_m[:, 1] + np.sqrt(np.maximum(reach_m**2 - across_m**2, (0.3 * reach_m) ** 2))
-    return np.clip(hip_m[:, 1] - highest_m, 0.0, _MOST_DROP * bones.length_m)
+    return np.clip(hip_m[:, 1] - highest_m, 0.0, _MAX_DROP * bones.length_m)
 
 
 def bend_leg(

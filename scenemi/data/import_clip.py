@@ -1,4 +1,4 @@
-"""What all importers of foreign motion share: upright, metres, floor, 30 fps, a skeleton that can be retargeted."""
+"""What all importers of foreign motion share: upright, meters, floor, 30 fps, a skeleton that can be retargeted."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from jaxtyping import Float
 
 from scenemi.data.interpolate import blended, cubic_taps, unit
 from scenemi.data.joint_names import JointMap
-from scenemi.data.plain_files import MOST_FRAMES
+from scenemi.data.plain_files import MAX_FRAMES
 from scenemi.data.posture import on_smpl_joints, posture_axes, posture_problem
-from scenemi.data.source_clip import LEAST_FPS, MOST_FPS, SourceClip, SourceSkeleton
+from scenemi.data.source_clip import MAX_FPS, MIN_FPS, SourceClip, SourceSkeleton
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
 from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES
 
 Up = Literal["auto", "y", "z"]
 UNITS_M: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}
-"""Length units in metres; `cmu` is that of the ASF files of the CMU database."""
+"""Length units in meters; `cmu` is that of the ASF files of the CMU database."""
 FAMILIES = ("asf", "cmu38", "cc", "daz", "bandai")
 """Conventions whose joint axes are in `scenemi.data.rest_pose`."""
 GLITCH_M_S2 = 350.0
@@ -77,9 +77,9 @@ def at_fps(clip: SourceClip, fps: float = 30.0) -> SourceClip:
     Raises:
         InputError: an impossible frame rate, or more than an hour of motion.
     """
-    if not LEAST_FPS <= clip.fps <= MOST_FPS or len(clip.root_position_m) / clip.fps > MOST_FRAMES / fps:
+    if not MIN_FPS <= clip.fps <= MAX_FPS or len(clip.root_position_m) / clip.fps > MAX_FRAMES / fps:
         raise InputError(
-            f"{clip.name}: want {LEAST_FPS:g} to {MOST_FPS:g} frames per second and at most an hour of motion, got "
+            f"{clip.name}: want {MIN_FPS:g} to {MAX_FPS:g} frames per second and at most an hour of motion, got "
             f"{len(clip.root_position_m)} frames at {clip.fps:g} per second"
         )
     step = clip.fps / fps

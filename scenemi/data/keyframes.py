@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from scenemi.data.plain_files import MOST_FRAMES
+from scenemi.data.plain_files import MAX_FRAMES
 from scenemi.longmotion import KeyframeMotion
 from scenemi.windows import select_keyframes
 from video2anim.errors import InputError
@@ -19,14 +19,14 @@ FPS = 30.0
 JOINTS = len(JOINT_NAMES)
 _ROTATION_TOLERANCE = 0.02
 """Largest entry of R^T R - I that is taken for rounding and repaired; more is no rotation."""
-_STATURE_M = (0.3, 3.0)
+_BODY_HEIGHT_M = (0.3, 3.0)
 """Extent of a T-pose from top to bottom joint that a person can have."""
 _FARTHEST_M = 1000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframes:
-    """Poses at some frames of a motion at 30 fps; world +Y up, floor y = 0, metres."""
+    """Poses at some frames of a motion at 30 fps; world +Y up, floor y = 0, meters."""
 
     frame_index: Int[np.ndarray, "keyframes"]
     """Ascending, from 0."""
@@ -127,13 +127,13 @@ def checked_keyframes(
     if not np.isfinite(rest_joints_m).all():
         raise InputError(f"{where}: rest_joints_m holds NaN or infinity")
     with np.errstate(over="ignore"):
-        stature_m = float(np.ptp(rest_joints_m[:, 1]))
+        body_height_m = float(np.ptp(rest_joints_m[:, 1]))
     if (
-        not _STATURE_M[0] < stature_m < _STATURE_M[1]
+        not _BODY_HEIGHT_M[0] < body_height_m < _BODY_HEIGHT_M[1]
         or max(np.abs(a).max() for a in (translation_m, rest_joints_m)) > _FARTHEST_M
     ):
         raise InputError(
-            f"{where}: want metres and +Y up, got a skeleton {stature_m:.2f} high and roots up to "
+            f"{where}: want meters and +Y up, got a skeleton {body_height_m:.2f} high and roots up to "
             f"{np.abs(translation_m).max():.1f} from the origin"
         )
     order = np.argsort(frames)
@@ -162,9 +162,9 @@ def _expect_shapes(
 def _whole_frames(where: str, frame_index: np.ndarray) -> Int[np.ndarray, "keyframes"]:
     if frame_index.dtype.kind not in "iuf" or not np.isfinite(frame_index).all():
         raise InputError(f"{where}: frame_index wants whole numbers, got {frame_index.dtype} values")
-    if frame_index.max() >= MOST_FRAMES:
+    if frame_index.max() >= MAX_FRAMES:
         raise InputError(
-            f"{where}: want frames below {MOST_FRAMES} (an hour at {FPS:.0f} fps), got {frame_index.max():g}"
+            f"{where}: want frames below {MAX_FRAMES} (an hour at {FPS:.0f} fps), got {frame_index.max():g}"
         )
     if frame_index.min() < 0:
         raise InputError(f"{where}: frame_index wants whole numbers from 0, got {frame_index.min():g}")

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from scenemi.contacts import runs
 from scenemi.data.augment import resampled
-from scenemi.data.bend import LEAST_WAY_M, bent, way_m
+from scenemi.data.bend import MIN_WAY_M, bent, way_m
 from scenemi.data.container import MotionArchive
 from scenemi.data.retarget import RetargetedMotion, retarget
 from video2anim.body.anny_body import ShapedBody, shaped_body
@@ -40,7 +40,7 @@ class StoreConfig:
 
     bodies_per_clip: int = 4
     """Each clip is put on so many of the bodies, in turn."""
-    least_frames: int = 30
+    min_frames: int = 30
     """Shorter pieces are dropped."""
     glitch_m_s2: float = 350.0
     """Frames in which a joint's acceleration exceeds this are cut out, with `glitch_margin` frames at each side."""
@@ -110,13 +110,13 @@ def build_store(
             if (clip.uneven and not config.uneven) or len(clip.root_position_m) < 2:
                 continue
             if bend:
-                if clip.uneven or way_m(clip) < LEAST_WAY_M:
+                if clip.uneven or way_m(clip) < MIN_WAY_M:
                     continue
                 clip = bent(clip, np.random.default_rng([zlib.crc32(name.encode()), bend]))
             motion = resampled(retarget(clip, body), clip.fps, FPS)
             pieces += [(motion, i, number, start, stop) for start, stop in _sound_spans(motion, body, config)]
     if not pieces:
-        raise InputError(f"motion: none of {len(clips)} clips has {config.least_frames} sound frames; give other clips")
+        raise InputError(f"motion: none of {len(clips)} clips has {config.min_frames} sound frames; give other clips")
     clip_of = [archive.names.index(name) for archive, name, _ in clips]
     return _packed(
         pieces,
@@ -136,7 +136,7 @@ def _sound_spans(motion: RetargetedMotion, body: ShapedBody, config: StoreConfig
         glitch[1:-1] = speed_up > config.glitch_m_s2
     reach = 2 * config.glitch_margin + 1
     wide = np.convolve(glitch, np.ones(reach), mode="full")[config.glitch_margin :][: len(glitch)] > 0
-    return [(start, stop) for start, stop in runs(~wide) if stop - start >= config.least_frames]
+    return [(start, stop) for start, stop in runs(~wide) if stop - start >= config.min_frames]
 
 
 def _packed(

@@ -12,18 +12,18 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ValidationError
 
 from video2anim.errors import InputError
 
-MOST_BYTES = 4 * 2**30
+MAX_BYTES = 4 * 2**30
 """Of all arrays that are read of one file, unpacked."""
-MOST_TEXT_BYTES = 256 * 2**20
+MAX_TEXT_BYTES = 256 * 2**20
 """Of a text file."""
-MOST_FRAMES = 108_000
+MAX_FRAMES = 108_000
 """Of one motion: an hour at 30 fps."""
 _MESSAGE_LETTERS = 200
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def expect_file(path: Path, what: str, most_bytes: int = MOST_TEXT_BYTES) -> None:
+def expect_file(path: Path, what: str, max_bytes: int = MAX_TEXT_BYTES) -> None:
     """Refuse what is no file of a size that can be read.
 
     Raises:
@@ -36,8 +36,8 @@ def expect_file(path: Path, what: str, most_bytes: int = MOST_TEXT_BYTES) -> Non
         size = path.stat().st_size
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise InputError(f"{path}: cannot read the {what}: {one_line(error)}") from error
-    if size > most_bytes:
-        raise InputError(f"{path}: want a {what} of at most {most_bytes / 2**20:,.0f} MiB, got {size / 2**20:,.0f} MiB")
+    if size > max_bytes:
+        raise InputError(f"{path}: want a {what} of at most {max_bytes / 2**20:,.0f} MiB, got {size / 2**20:,.0f} MiB")
 
 
 def read_text(path: Path, what: str) -> str:
@@ -84,7 +84,7 @@ def read_arrays(
     what: str,
     *,
     needed: Sequence[str] = (),
-    most_bytes: int = MOST_BYTES,
+    max_bytes: int = MAX_BYTES,
     where: str | None = None,
 ) -> dict[str, np.ndarray]:
     """Those arrays of numbers or text of an `.npz` archive that are named and there; nothing else is unpacked.
@@ -104,7 +104,7 @@ def read_arrays(
     where = where or str(source)
     if isinstance(source, Path):
         with _opened(source, what) as stream:
-            return read_arrays(stream, names, what, needed=needed, most_bytes=most_bytes, where=where)
+            return read_arrays(stream, names, what, needed=needed, max_bytes=max_bytes, where=where)
     found: dict[str, Any] = {}
     try:
         loaded = np.load(source, allow_pickle=False)
@@ -116,8 +116,8 @@ def read_arrays(
                 raise InputError(f"{where}: not a {what}, it lacks {', '.join(missing[:4])}")
             wanted = [name for name in dict.fromkeys((*needed, *names)) if name in archive.files]
             sizes = {info.filename.removesuffix(".npy"): info.file_size for info in archive.zip.infolist()}  # pyright: ignore[reportOptionalMemberAccess]
-            if sum(sizes[name] for name in wanted) > most_bytes:
-                raise InputError(f"{where}: want at most {most_bytes / 2**20:,.0f} MiB of arrays in a {what}")
+            if sum(sizes[name] for name in wanted) > max_bytes:
+                raise InputError(f"{where}: want at most {max_bytes / 2**20:,.0f} MiB of arrays in a {what}")
             found = {name: archive[name] for name in wanted}
     except InputError:
         raise
@@ -131,7 +131,7 @@ def read_arrays(
 
 
 def _opened(path: Path, what: str) -> IO[bytes]:
-    expect_file(path, what, MOST_BYTES)
+    expect_file(path, what, MAX_BYTES)
     try:
         return path.open("rb")
     except OSError as error:
@@ -149,7 +149,7 @@ def read_array(path: Path, what: str, *, mapped: bool = False) -> np.ndarray:
     Raises:
         InputError: the file is missing, damaged or too large, or holds objects.
     """
-    expect_file(path, what, MOST_BYTES)
+    expect_file(path, what, MAX_BYTES)
     try:
         found = np.load(path, mmap_mode="r" if mapped else None, allow_pickle=False)
     except Exception as error:  # numpy's parser of headers raises classes of many kinds
@@ -169,7 +169,7 @@ def checked(model: type[Model], where: str, values: dict[str, Any]) -> Model:
     """The values as a model.
 
     Raises:
-        InputError: the first thing that does not fit.
+        InputError: the first object that does not fit.
     """
     try:
         return model.model_validate(values)

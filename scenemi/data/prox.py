@@ -49,7 +49,7 @@ class ProxPiece:
     scene_name: str
 
 
-def read_prox(folder: str | Path, *, least_frames: int = 30) -> Iterator[ProxPiece]:
+def read_prox(folder: str | Path, *, min_frames: int = 30) -> Iterator[ProxPiece]:
     """Recordings, cut where frames are missing or were not fitted.
 
     Args:
@@ -74,7 +74,7 @@ def read_prox(folder: str | Path, *, least_frames: int = 30) -> Iterator[ProxPie
         every = np.zeros(number[-1] + 2, bool)
         every[number[good]] = True
         for first, stop in runs(every):
-            if stop - first < least_frames:
+            if stop - first < min_frames:
                 continue
             row = int(np.searchsorted(number, first))
             rows = slice(row, row + stop - first)

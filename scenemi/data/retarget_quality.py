@@ -73,7 +73,7 @@ def measure_retarget(clip: SourceClip, body: ShapedBody, motion: RetargetedMotio
         jerk_ratio=_jerk_ratio(joints_m, source_m, clip.fps),
         limb_error_deg=float(errors.mean()),
         limb_error_max_deg=float(errors.max()),
-        knee_min_deg=_least_knee_deg(motion),
+        knee_min_deg=_min_knee_deg(motion),
     )
 
 
@@ -89,7 +89,7 @@ def _limb_errors(joints_m: np.ndarray, source_m: np.ndarray) -> Float[np.ndarray
 def _sole_heights(
     body: ShapedBody, motion: RetargetedMotion, joints_m: np.ndarray, R_world: np.ndarray
 ) -> tuple[float, float, float]:
-    """Depth of the touching sole, gap under it, depth of any foot vertex in any frame; metres."""
+    """Depth of the touching sole, gap under it, depth of any foot vertex in any frame; meters."""
     sink = gap = below = 0.0
     for leg in LEGS:
         chosen = np.flatnonzero(body.skin_weights[:, [leg.ankle, leg.toe]].sum(1) > 0.5)
@@ -119,6 +119,6 @@ def _leg_length(joints_m: np.ndarray) -> float:
     return float(sum(np.linalg.norm(joints_m[0, b] - joints_m[0, a]) for a, b in pairs))
 
 
-def _least_knee_deg(motion: RetargetedMotion) -> float:
+def _min_knee_deg(motion: RetargetedMotion) -> float:
     knees = motion.R_parent_joint[:, [leg.knee for leg in LEGS]]
     return float(np.degrees(np.arctan2(knees[..., 2, 1], knees[..., 1, 1]).min()))

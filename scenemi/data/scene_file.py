@@ -1,4 +1,4 @@
-"""Scenes from files: meshes and clouds of points of one world, +Y up, metres."""
+"""Scenes from files: meshes and clouds of points of one world, +Y up, meters."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pydantic import BaseModel, ConfigDict
 from scenemi.data.plain_files import Numbers, checked, expect_file, one_line, read_arrays, shaped
 from scenemi.scene.scene_parts import ScenePart, expect_scene
 from video2anim.errors import InputError
-from video2anim.types.scene import MOST_FACES
+from video2anim.types.scene import MAX_FACES
 
 SCENE_SUFFIXES = (".glb", ".gltf", ".ply", ".obj", ".stl", ".npz")
-_MOST_BYTES = 2 * 2**30
-_MOST_HEADER_BYTES = 64 * 1024
+_MAX_BYTES = 2 * 2**30
+_MAX_HEADER_BYTES = 64 * 1024
 _GLB_HEADER, _CHUNK_HEADER, _JSON_CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s"), b"JSON"
 _STL_HEAD_BYTES, _STL_FACE_BYTES = 84, 50
 
@@ -42,7 +42,7 @@ class _SceneArrays(BaseModel):
 
 
 def read_scene(path: Path) -> SceneFile:
-    """A scene in the world frame (+Y up, metres): all meshes and points of a file but people, which are skinned meshes.
+    """A scene in the world frame (+Y up, meters): all meshes and points of a file but people, which are skinned meshes.
 
     An `.npz` holds `vertices_m` and `faces`, or `points_m`.
 
@@ -53,8 +53,8 @@ def read_scene(path: Path) -> SceneFile:
         raise InputError(f"{path}: want a scene as {', '.join(SCENE_SUFFIXES)}")
     found = _npz(path) if path.suffix.lower() == ".npz" else read_meshes(path)
     faces = sum(len(part.faces) for part in found.parts)
-    if faces > MOST_FACES:
-        raise InputError(f"{path}: want at most {MOST_FACES:,} faces, got {faces:,}; simplify the scan first")
+    if faces > MAX_FACES:
+        raise InputError(f"{path}: want at most {MAX_FACES:,} faces, got {faces:,}; simplify the scan first")
     return SceneFile(expect_scene(str(path), found.parts), found.notes)
 
 
@@ -67,7 +67,7 @@ def read_meshes(path: Path) -> SceneFile:
     import trimesh
     from trimesh.resolvers import FilePathResolver
 
-    expect_file(path, "scene file", _MOST_BYTES)
+    expect_file(path, "scene file", _MAX_BYTES)
     suffix = path.suffix.lower()
     try:
         data = path.read_bytes()
@@ -93,7 +93,7 @@ def read_meshes(path: Path) -> SceneFile:
 
 
 def _rows(found: object, name: str, kind: type) -> np.ndarray:
-    """Rows of three of what trimesh read; none where it has no such thing (points have no faces)."""
+    """Rows of three of what trimesh read; none where it has no such object (points have no faces)."""
     rows = np.asarray(getattr(found, name, np.zeros((0, 3))), kind)
     if rows.ndim != 2 or rows.shape[1] != 3:
         raise ValueError(f"{name} want rows of three, got {rows.shape}")
@@ -101,7 +101,7 @@ def _rows(found: object, name: str, kind: type) -> np.ndarray:
 
 
 def _npz(path: Path) -> SceneFile:
-    found = read_arrays(path, tuple(_SceneArrays.model_fields), "scene file", most_bytes=_MOST_BYTES)
+    found = read_arrays(path, tuple(_SceneArrays.model_fields), "scene file", max_bytes=_MAX_BYTES)
     values = checked(_SceneArrays, str(path), found)
     points_m = values.points_m if values.vertices_m is None else values.vertices_m
     if points_m is None:
@@ -151,7 +151,7 @@ def _without_people(text: bytes) -> tuple[bytes, tuple[str, ...]]:
 
 def _stl(data: bytes) -> _Prepared:
     count = struct.unpack_from("<I", data, _STL_HEAD_BYTES - 4)[0] if len(data) >= _STL_HEAD_BYTES else 0
-    text = data[:_MOST_HEADER_BYTES].lstrip().startswith(b"solid") and b"facet" in data[:_MOST_HEADER_BYTES]
+    text = data[:_MAX_HEADER_BYTES].lstrip().startswith(b"solid") and b"facet" in data[:_MAX_HEADER_BYTES]
     if not text and len(data) != _STL_HEAD_BYTES + _STL_FACE_BYTES * count:
         raise ValueError(f"cut off or damaged: it says {count} triangles in {len(data)} bytes")
     return data, (), lambda parts: True
@@ -159,7 +159,7 @@ def _stl(data: bytes) -> _Prepared:
 
 def _ply(data: bytes) -> _Prepared:
     """Counts of vertices and faces are believed only where there are as many."""
-    head = data[:_MOST_HEADER_BYTES].partition(b"end_header")[0].decode("ascii", "replace").split("\n")
+    head = data[:_MAX_HEADER_BYTES].partition(b"end_header")[0].decode("ascii", "replace").split("\n")
     said = {words[1]: int(words[2]) for words in map(str.split, head) if len(words) == 3 and words[0] == "element"}
     if sum(said.values()) > len(data) or min(said.values(), default=0) < 0:
         raise ValueError(f"cut off or damaged: it says {sum(said.values())} elements in {len(data)} bytes")

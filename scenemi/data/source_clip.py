@@ -1,4 +1,4 @@
-"""A motion clip on the skeleton of its source. Metres, +Y up, quaternions w x y z."""
+"""A motion clip on the skeleton of its source. Meters, +Y up, quaternions w x y z."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from video2anim.geometry.rotations import matrix_from_quaternion
 
-LEAST_FPS, MOST_FPS = 1.0, 1000.0
+MIN_FPS, MAX_FPS = 1.0, 1000.0
 """Of motion that can be read."""
 
 
@@ -42,7 +42,7 @@ class SourceClip:
     """Where a known recording session has it (`subject_trial`), else empty."""
     fps: float
     uneven: bool
-    """The person walks, climbs or hangs on things that were not captured: y = 0 is no floor for this clip."""
+    """The person walks, climbs or hangs on objects that were not captured: y = 0 is no floor for this clip."""
     skeleton: SourceSkeleton
     root_position_m: Float[np.ndarray, "frames 3"]
     rotation_wxyz: Float[np.ndarray, "frames joints 4"]

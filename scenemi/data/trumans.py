@@ -37,7 +37,7 @@ class TrumansTake:
     scene_name: str
 
 
-def read_trumans(folder: str | Path, *, least_frames: int = 30) -> Iterator[TrumansTake]:
+def read_trumans(folder: str | Path, *, min_frames: int = 30) -> Iterator[TrumansTake]:
     """Takes of the data set, cut at bad frames; the arrays are mapped, not read whole.
 
     Args:
@@ -61,7 +61,7 @@ def read_trumans(folder: str | Path, *, least_frames: int = 30) -> Iterator[Trum
         bad[np.asarray(_array(folder / "bad_frames.npy"), np.int64)] = True
     changes = np.flatnonzero((take[1:] != take[:-1]) | (bad[1:] != bad[:-1]) | (scene[1:] != scene[:-1])) + 1
     for start, stop in zip([0, *changes.tolist()], [*changes.tolist(), frames], strict=True):
-        if bad[start] or stop - start < least_frames:
+        if bad[start] or stop - start < min_frames:
             continue
         clip = smpl_clip(
             np.concatenate([orient[start:stop], pose[start:stop]], axis=1),

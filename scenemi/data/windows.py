@@ -52,7 +52,7 @@ class MotionSetConfig:
     noncommercial: bool = False
     """Also use clips whose license is not known to be free."""
     sources: tuple[str, ...] | None = None
-    """Only these sources, whatever their licence; None = all that the licence rule allows."""
+    """Only these sources, whatever their license; None = all that the license rule allows."""
     kinds: tuple[str, ...] | None = None
     """Only these kinds."""
     store: StoreConfig = field(default_factory=StoreConfig)
@@ -227,7 +227,7 @@ class MotionSet:
             body: only motions on this body.
         """
         frames, step = self.config.frames, stride or self.config.frames
-        least = frames if full_only else min(frames, self.config.store.least_frames)
+        least = frames if full_only else min(frames, self.config.store.min_frames)
         pairs = [
             (piece, start)
             for piece, length in enumerate(self.store.piece_frames.tolist())

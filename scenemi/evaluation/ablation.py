@@ -1,6 +1,6 @@
 """A trained prior with a condition taken away when it samples.
 
-This asks what the model makes of the condition. A model trained without it (`ModelConfig.scene`) is another thing, and
+This asks what the model makes of the condition. A model trained without it (`ModelConfig.scene`) is another object, and
 the tables name which of the two a row is.
 """
 

@@ -9,7 +9,7 @@ from scenemi.data.container import MotionArchive, read_split
 from scenemi.data.scene_clips import scene_folders
 from scenemi.data.split import PARTS
 from scenemi.evaluation.real_scenes import windows_in_real_scenes
-from scenemi.evaluation.scenes import with_pseudo_scenes
+from scenemi.evaluation.scenes import with_synthetic_scenes
 from scenemi.evaluation.windows import EvaluationWindow, cut_windows
 from video2anim.errors import UsageError
 
@@ -39,7 +39,7 @@ def chosen_windows(
     windows: list[EvaluationWindow] = []
     if clips:
         found = cut_windows([MotionArchive.read(path) for path in clips], names)
-        windows += with_pseudo_scenes(found) if made_up else found
+        windows += with_synthetic_scenes(found) if made_up else found
     if scenes_from:
         windows += windows_in_real_scenes(scene_folders(scenes_from), part if names is None else names)
     return tuple(windows)

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from scenemi.features import JOINTS, LEAST_STD, encode
+from scenemi.features import JOINTS, MIN_STD, encode
 from scenemi.prior import WindowMotion
 from scenemi.windows import WINDOW_FRAMES
 from video2anim.errors import InputError
@@ -23,7 +23,7 @@ from video2anim.errors import InputError
 FORMAT = "scenemi-fid-1"
 CHANNELS = 201 + 66
 _BATCH = 64
-_LEAST_STEP_M = 0.005
+_MIN_STEP_M = 0.005
 """Steps of joints that hardly move in the training windows are not blown up."""
 
 
@@ -81,7 +81,7 @@ class MotionAutoencoder(nn.Module):
         """Take mean and standard deviation of each channel from training windows."""
         flat = windows.transpose(1, 2).reshape(-1, CHANNELS)
         self.mean.copy_(flat.mean(0)[:, None])
-        least = np.concatenate([LEAST_STD, np.full(CHANNELS - len(LEAST_STD), _LEAST_STEP_M)])
+        least = np.concatenate([MIN_STD, np.full(CHANNELS - len(MIN_STD), _MIN_STEP_M)])
         self.std.copy_(flat.std(0).maximum(torch.from_numpy(least).float())[:, None])
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from scenemi.evaluation.scores import Interval, WindowJudge, WindowScores, bootstrap, mean_of
+from scenemi.evaluation.scores import Interval, WindowEvaluator, WindowScores, bootstrap, mean_of
 from scenemi.evaluation.windows import EvaluationWindow, GivenWindow, KeyframeProtocol, give_keyframes, window_seed
 from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow, WindowMotion
 from video2anim.errors import StageError
@@ -112,7 +112,7 @@ def evaluate(
     plain = [InterpolationPrior().fill(one.keyframes) for one in given]
     prior_scores, truth, baseline, noisy_input = [], [], [], []
     for window, one, motion, simple in zip(windows, given, filled, plain, strict=True):
-        judge, is_keyframe = WindowJudge(window), one.keyframes.is_keyframe
+        judge, is_keyframe = WindowEvaluator(window), one.keyframes.is_keyframe
         truth.append(judge.truth())
         prior_scores.append(judge.scores(motion, is_keyframe))
         baseline.append(judge.scores(simple, is_keyframe))

@@ -12,7 +12,7 @@ from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol, give_
 from scenemi.prior import InterpolationPrior
 from scenemi.scene.basis_points import anchor_vertices
 from scenemi.scene.boxes import Boxes
-from scenemi.scene.pseudo import PseudoConfig, PseudoScenes
+from scenemi.scene.pseudo import PseudoConfig, SyntheticScenes
 from video2anim.types.skeleton import forward_kinematics
 
 SCENE_SEED = 20_251
@@ -47,7 +47,7 @@ class Obstacles:
         return distance_m
 
 
-def with_pseudo_scenes(
+def with_synthetic_scenes(
     windows: Sequence[EvaluationWindow], *, seed: int = SCENE_SEED, config: PseudoConfig = EVALUATION_SCENES
 ) -> tuple[EvaluationWindow, ...]:
     """The windows, each in a scene in which its true motion could have happened, with solids where the interpolation of
@@ -55,7 +55,7 @@ def with_pseudo_scenes(
 
     Windows of clips on ground that was not captured get one too: they are few and keep the set whole.
     """
-    scenes = PseudoScenes(config)
+    scenes = SyntheticScenes(config)
     found = []
     for window in windows:
         joints_m, R_world_joint = forward_kinematics(

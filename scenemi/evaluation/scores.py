@@ -61,7 +61,7 @@ class Interval:
     count: int
 
 
-class WindowJudge:
+class WindowEvaluator:
     """Measures motions against one window; what belongs to the truth is computed once."""
 
     def __init__(self, window: EvaluationWindow) -> None:

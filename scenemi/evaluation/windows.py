@@ -35,7 +35,7 @@ class ObstacleField(Protocol):
     """Solids around a motion, without the floor."""
 
     def signed_distance(self, points_m: Float[np.ndarray, "frames skin 3"]) -> Float[np.ndarray, "frames skin"]:
-        """Distance to the nearest solid, negative inside; metres, exact below 0.3."""
+        """Distance to the nearest solid, negative inside; meters, exact below 0.3."""
         ...
 
 
@@ -68,7 +68,7 @@ class KeyframeProtocol:
     """Chance of each inner frame; first and last are always keyframes."""
     noise: float = 0.0
     """Paper's l: standard deviation in degrees for root orientation and joints (each component of the axis-angle
-    vector) and in centimetres for the root translation (each axis). First and last frame stay clean, as in the
+    vector) and in centimeters for the root translation (each axis). First and last frame stay clean, as in the
     paper."""
     seed: int = 0
 
@@ -195,7 +195,7 @@ def with_noise(
     level: float,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "frames 22 3 3"], Float[np.ndarray, "frames 3"]]:
-    """Gaussian noise of `level` degrees and centimetres on all frames but the first and the last."""
+    """Gaussian noise of `level` degrees and centimeters on all frames but the first and the last."""
     turn_rad = np.radians(level) * rng.standard_normal((*R_parent_joint.shape[:2], 3))
     shift_m = 0.01 * level * rng.standard_normal(translation_m.shape)
     turn_rad[[0, -1]] = 0.0

@@ -15,7 +15,7 @@ SAMPLE_STEPS = 20
 """Of motions that differ by their seeds; the expected motion takes one step."""
 
 
-def choose_prior(
+def load_prior_by_name(
     weights: str = "small",
     *,
     device: str = "cpu",

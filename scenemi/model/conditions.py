@@ -34,7 +34,7 @@ class Conditions:
     base: Float[Tensor, "batch frames 201"]
     """The keyframes joined by cubic curves."""
     noise: Float[Tensor, "batch frames 2"]
-    """Noise of each keyframe: degrees of every joint, centimetres of the translation; paper's l is both alike."""
+    """Noise of each keyframe: degrees of every joint, centimeters of the translation; paper's l is both alike."""
     body: Float[Tensor, "batch 7"]
     """Body lengths, normalized."""
     field: SceneField | None = None

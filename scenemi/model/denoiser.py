@@ -28,10 +28,10 @@ from video2anim.types.skeleton import JOINT_INDEX
 
 # Shapes: B windows, N frames, F = 201 features, P points of the body asked for in the scene
 
-MOST_FRAMES = 60
+MAX_FRAMES = 60
 """Longest distance from a keyframe in a window of 121 frames."""
 SCALES = {
-    "residual_std": (MOST_FRAMES + 1, FEATURE_COUNT), "noise_std": (2, FEATURE_COUNT),
+    "residual_std": (MAX_FRAMES + 1, FEATURE_COUNT), "noise_std": (2, FEATURE_COUNT),
     "correlate": (WINDOW_FRAMES, WINDOW_FRAMES),
     "view_mean": (VIEW,), "view_std": (VIEW,), "feature_mean": (FEATURE_COUNT,), "feature_std": (FEATURE_COUNT,),
 }  # fmt: skip
@@ -43,11 +43,11 @@ LIMBS = tuple(
 )
 """A thin post fits between the joints of these: their middles are asked too."""
 POINTS = 22 + len(LIMBS)
-_LEAST_SCALE = 0.01
+_MIN_SCALE = 0.01
 """Standard deviations that are no error: at keyframes without noise."""
 _FARTHEST = 6.0
 """Deviations of an input: larger ones look the same to the network."""
-_LEAST_DEVIATION = 0.03
+_MIN_DEVIATION = 0.03
 """Of an input: high frequencies of what hardly changes are not blown up."""
 _STEP_CHANNELS = 128
 
@@ -152,15 +152,15 @@ class Denoiser(nn.Module):
         heading = headings(raw)
         known = given.mask[..., None]
         seen = [(view(raw, heading) - self.view_mean) / self.view_std, known, known * torch.log1p(given.noise)]
-        seen.append(since_and_until(given.mask) / MOST_FRAMES)
+        seen.append(since_and_until(given.mask) / MAX_FRAMES)
         return Prepared(heading, self.scales(given), torch.cat(seen, -1))
 
     def scales(self, given: Conditions) -> Float[Tensor, "batch frames 201"]:
         """How far the truth may be from the joined keyframes: normalized, in their heading, at least a hundredth."""
         apart = since_and_until(given.mask)
-        between = self.residual_std[apart.amin(-1).clamp(max=MOST_FRAMES)]
+        between = self.residual_std[apart.amin(-1).clamp(max=MAX_FRAMES)]
         noise = _joined(given.noise.square(), apart) @ self.noise_std.square()
-        return (between**2 + noise + _LEAST_SCALE**2).sqrt()
+        return (between**2 + noise + _MIN_SCALE**2).sqrt()
 
     def set_scales(self, measured: Mapping[str, Tensor]) -> None:
         """What `scenemi.training.scales` measured, by the names of `SCALES`."""
@@ -170,7 +170,7 @@ class Denoiser(nn.Module):
     def set_input_scales(self, drawn: Float[Tensor, "many tokens fold channels"]) -> None:
         """Mean and deviation of what the network reads, from some `inputs`."""
         self.token_mean.copy_(drawn.mean((0, 1)))
-        self.token_std.copy_(drawn.std((0, 1)).clamp(min=_LEAST_DEVIATION))
+        self.token_std.copy_(drawn.std((0, 1)).clamp(min=_MIN_DEVIATION))
 
     def _surroundings(
         self, estimate: Tensor, given: Conditions, heading: Float[Tensor, "batch frames 2"]

@@ -1,7 +1,7 @@
 """Keyframes made exact without a pop: what is missing at them is spread over their neighbors in time.
 
 The differences between the wanted and the made pose (rotations in the tangent space of the made one, translation in
-metres) are joined by a Gaussian process in time with a Matérn-7/2 kernel, and its mean is added to every frame. That
+meters) are joined by a Gaussian process in time with a Matérn-7/2 kernel, and its mean is added to every frame. That
 curve has six continuous derivatives, so that velocity, acceleration and jerk have no step at a keyframe, and it dies
 away within a few `reach_frames`, so that it cannot overshoot in long gaps as a spline does. A thousandth of the
 variance counts as noise: between keyframes that follow each other frame by frame (the seed of a long motion) the

@@ -23,15 +23,15 @@ def _levels() -> tuple[tuple[list[int], list[int]], ...]:
 
 LEVELS = _levels()
 """Joints below the root by depth, with their parents."""
-_LEAST_NORM = 1e-6
+_MIN_NORM = 1e-6
 
 
 def matrices(rot6d: Float[Tensor, "... 6"]) -> Float[Tensor, "... 3 3"]:
     """Rotations from two columns by Gram-Schmidt, finite for any input."""
-    first = torch.nn.functional.normalize(rot6d[..., :3], dim=-1, eps=_LEAST_NORM)
+    first = torch.nn.functional.normalize(rot6d[..., :3], dim=-1, eps=_MIN_NORM)
     second = rot6d[..., 3:]
     second = second - (first * second).sum(-1, keepdim=True) * first
-    second = torch.nn.functional.normalize(second, dim=-1, eps=_LEAST_NORM)
+    second = torch.nn.functional.normalize(second, dim=-1, eps=_MIN_NORM)
     return torch.stack([first, second, torch.linalg.cross(first, second)], -1)
 
 

@@ -171,7 +171,7 @@ def load_diffusion_prior(
 
 
 def noise_of(window: KeyframeWindow) -> Float[np.ndarray, "frames 2"]:
-    """Degrees and centimetres of every frame's noise; none in the seed."""
+    """Degrees and centimeters of every frame's noise; none in the seed."""
     level = min(window.noise_level, TRAINED_NOISE)
     noise = np.full((len(window.is_keyframe), 2), level) if window.noise is None else window.noise.copy()
     noise[: window.seed_frames] = 0.0

@@ -66,7 +66,7 @@ class UNet1D(nn.Module):
             last = level == len(channels) - 1
             self.shrink.append(nn.Identity() if last else nn.Conv1d(count, count, 3, stride=2, padding=1))
             before = count
-        self.middle = nn.ModuleList([block(before, before), block(before, before)])
+        self.center = nn.ModuleList([block(before, before), block(before, before)])
         self.up, self.grow = nn.ModuleList(), nn.ModuleList()
         for level, count in reversed(list(enumerate(channels))):
             self.up.append(nn.ModuleList([block(before + count, count), block(count, count)]))
@@ -87,7 +87,7 @@ class UNet1D(nn.Module):
                 x = block(x, embedding)
             kept.append(x)
             x = shrink(x)
-        for block in self.middle:
+        for block in self.center:
             x = block(x, embedding)
         for blocks, grow in zip(self.up, self.grow, strict=True):
             x = torch.cat([x, kept.pop()], 1)

@@ -33,7 +33,7 @@ class LoadedModel:
     config: AnyConfig
     statistics: Statistics
     card: dict[str, Any]
-    """Data, steps, licence, numbers."""
+    """Data, steps, license, numbers."""
     path: Path
 
 

@@ -60,7 +60,7 @@ class SolveConfig:
     """Of the root about the reference."""
     acceleration_ratio: float = 0.3
     """Acceleration of the correction over that of the reference (root mean square, each unknown)."""
-    least_acceleration: tuple[float, float] = (0.1, 0.3)
+    min_acceleration: tuple[float, float] = (0.1, 0.3)
     """Lower limits of the latter: m/s^2 of the root, rad/s^2 of the joints."""
     picture_ratio: float = 0.005
     """Of a joint in the picture, over the body's height there."""
@@ -78,7 +78,7 @@ class SolveConfig:
     """Of the depth of skin in solids."""
     odd_depth_m: float = 0.15
     """Skin as deep as this is not moved out: pose or solid are wrong."""
-    swing_clearance_m: float = 0.01
+    toe_clearance_m: float = 0.01
     """Feet that do not touch keep this much above solids (toes of walkers: 1.3 cm, Winter 1992)."""
     contact_threshold: float = 0.5
     """Probability from which a part touches; it weighs the residual too."""
@@ -99,7 +99,7 @@ class PictureTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneMotion:
-    """What the solve starts from: a motion (world frame, +Y up, metres) and what is known of it."""
+    """What the solve starts from: a motion (world frame, +Y up, meters) and what is known of it."""
 
     R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
     translation_world_m: Float[np.ndarray, "frames 3"]
@@ -158,9 +158,9 @@ class _Person:
         fps2 = given.fps**2
         root = fps2 * np.diff(given.translation_world_m, n=2, axis=0)
         turning = fps2 * np.diff(_rates(given.R_parent_joint), axis=0)
-        least_m, least_rad = config.least_acceleration
-        usual = [np.maximum(config.acceleration_ratio * _rms(root), least_m)]
-        usual += [np.maximum(config.acceleration_ratio * _rms(turning).reshape(-1), least_rad)]
+        min_m, min_rad = config.min_acceleration
+        usual = [np.maximum(config.acceleration_ratio * _rms(root), min_m)]
+        usual += [np.maximum(config.acceleration_ratio * _rms(turning).reshape(-1), min_rad)]
         self.stiffness = fps2**2 / np.concatenate(usual) ** 2
         turn_rad = np.where(np.isin(np.arange(JOINTS), TRUNK), config.trunk_rad, config.limb_rad)
         self.hold = np.concatenate([np.full(3, config.root_m), np.repeat(turn_rad, 3)]) ** -2.0
@@ -268,7 +268,7 @@ class _Person:
             weight = touching * near / (config.touch_m**2 * TOUCHING_POINTS)
             found.append((index, -gap_m, np.broadcast_to(weight[:, None], gap_m.shape)))
             if k >= len(PARTS) - 2:
-                margin_m[:, rows] = np.where(touching > 0, 0.0, config.swing_clearance_m)[:, None]
+                margin_m[:, rows] = np.where(touching > 0, 0.0, config.toe_clearance_m)[:, None]
         missing_m = margin_m - distance_m
         index = np.argpartition(-missing_m, DEEPEST_POINTS - 1, axis=1)[:, :DEEPEST_POINTS]
         missing_m = np.take_along_axis(missing_m, index, 1)

@@ -57,7 +57,7 @@ def _spread(points_m: Float[np.ndarray, "points 3"], count: int) -> Int[np.ndarr
 def bps(
     scene: SceneGeometry, anchors_m: Float[np.ndarray, "frames anchors 3"], R_world_canonical: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "frames anchors 3"]:
-    """Offsets from anchors (world) to the nearest solid point, in canonical axes, metres, at most 1 m long."""
+    """Offsets from anchors (world) to the nearest solid point, in canonical axes, meters, at most 1 m long."""
     return shortened((scene.nearest(anchors_m) - anchors_m) @ R_world_canonical)
 
 

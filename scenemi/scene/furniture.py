@@ -1,6 +1,6 @@
 """Furniture as boxes in its own frame: front at z = 0 toward +z, its depth behind (z < 0), floor at y = 0.
 
-Sizes are those of usual furniture in metres.
+Sizes are those of usual furniture in meters.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def wall_board(rng: np.random.Generator) -> Piece:
 
 
 def carton(rng: np.random.Generator) -> Piece:
-    """A low thing on the floor."""
+    """A low object on the floor."""
     width, height, depth = rng.uniform(0.2, 0.6), rng.uniform(0.1, 0.5), rng.uniform(0.2, 0.5)
     return piece("carton", (-width / 2, width / 2, 0.0, height, -depth, 0.0))
 

@@ -1,4 +1,4 @@
-"""Solid things of any kind behind one question: which solid point is nearest?
+"""Solid objects of any kind behind one question: which solid point is nearest?
 
 A point inside a solid is its own nearest point. What is known as a surface only (a mesh without `fill`, a point set)
 has no inside.

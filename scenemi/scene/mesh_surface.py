@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from video2anim.geometry.sdf import surface_samples
 
 _SAMPLE_STEP_M = 0.08
-_MOST_SAMPLES = 400_000
+_MAX_SAMPLES = 400_000
 _FEW_SAMPLES, _MANY_SAMPLES = 8, 48
 _RADIUS_PER_STEP = 2 / 3
 """A centroid is at most this share of the longest edge away from any point of its triangle."""
@@ -36,7 +36,7 @@ class MeshSurface:
         edges = triangles_m[:, 1:] - triangles_m[:, :1]
         area_m2 = 0.5 * float(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1).sum())
         # A piece of edge h has 0.12 to 0.25 h^2 of area.
-        step_m = max(_SAMPLE_STEP_M, (area_m2 / (0.12 * _MOST_SAMPLES)) ** 0.5)
+        step_m = max(_SAMPLE_STEP_M, (area_m2 / (0.12 * _MAX_SAMPLES)) ** 0.5)
         samples_m, self._owner = surface_samples(triangles_m, step_m)
         self._tree, self._step_m = KDTree(samples_m), step_m
         self._closed = closed_parts(triangles_m) if fill else []

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from scenemi.scene.basis_points import shortened
-from scenemi.scene.body_balls import BodyBalls, adult_balls
+from scenemi.scene.body_spheres import BodySpheres, adult_spheres
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.furniture import FURNITURE, Piece, doorway, wall
 from scenemi.scene.geometry import HalfSpace, SceneGeometry
@@ -66,7 +66,7 @@ class PseudoConfig:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PseudoScene:
+class SyntheticScene:
     """A scene around one window, in its canonical frame."""
 
     occupancy: Bool[np.ndarray, "x y z"]
@@ -88,7 +88,7 @@ class PseudoScene:
         return np.minimum(distance_m, points_m[..., 1] - self.floor_y_m) if floor else distance_m
 
 
-class PseudoScenes:
+class SyntheticScenes:
     """Draws scenes; the same generator state and motion give the same scene."""
 
     def __init__(self, config: PseudoConfig | None = None) -> None:
@@ -102,21 +102,21 @@ class PseudoScenes:
         anchors_m: Float[np.ndarray, "frames anchors 3"],
         contact: Bool[np.ndarray, "frames 22"] | None = None,
         *,
-        balls: BodyBalls | None = None,
+        spheres: BodySpheres | None = None,
         bps_frames: Bool[np.ndarray, "frames"] | None = None,
         blind_m: Float[np.ndarray, "frames 22 3"] | None = None,
-    ) -> PseudoScene:
+    ) -> SyntheticScene:
         """A scene around a motion, with what a scan shows of it.
 
         Args:
             bps_frames: frames whose offsets are wanted, all by default.
             The others as of `solids`.
         """
-        named = self.solids(rng, joints_m, R_world_joint, anchors_m, contact, balls=balls, blind_m=blind_m)
+        named = self.solids(rng, joints_m, R_world_joint, anchors_m, contact, spheres=spheres, blind_m=blind_m)
         boxes = Boxes.joined(b for _, b in named)
         hollow = rng.random() < self.config.hollow_share
         voxels, offsets_m = scanned(rng, self.config.noise, boxes, anchors_m, bps_frames, self.config.grid, hollow)
-        return PseudoScene(voxels, shortened(offsets_m), boxes, tuple(kind for kind, _ in named))
+        return SyntheticScene(voxels, shortened(offsets_m), boxes, tuple(kind for kind, _ in named))
 
     def solids(
         self,
@@ -126,7 +126,7 @@ class PseudoScenes:
         anchors_m: Float[np.ndarray, "frames anchors 3"] | None,
         contact: Bool[np.ndarray, "frames 22"] | None = None,
         *,
-        balls: BodyBalls | None = None,
+        spheres: BodySpheres | None = None,
         blind_m: Float[np.ndarray, "frames 22 3"] | None = None,
     ) -> list[tuple[str, Boxes]]:
         """Named solids around a motion, none with the body in it.
@@ -137,16 +137,16 @@ class PseudoScenes:
             R_world_joint: orientations in the canonical frame.
             anchors_m: anchors of the posed skin.
             contact: joints known to rest on something; still joints are found without it too.
-            balls: volume of this body (`fit_balls`); else the middle adult's, made thicker until the anchors are in it.
+            balls: volume of this body (`fit_spheres`); else the mean adult's, thickened until it holds the anchors.
             blind_m: joints of a filling of the same keyframes that sees no scene: solids are put where it goes and the
                 body does not (`scenemi.scene.telling`).
         """
-        body, balls = _sweep(joints_m, R_world_joint, anchors_m, balls)
+        body, spheres = _sweep(joints_m, R_world_joint, anchors_m, spheres)
         known = np.zeros(joints_m.shape[:2], bool) if contact is None else np.asarray(contact, bool)
         named: list[tuple[str, Boxes]] = []
         if rng.random() >= self.config.empty_share:
             snug = replace(body, radius_m=body.radius_m - np.float32(_SNUG_M))
-            motion = Motion(joints_m, R_world_joint, known, balls, snug, self.config.fps)
+            motion = Motion(joints_m, R_world_joint, known, spheres, snug, self.config.fps)
             named = supports(rng, motion, self.config.rest)
             if blind_m is not None:
                 count = int(rng.integers(self.config.telling[0], self.config.telling[1] + 1))
@@ -255,15 +255,15 @@ def _add(named: list[tuple[str, Boxes]], found: tuple[str, Boxes] | None) -> Non
 
 
 def _sweep(
-    joints_m: np.ndarray, R_world_joint: np.ndarray, anchors_m: np.ndarray | None, balls: BodyBalls | None
-) -> tuple[SweptBody, BodyBalls]:
+    joints_m: np.ndarray, R_world_joint: np.ndarray, anchors_m: np.ndarray | None, spheres: BodySpheres | None
+) -> tuple[SweptBody, BodySpheres]:
     """The swept balls; without a body of its own, the adult's, thickened until the skin's anchors are inside."""
-    known = balls is not None
-    balls = balls if balls is not None else adult_balls()
-    center_m, radius_m = balls.placed(joints_m, R_world_joint), balls.radius_m
+    known = spheres is not None
+    spheres = spheres if spheres is not None else adult_spheres()
+    center_m, radius_m = spheres.placed(joints_m, R_world_joint), spheres.radius_m
     if not known and anchors_m is not None:
         frames = np.linspace(0, len(joints_m) - 1, 4).astype(int)
         toward = np.moveaxis(center_m[:, frames], 0, -1)[:, None] - anchors_m[frames][:, :, None]
         outside_m = float((np.linalg.norm(toward, axis=-1) - radius_m).min(axis=-1).max())
         radius_m = radius_m + np.float32(np.clip(outside_m - _THIN_M, 0.0, _THICKEST_M))
-    return SweptBody(center_m, radius_m), balls
+    return SweptBody(center_m, radius_m), spheres

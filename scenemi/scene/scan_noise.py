@@ -1,4 +1,4 @@
-"""How scans differ from the things they show: holes, specks, a floor that is a little off, noise in the distances."""
+"""How scans differ from the objects they show: holes, specks, a floor that is a little off, noise in the distances."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def expect_scene(where: str, parts: tuple[ScenePart, ...]) -> tuple[ScenePart, .
     """The parts that hold something.
 
     Raises:
-        InputError: nothing in any, NaN, broken faces, or other units than metres.
+        InputError: nothing in any, NaN, broken faces, or other units than meters.
     """
     kept = tuple(part for part in parts if len(part.vertices_m))
     if not kept:
@@ -44,7 +44,7 @@ def expect_scene(where: str, parts: tuple[ScenePart, ...]) -> tuple[ScenePart, .
             raise InputError(f"{where}: faces point at vertices that are not there")
     size_m = float(np.ptp(_all_points(kept), axis=0).max())
     if size_m > _FARTHEST_M:
-        raise InputError(f"{where}: want a scene in metres, got one of {size_m:.0f} across; scale it first")
+        raise InputError(f"{where}: want a scene in meters, got one of {size_m:.0f} across; scale it first")
     return kept
 
 
@@ -84,7 +84,7 @@ def notes_on(parts: tuple[ScenePart, ...], roots_m: Float[np.ndarray, "keyframes
     if beyond:
         notes.append(
             f"{beyond} of {len(roots_m)} keyframes are more than {SIGHT_M} m outside the scene, which has no "
-            "influence there; check that both are in metres, in one frame"
+            "influence there; check that both are in meters, in one frame"
         )
     return notes
 

@@ -26,11 +26,11 @@ class SweptBody:
     """Balls of all frames in the canonical frame."""
 
     center_m: Float[np.ndarray, "3 frames balls"]
-    radius_m: Float[np.ndarray, "balls"]
+    radius_m: Float[np.ndarray, "spheres"]
 
-    def bottom_m(self, balls: Bool[np.ndarray, "balls"]) -> Float[np.ndarray, "frames"]:
+    def bottom_m(self, spheres: Bool[np.ndarray, "spheres"]) -> Float[np.ndarray, "frames"]:
         """Lowest point of some balls in each frame."""
-        return (self.center_m[1][:, balls] - self.radius_m[balls]).min(axis=1)
+        return (self.center_m[1][:, spheres] - self.radius_m[spheres]).min(axis=1)
 
 
 class Slide:
@@ -83,10 +83,10 @@ class Slide:
 
     def placed(self, piece: Piece, sideways_m: float, along_m: float) -> Boxes:
         """The piece's boxes in the canonical frame, its front middle at that place."""
-        middle, half = 0.5 * (piece.low_m + piece.high_m), 0.5 * (piece.high_m - piece.low_m)
-        u, v = middle[:, 0] + sideways_m, middle[:, 2] + along_m
+        center, half = 0.5 * (piece.low_m + piece.high_m), 0.5 * (piece.high_m - piece.low_m)
+        u, v = center[:, 0] + sideways_m, center[:, 2] + along_m
         cos, sin = float(self._cos), float(self._sin)
-        center_m = np.stack([u * cos + v * sin, middle[:, 1], v * cos - u * sin], -1)
+        center_m = np.stack([u * cos + v * sin, center[:, 1], v * cos - u * sin], -1)
         return Boxes(center_m, half, np.full(len(half), self.yaw_rad))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from scenemi.contacts import runs
-from scenemi.scene.body_balls import BodyBalls
+from scenemi.scene.body_spheres import BodySpheres
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.furniture import Piece, block, seat_of, table_of
 from scenemi.scene.sliding import Slide, SweptBody, nearest_free
@@ -58,7 +58,7 @@ class Motion:
     R_world_joint: Float[np.ndarray, "frames 22 3 3"]
     contact: Bool[np.ndarray, "frames 22"]
     """Joints known to rest; all False where nothing is known."""
-    balls: BodyBalls
+    spheres: BodySpheres
     body: SweptBody
     fps: float
 
@@ -80,23 +80,23 @@ def _under_hips(
     leg_m = np.linalg.norm(joints_m[0, [4, 7]] - joints_m[0, [1, 4]], axis=-1).sum() + 0.08
     height_m = joints_m[:, _PELVIS, 1]
     low = height_m < config.low_hips * leg_m
-    near = np.isin(motion.balls.joint, _HIPS)
+    near = np.isin(motion.spheres.joint, _HIPS)
     for start, stop in runs((still[:, _PELVIS] & low) | motion.contact[:, _PELVIS]):
-        middle = (start + stop) // 2
+        center = (start + stop) // 2
         if stop - start < config.pelvis_frames or rng.random() > config.hip_share:
             continue
-        pelvis_m = joints_m[middle, _PELVIS]
-        lying = joints_m[middle, _HEAD, 1] - pelvis_m[1] < config.lying_head_m
-        balls = np.isin(motion.balls.joint, _TRUNK) if lying else near
-        top_m = _bottom_m(motion, balls, start, stop, pelvis_m, 0.6 if lying else 0.22)
+        pelvis_m = joints_m[center, _PELVIS]
+        lying = joints_m[center, _HEAD, 1] - pelvis_m[1] < config.lying_head_m
+        spheres = np.isin(motion.spheres.joint, _TRUNK) if lying else near
+        top_m = _bottom_m(motion, spheres, start, stop, pelvis_m, 0.6 if lying else 0.22)
         if top_m < 2 * config.raised_m or _carried(found, pelvis_m, top_m):
             continue
         add = _bed if lying else _seat
-        boxes = add(rng, motion, middle, top_m - _TOUCH_M)
+        boxes = add(rng, motion, center, top_m - _TOUCH_M)
         if boxes is not None:
             found.append(("bed" if lying else "seat", boxes))
         if not lying and motion.contact[start:stop, _BACK].any():
-            found += _behind_back(rng, motion, middle, top_m)
+            found += _behind_back(rng, motion, center, top_m)
 
 
 def _behind_back(rng: np.random.Generator, motion: Motion, frame: int, top_m: float) -> list[tuple[str, Boxes]]:
@@ -106,9 +106,11 @@ def _behind_back(rng: np.random.Generator, motion: Motion, frame: int, top_m: fl
     return [] if boxes is None else [("backrest", boxes)]
 
 
-def _bottom_m(motion: Motion, balls: np.ndarray, start: int, stop: int, around_m: np.ndarray, within_m: float) -> float:
+def _bottom_m(
+    motion: Motion, spheres: np.ndarray, start: int, stop: int, around_m: np.ndarray, within_m: float
+) -> float:
     """Lowest point of balls near a place in some frames."""
-    center_m, radius_m = motion.body.center_m[:, start:stop][:, :, balls], motion.body.radius_m[balls]
+    center_m, radius_m = motion.body.center_m[:, start:stop][:, :, spheres], motion.body.radius_m[spheres]
     beside2 = (center_m[0] - around_m[0]) ** 2 + (center_m[2] - around_m[2]) ** 2
     bottom_m = np.where(beside2 < within_m**2, center_m[1] - radius_m, np.inf)
     return float(bottom_m.min())
@@ -129,10 +131,10 @@ def _seat(rng: np.random.Generator, motion: Motion, frame: int, top_m: float) ->
 def _bed(rng: np.random.Generator, motion: Motion, frame: int, top_m: float) -> Boxes | None:
     spine = motion.joints_m[frame, _HEAD] - motion.joints_m[frame, _PELVIS]
     yaw = float(np.arctan2(spine[0], spine[2]) + rng.choice([-0.5, 0.5]) * np.pi)
-    middle_m = motion.joints_m[frame, [_HEAD, 7, 8]].mean(axis=0)
+    center_m = motion.joints_m[frame, [_HEAD, 7, 8]].mean(axis=0)
     for width, depth in ((rng.uniform(1.9, 2.1), rng.uniform(0.9, 1.6)), (1.8, 0.8), (1.2, 0.6)):
         bed = block("bed", width, top_m, depth)
-        boxes = _slid(motion, bed, yaw, middle_m, rng.uniform(0.4, 0.6) * depth, 0.35)
+        boxes = _slid(motion, bed, yaw, center_m, rng.uniform(0.4, 0.6) * depth, 0.35)
         if boxes is not None:
             return boxes
     return None
@@ -142,20 +144,20 @@ def _under_feet(
     rng: np.random.Generator, motion: Motion, still: np.ndarray, config: RestConfig, found: list[tuple[str, Boxes]]
 ) -> None:
     for ankle, toe in _FEET:
-        foot = np.isin(motion.balls.joint, (ankle, toe))
+        foot = np.isin(motion.spheres.joint, (ankle, toe))
         bottom_m = motion.body.bottom_m(foot)
         resting = motion.contact[:, [ankle, toe]].any(axis=1) | still[:, [ankle, toe]].all(axis=1)
         for start, stop in runs(resting & (bottom_m > config.raised_m)):
             if stop - start < config.foot_frames:
                 continue
-            top_m, middle = float(bottom_m[start:stop].min()) - _TOUCH_M, (start + stop) // 2
-            if _carried(found, motion.joints_m[middle, toe], top_m):
+            top_m, center = float(bottom_m[start:stop].min()) - _TOUCH_M, (start + stop) // 2
+            if _carried(found, motion.joints_m[center, toe], top_m):
                 continue
-            forward = motion.R_world_joint[middle, ankle, :, 2]
+            forward = motion.R_world_joint[center, ankle, :, 2]
             yaw = float(np.arctan2(forward[0], forward[2]) + rng.choice([0.0, np.pi]))
             for half in (rng.uniform(0.25, 0.6), 0.2, 0.12):
                 step = block("step", 2 * half * rng.uniform(1.0, 1.6), top_m, 2 * half)
-                boxes = _slid(motion, step, yaw, motion.joints_m[middle, toe], half, min(half, 0.15))
+                boxes = _slid(motion, step, yaw, motion.joints_m[center, toe], half, min(half, 0.15))
                 if boxes is not None:
                     found.append(("step", boxes))
                     break
@@ -165,23 +167,23 @@ def _under_hands(
     rng: np.random.Generator, motion: Motion, still: np.ndarray, config: RestConfig, found: list[tuple[str, Boxes]]
 ) -> None:
     for wrist in _WRISTS:
-        hand = motion.balls.joint == wrist
+        hand = motion.spheres.joint == wrist
         bottom_m = motion.body.bottom_m(hand)
         low, high = config.hand_height_m
         for start, stop in runs((still[:, wrist] | motion.contact[:, wrist]) & (bottom_m > low) & (bottom_m < high)):
-            middle = (start + stop) // 2
+            center = (start + stop) // 2
             held = motion.contact[start:stop, wrist].any()
             if stop - start < config.hand_frames or not (held or rng.random() < config.hand_share):
                 continue
-            toward = motion.joints_m[middle, _PELVIS] - motion.joints_m[middle, wrist]
+            toward = motion.joints_m[center, _PELVIS] - motion.joints_m[center, wrist]
             yaw = float(np.arctan2(toward[0], toward[2]))
             top_m = float(bottom_m[start:stop].min()) - _TOUCH_M
-            if _carried(found, motion.joints_m[middle, wrist], top_m):
+            if _carried(found, motion.joints_m[center, wrist], top_m):
                 continue
             width, depth = rng.uniform(0.4, 1.6), rng.uniform(0.4, 0.9)
             desk = table_of("table", width, depth, top_m, rng)
             desk = desk if rng.random() < 0.6 else block("counter", width, top_m, depth)
-            boxes = _slid(motion, desk, yaw, motion.joints_m[middle, wrist], rng.uniform(0.05, 0.15), 0.2)
+            boxes = _slid(motion, desk, yaw, motion.joints_m[center, wrist], rng.uniform(0.05, 0.15), 0.2)
             if boxes is not None:
                 found.append(("table", boxes))
 

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.sliding import SweptBody
 
-_LEAST_GAP_M = 0.03
+_MIN_GAP_M = 0.03
 """Blind joints nearer than this to the true sweep leave no room for a solid."""
 _FRAME_STEP = 2
 """Of the blind path every so many frames are candidates."""
@@ -66,7 +66,7 @@ def telling_solids(
     sweep = TrueSweep(body)
     points_m = blind_m[::_FRAME_STEP].reshape(-1, 3)
     gap_m = sweep.gap_m(points_m)
-    chance = np.maximum(gap_m - _LEAST_GAP_M, 0.0)
+    chance = np.maximum(gap_m - _MIN_GAP_M, 0.0)
     if not chance.sum() > 0:
         return []
     found: list[tuple[str, Boxes]] = []

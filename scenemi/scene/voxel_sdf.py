@@ -20,7 +20,7 @@ _SCANNED_FLOOR_M = 0.15
 FLOOR_BAND_M = 0.05
 """What a capture has below this height is its floor; ours is the plane y = 0."""
 _BELOW_M = 0.5
-"""Things go on below the floor by this: nobody leaves them through their bottom."""
+"""Objects go on below the floor by this: nobody leaves them through their bottom."""
 
 
 def voxel_sdf(solid: Bool[np.ndarray, "x y z"], low_m: Float[np.ndarray, "3"], voxel_m: float) -> SdfGrid:

@@ -32,7 +32,7 @@ class Batch:
     """One step's windows, in the canonical frame; float32 unless said."""
 
     features: Float[Tensor, "batch frames 201"]
-    """Metres and 6D entries, not normalized."""
+    """Meters and 6D entries, not normalized."""
     body: Int[Tensor, "batch"]
     valid: Float[Tensor, "batch frames"]
     mask: Float[Tensor, "batch frames"]
@@ -43,7 +43,7 @@ class Batch:
     local_known: Float[Tensor, "batch"]
     """The same of the paper's local part."""
     noise: Float[Tensor, "batch frames 2"]
-    """Noise of the keyframes as the model is told: degrees and centimetres."""
+    """Noise of the keyframes as the model is told: degrees and centimeters."""
     step: Int[Tensor, "batch"]
     """Diffusion step."""
     looked_at: Int[Tensor, "batch"]

@@ -70,13 +70,13 @@ class TrainConfig:
     drop_local: Share = 0.1
     joints_weight: Weight = 2.0
     velocity_weight: Weight = 0.02
-    """Paper's form: 2 and 10, on squared metres."""
+    """Paper's form: 2 and 10, on squared meters."""
     acceleration_weight: Weight = 0.002
-    """Errors of a millimetre that change every frame count for nothing else. Captured velocities and accelerations are
+    """Errors of a millimeter that change every frame count for nothing else. Captured velocities and accelerations are
     mostly noise to the model: ten and twenty-five times these weights left the joints' error at 0.51 after 375 steps,
     none at 0.28 (m^2 over 22 joints)."""
     inside_weight: Weight = 0.1
-    """Of joints nearer to solids than the truth, per centimetre."""
+    """Of joints nearer to solids than the truth, per centimeter."""
     relative: bool = True
     """Errors count relative to those of the joined keyframes at the same distance from a keyframe, and robustly. Else
     (the paper's eq. 4) the loss is ruled by the sparsest keyframes, where most of the error cannot be known."""

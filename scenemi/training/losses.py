@@ -25,8 +25,8 @@ from scenemi.training.descriptors import descriptors_of
 from scenemi.training.noise import noisy_features
 from video2anim.body.anny_body import ShapedBody
 
-_LEAST_FEATURE, _LEAST_JOINT_M = 0.02, 0.01
-"""Errors below these (standard deviations; metres for each joint) need not become smaller."""
+_MIN_FEATURE, _MIN_JOINT_M = 0.02, 0.01
+"""Errors below these (standard deviations; meters for each joint) need not become smaller."""
 _STEP_M, _CHANGE_M = 0.01, 0.004
 """Between median and root mean square of what joined keyframes miss of a joint's displacement in a frame, and of its
 change from frame to frame; hardly other at other distances from a keyframe."""
@@ -156,9 +156,9 @@ class TrainingLoss(nn.Module):
             total = simple + config.joints_weight * off + config.velocity_weight * velocity
         else:
             scale = prepared.scale
-            of_features = scale.square() + _LEAST_FEATURE**2
+            of_features = scale.square() + _MIN_FEATURE**2
             of_joint = (scale[row, frames][..., JOINTS] * self.std[JOINTS]).square().sum(-1, keepdim=True) / 22
-            of_joint = of_joint + _LEAST_JOINT_M**2
+            of_joint = of_joint + _MIN_JOINT_M**2
             total = (
                 per_window(robust((made - x0).square() / of_features).mean(-1), batch.valid)
                 + config.joints_weight * per_window(robust(apart / of_joint).mean(-1), valid)

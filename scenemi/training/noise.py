@@ -54,7 +54,7 @@ class PipelineErrors:
     def draw(
         self, rng: np.random.Generator, frames: int
     ) -> tuple[Float[np.ndarray, "frames 22 3"], Float[np.ndarray, "frames 3"]]:
-        """Errors for a window: radians, and metres in a world seen from a random side; zero shift over the ground in
+        """Errors for a window: radians, and meters in a world seen from a random side; zero shift over the ground in
         the first frame, which a window's own frame of reference starts from. Short runs go back and forth."""
         run = int(rng.integers(len(self.start) - 1))
         first, last = int(self.start[run]), int(self.start[run + 1]) - 1
@@ -74,7 +74,7 @@ class PipelineErrors:
 def gaussian(
     rng: np.random.Generator, frames: int, level: float
 ) -> tuple[Float[np.ndarray, "frames 22 3"], Float[np.ndarray, "frames 3"]]:
-    """Noise of l degrees on every joint and l centimetres on the translation (paper 3.2.1): radians and metres."""
+    """Noise of l degrees on every joint and l centimeters on the translation (paper 3.2.1): radians and meters."""
     turn, shift = rng.standard_normal((frames, 22, 3), np.float32), rng.standard_normal((frames, 3), np.float32)
     return turn * np.float32(level * _DEGREE), shift * np.float32(0.01 * level)
 
@@ -82,7 +82,7 @@ def gaussian(
 def told_level(
     rng: np.random.Generator, turn_rad: Float[np.ndarray, "frames 22 3"], shift_m: Float[np.ndarray, "frames 3"]
 ) -> tuple[float, float]:
-    """What a model is told of a window's noise: about its root mean square, in degrees and centimetres."""
+    """What a model is told of a window's noise: about its root mean square, in degrees and centimeters."""
     true = np.array([np.sqrt(np.square(turn_rad).mean()) / _DEGREE, 100 * np.sqrt(np.square(shift_m).mean())])
     degrees, centimetres = true * np.exp(rng.normal(0.0, _TOLD, 2))
     return float(degrees), float(centimetres)

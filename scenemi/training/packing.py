@@ -1,5 +1,5 @@
 """A training run in a folder that is small enough to carry to another machine and back: settings, state and motion, in
-files of at most 16 MiB. Motion loses less than a tenth of a millimetre, weights a hundredth of their size; moments of
+files of at most 16 MiB. Motion loses less than a tenth of a millimeter, weights a hundredth of their size; moments of
 the optimizer are left behind and build up again within some hundred steps."""
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from scenemi.training.runs import RunFiles
 from video2anim.errors import InputError
 
 PIECE_BYTES = 16 * 2**20
-_MOST_BYTES = 2**30
+_MAX_BYTES = 2**30
 _UNITS_PER_METRE = 8192.0
 _SETTINGS, _MOTION, _STATE = "run.json", "motion", "state"
 _LEVELS = 127
@@ -158,9 +158,9 @@ def _compressed(tables: dict[str, np.ndarray]) -> bytes:
 def _decompressed(data: bytes) -> dict[str, np.ndarray]:
     names = ("turns", "moves")
     stream = lzma.LZMADecompressor()
-    whole = stream.decompress(data, _MOST_BYTES)
+    whole = stream.decompress(data, _MAX_BYTES)
     if not stream.eof:
-        raise ValueError(f"motion that is cut off or unpacks to more than {_MOST_BYTES / 2**30:g} GiB")
+        raise ValueError(f"motion that is cut off or unpacks to more than {_MAX_BYTES / 2**30:g} GiB")
     tables = read_arrays(io.BytesIO(whole), ARRAYS, "pack", needed=names, where="motion of the pack")
     high, low = tables.pop("turns").astype(np.uint16)
     turns, moves = (high << 8 | low).view(np.int16), tables.pop("moves")

@@ -22,9 +22,9 @@ from jaxtyping import Bool, Float, Int, Int8, Int16, UInt8
 from scenemi.data.windows import MotionSet, WindowBatch
 from scenemi.features import FEATURE_COUNT, JOINTS, canonical_frame, encode, to_canonical
 from scenemi.model.base import join_keyframes
-from scenemi.scene.body_balls import BodyBalls, fit_balls
+from scenemi.scene.body_spheres import BodySpheres, fit_spheres
 from scenemi.scene.boxes import Boxes
-from scenemi.scene.pseudo import PseudoConfig, PseudoScenes
+from scenemi.scene.pseudo import PseudoConfig, SyntheticScenes
 from scenemi.scene.rows import BoxRows, SceneRows, VolumeRows
 from scenemi.training.keyframe_masks import draw_telling_mask
 from scenemi.training.scene_pool import SceneMotions
@@ -34,8 +34,8 @@ from video2anim.types.skeleton import forward_kinematics
 
 SHARD_WINDOWS = 1024
 UNITS_PER_METRE = 8192.0
-"""Integer steps of a stored feature: windows reach 4 m, and an eighth of a millimetre is far below any noise."""
-MOST_BOXES = 16
+"""Integer steps of a stored feature: windows reach 4 m, and an eighth of a millimeter is far below any noise."""
+MAX_BOXES = 16
 """Boxes kept of a scene: the nearest to the true and the blind path."""
 _NEAR_M = 0.7
 """Boxes farther than this from both paths are out of the field's reach."""
@@ -112,8 +112,8 @@ def grow_pool(
         if _meta(path).get("made_of") != made_of:
             raise InputError(f"{folder}: training windows of other motion or of an older version; delete the folder")
     wanted = -(-windows // SHARD_WINDOWS)
-    scenes = PseudoScenes(config)
-    balls: list[BodyBalls] = []
+    scenes = SyntheticScenes(config)
+    spheres: list[BodySpheres] = []
     for number in range(wanted):
         path = folder / f"shard_{number:04d}"
         if not path.is_dir():
@@ -121,8 +121,8 @@ def grow_pool(
             if isinstance(motions, SceneMotions):
                 _write(path, _captured(motions, rng), made_of)
             else:
-                balls = balls or [fit_balls(motions.body(i)) for i in range(len(motions.shapes))]
-                _write(path, _made(motions, scenes, balls, rng), made_of)
+                spheres = spheres or [fit_spheres(motions.body(i)) for i in range(len(motions.shapes))]
+                _write(path, _made(motions, scenes, spheres, rng), made_of)
         on_shard(number + 1, wanted)
 
 
@@ -198,11 +198,11 @@ class _Drawn:
         }  # fmt: skip
 
 
-def _made(motions: MotionSet, scenes: PseudoScenes, balls: list[BodyBalls], rng: np.random.Generator) -> Shard:
+def _made(motions: MotionSet, scenes: SyntheticScenes, spheres: list[BodySpheres], rng: np.random.Generator) -> Shard:
     drawn = _Drawn.of(motions, rng)
     contact, body, blind_m = drawn.windows.contact, drawn.windows.body_index, drawn.blind_m
     packed = np.stack([
-        scene_boxes(scenes, rng, drawn.joints_m[i], drawn.R_world[i], contact[i], balls[body[i]], blind_m[i])
+        scene_boxes(scenes, rng, drawn.joints_m[i], drawn.R_world[i], contact[i], spheres[body[i]], blind_m[i])
         for i in range(SHARD_WINDOWS)
     ])  # fmt: skip
     collides = np.array([_collides(row, joints) for row, joints in zip(packed, blind_m, strict=True)], np.uint8)
@@ -226,19 +226,19 @@ def _captured(motions: SceneMotions, rng: np.random.Generator) -> SceneShard:
 
 
 def scene_boxes(
-    scenes: PseudoScenes,
+    scenes: SyntheticScenes,
     rng: np.random.Generator,
     joints_m: Float[np.ndarray, "frames 22 3"],
     R_world_joint: Float[np.ndarray, "frames 22 3 3"],
     contact: Bool[np.ndarray, "frames 22"],
-    balls: BodyBalls,
+    spheres: BodySpheres,
     blind_m: Float[np.ndarray, "frames 22 3"],
 ) -> Float[np.ndarray, "boxes 7"]:
-    """A scene around a motion as rows of center, half extent and yaw: the `MOST_BOXES` that come nearest to the body or
+    """A scene around a motion as rows of center, half extent and yaw: the `MAX_BOXES` that come nearest to the body or
     to the scene-blind filling; rows of zeros fill up."""
-    named = scenes.solids(rng, joints_m, R_world_joint, None, contact, balls=balls, blind_m=blind_m)
+    named = scenes.solids(rng, joints_m, R_world_joint, None, contact, spheres=spheres, blind_m=blind_m)
     boxes = _nearest(Boxes.joined(b for _, b in named), np.concatenate([joints_m, blind_m]).reshape(-1, 3))
-    packed = np.zeros((MOST_BOXES, 7), np.float32)
+    packed = np.zeros((MAX_BOXES, 7), np.float32)
     packed[: len(boxes)] = np.concatenate([boxes.center_m, boxes.half_m, boxes.yaw_rad[:, None]], 1)
     return packed
 
@@ -251,7 +251,7 @@ def _collides(packed: Float[np.ndarray, "boxes 7"], joints_m: Float[np.ndarray, 
 
 
 def _nearest(boxes: Boxes, points_m: Float[np.ndarray, "points 3"]) -> Boxes:
-    """The boxes that come near the points, at most `MOST_BOXES`."""
+    """The boxes that come near the points, at most `MAX_BOXES`."""
     if not len(boxes):
         return boxes
     some = points_m[::_POINT_STEP]
@@ -259,7 +259,7 @@ def _nearest(boxes: Boxes, points_m: Float[np.ndarray, "points 3"]) -> Boxes:
         Boxes(boxes.center_m[[k]], boxes.half_m[[k]], boxes.yaw_rad[[k]]).signed_distance(some).min()
         for k in range(len(boxes))
     ])  # fmt: skip
-    kept: Int[np.ndarray, "boxes"] = np.argsort(near)[:MOST_BOXES]
+    kept: Int[np.ndarray, "boxes"] = np.argsort(near)[:MAX_BOXES]
     kept = kept[near[kept] < _NEAR_M]
     return Boxes(boxes.center_m[kept], boxes.half_m[kept], boxes.yaw_rad[kept])
 

@@ -27,7 +27,7 @@ from video2anim.errors import StageError
 
 _SCALE_STEPS, _SCALE_WINDOWS = 1_000_000_000, 512
 """Scales are measured on batches of steps that training never reaches."""
-MOST_SKIPPED_STEPS = 20
+MAX_SKIPPED_STEPS = 20
 """Steps in a row without a finite gradient after which a run gives up."""
 
 
@@ -115,7 +115,7 @@ class Run:
         finite = bool(np.isfinite(norm))
         self.skipped += not finite
         self._skipped_in_row = 0 if finite else self._skipped_in_row + 1
-        if self._skipped_in_row > MOST_SKIPPED_STEPS:
+        if self._skipped_in_row > MAX_SKIPPED_STEPS:
             raise StageError(
                 f"training: {self._skipped_in_row} steps in a row without a finite gradient at {self.step}; lower "
                 "learning_rate"

@@ -13,12 +13,12 @@ from torch import Tensor
 from scenemi.features import BODY_ROTATIONS, FEATURE_COUNT, JOINTS, ROOT_ROTATION, TRANSLATION, Statistics
 from scenemi.model.base import join_keyframes
 from scenemi.model.conditions import since_and_until
-from scenemi.model.denoiser import MOST_FRAMES
+from scenemi.model.denoiser import MAX_FRAMES
 from scenemi.model.heading import headings, to_heading, view
 from scenemi.training.batches import Batch
 from scenemi.training.noise import noisy_features
 
-_LEAST_VIEW = 0.1
+_MIN_VIEW = 0.1
 _SMOOTHING = 3
 """Distances averaged over: far ones are rare."""
 
@@ -47,29 +47,29 @@ def measure_scales(
         "correlate": correlation(triples, std),
         "noise_std": noise.sqrt() / std,
         "view_mean": every.mean(0),
-        "view_std": every.std(0).clamp(min=_LEAST_VIEW),
+        "view_std": every.std(0).clamp(min=_MIN_VIEW),
         "feature_mean": mean,
         "feature_std": std,
     }
 
 
 def residual_size(drawn: Sequence[tuple[Tensor, Tensor, Tensor]]) -> Float[Tensor, "distances 201"]:
-    """How far the truth is from a curve through the keyframes, by frames from the nearest one (0 to `MOST_FRAMES`): RMS
-    of each feature in the heading of the curve, metres and 6D entries.
+    """How far the truth is from a curve through the keyframes, by frames from the nearest one (0 to `MAX_FRAMES`): RMS
+    of each feature in the heading of the curve, meters and 6D entries.
 
     Args:
         drawn: truth and curve (B, N, 201), denormalized, and mask (B, N) of batches.
     """
-    total = torch.zeros(MOST_FRAMES + 1, FEATURE_COUNT, dtype=torch.float64)
-    count = torch.zeros(MOST_FRAMES + 1, dtype=torch.float64)
+    total = torch.zeros(MAX_FRAMES + 1, FEATURE_COUNT, dtype=torch.float64)
+    count = torch.zeros(MAX_FRAMES + 1, dtype=torch.float64)
     for truth, curve, mask in drawn:
         off = to_heading(truth - curve, headings(curve)).double().square().flatten(0, 1)
-        distance = since_and_until(mask).amin(-1).clamp(max=MOST_FRAMES).flatten()
+        distance = since_and_until(mask).amin(-1).clamp(max=MAX_FRAMES).flatten()
         total.index_add_(0, distance, off)
         count.index_add_(0, distance, torch.ones(len(distance), dtype=torch.float64))
     seen = torch.nonzero(count > 0)[:, 0]
     size = _pooled((total[seen] / count[seen, None]).numpy())
-    grid = np.arange(MOST_FRAMES + 1)
+    grid = np.arange(MAX_FRAMES + 1)
     filled = np.stack([np.interp(grid, seen.numpy(), column) for column in size.T], 1)
     smooth = uniform_filter1d(filled, _SMOOTHING, axis=0, mode="nearest")
     smooth[0] = 0.0

@@ -17,8 +17,8 @@ from scenemi.model.conditions import Conditions
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.kinematics import joints_of
 from scenemi.model.sampling import SamplerConfig, sample
-from scenemi.scene.body_balls import fit_balls
-from scenemi.scene.pseudo import PseudoScenes
+from scenemi.scene.body_spheres import fit_spheres
+from scenemi.scene.pseudo import SyntheticScenes
 from scenemi.scene.rows import BoxRows, SceneRows
 from scenemi.training.pool import scene_boxes
 from scenemi.training.scene_pool import SceneMotions
@@ -71,10 +71,10 @@ class Validator:
             around_m = np.concatenate([joints_m, blind_m], 1).reshape(len(chosen), -1, 3)
             self.scene: SceneRows = motions.volumes(T_world_canonical, clip, np.zeros_like(clip), around_m)
             return
-        scenes, balls = PseudoScenes(), fit_balls(motions.body(0))
+        scenes, spheres = SyntheticScenes(), fit_spheres(motions.body(0))
         motion = zip(joints_m, R_world, contact, blind_m, strict=True)
         rows = [
-            scene_boxes(scenes, np.random.default_rng([_SCENE_SEED, i]), joints, R, touching, balls, blind)
+            scene_boxes(scenes, np.random.default_rng([_SCENE_SEED, i]), joints, R, touching, spheres, blind)
             for i, (joints, R, touching, blind) in enumerate(motion)
         ]
         self.scene = BoxRows(torch.from_numpy(np.stack(rows)))

@@ -391,10 +391,10 @@ def test_persons_to_work_on_are_among_the_tracked(tmp_path: Path) -> None:
 
 def test_an_object_may_be_taken_out(tmp_path: Path) -> None:
     """The names of the others' files stay as they are."""
-    things = tuple(ObjectMesh(i, "a", "box", box_mesh((i, 1, 1), (9, 9, 9)), np.eye(4)) for i in (1, 2, 3))
-    folder = written(ObjectMeshes(things), tmp_path / "stages" / "10_reconstruct")
+    objects = tuple(ObjectMesh(i, "a", "box", box_mesh((i, 1, 1), (9, 9, 9)), np.eye(4)) for i in (1, 2, 3))
+    folder = written(ObjectMeshes(objects), tmp_path / "stages" / "10_reconstruct")
     edit_json(folder, lambda data: {"objects": data["objects"][::2]})
-    assert [thing.object_id for thing in read_value(ObjectMeshes, folder).objects] == [1, 3]
+    assert [obj.object_id for obj in read_value(ObjectMeshes, folder).objects] == [1, 3]
     edit_json(folder, lambda data: data["objects"][0].update(label="sofa"))
     assert read_value(ObjectMeshes, folder).objects[0].label == "sofa"
 
@@ -541,8 +541,8 @@ def test_what_is_no_mesh_is_refused(tmp_path: Path, data: bytes, wanted: str) ->
 
 
 def test_an_object_has_triangles(tmp_path: Path) -> None:
-    thing = ObjectMesh(1, "a", "box", box_mesh((1, 1, 1), (9, 9, 9)), np.eye(4))
-    folder = written(ObjectMeshes((thing,)), tmp_path / "stages" / "10_reconstruct")
+    obj = ObjectMesh(1, "a", "box", box_mesh((1, 1, 1), (9, 9, 9)), np.eye(4))
+    folder = written(ObjectMeshes((obj,)), tmp_path / "stages" / "10_reconstruct")
     write_ply(folder / "objects.0.mesh.ply", Mesh(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint8)))
     assert "at least one pixel or triangle" in refused(ObjectMeshes, folder)
     trimesh.creation.icosphere(1).export(folder / "objects.0.mesh.ply")

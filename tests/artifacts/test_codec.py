@@ -12,7 +12,7 @@ import trimesh
 from walk_scene import room, room_with_carried_box, walk
 
 from video2anim.artifacts.codec import read_value, write_value
-from video2anim.artifacts.folder import folder_digest, remove_unfinished, whole_or_absent
+from video2anim.artifacts.folder import atomic_directory, folder_digest, remove_unfinished
 from video2anim.artifacts.images import read_png, write_png
 from video2anim.artifacts.manifest import Manifest, read_manifest
 from video2anim.artifacts.meshes import read_ply, write_ply
@@ -210,7 +210,7 @@ def test_folder_is_whole_or_absent(tmp_path: Path) -> None:
     final = tmp_path / "stages" / "01_a"
 
     def fail_half_way() -> None:
-        with whole_or_absent(final) as work:
+        with atomic_directory(final) as work:
             (work / "x").write_text("half")
             raise RuntimeError
 
@@ -218,13 +218,13 @@ def test_folder_is_whole_or_absent(tmp_path: Path) -> None:
         fail_half_way()
     assert list(final.parent.iterdir()) == []
     for text in ("first", "second"):
-        with whole_or_absent(final) as work:
+        with atomic_directory(final) as work:
             (work / "x").write_text(text)
             assert not final.exists() or (final / "x").read_text() == "first", (
                 "the old one stays until the new is whole"
             )
         assert (final / "x").read_text() == text
-    with pytest.raises(KeyboardInterrupt), whole_or_absent(final) as work:
+    with pytest.raises(KeyboardInterrupt), atomic_directory(final) as work:
         raise KeyboardInterrupt
     assert (final / "x").read_text() == "second"
     assert [path.name for path in final.parent.iterdir()] == ["01_a"]

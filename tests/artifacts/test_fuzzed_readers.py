@@ -39,7 +39,7 @@ from video2anim.types import (
 )
 
 EXAMPLES = int(os.environ.get("VIDEO2ANIM_FUZZ_EXAMPLES", "15"))
-MOST_BYTES = 64 << 20
+MAX_BYTES = 64 << 20
 """Of memory for files of some kilobytes."""
 often = settings(
     max_examples=EXAMPLES, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
@@ -100,7 +100,7 @@ def survives(read: Callable[[], object]) -> bool:
     finally:
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
-    assert peak < MOST_BYTES
+    assert peak < MAX_BYTES
     assert "\n" not in refusal
     assert len(refusal) < 2000
     return not refusal

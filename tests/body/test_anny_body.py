@@ -141,8 +141,8 @@ def test_t_pose_is_straight_symmetric_and_faces_forward(body: ShapedBody) -> Non
 def test_t_pose_skin_is_where_the_joints_are(body: ShapedBody) -> None:
     vertices = body.vertices(REST, body.rest_joints_m[None])[0]
     reach = np.ptp(vertices[:, 0])
-    stature = np.ptp(vertices[:, 1])
-    assert 0.85 < reach / stature < 1.15, "arm span is about stature in the T-pose"
+    body_height = np.ptp(vertices[:, 1])
+    assert 0.85 < reach / body_height < 1.15, "arm span is about body height in the T-pose"
     for joint in range(22):
         nearest = np.linalg.norm(vertices - body.rest_joints_m[joint], axis=-1).min()
         assert nearest < 0.2, JOINT_NAMES[joint]
@@ -151,7 +151,7 @@ def test_t_pose_skin_is_where_the_joints_are(body: ShapedBody) -> None:
 def test_stature_follows_the_shape() -> None:
     model = anny_model()
     statures = [
-        float(model.rest_skeleton({k: torch.tensor(v) for k, v in (ADULT | {"height": h}).items()}).stature_m)
+        float(model.rest_skeleton({k: torch.tensor(v) for k, v in (ADULT | {"height": h}).items()}).body_height_m)
         for h in (0.1, 0.4, 0.9)
     ]
     assert statures == sorted(statures)
@@ -165,7 +165,7 @@ def test_rest_skeleton_is_differentiable_and_agrees_with_the_shaped_body() -> No
     rest = anny_model().rest_skeleton(phenotype)
     body = shaped_body(BodyShape("anny", dict(ADULT)))
     np.testing.assert_allclose(rest.rest_joints_m.detach().numpy(), body.rest_joints_m, atol=1e-5)
-    rest.stature_m.backward()
+    rest.body_height_m.backward()
     assert torch.isfinite(phenotype["height"].grad)
     assert phenotype["height"].grad > 0
 

@@ -73,18 +73,18 @@ class World:
     scale: float = 0.7
     offset: float = 0.3
     nearer_log: float = 0.0
-    """Of the main person, as for things."""
+    """Of the main person, as for objects."""
     lens: float = 1.0
     """The true focal length over the supposed one."""
     focal_log_sigma: float = 0.03
     size: tuple[float, ...] = (1.0,)
     """Every person's true size over the supposed one."""
-    stature_sigma: tuple[float, ...] = (0.05,)
+    body_height_sigma: tuple[float, ...] = (0.05,)
     step_m: tuple[float, ...] = (0.0,)
     """By how much higher than the floor each person's own floor is."""
     ups: tuple[UpEvidence, ...] = ()
     """What sources say; the truth with 1 degree if empty."""
-    things: tuple[Thing, ...] = ()
+    objects: tuple[Thing, ...] = ()
     usual_offset_sigma: float = 0.5
     noise: Noise = Noise()
     seed: int = 0
@@ -137,10 +137,10 @@ class World:
         leans = self.up + noise.upright_rad * rng.normal(size=(looks, 3))
         leans -= (leans @ self.up - 1)[:, None] * self.up
         leans /= np.linalg.norm(leans, axis=-1, keepdims=True)
-        looks_root_m = root_m[:looks]
-        before_m = looks_root_m / (size * np.array([1.0, 1.0, self.lens]))
-        upright = self.turned_back(leans, looks_root_m, before_m)
-        return PersonEvidence(number + 1, self.stature_sigma[number], soles_m, soles_root_m, upright, before_m)
+        observations_root_m = root_m[:looks]
+        before_m = observations_root_m / (size * np.array([1.0, 1.0, self.lens]))
+        upright = self.turned_back(leans, observations_root_m, before_m)
+        return PersonEvidence(number + 1, self.body_height_sigma[number], soles_m, soles_root_m, upright, before_m)
 
     def skin(self, rng: np.random.Generator, frames: int = 8, points: int = 60) -> tuple[SkinEvidence, ...]:
         """The near half of an upright cylinder: points of the body, and pixels of other points of it."""
@@ -164,18 +164,18 @@ class World:
         wrong_log = self.noise.floor_log * rng.normal(size=12)[blocks]
         return PixelEvidence(self.pixel(floor_m), self.coded(floor_m[:, 2] * np.exp(wrong_log)))
 
-    def thing(self, number: int, thing: Thing) -> ObjectEvidence:
+    def object_evidence(self, number: int, obj: Thing) -> ObjectEvidence:
         """An object of which foot and top are seen."""
-        foot_m, top_m = self.on_floor(*np.array([thing.at_m] * 2).T, np.array([0.0, thing.height_m]))
+        foot_m, top_m = self.on_floor(*np.array([obj.at_m] * 2).T, np.array([0.0, obj.height_m]))
         foot, top = (
-            PixelEvidence(self.pixel(at_m)[None], self.coded(at_m[2:], thing.nearer_log)) for at_m in (foot_m, top_m)
+            PixelEvidence(self.pixel(at_m)[None], self.coded(at_m[2:], obj.nearer_log)) for at_m in (foot_m, top_m)
         )
-        return ObjectEvidence(number, thing.label, foot, thing.is_cut, top, None, 0.0)
+        return ObjectEvidence(number, obj.label, foot, obj.is_cut, top, None, 0.0)
 
     def evidence(self, frames: int = 8) -> Evidence:
         """All of it."""
         rng = np.random.default_rng(self.seed)
-        middle = float(np.median(np.abs(self.coded(np.linspace(2.2, 7.0, 50)))))
+        center = float(np.median(np.abs(self.coded(np.linspace(2.2, 7.0, 50)))))
         return Evidence(
             focal_px=FOCAL_PX,
             focal_log_sigma=self.focal_log_sigma,
@@ -184,10 +184,10 @@ class World:
             kind=self.kind,
             skin=self.skin(rng, frames),
             floor=self.floor(rng),
-            objects=tuple(self.thing(number, thing) for number, thing in enumerate(self.things, 1)),
-            usual_offset=self.offset / (self.scale * middle),
+            objects=tuple(self.object_evidence(number, obj) for number, obj in enumerate(self.objects, 1)),
+            usual_offset=self.offset / (self.scale * center),
             usual_offset_sigma=self.usual_offset_sigma,
-            middle_value=middle,
+            middle_value=center,
         )
 
 

@@ -30,7 +30,7 @@ def found(body: BodyMotion, lens: float, *ratios: float, up_camera: np.ndarray |
     )  # fmt: skip
 
 
-def stature_m(body: BodyMotion) -> float:
+def body_height_m(body: BodyMotion) -> float:
     return float(np.ptp(shaped_body(body.shape).rest_vertices_m[:, 1]))
 
 
@@ -57,7 +57,7 @@ def test_joints_keep_their_pixels(lens: float, limit: float) -> None:
 def test_statures_are_reached_and_distances_with_them(ratio: float) -> None:
     body = walk(FRAMES)
     after = calibrated(BodyTracks((body,)), found(body, 1.0, ratio)).people[0]
-    assert stature_m(after) / stature_m(body) == pytest.approx(ratio, abs=0.002)
+    assert body_height_m(after) / body_height_m(body) == pytest.approx(ratio, abs=0.002)
     away_m = [np.linalg.norm(one.joints_camera_m[:, 0], axis=-1) for one in (body, after)]
     np.testing.assert_allclose(away_m[1] / away_m[0], ratio, rtol=0.004)
     # Limbs do not grow quite alike.
@@ -68,7 +68,7 @@ def test_growth_ends_where_the_body_model_does() -> None:
     """And the body is as far away as its size says, not as was asked."""
     body = walk(FRAMES)
     after = calibrated(BodyTracks((body,)), found(body, 1.0, 3.0)).people[0]
-    reached = stature_m(after) / stature_m(body)
+    reached = body_height_m(after) / body_height_m(body)
     assert 1.05 < reached < 2.0
     away_m = [np.linalg.norm(one.joints_camera_m[:, 0], axis=-1) for one in (body, after)]
     np.testing.assert_allclose(away_m[1] / away_m[0], reached, rtol=0.01)

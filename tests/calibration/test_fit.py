@@ -37,7 +37,7 @@ def test_a_start_at_the_truth_stays(kind: str, offset: float) -> None:
     assert found.focal_px == pytest.approx(world.focal_px, rel=0.002)
     assert degrees_between(found.up_camera, world.up) < 0.05
     assert found.camera_height_m == pytest.approx(world.height_m, rel=0.002)
-    np.testing.assert_allclose(found.stature_ratio, 1.0, atol=0.002)
+    np.testing.assert_allclose(found.body_height_ratio, 1.0, atol=0.002)
     np.testing.assert_allclose(depth_ratio(world, found), 1.0, atol=0.005)
     assert found.person_depth_log == pytest.approx(0.0, abs=0.005)
 
@@ -78,12 +78,12 @@ def test_things_come_to_their_feet(kind: str, offset: float) -> None:
     """Seen too far by 10 %: they stand on the floor, but for what the network is believed. Seen too near by 10 %: they
     may be nearer than their feet by 8 %, since a lower edge that is off the floor looks so. The cut one may be nearer
     by any amount, but not farther."""
-    things = (
+    objects = (
         Thing("object", (0.5, 4.0), 0.7, -0.1), Thing("object", (-0.5, 3.0), 0.7, 0.1),
         Thing("object", (0.8, 4.5), 0.7),
         Thing("object", (-0.7, 3.5), 0.7, 0.25, is_cut=True), Thing("object", (0.2, 5.0), 0.7, -0.2, is_cut=True),
     )  # fmt: skip
-    world = World(kind=kind, offset=offset, things=things)
+    world = World(kind=kind, offset=offset, objects=objects)
     found = calibrate(world.evidence())
     np.testing.assert_allclose(found.object_depth_log, [-0.1, 0.02, 0.0, 0.0, -0.2], atol=0.035)
     assert (found.object_depth_log_sigma[[0, 1, 4]] < 0.06).all(), "feet tell"
@@ -104,11 +104,11 @@ def test_people_seen_too_near_or_far_leave_the_floor_where_it_is(nearer_log: flo
 @KINDS
 @pytest.mark.parametrize("factor", [1e-9, 0.2, 7.0, 1e9])
 def test_units_of_relative_depth_do_not_matter(kind: str, offset: float, factor: float) -> None:
-    world = World(kind=kind, offset=offset, noise=HONEST, things=(Thing("table", (0.5, 4.0), 0.74, -0.1),))
+    world = World(kind=kind, offset=offset, noise=HONEST, objects=(Thing("table", (0.5, 4.0), 0.74, -0.1),))
     as_it_is, other = calibrate(world.evidence()), calibrate(times(world.evidence(), factor))
     assert other.scale * factor == pytest.approx(as_it_is.scale, rel=1e-3)
     assert other.scale_log_sigma == pytest.approx(as_it_is.scale_log_sigma, rel=0.01)
-    for name in ("focal_px", "up_camera", "camera_height_m", "stature_ratio", "offset", "object_depth_log"):
+    for name in ("focal_px", "up_camera", "camera_height_m", "body_height_ratio", "offset", "object_depth_log"):
         np.testing.assert_allclose(getattr(other, name), getattr(as_it_is, name), rtol=1e-3, atol=1e-4, err_msg=name)
 
 
@@ -137,10 +137,10 @@ def drawn(seed: int) -> tuple[World, Evidence]:
         ups=tuple(ups),
         lens=float(np.exp(0.03 * rng.normal())),
         size=tuple(np.exp(STATURE_SIGMA * rng.normal(size=2))),
-        stature_sigma=(STATURE_SIGMA, STATURE_SIGMA),
+        body_height_sigma=(STATURE_SIGMA, STATURE_SIGMA),
         step_m=(0.0, 0.0),
         nearer_log=NEARER_SIGMA * rng.normal(),
-        things=tuple(Thing("object", at_m, 0.8, NEARER_SIGMA * rng.normal()) for at_m in ((0.5, 3.5), (-1.0, 4.5))),
+        objects=tuple(Thing("object", at_m, 0.8, NEARER_SIGMA * rng.normal()) for at_m in ((0.5, 3.5), (-1.0, 4.5))),
         noise=HONEST,
         seed=seed,
     )
@@ -156,14 +156,14 @@ def deviations() -> dict[str, np.ndarray]:
         world, evidence = drawn(seed)
         found = calibrate(evidence)
         tilt = np.cross(world.up, found.up_camera)
-        objects = found.object_depth_log - [thing.nearer_log for thing in world.things]
+        objects = found.object_depth_log - [obj.nearer_log for obj in world.objects]
         for name, error, sigma in (
             ("lens", np.log(found.focal_px / world.focal_px), found.focal_log_sigma),
             ("up", tilt[[0, 2]], found.up_sigma_rad),
             ("height", found.camera_height_m - world.height_m, found.camera_height_sigma_m),
             ("scale", np.log(found.scale / world.scale), found.scale_log_sigma),
             ("offset", found.offset - world.offset, found.offset_sigma),
-            ("statures", np.log(found.stature_ratio / world.size), found.stature_log_sigma),
+            ("statures", np.log(found.body_height_ratio / world.size), found.body_height_log_sigma),
             ("objects", objects, found.object_depth_log_sigma),
         ):
             rows.setdefault(name, []).append(np.atleast_1d(error / sigma))
@@ -183,7 +183,7 @@ def test_it_is_as_sure_as_it_says(name: str) -> None:
 @pytest.mark.parametrize("name", ["lens", "up", "height", "statures"])
 def test_noise_moves_it_to_either_side(name: str) -> None:
     """The mean over draws is within three of its standard errors. Scale and offset trade against each other and lean by
-    two thirds of a deviation to a flatter room; things' feet have the dead zone of lower edges."""
+    two thirds of a deviation to a flatter room; objects' feet have the dead zone of lower edges."""
     off = deviations()[name].reshape(SEEDS, -1)
     assert (np.abs(off.mean(0)) < 3 * off.std(0) / SEEDS**0.5).all()
 
@@ -200,7 +200,7 @@ def one_window(evidence: Evidence) -> Evidence:
     ),))  # fmt: skip
 
 
-ROOM = World(noise=HONEST, things=(Thing("table", (0.5, 4.0), 0.74),)).evidence()
+ROOM = World(noise=HONEST, objects=(Thing("table", (0.5, 4.0), 0.74),)).evidence()
 LOW = World(height_m=0.03, up=up_of(0.3), noise=HONEST)
 LITTLE = {
     "no floor": replace(ROOM, floor=NOTHING),
@@ -249,7 +249,7 @@ def test_a_camera_at_floor_height_is_found_there() -> None:
 def test_what_nothing_speaks_of_is_not_sure() -> None:
     found = calibrate(LITTLE["neither"])
     assert found.scale_log_sigma > 1
-    assert found.stature_log_sigma[0] == pytest.approx(0.05, rel=0.1)
+    assert found.body_height_log_sigma[0] == pytest.approx(0.05, rel=0.1)
     assert found.focal_log_sigma == pytest.approx(0.03, rel=0.1)
 
 

@@ -1,4 +1,4 @@
-"""Evidence that is wrong altogether counts little and is named; people and things of other sizes find one floor."""
+"""Evidence that is wrong altogether counts little and is named; people and objects of other sizes find one floor."""
 
 from __future__ import annotations
 
@@ -78,13 +78,13 @@ def test_half_a_floor_that_is_a_wall(seed: int) -> None:
     found = calibrate(replace(evidence, floor=PixelEvidence(pixel, value)))
     assert degrees_between(found.up_camera, world.up) < 1.0
     assert found.camera_height_m == pytest.approx(world.height_m, rel=0.05)
-    middle_m = found.scale * world.coded(np.array(3.5)) + found.offset
-    assert middle_m == pytest.approx(3.5, rel=0.08)
+    center_m = found.scale * world.coded(np.array(3.5)) + found.offset
+    assert center_m == pytest.approx(3.5, rel=0.08)
     assert found.residuals["floor pixels"] > CONFLICT
 
 
 def test_agreement_is_no_conflict() -> None:
-    world = World(noise=HONEST, things=(Thing("table", (0.5, 4.0), 0.74),))
+    world = World(noise=HONEST, objects=(Thing("table", (0.5, 4.0), 0.74),))
     assert max(calibrate(world.evidence()).residuals.values()) < 1.5
 
 
@@ -92,31 +92,32 @@ def test_agreement_is_no_conflict() -> None:
 def test_furniture_fixes_the_size_of_a_world_whose_people_are_too_large(seed: int) -> None:
     """People 8 % too large, within the spread of statures: heights of two tables and two doors, which are known to 2 %
     together, bring the camera's height and the statures to within 3.5 %."""
-    things = (
+    objects = (
         Thing("table", (0.5, 4.0), 0.74), Thing("door", (-0.9, 5.0), 2.03), Thing("desk", (-1.2, 3.0), 0.74),
         Thing("door", (1.5, 4.5), 2.03),
     )  # fmt: skip
-    world = World(size=(1 / 1.08,), noise=HONEST if seed else Noise(), seed=seed, things=things)
-    found, blind = calibrate(world.evidence()), calibrate(replace(world, things=()).evidence())
-    assert blind.stature_ratio[0] == pytest.approx(1.0, abs=0.01)
-    assert found.stature_ratio[0] == pytest.approx(1 / 1.08, rel=0.035)
+    world = World(size=(1 / 1.08,), noise=HONEST if seed else Noise(), seed=seed, objects=objects)
+    found, blind = calibrate(world.evidence()), calibrate(replace(world, objects=()).evidence())
+    assert blind.body_height_ratio[0] == pytest.approx(1.0, abs=0.01)
+    assert found.body_height_ratio[0] == pytest.approx(1 / 1.08, rel=0.035)
     assert found.camera_height_m == pytest.approx(world.height_m, rel=0.035)
-    assert found.stature_log_sigma[0] < 0.6 * blind.stature_log_sigma[0]
+    assert found.body_height_log_sigma[0] < 0.6 * blind.body_height_log_sigma[0]
 
 
 def test_furniture_of_unknown_kinds_has_no_usual_height() -> None:
-    world = World(size=(1 / 1.08,), things=(Thing("object", (0.5, 4.0), 0.74), Thing("plant", (-0.9, 4.0), 2.03)))
+    world = World(size=(1 / 1.08,), objects=(Thing("object", (0.5, 4.0), 0.74), Thing("plant", (-0.9, 4.0), 2.03)))
     found = calibrate(world.evidence())
     assert "sizes of furniture" not in found.residuals
-    assert found.stature_ratio[0] == pytest.approx(1.0, abs=0.01)
+    assert found.body_height_ratio[0] == pytest.approx(1.0, abs=0.01)
 
 
-def behind(world: World, thing_m: float, person_m: float) -> float:
-    """Factor on the depth of a thing that the network sees at one depth, before which a person was seen at another."""
-    evidence = replace(world, things=(Thing("object", (0.0, 4.0), 0.7),)).evidence()
-    seen = PixelEvidence(np.zeros((1, 2)), world.coded(np.array([thing_m])))
-    thing = replace(evidence.objects[0], foot=None, top=None, behind=seen, behind_person_m=person_m)
-    return float(np.exp(calibrate(replace(evidence, objects=(thing,))).object_depth_log[0]))
+def behind(world: World, object_m: float, person_m: float) -> float:
+    """Factor on the depth of an object that the network sees at one depth, before which a person was seen at
+    another."""
+    evidence = replace(world, objects=(Thing("object", (0.0, 4.0), 0.7),)).evidence()
+    seen = PixelEvidence(np.zeros((1, 2)), world.coded(np.array([object_m])))
+    obj = replace(evidence.objects[0], foot=None, top=None, behind=seen, behind_person_m=person_m)
+    return float(np.exp(calibrate(replace(evidence, objects=(obj,))).object_depth_log[0]))
 
 
 def test_things_go_behind_who_is_seen_before_them() -> None:
@@ -132,14 +133,14 @@ def test_things_go_behind_who_is_seen_before_them() -> None:
 def people(sizes: tuple[float, ...], steps_m: tuple[float, ...], sigmas: tuple[float, ...], seed: int = 0) -> World:
     """A camera whose gravity is plain, so that floors tell of sizes."""
     ups = (UpEvidence("picture", UP, np.deg2rad(0.2)),)
-    return World(size=sizes, step_m=steps_m, stature_sigma=sigmas, ups=ups, seed=seed)
+    return World(size=sizes, step_m=steps_m, body_height_sigma=sigmas, ups=ups, seed=seed)
 
 
 def test_people_of_two_sizes_meet_on_one_floor() -> None:
     """One supposed 6 % too large, one too small: both reach their size, as neither is surer than the other."""
     world = people((1.06, 1 / 1.06), (0.0, 0.0), (0.055, 0.055))
     found = calibrate(world.evidence())
-    np.testing.assert_allclose(found.stature_ratio, world.size, rtol=0.02)
+    np.testing.assert_allclose(found.body_height_ratio, world.size, rtol=0.02)
     assert found.camera_height_m == pytest.approx(world.height_m, rel=0.02)
     assert found.residuals["soles on the floor"] < 0.5
 
@@ -147,9 +148,9 @@ def test_people_of_two_sizes_meet_on_one_floor() -> None:
 def test_a_known_height_is_kept_and_brings_others_to_its_floor() -> None:
     world = people((1.0, 1 / 1.1), (0.0, 0.0), (0.006, 0.055))
     found = calibrate(world.evidence())
-    assert found.stature_ratio[0] == pytest.approx(1.0, abs=0.004)
-    assert found.stature_ratio[1] == pytest.approx(1 / 1.1, rel=0.02)
-    assert found.stature_log_sigma[0] < 0.007
+    assert found.body_height_ratio[0] == pytest.approx(1.0, abs=0.004)
+    assert found.body_height_ratio[1] == pytest.approx(1 / 1.1, rel=0.02)
+    assert found.body_height_log_sigma[0] < 0.007
 
 
 def test_the_more_people_the_better_the_height() -> None:
@@ -166,8 +167,8 @@ def test_somebody_on_another_floor_does_not_pull(step_m: float) -> None:
     be off by 15 % and 30 %; a logarithm still pulls a little."""
     world = people((1.0, 1.0, 1.0), (0.0, 0.0, step_m), (0.055,) * 3)
     found = calibrate(world.evidence())
-    np.testing.assert_allclose(found.stature_ratio[:2], 1.0, atol=0.035)
-    assert found.stature_ratio[2] == pytest.approx(1.0, abs=0.07)
+    np.testing.assert_allclose(found.body_height_ratio[:2], 1.0, atol=0.035)
+    assert found.body_height_ratio[2] == pytest.approx(1.0, abs=0.07)
     assert found.camera_height_m == pytest.approx(world.height_m, rel=0.04)
     assert degrees_between(found.up_camera, world.up) < 0.3
     assert found.residuals["soles on other levels"] > CONFLICT

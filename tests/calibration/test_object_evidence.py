@@ -14,7 +14,7 @@ from video2anim.calibration.evidence import Evidence
 from video2anim.calibration.fit import calibrate
 from video2anim.calibration.gather import picture_evidence, with_objects
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyTracks,
     CameraEstimate,
     DepthClip,
@@ -26,7 +26,7 @@ from video2anim.types.camera import UpEvidence
 
 EYE_M = (0.0, 1.6, 0.0)
 FRAMES = 40
-SURE = PersonQuality(2.5, 0.01, 50.0, 0.1, 0.04, 1.0, 1.55, 0.0, stature_sigma_m=0.01)
+SURE = PersonQuality(2.5, 0.01, 50.0, 0.1, 0.04, 1.0, 1.55, 0.0, body_height_sigma_m=0.01)
 """A person whose height is known."""
 
 
@@ -57,13 +57,13 @@ def evidence_of(
     )  # fmt: skip
     depth_m = np.where(mask, wrong * shot.depth_m, shot.depth_m)
     depth = DepthClip("depth", "geometric", np.zeros(0, int), none * 1.0, none * 1.0, none, depth_m, seen)
-    plate = BackgroundPlate(np.zeros((*mask.shape, 3), np.uint8), mask * 0.0, np.zeros(0, int), none, none)
+    background = BackgroundImage(np.zeros((*mask.shape, 3), np.uint8), mask * 0.0, np.zeros(0, int), none, none)
     floor = shot.mask(FLOOR)
     rng = np.random.default_rng(0)
-    found = picture_evidence(depth, plate, BodyTracks((walk,), (SURE,)), camera, floor, 30.0, rng)
+    found = picture_evidence(depth, background, BodyTracks((walk,), (SURE,)), camera, floor, 30.0, rng)
     shown = floor if floor_seen else np.zeros_like(floor)
     masks = InstanceMasks("truth", (ObjectInstance(1, label, 1.0, np.zeros(4), mask),), shown)
-    return with_objects(found, depth, plate, walk, masks)
+    return with_objects(found, depth, background, walk, masks)
 
 
 def factor(evidence: Evidence) -> float:
@@ -128,7 +128,7 @@ def test_a_thing_cut_by_the_border_is_only_moved_nearer(x_m: float) -> None:
     assert 1.25 * factor(far) < 1.06
     whole = evidence_of([crate(3.0, 0.5 * x_m)], 0.8)
     assert not whole.objects[0].foot_is_cut
-    assert factor(whole) > 1.08, "the same thing wholly in the picture"
+    assert factor(whole) > 1.08, "the same object wholly in the picture"
 
 
 def test_a_thing_cut_below_has_no_foot_and_one_cut_above_stands() -> None:

@@ -27,7 +27,7 @@ FOCAL_RATIO, UP = 0.9, np.array([0.0, -math.cos(-0.2), math.sin(-0.2)])
 
 
 def room_net(path: Path, **changed: np.ndarray) -> Path:
-    """A network of the room network's contract: disparity is red, things are red, all else is constant."""
+    """A network of the room network's contract: disparity is red, objects are red, all else is constant."""
     up, latitude = field_of_camera(ROWS // 4, COLUMNS // 4, WIDTH / HEIGHT, FOCAL_RATIO, UP)
     camera = np.stack([up[..., 0], up[..., 1], latitude, np.full_like(latitude, -3.0), np.full_like(latitude, -3.0)])
     classes = np.zeros((1, 6, ROWS, COLUMNS))
@@ -185,7 +185,7 @@ def test_gray_pictures_are_pictures(net: Path, tmp_path: Path) -> None:
 def test_the_slots_first_model_is_the_default(
     shown: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: dict[str, str]
 ) -> None:
-    """Without weights: a stand-in for the loaded model says which one was asked for, and that its depth is metres."""
+    """Without weights: a stand-in for the loaded model says which one was asked for, and that its depth is meters."""
     asked = []
 
     class Metres:

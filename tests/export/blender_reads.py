@@ -42,8 +42,8 @@ def stored_scales(path: str) -> dict[str, list[float]]:
 
 def look(path: str, frames: list[int]) -> dict:
     first = open_file(path)
-    (armature,) = (thing for thing in bpy.data.objects if thing.type == "ARMATURE")
-    cameras = [thing.data for thing in bpy.data.objects if thing.type == "CAMERA"]
+    (armature,) = (obj for obj in bpy.data.objects if obj.type == "ARMATURE")
+    cameras = [obj.data for obj in bpy.data.objects if obj.type == "CAMERA"]
     heads = {bone.name: [] for bone in armature.data.bones}
     for frame in frames:
         bpy.context.scene.frame_set(first + frame)
@@ -53,9 +53,9 @@ def look(path: str, frames: list[int]) -> dict:
     (action,) = bpy.data.actions
     return {
         "mesh_corners_zup_m": {
-            thing.name: [list(thing.matrix_world @ vertex.co) for vertex in thing.data.vertices[:8]]
-            for thing in bpy.data.objects
-            if thing.type == "MESH"
+            obj.name: [list(obj.matrix_world @ vertex.co) for vertex in obj.data.vertices[:8]]
+            for obj in bpy.data.objects
+            if obj.type == "MESH"
         },
         "stored_scales": stored_scales(path) if path.endswith(".fbx") else {},
         "action_frames": [frame - first for frame in action.frame_range],

@@ -138,7 +138,7 @@ def test_worst_moments_are_the_frames_that_are_worst() -> None:
 
 
 def test_skating_is_the_horizontal_speed_of_a_low_toe() -> None:
-    """Somebody who stands and slides by 1 m/s; half a metre up the toes are not near the floor."""
+    """Somebody who stands and slides by 1 m/s; half a meter up the toes are not near the floor."""
     motion = walk(FRAMES)
     still = np.repeat(motion.R_parent_joint[:1], FRAMES, axis=0)
     root_m = np.repeat(motion.T_world_root[:1, :3, 3], FRAMES, axis=0)

@@ -189,8 +189,8 @@ def test_preview_and_moments_show_a_carried_box_where_it_is(gray_clip: VideoClip
     at_px = []
     for frame in (0, 3, 7):
         rows, columns = np.nonzero(pictures[frame][..., 2] - pictures[frame][..., 0] > 60)
-        middle_m = world_vertices(placed, frame).mean(0)
-        (expected,) = project(viewpoint.to_camera(middle_m[None]), viewpoint.intrinsics)
+        center_m = world_vertices(placed, frame).mean(0)
+        (expected,) = project(viewpoint.to_camera(center_m[None]), viewpoint.intrinsics)
         np.testing.assert_allclose([columns.mean(), rows.mean()], expected, atol=20)
         at_px.append(np.array([columns.mean(), rows.mean()]))
     assert np.linalg.norm(at_px[1] - at_px[0]) > 25
@@ -223,10 +223,10 @@ def test_a_moment_is_shown_over_the_input_and_from_the_side(gray_clip: VideoClip
     picture = moment_picture(gray_clip, raw, motion, room(), 3, height_px=200)
     assert picture.shape[0] == 200
     assert picture.shape[1] == pytest.approx(200 * 640 / 360 + 2 * 200, abs=1)
-    middle, right = picture[:, -400:-200].astype(int), picture[:, -200:].astype(int)
-    for panel in (middle, right):
+    center, right = picture[:, -400:-200].astype(int), picture[:, -200:].astype(int)
+    for panel in (center, right):
         assert (panel[..., 0] - panel[..., 2] > 35).mean() > 0.01, "a body in each"
-    assert np.abs(middle - right).max(-1).mean() > 5
+    assert np.abs(center - right).max(-1).mean() > 5
 
 
 def test_stage_module_is_light() -> None:

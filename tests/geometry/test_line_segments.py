@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
-from video2anim.geometry.line_segments import Edges, camera_with_edges, straight_edges
+from video2anim.geometry.line_segments import LineSegments, camera_with_edges, detect_line_segments
 from video2anim.geometry.perspective_field import FieldCamera, up_of
 
 ASPECT = 4 / 3
@@ -48,9 +48,9 @@ def seen(
     return picture[inside.all(1)].reshape(-1, 4)
 
 
-def with_noise(ends: np.ndarray, rng: np.random.Generator, outliers: int = 0) -> Edges:
+def with_noise(ends: np.ndarray, rng: np.random.Generator, outliers: int = 0) -> LineSegments:
     wrong = rng.uniform([-0.5 * ASPECT, -0.5] * 2, [0.5 * ASPECT, 0.5] * 2, (outliers, 4))
-    return Edges(np.concatenate([ends + END_SIGMA * rng.standard_normal(ends.shape), wrong]), END_SIGMA)
+    return LineSegments(np.concatenate([ends + END_SIGMA * rng.standard_normal(ends.shape), wrong]), END_SIGMA)
 
 
 def field_camera(focal_ratio: float, pitch: float, roll: float) -> FieldCamera:
@@ -108,7 +108,7 @@ def test_edges_that_run_anywhere_change_little() -> None:
 
 def test_too_few_edges_leave_the_field() -> None:
     field = field_camera(1.0, -0.2, 0.0)
-    few = Edges(np.array([[-0.2, 0.1, 0.3, 0.1], [0.0, -0.2, 0.0, 0.4]]), END_SIGMA)
+    few = LineSegments(np.array([[-0.2, 0.1, 0.3, 0.1], [0.0, -0.2, 0.0, 0.4]]), END_SIGMA)
     for edges in ([], [few], [replace(few, ends=np.zeros((0, 4)))]):
         assert camera_with_edges(field, edges) is field
 
@@ -136,7 +136,7 @@ def test_edges_of_a_drawn_frame_lie_where_they_were_drawn(width_px: int, height_
     x0, x1 = round(0.25 * width_px), round(0.7 * width_px)
     y0, y1 = round(0.2 * height_px), round(0.6 * height_px)
     cv2.rectangle(picture, (x0, y0), (x1 - 1, y1 - 1), (30, 60, 90), -1)
-    edges = straight_edges(picture)
+    edges = detect_line_segments(picture)
     wanted = np.array([[x0, y0, x1, y0], [x1, y0, x1, y1], [x1, y1, x0, y1], [x0, y1, x0, y0]], float)
     wanted = (wanted - np.array([width_px / 2, height_px / 2] * 2)) / height_px
     assert len(edges.ends) == 4
@@ -151,4 +151,4 @@ def test_edges_of_a_drawn_frame_lie_where_they_were_drawn(width_px: int, height_
 
 
 def test_a_blank_picture_has_no_edge() -> None:
-    assert straight_edges(np.full((64, 64, 3), 90, np.uint8)).ends.shape == (0, 4)
+    assert detect_line_segments(np.full((64, 64, 3), 90, np.uint8)).ends.shape == (0, 4)

@@ -41,7 +41,7 @@ def test_axis_meets_the_principal_point_and_signs_are_opencv() -> None:
 
 
 def test_middle_of_the_picture_by_the_pixel_convention() -> None:
-    """Pixel (0, 0) is the centre of the top-left pixel: the middle of 4 pixels is at 1.5."""
+    """Pixel (0, 0) is the center of the top-left pixel: the middle of 4 pixels is at 1.5."""
     lens = Intrinsics.centered(100.0, 4, 6)
     assert (lens.cx_px, lens.cy_px) == (1.5, 2.5)
     np.testing.assert_allclose(lens.matrix() @ [0, 0, 1], [1.5, 2.5, 1])

@@ -47,7 +47,7 @@ def test_words_of_the_command_line() -> None:
     "words", [["tall"], ["1.7", "1.8"], ["1.7", "2=1.1"], ["a=1.7"], ["=1.7"], ["0=1.7"], ["1="], ["1=1.7", "1=1.8"]]
 )
 def test_words_that_say_no_height(words: list[str]) -> None:
-    with pytest.raises(UsageError, match="--height-m: want one height in metres, such as"):
+    with pytest.raises(UsageError, match="--height-m: want one height in meters, such as"):
         parse_heights(words)
 
 

@@ -81,7 +81,7 @@ def test_joints_are_recovered(filmed: Filmed, fitted: FittedBody) -> None:
     assert root_relative_error_m(fitted, filmed.joints_camera_m) < 0.03
     distance_m = np.linalg.norm(filmed.joints_camera_m[:, 0], axis=-1)
     root_m = np.linalg.norm(fitted.joints_camera_m[:, 0] - filmed.joints_camera_m[:, 0], axis=-1)
-    assert (root_m / distance_m).max() < 0.06, "depth follows the stature prior within its 5 %"
+    assert (root_m / distance_m).max() < 0.06, "depth follows the body height prior within its 5 %"
     found, truth = fitted.joints_camera_m[:, 0], filmed.joints_camera_m[:, 0]
     assert np.abs(found[:, :2] - truth[:, :2] * (found[:, 2:] / truth[:, 2:])).max() < 0.03, "across the line of sight"
 

@@ -8,7 +8,7 @@ from synthetic import planted_walk
 
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.humans.ground import floor_height, foot_contact, level_frame, up_from_balance
+from video2anim.humans.ground import floor_height, foot_contact, level_frame, up_from_static_equilibrium
 from video2anim.types import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
@@ -25,7 +25,7 @@ def seen_by(joints_world_m: np.ndarray, pitch_deg: float, roll_deg: float) -> tu
 @pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(0, 0), (20, 0), (0, 13), (15, -10)])
 def test_up_of_a_walk_in_a_tilted_camera(pitch_deg: float, roll_deg: float) -> None:
     joints, up = seen_by(planted_walk(150).joints_world_m, pitch_deg, roll_deg)
-    found = up_from_balance(joints, 5.0)
+    found = up_from_static_equilibrium(joints, 5.0)
     assert np.linalg.norm(found.up) == pytest.approx(1.0)
     error = np.arccos(np.clip(found.up @ up, -1, 1))
     assert error < 2 * found.sigma_rad
@@ -37,7 +37,7 @@ def test_up_of_a_standing_body() -> None:
     body = shaped_body(BodyShape("anny", dict(ADULT)))
     joints, _ = forward_kinematics(np.tile(np.eye(3), (60, 22, 1, 1)), np.zeros((60, 3)), body.rest_joints_m)
     seen, up = seen_by(joints, 25, 5)
-    found = up_from_balance(seen, 2.0)
+    found = up_from_static_equilibrium(seen, 2.0)
     assert np.arccos(found.up @ up) < 2 * found.sigma_rad
 
 
@@ -46,12 +46,12 @@ def test_lying_frames_lose_their_say() -> None:
     lying = walk @ matrix_from_axis_angle(np.array([0, 0, np.pi / 2])).T
     mixed = np.concatenate([walk, lying[:30]])
     joints, up = seen_by(mixed, 15, 0)
-    assert np.degrees(np.arccos(up_from_balance(joints, 5.0).up @ up)) < 6
+    assert np.degrees(np.arccos(up_from_static_equilibrium(joints, 5.0).up @ up)) < 6
 
 
 def test_one_short_look_says_little() -> None:
     joints, _ = seen_by(planted_walk(90).joints_world_m, 10, 0)
-    assert up_from_balance(joints[:2], 1 / 30).sigma_rad > up_from_balance(joints, 3.0).sigma_rad
+    assert up_from_static_equilibrium(joints[:2], 1 / 30).sigma_rad > up_from_static_equilibrium(joints, 3.0).sigma_rad
 
 
 @pytest.mark.parametrize("up", [[0, -1, 0], [0.2, -0.9, -0.3], [0, 0, -1], [0, 0, 1], [1, 0, 0]])
@@ -150,7 +150,7 @@ def test_time_in_the_air_is_no_floor() -> None:
 
 
 def test_brief_dip_below_is_not_the_floor() -> None:
-    """A single wild estimate half a metre down."""
+    """A single wild estimate half a meter down."""
     heights = np.zeros((120, 2))
     heights[70:73] = -0.5
     floor_m, _ = floor_height(heights, 30.0)

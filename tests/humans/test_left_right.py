@@ -7,13 +7,13 @@ import pytest
 
 from video2anim.body.anny_body import KEYPOINT_NAMES
 from video2anim.humans.landmarks import MIRROR_KEYPOINT
-from video2anim.humans.left_right import swapped_frames
+from video2anim.humans.left_right import left_right_flips
 
 FRAMES, FPS = 90, 30.0
 
 
 def walker() -> tuple[np.ndarray, np.ndarray]:
-    """Keypoints (pixels, metres) of a body that turns once about itself in three seconds while it walks."""
+    """Keypoints (pixels, meters) of a body that turns once about itself in three seconds while it walks."""
     rng = np.random.default_rng(0)
     side = np.array([-1.0 if n.startswith("right") else 1.0 if n.startswith("left") else 0.0 for n in KEYPOINT_NAMES])
     rest = np.stack([0.22 * side, rng.uniform(-0.8, 0.8, len(side)), 0.05 * rng.normal(size=len(side))], 1)
@@ -29,7 +29,7 @@ def walker() -> tuple[np.ndarray, np.ndarray]:
 def found(pixels: np.ndarray, points: np.ndarray, valid: np.ndarray | None = None) -> list[int]:
     valid = np.ones(FRAMES, bool) if valid is None else valid
     weight = np.where(valid[:, None], 1.0, 0.0) * np.ones(len(KEYPOINT_NAMES))
-    return np.flatnonzero(swapped_frames(pixels, points, weight, valid, np.arange(FRAMES) / FPS)).tolist()
+    return np.flatnonzero(left_right_flips(pixels, points, weight, valid, np.arange(FRAMES) / FPS)).tolist()
 
 
 @pytest.mark.parametrize("wrong", [[], [5, 6, 7], [0, 1, 2], [40], [3, 4, 60, 61, 62], [87, 88, 89]])

@@ -84,7 +84,7 @@ def limbs_apart_m(R_parent_joint: np.ndarray, truth: Walk) -> float:
 
 
 def test_features_do_not_know_where_the_camera_looks() -> None:
-    """The same person seen by a camera turned about its centre: only the rotation that undoes it differs."""
+    """The same person seen by a camera turned about its center: only the rotation that undoes it differs."""
     rng = np.random.default_rng(0)
     points = rng.normal(0, 0.4, (12, 25, 3)) + np.array([0.3, 0.1, 4.0])
     landmarks, visibility, valid = rng.normal(0, 0.4, (12, 25, 3)), rng.random((12, 25)), np.ones(12, bool)
@@ -92,9 +92,9 @@ def test_features_do_not_know_where_the_camera_looks() -> None:
     found = []
     for R in (np.eye(3), turn):
         ray = points @ R.T
-        middle = ray[:, HIPS].mean(1)
+        center = ray[:, HIPS].mean(1)
         unit = Intrinsics(1.0, 1.0, 0.0, 0.0, 1, 1)
-        R_ray = ray_rotation(middle[:, :2] / middle[:, 2:], unit)
+        R_ray = ray_rotation(center[:, :2] / center[:, 2:], unit)
         found.append(ray_features(ray, R_ray, landmarks, visibility, valid))
     # A turn about x leaves a roll about the ray of the second order in the angles.
     np.testing.assert_allclose(found[0].size, found[1].size, rtol=1e-4)
@@ -106,8 +106,8 @@ def test_features_are_free_of_scale() -> None:
     rng = np.random.default_rng(1)
     points, unit = rng.normal(0, 0.4, (6, 25, 3)) + np.array([0.2, -0.1, 3.0]), Intrinsics(1.0, 1.0, 0.0, 0.0, 1, 1)
     landmarks, seen = np.zeros((6, 25, 3)), np.ones((6, 25))
-    middle = points[:, HIPS].mean(1)
-    R = ray_rotation(middle[:, :2] / middle[:, 2:], unit)
+    center = points[:, HIPS].mean(1)
+    R = ray_rotation(center[:, :2] / center[:, 2:], unit)
     one = ray_features(points, R, landmarks, seen, np.ones(6, bool))
     two = ray_features(2 * points, R, landmarks, seen, np.ones(6, bool))
     np.testing.assert_allclose(one.features, two.features, atol=1e-5)
@@ -121,8 +121,8 @@ def test_features_of_many_clips_at_once() -> None:
     valid = rng.random((3, 9)) < 0.6
     valid[2] = False
     unit = Intrinsics(1.0, 1.0, 0.0, 0.0, 1, 1)
-    middle = ray[:, :, HIPS].mean(2)
-    R = ray_rotation((middle[..., :2] / middle[..., 2:]).reshape(-1, 2), unit).reshape(3, 9, 3, 3)
+    center = ray[:, :, HIPS].mean(2)
+    R = ray_rotation((center[..., :2] / center[..., 2:]).reshape(-1, 2), unit).reshape(3, 9, 3, 3)
     together = ray_features(ray, R, landmarks, seen, valid)
     for clip in range(3):
         alone = ray_features(ray[clip], R[clip], landmarks[clip], seen[clip], valid[clip])
@@ -269,12 +269,12 @@ def test_known_height_scales_the_lifted_body(walk: Walk, network: Lifter) -> Non
     """A child of 1.2 m stands nearer than an adult who looks the same."""
     lifted = lift(walk.observed, network)
     sizes = {}
-    for stature_m in (1.2, 1.55, 1.85):
-        config = replace(FitConfig(), stature_m=stature_m, stature_sigma_m=0.01)
-        sizes[stature_m] = fit_body(walk.observed, fit_focal=False, iterations=120, lifted=lifted, config=config)
-    for stature_m, fit in sizes.items():
+    for body_height_m in (1.2, 1.55, 1.85):
+        config = replace(FitConfig(), body_height_m=body_height_m, body_height_sigma_m=0.01)
+        sizes[body_height_m] = fit_body(walk.observed, fit_focal=False, iterations=120, lifted=lifted, config=config)
+    for body_height_m, fit in sizes.items():
         ratio = fit.translation_camera_m[:, 2].mean() / sizes[1.85].translation_camera_m[:, 2].mean()
-        assert ratio == pytest.approx(stature_m / 1.85, rel=0.03)
+        assert ratio == pytest.approx(body_height_m / 1.85, rel=0.03)
 
 
 def test_pieces_cover_the_clip_and_share_frames() -> None:

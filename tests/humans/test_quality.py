@@ -56,7 +56,7 @@ def test_a_good_fit_is_trusted_and_its_numbers_are_right() -> None:
     assert found.valid_share == 1.0
     assert found.bone_spread == 0.0
     assert found.fast_share == 0.0
-    assert found.stature_m == pytest.approx(float(np.ptp(motion.rest_joints_m[:, 1])))
+    assert found.body_height_m == pytest.approx(float(np.ptp(motion.rest_joints_m[:, 1])))
     assert (found.jerk_m_s3, found.skating_gmd) == (50.0, 0.1)
 
 

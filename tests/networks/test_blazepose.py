@@ -51,7 +51,7 @@ def test_decode_by_hand() -> None:
     logits[5], logits[9] = math.log(4.0), -math.log(4.0)
     found = blazepose_detector.decode(values, logits, blazepose_detector.anchor_centers(), 0.5)
     np.testing.assert_allclose(found.score, [0.8])
-    # Anchor 5 is the second of the third cell: centre (20, 4).
+    # Anchor 5 is the second of the third cell: center (20, 4).
     np.testing.assert_allclose(found.face_box_px, [[3.0, -8.0, 43.0, 12.0]])
     np.testing.assert_allclose(found.keypoints_px[0, :2], [[21.0, 64.0], [20.0, 4.0]])
 
@@ -84,7 +84,7 @@ def test_crop_pixels_sit_where_the_affine_map_says(side_px: float) -> None:
     rows, columns = (axis.ravel() for axis in np.meshgrid(np.arange(8, 56), np.arange(8, 56), indexing="ij"))
     expected = roi.to_pixels((np.column_stack([columns, rows]) + 0.5) / 64)
     difference_px = crop[rows, columns, :2] - expected
-    # Colours are rounded twice, halves upwards (bias of up to 1/8); half a crop pixel would be 0.5 to 1.6.
+    # Colors are rounded twice, halves upwards (bias of up to 1/8); half a crop pixel would be 0.5 to 1.6.
     assert np.abs(difference_px).max() < 1.0
     np.testing.assert_allclose(difference_px.mean(axis=0), 0.0, atol=0.25)
 

@@ -17,7 +17,7 @@ RED_MEAN, RED_STD = 0.485, 0.229
 
 
 def _red_channel_graph(path: Path, *, output: str = "predicted_depth") -> Path:
-    """A network whose 'disparity' is the normalised red channel."""
+    """A network whose 'disparity' is the normalized red channel."""
     pixels = helper.make_tensor_value_info("pixel_values", TensorProto.FLOAT, [1, 3, "h", "w"])
     depth = helper.make_tensor_value_info(output, TensorProto.FLOAT, [1, "h", "w"])
     index = helper.make_tensor("zero", TensorProto.INT64, [], [0])
@@ -103,7 +103,7 @@ def test_garbage_is_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_metric_values_are_metres_and_nothing_else_is(tmp_path: Path) -> None:
-    """The same tensors; a normalised red of 0.8 is 1.4 m here, of 0 a negative number, which is no depth."""
+    """The same tensors; a normalized red of 0.8 is 1.4 m here, of 0 a negative number, which is no depth."""
     net = DepthAnythingMetric(_red_channel_graph(tmp_path / "tiny.onnx"), short_side_px=28)
     assert (net.kind, net.name) == ("metric", "depth-anything-v2-metric-indoor-small")
     assert DepthAnything.kind == "disparity"

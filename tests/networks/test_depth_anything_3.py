@@ -33,7 +33,7 @@ def net(path: Path, found: dict[str, np.ndarray]) -> DepthAnything3:
 
 
 def red_graph(path: Path, views: list) -> Path:
-    """A network of any size whose 'depth' is the normalised red channel plus 3."""
+    """A network of any size whose 'depth' is the normalized red channel plus 3."""
     channels = len(views) + 1
     nodes = [
         helper.make_node("Gather", ["pixel_values", "red"], ["plain"], axis=channels),

@@ -34,7 +34,7 @@ def command_of(tmp_path: Path, code: str, *words: str) -> str:
 
 
 def picture(height: int = 30, width: int = 60) -> np.ndarray:
-    """A blue thing with gray around it."""
+    """A blue object with gray around it."""
     rgb = np.full((height, width, 3), GRAY, np.uint8)
     rgb[2:-2, 2:-2] = BLUE
     return rgb

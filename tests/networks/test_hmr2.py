@@ -63,7 +63,7 @@ def test_input_by_hand() -> None:
     values = to_input(image, np.array([200.0, 150.0, 256.0]))
     assert values.shape == (1, 3, 256, 256)
     assert values.dtype == np.float32
-    # The centre (200, 150) lies at crop pixel 128; the mark is 10 to the right of it and 10 above.
+    # The center (200, 150) lies at crop pixel 128; the mark is 10 to the right of it and 10 above.
     expected = [(1.0 - 0.485) / 0.229, (0.0 - 0.456) / 0.224, (127 / 255 - 0.406) / 0.225]
     np.testing.assert_allclose(values[0, :, 118, 138], expected, rtol=1e-5)
     rest = np.delete(values[0].reshape(3, -1), 118 * 256 + 138, axis=1)
@@ -72,7 +72,7 @@ def test_input_by_hand() -> None:
 
 def test_input_is_black_outside_the_picture_and_averaged_inside() -> None:
     image = np.full((256, 256, 3), 255, np.uint8)
-    image[::2] = 0  # rows in turn: grey once two of them are one
+    image[::2] = 0  # rows in turn: gray once two of them are one
     values = to_input(image, np.array([256.0, 128.0, 512.0]))
     np.testing.assert_allclose(values[0, :, :, 140], np.tile(BLACK[:, None], (1, 256)), rtol=1e-5)
     np.testing.assert_allclose(values[0, 0, 100, 60], (0.5 - 0.485) / 0.229, atol=0.02)
@@ -109,7 +109,7 @@ def test_infer_gives_22_joints_in_the_camera(tmp_path: Path) -> None:
 
 
 def test_the_network_is_shown_the_crop(tmp_path: Path) -> None:
-    """Betas that are ten normalised red values of the middle row."""
+    """Betas that are ten normalized red values of the middle row."""
     graph = onnx.load(str(constant_graph(tmp_path / "c.onnx", inputs={}, outputs=outputs()))).graph
     nodes = [node for node in graph.node if node.output[0] != "betas"]
     nodes += [

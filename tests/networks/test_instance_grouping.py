@@ -1,11 +1,11 @@
-"""Things from votes for their middles, on pictures whose things are known."""
+"""Objects from votes for their middles, on pictures whose objects are known."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from video2anim.networks.instance_grouping import Group, InstanceCues, grouped
+from video2anim.networks.instance_grouping import Group, InstanceOffsets, grouped
 
 ROWS, COLUMNS = 96, 128
 Y, X = np.mgrid[:ROWS, :COLUMNS].astype(np.float64)
@@ -17,14 +17,14 @@ def rectangle(top: int, left: int, height: int, width: int) -> np.ndarray:
     return mask
 
 
-def cues_of(things: list[np.ndarray], heights: list[float] | None = None, miss_px: float = 0.0) -> InstanceCues:
+def cues_of(objects: list[np.ndarray], heights: list[float] | None = None, miss_px: float = 0.0) -> InstanceOffsets:
     """What a perfect network says; `miss_px` moves every vote to the right."""
-    middle, offset = np.zeros((ROWS, COLUMNS)), np.zeros((ROWS, COLUMNS, 2))
-    for mask, height in zip(things, heights or [1.0] * len(things), strict=True):
+    center, offset = np.zeros((ROWS, COLUMNS)), np.zeros((ROWS, COLUMNS, 2))
+    for mask, height in zip(objects, heights or [1.0] * len(objects), strict=True):
         x, y = round(X[mask].mean()), round(Y[mask].mean())
-        middle = np.maximum(middle, height * np.exp(-0.5 * ((X - x) ** 2 + (Y - y) ** 2) / (0.03 * ROWS) ** 2))
+        center = np.maximum(center, height * np.exp(-0.5 * ((X - x) ** 2 + (Y - y) ** 2) / (0.03 * ROWS) ** 2))
         offset[mask] = np.stack([x + miss_px - X[mask], y - Y[mask]], -1) / ROWS
-    return InstanceCues(middle, offset, np.zeros((ROWS, COLUMNS)))
+    return InstanceOffsets(center, offset, np.zeros((ROWS, COLUMNS)))
 
 
 def overlap(group: Group, mask: np.ndarray) -> float:
@@ -32,11 +32,11 @@ def overlap(group: Group, mask: np.ndarray) -> float:
 
 
 def test_touching_things_are_told_apart_by_their_votes() -> None:
-    things = [rectangle(30, 10, 40, 30), rectangle(30, 40, 40, 30), rectangle(10, 90, 20, 20)]
-    groups = grouped(cues_of(things), np.any(things, axis=0))
+    objects = [rectangle(30, 10, 40, 30), rectangle(30, 40, 40, 30), rectangle(10, 90, 20, 20)]
+    groups = grouped(cues_of(objects), np.any(objects, axis=0))
     assert len(groups) == 3
-    for thing in things:
-        assert sum(np.array_equal(group.mask, thing) for group in groups) == 1
+    for obj in objects:
+        assert sum(np.array_equal(group.mask, obj) for group in groups) == 1
     for group in groups:
         assert group.mask.dtype == bool
         assert group.score == pytest.approx(1.0, abs=0.01), "clear middles, every pixel agrees"
@@ -52,81 +52,81 @@ def test_one_thing_in_two_parts_stays_one() -> None:
 
 
 def test_only_wanted_pixels_are_split() -> None:
-    """Half of a thing is wanted; a thing that is not wanted at all has no group, though its middle is clear."""
-    things = [rectangle(30, 10, 40, 30), rectangle(30, 80, 40, 30)]
+    """Half of an object is wanted; an object that is not wanted at all has no group, though its middle is clear."""
+    objects = [rectangle(30, 10, 40, 30), rectangle(30, 80, 40, 30)]
     wanted = rectangle(30, 10, 20, 30)
-    (group,) = grouped(cues_of(things), wanted)
+    (group,) = grouped(cues_of(objects), wanted)
     assert np.array_equal(group.mask, wanted)
 
 
 def test_best_score_first_and_the_score_by_hand() -> None:
     """Middles of height 0.4, 0.9 and 0.6; the score is the root of the height where all pixels agree."""
-    things = [rectangle(5, 5, 20, 20), rectangle(40, 50, 20, 20), rectangle(60, 100, 20, 20)]
-    groups = grouped(cues_of(things, [0.4, 0.9, 0.6]), np.any(things, axis=0))
-    assert [overlap(group, things[n]) for group, n in zip(groups, (1, 2, 0), strict=True)] == [1.0, 1.0, 1.0]
+    objects = [rectangle(5, 5, 20, 20), rectangle(40, 50, 20, 20), rectangle(60, 100, 20, 20)]
+    groups = grouped(cues_of(objects, [0.4, 0.9, 0.6]), np.any(objects, axis=0))
+    assert [overlap(group, objects[n]) for group, n in zip(groups, (1, 2, 0), strict=True)] == [1.0, 1.0, 1.0]
     np.testing.assert_allclose([group.score for group in groups], np.sqrt([0.9, 0.6, 0.4]), rtol=1e-6)
 
 
 def test_disagreement_lowers_the_score() -> None:
-    thing = rectangle(30, 40, 30, 30)
-    scores = [grouped(cues_of([thing], miss_px=miss_px), thing)[0].score for miss_px in (0.0, 4.0, 12.0)]
+    obj = rectangle(30, 40, 30, 30)
+    scores = [grouped(cues_of([obj], miss_px=miss_px), obj)[0].score for miss_px in (0.0, 4.0, 12.0)]
     assert scores[0] > scores[1] > scores[2] > 0.0
 
 
 def test_pixels_that_vote_for_nowhere_belong_to_nothing() -> None:
     """Votes more than 0.35 heights (34 pixels) from every middle."""
-    thing, stray = rectangle(30, 20, 30, 20), rectangle(30, 90, 30, 20)
-    cues = cues_of([thing])
-    (group,) = grouped(cues, thing | stray)  # the stray pixels vote for their own places
-    assert np.array_equal(group.mask, thing)
+    obj, stray = rectangle(30, 20, 30, 20), rectangle(30, 90, 30, 20)
+    cues = cues_of([obj])
+    (group,) = grouped(cues, obj | stray)  # the stray pixels vote for their own places
+    assert np.array_equal(group.mask, obj)
     near = rectangle(40, 45, 10, 10)
-    (group,) = grouped(cues, thing | near)
-    assert np.array_equal(group.mask, thing | near), "a vote for near a middle counts"
+    (group,) = grouped(cues, obj | near)
+    assert np.array_equal(group.mask, obj | near), "a vote for near a middle counts"
 
 
 def test_small_things_are_left_out() -> None:
     """64 pixels are 0.52 % of the picture."""
     large, small = rectangle(30, 10, 40, 30), rectangle(30, 80, 8, 8)
     cues, wanted = cues_of([large, small]), large | small
-    assert len(grouped(cues, wanted, smallest_ratio=0.005)) == 2
-    (group,) = grouped(cues, wanted, smallest_ratio=0.0055)
+    assert len(grouped(cues, wanted, min_ratio=0.005)) == 2
+    (group,) = grouped(cues, wanted, min_ratio=0.0055)
     assert np.array_equal(group.mask, large)
 
 
 def test_without_middles_or_wanted_pixels_there_is_nothing() -> None:
-    thing = rectangle(30, 10, 40, 30)
-    assert grouped(cues_of([thing]), np.zeros((ROWS, COLUMNS), bool)) == []
-    assert grouped(cues_of([thing], [0.05]), thing) == [], "faint middles are none"
+    obj = rectangle(30, 10, 40, 30)
+    assert grouped(cues_of([obj]), np.zeros((ROWS, COLUMNS), bool)) == []
+    assert grouped(cues_of([obj], [0.05]), obj) == [], "faint middles are none"
     far = cues_of([rectangle(0, 118, 10, 10)])
-    assert grouped(far, thing) == [], "a middle far from all that is wanted"
+    assert grouped(far, obj) == [], "a middle far from all that is wanted"
 
 
 def test_faint_noise_beside_a_middle_makes_no_things() -> None:
     rng = np.random.default_rng(0)
-    things = [rectangle(30, 10, 40, 40), rectangle(20, 70, 50, 40)]
-    cues = cues_of(things)
-    noisy = InstanceCues(
-        np.clip(cues.middle + rng.uniform(0, 0.1, cues.middle.shape), 0, 1),
+    objects = [rectangle(30, 10, 40, 40), rectangle(20, 70, 50, 40)]
+    cues = cues_of(objects)
+    noisy = InstanceOffsets(
+        np.clip(cues.center + rng.uniform(0, 0.1, cues.center.shape), 0, 1),
         cues.offset + rng.normal(0, 0.02, cues.offset.shape),
         cues.boundary,
     )
-    groups = grouped(noisy, np.any(things, axis=0))
+    groups = grouped(noisy, np.any(objects, axis=0))
     assert len(groups) == 2
-    for thing in things:
-        assert max(overlap(group, thing) for group in groups) > 0.98
+    for obj in objects:
+        assert max(overlap(group, obj) for group in groups) > 0.98
 
 
 def test_a_flat_top_is_one_middle() -> None:
     """A network that is sure of every pixel around a middle: no two middles are nearer than 0.06 picture heights."""
-    thing = rectangle(20, 20, 60, 60)
-    cues = cues_of([thing])
-    flat = InstanceCues(np.where(rectangle(44, 44, 12, 12), 1.0, 0.0), 0.3 * cues.offset, cues.boundary)
-    (group,) = grouped(flat, thing)
-    assert np.array_equal(group.mask, thing)
+    obj = rectangle(20, 20, 60, 60)
+    cues = cues_of([obj])
+    flat = InstanceOffsets(np.where(rectangle(44, 44, 12, 12), 1.0, 0.0), 0.3 * cues.offset, cues.boundary)
+    (group,) = grouped(flat, obj)
+    assert np.array_equal(group.mask, obj)
 
 
 def test_unlikely_things_score_less() -> None:
-    """Equally clear middles; of one thing the network is half sure that it is any."""
+    """Equally clear middles; of one object the network is half sure that it is any."""
     sure, unsure = rectangle(30, 10, 40, 30), rectangle(30, 80, 40, 30)
     probability = np.where(unsure, 0.5, 1.0)
     first, second = grouped(cues_of([unsure, sure]), sure | unsure, probability)

@@ -99,7 +99,7 @@ def test_doubtful_queries_are_no_instances_but_add_to_the_classes(tmp_path: Path
 
 
 def echo_graph(path: Path, *, fixed: bool, pixel_mask: bool) -> Path:
-    """Query 0 is a chair where the normalised red channel is positive; query 1 a bed where it is not, or, with a pixel
+    """Query 0 is a chair where the normalized red channel is positive; query 1 a bed where it is not, or, with a pixel
     mask, where that is 1."""
     names = ADE20K
     logits = np.zeros((1, 2, len(names) + 1), np.float32)

@@ -101,7 +101,7 @@ def test_focal_length_and_shift_of_any_lens(focal_px: float, shift: float) -> No
 
 
 def test_noise_is_averaged_out_in_the_picture() -> None:
-    """The error that is made small lies in pixels: noise across the rays of a centimetre costs little focal length."""
+    """The error that is made small lies in pixels: noise across the rays of a centimeter costs little focal length."""
     points = point_map(slope_m()) + np.random.default_rng(1).normal(0, 0.01, (HEIGHT, WIDTH, 3))
     focal_px, shift = focal_and_shift(points, np.ones((HEIGHT, WIDTH), bool))
     assert focal_px == pytest.approx(FOCAL_PX, rel=0.02)

@@ -1,4 +1,4 @@
-"""Objectron: anchors, decoding, tiles and crops by hand; things and chairs of a real picture with the real weights."""
+"""Objectron: anchors, decoding, tiles and crops by hand; objects and chairs of a real picture with the real weights."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def test_anchors_by_hand() -> None:
     anchors = objectron.anchor_boxes()
     assert anchors.shape == (1917, 4)
     wide, high = 0.2 * math.sqrt(2.0), 0.2 / math.sqrt(2.0)
-    middle = 0.5 / 19
-    np.testing.assert_allclose(anchors[:2], [[middle, middle, 0.1, 0.1], [middle, middle, high, wide]])
-    np.testing.assert_allclose(anchors[2:4], [[middle, middle, wide, high], [middle, 1.5 / 19, 0.1, 0.1]])
+    center = 0.5 / 19
+    np.testing.assert_allclose(anchors[:2], [[center, center, 0.1, 0.1], [center, center, high, wide]])
+    np.testing.assert_allclose(anchors[2:4], [[center, center, wide, high], [center, 1.5 / 19, 0.1, 0.1]])
     second = anchors[19 * 19 * 3 :]
     np.testing.assert_allclose(second[0], [0.05, 0.05, 0.35, 0.35])
     np.testing.assert_allclose(second[3], [0.05, 0.05, 0.35 / math.sqrt(3.0), 0.35 * math.sqrt(3.0)])
@@ -71,16 +71,16 @@ def test_words_have_a_place_for_each_class() -> None:
     assert [objectron.WORDS[k] for k in (4, 5, 7, 12, 13, 15)] == ["person", "chair", "desk", "cup", "cup", "table"]
 
 
-def thing(label: str, score: float, *box_px: float) -> FoundObject:
+def obj(label: str, score: float, *box_px: float) -> FoundObject:
     return FoundObject(label, score, np.array(box_px))
 
 
 def test_each_thing_stays_once() -> None:
-    best = thing("table", 0.9, 0, 0, 10, 10)
-    chair = thing("chair", 0.8, 0, 0, 10, 10)
-    # Shares 1/3 of the union with the best one; the desk shares 9/11 of it and is the same thing by another name.
-    beside = thing("table", 0.5, 5, 0, 15, 10)
-    found = [thing("desk", 0.6, 1, 0, 11, 10), beside, thing("chair", 0.4, 0, 1, 10, 11), chair, best]
+    best = obj("table", 0.9, 0, 0, 10, 10)
+    chair = obj("chair", 0.8, 0, 0, 10, 10)
+    # Shares 1/3 of the union with the best one; the desk shares 9/11 of it and is the same object by another name.
+    beside = obj("table", 0.5, 5, 0, 15, 10)
+    found = [obj("desk", 0.6, 1, 0, 11, 10), beside, obj("chair", 0.4, 0, 1, 10, 11), chair, best]
     assert objectron.distinct(found) == (best, chair, beside)
     assert objectron.distinct([]) == ()
 
@@ -101,10 +101,10 @@ def test_what_a_tile_cuts_is_left_to_others() -> None:
 
 def test_tiles_by_hand() -> None:
     large, small = [(0, 0, 480), (160, 0, 480)], [(x, y, 240) for y in (0, 120, 240) for x in (0, 133, 267, 400)]
-    assert list(square_tiles(640, 480, least_px=150)) == large + small
-    assert list(square_tiles(640, 480, least_px=241)) == large
+    assert list(square_tiles(640, 480, min_px=150)) == large + small
+    assert list(square_tiles(640, 480, min_px=241)) == large
     # A square picture has no tile of its own size.
-    assert list(square_tiles(300, 300, least_px=150)) == [(x, y, 150) for y in (0, 75, 150) for x in (0, 75, 150)]
+    assert list(square_tiles(300, 300, min_px=150)) == [(x, y, 150) for y in (0, 75, 150) for x in (0, 75, 150)]
 
 
 class _SpotNet:

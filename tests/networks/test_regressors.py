@@ -99,7 +99,7 @@ def test_rotations_of_the_users_network_take_the_place_of_the_lifters(
     np.testing.assert_allclose(person.R_parent_joint[seen, 0] @ [0, 1, 0], np.tile([0, 1.0, 0], (21, 1)), atol=1e-5)
     depth_m = person.joints_camera_m[seen, 0, 2]
     true_m = 5.0 - motion.joints_world_m[seen, 0, 2]
-    np.testing.assert_allclose(depth_m, true_m, rtol=0.15, err_msg="metres from the size in the picture")
+    np.testing.assert_allclose(depth_m, true_m, rtol=0.15, err_msg="meters from the size in the picture")
     fitted = recover_humans(
         clip,
         tracks,

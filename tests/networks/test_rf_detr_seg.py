@@ -63,7 +63,7 @@ def test_slots_without_a_category_are_nothing(tmp_path: Path) -> None:
 
 
 def test_the_picture_is_stretched_and_normalised(tmp_path: Path) -> None:
-    """Query 0 is a chair where the normalised red channel is positive."""
+    """Query 0 is a chair where the normalized red channel is positive."""
     nodes = [
         helper.make_node("Slice", ["input", "at0", "at1", "axis"], ["masks"]),
         helper.make_node("Constant", [], ["labels"], value=helper.make_tensor(

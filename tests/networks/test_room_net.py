@@ -12,14 +12,22 @@ from onnx import TensorProto, helper, numpy_helper
 from tiny_graphs import constant_graph, save
 
 from video2anim.errors import ModelMissingError
-from video2anim.networks.room_net import DEPTH_LOOKS, OUTPUTS, RoomCamera, RoomDepth, RoomNet, RoomSegment, input_size
+from video2anim.networks.room_net import (
+    DEPTH_VIEWS,
+    OUTPUTS,
+    RoomCamera,
+    RoomDepth,
+    RoomSegment,
+    SceneNetwork,
+    input_size,
+)
 from video2anim.networks.segmentation import CLASSES
 
 HEIGHT, WIDTH = 192, 256
 """What a picture of 4 : 3 becomes."""
 ROWS, COLUMNS = HEIGHT // 2, WIDTH // 2
 RED, GREEN, BLUE, SLOPE, ONE = range(5)
-"""What the picture graph computes of each cell: mean colours, how red rises to the right, and 1."""
+"""What the picture graph computes of each cell: mean colors, how red rises to the right, and 1."""
 
 
 def picture_graph(path: Path, answers: dict[str, list[dict[int, float]]], *, width: str | int = "w") -> Path:
@@ -113,7 +121,7 @@ def test_input_size_of_another_area() -> None:
 
 
 def test_what_mirrors_as_colours_do_is_kept_and_what_turns_round_cancels(tmp_path: Path) -> None:
-    """A graph that answers colours in every channel says the same of x in a mirror, where the truth is reversed."""
+    """A graph that answers colors in every channel says the same of x in a mirror, where the truth is reversed."""
     every = answers(
         normal=[{RED: 1.0}, {GREEN: 1.0}, {BLUE: 1.0}],
         classes=[{RED: 1.0}, {GREEN: 1.0}, {BLUE: 1.0}, {RED: 2.0}, {GREEN: 2.0}, {BLUE: 2.0}],
@@ -121,7 +129,7 @@ def test_what_mirrors_as_colours_do_is_kept_and_what_turns_round_cancels(tmp_pat
         camera=[{RED: 1.0}, {GREEN: -1.0}, {BLUE: 0.01}, {ONE: -3.0}, {ONE: -2.0}],
     )
     image = slanted()
-    view = RoomNet(picture_graph(tmp_path / "t.onnx", every)).see(image)
+    view = SceneNetwork(picture_graph(tmp_path / "t.onnx", every)).see(image)
     mean, coarse = cell_means(image, 2), cell_means(image, 8)
     np.testing.assert_allclose(view.disparity, mean[..., 0], rtol=1e-5)
     np.testing.assert_allclose(view.class_logits[..., :3], mean, rtol=1e-5)
@@ -129,7 +137,7 @@ def test_what_mirrors_as_colours_do_is_kept_and_what_turns_round_cancels(tmp_pat
     yz = mean[..., 1:] / np.linalg.norm(mean[..., 1:], axis=-1, keepdims=True)
     np.testing.assert_allclose(view.normal_camera[..., 0], 0.0, atol=1e-5)
     np.testing.assert_allclose(view.normal_camera[..., 1:], yz, rtol=1e-5)
-    np.testing.assert_allclose(view.cues.middle, 1 / (1 + np.exp(-0.01 * mean[..., 0])), rtol=1e-5)
+    np.testing.assert_allclose(view.cues.center, 1 / (1 + np.exp(-0.01 * mean[..., 0])), rtol=1e-5)
     np.testing.assert_allclose(view.cues.boundary, 1 / (1 + np.exp(-0.01 * mean[..., 2])), rtol=1e-5)
     np.testing.assert_allclose(view.cues.offset[..., 0], 0.0, atol=1e-5)
     np.testing.assert_allclose(view.cues.offset[..., 1], 0.01 * mean[..., 1], rtol=1e-5)
@@ -148,11 +156,11 @@ def test_what_turns_round_in_a_mirror_is_turned_back(tmp_path: Path) -> None:
         camera=[{SLOPE: 0.1}, {ONE: -1.0}, {}, {}, {}],
     )
     image = slanted()
-    view = RoomNet(picture_graph(tmp_path / "t.onnx", every)).see(image)
+    view = SceneNetwork(picture_graph(tmp_path / "t.onnx", every)).see(image)
     for mean, step in ((cell_means(image, 2), 2), (cell_means(image, 8), 8)):
         inner = np.s_[:, 1:-1]
         slope = 0.5 * (mean[:, 2:, 0] - mean[:, :-2, 0])
-        assert np.abs(slope - 0.5 * step).max() < 0.6, "red rises by half a grey level a pixel"
+        assert np.abs(slope - 0.5 * step).max() < 0.6, "red rises by half a gray level a pixel"
         if step == 2:
             np.testing.assert_allclose(view.disparity[inner], mean[inner][..., 0], rtol=1e-5)
             np.testing.assert_allclose(view.cues.offset[inner][..., 0], 0.1 * slope, atol=1e-5)
@@ -167,13 +175,13 @@ def test_what_turns_round_in_a_mirror_is_turned_back(tmp_path: Path) -> None:
 
 def test_a_network_that_ignores_the_picture_answers_the_mean_with_its_mirror(tmp_path: Path) -> None:
     ramp = np.broadcast_to(np.arange(COLUMNS), (1, 1, ROWS, COLUMNS)).astype(float)
-    view = RoomNet(constant(tmp_path, outputs(disparity=ramp))).see(slanted())
+    view = SceneNetwork(constant(tmp_path, outputs(disparity=ramp))).see(slanted())
     np.testing.assert_allclose(view.disparity, (COLUMNS - 1) / 2, rtol=1e-6)
 
 
 def test_depth_is_the_mean_of_its_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A network that ignores the picture and answers a ramp, steeper each time: mirrored looks are turned back."""
-    net, seen = RoomNet(constant(tmp_path, outputs())), []
+    net, seen = SceneNetwork(constant(tmp_path, outputs())), []
 
     def run(picture: np.ndarray) -> dict[str, np.ndarray]:
         seen.append(picture)
@@ -188,15 +196,15 @@ def test_depth_is_the_mean_of_its_looks(tmp_path: Path, monkeypatch: pytest.Monk
     disparity = net.disparity(image)
     assert disparity.shape == (480, 640)
     ramp = np.linspace(0, 1, 640)
-    wanted = [k * (1 - ramp if turned else ramp) for k, (_, turned) in enumerate(DEPTH_LOOKS, 1)]
+    wanted = [k * (1 - ramp if turned else ramp) for k, (_, turned) in enumerate(DEPTH_VIEWS, 1)]
     np.testing.assert_allclose(disparity[240], np.mean(wanted, axis=0), atol=0.03)
-    for shown, (area_px, turned) in zip(seen, DEPTH_LOOKS, strict=True):
+    for shown, (area_px, turned) in zip(seen, DEPTH_VIEWS, strict=True):
         assert shown.shape[2:] == input_size(480, 640, area_px)
         assert (shown[0, 0, 0, 0] < 150) == turned
 
 
 def test_looks_of_several_sizes_are_averaged_in_cells_of_the_first(tmp_path: Path) -> None:
-    net = RoomNet(picture_graph(tmp_path / "t.onnx", answers(disparity=[{RED: 1.0}])))
+    net = SceneNetwork(picture_graph(tmp_path / "t.onnx", answers(disparity=[{RED: 1.0}])))
     one = net.see(slanted(), ((ROWS * COLUMNS * 4, False),))
     two = net.see(slanted(), ((ROWS * COLUMNS * 4, False), (ROWS * COLUMNS * 16, True)))
     assert two.disparity.shape == one.disparity.shape
@@ -206,11 +214,11 @@ def test_looks_of_several_sizes_are_averaged_in_cells_of_the_first(tmp_path: Pat
 def test_the_network_is_shown_rgb_from_0_to_255_and_whole(tmp_path: Path) -> None:
     """A picture twice as large; its means are those of the small one."""
     large = np.repeat(np.repeat(slanted(), 2, axis=0), 2, axis=1)
-    net = RoomNet(picture_graph(tmp_path / "t.onnx", answers(disparity=[{RED: 1.0}])))
+    net = SceneNetwork(picture_graph(tmp_path / "t.onnx", answers(disparity=[{RED: 1.0}])))
     np.testing.assert_allclose(net.see(large).disparity, cell_means(slanted(), 2)[..., 0], atol=0.01)
     blue = np.zeros((60, 80, 3), np.uint8)
     blue[..., 2] = 255
-    net = RoomNet(picture_graph(tmp_path / "b.onnx", answers(disparity=[{RED: 1.0, BLUE: 10.0}])))
+    net = SceneNetwork(picture_graph(tmp_path / "b.onnx", answers(disparity=[{RED: 1.0, BLUE: 10.0}])))
     np.testing.assert_allclose(net.see(blue).disparity, 2550.0, rtol=1e-6)
 
 
@@ -218,15 +226,15 @@ def test_expected_errors_stay_within_reason(tmp_path: Path) -> None:
     """Logs of -50 and 50 would weigh a cell by nothing or all."""
     for log, wanted in ((-50.0, 0.005), (50.0, 1.5)):
         wild = answers(camera=[{}, {ONE: -1.0}, {}, {ONE: log}, {ONE: log}])
-        field = RoomNet(picture_graph(tmp_path / "t.onnx", wild)).see(slanted()).field
+        field = SceneNetwork(picture_graph(tmp_path / "t.onnx", wild)).see(slanted()).field
         np.testing.assert_allclose(field.up_sigma_rad, wanted, rtol=1e-6)
         np.testing.assert_allclose(field.latitude_sigma_rad, wanted, rtol=1e-6)
 
 
 def test_answers_are_finite_where_the_network_says_nothing(tmp_path: Path) -> None:
     """Normals and directions of length zero."""
-    view = RoomNet(constant(tmp_path, {name: 0 * value for name, value in outputs().items()})).see(slanted())
-    for values in (view.normal_camera, view.field.up, view.cues.middle):
+    view = SceneNetwork(constant(tmp_path, {name: 0 * value for name, value in outputs().items()})).see(slanted())
+    for values in (view.normal_camera, view.field.up, view.cues.center):
         assert np.isfinite(values).all()
 
 
@@ -272,7 +280,7 @@ def segmenter(path: Path) -> RoomSegment:
 
 
 def room() -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """480 x 640: two things and two people, the second person before the floor."""
+    """480 x 640: two objects and two people, the second person before the floor."""
     image, masks = np.zeros((480, 640, 3), np.uint8), {}
     image[300:, :, 1] = 200
     for name, (rows, columns), colour in (
@@ -285,7 +293,7 @@ def room() -> tuple[np.ndarray, dict[str, np.ndarray]]:
         mask[rows[0] : rows[1], columns[0] : columns[1]] = True
         image[mask] = np.eye(3, dtype=np.uint8)[colour] * 200
         masks[name] = mask
-        if colour == 0:  # brightest a little off the middle, falling off by 3 grey levels a pixel
+        if colour == 0:  # brightest a little off the middle, falling off by 3 gray levels a pixel
             y, x = np.mgrid[: image.shape[0], : image.shape[1]]
             far = np.hypot(y - 0.5 * sum(rows) - 2.3, x - 0.5 * sum(columns) - 1.4)
             image[mask, 0] = np.maximum(200, 255 - 3 * far[mask]).astype(np.uint8)
@@ -335,7 +343,7 @@ def test_an_empty_room_has_no_instances(tmp_path: Path) -> None:
 def test_wrong_shapes_are_refused(tmp_path: Path, name: str) -> None:
     shape = outputs()[name].shape
     for wrong in ((1, shape[1] + 1, *shape[2:]), (*shape[:3], shape[3] - 1), shape[1:]):
-        net = RoomNet(constant(tmp_path, outputs() | {name: np.ones(wrong)}))
+        net = SceneNetwork(constant(tmp_path, outputs() | {name: np.ones(wrong)}))
         with pytest.raises(ModelMissingError, match=rf"want {name} \(1, ") as caught:
             net.see(slanted())
         assert "\n" not in str(caught.value)
@@ -345,7 +353,7 @@ def test_other_networks_are_refused(tmp_path: Path) -> None:
     missing = outputs()
     del missing["camera"]
     with pytest.raises(ModelMissingError, match=r"want tensors .*camera.* got"):
-        RoomNet(constant(tmp_path, missing))
+        SceneNetwork(constant(tmp_path, missing))
     with pytest.raises(ModelMissingError, match=r"want tensors .*picture.* got .*image"):
         RoomDepth(constant(tmp_path, outputs(), ("image",)))
     garbage = tmp_path / "g.onnx"

@@ -17,7 +17,7 @@ def cubes(filled: np.ndarray) -> Voxels:
 
 
 def shape_of(name: str) -> np.ndarray:
-    """Filled cubes of things that furniture is made of."""
+    """Filled cubes of objects that furniture is made of."""
     filled = np.zeros((24, 16, 14), bool)
     if name == "block":
         filled[:] = True
@@ -49,13 +49,13 @@ def checked(vertices_m: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
     return mesh
 
 
-@pytest.mark.parametrize("most_faces", [10_000, 1200])
+@pytest.mark.parametrize("max_faces", [10_000, 1200])
 @pytest.mark.parametrize("name", SHAPES)
-def test_mesh_of_cubes_is_closed_and_has_their_volume_and_bounds(name: str, most_faces: int) -> None:
+def test_mesh_of_cubes_is_closed_and_has_their_volume_and_bounds(name: str, max_faces: int) -> None:
     """Smoothing rounds edges off: thin legs lose up to a tenth of the whole volume."""
     filled = shape_of(name)
-    vertices_m, faces = mesh_of_voxels(cubes(filled), most_faces)
-    assert 0 < len(faces) <= most_faces
+    vertices_m, faces = mesh_of_voxels(cubes(filled), max_faces)
+    assert 0 < len(faces) <= max_faces
     mesh = checked(vertices_m, faces)
     assert mesh.volume == pytest.approx(filled.sum() * SPACING_M**3, rel=0.1)
     index = np.argwhere(filled)
@@ -118,14 +118,14 @@ def test_simplified_leaves_small_meshes_alone() -> None:
 
 @pytest.mark.parametrize("away_m", [0.0, 5000.0])
 def test_simplified_keeps_a_ball_wherever_it_is(away_m: float) -> None:
-    """Single precision in world coordinates would be half a millimetre coarse 5 km away; the ball is 4 cm large."""
+    """Single precision in world coordinates would be half a millimeter coarse 5 km away; the ball is 4 cm large."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.02)
-    middle_m = np.array([away_m, 0.0, -away_m])
-    vertices_m, faces = simplified(np.asarray(ball.vertices) + middle_m, np.asarray(ball.faces), 600)
+    center_m = np.array([away_m, 0.0, -away_m])
+    vertices_m, faces = simplified(np.asarray(ball.vertices) + center_m, np.asarray(ball.faces), 600)
     assert 300 < len(faces) <= 600
     assert vertices_m.dtype == np.float64
-    checked(vertices_m - middle_m, faces)
-    radius_m = np.linalg.norm(vertices_m - middle_m, axis=1)
+    checked(vertices_m - center_m, faces)
+    radius_m = np.linalg.norm(vertices_m - center_m, axis=1)
     np.testing.assert_allclose(radius_m, 0.02, atol=2e-4)
 
 

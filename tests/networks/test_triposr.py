@@ -33,7 +33,7 @@ def radius_of(side: int = 200) -> float:
 
 
 def mesh_of(folder: Path, picture: np.ndarray = RED, **options: int) -> Mesh:
-    return TripoSR(folder / "encoder.onnx").mesh(picture, **({"most_faces": 4000} | options))
+    return TripoSR(folder / "encoder.onnx").mesh(picture, **({"max_faces": 4000} | options))
 
 
 def closed(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
@@ -86,14 +86,14 @@ def test_input_by_hand(height: int, width: int) -> None:
     values = to_input(picture)
     assert (values.shape, values.dtype) == ((1, 3, 512, 512), np.float32)
     assert values.flags.c_contiguous
-    thing = values[0, 1] < 0.5 * GRAY
-    rows, columns = np.nonzero(thing)
+    obj = values[0, 1] < 0.5 * GRAY
+    rows, columns = np.nonzero(obj)
     scale = 512 / int(max(height, width) / 0.85)
     np.testing.assert_allclose([np.ptp(rows) + 1, np.ptp(columns) + 1], [height * scale, width * scale], atol=1.5)
     assert abs(rows.min() + rows.max() - 511) <= scale + 1
     assert abs(columns.min() + columns.max() - 511) <= scale + 1
-    middle = values[0, :, (rows.min() + rows.max()) // 2, (columns.min() + columns.max()) // 2]
-    np.testing.assert_allclose(middle, [1.0, 0.0, 0.2], atol=1e-6)
+    center = values[0, :, (rows.min() + rows.max()) // 2, (columns.min() + columns.max()) // 2]
+    np.testing.assert_allclose(center, [1.0, 0.0, 0.2], atol=1e-6)
     np.testing.assert_allclose(values[0, :, 0, 0], GRAY, atol=1e-6)
 
 
@@ -103,7 +103,7 @@ def test_points_are_asked_for_in_chunks_over_the_whole_cube(tmp_path: Path, monk
     run = model._field.run
     monkeypatch.setattr(model._field, "run", lambda feeds, names: asked.append(feeds["points"]) or run(feeds, names))
     monkeypatch.setattr(triposr, "_CHUNK", 3000)
-    made = model.mesh(RED, most_faces=MOST, resolution=20)
+    made = model.mesh(RED, max_faces=MOST, resolution=20)
     assert max(points.shape[1] for points in asked) == 3000
     points = np.concatenate(asked, axis=1)[0]
     assert len(points) == 20**3 + len(made.vertices_m)
@@ -111,7 +111,7 @@ def test_points_are_asked_for_in_chunks_over_the_whole_cube(tmp_path: Path, monk
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
     np.testing.assert_allclose(points[: 20**3], grid, atol=1e-6)
     monkeypatch.setattr(triposr, "_CHUNK", 10**6)
-    whole = model.mesh(RED, most_faces=MOST, resolution=20)
+    whole = model.mesh(RED, max_faces=MOST, resolution=20)
     np.testing.assert_array_equal(made.vertices_m, whole.vertices_m)
     np.testing.assert_array_equal(made.vertex_rgb, whole.vertex_rgb)
 
@@ -152,7 +152,7 @@ def test_other_shapes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         with pytest.raises(
             ModelMissingError, match=rf"field\.onnx: want {name} \(1, \d+, {width}\), got \(\d+, {width}\)"
         ):
-            model.mesh(RED, most_faces=4000)
+            model.mesh(RED, max_faces=4000)
 
 
 def test_other_tensors_are_refused(tmp_path: Path) -> None:
@@ -201,7 +201,7 @@ def test_every_file_is_part_of_the_digest(tmp_path: Path, file: str) -> None:
 
 
 def field_of(distance: np.ndarray, steepness: float = 40.0) -> np.ndarray:
-    """Density of a thing by the depth below its surface; 0 or more everywhere."""
+    """Density of an object by the depth below its surface; 0 or more everywhere."""
     return 25.0 * np.exp(np.clip(steepness * distance, -60, 60))
 
 
@@ -227,7 +227,7 @@ def test_the_surface_is_where_the_density_is_25(steepness: float) -> None:
 
 
 def test_hollows_are_filled_and_specks_left_out() -> None:
-    """A shell with a speck in it and one beside it is a ball; a second thing of a tenth of its size stays."""
+    """A shell with a speck in it and one beside it is a ball; a second object of a tenth of its size stays."""
     shell = np.minimum(ball(0.5), -ball(0.4))
     specks = np.maximum(ball(0.04), ball(0.05, (0.7, 0.7, 0.7)))
     mesh = closed(*surface(field_of(np.maximum(shell, specks)), MOST))
@@ -253,11 +253,11 @@ def test_samples_on_the_surface_do_not_tear_it() -> None:
     assert mesh.area_faces.min() > 0
 
 
-@pytest.mark.parametrize("most_faces", [200, 2000])
-def test_the_limit_of_faces_is_kept(most_faces: int) -> None:
-    vertices, faces = surface(field_of(ball(0.5)), most_faces)
+@pytest.mark.parametrize("max_faces", [200, 2000])
+def test_the_limit_of_faces_is_kept(max_faces: int) -> None:
+    vertices, faces = surface(field_of(ball(0.5)), max_faces)
     closed(vertices, faces)
-    assert 0.5 * most_faces < len(faces) <= most_faces
+    assert 0.5 * max_faces < len(faces) <= max_faces
 
 
 @pytest.mark.parametrize("seed", [0, 7])

@@ -22,7 +22,7 @@ def moved(parts: Sequence[Block], at_m: tuple[float, float], yaw_rad: float) -> 
     """Parts around the origin, turned about it, then brought to x and z."""
     made = []
     for part in parts:
-        x, y, z = about_y(yaw_rad) @ part.middle_m
+        x, y, z = about_y(yaw_rad) @ part.center_m
         made.append(Block((x + at_m[0], y, z + at_m[1]), part.size_m, part.yaw_rad + yaw_rad))
     return made
 
@@ -57,7 +57,7 @@ def shelf(width_m: float = 0.9, depth_m: float = 0.3, height_m: float = 1.8) -> 
 
 @dataclass(frozen=True, eq=False)
 class Furnished:
-    """One thing in a room, as `ObjectViews` shows it."""
+    """One object in a room, as `ObjectViews` shows it."""
 
     shot: Shot
     seen: SeenObject
@@ -65,7 +65,7 @@ class Furnished:
 
 
 def furnished(
-    thing: Sequence[Block],
+    obj: Sequence[Block],
     others: Sequence[Block] = (),
     *,
     eye_m: tuple[float, float, float] = EYE_M,
@@ -80,18 +80,18 @@ def furnished(
     own: np.ndarray | None = None,
     seed: int = 0,
 ) -> Furnished:
-    """What is known of the thing; the others have masks too, walls have none.
+    """What is known of the object; the others have masks too, walls have none.
 
     Args:
         unseen: Pixels that people always hid.
         known: Pixels with depth, instead of all.
-        own: The thing's mask, instead of its visible pixels.
+        own: The object's mask, instead of its visible pixels.
     """
-    blocks = [*thing, *others, WALL]
-    middle = np.mean([block.middle_m for block in thing], axis=0)
-    shot = shoot(blocks, looking(eye_m, target_m or tuple(middle)))
-    own = shot.mask(*range(len(thing))) if own is None else own
-    masks = [own, *(shot.mask(len(thing) + number) for number in range(len(others)))]
+    blocks = [*obj, *others, WALL]
+    center = np.mean([block.center_m for block in obj], axis=0)
+    shot = shoot(blocks, looking(eye_m, target_m or tuple(center)))
+    own = shot.mask(*range(len(obj))) if own is None else own
+    masks = [own, *(shot.mask(len(obj) + number) for number in range(len(others)))]
     instances = tuple(ObjectInstance(n, "object", 1.0, np.zeros(4), mask) for n, mask in enumerate(masks, 1))
     depth_m = np.where(own, depth_factor, 1.0) * shot.depth_m
     views = ObjectViews(

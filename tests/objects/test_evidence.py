@@ -96,7 +96,7 @@ CHEST = Block((0.0, 0.3, -3.0), (1.4, 0.6, 0.7))
 
 
 @pytest.mark.parametrize(
-    ("thing", "others", "raised"),
+    ("obj", "others", "raised"),
     [
         (Block((0.0, 0.75, -3.0), (0.4, 0.3, 0.3)), [CHEST], True),
         (CHEST, [], False),
@@ -107,10 +107,10 @@ CHEST = Block((0.0, 0.3, -3.0), (1.4, 0.6, 0.7))
         (Block((0.3, 1.4, -5.8), (1.0, 0.3, 0.2)), [], True),
     ],
 )  # fmt: skip
-def test_raised_is_what_ends_above_something_that_is_seen(thing: Block, others: list[Block], raised: bool) -> None:
-    seen = furnished([thing], others).seen
+def test_raised_is_what_ends_above_something_that_is_seen(obj: Block, others: list[Block], raised: bool) -> None:
+    seen = furnished([obj], others).seen
     assert seen.evidence.raised == raised
-    lowest_m = thing.middle_m[1] - 0.5 * thing.size_m[1]
+    lowest_m = obj.center_m[1] - 0.5 * obj.size_m[1]
     assert seen.box().low_m[1] == pytest.approx(lowest_m if raised else 0, abs=0.05)
 
 
@@ -147,5 +147,5 @@ def test_the_front_of_its_box_faces_the_camera() -> None:
     for yaw_rad in (0.0, 0.8, 1.6, 3.0):
         seen = furnished([Block((0.3, 0.6, -3.0), (0.8, 1.2, 0.5), yaw_rad)]).seen
         box = seen.box()
-        towards = box.R_world_box.T @ seen.evidence.camera_m - box.middle_m
+        towards = box.R_world_box.T @ seen.evidence.camera_m - box.center_m
         assert towards[2] > 0.5 * box.size_m[2]

@@ -1,4 +1,4 @@
-"""Which pixels of a mask show the thing, in rooms of boxes."""
+"""Which pixels of a mask show the object, in rooms of boxes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from seen_boxes import FLOOR, LENS, Block, Shot, looking, shoot, table
 
-from video2anim.objects.foreground import inverse_background, thing_pixels
+from video2anim.objects.foreground import foreground_mask, inverse_background
 
 CAMERA = looking((0.0, 1.6, 0.0), (0.0, 0.6, -3.0))
 WALL = Block((0.0, 1.5, -5.05), (14.0, 3.0, 0.1), np.deg2rad(8.0))
@@ -28,7 +28,7 @@ def behind(shot: Shot, *masks: np.ndarray) -> np.ndarray | None:
 
 def shown(shot: Shot, own: np.ndarray, known: np.ndarray = ALL, depth_m: np.ndarray | None = None) -> np.ndarray:
     depth_m = shot.depth_m if depth_m is None else depth_m
-    return thing_pixels(own, known, depth_m, shot.T_world_camera, LENS, behind(shot, own))
+    return foreground_mask(own, known, depth_m, shot.T_world_camera, LENS, behind(shot, own))
 
 
 def test_wall_goes_on_behind_things() -> None:
@@ -98,7 +98,7 @@ def test_pixels_without_depth_never_count_and_hardly_any_left_means_all() -> Non
     unknown = np.zeros_like(own)
     unknown[:, : own.shape[1] // 2] = True
     holes_m = np.where(unknown, np.nan, shot.depth_m)
-    found = thing_pixels(own, ~unknown, holes_m, shot.T_world_camera, LENS, behind(shot, own))
+    found = foreground_mask(own, ~unknown, holes_m, shot.T_world_camera, LENS, behind(shot, own))
     assert not found[unknown].any()
     assert found[own & ~unknown].mean() > 0.9
     patch = np.zeros_like(own)

@@ -55,12 +55,12 @@ def visit(
 
 def together(gap_m: np.ndarray | float, yaw_rad: np.ndarray | float = 0.0) -> tuple[HandPath, HandPath]:
     """Left and right hand so far apart, around a common middle that moves."""
-    middle_m = np.stack([np.linspace(-0.5, 0.5, FRAMES), np.zeros(FRAMES), np.full(FRAMES, DEPTH_M)], -1)
+    center_m = np.stack([np.linspace(-0.5, 0.5, FRAMES), np.zeros(FRAMES), np.full(FRAMES, DEPTH_M)], -1)
     across = turned(np.broadcast_to(yaw_rad, FRAMES))[:, :, 0] * np.reshape(gap_m, (-1, 1))
     made = []
     for name, side in (("left hand", -0.5), ("right hand", 0.5)):
         T = np.tile(np.eye(4), (FRAMES, 1, 1))
-        T[:, :3, 3] = middle_m + side * across
+        T[:, :3, 3] = center_m + side * across
         made.append(HandPath(1, name, T, project(T[:, :3, 3], LENS), T[:, 2, 3], np.ones(FRAMES, bool)))
     return made[0], made[1]
 
@@ -77,17 +77,17 @@ def test_hands_are_beyond_the_wrists_and_where_the_camera_sees_them() -> None:
     _, R = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
     for found, side in ((left, "left"), (right, "right")):
         assert (found.name, found.person_id) == (f"{side} hand", motion.person_id)
-        middle_m = found.T_world_hand[:, :3, 3]
+        center_m = found.T_world_hand[:, :3, 3]
         wrist_m, elbow_m = (motion.joints_world_m[:, JOINT_INDEX[f"{side}_{name}"]] for name in ("wrist", "elbow"))
-        beyond_m = np.linalg.norm(middle_m - wrist_m, axis=-1)
+        beyond_m = np.linalg.norm(center_m - wrist_m, axis=-1)
         assert (np.abs(beyond_m - 0.09) < 0.03).all()
         np.testing.assert_allclose(
-            np.linalg.norm(middle_m - elbow_m, axis=-1),
+            np.linalg.norm(center_m - elbow_m, axis=-1),
             beyond_m + np.linalg.norm(wrist_m - elbow_m, axis=-1),
             atol=1e-5,
         )
         np.testing.assert_allclose(found.T_world_hand[:, :3, :3], R[:, JOINT_INDEX[f"{side}_wrist"]], atol=1e-6)
-        camera_m = transform_points(invert_rigid(motion.T_world_camera), middle_m[:, None])[:, 0]
+        camera_m = transform_points(invert_rigid(motion.T_world_camera), center_m[:, None])[:, 0]
         np.testing.assert_allclose(found.depth_m, camera_m[:, 2], atol=1e-9)
         np.testing.assert_allclose(found.pixels[found.valid], project(camera_m, lens)[found.valid], atol=1e-6)
         np.testing.assert_array_equal(found.valid, motion.valid)
@@ -191,11 +191,11 @@ def test_both_hands_hold_it_together_where_they_keep_their_distance() -> None:
     assert list(found) == ["both hands"]
     both = found["both hands"]
     assert (both.name, both.person_id) == ("both hands", 1)
-    middle_m = 0.5 * (left.T_world_hand + right.T_world_hand)[:, :3, 3]
-    np.testing.assert_allclose(both.T_world_hand[:, :3, 3], middle_m, atol=1e-9)
+    center_m = 0.5 * (left.T_world_hand + right.T_world_hand)[:, :3, 3]
+    np.testing.assert_allclose(both.T_world_hand[:, :3, 3], center_m, atol=1e-9)
     np.testing.assert_allclose(both.T_world_hand[:, :3, :3], turned(yaw_rad), atol=1e-6)
-    np.testing.assert_allclose(both.depth_m, middle_m[:, 2], atol=1e-9)
-    np.testing.assert_allclose(both.pixels, project(middle_m, LENS), atol=1.0)
+    np.testing.assert_allclose(both.depth_m, center_m[:, 2], atol=1e-9)
+    np.testing.assert_allclose(both.pixels, project(center_m, LENS), atol=1.0)
 
 
 def test_hands_whose_distance_changes_hold_it_one_or_the_other() -> None:

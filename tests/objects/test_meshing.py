@@ -28,7 +28,7 @@ def fit_of(form: Form, sizes_m: np.ndarray, at_m: tuple[float, float] = (0.0, -3
 
 
 def true_fit(block: Block = BLOCK) -> FormFit:
-    x, _, z = block.middle_m
+    x, _, z = block.center_m
     return fit_of(BOX, np.array(block.size_m)[[0, 2, 1]], (x, z), block.yaw_rad)
 
 
@@ -67,7 +67,7 @@ def share(rgb: np.ndarray, wanted: tuple[int, int, int]) -> float:
 
 def seen_side() -> int:
     """Which of the two sides along the block's x the camera sees."""
-    towards = BLOCK.R_world_block.T @ (np.array([0.0, 1.6, 0.0]) - BLOCK.middle_m)
+    towards = BLOCK.R_world_block.T @ (np.array([0.0, 1.6, 0.0]) - BLOCK.center_m)
     return int(np.sign(towards[0]))
 
 
@@ -158,9 +158,9 @@ def test_every_form_has_few_faces_and_its_parts_are_all_of_them(form: Form) -> N
 def test_the_outline_of_the_truth_is_that_of_the_object() -> None:
     room = furnished([BLOCK])
     assert outline_iou(true_fit(), room.seen.evidence, room.seen.own) > 0.98
-    aside = true_fit(replace(BLOCK, middle_m=(0.7, 0.4, -3.0)))
+    aside = true_fit(replace(BLOCK, center_m=(0.7, 0.4, -3.0)))
     assert 0.3 < outline_iou(aside, room.seen.evidence, room.seen.own) < 0.7
-    away = true_fit(replace(BLOCK, middle_m=(0.0, 0.4, 5.0)))
+    away = true_fit(replace(BLOCK, center_m=(0.0, 0.4, 5.0)))
     assert outline_iou(away, room.seen.evidence, room.seen.own) == 0
 
 

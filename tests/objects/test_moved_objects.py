@@ -169,11 +169,11 @@ def scene(kind: str = "put down", taken: int = 100, put: int = 190, rise: int = 
     seen, rgb = np.stack(masks), np.stack(pictures)
     ranked = np.sort(np.where(seen[..., None], np.uint8(255), rgb), axis=0)
     median = ((~seen).sum(0) // 2)[None, ..., None]
-    plate_rgb = np.take_along_axis(ranked, median.clip(max=len(rgb) - 1), axis=0)[0]
-    return Scene(Pictures(rgb, seen, plate_rgb, STEP), motion, bottom_m)
+    background_rgb = np.take_along_axis(ranked, median.clip(max=len(rgb) - 1), axis=0)[0]
+    return Scene(Pictures(rgb, seen, background_rgb, STEP), motion, bottom_m)
 
 
-def thing(number: int, bottom_m: np.ndarray) -> PlacedObject:
+def obj(number: int, bottom_m: np.ndarray) -> PlacedObject:
     """A box of the background image."""
     T = np.eye(4)
     T[:3, 3] = bottom_m
@@ -225,7 +225,7 @@ def test_a_box_that_stays_in_the_hand_is_held_to_the_end() -> None:
 def test_nothing_moves_that_is_not_seen_in_the_hand(kind: str) -> None:
     """It vanishes when the hand is there, or stays while somebody bends over it."""
     assert scene(kind).found() == []
-    stays = thing(4, np.array([0.0, 0.0, -5.0]))
+    stays = obj(4, np.array([0.0, 0.0, -5.0]))
     assert scene(kind).found(stays, masks=(np.eye(LENS.height_px, LENS.width_px) > 0,)) == [stays]
 
 
@@ -242,7 +242,7 @@ def test_who_is_elsewhere_moves_nothing() -> None:
 def test_a_known_object_is_moved_from_where_it_stands() -> None:
     """The background image shows it at its start."""
     true = scene(taken=180, put=250)
-    item, other = thing(7, true.bottom_m[0] + [0.02, 0.0, 0.02]), thing(3, np.array([0.0, 0.0, -5.0]))
+    item, other = obj(7, true.bottom_m[0] + [0.02, 0.0, 0.02]), obj(3, np.array([0.0, 0.0, -5.0]))
     elsewhere = np.roll(true.mask(0), 150, 1)
     kept, moved = true.found(other, item, masks=(elsewhere, true.mask(0)))
     assert kept is other
@@ -254,7 +254,7 @@ def test_a_known_object_is_moved_from_where_it_stands() -> None:
 def test_a_known_object_may_be_where_it_was_put() -> None:
     """The background image shows it at its goal."""
     true = scene(taken=60, put=140)
-    item = thing(7, true.bottom_m[-1])
+    item = obj(7, true.bottom_m[-1])
     (moved,) = true.found(item, masks=(true.mask(FRAMES - 1),))
     assert (moved.object_id, moved.mesh) == (7, item.mesh)
     np.testing.assert_allclose(moved.path[0].T_world_object[-1], item.T_world_object, atol=1e-9)
@@ -262,7 +262,7 @@ def test_a_known_object_may_be_where_it_was_put() -> None:
 
 
 def test_a_new_object_has_a_number_of_its_own() -> None:
-    other = thing(7, np.array([0.0, 0.0, -5.0]))
+    other = obj(7, np.array([0.0, 0.0, -5.0]))
     kept, moved = scene().found(other, masks=(np.roll(scene().mask(0), 150, 1),))
     assert kept is other
     assert moved.object_id == 8
@@ -288,4 +288,4 @@ def test_the_background_image_shows_what_most_looks_saw(
     hidden[seen_before:20] = hidden[20 + seen_after :] = mask
     rgb = np.zeros((40, 12, 16, 3), np.uint8)
     change = Change(mask, 19, 20, came, rgb[0])
-    assert Pictures(rgb, hidden, rgb[0], STEP).plate_shows(change) == shows
+    assert Pictures(rgb, hidden, rgb[0], STEP).background_shows(change) == shows

@@ -1,4 +1,4 @@
-"""A thing cut out of its detector's box."""
+"""An object cut out of its detector's box."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_sizes_of_picture_and_box_go_together() -> None:
 
 
 def test_nothing_is_outside_the_surroundings_of_the_box() -> None:
-    """A second square of the color of the first, farther away, is another thing."""
+    """A second square of the color of the first, farther away, is another object."""
     image = picture()
     image[10:40, 200:235] = (200, 60, 40)
     found = outlined(image, flat_m(), np.zeros(SIZE, bool), BOX_PX)

@@ -50,7 +50,7 @@ def bent(motion: BodyMotion) -> BodyMotion:
     return motion.with_pose(translation_world_m=motion.T_world_root[:, :3, 3] + SHIFT_M, R_parent_joint=R_parent_joint)
 
 
-def largest_step_m(T_world_object: np.ndarray) -> float:
+def max_step_m(T_world_object: np.ndarray) -> float:
     return float(np.linalg.norm(np.diff(T_world_object[:, :3, 3], axis=0), axis=-1).max())
 
 
@@ -72,7 +72,7 @@ def test_it_keeps_its_pose_in_the_hand_and_rests_where_it_rested(hand: str, wris
         T[:, :3, :3].swapaxes(1, 2) @ T[:, :3, :3], np.tile(np.eye(3), (FRAMES, 1, 1)), atol=1e-9
     )
     off_m = np.linalg.norm(T[:, :3, 3] - T_before[:, :3, 3], axis=-1).max()
-    assert largest_step_m(T) < largest_step_m(T_before) + 0.4 * off_m, "it goes over in some frames"
+    assert max_step_m(T) < max_step_m(T_before) + 0.4 * off_m, "it goes over in some frames"
     assert moved.holds == item.holds
 
 
@@ -92,7 +92,7 @@ def test_a_hold_shorter_than_going_over_does_not_jump() -> None:
     T_before, T = item.path[0].T_world_object, moved.path[0].T_world_object
     np.testing.assert_array_equal(np.delete(T, np.s_[30:34], 0), np.delete(T_before, np.s_[30:34], 0))
     assert np.abs(T[30:34] - T_before[30:34]).max() > 0.001
-    assert largest_step_m(T) < largest_step_m(T_before) + 0.03
+    assert max_step_m(T) < max_step_m(T_before) + 0.03
 
 
 def test_from_hand_to_hand_it_does_not_go_back_between() -> None:

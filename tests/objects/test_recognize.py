@@ -1,4 +1,4 @@
-"""Which form things in rooms are taken for, and what a network's word counts."""
+"""Which form objects in rooms are taken for, and what a network's word counts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a thing lies that a camera above sees: its place, its size, what is under it, and which object it is."""
+"""Where an object lies that a camera above sees: its place, its size, what is under it, and which object it is."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def placed(block: Block, number: int = 1, scale: float = 1.0) -> PlacedObject:
     """A block as an object of the scene."""
     T = np.eye(4)
     T[:3, :3] = block.R_world_block
-    T[:3, 3] = np.subtract(block.middle_m, (0.0, 0.5 * block.size_m[1], 0.0))
+    T[:3, 3] = np.subtract(block.center_m, (0.0, 0.5 * block.size_m[1], 0.0))
     width_m, height_m, depth_m = (float(value / scale) for value in block.size_m)
     return PlacedObject(number, "table", box_mesh(width_m, height_m, depth_m), scale, T, None, None, True, "")
 
@@ -38,7 +38,7 @@ def scene(blocks: Sequence[Block] = (), T_world_camera: np.ndarray = T_WORLD_CAM
 
 def depth_of(block: Block, T_world_camera: np.ndarray = T_WORLD_CAMERA) -> float:
     """Distance of its middle along the camera's axis: that of a hand that holds it."""
-    return float(transform_points(invert_rigid(T_world_camera), np.array([block.middle_m]))[0, 2])
+    return float(transform_points(invert_rigid(T_world_camera), np.array([block.center_m]))[0, 2])
 
 
 def hand_at(depth_m: float) -> HandPath:
@@ -57,7 +57,7 @@ def rest_of(
 
 
 def apart_m(rest: Rest, block: Block) -> float:
-    return float(np.linalg.norm(rest.middle_m - block.middle_m))
+    return float(np.linalg.norm(rest.center_m - block.center_m))
 
 
 SIZES = [(0.3, 0.3, 0.3), (0.2, 0.4, 0.2), (0.25, 0.2, 0.25)]
@@ -170,7 +170,7 @@ def test_the_rest_of_an_object_is_its_box() -> None:
     item = placed(Block((0.4, 0.75, -2.0), (0.6, 0.5, 0.3), 0.4), scale=2.0)
     rest = Rest.of(item)
     np.testing.assert_allclose(rest.size_m, (0.6, 0.5, 0.3), atol=1e-6)
-    np.testing.assert_allclose(rest.middle_m, (0.4, 0.75, -2.0), atol=1e-6)
+    np.testing.assert_allclose(rest.center_m, (0.4, 0.75, -2.0), atol=1e-6)
     np.testing.assert_array_equal(rest.T_world_object, item.T_world_object)
 
 

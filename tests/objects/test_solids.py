@@ -14,7 +14,7 @@ TURN_UP = trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0])
 
 
 def some_solids(seed: int) -> Solids:
-    """Two sets of a box, a leaning box, a plate and two cylinders, one of them flat."""
+    """Two sets of a box, a leaning box, a background image and two cylinders, one of them flat."""
     rng = np.random.default_rng(seed)
     half = rng.uniform(0.05, 0.5, (2, 5, 3))
     half[:, 2, 1] = half[:, 4, 1] = 0.015
@@ -93,13 +93,13 @@ def test_rays_hit_first_what_they_hit_first_by_trimesh(seed: int) -> None:
 
 @pytest.mark.parametrize("round_", [False, True])
 def test_a_ray_passes_by_how_far_it_passes(round_: bool) -> None:
-    """A plate 1 m wide; rays straight down beside it, and level ones above it."""
-    plate = Solids(np.zeros((1, 1, 3)), np.array([[[0.5, 0.02, 0.5]]]), np.zeros((1, 1)), np.array([round_]))
+    """A background image 1 m wide; rays straight down beside it, and level ones above it."""
+    background = Solids(np.zeros((1, 1, 3)), np.array([[[0.5, 0.02, 0.5]]]), np.zeros((1, 1)), np.array([round_]))
     down = np.array([[0.0, -1.0, 0.0]])
     for aside_m in (0.45, 0.55, 0.8):
-        (missed,) = plate.miss_m(np.array([[aside_m, 2.0, 0.0]]), down[None])[0]
+        (missed,) = background.miss_m(np.array([[aside_m, 2.0, 0.0]]), down[None])[0]
         assert missed == pytest.approx(max(aside_m - 0.5, 0), abs=1e-6)
-    (over,) = plate.miss_m(np.array([[-3.0, 0.12, 0.0]]), np.array([[[1.0, 0.0, 0.0]]]))[0]
+    (over,) = background.miss_m(np.array([[-3.0, 0.12, 0.0]]), np.array([[[1.0, 0.0, 0.0]]]))[0]
     assert over == pytest.approx(0.1, abs=1e-6)
 
 

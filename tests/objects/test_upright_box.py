@@ -37,7 +37,7 @@ def test_box_seen_from_above_is_found_with_its_yaw_size_and_middle(yaw_deg: floa
     box = fit_upright_box(*seen(block))
     assert yaw_error_rad(box, block.yaw_rad) < GRID_RAD
     np.testing.assert_allclose(size_along(box, block), block.size_m, atol=0.05)
-    np.testing.assert_allclose(middle_world_m(box), block.middle_m, atol=0.03)
+    np.testing.assert_allclose(middle_world_m(box), block.center_m, atol=0.03)
     assert box.measured.all(), "front, side and top are seen"
 
 
@@ -131,7 +131,7 @@ def test_z_is_turned_to_the_camera_and_the_box_stays_where_it_is(around_deg: flo
     np.testing.assert_allclose(turned.R_world_box @ turned.R_world_box.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(turned.R_world_box) == pytest.approx(1.0)
     np.testing.assert_array_equal(turned.R_world_box[:, 1], [0, 1, 0])
-    beyond_m = turned.to_box(eye_m[None])[0] - turned.middle_m
+    beyond_m = turned.to_box(eye_m[None])[0] - turned.center_m
     assert beyond_m[2] > 0
     assert beyond_m[2] - 0.5 * turned.size_m[2] >= abs(beyond_m[0]) - 0.5 * turned.size_m[0] - 1e-9
 
@@ -153,7 +153,7 @@ def test_what_is_measured_turns_with_the_axes() -> None:
 
 def test_points_in_axes_of_the_box_and_other_bounds() -> None:
     box = some_box(measured=(False, True, True))
-    np.testing.assert_allclose(box.to_box(middle_world_m(box)[None]), box.middle_m[None], atol=1e-12)
+    np.testing.assert_allclose(box.to_box(middle_world_m(box)[None]), box.center_m[None], atol=1e-12)
     grown = box.with_bounds(box.low_m - 0.1, box.high_m + 0.3)
     np.testing.assert_allclose(grown.size_m, box.size_m + 0.4)
     np.testing.assert_array_equal(grown.R_world_box, box.R_world_box)

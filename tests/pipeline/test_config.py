@@ -15,7 +15,7 @@ from video2anim.cli.compose import pipeline_nodes
 from video2anim.errors import UsageError
 from video2anim.pipeline.config import PipelineConfig, expect_user_paths, load_preset, parse_set, resolve
 from video2anim.pipeline.options import Option, options_of
-from video2anim.pipeline.plain_yaml import MOST_CHARACTERS, PlainYamlError, read_yaml
+from video2anim.pipeline.plain_yaml import MAX_CHARACTERS, PlainYamlError, read_yaml
 
 NODES = pipeline_nodes()
 OPTIONS = [(node.name, name, option) for node in NODES for name, option in options_of(node.config_type).items()]
@@ -74,7 +74,7 @@ def test_every_default_is_in_its_range(stage: str, name: str, option: Option) ->
 
 @pytest.mark.parametrize(("stage", "name", "option"), OPTIONS, ids=NAMES)
 def test_no_option_takes_nonsense(stage: str, name: str, option: Option) -> None:
-    any_text = (".nan", ".inf", "-.inf", "-1e+9", "'no such thing'") if f"{stage}.{name}" not in PATHS else ()
+    any_text = (".nan", ".inf", "-.inf", "-1e+9", "'no such object'") if f"{stage}.{name}" not in PATHS else ()
     for value in ("[[1]]", "{a: 1}", "no", *any_text):
         if value != "no" or bool not in [kind for kind, _ in parts_of(option.hint)]:
             assert f"--set: {stage}.{name}: want " in refusal(f"{stage}.{name}={value}")
@@ -83,7 +83,7 @@ def test_no_option_takes_nonsense(stage: str, name: str, option: Option) -> None
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ("segment.most_objects=-1", "want a whole number from 0 to 1000 objects, got -1"),
+        ("segment.max_objects=-1", "want a whole number from 0 to 1000 objects, got -1"),
         ("humans.height_m=17", "want a number from 0.5 to 2.5 m (--height-m) or a mapping"),
         ("keyframes.keyframe_interval_frames=0", "want a whole number from 1 to 100000 frames, got 0"),
         ("refine.keyframe_interval_frames=0", "want a whole number from 1 to 100000 frames, got 0"),
@@ -119,12 +119,12 @@ def test_two_options_that_contradict_each_other() -> None:
 def test_valid_values_stay_what_they_were() -> None:
     stages = with_sets(
         "camera.focal_px=1e3", "camera.height_m=2", "track.person=3", "ingest.shot=1", "place.yaw_starts_deg=[1, 2]",
-        "humans.iterations=50", "segment.most_objects=0", "depth.provider=depth", "humans.model=hmr2@x.onnx", "seed=7",
+        "humans.iterations=50", "segment.max_objects=0", "depth.provider=depth", "humans.model=hmr2@x.onnx", "seed=7",
     ).stages  # fmt: skip
     assert (stages["camera"].focal_px, stages["camera"].height_m) == (1000.0, 2.0)
     assert (stages["track"].person, stages["ingest"].shot) == ("3", 1)
     assert stages["place"].yaw_starts_deg == (1.0, 2.0)
-    assert (stages["humans"].iterations, stages["segment"].most_objects) == (50, 0)
+    assert (stages["humans"].iterations, stages["segment"].max_objects) == (50, 0)
     assert (stages["depth"].provider, stages["humans"].model) == ("depth", "hmr2@x.onnx")
 
 
@@ -201,7 +201,7 @@ def test_a_partial_preset_changes_only_what_it_names(tmp_path: Path) -> None:
         ("- " * 5000, "nested more than"),
         (f"camera: {{frames: {'9' * 5000}}}\n", "number"),
         (f"camera: {{frames: 1{':1' * 400}.0}}\n", "number"),
-        (f"camera: {{frames: {'x' * MOST_CHARACTERS}}}\n", "more than 32768 characters"),
+        (f"camera: {{frames: {'x' * MAX_CHARACTERS}}}\n", "more than 32768 characters"),
         (b"x" * 10**6, "more than"),
         ("camera: {model: \x07}\n", "a character that YAML text cannot hold"),
         ("camera: {}\n--- \ndepth: {}\n", "line"),

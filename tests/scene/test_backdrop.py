@@ -19,7 +19,7 @@ from video2anim.scene.ground import ground
 from video2anim.scene.heading import room_heading
 from video2anim.scene.view import relative_sigma
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyMotion,
     BodyShape,
     BodyTracks,
@@ -70,7 +70,7 @@ class World:
     """Floor and surfaces, seen by one camera."""
 
     def __init__(
-        self, surfaces: list[Hit], path_m: np.ndarray, yaw_deg: float = 0.0, things: tuple[int, ...] = ()
+        self, surfaces: list[Hit], path_m: np.ndarray, yaw_deg: float = 0.0, objects: tuple[int, ...] = ()
     ) -> None:
         self.pose = camera_pose(yaw_deg)
         fine = LENS.resized(_FINER * LENS.width_px, _FINER * LENS.height_px)
@@ -89,16 +89,16 @@ class World:
             # Boards along the surface's own axes, so that there are edges to see.
             boards = np.sign(np.sin((points_m + 0.13) * 2 * np.pi / 0.9)).sum(-1, keepdims=True)
             rgb[nearer] = (np.array(color) + 12 * boards)[nearer]
-        middle = slice(_FINER // 2, None, _FINER)
-        self.depth_m, self.surface = depth_m[middle, middle], surface[middle, middle]
+        center = slice(_FINER // 2, None, _FINER)
+        self.depth_m, self.surface = depth_m[center, center], surface[center, center]
         rgb = cv2.resize(rgb, (LENS.width_px, LENS.height_px), interpolation=cv2.INTER_AREA)
         grain = np.random.default_rng(3).normal(0, 2, rgb.shape)
-        self.plate = BackgroundPlate(
+        self.background = BackgroundImage(
             np.clip(rgb + grain, 0, 255).astype(np.uint8), np.ones((90, 120)), np.zeros(1, int),
             np.zeros((1, 90, 120), bool), np.zeros((1, 90, 120), bool),
         )  # fmt: skip
         self.bodies = BodyTracks((walker(path_m, self.pose),))
-        masks = [self.surface == number for number in things]
+        masks = [self.surface == number for number in objects]
         instances = tuple(ObjectInstance(n, "object", 1.0, np.zeros(4), mask) for n, mask in enumerate(masks, 1))
         self.masks = InstanceMasks("truth", instances, self.surface == 0)
 
@@ -112,12 +112,12 @@ class World:
         )  # fmt: skip
 
     def seen(self, off: np.ndarray | float = 1.0) -> Backdrop:
-        return backdrop(self.metric(off), self.masks, self.plate, FAR_M)
+        return backdrop(self.metric(off), self.masks, self.background, FAR_M)
 
     def before(self, mesh: Mesh, within_px: int = 9) -> np.ndarray:
         """Whether vertices in the picture are nearer, by 10 %, than all it shows around them."""
-        things = np.logical_or.reduce([self.surface < -1, *(one.mask for one in self.masks.instances)])
-        nearest_m = cv2.erode(np.where(things, 0.0, np.minimum(self.depth_m, 1e3)), np.ones((2 * within_px + 1,) * 2))
+        objects = np.logical_or.reduce([self.surface < -1, *(one.mask for one in self.masks.instances)])
+        nearest_m = cv2.erode(np.where(objects, 0.0, np.minimum(self.depth_m, 1e3)), np.ones((2 * within_px + 1,) * 2))
         camera_m = (mesh.vertices_m - self.pose[:3, 3]) @ self.pose[:3, :3]
         column, row = np.round(project(camera_m, LENS)).astype(int).T
         inside = (camera_m[:, 2] > 0) & (column >= 0) & (column < 480) & (row >= 0) & (row < 360)
@@ -150,7 +150,7 @@ def room(yaw_deg: float = 3.0) -> World:
         upright(0, -2.2, -1, (150, 185, 170)),
         upright(0, 2.7, 1, (185, 150, 165)),
     ]
-    return World([*walls, CEILING, board], WALK, yaw_deg, things=(5,))
+    return World([*walls, CEILING, board], WALK, yaw_deg, objects=(5,))
 
 
 @functools.cache
@@ -176,7 +176,7 @@ def walls_by_axis(found: Backdrop) -> dict[str, np.ndarray]:
 def test_edges_tell_the_heading_of_walls() -> None:
     for yaw_deg in (0.0, 8.0, 33.0):
         world = room(yaw_deg)
-        heading = room_heading(world.plate.plate_rgb, world.pose, LENS)
+        heading = room_heading(world.background.background_rgb, world.pose, LENS)
         assert heading is not None
         assert abs((np.rad2deg(heading) + 45) % 90 - 45) < 1.0
 
@@ -231,9 +231,10 @@ def expect_simple(piece: RoomPiece) -> None:
 
 
 def test_pictures_of_pieces_are_the_plate() -> None:
-    """Texels whose place the plate shows have its color; there are no more of them than the picture has pixels."""
+    """Texels whose place the background image shows have its color; there are no more of them than the picture has
+    pixels."""
     world, found = room(), room_pieces()
-    floor = ground(found, world.plate, np.array([[-1.5, -4.0], [1.5, -2.0]]))
+    floor = ground(found, world.background, np.array([[-1.5, -4.0], [1.5, -2.0]]))
     assert sum(p.textures[0].image_rgb[..., 0].size for p in (*found.pieces, floor)) < 1.5 * 480 * 360
     for piece, surface in ((floor, 0), *((p, None) for p in found.pieces)):
         mesh, texture = piece.mesh, piece.textures[0]
@@ -249,7 +250,7 @@ def test_pictures_of_pieces_are_the_plate() -> None:
         same = np.abs(world.depth_m[row, column] / camera_m[ahead][inside][:, 2] - 1) < 0.01
         same &= (world.surface[row, column] == 0) == (surface == 0)
         assert same.sum() > 100
-        off = world.plate.plate_rgb[row, column].astype(int) - texture.image_rgb[texel[:, 1], texel[:, 0]]
+        off = world.background.background_rgb[row, column].astype(int) - texture.image_rgb[texel[:, 1], texel[:, 0]]
         assert np.median(np.abs(off[same])) <= 4, piece.name
 
 
@@ -284,7 +285,7 @@ def test_a_door_is_a_rectangle_of_the_wall_and_shows_what_is_behind(is_round: bo
 
 
 def test_pieces_come_back_from_disk(tmp_path: Path) -> None:
-    floor = ground(room_pieces(), room().plate, np.array([[-1.5, -4.0], [1.5, -2.0]]))
+    floor = ground(room_pieces(), room().background, np.array([[-1.5, -4.0], [1.5, -2.0]]))
     pieces = (replace(room_pieces().pieces[0], openings=(np.eye(4, 3), np.ones((4, 3)))), *room_pieces().pieces[1:])
     scene = SceneModel((), floor, pieces, np.ones((2, 2, 2)), np.zeros(3), 1.0)
     write_value(scene, tmp_path)
@@ -344,7 +345,7 @@ def test_far_and_unsure_things_and_sky_are_behind_everything() -> None:
         assert sky[row, column].any() == (piece.name == "backdrop")
     # A depth that is there but not known to 30 % counts as far.
     doubt = np.where(cv2.resize((world.surface == 1).astype(np.uint8), (240, 180)) > 0, 0.4, 0.0)
-    unsure = backdrop(world.metric(), world.masks, world.plate, FAR_M, doubt)
+    unsure = backdrop(world.metric(), world.masks, world.background, FAR_M, doubt)
     assert {piece.name for piece in unsure.pieces} == {"backdrop"}
 
 
@@ -360,7 +361,7 @@ def test_no_piece_is_before_people() -> None:
 
 def test_ground_goes_on_to_the_walls_and_no_farther() -> None:
     world, found = room(), room_pieces()
-    floor = ground(found, world.plate, np.array([[-1.5, -4.0], [1.5, -2.0]]))
+    floor = ground(found, world.background, np.array([[-1.5, -4.0], [1.5, -2.0]]))
     points = floor.mesh.vertices_m
     assert len(floor.mesh.faces) < 20
     assert (points[:, 1] == 0).all()

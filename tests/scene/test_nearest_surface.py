@@ -45,8 +45,8 @@ def test_the_face_is_the_one_below_the_point() -> None:
 def test_nothing_in_reach_and_nothing_to_reach() -> None:
     far_m = np.array([[5.0, 0.0, 0.0]])
     assert len(nearest_surface(far_m, triangles_m(), reach_m=REACH_M).point) == 0
-    middle_m = np.array([[0.0, 0.5 * SIZE_M[1], 0.0]])
-    assert len(nearest_surface(middle_m, triangles_m(), reach_m=REACH_M).point) == 0, "inside, far from all faces"
+    center_m = np.array([[0.0, 0.5 * SIZE_M[1], 0.0]])
+    assert len(nearest_surface(center_m, triangles_m(), reach_m=REACH_M).point) == 0, "inside, far from all faces"
     low_m = np.array([[0.0, 0.5 * SIZE_M[1], 0.0], [0.0, 0.07, 0.0]])
     assert len(nearest_surface(low_m, triangles_m(), reach_m=REACH_M).point) == 0, "the box around them reaches a face"
     flat_m = np.zeros((4, 3, 3))

@@ -52,5 +52,5 @@ def test_a_hole_stays_open() -> None:
     assert signed_area(hole) == pytest.approx(-55, abs=5)
     points, faces = triangulated([outer, hole])
     assert len(faces) == 8
-    middle = points[faces].mean(1)
-    assert not ((middle > [5, 6]) & (middle < [14, 11])).all(1).any()
+    center = points[faces].mean(1)
+    assert not ((center > [5, 6]) & (center < [14, 11])).all(1).any()

@@ -66,9 +66,9 @@ def test_long_faces_without_an_area_are_no_surface() -> None:
 def pose(yaw_deg: float, shift_m: tuple[float, float, float]) -> np.ndarray:
     """A turn about the room's middle, then a shift."""
     c, s = np.cos(np.deg2rad(yaw_deg)), np.sin(np.deg2rad(yaw_deg))
-    T, middle_m = np.eye(4), np.array([1.8, 0.0, 1.8])
+    T, center_m = np.eye(4), np.array([1.8, 0.0, 1.8])
     T[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
-    T[:3, 3] = middle_m + shift_m - T[:3, :3] @ middle_m
+    T[:3, 3] = center_m + shift_m - T[:3, :3] @ center_m
     return T
 
 

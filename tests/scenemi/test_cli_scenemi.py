@@ -191,7 +191,7 @@ def without_rotations(v: dict[str, Any]) -> None:
         (with_negative_frame, "whole numbers from 0"),
         (with_half_frames, "whole numbers from 0"),
         (with_fewer_translations, r"translation_m wants shape (4, 3), got (3, 3)"),
-        (in_centimetres, "want metres and +Y up"),
+        (in_centimetres, "want meters and +Y up"),
         (at_60_fps, "counted at 30 fps, got 60"),
         (without_rotations, "want R_parent_joint"),
     ],
@@ -291,7 +291,7 @@ def other_file(path: Path) -> Path:
     [
         (empty_npz, "an empty scene"),
         (nan_npz, "holds NaN"),
-        (millimetres_npz, "want a scene in metres"),
+        (millimetres_npz, "want a scene in meters"),
         (broken_faces_npz, "vertices that are not there"),
         (broken_glb, "cannot be read as a scene"),
         (empty_glb, "cannot be read as a scene"),

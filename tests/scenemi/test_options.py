@@ -17,13 +17,13 @@ from scenemi_cases import keyframe_arrays, scenemi, walk_archive, walk_bvh, walk
 from scenemi import cli
 from scenemi.data.container import MotionArchive, write_archive
 from scenemi.data.import_clip import UNITS_M
-from scenemi.data.plain_files import MOST_FRAMES
+from scenemi.data.plain_files import MAX_FRAMES
 from scenemi.data.sources import FREE_LICENSES, license_of
 from scenemi.data.windows import MotionSet, MotionSetConfig
 from scenemi.training.config import TrainConfig, shipped_configs
 from scenemi.training.runs import RunFiles, left_out, licenses_of
 from video2anim.errors import UsageError
-from video2anim.lab.synth.library import MotionLibrary
+from video2anim.lab.synth.library import MotionDatabase
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -129,7 +129,7 @@ def test_help_names_all_units_and_limits_and_no_types_of_python(monkeypatch: pyt
         assert "--help" in text
     for unit in UNITS_M:
         assert re.search(rf"\b{unit}\b", cli.UNITS), unit
-    assert cli.MOST_FRAMES == MOST_FRAMES
+    assert cli.MAX_FRAMES == MAX_FRAMES
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_what_is_not_known_is_not_free(tmp_path: Path) -> None:
     assert chosen.store.clip_name.tolist() == ["mine"]
     every = MotionSet.build(archives, None, None, 1, MotionSetConfig(noncommercial=True))
     assert sorted(every.store.clip_name.tolist()) == ["mine", "theirs"]
-    assert [row[1] for row in MotionLibrary.read(archives).clips] == ["mine"]
+    assert [row[1] for row in MotionDatabase.read(archives).clips] == ["mine"]
     files = RunFiles(TrainConfig(), archives, None, None)
     assert len(left_out(files)) == 1
     assert "1 clips of somebody (license CC-BY-NC-4.0)" in left_out(files)[0]
@@ -189,8 +189,8 @@ def test_one_table_for_both_packages(tmp_path: Path) -> None:
     """`video2anim synth` had a table of its own, in which amass was free."""
     sources = ("amass", "trumans", "gimo", "prox", "bandai1", "bandai2", "sie", "mhad", "bvh", "synthetic")
     write_archive(tmp_path / "c.npz", [walk_clip(40, name=source, source=source) for source in sources])
-    assert [row[1] for row in MotionLibrary.read([tmp_path / "c.npz"]).clips] == ["synthetic"]
-    assert len(MotionLibrary.read([tmp_path / "c.npz"], noncommercial=True).clips) == len(sources)
+    assert [row[1] for row in MotionDatabase.read([tmp_path / "c.npz"]).clips] == ["synthetic"]
+    assert len(MotionDatabase.read([tmp_path / "c.npz"], noncommercial=True).clips) == len(sources)
 
 
 def test_archives_keep_licenses_and_old_ones_have_those_of_their_sources(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from video2anim.geometry.projection import invert_rigid, project, transform_poin
 from video2anim.geometry.sdf import build_sdf_grid
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyMotion,
     BodyTracks,
     KeyframedMotion,
@@ -38,12 +38,12 @@ def scene(
     return SceneModel((), RoomPiece("floor", mesh), (), grid.sdf_m, grid.origin_m, grid.spacing_m)
 
 
-def no_depth(motion: BodyMotion) -> tuple[MetricDepth, BackgroundPlate]:
+def no_depth(motion: BodyMotion) -> tuple[MetricDepth, BackgroundImage]:
     """Depth that is not trusted."""
     return depth_of(motion, np.zeros(0, dtype=np.int64), trusted=False)
 
 
-def depth_of(motion: BodyMotion, frames: np.ndarray, *, trusted: bool = True) -> tuple[MetricDepth, BackgroundPlate]:
+def depth_of(motion: BodyMotion, frames: np.ndarray, *, trusted: bool = True) -> tuple[MetricDepth, BackgroundImage]:
     """Depth maps of the body alone, by splatting its vertices."""
     height, width = DEPTH_SIZE
     intrinsics = motion.intrinsics.resized(width, height)
@@ -62,17 +62,17 @@ def depth_of(motion: BodyMotion, frames: np.ndarray, *, trusted: bool = True) ->
         {}, BodyTracks((motion,)),
     )  # fmt: skip
     picture = np.zeros((motion.intrinsics.height_px, motion.intrinsics.width_px, 3), dtype=np.uint8)
-    return metric, BackgroundPlate(picture, empty + 1, frames, seen, seen)
+    return metric, BackgroundImage(picture, empty + 1, frames, seen, seen)
 
 
 def optimize(
-    raw: BodyMotion, where: SceneModel, depth: tuple[MetricDepth, BackgroundPlate] | None = None, **options: float
+    raw: BodyMotion, where: SceneModel, depth: tuple[MetricDepth, BackgroundImage] | None = None, **options: float
 ) -> tuple[KeyframedMotion, StageContext]:
     """The stage on one person, with options of its configuration."""
     ctx = StageContext(Path())
     config = replace(KeyframesConfig(iterations=120), **options)
-    metric, plate = depth or no_depth(raw)
-    return optimize_keyframes(where, replace(metric, bodies=BodyTracks((raw,))), plate, config, ctx), ctx
+    metric, background = depth or no_depth(raw)
+    return optimize_keyframes(where, replace(metric, bodies=BodyTracks((raw,))), background, config, ctx), ctx
 
 
 def quality(ctx: StageContext, name: str) -> float:

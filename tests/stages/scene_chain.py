@@ -16,7 +16,7 @@ from stages.metric import MetricConfig, fit_metric
 from stages.place import PlaceConfig, place_objects
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
 from stages.scene import SceneConfig, build_scene
-from stages.segment import SegmentConfig, segment_plate
+from stages.segment import SegmentConfig, segment_background
 from video2anim.geometry.projection import invert_rigid
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
@@ -52,16 +52,16 @@ def T_room_world(room: Room, chain: Chain) -> np.ndarray:
 
 def depth_of(room: Room, ctx: StageContext) -> DepthClip:
     """The geometric provider never reads the clip's video."""
-    return estimate_depth(room.clip, room.plate, room.bodies, room.camera, DepthConfig(provider="geometric"), ctx)
+    return estimate_depth(room.clip, room.background, room.bodies, room.camera, DepthConfig(provider="geometric"), ctx)
 
 
 def masks_of(room: Room, depth: DepthClip, config: SegmentConfig, ctx: StageContext) -> InstanceMasks:
     """Stage segment."""
-    return segment_plate(room.clip, room.plate, depth, room.bodies, room.camera, config, ctx)
+    return segment_background(room.clip, room.background, depth, room.bodies, room.camera, config, ctx)
 
 
 def unfilmed(room: Room) -> VideoClip:
-    """The room's clip as of a camera that moves: it has no video in which somebody could move things."""
+    """The room's clip as of a camera that moves: it has no video in which somebody could move objects."""
     return replace(room.clip, camera_is_static=False)
 
 
@@ -71,11 +71,11 @@ def run_chain(room: Room) -> Chain:
     ctx = StageContext(Path())
     depth = depth_of(room, ctx)
     masks = masks_of(room, depth, SegmentConfig(provider="geometric", finder="none"), ctx)
-    metric = fit_metric(room.clip, depth, room.plate, room.bodies, masks, room.camera, MetricConfig(), ctx)
-    completed = complete_objects(room.plate, masks, metric, CompleteConfig(), ctx)
-    meshes = reconstruct_objects(completed, masks, metric, room.plate, ReconstructConfig(), ctx)
+    metric = fit_metric(room.clip, depth, room.background, room.bodies, masks, room.camera, MetricConfig(), ctx)
+    completed = complete_objects(room.background, masks, metric, CompleteConfig(), ctx)
+    meshes = reconstruct_objects(completed, masks, metric, room.background, ReconstructConfig(), ctx)
     placed = place_objects(meshes, masks, metric, PlaceConfig(), ctx)
-    scene = build_scene(unfilmed(room), placed, metric, depth, masks, room.plate, SceneConfig(), ctx)
+    scene = build_scene(unfilmed(room), placed, metric, depth, masks, room.background, SceneConfig(), ctx)
     return Chain(depth, masks, metric, completed, meshes, placed, scene, ctx)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from video2anim.body.anny_body import shaped_body
 from video2anim.geometry.projection import invert_rigid, pixel_rays, project, transform_points
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyMotion,
     BodyShape,
     BodyTracks,
@@ -32,7 +32,7 @@ BOX_CENTER_M = np.array([1.1, 0.45, -4.4])
 BOX_SIZE_M = np.array([0.9, 0.9, 0.6])
 BOX_YAW_RAD = 0.0
 FLOOR, WALL, BOX = 1, 2, 3
-SURE = PersonQuality(2.5, 0.01, 50.0, 0.1, 0.04, 1.0, 1.55, 0.0, stature_sigma_m=0.01)
+SURE = PersonQuality(2.5, 0.01, 50.0, 0.1, 0.04, 1.0, 1.55, 0.0, body_height_sigma_m=0.01)
 """A person whose height is known."""
 
 
@@ -42,11 +42,11 @@ class Room:
 
     clip: VideoClip
     """There is no file behind it: no stage after depth reads pictures."""
-    plate: BackgroundPlate
+    background: BackgroundImage
     bodies: BodyTracks
     camera: CameraEstimate
     depth_m: np.ndarray
-    """True z-depth of the plate at the working resolution."""
+    """True z-depth of the background image at the working resolution."""
     surface: np.ndarray
     """FLOOR, WALL or BOX at the working resolution."""
     surface_full: np.ndarray
@@ -168,18 +168,18 @@ def make_room(
     """The room as seen by one camera; arguments shape the camera and the contents."""
     motion = walking_body(frames, height_m, pitch_deg, roll_deg, focal_px)
     T_world_camera = motion.T_world_camera[0]
-    plate_rgb, _, surface_full = render(T_world_camera, motion.intrinsics, with_box=with_box)
+    background_rgb, _, surface_full = render(T_world_camera, motion.intrinsics, with_box=with_box)
     intrinsics = motion.intrinsics.resized(*small)
     _, depth_m, surface = render(T_world_camera, intrinsics, with_box=with_box)
     index = np.arange(0, frames, step)
     masks = np.stack([body_mask(motion, int(f), intrinsics) for f in index])
-    plate = BackgroundPlate(plate_rgb, 1 - masks.mean(0), index, masks, masks)
+    background = BackgroundImage(background_rgb, 1 - masks.mean(0), index, masks, masks)
     up_camera = T_world_camera[1, :3].copy()
     camera = CameraEstimate(
         motion.intrinsics, "user", 0.01, up_camera, "user", 0.01, True, np.tile(np.eye(3), (frames, 1, 1)),
         (UpEvidence("picture", up_camera, 0.01),),
     )  # fmt: skip
-    return Room(clip_of(motion), plate, BodyTracks((motion,), (SURE,)), camera, depth_m, surface, surface_full)
+    return Room(clip_of(motion), background, BodyTracks((motion,), (SURE,)), camera, depth_m, surface, surface_full)
 
 
 def clip_of(motion: BodyMotion) -> VideoClip:
@@ -193,7 +193,7 @@ def clip_of(motion: BodyMotion) -> VideoClip:
 
 
 def true_depth(room: Room, depth_m: np.ndarray | None = None, bodies: BodyTracks | None = None) -> MetricDepth:
-    """Depth without error of the plate alone, or another one; 0 and what is beyond 50 m is unknown."""
+    """Depth without error of the background image alone, or another one; 0 and what is beyond 50 m is unknown."""
     depth_m = room.depth_m if depth_m is None else depth_m
     none = np.zeros((0, *depth_m.shape))
     return MetricDepth(

@@ -1,4 +1,4 @@
-"""The plate recovers a known background; masks recover known people."""
+"""The background image recovers a known background; masks recover known people."""
 
 from __future__ import annotations
 
@@ -112,8 +112,8 @@ def test_plate_and_masks_of_one_walker(tmp_path: Path, with_mask: bool) -> None:
     tracks = PersonTracks((track_of(lefts, 1, with_mask=with_mask),), (1,), 1)
     ctx = StageContext(tmp_path)
     found = make_background(clip, tracks, BackgroundConfig(), ctx)
-    assert np.abs(found.plate_rgb.astype(int) - wall).mean() < 2.0
-    assert np.percentile(np.abs(found.plate_rgb.astype(int) - wall), 99) < 8
+    assert np.abs(found.background_rgb.astype(int) - wall).mean() < 2.0
+    assert np.percentile(np.abs(found.background_rgb.astype(int) - wall), 99) < 8
     assert found.frame_index.tolist() == [0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 47]
     assert found.person_mask.shape == found.selected_mask.shape == (11, HEIGHT, WIDTH)
     assert iou(found.person_mask, truth[0][found.frame_index]) > MASK_IOU
@@ -130,7 +130,7 @@ def test_other_people_leave_the_plate_but_are_not_selected(tmp_path: Path) -> No
     tracks = PersonTracks((track_of(main, 4), track_of(other, 7)), (7, 4), 1)
     found = make_background(clip, tracks, BackgroundConfig(), StageContext(tmp_path))
     index = found.frame_index
-    assert np.abs(found.plate_rgb.astype(int) - wall).mean() < 2.0
+    assert np.abs(found.background_rgb.astype(int) - wall).mean() < 2.0
     assert iou(found.selected_mask, truth[1][index]) > MASK_IOU
     assert iou(found.person_mask, truth[0][index] | truth[1][index]) > MASK_IOU
     assert not np.any(found.selected_mask & ~found.person_mask)
@@ -147,7 +147,7 @@ def test_a_person_who_never_moves_leaves_a_hole_that_is_marked(tmp_path: Path) -
     assert np.mean(found.seen_ratio[~hidden] == 1) > 0.9
     assert iou(found.person_mask[0], hidden) > 0.8
     # Painted from the surroundings: no red person left.
-    red = np.abs(found.plate_rgb.astype(int) - (210, 40, 40)).max(axis=-1) < 40
+    red = np.abs(found.background_rgb.astype(int) - (210, 40, 40)).max(axis=-1) < 40
     assert red[hidden].mean() < 0.02
     assert any("never seen" in text for text in ctx.warnings)
 
@@ -169,7 +169,7 @@ def test_nobody(tmp_path: Path) -> None:
     found = make_background(clip, PersonTracks((), (), 1), BackgroundConfig(), StageContext(tmp_path))
     assert not found.person_mask.any()
     assert np.all(found.seen_ratio == 1)
-    assert np.abs(found.plate_rgb.astype(int) - wall).mean() < 2.0
+    assert np.abs(found.background_rgb.astype(int) - wall).mean() < 2.0
 
 
 def test_moving_camera_is_aligned_to_the_first_frame(tmp_path: Path) -> None:
@@ -180,7 +180,7 @@ def test_moving_camera_is_aligned_to_the_first_frame(tmp_path: Path) -> None:
     found = make_background(clip, PersonTracks((track_of(lefts, 1),), (1,), 1), BackgroundConfig(), ctx)
     seen = found.seen_ratio > 0.2
     assert seen.mean() > 0.9
-    assert np.abs(found.plate_rgb.astype(int) - wall[:, :WIDTH])[seen].mean() < 3.0
+    assert np.abs(found.background_rgb.astype(int) - wall[:, :WIDTH])[seen].mean() < 3.0
     assert iou(found.person_mask, truth[0][found.frame_index]) > MASK_IOU
     assert any("camera moves" in text for text in ctx.warnings)
 
@@ -194,9 +194,9 @@ def test_work_is_done_at_reduced_size_and_in_few_samples(tmp_path: Path) -> None
     found = make_background(clip, tracks, BackgroundConfig(frame_step=2, max_samples=9, long_side_px=96), ctx)
     assert found.person_mask.shape == (25, 60, 96)
     assert found.seen_ratio.shape == (60, 96)
-    assert found.plate_rgb.shape == (HEIGHT, WIDTH, 3)
+    assert found.background_rgb.shape == (HEIGHT, WIDTH, 3)
     assert next(q.value for q in ctx.qualities if q.name == "plate_samples") == 9
-    assert np.abs(found.plate_rgb.astype(int) - wall).mean() < 3.0
+    assert np.abs(found.background_rgb.astype(int) - wall).mean() < 3.0
 
 
 @pytest.mark.parametrize("options", [{"frame_step": 0}, {"max_samples": 256}, {"long_side_px": 1}])
@@ -206,7 +206,7 @@ def test_config_is_checked(options: dict[str, int]) -> None:
 
 
 def test_a_networks_word_decides_where_nothing_else_does() -> None:
-    """Without a plate to compare with, an undecided figure ends where a network sees people end."""
+    """Without a background image to compare with, an undecided figure ends where a network sees people end."""
     undecided = np.full((40, 60), 0.01, np.float32)
     undecided[10:30, 10:50] = 0.5
     named = np.zeros((40, 60), bool)

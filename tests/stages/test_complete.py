@@ -63,7 +63,7 @@ def test_stage_completes_behind_a_nearer_object() -> None:
     front = ObjectInstance(2, "object", 1.0, np.zeros(4), bite)
     back = ObjectInstance(1, "object", 1.0, np.zeros(4), whole & ~bite)
     masks = InstanceMasks("test", (back, front), chain.masks.floor_mask)
-    found = complete_objects(room.plate, masks, chain.metric, CompleteConfig(), StageContext(Path()))
+    found = complete_objects(room.background, masks, chain.metric, CompleteConfig(), StageContext(Path()))
     completed = found.objects[0]
     assert completed.object_id == 1
     assert completed.completed_ratio > 0

@@ -42,7 +42,7 @@ def completed(
 ) -> CompletedObjects:
     room = make_room()
     ctx = ctx or context()
-    return complete_objects(room.plate, masks, run_chain(room).metric, CompleteConfig(model=model, **options), ctx)
+    return complete_objects(room.background, masks, run_chain(room).metric, CompleteConfig(model=model, **options), ctx)
 
 
 def context() -> StageContext:
@@ -56,8 +56,8 @@ def net(tmp_path: Path, logits: np.ndarray = YES, color: np.ndarray = GREEN) -> 
 def test_the_network_says_outline_and_colors(tmp_path: Path) -> None:
     masks, bite = bitten(0.3)
     ctx = context()
-    back, front = completed(masks, net(tmp_path), ctx, largest_completed_ratio=0.9).objects
-    own = completed(masks, largest_completed_ratio=0.9).objects[0]
+    back, front = completed(masks, net(tmp_path), ctx, max_completed_ratio=0.9).objects
+    own = completed(masks, max_completed_ratio=0.9).objects[0]
     seen = masks.instances[0].mask
     assert (back.amodal_mask[seen]).all()
     assert back.completed_ratio == pytest.approx(1 - seen.sum() / back.amodal_mask.sum())
@@ -68,19 +68,19 @@ def test_the_network_says_outline_and_colors(tmp_path: Path) -> None:
     added = (back.amodal_mask & ~seen)[window]
     assert added.sum() > 100
     assert (back.image_rgb[added] == (0, 204, 51)).all()
-    np.testing.assert_array_equal(back.image_rgb[seen[window]], make_room().plate.plate_rgb[seen])
+    np.testing.assert_array_equal(back.image_rgb[seen[window]], make_room().background.background_rgb[seen])
     assert (back.image_rgb[~back.amodal_mask[window]] == 127).all()
     assert ctx.warnings == []
     np.testing.assert_array_equal(front.amodal_mask & bite, bite)
 
 
 def unseen() -> np.ndarray:
-    """Pixels of the plate that were hardly ever free of people, and those beside them."""
+    """Pixels of the background image that were hardly ever free of people, and those beside them."""
     import cv2
 
-    plate = make_room().plate
-    height, width = plate.plate_rgb.shape[:2]
-    return cv2.resize(plate.seen_ratio.astype(np.float32), (width, height)) < 0.02
+    background = make_room().background
+    height, width = background.background_rgb.shape[:2]
+    return cv2.resize(background.seen_ratio.astype(np.float32), (width, height)) < 0.02
 
 
 def test_too_much_of_it_is_kept_out_as_before(tmp_path: Path) -> None:

@@ -13,14 +13,14 @@ from synthetic_room import BOX, FLOOR, WALL, Room, camera_pose, make_room
 from stages.depth import DepthConfig, estimate_depth
 from video2anim.depth.test_time_views import jittered_disparity, reliable
 from video2anim.errors import StageError
-from video2anim.geometry.column_layers import background_distance, foot_line
+from video2anim.geometry.column_layers import background_distance, ground_contact_distance
 from video2anim.geometry.gravity_view import GravityView
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyTracks, Intrinsics
 
 
 def _scale_free_error(room: Room, surface: int) -> float:
-    """Mean relative error of plate depth on a surface, after one scale for the whole picture."""
+    """Mean relative error of background image depth on a surface, after one scale for the whole picture."""
     depth = depth_of(room, StageContext(Path()))
     good = depth.background_valid
     scale = np.median(room.depth_m[good] / depth.background_value[good])
@@ -44,7 +44,7 @@ def test_person_is_a_figure_at_the_foot_contact() -> None:
     body = room.bodies.people[0]
     scale = np.median((room.depth_m / depth.background_value)[depth.background_valid & (room.surface == FLOOR)])
     for sample, frame in enumerate(depth.frame_index):
-        mask = room.plate.selected_mask[sample]
+        mask = room.background.selected_mask[sample]
         assert depth.valid[sample][mask].all()
         found = scale * np.median(depth.value[sample][mask])
         assert found == pytest.approx(np.median(body.joints_camera_m[frame, :, 2]), abs=0.3)
@@ -57,7 +57,9 @@ def test_airborne_person_is_invalid_and_sigma_is_positive() -> None:
     contact[20:] = 0.0
     jumping = replace(room, bodies=BodyTracks((replace(body, contact=contact),)))
     depth = depth_of(jumping, StageContext(Path()))
-    on_person = np.array([(depth.valid & room.plate.selected_mask)[s].any() for s in range(len(depth.frame_index))])
+    on_person = np.array(
+        [(depth.valid & room.background.selected_mask)[s].any() for s in range(len(depth.frame_index))]
+    )
     assert (on_person == (depth.frame_index < 20)).all()
     assert (depth.sigma > 0).all()
 
@@ -76,7 +78,7 @@ def test_no_body_is_an_error() -> None:
     room = make_room()
     config = DepthConfig(provider="geometric")
     with pytest.raises(StageError, match="want at least one fitted body"):
-        estimate_depth(None, room.plate, BodyTracks((), ()), room.camera, config, StageContext(Path()))  # type: ignore[arg-type]
+        estimate_depth(None, room.background, BodyTracks((), ()), room.camera, config, StageContext(Path()))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("roll_deg", [0.0, 25.0])
@@ -116,7 +118,7 @@ def test_straight_foot_line_ignores_outliers() -> None:
     truth = 4.0 / np.cos(azimuth - 0.2)
     seen = truth.copy()
     seen[::9] *= 0.85
-    assert np.allclose(foot_line(seen, azimuth, azimuth), truth, rtol=0.02)
+    assert np.allclose(ground_contact_distance(seen, azimuth, azimuth), truth, rtol=0.02)
 
 
 def test_hue_jitter_measures_color_dependence_only() -> None:

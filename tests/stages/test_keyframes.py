@@ -83,10 +83,10 @@ def test_a_body_is_pushed_out_of_an_object() -> None:
 
 def test_depth_pulls_the_body_along_the_camera_axis() -> None:
     truth = walk()
-    depth, plate = depth_of(truth, np.arange(0, FRAMES, 6))
+    depth, background = depth_of(truth, np.arange(0, FRAMES, 6))
     contact = np.zeros_like(truth.contact)
     raw = replace(along_sight(truth, -0.10), contact=contact)
-    done, ctx = optimize(raw, scene(), (depth, plate), weight_regularization=1.0)
+    done, ctx = optimize(raw, scene(), (depth, background), weight_regularization=1.0)
     assert off_m(done.people[0], truth).mean() < 0.04
     assert quality(ctx, "depth chamfer after") < quality(ctx, "depth chamfer before")
 

@@ -28,7 +28,7 @@ def metric_of(
     """Stages segment (unless there are masks) and metric."""
     ctx = ctx or StageContext(Path())
     masks = masks or masks_of(room, depth, SegmentConfig(provider="geometric", finder="none"), ctx)
-    return fit_metric(room.clip, depth, room.plate, room.bodies, masks, room.camera, MetricConfig(), ctx)
+    return fit_metric(room.clip, depth, room.background, room.bodies, masks, room.camera, MetricConfig(), ctx)
 
 
 def floor_ratio(room: Room, found: MetricDepth) -> float:
@@ -81,7 +81,7 @@ def test_depth_behind_the_camera_is_not_a_number_but_never_leaves() -> None:
 def test_without_person_depth_the_floor_gives_the_scale() -> None:
     room = make_room()
     depth = depth_of(room, StageContext(Path()))
-    found = metric_of(room, replace(depth, valid=depth.valid & ~room.plate.selected_mask))
+    found = metric_of(room, replace(depth, valid=depth.valid & ~room.background.selected_mask))
     assert found.trusted, found.reason
     assert found.chamfer_after_m is None
     assert floor_ratio(room, found) == pytest.approx(1.0, abs=0.02)
@@ -164,7 +164,7 @@ def test_a_person_whose_depth_is_noise_does_not_flatten_the_scene() -> None:
     plain = depth_of(room, StageContext(Path()))
     rng = np.random.default_rng(0)
     disparity = 1 / np.maximum(plain.value, 0.1)
-    noise = np.where(room.plate.person_mask, rng.normal(0, 1.0, (len(disparity), 1, 1)), 0.0)
+    noise = np.where(room.background.person_mask, rng.normal(0, 1.0, (len(disparity), 1, 1)), 0.0)
     usual = USUAL_OFFSET["room-depth"][0]
     background = 1 / np.maximum(plain.background_value, 0.1)
     shift = usual / (1 + usual) * float(np.median(background))

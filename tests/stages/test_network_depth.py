@@ -15,14 +15,14 @@ from synthetic_room import BOX, FLOOR, WALL, Room, make_room
 import video2anim.video
 from stages.depth import DepthConfig, estimate_depth
 from stages.metric import MetricConfig, fit_metric
-from stages.segment import SegmentConfig, segment_plate
+from stages.segment import SegmentConfig, segment_background
 from video2anim.geometry.projection import backproject, transform_points
 from video2anim.networks.segmentation import CLASSES, SeenInstance, Segmentation
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import DepthClip, InstanceMasks, MetricDepth
 
 PLATE = 255
-"""Red value of the plate's first pixel; a frame has its sample's number there."""
+"""Red value of the background image's first pixel; a frame has its sample's number there."""
 
 
 class TrueUpToALine:
@@ -39,9 +39,9 @@ class TrueUpToALine:
         room, number = self._room, int(image_rgb[0, 0, 0])
         depth_m = room.depth_m.copy()
         if number != PLATE:
-            frame = int(room.plate.frame_index[number])
+            frame = int(room.background.frame_index[number])
             joints = room.bodies.people[0].joints_camera_m[frame, :, 2]
-            depth_m[room.plate.selected_mask[number]] = np.median(joints)
+            depth_m[room.background.selected_mask[number]] = np.median(joints)
         scale, offset = (self._rng.uniform(0.6, 1.5), self._rng.uniform(-0.2, 0.3)) if self._moody else (1.0, 0.0)
         disparity = scale / depth_m + offset
         return cv2.resize(disparity, image_rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST)
@@ -68,14 +68,14 @@ class TrueClasses:
 def room(monkeypatch: pytest.MonkeyPatch) -> Room:
     """A room whose pictures name themselves by their first pixel."""
     made = make_room()
-    plate_rgb = made.plate.plate_rgb.copy()
-    plate_rgb[:24, :24, 0] = PLATE
-    made = replace(made, plate=replace(made.plate, plate_rgb=plate_rgb))
+    background_rgb = made.background.background_rgb.copy()
+    background_rgb[:24, :24, 0] = PLATE
+    made = replace(made, background=replace(made.background, background_rgb=background_rgb))
 
     def frames(clip: Any, start: int, end: int) -> Iterator[np.ndarray]:
-        samples = {int(frame): sample for sample, frame in enumerate(made.plate.frame_index)}
+        samples = {int(frame): sample for sample, frame in enumerate(made.background.frame_index)}
         for frame in range(start, end):
-            picture = made.plate.plate_rgb.copy()
+            picture = made.background.background_rgb.copy()
             picture[:24, :24, 0] = samples.get(frame, 0)
             yield picture
 
@@ -90,7 +90,7 @@ def _context(room: Room, moody: bool = True) -> StageContext:
 
 def _depth(room: Room, ctx: StageContext) -> DepthClip:
     config = DepthConfig(provider="fake", hue_shifts_rad=(), frame_hue_shifts_rad=())
-    return estimate_depth(room.clip, room.plate, room.bodies, room.camera, config, ctx)
+    return estimate_depth(room.clip, room.background, room.bodies, room.camera, config, ctx)
 
 
 def _stages(
@@ -99,8 +99,10 @@ def _stages(
     """Segment and metric."""
     depth = depth or _depth(room, ctx)
     segment = SegmentConfig(provider="floor", finder="none")
-    masks = segment_plate(room.clip, room.plate, depth, room.bodies, room.camera, segment, ctx)
-    metric = fit_metric(room.clip, depth, room.plate, room.bodies, masks, room.camera, config or MetricConfig(), ctx)
+    masks = segment_background(room.clip, room.background, depth, room.bodies, room.camera, segment, ctx)
+    metric = fit_metric(
+        room.clip, depth, room.background, room.bodies, masks, room.camera, config or MetricConfig(), ctx
+    )
     return masks, metric
 
 
@@ -112,7 +114,7 @@ def test_the_background_of_a_still_camera_is_the_plates(room: Room) -> None:
     ctx = _context(room)
     depth = _depth(room, ctx)
     assert depth.kind == "disparity"
-    for sample, people in enumerate(room.plate.person_mask):
+    for sample, people in enumerate(room.background.person_mask):
         np.testing.assert_array_equal(depth.value[sample][~people], depth.background_value[~people])
     assert _quality(ctx, "flicker_before") > 0.02
     assert _quality(ctx, "flicker_after") == 0
@@ -120,7 +122,7 @@ def test_the_background_of_a_still_camera_is_the_plates(room: Room) -> None:
 
 def test_people_come_from_their_own_picture_in_the_plates_units(room: Room) -> None:
     steady, moody = _depth(room, _context(room, moody=False)), _depth(room, _context(room))
-    for sample, people in enumerate(room.plate.person_mask):
+    for sample, people in enumerate(room.background.person_mask):
         at = people & moody.valid[sample]
         assert at.any()
         line = np.polyfit(steady.background_value.ravel(), moody.background_value.ravel(), 1)
@@ -133,21 +135,22 @@ def test_a_moving_camera_keeps_every_pictures_own_answer(room: Room) -> None:
     depth = _depth(still, ctx)
     assert not any(q.name.startswith("flicker") for q in ctx.qualities)
     assert (
-        np.ptp([value[~people].mean() for value, people in zip(depth.value, room.plate.person_mask, strict=True)]) > 0
+        np.ptp([value[~people].mean() for value, people in zip(depth.value, room.background.person_mask, strict=True)])
+        > 0
     )
 
 
 def _seen_nearer(room: Room, depth: DepthClip, right: MetricDepth, factor: float) -> DepthClip:
-    """The network sees people at `factor` times their distance, in the plate's units."""
+    """The network sees people at `factor` times their distance, in the background image's units."""
     value = depth.value.copy()
-    for sample, people in enumerate(room.plate.person_mask):
+    for sample, people in enumerate(room.background.person_mask):
         line = right.scale * value[sample][people] + right.offset_m
         value[sample][people] = (line / factor - right.offset_m) / right.scale
     return replace(depth, value=value)
 
 
 def _off(room: Room, metric: MetricDepth) -> np.ndarray:
-    """Errors of the plate's depth as shares of it."""
+    """Errors of the background image's depth as shares of it."""
     known = metric.background_valid & (room.depth_m < 8)
     return np.abs(metric.background_depth_m / room.depth_m - 1)[known]
 
@@ -162,20 +165,20 @@ def test_people_are_where_their_bodies_are_though_the_network_sees_them_elsewher
     told = [_quality(one, "person over their depth") for one in (ctx, right_ctx)]
     # Network and floor are believed both: a quarter of the difference is the floor's.
     assert told[0] / told[1] == pytest.approx(1 / factor, abs=0.05)
-    people = room.plate.person_mask & metric.valid & right.valid
+    people = room.background.person_mask & metric.valid & right.valid
     assert np.median(metric.depth_m[people] / right.depth_m[people]) == pytest.approx(1.0, abs=0.03)
     assert np.median(_off(room, metric)) < 0.03
 
 
 def test_with_a_moving_camera_only_people_are_moved_to_their_bodies(room: Room) -> None:
-    """No pixel of its frames equals the plate's, so equality tells nobody apart; the masks do."""
+    """No pixel of its frames equals the background image's, so equality tells nobody apart; the masks do."""
     depth = _depth(room, _context(room, moody=False))
     _, right = _stages(room, _context(room), depth)
     ctx = _context(room)
     bent = _seen_nearer(room, replace(depth, value=depth.value * np.float32(1.0001)), right, 1.15)
     _, metric = _stages(room, ctx, bent)
     assert _quality(ctx, "person over their depth") < 0.95
-    people, known = room.plate.person_mask, metric.background_valid & (room.depth_m < 8) & (room.surface == FLOOR)
+    people, known = room.background.person_mask, metric.background_valid & (room.depth_m < 8) & (room.surface == FLOOR)
     others = np.broadcast_to(known, people.shape) & ~people
     assert np.median((metric.depth_m / metric.background_depth_m)[others]) == pytest.approx(1.0, abs=0.005)
     there = people & metric.valid & right.valid
@@ -211,10 +214,10 @@ def test_what_only_seems_a_floor_does_not_outweigh_the_body(room: Room) -> None:
     ctx = StageContext(Path(), load_model={"fake": TrueUpToALine(room, moody=False), "floor": Walls(room)}.__getitem__)
     depth = _depth(room, ctx)
     wall = InstanceMasks("walls", (), room.surface_full == WALL)
-    metric = fit_metric(room.clip, depth, room.plate, room.bodies, wall, room.camera, MetricConfig(), ctx)
-    people = room.plate.person_mask & metric.valid
-    middle_m = metric.bodies.people[0].joints_camera_m[room.plate.frame_index].mean(1)[:, 2]
-    off = [np.median(d[p]) / m for d, p, m in zip(metric.depth_m, people, middle_m, strict=True) if p.any()]
+    metric = fit_metric(room.clip, depth, room.background, room.bodies, wall, room.camera, MetricConfig(), ctx)
+    people = room.background.person_mask & metric.valid
+    center_m = metric.bodies.people[0].joints_camera_m[room.background.frame_index].mean(1)[:, 2]
+    off = [np.median(d[p]) / m for d, p, m in zip(metric.depth_m, people, center_m, strict=True) if p.any()]
     assert np.median(off) == pytest.approx(1.0, abs=0.05)
     assert metric.bodies.people[0].T_world_camera[0, 1, 3] == pytest.approx(1.6, rel=0.05)
     masks, _ = _stages(room, ctx, depth)
@@ -222,7 +225,7 @@ def test_what_only_seems_a_floor_does_not_outweigh_the_body(room: Room) -> None:
 
 
 @pytest.mark.parametrize(("limit", "words"), [
-    ({"largest_chamfer_ratio": 0.001}, "body and depth stay"), ({"largest_sigma_ratio": 0.001}, "known to"),
+    ({"max_chamfer_ratio": 0.001}, "body and depth stay"), ({"max_sigma_ratio": 0.001}, "known to"),
 ])  # fmt: skip
 def test_beyond_its_limits_the_scale_is_not_trusted(room: Room, limit: dict[str, float], words: str) -> None:
     ctx = _context(room)

@@ -35,8 +35,8 @@ def test_box_is_placed(pitch_deg: float, roll_deg: float) -> None:
 
 
 @pytest.mark.parametrize("fitted", [True, False])
-@pytest.mark.parametrize("least_points", [30, 10**6])
-def test_a_raised_object_keeps_its_height(least_points: int, fitted: bool) -> None:
+@pytest.mark.parametrize("min_points", [30, 10**6])
+def test_a_raised_object_keeps_its_height(min_points: int, fitted: bool) -> None:
     """A fitted form, a mesh of the user, or one at its first guess for want of points; nothing is under it on which it
     could be put down."""
     chain, found = box_of_the_chain()
@@ -44,7 +44,7 @@ def test_a_raised_object_keeps_its_height(least_points: int, fitted: bool) -> No
     raised[1, 3] = 0.7
     (placed,) = place_again(
         chain, replace(found, T_world_object=raised, chamfer_m=found.chamfer_m if fitted else None),
-        PlaceConfig(least_points=least_points),
+        PlaceConfig(min_points=min_points),
     )  # fmt: skip
     assert placed.T_world_object[1, 3] == 0.7
 

@@ -38,17 +38,17 @@ def reconstruct(
     ctx: StageContext | None = None,
     label: str = "object",
 ) -> ObjectMeshes:
-    """The stage on things whose outlines are known and not hidden."""
+    """The stage on objects whose outlines are known and not hidden."""
     instances, completed = [], []
     for number, mask in enumerate(masks, 1):
         instances.append(ObjectInstance(number, label, 1.0, np.zeros(4), mask))
-        crop, corner = object_picture(room.plate.plate_rgb, mask, mask)
+        crop, corner = object_picture(room.background.background_rgb, mask, mask)
         completed.append(CompletedObject(number, label, mask, crop, corner, 0.0))
     return reconstruct_objects(
         CompletedObjects(tuple(completed)),
         InstanceMasks("truth", tuple(instances), room.surface_full == FLOOR if floor is None else floor),
         true_depth(room, depth_m),
-        room.plate,
+        room.background,
         config or ReconstructConfig(),
         ctx or StageContext(Path()),
     )
@@ -71,7 +71,7 @@ def checked(found: ObjectMesh) -> trimesh.Trimesh:
 
 
 def level_room() -> Room:
-    """A level camera one metre above the floor."""
+    """A level camera one meter above the floor."""
     room = make_room()
     body = room.bodies.people[0]
     level = replace(body, T_world_camera=np.tile(camera_pose(1.0, 0.0), (body.frame_count, 1, 1)))
@@ -124,9 +124,9 @@ def test_true_outline_and_depth_give_the_true_box(pitch_deg: float, roll_deg: fl
     size_m = mesh.extents if abs(np.cos(yaw)) > 0.5 else mesh.extents[[2, 1, 0]]
     np.testing.assert_allclose(size_m[:2], BOX_SIZE_M[:2], atol=0.06)
     assert size_m[2] == pytest.approx(BOX_SIZE_M[2], abs=0.22)
-    middle_m = transform_points(found.T_world_object, np.array([[0.0, 0.5 * mesh.extents[1], 0.0]]))[0]
-    np.testing.assert_allclose(middle_m[:2], BOX_CENTER_M[:2], atol=0.05)
-    assert middle_m[2] == pytest.approx(BOX_CENTER_M[2], abs=0.12)
+    center_m = transform_points(found.T_world_object, np.array([[0.0, 0.5 * mesh.extents[1], 0.0]]))[0]
+    np.testing.assert_allclose(center_m[:2], BOX_CENTER_M[:2], atol=0.05)
+    assert center_m[2] == pytest.approx(BOX_CENTER_M[2], abs=0.12)
     rgb = found.mesh.vertex_rgb.astype(int)
     assert (rgb[:, 2] > rgb[:, 0] + 20).mean() > 0.95
 
@@ -169,8 +169,8 @@ def test_a_window_in_the_mask_does_not_stretch_an_object_to_the_wall() -> None:
     room = level_room()
     mask, depth_m = facing_plane(room, wall_z_m=7.0)
     rows, columns = (np.flatnonzero((depth_m == 4.0).any(axis)) for axis in (1, 0))
-    middle, width = (columns[0] + columns[-1]) // 2, len(columns) // 6
-    depth_m[rows[0] + 2 : rows[-1] - 1, middle - width : middle + width] = 7.0
+    center, width = (columns[0] + columns[-1]) // 2, len(columns) // 6
+    depth_m[rows[0] + 2 : rows[-1] - 1, center - width : center + width] = 7.0
     (found,) = reconstruct(room, [mask], depth_m=depth_m, floor=np.zeros_like(mask)).objects
     world_m = transform_points(found.T_world_object, checked(found).vertices)
     assert np.ptp(world_m[:, 0]) == pytest.approx(1.2, abs=0.15)
@@ -197,19 +197,19 @@ def test_forms_have_few_faces_all_in_parts_and_in_the_texture(label: str) -> Non
     assert texture.corner_uv.shape == (len(found.mesh.faces), 3, 2)
     assert sum(part.face_count for part in found.parts) == len(found.mesh.faces)
     told = {quality.name: quality.value for quality in ctx.qualities}
-    assert told["most_faces"] == len(found.mesh.faces)
+    assert told["max_faces"] == len(found.mesh.faces)
 
 
 def painted(mask: np.ndarray, rim_px: int) -> Room:
-    """A thing of one color in a room of another; its outermost pixels have a third one."""
+    """An object of one color in a room of another; its outermost pixels have a third one."""
     room = level_room()
     rows, columns = np.nonzero(mask)
-    picture = np.full_like(room.plate.plate_rgb, ROOM_RGB)
+    picture = np.full_like(room.background.background_rgb, ROOM_RGB)
     picture[mask] = RIM_RGB
     inside = np.zeros_like(mask)
     inside[rows.min() + rim_px : rows.max() + 1 - rim_px, columns.min() + rim_px : columns.max() + 1 - rim_px] = True
     picture[inside] = THING_RGB
-    return replace(room, plate=replace(room.plate, plate_rgb=picture))
+    return replace(room, background=replace(room.background, background_rgb=picture))
 
 
 def test_colors_come_from_the_picture() -> None:

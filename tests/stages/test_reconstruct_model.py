@@ -83,7 +83,7 @@ def test_options_reach_the_network(tmp_path: Path) -> None:
     folder = triposr_folder(tmp_path)
     (coarse,) = reconstruct(replace(with_model(folder), model_resolution=16))
     (fine,) = reconstruct(replace(with_model(folder), model_resolution=64))
-    (limited,) = reconstruct(replace(with_model(folder), model_resolution=64, most_faces=500))
+    (limited,) = reconstruct(replace(with_model(folder), model_resolution=64, max_faces=500))
     assert len(coarse.mesh.faces) < 0.2 * len(fine.mesh.faces)
     assert 250 < len(limited.mesh.faces) <= 500 < len(fine.mesh.faces)
 

@@ -58,13 +58,13 @@ def true_masks(room: Room, objects: int) -> InstanceMasks:
 def reconstruct(config: ReconstructConfig, ctx: StageContext | None = None, objects: int = 1) -> list[ObjectMesh]:
     room = make_room()
     masks = true_masks(room, objects)
-    crop, corner = object_picture(room.plate.plate_rgb, masks.instances[0].mask, masks.instances[0].mask)
+    crop, corner = object_picture(room.background.background_rgb, masks.instances[0].mask, masks.instances[0].mask)
     completed = tuple(CompletedObject(i.object_id, i.label, i.mask, crop, corner) for i in masks.instances)
     made = reconstruct_objects(
         CompletedObjects(completed),
         masks,
         true_depth(room),
-        room.plate,
+        room.background,
         config,
         ctx or StageContext(Path()),
     )
@@ -130,7 +130,7 @@ def test_a_users_mesh_takes_the_place_and_the_height_of_the_object(tmp_path: Pat
 
 @pytest.mark.parametrize(("height_m", "kept"), [(0.72, True), (0.9, True), (1.1, True), (0.6, False), (1.4, False)])
 def test_a_mesh_of_nearly_the_right_size_keeps_it(tmp_path: Path, height_m: float, kept: bool) -> None:
-    """Who brings a mesh in metres knows better than the video, unless it is far off."""
+    """Who brings a mesh in meters knows better than the video, unless it is far off."""
     (found,) = reconstruct(folder_with(tmp_path, "1.ply", chair(height_m)))
     assert extents(found)[1] == pytest.approx(height_m if kept else BOX_SIZE_M[1], abs=1e-4 if kept else 0.06)
     expect_own_frame(found)
@@ -141,8 +141,8 @@ def test_its_front_faces_the_camera(tmp_path: Path) -> None:
     (found,) = reconstruct(folder_with(tmp_path, "1.glb", chair(0.9)))
     camera_m = make_room().bodies.people[0].T_world_camera[0, :3, 3]
     parts_m = transform_points(found.T_world_object, np.array([[0, 0.8, -0.4], [0, 0.8, 0.0], [0, 0.8, 0.4]]))
-    back, middle, front = np.linalg.norm(parts_m - camera_m, axis=1)
-    assert front < middle - 0.25 < back - 0.5
+    back, center, front = np.linalg.norm(parts_m - camera_m, axis=1)
+    assert front < center - 0.25 < back - 0.5
 
 
 def test_objects_without_a_mesh_of_the_user_are_made_as_before(tmp_path: Path) -> None:
@@ -262,7 +262,7 @@ def scene_with(scan: trimesh.Trimesh, path: Path, ctx: StageContext | None = Non
     scan.export(path)
     room = make_room(small=(32, 18))
     return build_scene(
-        room.clip, PlacedObjects(()), true_depth(room), DEPTH, true_masks(room, 1), room.plate,
+        room.clip, PlacedObjects(()), true_depth(room), DEPTH, true_masks(room, 1), room.background,
         SceneConfig(scan=str(path), sdf_spacing_m=0.35, **options), ctx or StageContext(Path()),  # type: ignore[arg-type]
     )  # fmt: skip
 
@@ -353,5 +353,5 @@ def test_a_scan_needs_a_readable_file_and_a_body(tmp_path: Path) -> None:
             with pytest.raises(kind):
                 build_scene(
                     room.clip, PlacedObjects(()), true_depth(room, bodies=bodies), DEPTH, true_masks(room, 1),
-                    room.plate, SceneConfig(scan=str(tmp_path / name)), StageContext(Path()),
+                    room.background, SceneConfig(scan=str(tmp_path / name)), StageContext(Path()),
                 )  # fmt: skip

@@ -16,7 +16,7 @@ from stages.refine import (
     _field,
     _moving,
     _observation,
-    calm_frames,
+    inlier_frames,
     picture_distance_ratio,
     refine_motion,
 )
@@ -169,8 +169,8 @@ def test_an_object_in_a_body_gives_way_and_the_scene_says_so() -> None:
     assert quality(ctx, "object 7 moved") == pytest.approx(np.linalg.norm(moved))
     field = SdfGrid(refined.scene.sdf_m, refined.scene.sdf_origin_m, refined.scene.sdf_spacing_m)
     assert field.sample(shoulder_m[None])[0] > scene(item).sdf_m.min()
-    middle_m = refined.scene.objects[0].T_world_object[:3, 3] + [0.0, 0.85, 0.0]
-    assert field.sample(middle_m[None])[0] < -0.05
+    center_m = refined.scene.objects[0].T_world_object[:3, 3] + [0.0, 0.85, 0.0]
+    assert field.sample(center_m[None])[0] < -0.05
     assert mpjpe(refined.people[0].joints_world_m, truth.joints_world_m) < 0.02
     stiff, _ = refine(truth, replace(PLAIN, objects_move=False), scene(item))
     assert stiff.scene.objects[0] is item
@@ -255,10 +255,10 @@ def test_any_length_works(frames: int) -> None:
 
 def test_frames_in_which_the_observation_jumps_are_not_calm() -> None:
     motion = planted_walk(60)
-    assert calm_frames(motion).all()
+    assert inlier_frames(motion).all()
     joints_m = motion.joints_world_m.copy()
     joints_m[30:33, 5:9] += 0.3
-    jumped = calm_frames(replace(motion, joints_world_m=joints_m))
+    jumped = inlier_frames(replace(motion, joints_world_m=joints_m))
     assert not jumped[30:33].any()
     assert jumped[:24].all()
     assert jumped[40:].all()
@@ -266,7 +266,7 @@ def test_frames_in_which_the_observation_jumps_are_not_calm() -> None:
         joints_m + np.random.default_rng(0).normal(0, 0.2, joints_m.shape) * (np.arange(60) % 9 == 0)[:, None, None]
     )
     valid = np.arange(60) > 4
-    kept = calm_frames(replace(motion, joints_world_m=restless, valid=valid))
+    kept = inlier_frames(replace(motion, joints_world_m=restless, valid=valid))
     assert not kept[:5].any()
     assert kept.sum() > 0.5 * valid.sum()
 

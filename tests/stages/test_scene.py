@@ -54,9 +54,11 @@ def test_floor_colors_come_from_the_plate() -> None:
 def test_node_limit_is_kept() -> None:
     room = make_room()
     chain = run_chain(room)
-    config = SceneConfig(most_nodes=20_000)
+    config = SceneConfig(max_nodes=20_000)
     ctx = StageContext(chain.ctx.work_dir)
-    scene = build_scene(unfilmed(room), chain.placed, chain.metric, chain.depth, chain.masks, room.plate, config, ctx)
+    scene = build_scene(
+        unfilmed(room), chain.placed, chain.metric, chain.depth, chain.masks, room.background, config, ctx
+    )
     assert scene.sdf_m.size <= 20_000
     assert scene.sdf_spacing_m > config.sdf_spacing_m
 

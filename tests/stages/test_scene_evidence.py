@@ -61,10 +61,10 @@ def test_feet_in_the_air_without_contact_claim_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("aside_m", "kept"), [(0.0, 0), (2.5, 1)])
 def test_only_an_object_that_is_walked_through_is_left_out(tmp_path: Path, aside_m: float, kept: int) -> None:
     motion = planted_walk(90)
-    middle = motion.T_world_root[45, :3, 3]
+    center = motion.T_world_root[45, :3, 3]
     forward = motion.T_world_root[-1, :3, 3] - motion.T_world_root[0, :3, 3]
     side = np.cross(forward / np.linalg.norm(forward), [0.0, 1.0, 0.0])
-    place = middle + aside_m * side
+    place = center + aside_m * side
     ctx = StageContext(tmp_path)
     placed = [box_at(place[0], place[2])]
     assert len(_not_walked_through(placed, [], BodyTracks((motion,)), SceneConfig(), ctx)) == kept
@@ -82,7 +82,7 @@ def test_what_somebody_rests_on_stays_though_another_walks_in_it(tmp_path: Path)
 
 
 def test_a_body_that_stands_in_an_object_does_not_take_it_away(tmp_path: Path) -> None:
-    """Its depth may be off by as much; only who walks there, over half a metre, says that nothing is there."""
+    """Its depth may be off by as much; only who walks there, over half a meter, says that nothing is there."""
     walk = planted_walk(60)
     standing = walk.with_pose(
         translation_world_m=np.repeat(walk.T_world_root[30:31, :3, 3], 60, axis=0), R_parent_joint=walk.R_parent_joint

@@ -1,4 +1,4 @@
-"""Objects and floor in the plate."""
+"""Objects and floor in the background image."""
 
 from __future__ import annotations
 
@@ -57,6 +57,6 @@ def test_true_depth_of_any_provider_segments_as_well() -> None:
 def test_size_limits_are_obeyed() -> None:
     room = make_room()
     chain = run_chain(room)
-    config = SegmentConfig(provider="geometric", finder="none", largest_m=0.5)
+    config = SegmentConfig(provider="geometric", finder="none", max_m=0.5)
     masks = masks_of(room, chain.depth, config, StageContext(Path()))
     assert masks.instances == ()

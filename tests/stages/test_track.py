@@ -122,9 +122,9 @@ def test_everybody_has_a_picture_of_a_good_frame(run: Callable[..., PersonTracks
     tracks = run(FakePose([near, far]), 40)
     assert [thumbnail.person_id for thumbnail in tracks.thumbnails] == [person.person_id for person in tracks.people]
     for thumbnail, walker in zip(tracks.thumbnails, (near, far), strict=True):
-        middle = thumbnail.rgb[thumbnail.rgb.shape[0] // 2, thumbnail.rgb.shape[1] // 2]
-        assert middle[0] == thumbnail.frame
-        np.testing.assert_allclose(4.0 * middle[1:], walker.place(thumbnail.frame), atol=5)
+        center = thumbnail.rgb[thumbnail.rgb.shape[0] // 2, thumbnail.rgb.shape[1] // 2]
+        assert center[0] == thumbnail.frame
+        np.testing.assert_allclose(4.0 * center[1:], walker.place(thumbnail.frame), atol=5)
 
 
 @pytest.mark.parametrize(("hidden", "people"), [(range(40, 60), 1), (range(40, 100), 2)])

@@ -7,7 +7,7 @@ import pytest
 
 from video2anim.networks.blazepose import PoseEstimate
 from video2anim.networks.roi import SquareRoi
-from video2anim.tracking.appearance import Looks, clothes
+from video2anim.tracking.appearance import AppearanceDescriptor, clothing_histogram
 from video2anim.tracking.tracker import Track, rejoined
 
 RED, BLUE, GREEN, GREY = (180, 40, 40), (40, 60, 170), (50, 140, 60), (120, 120, 120)
@@ -24,7 +24,7 @@ def landmarks(x_px: float, y_px: float) -> np.ndarray:
 def picture(
     x_px: float, y_px: float, top: tuple[int, ...], bottom: tuple[int, ...], *, light: float = 1.0, seed: int = 0
 ) -> np.ndarray:
-    """Somebody in one colour above and one below the hips, before a noisy wall."""
+    """Somebody in one color above and one below the hips, before a noisy wall."""
     rng = np.random.default_rng(seed)
     image = np.full((300, 400, 3), 90.0)
     x, y = round(x_px), round(y_px)
@@ -33,10 +33,10 @@ def picture(
     return np.clip(light * image + rng.normal(0, 6, image.shape), 0, 255).astype(np.uint8)
 
 
-def looks(*pictures: np.ndarray, x_px: float = 150.0) -> Looks:
-    found = Looks()
+def looks(*pictures: np.ndarray, x_px: float = 150.0) -> AppearanceDescriptor:
+    found = AppearanceDescriptor()
     for image in pictures:
-        found.add(clothes(image, landmarks(x_px, 120), np.ones(33)))
+        found.add(clothing_histogram(image, landmarks(x_px, 120), np.ones(33)))
     return found
 
 
@@ -54,16 +54,16 @@ def test_same_clothes_in_other_light_are_nearer_than_other_clothes() -> None:
 def test_parts_that_are_not_seen_say_nothing() -> None:
     visibility = np.ones(33)
     visibility[25] = 0.1
-    half = Looks(clothes(picture(150, 120, RED, GREEN), landmarks(150, 120), visibility))
+    half = AppearanceDescriptor(clothing_histogram(picture(150, 120, RED, GREEN), landmarks(150, 120), visibility))
     whole = looks(picture(150, 120, RED, GREEN))
     blue = looks(picture(150, 120, RED, BLUE, seed=1))
     assert half.distance(blue) < 0.5 * whole.distance(blue), "the trunk alone is compared"
-    assert np.isnan(half.distance(Looks()))
-    outside = clothes(picture(150, 120, RED, GREEN), landmarks(-900, 120), np.ones(33))
+    assert np.isnan(half.distance(AppearanceDescriptor()))
+    outside = clothing_histogram(picture(150, 120, RED, GREEN), landmarks(-900, 120), np.ones(33))
     assert not outside.any()
 
 
-def track(frames: range, clothing: Looks | None) -> Track:
+def track(frames: range, clothing: AppearanceDescriptor | None) -> Track:
     roi = SquareRoi(150.0, 120.0, 300.0, 0.0)
     mask = np.zeros((64, 64), np.uint8)
     made = Track(looks=clothing)

@@ -28,8 +28,8 @@ with pictures_apart() if sys.argv[1] == "apart" else contextlib.nullcontext():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc; the C library of Linux is meant")
-@pytest.mark.parametrize(("how", "least_mb", "most_mb"), [("apart", -30.0, 20.0), ("plain", 100.0, 400.0)])
-def test_pictures_give_their_memory_back(how: str, least_mb: float, most_mb: float) -> None:
+@pytest.mark.parametrize(("how", "min_mb", "max_mb"), [("apart", -30.0, 20.0), ("plain", 100.0, 400.0)])
+def test_pictures_give_their_memory_back(how: str, min_mb: float, max_mb: float) -> None:
     """`plain` shows that there is something to mend: when it fails, the C library no longer needs the help."""
     done = subprocess.run([sys.executable, "-c", KEPT_MB, how], capture_output=True, text=True, check=True)
-    assert least_mb < float(done.stdout) < most_mb
+    assert min_mb < float(done.stdout) < max_mb

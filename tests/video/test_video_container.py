@@ -15,13 +15,13 @@ import pytest
 from av.error import BlockingIOError as NoThread
 from av.stream import Disposition
 from test_video_clips import make_clip, number_of, numbered
+from video2anim.video.source_scan import scan_source
 
 from video2anim.cli.compose import source_video
 from video2anim.errors import InputError, is_memory_shortage
 from video2anim.video import read_frames
 from video2anim.video.container import open_video
 from video2anim.video.decode import DecodeReport, decode, probe
-from video2anim.video.survey import survey_source
 
 WIDTH, HEIGHT = 160, 96
 
@@ -43,8 +43,8 @@ def write(path: Path, count: int, *, b_frames: int = 0, first: int = 0, **option
 def decoded(path: Path) -> list[int]:
     """Numbers of the pictures, as the stage reads them."""
     header = probe(path)
-    survey = survey_source(path, header)
-    pictures = decode(path, header, DecodeReport(), survey.stamps)
+    source_scan = scan_source(path, header)
+    pictures = decode(path, header, DecodeReport(), source_scan.stamps)
     return [number_of(picture.rgb(WIDTH, HEIGHT)) for picture in pictures]
 
 
@@ -151,8 +151,8 @@ def test_frames_hidden_by_an_edit_list_are_not_missed(tmp_path: Path, b_frames: 
     path.write_bytes(data)
     assert probe(tmp_path / "whole.mp4").claimed_frames == 90
     header = probe(path)
-    survey = survey_source(path, header)
-    assert survey.report.frames == header.claimed_frames == 25
+    source_scan = scan_source(path, header)
+    assert source_scan.report.frames == header.claimed_frames == 25
 
 
 def test_a_cut_file_still_claims_all_its_frames(tmp_path: Path) -> None:
@@ -168,7 +168,7 @@ def test_a_cut_file_still_claims_all_its_frames(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     header = probe(path)
     assert header.claimed_frames == 60
-    assert survey_source(path, header).report.frames < 60
+    assert scan_source(path, header).report.frames < 60
 
 
 @pytest.mark.parametrize("suffix", ["avi", "h264", "mp4", "ts"])
@@ -177,10 +177,10 @@ def test_no_picture_is_lost_and_the_order_is_that_shown(tmp_path: Path, suffix: 
     """AVI and raw H.264 carry no presentation times."""
     path = write(tmp_path / f"clip.{suffix}", 103, b_frames=b_frames)
     assert decoded(path) == list(range(103))
-    survey = survey_source(path, probe(path))
-    assert survey.report.dropped_stamps == 0
-    assert np.diff(survey.time_s) == pytest.approx(1 / 30, abs=1e-4)
-    assert survey.stamps == ("dts" if (suffix, b_frames) == ("avi", 3) else "pts")
+    source_scan = scan_source(path, probe(path))
+    assert source_scan.report.dropped_stamps == 0
+    assert np.diff(source_scan.time_s) == pytest.approx(1 / 30, abs=1e-4)
+    assert source_scan.stamps == ("dts" if (suffix, b_frames) == ("avi", 3) else "pts")
 
 
 # Which stream counts.

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from video2anim.background.background_image import fill_unseen, masked_median, median_plate, updated_plate
+from video2anim.background.background_image import (
+    inpaint_unobserved,
+    masked_median,
+    median_background,
+    updated_background,
+)
 from video2anim.background.person_segmentation import Raster, dilated, lab_difference, person_probability, refine_mask
 from video2anim.types import PersonTrack
 
@@ -34,24 +39,24 @@ def test_updated_plate_equals_a_new_one() -> None:
     samples = rng.integers(0, 256, (9, 50, 70, 3), dtype=np.uint8)
     before, after = rng.random((2, 9, 25, 35)) < 0.3
     after[:, :20] = before[:, :20]
-    plate = updated_plate(median_plate(samples, before), samples, before, after)
-    assert np.array_equal(plate, median_plate(samples, after))
+    background = updated_background(median_background(samples, before), samples, before, after)
+    assert np.array_equal(background, median_background(samples, after))
 
 
 def test_too_many_samples_are_refused() -> None:
     with pytest.raises(ValueError, match="255"):
-        median_plate(np.zeros((256, 2, 2, 3), np.uint8), np.zeros((256, 2, 2), bool))
+        median_background(np.zeros((256, 2, 2, 3), np.uint8), np.zeros((256, 2, 2), bool))
 
 
 def test_holes_are_painted_from_their_rim() -> None:
-    plate = np.full((90, 120, 3), (200, 100, 50), np.uint8)
+    background = np.full((90, 120, 3), (200, 100, 50), np.uint8)
     unseen = np.zeros((45, 60), bool)
     unseen[15:30, 20:40] = True
-    holed = plate.copy()
+    holed = background.copy()
     holed[30:60, 40:80] = 0
-    painted = fill_unseen(holed, unseen)
-    assert np.abs(painted.astype(int) - plate).max() <= 6
-    assert fill_unseen(holed, np.zeros_like(unseen)) is holed
+    painted = inpaint_unobserved(holed, unseen)
+    assert np.abs(painted.astype(int) - background).max() <= 6
+    assert inpaint_unobserved(holed, np.zeros_like(unseen)) is holed
 
 
 def track_with(mask: np.ndarray, T_image_crop: np.ndarray, box_px: tuple[float, ...]) -> PersonTrack:
@@ -96,21 +101,21 @@ def test_an_empty_mask_becomes_an_undecided_box() -> None:
 
 def test_difference_sharpens_a_blurred_mask() -> None:
     rng = np.random.default_rng(1)
-    plate = np.clip(rng.normal(120, 25, (216, 384, 3)), 0, 255).astype(np.uint8)
+    background = np.clip(rng.normal(120, 25, (216, 384, 3)), 0, 255).astype(np.uint8)
     truth = np.zeros((216, 384), bool)
     truth[60:160, 150:190] = True
-    picture = np.where(truth[..., None], np.uint8([200, 60, 40]), plate)
+    picture = np.where(truth[..., None], np.uint8([200, 60, 40]), background)
     picture = np.clip(picture + rng.normal(0, 3, picture.shape), 0, 255).astype(np.uint8)
     # A mask that misses the upper fifth nearly and spills over the sides.
     probability = np.zeros((216, 384), np.float32)
     probability[50:170, 140:200] = 0.3
     probability[80:160, 145:195] = 0.6
     known = np.ones_like(truth)
-    found = refine_mask(probability, lab_difference(picture, plate), known)
+    found = refine_mask(probability, lab_difference(picture, background), known)
     assert (found & truth).sum() / (found | truth).sum() > 0.9
-    alone = refine_mask(probability, lab_difference(picture, plate), ~known)
+    alone = refine_mask(probability, lab_difference(picture, background), ~known)
     assert np.array_equal(alone, probability > 0.5)
-    assert not refine_mask(np.zeros_like(probability), lab_difference(picture, plate), known).any()
+    assert not refine_mask(np.zeros_like(probability), lab_difference(picture, background), known).any()
 
 
 def test_dilation_is_a_disc() -> None:

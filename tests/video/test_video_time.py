@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from video2anim.video.cfr import constant_rate_index, largest_hole_s
+from video2anim.video.cfr import constant_rate_index, max_gap_s
 from video2anim.video.metadata import focal_35mm_of
 
 
@@ -41,7 +41,7 @@ def test_a_hole_holds_the_last_picture() -> None:
     assert len(index) == 30
     assert index[9:22].tolist() == [9] * 13
     assert index[22] == 10
-    assert largest_hole_s(time_s) == pytest.approx(13 / 30)
+    assert max_gap_s(time_s) == pytest.approx(13 / 30)
 
 
 def test_jitter_keeps_pictures_apart() -> None:

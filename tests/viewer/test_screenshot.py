@@ -61,8 +61,8 @@ def expected_px(people: tuple[BodyMotion, ...], scene: SceneModel, frame: int) -
     """Where the middle of the box is in the picture of a frame, row and column."""
     (placed,) = scene.objects
     viewpoint = oblique_viewpoint(people, scene, 480, 270)
-    middle_m = world_vertices(placed, frame).mean(0)
-    return project(viewpoint.to_camera(middle_m[None]), viewpoint.intrinsics)[0, ::-1]
+    center_m = world_vertices(placed, frame).mean(0)
+    return project(viewpoint.to_camera(center_m[None]), viewpoint.intrinsics)[0, ::-1]
 
 
 def test_a_carried_box_is_drawn_where_it_is_in_each_frame(tmp_path: Path) -> None:

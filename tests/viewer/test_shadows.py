@@ -19,19 +19,19 @@ def brightness(rgb: np.ndarray, x_m: float, z_m: float) -> float:
     return float(rgb[away.argmin()].mean())
 
 
-def plate(y_m: float) -> np.ndarray:
+def background(y_m: float) -> np.ndarray:
     x, z = np.meshgrid(np.linspace(-0.2, 0.2, 21), np.linspace(-0.2, 0.2, 21))
     return np.stack([x, np.full_like(x, y_m), z], -1).reshape(-1, 3)
 
 
 def test_it_is_dark_under_what_touches_and_bright_beside_it() -> None:
-    rgb = contact_shaded(floor(), [plate(0.0)])
+    rgb = contact_shaded(floor(), [background(0.0)])
     assert brightness(rgb, 0, 0) < 100
     assert brightness(rgb, 0.8, 0.8) == 200
 
 
 def test_the_higher_a_thing_is_the_fainter_is_its_shadow() -> None:
-    found = [brightness(contact_shaded(floor(), [plate(y)]), 0, 0) for y in (0.0, 0.15, 0.3, 1.0)]
+    found = [brightness(contact_shaded(floor(), [background(y)]), 0, 0) for y in (0.0, 0.15, 0.3, 1.0)]
     assert found == sorted(found)
     assert found[0] < found[1] < found[3] == 200
 

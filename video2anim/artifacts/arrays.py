@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from video2anim.artifacts.stage_files import MOST_BYTES, opened, shown
+from video2anim.artifacts.stage_files import MAX_BYTES, opened, shown
 from video2anim.errors import ArtifactError
 from video2anim.types.storage import Holds
 
@@ -24,7 +24,7 @@ Axes = MutableMapping[str, int]
 CLIP_AXES = ("frames", "height", "width")
 """Axes that mean the same in every value made from a clip."""
 
-MOST_M = 1e4
+MAX_M = 1e4
 """Places farther away than 10 km are in the wrong unit."""
 _ROTATION_TOLERANCE = 1e-3
 _DEFLATE_RATIO = 1032
@@ -66,8 +66,8 @@ class Archive:
             shape, dtype = self._header(info)
         expect_shape(shape, dtype, hint, axes, key, self._path)
         self._unpacked += info.file_size
-        if self._unpacked > MOST_BYTES:
-            raise ArtifactError(f"{shown(key)}: want at most {MOST_BYTES} bytes of arrays, got more in {self._path}")
+        if self._unpacked > MAX_BYTES:
+            raise ArtifactError(f"{shown(key)}: want at most {MAX_BYTES} bytes of arrays, got more in {self._path}")
         with damage(self._path), self._archive.open(info) as stream:
             array = np.lib.format.read_array(stream, allow_pickle=False)
         kind, marks = annotation(hint)
@@ -177,7 +177,7 @@ def _no_rotation(R: np.ndarray, _: Mapping[str, int]) -> np.ndarray:
 
 def _not_rigid(T: np.ndarray, axes: Mapping[str, int]) -> np.ndarray:
     last = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(-1)
-    return _no_rotation(T[..., :3, :3], axes) | (np.abs(T[..., :3, 3]).max(-1) > MOST_M) | (last > 1e-6)
+    return _no_rotation(T[..., :3, :3], axes) | (np.abs(T[..., :3, 3]).max(-1) > MAX_M) | (last > 1e-6)
 
 
 def _not_rising(rows: np.ndarray, _: Mapping[str, int]) -> np.ndarray:
@@ -195,7 +195,7 @@ _FAULTS: dict[Any, Callable[[np.ndarray, Mapping[str, int]], np.ndarray]] = {
     Holds.RISING: _not_rising,
     Holds.FRAMES: _no_frames,
     Holds.SHARES: lambda share, _: (share < -1e-6) | (share > 1 + 1e-6),
-    Holds.FROM_ORIGIN: lambda points, _: np.abs(points) > np.append(1e-6, np.full(len(points) - 1, MOST_M))[:, None],
+    Holds.FROM_ORIGIN: lambda points, _: np.abs(points) > np.append(1e-6, np.full(len(points) - 1, MAX_M))[:, None],
     Holds.SOMETHING: lambda picture, _: np.asarray(not picture.any()),
 }
 """Where an array is not what a mark says: one boolean per row."""

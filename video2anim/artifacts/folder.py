@@ -40,7 +40,7 @@ def _digest(folder: Path, files: list[Path]) -> str:
 
 
 @contextmanager
-def whole_or_absent(final: Path) -> Iterator[Path]:
+def atomic_directory(final: Path) -> Iterator[Path]:
     """A work folder that becomes `final` by one rename if the block succeeds, and vanishes if it fails.
 
     An older `final` stays in place until the new one is complete.

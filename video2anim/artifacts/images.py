@@ -14,7 +14,7 @@ from video2anim.artifacts.stage_files import opened
 from video2anim.errors import ArtifactError, InputError
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_MOST_PIXELS = 1 << 27
+_MAX_PIXELS = 1 << 27
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
@@ -56,8 +56,8 @@ def read_png(path: Path, dtype: np.dtype, *, hint: Any = np.ndarray, axes: Axes 
     if data[:8] != _SIGNATURE or data[12:16] != b"IHDR" or len(data) < 33:
         raise ArtifactError(f"want a PNG, got unreadable bytes at {path}")
     width, height = struct.unpack(">II", data[16:24])
-    if width * height > _MOST_PIXELS:
-        raise ArtifactError(f"{path.name}: want at most {_MOST_PIXELS} pixels, got {width} x {height} at {path}")
+    if width * height > _MAX_PIXELS:
+        raise ArtifactError(f"{path.name}: want at most {_MAX_PIXELS} pixels, got {width} x {height} at {path}")
     kind, marks = annotation(hint)
     axes = {} if axes is None else axes
     in_color = dtype == np.uint8 and kind is not np.ndarray and len(kind.dim_str.split()) == 3

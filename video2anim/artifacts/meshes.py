@@ -1,4 +1,4 @@
-"""Meshes on disk as binary PLY with vertex colours."""
+"""Meshes on disk as binary PLY with vertex colors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import get_type_hints
 
 import numpy as np
 
-from video2anim.artifacts.arrays import MOST_M, Axes, damage, expect_content, expect_shape
+from video2anim.artifacts.arrays import MAX_M, Axes, damage, expect_content, expect_shape
 from video2anim.artifacts.stage_files import opened
 from video2anim.errors import ArtifactError
 from video2anim.types.scene import Mesh
@@ -38,7 +38,7 @@ def write_ply(path: Path, mesh: Mesh) -> None:
 
 
 def read_ply(path: Path, *, empty: bool = True) -> Mesh:
-    """Read a PLY, also one saved by a 3D program (polygons are triangulated, missing colours are gray).
+    """Read a PLY, also one saved by a 3D program (polygons are triangulated, missing colors are gray).
 
     Args:
         path: of the mesh.
@@ -74,8 +74,8 @@ def expect_sound(mesh: Mesh, path: Path) -> None:
         array = getattr(mesh, name)
         expect_shape(array.shape, array.dtype, hint, axes, name, path)
         expect_content(array, (), axes, name, path)
-    if np.abs(mesh.vertices_m).max(initial=0.0) > MOST_M:
-        raise ArtifactError(f"{path.name}: want metres, got vertices farther than 10 km from the origin at {path}")
+    if np.abs(mesh.vertices_m).max(initial=0.0) > MAX_M:
+        raise ArtifactError(f"{path.name}: want meters, got vertices farther than 10 km from the origin at {path}")
     if len(mesh.faces) and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices_m):
         raise ArtifactError(f"{path.name}: want triangles of {len(mesh.vertices_m)} vertices, got others at {path}")
     corners = mesh.vertices_m[mesh.faces]

@@ -16,9 +16,9 @@ from video2anim.errors import ArtifactError
 
 VALUE_JSON, ARRAYS_NPZ, MASKS_NPZ = "value.json", "arrays.npz", "masks.npz"
 
-MOST_BYTES = 4 << 30
+MAX_BYTES = 4 << 30
 """Of one file, and of all arrays in one archive once unpacked: twelve hours of one person's motion."""
-MOST_TEXT_BYTES = 64 << 20
+MAX_TEXT_BYTES = 64 << 20
 """Of one JSON file."""
 _SHOWN = 60
 """Characters of a wrong value that a message repeats."""
@@ -45,7 +45,7 @@ def member(folder: Path, name: str) -> Path:
 
 
 @contextmanager
-def opened(path: Path, most_bytes: int = MOST_BYTES) -> Iterator[BinaryIO]:
+def opened(path: Path, max_bytes: int = MAX_BYTES) -> Iterator[BinaryIO]:
     """A regular file, open for reading; a pipe or device does not block.
 
     Raises:
@@ -60,8 +60,8 @@ def opened(path: Path, most_bytes: int = MOST_BYTES) -> Iterator[BinaryIO]:
         found = os.fstat(stream.fileno())
         if not stat.S_ISREG(found.st_mode):
             raise ArtifactError(f"want a regular file, got a folder, pipe or device at {path}")
-        if found.st_size > most_bytes:
-            raise ArtifactError(f"want at most {most_bytes} bytes, got {found.st_size} at {path}")
+        if found.st_size > max_bytes:
+            raise ArtifactError(f"want at most {max_bytes} bytes, got {found.st_size} at {path}")
         yield stream
 
 
@@ -71,7 +71,7 @@ def read_json(path: Path, kind: Any) -> Any:
     Raises:
         ArtifactError: unreadable or of another form; names the field, what was wanted and what came.
     """
-    with opened(path, MOST_TEXT_BYTES) as stream:
+    with opened(path, MAX_TEXT_BYTES) as stream:
         data = stream.read()
     try:
         return TypeAdapter(kind).validate_json(data, strict=True)
@@ -80,7 +80,7 @@ def read_json(path: Path, kind: Any) -> Any:
 
 
 def first_fault(error: ValidationError) -> str:
-    """The first thing that pydantic found wrong, in one line."""
+    """The first object that pydantic found wrong, in one line."""
     fault = error.errors(include_url=False, include_context=False)[0]
     where = ".".join(str(part) for part in fault["loc"]) or "the whole"
     if fault["type"] == "json_invalid":
@@ -99,7 +99,7 @@ def value_files(folder: Path) -> list[Path]:
     """The files that hold the value of a stage folder: `value.json`, its archives and what it names. Others, such as
     those that file managers leave, are none of it. Where `value.json` is damaged, every file counts."""
     try:
-        with opened(folder / VALUE_JSON, MOST_TEXT_BYTES) as stream:
+        with opened(folder / VALUE_JSON, MAX_TEXT_BYTES) as stream:
             names = {VALUE_JSON, ARRAYS_NPZ, MASKS_NPZ, *_references(json.loads(stream.read()))}
         return sorted(path for path in (_own(folder, name) for name in names) if path is not None)
     except (ArtifactError, ValueError, RecursionError):

@@ -15,7 +15,7 @@ from video2anim.artifacts.folder import file_digest, folder_digest
 from video2anim.artifacts.meshes import expect_sound
 from video2anim.artifacts.stage_files import shown
 from video2anim.errors import ArtifactError, InputError
-from video2anim.types.scene import MOST_FACES, Mesh
+from video2anim.types.scene import MAX_FACES, Mesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -101,7 +101,7 @@ def read_mesh_file(path: Path) -> Mesh:
     """Triangles with a color per vertex of a GLB, glTF, OBJ, PLY or STL file, all its parts together.
 
     Raises:
-        InputError: missing, unreadable, of more than `MOST_FACES` triangles, or not sound (`expect_sound`).
+        InputError: missing, unreadable, of more than `MAX_FACES` triangles, or not sound (`expect_sound`).
     """
     import trimesh
     from trimesh.resolvers import FilePathResolver
@@ -118,8 +118,8 @@ def read_mesh_file(path: Path) -> Mesh:
     parts = [part for part in parts if len(part.faces)]
     if not parts or not all(np.isfinite(part.vertices).all() for part in parts):
         raise InputError(f"want a mesh with triangles and finite vertices, got {len(parts)} parts at {path}")
-    if (faces := sum(len(part.faces) for part in parts)) > MOST_FACES:
-        raise InputError(f"want a mesh of at most {MOST_FACES:,} faces, got {faces:,} at {path}; simplify it first")
+    if (faces := sum(len(part.faces) for part in parts)) > MAX_FACES:
+        raise InputError(f"want a mesh of at most {MAX_FACES:,} faces, got {faces:,} at {path}; simplify it first")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     mesh = Mesh(
         np.concatenate([np.asarray(part.vertices, np.float64) for part in parts]),

@@ -32,7 +32,7 @@ def masked_median(
     return median
 
 
-def median_plate(
+def median_background(
     samples: UInt8[np.ndarray, "samples height width 3"],
     excluded: Bool[np.ndarray, "samples small_height small_width"],
 ) -> UInt8[np.ndarray, "height width 3"]:
@@ -50,29 +50,29 @@ def median_plate(
         raise ValueError(f"median_plate: want at most 255 samples, got {count}")
     rows = _nearest(height, excluded.shape[1])
     columns = _nearest(width, excluded.shape[2])
-    plate = np.zeros((height, width, 3), np.uint8)
+    background = np.zeros((height, width, 3), np.uint8)
     strip = max(1, _STRIP_BYTES // (count * width * 3))
     for top in range(0, height, strip):
         bottom = min(top + strip, height)
         usable = ~excluded[:, rows[top:bottom]][:, :, columns]
-        plate[top:bottom] = masked_median(samples[:, top:bottom], usable)
-    return plate
+        background[top:bottom] = masked_median(samples[:, top:bottom], usable)
+    return background
 
 
-def updated_plate(
-    plate: UInt8[np.ndarray, "height width 3"],
+def updated_background(
+    background: UInt8[np.ndarray, "height width 3"],
     samples: UInt8[np.ndarray, "samples height width 3"],
     before: Bool[np.ndarray, "samples small_height small_width"],
     after: Bool[np.ndarray, "samples small_height small_width"],
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """What `median_plate(samples, after)` gives, made from `plate`, which is `median_plate(samples, before)`.
+    """`median_background(samples, after)`, made from `background` = `median_background(samples, before)`.
 
     Only pixels whose exclusion changed are worked on.
     """
-    height, width = plate.shape[:2]
+    height, width = background.shape[:2]
     rows, columns = _nearest(height, before.shape[1]), _nearest(width, before.shape[2])
     changed = (before != after).any(axis=0)
-    updated = plate.copy()
+    updated = background.copy()
     y, x = np.nonzero(changed[rows][:, columns])
     batch = max(1, _STRIP_BYTES // (3 * len(samples)))
     for first in range(0, len(y), batch):
@@ -82,25 +82,26 @@ def updated_plate(
     return updated
 
 
-def fill_unseen(
-    plate: UInt8[np.ndarray, "height width 3"], unseen: Bool[np.ndarray, "small_height small_width"]
+def inpaint_unobserved(
+    background: UInt8[np.ndarray, "height width 3"], unseen: Bool[np.ndarray, "small_height small_width"]
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """The plate with its unseen pixels painted from their surroundings (Telea's method, at a reduced resolution)."""
+    """The background image with its unseen pixels painted from their surroundings (Telea's method, at a reduced
+    resolution)."""
     if not unseen.any():
-        return plate
-    height, width = plate.shape[:2]
+        return background
+    height, width = background.shape[:2]
     hole = unseen[_nearest(height, unseen.shape[0])][:, _nearest(width, unseen.shape[1])]
     if hole.all():
-        return plate
+        return background
     scale = min(1.0, _INPAINT_SIDE_PX / max(height, width))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     # Area averages over seen pixels only, so that the hole's black does not bleed into its rim.
     weight = cv2.resize((~hole).astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    colour = cv2.resize(np.where(hole[..., None], 0, plate).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    colour = cv2.resize(np.where(hole[..., None], 0, background).astype(np.float32), size, interpolation=cv2.INTER_AREA)
     small = np.clip(colour / np.maximum(weight, 1e-6)[..., None] + 0.5, 0, 255).astype(np.uint8)
     painted = cv2.inpaint(small, (weight < 0.25).astype(np.uint8), _INPAINT_RADIUS_PX, cv2.INPAINT_TELEA)
     painted = cv2.resize(painted, (width, height), interpolation=cv2.INTER_LINEAR)
-    return np.where(hole[..., None], painted, plate)
+    return np.where(hole[..., None], painted, background)
 
 
 def _nearest(length: int, small_length: int) -> np.ndarray:

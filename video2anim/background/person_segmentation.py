@@ -1,7 +1,7 @@
 """Figure and ground: which pixels show a person.
 
 Two witnesses are added as log odds: the person model's own mask, coarse but knowing, and the difference from the
-background plate, sharp but ignorant. Where the plate is unknown the first decides alone.
+background background image, sharp but ignorant. Where the background image is unknown the first decides alone.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _NOISE_FLOOR_LAB = 1.5
 _NOISE_BLUR_PX = 20.0
 _LUMINANCE_WEIGHT = 0.5
 """A cast shadow changes luminance most; it counts for less."""
-_SMALLEST_PART = 0.03
+_MIN_PART = 0.03
 """Pieces below this share of the largest one are dropped."""
 
 
@@ -50,7 +50,7 @@ class Raster:
 
     @property
     def T_small_image(self) -> Float[np.ndarray, "3 3"]:
-        """Clip pixels to reduced pixels; pixel centres keep their meaning."""
+        """Clip pixels to reduced pixels; pixel centers keep their meaning."""
         return np.array(
             [
                 [self.scale_x, 0, 0.5 * self.scale_x - 0.5],
@@ -90,10 +90,11 @@ def person_probability(
 
 
 def lab_difference(
-    picture: UInt8[np.ndarray, "small_height small_width 3"], plate: UInt8[np.ndarray, "small_height small_width 3"]
+    picture: UInt8[np.ndarray, "small_height small_width 3"],
+    background: UInt8[np.ndarray, "small_height small_width 3"],
 ) -> Float32[np.ndarray, "small_height small_width"]:
     """Distance of two RGB pictures in CIE Lab, luminance counting half."""
-    a, b = (cv2.cvtColor(p.astype(np.float32) / 255, cv2.COLOR_RGB2LAB) for p in (picture, plate))
+    a, b = (cv2.cvtColor(p.astype(np.float32) / 255, cv2.COLOR_RGB2LAB) for p in (picture, background))
     delta = cv2.GaussianBlur(a - b, (0, 0), 0.8)
     delta[..., 0] *= _LUMINANCE_WEIGHT
     return np.linalg.norm(delta, axis=-1)
@@ -106,15 +107,15 @@ NAMED_LOG_ODDS = 0.3
 def refine_mask(
     probability: Float32[np.ndarray, "small_height small_width"],
     difference: Float32[np.ndarray, "small_height small_width"],
-    plate_known: Bool[np.ndarray, "small_height small_width"],
+    background_known: Bool[np.ndarray, "small_height small_width"],
     named: Bool[np.ndarray, "small_height small_width"] | None = None,
 ) -> Bool[np.ndarray, "small_height small_width"]:
     """Pixels that show a person.
 
     Args:
         probability: Of a person, from the person model.
-        difference: From the plate, as `lab_difference` gives it.
-        plate_known: Where the plate shows real background.
+        difference: From the background image, as `lab_difference` gives it.
+        plate_known: Where the background image shows real background.
         named: Where a segmentation network sees people.
     """
     if not probability.any():
@@ -122,7 +123,7 @@ def refine_mask(
     bounded = np.clip(probability, 1 - _TRUST, _TRUST)
     log_odds = np.log(bounded / (1 - bounded))
     # Sensor noise, compression and passing light, measured on the background around.
-    ground = ((probability < 1 - _TRUST) & plate_known).astype(np.float32)
+    ground = ((probability < 1 - _TRUST) & background_known).astype(np.float32)
     total = cv2.GaussianBlur(ground, (0, 0), _NOISE_BLUR_PX)
     usual = cv2.GaussianBlur(np.minimum(difference, 30.0) * ground, (0, 0), _NOISE_BLUR_PX)
     noise_lab = np.maximum(usual / np.maximum(total, 1e-4), _NOISE_FLOOR_LAB)
@@ -130,7 +131,7 @@ def refine_mask(
     evidence = np.clip(evidence, -_EVIDENCE_LIMIT, _EVIDENCE_LIMIT)
     if named is not None:
         log_odds = log_odds + NAMED_LOG_ODDS * np.where(named, 1.0, -1.0)
-    mask = log_odds + np.where(plate_known, evidence, 0.0) > 0
+    mask = log_odds + np.where(background_known, evidence, 0.0) > 0
     return _without_crumbs(mask)
 
 
@@ -149,6 +150,6 @@ def _without_crumbs(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, 
         return closed.astype(bool)
     area = stats[:, cv2.CC_STAT_AREA].copy()
     area[0] = 0
-    keep = area >= _SMALLEST_PART * area.max()
+    keep = area >= _MIN_PART * area.max()
     keep[0] = False
     return keep[labels]

@@ -33,13 +33,13 @@ LENGTHS: dict[str, str] = {
     "shoulders": "measure-shoulder-dist-incr", "trunk": "measure-napetowaist-dist-incr",
 }  # fmt: skip
 """Lengths that change by themselves, in [-1, 1] and 0 where a shape does not name them, by Anny's names of the changes:
-the phenotypes hardly change what share of the stature the limbs have."""
+the phenotypes hardly change what share of the body height the limbs have."""
 PEOPLES_LENGTHS = {
     "upper_leg": (0.15, 0.22), "lower_leg": (-0.30, 0.31), "upper_arm": (0.0, 0.27), "lower_arm": (0.23, 0.31),
     "shoulders": (0.24, 0.3), "trunk": (0.0, 0.5),
 }  # fmt: skip
 """Their mean and deviation over people: those of `video2anim.lab.lifter.bodies` (six performers), over what a unit
-changes of the middling adult (thigh 90 mm, shank 70, upper arm 59, forearm 55, shoulders 38, trunk 60)."""
+changes of the average adult (thigh 90 mm, shank 70, upper arm 59, forearm 55, shoulders 38, trunk 60)."""
 
 _MIXAMO_BODY = dict(
     zip(
@@ -70,7 +70,7 @@ KEYPOINT_NAMES: tuple[str, ...] = (
 )  # fmt: skip
 """Surface and knuckle points that picture landmarks are compared with."""
 _JOINT_KEYPOINTS = ("left_shoulder", "right_shoulder")
-"""Keypoints that are joint centres: BlazePose's shoulders come from GHUM's joints, not from a skin point."""
+"""Keypoints that are joint centers: BlazePose's shoulders come from GHUM's joints, not from a skin point."""
 _KNUCKLES = {
     "left_index": "LeftHandIndex1", "right_index": "RightHandIndex1",
     "left_pinky": "LeftHandPinky1", "right_pinky": "RightHandPinky1",
@@ -133,7 +133,7 @@ class RestSkeleton:
     """(keypoints, 22, 3) rest position of each keypoint in each joint's T-pose frame."""
     keypoint_weights: torch.Tensor
     """(keypoints, 22) share that each joint has in a keypoint's motion."""
-    stature_m: torch.Tensor
+    body_height_m: torch.Tensor
     """() standing height, crown to sole."""
 
     def keypoints_m(self, joints_m: torch.Tensor, R_frame_joint: torch.Tensor) -> torch.Tensor:

@@ -30,7 +30,7 @@ _AS_SHIPPED = "use the model file as its makers ship it"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmplFile:
-    """What the loader takes from a model file. Metres, +Y up, facing +Z, in the model's own frame."""
+    """What the loader takes from a model file. Meters, +Y up, facing +Z, in the model's own frame."""
 
     template_m: Float[np.ndarray, "vertices 3"]
     shape_basis_m: Float[np.ndarray, "vertices 3 shapes"]

@@ -45,7 +45,7 @@ _BETA = re.compile(r"beta_(0|[1-9][0-9]*)")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmplModel:
-    """A model file reduced to the 22 body joints, in the model's own frame (metres, +Y up, facing +Z)."""
+    """A model file reduced to the 22 body joints, in the model's own frame (meters, +Y up, facing +Z)."""
 
     name: str
     """`smpl`, `smplh` or `smplx`."""

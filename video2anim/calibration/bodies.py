@@ -31,7 +31,7 @@ def calibrated(bodies: BodyTracks, found: Calibration) -> BodyTracks:
     T_world_camera[:, 1, 3] = found.camera_height_m
     people = [
         _moved(body, float(ratio), lens, intrinsics, T_world_camera)
-        for body, ratio in zip(bodies.people, found.stature_ratio, strict=True)
+        for body, ratio in zip(bodies.people, found.body_height_ratio, strict=True)
     ]
     first = people[0].joints_world_m[np.flatnonzero(people[0].valid)[0], 0] if people[0].valid.any() else np.zeros(3)
     away_m = -first * np.array([1.0, 0.0, 1.0])
@@ -63,7 +63,7 @@ def _moved(
 def resized(
     shape: BodyShape, rest_joints_m: Float[np.ndarray, "22 3"], ratio: float
 ) -> tuple[BodyShape, Float[np.ndarray, "22 3"], float]:
-    """Shape and rest joints of the body model at another stature (phenotype `height`), and the ratio reached."""
+    """Shape and rest joints of the body model at another body height (phenotype `height`), and the ratio reached."""
     parameters = {name: float(value) for name, value in shape.parameters.items()}
 
     def skeleton(height: float) -> tuple[float, np.ndarray]:
@@ -71,15 +71,15 @@ def resized(
             rest = anny_model().rest_skeleton(
                 {name: torch.tensor(v) for name, v in (parameters | {"height": height}).items()}
             )
-        return float(rest.stature_m), rest.rest_joints_m.numpy().astype(np.float64)
+        return float(rest.body_height_m), rest.rest_joints_m.numpy().astype(np.float64)
 
     if shape.model != "anny" or abs(ratio - 1) < 1e-3:
         return shape, rest_joints_m, 1.0
     now_m, _ = skeleton(parameters["height"])
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if skeleton(middle)[0] < ratio * now_m else (low, middle)
+        center = 0.5 * (low + high)
+        low, high = (center, high) if skeleton(center)[0] < ratio * now_m else (low, center)
     height = 0.5 * (low + high)
     reached_m, joints_m = skeleton(height)
     return replace(shape, parameters=parameters | {"height": height}), joints_m, reached_m / now_m

@@ -15,7 +15,7 @@ class PersonEvidence:
     """One person. Roots are the pelvis in the same frames: the body turns about it when the lens changes."""
 
     person_id: int
-    stature_sigma: float
+    body_height_sigma: float
     """Standard deviation of the logarithm of the standing height before the clip is looked at."""
     soles_m: Float[np.ndarray, "windows 3"]
     """Lowest point of the skin in each stretch of 0.6 s: somebody who stands or walks has a foot down in it."""

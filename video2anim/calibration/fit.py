@@ -37,7 +37,7 @@ class Sigmas:
     upright_rad: float = 0.3
     """Direction from feet to center of mass in a look (walking, reaching, bending)."""
     looks: float = 12.0
-    """Points of one thing err together: the floor's pixels, and the soles of another person, count as no more than so
+    """Points of one object err together: the floor's pixels, and the soles of another person, count as no more than so
     many. The skin points of a frame count as one."""
     floor_log: float = 0.08
     """Depth of a floor pixel, logarithm."""
@@ -86,9 +86,9 @@ class Calibration:
     up_sigma_rad: float
     camera_height_m: float
     camera_height_sigma_m: float
-    stature_ratio: Float[np.ndarray, "persons"]
+    body_height_ratio: Float[np.ndarray, "persons"]
     """Sizes over those of stage humans."""
-    stature_log_sigma: Float[np.ndarray, "persons"]
+    body_height_log_sigma: Float[np.ndarray, "persons"]
     above_floor_m: Float[np.ndarray, "persons"]
     """Height of each person's soles over the floor, median."""
     scale: float
@@ -192,7 +192,7 @@ class _Problem:
         return state.rays(pixel) * np.exp(state.person_log + self.inverse_log(value, state))[:, None]
 
     def weight(self, points: int) -> float:
-        """Root of the weight of each of so many points of one thing."""
+        """Root of the weight of each of so many points of one object."""
         return min(1.0, self.sigmas.looks / max(points, 1)) ** 0.5
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
@@ -210,7 +210,7 @@ class _Problem:
         depth_logs = np.concatenate([[state.person_log], state.object_log])
         rows.append(("distances", depth_logs / s.distance_log, 1.0, np.inf))
         for number, (size, person) in enumerate(zip(state.size, e.people, strict=True)):
-            rows.append(("stature", np.array([np.log(size) / person.stature_sigma]), 1.0, np.inf))
+            rows.append(("stature", np.array([np.log(size) / person.body_height_sigma]), 1.0, np.inf))
             soles_m = state.body(person.soles_m, person.soles_root_m, size)
             sigma_m = np.hypot(s.sole_m * size, s.sole_distance_ratio * soles_m @ state.up)
             weight = self.weight(len(soles_m)) if number else 1.0
@@ -309,8 +309,8 @@ def _result(found: OptimizeResult, problem: _Problem) -> Calibration:
         up_sigma_rad=float(np.hypot(sigma[1], sigma[2]) / 2**0.5),
         camera_height_m=state.height_m,
         camera_height_sigma_m=float(state.height_m * sigma[3]),
-        stature_ratio=state.size,
-        stature_log_sigma=sigma[7 : 7 + n],
+        body_height_ratio=state.size,
+        body_height_log_sigma=sigma[7 : 7 + n],
         above_floor_m=np.array(
             [
                 state.height_m + np.median(state.body(one.soles_m, one.soles_root_m, size) @ state.up)

@@ -25,7 +25,7 @@ from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.humans.ground import center_of_mass
-from video2anim.types import BackgroundPlate, BodyMotion, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
+from video2anim.types import BackgroundImage, BodyMotion, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
 from video2anim.types.camera import UpEvidence
 from video2anim.types.skeleton import FEET, JOINT_INDEX
 
@@ -35,7 +35,7 @@ the rooms of V2A-Bench (geometric mean 1.22), and of depth that is in proportion
 _OTHER_DEPTH, _OTHER_DISPARITY = (0.0, 0.3), (0.5, 5.0)
 """Of networks of which nothing is known. The zero of disparity may lie right behind the farthest wall, and that wall
 may be the middle of the picture's values."""
-_LOOKS_PER_S, _MOST_LOOKS = 3.0, 9
+_OBSERVATIONS_PER_S, _MAX_OBSERVATIONS = 3.0, 9
 """Errors of neighboring frames are alike, and those of one clip have a part in common."""
 _STRAIGHT_COS = 0.5
 """Hips bent by less than 60 degrees: walkers bend them by 30, people who sit by 90."""
@@ -43,28 +43,28 @@ _WINDOW_S = 0.6
 """Somebody who stands, walks or runs has a foot down at least once in this time."""
 _LENS_SIGMA = 0.03
 """Error of the lens beside what stage camera says: surest estimates are 1 to 4 % off on clips with a known one."""
-_LEAST_UP_SIGMA_RAD = 0.002
+_MIN_UP_SIGMA_RAD = 0.002
 """No source knows gravity better than a tenth of a degree, whatever it says."""
 _FRAMES_AT_ONCE = 256
 """Frames whose feet are in memory at once."""
-_SKIN_FRAMES, _SKIN_POINTS, _LEAST_PIXELS = 24, 300, 40
+_SKIN_FRAMES, _SKIN_POINTS, _MIN_PIXELS = 24, 300, 40
 """Frames with both skin and depth that enter, points of either in each, and how many there must be of either."""
 _FLOOR_PIXELS, _FARTHEST_FLOOR_M = 300, 12.0
 """Beyond, a degree of tilt moves the floor by more than the depth of the shipped network errs."""
 _FOOT_QUANTILE = 0.05
 """Between its legs an object ends above the floor, which seems farther: the feet are the nearest of the ends."""
-_LEAST_COLUMNS, _LEAST_SHARE = 6, 0.15
+_MIN_COLUMNS, _MIN_SHARE = 6, 0.15
 """Columns of an object that must be seen to end on the floor, and their share of all."""
-_LEAST_STOOD = 2
+_MIN_STOOD = 2
 """Soles that must have stood on an object: one may be an error of its outline."""
 _TOP_QUANTILE = 0.97
 """Of the heights of an object's pixels: the very highest are those of an outline that is too large."""
-_BEHIND_QUANTILE, _BEHIND_PIXELS, _MOST_HIDDEN = 0.9, 20, 0.2
+_BEHIND_QUANTILE, _BEHIND_PIXELS, _MAX_HIDDEN = 0.9, 20, 0.2
 """Of an object's pixels the person was near it at a few; where more of the body than a share is missing, they pass
 behind it, and masks that are a little too large touch it."""
 
 
-def person_evidence(body: BodyMotion, fps: float, stature_sigma_m: float) -> PersonEvidence:
+def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) -> PersonEvidence:
     """Soles and balance of one person, in the first frame's camera."""
     shaped = shaped_body(body.shape)
     T = invert_rigid(body.T_world_camera[0])
@@ -81,20 +81,20 @@ def person_evidence(body: BodyMotion, fps: float, stature_sigma_m: float) -> Per
     # Not the very lowest, which is the worst outlier.
     low = np.array([part[np.argsort(lowest_m[part, 1])[len(part) // 10]] for part in windows], int)
     standing = frames[_standing(body.joints_world_m[frames])]
-    looks = min(len(standing), max(1, round(len(standing) / fps * _LOOKS_PER_S)), _MOST_LOOKS)
+    looks = min(len(standing), max(1, round(len(standing) / fps * _OBSERVATIONS_PER_S)), _MAX_OBSERVATIONS)
     looks = standing[np.linspace(0, len(standing) - 1, looks).round().astype(int)]
     joints_m = body.joints_world_m[looks]
     upright = center_of_mass(joints_m) - joints_m[:, FEET].mean(1)
     upright /= np.linalg.norm(upright, axis=-1, keepdims=True)
-    looks_root_m = transform_points(T, joints_m[:, 0])
+    observations_root_m = transform_points(T, joints_m[:, 0])
     root_m = transform_points(T, body.joints_world_m[frames, 0])
     return PersonEvidence(
         person_id=body.person_id,
-        stature_sigma=stature_sigma_m / float(np.ptp(shaped.rest_vertices_m[:, 1])),
+        body_height_sigma=body_height_sigma_m / float(np.ptp(shaped.rest_vertices_m[:, 1])),
         soles_m=transform_points(T, lowest_m[low]),
         soles_root_m=root_m[low],
         upright=upright @ T[:3, :3].T,
-        upright_root_m=looks_root_m,
+        upright_root_m=observations_root_m,
     )
 
 
@@ -111,7 +111,7 @@ def _standing(joints_m: Float[np.ndarray, "frames 22 3"]) -> Bool[np.ndarray, "f
 
 def picture_evidence(
     depth: DepthClip,
-    plate: BackgroundPlate,
+    background: BackgroundImage,
     bodies: BodyTracks,
     camera: CameraEstimate,
     floor: Bool[np.ndarray, "height width"],
@@ -121,7 +121,7 @@ def picture_evidence(
     """Everything but the objects; `floor` is at the size of the depth map."""
     main = bodies.people[0]
     pairs = zip(bodies.people, bodies.quality, strict=True)
-    people = tuple(person_evidence(body, fps, judged.stature_sigma_m) for body, judged in pairs)
+    people = tuple(person_evidence(body, fps, judged.body_height_sigma_m) for body, judged in pairs)
     other = _OTHER_DEPTH if depth.kind == "depth" else _OTHER_DISPARITY
     usual, spread = USUAL_OFFSET.get(depth.provider, other)
     k = main.intrinsics
@@ -131,16 +131,16 @@ def picture_evidence(
         up=_up_evidence(camera),
         people=people,
         kind=depth.kind,
-        skin=skin_evidence(depth, plate, main, rng),
+        skin=skin_evidence(depth, background, main, rng),
         floor=_floor_pixels(depth, main, people, floor),
         objects=(),
         usual_offset=usual,
         usual_offset_sigma=spread,
-        middle_value=_middle(np.abs(depth.background_value)),
+        middle_value=_center(np.abs(depth.background_value)),
     )
 
 
-def _middle(size: Float[np.ndarray, "height width"]) -> float:
+def _center(size: Float[np.ndarray, "height width"]) -> float:
     """Median, or the largest where most are 0; 1 where all are."""
     return float(np.median(size)) or float(size.max()) or 1.0
 
@@ -149,17 +149,19 @@ def _up_evidence(camera: CameraEstimate) -> tuple[UpEvidence, ...]:
     """What the sources say; the camera's own answer where none is named."""
     own = UpEvidence(camera.up_source, camera.up_camera, camera.up_sigma_rad)
     sources = camera.up_evidence or (own,)
-    return tuple(replace(one, sigma_rad=max(one.sigma_rad, _LEAST_UP_SIGMA_RAD)) for one in sources)
+    return tuple(replace(one, sigma_rad=max(one.sigma_rad, _MIN_UP_SIGMA_RAD)) for one in sources)
 
 
 def with_objects(
-    evidence: Evidence, depth: DepthClip, plate: BackgroundPlate, main: BodyMotion, masks: InstanceMasks
+    evidence: Evidence, depth: DepthClip, background: BackgroundImage, main: BodyMotion, masks: InstanceMasks
 ) -> Evidence:
     """The same with what is seen of the objects."""
     T = main.T_world_camera[0]
     depth_m = first_depth_m(evidence, depth, main)
     floor = shrunk(masks.floor_mask, depth_m.shape)
-    passed = passed_before(main, plate.frame_index, plate.selected_mask, main.intrinsics.resized(*depth_m.shape[::-1]))
+    passed = passed_before(
+        main, background.frame_index, background.selected_mask, main.intrinsics.resized(*depth_m.shape[::-1])
+    )
     view = _View(depth.background_value, depth_m, depth.background_valid & np.isfinite(depth_m), floor, main, T)
     own = [(one, shrunk(one.mask, depth_m.shape)) for one in masks.instances]
     seen = (view.object(one.object_id, one.label, mask, passed, evidence.people[0]) for one, mask in own)
@@ -167,18 +169,19 @@ def with_objects(
 
 
 def first_depth_m(evidence: Evidence, depth: DepthClip, main: BodyMotion) -> Float[np.ndarray, "height width"]:
-    """Depth of the plate by the line through floor and person under the camera of stage humans; NaN where none."""
+    """Depth of the background image by the line through floor and person under the camera of stage humans; NaN where
+    none."""
     T = main.T_world_camera[0]
     line = first_line(evidence, T[1, :3], max(float(T[1, 3]), 0.05))
     return metric_depth(depth.kind, depth.background_value, *line)
 
 
 def skin_evidence(
-    depth: DepthClip, plate: BackgroundPlate, body: BodyMotion, rng: np.random.Generator
+    depth: DepthClip, background: BackgroundImage, body: BodyMotion, rng: np.random.Generator
 ) -> tuple[SkinEvidence, ...]:
     """Frames in which both the main person's body and enough of their reliable pixels are known."""
-    reliable = plate.selected_mask & depth.valid
-    samples = np.flatnonzero((reliable.sum((1, 2)) >= _LEAST_PIXELS) & body.valid[depth.frame_index])
+    reliable = background.selected_mask & depth.valid
+    samples = np.flatnonzero((reliable.sum((1, 2)) >= _MIN_PIXELS) & body.valid[depth.frame_index])
     if not len(samples):
         return ()
     samples = samples[np.unique(np.linspace(0, len(samples) - 1, _SKIN_FRAMES).round().astype(int))]
@@ -189,7 +192,7 @@ def skin_evidence(
         T = invert_rigid(body.T_world_camera[frame])
         skin_m = transform_points(T, skin_world_m)
         seen = np.flatnonzero(visible_vertices(skin_m, shaped.faces, body.intrinsics))
-        if len(seen) < _LEAST_PIXELS:
+        if len(seen) < _MIN_PIXELS:
             continue
         rows, columns = rng.permutation(np.argwhere(reliable[sample]))[:_SKIN_POINTS].T
         found.append(
@@ -262,13 +265,14 @@ class _View:
         return ObjectEvidence(object_id, label, foot, cut, top, behind, person_m, soles)
 
     def _under_feet(self, own: np.ndarray, main: PersonEvidence) -> SkinEvidence | None:
-        """Soles that stood well inside the object's outline: the plate shows the object there, not what hides it."""
+        """Soles that stood well inside the object's outline: the background image shows the object there, not what
+        hides it."""
         inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & self.known
         small = self.main.intrinsics.resized(own.shape[1], own.shape[0])
         column, row = np.round(project(main.soles_m, small)).astype(int).T
         inside = (main.soles_m[:, 2] > 0.1) & (column >= 0) & (column < own.shape[1]) & (row >= 0) & (row < len(own))
         inside[inside] = inner[row[inside], column[inside]]
-        if inside.sum() < _LEAST_STOOD:
+        if inside.sum() < _MIN_STOOD:
             return None
         row, column = row[inside], column[inside]
         value = self.value[row, column].astype(np.float64)
@@ -290,7 +294,7 @@ class _View:
         on_floor = self.floor[np.minimum(lowest + 2, rows - 1), columns]
         rise = self.rise[lowest, columns]
         stands = np.flatnonzero((lowest < rows - 2) & on_floor & (rise < -0.02) & (lowest - inside < 4))
-        if len(stands) < max(_LEAST_COLUMNS, _LEAST_SHARE * len(columns)):
+        if len(stands) < max(_MIN_COLUMNS, _MIN_SHARE * len(columns)):
             return None, cut
         ratio = np.log(self.height_m / -rise[stands] / self.depth_m[inside[stands], columns[stands]])
         chosen = stands[np.argsort(ratio)[int(_FOOT_QUANTILE * len(stands))]]
@@ -308,7 +312,7 @@ class _View:
     def _behind(self, own: np.ndarray, passed: Passed) -> tuple[PixelEvidence | None, float]:
         inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & (passed.depth_m > 0)
         rows, columns = np.nonzero(inner)
-        if len(rows) < _BEHIND_PIXELS or passed.hidden[own].sum() > _MOST_HIDDEN * passed.seen[own].sum():
+        if len(rows) < _BEHIND_PIXELS or passed.hidden[own].sum() > _MAX_HIDDEN * passed.seen[own].sum():
             return None, 0.0
         lacks = np.log(passed.depth_m[rows, columns] / self.depth_m[rows, columns])
         chosen = np.argsort(lacks)[int(_BEHIND_QUANTILE * (len(rows) - 1))]

@@ -1,8 +1,8 @@
 """What a person is seen in front of is farther away than the person.
 
-A thing's depth comes from a network, a person's from their size and feet: where the two disagree on who hides whom, the
-picture decides. The other way round (a thing that hides somebody is nearer) would be as good if masks of people had all
-their limbs.
+An object's depth comes from a network, a person's from their size and feet: where the two disagree on who hides whom,
+the picture decides. The other way round (an object that hides somebody is nearer) would be as good if masks of people
+had all their limbs.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from video2anim.geometry.projection import invert_rigid, project, transform_poin
 from video2anim.types.camera import Intrinsics
 from video2anim.types.motion import BodyMotion
 
-_MOST_FRAMES = 60
+_MAX_FRAMES = 60
 _VOTES = 3
 """Frames that must agree on a pixel."""
 _MOVED_M = 0.02
-"""A camera that went farther sees other things at the same pixels."""
+"""A camera that went farther sees other objects at the same pixels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +61,7 @@ def passed_before(
     chosen = np.flatnonzero(body.valid[frames]) if still else np.zeros(0, np.int64)
     if len(chosen) < _VOTES:
         return Passed(farthest_m[0], seen, hidden)
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _MOST_FRAMES).round().astype(int))]
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _MAX_FRAMES).round().astype(int))]
     at = frames[chosen]
     shaped = shaped_body(body.shape)
     skins_m = posed_vertices(body, shaped, None, at)

@@ -130,7 +130,7 @@ class BackgroundRegistration:
         H, _ = cv2.findHomography(frame_px, reference_px, 0)
         if H is None or not np.all(np.isfinite(H)):
             return None
-        # Pixel centres: x_work = scale * (x + 0.5) - 0.5.
+        # Pixel centers: x_work = scale * (x + 0.5) - 0.5.
         to_work = np.array(
             [[self._scale, 0, 0.5 * self._scale - 0.5], [0, self._scale, 0.5 * self._scale - 0.5], [0, 0, 1.0]]
         )

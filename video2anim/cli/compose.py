@@ -244,7 +244,7 @@ def finish(
         shown = {name: path for name, path in files.items() if not path.name.startswith(("overlay_", "worst_"))}
         report = partial(report_html, runner, record, rows, exported)
         new = any(row.state == "ran" for row in rows)
-        placed = results.place_results(scene_dir, shown, report, record, edits, new_report=new)
+        placed = results.publish_results(scene_dir, shown, report, record, edits, new_report=new)
         record = replace(record, results=placed, contacts=list(runner.value(ExportedFiles).contacts))
     if not has_record(scene_dir) or read_record(scene_dir) != record:
         write_record(scene_dir, record)

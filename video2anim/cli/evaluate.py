@@ -161,7 +161,7 @@ def _expect_writable(*paths: Path | None) -> None:
     """Refuse before the work what could not be written after it.
 
     Raises:
-        UsageError: one file for two things.
+        UsageError: one file for two objects.
         InputError: the folder is absent or may not be written, or the path is a folder, link, pipe or device.
     """
     given = [path.absolute() for path in paths if path is not None]

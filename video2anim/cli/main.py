@@ -24,7 +24,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    help="Turn a video of a person among things into a metric 3D scene with a skinned, animated human.",
+    help="Turn a video of a person among objects into a metric 3D scene with a skinned, animated human.",
     epilog="Exit codes: 0 fine, 2 usage or configuration, 3 bad input, 4 model missing, 5 stage failed.",
 )
 models_app = typer.Typer(no_args_is_help=True, help="Models: what there is, fetch it, check it.")
@@ -199,7 +199,7 @@ app.command("eval-set")(eval_set_command)
 
 @models_app.command("list")
 def models_list() -> None:
-    """All models with slot, runtime, size, licence, and whether the weights are here."""
+    """All models with slot, runtime, size, license, and whether the weights are here."""
     from video2anim.cli import show
     from video2anim.networks import verify
 

@@ -81,7 +81,7 @@ def camera_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.nd
     """
     import numpy as np
 
-    from video2anim.geometry.line_segments import camera_with_edges, straight_edges
+    from video2anim.geometry.line_segments import camera_with_edges, detect_line_segments
     from video2anim.geometry.perspective_field import fit_camera
 
     height, width = pictures[0].shape[:2]
@@ -90,7 +90,7 @@ def camera_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.nd
         return {"focal_px": focal_px, "fov_y_rad": 2 * np.arctan(0.5 * height / focal_px)}
     fields = [model.field(picture) for picture in pictures]
     cameras = [
-        camera_with_edges(fit_camera([field], width / height), [straight_edges(picture)])
+        camera_with_edges(fit_camera([field], width / height), [detect_line_segments(picture)])
         for field, picture in zip(fields, pictures, strict=True)
     ]
     up = np.stack([camera.up_camera for camera in cameras])

@@ -155,14 +155,14 @@ def _number(value: float) -> str:
 
 @contextmanager
 def counted(unit: str) -> Iterator[Callable[[Any, int], None]]:
-    """Shows finished things of a set: a bar on a terminal, one line each elsewhere."""
+    """Shows finished objects of a set: a bar on a terminal, one line each elsewhere."""
     columns = (TextColumn(unit), BarColumn(), TextColumn("{task.completed}/{task.total}"))
     with Progress(*columns, TimeRemainingColumn(), console=_err, transient=True, disable=not _err.is_terminal) as bar:
         task = bar.add_task("", total=None)
 
-        def on_done(thing: Any, total: int) -> None:
+        def on_done(obj: Any, total: int) -> None:
             bar.update(task, advance=1, total=total)
             if not _err.is_terminal:
-                _err.print(f"{thing.name}{' (cached)' if thing.cached else ''}", highlight=False)
+                _err.print(f"{obj.name}{' (cached)' if obj.cached else ''}", highlight=False)
 
         yield on_done

@@ -28,12 +28,12 @@ def synth_command(
     motion: Annotated[
         list[Path] | None, typer.Option(help="Archive of captured motion or folder of archives, repeatable.")
     ] = None,
-    noncommercial: Annotated[bool, typer.Option(help="Use sources under non-commercial licences too.")] = False,
+    noncommercial: Annotated[bool, typer.Option(help="Use sources under non-commercial licenses too.")] = False,
     meshes: Annotated[Path | None, typer.Option(help="Folder of GLB, OBJ or PLY meshes to mix in.")] = None,
-    room_size: Annotated[str | None, typer.Option(help="Fix the room: WIDTHxDEPTH in metres.")] = None,
+    room_size: Annotated[str | None, typer.Option(help="Fix the room: WIDTHxDEPTH in meters.")] = None,
     longest: Annotated[float | None, typer.Option(help="Cut clips to so many seconds.")] = None,
-    frames_only: Annotated[bool, typer.Option(help="Single labelled pictures in shards, instead of clips.")] = False,
-    motion_only: Annotated[bool, typer.Option(help="Acted motions only, as one motion archive.")] = False,
+    frames_only: Annotated[bool, typer.Option(help="Single labeled pictures in shards, instead of clips.")] = False,
+    motion_only: Annotated[bool, typer.Option(help="Procedural motions only, as one motion archive.")] = False,
 ) -> None:
     """Make clips of people in furnished rooms with exact truth of everything."""
     from video2anim.cli import show

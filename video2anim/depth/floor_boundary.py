@@ -85,8 +85,8 @@ def find_floor_boundary(
     sigma = np.zeros(image_rgb.shape[1])
     log_ratio = np.zeros(image_rgb.shape[:2])
     seed_rows = np.flatnonzero(seed.any(1))
-    middle, lowest = float(np.median(seed_rows)), float(seed_rows[-1])
-    nearness = np.clip((rows - middle) / max(lowest - middle, 1.0), 0, 1)
+    center, lowest = float(np.median(seed_rows)), float(seed_rows[-1])
+    nearness = np.clip((rows - center) / max(lowest - center, 1.0), 0, 1)
     needed = config.evidence_needed - config.near_bonus * nearness
     for _ in range(config.rounds):
         log_ratio = look_log_ratio(codes, floor, other, seed, config.ratio_limit, picture=seen & ~seed)

@@ -1,4 +1,4 @@
-"""Outline of an upright thing whose lower part is known."""
+"""Outline of an upright object whose lower part is known."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def grow_cutout(
     floor: Bool[np.ndarray, "rows columns"],
     top_row: int,
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Whole visible outline of an upright thing from its part before the floor.
+    """Whole visible outline of an upright object from its part before the floor.
 
-    The upper end of every plumb column is found by dynamic programming, in rounds: the thing looks like its known part
+    The upper end of every plumb column is found by dynamic programming, in rounds: the object looks like its known part
     and what was found above it, the rest of the picture does not, and its upper edge is a line without needless jumps.
 
     Args:
-        part: pixels known to belong to the thing.
+        part: pixels known to belong to the object.
         floor: pixels known not to.
         top_row: it does not reach above this row.
     """
@@ -68,7 +68,7 @@ def _without_spikes(top: np.ndarray, width: int) -> np.ndarray:
 def _top_costs(
     ratio: np.ndarray, gradient: np.ndarray, seen: np.ndarray, part: np.ndarray, top_row: int
 ) -> Float[np.ndarray, "columns candidates"]:
-    """Cost of the thing's highest row being t, in 0..rows (rows = nothing of it in the column)."""
+    """Cost of the object's highest row being t, in 0..rows (rows = nothing of it in the column)."""
     weighed = np.where(seen & ~part, ratio - _CONFIG.evidence_needed, 0.0) * _CONFIG.pixel_weight
     known = part.any(0)
     first = np.where(known, np.argmax(part, axis=0), part.shape[0] - np.argmax(np.any(part, axis=1)[::-1]))
@@ -82,7 +82,7 @@ def _top_costs(
 
 
 def _overhang(ratio: np.ndarray, top: np.ndarray, part: np.ndarray) -> Bool[np.ndarray, "rows columns"]:
-    """Parts beside the known columns that look like the thing, between its top and its foot."""
+    """Parts beside the known columns that look like the object, between its top and its foot."""
     beside = ~np.any(part, axis=0)
     row = np.arange(part.shape[0])[:, None]
     looks = cv2.morphologyEx((ratio > 0.5).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).astype(bool)

@@ -28,7 +28,7 @@ def standing_feet(
 def figure_distance(
     view: GravityView, mask: Bool[np.ndarray, "height width"], feet_world_m: Float[np.ndarray, "feet 3"]
 ) -> tuple[float, float] | None:
-    """Horizontal distance of the floor under a figure and its standard deviation, in metres.
+    """Horizontal distance of the floor under a figure and its standard deviation, in meters.
 
     The lowest pixels of the outline near a standing foot lie on the floor, whose plane is known. The feet tell where to
     look and whether the outline ends there; the distance comes from the outline. None where the outline ends elsewhere

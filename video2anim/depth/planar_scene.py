@@ -1,7 +1,8 @@
-"""Depth of a picture from gravity and the floor alone: a stage set of floor, upright things and an upright background.
+"""Depth of a picture from gravity and the floor alone: a planar scene proxy of floor, upright objects and an upright
+background.
 
 The floor plane is known (y = 0 of the world). Where the floor ends in a plumb column, something upright begins, at the
-distance of its foot line. Things nearer than the background beside them become upright cut-outs of their own.
+distance of its foot line. Objects nearer than the background beside them become upright cut-outs of their own.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from video2anim.depth.floor_boundary import BoundaryConfig, FloorBoundary, find_floor_boundary
 from video2anim.depth.furniture_layers import grow_cutout
-from video2anim.geometry.column_layers import background_distance, foot_line
+from video2anim.geometry.column_layers import background_distance, ground_contact_distance
 from video2anim.geometry.gravity_view import GravityView, remap
 from video2anim.types.camera import Intrinsics
 
@@ -24,7 +25,7 @@ _EDGE_ROWS = 3
 
 @dataclass(frozen=True, slots=True)
 class StageSetConfig:
-    """Limits of the stage set."""
+    """Limits of the planar scene proxy."""
 
     far_m: float = 30.0
     """Nothing is placed beyond this distance."""
@@ -32,14 +33,14 @@ class StageSetConfig:
     """Upright surfaces are trusted up to this height."""
     seed_radius_m: float = 0.25
     """Floor taken as known around a standing foot."""
-    smallest_ratio: float = 0.003
+    min_ratio: float = 0.003
     """Least share of the picture for a cut-out of its own."""
     boundary: BoundaryConfig = field(default_factory=BoundaryConfig)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StageSet:
-    """Depth of the plate; all maps have the picture's size."""
+class PlanarSceneProxy:
+    """Depth of the background image; all maps have the picture's size."""
 
     depth_m: Float[np.ndarray, "height width"]
     sigma_m: Float[np.ndarray, "height width"]
@@ -49,13 +50,14 @@ class StageSet:
 
 
 def stage_set_depth(
-    plate_rgb: UInt8[np.ndarray, "height width 3"],
+    background_rgb: UInt8[np.ndarray, "height width 3"],
     T_world_camera: Float[np.ndarray, "4 4"],
     intrinsics: Intrinsics,
     standing_world_m: Float[np.ndarray, "spots 3"],
     config: StageSetConfig,
-) -> StageSet | None:
-    """Depth of the plate, or None where no standing spot lies in the picture (then nothing is known of the floor).
+) -> PlanarSceneProxy | None:
+    """Depth of the background image, or None where no standing spot lies in the picture (then nothing is known of the
+    floor).
 
     Args:
         plate_rgb: picture without people, of the size the intrinsics say.
@@ -65,7 +67,7 @@ def stage_set_depth(
     if view.camera_height_m <= 0.05 or not len(standing_world_m):
         return None
     nodes, seen = view.pixels_of_grid(T_world_camera)
-    image = remap(plate_rgb, nodes)
+    image = remap(background_rgb, nodes)
     seed = _floor_seeds(view, standing_world_m, config.seed_radius_m) & seen
     if not seed.any():
         return None
@@ -125,7 +127,7 @@ def _cutouts(
     background_m: np.ndarray,
     config: StageSetConfig,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Masks on the cylinder and distance per column of upright things before the background, farthest first."""
+    """Masks on the cylinder and distance per column of upright objects before the background, farthest first."""
     rows = np.arange(view.rows)[:, None]
     behind_row = np.ceil(view.floor_row(background_m)).astype(int)
     area = seen & (rows >= behind_row[None, :] + 1)
@@ -139,7 +141,7 @@ def _cutouts(
     found = []
     for index in range(1, count):
         part = parts == index
-        if part.sum() < config.smallest_ratio * seen.sum():
+        if part.sum() < config.min_ratio * seen.sum():
             continue
         columns = np.flatnonzero(part.any(0))
         foot = view.rows - np.argmax(part[::-1, columns], axis=0)
@@ -150,7 +152,9 @@ def _cutouts(
         reach = np.arctan2(4.0 - view.camera_height_m, float(np.median(near_m)))
         top = int(np.clip((view.elevation_top_rad - min(reach, tallest)) / view.step_rad, 0, view.rows - 1))
         mask = grow_cutout(image, seen, part, ~strange & area, top)
-        per_column = foot_line(near_m, view.azimuth_rad(columns), view.azimuth_rad(np.arange(view.columns)))
+        per_column = ground_contact_distance(
+            near_m, view.azimuth_rad(columns), view.azimuth_rad(np.arange(view.columns))
+        )
         mask &= rows <= view.floor_row(per_column)[None, :] + 1
         found.append((mask, per_column))
     return sorted(found, key=lambda item: -float(np.median(item[1])))
@@ -164,7 +168,7 @@ def _compose(
     known: np.ndarray,
     cutouts: list[tuple[np.ndarray, np.ndarray]],
     config: StageSetConfig,
-) -> StageSet:
+) -> PlanarSceneProxy:
     shape = seen.shape
     distance = np.broadcast_to(background_m, shape).copy()
     sigma = np.broadcast_to(sigma_m, shape).copy()
@@ -190,4 +194,4 @@ def _compose(
     good = on_floor | remap(valid, grid, nearest=True)
     good &= np.isfinite(depth_m) & (depth_m > 0.05) & (depth_m < 2 * config.far_m) & (height_m < config.tallest_m)
     depth_m = np.where(np.isfinite(depth_m), np.clip(depth_m, 0.05, 4 * config.far_m), config.far_m)
-    return StageSet(depth_m, np.clip(sigma_pixel, 1e-3, 4 * config.far_m), good, pixel_layer)
+    return PlanarSceneProxy(depth_m, np.clip(sigma_pixel, 1e-3, 4 * config.far_m), good, pixel_layer)

@@ -1,4 +1,5 @@
-"""Depth of a still camera's clip without flicker: every picture's answer brought to that of the empty plate."""
+"""Depth of a still camera's clip without flicker: every picture's answer brought to that of the empty background
+image."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class _Fitted:
 def write_amass(path: Path, motion: BodyMotion, model: AmassModel) -> None:
     """Write one person's motion.
 
-    Keys of SMPL-H files: `poses` (T, 156) axis-angle in radians, `trans` (T, 3) metres, `betas` (16,), `gender`,
+    Keys of SMPL-H files: `poses` (T, 156) axis-angle in radians, `trans` (T, 3) meters, `betas` (16,), `gender`,
     `mocap_framerate`. Keys of SMPL-X files: the same with `poses` (T, 165), and `root_orient` (T, 3), `pose_body`
     (T, 63), `pose_jaw` (T, 3), `pose_eye` (T, 6), `pose_hand` (T, 90), `surface_model_type`, `mocap_frame_rate`,
     `mocap_time_length`. Beside AMASS's own: `valid`, `joints_m` (T, 22, 3) +Z up, `betas_estimated`, `shape_model`,

@@ -41,7 +41,7 @@ class Rig:
     inverse_bind: Float[np.ndarray, "22 4 4"]
     """Bind-pose vertices into the frames."""
     rotations_wxyz: Float[np.ndarray, "frames 22 4"]
-    """Frames in that of the parent; neighbours in time on the same half sphere."""
+    """Frames in that of the parent; neighbors in time on the same half sphere."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,8 +83,8 @@ class Character:
         for joint in np.unique(strongest):
             T_joint_bind = self.inverse_bind[joint]
             points_m = self.vertices_m[strongest == joint] @ T_joint_bind[:3, :3].T + T_joint_bind[:3, 3]
-            middle = 0.5 * (points_m.min(0) + points_m.max(0))
-            direction = middle / np.linalg.norm(middle)
+            center = 0.5 * (points_m.min(0) + points_m.max(0))
+            direction = center / np.linalg.norm(center)
             tips_m[joint] = direction * float((points_m @ direction).max())
         return tips_m
 

@@ -2,7 +2,7 @@
 
 FBX has no open specification, so it is left to Blender, which reads glTF and writes FBX. It runs as a process of its
 own: a Blender program, or a Python that has its module `bpy`. Bones are named as in Mixamo's rig, which game engines
-and retargeting tools recognise.
+and retargeting tools recognize.
 """
 
 from __future__ import annotations

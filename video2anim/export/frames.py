@@ -22,7 +22,7 @@ def opengl_camera_poses(T_world_camera: Float[np.ndarray, "frames 4 4"]) -> Floa
 
 
 def is_still(T_world_camera: Float[np.ndarray, "frames 4 4"], tolerance: float = 1e-6) -> bool:
-    """Whether the poses are all the same (metres and matrix entries within `tolerance`)."""
+    """Whether the poses are all the same (meters and matrix entries within `tolerance`)."""
     return bool(np.abs(T_world_camera - T_world_camera[:1]).max() <= tolerance)
 
 
@@ -34,7 +34,7 @@ def needed_keys(T_world_object: Float[np.ndarray, "frames 4 4"]) -> Int[np.ndarr
 
 
 def vertical_fov_rad(intrinsics: Intrinsics) -> float:
-    """Full vertical field of view of a centred camera with this focal length and height."""
+    """Full vertical field of view of a centerd camera with this focal length and height."""
     return float(2.0 * np.arctan2(0.5 * intrinsics.height_px, intrinsics.fy_px))
 
 

@@ -1,6 +1,6 @@
 """glTF 2.0 binary files: the whole scene with skinned, animated people, and single objects.
 
-Metres, +Y up, 30 fps, which are glTF's own conventions; cameras are turned from OpenCV's axes to glTF's.
+Meters, +Y up, 30 fps, which are glTF's own conventions; cameras are turned from OpenCV's axes to glTF's.
 
 Each person is one skin over 22 joint nodes named in SMPL order. Without animation they stand in the T-pose; their
 frames have y along the limb, so that programs that show bones draw them along limbs. The skin is bound in the body
@@ -88,7 +88,7 @@ def write_scene_glb(
 
 
 def write_object_glb(path: Path, placed: PlacedObject) -> None:
-    """Write one object in metres in its own frame (resting on y = 0), not animated; its world pose, in the first frame
+    """Write one object in meters in its own frame (resting on y = 0), not animated; its world pose, in the first frame
     where somebody moves it, is in the node's extras."""
     writer = _GlbWriter()
     writer.add_object(placed, np.eye(4))
@@ -121,7 +121,7 @@ class _GlbWriter:
     def add_mesh(
         self, name: str, mesh: Mesh, *, unlit: bool, T: np.ndarray | None = None, scale: float = 1.0
     ) -> int | None:
-        """Static mesh with vertex colours as its own node; None where it has no faces."""
+        """Static mesh with vertex colors as its own node; None where it has no faces."""
         if len(mesh.faces) == 0:
             return None
         vertices_m = np.asarray(mesh.vertices_m, np.float64)
@@ -299,7 +299,7 @@ class _GlbWriter:
             self.document.extensionsUsed.append(_UNLIT)
 
     def _material(self, name: str) -> int:
-        """Index of a shared material: `skin`, `matte` (lit vertex colours) or `photo` (colours hold the light;
+        """Index of a shared material: `skin`, `matte` (lit vertex colors) or `photo` (colors hold the light;
         seen from its front alone, so that a wall or ceiling hides nothing from behind)."""
         if name not in self.materials:
             rgba = [*linear_from_srgb(np.array(SKIN_RGB)).tolist(), 1.0] if name == "skin" else [1.0] * 4

@@ -29,7 +29,7 @@ class MotionQuality:
     numbers: tuple[Quality, ...]
     time_s: Float[np.ndarray, "span"]
     jerk_m_s3: Float[np.ndarray, "span"]
-    """Mean over joints, centred on its four frames; NaN at the ends."""
+    """Mean over joints, centerd on its four frames; NaN at the ends."""
     clearance_m: Float[np.ndarray, "span"]
     """Signed distance of the nearest (or deepest) body vertex to the scene; NaN without a scene."""
     skating_m_s: Float[np.ndarray, "span"]

@@ -103,13 +103,13 @@ def contact_plot(contacts: Sequence[Contact], frame_time_s: np.ndarray) -> str:
         height = _BAR / (max(lanes) + 1)
         for contact, lane in zip(bars, lanes, strict=True):
             name, color = touched_name(contact), np.array(touched_rgb(contact.object_id)) / 255.0
-            width_s, middle = contact.end_s - contact.start_s + frame_s, row - 0.5 * _BAR + (lane + 0.5) * height
+            width_s, center = contact.end_s - contact.start_s + frame_s, row - 0.5 * _BAR + (lane + 0.5) * height
             label = None if name in shown else name
-            axes.barh(middle, width_s, height, contact.start_s, color=color, ec="white", lw=0.5, label=label)
+            axes.barh(center, width_s, height, contact.start_s, color=color, ec="white", lw=0.5, label=label)
             shown.add(name)
             if contact.surface != name and width_s > _LETTER * len(contact.surface) * (last_s + frame_s):
                 at_s = contact.start_s + 0.5 * width_s
-                axes.text(at_s, middle, contact.surface, color="white", fontsize=7, ha="center", va="center")
+                axes.text(at_s, center, contact.surface, color="white", fontsize=7, ha="center", va="center")
     axes.set_yticks(range(len(parts)), parts)
     axes.grid(visible=False, axis="y")
     axes.set_xlim(min(0.0, float(frame_time_s[0])), last_s + frame_s)

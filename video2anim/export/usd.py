@@ -1,4 +1,4 @@
-"""USD: the whole scene as one `.usdc` with UsdSkel people. Metres, +Y up, 30 time codes per second.
+"""USD: the whole scene as one `.usdc` with UsdSkel people. Meters, +Y up, 30 time codes per second.
 
 Needs usd-core, which is imported when this module is.
 """

@@ -1,6 +1,6 @@
-"""Chamfer distance between point sets: robust, differentiable, nearest neighbours from a k-d tree.
+"""Chamfer distance between point sets: robust, differentiable, nearest neighbors from a k-d tree.
 
-Which point is nearest changes seldom during an optimisation, so neighbours are looked up on the CPU every few steps
+Which point is nearest changes seldom during an optimization, so neighbors are looked up on the CPU every few steps
 and the distances to them are differentiated every step.
 """
 
@@ -30,7 +30,7 @@ class ChamferConfig:
     trim_ratio: float = 0.0
     """Share of the largest distances on each side that is left out, in [0, 1)."""
     requery_every: int = 5
-    """Steps between nearest-neighbour look-ups."""
+    """Steps between nearest-neighbor look-ups."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.trim_ratio < 1 or self.huber_m <= 0 or self.requery_every < 1:
@@ -38,7 +38,7 @@ class ChamferConfig:
 
 
 class ChamferLoss:
-    """Robust Chamfer loss against a fixed target; the source moves. Keeps the last neighbours between calls."""
+    """Robust Chamfer loss against a fixed target; the source moves. Keeps the last neighbors between calls."""
 
     def __init__(self, target_m: Float[np.ndarray, "targets 3"], config: ChamferConfig | None = None) -> None:
         self.config = config or ChamferConfig()
@@ -96,7 +96,7 @@ def chamfer_m(
     sides: Sides = "both",
     trim_ratio: float = 0.0,
 ) -> float:
-    """Mean nearest-neighbour distance in metres (mean of both directions for `both`), for reports. Lower is closer."""
+    """Mean nearest-neighbor distance in meters (mean of both directions for `both`), for reports. Lower is closer."""
     source_m, target_m = _expect_points(source_m, "source_m"), _expect_points(target_m, "target_m")
     terms = []
     if sides in ("both", "source"):

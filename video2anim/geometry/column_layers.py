@@ -1,4 +1,4 @@
-"""Near things and the background behind them, along plumb columns."""
+"""Near objects and the background behind them, along plumb columns."""
 
 from __future__ import annotations
 
@@ -97,12 +97,12 @@ def _bridge(distance_m: np.ndarray, azimuth_rad: np.ndarray, start: int, stop: i
     distance_m[start:stop] = np.clip(bridged, 0.7 * low, high)
 
 
-def foot_line(
+def ground_contact_distance(
     distance_m: Float[np.ndarray, "seen_columns"],
     azimuth_rad: Float[np.ndarray, "seen_columns"],
     all_azimuth_rad: Float[np.ndarray, "columns"],
 ) -> Float[np.ndarray, "columns"]:
-    """Distance of an upright thing in every column, from the foot line in the columns where it is seen.
+    """Distance of an upright object in every column, from the foot line in the columns where it is seen.
 
     A foot line that is straight on the floor, but for outliers, is taken as straight (a flat front); any other one is
     only cleared of outliers.
@@ -125,10 +125,10 @@ def _robust_line(points_m: np.ndarray, scale_m: float) -> tuple[np.ndarray, floa
     """Unit normal and level (normal . x = level) of the line with the least sum of distances, by reweighting."""
     weight, normal, level_m = np.ones(len(points_m)), np.array([0.0, 1.0]), 0.0
     for _ in range(10):
-        middle = np.average(points_m, axis=0, weights=weight)
+        center = np.average(points_m, axis=0, weights=weight)
         _, vectors = np.linalg.eigh(np.cov(points_m.T, aweights=weight) + 1e-12 * np.eye(2))
         normal = vectors[:, 0]
-        level_m = float(middle @ normal)
+        level_m = float(center @ normal)
         weight = 1 / np.maximum(np.abs(points_m @ normal - level_m), scale_m)
     return normal, level_m
 

@@ -40,7 +40,7 @@ class GravityView:
 
     @classmethod
     def of_camera(cls, T_world_camera: Float[np.ndarray, "4 4"], intrinsics: Intrinsics) -> GravityView:
-        """View of a camera; the angular step is that of a pixel at the picture's centre."""
+        """View of a camera; the angular step is that of a pixel at the picture's center."""
         R_world_camera = T_world_camera[:3, :3]
         ray_world = pixel_rays(intrinsics) @ R_world_camera.T
         heading = _horizontal(R_world_camera[:, 2], R_world_camera @ np.array([0.0, -1.0, 0.0]))

@@ -3,7 +3,7 @@
 Most edges of a room and its furniture run up or along one of two horizontal directions square to each other (Coughlan
 and Yuille 1999). Each edge of a picture spans a plane with the camera (Barnard 1983), and a direction it runs along
 lies in that plane; the camera, the room's heading and the lens' distortion that suit most edges best are looked for,
-beginning with and held by what a perspective field says. Edges that run otherwise, of people or of things that stand
+beginning with and held by what a perspective field says. Edges that run otherwise, of people or of objects that stand
 at an angle, count as outliers. A picture that shows the room from straight ahead leaves the focal length open: then it
 stays the field's.
 """
@@ -27,10 +27,10 @@ END_SIGMA_PX = 0.25
 constants below were chosen on renders of other rooms than `benchmarks/room_net.py` measures on."""
 SHORTEST = 0.03
 """Edges shorter than this share of the picture's height are left out."""
-MOST_EDGES = 160
+MAX_EDGES = 160
 """Longest edges of a picture that are used."""
 _BENT_SIGMA_RAD = math.radians(0.3)
-"""What straight things, lenses and the detector miss beside the error of the ends."""
+"""What straight objects, lenses and the detector miss beside the error of the ends."""
 _OUTLIERS = 0.4
 """Expected share of edges that run along none of the three directions."""
 _FULL_LENGTH = 0.1
@@ -46,9 +46,9 @@ _HEADINGS, _HEADINGS_KEPT = 12, 3
 _ROUNDS = 9
 _SAME = 0.03
 """Ends of climbs no farther apart than this (log focal length, radians) are one."""
-_MOST_DOUBT = 0.5
+_MAX_DOUBT = 0.5
 """A field less sure of its focal length's logarithm than this is taken for as sure: some edges suit any lens."""
-_LEAST_DOUBT = 0.01
+_MIN_DOUBT = 0.01
 """Focal lengths by edges are no surer than this; principal points are not looked for."""
 _STEP = 1e-4
 _LONGEST_STEP = 0.25
@@ -58,7 +58,7 @@ _FOCAL, _PITCH, _ROLL, _HEADING, _DISTORTION = range(5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class LineSegments:
     """Straight edges of one picture."""
 
     ends: Float[np.ndarray, "edges 4"]
@@ -67,7 +67,7 @@ class Edges:
     """Expected error of an end across the edge, in picture heights."""
 
 
-def straight_edges(image: UInt8[np.ndarray, "height width 3"]) -> Edges:
+def detect_line_segments(image: UInt8[np.ndarray, "height width 3"]) -> LineSegments:
     """Edges of an RGB picture by the line segment detector of Grompone von Gioi et al. (2010)."""
     height, width = image.shape[:2]
     scale = min(2.0, math.sqrt(WORKING_AREA_PX / (width * height)))
@@ -80,11 +80,11 @@ def straight_edges(image: UInt8[np.ndarray, "height width 3"]) -> Edges:
     x, y = (pixels[:, 0::2] + 0.5) / size[0] - 0.5, (pixels[:, 1::2] + 0.5) / size[1] - 0.5
     ends = np.stack([x * width / height, y], -1).reshape(-1, 4)
     length = np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1])
-    longest = np.argsort(-length, kind="stable")[:MOST_EDGES]
-    return Edges(ends[longest[length[longest] > SHORTEST]], END_SIGMA_PX / min(height, size[1]))
+    longest = np.argsort(-length, kind="stable")[:MAX_EDGES]
+    return LineSegments(ends[longest[length[longest] > SHORTEST]], END_SIGMA_PX / min(height, size[1]))
 
 
-def camera_with_edges(camera: FieldCamera, edges: Sequence[Edges], *, focal_known: bool = False) -> FieldCamera:
+def camera_with_edges(camera: FieldCamera, edges: Sequence[LineSegments], *, focal_known: bool = False) -> FieldCamera:
     """The camera that a perspective field and the edges of pictures of the same view suggest together.
 
     Expectation maximization from several focal lengths and headings, by Gauss-Newton steps: an edge belongs to each
@@ -109,7 +109,7 @@ def camera_with_edges(camera: FieldCamera, edges: Sequence[Edges], *, focal_know
     return FieldCamera(
         focal_ratio=camera.focal_ratio if focal_known else math.exp(states[best, _FOCAL]),
         up_camera=up_of(states[best, _PITCH], states[best, _ROLL]),
-        covariance=np.einsum("s,sij->ij", share / share.sum(), spread) + np.diag([_LEAST_DOUBT**2, 0, 0]),
+        covariance=np.einsum("s,sij->ij", share / share.sum(), spread) + np.diag([_MIN_DOUBT**2, 0, 0]),
     )
 
 
@@ -136,7 +136,7 @@ class _Fit:
     """Of the prior."""
 
     @classmethod
-    def of(cls, camera: FieldCamera, edges: Sequence[Edges]) -> _Fit | None:
+    def of(cls, camera: FieldCamera, edges: Sequence[LineSegments]) -> _Fit | None:
         """None where there are too few edges to speak of."""
         ends = np.concatenate([np.zeros((0, 4)), *(some.ends for some in edges)])
         if len(ends) < _FEWEST:
@@ -145,7 +145,7 @@ class _Fit:
         length = np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1])
         information = np.zeros((5, 5))
         # Row and column alike, so that what goes with the focal length shrinks with it.
-        held = np.diag([min(1.0, _MOST_DOUBT / camera.focal_log_sigma), 1.0, 1.0])
+        held = np.diag([min(1.0, _MAX_DOUBT / camera.focal_log_sigma), 1.0, 1.0])
         information[:3, :3] = np.linalg.inv(held @ camera.covariance @ held)
         information[_DISTORTION, _DISTORTION] = _DISTORTION_SIGMA**-2
         return cls(
@@ -206,12 +206,12 @@ class _Fit:
         straight = _undistorted(seen, states[:, _DISTORTION][:, None, None, None])
         ray = np.concatenate([straight, np.ones((*straight.shape[:-1], 1))], -1)
         first, second = (part / np.linalg.norm(part, axis=-1, keepdims=True) for part in (ray[:, :, 0], ray[:, :, 1]))
-        normal, middle = np.cross(first, second), first + second
+        normal, center = np.cross(first, second), first + second
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True) + 1e-12
-        middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
+        center /= np.linalg.norm(center, axis=-1, keepdims=True)
         axes = _room_axes(states).transpose(0, 2, 1)
         # The same turn of an edge about its middle turns its plane less against a direction that it points at.
-        aside = np.sqrt(np.maximum(1 - (middle @ axes) ** 2, 1e-4))
+        aside = np.sqrt(np.maximum(1 - (center @ axes) ** 2, 1e-4))
         return normal @ axes / aside
 
     def _densities(self, residual_rad: np.ndarray, wider: float) -> Float[np.ndarray, "states edges 3"]:

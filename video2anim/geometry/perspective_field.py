@@ -30,7 +30,7 @@ class PerspectiveField:
     """Up and latitude on a regular grid of cells over one picture."""
 
     up: Float[np.ndarray, "rows columns 2"]
-    """Unit direction in the picture (x right, y down) in which a point that rises moves, at the cells' centres."""
+    """Unit direction in the picture (x right, y down) in which a point that rises moves, at the cells' centers."""
     latitude_rad: Float[np.ndarray, "rows columns"]
     """Angle of the cell's ray over the horizon; positive looks up."""
     up_sigma_rad: Float[np.ndarray, "rows columns"]
@@ -88,7 +88,7 @@ def fit_camera(fields: Sequence[PerspectiveField], aspect: float, *, focal_ratio
     """The one camera that explains the fields of one or several pictures of the same view best.
 
     Robust (soft L1) least squares of up directions and latitudes over their expected errors, from several starts.
-    Errors of neighbouring cells go together, so the uncertainty counts a field as few independent cells, and is no
+    Errors of neighboring cells go together, so the uncertainty counts a field as few independent cells, and is no
     smaller than what is left unexplained.
 
     Args:
@@ -113,8 +113,8 @@ def fit_camera(fields: Sequence[PerspectiveField], aspect: float, *, focal_ratio
         return np.concatenate([part.ravel() for part in parts])
 
     latitude = np.median([np.median(field.latitude_rad) for field in fields])
-    middle = np.mean([_middle_up(field) for field in fields], axis=0)
-    roll = math.atan2(middle[0], -middle[1])
+    center = np.mean([_middle_up(field) for field in fields], axis=0)
+    roll = math.atan2(center[0], -center[1])
     best = None
     for start_ratio in _STARTS if focal_ratio is None else (focal_ratio,):
         middle_log = math.log(start_ratio)

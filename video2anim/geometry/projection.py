@@ -1,4 +1,4 @@
-"""Pinhole projection and its inverse. Camera axes are OpenCV's; pixel (0, 0) is the centre of the top-left pixel."""
+"""Pinhole projection and its inverse. Camera axes are OpenCV's; pixel (0, 0) is the center of the top-left pixel."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def project(points_camera_m: Any, intrinsics: Intrinsics) -> Any:
 
 
 def pixel_rays(intrinsics: Intrinsics) -> Float[np.ndarray, "height width 3"]:
-    """Camera-frame direction through every pixel centre, with z = 1."""
+    """Camera-frame direction through every pixel center, with z = 1."""
     u, v = np.meshgrid(np.arange(intrinsics.width_px), np.arange(intrinsics.height_px))
     x = (u - intrinsics.cx_px) / intrinsics.fx_px
     y = (v - intrinsics.cy_px) / intrinsics.fy_px

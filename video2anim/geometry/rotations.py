@@ -134,7 +134,7 @@ def slerp(quaternion_a: Any, quaternion_b: Any, weight: Any) -> Any:
 
 
 def continuous_quaternions(quaternion_wxyz: np.ndarray) -> np.ndarray:
-    """Quaternions (T, ..., 4) with signs flipped so that neighbours in time lie on the same half sphere."""
+    """Quaternions (T, ..., 4) with signs flipped so that neighbors in time lie on the same half sphere."""
     flips = np.ones(quaternion_wxyz.shape[:-1])
     dots = (quaternion_wxyz[1:] * quaternion_wxyz[:-1]).sum(-1)
     flips[1:] = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)

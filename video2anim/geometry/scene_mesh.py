@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from video2anim.geometry.projection import transform_points
 from video2anim.types.scene import Mesh, RoomPiece, Texture
 
-_MOST_CELLS = 20_000
+_MAX_CELLS = 20_000
 """Of a mesh, of two triangles each."""
 
 
@@ -65,7 +65,7 @@ def with_vertex_colors(mesh: Mesh, textures: tuple[Texture, ...], cell_m: float 
     corners_m = mesh.vertices_m.astype(np.float64)[mesh.faces]
     vertices = np.concatenate([corners_m, texture.corner_uv.astype(np.float64)], -1).reshape(-1, 5)
     double_m2 = np.linalg.norm(np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0]), axis=1)
-    vertices, faces = _halved(vertices, faces, max(cell_m, float(np.sqrt(double_m2.sum() / _MOST_CELLS))))
+    vertices, faces = _halved(vertices, faces, max(cell_m, float(np.sqrt(double_m2.sum() / _MAX_CELLS))))
     rows, columns = texture.image_rgb.shape[:2]
     column, row = (np.clip(vertices[:, 3 + k] * size, 0, size - 1).astype(int) for k, size in ((0, columns), (1, rows)))
     return Mesh(vertices[:, :3].astype(np.float32), faces, texture.image_rgb[row, column])
@@ -89,9 +89,9 @@ def _halved(
         done.append(faces[~long])
         turn = (length_m[long].argmax(1)[:, None] + np.arange(3)) % 3
         faces = np.take_along_axis(faces[long], turn, 1)
-        edges, middle = np.unique(np.sort(faces[:, :2], 1), axis=0, return_inverse=True)
-        middle = len(vertices) + middle.reshape(-1)
+        edges, center = np.unique(np.sort(faces[:, :2], 1), axis=0, return_inverse=True)
+        center = len(vertices) + center.reshape(-1)
         vertices = np.concatenate([vertices, vertices[edges].mean(1)])
         a, b, c = faces.T
-        faces = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+        faces = np.concatenate([np.stack([a, center, c], 1), np.stack([center, b, c], 1)])
     return vertices, np.concatenate(done)

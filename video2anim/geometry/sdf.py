@@ -220,8 +220,8 @@ def surface_samples(
         longest = edges_m.argmax(axis=1)[:, None]
         rows = np.arange(len(pieces))[:, None]
         a, b, c = (pieces[rows, (longest + k) % 3][:, 0] for k in range(3))
-        middle = 0.5 * (a + b)
-        pieces = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+        center = 0.5 * (a + b)
+        pieces = np.concatenate([np.stack([a, center, c], 1), np.stack([center, b, c], 1)])
         owners = np.concatenate([owners, owners])
     return np.concatenate(samples), np.concatenate(sample_owners)
 

@@ -11,7 +11,7 @@ KNOWN_SIGMA_M = 0.01
 
 
 def height_of(known_m: float | Mapping[int, float] | None, person_id: int, main_id: int) -> float | None:
-    """Known height of a person in metres, None where it is not known: one number is that of the main person."""
+    """Known height of a person in meters, None where it is not known: one number is that of the main person."""
     if isinstance(known_m, Mapping):
         return known_m.get(person_id)
     return known_m if person_id == main_id else None
@@ -36,7 +36,7 @@ def expect_heights(known_m: float | Mapping[int, float] | None, person_ids: Sequ
 
 
 def parse_heights(words: Sequence[str]) -> float | dict[int, float] | None:
-    """`["1.70"]`, the main person's height in metres, or `["1=1.70", "2=1.12"]`, by ID; None for no words.
+    """`["1.70"]`, the main person's height in meters, or `["1=1.70", "2=1.12"]`, by ID; None for no words.
 
     Raises:
         UsageError: of neither form, or a person twice.
@@ -52,7 +52,7 @@ def parse_heights(words: Sequence[str]) -> float | dict[int, float] | None:
             person_id, height_m = 0, 0.0
         if person_id < 1 or person_id in heights_m:
             raise UsageError(
-                f"--height-m: want one height in metres, such as 1.70, or heights by person, as in 2=1.12, got {word!r}"
+                f"--height-m: want one height in meters, such as 1.70, or heights by person, as in 2=1.12, got {word!r}"
             )
         heights_m[person_id] = height_m
     return heights_m or None

@@ -17,7 +17,7 @@ _SEGMENTS = (
     ("left_knee", "left_ankle", 0.061), ("right_knee", "right_ankle", 0.061),
 )  # fmt: skip
 """Mass share of body segments (Winter 2009, table 4.1), each at the middle of its joints."""
-_LOOKS_PER_S = 3.0
+_OBSERVATIONS_PER_S = 3.0
 _LEVEL_SIGMA_M = 0.07
 """Supports of one level spread less than this."""
 _FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
@@ -33,7 +33,7 @@ class UpEstimate:
 
 
 def center_of_mass(joints_m: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "frames 3"]:
-    """Whole-body centre of mass from segment masses."""
+    """Whole-body center of mass from segment masses."""
     total = np.zeros((len(joints_m), 3))
     mass = sum(share for _, _, share in _SEGMENTS)
     for start, end, share in _SEGMENTS:
@@ -41,7 +41,7 @@ def center_of_mass(joints_m: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarr
     return total
 
 
-def up_from_balance(
+def up_from_static_equilibrium(
     joints_camera_m: Float[np.ndarray, "frames 22 3"],
     duration_s: float,
     *,
@@ -49,9 +49,9 @@ def up_from_balance(
     prior_sigma_rad: float = 0.35,
     frame_sigma_rad: float = 0.3,
 ) -> UpEstimate:
-    """Direction against gravity: a body that stands or walks has, on average, its centre of mass over its feet.
+    """Direction against gravity: a body that stands or walks has, on average, its center of mass over its feet.
 
-    Iteratively re-weighted mean of the directions feet -> centre of mass, so lying, bending or airborne frames lose
+    Iteratively re-weighted mean of the directions feet -> center of mass, so lying, bending or airborne frames lose
     their say, combined with a weak belief that cameras are held level. Errors of neighboring frames are strongly
     correlated: every third of a second of the time the frames span counts as one look, however many frames it has.
     """
@@ -59,7 +59,7 @@ def up_from_balance(
     direction = center_of_mass(joints_camera_m) - feet
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     level = np.array([0.0, -1.0, 0.0]) if prior_up is None else prior_up
-    looks = max(1.0, duration_s * _LOOKS_PER_S)
+    looks = max(1.0, duration_s * _OBSERVATIONS_PER_S)
     share = min(1.0, looks / len(joints_camera_m)) / frame_sigma_rad**2
     up = np.median(direction, axis=0)
     up /= np.linalg.norm(up)

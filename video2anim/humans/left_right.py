@@ -8,17 +8,17 @@ from jaxtyping import Bool, Float
 from video2anim.humans.landmarks import MIRROR_KEYPOINT
 
 _SIDED = np.arange(len(MIRROR_KEYPOINT)) != MIRROR_KEYPOINT
-_LEAST_JUMP = 0.08
+_MIN_JUMP = 0.08
 """Mean jump of the keypoints from frame to frame, over the person's size, below which nothing is suspected."""
 _CLEARLY = 0.5
 """With sides exchanged the jump must shrink to less than this share."""
 _LONGEST_S = 1.0
 """Longer stretches may be a person who turned while unseen, and stay."""
 _DEPTH_SCALE = 0.6
-"""Metres of the 3D landmarks that count as much as the person's size in the picture."""
+"""Meters of the 3D landmarks that count as much as the person's size in the picture."""
 
 
-def swapped_frames(
+def left_right_flips(
     keypoints_px: Float[np.ndarray, "frames keypoints 2"],
     keypoints_m: Float[np.ndarray, "frames keypoints 3"],
     weight: Float[np.ndarray, "frames keypoints"],
@@ -42,7 +42,7 @@ def swapped_frames(
     stay = np.linalg.norm(seen[1:] - seen[:-1], axis=-1)[:, _SIDED]
     cross = np.linalg.norm(seen[1:] - seen[:-1][:, MIRROR_KEYPOINT], axis=-1)[:, _SIDED]
     jump, jump_crossed = ((both * part).sum(1) / both.sum(1) for part in (stay, cross))
-    changes = np.flatnonzero((jump > _LEAST_JUMP) & (jump_crossed < _CLEARLY * jump)) + 1
+    changes = np.flatnonzero((jump > _MIN_JUMP) & (jump_crossed < _CLEARLY * jump)) + 1
     edges = np.concatenate([[0], changes, [len(rows)]])
     sides = np.arange(len(edges) - 1) % 2
     lengths = np.diff(edges)

@@ -57,7 +57,7 @@ class LiftedBody:
     R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
     """Joint 0 is the root orientation in the camera."""
     translation_camera_m: Float[np.ndarray, "frames 3"]
-    """Of the pelvis, for an adult of middling build."""
+    """Of the pelvis, for an adult of average build."""
     contact: Float[np.ndarray, "frames 8"]
     """Probabilities, in the order of `CONTACT_JOINTS`."""
     up_camera: Float[np.ndarray, "frames 3"]
@@ -79,13 +79,13 @@ def lifter_input(observed: Observations) -> LifterInput:
     """Features of a person's frames, which must be evenly spaced at `LIFTER_FPS`."""
     valid = observed.valid & np.isfinite(observed.keypoints_px).all((1, 2))
     k = observed.intrinsics
-    middle_px = _carried(observed.keypoints_px[:, _HIPS].mean(1), valid)
-    R_camera_ray = ray_rotation(middle_px, k)
+    center_px = _carried(observed.keypoints_px[:, _HIPS].mean(1), valid)
+    R_camera_ray = ray_rotation(center_px, k)
     pixels = np.nan_to_num(observed.keypoints_px)
     ray = np.stack(
         [(pixels[..., 0] - k.cx_px) / k.fx_px, (pixels[..., 1] - k.cy_px) / k.fy_px, np.ones(pixels.shape[:2])], -1
     )
-    R_ray_landmarks = np.swapaxes(R_camera_ray, -1, -2) @ landmark_rotation(middle_px, k)
+    R_ray_landmarks = np.swapaxes(R_camera_ray, -1, -2) @ landmark_rotation(center_px, k)
     points_ray_m = np.einsum("tab,tkb->tka", R_ray_landmarks, np.nan_to_num(observed.keypoints_m))
     return ray_features(ray, R_camera_ray, points_ray_m, observed.weight, valid, focal_px=k.fx_px)
 
@@ -116,8 +116,8 @@ def ray_features(
     weight = np.maximum(seen, 0.05)
     size = np.sqrt((weight * (directions**2).sum(-1)).sum(-1) / weight.sum(-1))
     size = np.maximum(_carried(size, valid), _SMALLEST)
-    middle = ray_camera[..., _HIPS, :].mean(-2)
-    before = np.concatenate([middle[..., :1, :], middle[..., :-1, :]], -2)
+    center = ray_camera[..., _HIPS, :].mean(-2)
+    before = np.concatenate([center[..., :1, :], center[..., :-1, :]], -2)
     moved = (before[..., None, :] @ R_camera_ray)[..., 0, :]
     hips = turned[..., _HIPS, :].mean(-2)
     motion = (hips[..., :2] / hips[..., 2:] - moved[..., :2] / np.maximum(moved[..., 2:], 0.1)) / size[..., None]
@@ -137,7 +137,7 @@ def lifted_body(output: Float[np.ndarray, "frames outputs"], given: LifterInput)
 
     Args:
         output: 22 rotations (6D, root in the frame of the ray), logarithm of depth x size, offset of the pelvis from
-            the ray (x, y, metres), contact logits, logarithms of expected errors, up in the frame of the ray.
+            the ray (x, y, meters), contact logits, logarithms of expected errors, up in the frame of the ray.
     """
     output = output.astype(np.float64)
     R = matrix_from_rot6d(output[:, :132].reshape(-1, 22, 6))

@@ -37,7 +37,7 @@ def lift(observed: Observations, network: Network) -> LiftedBody:
 
 
 def _at(observed: Observations, grid_s: Float[np.ndarray, "samples"]) -> Observations:
-    """Measurements at other times, on straight lines between the valid neighbours."""
+    """Measurements at other times, on straight lines between the valid neighbors."""
     rows = np.flatnonzero(observed.valid)
     times = observed.frame_time_s[rows]
     if len(rows) == 0:

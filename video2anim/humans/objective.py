@@ -40,12 +40,12 @@ class FitConfig:
     to take out: a tighter prior couples the frames so that the fit is slow to leave its start."""
     angular_rate_rad_s: float = 8.0
     """Joint angle rate that is nothing special."""
-    stature_m: float = 1.70
+    body_height_m: float = 1.70
     """Mean standing height of adults (NCD-RisC 2016: women 1.59 to 1.65 m, men 1.71 to 1.78 m in most regions)."""
-    stature_sigma_m: float = 0.09
+    body_height_sigma_m: float = 0.09
     shape_sigma: float = 0.4
     """Spread of the other phenotypes, whose whole range is 1. Gender lies near its ends, and the body model's whole
-    range of proportions changes the legs' share of the stature by only 1.6 points, no more than adults differ."""
+    range of proportions changes the legs' share of the body height by only 1.6 points, no more than adults differ."""
     prior_share: float = 4.0
     """Weight of the shape and lens priors per frame: a detector's bias is the same in every frame, so the evidence of
     a long clip on shape and lens does not grow with its length as independent errors would let it."""
@@ -79,10 +79,10 @@ _ANGLE_SIGMA_RAD = {
 _HINGES = {"left_knee": (0, 1.0), "right_knee": (0, 1.0), "left_elbow": (1, -1.0), "right_elbow": (1, 1.0)}
 """Hinge joints: axis of flexion in the joint frame and its positive sense."""
 _HINGE_SIGMA_RAD, _OVERSTRETCH_SIGMA_RAD, _FOREARM_TWIST_SIGMA_RAD = 3.0, 0.1, 0.8
-_LEAST_DOUBT = 0.5
+_MIN_DOUBT = 0.5
 """Share of the usual error below which the lifter's own expectation is not believed."""
 PERSON = ADULT | {name: mean for name, (mean, _) in PEOPLES_LENGTHS.items()}
-"""The middling adult with people's proportions, from which a fit starts."""
+"""The average adult with people's proportions, from which a fit starts."""
 SHAPE_PARAMETERS = ("height", "gender", "weight", "proportions", *PEOPLES_LENGTHS)
 """Parameters that are fitted; age and muscle cannot be told from landmarks."""
 
@@ -110,7 +110,7 @@ class Prediction:
     R_camera_joint: torch.Tensor
     R_parent_joint: torch.Tensor
     rest_joints_m: torch.Tensor
-    stature_m: torch.Tensor
+    body_height_m: torch.Tensor
 
 
 class Objective:
@@ -132,7 +132,7 @@ class Objective:
             distance_m = torch.from_numpy(lifted.translation_camera_m[:, 2]).float().clamp_min(0.1)
             self._distance_per_px = distance_m / lifted.focal_px
         if lifted is not None:
-            expected = np.maximum(lifted.error_m / config.lifted_usual_m, _LEAST_DOUBT)
+            expected = np.maximum(lifted.error_m / config.lifted_usual_m, _MIN_DOUBT)
             self._doubt = torch.from_numpy(expected).float()
             moved = np.stack([expected[:, np.flatnonzero(j == PARENTS)].max(1, initial=0) for j in range(22)], 1)
             self._angle_doubt = torch.from_numpy(np.maximum(moved, expected)).float()
@@ -157,7 +157,7 @@ class Objective:
         self._start_log_focal = float(np.log(k.fx_px))
         with torch.no_grad():
             phenotype = {name: torch.tensor(value) for name, value in base_shape.items()}
-            self.start_stature_m = float(model.rest_skeleton(phenotype).stature_m)
+            self.start_body_height_m = float(model.rest_skeleton(phenotype).body_height_m)
         self.set_focal(float(k.fx_px))
 
     def set_focal(self, focal_px: float) -> None:
@@ -176,13 +176,13 @@ class Objective:
             values[name] = (values[name] + parameters.shape_offset[i]).clamp(least, 1.0)
         return values
 
-    def translation_m(self, parameters: Parameters, stature_m: torch.Tensor) -> torch.Tensor:
+    def translation_m(self, parameters: Parameters, body_height_m: torch.Tensor) -> torch.Tensor:
         """(T, 3) root translations. They grow with the body, and depth grows with the focal length, which leaves the
         body's place and size in the picture as they are: shape and focal length can then move without fighting every
         frame's translation.
         """
         zoom = torch.exp(parameters.log_focal - self._start_log_focal)
-        grown = stature_m / self.start_stature_m
+        grown = body_height_m / self.start_body_height_m
         return parameters.translation_m * torch.stack([grown, grown, grown * zoom])
 
     def predict(self, parameters: Parameters) -> Prediction:
@@ -191,10 +191,10 @@ class Objective:
         R_root = matrix_from_rot6d(parameters.root_rot6d)
         R = torch.cat([R_root[:, None], matrix_from_axis_angle(parameters.angles_rad)], 1)
         joints, R_camera_joint = forward_kinematics(
-            R, self.translation_m(parameters, rest.stature_m), rest.rest_joints_m
+            R, self.translation_m(parameters, rest.body_height_m), rest.rest_joints_m
         )
         keypoints = rest.keypoints_m(joints, R_camera_joint)
-        return Prediction(joints, keypoints, R_camera_joint, R, rest.rest_joints_m, rest.stature_m)
+        return Prediction(joints, keypoints, R_camera_joint, R, rest.rest_joints_m, rest.body_height_m)
 
     def residual_px(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
         """(T, K, 2) projected minus observed keypoints."""
@@ -231,9 +231,11 @@ class Objective:
         return c.lifted_share * (self._believed * (joints + angles)).sum()
 
     def _as_far(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
-        """The distance that the lifter sees in the size of a body of middling build; a small one is as much nearer."""
+        """The distance that the lifter sees in the size of a body of average build; a small one is as much nearer."""
         assert self._distance_per_px is not None
-        wanted = parameters.log_focal + (self._distance_per_px * prediction.stature_m / self.start_stature_m).log()
+        wanted = (
+            parameters.log_focal + (self._distance_per_px * prediction.body_height_m / self.start_body_height_m).log()
+        )
         off = (self._believed * (prediction.joints_m[:, 0, 2].clamp_min(0.1).log() - wanted)).sum()
         ratio = off / self._believed.sum() / self.config.lifted_distance_ratio
         return 0.5 * self._prior_weight * ratio.square()
@@ -241,8 +243,8 @@ class Objective:
     def _landmarks_3d(self, prediction: Prediction) -> torch.Tensor:
         hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
         relative = prediction.keypoints_m - prediction.keypoints_m[:, hips].mean(1, keepdim=True)
-        # The landmark model tells poses, not sizes: everybody is as tall as a middling adult to it.
-        relative = relative * (self.start_stature_m / prediction.stature_m)
+        # The landmark model tells poses, not sizes: everybody is as tall as a average adult to it.
+        relative = relative * (self.start_body_height_m / prediction.body_height_m)
         turned = torch.einsum("tba,tkb->tka", self._R_camera_landmarks, relative)
         wanted = self._points - self._points[:, hips].mean(1, keepdim=True)
         sigma = torch.tensor([self.config.landmark_3d_m, self.config.landmark_3d_m, self.config.landmark_3d_depth_m])
@@ -256,7 +258,7 @@ class Objective:
         velocity = prediction.joints_m.diff(dim=0) / step
         between = 0.5 * (step[1:] + step[:-1])
         # For a body of the mean height: else the prior would make people small, since the small move less.
-        scale = self.config.acceleration_m_s2 * prediction.stature_m / self.config.stature_m
+        scale = self.config.acceleration_m_s2 * prediction.body_height_m / self.config.body_height_m
         acceleration = velocity.diff(dim=0) / between / scale
         rate = parameters.angles_rad.diff(dim=0) / step / self.config.angular_rate_rad_s
         # Joints move together: 22 accelerations say about as much as 7 independent ones.
@@ -277,10 +279,10 @@ class Objective:
         c = self.config
         sigma = torch.tensor([*[c.shape_sigma] * 3, *(sigma for _, sigma in PEOPLES_LENGTHS.values())])
         spread = (parameters.shape_offset[1:] / sigma).square().sum()
-        stature = ((prediction.stature_m - c.stature_m) / c.stature_sigma_m).square()
+        body_height = ((prediction.body_height_m - c.body_height_m) / c.body_height_sigma_m).square()
         prior_focal = np.log(c.focal_ratio * self._long_side)
         focal = ((parameters.log_focal - prior_focal) / c.focal_log_sigma).square()
-        return 0.5 * self._prior_weight * (spread + stature + focal)
+        return 0.5 * self._prior_weight * (spread + body_height + focal)
 
 
 def _huber(square: torch.Tensor, knee: float) -> torch.Tensor:

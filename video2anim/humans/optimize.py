@@ -42,7 +42,7 @@ def fit_body(
     """Fit rotations, translation and shape (and the focal length, if asked) to landmarks over time.
 
     Args:
-        observed: landmarks; its intrinsics give the centre and the first focal length.
+        observed: landmarks; its intrinsics give the center and the first focal length.
         fit_focal: treat the focal length as unknown under the prior of `config`.
         fit_shape: treat the shape as unknown; else it stays `shape`.
         shape: Anny parameters to start from (default: `PERSON`).
@@ -87,7 +87,7 @@ def fit_body(
 
 @one_thread()
 def place_lifted(observed: Observations, lifted: LiftedBody, config: FitConfig | None = None) -> FittedBody:
-    """The lifter's answer as it is, on an adult of middling build; no height is taken into account.
+    """The lifter's answer as it is, on an adult of average build; no height is taken into account.
 
     Raises:
         StageError: fewer than one valid frame.
@@ -155,9 +155,9 @@ def _start(observed: Observations, objective: Objective, lifted: LiftedBody | No
 
 def _start_warm(observed: Observations, objective: Objective, warm: FittedBody, base: dict[str, float]) -> Parameters:
     """The earlier body, moved along the line of sight so that it keeps its size in the picture."""
-    start_m = objective.start_stature_m
+    start_m = objective.start_body_height_m
     grown = float(
-        objective.model.rest_skeleton({k: torch.tensor(v) for k, v in warm.shape.parameters.items()}).stature_m
+        objective.model.rest_skeleton({k: torch.tensor(v) for k, v in warm.shape.parameters.items()}).body_height_m
     )
     translation = warm.translation_camera_m * (start_m / grown)
     translation[:, 2] *= observed.intrinsics.fx_px / warm.focal_px
@@ -179,7 +179,7 @@ def _finish(objective: Objective, parameters: Parameters, base: dict[str, float]
         prediction = objective.predict(parameters)
         error = objective.residual_px(prediction, parameters).norm(dim=-1).numpy().astype(np.float64)
         cost = float(objective.cost(parameters))
-        translation = objective.translation_m(parameters, prediction.stature_m).numpy().astype(np.float64)
+        translation = objective.translation_m(parameters, prediction.body_height_m).numpy().astype(np.float64)
         shape = {name: float(value) for name, value in objective.shape(parameters).items()}
     return FittedBody(
         prediction.R_parent_joint.numpy().astype(np.float64),

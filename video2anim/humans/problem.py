@@ -13,7 +13,7 @@ from video2anim.types.motion import BodyShape
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
-    """Landmarks of one person in the order of `KEYPOINT_NAMES`; frames need not be neighbours in time."""
+    """Landmarks of one person in the order of `KEYPOINT_NAMES`; frames need not be neighbors in time."""
 
     frame_time_s: Float[np.ndarray, "frames"]
     valid: Bool[np.ndarray, "frames"]

@@ -13,14 +13,14 @@ from video2anim.types.motion import BodyMotion, PersonQuality
 from video2anim.types.people import PersonTrack
 
 _BONES = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
-_MOST_REPROJECTION = 0.04
+_MAX_REPROJECTION = 0.04
 """Share of the person's size: beyond it the body is not the one in the picture (landmarks err by about 0.01)."""
-_LEAST_VALID = 0.5
-_MOST_BONE_SPREAD = 0.2
+_MIN_VALID = 0.5
+_MAX_BONE_SPREAD = 0.2
 """Bones do not change: a detector that sees them change this much mixes people up or guesses."""
 _FASTEST_M_S = 13.0
 """No root moves faster: the fastest sprint measured is 12.4 m/s."""
-_MOST_FAST = 0.02
+_MAX_FAST = 0.02
 _STATURES_M = (0.7, 2.2)
 _SURE_FRAMES = 15
 
@@ -55,7 +55,7 @@ def person_quality(
         skating_gmd=skating_gmd,
         bone_spread=bone_spread(track),
         valid_share=float(motion.valid.mean()),
-        stature_m=float(np.ptp(fit.rest_joints_m[:, 1])),
+        body_height_m=float(np.ptp(fit.rest_joints_m[:, 1])),
         fast_share=_fast_share(motion.measured_joints_m[:, 0], fps),
     )
     return replace(found, doubts=tuple(_doubts(found, len(valid))))
@@ -71,8 +71,8 @@ def bone_spread(track: PersonTrack) -> float:
             if seen.sum() < _SURE_FRAMES:
                 continue
             length_m = np.linalg.norm(track.landmarks_m[seen, first] - track.landmarks_m[seen, second], axis=-1)
-            middle_m = np.median(length_m)
-            spreads.append(1.4826 * np.median(np.abs(length_m - middle_m)) / middle_m)
+            center_m = np.median(length_m)
+            spreads.append(1.4826 * np.median(np.abs(length_m - center_m)) / center_m)
     return float(np.median(spreads)) if spreads else float("nan")
 
 
@@ -88,22 +88,22 @@ def _doubts(quality: PersonQuality, valid_frames: int) -> list[str]:
     low, high = _STATURES_M
     checks = (
         (
-            quality.reprojection_ratio > _MOST_REPROJECTION,
+            quality.reprojection_ratio > _MAX_REPROJECTION,
             f"the body misses its landmarks by {quality.reprojection_ratio:.1%} of its size",
         ),
-        (quality.valid_share < _LEAST_VALID, f"seen in {quality.valid_share:.0%} of the frames only"),
+        (quality.valid_share < _MIN_VALID, f"seen in {quality.valid_share:.0%} of the frames only"),
         (valid_frames < _SURE_FRAMES, f"seen in {valid_frames} frames only"),
         (
-            quality.bone_spread > _MOST_BONE_SPREAD,
+            quality.bone_spread > _MAX_BONE_SPREAD,
             f"limbs change their length by {quality.bone_spread:.0%}: hidden, or two people mixed up",
         ),
         (
-            quality.fast_share > _MOST_FAST,
+            quality.fast_share > _MAX_FAST,
             f"faster than anybody can run in {quality.fast_share:.0%} of the frames: the place or the camera is wrong",
         ),
         (
-            not low <= quality.stature_m <= high,
-            f"{quality.stature_m:.2f} m from head to foot: the scale or the focal length is wrong",
+            not low <= quality.body_height_m <= high,
+            f"{quality.body_height_m:.2f} m from head to foot: the scale or the focal length is wrong",
         ),
     )
     return [text for holds, text in checks if holds]

@@ -13,10 +13,10 @@ from video2anim.body.anny_body import ShapedBody
 from video2anim.geometry.chamfer import huber_of_square
 from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.projection import backproject, invert_rigid, transform_points
-from video2anim.types import BackgroundPlate, BodyMotion, MetricDepth
+from video2anim.types import BackgroundImage, BodyMotion, MetricDepth
 from video2anim.types.skeleton import forward_kinematics
 
-_LEAST_POINTS = 50
+_MIN_POINTS = 50
 """Of depth and of skin, for a frame to count."""
 _TRIM_RATIO = 0.1
 """Share of the farthest depth and skin points left out: hair, clothes, mask borders."""
@@ -37,7 +37,7 @@ def depth_targets(
     motion: BodyMotion,
     body: ShapedBody,
     depth: MetricDepth,
-    plate: BackgroundPlate,
+    background: BackgroundImage,
     *,
     points: int,
     rng: np.random.Generator,
@@ -48,11 +48,11 @@ def depth_targets(
     """
     height, width = depth.depth_m.shape[1:]
     intrinsics = motion.intrinsics.resized(width, height)
-    common, in_depth, in_plate = np.intersect1d(depth.frame_index, plate.frame_index, return_indices=True)
+    common, in_depth, in_background = np.intersect1d(depth.frame_index, background.frame_index, return_indices=True)
     targets: list[DepthTarget] = []
-    for frame, d, p in zip(common, in_depth, in_plate, strict=True):
-        seen = plate.selected_mask[p] & depth.valid[d] & (depth.depth_m[d] > 0)
-        if not motion.valid[frame] or seen.sum() < _LEAST_POINTS:
+    for frame, d, p in zip(common, in_depth, in_background, strict=True):
+        seen = background.selected_mask[p] & depth.valid[d] & (depth.depth_m[d] > 0)
+        if not motion.valid[frame] or seen.sum() < _MIN_POINTS:
             continue
         T_world_camera = motion.T_world_camera[frame]
         points_m = transform_points(T_world_camera, backproject(depth.depth_m[d], intrinsics)[seen])
@@ -62,7 +62,7 @@ def depth_targets(
         skin_m = body.vertices(R_world_joint[None], motion.joints_world_m[frame][None])[0].astype(np.float64)
         skin_camera_m = transform_points(invert_rigid(T_world_camera), skin_m)
         visible_m = skin_m[visible_vertices(skin_camera_m, body.faces, intrinsics)]
-        if len(visible_m) < _LEAST_POINTS:
+        if len(visible_m) < _MIN_POINTS:
             continue
         chosen = [rng.choice(len(array), min(len(array), points), replace=False) for array in (visible_m, points_m)]
         targets.append(DepthTarget(int(frame), visible_m[chosen[0]], points_m[chosen[1]]))

@@ -62,7 +62,7 @@ class RootProblem:
 def solve_along(
     problem: RootProblem, weights: RootWeights, *, iterations: int, learning_rate_m: float
 ) -> Float[np.ndarray, "keyframes"]:
-    """Ways along the lines of sight (metres) that minimize the weighted losses: Adam from zero, step size falling along
+    """Ways along the lines of sight (meters) that minimize the weighted losses: Adam from zero, step size falling along
     a cosine."""
     losses = _Losses(problem, weights)
     along_m = torch.zeros(len(problem.frame), 1, requires_grad=True)

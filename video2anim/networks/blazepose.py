@@ -1,9 +1,9 @@
-"""BlazePose: 33 landmarks in pixels and metres, and a person mask, from a crop around one person.
+"""BlazePose: 33 landmarks in pixels and meters, and a person mask, from a crop around one person.
 
 Tensor contract of pose_landmark_{full,heavy}.tflite: input (1, 256, 256, 3) RGB in [0, 1]; outputs
 (1, 195) = 39 x (x, y, z in input pixels, visibility logit, presence logit); (1, 1) probability that a person is there;
-(1, 256, 256, 1) mask logits; (1, 64, 64, 39) heat maps; (1, 117) = 39 x (x, y, z) metres, origin between the hips, in
-the crop's axes. Landmarks 33 and 34 are the centre and the rim of the circle that makes the next crop.
+(1, 256, 256, 1) mask logits; (1, 64, 64, 39) heat maps; (1, 117) = 39 x (x, y, z) meters, origin between the hips, in
+the crop's axes. Landmarks 33 and 34 are the center and the rim of the circle that makes the next crop.
 Source: the public pose_landmark graph of MediaPipe.
 """
 
@@ -39,7 +39,7 @@ class PoseEstimate:
     landmarks_px: Float[np.ndarray, "33 2"]
     """In the picture's pixels."""
     landmarks_m: Float[np.ndarray, "33 3"]
-    """Metres, origin between the hips, axes of the picture (x right, y down, z away)."""
+    """Meters, origin between the hips, axes of the picture (x right, y down, z away)."""
     visibility: Float[np.ndarray, "33"]
     """Probability that the landmark is in the picture and not hidden."""
     mask_crop: UInt8[np.ndarray, "64 64"]
@@ -116,7 +116,7 @@ def decode_landmarks(
 def refine_by_heatmap(
     points_crop: Float[np.ndarray, "39 2"], heatmap_logits: Float[np.ndarray, "rows columns 39"]
 ) -> Float[np.ndarray, "39 2"]:
-    """Move each landmark to the centre of mass of its heat map nearby, where the map is sure of one."""
+    """Move each landmark to the center of mass of its heat map nearby, where the map is sure of one."""
     rows, columns, _ = heatmap_logits.shape
     refined = points_crop.copy()
     reach = _HEATMAP_KERNEL // 2

@@ -58,8 +58,8 @@ def anchor_centers(input_size: int = 224) -> Float[np.ndarray, "anchors 2"]:
     """x, y of every anchor in input pixels, in the network's order."""
     layers = []
     for cells, copies in _GRIDS:
-        middle = (np.arange(cells) + 0.5) * (input_size / cells)
-        y, x = np.meshgrid(middle, middle, indexing="ij")
+        center = (np.arange(cells) + 0.5) * (input_size / cells)
+        y, x = np.meshgrid(center, center, indexing="ij")
         layers.append(np.repeat(np.stack([x.ravel(), y.ravel()], axis=1), copies, axis=0))
     return np.concatenate(layers)
 
@@ -139,7 +139,7 @@ class BlazePoseDetector:
         values, logits = self._net(canvas.astype(np.float32) / 127.5 - 1.0)
         found = suppress_weighted(decode(values[0], logits[0, :, 0], self._centers, min_score))
         stretch = np.array([width / fit_w, height / fit_h])
-        # Edges of the picture are at -0.5 px where pixel (0, 0) is a centre.
+        # Edges of the picture are at -0.5 px where pixel (0, 0) is a center.
         shift = np.array([left, top])
         box = (found.face_box_px.reshape(-1, 2, 2) - shift) * stretch - 0.5
         return Detections(found.score, box.reshape(-1, 4), (found.keypoints_px - shift) * stretch - 0.5)

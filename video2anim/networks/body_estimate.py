@@ -51,16 +51,16 @@ class BodyEstimate:
         """One shape for all frames: the median of each coefficient over the valid ones (over all if none is)."""
         betas = self.betas.reshape(-1, self.betas.shape[-1])
         valid = self.valid.reshape(-1)
-        middle = np.median(betas[valid] if valid.any() else betas, axis=0)
-        return BodyShape(self.body_model, {f"beta_{i}": float(beta) for i, beta in enumerate(middle)})
+        center = np.median(betas[valid] if valid.any() else betas, axis=0)
+        return BodyShape(self.body_model, {f"beta_{i}": float(beta) for i, beta in enumerate(center)})
 
 
 def square_of_box(box_px: Float[np.ndarray, "*frames 4"], margin: float = 1.0) -> Float[np.ndarray, "*frames 3"]:
     """Centre x, y and side of the upright square whose middle 3:4 strip just holds a box x0, y0, x1, y1 (pixels)."""
     width, height = box_px[..., 2] - box_px[..., 0], box_px[..., 3] - box_px[..., 1]
     side = margin * np.maximum(height, width / BODY_RATIO)
-    middle = 0.5 * (box_px[..., :2] + box_px[..., 2:])
-    return np.concatenate([middle, side[..., None]], -1)
+    center = 0.5 * (box_px[..., :2] + box_px[..., 2:])
+    return np.concatenate([center, side[..., None]], -1)
 
 
 def square_of_roi(roi: SquareRoi) -> Float[np.ndarray, "3"]:
@@ -74,7 +74,7 @@ def square_of_roi(roi: SquareRoi) -> Float[np.ndarray, "3"]:
 def full_frame_translation(
     weak_camera: Float[np.ndarray, "*frames 3"], square_px: Float[np.ndarray, "*frames 3"], intrinsics: Intrinsics
 ) -> Float[np.ndarray, "*frames 3"]:
-    """SMPL's translation (metres, camera frame) from the weak-perspective camera of a square crop.
+    """SMPL's translation (meters, camera frame) from the weak-perspective camera of a square crop.
 
     The network sees the square's half side as the length 1 / s at the body, hence z = 2 f / (s side); x and y are the
     crop's own shift plus the square's place in the picture at that depth (CLIFF, Li et al. 2022, as in 4D-Humans).
@@ -82,7 +82,7 @@ def full_frame_translation(
 
     Args:
         weak_camera: scale s (1 / m) and shifts t_x, t_y (m).
-        square_px: centre x, y and side.
+        square_px: center x, y and side.
         intrinsics: of the whole picture.
     """
     scale, side_px = weak_camera[..., 0], square_px[..., 2]

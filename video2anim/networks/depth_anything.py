@@ -2,7 +2,7 @@
 
 Tensor contract of both: input `pixel_values` (1, 3, H, W) float32, RGB in [0, 1] less the ImageNet mean over its
 deviation, H and W multiples of 14; output `predicted_depth` (1, H, W) float32. Relative: disparity up to one scale and
-offset, larger is nearer. Source: the model card of onnx-community/depth-anything-v2-small. Metric: metres along the
+offset, larger is nearer. Source: the model card of onnx-community/depth-anything-v2-small. Metric: meters along the
 optical axis, 0 to 20 (fine-tuned on Hypersim, rooms); the same architecture, so the same tensors from the same
 exporter. Source: the model card of depth-anything/Depth-Anything-V2-Metric-Hypersim-Small (Apache-2.0, `max_depth` 20).
 No export of it with a published digest is known, so the user brings one.
@@ -60,13 +60,13 @@ class DepthAnything:
 
 
 class DepthAnythingMetric(DepthAnything):
-    """Metric depth network for rooms: the same tensors, whose values are metres."""
+    """Metric depth network for rooms: the same tensors, whose values are meters."""
 
     kind = "metric"
     name = "depth-anything-v2-metric-indoor-small"
 
     def infer(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
-        """Depth in metres at the picture's own size, float32; NaN where the network gives no positive number.
+        """Depth in meters at the picture's own size, float32; NaN where the network gives no positive number.
 
         Raises:
             ModelMissingError: the network's output is not of the contract's shape.
@@ -84,7 +84,7 @@ def input_size(height: int, width: int, short_side_px: int = SHORT_SIDE_PX) -> t
 def to_pixel_values(
     image: UInt8[np.ndarray, "height width 3"], net_height: int, net_width: int
 ) -> Float[np.ndarray, "1 3 net_height net_width"]:
-    """Resize (areas when shrinking, cubic when growing), scale to [0, 1], normalise, channels first."""
+    """Resize (areas when shrinking, cubic when growing), scale to [0, 1], normalize, channels first."""
     grows = net_width > image.shape[1]
     resized = cv2.resize(image, (net_width, net_height), interpolation=cv2.INTER_CUBIC if grows else cv2.INTER_AREA)
     normal = (resized.astype(np.float32) / 255.0 - np.array(MEAN_RGB, np.float32)) / np.array(STD_RGB, np.float32)

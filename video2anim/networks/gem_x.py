@@ -3,9 +3,9 @@
 Tensor contract of `gem_smpl_denoiser_no_imgfeat.onnx` and `gem_smpl_denoiser.onnx`, as the public export script names
 it (https://github.com/NVlabs/GENMO, `tools/export/export_denoiser_onnx.py`). Inputs, float32, 120 frames at 30 fps:
 `obs` (1, 120, 17, 3) COCO keypoints x, y in pixels and confidence (hidden up to 0.5, or outside the box); `bbx_xys`
-(1, 120, 3) centre and side of the square box; `K_fullimg` (1, 120, 3, 3); `f_imgseq` (1, 120, 1024) image tokens of
+(1, 120, 3) center and side of the square box; `K_fullimg` (1, 120, 3, 3); `f_imgseq` (1, 120, 1024) image tokens of
 HMR2, ignored by the first network; `f_cam_angvel` (1, 120, 6) rotation from each frame's camera to the next one's.
-Outputs: `pred_x` (1, 120, 151), normalised: 21 local rotations, 10 betas, root in the camera, root against gravity,
+Outputs: `pred_x` (1, 120, 151), normalized: 21 local rotations, 10 betas, root in the camera, root against gravity,
 root velocity; `pred_cam` (1, 120, 3) = s, t_x, t_y. Rotations are the first two rows of the matrix.
 
 `pred_x` needs GEM's own mean and deviation, which the public file does not hold. They go beside it as
@@ -70,11 +70,11 @@ class GemSmpl:
         """SMPL-X parameters of one person over time in each frame's camera.
 
         Longer tracks are cut into windows that overlap by half and are blended; a short one is held at its end.
-        Frames in which no keypoint is seen are filled in from their neighbours and not valid.
+        Frames in which no keypoint is seen are filled in from their neighbors and not valid.
 
         Args:
             keypoints_px: COCO keypoints x, y and confidence at 30 fps (`coco_keypoints`); confidence 0 = not seen.
-            square_px: centre x, y and side of the person's square box (`track_squares`), finite in all frames.
+            square_px: center x, y and side of the person's square box (`track_squares`), finite in all frames.
             intrinsics: of the whole picture.
             R_first_camera: orientation of each frame's camera against the first; None: it stands still.
             image_tokens: HMR2's, for the network that wants them.

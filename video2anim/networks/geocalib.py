@@ -1,6 +1,6 @@
 """GeoCalib (Veicht et al. 2024; pinhole weights, ONNX): perspective field of one picture.
 
-Tensor contract: input `image` (1, 3, H, W) float32, RGB in [0, 1] without further normalisation, H and W multiples of
+Tensor contract: input `image` (1, 3, H, W) float32, RGB in [0, 1] without further normalization, H and W multiples of
 32; outputs `up_field` (1, 2, H, W), unit directions in the picture (x right, y down) in which up lies, `up_confidence`
 (1, 1, H, W) in [0, 1], `latitude_field` (1, 1, H, W) in radians, positive above the horizon, and `latitude_confidence`
 (1, 1, H, W) in [0, 1]. The picture's shorter side is brought to 320 and the middle is cut out in multiples of 32. The
@@ -26,11 +26,11 @@ from video2anim.networks.network import Network, resized, to_unit_values
 SHORT_SIDE_PX = 320
 MULTIPLE_PX = 32
 CELL_PX = 16
-"""Side of a cell of the answer in pixels of the input: the fields vary slowly, and neighbours err together."""
+"""Side of a cell of the answer in pixels of the input: the fields vary slowly, and neighbors err together."""
 SURE_SIGMA_RAD = 0.01
 """Error at confidence 1. The confidences are weights of squared errors without a unit; this is the error from which
 GeoCalib's own fit trusts a residual less (`up_loss_fn_scale`, `lat_loss_fn_scale`)."""
-_LEAST_CONFIDENCE = 1e-6
+_MIN_CONFIDENCE = 1e-6
 _OUTPUTS = {"up_field": 2, "up_confidence": 1, "latitude_field": 1, "latitude_confidence": 1}
 
 
@@ -50,7 +50,7 @@ class GeoCalib:
     def field(self, image: UInt8[np.ndarray, "height width 3"]) -> PerspectiveField:
         """Up and latitude on cells over the whole picture, about 20 along its shorter side.
 
-        Cells at the border that the network was not shown repeat their neighbours with an error that says nothing is
+        Cells at the border that the network was not shown repeat their neighbors with an error that says nothing is
         known: pi for the direction, half of it for the latitude.
 
         Raises:
@@ -103,8 +103,8 @@ def _cells(
 ) -> tuple[Float[np.ndarray, "rows columns channels"], Float[np.ndarray, "rows columns"]]:
     """Means over cells weighted by confidence, and their errors; what was not shown has no weight."""
     good = np.isfinite(values).all(axis=0) & np.isfinite(confidence)
-    weight = np.pad(np.where(good, np.clip(confidence.astype(np.float64), _LEAST_CONFIDENCE, 1.0), 0.0), margins)
-    faint = np.maximum(weight, 1e-12)  # so that cells of the margin get their neighbours' values
+    weight = np.pad(np.where(good, np.clip(confidence.astype(np.float64), _MIN_CONFIDENCE, 1.0), 0.0), margins)
+    faint = np.maximum(weight, 1e-12)  # so that cells of the margin get their neighbors' values
     height, width = weight.shape
     size = (max(1, round(width / CELL_PX)), max(1, round(height / CELL_PX)))
     mean_weight = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)

@@ -7,7 +7,7 @@ rotation matrices in SMPL order, `betas` (1, 10), `pred_cam` (1, 3) = s, t_x, t_
 `pred_smpl_params` and `pred_cam` of the model's `forward`, whose backbone takes columns 32..223 of the square. There
 is no official export: these names are this adapter's, in this order.
 
-The crop is the one of the project's demo: the square whose middle 3:4 strip holds the person's box, the box's centre at
+The crop is the one of the project's demo: the square whose middle 3:4 strip holds the person's box, the box's center at
 crop pixel 128. Source: https://github.com/shubham-goel/4D-Humans (`hmr2/datasets`, `hmr2/models`, `hmr2/utils`).
 """
 
@@ -52,7 +52,7 @@ class Hmr2:
 
         Args:
             image: RGB.
-            square_px: centre x, y and side (`square_of_box` of a detector's box, or `square_of_roi`).
+            square_px: center x, y and side (`square_of_box` of a detector's box, or `square_of_roi`).
             intrinsics: of the whole picture.
 
         Raises:
@@ -76,12 +76,12 @@ class Hmr2:
 def to_input(
     image: UInt8[np.ndarray, "height width 3"], square_px: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "1 3 256 256"]:
-    """The square cut out (black outside the picture), scaled to [0, 1], normalised, channels first.
+    """The square cut out (black outside the picture), scaled to [0, 1], normalized, channels first.
 
     Large squares are averaged over areas where the original blurs.
     """
     x_px, y_px, side_px = (float(v) for v in square_px)
-    shift_px = 0.5 * side_px / CROP_PX  # a `SquareRoi` has its centre between the crop's pixels 127 and 128
+    shift_px = 0.5 * side_px / CROP_PX  # a `SquareRoi` has its center between the crop's pixels 127 and 128
     crop = SquareRoi(x_px - shift_px, y_px - shift_px, side_px, 0.0).crop(image, CROP_PX)
     normal = (crop.astype(np.float32) / 255.0 - np.array(MEAN_RGB, np.float32)) / np.array(STD_RGB, np.float32)
     return np.ascontiguousarray(normal.transpose(2, 0, 1)[None])

@@ -1,4 +1,4 @@
-"""Instances from cues: pixels vote for the middle of their thing (Panoptic-DeepLab, Cheng et al. 2020)."""
+"""Instances from cues: pixels vote for the middle of their object (Panoptic-DeepLab, Cheng et al. 2020)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-_LEAST_HEAT = 0.12
+_MIN_HEAT = 0.12
 """Middles below this are none."""
 _APART = 0.06
 """Least distance of two middles, in picture heights."""
@@ -18,24 +18,24 @@ _FARTHEST = 0.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class InstanceCues:
-    """What a network says about where things are."""
+class InstanceOffsets:
+    """What a network says about where objects are."""
 
-    middle: Float[np.ndarray, "rows columns"]
-    """Probability that a thing's middle is here."""
+    center: Float[np.ndarray, "rows columns"]
+    """Probability that an object's middle is here."""
     offset: Float[np.ndarray, "rows columns 2"]
-    """From here to the middle of the thing that is seen here (x, y), in picture heights."""
+    """From here to the middle of the object that is seen here (x, y), in picture heights."""
     boundary: Float[np.ndarray, "rows columns"]
-    """Probability that a thing ends here."""
+    """Probability that an object ends here."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
-    """Pixels of one thing."""
+    """Pixels of one object."""
 
     mask: Bool[np.ndarray, "rows columns"]
     score: float
-    """0 to 1: how clear its middle is, how well its pixels agree on it, and how likely they belong to any thing."""
+    """0 to 1: how clear its middle is, how well its pixels agree on it, and how likely they belong to any object."""
 
     @property
     def share(self) -> Float[np.ndarray, "rows columns"]:
@@ -44,21 +44,21 @@ class Group:
 
 
 def grouped(
-    cues: InstanceCues,
+    cues: InstanceOffsets,
     wanted: Bool[np.ndarray, "rows columns"],
     probability: Float[np.ndarray, "rows columns"] | None = None,
-    smallest_ratio: float = 0.002,
+    min_ratio: float = 0.002,
 ) -> list[Group]:
-    """Split the wanted pixels into things, best score first.
+    """Split the wanted pixels into objects, best score first.
 
     Args:
-        cues: Where things are.
-        wanted: Pixels that belong to some thing.
+        cues: Where objects are.
+        wanted: Pixels that belong to some object.
         probability: That they do; 1 if not given.
-        smallest_ratio: Least share of the picture for a thing.
+        smallest_ratio: Least share of the picture for an object.
     """
     rows, columns = wanted.shape
-    middles = _middles(cues.middle, wanted)
+    middles = _middles(cues.center, wanted)
     if not len(middles) or not wanted.any():
         return []
     y, x = np.nonzero(wanted)
@@ -68,15 +68,15 @@ def grouped(
     miss = far[np.arange(len(far)), nearest]
     nearest[miss > _FARTHEST * rows] = -1
     groups = []
-    for number, (middle_x, middle_y) in enumerate(middles[:, :2].astype(int)):
+    for number, (center_x, center_y) in enumerate(middles[:, :2].astype(int)):
         own = nearest == number
-        if own.sum() < smallest_ratio * wanted.size:
+        if own.sum() < min_ratio * wanted.size:
             continue
         mask = np.zeros((rows, columns), bool)
         mask[y[own], x[own]] = True
         agreement = float(np.exp(-np.median(miss[own]) / (0.08 * rows)))
         likely = 1.0 if probability is None else float(probability[mask].mean())
-        groups.append(Group(mask, float(np.sqrt(cues.middle[middle_y, middle_x] * agreement)) * likely))
+        groups.append(Group(mask, float(np.sqrt(cues.center[center_y, center_x] * agreement)) * likely))
     return sorted(groups, key=lambda group: -group.score)
 
 
@@ -86,9 +86,9 @@ def _middles(heat: np.ndarray, wanted: np.ndarray) -> Float[np.ndarray, "middles
     smooth = cv2.GaussianBlur(heat.astype(np.float32), (0, 0), max(0.008 * rows, 0.6))
     reach = max(1, round(_APART * rows))
     around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    peak = (smooth == cv2.dilate(smooth, around)) & (smooth > _LEAST_HEAT)
+    peak = (smooth == cv2.dilate(smooth, around)) & (smooth > _MIN_HEAT)
     peak &= cv2.dilate(wanted.astype(np.uint8), around) > 0
-    # A flat top is one middle: its centre.
+    # A flat top is one middle: its center.
     count, _, _, centre = cv2.connectedComponentsWithStats(peak.astype(np.uint8), connectivity=8)
     x, y = np.round(centre[1:count]).astype(int).T
     order = np.argsort(-smooth[y, x])[:_MOST]

@@ -76,7 +76,7 @@ SCENE_CLASS = {
     ),
     "person": ("person",),
 }  # fmt: skip
-"""Scene class -> names of all vocabularies; a name in none is `other`: small things that lie or hang somewhere (tv,
+"""Scene class -> names of all vocabularies; a name in none is `other`: small objects that lie or hang somewhere (tv,
 laptop, cushion, lamp, potted plants, most of which stand on something else), animals and vehicles, which move."""
 _CLASS_OF = {name: CLASSES.index(kind) for kind, names in SCENE_CLASS.items() for name in names}
 

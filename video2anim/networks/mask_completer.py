@@ -1,13 +1,13 @@
-"""A learned completer of the user's: the whole outline and the colors of a partly hidden thing.
+"""A learned completer of the user's: the whole outline and the colors of a partly hidden object.
 
 Tensor contract, of an ONNX network of the user's (tensor names are this adapter's): inputs, float32, of a square crop,
 
 - `picture` (1, 3, 256, 256), RGB in [0, 1], gray (127) beyond the picture's border,
-- `visible` (1, 1, 256, 256), 1 where the thing is seen, else 0,
+- `visible` (1, 1, 256, 256), 1 where the object is seen, else 0,
 - `hidden` (1, 1, 256, 256), 1 where something nearer, or never-seen ground, may hide it, else 0; nowhere both,
 
 and outputs `amodal` (1, 1, 256, 256), logits of the whole outline, positive inside, and `color` (1, 3, 256, 256), the
-thing's RGB in [0, 1], read only where it is hidden. The crop's middle is that of the seen pixels' box, whose longer
+object's RGB in [0, 1], read only where it is hidden. The crop's middle is that of the seen pixels' box, whose longer
 side takes half of it: half as much again as is seen can be hidden at each side. The tasks are those of pix2gestalt
 (Ozguroglu et al. 2024) and of mask completers such as AISFormer (Tran et al. 2022); neither publishes a network of this
 contract.
@@ -29,13 +29,13 @@ from video2anim.networks.network import Network, resized, to_unit_values
 SIDE_PX = 256
 FILL = 0.5
 """Share of the crop that the longer side of the visible box takes."""
-_LEAST_SIDE_PX = 16
+_MIN_SIDE_PX = 16
 """Of the crop in the picture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Completion:
-    """A thing as it would be seen with nothing in front, at the picture's size."""
+    """An object as it would be seen with nothing in front, at the picture's size."""
 
     amodal: Bool[np.ndarray, "height width"]
     """The visible pixels and those hidden ones that the network adds."""
@@ -62,11 +62,11 @@ class MaskCompleter:
         visible: Bool[np.ndarray, "height width"],
         hidden: Bool[np.ndarray, "height width"],
     ) -> Completion:
-        """Outline and colors; nothing is added but where the thing may be hidden.
+        """Outline and colors; nothing is added but where the object may be hidden.
 
         Args:
             picture_rgb: Without people.
-            visible: Pixels of the thing, at least one.
+            visible: Pixels of the object, at least one.
             hidden: Pixels where it may be hidden.
 
         Raises:
@@ -107,7 +107,7 @@ def crop_of(visible: Bool[np.ndarray, "height width"]) -> tuple[tuple[int, int],
     if not len(rows):
         raise ValueError("crop_of: want a mask with pixels, got an empty one")
     low, high = (rows.min(), columns.min()), (rows.max() + 1, columns.max() + 1)
-    side = max(_LEAST_SIDE_PX, round(max(high[0] - low[0], high[1] - low[1]) / FILL))
+    side = max(_MIN_SIDE_PX, round(max(high[0] - low[0], high[1] - low[1]) / FILL))
     return (int(low[0] + high[0] - side) // 2, int(low[1] + high[1] - side) // 2), int(side)
 
 

@@ -31,9 +31,9 @@ from video2anim.networks.network import Network, sigmoid
 from video2anim.networks.segmentation import CLASSES, SeenInstance, Segmentation
 
 MULTIPLE_PX = 32
-LEAST_SCORE = 0.5
+MIN_SCORE = 0.5
 """Class probability from which a query is a segment."""
-LEAST_OWN_RATIO = 0.5
+MIN_OWN_RATIO = 0.5
 """A segment that keeps less of its mask than this against surer ones is a double of them."""
 _VOCABULARIES = {len(names): names for names in (COCO_PANOPTIC, ADE20K)}
 _MASK_TYPES = {
@@ -52,7 +52,7 @@ class MaskFormer:
     fixed_fit: Literal["stretch", "pad"] = "stretch"
     """How a picture gets into a network of one size."""
 
-    def __init__(self, path: Path, *, least_score: float = LEAST_SCORE) -> None:
+    def __init__(self, path: Path, *, min_score: float = MIN_SCORE) -> None:
         """Load the weights.
 
         Raises:
@@ -64,7 +64,7 @@ class MaskFormer:
             optional_inputs=("pixel_mask",),
             outputs=("class_queries_logits", "masks_queries_logits"),
         )
-        self._least_score = least_score
+        self._min_score = min_score
 
     def segment(self, image: UInt8[np.ndarray, "height width 3"]) -> Segmentation:
         """Scene classes, and the instances of furniture and people, at the picture's own size.
@@ -129,7 +129,7 @@ class MaskFormer:
         inside: dict[int, Bool[np.ndarray, "height width"]] = {}
         wanted = (CLASSES.index("furniture"), CLASSES.index("person"))
         scores, classes = probability.max(axis=1), probability.argmax(axis=1)
-        for query in np.flatnonzero(scores >= self._least_score):
+        for query in np.flatnonzero(scores >= self._min_score):
             logits = _at_size(masks[query], ratio, size)
             likely = scores[query] * sigmoid(logits)
             won = likely > best
@@ -139,7 +139,7 @@ class MaskFormer:
         instances = []
         for query, mask in inside.items():
             own = mask & (owner == query)
-            if own.any() and own.sum() >= LEAST_OWN_RATIO * mask.sum():
+            if own.any() and own.sum() >= MIN_OWN_RATIO * mask.sum():
                 name = names[classes[query]]
                 instances.append(SeenInstance(name, CLASSES[scene_class(name)], float(scores[query]), own))
         return tuple(sorted(instances, key=lambda instance: -instance.score))
@@ -161,7 +161,7 @@ def _semantic(
 ) -> UInt8[np.ndarray, "height width"]:
     """The scene class with the largest sum, over queries and its network classes, of class and mask probability.
 
-    Of `other` only the likeliest network class counts: it is many unlike things, whose small shares would add up.
+    Of `other` only the likeliest network class counts: it is many unlike objects, whose small shares would add up.
     """
     each = np.tensordot(probability.T, sigmoid(masks), axes=1)
     scene = np.array([scene_class(name) for name in names])
@@ -174,7 +174,7 @@ def _semantic(
 def _at_size(
     plane: Float[np.ndarray, "mask_height mask_width"], ratio: tuple[float, float], size: tuple[int, ...]
 ) -> Float[np.ndarray, "height width"]:
-    """The part of a mask over the picture at the picture's size, pixels' areas (not their centres) in line."""
+    """The part of a mask over the picture at the picture's size, pixels' areas (not their centers) in line."""
     step_y, step_x = ratio[0] * plane.shape[0] / size[0], ratio[1] * plane.shape[1] / size[1]
     from_picture = np.array([[step_x, 0.0, 0.5 * step_x - 0.5], [0.0, step_y, 0.5 * step_y - 0.5]])
     return cv2.warpAffine(

@@ -1,11 +1,11 @@
 """MoGe-2 (ViT-S with normals, ONNX): metric depth, normals and focal length of one picture.
 
-Tensor contract: input `image` (1, 3, H, W) float32, RGB in [0, 1], any H and W (the network normalises and resizes
+Tensor contract: input `image` (1, 3, H, W) float32, RGB in [0, 1], any H and W (the network normalizes and resizes
 inside), and `num_tokens`, an int64 scalar, about how many patches of 14 px it shall look at (1200 to 3600; an export of
 one size has no such input); outputs `points` (1, H, W, 3), in the camera frame (x right, y down, z forward) up to one
-scale and one shift along z, `mask` (1, H, W), 0.5 and more where there is geometry, the factor to metres, (1,), called
+scale and one shift along z, `mask` (1, H, W), 0.5 and more where there is geometry, the factor to meters, (1,), called
 `scale` in the published file and `metric_scale` in the documentation, and optionally `normal` (1, H, W, 3), of unit
-length. Depth in metres is the factor times z plus the shift, and the shift comes with the focal length from the point
+length. Depth in meters is the factor times z plus the shift, and the shift comes with the focal length from the point
 map: the one pair for which the points project onto their own pixels. Pixels without geometry are NaN.
 
 Source: `docs/onnx.md` and `moge/model/v2.py` of https://github.com/microsoft/MoGe; the published file is
@@ -71,7 +71,7 @@ class Moge:
         self._scale = scale
 
     def infer(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
-        """Depth in metres at the picture's own size, float32; NaN where there is none.
+        """Depth in meters at the picture's own size, float32; NaN where there is none.
 
         Raises:
             ModelMissingError: the network's outputs are not those of the contract.

@@ -1,4 +1,4 @@
-"""Objectron's detector: everyday things in a picture; with the 3D box of a chair from `objectron_chair`.
+"""Objectron's detector: everyday objects in a picture; with the 3D box of a chair from `objectron_chair`.
 
 Tensor contract of `object_detection_ssd_mobilenetv2_oidv4_fp16.tflite`: input (1, 300, 300, 3) RGB in [-1, 1], the
 picture stretched to it; outputs (1, 1917, 4) boxes y, x, height, width relative to the anchors (SSD: middle tenfold,
@@ -29,14 +29,14 @@ WORDS = (
 )  # fmt: skip
 """Our word for each class. Boots, high heels and footwear are shoes, a mug and a coffee cup are cups."""
 _KINDS = {"desk": "table", "car": "vehicle"}
-"""Words that the network cannot tell apart: of one thing that has both, the likelier one stays."""
+"""Words that the network cannot tell apart: of one object that has both, the likelier one stays."""
 _SIZE, _ANCHORS = 300, 1917
 _STRIDES = (16, 32, 64, 128, 256, 512)
 _SCALES = (0.2, 0.35, 0.5, 0.65, 0.8, 0.95, 1.0)
 """Share of the picture that an anchor of each layer covers, and of the one beyond the last."""
 _CENTER_SCALE, _SIZE_SCALE = 10.0, 5.0
 _SAME_IOU = 0.4
-_LEAST_TILE_PX = 150
+_MIN_TILE_PX = 150
 """Below half the input a tile only magnifies blur."""
 _CUT_RATIO = 0.03
 """What comes so near to a tile's edge inside the picture reaches beyond it, or is the tile's own outline."""
@@ -44,7 +44,7 @@ _CUT_RATIO = 0.03
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundObject:
-    """A thing in a picture."""
+    """An object in a picture."""
 
     label: str
     """One of `WORDS`."""
@@ -55,7 +55,7 @@ class FoundObject:
 
 
 class ObjectFinder:
-    """Detector of things, and the chair network together."""
+    """Detector of objects, and the chair network together."""
 
     def __init__(self, path: Path, chair_path: Path) -> None:
         """Load the weights of the detector and of the chair network.
@@ -71,10 +71,10 @@ class ObjectFinder:
         self._chairs = ChairBoxes(chair_path)
 
     def find(self, image: UInt8[np.ndarray, "height width 3"], *, min_score: float = 0.3) -> tuple[FoundObject, ...]:
-        """Things in an RGB picture of any shape, best first: in the whole picture, and in square tiles."""
+        """Objects in an RGB picture of any shape, best first: in the whole picture, and in square tiles."""
         height, width = image.shape[:2]
         found = self._look(image, min_score)
-        for x0, y0, side in square_tiles(width, height, least_px=_LEAST_TILE_PX):
+        for x0, y0, side in square_tiles(width, height, min_px=_MIN_TILE_PX):
             inside = np.array([x0, y0, x0 + side, y0 + side])
             tile = self._look(image[y0 : y0 + side, x0 : x0 + side], min_score)
             moved = [FoundObject(item.label, item.score, item.box_px + inside[[0, 1, 0, 1]]) for item in tile]
@@ -111,8 +111,8 @@ def anchor_boxes() -> Float[np.ndarray, "1917 4"]:
         else:
             shapes = [*((scale, aspect) for aspect in (1.0, 2.0, 0.5, 3.0, 1 / 3)), (between, 1.0)]
         cells = math.ceil(_SIZE / stride)
-        middle = (np.arange(cells) + 0.5) / cells
-        y, x = np.meshgrid(middle, middle, indexing="ij")
+        center = (np.arange(cells) + 0.5) / cells
+        y, x = np.meshgrid(center, center, indexing="ij")
         sizes = np.array([(side / math.sqrt(aspect), side * math.sqrt(aspect)) for side, aspect in shapes])
         centers = np.repeat(np.stack([y.ravel(), x.ravel()], axis=1), len(shapes), axis=0)
         layers.append(np.concatenate([centers, np.tile(sizes, (cells * cells, 1))], axis=1))
@@ -130,13 +130,13 @@ def decode(
     scores[:, 0] = 0.0
     rows, classes = np.nonzero(scores >= min_score)
     code, anchor = codes[rows].astype(np.float64), anchors[rows]
-    middle = anchor[:, :2] + code[:, :2] / _CENTER_SCALE * anchor[:, 2:]
+    center = anchor[:, :2] + code[:, :2] / _CENTER_SCALE * anchor[:, 2:]
     half = 0.5 * anchor[:, 2:] * np.exp(code[:, 2:] / _SIZE_SCALE)
-    return np.concatenate([middle - half, middle + half], axis=1)[:, [1, 0, 3, 2]], scores[rows, classes], classes
+    return np.concatenate([center - half, center + half], axis=1)[:, [1, 0, 3, 2]], scores[rows, classes], classes
 
 
 def distinct(found: Iterable[FoundObject]) -> tuple[FoundObject, ...]:
-    """Each thing once, best first: what overlaps a better one of its kind is the same."""
+    """Each object once, best first: what overlaps a better one of its kind is the same."""
     kept: list[FoundObject] = []
     for item in sorted(found, key=lambda item: -item.score):
         same = [other.box_px for other in kept if _kind(other) == _kind(item)]

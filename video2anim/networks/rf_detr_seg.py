@@ -24,7 +24,7 @@ from video2anim.networks.segmentation import CLASSES, SeenInstance, Segmentation
 
 SIDE_PX = 384
 """Side for an export that takes any."""
-LEAST_SCORE = 0.5
+MIN_SCORE = 0.5
 
 
 class RfDetrSeg:
@@ -32,14 +32,14 @@ class RfDetrSeg:
 
     name = "rf-detr-seg-small"
 
-    def __init__(self, path: Path, *, least_score: float = LEAST_SCORE) -> None:
+    def __init__(self, path: Path, *, min_score: float = MIN_SCORE) -> None:
         """Load the weights.
 
         Raises:
             ModelMissingError: the file is no network of that contract.
         """
         self._network = Network(path, inputs=("input",), outputs=("labels", "masks"))
-        self._least_score = least_score
+        self._min_score = min_score
 
     def segment(self, image: UInt8[np.ndarray, "height width 3"]) -> Segmentation:
         """Furniture and people at the picture's own size, best score first.
@@ -55,7 +55,7 @@ class RfDetrSeg:
         height, width = image.shape[:2]
         semantic = np.full((height, width), CLASSES.index("other"), np.uint8)
         instances = []
-        for score, name, query in _kept(labels[0], self._least_score):
+        for score, name, query in _kept(labels[0], self._min_score):
             logits = cv2.resize(masks[0, query], (width, height), interpolation=cv2.INTER_LINEAR)
             mask = logits > 0.0
             if mask.any():
@@ -65,7 +65,7 @@ class RfDetrSeg:
         return Segmentation(semantic, tuple(instances))
 
 
-def _kept(logits: Float[np.ndarray, "queries slots"], least_score: float) -> list[tuple[float, str, int]]:
+def _kept(logits: Float[np.ndarray, "queries slots"], min_score: float) -> list[tuple[float, str, int]]:
     """Score, name and query of what is furniture or a person, best first."""
     scores = np.where(np.isfinite(logits), sigmoid(logits), 0.0)
     best = scores.argmax(axis=1)
@@ -73,6 +73,6 @@ def _kept(logits: Float[np.ndarray, "queries slots"], least_score: float) -> lis
     kept = []
     for query, slot in enumerate(best):
         score, name = float(scores[query, slot]), COCO_SLOTS[slot]
-        if score >= least_score and name is not None and scene_class(name) in wanted:
+        if score >= min_score and name is not None and scene_class(name) in wanted:
             kept.append((score, name, query))
     return sorted(kept, key=lambda entry: -entry[0])

@@ -1,4 +1,4 @@
-"""The rotated square a pose network looks at. Pixel (0, 0) is the centre of the top-left pixel."""
+"""The rotated square a pose network looks at. Pixel (0, 0) is the center of the top-left pixel."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MAX_OVERSAMPLING = 4
 
 @dataclass(frozen=True, slots=True)
 class SquareRoi:
-    """A square in the picture, turned about its centre."""
+    """A square in the picture, turned about its center."""
 
     center_x_px: float
     center_y_px: float
@@ -31,7 +31,7 @@ class SquareRoi:
         rim_px: Float[np.ndarray, "2"],
         margin: float = CROP_MARGIN,
     ) -> SquareRoi:
-        """Square around the circle of a body: its centre (mid hips) and the point of its rim above the head."""
+        """Square around the circle of a body: its center (mid hips) and the point of its rim above the head."""
         dx, dy = (float(v) for v in rim_px - center_px)
         side_px = 2.0 * margin * math.hypot(dx, dy)
         # The rim lies on the crop's -y axis, which is (sin r, -cos r) in the picture.
@@ -64,7 +64,7 @@ class SquareRoi:
     ) -> UInt8[np.ndarray, "size size 3"]:
         """The square as a picture of `size_px`; outside the image black, or what OpenCV's `border` says.
 
-        Crop pixel i has its centre at crop coordinate (i + 0.5) / size_px. Reductions of two and more are sampled
+        Crop pixel i has its center at crop coordinate (i + 0.5) / size_px. Reductions of two and more are sampled
         finely and averaged over areas, so that they do not alias.
         """
         fine_px = size_px * min(max(int(self.side_px // size_px), 1), _MAX_OVERSAMPLING)

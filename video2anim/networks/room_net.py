@@ -2,9 +2,10 @@
 
 Tensor contract: input `picture` (1, 3, H, W) float32, RGB in 0 to 255, H and W multiples of 32; outputs at half that
 size: `disparity` (1, 1, H/2, W/2) up to scale and offset, larger is nearer, `normal` (1, 3, ..) in camera axes, not
-normalised, `classes` (1, 6, ..) logits of `CLASSES`, `cues` (1, 4, ..) logit of a thing's middle, offset to the middle
-(x, y in picture heights), logit of a boundary; at an eighth: `camera` (1, 5, H/8, W/8) up (x, y), latitude in radians,
-logs of the expected errors of both in radians. Trained by `training/room_net.py` on renders of `video2anim synth`.
+normalized, `classes` (1, 6, ..) logits of `CLASSES`, `cues` (1, 4, ..) logit of an object's middle, offset to the
+middle (x, y in picture heights), logit of a boundary; at an eighth: `camera` (1, 5, H/8, W/8) up (x, y), latitude in
+radians, logs of the expected errors of both in radians. Trained by `training/room_net.py` on renders of `video2anim
+synth`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from video2anim.geometry.perspective_field import PerspectiveField
-from video2anim.networks.instance_grouping import Group, InstanceCues, grouped
+from video2anim.networks.instance_grouping import Group, InstanceOffsets, grouped
 from video2anim.networks.network import Network
 from video2anim.networks.segmentation import CLASSES, SeenInstance, Segmentation
 
@@ -27,18 +28,18 @@ OUTPUTS = ("disparity", "normal", "classes", "cues", "camera")
 CHANNELS = (1, 3, len(CLASSES), 4, 5)
 AREA_PX = 256 * 192
 """Area of the network's input; the picture's ratio is kept."""
-DEPTH_LOOKS = ((256 * 192, False), (256 * 192, True), (192 * 144, True))
+DEPTH_VIEWS = ((256 * 192, False), (256 * 192, True), (192 * 144, True))
 """Area of each look whose depth is averaged, and whether the picture is mirrored: a small look sees more of the room in
 each cell."""
-SEGMENT_LOOKS = ((256 * 192, False), (320 * 256, True))
-"""Of looks at what things are. These and the sizes for depth were tried on the
+SEGMENT_VIEWS = ((256 * 192, False), (320 * 256, True))
+"""Of looks at what objects are. These and the sizes for depth were tried on the
 pictures of `benchmarks/room_net.py`."""
-CAMERA_LOOKS = ((AREA_PX, False), (AREA_PX, True))
+CAMERA_VIEWS = ((AREA_PX, False), (AREA_PX, True))
 STRIDE = 32
 _SIGMA_RANGE_RAD = (0.005, 1.5)
-_SMALLEST_PERSON = 0.003
+_MIN_PERSON = 0.003
 """Least share of the picture."""
-_LEAST_SCORE = 0.35
+_MIN_SCORE = 0.35
 """Furniture below this is left out: where precision and recall meet on renders of other rooms than it is tested on."""
 
 
@@ -51,11 +52,11 @@ class RoomView:
     normal_camera: Float[np.ndarray, "rows columns 3"]
     """Unit normals."""
     class_logits: Float[np.ndarray, "rows columns 6"]
-    cues: InstanceCues
+    cues: InstanceOffsets
     field: PerspectiveField
 
 
-class RoomNet:
+class SceneNetwork:
     """All heads of one picture."""
 
     name = "room-net"
@@ -69,7 +70,7 @@ class RoomNet:
         self._network = Network(path, inputs=(INPUT,), outputs=OUTPUTS)
 
     def see(
-        self, image: UInt8[np.ndarray, "height width 3"], looks: Sequence[tuple[int, bool]] = CAMERA_LOOKS
+        self, image: UInt8[np.ndarray, "height width 3"], looks: Sequence[tuple[int, bool]] = CAMERA_VIEWS
     ) -> RoomView:
         """Everything about one picture, the mean of some looks at it, in cells of the first.
 
@@ -88,13 +89,13 @@ class RoomNet:
         return _view_of(maps, stretch)
 
     def disparity(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
-        """Disparity at the picture's own size, the mean of `DEPTH_LOOKS`.
+        """Disparity at the picture's own size, the mean of `DEPTH_VIEWS`.
 
         Raises:
             ModelMissingError: as of `see`.
         """
         size = (image.shape[1], image.shape[0])
-        looks = [self._look(image, area_px, turned=turned)["disparity"][0] for area_px, turned in DEPTH_LOOKS]
+        looks = [self._look(image, area_px, turned=turned)["disparity"][0] for area_px, turned in DEPTH_VIEWS]
         return np.mean([cv2.resize(look, size, interpolation=cv2.INTER_LINEAR) for look in looks], axis=0)
 
     def _look(self, image: np.ndarray, area_px: int, *, turned: bool) -> dict[str, np.ndarray]:
@@ -148,7 +149,9 @@ def _view_of(maps: dict[str, np.ndarray], stretch: tuple[float, float]) -> RoomV
         disparity=maps["disparity"][0],
         normal_camera=normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6),
         class_logits=maps["classes"].transpose(1, 2, 0),
-        cues=InstanceCues(_logistic(maps["cues"][0]), maps["cues"][1:3].transpose(1, 2, 0), _logistic(maps["cues"][3])),
+        cues=InstanceOffsets(
+            _logistic(maps["cues"][0]), maps["cues"][1:3].transpose(1, 2, 0), _logistic(maps["cues"][3])
+        ),
         field=PerspectiveField(
             up / np.maximum(np.linalg.norm(up, axis=-1, keepdims=True), 1e-9),
             maps["camera"][2].astype(np.float64),
@@ -162,17 +165,17 @@ def _logistic(x: np.ndarray) -> np.ndarray:
     return 1 / (1 + np.exp(-np.clip(x, -30, 30)))
 
 
-def _things(view: RoomView, kind: str) -> list[Group]:
+def _objects(view: RoomView, kind: str) -> list[Group]:
     """Furniture by its cues, or people as connected parts of their pixels."""
     logits, number = view.class_logits, CLASSES.index(kind)
     mask = logits.argmax(-1) == number
     weight = np.exp(logits - logits.max(-1, keepdims=True))
     probability = weight[..., number] / weight.sum(-1)
     if kind == "furniture":
-        return [group for group in grouped(view.cues, mask, probability) if group.score > _LEAST_SCORE]
+        return [group for group in grouped(view.cues, mask, probability) if group.score > _MIN_SCORE]
     count, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
     pieces = [parts == number for number in range(1, count)]
-    return [Group(piece, float(probability[piece].mean())) for piece in pieces if piece.mean() > _SMALLEST_PERSON]
+    return [Group(piece, float(probability[piece].mean())) for piece in pieces if piece.mean() > _MIN_PERSON]
 
 
 class RoomDepth:
@@ -182,8 +185,8 @@ class RoomDepth:
     name = "room-depth"
 
     def __init__(self, path: Path) -> None:
-        """Load the weights; errors as of `RoomNet`."""
-        self._net = RoomNet(path)
+        """Load the weights; errors as of `SceneNetwork`."""
+        self._net = SceneNetwork(path)
 
     def infer(self, image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
         """Disparity at the picture's own size, float32, up to scale and offset."""
@@ -196,8 +199,8 @@ class RoomCamera:
     name = "room-camera"
 
     def __init__(self, path: Path) -> None:
-        """Load the weights; errors as of `RoomNet`."""
-        self._net = RoomNet(path)
+        """Load the weights; errors as of `SceneNetwork`."""
+        self._net = SceneNetwork(path)
 
     def field(self, image: UInt8[np.ndarray, "height width 3"]) -> PerspectiveField:
         """Up and latitude in cells of an eighth of the network's input."""
@@ -210,19 +213,19 @@ class RoomSegment:
     name = "room-segment"
 
     def __init__(self, path: Path) -> None:
-        """Load the weights; errors as of `RoomNet`."""
-        self._net = RoomNet(path)
+        """Load the weights; errors as of `SceneNetwork`."""
+        self._net = SceneNetwork(path)
 
     def segment(self, image: UInt8[np.ndarray, "height width 3"]) -> Segmentation:
         """Classes and instances at the picture's own size."""
-        view = self._net.see(image, SEGMENT_LOOKS)
+        view = self._net.see(image, SEGMENT_VIEWS)
         size = (image.shape[1], image.shape[0])
         logits = cv2.resize(view.class_logits, size, interpolation=cv2.INTER_LINEAR)
         semantic = logits.argmax(-1).astype(np.uint8)
         instances = []
         for kind in ("furniture", "person"):
             wanted = semantic == CLASSES.index(kind)
-            for group in _things(view, kind):
+            for group in _objects(view, kind):
                 near = cv2.resize(group.share, size, interpolation=cv2.INTER_LINEAR)
                 instances.append(SeenInstance(kind, kind, group.score, (near > 0.5) & wanted))
         kept = [instance for instance in instances if instance.mask.any()]

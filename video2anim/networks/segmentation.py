@@ -14,7 +14,7 @@ CLASSES = ("other", "floor", "wall", "ceiling", "furniture", "person")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenInstance:
-    """One thing or person in a picture."""
+    """One object or person in a picture."""
 
     label: str
     """Class name in the network's own vocabulary, such as `chair`; `furniture` where it has no finer one."""

@@ -21,7 +21,7 @@ class Voxels:
 
 
 def mesh_of_voxels(
-    voxels: Voxels, most_faces: int
+    voxels: Voxels, max_faces: int
 ) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
     """Closed surface around the filled cubes, in axes of the cubes (marching cubes, smoothed, simplified).
 
@@ -40,8 +40,8 @@ def mesh_of_voxels(
         found = marching_cubes(np.pad(without_pinches(filled), 1).astype(np.float32), 0.5)
         mesh = trimesh.Trimesh((found[0] - 0.5) * spacing_m + low, found[1], process=True)
         trimesh.smoothing.filter_taubin(mesh, iterations=_SMOOTHING_ROUNDS)
-        vertices, faces = simplified(np.asarray(mesh.vertices), np.asarray(mesh.faces), most_faces)
-        if len(faces) <= most_faces or max(filled.shape) <= 4:
+        vertices, faces = simplified(np.asarray(mesh.vertices), np.asarray(mesh.faces), max_faces)
+        if len(faces) <= max_faces or max(filled.shape) <= 4:
             return np.clip(vertices, low, high), outward(vertices, faces)
         # No simplification keeps it closed: fewer cubes have fewer faces.
         filled, spacing_m = _halved(filled), 2 * spacing_m
@@ -70,24 +70,24 @@ def _halved(filled: np.ndarray) -> Bool[np.ndarray, "x y z"]:
 
 
 def simplified(
-    vertices_m: np.ndarray, faces: np.ndarray, most_faces: int, *, keep_closed: bool = True
+    vertices_m: np.ndarray, faces: np.ndarray, max_faces: int, *, keep_closed: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fewer faces by quadric error; as it was where that would tear a closed surface that is to be kept closed."""
     import fast_simplification
     import trimesh
 
-    if len(faces) <= most_faces:
+    if len(faces) <= max_faces:
         return vertices_m, faces
     closed = keep_closed and trimesh.Trimesh(vertices_m, faces, process=False).is_watertight
     # Single precision around the middle, not around the world's origin.
-    middle = vertices_m.mean(0)
+    center = vertices_m.mean(0)
     for share, eagerness in ((1.0, 3), (1.0, 5), (0.85, 5), (0.6, 5), (0.6, 7), (0.4, 7)):
         fewer = fast_simplification.simplify(
-            (vertices_m - middle).astype(np.float32), faces.astype(np.int32), target_count=int(share * most_faces),
+            (vertices_m - center).astype(np.float32), faces.astype(np.int32), target_count=int(share * max_faces),
             agg=eagerness,
         )  # fmt: skip
-        kept = trimesh.Trimesh(fewer[0] + middle, fewer[1], process=True)
-        if len(kept.faces) <= most_faces and (kept.is_watertight or not closed):
+        kept = trimesh.Trimesh(fewer[0] + center, fewer[1], process=True)
+        if len(kept.faces) <= max_faces and (kept.is_watertight or not closed):
             return np.asarray(kept.vertices, np.float64), np.asarray(kept.faces, np.int64)
     return vertices_m, faces
 

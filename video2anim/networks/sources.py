@@ -120,7 +120,7 @@ class UserSource:
 
     origin: str
     """Where the user gets or makes them."""
-    why: str = "its licence is yours to accept"
+    why: str = "its license is yours to accept"
 
     @property
     def text(self) -> str:

@@ -1,4 +1,4 @@
-"""Every network and data product that decides a result: where it comes from, its digest, licence and adapter."""
+"""Every network and data product that decides a result: where it comes from, its digest, license and adapter."""
 
 from __future__ import annotations
 

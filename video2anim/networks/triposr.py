@@ -1,9 +1,9 @@
-"""TripoSR (Tochilkin et al. 2024, ONNX): a closed, colored mesh of the thing in one picture.
+"""TripoSR (Tochilkin et al. 2024, ONNX): a closed, colored mesh of the object in one picture.
 
 Tensor contract, of two ONNX files in one folder that the user exports from the public checkpoint (code and weights MIT;
 there is no official export, so file and tensor names are this adapter's):
 
-- `encoder.onnx`: input `image` (1, 3, 512, 512) float32, RGB in [0, 1] (the network normalizes inside), the thing on
+- `encoder.onnx`: input `image` (1, 3, 512, 512) float32, RGB in [0, 1] (the network normalizes inside), the object on
   gray 0.5, the longer side of its box 0.85 of the picture; output `scene_codes` (1, 3, 40, 64, 64), the planes xy, xz
   and yz. It is `TSR.forward` behind its image processor, without the axis of views.
 - `field.onnx`: inputs `scene_codes` and `points` (1, N, 3), any N, in [-0.87, 0.87]; outputs `density` (1, N, 1) after
@@ -36,7 +36,7 @@ FIELD_FILE = "field.onnx"
 """Beside the encoder's file."""
 PICTURE_PX = 512
 FILL = 0.85
-"""Share of the picture that the thing's longer side takes."""
+"""Share of the picture that the object's longer side takes."""
 CODES = (1, 3, 40, 64, 64)
 RADIUS = 0.87
 """Half of the side of the cube in which there is a field, in TripoSR's unit."""
@@ -45,9 +45,9 @@ RESOLUTION = 96
 """Samples along the cube's side."""
 _CHUNK = 1 << 15
 """Points asked for at once: 120 features each, 16 MB."""
-_MOST_RATIO = 100.0
+_MAX_RATIO = 100.0
 """Density beyond this many times the threshold, or below it, says no more about where the surface is."""
-_LEAST_PART = 0.01
+_MIN_PART = 0.01
 """Parts with fewer samples than this share of the largest part's are specks."""
 _OFF_SURFACE = 1e-3
 """No sample lies nearer to the surface, in logarithms: triangles of no area would tear it."""
@@ -73,12 +73,12 @@ class TripoSR:
         )  # fmt: skip
 
     def mesh(
-        self, picture_rgb: UInt8[np.ndarray, "height width 3"], *, most_faces: int, resolution: int = RESOLUTION
+        self, picture_rgb: UInt8[np.ndarray, "height width 3"], *, max_faces: int, resolution: int = RESOLUTION
     ) -> Mesh:
-        """The thing of a picture, watertight, in TripoSR's unit: +Y up, the side that the picture shows towards +Z.
+        """The object of a picture, watertight, in TripoSR's unit: +Y up, the side that the picture shows towards +Z.
 
         Args:
-            picture_rgb: Crop of the thing's box, gray (127) around the thing.
+            picture_rgb: Crop of the object's box, gray (127) around the object.
             most_faces: Upper limit.
             resolution: Samples along the cube's side, 2 or more.
 
@@ -94,7 +94,7 @@ class TripoSR:
             raise StageError(
                 f"{self.name}: want density of {DENSITY_FROM:g} somewhere, got {density.max():.3g} at most"
             )
-        points, faces = surface(density, most_faces)
+        points, faces = surface(density, max_faces)
         color = self._ask(codes, points.astype(np.float32), "color", 3)
         low, high = color.min(), color.max()
         if low < -0.01 or high > 1.01:
@@ -139,7 +139,7 @@ class TripoSR:
 
 
 def to_input(picture_rgb: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "1 3 512 512"]:
-    """The thing in the middle of a gray square, RGB in [0, 1]."""
+    """The object in the middle of a gray square, RGB in [0, 1]."""
     height, width = picture_rgb.shape[:2]
     side = max(1, int(max(height, width) / FILL))
     square = np.full((side, side, 3), GRAY, np.uint8)
@@ -149,7 +149,7 @@ def to_input(picture_rgb: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarr
 
 
 def surface(
-    density: Float[np.ndarray, "n n n"], most_faces: int
+    density: Float[np.ndarray, "n n n"], max_faces: int
 ) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
     """Closed surface around what is dense, without specks and hollows, in the field's frame and unit.
 
@@ -165,15 +165,15 @@ def surface(
     from video2anim.networks.solid_mesh import Voxels, mesh_of_voxels, outward, simplified
 
     spacing = 2.0 * RADIUS / (len(density) - 1)
-    ratio = np.clip(density.astype(np.float64) / DENSITY_FROM, 1.0 / _MOST_RATIO, _MOST_RATIO)
+    ratio = np.clip(density.astype(np.float64) / DENSITY_FROM, 1.0 / _MAX_RATIO, _MAX_RATIO)
     solid = _solid(ratio >= 1.0)
     field = np.where(solid, np.maximum(np.log(ratio), _OFF_SURFACE), np.minimum(np.log(ratio), -_OFF_SURFACE))
-    found = marching_cubes(np.pad(field, 1, constant_values=-np.log(_MOST_RATIO)), 0.0)
+    found = marching_cubes(np.pad(field, 1, constant_values=-np.log(_MAX_RATIO)), 0.0)
     mesh = trimesh.Trimesh((found[0] - 1.0) * spacing - RADIUS, found[1], process=True)
-    vertices, faces = simplified(np.asarray(mesh.vertices), np.asarray(mesh.faces), most_faces)
-    if len(faces) > most_faces or not trimesh.Trimesh(vertices, faces, process=False).is_watertight:
+    vertices, faces = simplified(np.asarray(mesh.vertices), np.asarray(mesh.faces), max_faces)
+    if len(faces) > max_faces or not trimesh.Trimesh(vertices, faces, process=False).is_watertight:
         origin = np.full(3, -RADIUS - 0.5 * spacing)
-        vertices, faces = mesh_of_voxels(Voxels(solid, origin, spacing), most_faces)
+        vertices, faces = mesh_of_voxels(Voxels(solid, origin, spacing), max_faces)
     return np.clip(vertices, -RADIUS, RADIUS), outward(vertices, faces)
 
 
@@ -185,5 +185,5 @@ def _solid(dense: Bool[np.ndarray, "n n n"]) -> Bool[np.ndarray, "n n n"]:
     label(dense, output=parts)
     sizes = np.bincount(parts.ravel())
     sizes[0] = 0
-    large = sizes >= max(1.0, _LEAST_PART * sizes.max())
+    large = sizes >= max(1.0, _MIN_PART * sizes.max())
     return np.asarray(binary_fill_holes(large[parts]), bool)

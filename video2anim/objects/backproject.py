@@ -1,4 +1,4 @@
-"""Depth of one thing and the pixels that show it."""
+"""Depth of one object and the pixels that show it."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from jaxtyping import Bool, Float
 
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import backproject, transform_points
-from video2anim.objects.foreground import inverse_background, thing_pixels
+from video2anim.objects.foreground import foreground_mask, inverse_background
 from video2anim.types import InstanceMasks, MetricDepth
 from video2anim.types.camera import Intrinsics
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LiftedThing:
-    """One thing at the size of the depth map."""
+class BackprojectedObject:
+    """One object at the size of the depth map."""
 
     own: Bool[np.ndarray, "height width"]
     """Its visible pixels."""
     shows: Bool[np.ndarray, "height width"]
-    """Those with depth that show the thing itself."""
+    """Those with depth that show the object itself."""
     depth_m: Float[np.ndarray, "height width"]
     """Of the whole picture."""
     points_world_m: Float[np.ndarray, "points 3"]
     """Of the pixels in `shows`."""
 
 
-class ThingLifter:
-    """Lifts the things of one picture."""
+class ObjectBackprojector:
+    """Lifts the objects of one picture."""
 
     def __init__(self, masks: InstanceMasks, depth: MetricDepth) -> None:
         height, width = depth.background_depth_m.shape
@@ -43,14 +43,14 @@ class ThingLifter:
         self._masks = {i.object_id: shrunk(i.mask, (height, width)) for i in masks.instances}
 
     def own(self, object_id: int) -> Bool[np.ndarray, "height width"]:
-        """Visible pixels of a thing."""
+        """Visible pixels of an object."""
         return self._masks[object_id]
 
-    def lift(self, object_id: int) -> LiftedThing:
-        """The thing's depth."""
+    def lift(self, object_id: int) -> BackprojectedObject:
+        """The object's depth."""
         own = self._masks[object_id]
-        shows = thing_pixels(own, self.known, self._depth_m, self.T_world_camera, self.lens, self._behind)
-        return LiftedThing(own, shows, self._depth_m, self.world_m()[shows])
+        shows = foreground_mask(own, self.known, self._depth_m, self.T_world_camera, self.lens, self._behind)
+        return BackprojectedObject(own, shows, self._depth_m, self.world_m()[shows])
 
     def world_m(self) -> Float[np.ndarray, "height width 3"]:
         """World points of all pixels."""
@@ -59,7 +59,7 @@ class ThingLifter:
 
     @cached_property
     def _behind(self) -> Float[np.ndarray, "height width"] | None:
-        things = np.zeros(self.known.shape, bool)
+        objects = np.zeros(self.known.shape, bool)
         for mask in self._masks.values():
-            things |= mask
-        return inverse_background(self._depth_m, self.known, things, self.floor)
+            objects |= mask
+        return inverse_background(self._depth_m, self.known, objects, self.floor)

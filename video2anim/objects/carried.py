@@ -25,11 +25,11 @@ from video2anim.types import BodyMotion, Hold, InstanceMasks, ObjectPath, Placed
 
 LONG_SIDE_PX = 480
 """Of the pictures that are looked at."""
-_LEAST_PX = 60
+_MIN_PX = 60
 """Of that picture: a cup at 3 m. Smaller changes are borders of shadows and of people as often."""
-MOST_SAMPLES = 400
+MAX_SAMPLES = 400
 """Of them: 200 MB; longer clips are looked at less often."""
-_MOST_GRIPS = 12
+_MAX_GRIPS = 12
 """Every two of them are tried together: 2 s."""
 _LOOKS = 3
 """Fewer pictures of a hold tell nothing."""
@@ -57,7 +57,7 @@ class Pictures:
     rgb: UInt8[np.ndarray, "samples height width 3"]
     person_mask: Bool[np.ndarray, "samples height width"]
     """Where people are in them."""
-    plate_rgb: UInt8[np.ndarray, "height width 3"]
+    background_rgb: UInt8[np.ndarray, "height width 3"]
     step: int
     """Frames from one to the next."""
 
@@ -80,7 +80,7 @@ class Pictures:
         outside = [colors for k, colors in enumerate(self._people) if not hold[0] <= k * self.step <= hold[1]]
         return KDTree(np.concatenate([np.full((1, 3), 1e3), *outside]))
 
-    def plate_shows(self, change: Change) -> bool:
+    def background_shows(self, change: Change) -> bool:
         """The background image, a median over time, shows what the change does: most looks at its pixels saw it."""
         looks = [
             (~hidden[:, change.mask]).sum(0) for hidden in (self.hidden[: change.first + 1], self.hidden[change.last :])
@@ -95,16 +95,16 @@ def with_moved_objects(
     people: Sequence[BodyMotion],
     objects: Sequence[PlacedObject],
 ) -> list[PlacedObject]:
-    """The objects, those that somebody moves with their paths, and boxes for moved things that were not among them.
+    """The objects, those that somebody moves with their paths, and boxes for moved objects that were not among them.
 
     Nothing is found that never rests for a second.
     """
     lens = people[0].intrinsics.resized(*pictures.rgb.shape[2:0:-1])
     hands = [hand for motion in people for hand in hands_of(motion, lens)]
-    changes = lasting_changes(pictures.rgb, pictures.hidden, reach(hands, lens), _LEAST_PX)
+    changes = lasting_changes(pictures.rgb, pictures.hidden, reach(hands, lens), _MIN_PX)
     largest = sorted(changes, key=lambda change: change.mask.sum(), reverse=True)
     found = [grip(change, hands, pictures.step, lens) for change in largest]
-    grips = [one for one in found if one is not None][:_MOST_GRIPS]
+    grips = [one for one in found if one is not None][:_MAX_GRIPS]
     scene = SceneAtRest(objects, masks, lens, people[0].T_world_camera[0])
     ways = [way for pair in _pairs(grips) for way in _ways(*pair, scene, pictures)]
     kept = {item.object_id: item for item in objects}
@@ -160,7 +160,8 @@ def _ways(taken: Grip | None, put: Grip | None, scene: SceneAtRest, pictures: Pi
     grips = [one for one in (taken, put) if one is not None]
     # Where a known object is in the picture, otherwise where most is seen.
     known = {
-        one.change.came: scene.known(one.change.mask) if pictures.plate_shows(one.change) else None for one in grips
+        one.change.came: scene.known(one.change.mask) if pictures.background_shows(one.change) else None
+        for one in grips
     }
     shows = max(grips, key=lambda one: (known[one.change.came] is not None, one.change.mask.sum())).change
     item, rested = known[shows.came], np.logical_or.reduce([one.change.mask for one in grips])
@@ -245,11 +246,11 @@ def _looks(
     offset_m = transform_points(
         invert_rigid(hand.T_world_hand[at]), _at_hand(hand, at, rest, scene.T_world_camera)[None]
     )[0]
-    middle_m = transform_points(hand.T_world_hand, offset_m[None])[:, 0]
-    pixels = project(transform_points(invert_rigid(scene.T_world_camera), middle_m), scene.lens)
+    center_m = transform_points(hand.T_world_hand, offset_m[None])[:, 0]
+    pixels = project(transform_points(invert_rigid(scene.T_world_camera), center_m), scene.lens)
     palette = KDTree(_lab(change.rgb)[cv2.erode(change.mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0])
     others = pictures.colors_of_people(hold)
-    plate, half_px = _lab(pictures.plate_rgb), (0.5 * max(rest.size_m) + 0.5 * NEAR_M) * scene.lens.fx_px
+    background, half_px = _lab(pictures.background_rgb), (0.5 * max(rest.size_m) + 0.5 * NEAR_M) * scene.lens.fx_px
     found = []
     for sample, rgb in enumerate(pictures.rgb):
         frame = sample * pictures.step
@@ -261,7 +262,7 @@ def _looks(
         colors = _lab(rgb[y0:y1, x0:x1]).reshape(-1, 3)
         own = palette.query(colors, distance_upper_bound=_ALIKE_LAB)[0]
         other = np.minimum(
-            np.linalg.norm(colors - plate[y0:y1, x0:x1].reshape(-1, 3), axis=-1), others.query(colors)[0]
+            np.linalg.norm(colors - background[y0:y1, x0:x1].reshape(-1, 3), axis=-1), others.query(colors)[0]
         )
         count = (own < other).sum()
         whole = change.mask.sum() * (hand.depth_m[at] / depth_m) ** 2
@@ -310,7 +311,7 @@ def _at_hand(
 ) -> Float[np.ndarray, "3"]:
     """The middle of an object at rest, moved along the line of sight to the hand's distance."""
     origin_m = T_world_camera[:3, 3]
-    sight = rest.middle_m - origin_m
+    sight = rest.center_m - origin_m
     return origin_m + sight * np.linalg.norm(hand.T_world_hand[frame, :3, 3] - origin_m) / np.linalg.norm(sight)
 
 
@@ -333,7 +334,7 @@ def _path(
         near[:3, 3] = _at_hand(hand, frame, rest, T_world_camera)
         way = T_hand[held] @ invert_rigid(T_hand[frame]) @ near
         fade = np.exp(-np.abs(held - frame) / _FADE_FRAMES)[:, None]
-        way[:, :3, 3] += fade * (rest.middle_m - near[:3, 3]) - 0.5 * rest.size_m[1] * way[:, :3, 1]
+        way[:, :3, 3] += fade * (rest.center_m - near[:3, 3]) - 0.5 * rest.size_m[1] * way[:, :3, 1]
         ways.append(way)
         gaps.append(np.abs(held - frame))
     T = np.empty_like(T_hand)

@@ -1,8 +1,8 @@
 """Places of a fixed camera's picture that look different for good from some moment on: something left or came there.
 
 A pixel changes where the medians of its colors before and after a moment differ by more than its noise. People hide
-what happens when somebody takes a thing, so that the moment is known as a stretch: from the last look at the old color
-to the first at the new one.
+what happens when somebody takes an object, so that the moment is known as a stretch: from the last look at the old
+color to the first at the new one.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def lasting_changes(
     rgb: UInt8[np.ndarray, "samples height width 3"],
     hidden: Bool[np.ndarray, "samples height width"],
     wanted: Bool[np.ndarray, "height width"],
-    least_px: float,
+    min_px: float,
 ) -> tuple[Change, ...]:
     """Changes of a fixed camera's picture, in order of time.
 
@@ -73,13 +73,13 @@ def lasting_changes(
     if pixels is None:
         return ()
     found = []
-    for whole, at in pixels.events(least_px):
+    for whole, at in pixels.events(min_px):
         states = pixels.state(pixels.before[at]), pixels.state(pixels.after[at])
         opened = ndimage.binary_opening(whole & ~_shadow(*states), np.ones((2, 2)))
         count, pieces = cv2.connectedComponents(opened.astype(np.uint8), connectivity=4)
         for piece in range(1, count):
             mask = _cut(ndimage.binary_fill_holes(pieces == piece) & pixels.known, *states) & pixels.known
-            if mask.sum() < least_px:
+            if mask.sum() < min_px:
                 continue
             first, last = pixels.moment(mask, at)
             found.append(_told(mask, first, last, rgb, hidden, *states))
@@ -123,7 +123,7 @@ class _Pixels:
         """Colors of all pixels as a picture, NaN where nothing is looked for."""
         return np.where(self.known[..., None], color[self.place.clip(0)], np.nan).astype(np.float32)
 
-    def events(self, least_px: float) -> Iterator[tuple[Bool[np.ndarray, "height width"], int]]:
+    def events(self, min_px: float) -> Iterator[tuple[Bool[np.ndarray, "height width"], int]]:
         """Pixels that change together, and the gap between samples in which most of them do."""
         step = np.linalg.norm(self.after - self.before, axis=-1)
         jitter = np.where(self.seen[1:], np.linalg.norm(self.color[1:] - self.before, axis=-1), 0)
@@ -133,7 +133,7 @@ class _Pixels:
         ndimage.label(changed, np.ones((3, 3, 3)), output=labels)
         for number, box in enumerate(ndimage.find_objects(labels), start=1):
             inside = labels[box] == number
-            if inside.any(0).sum() < least_px:
+            if inside.any(0).sum() < min_px:
                 continue
             amount = np.where(inside, step[box[0]][:, self.place[box[1:]].clip(0)], 0).sum((1, 2))
             whole = np.zeros(self.place.shape, bool)

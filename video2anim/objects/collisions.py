@@ -13,7 +13,7 @@ from video2anim.types.scene import Mesh
 
 _SAMPLE_M = 0.04
 """Distance of the surface points that are tested, beside points inside."""
-_LARGEST_SHIFT_M = 0.3
+_MAX_SHIFT_M = 0.3
 """Objects that overlap are moved by no more than this."""
 _ROUNDS = 12
 _DIRECTIONS = 12
@@ -22,7 +22,7 @@ _STEPS_M = (0.04, 0.08, 0.12, 0.17, 0.23, 0.3, 0.4, 0.5, 0.6)
 """How far along each, up to both objects' largest shift."""
 _FREER = 0.8
 """A way out is taken for another only where it is this much shorter."""
-_MOST_POINTS = 600
+_MAX_POINTS = 600
 """Of each object, for trying ways out."""
 _SAME_SHARE = 0.6
 """Two objects that have this share of each other in them are one that was found twice."""
@@ -31,7 +31,7 @@ _UNDER_M = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Standing:
+class PlacedSolid:
     """One object in the world."""
 
     mesh: Mesh
@@ -43,7 +43,7 @@ class Standing:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arranged:
+class ResolvedPlacement:
     """What was done to an object, and what is left."""
 
     shift_m: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
@@ -56,12 +56,12 @@ class Arranged:
     """The object it still runs into most."""
 
 
-def arrange(objects: Sequence[Standing], tolerance_m: float = 0.03) -> list[Arranged]:
+def resolve_collisions(objects: Sequence[PlacedSolid], tolerance_m: float = 0.03) -> list[ResolvedPlacement]:
     """Put raised objects onto what is under them, then part those that overlap by more than the tolerance.
 
     Objects move horizontally, away from each other, each in proportion to the variance of its place.
     """
-    done = [Arranged() for _ in objects]
+    done = [ResolvedPlacement() for _ in objects]
     lowest = [float(item.mesh.vertices_m[:, 1].min()) if len(item.mesh.vertices_m) else 0.0 for item in objects]
     for number in np.argsort(lowest):
         if objects[number].raised:
@@ -72,8 +72,8 @@ def arrange(objects: Sequence[Standing], tolerance_m: float = 0.03) -> list[Arra
         depth_m, _ = pair.depth(done)
         done[pair.one] = replace(done[pair.one], overlap_before_m=max(done[pair.one].overlap_before_m, depth_m))
         done[pair.other] = replace(done[pair.other], overlap_before_m=max(done[pair.other].overlap_before_m, depth_m))
-    # One thing found twice is nowhere else: it is told, and stays.
-    apart = [pair for pair in pairs if not pair.is_one_thing(done)]
+    # One object found twice is nowhere else: it is told, and stays.
+    apart = [pair for pair in pairs if not pair.is_same_object(done)]
     for _ in range(_ROUNDS):
         moved = False
         for pair in apart:
@@ -98,11 +98,13 @@ def arrange(objects: Sequence[Standing], tolerance_m: float = 0.03) -> list[Arra
     return done
 
 
-def _stacked(pair: _Pair, done: Sequence[Arranged]) -> bool:
+def _stacked(pair: _Pair, done: Sequence[ResolvedPlacement]) -> bool:
     return done[pair.one].rests_on == pair.other or done[pair.other].rests_on == pair.one
 
 
-def _undo_useless(pairs: Sequence[_Pair], at_first: Sequence[float], done: list[Arranged], tolerance_m: float) -> None:
+def _undo_useless(
+    pairs: Sequence[_Pair], at_first: Sequence[float], done: list[ResolvedPlacement], tolerance_m: float
+) -> None:
     """Objects whose overlap did not get smaller by moving stand where they stood."""
     for pair, before_m in zip(pairs, at_first, strict=True):
         after_m, _ = pair.depth(done)
@@ -111,7 +113,7 @@ def _undo_useless(pairs: Sequence[_Pair], at_first: Sequence[float], done: list[
                 done[number] = replace(done[number], shift_m=done[number].shift_m * np.array([0.0, 1.0, 0.0]))
 
 
-def _carry_along(done: list[Arranged]) -> None:
+def _carry_along(done: list[ResolvedPlacement]) -> None:
     """What rests on an object moves with it."""
     for number, state in enumerate(done):
         under, seen = state.rests_on, {number}
@@ -142,7 +144,7 @@ class _Pair:
     first: _Solid
     second: _Solid
 
-    def is_one_thing(self, done: list[Arranged]) -> bool:
+    def is_same_object(self, done: list[ResolvedPlacement]) -> bool:
         """Whether both are in each other for the most part."""
         apart_m = done[self.one].shift_m - done[self.other].shift_m
         if not len(self.first.inner_m) or not len(self.second.inner_m):
@@ -151,7 +153,7 @@ class _Pair:
         other = (self.first.field.sample(self.second.inner_m - apart_m) < 0).mean()
         return bool(min(one, other) > _SAME_SHARE)
 
-    def depth(self, done: list[Arranged]) -> tuple[float, np.ndarray]:
+    def depth(self, done: list[ResolvedPlacement]) -> tuple[float, np.ndarray]:
         """Deepest point of one in the other, and the horizontal way out for `one`."""
         apart_m = done[self.one].shift_m - done[self.other].shift_m
         deep_one, way_one = _deepest(self.second.field, self.first.points_m + apart_m)
@@ -163,7 +165,7 @@ class _Pair:
             length = max(float(np.linalg.norm(away)), 1e-6)
         return max(deep_one, deep_other), away / length
 
-    def way_out(self, done: list[Arranged], away: np.ndarray, tolerance_m: float) -> np.ndarray:
+    def way_out(self, done: list[ResolvedPlacement], away: np.ndarray, tolerance_m: float) -> np.ndarray:
         """The horizontal direction in which `one` gets out: `away`, unless another is clearly shorter.
 
         What is inside may point deeper in, where one object reaches through the other's edge.
@@ -193,9 +195,9 @@ class _Pair:
 
 
 def _some_near(points_m: np.ndarray, solid: SdfGrid) -> np.ndarray:
-    """At most `_MOST_POINTS` of those that may be inside once the objects have moved."""
+    """At most `_MAX_POINTS` of those that may be inside once the objects have moved."""
     near = points_m[solid.sample(points_m) < _STEPS_M[-1]]
-    return near[np.linspace(0, len(near) - 1, min(len(near), _MOST_POINTS)).round().astype(int)]
+    return near[np.linspace(0, len(near) - 1, min(len(near), _MAX_POINTS)).round().astype(int)]
 
 
 def _depth(solid: SdfGrid, points_m: np.ndarray) -> float:
@@ -217,7 +219,7 @@ def _deepest(solid: SdfGrid, points_m: np.ndarray) -> tuple[float, np.ndarray]:
     return float(inside_m.max()), mean / max(float(np.linalg.norm(mean)), 1e-9)
 
 
-def _pairs(objects: Sequence[Standing], done: Sequence[Arranged]) -> list[_Pair]:
+def _pairs(objects: Sequence[PlacedSolid], done: Sequence[ResolvedPlacement]) -> list[_Pair]:
     bounds = [_bounds(item.mesh, state.shift_m) for item, state in zip(objects, done, strict=True)]
     near = [
         (i, j)
@@ -230,12 +232,12 @@ def _pairs(objects: Sequence[Standing], done: Sequence[Arranged]) -> list[_Pair]
         own = bounds[number]
         assert own is not None
         own_m = own - done[number].shift_m
-        margin = _LARGEST_SHIFT_M + 0.1
+        margin = _MAX_SHIFT_M + 0.1
         spacing_m = max(0.02, float(np.ptp(own_m, axis=0).max()) / 40)
         grid_bounds = np.stack([own_m[0] - margin, own_m[1] + margin])
         grid = build_sdf_grid([objects[number].mesh], grid_bounds, spacing_m, floor_y_m=None)
         triangles_m = objects[number].mesh.vertices_m.astype(np.float64)[objects[number].mesh.faces]
-        # What is deep inside counts besides: a thing found twice has its surface in the other's.
+        # What is deep inside counts besides: an object found twice has its surface in the other's.
         inner_m = _inner_points(grid)
         points_m = np.concatenate([surface_samples(triangles_m, _SAMPLE_M)[0], inner_m])
         fields[number] = _Solid(grid, points_m, inner_m)
@@ -243,9 +245,9 @@ def _pairs(objects: Sequence[Standing], done: Sequence[Arranged]) -> list[_Pair]
 
 
 def _inner_points(grid: SdfGrid) -> Float[np.ndarray, "points 3"]:
-    """Nodes of a field that are inside, thinned to about `_MOST_POINTS`."""
+    """Nodes of a field that are inside, thinned to about `_MAX_POINTS`."""
     inside = np.argwhere(grid.sdf_m < 0)
-    step = max(1, len(inside) // _MOST_POINTS)
+    step = max(1, len(inside) // _MAX_POINTS)
     return grid.origin_m + grid.spacing_m * inside[::step]
 
 
@@ -257,16 +259,16 @@ def _bounds(mesh: Mesh, shift_m: np.ndarray) -> Float[np.ndarray, "2 3"] | None:
 
 def _meet(a: np.ndarray | None, b: np.ndarray | None) -> bool:
     """Whether two boxes overlap or may once their objects have moved."""
-    reach = 2 * _LARGEST_SHIFT_M * np.array([1.0, 0.0, 1.0])
+    reach = 2 * _MAX_SHIFT_M * np.array([1.0, 0.0, 1.0])
     return a is not None and b is not None and bool((a[0] < b[1] + reach).all() and (b[0] < a[1] + reach).all())
 
 
-def _move(done: list[Arranged], number: int, step_m: np.ndarray) -> bool:
+def _move(done: list[ResolvedPlacement], number: int, step_m: np.ndarray) -> bool:
     """Move one object within the limit; whether it moved."""
     before = done[number].shift_m
     flat = (before + step_m) * np.array([1.0, 0.0, 1.0])
     length = float(np.linalg.norm(flat))
-    flat = flat * min(1.0, _LARGEST_SHIFT_M / max(length, 1e-9))
+    flat = flat * min(1.0, _MAX_SHIFT_M / max(length, 1e-9))
     after = np.array([flat[0], before[1], flat[2]])
     if np.linalg.norm(after - before) < 1e-4:
         return False
@@ -274,16 +276,16 @@ def _move(done: list[Arranged], number: int, step_m: np.ndarray) -> bool:
     return True
 
 
-def _put_down(number: int, objects: Sequence[Standing], done: Sequence[Arranged]) -> Arranged:
+def _put_down(number: int, objects: Sequence[PlacedSolid], done: Sequence[ResolvedPlacement]) -> ResolvedPlacement:
     """The object on the highest top under its footprint that is near its lower end."""
     import trimesh
 
     vertices_m = objects[number].mesh.vertices_m.astype(np.float64)
     if not len(vertices_m):
-        return Arranged()
+        return ResolvedPlacement()
     low, high = vertices_m.min(0), vertices_m.max(0)
-    middle, half = 0.5 * (low + high), 0.3 * (high - low)
-    starts = np.array([[middle[0] + a * half[0], low[1] + _UNDER_M, middle[2] + b * half[2]]
+    center, half = 0.5 * (low + high), 0.3 * (high - low)
+    starts = np.array([[center[0] + a * half[0], low[1] + _UNDER_M, center[2] + b * half[2]]
                        for a in (-1, 0, 1) for b in (-1, 0, 1)])  # fmt: skip
     best, under = -np.inf, None
     for other, item in enumerate(objects):
@@ -299,5 +301,5 @@ def _put_down(number: int, objects: Sequence[Standing], done: Sequence[Arranged]
             if abs(top_m - low[1]) <= _UNDER_M and top_m > best:
                 best, under = top_m, other
     if under is None:
-        return Arranged()
-    return Arranged(shift_m=np.array([0.0, best - low[1], 0.0]), rests_on=under)
+        return ResolvedPlacement()
+    return ResolvedPlacement(shift_m=np.array([0.0, best - low[1], 0.0]), rests_on=under)

@@ -18,11 +18,11 @@ from video2anim.types.camera import Intrinsics
 class RegionLimits:
     """What counts as an object."""
 
-    smallest_ratio: float = 0.004
+    min_ratio: float = 0.004
     """Share of the picture."""
-    smallest_m: float = 0.15
+    min_m: float = 0.15
     """Width and height."""
-    largest_m: float = 4.0
+    max_m: float = 4.0
     """Width and height."""
     floor_tolerance_m: float = 0.08
     """Flat points lower than this, plus 3 % of their distance, belong to the floor."""
@@ -58,7 +58,7 @@ def find_regions(
     intrinsics: Intrinsics,
     limits: RegionLimits,
 ) -> Regions:
-    """Floor and objects of a plate's metric depth, best first. Any source of depth will do."""
+    """Floor and objects of a background image's metric depth, best first. Any source of depth will do."""
     view = GravityView.of_camera(T_world_camera, intrinsics)
     height_m = view.center_world_m[1] + depth_m * view.ray_world[..., 1]
     distance_m = depth_m * view.ray_horizontal
@@ -121,14 +121,14 @@ def _judge(
     limits: RegionLimits,
 ) -> Region | None:
     """The region if it is large enough, stands on the floor and has an object's size."""
-    if part.sum() < limits.smallest_ratio * part.size:
+    if part.sum() < limits.min_ratio * part.size:
         return None
     points = view.center_world_m + depth_m[part][:, None] * view.ray_world[part]
     low, high = np.percentile(points, [2, 98], axis=0)
     width_m = float(np.hypot(*(high - low)[[0, 2]]))
     height_m = float(high[1])
     sizes = (width_m, height_m)
-    if min(sizes) < limits.smallest_m or max(sizes) > limits.largest_m:
+    if min(sizes) < limits.min_m or max(sizes) > limits.max_m:
         return None
     columns = np.flatnonzero(part.any(0))
     lowest = part.shape[0] - 1 - np.argmax(part[::-1, columns], axis=0)

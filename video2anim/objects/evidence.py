@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid
-from video2anim.objects.backproject import LiftedThing, ThingLifter
+from video2anim.objects.backproject import BackprojectedObject, ObjectBackprojector
 from video2anim.objects.foreground import floor_band_m, surface_normals
 from video2anim.objects.form_fit import ObjectEvidence
 from video2anim.objects.upright_box import UprightBox, fit_upright_box, turned_to
@@ -18,18 +18,18 @@ from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
 
 _POINTS = 160
 """Pixels of an object that are looked at; the time of a fit grows with them."""
-_LEAST_POINTS = 3
+_MIN_POINTS = 3
 _RAISED_M = 0.15
 """What ends so far above the floor, where the picture goes on below it, stands on something else."""
 _STEP, _STEP_M = 0.1, 0.02
-"""What carries a thing is as far and as high as its lower end; what hides that is nearer by this share, or higher."""
+"""What carries an object is as far and as high as its lower end; what hides that is nearer by this share, or higher."""
 _NEAR_M = 0.3
 """Skin and bodies so near to the box of an object's depth points may touch it: the error of its place."""
 _AROUND_M = 1.5
-"""Walls and things so near to it may be reached by its hidden part: the length of a bed less what is seen of it."""
+"""Walls and objects so near to it may be reached by its hidden part: the length of a bed less what is seen of it."""
 _OFF_FLOOR_M = 0.1
 """Depth of the floor is off by so much."""
-_LEAST_DISTANCE_SIGMA = 0.005
+_MIN_DISTANCE_SIGMA = 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +79,7 @@ class ObjectViews:
         """`unseen`: pixels that people always covered; `depth_sigma`: of log depth within an object; `room_yaw_rad`: of
         the walls, modulo a right angle."""
         self._room_yaw_rad = room_yaw_rad
-        self._lifter, self._depth, self._unseen = ThingLifter(masks, depth), depth, unseen
+        self._lifter, self._depth, self._unseen = ObjectBackprojector(masks, depth), depth, unseen
         self._people, self._depth_sigma = people, depth_sigma
         self._lifted = {i.object_id: self._lifter.lift(i.object_id) for i in masks.instances}
         self._distance_m = {
@@ -91,38 +91,38 @@ class ObjectViews:
 
     def object(self, found: CompletedObject, rng: np.random.Generator) -> SeenObject | None:
         """None if hardly any of its pixels has reliable depth."""
-        thing, lifter = self._lifted[found.object_id], self._lifter
-        own, known = thing.own, lifter.known
-        if thing.shows.sum() < _LEAST_POINTS:
+        obj, lifter = self._lifted[found.object_id], self._lifter
+        own, known = obj.own, lifter.known
+        if obj.shows.sum() < _MIN_POINTS:
             return None
         nearer = self._nearer(found.object_id)
-        outside, k = self._outside_px(found, thing, self._unseen | nearer), lifter.lens
-        chosen = np.flatnonzero(own & (thing.shows | ~known))
+        outside, k = self._outside_px(found, obj, self._unseen | nearer), lifter.lens
+        chosen = np.flatnonzero(own & (obj.shows | ~known))
         row, column = np.unravel_index(chosen[rng.permutation(len(chosen))[:_POINTS]], own.shape)
         local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones(len(row))], -1)
-        points_m = self._world_m[thing.shows]
+        points_m = self._world_m[obj.shows]
         low, high = points_m.min(0) - _NEAR_M, points_m.max(0) + _NEAR_M
         rested_m, body_m = (
             some[((some > low) & (some < high)).all(1)] for some in (self._people.rested_m, self._people.body_m)
         )
-        sigma = self._depth.object_sigma.get(str(found.object_id), _LEAST_DISTANCE_SIGMA)
+        sigma = self._depth.object_sigma.get(str(found.object_id), _MIN_DISTANCE_SIGMA)
         evidence = ObjectEvidence(
             camera_m=lifter.T_world_camera[:3, 3].copy(),
             T_camera_world=invert_rigid(lifter.T_world_camera),
             intrinsics=k,
             rays=local @ lifter.T_world_camera[:3, :3].T,
-            depth_m=np.where(thing.shows[row, column], thing.depth_m[row, column], np.nan),
+            depth_m=np.where(obj.shows[row, column], obj.depth_m[row, column], np.nan),
             outside_px=outside,
-            free_m=np.where(own & known, thing.depth_m, 0.0),
+            free_m=np.where(own & known, obj.depth_m, 0.0),
             depth_sigma=self._depth_sigma,
-            distance_sigma=max(sigma, _LEAST_DISTANCE_SIGMA),
+            distance_sigma=max(sigma, _MIN_DISTANCE_SIGMA),
             raised=self._is_raised(own, points_m, nearer),
             rested_m=rested_m,
             body_m=body_m,
             others_m=self._others_m(own, points_m, rng),
             room_yaw_rad=self._room_yaw_rad,
         )
-        return SeenObject(evidence, points_m, self._normals[thing.shows], own)
+        return SeenObject(evidence, points_m, self._normals[obj.shows], own)
 
     def _others_m(
         self, own: np.ndarray, points_m: np.ndarray, rng: np.random.Generator
@@ -134,22 +134,24 @@ class ObjectViews:
         some = self._world_m[near]
         return some[rng.permutation(len(some))[:_POINTS]]
 
-    def _outside_px(self, found: CompletedObject, thing: LiftedThing, hidden: np.ndarray) -> Float[np.ndarray, "h w"]:
+    def _outside_px(
+        self, found: CompletedObject, obj: BackprojectedObject, hidden: np.ndarray
+    ) -> Float[np.ndarray, "h w"]:
         """Distance of pixels from where the object may be."""
-        allowed = shrunk(found.amodal_mask, thing.own.shape) | thing.own
+        allowed = shrunk(found.amodal_mask, obj.own.shape) | obj.own
         # Between a mask's pixels, what is seen to be background does not belong to the object.
-        allowed &= ~(thing.own & self._lifter.known & ~thing.shows) | self._foot(thing)
+        allowed &= ~(obj.own & self._lifter.known & ~obj.shows) | self._foot(obj)
         closed = cv2.morphologyEx((allowed | hidden).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
         return cv2.distanceTransform(1 - closed, cv2.DIST_L2, 5).astype(np.float64)
 
-    def _foot(self, thing: LiftedThing) -> Bool[np.ndarray, "height width"]:
+    def _foot(self, obj: BackprojectedObject) -> Bool[np.ndarray, "height width"]:
         """What is too low to be told from the floor by depth, right below what shows the object."""
         distance_m = np.linalg.norm(self._world_m - self._lifter.T_world_camera[:3, 3], axis=-1)
         low = self._world_m[..., 1] < floor_band_m(distance_m)
-        away_m = np.median(distance_m[thing.shows])
+        away_m = np.median(distance_m[obj.shows])
         down_px = int(np.ceil(floor_band_m(away_m) / away_m * self._lifter.lens.fy_px))
-        below = cv2.dilate(thing.shows.astype(np.uint8), np.ones((down_px + 1, 1), np.uint8), anchor=(0, down_px))
-        return thing.own & low & (below > 0)
+        below = cv2.dilate(obj.shows.astype(np.uint8), np.ones((down_px + 1, 1), np.uint8), anchor=(0, down_px))
+        return obj.own & low & (below > 0)
 
     def _nearer(self, object_id: int) -> Bool[np.ndarray, "height width"]:
         """Pixels of objects that are nearer to the camera."""

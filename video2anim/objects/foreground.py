@@ -1,7 +1,7 @@
-"""Which pixels of a thing's mask show the thing.
+"""Which pixels of an object's mask show the object.
 
 Masks of networks are blobs: between the legs of a chair, and along every outline, they hold floor and wall. Lifted by
-their depth these pixels stretch the thing to whatever is behind it. What the room would look like without its things
+their depth these pixels stretch the object to whatever is behind it. What the room would look like without its objects
 tells them apart.
 """
 
@@ -20,42 +20,42 @@ _CELLS = 96
 _MIXED_PX = 3
 """Depths mix so near to an outline."""
 _BEFORE_WALL = 0.9
-"""A thing whose nearer quarter is before this share of the background's distance stands free of it."""
+"""An object whose nearer quarter is before this share of the background's distance stands free of it."""
 _BACKGROUND = 0.75
-"""Pixels of such a thing that are so much of the way from it to the background are the background's."""
+"""Pixels of such an object that are so much of the way from it to the background are the background's."""
 _FLOOR_M = 0.03
 _FLOOR_SHARE = 0.01
 """Floor's depth is off by so much of its distance, beside `_FLOOR_M`."""
 _LOWEST_SHARE = 0.2
-"""Of a thing's height: no more than this is taken for floor, so that low things stay."""
+"""Of an object's height: no more than this is taken for floor, so that low objects stay."""
 _GRAZING = 0.12
 """Cosine between ray and normal below which a surface is no surface but the smear between two."""
-_LEAST_PIXELS = 30
-_LEAST_SHARE = 0.15
+_MIN_PIXELS = 30
+_MIN_SHARE = 0.15
 """Of the pixels with depth; where fewer would be left, all count."""
 
 
 def inverse_background(
     depth_m: Float[np.ndarray, "height width"],
     known: Bool[np.ndarray, "height width"],
-    things: Bool[np.ndarray, "height width"],
+    objects: Bool[np.ndarray, "height width"],
     floor: Bool[np.ndarray, "height width"],
 ) -> Float[np.ndarray, "height width"] | None:
-    """One over the depth of what stands behind all things, in 1/m; None where the picture shows none of it.
+    """One over the depth of what stands behind all objects, in 1/m; None where the picture shows none of it.
 
     A plane's inverse depth is linear in the picture, so the gaps are filled with the harmonic function.
 
     Args:
         depth_m: Depth of the whole picture.
         known: Pixels whose depth counts.
-        things: Pixels of any thing.
+        objects: Pixels of any object.
         floor: Pixels of the floor, which is no upright background.
     """
-    near_things, near_floor = (
+    near_objects, near_floor = (
         cv2.dilate(mask.astype(np.uint8), np.ones((2 * by_px + 1,) * 2, np.uint8)).astype(bool)
-        for mask, by_px in ((things, _MIXED_PX), (floor, 1))
+        for mask, by_px in ((objects, _MIXED_PX), (floor, 1))
     )
-    shown = ~near_things & ~near_floor & known & (depth_m > 0)
+    shown = ~near_objects & ~near_floor & known & (depth_m > 0)
     height, width = depth_m.shape
     shrink = max(1.0, max(height, width) / _CELLS)
     size = (max(round(width / shrink), 1), max(round(height / shrink), 1))
@@ -68,7 +68,7 @@ def inverse_background(
     return cv2.resize(filled, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def thing_pixels(
+def foreground_mask(
     own: Bool[np.ndarray, "height width"],
     known: Bool[np.ndarray, "height width"],
     depth_m: Float[np.ndarray, "height width"],
@@ -76,13 +76,13 @@ def thing_pixels(
     intrinsics: Intrinsics,
     inverse_background_m: Float[np.ndarray, "height width"] | None,
 ) -> Bool[np.ndarray, "height width"]:
-    """The pixels of `own` with depth that show the thing; all of them where hardly any would be left.
+    """The pixels of `own` with depth that show the object; all of them where hardly any would be left.
 
-    Left out are floor, what is at the background or nearly (where the thing stands free of it), and surfaces that the
+    Left out are floor, what is at the background or nearly (where the object stands free of it), and surfaces that the
     camera would see edge on, which are the smear between two.
     """
     seen = own & known
-    if seen.sum() < _LEAST_PIXELS:
+    if seen.sum() < _MIN_PIXELS:
         return seen
     camera_m = T_world_camera[:3, 3]
     world_m = transform_points(T_world_camera, backproject(depth_m.astype(np.float64), intrinsics).reshape(-1, 3))
@@ -91,18 +91,18 @@ def thing_pixels(
     distance_m = np.linalg.norm(sight_m, axis=-1)
     top_m = max(float(np.percentile(world_m[seen][:, 1], 95)), 0.05)
     kept = seen & (world_m[..., 1] >= np.minimum(floor_band_m(distance_m), _LOWEST_SHARE * top_m))
-    if inverse_background_m is not None and kept.sum() >= _LEAST_PIXELS:
+    if inverse_background_m is not None and kept.sum() >= _MIN_PIXELS:
         share = depth_m * inverse_background_m
         front = float(np.percentile(share[kept], 25))
         if front < _BEFORE_WALL:
             kept &= share < front + _BACKGROUND * (1 - front)
     facing = np.abs((_gentler_normals(world_m) * sight_m).sum(-1))
     kept &= facing > _GRAZING * distance_m
-    return kept if kept.sum() >= max(_LEAST_PIXELS, _LEAST_SHARE * seen.sum()) else seen
+    return kept if kept.sum() >= max(_MIN_PIXELS, _MIN_SHARE * seen.sum()) else seen
 
 
 def floor_band_m(distance_m: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Height below which depth does not tell a thing from the floor."""
+    """Height below which depth does not tell an object from the floor."""
     return _FLOOR_M + _FLOOR_SHARE * distance_m
 
 

@@ -49,18 +49,18 @@ class FitSigmas:
     looks: float = 30.0
     """Neighboring pixels err together: all pixels of an object count as so many independent ones."""
     form_m: float = 0.02
-    """Things differ so much from their form: cushions bulge, edges are round."""
+    """Objects differ so much from their form: cushions bulge, edges are round."""
     rest_m: float = 0.03
     """Skin that rests on a surface is so near to it."""
     body_m: float = 0.05
-    """Bodies are so deep in things by their own error, beside that of the object's distance from them."""
+    """Bodies are so deep in objects by their own error, beside that of the object's distance from them."""
     square_rad: float = 0.05
     """Furniture that stands square in its room is so by this (3 degrees)..."""
-    square_looks: float = 2.0
+    square_observations: float = 2.0
     """...which counts as so many looks: 20 of those 29 pieces do."""
     base_m: float = 0.005
     """Height of the feet of what stands on the floor."""
-    noise_looks: float = 15.0
+    noise_observations: float = 15.0
     """How well all these are known for one object: as from so many looks. They share an unknown factor."""
 
 
@@ -91,7 +91,7 @@ class ObjectEvidence:
     body_m: Float[np.ndarray, "inner 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Points where bodies were."""
     others_m: Float[np.ndarray, "others 3"] = field(default_factory=lambda: np.zeros((0, 3)))
-    """Seen points of walls and other things, which are not inside it."""
+    """Seen points of walls and other objects, which are not inside it."""
     room_yaw_rad: float | None = None
     """Of the room's walls, modulo a right angle; None where the picture does not tell it."""
 
@@ -135,8 +135,8 @@ class FormProblem:
         known = np.isfinite(evidence.depth_m)
         self.point_rays, self.point_m = evidence.rays[known], evidence.depth_m[known]
         self.log_depth = np.log(self.point_m)
-        self.middle = float(np.median(self.log_depth)) if known.any() else 0.0
-        self.pixel_m = float(np.exp(self.middle)) / evidence.intrinsics.fx_px
+        self.center = float(np.median(self.log_depth)) if known.any() else 0.0
+        self.pixel_m = float(np.exp(self.center)) / evidence.intrinsics.fx_px
         self.outline_m = float(np.hypot(sigmas.outline_px * self.pixel_m, sigmas.form_m))
         share = known.sum() / max(len(known), 1)
         self.point_weight = np.sqrt(sigmas.looks * share / max(known.sum(), 1))
@@ -167,7 +167,7 @@ class FormProblem:
         if evidence.room_yaw_rad is not None:
             turn = 4 * (values[:, 2] - evidence.room_yaw_rad)
             off = np.arctan2(np.sin(turn), np.cos(turn)) / 4 / sigmas.square_rad
-            loose.append(np.sqrt(np.expm1(sigmas.square_looks * np.log1p(off**2)))[:, None])
+            loose.append(np.sqrt(np.expm1(sigmas.square_observations * np.log1p(off**2)))[:, None])
         if len(evidence.body_m):
             away_m = np.linalg.norm(evidence.body_m - evidence.camera_m, axis=-1)
             noise_m = np.hypot(evidence.distance_sigma * away_m, sigmas.body_m)
@@ -181,7 +181,7 @@ class FormProblem:
 
     def points_to_surface_m(self, values: np.ndarray, solids: Solids) -> Float[np.ndarray, "batch points"]:
         """Distance of the object's depth points, corrected, from the nearest surface."""
-        depth_m = np.exp(values[:, 4:5] + values[:, 5:6] * (self.log_depth - self.middle)) * self.point_m
+        depth_m = np.exp(values[:, 4:5] + values[:, 5:6] * (self.log_depth - self.center)) * self.point_m
         points = self.evidence.camera_m + self.point_rays * depth_m[..., None]
         return np.abs(solids.distance_m(self._own(values, points)).min(1))
 
@@ -209,7 +209,7 @@ class FormProblem:
         variance = np.diag(np.linalg.pinv(self._information(values)))
         # The shared factor of all deviations, as in `laplace`.
         misfit, _ = self._costs(values[None])
-        return np.sqrt(np.maximum(variance, 0) * (1 + float(misfit[0]) / self.sigmas.noise_looks))
+        return np.sqrt(np.maximum(variance, 0) * (1 + float(misfit[0]) / self.sigmas.noise_observations))
 
     def _to_solids_m(
         self, values: np.ndarray, solids: Solids, points_m: np.ndarray, of: Callable[[np.ndarray], np.ndarray]
@@ -294,7 +294,7 @@ class FormProblem:
         """Logarithm of the evidence, up to a constant that all forms share."""
         _, determinant = np.linalg.slogdet(self._information(values))
         misfit, unusual = (float(part[0]) for part in self._costs(values[None]))
-        known = self.sigmas.noise_looks
+        known = self.sigmas.noise_observations
         # All deviations of an object share a factor that is not known: integrated over, the misfit counts like that.
         fit = -known * float(np.log1p(misfit / known)) - unusual
         return fit - float(np.log(self.form.spread).sum()) - 0.5 * float(determinant)

@@ -42,10 +42,10 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """A kind of thing."""
+    """A kind of object."""
 
     name: str
-    """Class of thing, such as `chair`; several forms may share one."""
+    """Class of object, such as `chair`; several forms may share one."""
     sizes: tuple[Size, ...]
     """`width` is along x, `depth` along z; `height` is that of the whole, but of a bed without its headboard and of a
     kitchen's lower row."""
@@ -57,7 +57,7 @@ class Form:
     stands: bool = True
     """On the floor, always."""
     share: float = 1.0
-    """How common it is among things in rooms and gardens, against a chair: a judgment, not a count."""
+    """How common it is among objects in rooms and gardens, against a chair: a judgment, not a count."""
 
     @property
     def usual_m(self) -> Float[np.ndarray, "sizes"]:
@@ -301,6 +301,6 @@ FORMS: tuple[Form, ...] = (
          turns=2, stands=False),
     Form("drum", (_size("width", 0.4, 0.6), _size("height", 0.5, 0.6)), _drum, turns=1, stands=False, share=0.01),
 )  # fmt: skip
-"""All that is tried. `box` and `drum` are what is left for things of no known kind."""
+"""All that is tried. `box` and `drum` are what is left for objects of no known kind."""
 
 BOX = next(form for form in FORMS if form.name == "box")

@@ -23,7 +23,7 @@ NEAR_M = 0.2
 _HAND_M = 0.09
 """From the wrist to the middle of the hand."""
 _STEADY_M = 0.06
-"""Hands that hold one thing keep their distance from each other: its standard deviation."""
+"""Hands that hold one object keep their distance from each other: its standard deviation."""
 _SLACK = 2
 """Samples by which the moment may be earlier or later than the pictures tell: what moves slowly at first still overlaps
 its old place."""

@@ -1,4 +1,5 @@
-"""Objects of a plate from two sources: what a network recognises, and what stands out of a metric depth map."""
+"""Objects of a background image from two sources: what a network recognizes, and what stands out of a metric depth
+map."""
 
 from __future__ import annotations
 
@@ -12,17 +13,17 @@ from jaxtyping import Bool, Float
 from video2anim.objects.depth_regions import Region, RegionLimits
 
 _COVERED = 0.5
-"""A region that recognised things cover to this share is one of them."""
+"""A region that recognized objects cover to this share is one of them."""
 _LEFT = 0.5
-"""A recognised thing of which better ones leave less than this share is one of them, or several taken for one."""
+"""A recognized object of which better ones leave less than this share is one of them, or several taken for one."""
 _BUILT = 0.6
 """A region that lies on walls, ceiling and floor to this share is no object."""
-_LEAST_PART = 0.15
+_MIN_PART = 0.15
 """Parts of a mask smaller than this share of the largest are dropped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenThing:
+class Detection:
     """An object of either source, at the size of the depth map; `object` where no network names it."""
 
     label: str
@@ -31,41 +32,41 @@ class SeenThing:
 
 
 def joined_objects(
-    recognised: Sequence[SeenThing],
+    recognised: Sequence[Detection],
     regions: Sequence[Region],
     built: Bool[np.ndarray, "height width"],
     points_world_m: Float[np.ndarray, "height width 3"],
     valid: Bool[np.ndarray, "height width"],
     limits: RegionLimits,
-) -> list[SeenThing]:
-    """Recognised things of an object's size, and regions of depth that none of them explains; best score first.
+) -> list[Detection]:
+    """Recognized objects of an object's size, and regions of depth that none of them explains; best score first.
 
     Args:
-        recognised: By a network, best first.
+        recognized: By a network, best first.
         regions: By `find_regions`.
         built: Where the network sees walls, ceiling or floor.
         points_world_m: Lifted pixels, +Y up, floor at 0.
         valid: Pixels whose depth is known.
         limits: Least and largest size of an object.
     """
-    found: list[SeenThing] = []
+    found: list[Detection] = []
     taken = np.zeros(built.shape, bool)
-    for thing in recognised:
-        mask = _main_parts(thing.mask & ~taken)
-        if mask.sum() < _LEFT * thing.mask.sum():
+    for obj in recognised:
+        mask = _main_parts(obj.mask & ~taken)
+        if mask.sum() < _LEFT * obj.mask.sum():
             continue
-        if mask.mean() < limits.smallest_ratio or not _has_object_size(points_world_m[mask & valid], limits):
+        if mask.mean() < limits.min_ratio or not _has_object_size(points_world_m[mask & valid], limits):
             continue
-        found.append(SeenThing(thing.label, thing.score, mask))
+        found.append(Detection(obj.label, obj.score, mask))
         taken |= mask
     for region in regions:
         size = max(int(region.mask.sum()), 1)
         if (region.mask & taken).sum() > _COVERED * size or (region.mask & built).sum() > _BUILT * size:
             continue
         mask = _main_parts(region.mask & ~taken)
-        if mask.mean() >= limits.smallest_ratio:
-            # Nobody recognised it: less sure than a thing that both see.
-            found.append(SeenThing("object", 0.7 * region.score, mask))
+        if mask.mean() >= limits.min_ratio:
+            # Nobody recognized it: less sure than an object that both see.
+            found.append(Detection("object", 0.7 * region.score, mask))
             taken |= mask
     return sorted(found, key=lambda item: -item.score)
 
@@ -76,7 +77,7 @@ def _has_object_size(points_m: np.ndarray, limits: RegionLimits) -> bool:
         return True
     low, high = np.percentile(points_m, [5, 95], axis=0)
     width, height = float(np.hypot(*(high - low)[[0, 2]])), float(high[1])
-    return limits.smallest_m <= max(width, height) and max(width, height) <= 1.5 * limits.largest_m
+    return limits.min_m <= max(width, height) and max(width, height) <= 1.5 * limits.max_m
 
 
 def _main_parts(mask: np.ndarray) -> Bool[np.ndarray, "height width"]:
@@ -85,4 +86,4 @@ def _main_parts(mask: np.ndarray) -> Bool[np.ndarray, "height width"]:
     if count <= 2:
         return mask
     area = stats[1:, cv2.CC_STAT_AREA]
-    return np.isin(parts, 1 + np.flatnonzero(area >= _LEAST_PART * area.max()))
+    return np.isin(parts, 1 + np.flatnonzero(area >= _MIN_PART * area.max()))

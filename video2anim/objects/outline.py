@@ -1,4 +1,4 @@
-"""The outline of a thing of which a detector gives the box: its colors and depth against those around it."""
+"""The outline of an object of which a detector gives the box: its colors and depth against those around it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 _AROUND = 0.25
-"""Share of the box on each side that shows what is not the thing."""
+"""Share of the box on each side that shows what is not the object."""
 _LONG_SIDE_PX = 160
 """Size at which the outline is cut: finer than the depth, and 50 ms."""
 _ROUNDS = 5
-_LEAST_PX = 4
+_MIN_PX = 4
 
 
 def outlined(
@@ -33,11 +33,11 @@ def outlined(
     side = box_px[2:] - box_px[:2]
     low = np.maximum(np.floor(box_px[:2] - _AROUND * side), 0).astype(int)
     high = np.minimum(np.ceil(box_px[2:] + _AROUND * side), [width, height]).astype(int)
-    if (high - low < _LEAST_PX).any():
+    if (high - low < _MIN_PX).any():
         return found
     window = (slice(low[1], high[1]), slice(low[0], high[0]))
     shrink = min(1.0, _LONG_SIDE_PX / max(high - low))
-    size = tuple(int(v) for v in np.maximum(np.round((high - low) * shrink), _LEAST_PX))
+    size = tuple(int(v) for v in np.maximum(np.round((high - low) * shrink), _MIN_PX))
     lab = cv2.cvtColor(cv2.resize(image_rgb[window], size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2LAB)
     depth, ground = (
         cv2.resize(cv2.resize(values.astype(np.float32), (width, height))[window], size) for values in (depth_m, floor)

@@ -14,11 +14,11 @@ from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.types.camera import Intrinsics
 
-_LARGEST_FACTOR = 2.5
+_MAX_FACTOR = 2.5
 """Scales are kept within this factor of the first guess."""
 _PATCH_POINTS = 12
 """Neighbouring depth points err together: so many count as one."""
-_LEAST_ERROR_M = 0.01
+_MIN_ERROR_M = 0.01
 _ROUNDS = 3
 """Times that visibility is found again in a descent."""
 
@@ -63,19 +63,19 @@ class _Problem:
         T_world_camera: np.ndarray,
         intrinsics: Intrinsics,
         rng: np.random.Generator,
-        most_points: int,
+        max_points: int,
     ) -> None:
         self.vertices_m, self.faces, self.intrinsics = vertices_m, faces, intrinsics
         self.T_camera_world = invert_rigid(T_world_camera)
-        self.points_m = points_world_m[rng.permutation(len(points_world_m))[:most_points]]
-        self.most_points, self.rng = most_points, rng
+        self.points_m = points_world_m[rng.permutation(len(points_world_m))[:max_points]]
+        self.max_points, self.rng = max_points, rng
 
     def visible(self, state: _State) -> Float[np.ndarray, "visible 3"]:
         """Object-frame vertices that the camera sees in this pose; all of them if it sees none."""
         world_m = transform_points(state.transform(), self.vertices_m * state.scale)
         seen = visible_vertices(transform_points(self.T_camera_world, world_m), self.faces, self.intrinsics)
         chosen = np.flatnonzero(seen) if seen.sum() >= 3 else np.arange(len(seen))
-        return self.vertices_m[self.rng.permutation(chosen)[: self.most_points]]
+        return self.vertices_m[self.rng.permutation(chosen)[: self.max_points]]
 
     def chamfer_m(self, state: _State) -> float:
         world_m = transform_points(state.transform(), self.visible(state) * state.scale)
@@ -88,7 +88,7 @@ class _Problem:
         gap_m, nearest = (np.asarray(found) for found in KDTree(world_m).query(self.points_m))
         kept = gap_m <= max(np.quantile(gap_m, 0.95), 1e-9)
         normal = world_m[nearest[kept]] - self.points_m[kept]
-        error_m = max(1.48 * float(np.median(gap_m[kept])), _LEAST_ERROR_M)
+        error_m = max(1.48 * float(np.median(gap_m[kept])), _MIN_ERROR_M)
         # Where a point lies on the surface already its direction is unknown: it fixes all of them a little.
         unit = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
         arm = world_m[nearest[kept]] - state.transform()[:3, 3]
@@ -126,7 +126,7 @@ class _Problem:
             reached = float(cost.detach())
             optimizer.step()
         x_m, z_m, yaw_rad, log_scale = values.detach().tolist()
-        limit = np.log(_LARGEST_FACTOR)
+        limit = np.log(_MAX_FACTOR)
         log_scale = float(np.clip(log_scale, np.log(start.scale) - limit, np.log(start.scale) + limit))
         return _State(x_m, z_m, yaw_rad, float(np.exp(log_scale)), state.base_m, reached)
 
@@ -141,7 +141,7 @@ def place(
     *,
     yaw_starts_rad: tuple[float, ...],
     rng: np.random.Generator,
-    most_points: int = 300,
+    max_points: int = 300,
     keep_ratio: float = 0.9,
 ) -> Placement:
     """Horizontal position, yaw and scale of least robust Chamfer distance, from several yaws.
@@ -154,7 +154,7 @@ def place(
     """
     if not len(points_world_m) or not len(vertices_m):
         raise ValueError(f"place: want points and vertices, got {len(points_world_m)} and {len(vertices_m)}")
-    problem = _Problem(vertices_m, faces, points_world_m, T_world_camera, intrinsics, rng, most_points)
+    problem = _Problem(vertices_m, faces, points_world_m, T_world_camera, intrinsics, rng, max_points)
     yaw = float(np.arctan2(T_world_object[0, 2], T_world_object[2, 2]))
     x_m, base_m, z_m = (float(v) for v in T_world_object[:3, 3])
     first = _State(x_m, z_m, yaw, 1.0, base_m)

@@ -79,9 +79,9 @@ def _starts(form: Form, box: UprightBox, base_m: float) -> list[Float[np.ndarray
                 log = float(np.clip(seen, log - 2 * size.spread, log + 2 * size.spread))
             logs.append(log)
         sizes = dict(zip((size.name for size in form.sizes), np.exp(logs), strict=True))
-        middle = box.middle_m.copy()
-        middle[2] = box.high_m[2] - 0.5 * sizes.get("depth" if turn % 2 == 0 else "width", sizes["width"])
-        x, _, z = box.R_world_box @ middle
+        center = box.center_m.copy()
+        center[2] = box.high_m[2] - 0.5 * sizes.get("depth" if turn % 2 == 0 else "width", sizes["width"])
+        x, _, z = box.R_world_box @ center
         made.append(np.array([x, z, yaw + turn * np.pi / 2, base_m, 0.0, 0.0, *logs]))
     return made
 

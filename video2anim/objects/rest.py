@@ -25,7 +25,7 @@ _FLOOR_SIGMA_M, _TOP_SIGMA_M = 0.02, 0.06
 _SAME_OBJECT = 0.3
 """Share of the smaller outline in the other from which both are of one object..."""
 _LARGER = 3.0
-"""...unless its outline is so much larger: things stand on tables."""
+"""...unless its outline is so much larger: objects stand on tables."""
 _ALIKE = 0.7
 """Sizes of one object by two outlines: logarithm of their ratio, a factor of 2."""
 
@@ -45,7 +45,7 @@ class Rest:
         return cls(item.T_world_object, (width_m, height_m, depth_m))
 
     @property
-    def middle_m(self) -> Float[np.ndarray, "3"]:
+    def center_m(self) -> Float[np.ndarray, "3"]:
         """Of its box, in the world."""
         return self.T_world_object[:3, 3] + 0.5 * self.size_m[1] * self.T_world_object[:3, 1]
 

@@ -69,8 +69,8 @@ class Solids:
         deep = np.where(self.round[:, None], half[:, :, 0], half[:, :, 2])
         across = np.abs(along[0]) * half[:, :, 0] + np.abs(along[2]) * deep
         extent = (across + np.abs(along[1]) * half[:, :, 1]) / square
-        middle = np.clip(0.5 * (enter + leave), beside - extent, beside + extent)
-        x, y, z = (a + middle * b for a, b in zip(start, along, strict=True))
+        center = np.clip(0.5 * (enter + leave), beside - extent, beside + extent)
+        x, y, z = (a + center * b for a, b in zip(start, along, strict=True))
         return np.maximum(self._signed((x, y, z)), 0).min(1)
 
     def first_hit(

@@ -1,4 +1,4 @@
-"""A box that stands upright around the points that one camera sees of a thing.
+"""A box that stands upright around the points that one camera sees of an object.
 
 Furniture has right angles: the box is turned so that its footprint is small and the seen faces lie along it. How far it
 reaches where nothing was seen is an assumption; the box says which of its axes are measured.
@@ -17,7 +17,7 @@ _TRIM_PERCENT = 0.5
 """Outermost points on each side that do not stretch the box."""
 _ALONG = 0.55
 """A surface lies along an axis where its unit normal has less than this of it."""
-_LEAST_SHARE = 0.08
+_MIN_SHARE = 0.08
 """An axis is measured where at least this share of the points lies on surfaces along it."""
 
 
@@ -33,7 +33,7 @@ class UprightBox:
     """Axes whose extent was seen and not assumed."""
 
     @property
-    def middle_m(self) -> Float[np.ndarray, "3"]:
+    def center_m(self) -> Float[np.ndarray, "3"]:
         return 0.5 * (self.low_m + self.high_m)
 
     @property
@@ -81,12 +81,12 @@ def box_at(yaw_rad: float, points_world_m: np.ndarray, normals_world: np.ndarray
     own = points_world_m @ R_world_box
     low, high = np.percentile(own, [_TRIM_PERCENT, 100 - _TRIM_PERCENT], axis=0)
     along = (np.abs(normals_world @ R_world_box) < _ALONG).mean(0)
-    return UprightBox(R_world_box, low, high, along >= _LEAST_SHARE)
+    return UprightBox(R_world_box, low, high, along >= _MIN_SHARE)
 
 
 def turned_to(box: UprightBox, camera_world_m: Float[np.ndarray, "3"]) -> UprightBox:
     """The same box with +z of its frame on the side that faces the camera most."""
-    towards = box.R_world_box.T @ camera_world_m - box.middle_m
+    towards = box.R_world_box.T @ camera_world_m - box.center_m
     away = np.abs(towards) - 0.5 * box.size_m
     axis = 2 if away[2] >= away[0] else 0
     z = box.R_world_box[:, axis] * (1.0 if towards[axis] >= 0 else -1.0)

@@ -14,7 +14,7 @@ from video2anim.artifacts.user_files import content_digest
 from video2anim.errors import UsageError
 from video2anim.pipeline.graph import Node
 from video2anim.pipeline.options import limits, option_of, options_of, short
-from video2anim.pipeline.plain_yaml import MOST_CHARACTERS, PlainYamlError, read_yaml
+from video2anim.pipeline.plain_yaml import MAX_CHARACTERS, PlainYamlError, read_yaml
 
 RUN_KEYS = ("seed",)
 _SEED = option_of(Annotated[int, limits(ge=0, le=2**32 - 1)], 0)
@@ -103,9 +103,9 @@ def load_preset(name: str) -> dict[str, Any]:
     where = f"--preset {str(path)!r:.300}"
     try:
         with path.open("rb") as stream:
-            content = stream.read(4 * MOST_CHARACTERS + 1)
-        if len(content) > 4 * MOST_CHARACTERS:  # bytes of as many of the longest characters
-            raise UsageError(f"{where}: want a small text, got more than {4 * MOST_CHARACTERS} bytes")
+            content = stream.read(4 * MAX_CHARACTERS + 1)
+        if len(content) > 4 * MAX_CHARACTERS:  # bytes of as many of the longest characters
+            raise UsageError(f"{where}: want a small text, got more than {4 * MAX_CHARACTERS} bytes")
         data = read_yaml(content.decode("utf-8-sig"))
     except OSError as error:
         raise UsageError(f"{where}: cannot be read ({error.strerror})") from error

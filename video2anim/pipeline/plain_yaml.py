@@ -11,9 +11,9 @@ from typing import Any
 
 import yaml
 
-MOST_CHARACTERS = 32_768
+MAX_CHARACTERS = 32_768
 """The longest preset that ships has a few hundred."""
-MOST_LEVELS = 12
+MAX_LEVELS = 12
 """A list of an option of a stage is the third."""
 _TAG = "tag:yaml.org,2002:"
 _KNOWN = tuple(_TAG + name for name in ("null", "bool", "int", "float"))
@@ -30,8 +30,8 @@ def read_yaml(text: str) -> Any:
     Raises:
         PlainYamlError: not YAML, or more than plain data.
     """
-    if len(text) > MOST_CHARACTERS:
-        raise PlainYamlError(f"more than {MOST_CHARACTERS} characters")
+    if len(text) > MAX_CHARACTERS:
+        raise PlainYamlError(f"more than {MAX_CHARACTERS} characters")
     try:
         loader = _Loader(text)
         try:
@@ -65,8 +65,8 @@ class _Loader(yaml.SafeLoader):
         if getattr(event, "tag", None) is not None:
             raise _refused("tags (!name) are not read", event)
         self._level += 1
-        if self._level > MOST_LEVELS:
-            raise _refused(f"nested more than {MOST_LEVELS} levels deep", event)
+        if self._level > MAX_LEVELS:
+            raise _refused(f"nested more than {MAX_LEVELS} levels deep", event)
         node = super().compose_node(parent, index)
         self._level -= 1
         return node

@@ -43,7 +43,7 @@ def expect_unedited(scene_dir: Path, record: RunRecord, edits: Edits) -> None:
         )
 
 
-def place_results(
+def publish_results(
     scene_dir: Path,
     exported: Mapping[str, Path],
     report: Callable[[], str],

@@ -15,7 +15,7 @@ from typing import Any, Literal, Protocol
 
 from video2anim import __version__
 from video2anim.artifacts.codec import read_value, write_value
-from video2anim.artifacts.folder import remove_unfinished, value_digest, whole_or_absent
+from video2anim.artifacts.folder import atomic_directory, remove_unfinished, value_digest
 from video2anim.artifacts.manifest import MANIFEST_NAME, Manifest, QualityRow, read_manifest
 from video2anim.errors import StageError, UsageError, Video2AnimError, is_memory_shortage
 from video2anim.pipeline import memory
@@ -255,7 +255,7 @@ class Runner:
         inputs = {name: self.value(kind) for name, kind in node.inputs}
         memory.reset_peak()
         started = time.perf_counter()
-        with self._described(node), whole_or_absent(self.folder(node)) as work:
+        with self._described(node), atomic_directory(self.folder(node)) as work:
             ctx = StageContext(
                 work, self._config.seed, self._device,
                 self._models.load,

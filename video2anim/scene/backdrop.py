@@ -1,4 +1,4 @@
-"""What is seen behind the people and things of a clip, as clean pieces: walls, ceiling, cards, one backdrop."""
+"""What is seen behind the people and objects of a clip, as clean pieces: walls, ceiling, cards, one backdrop."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from video2anim.scene.regions import FLOOR, HIDDEN, LOW, cards, labeled
 from video2anim.scene.view import View, look
 from video2anim.types.metric import MetricDepth
 from video2anim.types.motion import BodyMotion
-from video2anim.types.scene import BackgroundPlate, InstanceMasks, RoomPiece
+from video2anim.types.scene import BackgroundImage, InstanceMasks, RoomPiece
 
 _RASTER_M = 0.05
 """Places nearer to each other are one."""
-_MOST_CUT = 0.1
+_MAX_CUT = 0.1
 """A piece that loses a larger share because people were behind it is before them: it is left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Backdrop:
-    """Pieces of what is seen behind people and things."""
+    """Pieces of what is seen behind people and objects."""
 
     pieces: tuple[RoomPiece, ...]
     parts: tuple[Part, ...]
@@ -43,7 +43,7 @@ class Backdrop:
 def backdrop(
     depth: MetricDepth,
     masks: InstanceMasks,
-    plate: BackgroundPlate,
+    background: BackgroundImage,
     far_m: float,
     relative_sigma: Float[np.ndarray, "small_height small_width"] | None = None,
 ) -> Backdrop:
@@ -51,12 +51,12 @@ def backdrop(
 
     Args:
         far_m: what is farther goes onto the backdrop behind everything.
-        relative_sigma: standard deviation of the plate's depth as a share of it; None where unknown.
+        relative_sigma: standard deviation of the background image's depth as a share of it; None where unknown.
     """
     sigma = np.zeros_like(depth.background_depth_m) if relative_sigma is None else relative_sigma
-    view = look(depth, masks, plate, sigma, far_m)
+    view = look(depth, masks, background, sigma, far_m)
     body = depth.bodies.people[0]
-    heading_rad = room_heading(plate.plate_rgb, view.T_world_camera, body.intrinsics)
+    heading_rad = room_heading(background.background_rgb, view.T_world_camera, body.intrinsics)
     paths_m = body_paths(depth.bodies.people)
     people_m = _people_depth(view, paths_m)
     planes, label = _explained(view, heading_rad, people_m, paths_m)
@@ -67,7 +67,7 @@ def backdrop(
     for part in parts:
         kind = part.plane.kind
         name = f"{kind} {numbers[kind] + 1}" if kind in ("wall", "card") else kind
-        piece = _piece(name, part, parts, surface_m, label, view, plate.plate_rgb)
+        piece = _piece(name, part, parts, surface_m, label, view, background.background_rgb)
         if piece is not None:
             numbers[kind] += 1
             pieces.append(piece)
@@ -90,10 +90,10 @@ def _explained(
 ) -> tuple[list[Plane], Int[np.ndarray, "height width"]]:
     """Planes, the far backdrop last, and per pixel the number of the one it shows.
 
-    Low flat things count as floor, higher ones as things; all ceilings count as the clearest one.
+    Low flat objects count as floor, higher ones as objects; all ceilings count as the clearest one.
     """
     # Where depth is unknown there are gaps below the horizon, and what is far above it.
-    open_to = ~view.floor & ~view.things & (view.known | (view.direction[..., 1] > 0))
+    open_to = ~view.floor & ~view.objects & (view.known | (view.direction[..., 1] > 0))
     measured = open_to & view.known & ~view.unsure
     planes = room_planes(view, measured, heading_rad)
     planes += cards(view, measured, planes)
@@ -123,7 +123,7 @@ def _before_people(plane: Plane, own: np.ndarray, view: View, people_m: np.ndarr
     if plane.kind in ("backdrop", "level") or not own.any():
         return False
     pushed = behind_people(plane, rectangle(plane, own, view), view, paths_m)
-    return bool((people_m[own] > pushed.depth_m(view.direction[own])).mean() > _MOST_CUT)
+    return bool((people_m[own] > pushed.depth_m(view.direction[own])).mean() > _MAX_CUT)
 
 
 def _people_depth(view: View, paths_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "height width"]:
@@ -153,7 +153,7 @@ def _far_part(view: View, parts: list[Part], own: np.ndarray, paths_m: np.ndarra
 def _surface_depth(
     view: View, parts: Sequence[Part], label: Int[np.ndarray, "height width"]
 ) -> Float[np.ndarray, "height width"]:
-    """Depth of what each pixel shows, by its part; 0 where that is a thing or not known. The floor
+    """Depth of what each pixel shows, by its part; 0 where that is an object or not known. The floor
     counts as the foot of what is seen above it: it belongs to a wall's place or to what is seen through a gap."""
     surface_m = np.zeros(view.shape)
     for part in parts:
@@ -170,7 +170,7 @@ def _piece(
     surface_m: Float[np.ndarray, "height width"],
     label: Int[np.ndarray, "height width"],
     view: View,
-    plate_rgb: UInt8[np.ndarray, "height width 3"],
+    background_rgb: UInt8[np.ndarray, "height width 3"],
 ) -> RoomPiece | None:
     """A part where the picture shows nothing farther."""
     nodes_m = part.patch.grid(part.reach_m(view) / view.intrinsics.fx_px)
@@ -194,4 +194,4 @@ def _piece(
     shown = part.own | ((label >= 0) & (loose | near))
     nearer = ~shown & ((surface_m < own_m) | (label == FLOOR))
     shown &= clear(~nearer)
-    return room_piece(name, part.patch, field, view, shown, plate_rgb, openings)
+    return room_piece(name, part.patch, field, view, shown, background_rgb, openings)

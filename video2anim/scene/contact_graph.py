@@ -43,7 +43,7 @@ _RESTING_SHARE = 0.06
 shin, the hollow of whose knee meets the edge of a seat, up to 0.057."""
 _SAME_M = 0.01
 """Surfaces whose gap is the least one within what the solve leaves are touched together."""
-_MOST_SKIN = 200
+_MAX_SKIN = 200
 """Points of skin per part that are looked at: nine tenths of the skin of hands and feet lie within 1.5 cm of one, of
 other parts within 3 cm. A gap may come out 5 mm too large (of a hand, all of whose points are above its lowest)."""
 _LEVEL_DEG = 45.0
@@ -157,7 +157,7 @@ def _gaps(motion: BodyMotion, body: ShapedBody, solids: Sequence[_Solid]) -> _Ga
     points, parts, frames, counts = [], [], [], []
     for part, (name, joints) in enumerate(BODY_PARTS.items()):
         skin = skin_of(body, joints)
-        skin = skin[:: -(-len(skin) // _MOST_SKIN)]
+        skin = skin[:: -(-len(skin) // _MAX_SKIN)]
         may = np.flatnonzero(_may_touch(motion, name) | held[:, part].any(0))
         points.append(posed_vertices(motion, body, skin, may).reshape(-1, 3))
         parts.append(np.full(len(points[-1]), part))
@@ -180,7 +180,7 @@ def _gaps(motion: BodyMotion, body: ShapedBody, solids: Sequence[_Solid]) -> _Ga
         found = nearest_surface(own_m, one.triangles_m, reach_m=STAY_M)
         meet(first + one.surface[found.face], found.point, found.distance_m)
         first += len(one.names)
-    # What holds one thing touches no other.
+    # What holds one object touches no other.
     owner = np.repeat(np.arange(-1, len(solids)), [1, *(len(one.names) for one in solids)])
     others = held.any(0) & ~np.concatenate([np.zeros((1, *held.shape[1:]), bool), held])[owner + 1]
     return _Gaps(np.where(others, np.inf, gap_m), np.where(others, 0.0, near / np.array(counts)[:, None]))

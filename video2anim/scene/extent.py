@@ -17,7 +17,7 @@ from video2anim.scene.view import View
 
 BODY_M = 0.3
 """From a joint to the skin and what swings around it: no piece is nearer to people's paths than this."""
-MOST_PUSH = 0.3
+MAX_PUSH = 0.3
 """A piece that would have to stand by a larger share farther to be behind the people is before them in truth."""
 THROUGH = 0.15
 """Where the picture shows something by so large a share farther than a piece, the piece is not there."""
@@ -25,7 +25,7 @@ _SCALE_SIGMA = 0.15
 """Of the logarithm of a whole wall's depth by networks: measured as 0.06 to 0.17 on renders of furnished rooms."""
 _GRAVITY_RAD = np.deg2rad(1.0)
 """Error of gravity and of the line where floor and wall meet."""
-_LEAST_FOOT = 0.05
+_MIN_FOOT = 0.05
 """Of the picture's columns: shorter lines where floor and wall meet say nothing."""
 _CORNER = 0.25
 """Pieces that end within this share of the distance from where they meet, end there."""
@@ -114,13 +114,13 @@ def _footed(plane: Plane, own: np.ndarray, floor: np.ndarray, view: View) -> Pla
     direction = direction[direction[:, 1] < -1e-3]
     on_floor_m = direction * (-view.camera_m[1] / direction[:, 1:2])
     along = on_floor_m @ plane.normal
-    if (along > 0).sum() < _LEAST_FOOT * view.shape[1]:
+    if (along > 0).sum() < _MIN_FOOT * view.shape[1]:
         return plane
     log_ratio = float(np.median(np.log(along[along > 0] / plane.distance_m)))
     distance_m = float(np.median(np.linalg.norm(on_floor_m[along > 0], axis=1)))
     foot_sigma = _GRAVITY_RAD * distance_m / max(view.camera_m[1], 0.1)
     share = _SCALE_SIGMA**2 / (_SCALE_SIGMA**2 + foot_sigma**2)
-    return plane.pushed(float(np.exp(share * np.clip(log_ratio, -MOST_PUSH, MOST_PUSH))))
+    return plane.pushed(float(np.exp(share * np.clip(log_ratio, -MAX_PUSH, MAX_PUSH))))
 
 
 def behind_people(plane: Plane, patch: Patch, view: View, paths_m: Float[np.ndarray, "points 3"]) -> Plane:
@@ -134,7 +134,7 @@ def behind_people(plane: Plane, patch: Patch, view: View, paths_m: Float[np.ndar
     if not within.any():
         return plane
     need = float((along[within].max() + BODY_M) / plane.distance_m)
-    return plane.pushed(need) if 1 < need <= 1 + MOST_PUSH else plane
+    return plane.pushed(need) if 1 < need <= 1 + MAX_PUSH else plane
 
 
 def _cornered(parts: list[Part], view: View) -> list[Part]:

@@ -14,7 +14,7 @@ from video2anim.types.motion import BodyMotion
 from video2anim.types.skeleton import JOINT_INDEX
 
 _MAY_BE_INSIDE = ("left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist")
-"""Parts that touch things and whose place is least certain."""
+"""Parts that touch objects and whose place is least certain."""
 
 
 def passed_through(
@@ -36,7 +36,7 @@ def passed_through(
     return inside
 
 
-def walked_inside_m(solid: SdfGrid, motion: BodyMotion) -> float:
+def path_length_inside_m(solid: SdfGrid, motion: BodyMotion) -> float:
     """Horizontal way that the pelvis makes inside a solid: nobody walks in furniture."""
     pelvis_m = motion.joints_world_m[:, JOINT_INDEX["pelvis"]].astype(np.float64)
     inside = motion.valid & (solid.sample(pelvis_m) < 0)

@@ -8,13 +8,13 @@ from jaxtyping import Float
 from video2anim.scene.backdrop import Backdrop
 from video2anim.scene.extent import before_walls
 from video2anim.scene.patches import SMOOTH_PX, Patch, clear, room_piece, smooth_field, tidy
-from video2anim.types.scene import BackgroundPlate, RoomPiece
+from video2anim.types.scene import BackgroundImage, RoomPiece
 
 _STRAY = 0.5
 """Percent of the floor's pixels that may be strays on every side."""
 
 
-def ground(found: Backdrop, plate: BackgroundPlate, around_m: Float[np.ndarray, "2 2"]) -> RoomPiece:
+def ground(found: Backdrop, background: BackgroundImage, around_m: Float[np.ndarray, "2 2"]) -> RoomPiece:
     """Floor at y = 0, facing up: around the motion and as far as it was seen, but not behind walls.
 
     Args:
@@ -37,4 +37,4 @@ def ground(found: Backdrop, plate: BackgroundPlate, around_m: Float[np.ndarray, 
     walls = (found.parts, nodes_m, view, found.surface_m)
     beside = np.maximum(smooth_field(known, SMOOTH_PX), before_walls(*walls, endless=True))
     field = np.minimum(before_walls(*walls), beside)
-    return room_piece("floor", patch, field, view, shown, plate.plate_rgb)
+    return room_piece("floor", patch, field, view, shown, background.background_rgb)

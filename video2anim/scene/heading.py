@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from video2anim.geometry.line_segments import straight_edges
+from video2anim.geometry.line_segments import detect_line_segments
 from video2anim.types.camera import Intrinsics
 
 _STEP_RAD = np.deg2rad(0.5)
@@ -21,7 +21,7 @@ _UPRIGHT_RAD = np.deg2rad(2.0)
 """Edges whose plane is so near to upright run up, or tell nothing."""
 _FULL_LENGTH = 0.1
 """Edges of this length (radians) and more count whole."""
-_LEAST_SCORE = 0.15
+_MIN_SCORE = 0.15
 """Of the edges' weight, that a room's heading explains beyond what a chance heading does."""
 _SECOND = 0.5
 """Another heading that explains more than this share of the best one's says there is no right angle to speak of..."""
@@ -30,15 +30,15 @@ _APART_RAD = np.deg2rad(8.0)
 
 
 def room_heading(
-    plate_rgb: UInt8[np.ndarray, "height width 3"], T_world_camera: Float[np.ndarray, "4 4"], lens: Intrinsics
+    background_rgb: UInt8[np.ndarray, "height width 3"], T_world_camera: Float[np.ndarray, "4 4"], lens: Intrinsics
 ) -> float | None:
     """atan2(z, x) of the walls' normals in the world, modulo a right angle; None where edges do not tell."""
     height = lens.height_px
-    ends = straight_edges(plate_rgb).ends.reshape(-1, 2, 2)
+    ends = detect_line_segments(background_rgb).ends.reshape(-1, 2, 2)
     if not len(ends):
         return None
-    middle = np.array([0.5 * (lens.width_px - 1) - lens.cx_px, 0.5 * (height - 1) - lens.cy_px]) / height
-    seen = (ends + middle) * height / [lens.fx_px, lens.fy_px]
+    center = np.array([0.5 * (lens.width_px - 1) - lens.cx_px, 0.5 * (height - 1) - lens.cy_px]) / height
+    seen = (ends + center) * height / [lens.fx_px, lens.fy_px]
     ray = np.concatenate([seen, np.ones((*seen.shape[:2], 1))], -1) @ T_world_camera[:3, :3].T
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     normal, along = np.cross(ray[:, 0], ray[:, 1]), ray.sum(1)
@@ -56,6 +56,6 @@ def room_heading(
     score = weight @ (fit - fit.mean(1, keepdims=True))
     best = int(score.argmax())
     apart = np.abs((turns - turns[best] + np.pi / 4) % (np.pi / 2) - np.pi / 4) > _APART_RAD
-    if score[best] < max(_LEAST_SCORE * weight.sum(), 1.0) or score[apart].max() > _SECOND * score[best]:
+    if score[best] < max(_MIN_SCORE * weight.sum(), 1.0) or score[apart].max() > _SECOND * score[best]:
         return None
     return float(turns[best])

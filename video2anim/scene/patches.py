@@ -16,9 +16,9 @@ from video2anim.types.scene import Mesh, RoomPiece, Texture
 
 SMOOTH_PX = 3
 """Outlines are smooth over so many pixels of the view."""
-_MOST_TEXELS = 1024
+_MAX_TEXELS = 1024
 """Along a texture's longer side."""
-_MOST_NODES = 300
+_MAX_NODES = 300
 """Of a raster for outlines, along its longer side."""
 _FILL_TEXELS = 96
 """Colors of what is not seen are blended at this size."""
@@ -49,7 +49,7 @@ class Patch:
 
     def grid(self, cell_m: float = np.inf) -> Float[np.ndarray, "rows columns 3"]:
         """Nodes about `cell_m` apart, corners included; a along columns, b along rows."""
-        cell_m = max(cell_m, float(self.extent_m.max()) / _MOST_NODES)
+        cell_m = max(cell_m, float(self.extent_m.max()) / _MAX_NODES)
         columns, rows = (max(2, int(np.ceil(e / cell_m)) + 1) for e in self.extent_m)
         share = np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows))
         return self.points(np.stack(share, -1))
@@ -97,10 +97,10 @@ def room_piece(
     field: Float[np.ndarray, "rows columns"],
     view: View,
     shown: Bool[np.ndarray, "height width"],
-    plate_rgb: UInt8[np.ndarray, "height width 3"],
+    background_rgb: UInt8[np.ndarray, "height width 3"],
     openings: tuple[Float[np.ndarray, "4 2"], ...] = (),
 ) -> RoomPiece:
-    """The part of a rectangle where a field over its nodes is positive, with the plate's picture on it.
+    """The part of a rectangle where a field over its nodes is positive, with the background image's picture on it.
 
     Args:
         shown: pixels of the view that show it; the rest of it gets a smooth blend of what is around.
@@ -114,7 +114,7 @@ def room_piece(
         gap = np.linalg.norm(share - corner, axis=1)
         share[gap.argmin()] = corner if gap.min() < 1 else share[gap.argmin()]
     share = share / last
-    image = _painted(patch, view, shown, plate_rgb)
+    image = _painted(patch, view, shown, background_rgb)
     uv = np.stack([share[:, 0], 1 - share[:, 1]], -1)
     at = np.clip(uv * image.shape[1::-1], 0, np.array(image.shape[1::-1]) - 1).astype(int)
     mesh = Mesh(patch.points(share).astype(np.float32), faces, image[at[:, 1], at[:, 0]])
@@ -126,22 +126,22 @@ def _painted(
     patch: Patch,
     view: View,
     shown: Bool[np.ndarray, "height width"],
-    plate_rgb: UInt8[np.ndarray, "height width 3"],
+    background_rgb: UInt8[np.ndarray, "height width 3"],
 ) -> UInt8[np.ndarray, "rows columns 3"]:
     """The picture of a rectangle, upper row first: as many texels as pixels where it is seen."""
-    larger = np.array([plate_rgb.shape[1] / view.shape[1], plate_rgb.shape[0] / view.shape[0]])
+    larger = np.array([background_rgb.shape[1] / view.shape[1], background_rgb.shape[0] / view.shape[0]])
     texel_m = float(np.sqrt(patch.extent_m.prod() / max(shown.sum() * larger.prod(), 1.0)))
-    texel_m = max(texel_m, float(patch.extent_m.max()) / _MOST_TEXELS)
+    texel_m = max(texel_m, float(patch.extent_m.max()) / _MAX_TEXELS)
     columns, rows = np.maximum(np.round(patch.extent_m / texel_m), 1).astype(int)
-    middle = np.meshgrid((np.arange(columns) + 0.5) / columns, 1 - (np.arange(rows) + 0.5) / rows)
-    points_m = patch.points(np.stack(middle, -1))
+    center = np.meshgrid((np.arange(columns) + 0.5) / columns, 1 - (np.arange(rows) + 0.5) / rows)
+    points_m = patch.points(np.stack(center, -1))
     told = view.sampled(shown, points_m, False)
     if not told.any():
         usual = np.median(view.rgb[shown], axis=0) if shown.any() else np.full(3, 128)
         return np.broadcast_to(usual.astype(np.uint8), (1, 1, 3)).copy()
     pixel, _, _ = view.pixels(points_m.reshape(-1, 3))
     at = ((pixel + 0.5) * larger - 0.5).astype(np.float32).reshape(rows, columns, 2)
-    color = cv2.remap(plate_rgb, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    color = cv2.remap(background_rgb, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.where(told[..., None], color, _blend(color, told))
 
 

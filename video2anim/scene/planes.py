@@ -21,8 +21,8 @@ _GRAZING = 0.1
 """Cosine between sight and normal: planes seen flatter are lines, to which no depth belongs."""
 _FACING = 0.75
 """Cosine to a plane's normal from which the slope of the depth speaks for it."""
-_LEAST_SHARE = 0.015
-"""Of the picture: planes that explain less are things."""
+_MIN_SHARE = 0.015
+"""Of the picture: planes that explain less are objects."""
 _LOSS = 0.5
 """Walls are turned to the heading that the edges tell where it costs no more than this share of the pixels they
 explain: slopes of networks' depth are off by 5 to 20 degrees."""
@@ -37,7 +37,7 @@ class Plane:
     """normal . (x - camera) = distance."""
 
     kind: str
-    """`wall`, `ceiling`, `level` (a flat thing below the eye), `card` (upright, for what is no plane), `backdrop`."""
+    """`wall`, `ceiling`, `level` (a flat object below the eye), `card` (upright, for what is no plane), `backdrop`."""
     normal: Float[np.ndarray, "3"]
     """Unit vector away from the camera, in world axes."""
     distance_m: float
@@ -79,7 +79,7 @@ def room_planes(view: View, open_to: Bool[np.ndarray, "height width"], heading_r
             before, after = ((left & supporting(one, view, normals)).sum() for one in (plane, turned))
             plane = turned if after >= (1 - _LOSS) * before else plane
         explained = left & supporting(plane, view, normals)
-        if explained.sum() < _LEAST_SHARE * left.size:
+        if explained.sum() < _MIN_SHARE * left.size:
             break
         found.append(plane)
         # The whole noise around it is spent, also where the slope says otherwise: no second plane beside the first.
@@ -97,7 +97,7 @@ def supporting(
 def _voted(view: View, normals: np.ndarray, left: np.ndarray) -> Plane | None:
     """The plane with most votes among all headings and distances, and both level ones."""
     offset_m, normal = view.offset_m[left], normals[left]
-    if len(offset_m) < _LEAST_SHARE * left.size:
+    if len(offset_m) < _MIN_SHARE * left.size:
         return None
     turn = np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
     candidates = np.concatenate([np.stack([np.cos(turn), 0 * turn, np.sin(turn)], 1), [_UP, -_UP]])

@@ -13,7 +13,7 @@ from video2anim.scene.planes import BIN, DEPTH_SIGMA, INLIER_SIGMAS, Plane
 from video2anim.scene.view import View
 
 FLOOR, HIDDEN = -1, -2
-"""Labels beside the numbers of planes: ground, what objects or low things hide."""
+"""Labels beside the numbers of planes: ground, what objects or low objects hide."""
 _CARD_COST = 0.5
 """A card must explain so much better than a wall: with enough cards everything is explained."""
 CARD_SIGMAS = 5.0
@@ -31,7 +31,7 @@ _EDGE_EPSILON = 0.02**2
 _CRUMB, CARD_CRUMB = 0.006, 0.03
 """Of the picture: smaller regions of planes, or of cards, go to those around them."""
 LOW = 0.2
-"""Of the camera's height: flat things lower than this are drawn on the floor, as mats, thresholds, rising ground and
+"""Of the camera's height: flat objects lower than this are drawn on the floor, as mats, thresholds, rising ground and
 the depth's error."""
 
 
@@ -52,8 +52,8 @@ def cards(view: View, open_to: Bool[np.ndarray, "height width"], planes: Sequenc
         log_m = np.log(distance_m[left])
         edges = np.arange(log_m.min() - BIN, log_m.max() + 2 * BIN, BIN)
         count = np.convolve(np.histogram(log_m, edges)[0], np.ones(round(2 * half / BIN)), "same")
-        middle = edges[int(count.argmax())] + 0.5 * BIN
-        near = np.abs(log_m - middle) < half
+        center = edges[int(count.argmax())] + 0.5 * BIN
+        near = np.abs(log_m - center) < half
         if near.sum() < CARD_CRUMB * left.size:
             break
         card = Plane("card", ahead, float(np.exp(np.median(log_m[near]))))
@@ -114,7 +114,7 @@ def _smooth(cost: np.ndarray, open_to: np.ndarray, view: View) -> Float[np.ndarr
 
 def _without_crumbs(label: np.ndarray, open_to: np.ndarray, least: list[int]) -> Int[np.ndarray, "height width"]:
     """Regions of fewer pixels than `least` (by label, floor last) given to the label that most of their border
-    touches, or hidden among things."""
+    touches, or hidden among objects."""
     label = label.copy()
     for _ in range(3):
         changed = False

@@ -15,7 +15,7 @@ from video2anim.types.scene import Mesh
 _SAMPLE_M = 0.04
 _NEAREST = 8
 """Surface samples that vote on the side of a point."""
-_MOST_SAMPLES = 400_000
+_MAX_SAMPLES = 400_000
 _POINTS = 3000
 _ROUNDS = 150
 _CELL_M = 0.1
@@ -38,7 +38,7 @@ class Registration:
 
 def registered(scan: Mesh, points_world_m: Float[np.ndarray, "points 3"], rng: np.random.Generator) -> Registration:
     """Yaw and horizontal shift, with a small lift, that bring the scan to points of the video (trimmed ICP, Chetverikov
-    et al. 2005). The scan must be roughly in place: within about a metre and 30 degrees.
+    et al. 2005). The scan must be roughly in place: within about a meter and 30 degrees.
 
     Raises:
         ValueError: no points or no faces.
@@ -127,6 +127,6 @@ def _samples(scan: Mesh) -> tuple[Float[np.ndarray, "samples 3"], Float[np.ndarr
     normal = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
     area = np.linalg.norm(normal, axis=-1)
     triangles_m, normal, area = triangles_m[area > 0], normal[area > 0], area[area > 0]  # else pieces without end
-    step_m = max(_SAMPLE_M, float(np.sqrt(0.5 * area.sum() / _MOST_SAMPLES)))
+    step_m = max(_SAMPLE_M, float(np.sqrt(0.5 * area.sum() / _MAX_SAMPLES)))
     samples_m, owner = surface_samples(triangles_m, step_m)
     return samples_m, (normal / np.maximum(area, 1e-12)[:, None])[owner]

@@ -36,7 +36,7 @@ _LEVEL = ("seat", "feet")
 """These rest on level surfaces, whatever way their skin faces."""
 _LEVEL_DEG = 45.0
 """So do others that face down within this: a palm on a table."""
-LEAST_FRAMES = 8
+MIN_FRAMES = 8
 """A rest lasts at least so long (0.27 s); shorter ones are flickers of the contact."""
 _LINK_M = 0.8
 """Rests whose places are within a stride of each other use one support..."""
@@ -60,7 +60,7 @@ _INNER = tuple(
         "pelvis", "left_hip", "right_hip", "left_knee", "right_knee", "spine1", "spine2", "spine3", "neck", "head",
     )
 )  # fmt: skip
-"""Joints of trunk, hips, knees and head; hands and feet touch things."""
+"""Joints of trunk, hips, knees and head; hands and feet touch objects."""
 _EVERY = 5
 """Frames from one look at where bodies are to the next."""
 _SAME_M = 0.1
@@ -109,8 +109,8 @@ class Support:
     @property
     def footprint_m(self) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
         """Corners in world x and z of a level one, with a margin."""
-        middle, half = self.T_world_top[[0, 2], 3], 0.5 * self.size_m + _MARGIN_M
-        return middle - half, middle + half
+        center, half = self.T_world_top[[0, 2], 3], 0.5 * self.size_m + _MARGIN_M
+        return center - half, center + half
 
     def gaps_m(self, solids: Sequence[Mesh], *, reach_m: float) -> Float[np.ndarray, "frames"]:
         """Distance from the resting skin to the floor or the nearest solid within reach."""
@@ -146,7 +146,7 @@ def rested_places(motion: BodyMotion, body: ShapedBody) -> list[Support]:
 def rested_and_inner_m(
     bodies: BodyTracks,
 ) -> tuple[Float[np.ndarray, "rests 3"], Float[np.ndarray, "inner 3"]]:
-    """Skin of all people where it rested above the floor, and joints deep in their bodies, where no thing is."""
+    """Skin of all people where it rested above the floor, and joints deep in their bodies, where no object is."""
     rested = [
         place.nearest_m[place.nearest_m[:, 1] > _ABOVE_FLOOR_M]
         for motion in bodies.people
@@ -200,7 +200,7 @@ def _rests(
 ) -> Iterator[Rest]:
     """Stretches in which a part is in contact."""
     for frames in _stretches(contact > LIKELY):
-        if len(frames) < LEAST_FRAMES:
+        if len(frames) < MIN_FRAMES:
             continue
         joints_m, R_world_joint = forward_kinematics(
             motion.R_parent_joint[frames], motion.T_world_root[frames, :3, 3], motion.rest_joints_m
@@ -252,10 +252,10 @@ def _support(kind: str, rests: list[Rest]) -> Support:
     nearest_m = np.concatenate([rest.nearest_m for rest in rests])
     patch = np.concatenate([rest.patch_m for rest in rests]) @ R_world_top
     low, high = patch[:, [0, 2]].min(0), patch[:, [0, 2]].max(0)
-    middle = 0.5 * (low + high)
+    center = 0.5 * (low + high)
     top_m = float(np.median(nearest_m @ normal))
     T_world_top = np.eye(4)
     T_world_top[:3, :3] = R_world_top
-    T_world_top[:3, 3] = R_world_top @ [middle[0], top_m, middle[1]]
+    T_world_top[:3, 3] = R_world_top @ [center[0], top_m, center[1]]
     over_m = float(np.median(np.concatenate([rest.joint_m for rest in rests]) @ normal)) - top_m
     return Support(kind, T_world_top, high - low, rests[0].level, nearest_m, over_m)

@@ -1,4 +1,4 @@
-"""The picture without people and things as directions and depths from its camera, at a size for looking at regions."""
+"""The picture without people and objects as directions and depths from its camera, at a size for looking at regions."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, pixel_rays, project, transform_points
 from video2anim.types.camera import Intrinsics
 from video2anim.types.metric import MetricDepth
-from video2anim.types.scene import BackgroundPlate, DepthClip, InstanceMasks
+from video2anim.types.scene import BackgroundImage, DepthClip, InstanceMasks
 
 LONG_SIDE_PX = 192
 """Depth networks draw nothing finer, and regions need no more."""
-MOST_DOUBT = 0.3
+MAX_DOUBT = 0.3
 """Depth with a standard deviation over this share of it says no more than far."""
 _NORMAL_BLUR_PX = 2.0
 """Networks' depth ripples at a few pixels; a surface's slope shows over more."""
@@ -36,7 +36,7 @@ class View:
     unsure: Bool[np.ndarray, "height width"]
     """Depth known so badly, or so large, that it says no more than far."""
     floor: Bool[np.ndarray, "height width"]
-    things: Bool[np.ndarray, "height width"]
+    objects: Bool[np.ndarray, "height width"]
     """Objects: what is behind them is hidden."""
     rgb: UInt8[np.ndarray, "height width 3"]
 
@@ -86,9 +86,10 @@ class View:
 
 
 def look(
-    depth: MetricDepth, masks: InstanceMasks, plate: BackgroundPlate, relative_sigma: np.ndarray, far_m: float
+    depth: MetricDepth, masks: InstanceMasks, background: BackgroundImage, relative_sigma: np.ndarray, far_m: float
 ) -> View:
-    """The first frame's view of the plate. `relative_sigma` is of the plate's depth, as a share of it."""
+    """The first frame's view of the background image. `relative_sigma` is of the background image's depth, as a share
+    of it."""
     body = depth.bodies.people[0]
     height, width = depth.background_depth_m.shape
     shrink = min(1.0, LONG_SIDE_PX / max(height, width))
@@ -104,7 +105,7 @@ def look(
     objects = np.zeros(masks.floor_mask.shape, dtype=bool)
     for instance in masks.instances:
         objects |= instance.mask
-    floor, things = shrunk(masks.floor_mask, size[::-1], 0.5), shrunk(objects, size[::-1], 0.25)
+    floor, objects = shrunk(masks.floor_mask, size[::-1], 0.5), shrunk(objects, size[::-1], 0.25)
     T_world_camera = body.T_world_camera[0]
     return View(
         T_world_camera,
@@ -112,19 +113,20 @@ def look(
         pixel_rays(lens) @ T_world_camera[:3, :3].T,
         depth_m,
         known,
-        known & ((depth_m > far_m) | (small(relative_sigma) > MOST_DOUBT)),
+        known & ((depth_m > far_m) | (small(relative_sigma) > MAX_DOUBT)),
         floor,
-        things,
-        cv2.resize(plate.plate_rgb, size, interpolation=cv2.INTER_AREA),
+        objects,
+        cv2.resize(background.background_rgb, size, interpolation=cv2.INTER_AREA),
     )
 
 
 def relative_sigma(depth: MetricDepth, clip: DepthClip) -> Float[np.ndarray, "small_height small_width"]:
-    """Standard deviation of the plate's depth as a share of it: of scale, offset and the provider's own values."""
+    """Standard deviation of the background image's depth as a share of it: of scale, offset and the provider's own
+    values."""
     value = clip.background_value
     own = np.ma.median(np.ma.masked_array(clip.sigma, ~(clip.valid & np.isfinite(clip.sigma))), axis=0).filled(0.0)
     sigma = np.sqrt((value * depth.scale_sigma) ** 2 + depth.offset_sigma**2 + (depth.scale * own) ** 2)
-    plate_m = depth.background_depth_m
+    background_m = depth.background_depth_m
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = sigma * plate_m if clip.kind == "disparity" else sigma / plate_m
+        share = sigma * background_m if clip.kind == "disparity" else sigma / background_m
     return np.where(np.isfinite(share), share, np.inf)

@@ -1,4 +1,4 @@
-"""What people wear, as far as it tells one from another: colours of the upper and the lower body."""
+"""What people wear, as far as it tells one from another: colors of the upper and the lower body."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-_LARGEST_PX = 64
+_MAX_PX = 64
 _PARTS = ((11, 12, 24, 23), (23, 24, 26, 25))
 """Corners of the trunk and of the thighs among the landmarks."""
 _WIDER = 0.15
 """Clothes reach beyond the joints by this share of the line from left to right."""
 _SEEN = 0.5
-_LEAST_PIXELS = 40
+_MIN_PIXELS = 40
 _BINS = (6, 12, 12)
-"""Of lightness, and of the two colour axes of CIE Lab."""
+"""Of lightness, and of the two color axes of CIE Lab."""
 _RANGES = [0.0, 256.0, 68.0, 188.0, 68.0, 188.0]
-"""8-bit Lab; clothes lie in the middle of the colour axes."""
+"""8-bit Lab; clothes lie in the middle of the color axes."""
 PARTS = len(_PARTS)
 
 
-def clothes(
+def clothing_histogram(
     image: UInt8[np.ndarray, "height width 3"],
     landmarks_px: Float[np.ndarray, "33 2"],
     visibility: Float[np.ndarray, "33"],
 ) -> Float[np.ndarray, "2 bins"]:
-    """Colour histograms of trunk and thighs, each of sum 1; zeros where the part is not seen.
+    """Color histograms of trunk and thighs, each of sum 1; zeros where the part is not seen.
 
     Bins are blurred a little, so that a small change of the light is a small change of the histogram.
 
@@ -49,13 +49,13 @@ def clothes(
         if x1 - x0 < 2 or y1 - y0 < 2:
             continue
         piece = image[y0:y1, x0:x1]
-        scale = min(1.0, _LARGEST_PX / max(piece.shape[:2]))
+        scale = min(1.0, _MAX_PX / max(piece.shape[:2]))
         size = (max(round(scale * (x1 - x0)), 1), max(round(scale * (y1 - y0)), 1))
         lab = cv2.cvtColor(cv2.resize(piece, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2LAB)
         area = np.zeros(lab.shape[:2], np.uint8)
         corners_px = np.rint(scale * (quad - (x0, y0))).astype(np.int32)
         cv2.fillConvexPoly(area, cv2.convexHull(corners_px), 255)
-        if np.count_nonzero(area) < _LEAST_PIXELS:
+        if np.count_nonzero(area) < _MIN_PIXELS:
             continue
         raw = cv2.calcHist([lab], [0, 1, 2], area, list(_BINS), _RANGES)
         if raw.sum() > 0:
@@ -67,24 +67,24 @@ def _blurred(histogram: np.ndarray) -> np.ndarray:
     """[1 2 1] / 4 along each axis; what would leave at an end stays there."""
     for axis in range(histogram.ndim):
         padded = np.pad(histogram, [(1, 1) if a == axis else (0, 0) for a in range(histogram.ndim)], mode="edge")
-        low, middle, high = (np.take(padded, np.arange(s, s + histogram.shape[axis]), axis) for s in (0, 1, 2))
-        histogram = 0.25 * low + 0.5 * middle + 0.25 * high
+        low, center, high = (np.take(padded, np.arange(s, s + histogram.shape[axis]), axis) for s in (0, 1, 2))
+        histogram = 0.25 * low + 0.5 * center + 0.25 * high
     return histogram
 
 
 @dataclass(slots=True, eq=False)
-class Looks:
+class AppearanceDescriptor:
     """What somebody wears, over the frames seen so far."""
 
     histograms: Float[np.ndarray, "2 bins"] = field(default_factory=lambda: np.zeros((PARTS, int(np.prod(_BINS)))))
     """Sums over frames."""
 
     def add(self, seen: Float[np.ndarray, "2 bins"]) -> None:
-        """Take another frame's `clothes`."""
+        """Take another frame's `clothing_histogram`."""
         self.histograms = self.histograms + seen
 
-    def distance(self, other: Looks) -> float:
-        """Hellinger distance of the colours, 0 (the same) to 1, mean over the parts known of both; NaN if none is."""
+    def distance(self, other: AppearanceDescriptor) -> float:
+        """Hellinger distance of the colors, 0 (the same) to 1, mean over the parts known of both; NaN if none is."""
         found = []
         for mine, theirs in zip(self.histograms, other.histograms, strict=True):
             if mine.sum() > 0 and theirs.sum() > 0:

@@ -40,7 +40,7 @@ def scan(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], *, min_sco
     """Crops that may hold a person, best first, each body once: whole picture and square tiles at two zooms."""
     height, width = image.shape[:2]
     parts = [pose.detect(image, min_score=min_score)]
-    for x0, y0, side in square_tiles(width, height, least_px=_MIN_TILE_PX):
+    for x0, y0, side in square_tiles(width, height, min_px=_MIN_TILE_PX):
         tile = image[y0 : y0 + side, x0 : x0 + side]
         parts.append(pose.detect(tile, min_score=min_score).shifted(x0, y0))
     return _distinct(concatenate(parts))

@@ -12,7 +12,7 @@ from video2anim.networks.blazepose import BlazePose, PoseEstimate
 from video2anim.networks.blazepose_detector import box_iou
 from video2anim.networks.roi import SquareRoi
 from video2anim.tracking import person_detection as finder
-from video2anim.tracking.appearance import Looks, clothes
+from video2anim.tracking.appearance import AppearanceDescriptor, clothing_histogram
 
 _BETTER_VISIBILITY = 0.1
 _HELD_FRAMES = 5
@@ -23,8 +23,8 @@ _LOOKED_BACK = 300
 THUMBNAIL_PX = 128
 _CLEARLY = 1.1
 _LOOKS_EVERY = 5
-"""Frames between those whose colours are kept."""
-_OTHER_CLOTHES, _SAME_CLOTHES, _DISTINCT = 0.7, 0.3, 0.1
+"""Frames between those whose colors are kept."""
+_OTHER_CLOTHING, _SAME_CLOTHING, _DISTINCT = 0.7, 0.3, 0.1
 """Distances of clothes (`benchmarks/appearance.py`): beyond the first nobody is the same after a short loss, below the
 second somebody may be after a long one, if nobody else comes nearer than the third more."""
 _NO_PICTURE = np.zeros((THUMBNAIL_PX, THUMBNAIL_PX, 3), np.uint8)
@@ -38,8 +38,8 @@ class Track:
     best: tuple[float, int, np.ndarray] = (0.0, 0, _NO_PICTURE)
     """How well the person is seen in the best frame, its number, and the crop."""
     last_frame: int = -1
-    looks: Looks | None = None
-    """Colours of the clothes, None before the first was seen."""
+    looks: AppearanceDescriptor | None = None
+    """Colors of the clothes, None before the first was seen."""
 
     def put(self, frame: int, found: PoseEstimate) -> None:
         """Keep what was found in a frame."""
@@ -64,13 +64,13 @@ class Track:
             upright = replace(found.roi, rotation_rad=0.0)
             self.best = (seen, frame, upright.crop(image, THUMBNAIL_PX))
 
-    def see_clothes(self, frame: int, image: np.ndarray) -> None:
-        """Add the colours of a frame in which nobody else is near."""
+    def see_clothing(self, frame: int, image: np.ndarray) -> None:
+        """Add the colors of a frame in which nobody else is near."""
         found = self.estimates[frame]
-        self.looks = self.looks or Looks()
-        self.looks.add(clothes(image, found.landmarks_px, found.visibility))
+        self.looks = self.looks or AppearanceDescriptor()
+        self.looks.add(clothing_histogram(image, found.landmarks_px, found.visibility))
 
-    def unlike(self, other: Looks | None) -> float:
+    def appearance_distance(self, other: AppearanceDescriptor | None) -> float:
         """Distance of the clothes, NaN where unknown."""
         return self.looks.distance(other) if self.looks is not None and other is not None else float("nan")
 
@@ -117,7 +117,7 @@ class Tracker:
         for track in here:
             track.look_at(frame, image)
             if frame % _LOOKS_EVERY == 0 and not any(_near(track, other, frame) for other in here if other != track):
-                track.see_clothes(frame, image)
+                track.see_clothing(frame, image)
         self._recent.append((frame, image))
 
     def _alive(self, frame: int) -> list[Track]:
@@ -215,13 +215,13 @@ def _near(track: Track, other: Track, frame: int) -> bool:
     return finder.boxes_meet(track.estimates[frame].box_px(), other.estimates[frame].box_px())
 
 
-def _looks(image: np.ndarray, fresh: list[PoseEstimate]) -> list[Looks]:
+def _looks(image: np.ndarray, fresh: list[PoseEstimate]) -> list[AppearanceDescriptor]:
     """Clothes of people just found."""
-    return [Looks(clothes(image, found.landmarks_px, found.visibility)) for found in fresh]
+    return [AppearanceDescriptor(clothing_histogram(image, found.landmarks_px, found.visibility)) for found in fresh]
 
 
 def _match_lost(
-    lost: list[Track], fresh: list[PoseEstimate], looks: list[Looks], frame: int, max_lost: int
+    lost: list[Track], fresh: list[PoseEstimate], looks: list[AppearanceDescriptor], frame: int, max_lost: int
 ) -> list[Track | None]:
     """For each person just found the lost track it continues, by position, size, overlap and clothes, or None."""
     owners: list[Track | None] = [None] * len(fresh)
@@ -237,7 +237,9 @@ def _match_lost(
     return owners
 
 
-def _continuation_cost(track: Track, found: PoseEstimate, looks: Looks, frame: int, max_lost: int) -> float:
+def _continuation_cost(
+    track: Track, found: PoseEstimate, looks: AppearanceDescriptor, frame: int, max_lost: int
+) -> float:
     """Distance from the predicted place in body radii plus missing box overlap plus distance of the clothes; infinite
     where out of reach, or in other clothes."""
     gap = frame - track.last_frame
@@ -248,8 +250,8 @@ def _continuation_cost(track: Track, found: PoseEstimate, looks: Looks, frame: i
     if away > 0.8 + 2.0 * gap / max(max_lost, 1) or growth > np.log(1.6):
         return np.inf
     iou = float(box_iou(track.last.box_px() + np.tile(moved_px, 2), found.box_px()[None])[0])
-    unlike = float(np.nan_to_num(track.unlike(looks), nan=_SAME_CLOTHES))
-    return away + growth + (1.0 - iou) + unlike if unlike < _OTHER_CLOTHES else np.inf
+    appearance_distance = float(np.nan_to_num(track.appearance_distance(looks), nan=_SAME_CLOTHING))
+    return away + growth + (1.0 - iou) + appearance_distance if appearance_distance < _OTHER_CLOTHING else np.inf
 
 
 def rejoined(tracks: list[Track], max_away: int) -> list[Track]:
@@ -281,11 +283,11 @@ def rejoined(tracks: list[Track], max_away: int) -> list[Track]:
 def _is_back(tracks: list[Track], i: int, j: int) -> bool:
     """Whether the clothes are the same, and those of nobody else in the picture with either come near them."""
     pair = (tracks[i], tracks[j])
-    distance = tracks[i].unlike(tracks[j].looks)
-    if not distance < _SAME_CLOTHES:
+    distance = tracks[i].appearance_distance(tracks[j].looks)
+    if not distance < _SAME_CLOTHING:
         return False
     others = [track for track in tracks if track not in pair and any(_meet(track, one) for one in pair)]
-    return not any(track.unlike(one.looks) < distance + _DISTINCT for track in others for one in pair)
+    return not any(track.appearance_distance(one.looks) < distance + _DISTINCT for track in others for one in pair)
 
 
 def _meet(first: Track, second: Track) -> bool:

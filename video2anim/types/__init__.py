@@ -11,7 +11,7 @@ from video2anim.types.motion import BodyMotion, BodyShape, BodyTracks, Keyframed
 from video2anim.types.people import PersonTrack, PersonTracks, Thumbnail
 from video2anim.types.results import ExportedFiles
 from video2anim.types.scene import (
-    BackgroundPlate,
+    BackgroundImage,
     CompletedObject,
     CompletedObjects,
     DepthClip,
@@ -32,7 +32,7 @@ from video2anim.types.scene import (
 from video2anim.types.storage import PayloadFile, Storage, stored
 
 __all__ = [
-    "BackgroundPlate",
+    "BackgroundImage",
     "BodyMotion",
     "BodyShape",
     "BodyTracks",

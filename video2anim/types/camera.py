@@ -14,7 +14,7 @@ from video2anim.types.storage import Holds
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """Pinhole camera. Pixel (0, 0) is the centre of the top-left pixel; +x right, +y down, +z forward."""
+    """Pinhole camera. Pixel (0, 0) is the center of the top-left pixel; +x right, +y down, +z forward."""
 
     fx_px: PositiveFloat
     fy_px: PositiveFloat
@@ -32,7 +32,7 @@ class Intrinsics:
         return np.array([[self.fx_px, 0, self.cx_px], [0, self.fy_px, self.cy_px], [0, 0, 1.0]])
 
     def resized(self, width_px: int, height_px: int) -> Intrinsics:
-        """Intrinsics of the same picture at another size; pixel centres, not corners, keep their meaning."""
+        """Intrinsics of the same picture at another size; pixel centers, not corners, keep their meaning."""
         sx, sy = width_px / self.width_px, height_px / self.height_px
         cx_px, cy_px = (self.cx_px + 0.5) * sx - 0.5, (self.cy_px + 0.5) * sy - 0.5
         return Intrinsics(self.fx_px * sx, self.fy_px * sy, cx_px, cy_px, width_px, height_px)

@@ -23,7 +23,7 @@ class MetricDepth:
 
     scale: PositiveFloat
     offset_m: FiniteFloat
-    """Metres for kind `depth`, 1/metres for `disparity`."""
+    """Meters for kind `depth`, 1/meters for `disparity`."""
     scale_sigma: float
     offset_sigma: float
     chamfer_before_m: NonNegativeFloat | None

@@ -27,7 +27,7 @@ class BodyShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyMotion:
-    """Skeletal motion of one person at 30 fps in the world frame (+Y up, floor at y = 0, metres).
+    """Skeletal motion of one person at 30 fps in the world frame (+Y up, floor at y = 0, meters).
 
     Rows with `valid` False are finite (held or interpolated) but are not measurements.
     """
@@ -99,13 +99,13 @@ class PersonQuality:
     """Relative spread over time of the limbs' lengths in the 3D landmarks; NaN where they are hardly seen."""
     valid_share: float
     """Share of the clip's frames with a measurement."""
-    stature_m: float
+    body_height_m: float
     """From the highest to the lowest joint of the T-pose."""
     fast_share: float
     """Share of the frames in which the root moves faster than anybody can."""
     doubts: tuple[str, ...] = ()
     """Reasons not to trust the person's motion; empty: none found."""
-    stature_sigma_m: float = 0.09
+    body_height_sigma_m: float = 0.09
     """Standard deviation of the standing height before the clip is looked at: of adults, or of what the user gave."""
 
     @property
@@ -124,11 +124,11 @@ class BodyTracks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframedMotion:
-    """Motion after keyframe optimisation (paper 8.2): roots of the keyframes moved, others interpolated."""
+    """Motion after keyframe optimization (paper 8.2): roots of the keyframes moved, others interpolated."""
 
     people: tuple[BodyMotion, ...]
     keyframe_index: Annotated[tuple[Annotated[Int[np.ndarray, "keyframes"], Holds.FRAMES], ...], OnePer("people")]
-    """Optimised frames, one array per person."""
+    """Optimized frames, one array per person."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

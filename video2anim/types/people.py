@@ -26,7 +26,7 @@ class PersonTrack:
     landmarks_px: Annotated[Float[np.ndarray, "rows 33 2"], Holds.GAPS]
     """BlazePose landmarks, in the clip's pixels."""
     landmarks_m: Annotated[Float[np.ndarray, "rows 33 3"], Holds.GAPS]
-    """BlazePose world landmarks in metres, origin between the hips, OpenCV axes (x right, y down, z away)."""
+    """BlazePose world landmarks in meters, origin between the hips, OpenCV axes (x right, y down, z away)."""
     visibility: Annotated[Float[np.ndarray, "rows 33"], Holds.GAPS]
     """Probability that the landmark is in the picture and not hidden."""
     mask_crop: UInt8[np.ndarray, "rows 64 64"]

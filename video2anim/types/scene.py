@@ -1,4 +1,4 @@
-"""The scene: background plate, depth, object masks and meshes, floor and walls."""
+"""The scene: background background image, depth, object masks and meshes, floor and walls."""
 
 # `stored()` marks how a field lies on disk; it is no default, though it stands where one would.
 # pyright: reportGeneralTypeIssues=false
@@ -14,13 +14,13 @@ from pydantic import Field, FiniteFloat, NonNegativeFloat, NonNegativeInt, Posit
 
 from video2anim.types.storage import Holds, Storage, stored
 
-MOST_FACES = 3_000_000
+MAX_FACES = 3_000_000
 """Of a user's scan. More take minutes and several GiB of memory; distances to a scan are no better for it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles with a colour per vertex. Stored as PLY."""
+    """Triangles with a color per vertex. Stored as PLY."""
 
     vertices_m: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
@@ -28,12 +28,13 @@ class Mesh:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BackgroundPlate:
+class BackgroundImage:
     """The picture without its people (temporal median), and where people are in sampled frames."""
 
-    plate_rgb: UInt8[np.ndarray, "height width 3"] = stored(Storage.IMAGE)
+    background_rgb: UInt8[np.ndarray, "height width 3"] = stored(Storage.IMAGE)
     seen_ratio: Float[np.ndarray, "small_height small_width"]
-    """Share of sampled frames in which no person covers the pixel; 0 = never seen, the plate is inpainted there."""
+    """Share of sampled frames in which no person covers the pixel; 0 = never seen, the background image is inpainted
+    there."""
     frame_index: Annotated[Int[np.ndarray, "samples"], Holds.FRAMES]
     """Sampled frames of the clip."""
     person_mask: Bool[np.ndarray, "samples small_height small_width"]
@@ -58,12 +59,12 @@ class DepthClip:
     """Reliable pixels (paper 8.1)."""
     background_value: Annotated[Float[np.ndarray, "small_height small_width"], Holds.GAPS]
     background_valid: Bool[np.ndarray, "small_height small_width"]
-    """Depth of the plate, without people."""
+    """Depth of the background image, without people."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectInstance:
-    """One thing in the plate."""
+    """One object in the background image."""
 
     object_id: NonNegativeInt
     label: str
@@ -112,7 +113,7 @@ class Texture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectPart:
-    """A run of faces of an object's mesh that is one thing to a body: a closed surface of its own."""
+    """A run of faces of an object's mesh that is one object to a body: a closed surface of its own."""
 
     name: str
     """`seat`, `back`, `arm`, `leg`, `top`, `base`, `board`, `body`..."""
@@ -193,7 +194,7 @@ class PlacedObject:
     scale_sigma: NonNegativeFloat | None = None
     distance_sigma: NonNegativeFloat = 0.12
     """Standard deviation of the logarithm of its distance from the camera, by the fit of stage metric; by default that
-    of a network's depth from thing to thing."""
+    of a network's depth from object to object."""
     parts: tuple[ObjectPart, ...] = ()
     """None where the shape has no known parts."""
     textures: tuple[Texture, ...] = ()
@@ -221,7 +222,7 @@ class RoomPiece:
     """A part of what is around people and objects, in the world. Flat, but for a user's scan."""
 
     name: str
-    """`floor`, `wall 1`, `ceiling`, `card 2` (upright, for what is no plane), `backdrop` (far things), `scan`."""
+    """`floor`, `wall 1`, `ceiling`, `card 2` (upright, for what is no plane), `backdrop` (far objects), `scan`."""
     mesh: Mesh
     """Triangles face the camera, those of the floor up."""
     textures: tuple[Texture, ...] = ()

@@ -40,6 +40,6 @@ def constant_rate_index(source_time_s: Float[np.ndarray, "pictures"], fps: float
     return np.where(use_following, following, held)
 
 
-def largest_hole_s(source_time_s: Float[np.ndarray, "pictures"]) -> float:
-    """Longest time between neighbouring pictures, 0 for fewer than two."""
+def max_gap_s(source_time_s: Float[np.ndarray, "pictures"]) -> float:
+    """Longest time between neighboring pictures, 0 for fewer than two."""
     return float(np.max(np.diff(source_time_s), initial=0.0))

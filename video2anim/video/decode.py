@@ -25,7 +25,7 @@ from video2anim.video.container import open_video
 from video2anim.video.metadata import focal_35mm_of
 
 _UNSPECIFIED_COLORSPACE = 2
-_LARGEST_SD_HEIGHT_PX = 576
+_MAX_SD_HEIGHT_PX = 576
 """Untagged pictures taller than standard definition are BT.709 by the usual convention of players."""
 HDR_TRANSFERS = {int(ColorTrc.SMPTE2084): "PQ", int(ColorTrc.ARIB_STD_B67): "HLG"}
 """Transfer functions of high dynamic range, by their number in ITU-T H.273 table 3."""
@@ -111,7 +111,7 @@ class SourcePicture:
         shrinks = stored_width < self.frame.width or stored_height < self.frame.height
         untagged_hd = (
             self.frame.colorspace == _UNSPECIFIED_COLORSPACE
-            and min(self.frame.width, self.frame.height) > _LARGEST_SD_HEIGHT_PX
+            and min(self.frame.width, self.frame.height) > _MAX_SD_HEIGHT_PX
         )
         frame = self.frame.reformat(
             width=stored_width,

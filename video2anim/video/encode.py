@@ -26,7 +26,7 @@ class FrameWriter:
     """Writes RGB frames to an H.264 file of constant rate; a context manager.
 
     Even sizes are stored as yuv420p, odd ones as yuv444p, which needs no padding. No frame is reordered, so the
-    frame number is the time stamp times the rate. Colours are BT.709, limited range, and tagged so.
+    frame number is the time stamp times the rate. Colors are BT.709, limited range, and tagged so.
 
     >>> with FrameWriter(path, width_px=640, height_px=360) as writer:  # doctest: +SKIP
     ...     writer.write(frame)

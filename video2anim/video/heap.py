@@ -9,12 +9,12 @@ from contextlib import contextmanager
 
 _M_MMAP_THRESHOLD = -3
 _PICTURE_BYTES = 256 * 1024
-_USUAL_MOST_BYTES = 32 * 1024 * 1024
+_USUAL_MAX_BYTES = 32 * 1024 * 1024
 """glibc raises its threshold by itself up to this value."""
 
 
 @contextmanager
-def pictures_apart() -> Iterator[None]:
+def frames_in_mapped_memory() -> Iterator[None]:
     """Give every array the size of a picture its own memory pages, which go back when it is freed.
 
     glibc takes arrays of several megabytes from its heap once a few have come and gone. Whoever streams pictures and
@@ -29,4 +29,4 @@ def pictures_apart() -> Iterator[None]:
     try:
         yield
     finally:
-        mallopt(_M_MMAP_THRESHOLD, _USUAL_MOST_BYTES)
+        mallopt(_M_MMAP_THRESHOLD, _USUAL_MAX_BYTES)

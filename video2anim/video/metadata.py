@@ -10,7 +10,7 @@ _SHORTEST_MM, _LONGEST_MM = 4.0, 3000.0
 
 
 def focal_35mm_of(metadata: Mapping[str, str]) -> float:
-    """35 mm equivalent focal length in millimetres from a video's tags, 0 where there is none.
+    """35 mm equivalent focal length in millimeters from a video's tags, 0 where there is none.
 
     Reads every tag whose name speaks of a focal length and of 35 mm, whatever its prefix, for example Apple's
     `com.apple.quicktime.camera.focal_length.35mm_equivalent` or EXIF's `FocalLengthIn35mmFilm`. A plain focal length

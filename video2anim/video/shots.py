@@ -2,7 +2,7 @@
 
 A boundary is judged by the pictures on both sides of it, not by one difference: every picture just before must differ
 from every picture just after. A single dark, bright or damaged picture leaves the sides alike and is no cut. A pan or
-fast motion makes neighbouring pictures differ too, so the jump must stand out from the motion on both sides. Dissolves
+fast motion makes neighboring pictures differ too, so the jump must stand out from the motion on both sides. Dissolves
 and fades are not found.
 """
 
@@ -23,7 +23,7 @@ _SIDE_FRAMES = 6
 _CUT_DISTANCE = 0.30
 """Smallest distance (0 to 1) between the sides of a cut."""
 _STANDS_OUT = 2.5
-"""How many times the usual step between neighbours the distance across a cut must be."""
+"""How many times the usual step between neighbors the distance across a cut must be."""
 _DETAIL_FLOOR = 0.01
 """Root mean square of log luminance detail below which a picture counts as blank."""
 _BINS = (8, 17, 17)
@@ -64,7 +64,7 @@ def describe(thumbnail_rgb: UInt8[np.ndarray, "height width 3"]) -> Descriptor:
 
 
 def _softened(histogram: Float[np.ndarray, "luminance a b"], axis: int) -> Float[np.ndarray, "luminance a b"]:
-    """Each bin shared with its neighbours along one axis (1/4, 1/2, 1/4; the ends keep their part)."""
+    """Each bin shared with its neighbors along one axis (1/4, 1/2, 1/4; the ends keep their part)."""
     first, last = histogram.take([0], axis), histogram.take([-1], axis)
     padded = np.concatenate([first, histogram, last], axis)
     count = histogram.shape[axis]
@@ -73,7 +73,7 @@ def _softened(histogram: Float[np.ndarray, "luminance a b"], axis: int) -> Float
 
 
 def distance(a: Descriptor, b: Descriptor) -> float:
-    """How unlike two pictures are, 0 (same) to 1: mean of the structures' and the colours' difference."""
+    """How unlike two pictures are, 0 (same) to 1: mean of the structures' and the colors' difference."""
     structure = 0.5 * float(np.sum((a.structure - b.structure) ** 2))
     colours = np.sqrt(max(0.0, 1.0 - float(a.colours @ b.colours)))
     return float(0.5 * (min(1.0, structure) + colours))

@@ -1,6 +1,6 @@
 """A small z-buffer renderer in numpy: shaded triangles and lines, no graphics driver needed.
 
-Camera axes are OpenCV's; pixel (0, 0) is the centre of the top-left pixel. Triangles are grouped by the size of
+Camera axes are OpenCV's; pixel (0, 0) is the center of the top-left pixel. Triangles are grouped by the size of
 their pixel box, and each group is tested against a square of pixels at once.
 """
 
@@ -25,7 +25,7 @@ _TILE_PX = 256
 
 Light = Literal["none", "flat", "smooth"]
 _EDGE_SLACK = 1e-9
-"""Rounding allowed in the inside test, so that neighbours leave no gap along their common edge."""
+"""Rounding allowed in the inside test, so that neighbors leave no gap along their common edge."""
 _LINE_BIAS = 0.995
 """Lines are drawn this much nearer, so that they win against the surface they lie on."""
 
@@ -40,7 +40,7 @@ class Canvas:
 
     @classmethod
     def blank(cls, width_px: int, height_px: int, rgb: tuple[int, int, int] = (238, 240, 243)) -> Canvas:
-        """A canvas of one colour."""
+        """A canvas of one color."""
         picture = np.empty((height_px, width_px, 3), np.uint8)
         picture[:] = rgb
         return cls(picture, np.full((height_px, width_px), np.inf, np.float32))
@@ -70,11 +70,11 @@ def draw_mesh(
         canvas: Picture of the size the intrinsics say.
         vertices_camera_m: Corners in camera axes.
         faces: Vertex numbers, counter-clockwise seen from outside.
-        vertex_rgb: Colour of each vertex.
+        vertex_rgb: Color of each vertex.
         intrinsics: Camera.
         closed: Leave out faces turned away (right only for closed surfaces).
         light: Shade by the angle to a light beside the viewer, per face (`flat`) or per vertex (`smooth`); with
-            `none` colours are shown as they are.
+            `none` colors are shown as they are.
     """
     if len(faces) == 0:
         return
@@ -156,7 +156,7 @@ def _brightness(normals: np.ndarray) -> np.ndarray:
 
 
 def _pixel_range(coordinate: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """First and last pixel centre within each triangle's extent, cut to the picture."""
+    """First and last pixel center within each triangle's extent, cut to the picture."""
     # Pairwise, because a reduction over an axis of three is slow in numpy.
     least = np.minimum(np.minimum(coordinate[:, 0], coordinate[:, 1]), coordinate[:, 2])
     most = np.maximum(np.maximum(coordinate[:, 0], coordinate[:, 1]), coordinate[:, 2])

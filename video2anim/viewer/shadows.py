@@ -15,18 +15,18 @@ _REACH_M = 0.35
 """What is higher casts no contact shadow: light comes from all sides."""
 _SOFT_M = 0.07
 _DARKEST = 0.6
-"""Share of the light that is taken away right under a thing."""
-_MOST_CELLS = 2000
+"""Share of the light that is taken away right under an object."""
+_MAX_CELLS = 2000
 """Cells along a side at most."""
 
 
 def contact_shaded(floor: Mesh, above_m: Sequence[Float[np.ndarray, "points 3"]]) -> UInt8[np.ndarray, "vertices 3"]:
-    """Colors of the floor's vertices (y = 0), darkened by points of things above it (world, m)."""
+    """Colors of the floor's vertices (y = 0), darkened by points of objects above it (world, m)."""
     if not len(floor.vertices_m) or not above_m:
         return floor.vertex_rgb
     flat = floor.vertices_m[:, [0, 2]].astype(np.float64)
     low, high = flat.min(0), flat.max(0)
-    cell_m = max(_CELL_M, float((high - low).max()) / _MOST_CELLS)
+    cell_m = max(_CELL_M, float((high - low).max()) / _MAX_CELLS)
     size = np.ceil((high - low) / cell_m).astype(int) + 1
     points_m = np.concatenate([np.asarray(one, np.float64) for one in above_m])
     cell = np.round((points_m[:, [0, 2]] - low) / cell_m).astype(int)

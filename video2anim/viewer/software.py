@@ -89,7 +89,7 @@ def framed_points(
     if len(paths_m) == 0:
         paths_m = np.concatenate([motion.joints_world_m.reshape(-1, 3) for motion in people])
     points = [paths_m + np.array([0.0, _HEADROOM_M, 0.0]), paths_m * [1.0, 0.0, 1.0]]
-    middle_m = np.median(paths_m, axis=0)
+    center_m = np.median(paths_m, axis=0)
     for placed in scene.objects if scene is not None else ():
         count = len(placed.path[0].T_world_object) if placed.path else 1
         frames = sorted({*range(0, count, _LOOKED_AT_FRAMES), count - 1})
@@ -97,6 +97,6 @@ def framed_points(
         points += [
             vertices_m
             for vertices_m in places
-            if len(vertices_m) and np.linalg.norm(vertices_m.mean(0) - middle_m) < object_reach_m
+            if len(vertices_m) and np.linalg.norm(vertices_m.mean(0) - center_m) < object_reach_m
         ]
     return np.concatenate(points)

@@ -12,7 +12,7 @@ from video2anim.types import Intrinsics
 
 _MARGIN = 0.9
 """Share of the half picture that the points may fill."""
-_LEAST_DISTANCE_M = 0.5
+_MIN_DISTANCE_M = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,13 +49,13 @@ def fit_viewpoint(
     height_px: int,
     fov_y_rad: float = 0.7,
 ) -> Viewpoint:
-    """The nearest camera of this orientation, centred on the points, that has all of them in its picture."""
+    """The nearest camera of this orientation, centerd on the points, that has all of them in its picture."""
     intrinsics = Intrinsics.centered(0.5 * height_px / np.tan(0.5 * fov_y_rad), width_px, height_px)
     turned = points_world_m @ R_world_camera
     center = 0.5 * (turned.min(0) + turned.max(0))
     from_center = turned - center
     reach = np.abs(from_center[:, :2]) * [intrinsics.fx_px / (0.5 * width_px), intrinsics.fy_px / (0.5 * height_px)]
-    distance_m = max(float((reach.max(1) / _MARGIN - from_center[:, 2]).max()), _LEAST_DISTANCE_M)
+    distance_m = max(float((reach.max(1) / _MARGIN - from_center[:, 2]).max()), _MIN_DISTANCE_M)
     T_world_camera = np.eye(4)
     T_world_camera[:3, :3] = R_world_camera
     T_world_camera[:3, 3] = R_world_camera @ (center - [0.0, 0.0, distance_m])

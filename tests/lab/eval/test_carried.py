@@ -1,4 +1,4 @@
-"""Paths of things that somebody moves: reading them from the truth, and the rows that judge estimated ones."""
+"""Paths of objects that somebody moves: reading them from the truth, and the rows that judge estimated ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tiny_truth import BOX_ID, FRAMES, TABLE_ID, TURN, Tiny, write_scene
 
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.lab.eval.carried_rows import MovedThing, MovedThings, carried_numbers
+from video2anim.lab.eval.carried_rows import MovedObject, MovedObjects, carried_numbers
 from video2anim.lab.eval.evaluate import evaluate
 from video2anim.lab.eval.model import Evaluation
 from video2anim.lab.eval.truth import read_truth
@@ -57,9 +57,9 @@ def moving_truth(folder: Path, truth_dir: Path, *, old: bool = False, T: np.ndar
     return folder
 
 
-def moved(thing: PlacedObject, T_true: np.ndarray, holds: tuple[Hold, ...] = ()) -> PlacedObject:
+def moved(obj: PlacedObject, T_true: np.ndarray, holds: tuple[Hold, ...] = ()) -> PlacedObject:
     """The estimated object with a path that is told in the true world."""
-    return replace(thing, path=(ObjectPath(TURN @ T_true, holds),))
+    return replace(obj, path=(ObjectPath(TURN @ T_true, holds),))
 
 
 def judged(
@@ -68,7 +68,7 @@ def judged(
     """The evaluation of a scene whose objects are changed."""
 
     def edit(refined: RefinedMotion) -> RefinedMotion:
-        objects = tuple(change(thing) for thing in refined.scene.objects)
+        objects = tuple(change(obj) for obj in refined.scene.objects)
         return replace(refined, scene=replace(refined.scene, objects=objects))
 
     return evaluate(write_scene(tmp_path / "scene", tiny, edits={RefinedMotion: edit}), truth)
@@ -76,21 +76,21 @@ def judged(
 
 def test_poses_are_read_as_written(tmp_path: Path, truth_dir: Path) -> None:
     truth = read_truth(moving_truth(tmp_path / "clip", truth_dir))
-    things = {item.object_id: item for item in truth.objects}
-    box = things[BOX_ID]
+    objects = {item.object_id: item for item in truth.objects}
+    box = objects[BOX_ID]
     assert box.T_world_object_frames is not None
     assert box.held is not None
     np.testing.assert_array_equal(box.T_world_object_frames, true_path())
     assert np.flatnonzero(box.held)[[0, -1]].tolist() == [GRASP, RELEASE]
     assert box.hands == (True, False)
-    assert things[TABLE_ID].T_world_object_frames is None
-    assert things[TABLE_ID].held is None
+    assert objects[TABLE_ID].T_world_object_frames is None
+    assert objects[TABLE_ID].held is None
 
 
 def test_older_truth_has_no_poses_and_no_numbers(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
     folder = moving_truth(tmp_path / "clip", truth_dir, old=True)
     assert all(item.T_world_object_frames is None for item in read_truth(folder).objects)
-    found = row(judged(tmp_path, tiny, folder, lambda thing: thing), "carried", "carried_found")
+    found = row(judged(tmp_path, tiny, folder, lambda obj: obj), "carried", "carried_found")
     assert found.values == (None,)
     assert "make the clip again" in found.reasons[0]
 
@@ -130,7 +130,7 @@ def test_the_middle_is_that_of_the_box(tmp_path: Path, truth_dir: Path, tiny: Ti
 
 def test_nothing_found(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
     truth = moving_truth(tmp_path / "clip", truth_dir)
-    found = judged(tmp_path, tiny, truth, lambda thing: thing)
+    found = judged(tmp_path, tiny, truth, lambda obj: obj)
     assert value(found, "carried", "carried_found") == 0.0
     assert value(found, "carried", "carried_false") == 0.0
     assert row(found, "carried", "carried_path_m").values == (None,)
@@ -157,9 +157,9 @@ def test_a_path_where_nothing_moves_is_false(tmp_path: Path, truth_dir: Path, ti
 
 
 def test_means_over_things() -> None:
-    near = MovedThing(1, "cup", 5, np.array([0.1, 0.3]), 2.0)
-    lost = MovedThing(2, "box", None, np.zeros(0), np.nan)
-    found = carried_numbers(MovedThings((near, lost), 3))
+    near = MovedObject(1, "cup", 5, np.array([0.1, 0.3]), 2.0)
+    lost = MovedObject(2, "box", None, np.zeros(0), np.nan)
+    found = carried_numbers(MovedObjects((near, lost), 3))
     assert found == {"carried_found": 0.5, "carried_path_m": pytest.approx(0.2), "carried_false": 3.0}
 
 
@@ -178,7 +178,7 @@ def test_benchmark_rows(
 
     truth = moving_truth(tmp_path / "clip", truth_dir)
     (one,) = script.of_clip(write_scene(tmp_path / "scene", tiny, edits={RefinedMotion: edit}), truth)
-    assert (one.clip, one.thing, one.found, one.false_paths) == ("clip", "box", True, 0)
+    assert (one.clip, one.obj, one.found, one.false_paths) == ("clip", "box", True, 0)
     assert one.path_mean_m == pytest.approx(0.1)
     assert one.path_p95_m == pytest.approx(0.1)
     assert one.hold_error_frames == pytest.approx(2.0)

@@ -58,7 +58,7 @@ def meta(**changes: Any) -> Damage:
     return damage
 
 
-def thing(**changes: Any) -> Damage:
+def obj(**changes: Any) -> Damage:
     """The same of one object in it."""
 
     def damage(folder: Path) -> None:
@@ -120,18 +120,18 @@ WRONG: dict[str, tuple[Damage, str]] = {
     "room short": (meta(room={"bounds_m": [0, 1, 2]}), "room.bounds_m.3"),
     "room endless": (meta(room={"bounds_m": [-1, float("inf"), -1, 1]}), "room.bounds_m.1"),
     "name number": (meta(name=3), "name: input should be a valid string"),
-    "pose gone": (thing(T_world_object=...), "T_world_object"),
-    "pose text": (thing(T_world_object="here"), "T_world_object"),
-    "pose flat": (thing(T_world_object=EYE.ravel().tolist()), "T_world_object"),
-    "pose NaN": (thing(T_world_object=(EYE * np.nan).tolist()), "T_world_object.0.0: input should be a finite number"),
-    "pose mirrored": (thing(T_world_object=np.diag([-1.0, 1, 1, 1]).tolist()), f"object {TABLE_ID}: want rigid"),
-    "pose scaled": (thing(T_world_object=np.diag([2.0, 2, 2, 1]).tolist()), "want rigid transforms"),
-    "pose far": (thing(T_world_object=(EYE + 1e300 * np.eye(4, k=3)).tolist()), "want rigid transforms"),
-    "file outside": (thing(file="../../clip/meta.json"), "want files inside"),
-    "file absolute": (thing(file="/etc/passwd"), "want files inside"),
-    "file NUL": (thing(file="a\0b"), "want the name of a file"),
-    "file long": (thing(file="a" * 5000), "want the name of a file"),
-    "label number": (thing(label=7), "objects.2.label"),
+    "pose gone": (obj(T_world_object=...), "T_world_object"),
+    "pose text": (obj(T_world_object="here"), "T_world_object"),
+    "pose flat": (obj(T_world_object=EYE.ravel().tolist()), "T_world_object"),
+    "pose NaN": (obj(T_world_object=(EYE * np.nan).tolist()), "T_world_object.0.0: input should be a finite number"),
+    "pose mirrored": (obj(T_world_object=np.diag([-1.0, 1, 1, 1]).tolist()), f"object {TABLE_ID}: want rigid"),
+    "pose scaled": (obj(T_world_object=np.diag([2.0, 2, 2, 1]).tolist()), "want rigid transforms"),
+    "pose far": (obj(T_world_object=(EYE + 1e300 * np.eye(4, k=3)).tolist()), "want rigid transforms"),
+    "file outside": (obj(file="../../clip/meta.json"), "want files inside"),
+    "file absolute": (obj(file="/etc/passwd"), "want files inside"),
+    "file NUL": (obj(file="a\0b"), "want the name of a file"),
+    "file long": (obj(file="a" * 5000), "want the name of a file"),
+    "label number": (obj(label=7), "objects.2.label"),
     "no instance": (arrays(instance=None), "want key instance"),
     "no motion": (arrays(R_parent_joint=None), "want key R_parent_joint"),
     "maps cut": (arrays(depth_mm=lambda a: a[:-1]), "depth_mm: want shape"),
@@ -209,15 +209,15 @@ def test_a_wrong_value_of_the_truth(truth: Path, case: str) -> None:
 @pytest.mark.parametrize("spoil", SPOILS)
 def test_a_spoilt_plate_has_a_reason(truth: Path, spoil: str) -> None:
     SPOILS[spoil](truth / "plate.png")
-    with pytest.raises(ArtifactError, match=r"plate\.png"):
-        _ = read_truth(truth).plate_rgb
+    with pytest.raises(ArtifactError, match=r"background image\.png"):
+        _ = read_truth(truth).background_rgb
 
 
 @pytest.mark.parametrize("image", [np.zeros((2, 2, 3)), np.zeros((CLIP[1], CLIP[0], 4)), np.zeros((9, 9))])
 def test_a_plate_of_another_size_or_with_holes_has_a_reason(truth: Path, image: np.ndarray) -> None:
     assert cv2.imwrite(str(truth / "plate.png"), image.astype(np.uint8))
-    with pytest.raises(ArtifactError, match=r"plate\.png: want"):
-        _ = read_truth(truth).plate_rgb
+    with pytest.raises(ArtifactError, match=r"background image\.png: want"):
+        _ = read_truth(truth).background_rgb
 
 
 @pytest.mark.parametrize("spoil", SPOILS)

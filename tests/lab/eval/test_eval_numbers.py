@@ -16,7 +16,7 @@ from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.lab.eval.evaluate import evaluate
 from video2anim.lab.eval.model import Evaluation
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyMotion,
     BodyTracks,
     CameraEstimate,
@@ -63,7 +63,7 @@ def test_no_error_gives_no_error(scene_dir: Path, truth_dir: Path) -> None:
     for group, keys in ONE.items():
         for key in keys:
             assert row(found, group, key).values == pytest.approx((1.0,) * len(row(found, group, key).values), abs=1e-5)
-    # True depth is stored in millimetres.
+    # True depth is stored in millimeters.
     assert value(found, "depth", "abs_rel", 0) < 2e-4
     assert value(found, "depth", "abs_rel", 1) < 2e-4
     assert found.notes == ()
@@ -270,10 +270,12 @@ def test_disparity_is_fitted_as_disparity(tmp_path: Path, truth_dir: Path, tiny:
 def test_plate_numbers(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
     """Ten steps too bright everywhere: error 10, PSNR 20 log10(255 / 10)."""
 
-    def brighter(plate: BackgroundPlate) -> BackgroundPlate:
-        return replace(plate, plate_rgb=plate.plate_rgb + 10, person_mask=np.zeros_like(plate.person_mask))
+    def brighter(background: BackgroundImage) -> BackgroundImage:
+        return replace(
+            background, background_rgb=background.background_rgb + 10, person_mask=np.zeros_like(background.person_mask)
+        )
 
-    found = evaluated(tmp_path, truth_dir, tiny, {BackgroundPlate: brighter})
+    found = evaluated(tmp_path, truth_dir, tiny, {BackgroundImage: brighter})
     assert value(found, "background", "error") == pytest.approx(10)
     assert value(found, "background", "error_behind") == pytest.approx(10)
     assert value(found, "background", "psnr") == pytest.approx(20 * math.log10(25.5))
@@ -393,7 +395,7 @@ def test_shorter_cut_is_compared_by_source_time(tmp_path: Path, truth_dir: Path,
     edits = {kind: people_edit(later) for kind in (BodyTracks, KeyframedMotion, RefinedMotion)}
     scene = write_scene(
         tmp_path / "scene", tiny, edits=edits | {VideoClip: cut},
-        leave_out=(PersonTracks, BackgroundPlate, DepthClip, MetricDepth),
+        leave_out=(PersonTracks, BackgroundImage, DepthClip, MetricDepth),
     )  # fmt: skip
     found = evaluate(scene, truth_dir)
     assert value(found, "ingest", "kept") == pytest.approx(0.5)

@@ -30,7 +30,7 @@ from video2anim.geometry.scene_mesh import empty_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.pipeline.scene_folder import RunRecord, write_record
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyMotion,
     BodyShape,
     BodyTracks,
@@ -73,7 +73,7 @@ TURN = np.array(
 """T_estimated_true: the estimated world against the true one."""
 STAGES = {
     VideoClip: "01_ingest", PersonTracks: "02_track", CameraEstimate: "03_camera", BodyTracks: "04_humans",
-    BackgroundPlate: "05_background", DepthClip: "06_depth", InstanceMasks: "07_segment", MetricDepth: "08_metric",
+    BackgroundImage: "05_background", DepthClip: "06_depth", InstanceMasks: "07_segment", MetricDepth: "08_metric",
     CompletedObjects: "09_complete", ObjectMeshes: "10_reconstruct", PlacedObjects: "11_place", SceneModel: "12_scene",
     KeyframedMotion: "13_keyframes", RefinedMotion: "14_refine",
 }  # fmt: skip
@@ -101,8 +101,8 @@ class TinyBox:
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         half = 0.5 * np.array(self.size_m)
-        middle = np.array([self.center_xz_m[0], half[1], self.center_xz_m[1]])
-        return middle - half, middle + half
+        center = np.array([self.center_xz_m[0], half[1], self.center_xz_m[1]])
+        return center - half, center + half
 
 
 BOXES = (
@@ -228,7 +228,7 @@ def write_truth(folder: Path, tiny: Tiny, *, meta: Mapping[str, Any] | None = No
     np.savez_compressed(folder / "truth.npz", allow_pickle=False, **arrays)
     for person in tiny.people[1:]:
         write_motion(folder / f"truth_{person.person_id}.npz", person)
-    write_png(folder / "plate.png", plate_rgb())
+    write_png(folder / "plate.png", background_rgb())
     (folder / "meta.json").write_text(json.dumps(truth_meta(folder, tiny) | dict(meta or {})))
     return folder
 
@@ -240,9 +240,9 @@ def truth_meta(folder: Path, tiny: Tiny) -> dict[str, Any]:
         np.array([[-3, 0, -5], [3, 0, -5], [3, 0, 2], [-3, 0, 2.0]]),
         np.array([[0, 2, 1], [0, 3, 2]]), np.zeros((4, 3), np.uint8),
     )  # fmt: skip
-    things = [(FLOOR_ID, "floor", False, np.eye(4), floor), (WALL_ID, "wall", False, np.eye(4), floor)]
-    things += [(box.object_id, box.label, True, box.pose, box.mesh()) for box in tiny.boxes]
-    for number, label, is_furniture, pose, mesh in things:
+    objects = [(FLOOR_ID, "floor", False, np.eye(4), floor), (WALL_ID, "wall", False, np.eye(4), floor)]
+    objects += [(box.object_id, box.label, True, box.pose, box.mesh()) for box in tiny.boxes]
+    for number, label, is_furniture, pose, mesh in objects:
         trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False).export(folder / "objects" / f"{number}.glb")
         entries.append(
             {
@@ -259,7 +259,7 @@ def truth_meta(folder: Path, tiny: Tiny) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def plate_rgb() -> np.ndarray:
+def background_rgb() -> np.ndarray:
     return np.random.default_rng(5).integers(60, 200, (CLIP[1], CLIP[0], 3)).astype(np.uint8)
 
 
@@ -352,12 +352,12 @@ def _seen_values(folder: Path, tiny: Tiny) -> dict[type, Any]:
     )
     index = np.arange(0, FRAMES, STRIDE)
     masks = np.stack([tiny.maps(int(t))[1] >= 1000 for t in index])
-    plate = BackgroundPlate(plate_rgb(), np.ones(MAP[::-1]), index, masks, masks)
+    background = BackgroundImage(background_rgb(), np.ones(MAP[::-1]), index, masks, masks)
     return {
         VideoClip: clip,
         PersonTracks: PersonTracks(tracks, tuple(t.person_id for t in tracks), 1),
         CameraEstimate: camera,
-        BackgroundPlate: plate,
+        BackgroundImage: background,
     }
 
 
@@ -367,7 +367,7 @@ def _depth_values(tiny: Tiny) -> dict[type, Any]:
     bare, _ = tiny.maps(None)
     yes = np.ones_like(depth, bool)
     bodies = BodyTracks(tuple(in_estimate(person) for person in tiny.people))
-    # Relative depth: metres = 4 * value + 0.5.
+    # Relative depth: meters = 4 * value + 0.5.
     relative = DepthClip("depth", "tiny", index, (depth - 0.5) / 4, np.ones_like(depth), yes, (bare - 0.5) / 4, yes[0])
     metric = MetricDepth(4.0, 0.5, 0.0, 0.0, None, None, True, "", index, depth, yes, bare, yes[0], {}, bodies)
     return {DepthClip: relative, MetricDepth: metric}

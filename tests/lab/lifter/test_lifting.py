@@ -410,5 +410,5 @@ def test_a_mirror_of_a_mirror(residuals: ResidualLibrary) -> None:
 def test_keypoints_of_a_body_lie_about_its_joints() -> None:
     walk = planted_walk(5)
     points = true_keypoints(walk)
-    middle = points[:, [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]].mean(1)
-    assert np.linalg.norm(middle - walk.joints_camera_m[:, 0], axis=-1).max() < 0.12
+    center = points[:, [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]].mean(1)
+    assert np.linalg.norm(center - walk.joints_camera_m[:, 0], axis=-1).max() < 0.12

@@ -14,13 +14,13 @@ from torch import nn
 
 from video2anim.lab.scene_network.export import export_onnx, halved
 from video2anim.lab.scene_network.network import RoomAnswer, RoomNetwork
-from video2anim.networks.room_net import OUTPUTS, RoomNet
+from video2anim.networks.room_net import OUTPUTS, SceneNetwork
 
 SIZES = ((64, 96), (96, 64), (128, 128), (160, 288))
 
 
 def picture(height: int, width: int, seed: int = 0) -> torch.Tensor:
-    """Blotches of colour."""
+    """Blotches of color."""
     rng = torch.Generator().manual_seed(seed)
     coarse = 255 * torch.rand(1, 3, height // 16, width // 16, generator=rng)
     return torch.nn.functional.interpolate(coarse, (height, width), mode="bilinear")
@@ -82,11 +82,11 @@ def test_the_file_is_one_of_half_precision(
 def test_the_adapter_takes_the_file(exported: tuple[Path, dict[tuple[int, int], RoomAnswer], int]) -> None:
     """Names, shapes and ranges are those of the contract; one of the two views is the network's own answer."""
     image = picture(192, 256)[0].numpy().transpose(1, 2, 0).astype(np.uint8)
-    view = RoomNet(exported[0]).see(image)
+    view = SceneNetwork(exported[0]).see(image)
     assert view.disparity.shape == (96, 128)
     assert view.class_logits.shape == (96, 128, 6)
     assert view.field.latitude_rad.shape == (24, 32)
-    tall = RoomNet(exported[0]).see(np.ascontiguousarray(image.transpose(1, 0, 2)))
+    tall = SceneNetwork(exported[0]).see(np.ascontiguousarray(image.transpose(1, 0, 2)))
     assert tall.disparity.shape == (128, 96)
     for values in (view.disparity, view.normal_camera, view.field.up, view.cues.offset):
         assert np.isfinite(values).all()

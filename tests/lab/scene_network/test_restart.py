@@ -46,7 +46,7 @@ def furthest(one: RoomNetwork, other: RoomNetwork) -> float:
 
 
 def test_the_network_of_the_file_answers_as_it_did(known: RoomNetwork, file: Path) -> None:
-    """Folding batch normalisation rounds to half precision: 1e-2 of an untrained network's largest answer."""
+    """Folding batch normalization rounds to half precision: 1e-2 of an untrained network's largest answer."""
     assert furthest(read_exported(file), known) < 1e-2
 
 
@@ -87,8 +87,8 @@ def test_a_mean_lies_between_its_networks(file: Path) -> None:
     first, second = read_exported(file), read_exported(file)
     for weight in second.parameters():
         weight.data *= 1.25
-    middle = averaged(first, second, 0.4)
-    for mean, one in zip(middle.parameters(), first.parameters(), strict=True):
+    center = averaged(first, second, 0.4)
+    for mean, one in zip(center.parameters(), first.parameters(), strict=True):
         torch.testing.assert_close(mean, 1.1 * one)
     assert furthest(averaged(first, second, 0.0), first) == 0
     assert furthest(averaged(first, second, 1.0), second) == 0

@@ -51,8 +51,8 @@ def rendered(number: int) -> dict[str, np.ndarray]:
     with np.errstate(divide="ignore", invalid="ignore"):
         floor = -CAMERA_HEIGHT_M / ray[..., 1]
         put(np.where(floor < 40, floor, np.inf), np.array([0.0, 1.0, 0.0]), FLOOR)
-        middle, half = np.array([0.5, 0.4, -3.4]), np.array([0.5, 0.4, 0.35])
-        near, far = np.sort(np.stack([(middle - half - eye) / ray, (middle + half - eye) / ray]), axis=0)
+        center, half = np.array([0.5, 0.4, -3.4]), np.array([0.5, 0.4, 0.35])
+        near, far = np.sort(np.stack([(center - half - eye) / ray, (center + half - eye) / ray]), axis=0)
         enter, axis = near.max(-1), near.argmax(-1)
         facing = -np.sign(np.take_along_axis(ray, axis[..., None], -1)) * np.eye(3)[axis]
         put(np.where(enter < far.min(-1), enter, np.inf), facing, BOX)
@@ -98,7 +98,7 @@ def unspoiled(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def palette_class(picture: torch.Tensor) -> np.ndarray:
-    """Class of the nearest colour at half size."""
+    """Class of the nearest color at half size."""
     rgb = picture.numpy().reshape(3, picture.shape[1] // 2, 2, picture.shape[2] // 2, 2).mean((2, 4))
     far = np.stack([np.abs(rgb - np.array(colour)[:, None, None]).sum(0) for colour in COLOURS.values()])
     return np.array([CLASSES.index(name) for name in SEEN_CLASS.values()])[far.argmin(0)]
@@ -187,7 +187,7 @@ def test_camera_targets_by_brute_force(tmp_path: Path, size: tuple[int, int], k1
     assert batch.up.shape == (1, 2, rows, columns)
     for row in range(rows):
         for column in range(columns):
-            # Pixel (0, 0) is the centre of the top-left pixel, whose corner is at -0.5.
+            # Pixel (0, 0) is the center of the top-left pixel, whose corner is at -0.5.
             u = (WIDTH - width) / 2 + (column + 0.5) * width / columns - 0.5
             v = (HEIGHT - height) / 2 + (row + 0.5) * height / rows - 0.5
             seen = np.array([(u - 40.0) / 75.0, (v - 36.0) / 70.0])
@@ -209,7 +209,7 @@ def test_camera_targets_by_brute_force(tmp_path: Path, size: tuple[int, int], k1
 def test_crops_and_flips_keep_depth_camera_and_picture_together(
     shards: PictureShards, unspoiled: None, size: tuple[int, int]
 ) -> None:
-    """Camera targets alone predict disparity and normals of the floor; colours alone predict the classes."""
+    """Camera targets alone predict disparity and normals of the floor; colors alone predict the classes."""
     batch = shards.batch(0, 24, size)
     rows, columns = size[0] // 2, size[1] // 2
     flipped, longer = [], []
@@ -256,7 +256,7 @@ def test_offsets_are_of_the_flipped_picture_too(shards: PictureShards, unspoiled
 
 
 def test_instance_targets_by_hand() -> None:
-    """A chair (5) and a table (6) that touch, a person (1000) on the floor, a cup-sized thing (9), and a wall."""
+    """A chair (5) and a table (6) that touch, a person (1000) on the floor, a cup-sized object (9), and a wall."""
     instance, classes = np.ones((40, 60), np.int64), np.full((40, 60), CLASSES.index("floor"))
     for number, (rows, columns), kind in (
         (2, (slice(0, 8), slice(0, 60)), "wall"),

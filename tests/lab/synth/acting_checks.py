@@ -1,4 +1,4 @@
-"""Numbers of an acted motion that several tests look at."""
+"""Numbers of an procedural motion that several tests look at."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scenemi.metrics import jerk_m_s3
 from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
 from video2anim.geometry.rotations import axis_angle_from_matrix
 from video2anim.lab.synth.acting.measure import measure
-from video2anim.lab.synth.world import ActedMotion
+from video2anim.lab.synth.world import ProceduralMotion
 from video2anim.types.motion import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
@@ -42,7 +42,7 @@ class Numbers:
     """Largest distance of the mass center from the feet's middle line, when both feet stand and nothing moves."""
 
 
-def numbers(motion: ActedMotion, body: ShapedBody) -> Numbers:
+def numbers(motion: ProceduralMotion, body: ShapedBody) -> Numbers:
     R = motion.R_parent_joint
     joints, world = forward_kinematics(R, motion.translation_m, body.rest_joints_m)
     step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)

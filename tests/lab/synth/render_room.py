@@ -15,7 +15,7 @@ HEIGHT_M, HALF_M = 2.6, 2.4
 
 
 def box(size: tuple[float, float, float], at: tuple[float, float, float], material: Material) -> Part:
-    """A box by size and centre."""
+    """A box by size and center."""
     mesh = trimesh.creation.box(size)
     return Part(np.asarray(mesh.vertices) + at, np.asarray(mesh.faces), material)
 

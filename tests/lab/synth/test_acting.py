@@ -1,4 +1,4 @@
-"""Acted motions keep feet planted, joints within human range, bodies on their props."""
+"""Procedural motions keep feet planted, joints within human range, bodies on their props."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scenemi.data.container import MotionArchive, write_archive
 from video2anim.errors import UsageError
 from video2anim.lab.synth.acting import ACTS, act, to_source_clip
 from video2anim.lab.synth.acting.curves import turned
-from video2anim.lab.synth.world import ActedMotion, Prop
+from video2anim.lab.synth.world import ProceduralMotion, Prop
 from video2anim.types.skeleton import forward_kinematics
 
 HEIGHTS = (0.1, 0.45, 0.9)
@@ -23,11 +23,11 @@ PROPS = {
 }  # fmt: skip
 
 
-def made(kind: str, height: float, seed: int) -> ActedMotion:
+def made(kind: str, height: float, seed: int) -> ProceduralMotion:
     return act(kind, adult(height), np.random.default_rng(seed))
 
 
-def skin(motion: ActedMotion, height: float, parts: tuple[int, ...] | None = None) -> np.ndarray:
+def skin(motion: ProceduralMotion, height: float, parts: tuple[int, ...] | None = None) -> np.ndarray:
     body = adult(height)
     joints, world = forward_kinematics(motion.R_parent_joint, motion.translation_m, body.rest_joints_m)
     chosen = None if parts is None else np.flatnonzero(np.isin(body.vertex_part, parts))
@@ -125,9 +125,9 @@ def test_sleeper_lies_on_the_bed(height: float) -> None:
     top = bed.position_m[1]
     flat = np.flatnonzero(np.abs(motion.R_parent_joint[:, 0, 1, 1]) < 0.15)
     assert len(flat) > 20
-    middle = points[flat[len(flat) // 2]]
-    assert middle[:, 1].max() < top + 0.5
-    assert over(middle, bed).mean() > 0.97
+    center = points[flat[len(flat) // 2]]
+    assert center[:, 1].max() < top + 0.5
+    assert over(center, bed).mean() > 0.97
     trunk = np.where(over(points, bed), points[..., 1], np.inf).min(1)
     assert (trunk - top).min() > -0.03
 

@@ -1,4 +1,4 @@
-"""A captured walk goes over into an acted motion."""
+"""A captured walk goes over into an procedural motion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scenemi.data.retarget import retarget
 from video2anim.body.anny_body import ShapedBody
 from video2anim.errors import UsageError
 from video2anim.lab.synth.acting import act, joined
-from video2anim.lab.synth.world import ActedMotion
+from video2anim.lab.synth.world import ProceduralMotion
 from video2anim.types.skeleton import forward_kinematics
 
 MOTION = Path(__file__).parents[4] / "shared" / "motion"
@@ -49,7 +49,7 @@ def test_acted_after_captured_walk(name: str) -> None:
     _smooth(both, body, count, slide_m=0.005)
 
 
-def _smooth(both: ActedMotion, body: ShapedBody, count: int, slide_m: float) -> None:
+def _smooth(both: ProceduralMotion, body: ShapedBody, count: int, slide_m: float) -> None:
     joints, _ = forward_kinematics(both.R_parent_joint, both.translation_m, body.rest_joints_m)
     step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
     touching = both.contact[1:] & both.contact[:-1]

@@ -1,4 +1,4 @@
-"""Things that somebody moves: rigid with the hand while held, at rest on something before and after."""
+"""Objects that somebody moves: rigid with the hand while held, at rest on something before and after."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from video2anim.lab.synth.compose import ComposeOptions, compose
 from video2anim.lab.synth.presets import ACTED, clip_specs, hiding_of
 from video2anim.lab.synth.rooms.clearance import penetration_m
 from video2anim.lab.synth.showing import box_points, swept_points
-from video2anim.lab.synth.world import ActedMotion
+from video2anim.lab.synth.world import ProceduralMotion
 from video2anim.types.skeleton import forward_kinematics
 
 SEEDS = (1, 3)
 TOUCH_M = 0.03
-MOST_INSIDE_M = 0.03
+MAX_INSIDE_M = 0.03
 """Palms and fingers are stiff, and may go so deep into what they hold."""
 
 
 @functools.cache
-def made(kind: str, seed: int) -> tuple[ActedMotion, ShapedBody]:
+def made(kind: str, seed: int) -> tuple[ProceduralMotion, ShapedBody]:
     """The first draw that works out, as `compose` takes it."""
     body = adult(0.4 + 0.05 * seed)
     for attempt in range(6):
@@ -39,7 +39,7 @@ def made(kind: str, seed: int) -> tuple[ActedMotion, ShapedBody]:
     raise AssertionError(f"no draw of {kind} works out")
 
 
-def poses(motion: ActedMotion) -> tuple[np.ndarray, np.ndarray]:
+def poses(motion: ProceduralMotion) -> tuple[np.ndarray, np.ndarray]:
     assert motion.item_pose is not None
     assert motion.item_held is not None
     return motion.item_pose, motion.item_held
@@ -105,11 +105,11 @@ def test_hands_touch_it_and_bodies_do_not_go_through_it(kind: str, seed: int) ->
             assert gap_m.min() < TOUCH_M, f"frame {frame}, side {side}"
         at_rest = motion.item.moved(np.eye(4))
         depth_m = penetration_m([at_rest], local)
-        assert depth_m.max() < MOST_INSIDE_M, f"frame {frame}, part {body.vertex_part[depth_m.argmax()]}"
+        assert depth_m.max() < MAX_INSIDE_M, f"frame {frame}, part {body.vertex_part[depth_m.argmax()]}"
 
 
-def _surface(motion: ActedMotion) -> np.ndarray:
-    """Many points on the faces of the thing, its own frame."""
+def _surface(motion: ProceduralMotion) -> np.ndarray:
+    """Many points on the faces of the object, its own frame."""
     assert motion.item is not None
     vertices, faces = motion.item.moved(np.eye(4)).merged()
     rng = np.random.default_rng(0)
@@ -144,7 +144,7 @@ def test_a_chair_slides_on_the_floor(seed: int) -> None:
 
 def test_a_hand_lies_against_a_side() -> None:
     size = measure(adult(0.45))
-    thing = Grip.thing(np.random.default_rng(0), ("box",), (0.3, 0.3), 0.3)
+    obj = Grip.furniture_piece(np.random.default_rng(0), ("box",), (0.3, 0.3), 0.3)
     for side, out in ((0, 1.0), (1, -1.0)):
         R = fingers(side, 0.4, 0.6)
         np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
@@ -152,7 +152,7 @@ def test_a_hand_lies_against_a_side() -> None:
         # The palm looks level to the other side.
         np.testing.assert_allclose(R[1, 1], 0.0, atol=1e-12)
         assert -R[0, 1] * out < 0
-        grip = side_grip(size, side, thing, inward_rad=0.0, droop_rad=0.5, flat=True)
+        grip = side_grip(size, side, obj, inward_rad=0.0, droop_rad=0.5, flat=True)
         assert grip.offset_m[0] * out == pytest.approx(0.15 + 0.046 * size.scale, abs=0.03)
 
 
@@ -180,11 +180,11 @@ def test_a_shot_shows_the_thing() -> None:
     spec = clip_specs("carried", None, 9101)[2]
     shot = compose(spec, ComposeOptions())
     (moving,) = shot.moving
-    assert moving.thing.label == "box"
-    assert moving.thing.object_id not in {thing.object_id for thing in shot.room.objects}
-    np.testing.assert_array_equal(moving.thing.T_world_object, moving.T_world_object[0])
+    assert moving.scene_object.label == "box"
+    assert moving.scene_object.object_id not in {obj.object_id for obj in shot.room.objects}
+    np.testing.assert_array_equal(moving.scene_object.T_world_object, moving.T_world_object[0])
     assert moving.held.shape == (shot.frame_count, 2)
     assert moving.held.all(1).any()
-    swept = np.concatenate([moving.thing.moved(T).merged()[0] for T in moving.T_world_object[::5]])
+    swept = np.concatenate([moving.scene_object.moved(T).merged()[0] for T in moving.T_world_object[::5]])
     assert penetration_m(shot.room.furniture, swept).max() < 0.01
     assert shot.is_static

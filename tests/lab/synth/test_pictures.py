@@ -66,14 +66,14 @@ def test_repainting_keeps_what_glows_and_the_share() -> None:
 
 def test_some_rooms_are_open() -> None:
     """Furniture always stays; without a ceiling in about a sixth of the rooms."""
-    thing = SceneObject(1, "floor", (), np.eye(4))
+    obj = SceneObject(1, "floor", (), np.eye(4))
     structure = tuple(
-        replace(thing, object_id=n, label=label) for n, label in enumerate(("floor", "ceiling", *["wall"] * 4), 1)
+        replace(obj, object_id=n, label=label) for n, label in enumerate(("floor", "ceiling", *["wall"] * 4), 1)
     )
-    chair = replace(thing, object_id=9, label="chair")
+    chair = replace(obj, object_id=9, label="chair")
     room = Room((0, 4, 0, 4), 2.5, structure, (chair,), (), (1.0, 1.0, 1.0))
     opened = [_opened(room, np.random.default_rng(seed)) for seed in range(400)]
-    labels = [[thing.label for thing in one.structure] for one in opened]
+    labels = [[obj.label for obj in one.structure] for one in opened]
     assert all("floor" in names for names in labels)
     assert all(one.furniture == (chair,) for one in opened)
     assert np.mean(["ceiling" not in names for names in labels]) == pytest.approx(0.18, abs=0.06)

@@ -46,11 +46,11 @@ def plane_depth(shot: Shot, axis: int, value: float) -> np.ndarray:
 @pytest.mark.parametrize("sensor", [SensorModel(), SensorModel(k1=-0.12, k2=0.03)])
 def test_depth_of_floor_and_walls_is_that_of_their_planes(sensor: SensorModel) -> None:
     shot = make_shot(people=0, sensor=sensor)
-    plate = Renderer(shot).plate()
+    background = Renderer(shot).background()
     for number, axis, value in ((1, 1, 0.0), (2, 2, -HALF_M), (3, 0, -HALF_M), (7, 1, 0.012)):
-        seen = (plate.instance == number) & ((plate.normal_camera @ shot.T_world_camera[0, axis, :3]) > 0.99)
+        seen = (background.instance == number) & ((background.normal_camera @ shot.T_world_camera[0, axis, :3]) > 0.99)
         assert seen.sum() > 100
-        assert np.abs(plate.depth_m - plane_depth(shot, axis, value))[seen].max() < 1e-4
+        assert np.abs(background.depth_m - plane_depth(shot, axis, value))[seen].max() < 1e-4
 
 
 def test_normals_are_unit_and_face_the_camera(picture: Picture, shot: Shot) -> None:
@@ -75,12 +75,12 @@ def test_amodal_masks_contain_the_visible_ones(renderer: Renderer, picture: Pict
 
 
 def test_labels_outside_the_people_are_those_of_the_plate(renderer: Renderer, picture: Picture) -> None:
-    plate = renderer.plate()
+    background = renderer.background()
     room = picture.instance < PERSON_ID
-    assert np.array_equal(picture.depth_m[room], plate.depth_m[room])
-    assert np.array_equal(picture.instance[room], plate.instance[room])
-    assert (picture.depth_m[~room] < plate.depth_m[~room]).all()
-    assert (plate.instance < PERSON_ID).all()
+    assert np.array_equal(picture.depth_m[room], background.depth_m[room])
+    assert np.array_equal(picture.instance[room], background.instance[room])
+    assert (picture.depth_m[~room] < background.depth_m[~room]).all()
+    assert (background.instance < PERSON_ID).all()
 
 
 def test_same_shot_same_bytes_in_any_order(shot: Shot, picture: Picture) -> None:
@@ -118,9 +118,9 @@ def test_body_lies_where_its_skeleton_says(renderer: Renderer, picture: Picture,
 
 
 def test_people_darken_the_floor_at_their_feet_and_nothing_far_away(renderer: Renderer, picture: Picture) -> None:
-    plate = renderer.plate()
+    background = renderer.background()
     floor = (picture.instance == 1) | (picture.instance == 7)
-    change = picture.rgb.astype(int).sum(-1) - plate.rgb.astype(int).sum(-1)
+    change = picture.rgb.astype(int).sum(-1) - background.rgb.astype(int).sum(-1)
     assert (change[floor] < -20).mean() > 0.02
     people = cv2.dilate((picture.instance >= PERSON_ID).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     assert change[~people].max() <= 0
@@ -132,9 +132,9 @@ def test_edges_of_people_are_mixed_with_the_room() -> None:
     black = Material("plain", (0.0, 0.0, 0.0))
     actor = dataclasses.replace(shot.actors[0], materials=(black,), face_material=0 * shot.actors[0].face_material)
     renderer = Renderer(dataclasses.replace(shot, actors=(actor,)))
-    plate, frame = renderer.plate(), renderer.frame(0)
+    background, frame = renderer.background(), renderer.frame(0)
     above_table = slice(60, 110), slice(130, 260)
-    share = frame.rgb[above_table].mean(-1) / np.maximum(plate.rgb[above_table].mean(-1), 1)
+    share = frame.rgb[above_table].mean(-1) / np.maximum(background.rgb[above_table].mean(-1), 1)
     assert ((share > 0.3) & (share < 0.85)).sum() > 30
     assert (share < 0.05).sum() > 300
 
@@ -173,14 +173,14 @@ def test_blur_of_a_moving_camera() -> None:
 
 def test_carried_things_move_and_are_not_in_the_plate() -> None:
     shot = make_shot(people=1, frames=2)
-    thing = make_room().furniture[-1]
-    carried = SceneObject(900, "box", thing.parts, np.eye(4))
+    obj = make_room().furniture[-1]
+    carried = SceneObject(900, "box", obj.parts, np.eye(4))
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, :3, 3] = [[-0.2, 1.0, 0.8], [0.3, 1.1, 0.8]]
     renderer = Renderer(
         dataclasses.replace(shot, moving=(MovingObject(carried, poses, np.ones((len(poses), 2), bool)),))
     )
-    assert 900 not in renderer.plate().instance
+    assert 900 not in renderer.background().instance
     columns = []
     for t in (0, 1):
         seen = renderer.frame(t).instance == 900
@@ -195,8 +195,8 @@ def test_baked_colors_are_used() -> None:
     red = np.tile(np.array([230, 10, 10], np.uint8), (len(part.vertices_m), 1))
     box = SceneObject(77, "mesh", (Part(part.vertices_m, part.faces, part.material, vertex_rgb=red),), np.eye(4))
     room = dataclasses.replace(shot.room, furniture=(*shot.room.furniture, box))
-    plate = Renderer(dataclasses.replace(shot, room=room)).plate()
-    shown = plate.rgb[plate.instance == 77].astype(float)
+    background = Renderer(dataclasses.replace(shot, room=room)).background()
+    shown = background.rgb[background.instance == 77].astype(float)
     assert len(shown) > 100
     assert (shown[:, 0] > 3 * shown[:, 1]).mean() > 0.95
 
@@ -206,7 +206,7 @@ def test_person_who_is_absent_is_not_drawn() -> None:
     motion = dataclasses.replace(shot.actors[0].motion, valid=np.array([True, False]))
     renderer = Renderer(dataclasses.replace(shot, actors=(dataclasses.replace(shot.actors[0], motion=motion),)))
     assert (renderer.frame(0).instance >= PERSON_ID).any()
-    assert np.array_equal(renderer.frame(1).rgb, renderer.plate().rgb)
+    assert np.array_equal(renderer.frame(1).rgb, renderer.background().rgb)
 
 
 def test_person_close_to_the_camera_and_behind_it_is_drawn_without_harm() -> None:

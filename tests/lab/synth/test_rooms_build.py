@@ -42,14 +42,14 @@ def rooms() -> list[tuple[np.ndarray, Room]]:
 
 def test_nobody_goes_through_anything(rooms):
     for swept, room in rooms:
-        solid = [thing for thing in room.objects if thing.label not in ("floor", "rug")]
+        solid = [obj for obj in room.objects if obj.label not in ("floor", "rug")]
         assert penetration_m(solid, swept).max() <= 0.002
 
 
 def test_things_do_not_intersect_and_stay_in_the_room(rooms):
     for _, room in rooms:
         x0, x1, z0, z1 = room.bounds_m
-        boxes = [Boxes.of(thing) for thing in room.furniture]
+        boxes = [Boxes.of(obj) for obj in room.furniture]
         for k, a in enumerate(boxes):
             corners = a.corners_xz()
             assert corners[:, 0].min() >= x0
@@ -62,11 +62,11 @@ def test_things_do_not_intersect_and_stay_in_the_room(rooms):
 
 def test_enough_furniture_numbers_labels_and_lights(rooms):
     for _, room in rooms:
-        numbers = [thing.object_id for thing in room.objects]
+        numbers = [obj.object_id for obj in room.objects]
         assert numbers == list(range(1, len(numbers) + 1))
-        assert all(thing.label in LABELS for thing in room.objects)
-        assert sum(bool(thing.surfaces) or thing.label in ("plant", "lamp") for thing in room.furniture) >= 4
-        labels = [thing.label for thing in room.structure]
+        assert all(obj.label in LABELS for obj in room.objects)
+        assert sum(bool(obj.surfaces) or obj.label in ("plant", "lamp") for obj in room.furniture) >= 4
+        labels = [obj.label for obj in room.structure]
         assert [labels.count(label) for label in ("floor", "ceiling", "wall", "door")] == [1, 1, 4, 1]
         assert 2.4 <= room.height_m <= 3.3
         assert room.lights
@@ -85,20 +85,20 @@ def test_rooms_leave_ground_for_a_camera(rooms):
 def test_some_furniture_nearly_touches_the_way(rooms):
     near = 0
     for swept, room in rooms:
-        for thing in room.furniture:
+        for obj in room.furniture:
             grown = [0.0, *np.arange(0.01, 0.13, 0.02)]
-            boxes = Boxes.of(thing)
-            local = (swept[::6] - thing.T_world_object[:3, 3]) @ thing.T_world_object[:3, :3]
+            boxes = Boxes.of(obj)
+            local = (swept[::6] - obj.T_world_object[:3, 3]) @ obj.T_world_object[:3, :3]
             gaps = []
             for low, high in zip(boxes.low_m, boxes.high_m, strict=True):
                 gaps.append(np.abs(local - np.clip(local, low, high)).max(1).min())
-            assert min(gaps) >= 0.02 or "ceiling" in thing.note, thing.note
+            assert min(gaps) >= 0.02 or "ceiling" in obj.note, obj.note
             near += min(gaps) < grown[-1]
     assert near >= 8
 
 
 def test_light_makes_grey_walls_grey(rooms):
-    """Irradiance on a wall, shadows aside, is near pi, which shows a matt surface in its own colour."""
+    """Irradiance on a wall, shadows aside, is near pi, which shows a matt surface in its own color."""
     for _, room in rooms:
         x0, x1, z0, z1 = room.bounds_m
         spots = np.stack([np.linspace(x0 + 0.5, x1 - 0.5, 9), np.full(9, 1.2), np.full(9, z0)], 1)
@@ -113,17 +113,17 @@ def test_light_makes_grey_walls_grey(rooms):
 
 
 def test_rugs_are_thin(rooms):
-    rugs = [thing for _, room in rooms for thing in room.structure if thing.label == "rug"]
+    rugs = [obj for _, room in rooms for obj in room.structure if obj.label == "rug"]
     assert rugs
-    assert max(thing.merged()[0][:, 1].max() for thing in rugs) <= RUG_M + 1e-9 <= 0.005
+    assert max(obj.merged()[0][:, 1].max() for obj in rugs) <= RUG_M + 1e-9 <= 0.005
 
 
 def test_same_seed_gives_the_same_bytes():
     def data(seed: int) -> list:
         room = build_room(np.random.default_rng(seed), swept_m=walk(1))
         return [
-            (thing.label, thing.T_world_object.tobytes(), [(p.vertices_m.tobytes(), p.material) for p in thing.parts])
-            for thing in room.objects
+            (obj.label, obj.T_world_object.tobytes(), [(p.vertices_m.tobytes(), p.material) for p in obj.parts])
+            for obj in room.objects
         ] + [room.lights, room.ambient_rgb]
 
     assert data(5) == data(5)
@@ -171,15 +171,15 @@ def test_props_are_built_to_measure(prop, labels):
     person = np.concatenate([still(2.5, 2.5), np.array([[0.3, 1.9, -0.2]])])
     for seed in range(2):
         room = build_room(np.random.default_rng(seed), swept_m=person, props=(prop,), clutter=1.0)
-        (thing,) = [t for t in room.furniture if t.note.startswith("prop 0")]
-        assert thing.label in labels
+        (obj,) = [t for t in room.furniture if t.note.startswith("prop 0")]
+        assert obj.label in labels
         T = pose(prop.position_m[0], prop.position_m[2], prop.yaw_rad)
         w, d = 0.3 * prop.size_m[0], 0.3 * prop.size_m[1]  # edges are rounded, and a stool may be round
         for x, z in ((0, 0), (w, d), (-w, d), (w, -d), (-w, -d)):
             at = (T @ [x, prop.position_m[1], z, 1])[:3]
-            depth = penetration_m([thing], at + np.array([[0, -0.002, 0], [0, 0.002, 0]]))
-            assert depth[0] == pytest.approx(0.002, abs=1e-4), thing.note
-            assert depth[1] == 0.0, thing.note
+            depth = penetration_m([obj], at + np.array([[0, -0.002, 0], [0, 0.002, 0]]))
+            assert depth[0] == pytest.approx(0.002, abs=1e-4), obj.note
+            assert depth[1] == 0.0, obj.note
 
 
 def test_wall_prop_along_an_axis_may_become_a_wall_of_the_room():
@@ -229,9 +229,9 @@ def test_impossible_prop_is_said_in_one_line():
 
 
 def test_external_things_stand_in_the_room():
-    thing = make_furniture("armchair", np.random.default_rng(3))
-    room = build_room(np.random.default_rng(0), swept_m=still(), meshes=(thing,), room_size_m=(7.0, 7.0))
-    assert any(t.parts is thing.parts for t in room.furniture)
+    obj = make_furniture("armchair", np.random.default_rng(3))
+    room = build_room(np.random.default_rng(0), swept_m=still(), meshes=(obj,), room_size_m=(7.0, 7.0))
+    assert any(t.parts is obj.parts for t in room.furniture)
 
 
 @pytest.mark.parametrize("end", [-1, 1])
@@ -242,8 +242,8 @@ def test_headboard_stands_at_the_head(end):
     legs = rng.uniform([-0.9, 0.5, -0.15], [0.0, 0.65, 0.15], (1000, 3)) * [end, 1, 1]
     bed = Prop("bed", (0.0, 0.498, 0.0), 0.0, (2.1, 0.9), (0, 50))
     room = build_room(np.random.default_rng(2), swept_m=np.concatenate([trunk, legs]), props=(bed,))
-    (thing,) = [t for t in room.furniture if t.note.startswith("prop 0")]
-    vertices, _ = thing.merged()
+    (obj,) = [t for t in room.furniture if t.note.startswith("prop 0")]
+    vertices, _ = obj.merged()
     high = vertices[vertices[:, 1] > 0.6]
     assert (np.sign(high[:, 0]) == end).all()
     assert np.abs(high[:, 0]).min() > 1.04

@@ -1,4 +1,4 @@
-"""Depth inside things, against hand-computed answers and trimesh."""
+"""Depth inside objects, against hand-computed answers and trimesh."""
 
 from __future__ import annotations
 
@@ -58,17 +58,17 @@ def test_depth_agrees_with_trimesh_in_bent_and_loose_solids():
 
 def test_depth_in_furniture_is_the_greatest_over_its_parts():
     rng = np.random.default_rng(1)
-    things = [make_furniture("chair", rng).moved(pose(k * 1.0, 0, 0.3 * k)) for k in range(3)]
+    objects = [make_furniture("chair", rng).moved(pose(k * 1.0, 0, 0.3 * k)) for k in range(3)]
     points = rng.uniform([-1, 0, -1], [3, 1, 1], (2500, 3))
     expected = np.zeros(len(points))
-    for thing in things:
-        for part in thing.parts:
-            vertices = part.vertices_m @ thing.T_world_object[:3, :3].T + thing.T_world_object[:3, 3]
+    for obj in objects:
+        for part in obj.parts:
+            vertices = part.vertices_m @ obj.T_world_object[:3, :3].T + obj.T_world_object[:3, 3]
             solid = trimesh.Trimesh(vertices, part.faces, process=False)
             near = ((points > vertices.min(0)) & (points < vertices.max(0))).all(1)
             if near.any():
                 expected[near] = np.maximum(expected[near], _reference_depth(solid, points[near]))
-    assert penetration_m(things, points) == pytest.approx(expected, abs=1e-6)
+    assert penetration_m(objects, points) == pytest.approx(expected, abs=1e-6)
 
 
 def test_no_points_and_no_things():

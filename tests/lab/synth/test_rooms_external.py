@@ -23,13 +23,13 @@ def _box(folder: Path, name: str, extents=(0.5, 0.8, 0.4), **color) -> None:
 @pytest.mark.parametrize("suffix", ["glb", "obj", "ply"])
 def test_reads_each_format_onto_the_floor(tmp_path, suffix):
     _box(tmp_path, f"chair_oak.{suffix}", rgba=[200, 30, 10, 255])
-    (thing,) = load_meshes(tmp_path)
-    vertices, _ = thing.merged()
-    assert thing.label == "chair"
+    (obj,) = load_meshes(tmp_path)
+    vertices, _ = obj.merged()
+    assert obj.label == "chair"
     assert vertices.min(0) == pytest.approx([-0.25, 0, -0.2], abs=1e-6)
     assert vertices.max(0) == pytest.approx([0.25, 0.8, 0.2], abs=1e-6)
-    assert thing.parts[0].vertex_rgb is not None
-    assert np.abs(thing.parts[0].vertex_rgb.astype(int) - [200, 30, 10]).max() <= 2
+    assert obj.parts[0].vertex_rgb is not None
+    assert np.abs(obj.parts[0].vertex_rgb.astype(int) - [200, 30, 10]).max() <= 2
 
 
 def test_order_labels_and_other_files(tmp_path):
@@ -37,17 +37,17 @@ def test_order_labels_and_other_files(tmp_path):
     _box(tmp_path, "Table2.glb")
     _box(tmp_path, "plant.obj")
     (tmp_path / "notes.txt").write_text("not a mesh")
-    things = load_meshes(tmp_path)
-    assert [thing.note for thing in things] == ["file Table2.glb", "file b_thing.ply", "file plant.obj"]
-    assert [thing.label for thing in things] == ["table", "mesh", "plant"]
+    objects = load_meshes(tmp_path)
+    assert [obj.note for obj in objects] == ["file Table2.glb", "file b_thing.ply", "file plant.obj"]
+    assert [obj.label for obj in objects] == ["table", "mesh", "plant"]
 
 
 def test_inside_out_mesh_is_turned(tmp_path):
     mesh = trimesh.creation.box(extents=(1, 1, 1))
     mesh.invert()
     mesh.export(tmp_path / "box.ply")
-    (thing,) = load_meshes(tmp_path)
-    assert trimesh.Trimesh(*thing.merged(), process=False).volume == pytest.approx(1.0)
+    (obj,) = load_meshes(tmp_path)
+    assert trimesh.Trimesh(*obj.merged(), process=False).volume == pytest.approx(1.0)
 
 
 def _too_large(folder: Path) -> None:
@@ -73,7 +73,7 @@ def _points(folder: Path) -> None:
         (lambda folder: (folder / "a.ply").write_bytes(b""), "cannot be read"),
         (_empty, r"no triangles|cannot be read"),
         (_points, "no triangles"),
-        (_too_large, "is 80 units long.*export it in metres"),
+        (_too_large, "is 80 units long.*export it in meters"),
         (_flat, "is flat"),
         (lambda folder: (folder / "a.txt").write_text("x"), "found none"),
     ],

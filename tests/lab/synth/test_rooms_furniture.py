@@ -31,8 +31,8 @@ HIGHEST_M = {"chair": 1.2, "armchair": 1.2, "sofa": 1.1, "bed": 1.3, "table": 0.
 """Ceilings of the real sizes that the makers document."""
 
 
-def _extent(thing: SceneObject) -> np.ndarray:
-    return np.ptp(thing.merged()[0], axis=0)
+def _extent(obj: SceneObject) -> np.ndarray:
+    return np.ptp(obj.merged()[0], axis=0)
 
 
 @pytest.mark.parametrize(
@@ -63,26 +63,26 @@ def test_soft_solids_are_closed_and_outward(mesh):
 @pytest.mark.parametrize("label", MADE)
 def test_every_part_is_closed_and_outward(label):
     for seed in range(3):
-        thing = make_furniture(label, np.random.default_rng(seed))
-        for part in thing.parts:
-            assert trimesh.Trimesh(part.vertices_m, part.faces, process=False).is_watertight, (label, thing.note)
+        obj = make_furniture(label, np.random.default_rng(seed))
+        for part in obj.parts:
+            assert trimesh.Trimesh(part.vertices_m, part.faces, process=False).is_watertight, (label, obj.note)
             assert part.material.kind in MATERIAL_KINDS
             for vertices, faces in solids_of(part):
-                assert volume_m3((vertices, faces)) > 0, (label, thing.note)
+                assert volume_m3((vertices, faces)) > 0, (label, obj.note)
 
 
 @pytest.mark.parametrize("label", FURNITURE_LABELS)
 def test_sizes_face_counts_and_frame(label):
     notes = set()
     for seed in range(6):
-        thing = make_furniture(label, np.random.default_rng(seed))
-        vertices, faces = thing.merged()
-        assert thing.label == label
+        obj = make_furniture(label, np.random.default_rng(seed))
+        vertices, faces = obj.merged()
+        assert obj.label == label
         assert vertices[:, 1].min() == pytest.approx(0.0, abs=1e-9)
         assert np.allclose((vertices.min(0) + vertices.max(0))[[0, 2]], 0.0, atol=1e-9)
         assert 0.15 <= vertices[:, 1].max() <= HIGHEST_M[label]
         assert 150 <= len(faces) <= 6000
-        notes.add(thing.note)
+        notes.add(obj.note)
     assert len(notes) >= 2
 
 
@@ -92,10 +92,10 @@ def test_sizes_face_counts_and_frame(label):
 )  # fmt: skip
 def test_surface_is_exactly_as_high_as_asked_and_flat(label, height_m):
     for seed in range(3):
-        thing = make_furniture(label, np.random.default_rng(seed), size_m=(0.9, 0.8), surface_height_m=height_m)
-        surface = max(thing.surfaces, key=lambda s: s.height_m)
+        obj = make_furniture(label, np.random.default_rng(seed), size_m=(0.9, 0.8), surface_height_m=height_m)
+        surface = max(obj.surfaces, key=lambda s: s.height_m)
         assert surface.height_m == pytest.approx(height_m, abs=1e-9)
-        vertices, faces = thing.merged()
+        vertices, faces = obj.merged()
         # a ray from above in the middle of the surface meets it (beds: below the bedding at the sides, so skip them)
         if label == "bed":
             continue
@@ -110,8 +110,8 @@ def test_surface_is_exactly_as_high_as_asked_and_flat(label, height_m):
 
 def test_same_seed_gives_the_same_bytes_and_another_seed_another_thing():
     def data(seed: int) -> bytes:
-        thing = make_furniture("shelf", np.random.default_rng(seed))
-        return b"".join(p.vertices_m.tobytes() + repr(p.material).encode() for p in thing.parts)
+        obj = make_furniture("shelf", np.random.default_rng(seed))
+        return b"".join(p.vertices_m.tobytes() + repr(p.material).encode() for p in obj.parts)
 
     assert data(3) == data(3)
     assert data(3) != data(4)

@@ -135,7 +135,7 @@ def test_depth_of_visible_vertices_is_the_rendered_depth(clips: tuple[Clip, ...]
 
 
 def _depth_errors(pixel: np.ndarray, depth: np.ndarray, picture_m: np.ndarray, instance: np.ndarray) -> np.ndarray:
-    """Vertex depth minus the depth interpolated between four pixel centres, where all four see the person smoothly."""
+    """Vertex depth minus the depth interpolated between four pixel centers, where all four see the person smoothly."""
     height, width = picture_m.shape
     corner = np.floor(pixel).astype(int)
     held = (corner >= 0).all(1) & (corner[:, 0] < width - 1) & (corner[:, 1] < height - 1)
@@ -168,7 +168,7 @@ def test_depth_of_the_body_at_pixel_centres_is_that_of_its_mesh(clips: tuple[Cli
 
 
 def seen_from(body: trimesh.Trimesh, eye: np.ndarray) -> np.ndarray:
-    """Vertices in front of which the body itself has nothing; other things are told apart by the instance map."""
+    """Vertices in front of which the body itself has nothing; other objects are told apart by the instance map."""
     ray = body.vertices - eye
     hit, index, _ = body.ray.intersects_location(np.broadcast_to(eye, ray.shape), ray, multiple_hits=False)
     free = np.ones(len(ray), bool)

@@ -154,7 +154,7 @@ def test_mirrored_windows_keep_their_distances(shards: list[SceneShard]) -> None
 
 
 def test_both_kinds_of_scenes_take_turns(shards: list[SceneShard], motions: SceneMotions) -> None:
-    boxes = np.zeros((SHARD, pool.MOST_BOXES, 7), np.float32)
+    boxes = np.zeros((SHARD, pool.MAX_BOXES, 7), np.float32)
     boxes[:, 0] = [0.5, 0.4, 1.0, 0.2, 0.4, 0.2, 0.3]
     made_up = Shard(
         *(getattr(shards[0], name) for name in ("features", "valid_frames", "body")), boxes,

@@ -1,4 +1,4 @@
-"""Clips with their scenes: people and things in one world, each where it was."""
+"""Clips with their scenes: people and objects in one world, each where it was."""
 
 from __future__ import annotations
 

@@ -118,9 +118,9 @@ def test_uprightness(shared_motion: Path, archive: str, name: str, frames: slice
     clip = clip_of(shared_motion, archive, name)
     motion = retarget(clip, body_of(0.4))
     _, R_world = posed(motion)
-    for joint, most_deg in (("pelvis", 10.0), ("spine3", 10.0), ("head", 15.0)):
+    for joint, max_deg in (("pelvis", 10.0), ("spine3", 10.0), ("head", 15.0)):
         up = np.median(R_world[frames, JOINT_INDEX[joint], :, 1], axis=0)
-        assert np.degrees(np.arccos(unit(up)[1])) < most_deg, joint
+        assert np.degrees(np.arccos(unit(up)[1])) < max_deg, joint
     for side, outward in (("left", 1.0), ("right", -1.0)):
         collar = axis_angle_from_matrix(motion.R_parent_joint[frames, JOINT_INDEX[f"{side}_collar"]])
         assert np.degrees(np.linalg.norm(np.median(collar, axis=0))) < 20.0

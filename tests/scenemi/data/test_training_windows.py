@@ -1,4 +1,4 @@
-"""Training windows: what is drawn, how short clips, glitches, splits and licences are treated, the cache."""
+"""Training windows: what is drawn, how short clips, glitches, splits and licenses are treated, the cache."""
 
 from __future__ import annotations
 

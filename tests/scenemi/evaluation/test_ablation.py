@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from scenemi.evaluation.ablation import AblatedPrior
-from scenemi.evaluation.scenes import with_pseudo_scenes
+from scenemi.evaluation.scenes import with_synthetic_scenes
 from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol, give_keyframes
 from scenemi.features import Statistics
 from scenemi.model.config import SIZES
@@ -37,7 +37,7 @@ def prior() -> DiffusionPrior:
 
 @pytest.fixture(scope="module")
 def given(windows: tuple[EvaluationWindow, ...]) -> KeyframeWindow:
-    return give_keyframes(with_pseudo_scenes(windows[:1])[0], KeyframeProtocol(60)).keyframes
+    return give_keyframes(with_synthetic_scenes(windows[:1])[0], KeyframeProtocol(60)).keyframes
 
 
 def test_without_its_scene_it_is_a_window_without_a_scene(prior: DiffusionPrior, given: KeyframeWindow) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from scenemi.evaluation.protocol import BATCH, NUMBERS, evaluate
-from scenemi.evaluation.scores import WindowJudge, WindowScores, bootstrap, mean_of, over_seeds
+from scenemi.evaluation.scores import WindowEvaluator, WindowScores, bootstrap, mean_of, over_seeds
 from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol
 from scenemi.prior import InterpolationPrior, KeyframeWindow, WindowMotion
 from video2anim.errors import StageError
@@ -34,12 +34,12 @@ def moved(window: EvaluationWindow, shift_m: Sequence[float]) -> WindowMotion:
 
 def reach_of(window: EvaluationWindow) -> np.ndarray:
     """Largest x of the sampled skin in each frame."""
-    judge = WindowJudge(window)
+    judge = WindowEvaluator(window)
     return judge.skin_m(window.R_parent_joint, window.translation_m)[..., 0].max(axis=1)
 
 
 def test_a_shift_is_the_error_and_nothing_else(windows: Windows) -> None:
-    judge = WindowJudge(windows[0])
+    judge = WindowEvaluator(windows[0])
     truth, off = judge.truth(), judge.scores(moved(windows[0], (0.03, 0.0, 0.0)), EVERY)
     assert truth.mjpe_all_m == pytest.approx(0.0, abs=1e-9)
     assert off.mjpe_all_m == pytest.approx(0.03, abs=1e-9)
@@ -52,13 +52,13 @@ def test_key_error_is_over_keyframes_only(windows: Windows) -> None:
     keys = np.zeros(121, bool)
     keys[[0, 60, 120]] = True
     shift_m = np.where(keys[:, None], 0.0, [0.1, 0.0, 0.0])
-    found = WindowJudge(window).scores(WindowMotion(window.R_parent_joint, window.translation_m + shift_m), keys)
+    found = WindowEvaluator(window).scores(WindowMotion(window.R_parent_joint, window.translation_m + shift_m), keys)
     assert found.mjpe_key_m == pytest.approx(0.0, abs=1e-9)
     assert found.mjpe_all_m == pytest.approx(0.1 * 118 / 121, abs=1e-9)
 
 
 def test_depth_under_the_floor_is_measured_on_the_skin(windows: Windows) -> None:
-    judge = WindowJudge(windows[0])
+    judge = WindowEvaluator(windows[0])
     deeper = judge.scores(moved(windows[0], (0.0, -0.05, 0.0)), EVERY).floor_depth_m
     assert deeper == pytest.approx(judge.truth().floor_depth_m + 0.05, abs=0.02)
 
@@ -67,7 +67,7 @@ def test_collisions_against_a_wall_are_those_counted_by_hand(windows: Windows) -
     reach_m = reach_of(windows[0])
     x_m = float(np.median(reach_m)) + 0.045
     window = replace(windows[0], obstacles=Wall(x_m))
-    judge = WindowJudge(window)
+    judge = WindowEvaluator(window)
     found = judge.scores(moved(window, (0.06, 0.0, 0.0)), EVERY)
     near = x_m - reach_m < 0.08
     hit, hit_1cm = reach_m + 0.06 > x_m, reach_m + 0.05 > x_m
@@ -82,7 +82,7 @@ def test_collisions_against_a_wall_are_those_counted_by_hand(windows: Windows) -
 
 def test_without_close_frames_their_numbers_are_absent(windows: Windows) -> None:
     window = replace(windows[0], obstacles=Wall(100.0))
-    found = WindowJudge(window).truth()
+    found = WindowEvaluator(window).truth()
     assert found.close_frames == 0
     assert np.isnan(found.close_penetration_max_m)
     assert np.isnan(mean_of([found], "close_collision_frame_ratio"))

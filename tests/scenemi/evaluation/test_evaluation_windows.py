@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from scenemi.data.container import MotionArchive
-from scenemi.evaluation.scenes import REACH_M, with_pseudo_scenes
-from scenemi.evaluation.scores import WindowJudge
+from scenemi.evaluation.scenes import REACH_M, with_synthetic_scenes
+from scenemi.evaluation.scores import WindowEvaluator
 from scenemi.evaluation.windows import (
     EvaluationWindow,
     KeyframeProtocol,
@@ -112,18 +112,18 @@ def test_impossible_protocols_are_refused(arguments: tuple, message: str) -> Non
 
 
 def test_scenes_are_the_same_each_time_and_leave_the_true_motion_free(windows: Windows) -> None:
-    once, again = with_pseudo_scenes(windows), with_pseudo_scenes(windows[::-1])[::-1]
+    once, again = with_synthetic_scenes(windows), with_synthetic_scenes(windows[::-1])[::-1]
     for a, b in zip(once, again, strict=True):
         np.testing.assert_array_equal(a.obstacles.boxes.center_m, b.obstacles.boxes.center_m)
     assert len({window.obstacles.boxes.center_m.tobytes() for window in once}) == len(once)
     for window in once:
-        truth = WindowJudge(window).truth()
-        # Free space is carved with balls that hold the skin to about a centimetre.
+        truth = WindowEvaluator(window).truth()
+        # Free space is carved with balls that hold the skin to about a centimeter.
         assert truth.penetration_max_m < 0.02
 
 
 def test_near_distances_are_those_to_all_boxes(windows: Windows) -> None:
-    window = with_pseudo_scenes(windows[:1])[0]
+    window = with_synthetic_scenes(windows[:1])[0]
     points_m = window.joints_m + np.random.default_rng(0).normal(0, 0.3, window.joints_m.shape)
     exact_m = window.obstacles.boxes.signed_distance(points_m)
     np.testing.assert_allclose(window.obstacles.signed_distance(points_m), np.minimum(exact_m, REACH_M), atol=1e-9)

@@ -12,7 +12,7 @@ import torch
 from scenemi.features import BODY_LENGTHS, FEATURE_COUNT, Statistics
 from scenemi.longmotion import KeyframeMotion, inbetween
 from scenemi.model.build import build_denoiser
-from scenemi.model.choice import SAMPLE_STEPS, choose_prior
+from scenemi.model.choice import SAMPLE_STEPS, load_prior_by_name
 from scenemi.model.config import SIZES
 from scenemi.model.denoiser import Denoiser
 from scenemi.model.heading import VIEW
@@ -169,7 +169,7 @@ def test_one_step_is_the_expected_motion_for_every_seed(folder: Path, form: str)
     expected = load_diffusion_prior(folder)
     assert (off(*expected.fill_many([walk(), walk()], [0, 1])) < 1e-4) == (form == "tiny")
     path = str(folder / "small.safetensors")
-    several = choose_prior(path, temperature=0.5)
+    several = load_prior_by_name(path, temperature=0.5)
     assert isinstance(several, DiffusionPrior)
     assert several.sampler.steps == SAMPLE_STEPS
     assert off(*several.fill_many([walk(), walk()], [0, 1])) > 1e-3

@@ -25,7 +25,7 @@ def moving(seed: int, jitter: float) -> WindowMotion:
 
 
 def off(motion: WindowMotion, seed: int, size: float) -> WindowMotion:
-    """Another pose near each frame's: `size` radians and metres."""
+    """Another pose near each frame's: `size` radians and meters."""
     rng = np.random.default_rng(seed)
     turn = Rotation.from_rotvec(size * rng.normal(size=(FRAMES * 22, 3))).as_matrix().reshape(FRAMES, 22, 3, 3)
     return WindowMotion(motion.R_parent_joint @ turn, motion.translation_world_m + size * rng.normal(size=(FRAMES, 3)))

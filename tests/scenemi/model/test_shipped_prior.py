@@ -99,7 +99,7 @@ def test_a_scene_that_is_shown_does_not_lead_astray(rows: Rows) -> None:
 @pytest.mark.slow
 @pytest.mark.xfail(
     strict=True,
-    reason="missed at 60 frames after 4.7 hours of training: acted motion is smoother",
+    reason="missed at 60 frames after 4.7 hours of training: procedural motion is smoother",
 )
 def test_acted_motion_shakes_as_little_as_the_truth(rows: Rows) -> None:
     assert all(0.5 < row.jerk_ratio < 1.5 for row in rows.values()), rows

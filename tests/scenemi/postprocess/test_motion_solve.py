@@ -134,8 +134,8 @@ def test_soles_meet_the_floor(height_m: float) -> None:
 def test_what_cannot_move_pushes_the_body_and_what_can_gives_way() -> None:
     """The picture shows the body where it is; a pillar stands in its shoulder."""
     truth = planted_walk(FRAMES)
-    middle_m = truth.joints_world_m[30, 16]
-    field = pillar(float(middle_m[0]) + 0.2, float(middle_m[2]))
+    center_m = truth.joints_world_m[30, 16]
+    field = pillar(float(center_m[0]) + 0.2, float(center_m[2]))
     assert deepest_m(truth, field) > 0.03
     pushed = solved(truth, Solids(field), picture_of(truth))
     away = np.diag([0.3, 0.05, 0.02]) ** 2

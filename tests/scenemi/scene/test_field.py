@@ -33,8 +33,8 @@ def scenes(seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
     for window, count in enumerate((5, 2, 0, 3)):
         half = rng.uniform(0.05, 0.5, (count, 3))
         low = np.where(np.arange(count) % 2 == 0, 0.0, rng.uniform(0.2, 1.0, count))
-        middle = np.stack([rng.uniform(-1, 1, count), low + half[:, 1], rng.uniform(-1, 1, count)], -1)
-        rows[window, :count] = np.concatenate([middle, half, rng.uniform(-3, 3, (count, 1))], 1)
+        center = np.stack([rng.uniform(-1, 1, count), low + half[:, 1], rng.uniform(-1, 1, count)], -1)
+        rows[window, :count] = np.concatenate([center, half, rng.uniform(-3, 3, (count, 1))], 1)
     return torch.from_numpy(rows), torch.tensor([1.0, 1.0, 1.0, 0.0])
 
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scene_motions import Window, acted
+from scenemi.scene.body_spheres import BodySpheres, adult_spheres, fit_spheres
 
 from scenemi.scene.basis_points import bps
-from scenemi.scene.body_balls import BodyBalls, adult_balls, fit_balls
 from scenemi.scene.furniture import FURNITURE, Piece, doorway, wall
-from scenemi.scene.pseudo import PseudoConfig, PseudoScene, PseudoScenes
+from scenemi.scene.pseudo import PseudoConfig, SyntheticScene, SyntheticScenes
 from scenemi.scene.scan_noise import ScanNoise
 from scenemi.scene.voxels import occupancy
 from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
@@ -23,10 +23,10 @@ TIGHT = replace(CLEAN, clearance_m=((1.0, 0.0, 0.0),), wall_room_m=0.0, loose_sh
 DEEPEST_M = 0.02
 
 
-def draw(window: Window, seed: int, config: PseudoConfig = CLEAN, balls: BodyBalls | None = None) -> PseudoScene:
+def draw(window: Window, seed: int, config: PseudoConfig = CLEAN, spheres: BodySpheres | None = None) -> SyntheticScene:
     rng = np.random.default_rng(seed)
-    return PseudoScenes(config).draw(
-        rng, window.joints_m, window.R_world_joint, window.anchors_m, window.contact, balls=balls
+    return SyntheticScenes(config).draw(
+        rng, window.joints_m, window.R_world_joint, window.anchors_m, window.contact, spheres=spheres
     )
 
 
@@ -43,9 +43,9 @@ def test_no_skin_of_a_heavy_body_is_deep_either() -> None:
     body = shaped_body(BodyShape("anny", {**ADULT, "weight": 0.8, "height": 0.7}))
     window = acted("sit", body, 4)
     skin_m = window.skin_m()
-    for balls in (None, fit_balls(body)):
+    for spheres in (None, fit_spheres(body)):
         for seed in range(4):
-            assert draw(window, seed, TIGHT, balls).signed_distance(skin_m, floor=False).min() > -DEEPEST_M
+            assert draw(window, seed, TIGHT, spheres).signed_distance(skin_m, floor=False).min() > -DEEPEST_M
 
 
 def test_scenes_constrain_the_path(walk: Window) -> None:
@@ -80,9 +80,9 @@ def test_one_seed_one_scene(walk: Window) -> None:
 
 
 def test_who_sits_gets_a_seat(sit: Window) -> None:
-    bottom_m = (adult_balls().placed(sit.joints_m, sit.R_world_joint)[1] - adult_balls().radius_m)[90].min()
+    bottom_m = (adult_spheres().placed(sit.joints_m, sit.R_world_joint)[1] - adult_spheres().radius_m)[90].min()
     for seed in range(6):
-        scene = draw(sit, seed, replace(CLEAN, rest=replace(CLEAN.rest, hip_share=1.0)), adult_balls())
+        scene = draw(sit, seed, replace(CLEAN, rest=replace(CLEAN.rest, hip_share=1.0)), adult_spheres())
         assert "seat" in scene.kinds
         hips_m = sit.body.vertices(sit.R_world_joint[90:91], sit.joints_m[90:91])[0]
         hips_m = hips_m[np.isin(sit.body.vertex_part, (0, 1, 2))]
@@ -93,7 +93,7 @@ def test_who_sits_gets_a_seat(sit: Window) -> None:
 def test_raised_feet_get_a_step(step_up: Window) -> None:
     high = int(step_up.joints_m[:, 10, 1].argmax())
     assert step_up.joints_m[high, 10, 1] > 0.15
-    scene = draw(step_up, 0, CLEAN, adult_balls())
+    scene = draw(step_up, 0, CLEAN, adult_spheres())
     assert "step" in scene.kinds
     soles_m = step_up.skin_m(3)[:, np.isin(step_up.body.vertex_part, (7, 8, 10, 11))]
     assert -DEEPEST_M < scene.signed_distance(soles_m, floor=False).min() < 0.02
@@ -118,8 +118,8 @@ def test_only_frames_asked_for_have_offsets(walk: Window) -> None:
     wanted = np.zeros(len(walk.joints_m), bool)
     wanted[[0, 50, 120]] = True
     args = (walk.joints_m, walk.R_world_joint, walk.anchors_m)
-    some = PseudoScenes(CLEAN).draw(np.random.default_rng(1), *args, bps_frames=wanted)
-    every = PseudoScenes(CLEAN).draw(np.random.default_rng(1), *args)
+    some = SyntheticScenes(CLEAN).draw(np.random.default_rng(1), *args, bps_frames=wanted)
+    every = SyntheticScenes(CLEAN).draw(np.random.default_rng(1), *args)
     np.testing.assert_array_equal(some.bps[wanted], every.bps[wanted])
     assert not some.bps[~wanted].any()
 
@@ -134,11 +134,11 @@ def test_scan_noise_tears_and_specks(walk: Window) -> None:
 
 
 def test_balls_stay_near_the_skin(adult: ShapedBody, walk: Window) -> None:
-    balls = adult_balls()
-    assert len(balls.joint) < 200
-    center_m = np.moveaxis(balls.placed(walk.joints_m[::30], walk.R_world_joint[::30]), 0, -1)
+    spheres = adult_spheres()
+    assert len(spheres.joint) < 200
+    center_m = np.moveaxis(spheres.placed(walk.joints_m[::30], walk.R_world_joint[::30]), 0, -1)
     for skin_m, ball_m in zip(walk.skin_m(30), center_m, strict=True):
-        gap_m = np.linalg.norm(skin_m[::5, None] - ball_m, axis=-1) - balls.radius_m
+        gap_m = np.linalg.norm(skin_m[::5, None] - ball_m, axis=-1) - spheres.radius_m
         assert np.quantile(gap_m.min(1), 0.99) < 0.015
         assert gap_m.min(1).max() < 0.03
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 from scene_motions import FRAMES, Window
+from scenemi.scene.body_spheres import adult_spheres
 
 from scenemi.model.base import join_keyframes
-from scenemi.scene.body_balls import adult_balls
 from scenemi.scene.boxes import Boxes
-from scenemi.scene.pseudo import PseudoConfig, PseudoScenes
+from scenemi.scene.pseudo import PseudoConfig, SyntheticScenes
 from scenemi.scene.sliding import SweptBody
 from scenemi.scene.telling import TrueSweep, telling_solids
 
@@ -21,8 +21,8 @@ ROUNDING_M = 1e-4
 
 
 def swept(window: Window) -> SweptBody:
-    balls = adult_balls()
-    return SweptBody(balls.placed(window.joints_m, window.R_world_joint), balls.radius_m)
+    spheres = adult_spheres()
+    return SweptBody(spheres.placed(window.joints_m, window.R_world_joint), spheres.radius_m)
 
 
 def blind(window: Window, interval: int = FRAMES - 1) -> np.ndarray:
@@ -102,12 +102,12 @@ def test_gaps_to_the_sweep_against_all_balls(walk: Window) -> None:
 
 
 def test_a_scene_around_a_blind_path_keeps_the_body_free_and_stops_the_other(walk: Window) -> None:
-    """Through `PseudoScenes`, with furniture pushed up to the telling solids."""
-    scenes = PseudoScenes(replace(PseudoConfig(), empty_share=0.0))
+    """Through `SyntheticScenes`, with furniture pushed up to the telling solids."""
+    scenes = SyntheticScenes(replace(PseudoConfig(), empty_share=0.0))
     body, path_m, hits = swept(walk), blind(walk), []
     for seed in range(8):
         named = scenes.solids(
-            np.random.default_rng(seed), walk.joints_m, walk.R_world_joint, None, walk.contact, balls=adult_balls(),
+            np.random.default_rng(seed), walk.joints_m, walk.R_world_joint, None, walk.contact, spheres=adult_spheres(),
             blind_m=path_m,
         )  # fmt: skip
         boxes = Boxes.joined(box for _, box in named)
@@ -119,7 +119,7 @@ def test_a_scene_around_a_blind_path_keeps_the_body_free_and_stops_the_other(wal
             box
             for _, box in scenes.solids(
                 np.random.default_rng(seed), walk.joints_m, walk.R_world_joint, None, walk.contact,
-                balls=adult_balls(),
+                spheres=adult_spheres(),
             )
         ).signed_distance(path_m).min() < -0.01
         for seed in range(8)

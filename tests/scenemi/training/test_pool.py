@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenemi.scene.body_spheres import adult_spheres
 from small_run import PLAIN, SHARD, write_acted
 
 from scenemi.data.windows import MotionSet, WindowBatch
 from scenemi.features import JOINTS, encode
 from scenemi.model.base import join_keyframes
-from scenemi.scene.body_balls import adult_balls
 from scenemi.scene.boxes import Boxes
 from scenemi.training import pool
-from scenemi.training.pool import MOST_BOXES, UNITS_PER_METRE, Shard, grow_pool, open_pool, scene_boxes, telling_share
+from scenemi.training.pool import MAX_BOXES, UNITS_PER_METRE, Shard, grow_pool, open_pool, scene_boxes, telling_share
 from video2anim.errors import InputError
 from video2anim.types.skeleton import JOINT_INDEX
 
@@ -165,7 +165,7 @@ def test_rows_of_boxes_come_before_rows_of_zeros(shards: list[Shard]) -> None:
         filled = shard.boxes[..., 3] > 0
         assert (filled[:, :-1] >= filled[:, 1:]).all()
         assert not shard.boxes[~filled].any()
-        assert shard.boxes.shape == (SHARD, MOST_BOXES, 7)
+        assert shard.boxes.shape == (SHARD, MAX_BOXES, 7)
 
 
 def test_a_scene_tells_more_than_a_third_of_acted_walks_what_their_keyframes_do_not(tmp_path: Path) -> None:
@@ -199,9 +199,9 @@ def test_the_nearest_boxes_are_kept_whichever_joint_they_are_near(motions: Motio
     touching = rest_m[JOINT_INDEX[joint]] + [0.0, 0.0, 0.02]
     made = scene_boxes(
         Furnished(np.array([*others, touching]), 0.01), np.random.default_rng(0), still_m,  # type: ignore[arg-type]
-        np.broadcast_to(np.eye(3), (121, 22, 3, 3)), np.zeros((121, 22), bool), adult_balls(), still_m,
+        np.broadcast_to(np.eye(3), (121, 22, 3, 3)), np.zeros((121, 22), bool), adult_spheres(), still_m,
     )  # fmt: skip
-    assert made.shape == (MOST_BOXES, 7)
+    assert made.shape == (MAX_BOXES, 7)
     assert (made[:, 3] > 0).all()
     assert np.linalg.norm(made[:, :3] - touching, axis=1).min() < 1e-6
 
@@ -212,7 +212,7 @@ def test_boxes_out_of_reach_are_left_out(motions: MotionSet) -> None:
     far = Furnished(np.array([[2.5, 0.0, 0.0], [1.2, rest_m[20, 1], 0.0]]), 0.1)
     made = scene_boxes(
         far, np.random.default_rng(0), still_m, np.broadcast_to(np.eye(3), (121, 22, 3, 3)),  # type: ignore[arg-type]
-        np.zeros((121, 22), bool), adult_balls(), still_m,
+        np.zeros((121, 22), bool), adult_spheres(), still_m,
     )  # fmt: skip
     np.testing.assert_allclose(made[0, :3], [1.2, rest_m[20, 1], 0.0], atol=1e-6)
     assert not made[1:].any()

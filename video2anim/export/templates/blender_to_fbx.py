@@ -29,9 +29,9 @@ def import_character(path: str) -> None:
     if "disable_bone_shape" in known:  # else a ball for drawing the bones is exported as a mesh
         options["disable_bone_shape"] = True
     bpy.ops.import_scene.gltf(filepath=path, **options)
-    for thing in list(bpy.data.objects):
-        if thing.type not in ("ARMATURE", "MESH") or (thing.type == "MESH" and thing.find_armature() is None):
-            bpy.data.objects.remove(thing)
+    for obj in list(bpy.data.objects):
+        if obj.type not in ("ARMATURE", "MESH") or (obj.type == "MESH" and obj.find_armature() is None):
+            bpy.data.objects.remove(obj)
     (action,) = bpy.data.actions
     first, last = action.frame_range
     bpy.context.scene.frame_start, bpy.context.scene.frame_end = round(first), round(last)

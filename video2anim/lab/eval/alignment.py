@@ -127,7 +127,7 @@ def _pixels(points_camera_m: np.ndarray, intrinsics: Intrinsics) -> tuple[np.nda
 
 
 def resample_nearest(image: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """A map at another size: each pixel takes the one whose area its centre lies in."""
+    """A map at another size: each pixel takes the one whose area its center lies in."""
     rows = ((np.arange(shape[0]) + 0.5) * image.shape[0] / shape[0]).astype(np.int64)
     columns = ((np.arange(shape[1]) + 0.5) * image.shape[1] / shape[1]).astype(np.int64)
     return image[rows[:, None], columns[None, :]]

@@ -45,7 +45,7 @@ class OrientedBox:
 
 
 def box_of(vertices_m: Float[np.ndarray, "vertices 3"], T_world_object: Float[np.ndarray, "4 4"]) -> OrientedBox:
-    """Box of an object from its vertices in its own frame, in metres."""
+    """Box of an object from its vertices in its own frame, in meters."""
     low, high = vertices_m.min(0), vertices_m.max(0)
     T_world_box = np.array(T_world_object, dtype=np.float64)
     T_world_box[:3, 3] = transform_points(T_world_box, 0.5 * (low + high)[None])[0]
@@ -81,7 +81,7 @@ def surface_points(mesh: Mesh, rng: np.random.Generator, count: int = SURFACE_PO
 
 
 def chamfer_m(a_m: Float[np.ndarray, "points 3"], b_m: Float[np.ndarray, "others 3"]) -> float:
-    """Mean of the two mean distances to the nearest point of the other set. Metres, lower is better."""
+    """Mean of the two mean distances to the nearest point of the other set. Meters, lower is better."""
     to_b, _ = KDTree(b_m).query(a_m)
     to_a, _ = KDTree(a_m).query(b_m)
     return float(0.5 * (np.mean(to_b) + np.mean(to_a)))

@@ -1,4 +1,4 @@
-"""Numbers of things that somebody moves: estimated paths against true ones."""
+"""Numbers of objects that somebody moves: estimated paths against true ones."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from video2anim.lab.eval.truth import TrueObject, Truth
 from video2anim.types import PlacedObject, SceneModel
 
 SAME_PATH_M = 1.0
-"""A path farther than this from a true one, on average, is not that thing's."""
+"""A path farther than this from a true one, on average, is not that object's."""
 MOVES_M = 1e-3
-"""A thing moves in a frame where a corner of its box goes farther than this from the frame before."""
+"""An object moves in a frame where a corner of its box goes farther than this from the frame before."""
 _NOTHING_MOVES = "nothing is moved in the clip"
-_NO_PATH = "no path was matched to a thing that is moved"
-_OLD = "the truth was made before it told how things move; make the clip again"
+_NO_PATH = "no path was matched to an object that is moved"
+_OLD = "the truth was made before it told how objects move; make the clip again"
 CARRIED = (
-    Spec("carried_found", "share of the moved things that have a path", "", "higher", _NOTHING_MOVES),
+    Spec("carried_found", "share of the moved objects that have a path", "", "higher", _NOTHING_MOVES),
     Spec("carried_path_m", "error of the middle while it is moved", "m", "lower", _NO_PATH),
-    Spec("carried_false", "paths of things that nobody moves", "", "lower"),
+    Spec("carried_false", "paths of objects that nobody moves", "", "lower"),
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovedThing:
-    """A thing that is moved in truth, and the path that was matched to it."""
+class MovedObject:
+    """An object that is moved in truth, and the path that was matched to it."""
 
     object_id: int
     """In the truth."""
@@ -48,30 +48,30 @@ class MovedThing:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovedThings:
-    """All things that are moved in truth, and how many paths are left over."""
+class MovedObjects:
+    """All objects that are moved in truth, and how many paths are left over."""
 
-    things: tuple[MovedThing, ...]
+    things: tuple[MovedObject, ...]
     false_paths: int
 
 
 def carried_group(
     result: SceneResult, truth: Truth, frames: FrameMatch, T_true_estimate: Float[np.ndarray, "4 4"] | str
 ) -> Group:
-    """Paths of moved things in the finished scene."""
-    title, scene = "Moved things", result.scene
+    """Paths of moved objects in the finished scene."""
+    title, scene = "Moved objects", result.scene
     if scene is None or isinstance(T_true_estimate, str):
         why = result.why(SceneModel) or str(T_true_estimate)
         return make_group("carried", title, CARRIED, {"value": why})
     if any(item.is_moving and item.T_world_object_frames is None for item in truth.objects):
         return make_group("carried", title, CARRIED, {"value": _OLD})
-    found = moved_things(scene.objects, truth, frames, T_true_estimate)
+    found = moved_objects(scene.objects, truth, frames, T_true_estimate)
     return make_group("carried", title, CARRIED, {"value": carried_numbers(found)}, note=_note(found))
 
 
-def carried_numbers(found: MovedThings) -> dict[str, float]:
-    """The rows of the group; every thing weighs the same."""
-    errors_m = [float(thing.error_m.mean()) for thing in found.things if thing.estimate_id is not None]
+def carried_numbers(found: MovedObjects) -> dict[str, float]:
+    """The rows of the group; every object weighs the same."""
+    errors_m = [float(obj.error_m.mean()) for obj in found.things if obj.estimate_id is not None]
     return {
         "carried_found": len(errors_m) / len(found.things) if found.things else np.nan,
         "carried_path_m": float(np.mean(errors_m)) if errors_m else np.nan,
@@ -79,42 +79,42 @@ def carried_numbers(found: MovedThings) -> dict[str, float]:
     }
 
 
-def _note(found: MovedThings) -> str:
-    told = [f"{thing.label}: {'found' if thing.estimate_id is not None else 'not found'}" for thing in found.things]
+def _note(found: MovedObjects) -> str:
+    told = [f"{obj.label}: {'found' if obj.estimate_id is not None else 'not found'}" for obj in found.things]
     return f"{', '.join(told)}." if told else ""
 
 
-def moved_things(
+def moved_objects(
     objects: Sequence[PlacedObject], truth: Truth, frames: FrameMatch, T_true_estimate: Float[np.ndarray, "4 4"]
-) -> MovedThings:
-    """Estimated paths and true things matched one to one by the least mean distance of the middles."""
+) -> MovedObjects:
+    """Estimated paths and true objects matched one to one by the least mean distance of the middles."""
     true = [item for item in truth.objects if item.T_world_object_frames is not None]
-    mine = [thing for thing in objects if thing.path]
+    mine = [obj for obj in objects if obj.path]
     spans = [_span(item, frames) for item in true]
     error_m = [
-        [_distances(thing, item, span, frames, T_true_estimate) for item, span in zip(true, spans, strict=True)]
-        for thing in mine
+        [_distances(obj, item, span, frames, T_true_estimate) for item, span in zip(true, spans, strict=True)]
+        for obj in mine
     ]
     mean_m = np.array([[e.mean() if len(e) else np.inf for e in row] for row in error_m]).reshape(len(mine), len(true))
     near = mean_m <= SAME_PATH_M
     rows, columns = linear_sum_assignment(np.where(near, mean_m, 1e6))
     pairs = {int(j): int(i) for i, j in zip(rows, columns, strict=True) if near[i, j]}
     things = [
-        MovedThing(
+        MovedObject(
             item.object_id, item.label, mine[pairs[j]].object_id, error_m[pairs[j]][j],
             hold_error(mine[pairs[j]], item, frames),
         )
         if j in pairs
-        else MovedThing(item.object_id, item.label, None, np.zeros(0), np.nan)
+        else MovedObject(item.object_id, item.label, None, np.zeros(0), np.nan)
         for j, item in enumerate(true)
     ]  # fmt: skip
-    return MovedThings(tuple(things), len(mine) - len(pairs))
+    return MovedObjects(tuple(things), len(mine) - len(pairs))
 
 
-def hold_error(thing: PlacedObject, item: TrueObject, frames: FrameMatch) -> float:
+def hold_error(obj: PlacedObject, item: TrueObject, frames: FrameMatch) -> float:
     """Mean absolute error of the first and of the last frame in which somebody holds it, in frames."""
     held = np.flatnonzero(item.held[frames.true_index] & frames.known) if item.held is not None else np.zeros(0)
-    holds = thing.path[0].holds
+    holds = obj.path[0].holds
     if not len(held) or not holds:
         return float("nan")
     first, last = min(hold.first_frame for hold in holds), max(hold.last_frame for hold in holds)
@@ -126,7 +126,7 @@ def _box(vertices_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _span(item: TrueObject, frames: FrameMatch) -> Int[np.ndarray, "span"]:
-    """Frames of the estimate with a true one from the first to the last in which the thing moves."""
+    """Frames of the estimate with a true one from the first to the last in which the object moves."""
     T = item.T_world_object_frames
     assert T is not None
     low, high = _box(read_glb(item.file).vertices_m)
@@ -140,14 +140,14 @@ def _span(item: TrueObject, frames: FrameMatch) -> Int[np.ndarray, "span"]:
 
 
 def _distances(
-    thing: PlacedObject, item: TrueObject, span: np.ndarray, frames: FrameMatch, T_true_estimate: np.ndarray
+    placed: PlacedObject, item: TrueObject, span: np.ndarray, frames: FrameMatch, T_true_estimate: np.ndarray
 ) -> Float[np.ndarray, "span"]:
     """Distance of the middles of the two boxes in each frame of a span; empty where a path cannot be compared."""
-    T_path, T_true = thing.path[0].T_world_object, item.T_world_object_frames
+    T_path, T_true = placed.path[0].T_world_object, item.T_world_object_frames
     assert T_true is not None
-    if not len(thing.mesh.vertices_m) or len(T_path) != len(frames.true_index):
+    if not len(placed.mesh.vertices_m) or len(T_path) != len(frames.true_index):
         return np.zeros(0)
-    mine = thing.scale * 0.5 * sum(_box(thing.mesh.vertices_m))
+    mine = placed.scale * 0.5 * sum(_box(placed.mesh.vertices_m))
     true = 0.5 * sum(_box(read_glb(item.file).vertices_m))
     mine_m = transform_points(T_true_estimate, T_path[span, :3, :3] @ mine + T_path[span, :3, 3])
     T_same = T_true[frames.true_index[span]]

@@ -45,7 +45,7 @@ CAMERA = (
 
 
 def ingest_group(result: SceneResult, truth: Truth) -> Group:
-    """Frames, frame rate, and whether a fixed camera was recognised."""
+    """Frames, frame rate, and whether a fixed camera was recognized."""
     clip = result.clip
     numbers = {
         "frames": clip.frame_count,

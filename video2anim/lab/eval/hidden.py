@@ -19,7 +19,7 @@ _NEAR_M = 0.05
 
 
 def hidden_frames(truth: Truth) -> Bool[np.ndarray, "frames"]:
-    """Frames of the truth in which the main person is behind things or outside the picture (`HIDDEN_RATIO`)."""
+    """Frames of the truth in which the main person is behind objects or outside the picture (`HIDDEN_RATIO`)."""
     seen_px = _area_px2(truth.person_box_px[0] + np.array([-0.5, -0.5, 0.5, 0.5]))
     whole_px = _area_px2(_whole_box_px(truth))
     return ~(seen_px >= HIDDEN_RATIO * whole_px)

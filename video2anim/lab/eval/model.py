@@ -58,7 +58,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The clip from above in the true world (x, z in metres)."""
+    """The clip from above in the true world (x, z in meters)."""
 
     paths_m: Mapping[str, tuple[tuple[float, float], ...]]
     """Pelvis of the truth and of each stage."""

@@ -1,4 +1,4 @@
-"""Numbers of things: their masks in the picture, hidden parts, shapes and places."""
+"""Numbers of objects: their masks in the picture, hidden parts, shapes and places."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from video2anim.types import (
     SceneModel,
 )
 
-LEAST_VISIBLE_PX = 2000
+MIN_VISIBLE_PX = 2000
 """Pixels of the clip that must be seen of a piece of furniture for it to count."""
 FOUND_IOU = 0.5
 """Least mask overlap of a found instance."""
 SAME_IOU = 0.25
-"""Least mask overlap of two things whose shapes are compared."""
+"""Least mask overlap of two objects whose shapes are compared."""
 SAME_PLACE_M = 0.5
-"""Largest distance of the middles of two things that no mask ties together."""
+"""Largest distance of the middles of two objects that no mask ties together."""
 _IGNORED_SHARE = 0.5
-"""A surplus instance with this share of its pixels on things that do not count is neither right nor wrong."""
+"""A surplus instance with this share of its pixels on objects that do not count is neither right nor wrong."""
 _NO_FURNITURE = "no furniture is seen well enough"
 SEGMENT = (
     Spec("floor_iou", "floor IoU", "", "higher", "no floor is seen"),
@@ -62,7 +62,7 @@ _SEED = 0
 """Of the points drawn on surfaces: every evaluation draws the same."""
 
 
-class _Thing(Protocol):
+class _Object(Protocol):
     """What the three stages with shapes have in common."""
 
     @property
@@ -91,12 +91,12 @@ def match_masks(instances: InstanceMasks, furniture: Sequence[TrueObject], truth
 
 
 def segment_group(result: SceneResult, truth: Truth) -> Group:
-    """Floor and furniture in the plate."""
+    """Floor and furniture in the background image."""
     title = "Segmentation"
     found = result.get(InstanceMasks)
     if found is None:
         return make_group("segment", title, SEGMENT, {"value": result.why(InstanceMasks)})
-    furniture = truth.furniture(LEAST_VISIBLE_PX)
+    furniture = truth.furniture(MIN_VISIBLE_PX)
     match = match_masks(found, furniture, truth)
     counted = instance_scores(match, furniture, truth)
     floor = resample_nearest(found.floor_mask, truth.floor_mask.shape)
@@ -110,7 +110,7 @@ def segment_group(result: SceneResult, truth: Truth) -> Group:
 
 
 def instance_scores(match: MaskMatch, furniture: Sequence[TrueObject], truth: Truth) -> dict[str, float]:
-    """Precision, recall and F1 of instances at IoU 0.5; what lies on things that do not count is ignored."""
+    """Precision, recall and F1 of instances at IoU 0.5; what lies on objects that do not count is ignored."""
     rows, columns = linear_sum_assignment(-match.iou)
     right = {int(i) for i, j in zip(rows, columns, strict=True) if match.iou[i, j] >= FOUND_IOU}
     counting = {item.object_id for item in furniture}
@@ -135,12 +135,12 @@ def _best_iou(match: MaskMatch, furniture: Sequence[TrueObject]) -> float:
 
 
 def complete_group(result: SceneResult, truth: Truth) -> Group:
-    """Restored outlines of the things whose visible masks were found."""
-    title = "Completion behind other things"
+    """Restored outlines of the objects whose visible masks were found."""
+    title = "Completion behind other objects"
     completed, found = result.get(CompletedObjects), result.get(InstanceMasks)
     if completed is None or found is None:
         return make_group("complete", title, COMPLETE, {"value": result.why(CompletedObjects, InstanceMasks)})
-    furniture = [item for item in truth.furniture(LEAST_VISIBLE_PX) if item.object_id in truth.amodal]
+    furniture = [item for item in truth.furniture(MIN_VISIBLE_PX) if item.object_id in truth.amodal]
     match = match_masks(found, furniture, truth)
     whole = {item.object_id: item.amodal_mask for item in completed.objects}
     numbers: dict[str, list[float]] = {"amodal_iou": [], "visible_iou": []}
@@ -163,7 +163,7 @@ def pairs_by_mask(match: MaskMatch) -> dict[int, int]:
 
 def objects_group(result: SceneResult, truth: Truth, T_true_estimate: Float[np.ndarray, "4 4"] | str) -> Group:
     """Shapes and places of furniture after reconstruct, place and scene."""
-    furniture = truth.furniture(LEAST_VISIBLE_PX)
+    furniture = truth.furniture(MIN_VISIBLE_PX)
     instances = result.get(InstanceMasks)
     by_mask = pairs_by_mask(match_masks(instances, furniture, truth)) if instances is not None else {}
     columns: dict[str, dict[str, float] | str] = {}
@@ -179,20 +179,20 @@ def objects_group(result: SceneResult, truth: Truth, T_true_estimate: Float[np.n
 
 
 def compared_objects(
-    things: Sequence[_Thing],
+    objects: Sequence[_Object],
     furniture: Sequence[TrueObject],
     by_mask: dict[int, int],
     T_true_estimate: Float[np.ndarray, "4 4"],
 ) -> list[dict[str, float]]:
     """A row for every matched piece of furniture: its number, Chamfer distance, error of the middle, box IoU, size."""
-    shapes = {thing.object_id: _own_box(thing, T_true_estimate) for thing in things if len(thing.mesh.faces)}
+    shapes = {obj.object_id: _own_box(obj, T_true_estimate) for obj in objects if len(obj.mesh.faces)}
     true_boxes = [box_of(read_glb(item.file).vertices_m, item.T_world_object) for item in furniture]
-    pairs = match_things({number: shape[0] for number, shape in shapes.items()}, true_boxes, by_mask)
+    pairs = match_objects({number: shape[0] for number, shape in shapes.items()}, true_boxes, by_mask)
     rows = []
     for number, j in pairs.items():
         box, vertices_m = shapes[number]
-        thing = next(thing for thing in things if thing.object_id == number)
-        mesh = Mesh(vertices_m, thing.mesh.faces, thing.mesh.vertex_rgb)
+        obj = next(obj for obj in objects if obj.object_id == number)
+        mesh = Mesh(vertices_m, obj.mesh.faces, obj.mesh.vertex_rgb)
         mine_m = surface_points(mesh, np.random.default_rng(_SEED))
         true_m = surface_points(world_mesh(furniture[j]), np.random.default_rng(_SEED))
         rows.append({
@@ -212,7 +212,7 @@ def scene_objects(result: SceneResult, truth: Truth) -> list[dict[str, float]]:
     if scene is None or bodies is None:
         return []
     T = truth_from_estimate(bodies.people[0].T_world_camera, truth, match_frames(result.clip, truth))
-    furniture = truth.furniture(LEAST_VISIBLE_PX)
+    furniture = truth.furniture(MIN_VISIBLE_PX)
     by_mask = {} if instances is None else pairs_by_mask(match_masks(instances, furniture, truth))
     return compared_objects(scene.objects, furniture, by_mask, T)
 
@@ -224,14 +224,14 @@ def _means(rows: Sequence[dict[str, float]], furniture: Sequence[TrueObject]) ->
     return {"reconstructed": len(rows) / len(furniture) if furniture else np.nan, **means}
 
 
-def _own_box(thing: _Thing, T_true_estimate: np.ndarray) -> tuple[OrientedBox, np.ndarray]:
+def _own_box(obj: _Object, T_true_estimate: np.ndarray) -> tuple[OrientedBox, np.ndarray]:
     """Box of an estimated object in the true world, and its vertices there."""
-    scaled_m = getattr(thing, "scale", 1.0) * thing.mesh.vertices_m.astype(np.float64)
-    T_true_object = T_true_estimate @ thing.T_world_object
+    scaled_m = getattr(obj, "scale", 1.0) * obj.mesh.vertices_m.astype(np.float64)
+    T_true_object = T_true_estimate @ obj.T_world_object
     return box_of(scaled_m, T_true_object), transform_points(T_true_object, scaled_m)
 
 
-def match_things(
+def match_objects(
     boxes: dict[int, OrientedBox], true_boxes: Sequence[OrientedBox], by_mask: dict[int, int]
 ) -> dict[int, int]:
     """Estimated object -> true one: by mask where masks overlap, of the rest by the distance of the middles."""

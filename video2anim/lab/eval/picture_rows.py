@@ -1,4 +1,4 @@
-"""Numbers of what is seen: background plate, person masks, depth."""
+"""Numbers of what is seen: background background image, person masks, depth."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from video2anim.lab.eval.alignment import FrameMatch, common_maps, resample_near
 from video2anim.lab.eval.model import Group, Spec, make_group
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.truth import Truth
-from video2anim.types import BackgroundPlate, DepthClip, MetricDepth
+from video2anim.types import BackgroundImage, DepthClip, MetricDepth
 
-_HIDDEN = "nobody stands before the background in a labelled frame"
+_HIDDEN = "nobody stands before the background in a labeled frame"
 _NO_MAPS = "no sampled frame has true maps"
 BACKGROUND = (
-    Spec("psnr", "plate PSNR", "dB", "higher", "the plate equals the truth"),
-    Spec("error", "plate error", "/255", "lower"),
-    Spec("error_behind", "plate error where people passed", "/255", "lower", _HIDDEN),
+    Spec("psnr", "background image PSNR", "dB", "higher", "the background image equals the truth"),
+    Spec("error", "background image error", "/255", "lower"),
+    Spec("error_behind", "background image error where people passed", "/255", "lower", _HIDDEN),
     Spec("mask_iou", "person mask IoU", "", "higher", _NO_MAPS),
 )
 _NO_VALID = "no valid pixel"
@@ -34,20 +34,20 @@ DEPTH = (
     Spec("scale_ratio", "scale, estimate over truth", "", "one", _NO_VALID),
     Spec("scale_error", "scale error", "%", "lower", _NO_VALID),
 )
-_LEAST_DISPARITY = 1e-3
+_MIN_DISPARITY = 1e-3
 """1/m; a fitted disparity below this is 1 km away and counts as that."""
 _DELTA = 1.25
 
 
 def background_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
-    """The plate against the true empty picture, and masks of people."""
-    title = "Background plate"
-    plate = result.get(BackgroundPlate)
-    if plate is None:
-        return make_group("background", title, BACKGROUND, {"value": result.why(BackgroundPlate)})
-    numbers: dict[str, float | str] = {"mask_iou": _mask_iou(plate, truth, frames)}
+    """The background image against the true empty picture, and masks of people."""
+    title = "Background background image"
+    background = result.get(BackgroundImage)
+    if background is None:
+        return make_group("background", title, BACKGROUND, {"value": result.why(BackgroundImage)})
+    numbers: dict[str, float | str] = {"mask_iou": _mask_iou(background, truth, frames)}
     try:
-        error = plate_error(plate.plate_rgb, truth.plate_rgb)
+        error = background_error(background.background_rgb, truth.background_rgb)
         behind = resample_nearest(np.asarray(truth.person_pixels.any(0)), error.shape)
         squared = float((error**2).mean())
         numbers |= {
@@ -60,24 +60,25 @@ def background_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> G
     return make_group("background", title, BACKGROUND, {"value": numbers})
 
 
-def plate_error(
-    plate_rgb: UInt8[np.ndarray, "height width 3"], true_rgb: UInt8[np.ndarray, "true_height true_width 3"]
+def background_error(
+    background_rgb: UInt8[np.ndarray, "height width 3"], true_rgb: UInt8[np.ndarray, "true_height true_width 3"]
 ) -> Float[np.ndarray, "height width"]:
-    """Root mean square over the channels of the difference, in 8-bit steps, at the size of the true plate."""
+    """Root mean square over the channels of the difference, in 8-bit steps, at the size of the true background
+    image."""
     height, width = true_rgb.shape[:2]
-    if plate_rgb.shape != true_rgb.shape:
-        plate_rgb = cv2.resize(plate_rgb, (width, height), interpolation=cv2.INTER_AREA)
-    return np.sqrt(((plate_rgb.astype(np.float64) - true_rgb) ** 2).mean(-1))
+    if background_rgb.shape != true_rgb.shape:
+        background_rgb = cv2.resize(background_rgb, (width, height), interpolation=cv2.INTER_AREA)
+    return np.sqrt(((background_rgb.astype(np.float64) - true_rgb) ** 2).mean(-1))
 
 
-def _mask_iou(plate: BackgroundPlate, truth: Truth, frames: FrameMatch) -> float:
+def _mask_iou(background: BackgroundImage, truth: Truth, frames: FrameMatch) -> float:
     """Mean over common frames in which somebody is seen, all people as one mask."""
     overlaps = []
     person_pixels = truth.person_pixels
-    for row, true_row in common_maps(plate.frame_index, truth, frames):
+    for row, true_row in common_maps(background.frame_index, truth, frames):
         true = person_pixels[true_row]
         if true.any():
-            mine = resample_nearest(plate.person_mask[row], true.shape)
+            mine = resample_nearest(background.person_mask[row], true.shape)
             overlaps.append(mask_iou(mine, true))
     return float(np.mean(overlaps)) if overlaps else np.nan
 
@@ -167,7 +168,7 @@ def _fitted(pairs: _Pairs, disparity: bool) -> _Pairs:
 
     def metric(values: np.ndarray) -> np.ndarray:
         found = scale * values + offset
-        return 1 / np.maximum(found, _LEAST_DISPARITY) if disparity else found
+        return 1 / np.maximum(found, _MIN_DISPARITY) if disparity else found
 
     background, person = (metric(pairs.background[0]), pairs.background[1]), (metric(pairs.person[0]), pairs.person[1])
     return _Pairs(background, person, pairs.covered, pairs.covered_person)

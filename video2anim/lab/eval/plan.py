@@ -49,11 +49,11 @@ def plan_of(
             ):
                 true_outlines.append((item.label, outline(corners)))
     mine = []
-    for thing in () if isinstance(scene, str) else scene.objects:
-        if len(thing.mesh.vertices_m):
-            vertices_m = thing.scale * thing.mesh.vertices_m.astype(np.float64)
-            points_m = transform_points(T_true_estimate @ thing.T_world_object, vertices_m)
-            mine.append((thing.label, outline(points_m[:, [0, 2]])))
+    for obj in () if isinstance(scene, str) else scene.objects:
+        if len(obj.mesh.vertices_m):
+            vertices_m = obj.scale * obj.mesh.vertices_m.astype(np.float64)
+            points_m = transform_points(T_true_estimate @ obj.T_world_object, vertices_m)
+            mine.append((obj.label, outline(points_m[:, [0, 2]])))
     return Plan(paths, tuple(true_outlines), tuple(mine))
 
 

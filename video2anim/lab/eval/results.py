@@ -11,7 +11,7 @@ from video2anim.artifacts.manifest import read_manifest
 from video2anim.errors import ArtifactError, InputError
 from video2anim.pipeline.scene_folder import STAGES, read_record
 from video2anim.types import (
-    BackgroundPlate,
+    BackgroundImage,
     BodyMotion,
     BodyTracks,
     CameraEstimate,
@@ -31,7 +31,7 @@ from video2anim.types import (
 Value = TypeVar("Value")
 STAGE_OF: dict[type, str] = {
     VideoClip: "ingest", PersonTracks: "track", CameraEstimate: "camera", BodyTracks: "humans",
-    BackgroundPlate: "background", DepthClip: "depth", MetricDepth: "metric", InstanceMasks: "segment",
+    BackgroundImage: "background", DepthClip: "depth", MetricDepth: "metric", InstanceMasks: "segment",
     CompletedObjects: "complete", ObjectMeshes: "reconstruct", PlacedObjects: "place", SceneModel: "scene",
     KeyframedMotion: "keyframes", RefinedMotion: "refine",
 }  # fmt: skip

@@ -18,8 +18,8 @@ from video2anim.lab.eval.truth import TrueObject, Truth
 from video2anim.types import Mesh
 
 SPACING_M = 0.04
-"""Of the field's nodes; wider where it would have more than `MOST_NODES`."""
-MOST_NODES = 2_500_000
+"""Of the field's nodes; wider where it would have more than `MAX_NODES`."""
+MAX_NODES = 2_500_000
 _EXACT_M = 0.3
 """Nodes nearer to a solid than this get their exact distance, the others that of a coarser field."""
 _COARSER = 3
@@ -57,13 +57,13 @@ def world_mesh(item: TrueObject) -> Mesh:
 def true_field(truth: Truth) -> SdfGrid:
     """Distance to furniture, floor and walls of the room around the true people.
 
-    Things are made of closed parts that run into each other, so each connected part is a solid of its own. Walls are
-    the sides of the room's box; doors and windows are closed. Carried things are left out.
+    Objects are made of closed parts that run into each other, so each connected part is a solid of its own. Walls are
+    the sides of the room's box; doors and windows are closed. Carried objects are left out.
     """
     joints_m = np.concatenate([person.joints_world_m.reshape(-1, 3) for person in truth.people])
     bounds_m = np.stack([joints_m.min(0) - _MARGIN_M, joints_m.max(0) + _MARGIN_M])
     bounds_m[0, 1] = -_BELOW_FLOOR_M
-    spacing_m = max(SPACING_M, float(np.cbrt(np.ptp(bounds_m, axis=0).prod() / MOST_NODES)))
+    spacing_m = max(SPACING_M, float(np.cbrt(np.ptp(bounds_m, axis=0).prod() / MAX_NODES)))
     solids = [
         part
         for item in truth.objects

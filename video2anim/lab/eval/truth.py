@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
 from pydantic import Field, FiniteFloat, NonNegativeInt
 
-from video2anim.artifacts.arrays import MOST_M, Archive, Axes, expect_content, opened_archive
+from video2anim.artifacts.arrays import MAX_M, Archive, Axes, expect_content, opened_archive
 from video2anim.artifacts.images import read_png
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.artifacts.stage_files import member, read_json
@@ -43,8 +43,8 @@ _MOVING: dict[str, Any] = {
     "moving_held": Bool[np.ndarray, "moving frames"],
     "moving_hands": Bool[np.ndarray, "moving 2"],
 }
-"""The same, of things that somebody moves; older truth has none of it."""
-_Place = Annotated[float, Field(ge=-MOST_M, le=MOST_M)]
+"""The same, of objects that somebody moves; older truth has none of it."""
+_Place = Annotated[float, Field(ge=-MAX_M, le=MAX_M)]
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
 
@@ -55,7 +55,7 @@ class _Person:
 
 
 @dataclass(frozen=True)
-class _Thing:
+class _Object:
     object_id: int
     label: str
     is_furniture: bool
@@ -79,13 +79,13 @@ class _Meta:
     fps: Annotated[float, Field(ge=1, le=1000)]
     frames: int
     persons: Annotated[tuple[_Person, ...], Field(min_length=1)]
-    objects: tuple[_Thing, ...]
+    objects: tuple[_Object, ...]
     room: _Room
 
 
 @dataclass(frozen=True, slots=True)
 class TrueObject:
-    """A thing of the true world."""
+    """An object of the true world."""
 
     object_id: int
     label: str
@@ -128,7 +128,7 @@ class Truth:
     depth_mm: UInt16[np.ndarray, "maps height width"]
     instance: UInt16[np.ndarray, "maps height width"]
     background_depth_m: Float[np.ndarray, "height width"]
-    """First frame's camera, without people and carried things."""
+    """First frame's camera, without people and carried objects."""
     background_instance: UInt16[np.ndarray, "height width"]
     amodal: dict[int, Bool[np.ndarray, "height width"]]
     """Whole outline of each piece of furniture as if nothing hid it, by object."""
@@ -164,7 +164,7 @@ class Truth:
         return np.isin(self.background_instance, ids)
 
     @functools.cached_property
-    def plate_rgb(self) -> UInt8[np.ndarray, "height width 3"]:
+    def background_rgb(self) -> UInt8[np.ndarray, "height width 3"]:
         """The first frame's camera without people.
 
         Raises:
@@ -174,11 +174,11 @@ class Truth:
         hint = UInt8[np.ndarray, "height width 3"]
         return read_png(self.folder / "plate.png", np.dtype(np.uint8), hint=hint, axes=size)
 
-    def furniture(self, least_px: float) -> tuple[TrueObject, ...]:
+    def furniture(self, min_px: float) -> tuple[TrueObject, ...]:
         """Standing furniture of which at least so many pixels of the clip are seen, free of people."""
         map_px = self.background_instance.size
         share = map_px / (self.intrinsics.width_px * self.intrinsics.height_px)
-        return tuple(item for item in self.objects if item.stands and item.visible_px >= least_px * share)
+        return tuple(item for item in self.objects if item.stands and item.visible_px >= min_px * share)
 
     def mask(self, object_id: int) -> Bool[np.ndarray, "height width"]:
         """Visible pixels of an object in the background map."""
@@ -210,7 +210,7 @@ def _truth(folder: Path, meta: _Meta) -> Truth:
         raise ArtifactError(f"persons: want {[person.person_id for person in people]}, got {ids} in {folder}")
     with opened_archive(folder / "truth.npz") as archive:
         found = {key: archive.read(key, hint, axes) for key, hint in _ARRAYS.items()}
-        moved = _moved_things(archive, axes)
+        moved = _moved_objects(archive, axes)
     seen = dict(zip(found["object_id"].tolist(), found["object_visible_px"].tolist(), strict=True))
     return Truth(
         folder=folder,
@@ -228,7 +228,7 @@ def _truth(folder: Path, meta: _Meta) -> Truth:
         background_instance=found["background_instance"][0],
         amodal=dict(zip(found["amodal_object_id"].tolist(), found["amodal"], strict=True)),
         person_box_px=found["person_box_px"],
-        objects=tuple(_object(folder, thing, seen, moved) for thing in meta.objects),
+        objects=tuple(_object(folder, obj, seen, moved) for obj in meta.objects),
         is_static=bool(found["is_static"]),
     )
 
@@ -236,8 +236,8 @@ def _truth(folder: Path, meta: _Meta) -> Truth:
 _Moved = tuple[Float[np.ndarray, "frames 4 4"], Bool[np.ndarray, "frames"], tuple[bool, bool]]
 
 
-def _moved_things(archive: Archive, axes: Axes) -> dict[int, _Moved]:
-    """Poses, holding and hands of each thing that moves."""
+def _moved_objects(archive: Archive, axes: Axes) -> dict[int, _Moved]:
+    """Poses, holding and hands of each object that moves."""
     if "moving_object_id" not in archive:
         return {}
     read = {key: archive.read(key, hint, axes) for key, hint in _MOVING.items()}
@@ -247,11 +247,11 @@ def _moved_things(archive: Archive, axes: Axes) -> dict[int, _Moved]:
     }
 
 
-def _object(folder: Path, thing: _Thing, seen: dict[int, int], moved: dict[int, _Moved]) -> TrueObject:
-    T, number = np.array(thing.T_world_object), thing.object_id
+def _object(folder: Path, obj: _Object, seen: dict[int, int], moved: dict[int, _Moved]) -> TrueObject:
+    T, number = np.array(obj.T_world_object), obj.object_id
     expect_content(T, (Holds.RIGID,), {}, f"T_world_object of object {number}", folder / "meta.json")
-    file = member(folder, thing.file)
-    still = TrueObject(number, thing.label, thing.is_furniture, thing.is_moving, T, file, seen.get(number, 0))
+    file = member(folder, obj.file)
+    still = TrueObject(number, obj.label, obj.is_furniture, obj.is_moving, T, file, seen.get(number, 0))
     if number not in moved:
         return still
     frames, held, hands = moved[number]

@@ -49,7 +49,7 @@ def gather(
     seed: int,
     on_clip: Callable[[int], None] = lambda count: None,
 ) -> LiftingMotions:
-    """Captured clips (of these names) on a middling adult, and acted ones, whose contacts are all known.
+    """Captured clips (of these names) on a average adult, and acted ones, whose contacts are all known.
 
     Clips whose license forbids to ship what was learnt from them are left out, and clips on skeletons that
     `scenemi.data` cannot read.

@@ -22,7 +22,7 @@ _CONTACTS = (("feet", slice(0, 4)), ("hands", slice(4, 6)), ("seat", slice(6, 7)
 
 
 def losses(output: Float[Tensor, "batch frames outputs"], batch: LiftingBatch) -> dict[str, Tensor]:
-    """Weighted terms: metres, radians' worth of 6D, nats. The weights make the terms alike in size after the first
+    """Weighted terms: meters, radians' worth of 6D, nats. The weights make the terms alike in size after the first
     thousand steps, joints first."""
     rot6d = output[..., :132].unflatten(-1, (22, 6))
     joints, true = posed(planes_from_rot6d(rot6d), batch.rest_joints_m)[0], _planes(batch.joints_m)
@@ -64,7 +64,7 @@ def _bone_directions(joints_m: Float[Tensor, "3 22 *any"]) -> Float[Tensor, "3 2
 
 
 def _in_picture(joints_m: Float[Tensor, "3 22 batch frames"], batch: LiftingBatch) -> Float[Tensor, "2 22 b f"]:
-    """Where the joints are seen with the pelvis in its true place, in metres at its depth."""
+    """Where the joints are seen with the pelvis in its true place, in meters at its depth."""
     x, y, depth = batch.pelvis_m.unbind(-1)
     nearness = depth / (joints_m[2] + depth).clamp_min(0.3)
     return torch.stack([(joints_m[0] + x) * nearness, (joints_m[1] + y) * nearness])

@@ -20,12 +20,12 @@ from video2anim.types.skeleton import forward_kinematics
 _HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
 _SAME_BODY = 0.35
 """A track is a true person where its landmarks miss by less than this share of the person's size."""
-_LEAST_FRAMES = 12
+_MIN_FRAMES = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualLibrary:
-    """Runs of neighbouring frames, one after the other, in the frame of the person's viewing ray."""
+    """Runs of neighboring frames, one after the other, in the frame of the person's viewing ray."""
 
     pixels: Float[np.ndarray, "frames keypoints 2"]
     """Error of the directions in units of the true size (root mean square distance from the hips)."""
@@ -106,8 +106,8 @@ def _runs(track: PersonTrack, true_m: np.ndarray, truth: Truth) -> list[tuple[np
     person = truth.main
     seen_px, k = track.landmarks_px[:, LANDMARK_ORDER], person.intrinsics
     ok = track.valid & (true_m[..., 2].min(1) > 0.2)
-    middle_px = np.where(ok[:, None], _projected(true_m, person)[:, _HIPS].mean(1), k.cx_px)
-    R = ray_rotation(middle_px, k)
+    center_px = np.where(ok[:, None], _projected(true_m, person)[:, _HIPS].mean(1), k.cx_px)
+    R = ray_rotation(center_px, k)
     true_ray = true_m @ R
     ones = np.ones(seen_px.shape[:2])
     seen_ray = np.stack([(seen_px[..., 0] - k.cx_px) / k.fx_px, (seen_px[..., 1] - k.cy_px) / k.fy_px, ones], -1) @ R
@@ -116,7 +116,7 @@ def _runs(track: PersonTrack, true_m: np.ndarray, truth: Truth) -> list[tuple[np
     size = np.sqrt((spread**2).sum(-1).mean(1))
     pixels = (seen_xy - true_xy) / size[:, None, None]
     relative = true_ray - true_ray[:, _HIPS].mean(1, keepdims=True)
-    R_ray_landmarks = np.swapaxes(R, -1, -2) @ landmark_rotation(middle_px, k)
+    R_ray_landmarks = np.swapaxes(R, -1, -2) @ landmark_rotation(center_px, k)
     points = np.einsum("tab,tkb->tka", R_ray_landmarks, track.landmarks_m[:, LANDMARK_ORDER])
     points = points - points[:, _HIPS].mean(1, keepdims=True) - relative
     ok &= np.nan_to_num(np.linalg.norm(pixels, axis=-1).mean(1), nan=9.0) < 2 * _SAME_BODY
@@ -124,5 +124,5 @@ def _runs(track: PersonTrack, true_m: np.ndarray, truth: Truth) -> list[tuple[np
     return [
         (pixels[a:b], points[a:b], track.visibility[a:b][:, LANDMARK_ORDER], relative[a:b])
         for a, b in edges.reshape(-1, 2)
-        if b - a >= _LEAST_FRAMES
+        if b - a >= _MIN_FRAMES
     ]

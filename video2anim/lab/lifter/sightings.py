@@ -20,14 +20,14 @@ _CANDIDATES = 24
 _SCALE_2D, _SCALE_3D = (0.2, 1.1), (0.2, 1.2)
 """Range of the factor by which a window's errors differ from those of rendered people, near the shipped weights' one.
 In the one run that was made with small ones (median 0.33) the network was better on simulated windows and worse on real
-clips; other things had changed as well, so the cause is not known."""
+clips; other objects had changed as well, so the cause is not known."""
 _LIMB_SCALE = 0.3
 """Deviation of the logarithm for each limb."""
 _DEPTH_SCALE, _SIZE_SCALE, _TILT_RAD = 0.07, 0.04, 0.05
 """Deviations of the window's errors that all 3D landmarks share: stretch in depth (log), size (log), tilt."""
 _BIAS_M, _JITTER_M = 0.012, 0.006
 _BORDER_2D, _BORDER_M, _BORDER_FRAMES = 0.25, 0.12, 8
-"""Errors of keypoints outside the picture, in sizes of the person and metres, and in how many frames they change."""
+"""Errors of keypoints outside the picture, in sizes of the person and meters, and in how many frames they change."""
 _FROZEN, _SWAPPED, _MISSING, _LONG_MISSING = 0.1, 0.06, 0.12, 0.05
 """Shares of the windows."""
 _FAULT_FRAMES, _MISSING_FRAMES, _LONG_FRAMES = (3, 20), (1, 12), (12, 45)

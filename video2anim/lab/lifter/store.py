@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from video2anim.artifacts.folder import whole_or_absent
+from video2anim.artifacts.folder import atomic_directory
 
 _KEY = "key.json"
 _Arrays = TypeVar("_Arrays")
@@ -21,7 +21,7 @@ def keep(value: Any, folder: Path, key: dict[str, Any]) -> None:
     Args:
         key: what the arrays were made from.
     """
-    with whole_or_absent(folder) as aside:
+    with atomic_directory(folder) as aside:
         for field in fields(value):
             np.save(aside / f"{field.name}.npy", getattr(value, field.name), allow_pickle=False)
         (aside / _KEY).write_text(json.dumps(key) + "\n")

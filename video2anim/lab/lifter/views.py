@@ -45,15 +45,15 @@ def draw_views(rng: np.random.Generator, joints_world_m: Float[Tensor, "batch fr
     """A camera before each window's body, with the floor at y = 0."""
     batch = len(joints_world_m)
     half = _pictures(rng, batch)
-    middle = joints_world_m[:, :, 0].mean(1).numpy()
-    from_middle = joints_world_m.numpy() - middle[:, None, None]
+    center = joints_world_m[:, :, 0].mean(1).numpy()
+    from_middle = joints_world_m.numpy() - center[:, None, None]
     figure = np.exp(rng.uniform(np.log(_SMALL), np.log(_LARGE), batch))
     depth = np.clip(_STANDING_M / (2 * half[:, 1] * figure), _NEAREST_M, _FARTHEST_M)
     place = np.clip(rng.normal(0, _OFF_CENTER, (batch, 2)), -0.9, 0.9) * half
     height = np.where(
         rng.random(batch) < _HIGHER, rng.uniform(_HIGH_M, _HIGHER_M, batch), rng.uniform(_LOW_M, _HIGH_M, batch)
     )
-    below = np.clip(np.arctan2(height - middle[:, 1], depth), -_STEEPEST_RAD, _STEEPEST_RAD)
+    below = np.clip(np.arctan2(height - center[:, 1], depth), -_STEEPEST_RAD, _STEEPEST_RAD)
     pitch = below - np.arctan(place[:, 1])
     zero = np.zeros(batch)
     level = np.diag([1.0, -1.0, -1.0])
@@ -62,7 +62,7 @@ def draw_views(rng: np.random.Generator, joints_world_m: Float[Tensor, "batch fr
     nearest = np.einsum("ba,btja->btj", R[:, 2], from_middle).min((1, 2))
     depth = np.maximum(depth, _BEFORE_LENS_M - nearest)
     roll = matrix_from_axis_angle(np.stack([zero, zero, rng.normal(0, _ROLL_RAD, batch)], -1))
-    t = np.concatenate([place, np.ones((batch, 1))], 1) * depth[:, None] - np.einsum("bac,bc->ba", R, middle)
+    t = np.concatenate([place, np.ones((batch, 1))], 1) * depth[:, None] - np.einsum("bac,bc->ba", R, center)
     R, t = roll @ R, np.einsum("bac,bc->ba", roll, t)
     return Views(*(torch.from_numpy(part).float() for part in (R, t, half)))
 

@@ -77,7 +77,7 @@ class Encoder(nn.Module):
         self.train()
 
     def train(self, mode: bool = True) -> Encoder:
-        """Batch normalisation never leaves evaluation."""
+        """Batch normalization never leaves evaluation."""
         super().train(mode)
         for module in self.modules():
             if isinstance(module, nn.BatchNorm2d):

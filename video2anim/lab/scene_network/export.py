@@ -16,7 +16,7 @@ from video2anim.lab.scene_network.network import RoomNetwork, normalised_convolu
 from video2anim.networks.room_net import INPUT, OUTPUTS
 
 ONNX_OPSET = 17
-_LEAST_VALUES = 256
+_MIN_VALUES = 256
 """Smaller tensors stay in single precision."""
 
 
@@ -40,7 +40,7 @@ def halved(model: onnx.ModelProto) -> onnx.ModelProto:
     graph, casts = model.graph, []
     for tensor in graph.initializer:
         values = numpy_helper.to_array(tensor)
-        if values.dtype != np.float32 or values.size < _LEAST_VALUES:
+        if values.dtype != np.float32 or values.size < _MIN_VALUES:
             continue
         name = tensor.name
         tensor.CopyFrom(numpy_helper.from_array(values.astype(np.float16), f"{name}.half"))
@@ -52,7 +52,7 @@ def halved(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def _folded(network: RoomNetwork) -> RoomNetwork:
-    """Batch normalisation taken into the convolutions before it."""
+    """Batch normalization taken into the convolutions before it."""
     for _, sequence, number in normalised_convolutions(network):
         convolution, norm = sequence[number], sequence[number + 1]
         assert isinstance(convolution, nn.Conv2d)

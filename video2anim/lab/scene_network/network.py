@@ -29,11 +29,11 @@ class RoomAnswer(NamedTuple):
     disparity: Float[Tensor, "batch 1 rows columns"]
     """Inverse depth up to one scale and offset per picture; larger is nearer."""
     normal: Float[Tensor, "batch 3 rows columns"]
-    """Surface normal in the camera frame, not normalised."""
+    """Surface normal in the camera frame, not normalized."""
     classes: Float[Tensor, "batch 6 rows columns"]
     """Logits of `CLASSES`."""
     cues: Float[Tensor, "batch 4 rows columns"]
-    """Instance cues: logit of a thing's middle, offset to it (x, y in picture heights), logit of a boundary."""
+    """Instance cues: logit of an object's middle, offset to it (x, y in picture heights), logit of a boundary."""
     camera: Float[Tensor, "batch 5 coarse_rows coarse_columns"]
     """Up (x, y), latitude in radians, log of the expected errors of up and latitude in radians."""
 
@@ -105,7 +105,7 @@ def _conv(inputs: int, outputs: int, *, stride: int = 1, size: int = 3, active: 
 
 
 def normalised_convolutions(network: nn.Module) -> list[tuple[str, nn.Sequential, int]]:
-    """Every convolution that batch normalisation follows: its name, the sequence that holds both, its place there."""
+    """Every convolution that batch normalization follows: its name, the sequence that holds both, its place there."""
     return [
         (f"{name}.{number}", module, number)
         for name, module in network.named_modules()

@@ -18,7 +18,7 @@ from video2anim.lab.scene_network.network import RoomNetwork, normalised_convolu
 def read_exported(path: Path) -> RoomNetwork:
     """The network of a file by `export_onnx`, in evaluation mode; it answers what the file answers.
 
-    The file has batch normalisation folded into the convolutions. Here they are apart again, the normalisation adding
+    The file has batch normalization folded into the convolutions. Here they are apart again, the normalization adding
     the bias only: call `settle` before training.
 
     Raises:
@@ -70,9 +70,9 @@ def averaged(first: RoomNetwork, second: RoomNetwork, share: float) -> RoomNetwo
 
 @torch.no_grad()
 def settle(network: RoomNetwork, pictures: Float[Tensor, "batch 3 height width"]) -> None:
-    """Give batch normalisation the statistics of some pictures, and the weights that keep every answer as it is.
+    """Give batch normalization the statistics of some pictures, and the weights that keep every answer as it is.
 
-    Training normalises by the statistics of its batches: with those of `read_exported` its first step would see another
+    Training normalizes by the statistics of its batches: with those of `read_exported` its first step would see another
     network.
     """
     network.eval()
@@ -98,7 +98,7 @@ def settle(network: RoomNetwork, pictures: Float[Tensor, "batch 3 height width"]
 
 
 def _normalisations(network: nn.Module) -> list[tuple[str, nn.BatchNorm2d]]:
-    """Name of a convolution, and the batch normalisation after it."""
+    """Name of a convolution, and the batch normalization after it."""
     found = []
     for name, sequence, number in normalised_convolutions(network):
         norm = sequence[number + 1]

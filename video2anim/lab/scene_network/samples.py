@@ -1,4 +1,4 @@
-"""Training samples from shards of labelled pictures: cropped, flipped, spoiled, with targets for every head."""
+"""Training samples from shards of labeled pictures: cropped, flipped, spoiled, with targets for every head."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ CLASS_OF_LABEL: dict[str, str] = {
 }  # fmt: skip
 """Classes of the synthetic world's labels; all others are `other`."""
 CLASS_TABLE = np.array([CLASSES.index(CLASS_OF_LABEL.get(label, "other")) for label in LABELS], np.uint8)
-SMALLEST_RATIO = 0.003
+MIN_RATIO = 0.003
 """Instances that cover less of the picture are not asked for."""
 _HEAT_SIGMA = 0.03
-"""Width of the blob that marks a thing's middle, in picture heights."""
+"""Width of the blob that marks an object's middle, in picture heights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class PictureBatch:
     picture: Float[Tensor, "batch 3 height width"]
     """RGB, 0 to 255."""
     disparity: Float[Tensor, "batch rows columns"]
-    """1 / depth in 1 / metres; 0 for the sky."""
+    """1 / depth in 1 / meters; 0 for the sky."""
     normal: Float[Tensor, "batch 3 rows columns"]
     """Camera frame, unit; zero for the sky."""
     classes: Int[Tensor, "batch rows columns"]
@@ -133,7 +133,7 @@ def _read_shard(folder: Path) -> _Shard:
 
 
 def _crop(have: tuple[int, int], want: tuple[int, int], zoom: float) -> tuple[float, float, float, float]:
-    """x0, y0, width, height of a centred crop of the wanted ratio; 1 = the largest."""
+    """x0, y0, width, height of a centerd crop of the wanted ratio; 1 = the largest."""
     ratio = want[1] / want[0]
     height = min(have[0], have[1] / ratio) * zoom
     width = height * ratio
@@ -181,17 +181,17 @@ def instance_targets(instance: np.ndarray, classes: np.ndarray) -> dict[str, np.
     offset = np.zeros((2, rows, columns), np.float32)
     for number in np.unique(instance[furniture]):
         mask = furniture & (instance == number)
-        if mask.sum() < SMALLEST_RATIO * mask.size:
+        if mask.sum() < MIN_RATIO * mask.size:
             continue
-        middle_x, middle_y = float(x[mask].mean()), float(y[mask].mean())
-        far2 = (x - middle_x) ** 2 + (y - middle_y) ** 2
+        center_x, center_y = float(x[mask].mean()), float(y[mask].mean())
+        far2 = (x - center_x) ** 2 + (y - center_y) ** 2
         np.maximum(heat, np.exp(-0.5 * far2 / (_HEAT_SIGMA * rows) ** 2), out=heat)
-        offset[0][mask], offset[1][mask] = (middle_x - x[mask]) / rows, (middle_y - y[mask]) / rows
+        offset[0][mask], offset[1][mask] = (center_x - x[mask]) / rows, (center_y - y[mask]) / rows
         known[mask] = 1
-    thing = np.where(furniture | (classes == CLASSES.index("person")), instance, 0)
+    obj = np.where(furniture | (classes == CLASSES.index("person")), instance, 0)
     boundary = np.zeros((rows, columns), np.float32)
     for axis in (0, 1):
-        differs = np.diff(thing, axis=axis) != 0
+        differs = np.diff(obj, axis=axis) != 0
         first, second = [slice(None)] * 2, [slice(None)] * 2
         first[axis], second[axis] = slice(None, -1), slice(1, None)
         boundary[tuple(first)][differs] = 1
@@ -200,7 +200,7 @@ def instance_targets(instance: np.ndarray, classes: np.ndarray) -> dict[str, np.
 
 
 def spoiled(rgb: UInt8[np.ndarray, "height width 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "height width 3"]:
-    """Colour, light, blur, noise and compression drawn at random."""
+    """Color, light, blur, noise and compression drawn at random."""
     value = rgb.astype(np.float32) / 255
     grey = value.mean(-1, keepdims=True)
     value = grey + (value - grey) * float(0.0 if rng.random() < 0.05 else rng.uniform(0.4, 1.6))

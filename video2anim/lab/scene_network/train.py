@@ -58,7 +58,7 @@ def losses(answer: RoomAnswer, batch: PictureBatch) -> dict[str, Tensor]:
     heat, offset, boundary = answer.cues[:, 0], answer.cues[:, 1:3], answer.cues[:, 3]
     known = batch.has_offset
     off = ((offset - batch.offset).abs().sum(1) * known).sum() / known.sum().clamp_min(1)
-    middle = functional.binary_cross_entropy_with_logits(heat, batch.heat, weight=1 + 8 * batch.heat)
+    center = functional.binary_cross_entropy_with_logits(heat, batch.heat, weight=1 + 8 * batch.heat)
     edge = functional.binary_cross_entropy_with_logits(boundary, batch.boundary, pos_weight=torch.tensor(3.0))
     up = functional.normalize(answer.camera[:, :2], dim=1)
     turned = torch.atan2(
@@ -71,7 +71,7 @@ def losses(answer: RoomAnswer, batch: PictureBatch) -> dict[str, Tensor]:
         "normal": 1.0 * flat,
         "classes": 0.6 * functional.cross_entropy(answer.classes, batch.classes)
         + 0.5 * overlap_loss(answer.classes, batch.classes),
-        "middle": 3.0 * middle,
+        "middle": 3.0 * center,
         "offset": 2.0 * off,
         "boundary": 0.3 * edge,
         # Laplace likelihood: the network tells how far off it expects to be.
@@ -93,7 +93,7 @@ def aligned(disparity: Tensor, truth: Tensor) -> Tensor:
 def disparity_loss(disparity: Tensor, truth: Tensor) -> Tensor:
     """Error against the truth brought to median 0 and mean deviation 1, with matched gradients at four scales.
 
-    Scale- and shift-invariant as of Ranftl et al. (2022), but the target is normalised, not the answer: aligning an
+    Scale- and shift-invariant as of Ranftl et al. (2022), but the target is normalized, not the answer: aligning an
     answer that says nothing yet has no useful gradient. A second term forgives scale and offset that are a little off.
     """
     median = truth.flatten(1).median(1).values[:, None, None]
@@ -112,7 +112,7 @@ def disparity_loss(disparity: Tensor, truth: Tensor) -> Tensor:
 
 
 def relative_loss(disparity: Tensor, truth: Tensor) -> Tensor:
-    """Mean absolute error of log depth after alignment: far things count by their share, as AbsRel has it."""
+    """Mean absolute error of log depth after alignment: far objects count by their share, as AbsRel has it."""
     seen = (truth > 0).float()
     near = aligned(disparity, truth).clamp_min(NEAREST_INVERSE)
     off = (near.log() - truth.clamp_min(NEAREST_INVERSE).log()).abs().clamp_max(1.0)

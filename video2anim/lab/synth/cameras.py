@@ -15,10 +15,10 @@ from video2anim.lab.synth.world import Room
 from video2anim.types import Intrinsics
 
 NEVER_HIDES = ("ceiling", "floor", "rug", "picture", "skirting")
-"""Things that do not hide people from a camera inside the room."""
+"""Objects that do not hide people from a camera inside the room."""
 _FRAME_STEP = 10
 """Every how many frames the view is checked."""
-_FROM_THING_M = 0.3
+_FROM_OBJECT_M = 0.3
 _FROM_WALL_M = 0.2
 _CHOICES = 12
 """Suitable places among which the best one is taken."""
@@ -42,7 +42,7 @@ class CameraRequest:
     """Least distance of the lens from any joint."""
     figure_ratio: tuple[float, float] = (0.28, 0.85)
     """Median height of a person in the picture, as a share of the picture's height."""
-    least_seen: float = 0.8
+    min_seen: float = 0.8
     """Least share of joints that no furniture hides."""
     handheld: bool = False
 
@@ -73,7 +73,7 @@ def place_camera(
     frames = joints_m.shape[1]
     points = joints_m[:, :: min(_FRAME_STEP, max(frames - 1, 1))].reshape(-1, 22, 3)
     boxes = _furniture_boxes(room)
-    caster = of_objects(thing for thing in room.objects if thing.label not in NEVER_HIDES).caster()
+    caster = of_objects(obj for obj in room.objects if obj.label not in NEVER_HIDES).caster()
     wished = float(np.clip(_USUAL_FOV_RAD * np.exp(rng.normal(0.0, _FOV_SPREAD)), *request.fov_y_rad))
     found: list[_Candidate] = []
     for _ in range(tries):
@@ -81,7 +81,7 @@ def place_camera(
         if candidate is None:
             continue
         seen = _seen_share(caster, candidate.position_m, points)
-        if seen >= request.least_seen:
+        if seen >= request.min_seen:
             found.append(_Candidate(candidate.position_m, candidate.R_world_camera, candidate.fov_y_rad, seen))
         if len(found) >= _CHOICES:
             break
@@ -94,8 +94,8 @@ def place_camera(
     return _lens(best, request), _poses(rng, best, frames, request)
 
 
-def _furniture_boxes(room: Room) -> Float[np.ndarray, "things 2 3"]:
-    boxes = [(vertices.min(0), vertices.max(0)) for vertices, _ in (thing.merged() for thing in room.furniture)]
+def _furniture_boxes(room: Room) -> Float[np.ndarray, "objects 2 3"]:
+    boxes = [(vertices.min(0), vertices.max(0)) for vertices, _ in (obj.merged() for obj in room.furniture)]
     return np.array(boxes).reshape(-1, 2, 3)
 
 
@@ -117,14 +117,14 @@ def _draw(
     )  # fmt: skip
     roll = float(np.clip(rng.normal(0, request.roll_sigma_rad), -0.07, 0.07))
     room_to_spare = rng.uniform(1.06, 1.35)
-    near = (boxes[:, 0] - _FROM_THING_M <= position) & (position <= boxes[:, 1] + _FROM_THING_M)
+    near = (boxes[:, 0] - _FROM_OBJECT_M <= position) & (position <= boxes[:, 1] + _FROM_OBJECT_M)
     if near.all(1).any():
         return None
     ray = points.reshape(-1, 3) - position
     if np.linalg.norm(ray, axis=1).min() < request.nearest_m:
         return None
-    middle = ray.mean(0)
-    yaw0 = np.arctan2(middle[0], middle[2])
+    center = ray.mean(0)
+    yaw0 = np.arctan2(center[0], center[2])
     yaw = np.angle(np.exp(1j * (np.arctan2(ray[:, 0], ray[:, 2]) - yaw0)))
     pitch = np.arctan2(ray[:, 1], np.hypot(ray[:, 0], ray[:, 2]))
     if np.ptp(yaw) > 2.2:

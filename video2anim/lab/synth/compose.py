@@ -13,13 +13,13 @@ from video2anim.lab.synth.acting import ACTS, CARRIES, act, act_carry, joined
 from video2anim.lab.synth.acting.curves import turned
 from video2anim.lab.synth.cameras import CameraRequest, place_camera
 from video2anim.lab.synth.hiding import hidden_view
-from video2anim.lab.synth.library import MotionLibrary
+from video2anim.lab.synth.library import MotionDatabase
 from video2anim.lab.synth.looks import make_looks
 from video2anim.lab.synth.presets import ClipSpec, hiding_of
 from video2anim.lab.synth.render.lens import covers_picture
 from video2anim.lab.synth.rooms import build_room, penetration_m, split_items
 from video2anim.lab.synth.showing import showing_view, swept_points
-from video2anim.lab.synth.world import ActedMotion, Actor, MovingObject, Room, SceneObject, SensorModel, Shot
+from video2anim.lab.synth.world import Actor, MovingObject, ProceduralMotion, Room, SceneObject, SensorModel, Shot
 from video2anim.types import BodyMotion, BodyShape, Intrinsics
 from video2anim.types.skeleton import forward_kinematics
 
@@ -30,7 +30,7 @@ _ATTEMPTS = 8
 _HIDING_STRIDE = 60
 """Every how many vertices of the skin decide whether somebody is hidden."""
 _SPACING_M = 0.06
-"""Of points on the box around a thing that is carried."""
+"""Of points on the box around an object that is carried."""
 _APART_M = 0.3
 """Least distance between two people's bodies."""
 
@@ -43,11 +43,11 @@ class ComposeOptions:
     height_px: int = 480
     room_size_m: tuple[float, float] | None = None
     meshes: tuple[SceneObject, ...] = ()
-    library: MotionLibrary | None = None
+    library: MotionDatabase | None = None
     longest_s: float | None = None
     """Clips are cut to this length."""
     skin_stride: int = 1
-    """Every how many vertices of the skin are kept clear of things; more is quicker and less exact."""
+    """Every how many vertices of the skin are kept clear of objects; more is quicker and less exact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +55,7 @@ class Performance:
     """One person's motion on one body, with skinned vertices."""
 
     body: ShapedBody
-    acted: ActedMotion
+    acted: ProceduralMotion
     joints_m: Float[np.ndarray, "frames 22 3"]
     vertices_m: Float[np.ndarray, "frames vertices 3"]
 
@@ -162,19 +162,19 @@ def _performances(spec: ClipSpec, options: ComposeOptions, attempt: int) -> list
 
 
 def _motion(
-    kind: str, body: ShapedBody, rng: np.random.Generator, spec: ClipSpec, library: MotionLibrary | None
-) -> ActedMotion:
+    kind: str, body: ShapedBody, rng: np.random.Generator, spec: ClipSpec, library: MotionDatabase | None
+) -> ProceduralMotion:
     """Captured where the library has the kind, acted otherwise; acted kinds may begin with a captured walk."""
     if kind in CARRIES:
         return act_carry(kind, body, rng)
     low, high = spec.duration_s
     if kind not in ACTS and library is not None:
-        captured = library.draw("walk_turn" if kind == "turn" else kind, body, rng, least_s=low)
+        captured = library.draw("walk_turn" if kind == "turn" else kind, body, rng, min_s=low)
         if captured is not None:
             length = int(rng.uniform(low, high) * FPS)
             start = int(rng.integers(0, max(len(captured.translation_m) - length, 0) + 1))
             piece = slice(start, start + length)
-            return ActedMotion(
+            return ProceduralMotion(
                 captured.name, captured.kind, captured.source, captured.translation_m[piece],
                 captured.R_parent_joint[piece], captured.contact[piece],
             )  # fmt: skip
@@ -190,7 +190,7 @@ def _motion(
     return replace(start, name=f"{walk.name} > {acted.name}", source=f"{walk.source} > synthetic")
 
 
-def _cut(acted: ActedMotion, frames: int) -> ActedMotion:
+def _cut(acted: ProceduralMotion, frames: int) -> ProceduralMotion:
     pose = acted.item_pose[:frames] if acted.item_pose is not None else None
     held = acted.item_held[:frames] if acted.item_held is not None else None
     return replace(
@@ -199,7 +199,7 @@ def _cut(acted: ActedMotion, frames: int) -> ActedMotion:
     )  # fmt: skip
 
 
-def _perform(body: ShapedBody, acted: ActedMotion) -> Performance:
+def _perform(body: ShapedBody, acted: ProceduralMotion) -> Performance:
     joints, R_world = forward_kinematics(acted.R_parent_joint, acted.translation_m, body.rest_joints_m)
     return Performance(body, acted, joints, body.vertices(R_world, joints))
 
@@ -223,7 +223,7 @@ def _moved(person: Performance, R: np.ndarray, shift: np.ndarray) -> Performance
     return Performance(person.body, moved, person.joints_m @ R.T + shift, vertices)
 
 
-def _facing_walls(acted: ActedMotion) -> Float[np.ndarray, "3 3"]:
+def _facing_walls(acted: ProceduralMotion) -> Float[np.ndarray, "3 3"]:
     """Turn about the vertical that makes a wall the motion leans on parallel to the room's walls."""
     yaw = next((-prop.yaw_rad for prop in acted.props if prop.kind == "wall"), 0.0)
     return turned(yaw)
@@ -234,8 +234,8 @@ def _beside(placed: list[Performance], person: Performance, rng: np.random.Gener
     for distance in np.linspace(0.8, 4.0, 40):
         yaw, bearing = rng.uniform(-np.pi, np.pi, 2)
         R = turned(float(yaw))
-        middle = np.mean([other.joints_m[:, 0].mean(0) for other in placed], 0)
-        goal = middle + distance * np.array([np.sin(bearing), 0, np.cos(bearing)])
+        center = np.mean([other.joints_m[:, 0].mean(0) for other in placed], 0)
+        goal = center + distance * np.array([np.sin(bearing), 0, np.cos(bearing)])
         shift = (goal - R @ person.joints_m[:, 0].mean(0)) * (1.0, 0.0, 1.0)
         joints = person.joints_m @ R.T + shift
         if all(_apart(other.joints_m, joints) for other in placed) and _props_apart(placed, person, R, shift):
@@ -264,16 +264,16 @@ def _props_apart(placed: list[Performance], person: Performance, R: np.ndarray, 
 
 
 def _carried(people: list[Performance], items: dict[int, SceneObject], room: Room) -> tuple[MovingObject, ...]:
-    """Things that are moved, with their poses; `items` of the room are numbered by their prop among all props."""
-    moving, first, unused = [], 0, max(thing.object_id for thing in (*room.objects, *items.values())) + 1
+    """Objects that are moved, with their poses; `items` of the room are numbered by their prop among all props."""
+    moving, first, unused = [], 0, max(obj.object_id for obj in (*room.objects, *items.values())) + 1
     for person in people:
         acted = person.acted
         if acted.item_pose is not None and acted.item_held is not None:
-            mine = [thing for number, thing in items.items() if first <= number < first + len(acted.props)]
+            mine = [obj for number, obj in items.items() if first <= number < first + len(acted.props)]
             if acted.item is not None:
                 mine.append(acted.item.moved(acted.item_pose[0], unused))
                 unused += 1
-            moving += [MovingObject(thing, acted.item_pose, acted.item_held) for thing in mine]
+            moving += [MovingObject(obj, acted.item_pose, acted.item_held) for obj in mine]
         first += len(acted.props)
     return tuple(moving)
 
@@ -287,22 +287,22 @@ def _without_offenders(points: Float[np.ndarray, "points 3"], room: Room) -> Roo
     """The room without furniture that any skin point of any second frame is inside of; what the motion needs stays.
 
     Raises:
-        _Unsuitable: a body is deeper than `DEEPEST_M` in a wall or in a thing that the motion needs.
+        _Unsuitable: a body is deeper than `DEEPEST_M` in a wall or in an object that the motion needs.
     """
     low, high = points.min(0), points.max(0)
     kept = []
-    for thing in room.objects:
-        vertices = thing.merged()[0]
+    for obj in room.objects:
+        vertices = obj.merged()[0]
         if (vertices.max(0) < low).any() or (vertices.min(0) > high).any():
-            kept.append(thing)
+            kept.append(obj)
             continue
-        depth_m = float(penetration_m([thing], points).max())
+        depth_m = float(penetration_m([obj], points).max())
         if depth_m <= DEEPEST_M:
-            kept.append(thing)
-        elif thing in room.structure or thing.note.startswith("prop "):
-            raise _Unsuitable(f"the body is {100 * depth_m:.1f} cm inside {thing.label} {thing.object_id}")
-    numbers = {thing.object_id for thing in kept}
-    return replace(room, furniture=tuple(thing for thing in room.furniture if thing.object_id in numbers))
+            kept.append(obj)
+        elif obj in room.structure or obj.note.startswith("prop "):
+            raise _Unsuitable(f"the body is {100 * depth_m:.1f} cm inside {obj.label} {obj.object_id}")
+    numbers = {obj.object_id for obj in kept}
+    return replace(room, furniture=tuple(obj for obj in room.furniture if obj.object_id in numbers))
 
 
 def _body_motion(number: int, person: Performance, T_world_camera: np.ndarray, lens: Intrinsics) -> BodyMotion:

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from video2anim import __version__
-from video2anim.artifacts.folder import whole_or_absent
+from video2anim.artifacts.folder import atomic_directory
 from video2anim.artifacts.stage_files import read_json
 from video2anim.errors import ArtifactError
 from video2anim.lab.synth.generate import (
@@ -100,7 +100,7 @@ def _shard(
         if whole and read_json(folder / "meta.json", dict[str, Any]) == meta:
             return ShardDone(name, size, True)
     expect_ours(folder)
-    with whole_or_absent(folder) as work, ExitStack() as files:
+    with atomic_directory(folder) as work, ExitStack() as files:
         shape = (size, config.height_px, config.width_px)
         # Written picture by picture: a memory map on a full disk would end the process by a signal.
         maps = {

@@ -31,7 +31,7 @@ Job = TypeVar("Job")
 Made = TypeVar("Made")
 SET_NAME = "set.json"
 _DIGESTED = ("truth.npz", "video.mp4")
-_OURS = re.compile(r"meta\.json|truth(_\d+)?\.npz|video\.mp4|plate\.png|scene\.glb|objects|\w+\.npy")
+_OURS = re.compile(r"meta\.json|truth(_\d+)?\.npz|video\.mp4|background image\.png|scene\.glb|objects|\w+\.npy")
 """What clips and shards consist of."""
 GENERATOR_VERSION = 1
 """Raised when the same specification gives another clip."""
@@ -214,10 +214,10 @@ def checked_sources(config: SynthConfig) -> dict[str, str]:
 def compose_options(config: SynthConfig) -> ComposeOptions:
     """What the configuration fixes for every clip; sources are read once in a process."""
     from video2anim.lab.synth.compose import ComposeOptions
-    from video2anim.lab.synth.library import MotionLibrary
+    from video2anim.lab.synth.library import MotionDatabase
     from video2anim.lab.synth.rooms import load_meshes
 
-    library = MotionLibrary.read(config.motion, noncommercial=config.noncommercial) if config.motion else None
+    library = MotionDatabase.read(config.motion, noncommercial=config.noncommercial) if config.motion else None
     meshes = load_meshes(config.meshes) if config.meshes is not None else ()
     return ComposeOptions(config.width_px, config.height_px, config.room_size_m, meshes, library, config.longest_s)
 

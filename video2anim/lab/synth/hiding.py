@@ -1,4 +1,4 @@
-"""Views in which the person is out of sight for a while: behind a thing, or outside the picture."""
+"""Views in which the person is out of sight for a while: behind an object, or outside the picture."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ _AROUND_RATIO = 0.4
 """Least share of the box in sight in that time, on average."""
 _CAMERAS = 12
 _PLACES = 60
-"""Views tried, and places of the thing tried in each."""
+"""Views tried, and places of the object tried in each."""
 _CLEAR_M = 0.06
-"""Distance of the thing from the people's way."""
+"""Distance of the object from the people's way."""
 _FROM_CAMERA_M = 0.7
 _AHEAD_M = 0.05
 _NEAREST_M = 1.0
@@ -49,10 +49,10 @@ def hidden_view(
     request: CameraRequest,
     hiding: Hiding,
 ) -> tuple[Room, Intrinsics, Float[np.ndarray, "frames 4 4"]]:
-    """A camera that loses the person for one stretch, and the room with the thing that hides it.
+    """A camera that loses the person for one stretch, and the room with the object that hides it.
 
     Args:
-        swept_m: skin points of the clip, world; the thing stays clear of them.
+        swept_m: skin points of the clip, world; the object stays clear of them.
         joints_m, skin_m: joints and some hundred skin points of the one person, world.
 
     Raises:
@@ -60,8 +60,8 @@ def hidden_view(
     """
     request = replace(request, height_m=hiding.camera_height_m)
     plan = Plan(room.bounds_m, room.height_m, SweepIndex(swept_m), _CLEAR_M)
-    for thing in room.furniture:
-        plan.add(thing)
+    for obj in room.furniture:
+        plan.add(obj)
     for _ in range(_CAMERAS):
         if hiding.behind is None:
             found = _leaving(rng, room, joints_m, skin_m, request, hiding)
@@ -76,31 +76,31 @@ def _behind(
     rng: np.random.Generator, room: Room, plan: Plan, joints_m: np.ndarray, skin_m: np.ndarray,
     request: CameraRequest, hiding: Hiding,
 ) -> tuple[Room, Intrinsics, np.ndarray] | None:  # fmt: skip
-    """All of the motion in the picture, with a thing before a part of it."""
+    """All of the motion in the picture, with an object before a part of it."""
     lens, T_world_camera = place_camera(rng, room, joints_m[None], request)
     camera_m = T_world_camera[0, :3, 3]
     pixel, seen = in_picture(lens, T_world_camera[0], skin_m)
     seen &= ~_blocked(_caster(room), camera_m, skin_m)
     for _ in range(_PLACES):
-        thing = _thing_before(rng, room, camera_m, joints_m, hiding)
-        boxes = Boxes.of(thing)
+        obj = _object_before(rng, room, camera_m, joints_m, hiding)
+        boxes = Boxes.of(obj)
         if np.linalg.norm(boxes.corners_xz() - camera_m[[0, 2]], axis=1).min() < _FROM_CAMERA_M:
             continue
         if not plan.fits(boxes):
             continue
-        blocked = _blocked(of_objects([thing]).caster(), camera_m, skin_m)
+        blocked = _blocked(of_objects([obj]).caster(), camera_m, skin_m)
         if _is_hidden_once(pixel, seen & ~blocked, hiding):
-            return replace(room, furniture=(*room.furniture, thing)), lens, T_world_camera
+            return replace(room, furniture=(*room.furniture, obj)), lens, T_world_camera
     return None
 
 
-def _thing_before(
+def _object_before(
     rng: np.random.Generator, room: Room, camera_m: np.ndarray, joints_m: np.ndarray, hiding: Hiding
 ) -> SceneObject:
-    """A thing parallel to the walls on the line of sight to the person at some moment."""
+    """An object parallel to the walls on the line of sight to the person at some moment."""
     height_m = float(rng.uniform(*hiding.height_m))
     depth_m = float(rng.uniform(0.3, 0.38) if hiding.behind == "shelf" else rng.uniform(0.42, 0.6))
-    thing = make_furniture(
+    obj = make_furniture(
         hiding.behind or "", rng, size_m=(float(rng.uniform(*hiding.width_m)), depth_m), surface_height_m=height_m
     )
     frame = _moment(rng, camera_m, joints_m, hiding)
@@ -110,11 +110,11 @@ def _thing_before(
     quarter = np.round(np.arctan2(away[0], away[2]) / (np.pi / 2)) * (np.pi / 2)
     yaw = quarter + (np.pi if rng.random() < 0.3 else 0.0) + rng.normal(0.0, 0.03)
     number = max(item.object_id for item in room.objects) + 1
-    return thing.moved(pose(float(place[0]), float(place[2]), float(yaw)), number)
+    return obj.moved(pose(float(place[0]), float(place[2]), float(yaw)), number)
 
 
 def _moment(rng: np.random.Generator, camera_m: np.ndarray, joints_m: np.ndarray, hiding: Hiding) -> int:
-    """Frame at which the thing is to be before the person."""
+    """Frame at which the object is to be before the person."""
     count = len(joints_m)
     if hiding.when == "low":
         return int(joints_m[:, :, 1].max(1).argmin())
@@ -144,7 +144,7 @@ def _leaving(
 
 
 def _caster(room: Room) -> Caster:
-    return of_objects(thing for thing in room.objects if thing.label not in NEVER_HIDES).caster()
+    return of_objects(obj for obj in room.objects if obj.label not in NEVER_HIDES).caster()
 
 
 def in_picture(

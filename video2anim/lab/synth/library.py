@@ -15,7 +15,7 @@ from video2anim.errors import InputError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MotionLibrary:
+class MotionDatabase:
     """Clips of several archives, drawn by kind."""
 
     archives: tuple[MotionArchive, ...]
@@ -23,7 +23,7 @@ class MotionLibrary:
     """(archive, name, kind, source), sorted by name."""
 
     @classmethod
-    def read(cls, paths: Sequence[Path], *, noncommercial: bool = False) -> MotionLibrary:
+    def read(cls, paths: Sequence[Path], *, noncommercial: bool = False) -> MotionDatabase:
         """Open archives, or all archives of a folder.
 
         Raises:
@@ -51,13 +51,13 @@ class MotionLibrary:
         return cls(archives, tuple(sorted(rows, key=lambda row: row[1])))
 
     def draw(
-        self, kind: str, body: ShapedBody, rng: np.random.Generator, *, least_s: float = 1.5
+        self, kind: str, body: ShapedBody, rng: np.random.Generator, *, min_s: float = 1.5
     ) -> RetargetedMotion | None:
-        """A random clip of a kind (at least `least_s` long) on a body; None where there is none."""
+        """A random clip of a kind (at least `min_s` long) on a body; None where there is none."""
         names = [row for row in self.clips if row[2] == kind]
         for number in rng.permutation(len(names)):
             archive, name, _, _ = names[int(number)]
             clip = self.archives[archive].clip(name)
-            if len(clip.root_position_m) / clip.fps >= least_s and not clip.uneven:
+            if len(clip.root_position_m) / clip.fps >= min_s and not clip.uneven:
                 return retarget(clip, body)
         return None

@@ -54,7 +54,7 @@ class _Places:
     """Where each face lies on the body, in terms that hold for all shapes."""
 
     center: Float[np.ndarray, "faces 3"]
-    """Rest position, metres; the two triangles of a quad share it."""
+    """Rest position, meters; the two triangles of a quad share it."""
     trunk: Bool[np.ndarray, "faces"]
     """Moved by pelvis, spine or collars."""
     arm: Float[np.ndarray, "faces"]

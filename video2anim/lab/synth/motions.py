@@ -1,4 +1,4 @@
-"""Acted motions as an archive in the motion container format."""
+"""Procedural motions as an archive in the motion container format."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST = 100_000
 
 
 def write_acted(path: Path, *, count: int, seed: int) -> int:
-    """Write `count` acted motions, kinds in turn, each on a body of its own; their source is `synthetic`.
+    """Write `count` procedural motions, kinds in turn, each on a body of its own; their source is `synthetic`.
 
     Returns:
         How many were written.

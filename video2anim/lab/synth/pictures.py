@@ -1,4 +1,4 @@
-"""Single labelled pictures of one composed room: other cameras, moments, paints and lights for each.
+"""Single labeled pictures of one composed room: other cameras, moments, paints and lights for each.
 
 What a network learns from them must not hang on how rooms usually look, so a share of the pictures is painted and lit
 at random (domain randomisation, Tobin et al. 2017), and some rooms lose their ceiling or walls.
@@ -66,8 +66,8 @@ def room_pictures(spec: ClipSpec, options: ComposeOptions, count: int) -> Iterat
     room = _opened(shot.room, rng)
     surfaces = of_objects(room.objects)
     names = np.zeros(int(surfaces.object_id.max()) + 1, np.uint8)
-    for thing in room.objects:
-        names[thing.object_id] = LABELS.index(thing.label)
+    for obj in room.objects:
+        names[obj.object_id] = LABELS.index(obj.label)
     shot = replace(shot, room=room)
     scene = _Set(shot, surfaces, surfaces.caster(), surfaces.caster(surfaces.opaque()), Cast(shot), names)
     for number in range(count):
@@ -116,7 +116,7 @@ def _picture(scene: _Set, rng: np.random.Generator, spec: ClipSpec, options: Com
     still = instance < len(scene.names)
     label[still] = scene.names[instance[still]]
     for carried in shot.moving:
-        label[instance == carried.thing.object_id] = LABELS.index(carried.thing.label)
+        label[instance == carried.scene_object.object_id] = LABELS.index(carried.scene_object.label)
     R = pose[:3, :3].astype(np.float32)
     return {
         "rgb": Sensor(sensor, rng).apply(rgb, 0),
@@ -132,7 +132,7 @@ def _picture(scene: _Set, rng: np.random.Generator, spec: ClipSpec, options: Com
 
 
 def repainted(materials: tuple[Material, ...], share: float, rng: np.random.Generator) -> tuple[Material, ...]:
-    """The same materials, a share of them with another pattern and other colours; what glows keeps glowing."""
+    """The same materials, a share of them with another pattern and other colors; what glows keeps glowing."""
     out = []
     for material in materials:
         if rng.random() >= share:
@@ -193,10 +193,10 @@ def _opened(room: Room, rng: np.random.Generator) -> Room:
         return room
     dropped = {"ceiling"} if draw > 0.08 else {"ceiling", "picture", "window", "door", "skirting"}
     kept = []
-    for thing in room.structure:
-        gone = thing.label in dropped or (draw < 0.08 and thing.label == "wall" and rng.random() < 0.7)
+    for obj in room.structure:
+        gone = obj.label in dropped or (draw < 0.08 and obj.label == "wall" and rng.random() < 0.7)
         if not gone:
-            kept.append(thing)
+            kept.append(obj)
     return replace(room, structure=tuple(kept))
 
 
@@ -257,7 +257,7 @@ def _draw_camera(
 
 
 def _worth(lens: Intrinsics, pose: np.ndarray, scene: _Set, figures: Caster | None) -> float:
-    """1 for a view with depth and several things; less otherwise."""
+    """1 for a view with depth and several objects; less otherwise."""
     rows, columns = _COARSE
     y, x = np.meshgrid(
         (np.arange(rows) + 0.5) * lens.height_px / rows,
@@ -274,5 +274,5 @@ def _worth(lens: Intrinsics, pose: np.ndarray, scene: _Set, figures: Caster | No
     seen = len(np.unique(scene.surfaces.object_id[hits.face[hits.face >= 0]]))
     if np.isinf(depth).mean() > 0.6:
         return 0.0
-    near, middle = np.percentile(np.where(np.isfinite(depth), depth, 50), [4, 50])
-    return min(near / 0.45, 1.0) * min(middle / 1.1, 1.0) * min(seen / 4, 1.0)
+    near, center = np.percentile(np.where(np.isfinite(depth), depth, 50), [4, 50])
+    return min(near / 0.45, 1.0) * min(center / 1.1, 1.0) * min(seen / 4, 1.0)

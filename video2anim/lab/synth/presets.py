@@ -20,7 +20,7 @@ _BENCH: tuple[tuple[str, ...], ...] = (
 ACTED = ("walk", "sit", "lie", "step_up", "pick_up", "lean", "reach")
 CAPTURED = ("walk", "walk_turn", "chore", "gesture", "pickup", "dance", "sport", "arms")
 PRESETS = ("bench", "random", "hidden", "carried")
-LARGEST_SEED = 2**63 - 1
+MAX_SEED = 2**63 - 1
 """What every reader of `set.json` and `meta.json` can hold."""
 
 
@@ -29,18 +29,18 @@ class Hiding:
     """How the person of a clip of preset `hidden` gets out of sight."""
 
     behind: Literal["shelf", "cabinet"] | None
-    """A thing between camera and person; None = the person leaves the picture."""
+    """An object between camera and person; None = the person leaves the picture."""
     hidden_s: tuple[float, float]
     """Range of the length of the one hidden stretch."""
     when: Literal["passing", "turning", "low"]
-    """The thing stands before the person as it goes across the line of sight, turns round, or is lowest."""
+    """The object stands before the person as it goes across the line of sight, turns round, or is lowest."""
     width_m: tuple[float, float] = (0.0, 0.0)
     height_m: tuple[float, float] = (0.0, 0.0)
     camera_height_m: tuple[float, float] = (1.0, 2.2)
 
 
 _TALL, _LOW = (1.8, 2.1), (0.9, 1.3)
-"""Heights of things, metres, that hide somebody who stands, and somebody who crouches."""
+"""Heights of objects, meters, that hide somebody who stands, and somebody who crouches."""
 _LONG_S, _SHORT_S = (1.0, 3.0), (0.3, 0.95)
 _HIDDEN: tuple[tuple[str, str, Hiding], ...] = (
     ("walk_behind_shelf", "walk", Hiding("shelf", _LONG_S, "passing", (0.8, 1.4), _TALL)),
@@ -108,12 +108,12 @@ def expect_count_and_seed(count: int, seed: int, most: int) -> None:
     """Refuse numbers that nobody can mean.
 
     Raises:
-        UsageError: the count is not 1 to `most`, or the seed not 0 to `LARGEST_SEED`.
+        UsageError: the count is not 1 to `most`, or the seed not 0 to `MAX_SEED`.
     """
     if not 1 <= count <= most:
         raise UsageError(f"--count: want 1 to {most}, got {count}")
-    if not 0 <= seed <= LARGEST_SEED:
-        raise UsageError(f"--seed: want 0 to {LARGEST_SEED}, got {seed}")
+    if not 0 <= seed <= MAX_SEED:
+        raise UsageError(f"--seed: want 0 to {MAX_SEED}, got {seed}")
 
 
 def _bench(seed: int, index: int) -> ClipSpec:

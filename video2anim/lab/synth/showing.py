@@ -1,4 +1,4 @@
-"""Views that show a thing which somebody moves: of several cameras the one from which it is seen best."""
+"""Views that show an object which somebody moves: of several cameras the one from which it is seen best."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from video2anim.lab.synth.cameras import NEVER_HIDES, CameraRequest, place_camer
 from video2anim.lab.synth.hiding import in_picture
 from video2anim.lab.synth.render.caster import Caster
 from video2anim.lab.synth.render.surfaces import of_objects
-from video2anim.lab.synth.world import ActedMotion, Room
+from video2anim.lab.synth.world import ProceduralMotion, Room
 from video2anim.types import Intrinsics
 
 _CAMERAS = 8
 _FRAMES = 16
 """Views that are compared, and frames looked at in each."""
-LEAST_SEEN = 0.5
-"""Least share of the thing's points that are in the picture and hidden by neither body nor room, on average over each
+MIN_SEEN = 0.5
+"""Least share of the object's points that are in the picture and hidden by neither body nor room, on average over each
 third of the clip: before, while and after it is carried."""
 _INSET_M = 0.003
 
 
-def box_points(acted: ActedMotion, spacing_m: float) -> Float[np.ndarray, "points 3"]:
-    """Points on the box around a thing, in its frame; a little inside, for the thing rests on others."""
+def box_points(acted: ProceduralMotion, spacing_m: float) -> Float[np.ndarray, "points 3"]:
+    """Points on the box around an object, in its frame; a little inside, for the object rests on others."""
     if acted.item is None:
         return np.zeros((0, 3))
     corners = np.concatenate([part.vertices_m for part in acted.item.parts])
@@ -33,7 +33,7 @@ def box_points(acted: ActedMotion, spacing_m: float) -> Float[np.ndarray, "point
     return grid[((grid == low) | (grid == high)).any(1)]
 
 
-def swept_points(acted: ActedMotion, spacing_m: float) -> Float[np.ndarray, "points 3"]:
+def swept_points(acted: ProceduralMotion, spacing_m: float) -> Float[np.ndarray, "points 3"]:
     """The same in the world, in every second frame: furniture stays clear of its way."""
     if acted.item_pose is None:
         return np.zeros((0, 3))
@@ -44,21 +44,21 @@ def swept_points(acted: ActedMotion, spacing_m: float) -> Float[np.ndarray, "poi
 def showing_view(
     rng: np.random.Generator,
     room: Room,
-    acted: ActedMotion,
+    acted: ProceduralMotion,
     joints_m: Float[np.ndarray, "frames 22 3"],
     skin_m: Float[np.ndarray, "frames vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
     request: CameraRequest,
 ) -> tuple[Intrinsics, Float[np.ndarray, "frames 4 4"]]:
-    """The camera of several that sees the moved thing best.
+    """The camera of several that sees the moved object best.
 
     Raises:
-        InputError: no camera sees the motion, or each has the thing hidden for most of the time.
+        InputError: no camera sees the motion, or each has the object hidden for most of the time.
     """
     assert acted.item_pose is not None
     frames = np.linspace(0, len(joints_m) - 1, _FRAMES).round().astype(int)
     points = box_points(acted, 0.15)
-    room_caster = of_objects(thing for thing in room.objects if thing.label not in NEVER_HIDES).caster()
+    room_caster = of_objects(obj for obj in room.objects if obj.label not in NEVER_HIDES).caster()
     bodies = [Caster(skin_m[frame], faces) for frame in frames]
     best, most = None, -1.0
     for _ in range(_CAMERAS):
@@ -74,6 +74,6 @@ def showing_view(
         worst = min(float(third.mean()) for third in np.array_split(np.array(seen), 3))
         if worst > most:
             best, most = (lens, T_world_camera), worst
-    if best is None or most < LEAST_SEEN:
-        raise InputError("every camera loses sight of the thing that is moved")
+    if best is None or most < MIN_SEEN:
+        raise InputError("every camera loses sight of the object that is moved")
     return best

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from video2anim.artifacts.folder import whole_or_absent
+from video2anim.artifacts.folder import atomic_directory
 from video2anim.artifacts.images import write_png
 from video2anim.artifacts.motion_io import motion_arrays, write_motion
 from video2anim.export.character import character_of
@@ -52,7 +52,7 @@ def write_clip(
         rng: Randomness of the sensor.
         label_stride: Depth, normals and instances are kept for every such frame.
     """
-    with whole_or_absent(folder) as work:
+    with atomic_directory(folder) as work:
         renderer, sensor = Renderer(shot), Sensor(shot.sensor, rng)
         labels = _Labels(shot, renderer, label_stride)
         width_px, height_px = shot.intrinsics.width_px, shot.intrinsics.height_px
@@ -63,7 +63,7 @@ def write_clip(
                 picture = renderer.frame(t)
                 labels.add(t, picture)
                 video.write(sensor.apply(picture.rgb, t))
-        write_png(work / "plate.png", labels.plate_rgb)
+        write_png(work / "plate.png", labels.background_rgb)
         _write_truth(work, shot, labels)
         _write_meshes(work, shot)
         (work / "meta.json").write_text(json.dumps(_meta(shot, facts), indent=1) + "\n")
@@ -79,16 +79,16 @@ class _Labels:
         self.depth, self.normal, self.instance = [], [], []
         self.bare_depth, self.bare_normal, self.bare_instance = [], [], []
         self.box = np.full((len(shot.actors), shot.frame_count, 4), np.nan)
-        self.plate_rgb = np.zeros((0, 0, 3), np.uint8)
+        self.background_rgb = np.zeros((0, 0, 3), np.uint8)
         self._bare(0)
 
     def _bare(self, t: int) -> None:
-        plate = self.renderer.plate(t)
+        background = self.renderer.background(t)
         if t == 0:
-            self.plate_rgb = plate.rgb
-        self.bare_depth.append(depth_code(plate.depth_m))
-        self.bare_normal.append(normal_code(plate.normal_camera))
-        self.bare_instance.append(plate.instance)
+            self.background_rgb = background.rgb
+        self.bare_depth.append(depth_code(background.depth_m))
+        self.bare_normal.append(normal_code(background.normal_camera))
+        self.bare_instance.append(background.instance)
 
     def add(self, t: int, picture: Picture) -> None:
         for person in range(len(self.shot.actors)):
@@ -105,7 +105,7 @@ class _Labels:
 
 
 def depth_code(depth_m: np.ndarray) -> np.ndarray:
-    """Depth as millimetres, uint16; 0 = nothing hit."""
+    """Depth as millimeters, uint16; 0 = nothing hit."""
     return np.rint(np.clip(depth_m / DEPTH_UNIT_M, 0, 65535)).astype(np.uint16)
 
 
@@ -120,9 +120,9 @@ def up_in_camera(shot: Shot) -> Float[np.ndarray, "frames 3"]:
 
 
 def _write_truth(work: Path, shot: Shot, labels: _Labels) -> None:
-    furniture = [thing for thing in shot.room.furniture if thing.label not in STRUCTURE_LABELS]
-    amodal = [labels.renderer.amodal(thing.object_id) for thing in furniture]
-    numbers = np.array([thing.object_id for thing in shot.room.objects])
+    furniture = [obj for obj in shot.room.furniture if obj.label not in STRUCTURE_LABELS]
+    amodal = [labels.renderer.amodal(obj.object_id) for obj in furniture]
+    numbers = np.array([obj.object_id for obj in shot.room.objects])
     extra = {
         "up_camera": up_in_camera(shot),
         "is_static": np.array(shot.is_static),
@@ -134,15 +134,15 @@ def _write_truth(work: Path, shot: Shot, labels: _Labels) -> None:
         "background_normal": np.stack(labels.bare_normal),
         "background_instance": np.stack(labels.bare_instance),
         "object_id": numbers,
-        "object_class": np.array([LABELS.index(thing.label) for thing in shot.room.objects]),
+        "object_class": np.array([LABELS.index(obj.label) for obj in shot.room.objects]),
         "object_visible_px": np.array([int((labels.bare_instance[0] == number).sum()) for number in numbers]),
-        "amodal_object_id": np.array([thing.object_id for thing in furniture], np.int64),
+        "amodal_object_id": np.array([obj.object_id for obj in furniture], np.int64),
         "amodal": np.stack(amodal) if amodal else np.zeros((0, *labels.bare_instance[0].shape), bool),
         "person_box_px": labels.box,
     }
     if shot.moving:
         extra |= {
-            "moving_object_id": np.array([item.thing.object_id for item in shot.moving]),
+            "moving_object_id": np.array([item.scene_object.object_id for item in shot.moving]),
             "T_world_moving": np.stack([item.T_world_object for item in shot.moving]),
             "moving_held": np.stack([item.held.any(1) for item in shot.moving]),
             "moving_hands": np.stack([item.held.any(0) for item in shot.moving]),
@@ -155,24 +155,24 @@ def _write_truth(work: Path, shot: Shot, labels: _Labels) -> None:
 
 def _write_meshes(work: Path, shot: Shot) -> None:
     (work / "objects").mkdir()
-    things = [*shot.room.objects, *(moving.thing for moving in shot.moving)]
-    placed = [placed_object(thing) for thing in things]
-    for thing in placed:
-        write_object_glb(work / "objects" / f"{thing.object_id}.glb", thing)
+    objects = [*shot.room.objects, *(moving.scene_object for moving in shot.moving)]
+    placed = [placed_object(obj) for obj in objects]
+    for obj in placed:
+        write_object_glb(work / "objects" / f"{obj.object_id}.glb", obj)
     scene = _SceneMeshes(tuple(placed), RoomPiece("floor", empty_mesh()), ())
     write_scene_glb(work / "scene.glb", tuple(character_of(actor.motion) for actor in shot.actors), scene)
 
 
-def placed_object(thing: SceneObject) -> PlacedObject:
-    """A thing as the pipeline's type, colours baked to the vertices."""
+def placed_object(obj: SceneObject) -> PlacedObject:
+    """An object as the pipeline's type, colors baked to the vertices."""
     vertices, faces, colours, count = [], [], [], 0
-    for part in thing.parts:
+    for part in obj.parts:
         vertices.append(np.asarray(part.vertices_m, float))
         faces.append(np.asarray(part.faces, np.int64) + count)
         colours.append(_baked(part))
         count += len(part.vertices_m)
     mesh = Mesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(colours))
-    return PlacedObject(thing.object_id, thing.label, mesh, 1.0, thing.T_world_object, None, None, True, thing.note)
+    return PlacedObject(obj.object_id, obj.label, mesh, 1.0, obj.T_world_object, None, None, True, obj.note)
 
 
 def _baked(part: Part) -> UInt8[np.ndarray, "vertices 3"]:
@@ -189,8 +189,8 @@ def _baked(part: Part) -> UInt8[np.ndarray, "vertices 3"]:
 def _meta(shot: Shot, facts: dict[str, Any]) -> dict[str, Any]:
     lens, T = shot.intrinsics, shot.T_world_camera[0]
     x0, x1, z0, z1 = shot.room.bounds_m
-    moving = {item.thing.object_id for item in shot.moving}
-    things = [*shot.room.objects, *(item.thing for item in shot.moving)]
+    moving = {item.scene_object.object_id for item in shot.moving}
+    objects = [*shot.room.scene_objectects, *(item.obj for item in shot.moving)]
     return {
         "format_version": FORMAT_VERSION,
         **facts,
@@ -222,15 +222,15 @@ def _meta(shot: Shot, facts: dict[str, Any]) -> dict[str, Any]:
         ],
         "objects": [
             {
-                "object_id": thing.object_id,
-                "label": thing.label,
-                "is_furniture": thing.label in FURNITURE_LABELS or thing.label == "mesh",
-                "is_moving": thing.object_id in moving,
-                "T_world_object": np.asarray(thing.T_world_object).tolist(),
-                "file": f"objects/{thing.object_id}.glb",
-                "note": thing.note,
+                "object_id": obj.object_id,
+                "label": obj.label,
+                "is_furniture": obj.label in FURNITURE_LABELS or obj.label == "mesh",
+                "is_moving": obj.object_id in moving,
+                "T_world_object": np.asarray(obj.T_world_object).tolist(),
+                "file": f"objects/{obj.object_id}.glb",
+                "note": obj.note,
             }
-            for thing in things
+            for obj in objects
         ],
         "room": {"width_m": x1 - x0, "depth_m": z1 - z0, "height_m": shot.room.height_m, "bounds_m": [x0, x1, z0, z1]},
         "sensor": asdict(shot.sensor),

@@ -1,4 +1,4 @@
-"""What people may wear: colours of skin, hair and cloth, and cuts of clothes, drawn at random."""
+"""What people may wear: colors of skin, hair and cloth, and cuts of clothes, drawn at random."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Outfit:
     cuff: float
     """End of the trouser leg: 1 knee, 2 ankle."""
     hem: float
-    """Height of the shirt's hem over the pelvis joint, metres."""
+    """Height of the shirt's hem over the pelvis joint, meters."""
     neckline: str
     """`crew`, `v` or `high`."""
     belt: bool
@@ -113,7 +113,7 @@ def _body_materials(male: bool, rng: np.random.Generator) -> dict[str, Material]
 
 
 def _color(rng: np.random.Generator) -> Rgb:
-    """A cloth colour: half of them muted or grey."""
+    """A cloth color: half of them muted or gray."""
     muted = rng.random() < 0.5
     saturation = rng.uniform(0.0, 0.25) if muted else rng.uniform(0.35, 0.8)
     return colorsys.hsv_to_rgb(rng.random(), saturation, float(rng.uniform(0.18, 0.9)))
@@ -127,7 +127,7 @@ def _cloth(color: Rgb, rng: np.random.Generator, *, patterns: bool) -> Material:
 
 
 def _other(color: Rgb, rng: np.random.Generator) -> Rgb:
-    """A colour that goes with another: white, dark, or a shade of it."""
+    """A color that goes with another: white, dark, or a shade of it."""
     choice = rng.integers(3)
     return ((0.90, 0.89, 0.86), (0.10, 0.10, 0.13), _scaled(color, 0.55))[choice]
 

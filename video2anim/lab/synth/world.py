@@ -1,4 +1,4 @@
-"""What a synthetic clip consists of, before it is drawn. World: metres, +Y up, floor at y = 0."""
+"""What a synthetic clip consists of, before it is drawn. World: meters, +Y up, floor at y = 0."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ LABELS = ("none", "person", *STRUCTURE_LABELS, *FURNITURE_LABELS, *CLUTTER_LABEL
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """A procedural solid texture: a colour for each point of an object's own frame, so that no UVs are needed."""
+    """A procedural solid texture: a color for each point of an object's own frame, so that no UVs are needed."""
 
     kind: str
     """One of `MATERIAL_KINDS`."""
     rgb: tuple[float, float, float]
-    """Main colour, sRGB 0 to 1."""
+    """Main color, sRGB 0 to 1."""
     rgb2: tuple[float, float, float] = (0.5, 0.5, 0.5)
-    """Second colour (grain, joints, stripes), sRGB 0 to 1."""
+    """Second color (grain, joints, stripes), sRGB 0 to 1."""
     scale_m: float = 0.1
     """Size of the pattern: plank width, tile edge, stripe period."""
     gloss: float = 0.0
@@ -54,14 +54,14 @@ class Part:
     """Counter-clockwise from outside."""
     material: Material
     smooth: bool = False
-    """Shade with interpolated vertex normals (round things) instead of face normals."""
+    """Shade with interpolated vertex normals (round objects) instead of face normals."""
     vertex_rgb: UInt8[np.ndarray, "vertices 3"] | None = None
-    """Baked colours of external meshes; used instead of the material's."""
+    """Baked colors of external meshes; used instead of the material's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """A horizontal rectangle things or people can rest on, in the object's frame."""
+    """A horizontal rectangle objects or people can rest on, in the object's frame."""
 
     kind: str
     """`seat`, `top`, `bed` or `tread`."""
@@ -74,7 +74,7 @@ class Surface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneObject:
-    """One thing. Own frame: +Y up, resting on y = 0, origin under the middle, front towards +Z."""
+    """One object. Own frame: +Y up, resting on y = 0, origin under the middle, front towards +Z."""
 
     object_id: int
     """Unique in the world, from 1; structure and furniture alike."""
@@ -87,7 +87,7 @@ class SceneObject:
     """Where it came from: generator variant or file name."""
 
     def moved(self, T_world_object: np.ndarray, object_id: int | None = None) -> SceneObject:
-        """The same thing at another pose."""
+        """The same object at another pose."""
         number = self.object_id if object_id is None else object_id
         return replace(self, T_world_object=np.asarray(T_world_object, float), object_id=number)
 
@@ -135,16 +135,16 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class Prop:
-    """A thing an acted motion needs, in the world frame; the furniture maker builds it to measure."""
+    """An object an procedural motion needs, in the world frame; the furniture maker builds it to measure."""
 
     kind: str
     """`seat`, `bed`, `table` (something to reach to or lean on at `height_m`), `step`, `wall` (to lean against),
-    `item` (small thing picked up; it lies at `height_m`)."""
+    `item` (small object picked up; it lies at `height_m`)."""
     position_m: tuple[float, float, float]
     """Middle of the surface the body uses (seat: under the pelvis; table: at the hand; step: under the foot;
     wall: the point touched; item: middle of its underside), y = height of that surface."""
     yaw_rad: float
-    """Direction in which the thing faces: the +Z of its frame is (sin yaw, 0, cos yaw). For a seat the way the sitter
+    """Direction in which the object faces: the +Z of its frame is (sin yaw, 0, cos yaw). For a seat the way the sitter
     looks; for table, step and wall the side from which the person comes."""
     size_m: tuple[float, float]
     """Least width (x) and depth (z) of the surface."""
@@ -156,16 +156,16 @@ class Prop:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingObject:
-    """A rigid thing that somebody carries."""
+    """A rigid object that somebody carries."""
 
-    thing: SceneObject
+    scene_object: SceneObject
     T_world_object: Float[np.ndarray, "frames 4 4"]
     held: Bool[np.ndarray, "frames 2"]
     """Whether the left and the right hand hold it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ActedMotion:
+class ProceduralMotion:
     """A motion of the 22 joints for one body shape with its truth about contact, in the world frame at 30 fps."""
 
     name: str
@@ -180,11 +180,11 @@ class ActedMotion:
     spine3 = back."""
     props: tuple[Prop, ...] = ()
     item_pose: Float[np.ndarray, "frames 4 4"] | None = None
-    """World pose of the thing that is moved (before and after it rests)."""
+    """World pose of the object that is moved (before and after it rests)."""
     item_held: Bool[np.ndarray, "frames 2"] | None = None
     """Whether the left and the right hand hold it."""
     item: SceneObject | None = None
-    """The thing itself, where the motion is made for it; else the room has it for the `item` prop."""
+    """The object itself, where the motion is made for it; else the room has it for the `item` prop."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,11 +210,11 @@ class SensorModel:
 
     exposure: float = 1.0
     noise_steps: float = 0.0
-    """Read-and-shot noise level: standard deviation in 8-bit steps at mid grey; 0 = none."""
+    """Read-and-shot noise level: standard deviation in 8-bit steps at mid gray; 0 = none."""
     blur_s: float = 0.0
     """Shutter time of motion blur; 0 = none."""
     k1: float = 0.0
-    """Radial distortion (Brown), on normalised coordinates; labels are distorted alike."""
+    """Radial distortion (Brown), on normalized coordinates; labels are distorted alike."""
     k2: float = 0.0
     vignette: float = 0.0
     white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)

@@ -1,4 +1,4 @@
-"""The kinds of acted motion."""
+"""The kinds of procedural motion."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from video2anim.lab.synth.acting.perform import perform
 from video2anim.lab.synth.acting.script import Script
 from video2anim.lab.synth.acting.sit import act_sit
 from video2anim.lab.synth.acting.walking import bezier, random_pace, walk
-from video2anim.lab.synth.world import ActedMotion
+from video2anim.lab.synth.world import ProceduralMotion
 
 
-def act_walk(script: Script) -> ActedMotion:
+def act_walk(script: Script) -> ProceduralMotion:
     """Two curved stretches with a stop between them."""
     rng = script.rng
     for _ in range(2):
@@ -35,7 +35,7 @@ def act_walk(script: Script) -> ActedMotion:
     return motion_of("walk", perform(script))
 
 
-def act_return(script: Script) -> ActedMotion:
+def act_return(script: Script) -> ProceduralMotion:
     """Walk away, turn round in a small bow and come back."""
     rng, size = script.rng, script.size
     out = script.yaw_rad + rng.uniform(-0.15, 0.15)
@@ -54,7 +54,7 @@ def act_return(script: Script) -> ActedMotion:
     return motion_of("return", perform(script))
 
 
-ACTS: dict[str, Callable[[Script], ActedMotion]] = {
+ACTS: dict[str, Callable[[Script], ProceduralMotion]] = {
     "walk": act_walk,
     "return": act_return,
     "sit": act_sit,
@@ -68,12 +68,12 @@ ACTS: dict[str, Callable[[Script], ActedMotion]] = {
 
 def act(
     kind: str, body: ShapedBody, rng: np.random.Generator, *, duration_s: tuple[float, float] = (6.0, 9.0)
-) -> ActedMotion:
+) -> ProceduralMotion:
     """A motion of one of the kinds `ACTS` for a body, with the props it needs, starting near the origin.
 
     Raises:
         UsageError: unknown kind.
     """
     if kind not in ACTS:
-        raise UsageError(f"acted motion: want one of {', '.join(ACTS)}, got {kind!r}")
+        raise UsageError(f"procedural motion: want one of {', '.join(ACTS)}, got {kind!r}")
     return fitted(ACTS[kind](Script.standing(measure(body), rng)), rng, duration_s)

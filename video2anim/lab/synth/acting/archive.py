@@ -1,4 +1,4 @@
-"""Acted motions in the container format of the captured ones."""
+"""Procedural motions in the container format of the captured ones."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from scenemi.data.container import SourceClip, SourceSkeleton
 from video2anim.body.anny_body import ShapedBody
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
 from video2anim.lab.synth.acting.curves import FPS
-from video2anim.lab.synth.world import ActedMotion
+from video2anim.lab.synth.world import ProceduralMotion
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
 _UNEVEN = ("step_up", "lie")
 """Kinds whose feet stand or lie above the floor."""
 
 
-def to_source_clip(motion: ActedMotion, body: ShapedBody, name: str | None = None) -> SourceClip:
+def to_source_clip(motion: ProceduralMotion, body: ShapedBody, name: str | None = None) -> SourceClip:
     """The motion on the body's own 22-joint skeleton, as a clip of source `synthetic`."""
     rest = body.rest_joints_m
     offsets = rest - np.where(PARENTS[:, None] < 0, 0.0, rest[np.maximum(PARENTS, 0)])

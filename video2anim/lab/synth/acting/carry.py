@@ -1,6 +1,6 @@
-"""Moving things: picking up, carrying, putting down, drinking, pulling a chair. The thing is made for the hand.
+"""Moving objects: picking up, carrying, putting down, drinking, pulling a chair. The object is made for the hand.
 
-A thing that is held is rigid with the hand; where it is taken and put down it stands flat, because the hand is turned
+An object that is held is rigid with the hand; where it is taken and put down it stands flat, because the hand is turned
 against the heading there as it is while it carries.
 """
 
@@ -16,22 +16,22 @@ from video2anim.body.anny_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.lab.synth.acting.curves import FPS, axis_rotation, turned
 from video2anim.lab.synth.acting.finish import cut, motion_of
-from video2anim.lab.synth.acting.grip import Grip, Hands, bag_grip, expect_sane, side_grip, thing_in, top_grip
+from video2anim.lab.synth.acting.grip import Grip, Hands, bag_grip, expect_sane, object_in, side_grip, top_grip
 from video2anim.lab.synth.acting.measure import measure
 from video2anim.lab.synth.acting.perform import Performed, perform
 from video2anim.lab.synth.acting.script import HandGoal, Script
 from video2anim.lab.synth.acting.sit import approach, palm_down
 from video2anim.lab.synth.acting.walking import bezier, random_pace, turn, walk
-from video2anim.lab.synth.world import ActedMotion, Prop, SceneObject
+from video2anim.lab.synth.world import ProceduralMotion, Prop, SceneObject
 
 _BEFORE_S, _AFTER_S = 2.0, 1.6
-"""What is kept of the motion before the thing is grasped and after it is let go."""
+"""What is kept of the motion before the object is grasped and after it is let go."""
 _ABOVE_M = 0.1
-"""Things are lifted from, and lowered to, a table through a place so far above it."""
+"""Objects are lifted from, and lowered to, a table through a place so far above it."""
 _BEFORE_KNEES_M = (0.06, 0.3)
 """From and to the floor through one so much farther ahead and higher."""
 _REACHED_M = 0.0005
-"""Most that a wrist may be off its goal where a thing is grasped or let go."""
+"""Most that a wrist may be off its goal where an object is grasped or let go."""
 _EVENT_S = (2.0, 0.6)
 """Bending that begins so long before a grasp, and so long after it, belongs to it."""
 _NEAR = 0.75
@@ -41,7 +41,7 @@ _DEEPER = {"crouch": 1.15, "spine_flex": 1.06, "pelvis_pitch": 1.08}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spot:
-    """A place where the thing stands, world."""
+    """A place where the object stands, world."""
 
     position_m: Float[np.ndarray, "3"]
     yaw_rad: float
@@ -59,7 +59,8 @@ def _spot(script: Script, aside_m: float, height_m: float, ahead_m: float) -> _S
 
 
 def _bend(script: Script, wrist_height_m: float, start_s: float, span_s: float) -> None:
-    """Bends and crouches, the more the lower the wrists must get; knees stay back, for the thing passes before them."""
+    """Bends and crouches, the more the lower the wrists must get; knees stay back, for the object passes before
+    them."""
     low = float(np.clip((1.05 * script.size.scale - wrist_height_m) / (0.85 * script.size.scale), 0.15, 1.0))
     script.keyed.key(start_s, span_s, crouch=0.2 * low * low, pelvis_pitch=0.75 * low, spine_flex=0.65 * low)
     script.keyed.key(start_s, 0.8 * span_s, neck_flex=0.3)
@@ -71,7 +72,7 @@ def _straighten(script: Script, start_s: float, span_s: float) -> None:
 
 
 def _take(script: Script, hands: Hands, spot: _Spot, *, lower_m: float = 0.0) -> float:
-    """Reaches for the thing; gives the time of the grasp, which is the script's time afterwards.
+    """Reaches for the object; gives the time of the grasp, which is the script's time afterwards.
 
     `lower_m`: bends as for something so much lower, so that the arm has something to give.
     """
@@ -88,7 +89,7 @@ def _take(script: Script, hands: Hands, spot: _Spot, *, lower_m: float = 0.0) ->
 
 
 def _lift(script: Script, hands: Hands, spot: _Spot, carry_m: Float[np.ndarray, "3"]) -> None:
-    """Rises with the thing to where it is carried: the wrist in the heading frame at the pelvis, left side."""
+    """Rises with the object to where it is carried: the wrist in the heading frame at the pelvis, left side."""
     grasp, low = script.now_s, spot.position_m[1] < 0.3
     up = script.rng.uniform(1.0, 1.2) + 0.3 * low
     _straighten(script, grasp + (0.2 if low else 0.1), up)
@@ -108,7 +109,7 @@ def _above(spot: _Spot, scale: float) -> Float[np.ndarray, "4 4"]:
 
 
 def _put(script: Script, hands: Hands, spot: _Spot) -> float:
-    """Puts the thing down; gives the time at which it is let go."""
+    """Puts the object down; gives the time at which it is let go."""
     low = spot.position_m[1] < 0.3
     start, span = script.now_s + script.rng.uniform(0.1, 0.25), script.rng.uniform(1.2, 1.4) + 0.3 * low
     # Who bends before the arms go down need not stretch them.
@@ -178,10 +179,10 @@ def _solved(script: Script, hands: Hands, times_s: tuple[float, ...]) -> Perform
 
 
 def _finished(
-    script: Script, kind: str, thing: SceneObject, hands: Hands, first: tuple[float | None, _Spot | None],
+    script: Script, kind: str, obj: SceneObject, hands: Hands, first: tuple[float | None, _Spot | None],
     last: tuple[float | None, _Spot | None], props: tuple[Prop, ...] = (),
-) -> ActedMotion:  # fmt: skip
-    """Solves the script: the thing rests at a spot until a time, is held, and rests at another spot from a time on.
+) -> ProceduralMotion:  # fmt: skip
+    """Solves the script: the object rests at a spot until a time, is held, and rests at another spot from a time on.
 
     No time and spot: it is held from the start, or to the end.
     """
@@ -190,7 +191,7 @@ def _finished(
     count = len(done.t)
     grasp = 0 if first[0] is None else int(np.ceil(first[0] * FPS))
     release = count - 1 if last[0] is None else int(np.ceil(last[0] * FPS))
-    pose = thing_in(done, hands, slice(0, count))
+    pose = object_in(done, hands, slice(0, count))
     if first[1] is not None:
         # What the solver is off by goes into the grip, so that nothing jumps when the hand closes.
         pose = pose @ np.linalg.inv(pose[grasp]) @ first[1].T
@@ -198,12 +199,12 @@ def _finished(
     if last[1] is not None:
         end = _flat(pose[release], last[1].position_m[1])
         if np.abs(end - pose[release]).max() > 2 * _REACHED_M:
-            raise InputError(f"{thing.label} would be let go askew; act the motion again")
+            raise InputError(f"{obj.label} would be let go askew; act the motion again")
         pose[release + 1 :] = end
-    expect_sane(script, done, hands, thing, pose, range(grasp, release + 1))
+    expect_sane(script, done, hands, obj, pose, range(grasp, release + 1))
     held = np.zeros((count, 2), bool)
     held[grasp : release + 1, [grip.side for grip in hands.grips]] = True
-    motion = replace(motion_of(kind, done, props), item_pose=pose, item_held=held, item=thing)
+    motion = replace(motion_of(kind, done, props), item_pose=pose, item_held=held, item=obj)
     begin = max(0, grasp - round(_BEFORE_S * FPS)) if first[0] is not None else 0
     stop = min(count, release + round(_AFTER_S * FPS)) if last[0] is not None else count
     return cut(motion, begin, stop)
@@ -228,12 +229,12 @@ def _side(script: Script) -> int:
     return int(script.rng.integers(2))
 
 
-def carry_from_floor(script: Script) -> ActedMotion:
-    """Walk up to a small thing on the floor, pick it up, walk on with it and stand."""
+def carry_from_floor(script: Script) -> ProceduralMotion:
+    """Walk up to a small object on the floor, pick it up, walk on with it and stand."""
     size, side = script.size, _side(script)
     out = 1.0 - 2.0 * side
-    thing = Grip.thing(script.rng, ("vase", "box"), (0.17, 0.17))
-    hands = Hands(script, (side_grip(size, side, thing, inward_rad=0.15, droop_rad=0.65),))
+    obj = Grip.furniture_piece(script.rng, ("vase", "box"), (0.17, 0.17))
+    hands = Hands(script, (side_grip(size, side, obj, inward_rad=0.15, droop_rad=0.65),))
     approach(script, script.rng.uniform(1.6, 2.0))
     spot = _spot(script, out * 0.13 * size.scale, 0.0, 0.37 * size.scale)
     grasp = _take(script, hands, spot)
@@ -241,15 +242,15 @@ def carry_from_floor(script: Script) -> ActedMotion:
     bearing = script.rng.choice([-1.0, 1.0]) * script.rng.uniform(0.7, 1.0)
     _walk_to(script, 0.7 * bearing, script.rng.uniform(2.0, 2.5), 1.4 * bearing)
     script.wait(1.0)
-    return _finished(script, "carry_from_floor", thing, hands, (grasp, spot), (None, None))
+    return _finished(script, "carry_from_floor", obj, hands, (grasp, spot), (None, None))
 
 
-def carry_between(script: Script) -> ActedMotion:
-    """Take a thing from a table, carry it to another table or to the floor elsewhere, and put it down."""
+def carry_between(script: Script) -> ProceduralMotion:
+    """Take an object from a table, carry it to another table or to the floor elsewhere, and put it down."""
     size, rng, side = script.size, script.rng, _side(script)
     out = 1.0 - 2.0 * side
-    thing = Grip.thing(rng, ("vase", "box"), (0.16, 0.16))
-    hands = Hands(script, (side_grip(size, side, thing, inward_rad=0.3, droop_rad=0.45),))
+    obj = Grip.furniture_piece(rng, ("vase", "box"), (0.16, 0.16))
+    hands = Hands(script, (side_grip(size, side, obj, inward_rad=0.3, droop_rad=0.45),))
     approach(script, rng.uniform(1.6, 2.0))
     spot = _spot(script, out * 0.12 * size.scale, float(rng.uniform(0.7, 0.8)) * size.scale, 0.46 * size.scale)
     grasp = _take(script, hands, spot)
@@ -266,14 +267,16 @@ def carry_between(script: Script) -> ActedMotion:
     props = [_table(spot, (0, int(lifted * FPS)), size.scale)]
     if not on_floor:
         props.append(_table(goal, (int(arrived * FPS), int(release * FPS)), size.scale))
-    return _finished(script, "carry_between", thing, hands, (grasp, spot), (release, goal), tuple(props))
+    return _finished(script, "carry_between", obj, hands, (grasp, spot), (release, goal), tuple(props))
 
 
-def carry_box(script: Script) -> ActedMotion:
+def carry_box(script: Script) -> ProceduralMotion:
     """Lift a box from the floor with both hands, carry it elsewhere and set it down."""
     size, rng = script.size, script.rng
-    thing = Grip.thing(rng, ("box",), (rng.uniform(0.32, 0.38), rng.uniform(0.24, 0.28)), rng.uniform(0.19, 0.23))
-    grips = tuple(side_grip(size, side, thing, inward_rad=0.0, droop_rad=0.6, flat=True) for side in (0, 1))
+    obj = Grip.furniture_piece(
+        rng, ("box",), (rng.uniform(0.32, 0.38), rng.uniform(0.24, 0.28)), rng.uniform(0.19, 0.23)
+    )
+    grips = tuple(side_grip(size, side, obj, inward_rad=0.0, droop_rad=0.6, flat=True) for side in (0, 1))
     hands = Hands(script, grips)
     approach(script, rng.uniform(1.5, 1.9))
     spot = _spot(script, 0.0, 0.0, 0.44 * size.scale)
@@ -285,16 +288,16 @@ def carry_box(script: Script) -> ActedMotion:
     _walk_to(script, bearing, rng.uniform(1.8, 2.3), 1.6 * bearing)
     goal = _spot(script, 0.0, 0.0, 0.44 * size.scale)
     release = _put(script, hands, goal)
-    return _finished(script, "carry_box", thing, hands, (grasp, spot), (release, goal))
+    return _finished(script, "carry_box", obj, hands, (grasp, spot), (release, goal))
 
 
-def drink(script: Script) -> ActedMotion:
+def drink(script: Script) -> ProceduralMotion:
     """Lift a cup from a table, drink, and put it back."""
     size, rng, side = script.size, script.rng, _side(script)
     out = 1.0 - 2.0 * side
-    thing = Grip.thing(rng, ("cup",), (0.12, 0.12))
+    obj = Grip.furniture_piece(rng, ("cup",), (0.12, 0.12))
     inward = 0.6
-    grip = side_grip(size, side, thing, inward_rad=inward, droop_rad=0.1, above_m=0.055)
+    grip = side_grip(size, side, obj, inward_rad=inward, droop_rad=0.1, above_m=0.055)
     hands = Hands(script, (grip,))
     approach(script, rng.uniform(1.6, 2.0))
     spot = _spot(script, out * 0.06 * size.scale, float(rng.uniform(0.72, 0.82)) * size.scale, 0.46 * size.scale)
@@ -302,7 +305,7 @@ def drink(script: Script) -> ActedMotion:
     start, up = grasp, rng.uniform(1.0, 1.2)
     _straighten(script, grasp, up)
     lips = size.rest_m[15] + np.array([0.0, 0.012, 0.14]) * size.scale
-    cup = thing.merged()[0]
+    cup = obj.merged()[0]
     rim = np.array([0.0, cup[:, 1].max(), -0.8 * np.abs(cup[:, 2]).max()])
     R = axis_rotation(0, -0.55) @ turned(-out * (1.15 - inward))
     level = turned(-out * (1.15 - inward))
@@ -317,18 +320,18 @@ def drink(script: Script) -> ActedMotion:
     script.now_s = sip + 0.3
     release = _put(script, hands, spot)
     prop = _table(spot, (0, int(release * FPS)), size.scale)
-    return _finished(script, "drink", thing, hands, (grasp, spot), (release, spot), (prop,))
+    return _finished(script, "drink", obj, hands, (grasp, spot), (release, spot), (prop,))
 
 
-def pull_chair(script: Script) -> ActedMotion:
+def pull_chair(script: Script) -> ProceduralMotion:
     """Walk up behind a chair, take its back, pull it along while stepping backward, and let it stand."""
     size, rng, side = script.size, script.rng, _side(script)
     out = 1.0 - 2.0 * side
-    thing = Grip.thing(rng, ("chair",), (0.44, 0.43))
-    grip = top_grip(size, side, thing)
+    obj = Grip.furniture_piece(rng, ("chair",), (0.44, 0.43))
+    grip = top_grip(size, side, obj)
     hands = Hands(script, (grip,))
     approach(script, rng.uniform(1.6, 2.0))
-    rear = float(thing.merged()[0][:, 2].min())
+    rear = float(obj.merged()[0][:, 2].min())
     spot = _spot(script, out * 0.14 * size.scale, 0.0, 0.36 * size.scale - rear)
     grasp = _take(script, hands, spot, lower_m=0.2 * size.scale)
     move = -turned(script.yaw_rad)[:, 2] * rng.uniform(0.6, 0.85)
@@ -343,7 +346,7 @@ def pull_chair(script: Script) -> ActedMotion:
     hands.free(release + 0.3, release + 1.1)
     _straighten(script, release + 0.1, 1.0)
     script.now_s = release + 1.5
-    motion = _finished(script, "pull_chair", thing, hands, (grasp, spot), (release, goal))
+    motion = _finished(script, "pull_chair", obj, hands, (grasp, spot), (release, goal))
     assert motion.item_pose is not None
     off_floor_m = float(np.abs(motion.item_pose[:, 1, 3]).max())
     if off_floor_m > 2 * _REACHED_M:
@@ -351,20 +354,20 @@ def pull_chair(script: Script) -> ActedMotion:
     return motion
 
 
-def carry_bag(script: Script) -> ActedMotion:
+def carry_bag(script: Script) -> ProceduralMotion:
     """Walk about with a bag in one hand that never rests."""
     size, rng, side = script.size, script.rng, _side(script)
-    thing = Grip.thing(rng, ("bag",), (0.36, 0.14))
-    hands = Hands(script, (bag_grip(size, side, thing),))
+    obj = Grip.furniture_piece(rng, ("bag",), (0.36, 0.14))
+    hands = Hands(script, (bag_grip(size, side, obj),))
     hands.carry(hands.off_shoulder(0.36, -0.92, 0.04, 0.92), -2.0, -1.0)
     for _ in range(2):
         bearing = rng.uniform(-0.6, 0.6)
         _walk_to(script, bearing, rng.uniform(1.8, 2.4), bearing + rng.uniform(-0.5, 0.5))
         script.wait(rng.uniform(0.5, 0.8))
-    return _finished(script, "carry_bag", thing, hands, (None, None), (None, None))
+    return _finished(script, "carry_bag", obj, hands, (None, None), (None, None))
 
 
-CARRIES: dict[str, Callable[[Script], ActedMotion]] = {
+CARRIES: dict[str, Callable[[Script], ProceduralMotion]] = {
     "carry_from_floor": carry_from_floor,
     "carry_between": carry_between,
     "carry_box": carry_box,
@@ -374,10 +377,10 @@ CARRIES: dict[str, Callable[[Script], ActedMotion]] = {
 }
 
 
-def act_carry(kind: str, body: ShapedBody, rng: np.random.Generator) -> ActedMotion:
-    """A motion of one of the kinds `CARRIES`, with the thing that it moves.
+def act_carry(kind: str, body: ShapedBody, rng: np.random.Generator) -> ProceduralMotion:
+    """A motion of one of the kinds `CARRIES`, with the object that it moves.
 
     Raises:
-        InputError: a hand does not get to the thing; other draws may.
+        InputError: a hand does not get to the object; other draws may.
     """
     return CARRIES[kind](Script.standing(measure(body), rng))

@@ -10,17 +10,17 @@ from video2anim.lab.synth.acting.perform import perform
 from video2anim.lab.synth.acting.script import Script
 from video2anim.lab.synth.acting.sit import approach, leave
 from video2anim.lab.synth.acting.walking import turn
-from video2anim.lab.synth.world import ActedMotion, Prop
+from video2anim.lab.synth.world import ProceduralMotion, Prop
 
-_LEAST_STAIR_SCALE = 0.8
+_MIN_STAIR_SCALE = 0.8
 """Smaller people get a single step: stairs are not made for them."""
 
 
-def act_step_up(script: Script) -> ActedMotion:
+def act_step_up(script: Script) -> ProceduralMotion:
     """Walk up to a step or a small flight, climb it, turn on top and come down."""
     size, rng = script.size, script.rng
     approach(script, rng.uniform(0.5, 0.8))
-    count = int(rng.choice([1, 1, 2, 3])) if size.scale > _LEAST_STAIR_SCALE else 1
+    count = int(rng.choice([1, 1, 2, 3])) if size.scale > _MIN_STAIR_SCALE else 1
     tread = 0.31 * size.scale if count > 1 else 0.0
     rise = rng.uniform(0.15, 0.19) if count > 1 else rng.uniform(0.15, min(0.45, 0.46 * size.leg_m))
     top = 0.62 * size.scale
@@ -40,7 +40,7 @@ def act_step_up(script: Script) -> ActedMotion:
     script.wait(rng.uniform(0.6, 0.8))
     down_yaw = yaw + (rng.choice([-1.0, 1.0]) * np.pi)
     near_edge = begin + forward * (edge + (count - 1) * tread + 0.21 * size.scale) + np.array([0.0, count * rise, 0.0])
-    turn(script, down_yaw, near_edge, largest_rad=1.6)
+    turn(script, down_yaw, near_edge, max_rad=1.6)
     side = int(rng.integers(2))
     for k in range(count - 2, -1, -1):
         center = begin + forward * (edge + (k + 0.62) * tread) + np.array([0.0, (k + 1) * rise, 0.0])

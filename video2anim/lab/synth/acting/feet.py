@@ -12,7 +12,7 @@ from video2anim.lab.synth.acting.measure import SINK_ANGLES_RAD, BodyMeasure
 
 FOREVER = 1e9
 _EPSILON_S = 1e-3
-_LARGEST_TOE_RAD = 0.85
+_MAX_TOE_RAD = 0.85
 _SINK_ALLOWED_M = 0.004
 SOLE_GAP_M = 0.001
 """Soles stand this far above a surface, so that no vertex sinks in by rounding."""
@@ -67,7 +67,7 @@ def foot_track(plants: list[Plant], t: Float[np.ndarray, "frames"], size: BodyMe
     for index, plant in enumerate(plants):
         on = (t >= plant.start_s) & (t <= plant.stop_s)
         ankle[on], pitch[on] = _stance(plant, t[on], size)
-        toe[on], yaw[on], load[on] = -np.clip(pitch[on], 0.0, _LARGEST_TOE_RAD), plant.yaw_rad, 1.0
+        toe[on], yaw[on], load[on] = -np.clip(pitch[on], 0.0, _MAX_TOE_RAD), plant.yaw_rad, 1.0
         first, last = plant.flat_s
         heel_down |= (t >= first) & (t <= last)
         ball_down |= (t >= first) & (t <= plant.stop_s - 0.06)
@@ -111,7 +111,7 @@ def _swing(
     rise = float(after.position_m[1] - before.position_m[1])
     if abs(rise) > 0.03:
         ankle = ankle + _stair_shift(u, p0, p1, rise)
-    toe = -np.clip(a0, 0.0, _LARGEST_TOE_RAD) * (1.0 - ease(u / 0.45))
+    toe = -np.clip(a0, 0.0, _MAX_TOE_RAD) * (1.0 - ease(u / 0.45))
     turn = (after.yaw_rad - before.yaw_rad + np.pi) % (2 * np.pi) - np.pi
     yaw = before.yaw_rad + turn * ease(u)
     lowest_ankle = ankle[:, 1].copy()
@@ -150,13 +150,13 @@ def _lowest_sole(pitch: np.ndarray, toe: np.ndarray, size: BodyMeasure) -> np.nd
 def _pressure(plants: list[Plant], t: np.ndarray, size: BodyMeasure) -> Float[np.ndarray, "frames 3"]:
     """Center of pressure of the foot: behind the ankle at touch-down, near the ball at toe-off, mid-foot between."""
     out = np.zeros((len(t), 3))
-    middle = 0.33 * size.ball_m[0][2]
+    center = 0.33 * size.ball_m[0][2]
     for index, plant in enumerate(plants):
         begin = plants[index - 1].stop_s if index else -FOREVER
         chosen = (t > begin) & (t <= plant.stop_s)
         now = t[chosen]
-        ahead = middle - (middle + 0.2 * size.ball_m[0][2]) * np.clip(1 - (now - plant.start_s) / 0.25, 0, 1)
-        ahead = ahead + (0.75 * size.ball_m[0][2] - middle) * np.clip(1 - (plant.stop_s - now) / 0.3, 0, 1)
+        ahead = center - (center + 0.2 * size.ball_m[0][2]) * np.clip(1 - (now - plant.start_s) / 0.25, 0, 1)
+        ahead = ahead + (0.75 * size.ball_m[0][2] - center) * np.clip(1 - (plant.stop_s - now) / 0.3, 0, 1)
         forward = np.array([np.sin(plant.yaw_rad), 0.0, np.cos(plant.yaw_rad)])
         out[chosen] = plant.position_m + ahead[:, None] * forward
     out[t > plants[-1].stop_s] = plants[-1].position_m

@@ -1,4 +1,4 @@
-"""From solved scripts to acted motions: surfaces measured on the mesh, cut to length."""
+"""From solved scripts to procedural motions: surfaces measured on the mesh, cut to length."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float
 from video2anim.lab.synth.acting.curves import FPS, turned
 from video2anim.lab.synth.acting.measure import BodyMeasure
 from video2anim.lab.synth.acting.perform import Performed
-from video2anim.lab.synth.world import ActedMotion, Prop
+from video2anim.lab.synth.world import ProceduralMotion, Prop
 
 SEAT_GAP_M = 0.002
 """A surface lies this far under the lowest vertex that rests on it."""
@@ -50,14 +50,14 @@ def at_height(prop: Prop, height_m: float) -> Prop:
 
 def motion_of(
     kind: str, done: Performed, props: tuple[Prop, ...] = (), item_pose: Float[np.ndarray, "frames 4 4"] | None = None
-) -> ActedMotion:
-    """The acted motion of a solved script, its whole length."""
-    return ActedMotion(
+) -> ProceduralMotion:
+    """The procedural motion of a solved script, its whole length."""
+    return ProceduralMotion(
         f"acted_{kind}", kind, "synthetic", done.translation_m, done.R_parent_joint, done.contact, props, item_pose
     )
 
 
-def cut(motion: ActedMotion, first: int, stop: int) -> ActedMotion:
+def cut(motion: ProceduralMotion, first: int, stop: int) -> ProceduralMotion:
     """Frames [first, stop) of a motion; props are renumbered, those out of use in it keep their nearest frame."""
     props = tuple(
         replace(p, frames=tuple(int(np.clip(f - first, 0, stop - first - 1)) for f in p.frames))  # pyright: ignore[reportArgumentType]
@@ -82,7 +82,7 @@ _OTHER_LEAD_S = 0.9
 _TAIL_S = 0.8
 
 
-def fitted(motion: ActedMotion, rng: np.random.Generator, duration_s: tuple[float, float]) -> ActedMotion:
+def fitted(motion: ProceduralMotion, rng: np.random.Generator, duration_s: tuple[float, float]) -> ProceduralMotion:
     """Cut to a length within `duration_s`: what is too much goes from the walking before the first use of a prop and
     after its last one, then from the end; a motion that is too short stays as it is."""
     count = len(motion.translation_m)

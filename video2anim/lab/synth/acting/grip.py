@@ -1,4 +1,4 @@
-"""How a hand holds a thing, and the hands' way to it, with it and from it."""
+"""How a hand holds an object, and the hands' way to it, with it and from it."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ _PALM_M = (0.095, 0.034, 0.012)
 _FINGERS_M = 0.046
 """So far out of the palm a flat side lies that the bent fingers rest on."""
 _SLIP_M, _THROUGH_M = 0.0008, 0.01
-"""Most that a second hand may move on the thing, and that the body may enter it."""
+"""Most that a second hand may move on the object, and that the body may enter it."""
 _SIDE_ELBOW = (0.7, -0.7, -0.4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grip:
-    """The hand against the thing, in the thing's frame; the thing faces as the person does."""
+    """The hand against the object, in the object's frame; the object faces as the person does."""
 
     side: int
     """0 left, 1 right."""
     R_hand: Float[np.ndarray, "3 3"]
     offset_m: Float[np.ndarray, "3"]
-    """Wrist from the thing's origin."""
+    """Wrist from the object's origin."""
     yaw_rad: float = 0.0
-    """Heading of the thing against the person's while it is carried."""
+    """Heading of the object against the person's while it is carried."""
 
     @property
-    def T_hand_thing(self) -> Float[np.ndarray, "4 4"]:
+    def T_hand_object(self) -> Float[np.ndarray, "4 4"]:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = self.R_hand, self.offset_m
         return np.linalg.inv(T)
 
     @staticmethod
-    def thing(
+    def furniture_piece(
         rng: np.random.Generator, labels: tuple[str, ...], size_m: tuple[float, float], height_m: float | None = None
     ) -> SceneObject:
         """Something of one of the labels with about that footprint."""
@@ -71,12 +71,12 @@ def fingers(side: int, inward_rad: float, droop_rad: float) -> Float[np.ndarray,
 
 
 def side_grip(
-    size: BodyMeasure, side: int, thing: SceneObject, *, inward_rad: float, droop_rad: float,
+    size: BodyMeasure, side: int, obj: SceneObject, *, inward_rad: float, droop_rad: float,
     above_m: float | None = None, flat: bool = False,
 ) -> Grip:  # fmt: skip
-    """The palm on the thing's side, at 0.6 of its height or `above_m` its underside; `flat`: a large side."""
+    """The palm on the object's side, at 0.6 of its height or `above_m` its underside; `flat`: a large side."""
     R = fingers(side, inward_rad, droop_rad)
-    vertices, faces = thing.merged()
+    vertices, faces = obj.merged()
     grip_m = 0.6 * float(np.ptp(vertices[:, 1])) if above_m is None else above_m
     grip_m = min(grip_m, 0.16)  # a vase is held below its flowers
     out = R[:, 1]
@@ -89,13 +89,13 @@ def side_grip(
     return Grip(side, R, np.array([0.0, grip_m, 0.0]) + out * half_m - palm)
 
 
-def top_grip(size: BodyMeasure, side: int, thing: SceneObject) -> Grip:
+def top_grip(size: BodyMeasure, side: int, obj: SceneObject) -> Grip:
     """The palm down on the top of a chair's back, near its middle; the chair faces away from the person."""
-    vertices, _ = thing.merged()
+    vertices, _ = obj.merged()
     out = 1.0 - 2.0 * side
-    middle = vertices[np.abs(vertices[:, 0]) < 0.1]
-    middle = vertices if len(middle) == 0 else middle
-    top = middle[middle[:, 1] > middle[:, 1].max() - 0.015]
+    center = vertices[np.abs(vertices[:, 0]) < 0.1]
+    center = vertices if len(center) == 0 else center
+    top = center[center[:, 1] > center[:, 1].max() - 0.015]
     along = np.array([-out * 0.25, -0.35, 1.0])
     x = out * along / np.linalg.norm(along)
     z = np.cross(x, [0.0, 1.0, 0.0])
@@ -106,10 +106,10 @@ def top_grip(size: BodyMeasure, side: int, thing: SceneObject) -> Grip:
     return Grip(side, R, np.array([0.0, top[:, 1].max(), top[:, 2].mean()]) - palm)
 
 
-def bag_grip(size: BodyMeasure, side: int, thing: SceneObject) -> Grip:
+def bag_grip(size: BodyMeasure, side: int, obj: SceneObject) -> Grip:
     """A bag's handle in the hanging hand; the bag's long side lies along the way."""
     R = fingers(side, 0.0, 1.35)
-    vertices, _ = thing.merged()
+    vertices, _ = obj.merged()
     out = 1.0 - 2.0 * side
     forth, deep, thumb = np.array((_PALM_M[0] + 0.05, _FINGERS_M - 0.006, _PALM_M[2])) * size.scale
     palm = R @ np.array([out * forth, -deep, thumb])
@@ -119,7 +119,7 @@ def bag_grip(size: BodyMeasure, side: int, thing: SceneObject) -> Grip:
 
 
 class Hands:
-    """The goals of the hands that hold one thing, in order of time; each takes over from the one before it."""
+    """The goals of the hands that hold one object, in order of time; each takes over from the one before it."""
 
     def __init__(self, script: Script, grips: tuple[Grip, ...]) -> None:
         self._script, self.grips = script, grips
@@ -127,26 +127,26 @@ class Hands:
 
     @property
     def wrist_over_m(self) -> float:
-        """Wrists over the underside of the thing."""
+        """Wrists over the underside of the object."""
         return float(self.grips[0].offset_m[1])
 
-    def at(self, T_world_thing: Float[np.ndarray, "4 4"], start_s: float, full_s: float) -> None:
-        """Where they hold a thing that is there."""
+    def at(self, T_world_object: Float[np.ndarray, "4 4"], start_s: float, full_s: float) -> None:
+        """Where they hold an object that is there."""
         for grip in self.grips:
-            wrist = T_world_thing[:3, :3] @ grip.offset_m + T_world_thing[:3, 3]
-            self._add(grip.side, start_s, full_s, wrist, "world", T_world_thing[:3, :3] @ grip.R_hand)
+            wrist = T_world_object[:3, :3] @ grip.offset_m + T_world_object[:3, 3]
+            self._add(grip.side, start_s, full_s, wrist, "world", T_world_object[:3, :3] @ grip.R_hand)
 
     def beside(
-        self, T_world_thing: Float[np.ndarray, "4 4"], start_s: float, full_s: float, *, out_m: float, up_m: float,
+        self, T_world_object: Float[np.ndarray, "4 4"], start_s: float, full_s: float, *, out_m: float, up_m: float,
         back_m: float = 0.0,
     ) -> None:  # fmt: skip
-        """The same, with the palm off the thing, higher, and nearer to the body."""
+        """The same, with the palm off the object, higher, and nearer to the body."""
         scale = self._script.size.scale
         for grip in self.grips:
-            R = T_world_thing[:3, :3] @ grip.R_hand
-            wrist = T_world_thing[:3, :3] @ grip.offset_m + T_world_thing[:3, 3]
+            R = T_world_object[:3, :3] @ grip.R_hand
+            wrist = T_world_object[:3, :3] @ grip.offset_m + T_world_object[:3, 3]
             away = out_m * R[:, 1] * (1.0, 0.3, 1.0) + np.array([0.0, up_m, 0.0])
-            away -= back_m * T_world_thing[:3, 2]
+            away -= back_m * T_world_object[:3, 2]
             self._add(grip.side, start_s, full_s, wrist + scale * away, "world", R)
 
     def off_shoulder(self, out: float, up: float, ahead: float, share: float) -> Float[np.ndarray, "3"]:
@@ -162,12 +162,16 @@ class Hands:
             self._add(grip.side, start_s, full_s, wrist, "body", turned(grip.yaw_rad) @ grip.R_hand)
 
     def hold(
-        self, R_heading_thing: Float[np.ndarray, "3 3"], thing_m: Float[np.ndarray, "3"], start_s: float, full_s: float
+        self,
+        R_heading_object: Float[np.ndarray, "3 3"],
+        object_m: Float[np.ndarray, "3"],
+        start_s: float,
+        full_s: float,
     ) -> None:
-        """So that the thing has this pose in the heading frame at the pelvis."""
+        """So that the object has this pose in the heading frame at the pelvis."""
         for grip in self.grips:
-            wrist = R_heading_thing @ grip.offset_m + thing_m
-            self._add(grip.side, start_s, full_s, wrist, "body", R_heading_thing @ grip.R_hand)
+            wrist = R_heading_object @ grip.offset_m + object_m
+            self._add(grip.side, start_s, full_s, wrist, "body", R_heading_object @ grip.R_hand)
 
     def slide(self, start_s: float, end_s: float, move_m: Float[np.ndarray, "3"]) -> None:
         """The last place moves along."""
@@ -209,20 +213,20 @@ class Hands:
         self._script.hands.append(goal)
 
 
-def thing_in(done: Performed, hands: Hands, frames: slice) -> Float[np.ndarray, "frames 4 4"]:
-    """Poses of a thing that is rigid with the first of the hands."""
+def object_in(done: Performed, hands: Hands, frames: slice) -> Float[np.ndarray, "frames 4 4"]:
+    """Poses of an object that is rigid with the first of the hands."""
     grip = hands.grips[0]
     wrist = 20 + grip.side
     T = np.broadcast_to(np.eye(4), (len(done.t[frames]), 4, 4)).copy()
     T[:, :3, :3], T[:, :3, 3] = done.R_world_joint[frames, wrist], done.joints_m[frames, wrist]
-    return T @ grip.T_hand_thing
+    return T @ grip.T_hand_object
 
 
 def expect_sane(
-    script: Script, done: Performed, hands: Hands, thing: SceneObject, pose: Float[np.ndarray, "frames 4 4"],
+    script: Script, done: Performed, hands: Hands, obj: SceneObject, pose: Float[np.ndarray, "frames 4 4"],
     held: range,
 ) -> None:  # fmt: skip
-    """No hand slips on the thing, and it does not go through the body.
+    """No hand slips on the object, and it does not go through the body.
 
     Raises:
         InputError: it does.
@@ -232,11 +236,11 @@ def expect_sane(
         own = pose[held.start : held.stop, :3, :3] @ grip.offset_m + pose[held.start : held.stop, :3, 3] - wrist_m
         slip_m = float(np.linalg.norm(own, axis=1).max())
         if slip_m > _SLIP_M:
-            raise InputError(f"a hand slips by {1000 * slip_m:.1f} mm on the {thing.label}; act the motion again")
+            raise InputError(f"a hand slips by {1000 * slip_m:.1f} mm on the {obj.label}; act the motion again")
     frames = np.arange(0, len(pose), 4)
     body = ~np.isin(script.size.probe_part, [20 + grip.side for grip in hands.grips])
     skin = probes(done, script.size, frames)[:, body]
     local = (skin - pose[frames, None, :3, 3]) @ pose[frames, :3, :3]
-    deepest_m = float(penetration_m([thing.moved(np.eye(4))], local.reshape(-1, 3)).max())
+    deepest_m = float(penetration_m([obj.moved(np.eye(4))], local.reshape(-1, 3)).max())
     if deepest_m > _THROUGH_M:
-        raise InputError(f"the {thing.label} goes {100 * deepest_m:.1f} cm into the body; act the motion again")
+        raise InputError(f"the {obj.label} goes {100 * deepest_m:.1f} cm into the body; act the motion again")

@@ -1,4 +1,4 @@
-"""Using the hands: picking things up, leaning, reaching."""
+"""Using the hands: picking objects up, leaning, reaching."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from video2anim.lab.synth.acting.perform import Performed, perform
 from video2anim.lab.synth.acting.script import HandGoal, PelvisHold, Script
 from video2anim.lab.synth.acting.sit import approach, leave, palm_down
 from video2anim.lab.synth.acting.walking import step_to, turn
-from video2anim.lab.synth.world import ActedMotion, Prop
+from video2anim.lab.synth.world import ProceduralMotion, Prop
 
 _WRIST_OVER_M = 0.12
 _ITEM_HALF_M = 0.06
-"""Half the height of a thing that is picked up; the hand closes around its upper half."""
+"""Half the height of an object that is picked up; the hand closes around its upper half."""
 
 
-def act_pick_up(script: Script) -> ActedMotion:
-    """Walk up to a small thing, bend or crouch, grasp it, rise and carry it along."""
+def act_pick_up(script: Script) -> ProceduralMotion:
+    """Walk up to a small object, bend or crouch, grasp it, rise and carry it along."""
     size, rng = script.size, script.rng
     approach(script, rng.uniform(1.2, 1.9))
     side = int(rng.integers(2))
@@ -123,12 +123,12 @@ def palm_inward(side: int) -> Float[np.ndarray, "3 3"]:
     return np.stack([x, np.cross(z, x), z], -1)
 
 
-def act_lean(script: Script) -> ActedMotion:
+def act_lean(script: Script) -> ProceduralMotion:
     """Walk up to a table or a wall and rest a hand or the back on it for a while."""
     return _lean_on_table(script) if script.rng.random() < 0.5 else _lean_on_wall(script)
 
 
-def _lean_on_table(script: Script) -> ActedMotion:
+def _lean_on_table(script: Script) -> ProceduralMotion:
     size, rng, key = script.size, script.rng, script.keyed.key
     approach(script, rng.uniform(1.2, 1.9))
     side = int(rng.integers(2))
@@ -200,7 +200,7 @@ def _look(script: Script, start_s: float, stop_s: float) -> None:
     script.keyed.rest(stop_s - 0.2, 0.6, "neck_twist", "neck_flex")
 
 
-def _lean_on_wall(script: Script) -> ActedMotion:
+def _lean_on_wall(script: Script) -> ProceduralMotion:
     size, rng, key = script.size, script.rng, script.keyed.key
     approach(script, rng.uniform(1.2, 1.8))
     yaw = script.yaw_rad + rng.choice([-1.0, 1.0]) * rng.uniform(0.6, 1.0) * np.pi
@@ -233,7 +233,7 @@ def _lean_on_wall(script: Script) -> ActedMotion:
     return motion_of("lean", done, (prop,))
 
 
-def act_reach(script: Script) -> ActedMotion:
+def act_reach(script: Script) -> ProceduralMotion:
     """Walk up to a shelf and reach for one of its boards, high or low."""
     size, rng, key = script.size, script.rng, script.keyed.key
     approach(script, rng.uniform(1.3, 2.0))

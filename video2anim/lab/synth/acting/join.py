@@ -1,4 +1,4 @@
-"""A captured walk that goes over into an acted motion without sliding feet."""
+"""A captured walk that goes over into an procedural motion without sliding feet."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from video2anim.lab.synth.acting.curves import FPS, ease, hermite, smooth_lift, 
 from video2anim.lab.synth.acting.finish import cut
 from video2anim.lab.synth.acting.limbs import leg_rotations
 from video2anim.lab.synth.acting.measure import LEG
-from video2anim.lab.synth.world import ActedMotion, Prop
+from video2anim.lab.synth.world import ProceduralMotion, Prop
 from video2anim.types.skeleton import forward_kinematics
 
 BLEND_S = 0.8
@@ -31,13 +31,13 @@ def joined(
     translation_m: Float[np.ndarray, "captured 3"],
     R_parent_joint: Float[np.ndarray, "captured 22 3 3"],
     contact: Bool[np.ndarray, "captured 22"],
-    acted: ActedMotion,
+    acted: ProceduralMotion,
     body: ShapedBody,
-) -> ActedMotion:
+) -> ProceduralMotion:
     """The captured motion followed by the acted one, which starts where its pose is most like the captured end.
 
-    The acted motion with its props is moved on the ground plane; what still differs in pose and speed fades out in
-    `BLEND_S`. A foot that stands at the seam stays where it was captured until the acted motion lifts it.
+    The procedural motion with its props is moved on the ground plane; what still differs in pose and speed fades out in
+    `BLEND_S`. A foot that stands at the seam stays where it was captured until the procedural motion lifts it.
 
     Raises:
         UsageError: fewer than 3 captured frames.
@@ -86,9 +86,9 @@ def _local(joints_m: np.ndarray, R_world: np.ndarray) -> Float[np.ndarray, "fram
 
 
 def _best_frame(
-    captured_m: np.ndarray, captured_R: np.ndarray, contact: np.ndarray, acted: ActedMotion, rest: np.ndarray
+    captured_m: np.ndarray, captured_R: np.ndarray, contact: np.ndarray, acted: ProceduralMotion, rest: np.ndarray
 ) -> int:
-    """Frame of the acted motion, before its props are near, that is most like the captured end."""
+    """Frame of the procedural motion, before its props are near, that is most like the captured end."""
     used = min((p.frames[0] for p in acted.props), default=len(acted.translation_m))
     limit = int(np.clip(_last_with_steps(acted, used), 2, 0.5 * len(acted.translation_m)))
     joints, R_world = forward_kinematics(acted.R_parent_joint[: limit + 1], acted.translation_m[: limit + 1], rest)
@@ -102,7 +102,7 @@ def _best_frame(
     return int(cost.argmin())
 
 
-def _last_with_steps(acted: ActedMotion, used: int) -> int:
+def _last_with_steps(acted: ProceduralMotion, used: int) -> int:
     """Last frame after which both feet still step before the first use of a prop."""
     last = used
     for heel, ball in ((7, 10), (8, 11)):
@@ -111,8 +111,8 @@ def _last_with_steps(acted: ActedMotion, used: int) -> int:
     return last
 
 
-def _moved_to(acted: ActedMotion, joints_m: np.ndarray, R_world: np.ndarray, rest: np.ndarray) -> ActedMotion:
-    """The acted motion and its props turned and shifted so that its first pelvis meets the captured one."""
+def _moved_to(acted: ProceduralMotion, joints_m: np.ndarray, R_world: np.ndarray, rest: np.ndarray) -> ProceduralMotion:
+    """The procedural motion and its props turned and shifted so that its first pelvis meets the captured one."""
     yaw = float(_heading(R_world[0]) - _heading(acted.R_parent_joint[0, 0]))
     R = turned(yaw)
     shift = (joints_m[0] - R @ (acted.translation_m[0] + rest[0])) * np.array([1.0, 0.0, 1.0])
@@ -138,7 +138,7 @@ def _moved_to(acted: ActedMotion, joints_m: np.ndarray, R_world: np.ndarray, res
 
 
 def _faded_pose(
-    translation_m: np.ndarray, R_parent_joint: np.ndarray, acted: ActedMotion
+    translation_m: np.ndarray, R_parent_joint: np.ndarray, acted: ProceduralMotion
 ) -> tuple[Float[np.ndarray, "frames 22 3 3"], Float[np.ndarray, "frames 3"]]:
     """Acted pose plus the captured end's difference in pose and speed, which fades."""
     u = np.minimum(np.arange(len(acted.translation_m)) / FPS / BLEND_S, 1.0)
@@ -155,7 +155,7 @@ def _faded_pose(
 
 def _stand(
     R: np.ndarray, translation: np.ndarray, joints_m: np.ndarray, R_world: np.ndarray, contact: np.ndarray,
-    acted: ActedMotion, rest: np.ndarray,
+    acted: ProceduralMotion, rest: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Feet back on their places by the legs; the pelvis sinks where a leg is too short."""
     acted_joints, acted_world = forward_kinematics(acted.R_parent_joint, acted.translation_m, rest)

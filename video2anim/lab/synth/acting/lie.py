@@ -13,13 +13,13 @@ from video2anim.lab.synth.acting.perform import Performed, perform
 from video2anim.lab.synth.acting.script import FootHold, HandGoal, PelvisHold, Script
 from video2anim.lab.synth.acting.sit import approach, hands_on_thighs, leave, rise, take_seat
 from video2anim.lab.synth.acting.walking import turn
-from video2anim.lab.synth.world import ActedMotion, Prop
+from video2anim.lab.synth.world import ProceduralMotion, Prop
 
-_LARGEST_DROP_M = 0.01
+_MAX_DROP_M = 0.01
 """The bed gives way so far where a limb still dips into it on the way."""
 
 
-def act_lie(script: Script) -> ActedMotion:
+def act_lie(script: Script) -> ProceduralMotion:
     """Sit down on the edge of a bed, lie down, stay, and rise again."""
     size, rng = script.size, script.rng
     height = float(np.clip(rng.uniform(0.82, 0.95) * size.knee_height_m, 0.33, 0.56))
@@ -113,9 +113,9 @@ def _settled(
     size, (sit, lie, again) = script.size, holds
     forward = turned(yaw)[:, 2]
     front, depth = 0.2 * size.scale, max(0.9, 0.95 * size.scale)
-    middle = sit.position_m + forward * (front - 0.5 * depth)
+    center = sit.position_m + forward * (front - 0.5 * depth)
     length = max(2.0, 2.15 * size.scale)
-    prop = Prop("bed", (float(middle[0]), height, float(middle[2])), yaw, (length, depth),
+    prop = Prop("bed", (float(center[0]), height, float(center[2])), yaw, (length, depth),
                 (int(sit.settle_s * FPS), int(again.leave_s * FPS)))  # fmt: skip
     trunk = ~np.isin(size.probe_part, (4, 5, 7, 8, 10, 11, 18, 19, 20, 21))
     lift = np.zeros(0)
@@ -147,7 +147,7 @@ def _settled(
     prop = _edge_behind_legs(done, size, prop, forward)
     skin = size.body.vertices(done.R_world_joint, done.joints_m).astype(float)
     sunk = height - float(np.where(over(skin, prop), skin[..., 1], np.inf).min())
-    return done, at_height(prop, height - float(np.clip(sunk + 0.001, 0.0, _LARGEST_DROP_M)))
+    return done, at_height(prop, height - float(np.clip(sunk + 0.001, 0.0, _MAX_DROP_M)))
 
 
 def _edge_behind_legs(done: Performed, size: BodyMeasure, prop: Prop, forward: np.ndarray) -> Prop:

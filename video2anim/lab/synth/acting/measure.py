@@ -34,7 +34,7 @@ SINK_ANGLES_RAD = np.linspace(0.0, 0.85, 9)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyMeasure:
-    """Lengths in metres. Index 0 is left, 1 is right."""
+    """Lengths in meters. Index 0 is left, 1 is right."""
 
     body: ShapedBody
     rest_m: Float[np.ndarray, "22 3"]

@@ -58,7 +58,7 @@ class HandGoal:
     still_s: tuple[float, float] | None = None
     """When the hand stands still (contact), if not all the time from touch to leave."""
     slide: tuple[float, float, Float[np.ndarray, "3"]] | None = None
-    """A place in the world that moves: start and end of the move (seconds), and how far (metres)."""
+    """A place in the world that moves: start and end of the move (seconds), and how far (meters)."""
 
 
 @dataclass(slots=True)

@@ -10,7 +10,7 @@ from video2anim.lab.synth.acting.finish import SEAT_GAP_M, at_height, motion_of,
 from video2anim.lab.synth.acting.perform import Performed, perform
 from video2anim.lab.synth.acting.script import HandGoal, PelvisHold, Script
 from video2anim.lab.synth.acting.walking import bezier, random_pace, turn, walk
-from video2anim.lab.synth.world import ActedMotion, Prop
+from video2anim.lab.synth.world import ProceduralMotion, Prop
 
 _ON_SEAT = (0, 1, 2, 3)
 """Parts that may rest on a seat: pelvis, thighs, loins."""
@@ -97,7 +97,7 @@ def rise(script: Script, hold: PelvisHold) -> None:
     script.now_s = hold.end_s + 0.05
 
 
-def act_sit(script: Script) -> ActedMotion:
+def act_sit(script: Script) -> ProceduralMotion:
     """Walk up to a seat, turn, sit down, stay with small movements, rise and walk off."""
     size, rng = script.size, script.rng
     height = float(np.clip(rng.uniform(0.84, 0.96) * size.knee_height_m, 0.33, 0.55))
@@ -129,8 +129,8 @@ def seat_prop(script: Script, done: Performed, hold: PelvisHold, width_m: float 
     points, legs = probes(done, size), ~np.isin(size.probe_part, _ON_SEAT)
     half_back, front = 0.17 * size.scale, 0.26 * size.scale
     while True:
-        middle = hold.position_m + forward * 0.5 * (front - half_back)
-        prop = Prop("seat", (float(middle[0]), 0.0, float(middle[2])), yaw, (width_m, half_back + front), frames)
+        center = hold.position_m + forward * 0.5 * (front - half_back)
+        prop = Prop("seat", (float(center[0]), 0.0, float(center[2])), yaw, (width_m, half_back + front), frames)
         height = np.where(over(resting, prop), resting[..., 1], np.inf).min() - SEAT_GAP_M
         prop = at_height(prop, height)
         below = over(points, prop, 0.01) & (points[..., 1] < height) & legs

@@ -76,12 +76,12 @@ def walk(script: Script, path_m: Float[np.ndarray, "points 3"], pace: Pace, *, c
         side = 1 - side
 
 
-def turn(script: Script, yaw_rad: float, center_m: np.ndarray | None = None, largest_rad: float = 0.9) -> None:
+def turn(script: Script, yaw_rad: float, center_m: np.ndarray | None = None, max_rad: float = 0.9) -> None:
     """Turns on the spot by small steps until both feet stand at `center_m` with the heading."""
     goal = script.center_m if center_m is None else np.asarray(center_m, float)
     begin_yaw, begin = script.yaw_rad, script.center_m
     change = (yaw_rad - begin_yaw + np.pi) % (2 * np.pi) - np.pi
-    count = max(1, int(np.ceil(abs(change) / largest_rad)))
+    count = max(1, int(np.ceil(abs(change) / max_rad)))
     side = script.lift_side(goal, yaw_rad)
     seconds = script.size.scale**0.5
     for k in range(1, count + 1):

@@ -22,7 +22,7 @@ def shutter_shifts(shutter_frames: float, steps: int = _STEPS) -> list[float]:
 
 
 def steps_for(path_px: float) -> int:
-    """Number of moments for things that move this far while the shutter is open; odd, 1 if it cannot be seen."""
+    """Number of moments for objects that move this far while the shutter is open; odd, 1 if it cannot be seen."""
     return 1 if path_px < _STILL_PX else int(min(3 + 2 * (path_px > 5), 5))
 
 

@@ -16,13 +16,13 @@ _OFF_PLANE = 0.006
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
-    """Which neighbouring pixels lie on the same piece of surface."""
+    """Which neighboring pixels lie on the same piece of surface."""
 
     right: Bool[np.ndarray, "height width-1"]
     down: Bool[np.ndarray, "height-1 width"]
 
     def edges(self) -> Bool[np.ndarray, "height width"]:
-        """Pixels with a neighbour on another surface."""
+        """Pixels with a neighbor on another surface."""
         height, width = len(self.right), self.down.shape[1]
         edge = np.zeros((height, width), bool)
         edge[:, :-1] |= ~self.right
@@ -62,7 +62,7 @@ def smooth_tiles(values: Float[np.ndarray, "height width channels"], links: Link
 
 
 def _smooth_along(planes: np.ndarray, linked: np.ndarray, axis: int) -> np.ndarray:
-    """(channels, height, width), averaged along an axis whose neighbours are linked or not."""
+    """(channels, height, width), averaged along an axis whose neighbors are linked or not."""
 
     def part(array: np.ndarray, cut: slice) -> np.ndarray:
         return array[..., cut] if axis == 2 else array[..., cut, :]

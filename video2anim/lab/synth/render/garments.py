@@ -107,7 +107,7 @@ def _incidence(faces: np.ndarray, vertex_count: int) -> sparse.csr_array:
 
 
 def _averaging(faces: np.ndarray, vertex_count: int) -> sparse.csr_array:
-    """(V, V) mean of a vertex and its neighbours."""
+    """(V, V) mean of a vertex and its neighbors."""
     a = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     both = np.concatenate([a, a[:, ::-1], np.repeat(np.arange(vertex_count)[:, None], 2, 1)])
     link = sparse.csr_array((np.ones(len(both), np.float32), (both[:, 0], both[:, 1])), (vertex_count, vertex_count))

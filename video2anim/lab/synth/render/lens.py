@@ -11,7 +11,7 @@ _ITERATIONS = 12
 
 
 def distort(xy: Float[np.ndarray, "... 2"], k1: float, k2: float) -> Float[np.ndarray, "... 2"]:
-    """Where the lens shows an ideal point; both on the plane z = 1 of the camera (normalised coordinates)."""
+    """Where the lens shows an ideal point; both on the plane z = 1 of the camera (normalized coordinates)."""
     r2 = (xy * xy).sum(-1, keepdims=True)
     return xy * (1.0 + r2 * (k1 + k2 * r2))
 

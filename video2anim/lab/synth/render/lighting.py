@@ -24,7 +24,7 @@ _SUN_REACH_M = 100.0
 _SUN_RADIUS = 0.012
 """Angular radius of the sun with its glare, radians."""
 AMBIENT_REACH_M = 1.3
-"""Things farther than this do not darken a point's ambient light."""
+"""Objects farther than this do not darken a point's ambient light."""
 _SMALL_SHARE = 0.03
 """Lights that give a point less than this share of its direct light cast no shadow there."""
 _UP_SHARE = 0.22
@@ -103,7 +103,7 @@ def lamp_reach(
 
 
 def _arriving(start_m: np.ndarray, normal: np.ndarray, light: Light) -> np.ndarray:
-    """Irradiance of a light, summed over colours, with nothing in its way."""
+    """Irradiance of a light, summed over colors, with nothing in its way."""
     toward, _ = _toward(start_m, light)
     far2 = np.maximum(dot(toward, toward), 0.04)
     fall = np.maximum(dot(toward, normal), 0) / np.sqrt(far2)
@@ -133,7 +133,7 @@ def ambient_reach(
     casters: Sequence[Caster],
     samples: int,
 ) -> Float[np.ndarray, "points"]:
-    """Open share of the hemisphere: rays of varied length, so that near things count more than far ones."""
+    """Open share of the hemisphere: rays of varied length, so that near objects count more than far ones."""
     first, second = sampling.frame_about(normal)
     cube = sampling.numbers(samples)
     lobes, lengths = sampling.cosine_lobe(cube), AMBIENT_REACH_M * (0.06 + 0.94 * cube[..., 2] ** 2.2)
@@ -162,7 +162,7 @@ def reach_of(
 def response_of(
     points: Points, materials: tuple[Material, ...], lights: Sequence[Light], ambient_rgb: Sequence[float]
 ) -> Response:
-    """What points would send back: diffuse colour, highlight of glossy materials, own glow."""
+    """What points would send back: diffuse color, highlight of glossy materials, own glow."""
     diffuse = albedo(points, materials)
     gloss = np.array([*(m.gloss for m in materials), 0.0], np.float32)[points.material]
     lamp = np.zeros((len(points), len(lights), 3), np.float32)

@@ -1,4 +1,4 @@
-"""Moving things drawn over a finished room: their own pixels, and the light that they take from the room."""
+"""Moving objects drawn over a finished room: their own pixels, and the light that they take from the room."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _NEAR_M = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingLayer:
-    """Moving things over a room."""
+    """Moving objects over a room."""
 
     sheet: Sheet
     """Their rectangle; only pixels where they are in front of the room."""
@@ -65,7 +65,7 @@ def draw_moving(
 ) -> MovingLayer:
     """Draw moving surfaces over the room whose finished `radiance` is given.
 
-    `blurred` are the same surfaces at moments within the shutter time: the colours are the mean of their pictures,
+    `blurred` are the same surfaces at moments within the shutter time: the colors are the mean of their pictures,
     while labels and shadows on the room are those of `surfaces`.
     """
     caster = surfaces.caster()
@@ -112,7 +112,7 @@ def shadowed_room(
     lamps: Lamps,
     wanted: Bool[np.ndarray, "height width"],
 ) -> Float[np.ndarray, "pixels 3"]:
-    """Radiance of the room with the shadows, and the darkening near contact, of moving things."""
+    """Radiance of the room with the shadows, and the darkening near contact, of moving objects."""
     low, high = surfaces.vertices_m.min(0), surfaces.vertices_m.max(0)
     lit = _Taken(room, caster, lamps)
     channels = len(lamps.lights) + 1
@@ -138,7 +138,7 @@ def shadowed_room(
 
 
 class _Taken:
-    """Light that moving things leave to the room's pixels, channel by channel (the lights, then the ambient)."""
+    """Light that moving objects leave to the room's pixels, channel by channel (the lights, then the ambient)."""
 
     def __init__(self, room: Sheet, caster: Caster, lamps: Lamps) -> None:
         self._room, self._caster, self._lamps = room, caster, lamps
@@ -215,7 +215,7 @@ def _draw_over(
     room_opaque: Caster,
     lamps: Lamps,
 ) -> None:
-    """Colours of moving things into the picture; their edges are mixed with the room by coverage."""
+    """Colors of moving objects into the picture; their edges are mixed with the room by coverage."""
     width = room.shape[1]
     casters = [room_opaque, caster]
     reach = sheet_reach(sheet, lamps, casters, width)

@@ -1,4 +1,4 @@
-"""People and carried things as surfaces, at any moment of a shot."""
+"""People and carried objects as surfaces, at any moment of a shot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from video2anim.types.skeleton import forward_kinematics
 
 
 class Cast:
-    """The moving things of a shot: actors first, then carried things."""
+    """The moving objects of a shot: actors first, then carried objects."""
 
     def __init__(self, shot: Shot) -> None:
         self._shot = shot
@@ -29,9 +29,9 @@ class Cast:
         for moving in self._shot.moving:
             here = moving.T_world_object[self._clamped(frame)]
             other = moving.T_world_object[self._clamped(frame + int(np.sign(shift)))]
-            blended = of_object(moving.thing, here)
+            blended = of_object(moving.scene_object, here)
             if shift:
-                goal = of_object(moving.thing, other).vertices_m
+                goal = of_object(moving.scene_object, other).vertices_m
                 blended = blended.moved(blended.vertices_m + abs(shift) * (goal - blended.vertices_m))
             pieces.append(blended)
         return join(pieces)

@@ -13,7 +13,7 @@ PERSON_ID = 1000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """A drawn picture with its truth. Labels hold at pixel centres and are not anti-aliased."""
+    """A drawn picture with its truth. Labels hold at pixel centers and are not anti-aliased."""
 
     rgb: UInt8[np.ndarray, "height width 3"]
     """sRGB after exposure and tone curve, before the sensor."""

@@ -1,6 +1,6 @@
 """The renderer: draws a shot frame by frame on the CPU.
 
-A still camera's room is traced and lit once; each frame then traces only the moving things inside their rectangle and
+A still camera's room is traced and lit once; each frame then traces only the moving objects inside their rectangle and
 the shadow that they cast on the room. A moving camera takes the whole path for every frame.
 """
 
@@ -26,7 +26,7 @@ FPS = 30.0
 STILL_RAYS = (8, 12)
 """Rays per pixel for each light and for the hemisphere where the room is lit once for a clip."""
 MOVING_RAYS = (2, 4)
-"""The same for every frame of a moving camera, and for moving things."""
+"""The same for every frame of a moving camera, and for moving objects."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,8 +62,8 @@ class Renderer:
             self._exposure = tone.auto_exposure(self._view(0).radiance)
         return self._exposure
 
-    def plate(self, t: int = 0) -> Picture:
-        """The room without people and carried things."""
+    def background(self, t: int = 0) -> Picture:
+        """The room without people and carried objects."""
         view = self._view(t)
         return self._picture(view, self._rgb(view.radiance), None)
 
@@ -80,7 +80,7 @@ class Renderer:
         return self._picture(view, self._rgb(self._camera_blurred(view, layer, t)), layer)
 
     def _moments(self, eye: Eye, surfaces: Surfaces, t: int) -> list[Surfaces]:
-        """The moving things at moments within the shutter time; empty where they do not move enough to be blurred."""
+        """The moving objects at moments within the shutter time; empty where they do not move enough to be blurred."""
         shutter = self._shot.sensor.blur_s * FPS
         if shutter <= 0:
             return []
@@ -106,7 +106,7 @@ class Renderer:
         return blurred.reshape(-1, 3)
 
     def amodal(self, object_id: int, t: int = 0) -> Bool[np.ndarray, "height width"]:
-        """Where a thing or person (`PERSON_ID` + person_id) would be seen if it were alone.
+        """Where an object or person (`PERSON_ID` + person_id) would be seen if it were alone.
 
         Raises:
             UsageError: nothing of that number is in the shot.
@@ -124,15 +124,15 @@ class Renderer:
         return (hits.face >= 0).reshape(height, width)
 
     def _surfaces_of(self, object_id: int, t: int) -> tuple[Surfaces, bool]:
-        for thing in self._shot.room.objects:
-            if thing.object_id == object_id:
-                return of_object(thing), True
+        for obj in self._shot.room.objects:
+            if obj.object_id == object_id:
+                return of_object(obj), True
         for number, actor in enumerate(self._shot.actors):
             if PERSON_ID + actor.motion.person_id == object_id:
                 return self._cast.actor_surfaces(number, t), False
         for moving in self._shot.moving:
-            if moving.thing.object_id == object_id:
-                return of_object(moving.thing, moving.T_world_object[t]), False
+            if moving.scene_object.object_id == object_id:
+                return of_object(moving.scene_object, moving.T_world_object[t]), False
         raise UsageError(f"shot {self._shot.name!r}: no object {object_id} in it")
 
     def _expect_frame(self, t: int) -> int:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 TILE = 4
 _ORDER = np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]])
-"""Ordered-dither ranks: neighbours in the tile get far-apart parts."""
+"""Ordered-dither ranks: neighbors in the tile get far-apart parts."""
 _R3 = np.array([0.8191725134, 0.6710436067, 0.5497004779])
 """Steps of the R3 low-discrepancy sequence (Roberts 2018)."""
 

@@ -12,7 +12,7 @@ from video2anim.lab.synth.world import SensorModel
 _MIDDLE_GREY = 0.2140
 """Linear light of the sRGB value 0.5."""
 _READ_SHARE = 0.25
-"""Share of the noise variance at mid grey that does not depend on the light."""
+"""Share of the noise variance at mid gray that does not depend on the light."""
 
 
 class Sensor:

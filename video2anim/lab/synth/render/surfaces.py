@@ -17,7 +17,7 @@ from video2anim.lab.synth.render.vectors import dot, length, unit
 from video2anim.lab.synth.world import Material, SceneObject
 
 SEEN_BAKED = -1
-"""Material number of faces whose colour is baked into the vertices (also the last entry of material tables)."""
+"""Material number of faces whose color is baked into the vertices (also the last entry of material tables)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class Surfaces:
     material: Int[np.ndarray, "faces"]
     """Index into `materials`, or `SEEN_BAKED`."""
     vertex_rgb: Float[np.ndarray, "vertices 3"]
-    """Baked colours, linear; zero where none are used."""
+    """Baked colors, linear; zero where none are used."""
     materials: tuple[Material, ...]
     borders: Borders
 
@@ -143,7 +143,7 @@ def of_mesh(
     vertex_rgb: np.ndarray | None = None,
     borders: Borders | None = None,
 ) -> Surfaces:
-    """Surfaces of one mesh. `vertex_rgb` (vertices, 3) uint8 sRGB replaces the materials' colours."""
+    """Surfaces of one mesh. `vertex_rgb` (vertices, 3) uint8 sRGB replaces the materials' colors."""
     count = len(faces)
     baked = np.zeros((len(vertices_m), 3), np.float32)
     if vertex_rgb is not None:
@@ -166,28 +166,28 @@ def of_mesh(
     )
 
 
-def of_object(thing: SceneObject, T_world_object: np.ndarray | None = None) -> Surfaces:
+def of_object(obj: SceneObject, T_world_object: np.ndarray | None = None) -> Surfaces:
     """Surfaces of a scene object, at its own or another pose."""
-    T = thing.T_world_object if T_world_object is None else T_world_object
+    T = obj.T_world_object if T_world_object is None else T_world_object
     pieces = [
         of_mesh(
             part.vertices_m @ T[:3, :3].T + T[:3, 3],
             part.faces,
             np.asarray(part.vertices_m),
             smooth=part.smooth,
-            object_id=thing.object_id,
+            object_id=obj.object_id,
             face_material=np.zeros(len(part.faces), np.int64),
             materials=(part.material,),
             vertex_rgb=part.vertex_rgb,
         )
-        for part in thing.parts
+        for part in obj.parts
     ]
     return join(pieces)
 
 
-def of_objects(things: Iterable[SceneObject]) -> Surfaces:
+def of_objects(objects: Iterable[SceneObject]) -> Surfaces:
     """Surfaces of many objects."""
-    return join([of_object(thing) for thing in things])
+    return join([of_object(obj) for obj in objects])
 
 
 def points_at(

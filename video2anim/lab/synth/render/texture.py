@@ -1,4 +1,4 @@
-"""Procedural textures: the colour of a material at points of an object's own frame."""
+"""Procedural textures: the color of a material at points of an object's own frame."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class Spot:
     u: Float[np.ndarray, "points"]
     v: Float[np.ndarray, "points"]
     footprint: Float[np.ndarray, "points"]
-    """Width of a pixel on the surface, metres."""
+    """Width of a pixel on the surface, meters."""
     level: Float[np.ndarray, "points"]
     """1 on surfaces that look up or down, 0 elsewhere."""
 
 
 def albedo(points: Points, materials: tuple[Material, ...]) -> Float[np.ndarray, "points 3"]:
-    """Linear diffuse colour of surface points."""
+    """Linear diffuse color of surface points."""
     out = points.baked_rgb.copy()
     for number, index in groups(points.material):
         if number != SEEN_BAKED:
@@ -65,7 +65,7 @@ def unrolled(
 
 
 def material_rgb(material: Material, spot: Spot) -> Float[np.ndarray, "points 3"]:
-    """Linear colour of one material."""
+    """Linear color of one material."""
     share, tint = _KINDS[material.kind](material, spot)
     first, second = np.asarray(material.rgb, np.float32), np.asarray(material.rgb2, np.float32)
     colour = first + share[:, None] * (second - first)
@@ -76,7 +76,7 @@ def material_rgb(material: Material, spot: Spot) -> Float[np.ndarray, "points 3"
 
 
 Pattern = tuple[np.ndarray, np.ndarray]
-"""(points,) share of the second colour, and (points,) factor on the brightness."""
+"""(points,) share of the second color, and (points,) factor on the brightness."""
 
 
 def _mottle(material: Material, spot: Spot, size: float, strength: float, octaves: int = 4) -> np.ndarray:
@@ -231,7 +231,7 @@ def _leaf(material: Material, spot: Spot) -> Pattern:
 
 
 def _picture(material: Material, spot: Spot) -> Pattern:
-    """An abstract landscape: bands bent by noise, between the two colours, with dark strokes."""
+    """An abstract landscape: bands bent by noise, between the two colors, with dark strokes."""
     size = max(material.scale_m, 0.05)
     u, v, fine = spot.u / size, spot.v / size, spot.footprint / size
     warp = fractal(2 * u, 2 * v, 2 * fine, material.seed, 4)
@@ -253,7 +253,7 @@ def _paper(material: Material, spot: Spot) -> Pattern:
 
 
 def _skin(material: Material, spot: Spot) -> Pattern:
-    """Second colour = flush, in soft patches."""
+    """Second color = flush, in soft patches."""
     patch = fractal(spot.u / 0.07, spot.v / 0.07, spot.footprint / 0.07, material.seed, 3)
     return 0.5 * np.clip(patch - 0.4, 0, 1), _mottle(material, spot, 0.01, 0.06, 2)
 

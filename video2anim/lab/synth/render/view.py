@@ -1,4 +1,4 @@
-"""A set of surfaces seen from one camera pose: labels at pixel centres, light components, anti-aliased edges."""
+"""A set of surfaces seen from one camera pose: labels at pixel centers, light components, anti-aliased edges."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Eye:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet:
-    """Labels and points at the centres of some pixels of a rectangle."""
+    """Labels and points at the centers of some pixels of a rectangle."""
 
     rows: slice
     columns: slice
@@ -196,7 +196,7 @@ class Components:
 def room_components(
     eye: Eye, surfaces: Surfaces, caster: Caster, opaque: Caster, lamps: Lamps, sheet: Sheet
 ) -> Components:
-    """Light components of a picture of still things; pixels at edges are the mean of four rays."""
+    """Light components of a picture of still objects; pixels at edges are the mean of four rays."""
     count = sheet.shape[0] * sheet.shape[1]
     reach = sheet_reach(sheet, lamps, [opaque], eye.intrinsics.width_px)
     edge = np.flatnonzero(sheet.links.edges())

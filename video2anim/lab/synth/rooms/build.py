@@ -23,7 +23,7 @@ WALL_GAP_M = 0.12
 CAMERA_M = 2.0
 """Free ground on one side of the people's way, for a camera."""
 _BEHIND_M = {"seat": 0.5, "bed": 0.2, "table": 0.1, "step": 0.05, "wall": 0.7}
-"""Ground a thing takes behind the surface that a prop asks for."""
+"""Ground an object takes behind the surface that a prop asks for."""
 _NEAR_LABELS = ("chair", "chair", "stool", "table", "box", "armchair", "plant")
 
 
@@ -52,15 +52,15 @@ def build_room(
     """A room in which the given people can move as they do.
 
     Args:
-        swept_m: body points of all people over the whole clip (spaced at most a few centimetres).
-        props: things the motion needs, built exactly there. A thing that is picked up has a note that starts with
+        swept_m: body points of all people over the whole clip (spaced at most a few centimeters).
+        props: objects the motion needs, built exactly there. An object that is picked up has a note that starts with
             `ITEM_NOTE` (see `split_items`).
         room_size_m: width (x) and depth (z); drawn and grown as needed where None.
         clutter: 0 (tidy) to 1.
         near_miss_m: furniture put near the way on purpose keeps 0.6 to 2 times this distance.
         meshes: external objects to stand in the room.
         style: one of `STYLES`; drawn where None.
-        prop_depth_m: how deep people may be in a thing built for a prop, where no design stays free of them; all
+        prop_depth_m: how deep people may be in an object built for a prop, where no design stays free of them; all
             else is never entered deeper than `DEEPEST_M`.
 
     Raises:
@@ -79,8 +79,8 @@ def build_room(
     leaned = _leaned_stretches(props, bounds)
     openings = draw_openings(rng, bounds, height, style, leaned)
     points = PointSet(swept)
-    for thing in build_props(props, rng, Site(palette, points, bounds, prop_depth_m)):
-        plan.add(thing)
+    for obj in build_props(props, rng, Site(palette, points, bounds, prop_depth_m)):
+        plan.add(obj)
     given = len(plan.placed)
     _keep_free(plan, openings, camera_side)
     lamps_placed = _furnish(Furnisher(plan, rng, palette, clutter), style, meshes, near_miss_m, given)
@@ -93,7 +93,7 @@ def build_room(
 
 
 def split_items(room: Room) -> tuple[Room, dict[int, SceneObject]]:
-    """The room without the things that are picked up, and these by the number of their prop."""
+    """The room without the objects that are picked up, and these by the number of their prop."""
     items = {int(t.note[len(ITEM_NOTE) :].split(":")[0]): t for t in room.furniture if t.note.startswith(ITEM_NOTE)}
     return replace(room, furniture=tuple(t for t in room.furniture if not t.note.startswith(ITEM_NOTE))), items
 
@@ -149,7 +149,7 @@ def _bounds(
         more, given = extent + CAMERA_M, f"{size[0]:g} x {size[1]:g} m"
         needed = f"{more[0]:.1f} x {extent[1]:.1f} m or {extent[0]:.1f} x {more[1]:.1f} m"
         raise InputError(
-            f"the clip needs a room of {needed} (its way, the things it uses and {CAMERA_M:g} m for the camera), "
+            f"the clip needs a room of {needed} (its way, the objects it uses and {CAMERA_M:g} m for the camera), "
             f"but {given} were asked for; ask for more or leave the size out"
         )
     side = order[0]
@@ -223,7 +223,7 @@ def _keep_free(plan: Plan, openings: tuple[Opening, ...], camera_side: int) -> N
 def _furnish(
     f: Furnisher, style: str, meshes: tuple[SceneObject, ...], near_miss_m: float, given: int
 ) -> list[SceneObject]:
-    """Groups of the style, near misses, external meshes, odds and ends, small things. Returns the lamps."""
+    """Groups of the style, near misses, external meshes, odds and ends, small objects. Returns the lamps."""
     x0, x1, z0, z1 = f.plan.bounds_m
     area = (x1 - x0) * (z1 - z0)
     ARRANGE[style](f)
@@ -238,22 +238,22 @@ def _furnish(
         ARRANGE[more](f)
     extras(f, given + 5 + int(area / 8))
     dress(f)
-    return [thing for thing in f.plan.placed if thing.label == "lamp"]
+    return [obj for obj in f.plan.placed if obj.label == "lamp"]
 
 
-def _without_offenders(things: list[SceneObject], points: PointSet, given: int) -> list[SceneObject]:
-    """Drop what people would go through (things to pick up excepted: a hand holds them)."""
+def _without_offenders(objects: list[SceneObject], points: PointSet, given: int) -> list[SceneObject]:
+    """Drop what people would go through (objects to pick up excepted: a hand holds them)."""
     kept = []
-    for number, thing in enumerate(things):
-        exempt = thing.note.startswith(ITEM_NOTE) or number < given
-        if exempt or points.deepest_m(thing) <= DEEPEST_M:
-            kept.append(thing)
+    for number, obj in enumerate(objects):
+        exempt = obj.note.startswith(ITEM_NOTE) or number < given
+        if exempt or points.deepest_m(obj) <= DEEPEST_M:
+            kept.append(obj)
     return kept
 
 
 def _numbered(bounds: Bounds, height: float, structure: list, furniture: list, lights: tuple, ambient: tuple) -> Room:
-    """All things with numbers from 1."""
-    everything = [replace(thing, object_id=k + 1) for k, thing in enumerate([*structure, *furniture])]
+    """All objects with numbers from 1."""
+    everything = [replace(obj, object_id=k + 1) for k, obj in enumerate([*structure, *furniture])]
     count = len(structure)
     return Room(bounds, height, tuple(everything[:count]), tuple(everything[count:]), lights, ambient)
 

@@ -1,4 +1,4 @@
-"""How deep points lie inside things, and which of a clip's body points are near a place."""
+"""How deep points lie inside objects, and which of a clip's body points are near a place."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ _CHUNK = 2_000_000
 
 
 def penetration_m(objects: Sequence[SceneObject], points_m: Points) -> Float[np.ndarray, "points"]:
-    """Depth of each world point inside things: distance to the nearest face of the solid it is in; 0 outside.
+    """Depth of each world point inside objects: distance to the nearest face of the solid it is in; 0 outside.
 
     Where solids overlap, the greatest of the depths counts. Exact for closed outward solids; of an open surface (some
     external meshes) a point is inside where the winding number exceeds one half.
     """
     points = PointSet(points_m)
     depth = np.zeros(len(points))
-    for thing in objects:
-        rows, own = points.depth_m(thing)
+    for obj in objects:
+        rows, own = points.depth_m(obj)
         depth[rows] = np.maximum(depth[rows], own)
     return depth
 
 
 class PointSet:
-    """World points sorted along x once, so that those inside a thing's box are found fast."""
+    """World points sorted along x once, so that those inside an object's box are found fast."""
 
     def __init__(self, points_m: Points) -> None:
         points = np.asarray(points_m, float).reshape(-1, 3)
@@ -47,35 +47,35 @@ class PointSet:
         some = self._ordered[first:last]
         return some[np.abs(some[:, 2] - center_m[2]) < reach_m]
 
-    def depth_m(self, thing: SceneObject) -> tuple[Int[np.ndarray, "inside"], Float[np.ndarray, "inside"]]:
-        """Numbers of the points in the thing's box, and their depths in it."""
-        R, t = thing.T_world_object[:3, :3], thing.T_world_object[:3, 3]
-        low, high = world_box(thing)
+    def depth_m(self, obj: SceneObject) -> tuple[Int[np.ndarray, "inside"], Float[np.ndarray, "inside"]]:
+        """Numbers of the points in the object's box, and their depths in it."""
+        R, t = obj.T_world_object[:3, :3], obj.T_world_object[:3, 3]
+        low, high = world_box(obj)
         first, last = np.searchsorted(self._x, [low[0], high[0]])
         some = self._ordered[first:last]
         inside = (some[:, 1] > low[1]) & (some[:, 1] < high[1]) & (some[:, 2] > low[2]) & (some[:, 2] < high[2])
         rows = np.flatnonzero(inside)
         local = (some[rows] - t) @ R
         depth = np.zeros(len(rows))
-        for part in thing.parts if len(rows) else ():
+        for part in obj.parts if len(rows) else ():
             near = np.flatnonzero(((local > part.vertices_m.min(0)) & (local < part.vertices_m.max(0))).all(1))
             if len(near):
                 depth[near] = np.maximum(depth[near], part_depth_m(part, local[near]))
         return self._order[first + rows], depth
 
-    def deepest_m(self, thing: SceneObject) -> float:
+    def deepest_m(self, obj: SceneObject) -> float:
         """Depth of the deepest point."""
-        return float(self.depth_m(thing)[1].max(initial=0.0))
+        return float(self.depth_m(obj)[1].max(initial=0.0))
 
 
 def clearance_ok(objects: Sequence[SceneObject], points_m: Points, tolerance_m: float = 0.002) -> bool:
-    """No point deeper than the tolerance in any of the things."""
+    """No point deeper than the tolerance in any of the objects."""
     return bool(penetration_m(objects, points_m).max(initial=0.0) <= tolerance_m)
 
 
-def world_box(thing: SceneObject) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def world_box(obj: SceneObject) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Lowest and highest corner in the world."""
-    corners = thing.merged()[0]
+    corners = obj.merged()[0]
     return corners.min(0), corners.max(0)
 
 

@@ -1,4 +1,4 @@
-"""Plants, lamps and the small things that lie about."""
+"""Plants, lamps and the small objects that lie about."""
 
 from __future__ import annotations
 
@@ -139,21 +139,21 @@ def make_clutter(
         "monitor": _monitor,
         "bag": _bag,
     }[label](m, palette)
-    thing = m.done(label, note)
-    return thing if size_m is None else scaled_into(thing, size_m)
+    obj = m.done(label, note)
+    return obj if size_m is None else scaled_into(obj, size_m)
 
 
-def scaled_into(thing: SceneObject, size_m: tuple[float, float]) -> SceneObject:
-    """The same thing, shrunk where its footprint is wider than `size_m`."""
-    points = np.concatenate([part.vertices_m for part in thing.parts])
+def scaled_into(obj: SceneObject, size_m: tuple[float, float]) -> SceneObject:
+    """The same object, shrunk where its footprint is wider than `size_m`."""
+    points = np.concatenate([part.vertices_m for part in obj.parts])
     extent = np.ptp(points, axis=0)
     factor = min(1.0, size_m[0] / extent[0], size_m[1] / extent[2])
     if factor == 1.0:
-        return thing
+        return obj
     m = Maker(np.random.default_rng(0))
-    for part in thing.parts:
+    for part in obj.parts:
         m.add((part.vertices_m * factor, part.faces), part.material, part.smooth)
-    return m.done(thing.label, thing.note)
+    return m.done(obj.label, obj.note)
 
 
 def _books(m: Maker, palette: Palette) -> str:

@@ -1,4 +1,4 @@
-"""Rugs, pictures and the things that lie on furniture and on the floor."""
+"""Rugs, pictures and the objects that lie on furniture and on the floor."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ON_TOP = {
 
 
 def dress(f: Furnisher) -> None:
-    """Things on tops, cushions on seats, some on the floor. `clutter` (0 to 1) says how many."""
+    """Objects on tops, cushions on seats, some on the floor. `clutter` (0 to 1) says how many."""
     for base in list(f.plan.placed):
         if base.label in _ON_TOP and "prop" not in base.note and _height(base) < 1.7:
             _on_surface(f, base, _ON_TOP[base.label])
@@ -34,22 +34,22 @@ def dress(f: Furnisher) -> None:
         f.plan.anywhere(make_clutter(label, f.rng, f.palette), f.rng, tries=8)
 
 
-def _height(thing: SceneObject) -> float:
-    return float(Boxes.of(thing).high_m[:, 1].max())
+def _height(obj: SceneObject) -> float:
+    return float(Boxes.of(obj).high_m[:, 1].max())
 
 
 def _on_surface(f: Furnisher, base: SceneObject, labels: tuple[str, ...]) -> None:
     s = base.surfaces[-1 if base.label == "shelf" else 0]
     for _ in range(f.rng.poisson(3.0 * f.clutter * min(1.5, s.size_m[0]))):
-        thing = make_clutter(labels[int(f.rng.integers(len(labels)))], f.rng, f.palette)
-        boxes = Boxes.of(thing)
+        obj = make_clutter(labels[int(f.rng.integers(len(labels)))], f.rng, f.palette)
+        boxes = Boxes.of(obj)
         half = np.abs(np.concatenate([boxes.low_m, boxes.high_m])[:, [0, 2]]).max(0)
         room = np.array(s.size_m) / 2 - np.hypot(*half)
         if room.min() <= 0.0:
             continue
         x, z = f.rng.uniform(-room, room)
         T = base.T_world_object @ pose(s.center_m[0] + x, s.center_m[1] + z, f.u(-3.1, 3.1), s.height_m)
-        f.plan.try_at(thing, T, apart_m=0.01, ignore_free=True)
+        f.plan.try_at(obj, T, apart_m=0.01, ignore_free=True)
 
 
 def _cushions(f: Furnisher, base: SceneObject) -> None:
@@ -69,12 +69,12 @@ def _cushions(f: Furnisher, base: SceneObject) -> None:
         f.plan.try_at(cushion, T, apart_m=0.0, ignore_free=True)
 
 
-def _stood(thing: SceneObject, lean_rad: float) -> SceneObject:
+def _stood(obj: SceneObject, lean_rad: float) -> SceneObject:
     """Set up on edge, leaning back."""
     m = Maker(np.random.default_rng(0))
-    for part in thing.parts:
+    for part in obj.parts:
         m.add(moved((part.vertices_m, part.faces), pitch=lean_rad), part.material, part.smooth)
-    return m.done(thing.label, thing.note)
+    return m.done(obj.label, obj.note)
 
 
 def hang_pictures(
@@ -93,9 +93,9 @@ def hang_pictures(
         x = float(rng.uniform(-room, room))
         if any(s == side and a < x + w / 2 + 0.1 and b > x - w / 2 - 0.1 for s, a, b in avoid):
             continue
-        middle = float(rng.uniform(1.45, 1.65))
+        center = float(rng.uniform(1.45, 1.65))
         picture = make_picture(rng, palette, (w, h))
-        T = wall_frame(plan.bounds_m, side) @ pose(x, 0.0005, 0.0, middle - h / 2)
+        T = wall_frame(plan.bounds_m, side) @ pose(x, 0.0005, 0.0, center - h / 2)
         if plan.fits(Boxes.of(picture).at(T), apart_m=0.04, clear_m=0.04, ignore_free=True):
             placed = picture.moved(T)
             plan.add(placed)
@@ -106,7 +106,7 @@ def hang_pictures(
 def lay_rugs(rng: np.random.Generator, palette: Palette, plan: Plan) -> list[SceneObject]:
     """A rug before the sofa, under the dining table or beside the bed; else in the middle now and then."""
     x0, x1, z0, z1 = plan.bounds_m
-    anchors = [thing for thing in plan.placed if thing.label in ("sofa", "bed", "table") and "prop" not in thing.note]
+    anchors = [obj for obj in plan.placed if obj.label in ("sofa", "bed", "table") and "prop" not in obj.note]
     size = (float(rng.uniform(1.6, 2.6)), float(rng.uniform(1.2, 1.9)))
     if anchors and rng.random() < 0.75:
         anchor = anchors[0]

@@ -1,4 +1,4 @@
-"""External meshes (GLB, OBJ, PLY) as things of a room."""
+"""External meshes (GLB, OBJ, PLY) as objects of a room."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from video2anim.errors import InputError
 from video2anim.lab.synth.world import CLUTTER_LABELS, FURNITURE_LABELS, Material, Part, SceneObject, Surface
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
-SMALLEST_M = 0.02
-LARGEST_M = 4.0
-"""A thing with a greatest extent outside this range is not in metres, or no thing of a room."""
+MIN_M = 0.02
+MAX_M = 4.0
+"""An object with a greatest extent outside this range is not in meters, or no object of a room."""
 _FLATTEST_M = 0.002
 _NO_COLOR = (0.62, 0.60, 0.57)
 
 
 def load_meshes(folder: Path) -> tuple[SceneObject, ...]:
-    """All meshes of a folder, by name: metres, +Y up, put on y = 0 with the origin under the middle.
+    """All meshes of a folder, by name: meters, +Y up, put on y = 0 with the origin under the middle.
 
-    Vertex colours are kept; a texture or face colours are baked into the vertices. The label is the first class named
+    Vertex colors are kept; a texture or face colors are baked into the vertices. The label is the first class named
     at the start of the file's name (`chair_oak.glb` is a chair), else `mesh`.
 
     Raises:
         InputError: no such folder, none of its files is a mesh, or one is unreadable, empty, flat or of a size that is
-            not a thing's in metres.
+            not an object's in meters.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -48,13 +48,13 @@ def load_mesh(path: Path) -> SceneObject:
         raise InputError(f"{path}: mesh has coordinates that are no numbers; export it again")
     low, high = points.min(0), points.max(0)
     extent = high - low
-    if extent.max() > LARGEST_M or extent.max() < SMALLEST_M:
+    if extent.max() > MAX_M or extent.max() < MIN_M:
         raise InputError(
-            f"{path}: mesh is {extent.max():.3g} units long, but things of {SMALLEST_M:g} to {LARGEST_M:g} m are "
-            f"wanted; export it in metres"
+            f"{path}: mesh is {extent.max():.3g} units long, but objects of {MIN_M:g} to {MAX_M:g} m are "
+            f"wanted; export it in meters"
         )
     if extent.min() < _FLATTEST_M:
-        raise InputError(f"{path}: mesh is flat ({1000 * extent.min():.2g} mm thick); a solid thing is wanted")
+        raise InputError(f"{path}: mesh is flat ({1000 * extent.min():.2g} mm thick); a solid object is wanted")
     origin = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
     parts = tuple(_part(mesh, origin) for mesh in meshes)
     top = Surface("top", float(extent[1]), (0.0, 0.0), (float(extent[0]), float(extent[2])))

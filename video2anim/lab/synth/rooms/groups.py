@@ -32,22 +32,22 @@ class Furnisher:
         return make_furniture(label, self.rng, palette=self.palette)
 
     def beside(
-        self, anchor: SceneObject | None, thing: SceneObject, x: float, z: float, yaw: float = 0.0, **rules
+        self, anchor: SceneObject | None, obj: SceneObject, x: float, z: float, yaw: float = 0.0, **rules
     ) -> SceneObject | None:
         """At (x, z) of the anchor's frame."""
         if anchor is None:
             return None
-        return self.plan.try_at(thing, anchor.T_world_object @ pose(x, z, yaw), **rules)
+        return self.plan.try_at(obj, anchor.T_world_object @ pose(x, z, yaw), **rules)
 
     def on_top(
-        self, base: SceneObject | None, thing: SceneObject, x: float = 0.0, z: float = 0.0, yaw: float = 0.0
+        self, base: SceneObject | None, obj: SceneObject, x: float = 0.0, z: float = 0.0, yaw: float = 0.0
     ) -> None:
-        """On the first surface of another thing, at (x, z) from its middle."""
+        """On the first surface of another object, at (x, z) from its middle."""
         if base is None or not base.surfaces:
             return
         s = base.surfaces[0]
         T = base.T_world_object @ pose(s.center_m[0] + x, s.center_m[1] + z, yaw, s.height_m)
-        self.plan.try_at(thing, T, apart_m=0.0, ignore_free=True)
+        self.plan.try_at(obj, T, apart_m=0.0, ignore_free=True)
 
     def chance(self, share: float) -> bool:
         return bool(self.rng.random() < share)
@@ -56,8 +56,8 @@ class Furnisher:
         return float(self.rng.uniform(low, high))
 
 
-def _size(thing: SceneObject) -> tuple[float, float, float]:
-    whole = Boxes.of(thing).whole()
+def _size(obj: SceneObject) -> tuple[float, float, float]:
+    whole = Boxes.of(obj).whole()
     x, y, z = whole.high_m[0] - whole.low_m[0]
     return float(x), float(y), float(z)
 
@@ -216,6 +216,6 @@ def extras(f: Furnisher, least: int) -> None:
         f.plan.against_wall(f.make("box"), f.rng)
     order = ("plant", "shelf", "cabinet", "box", "stool", "lamp", "chair", "table")
     for _ in range(3 * len(order)):
-        if len([thing for thing in f.plan.placed if thing.label in order or thing.surfaces]) >= least:
+        if len([obj for obj in f.plan.placed if obj.label in order or obj.surfaces]) >= least:
             break
         f.plan.against_wall(f.make(order[int(f.rng.integers(len(order)))]), f.rng)

@@ -1,4 +1,4 @@
-"""Lamps, windows and sun, balanced so that a grey wall comes out grey."""
+"""Lamps, windows and sun, balanced so that a gray wall comes out gray."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from video2anim.lab.synth.world import Light, SceneObject
 _SKY_AWAY_M = 1.1
 """A window's light stands this far outside, so that it falls in as from the sky (glowing panes cast no shadow)."""
 _TARGET_IRRADIANCE = np.pi * 0.95
-"""A matt surface of albedo a sends back radiance a E / pi: at E = pi it renders as bright as its own colour."""
+"""A matt surface of albedo a sends back radiance a E / pi: at E = pi it renders as bright as its own color."""
 
 
 def _unit_rgb(rgb: tuple[float, float, float]) -> np.ndarray:
@@ -96,8 +96,8 @@ def _sun(rng: np.random.Generator, bounds_m: Bounds, window: Opening) -> Light:
     local = np.array([np.cos(height) * np.sin(aside), -np.sin(height), np.cos(height) * np.cos(aside)])
     way = frame[:3, :3] @ local
     strength = _unit_rgb((1.0, 0.93, 0.80)) * np.pi * float(rng.uniform(1.0, 2.2))
-    middle = frame @ [(window.x0 + window.x1) / 2, (window.y0 + window.y1) / 2, 0, 1.0]
-    return Light(_triple(middle[:3] - 6.0 * way), _triple(strength), 0.1, _triple(way))
+    center = frame @ [(window.x0 + window.x1) / 2, (window.y0 + window.y1) / 2, 0, 1.0]
+    return Light(_triple(center[:3] - 6.0 * way), _triple(strength), 0.1, _triple(way))
 
 
 def _ceiling_lamps(

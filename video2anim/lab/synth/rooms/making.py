@@ -37,8 +37,8 @@ class Maker:
     def done(self, label: str, note: str) -> SceneObject:
         """The object with the origin under the middle of its box.
 
-        A thing with surfaces keeps their heights: what dips below the floor (the slanted end of a leg) is pressed
-        flat. Any other thing is shifted to rest on y = 0.
+        An object with surfaces keeps their heights: what dips below the floor (the slanted end of a leg) is pressed
+        flat. Any other object is shifted to rest on y = 0.
         """
         meshes = [part.vertices_m for part in self.parts]
         if self.surfaces:
@@ -59,7 +59,7 @@ class Maker:
 
 
 def pose(x: float, z: float, yaw: float, y: float = 0.0) -> np.ndarray:
-    """T_world_object of a thing whose front looks along (sin yaw, 0, cos yaw)."""
+    """T_world_object of an object whose front looks along (sin yaw, 0, cos yaw)."""
     T = np.eye(4)
     T[:3, :3] = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
     T[:3, 3] = x, y, z
@@ -67,5 +67,5 @@ def pose(x: float, z: float, yaw: float, y: float = 0.0) -> np.ndarray:
 
 
 def yaw_of(T_world_object: np.ndarray) -> float:
-    """Heading of an upright thing."""
+    """Heading of an upright object."""
     return float(np.arctan2(T_world_object[0, 2], T_world_object[2, 2]))

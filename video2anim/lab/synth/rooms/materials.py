@@ -84,7 +84,7 @@ def pick(rng: np.random.Generator, choices: tuple[Choice, ...]) -> Choice:
 
 
 def varied(rng: np.random.Generator, rgb: Rgb, amount: float = 0.02) -> Rgb:
-    """The same colour, a little lighter or darker and warmer or colder."""
+    """The same color, a little lighter or darker and warmer or colder."""
     shift = rng.normal(0, amount) + rng.normal(0, amount / 3, 3)
     r, g, b = np.clip(np.asarray(rgb) + shift, 0.02, 0.97).round(4)
     return float(r), float(g), float(b)
@@ -117,7 +117,7 @@ def metal(rng: np.random.Generator) -> Material:
 
 
 def fabric(rng: np.random.Generator, rgb: Rgb, rgb2: Rgb | None = None, patterned: float = 0.15) -> Material:
-    """Woven cloth, sometimes striped or checked with a second colour."""
+    """Woven cloth, sometimes striped or checked with a second color."""
     kind, scale = "fabric", float(rng.uniform(0.004, 0.012))
     if rng.random() < patterned:
         kind = pick(rng, ("stripes", "checks"))
@@ -127,13 +127,13 @@ def fabric(rng: np.random.Generator, rgb: Rgb, rgb2: Rgb | None = None, patterne
 
 
 def leather(rng: np.random.Generator) -> Material:
-    """Leather of a colour."""
+    """Leather of a color."""
     rgb = pick(rng, LEATHERS)
     return Material("leather", varied(rng, rgb), shaded(rgb, 0.75), 0.01, 0.3, 0.0, 0.1, _number(rng))
 
 
 def paper(rng: np.random.Generator, rgb: Rgb) -> Material:
-    """Paper or card of a colour."""
+    """Paper or card of a color."""
     return Material("paper", varied(rng, rgb), shaded(rgb, 0.9), 0.02, 0.0, 0.0, 0.0, _number(rng))
 
 

@@ -13,7 +13,7 @@ from video2anim.lab.synth.world import SceneObject
 
 Bounds = tuple[float, float, float, float]
 _TOUCH_M = 0.001
-"""Things may touch within this."""
+"""Objects may touch within this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,10 +25,10 @@ class Boxes:
     T_world_frame: Float[np.ndarray, "4 4"]
 
     @classmethod
-    def of(cls, thing: SceneObject) -> Boxes:
-        low = np.stack([part.vertices_m.min(0) for part in thing.parts])
-        high = np.stack([part.vertices_m.max(0) for part in thing.parts])
-        return cls(low, high, thing.T_world_object)
+    def of(cls, obj: SceneObject) -> Boxes:
+        low = np.stack([part.vertices_m.min(0) for part in obj.parts])
+        high = np.stack([part.vertices_m.max(0) for part in obj.parts])
+        return cls(low, high, obj.T_world_object)
 
     def at(self, T_world_frame: np.ndarray) -> Boxes:
         return Boxes(self.low_m, self.high_m, T_world_frame)
@@ -55,13 +55,13 @@ def overlap(a: Boxes, b: Boxes, margin_m: float = 0.0) -> bool:
     meet &= level[1][0][None] < level[0][1][:, None] - _TOUCH_M
     if not meet.any():
         return False
-    middle, half = [], []
+    center, half = [], []
     for boxes in (a, b):
         c = (boxes.low_m + boxes.high_m) / 2 * [1, 0, 1]
-        middle.append((c @ boxes.T_world_frame[:3, :3].T + boxes.T_world_frame[:3, 3])[:, [0, 2]])
+        center.append((c @ boxes.T_world_frame[:3, :3].T + boxes.T_world_frame[:3, 3])[:, [0, 2]])
         half.append((boxes.high_m - boxes.low_m)[:, [0, 2]] / 2)
     half[0] = half[0] + margin_m
-    between = middle[1][None] - middle[0][:, None]
+    between = center[1][None] - center[0][:, None]
     for yaw in {yaw_a: 0, yaw_b: 0}:
         for axis in (np.array([np.cos(yaw), -np.sin(yaw)]), np.array([np.sin(yaw), np.cos(yaw)])):
             reach = []
@@ -91,10 +91,10 @@ class Plan:
     ) -> None:
         self.kept_free.append(Boxes(np.array([low], float), np.array([high], float), np.eye(4) if T is None else T))
 
-    def add(self, thing: SceneObject) -> SceneObject:
-        self.placed.append(thing)
-        self.boxes.append(Boxes.of(thing))
-        return thing
+    def add(self, obj: SceneObject) -> SceneObject:
+        self.placed.append(obj)
+        self.boxes.append(Boxes.of(obj))
+        return obj
 
     def fits(
         self,
@@ -105,7 +105,7 @@ class Plan:
         ignore_free: bool = False,
         whole: bool = False,
     ) -> bool:
-        """Whether a thing may stand there: in the room, off the kept-free places, other things and the people's way.
+        """Whether an object may stand there: in the room, off the kept-free places, other objects and the people's way.
 
         With `whole` it keeps `apart_m` from others as one box (no tucking under); else part by part.
         """
@@ -140,19 +140,19 @@ class Plan:
 
     # --- ways to find a place -------------------------------------------------------------------------------------
 
-    def try_at(self, thing: SceneObject, T: np.ndarray, **rules) -> SceneObject | None:
+    def try_at(self, obj: SceneObject, T: np.ndarray, **rules) -> SceneObject | None:
         """Put it there if it fits."""
-        return self.add(thing.moved(T)) if self.fits(Boxes.of(thing).at(T), **rules) else None
+        return self.add(obj.moved(T)) if self.fits(Boxes.of(obj).at(T), **rules) else None
 
     def wall_pose(self, side: int, along_m: float, off_m: float) -> np.ndarray:
         """Pose facing into the room, `along_m` from the middle of wall `side` (0 = -Z, 1 = +X, 2 = +Z, 3 = -X)."""
         return wall_frame(self.bounds_m, side) @ pose(along_m, off_m, 0.0)
 
     def against_wall(
-        self, thing: SceneObject, rng: np.random.Generator, *, tries: int = 16, turn: float = 0.0, **rules
+        self, obj: SceneObject, rng: np.random.Generator, *, tries: int = 16, turn: float = 0.0, **rules
     ) -> SceneObject | None:
         """Somewhere with its back to a wall, or with its side when turned by a quarter; corners are liked."""
-        boxes = Boxes.of(thing)
+        boxes = Boxes.of(obj)
         extent = boxes.high_m.max(0) - boxes.low_m.min(0)
         if abs(np.sin(turn)) > 0.5:
             extent = extent[[2, 1, 0]]
@@ -167,12 +167,12 @@ class Plan:
             T = self.wall_pose(side, along, extent[2] / 2 + 0.02 + float(rng.uniform(0, 0.02)))
             T = T @ pose(0.0, 0.0, turn)
             if self.fits(boxes.at(T), **rules):
-                return self.add(thing.moved(T))
+                return self.add(obj.moved(T))
         return None
 
     def near_people(
         self,
-        thing: SceneObject,
+        obj: SceneObject,
         rng: np.random.Generator,
         clear_m: float,
         *,
@@ -181,7 +181,7 @@ class Plan:
         **rules,
     ) -> SceneObject | None:
         """As near to the people's way as `clear_m` allows: moved in from outside along a random line."""
-        boxes = Boxes.of(thing)
+        boxes = Boxes.of(obj)
         radius = float(np.linalg.norm((boxes.high_m.max(0) - boxes.low_m.min(0))[[0, 2]]) / 2)
         for _ in range(tries):
             goal = self.sweep.points[int(rng.integers(len(self.sweep.points)))]
@@ -193,21 +193,21 @@ class Plan:
                 T = pose(float(x), float(z), yaw)
                 if self.clear_of_people(boxes.at(T), clear_m):
                     if self.fits(boxes.at(T), clear_m=clear_m, **rules):
-                        return self.add(thing.moved(T))
+                        return self.add(obj.moved(T))
                     break
         return None
 
     def anywhere(
-        self, thing: SceneObject, rng: np.random.Generator, *, tries: int = 16, yaw: float | None = None, **rules
+        self, obj: SceneObject, rng: np.random.Generator, *, tries: int = 16, yaw: float | None = None, **rules
     ) -> SceneObject | None:
         """Somewhere on the floor."""
         x0, x1, z0, z1 = self.bounds_m
-        boxes = Boxes.of(thing)
+        boxes = Boxes.of(obj)
         for _ in range(tries):
             turn = float(rng.uniform(0, 2 * np.pi)) if yaw is None else yaw
             T = pose(float(rng.uniform(x0, x1)), float(rng.uniform(z0, z1)), turn)
             if self.fits(boxes.at(T), **rules):
-                return self.add(thing.moved(T))
+                return self.add(obj.moved(T))
         return None
 
 
@@ -220,6 +220,6 @@ def wall_frame(bounds_m: Bounds, side: int) -> Float[np.ndarray, "4 4"]:
 
 
 def wall_length(bounds_m: Bounds, side: int) -> float:
-    """Length in metres of a wall (0 = -Z, 1 = +X, 2 = +Z, 3 = -X)."""
+    """Length in meters of a wall (0 = -Z, 1 = +X, 2 = +Z, 3 = -X)."""
     x0, x1, z0, z1 = bounds_m
     return x1 - x0 if side % 2 == 0 else z1 - z0

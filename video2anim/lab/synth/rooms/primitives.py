@@ -1,4 +1,4 @@
-"""Closed, outward-oriented solids that furniture is put together from. Metres, +Y up.
+"""Closed, outward-oriented solids that furniture is put together from. Meters, +Y up.
 
 A solid is a pair (vertices (V, 3), faces (F, 3)), counter-clockwise seen from outside. `y` is always the height of the
 lower end, `x` and `z` the middle.
@@ -203,11 +203,11 @@ def leaf(length: float, width: float, droop: float, thickness: float = 0.002) ->
     half = width / 2 * np.array([0.12, 0.8, 1.0, 0.65, 0.06])
     rings = []
     for s, w in zip(share, half, strict=True):
-        middle = np.array([0.0, -droop * s**2, length * s])
+        center = np.array([0.0, -droop * s**2, length * s])
         fold = 0.25 * w
         up = np.array([0.0, thickness, 0.0])
-        left, right = middle + np.array([-w, fold, 0.0]), middle + np.array([w, fold, 0.0])
-        rings.append([left, middle, right, right + up, middle + up, left + up])
+        left, right = center + np.array([-w, fold, 0.0]), center + np.array([w, fold, 0.0])
+        rings.append([left, center, right, right + up, center + up, left + up])
     return oriented(loft(np.array(rings)))
 
 

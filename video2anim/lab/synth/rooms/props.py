@@ -1,4 +1,4 @@
-"""Things that an acted motion needs, built to measure at the exact place."""
+"""Objects that an procedural motion needs, built to measure at the exact place."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from video2anim.lab.synth.rooms.tables import make_bed, make_box, make_desk, mak
 from video2anim.lab.synth.world import Prop, SceneObject
 
 DEEPEST_M = 0.002
-"""No body point of the clip may be deeper in a thing than this."""
+"""No body point of the clip may be deeper in an object than this."""
 _SCREENED = 150_000
 """About so many points decide which designs are looked at closely."""
 ITEM_NOTE = "item of prop "
-"""Start of the note of a thing that is picked up (the number of the prop follows)."""
+"""Start of the note of an object that is picked up (the number of the prop follows)."""
 
 
 def prop_pose(prop: Prop) -> Float[np.ndarray, "4 4"]:
@@ -46,7 +46,7 @@ class Site:
 
 
 def build_props(props: tuple[Prop, ...], rng: np.random.Generator, site: Site) -> list[SceneObject]:
-    """One thing per prop (none for a wall prop that a wall of the room serves), each in a design the people do not
+    """One object per prop (none for a wall prop that a wall of the room serves), each in a design the people do not
     go through, none into another.
 
     Raises:
@@ -83,7 +83,7 @@ def _first_clear(
     near = site.points.near(np.array(prop.position_m), 2.6)
     local = (near - T[:3, 3]) @ T[:3, :3]
     some = PointSet(near[:: max(1, len(near) // _SCREENED)])
-    best, least_bad = np.inf, None
+    best, min_bad = np.inf, None
     for candidate in _candidates(prop, rng, site.palette, local):
         placed = candidate.moved(T @ candidate.T_world_object)
         deepest = some.deepest_m(placed)
@@ -98,9 +98,9 @@ def _first_clear(
         if deepest <= DEEPEST_M and inside and apart:
             return replace(placed, note=f"prop {number} {prop.kind}: {placed.note}")
         if inside and apart and deepest < best:
-            best, least_bad = deepest, placed
-    if least_bad is not None and site.points.deepest_m(least_bad) <= site.allowed_m:
-        return replace(least_bad, note=f"prop {number} {prop.kind}: {least_bad.note}")
+            best, min_bad = deepest, placed
+    if min_bad is not None and site.points.deepest_m(min_bad) <= site.allowed_m:
+        return replace(min_bad, note=f"prop {number} {prop.kind}: {min_bad.note}")
     size = f"{prop.size_m[0]:.2f} x {prop.size_m[1]:.2f} m"
     why = (
         f"people go at least {100 * best:.1f} cm deep into every design"
@@ -114,10 +114,10 @@ def _place(prop: Prop) -> str:
     return "(" + ", ".join(f"{value:.2f}" for value in prop.position_m) + ")"
 
 
-def _onto(thing: SceneObject, x: float, z: float, index: int = 0) -> SceneObject:
-    """The thing with the middle of one of its surfaces above (x, z) of the prop's frame."""
-    cx, cz = thing.surfaces[index].center_m
-    return thing.moved(pose(x - cx, z - cz, 0.0))
+def _onto(obj: SceneObject, x: float, z: float, index: int = 0) -> SceneObject:
+    """The object with the middle of one of its surfaces above (x, z) of the prop's frame."""
+    cx, cz = obj.surfaces[index].center_m
+    return obj.moved(pose(x - cx, z - cz, 0.0))
 
 
 def _candidates(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.ndarray) -> Iterator[SceneObject]:
@@ -239,12 +239,12 @@ def _tables(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.nd
                 deep = min(deep, max(d, 0.34))
                 above = local[(np.abs(local[:, 0]) < w) & (local[:, 1] > h)]
                 tall = h + 0.45 if len(above) == 0 or rng.random() < 0.5 else None
-                thing = make_shelf(rng, palette, (wide + 0.05, deep + 0.02), tall, board_m=h)
-                index = next(k for k, s in enumerate(thing.surfaces) if abs(s.height_m - h) < 1e-6)
+                obj = make_shelf(rng, palette, (wide + 0.05, deep + 0.02), tall, board_m=h)
+                index = next(k for k, s in enumerate(obj.surfaces) if abs(s.height_m - h) < 1e-6)
             else:
                 makers = {"table": make_table, "desk": make_desk, "cabinet": make_cabinet, "box": make_box}
-                thing, index = makers[label](rng, palette, (wide, deep), h), 0
-            yield _onto(thing, aside, d / 2 - deep / 2, index)
+                obj, index = makers[label](rng, palette, (wide, deep), h), 0
+            yield _onto(obj, aside, d / 2 - deep / 2, index)
     m = Maker(rng)
     m.surface("top", h, (w, d))
     m.add(soft_box(w, 0.03, d, 0.006, y=h - 0.03), palette.wood)
@@ -272,7 +272,7 @@ def _walls(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.nda
         aside = float(rng.uniform(-1, 1)) * (wide - w) / 2
         if rng.random() < 0.45:
             tall = max(float(rng.uniform(1.85, 2.1)), prop.position_m[1] + 0.3)
-            thing = make_cabinet(rng, palette, (wide, 0.56), tall, kind="wardrobe", plain_back=True)
+            obj = make_cabinet(rng, palette, (wide, 0.56), tall, kind="wardrobe", plain_back=True)
             T = pose(0, 0, np.pi)
         else:
             thick = pick(rng, (0.12, 0.2, 0.45))
@@ -281,38 +281,38 @@ def _walls(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.nda
                 plain_box(wide, max(2.2, prop.position_m[1] + 0.4), thick),
                 pick(rng, (palette.wall, palette.accent_wall)),
             )
-            thing, T = m.done("wall", "free-standing wall"), np.eye(4)
-        turned = thing.moved(T)
+            obj, T = m.done("wall", "free-standing wall"), np.eye(4)
+        turned = obj.moved(T)
         front = float(Boxes.of(turned).corners_xz()[:, 1].max())
         if T[0, 0] < 0:
-            front = float(-min(part.vertices_m[:, 2].min() for part in thing.parts))
-        yield thing.moved(pose(aside, -front, 0.0) @ T)
+            front = float(-min(part.vertices_m[:, 2].min() for part in obj.parts))
+        yield obj.moved(pose(aside, -front, 0.0) @ T)
 
 
 def _item(
     number: int, prop: Prop, rng: np.random.Generator, site: Site, others: list[SceneObject]
 ) -> list[SceneObject]:
-    """The small thing, and a stand below it where nothing carries it. The hand may hold it, so it may touch people."""
+    """The small object, and a stand below it where nothing carries it. The hand may hold it, so it may touch people."""
     label = pick(rng, ITEM_LABELS)
     size = (min(prop.size_m[0], 0.25), min(prop.size_m[1], 0.25))
     if label == "box":
-        thing = make_box(rng, site.palette, size, max(0.06, 0.7 * min(size)))
+        obj = make_box(rng, site.palette, size, max(0.06, 0.7 * min(size)))
     else:
-        thing = make_clutter(label, rng, site.palette)
-    thing = scaled_into(thing, size)
+        obj = make_clutter(label, rng, site.palette)
+    obj = scaled_into(obj, size)
     x, y, z = prop.position_m
-    out = [replace(thing.moved(pose(x, z, prop.yaw_rad, y)), note=f"{ITEM_NOTE}{number}: {thing.note}")]
+    out = [replace(obj.moved(pose(x, z, prop.yaw_rad, y)), note=f"{ITEM_NOTE}{number}: {obj.note}")]
     if y > 0.03 and not any(_carries(other, prop) for other in others):
         stand = replace(prop, kind="table", size_m=(max(0.25, size[0]), max(0.25, size[1])))
         out.insert(0, _first_clear(number, stand, rng, site, others))
     return out
 
 
-def _carries(thing: SceneObject, prop: Prop) -> bool:
-    local = np.linalg.inv(thing.T_world_object) @ [*prop.position_m, 1.0]
+def _carries(obj: SceneObject, prop: Prop) -> bool:
+    local = np.linalg.inv(obj.T_world_object) @ [*prop.position_m, 1.0]
     return any(
         abs(s.height_m - local[1]) < 0.01
         and abs(local[0] - s.center_m[0]) < s.size_m[0] / 2
         and abs(local[2] - s.center_m[1]) < s.size_m[1] / 2
-        for s in thing.surfaces
+        for s in obj.surfaces
     )

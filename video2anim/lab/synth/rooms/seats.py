@@ -44,7 +44,7 @@ class Seat:
 
 
 def draw_seat(label: str, rng: np.random.Generator, size_m: tuple[float, float] | None = None) -> Seat:
-    """Usual sizes (metres).
+    """Usual sizes (meters).
 
     chair: seat 0.40-0.50 wide, 0.40-0.46 deep, 0.43-0.48 high; stool 0.30-0.42, 0.42-0.50 or 0.62-0.75 (bar) high;
     armchair 0.52-0.62, 0.50-0.58, 0.38-0.45; sofa 1.25-2.0, 0.52-0.62, 0.38-0.46.
@@ -287,7 +287,7 @@ def _upholstered(m: Maker, p: Palette, seat: Seat, label: str) -> str:
 
 
 def seat_pad(seat: Seat, rng: np.random.Generator, palette: Palette) -> SceneObject:
-    """The least thing to sit on: an upholstered cube with nothing beside or behind."""
+    """The least object to sit on: an upholstered cube with nothing beside or behind."""
     m = Maker(rng)
     m.surface("seat", seat.height_m, (seat.width_m, seat.depth_m))
     cover = pick(rng, (palette.fabric, palette.accent, palette.leather))

@@ -37,7 +37,7 @@ def make_shelf(
 
     Args:
         height_m: height of the whole.
-        board_m: a board has its top exactly here and stays free of things, with open room of 0.35 m above.
+        board_m: a board has its top exactly here and stays free of objects, with open room of 0.35 m above.
     """
     m = Maker(rng)
     w, d = size_m or (m.uniform(0.6, 1.2), m.uniform(0.26, 0.38))
@@ -81,7 +81,7 @@ def _board_levels(m: Maker, height_m: float | None, board_m: float | None) -> li
 
 
 def _fill_board(m: Maker, level: float, width: float, depth: float, clear: float) -> None:
-    """A row of books, some lying, now and then a storage box; merged by colour."""
+    """A row of books, some lying, now and then a storage box; merged by color."""
     x, end = -width / 2 + 0.004, width / 2 - 0.004
     rows: dict[int, list[Mesh]] = {}
     if m.chance(0.2) and clear > 0.16:

@@ -13,12 +13,12 @@ from jaxtyping import Float
 from video2anim.video.decode import DecodeReport, SourceHeader, Stamps, decode
 from video2anim.video.shots import THUMBNAIL_SIDE_PX, ShotDetector
 
-LONGEST_HOLE_S = 2.0
+MAX_GAP_S = 2.0
 """A hole in the time stamps longer than this ends a shot: holding a picture over it would invent footage."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Survey:
+class SourceScan:
     """The pictures of a source between `start_s` and `stop_s`."""
 
     time_s: Float[np.ndarray, "pictures"]
@@ -53,14 +53,14 @@ class Survey:
         return tuple(spans)
 
 
-def survey_source(
+def scan_source(
     path: Path,
     header: SourceHeader,
     *,
     start_s: float = 0.0,
     stop_s: float | None = None,
     on_picture: Callable[[int], None] | None = None,
-) -> Survey:
+) -> SourceScan:
     """Decode the source, keeping nothing of its pictures but a few thumbnails at a time.
 
     Decoders return pictures in the order in which they are shown. Where presentation times contradict that order
@@ -90,7 +90,7 @@ def _survey(
     start_s: float,
     stop_s: float | None,
     on_picture: Callable[[int], None] | None,
-) -> Survey:
+) -> SourceScan:
     report = DecodeReport()
     detector = ShotDetector()
     size_px = header.upright_size_px(THUMBNAIL_SIDE_PX)
@@ -105,7 +105,7 @@ def _survey(
             break
         if picture.time_s - first_s < start_s:
             continue
-        if stamps_s and picture.time_s - stamps_s[-1] > LONGEST_HOLE_S:
+        if stamps_s and picture.time_s - stamps_s[-1] > MAX_GAP_S:
             hole_starts.append(len(stamps_s))
         stamps_s.append(picture.time_s)
         detector.add(picture.rgb(*size_px))
@@ -113,4 +113,4 @@ def _survey(
             on_picture(report.frames)
     cuts = detector.finish()
     starts = sorted({0, *cuts, *hole_starts}) if stamps_s else []
-    return Survey(np.array(stamps_s, dtype=np.float64), tuple(starts), report, reached_end, stamps)
+    return SourceScan(np.array(stamps_s, dtype=np.float64), tuple(starts), report, reached_end, stamps)

@@ -18,19 +18,19 @@ _SLACK_M = 0.013
 """Skin farther outside of a ball than this is not covered by it."""
 _GROWTH_M = 0.006
 """Balls are larger by this than those that fit inside the skin."""
-_LARGEST_BALL_M = 0.12
+_MAX_BALL_M = 0.12
 _HEAD_SKIN_M = 0.02
 """The head's skin lies this near its convex hull."""
 _SEED = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BodyBalls:
+class BodySpheres:
     """Balls fixed in the T-pose frames of joints."""
 
-    joint: Int[np.ndarray, "balls"]
+    joint: Int[np.ndarray, "spheres"]
     center_joint_m: Float[np.ndarray, "balls 3"]
-    radius_m: Float[np.ndarray, "balls"]
+    radius_m: Float[np.ndarray, "spheres"]
 
     def placed(
         self, joints_m: Float[np.ndarray, "frames 22 3"], R_world_joint: Float[np.ndarray, "frames 22 3 3"]
@@ -41,7 +41,7 @@ class BodyBalls:
         return np.ascontiguousarray(np.moveaxis(np.asarray(joints_m, np.float32)[:, self.joint] + offset, -1, 0))
 
 
-def fit_balls(body: ShapedBody) -> BodyBalls:
+def fit_spheres(body: ShapedBody) -> BodySpheres:
     """Balls inside the T-posed skin, each touching it twice, as few as come within 13 mm of all of it; then 6 mm more.
 
     In captured clips of the same body 1 % of the skin lies more than 13 mm outside of all balls, the farthest 2.6 cm
@@ -61,13 +61,13 @@ def fit_balls(body: ShapedBody) -> BodyBalls:
         open_skin &= ~covers[best]
     joint = part[kept]
     local_m = center_m[kept] - body.rest_joints_m[joint]
-    return BodyBalls(joint, local_m.astype(np.float32), (radius_m[kept] + _GROWTH_M).astype(np.float32))
+    return BodySpheres(joint, local_m.astype(np.float32), (radius_m[kept] + _GROWTH_M).astype(np.float32))
 
 
 @functools.lru_cache(maxsize=1)
-def adult_balls() -> BodyBalls:
+def adult_spheres() -> BodySpheres:
     """Balls of the middle adult."""
-    return fit_balls(shaped_body(BodyShape("anny", dict(ADULT))))
+    return fit_spheres(shaped_body(BodyShape("anny", dict(ADULT))))
 
 
 def _kin(part: Int[np.ndarray, "points"]) -> np.ndarray:
@@ -98,4 +98,4 @@ def _inscribed_radius(points_m: np.ndarray, normal: np.ndarray) -> Float[np.ndar
     depth = -np.einsum("pqd,pd->pq", toward, normal)
     gap2 = np.einsum("pqd,pqd->pq", toward, toward)
     radius = np.where(depth > 1e-6, gap2 / np.maximum(2 * depth, 1e-12), np.inf)
-    return np.clip(radius.min(axis=1), 0.0, _LARGEST_BALL_M)
+    return np.clip(radius.min(axis=1), 0.0, _MAX_BALL_M)
