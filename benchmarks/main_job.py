@@ -84,7 +84,7 @@ def measure(media: Path, name: str, scene_dir: Path) -> dict[str, object]:
         "peak_mb": max(s["peak_memory_mb"] for s in stages),
         "cached_s": cached_s,
         "stages": {s["stage"]: {"wall_s": s["wall_time_s"], "peak_mb": s["peak_memory_mb"]} for s in stages},
-        "quality": {s["stage"]: {q["name"]: q["value"] for q in s["qualities"]} for s in stages},
+        "quality": {s["stage"]: {q["key"]: q["value"] for q in s["qualities"]} for s in stages},
     }
     row["refinement"] = refinement(scene_dir, clip.fps)
     reference = media / "reference" / f"{name}_joints.npz"

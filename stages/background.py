@@ -281,8 +281,8 @@ def _report(
     people: _People,
     ctx: StageContext,
 ) -> None:
-    ctx.quality("plate_unseen", float(unseen.mean()), "ratio", "lower")
-    ctx.quality("plate_samples", len(samples.row), "")
+    ctx.quality("background_unobserved", float(unseen.mean()), "ratio", "lower")
+    ctx.quality("background_samples", len(samples.row), "count")
     ctx.quality("person_area", float(people.any_person.mean()), "ratio")
     ctx.quality("main_person_area", float(people.selected.mean()), "ratio")
     if not clip.camera_is_static:

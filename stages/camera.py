@@ -89,16 +89,16 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
             "film from a tripod for a true path"
         )
     if picture is not None:
-        ctx.quality("focal of picture", picture.focal_ratio * clip.height_px, "px")
-        ctx.quality("focal of picture uncertainty", picture.focal_log_sigma, "ratio", "lower")
+        ctx.quality("focal_of_image", picture.focal_ratio * clip.height_px, "px")
+        ctx.quality("focal_of_image_uncertainty", picture.focal_log_sigma, "ratio", "lower")
     if sigma > 0.2:
         ctx.warn(f"focal length is uncertain ({sigma:.0%}); give --focal-px if you know it")
     pitch, roll = pitch_roll_of(up.up)
     ctx.quality("focal", focal_px, "px")
-    ctx.quality("focal uncertainty", sigma, "ratio", "lower")
+    ctx.quality("focal_uncertainty", sigma, "ratio", "lower")
     ctx.quality("pitch", math.degrees(pitch), "deg")
     ctx.quality("roll", math.degrees(roll), "deg")
-    ctx.quality("up uncertainty", math.degrees(up.sigma_rad), "deg", "lower")
+    ctx.quality("up_uncertainty", math.degrees(up.sigma_rad), "deg", "lower")
     return CameraEstimate(
         intrinsics=Intrinsics.centered(focal_px, clip.width_px, clip.height_px),
         focal_source=source,
@@ -148,8 +148,8 @@ def _picture_camera(clip: VideoClip, config: CameraConfig, ctx: StageContext) ->
     if not config.line_segments:
         return camera
     edges = [detect_line_segments(picture) for picture in pictures]
-    ctx.quality("straight edges of a picture", float(np.mean([len(one.ends) for one in edges])), "edges")
-    ctx.quality("focal of fields alone", camera.focal_ratio * clip.height_px, "px")
+    ctx.quality("line_segments", float(np.mean([len(one.ends) for one in edges])), "count")
+    ctx.quality("focal_of_perspective_field", camera.focal_ratio * clip.height_px, "px")
     return camera_with_edges(camera, edges, focal_known=known is not None)
 
 

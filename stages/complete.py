@@ -81,9 +81,9 @@ def complete_objects(
         objects.append(found)
         ctx.progress(done + 1, len(masks.instances))
     ratios = [o.completed_ratio for o in objects] or [0.0]
-    ctx.quality("objects", len(objects), "objects")
-    ctx.quality("mean_completed_ratio", float(np.mean(ratios)), "1")
-    ctx.quality("max_completed_ratio", max(ratios), "1", "lower")
+    ctx.quality("objects", len(objects), "count")
+    ctx.quality("mean_completed_ratio", float(np.mean(ratios)), "ratio")
+    ctx.quality("max_completed_ratio", max(ratios), "ratio", "lower")
     return CompletedObjects(tuple(objects))
 
 

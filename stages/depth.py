@@ -80,12 +80,12 @@ def estimate_depth(
     else:
         depth = _network(clip, background_image, camera.is_static, config, ctx)
     on_person = background_image.selected_mask & depth.valid
-    ctx.quality("background_valid_ratio", float(depth.background_valid.mean()), "1", "higher")
+    ctx.quality("background_valid_ratio", float(depth.background_valid.mean()), "ratio", "higher")
     ctx.quality(
-        "person_valid_ratio", on_person.sum() / max(int(background_image.selected_mask.sum()), 1), "1", "higher"
+        "person_valid_ratio", on_person.sum() / max(int(background_image.selected_mask.sum()), 1), "ratio", "higher"
     )
     sigma = depth.sigma[depth.valid] / np.maximum(np.abs(depth.value[depth.valid]), 1e-6)
-    ctx.quality("median_sigma_ratio", float(np.median(sigma)) if sigma.size else 1.0, "1", "lower")
+    ctx.quality("median_sigma_ratio", float(np.median(sigma)) if sigma.size else 1.0, "ratio", "lower")
     return depth
 
 
@@ -109,7 +109,7 @@ def _geometric(
     intrinsics = main.intrinsics.resized(width, height)
     settings = StageSetConfig(far_m=config.far_m)
     planar_scene = stage_set_depth(small_rgb, main.T_world_camera[0], intrinsics, spots, settings)
-    ctx.quality("standing_spots", len(spots), "frames x feet", "higher")
+    ctx.quality("standing_spots", len(spots), "count", "higher")
     if planar_scene is None:
         ctx.warn("no foot stands on floor that the picture shows; background depth is unknown")
         planar_scene = _nothing_known(height, width)
@@ -245,8 +245,8 @@ def _steady(
             f"depth: {lost} of {len(person_mask)} sampled frames could not be aligned to the background; no people"
         )
     if still.any():
-        ctx.quality("flicker_before", before, "share of range", "lower")
-        ctx.quality("flicker_after", flicker(maps[0], still), "share of range", "lower")
+        ctx.quality("flicker_before", before, "ratio", "lower")
+        ctx.quality("flicker_after", flicker(maps[0], still), "ratio", "lower")
 
 
 def _jittered(

@@ -80,9 +80,9 @@ def export_scene(
     written += _write_pictures(source, clip, refined, config, ctx)
     if config.worst_moments:
         written += _write_worst(clip, bodies, refined, ctx)
-    ctx.quality("files", len(written), "", "none")
-    ctx.quality("contacts", len(contacts), "", "none")
-    ctx.quality("size", sum(path.stat().st_size for path in written) / 1e6, "MB", "none")
+    ctx.quality("files", len(written), "count")
+    ctx.quality("contacts", len(contacts), "count")
+    ctx.quality("size", sum(path.stat().st_size for path in written) / 1e6, "MB")
     return ExportedFiles(tuple(PayloadFile(path) for path in written), contacts)
 
 
@@ -121,8 +121,8 @@ def _write_worst(clip: VideoClip, bodies: BodyTracks, refined: RefinedMotion, ct
         return []
     raw, written = bodies.people[0].in_world(main.T_world_camera), []
     for moment in worst_moments(motion_quality(main, refined.scene, span, clip.fps), span):
-        name = moment.what.replace(" ", "-")
-        ctx.quality(moment.what, moment.value, moment.unit, "lower")
+        name = moment.key.replace("_", "-")
+        ctx.quality(moment.key, moment.value, moment.unit, "lower")
         written.append(ctx.work_dir / f"worst_{name}_{moment.frame:05d}.png")
         write_png(written[-1], moment_picture(clip, raw, main, refined.scene, moment.frame))
     return written

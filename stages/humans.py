@@ -267,14 +267,14 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     from video2anim.types.skeleton import FEET
 
     ctx.quality("reprojection", quality.reprojection_px, "px", "lower")
-    ctx.quality("reprojection over size", 100 * quality.reprojection_ratio, "%", "lower")
-    ctx.quality("valid frames", 100 * quality.valid_share, "%", "higher")
-    ctx.quality("jerk", quality.jerk_m_s3, "m/s3", "lower")
-    ctx.quality("foot skating (gmd)", quality.skating_gmd, "", "lower")
-    ctx.quality("bone length spread", 100 * quality.bone_spread, "%", "lower")
-    ctx.quality("planted foot", 100 * float((motion.contact[:, list(FEET)].max(1) > 0.5).mean()), "% of frames")
-    ctx.quality("floor spread", spread_m, "m", "lower")
-    ctx.quality("skeleton height", quality.body_height_m, "m")
+    ctx.quality("reprojection_over_height", 100 * quality.reprojection_ratio, "%", "lower")
+    ctx.quality("valid_frames", 100 * quality.valid_share, "%", "higher")
+    ctx.quality("jerk", quality.jerk_m_s3, "m/s^3", "lower")
+    ctx.quality("foot_skating_gmd", quality.skating_gmd, "ratio", "lower")
+    ctx.quality("bone_length_spread", 100 * quality.bone_spread, "%", "lower")
+    ctx.quality("foot_contact", 100 * float((motion.contact[:, list(FEET)].max(1) > 0.5).mean()), "%")
+    ctx.quality("floor_spread", spread_m, "m", "lower")
+    ctx.quality("skeleton_height", quality.body_height_m, "m")
 
 
 STAGE = StageSpec("humans", recover_humans, version=13, models=_slots)

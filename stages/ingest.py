@@ -21,9 +21,8 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import PayloadFile, SourceInfo, SourceVideo, VideoClip
 
 if TYPE_CHECKING:
-    from video2anim.video.source_scan import SourceScan
-
     from video2anim.video.decode import SourceHeader, Stamps
+    from video2anim.video.source_scan import SourceScan
 
 FPS = 30
 """Frame rate of every clip; all later stages count on it."""
@@ -66,11 +65,10 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         InputError: the source is missing, no video, too short, or has no such shot; or the disk is full.
         StageError: the clip cannot be written.
     """
-    from video2anim.video.source_scan import scan_source
-
     from video2anim.camera.background_registration import STATIC_DRIFT_RATIO
     from video2anim.video.cfr import constant_rate_index
     from video2anim.video.decode import probe
+    from video2anim.video.source_scan import scan_source
 
     header = probe(source.path)
     total = 2 * header.claimed_frames
@@ -294,11 +292,11 @@ def _record_quality(
     source_scan: SourceScan, source_time_s: Float[np.ndarray, "frames"], drift_ratio: float, ctx: StageContext
 ) -> None:
     report = source_scan.report
-    ctx.quality("frames", len(source_time_s), "")
+    ctx.quality("frames", len(source_time_s), "count")
     held_ratio = float(np.mean(np.diff(source_time_s, prepend=-np.inf) == 0))
     ctx.quality("held_frames", held_ratio, "ratio", "lower")
     ctx.quality("damaged_pictures", report.damaged_frames / max(report.frames, 1), "ratio", "lower")
-    ctx.quality("camera_drift", drift_ratio, "width")
+    ctx.quality("camera_drift", drift_ratio, "ratio")
 
 
 STAGE = StageSpec("ingest", ingest, version=3)

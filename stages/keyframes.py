@@ -107,8 +107,8 @@ def optimize_keyframes(
             people.append(motion)
             continue
         seen = (depth, background) if number == 0 and usable else None
-        name = "" if number == 0 else f" (person {motion.person_id})"
-        people.append(_optimize_person(motion, scene.objects, keyframes, grid, seen, config, ctx, name))
+        person_id = None if number == 0 else motion.person_id
+        people.append(_optimize_person(motion, scene.objects, keyframes, grid, seen, config, ctx, person_id))
         ctx.progress(number + 1, len(depth.bodies.people))
     return KeyframedMotion(tuple(people), tuple(indices))
 
@@ -121,9 +121,9 @@ def _optimize_person(
     seen: tuple[MetricDepth, BackgroundImage] | None,
     config: KeyframesConfig,
     ctx: StageContext,
-    name: str,
+    person_id: int | None,
 ) -> BodyMotion:
-    """One person moved; `name` ends the names of its quality numbers. Hands that hold one of the objects touch no
+    """One person moved; `person_id` marks its quality numbers. Hands that hold one of the objects touch no
     solid."""
     from video2anim.body.anny_body import shaped_body
     from video2anim.motion.keyframe_depth import depth_targets
@@ -147,10 +147,10 @@ def _optimize_person(
         translation_world_m=motion.T_world_root[:, :3, 3] + displacement_m, R_parent_joint=motion.R_parent_joint
     )
     after = sample.on(moved)
-    _report(ctx, name, before, after, motion.valid, grid)
+    _report(ctx, person_id, before, after, motion.valid, grid)
     mean_m = float(np.linalg.norm(displacement_m[motion.valid], axis=1).mean())
-    ctx.quality(f"root displacement mean{name}", mean_m, "m", "none")
-    _report_keyframes(ctx, name, problem, displacement_m, after, config)
+    ctx.quality("root_displacement_mean", mean_m, "m", person_id=person_id)
+    _report_keyframes(ctx, person_id, problem, displacement_m, after, config)
     return moved
 
 
@@ -210,7 +210,7 @@ def _root_problem(
 
 def _report(
     ctx: StageContext,
-    name: str,
+    person_id: int | None,
     before: SkinPoints,
     after: SkinPoints,
     valid: Bool[np.ndarray, "frames"],
@@ -219,8 +219,8 @@ def _report(
     """Penetration over all valid frames, keyframes and others."""
     for when, points in (("before", before), ("after", after)):
         deepest_m = _deepest_m(points.spread_m[valid], grid)
-        ctx.quality(f"penetration max {when}{name}", float(deepest_m.max()), "m", "lower")
-        ctx.quality(f"penetration mean {when}{name}", float(deepest_m.mean()), "m", "lower")
+        ctx.quality(f"penetration_max_{when}", float(deepest_m.max()), "m", "lower", person_id=person_id)
+        ctx.quality(f"penetration_mean_{when}", float(deepest_m.mean()), "m", "lower", person_id=person_id)
 
 
 def _deepest_m(skin_m: Float[np.ndarray, "frames vertices 3"], grid: SdfGrid) -> Float[np.ndarray, "frames"]:
@@ -229,7 +229,7 @@ def _deepest_m(skin_m: Float[np.ndarray, "frames vertices 3"], grid: SdfGrid) ->
 
 def _report_keyframes(
     ctx: StageContext,
-    name: str,
+    person_id: int | None,
     problem: RootProblem,
     displacement_m: np.ndarray,
     after: SkinPoints,
@@ -251,11 +251,12 @@ def _report_keyframes(
     for when, skins_m in touching.items():
         if skins_m:
             gaps_m = [contact_distance_m(skin_m, problem.scene, config.contact_points) for skin_m in skins_m]
-            ctx.quality(f"contact distance {when}{name}", float(np.abs(np.concatenate(gaps_m)).mean()), "m", "lower")
+            mean_m = float(np.abs(np.concatenate(gaps_m)).mean())
+            ctx.quality(f"contact_distance_{when}", mean_m, "m", "lower", person_id=person_id)
         if visible[when]:
             pairs = zip(visible[when], problem.depth, strict=True)
             distances_m = [chamfer_m(skin_m, target.depth_m) for skin_m, target in pairs]
-            ctx.quality(f"depth chamfer {when}{name}", float(np.mean(distances_m)), "m", "lower")
+            ctx.quality(f"depth_chamfer_{when}", float(np.mean(distances_m)), "m", "lower", person_id=person_id)
 
 
 def _weights(config: KeyframesConfig) -> RootWeights:

@@ -104,17 +104,17 @@ def _record(found: Calibration, ctx: StageContext) -> None:
     if np.isfinite(found.chamfer_after_m):
         ctx.quality("chamfer_before", found.chamfer_before_m, "m", "lower")
         ctx.quality("chamfer_after", found.chamfer_after_m, "m", "lower")
-    ctx.quality("scale_sigma_ratio", found.scale_log_sigma, "1", "lower")
+    ctx.quality("scale_sigma_ratio", found.scale_log_sigma, "ratio", "lower")
     ctx.quality("focal", found.focal_px, "px")
-    ctx.quality("focal uncertainty", found.focal_log_sigma, "ratio", "lower")
-    ctx.quality("up uncertainty", float(np.rad2deg(found.up_sigma_rad)), "deg", "lower")
-    ctx.quality("camera height", found.camera_height_m, "m")
-    ctx.quality("camera height uncertainty", found.camera_height_sigma_m, "m", "lower")
-    ctx.quality("size over that of stage humans", float(found.body_height_ratio[0]), "ratio")
-    ctx.quality("size uncertainty", float(found.body_height_log_sigma[0]), "ratio", "lower")
-    ctx.quality("person over their depth", float(np.exp(found.person_depth_log)), "ratio")
+    ctx.quality("focal_uncertainty", found.focal_log_sigma, "ratio", "lower")
+    ctx.quality("up_uncertainty", float(np.rad2deg(found.up_sigma_rad)), "deg", "lower")
+    ctx.quality("camera_height", found.camera_height_m, "m")
+    ctx.quality("camera_height_uncertainty", found.camera_height_sigma_m, "m", "lower")
+    ctx.quality("size_over_that_of_stage_humans", float(found.body_height_ratio[0]), "ratio")
+    ctx.quality("size_uncertainty", float(found.body_height_log_sigma[0]), "ratio", "lower")
+    ctx.quality("person_over_their_depth", float(np.exp(found.person_depth_log)), "ratio")
     for kind, off in found.residuals.items():
-        ctx.quality(f"residual: {kind}", off, "standard deviations", "lower")
+        ctx.quality(f"residual_{kind.replace(' ', '_')}", off, "ratio", "lower")
 
 
 def _applied(

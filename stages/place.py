@@ -75,8 +75,8 @@ def place_objects(
     placed = _without_collisions(placed, config, ctx)
     before_m = [p.chamfer_before_m for p in placed if p.chamfer_before_m is not None]
     after_m = [p.chamfer_after_m for p in placed if p.chamfer_after_m is not None]
-    ctx.quality("objects", len(placed), "objects")
-    ctx.quality("trusted", sum(p.trusted for p in placed), "objects", "higher")
+    ctx.quality("objects", len(placed), "count")
+    ctx.quality("reliable", sum(p.trusted for p in placed), "count", "higher")
     if before_m and after_m:
         ctx.quality("chamfer_before", float(np.mean(before_m)), "m", "lower")
         ctx.quality("chamfer_after", float(np.mean(after_m)), "m", "lower")
@@ -171,8 +171,8 @@ def _without_collisions(placed: list[PlacedObject], config: PlaceConfig, ctx: St
         T_world_object = item.T_world_object.copy()
         T_world_object[:3, 3] += state.shift_m
         moved.append(replace(item, T_world_object=T_world_object, trusted=trusted, reason="; ".join(notes)))
-    ctx.quality("deepest overlap before", max((s.overlap_before_m for s in found), default=0.0), "m", "lower")
-    ctx.quality("deepest overlap", max((s.overlap_after_m for s in found), default=0.0), "m", "lower")
+    ctx.quality("deepest_overlap_before", max((s.overlap_before_m for s in found), default=0.0), "m", "lower")
+    ctx.quality("deepest_overlap", max((s.overlap_after_m for s in found), default=0.0), "m", "lower")
     return moved
 
 

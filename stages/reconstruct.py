@@ -114,9 +114,9 @@ def reconstruct_objects(
             mesh = _foreign(found, seen, foreign, config, ctx) or _fitted(found, seen, background, depth, config)
             meshes.append(mesh)
         ctx.progress(done + 1, len(completed.objects))
-    ctx.quality("meshes", len(meshes), "objects")
-    ctx.quality("dropped", len(completed.objects) - len(meshes), "objects", "lower")
-    ctx.quality("max_faces", max((len(m.mesh.faces) for m in meshes), default=0), "faces")
+    ctx.quality("meshes", len(meshes), "count")
+    ctx.quality("dropped", len(completed.objects) - len(meshes), "count", "lower")
+    ctx.quality("max_faces", max((len(m.mesh.faces) for m in meshes), default=0), "count")
     return ObjectMeshes(tuple(meshes))
 
 

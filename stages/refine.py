@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from scenemi.prior import InbetweeningPrior
     from video2anim.geometry.moving_field import MovingField
     from video2anim.geometry.sdf import SdfGrid
+    from video2anim.types.quality import Unit
 
 FPS = 30.0
 """Motion is at 30 fps after ingest."""
@@ -136,21 +137,21 @@ def refine_motion(
     names, shares = ["none"] * len(people), [0.0] * len(people)
     for done, number in enumerate(seen, start=1):
         motion = keyframed.people[number]
-        suffix = "" if number == 0 else f" (person {motion.person_id})"
+        person_id = None if number == 0 else motion.person_id
         people[number], alike[number] = (
             _touching(one, after, moving, moved.objects) for one in (people[number], alike[number])
         )
         without = alike[number]
         if prior.name == "scenemi":
             names[number], shares[number] = prior.name, _shaped(people[number], without)
-        ctx.quality(f"frames shaped by {prior.name}{suffix}", shares[number], "ratio", "higher")
+        ctx.quality("frames_shaped_by_prior", shares[number], "ratio", "higher", person_id=person_id)
         raw = bodies.people[number].in_world(motion.T_world_camera)
         for when, one, where in (
             ("raw", raw, field),
-            ("without prior", without, after),
+            ("without_prior", without, after),
             ("refined", people[number], after),
         ):
-            _report(ctx, when, one, raw, where, suffix)
+            _report(ctx, when, one, raw, where, person_id)
         ctx.progress(done, len(seen))
     return RefinedMotion(tuple(people), tuple(names), tuple(shares), tuple(alike), moved)
 
@@ -269,7 +270,7 @@ def _moved(scene: SceneModel, solids: Solids, moved_m: Float[np.ndarray, "solids
         way_m = next(ways_m)
         paths = tuple(replace(path, T_world_object=_shifted(path.T_world_object, way_m)) for path in item.path)
         objects.append(replace(item, T_world_object=_shifted(item.T_world_object, way_m), path=paths))
-        ctx.quality(f"object {item.object_id} moved", float(np.linalg.norm(way_m)), "m")
+        ctx.quality("moved", float(np.linalg.norm(way_m)), "m", object_id=item.object_id)
     nodes = np.stack(np.meshgrid(*(np.arange(n) for n in scene.sdf_m.shape), indexing="ij"), -1)
     slabs = [solids.distance_m(scene.sdf_origin_m + scene.sdf_spacing_m * slab, moved_m)[0] for slab in nodes]
     return replace(scene, objects=tuple(objects), sdf_m=np.stack(slabs).astype(np.float32))
@@ -319,7 +320,9 @@ def _shaped(refined: BodyMotion, without: BodyMotion) -> float:
     return float((np.linalg.norm(turn, axis=-1).max(1) > _DIFFERENT_RAD)[refined.valid].mean())
 
 
-def _report(ctx: StageContext, when: str, motion: BodyMotion, seen: BodyMotion, field: SdfGrid, suffix: str) -> None:
+def _report(
+    ctx: StageContext, when: str, motion: BodyMotion, seen: BodyMotion, field: SdfGrid, person_id: int | None
+) -> None:
     """Quality from the first to the last valid frame."""
     from scenemi import metrics
     from video2anim.body.anny_body import shaped_body
@@ -334,14 +337,15 @@ def _report(ctx: StageContext, when: str, motion: BodyMotion, seen: BodyMotion, 
     )
     distance_m = field.sample(body.vertices(R_world_joint, joints_m, index).astype(np.float64))
     off = picture_distance_ratio(motion, seen)
-    for name, value, unit in (
+    rows: tuple[tuple[str, float, Unit], ...] = (
         ("jerk", metrics.jerk_m_s3(joints_m, FPS), "m/s^3"),
-        ("foot skating gmd", metrics.foot_skating_gmd(joints_m, FPS), "ratio"),
-        ("penetration max", metrics.penetration_max_m(distance_m), "m"),
-        ("collision frames 1 cm", metrics.collision_frame_ratio(distance_m, metrics.COLLISION_TAUS_M[1]), "ratio"),
-        ("distance in the picture from stage humans", 100 * float(np.median(off)), "% of the body's height"),
-    ):
-        ctx.quality(f"{name} {when}{suffix}", value, unit, "lower")
+        ("foot_skating_gmd", metrics.foot_skating_gmd(joints_m, FPS), "ratio"),
+        ("penetration_max", metrics.penetration_max_m(distance_m), "m"),
+        ("frames_in_collision_1cm", metrics.collision_frame_ratio(distance_m, metrics.COLLISION_TAUS_M[1]), "ratio"),
+        ("image_distance_over_height", 100 * float(np.median(off)), "%"),
+    )
+    for key, value, unit in rows:
+        ctx.quality(f"{key}_{when}", value, unit, "lower", person_id=person_id)
 
 
 def picture_distance_ratio(motion: BodyMotion, seen: BodyMotion) -> Float[np.ndarray, "valid"]:

@@ -113,9 +113,9 @@ def build_scene(
     objects = _not_walked_through(still, rested, bodies, config, ctx)
     stay = [item for item in map(settled, moved) if item is not None]
     supports = _supports([*objects, *stay], rested, bodies, ctx) if config.supports else []
-    ctx.quality("walked through", len(still) - len(objects), "objects")
-    ctx.quality("moved", len(moved), "objects")
-    ctx.quality("supports inferred", len(supports), "objects")
+    ctx.quality("rejected_by_motion", len(still) - len(objects), "count")
+    ctx.quality("moved", len(moved), "count")
+    ctx.quality("inferred_supports", len(supports), "count")
     objects += supports
     solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *stay)]
     bounds_m = _field_bounds(motion_m, solids, config)
@@ -125,14 +125,14 @@ def build_scene(
     seen = backdrop(depth, masks, background, config.far_m, relative_sigma(depth, clip_depth))
     around_m = motion_m[:, [0, 2]] + np.array([[-config.margin_m], [config.margin_m]])
     floor = ground(seen, background, around_m)
-    ctx.quality("objects", len(objects), "objects")
-    ctx.quality("objects_in_field", len(near), "objects")
+    ctx.quality("objects", len(objects), "count")
+    ctx.quality("objects_in_field", len(near), "count")
     ctx.quality("sdf_spacing", spacing_m, "m", "lower")
-    ctx.quality("sdf_nodes", grid.sdf_m.size, "nodes")
-    ctx.quality("background_faces", sum(len(piece.mesh.faces) for piece in seen.pieces), "faces")
-    ctx.quality("walls", sum(piece.name.startswith("wall") for piece in seen.pieces), "pieces")
+    ctx.quality("sdf_nodes", grid.sdf_m.size, "count")
+    ctx.quality("background_faces", sum(len(piece.mesh.faces) for piece in seen.pieces), "count")
+    ctx.quality("walls", sum(piece.name.startswith("wall") for piece in seen.pieces), "count")
     objects += moved
-    ctx.quality("openings", sum(len(piece.openings) for piece in seen.pieces), "openings")
+    ctx.quality("openings", sum(len(piece.openings) for piece in seen.pieces), "count")
     return SceneModel(tuple(objects), floor, seen.pieces, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
 
 
@@ -187,8 +187,8 @@ def _scanned(
         if len(seen_m):
             found = registered(scan, transform_points(body.T_world_camera[0], seen_m), ctx.rng("scene/scan"))
             scan = replace(scan, vertices_m=transform_points(found.T_world_scan, scan.vertices_m))
-            ctx.quality("scan to depth before", found.before_m, "m", "lower")
-            ctx.quality("scan to depth", found.after_m, "m", "lower")
+            ctx.quality("scan_to_depth_before", found.before_m, "m", "lower")
+            ctx.quality("scan_to_depth", found.after_m, "m", "lower")
             if found.after_m > _FAR_SCAN_M:
                 ctx.warn(
                     f"the scan stays {found.after_m:.2f} m from the video's depth (median); bring it nearer by "
@@ -199,7 +199,7 @@ def _scanned(
     spacing_m = _field_spacing(bounds_m, config)
     grid = scan_field(scan, bounds_m, spacing_m)
     ctx.quality("sdf_spacing", spacing_m, "m", "lower")
-    ctx.quality("scan_faces", len(scan.faces), "faces")
+    ctx.quality("scan_faces", len(scan.faces), "count")
     floor, room = RoomPiece("floor", empty_mesh()), RoomPiece("scan", scan)
     return SceneModel((), floor, (room,), grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
 

@@ -115,11 +115,11 @@ def segment_background(
     floor = _enlarge(floor, background.background_rgb)
     for instance in instances:
         floor &= ~instance.mask
-    ctx.quality("objects", len(instances), "objects")
-    ctx.quality("floor_ratio", float(floor.mean()), "1")
+    ctx.quality("objects", len(instances), "count")
+    ctx.quality("floor_ratio", float(floor.mean()), "ratio")
     covered = sum(int(instance.mask.sum()) for instance in instances) / floor.size
-    ctx.quality("object_ratio", covered, "1")
-    ctx.quality("mean_score", float(np.mean([i.score for i in instances])) if instances else 0.0, "1", "higher")
+    ctx.quality("object_ratio", covered, "ratio")
+    ctx.quality("mean_score", float(np.mean([i.score for i in instances])) if instances else 0.0, "ratio", "higher")
     return InstanceMasks(config.provider, instances, floor)
 
 
@@ -146,7 +146,7 @@ def _named_by_finder(
         if sure and found.label in _FURNITURE_WORDS:
             mask = shrunk(outlined(image, depth_m, floor, found.box_px), depth_m.shape)
             objects.append(Detection(found.label, found.score, mask))
-    ctx.quality("named by the detector", len(objects), "objects")
+    ctx.quality("named_by_detector", len(objects), "count")
     return objects
 
 
@@ -177,7 +177,7 @@ def _with_networks(
     camera_m = backproject(depth_m, body.intrinsics.resized(*shape[::-1]))
     world_m = transform_points(body.T_world_camera[0], camera_m.reshape(-1, 3)).reshape(camera_m.shape)
     found = joined_objects(recognised, regions.objects, built, world_m, valid, limits)
-    ctx.quality("recognised", len(recognised), "objects")
+    ctx.quality("recognized", len(recognised), "count")
     if seen is None:
         return found, regions.floor
     # Where depth says flat and low and the network has no other idea, or where it says floor and depth does not object.

@@ -83,10 +83,10 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
         )
     selected = _select(people, config.person)
     main = next(person for person in people if person.person_id == selected[0])
-    ctx.quality("people found", len(people), "", "none")
+    ctx.quality("people_found", len(people), "count")
     seen = float(main.valid.sum() / clip.frame_count)
-    ctx.quality("valid frames of main person", 100.0 * seen, "%", "higher")
-    ctx.quality("mean score of main person", float(main.score[main.valid].mean()), "", "higher")
+    ctx.quality("valid_frames", 100.0 * seen, "%", "higher")
+    ctx.quality("mean_score", float(main.score[main.valid].mean()), "ratio", "higher")
     if seen < 0.5:
         ctx.warn(f"person {main.person_id} is seen in only {100 * seen:.0f} % of the frames")
     return PersonTracks(people=people, selected_ids=selected, frame_stride=1, thumbnails=thumbnails)

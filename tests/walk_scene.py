@@ -80,7 +80,7 @@ def camera_path(frames: int, *, moves: bool) -> np.ndarray:
 
 
 def box_mesh(size_m: tuple[float, float, float], rgb: tuple[int, int, int]) -> Mesh:
-    """A closed box resting on y = 0, centerd in x and z, faces counter-clockwise seen from outside."""
+    """A closed box resting on y = 0, centered in x and z, faces counter-clockwise seen from outside."""
     x, y, z = size_m
     corners = np.array([[i, j, k] for i in (-0.5, 0.5) for j in (0.0, 1.0) for k in (-0.5, 0.5)]) * [x, y, z]
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]

@@ -406,7 +406,7 @@ MANIFEST = Manifest("a", 1, "k", {"x": 1}, {}, {}, 0, "o", 0.5, 9.0,
 @pytest.mark.parametrize(
     ("key", "wrong"),
     [
-        ("wall_time_s", "long"), ("qualities", 3), ("qualities", [{}]), ("qualities", [{"name": "q", "value": "x"}]),
+        ("wall_time_s", "long"), ("qualities", 3), ("qualities", [{}]), ("qualities", [{"key": "q", "value": "x"}]),
         ("warnings", None), ("warnings", [1]), ("key", 7), ("config", []), ("inputs", {"A": 1}), ("extra", 1),
     ],
 )  # fmt: skip

@@ -54,7 +54,7 @@ def page() -> str:
     rotations = np.tile(np.eye(3), (FRAMES, 1, 1))
     camera = CameraEstimate(motion.intrinsics, "human", 0.06, np.array([0, -1.0, 0]), "level", 0.05, True, rotations)
     stages = (
-        StageRow("ingest", "ran", 1, 2.5, 210.0, (Quality("frames", 40, "", "none"),), ("the camera <moves>",)),
+        StageRow("ingest", "ran", 1, 2.5, 210.0, (Quality("frames", 40, "count", "none"),), ("the camera <moves>",)),
         StageRow("refine", "cached", 3, 12.25, 1210.0),
     )
     return render_report(
@@ -114,9 +114,9 @@ def test_sunk_body_is_reported_as_penetration() -> None:
     sunk = motion.with_pose(
         translation_world_m=motion.T_world_root[:, :3, 3] - [0, 0.3, 0], R_parent_joint=motion.R_parent_joint
     )
-    numbers = {q.name: q.value for q in motion_quality(sunk, room(), slice(0, FRAMES), 30.0).numbers}
-    assert numbers["frames in collision"] == 1.0
-    assert 0.25 < numbers["deepest penetration"] < 0.45
+    numbers = {q.key: q.value for q in motion_quality(sunk, room(), slice(0, FRAMES), 30.0).numbers}
+    assert numbers["frames_in_collision"] == 1.0
+    assert 0.25 < numbers["penetration_max"] < 0.45
     assert numbers["floating"] == 0.0
 
 
@@ -128,12 +128,12 @@ def test_worst_moments_are_the_frames_that_are_worst() -> None:
     root_m[20:, 0] += 0.5
     bad = motion.with_pose(translation_world_m=root_m, R_parent_joint=motion.R_parent_joint)
     span = slice(4, FRAMES)
-    moments = {moment.what: moment for moment in worst_moments(motion_quality(bad, room(), span, 30.0), span)}
-    assert moments["deepest penetration"].frame == 12
-    assert 0.25 < moments["deepest penetration"].value < 0.45
-    assert abs(moments["strongest jerk"].frame - 20) <= 2
-    assert [m.what for m in worst_moments(motion_quality(motion, None, span, 30.0), span)].count(
-        "deepest penetration"
+    moments = {moment.key: moment for moment in worst_moments(motion_quality(bad, room(), span, 30.0), span)}
+    assert moments["penetration_max"].frame == 12
+    assert 0.25 < moments["penetration_max"].value < 0.45
+    assert abs(moments["jerk_max"].frame - 20) <= 2
+    assert [m.key for m in worst_moments(motion_quality(motion, None, span, 30.0), span)].count(
+        "penetration_max"
     ) == 0, "without a scene nothing is penetrated"
 
 

@@ -56,7 +56,7 @@ calls: list[str] = []
 
 def make_seeds(source: SourceVideo, config: SeedsConfig, ctx: StageContext) -> Seeds:
     calls.append("seeds")
-    ctx.quality("count", config.count, "", "higher")
+    ctx.quality("items", config.count, "count", "higher")
     return Seeds(np.arange(config.count) + config.noise * ctx.rng("seeds").normal(size=config.count))
 
 
@@ -272,7 +272,9 @@ def test_manifest_and_events(run: Callable, tmp_path: Path) -> None:
     ]  # fmt: skip
     manifest = read_manifest(tmp_path / "stages" / "01_seeds")
     assert manifest.config == {"count": 3, "noise": 0.0, "name": "x"}
-    assert manifest.qualities == [{"name": "count", "value": 3.0, "unit": "", "better": "higher"}]
+    assert manifest.qualities == [
+        {"key": "items", "value": 3.0, "unit": "count", "better": "higher", "person_id": None, "object_id": None}
+    ]
     second = read_manifest(tmp_path / "stages" / "02_double")
     assert second.inputs == {"Seeds": manifest.output_digest}
     assert second.weights == {"net": "d1"}

@@ -77,7 +77,7 @@ def optimize(
 
 def quality(ctx: StageContext, name: str) -> float:
     """A quality number by its name."""
-    return next(q.value for q in ctx.qualities if q.name == name)
+    return next(q.value for q in ctx.qualities if q.key == name)
 
 
 def root_m(motion: BodyMotion) -> np.ndarray:

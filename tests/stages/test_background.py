@@ -195,7 +195,7 @@ def test_work_is_done_at_reduced_size_and_in_few_samples(tmp_path: Path) -> None
     assert found.person_mask.shape == (25, 60, 96)
     assert found.seen_ratio.shape == (60, 96)
     assert found.background_rgb.shape == (HEIGHT, WIDTH, 3)
-    assert next(q.value for q in ctx.qualities if q.name == "plate_samples") == 9
+    assert next(q.value for q in ctx.qualities if q.key == "background_samples") == 9
     assert np.abs(found.background_rgb.astype(int) - wall).mean() < 3.0
 
 

@@ -46,8 +46,8 @@ def test_a_body_sunk_into_the_floor_is_put_on_it() -> None:
     sunk = along_sight(truth, 0.10 + 0.02 * np.sin(0.1 * np.arange(FRAMES)))
     done, ctx = optimize(sunk, scene(), weight_regularization=4.0)
     assert off_m(done.people[0], truth).mean() < 0.02
-    assert quality(ctx, "penetration max after") < 0.25 * quality(ctx, "penetration max before")
-    assert quality(ctx, "contact distance after") < 0.2 * quality(ctx, "contact distance before")
+    assert quality(ctx, "penetration_max_after") < 0.25 * quality(ctx, "penetration_max_before")
+    assert quality(ctx, "contact_distance_after") < 0.2 * quality(ctx, "contact_distance_before")
 
 
 def test_a_floating_body_comes_down_by_its_contacts() -> None:
@@ -77,8 +77,8 @@ def test_a_good_body_is_left_where_it_is() -> None:
 def test_a_body_is_pushed_out_of_an_object() -> None:
     truth = walk()
     _, ctx = optimize(truth, scene(box_at_m=(-0.52, 0.45, 1.2)), weight_regularization=1.0)
-    assert quality(ctx, "penetration max before") > 0.05
-    assert quality(ctx, "penetration max after") < 0.5 * quality(ctx, "penetration max before")
+    assert quality(ctx, "penetration_max_before") > 0.05
+    assert quality(ctx, "penetration_max_after") < 0.5 * quality(ctx, "penetration_max_before")
 
 
 def test_depth_pulls_the_body_along_the_camera_axis() -> None:
@@ -88,7 +88,7 @@ def test_depth_pulls_the_body_along_the_camera_axis() -> None:
     raw = replace(along_sight(truth, -0.10), contact=contact)
     done, ctx = optimize(raw, scene(), (depth, background), weight_regularization=1.0)
     assert off_m(done.people[0], truth).mean() < 0.04
-    assert quality(ctx, "depth chamfer after") < quality(ctx, "depth chamfer before")
+    assert quality(ctx, "depth_chamfer_after") < quality(ctx, "depth_chamfer_before")
 
 
 def test_untrusted_depth_is_left_out_and_told() -> None:
@@ -153,6 +153,6 @@ def test_a_foot_of_the_wrong_pitch_touches_where_it_is_lowest(monkeypatch: pytes
     _, together = optimize(pitched, scene())
     monkeypatch.setattr(keyframe_points, "TOUCHING", tuple((joint,) for part in TOUCHING for joint in part))
     _, apart = optimize(pitched, scene())
-    deepest = [quality(ctx, "penetration mean after") for ctx in (together, apart)]
+    deepest = [quality(ctx, "penetration_mean_after") for ctx in (together, apart)]
     assert deepest[0] < 0.6 * deepest[1]
-    assert quality(together, "contact distance after") < 0.01
+    assert quality(together, "contact_distance_after") < 0.01

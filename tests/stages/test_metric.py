@@ -124,8 +124,8 @@ def test_evidence_that_contradicts_the_rest_is_named() -> None:
     assert any("up by picture" in warning and "contradicts" in warning for warning in ctx.warnings)
     off_rad = np.arccos(np.clip(found.bodies.people[0].T_world_camera[0, 1, :3] @ up, -1, 1))
     assert np.rad2deg(off_rad) < 2
-    told = {quality.name: quality.value for quality in ctx.qualities}
-    assert told["residual: up by picture"] > 3
+    told = {quality.key: quality.value for quality in ctx.qualities}
+    assert told["residual_up_by_picture"] > 3
 
 
 def test_a_camera_without_named_sources_has_its_own_gravity() -> None:

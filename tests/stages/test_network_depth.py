@@ -107,7 +107,7 @@ def _stages(
 
 
 def _quality(ctx: StageContext, name: str) -> float:
-    return next(q.value for q in ctx.qualities if q.name == name)
+    return next(q.value for q in ctx.qualities if q.key == name)
 
 
 def test_the_background_of_a_still_camera_is_the_plates(room: Room) -> None:
@@ -133,7 +133,7 @@ def test_a_moving_camera_keeps_every_pictures_own_answer(room: Room) -> None:
     still = replace(room, camera=replace(room.camera, is_static=False))
     ctx = _context(still)
     depth = _depth(still, ctx)
-    assert not any(q.name.startswith("flicker") for q in ctx.qualities)
+    assert not any(q.key.startswith("flicker") for q in ctx.qualities)
     assert (
         np.ptp([value[~people].mean() for value, people in zip(depth.value, room.background.person_mask, strict=True)])
         > 0
@@ -162,7 +162,7 @@ def test_people_are_where_their_bodies_are_though_the_network_sees_them_elsewher
     ctx, right_ctx = _context(room), _context(room)
     _, right = _stages(room, right_ctx, depth)
     _, metric = _stages(room, ctx, _seen_nearer(room, depth, right, factor))
-    told = [_quality(one, "person over their depth") for one in (ctx, right_ctx)]
+    told = [_quality(one, "person_over_their_depth") for one in (ctx, right_ctx)]
     # Network and floor are believed both: a quarter of the difference is the floor's.
     assert told[0] / told[1] == pytest.approx(1 / factor, abs=0.05)
     people = room.background.person_mask & metric.valid & right.valid
@@ -177,7 +177,7 @@ def test_with_a_moving_camera_only_people_are_moved_to_their_bodies(room: Room) 
     ctx = _context(room)
     bent = _seen_nearer(room, replace(depth, value=depth.value * np.float32(1.0001)), right, 1.15)
     _, metric = _stages(room, ctx, bent)
-    assert _quality(ctx, "person over their depth") < 0.95
+    assert _quality(ctx, "person_over_their_depth") < 0.95
     people, known = room.background.person_mask, metric.background_valid & (room.depth_m < 8) & (room.surface == FLOOR)
     others = np.broadcast_to(known, people.shape) & ~people
     assert np.median((metric.depth_m / metric.background_depth_m)[others]) == pytest.approx(1.0, abs=0.005)

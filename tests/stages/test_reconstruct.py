@@ -196,7 +196,7 @@ def test_forms_have_few_faces_all_in_parts_and_in_the_texture(label: str) -> Non
     (texture,) = found.textures
     assert texture.corner_uv.shape == (len(found.mesh.faces), 3, 2)
     assert sum(part.face_count for part in found.parts) == len(found.mesh.faces)
-    told = {quality.name: quality.value for quality in ctx.qualities}
+    told = {quality.key: quality.value for quality in ctx.qualities}
     assert told["max_faces"] == len(found.mesh.faces)
 
 
@@ -238,7 +238,7 @@ def test_objects_without_depth_are_dropped_and_told() -> None:
     ctx = StageContext(Path())
     (kept,) = reconstruct(room, [small, whole], ctx=ctx).objects
     assert kept.object_id == 2
-    told = {quality.name: quality.value for quality in ctx.qualities}
+    told = {quality.key: quality.value for quality in ctx.qualities}
     assert (told["meshes"], told["dropped"]) == (1, 1)
     assert len(ctx.warnings) == 1
     assert "object 1" in ctx.warnings[0]

@@ -156,7 +156,7 @@ def test_objects_without_a_mesh_of_the_user_are_made_as_before(tmp_path: Path) -
     assert second.method == "user mesh"
     assert first.method == own().method
     np.testing.assert_array_equal(first.mesh.vertices_m, own().mesh.vertices_m)
-    told = {quality.name: quality.value for quality in ctx.qualities}
+    told = {quality.key: quality.value for quality in ctx.qualities}
     assert told["meshes"] == 2
     (warning,) = ctx.warnings
     assert warning.startswith("9.glb in")
@@ -324,8 +324,8 @@ def test_a_scan_nearly_in_place_is_fitted_to_the_depth(tmp_path: Path) -> None:
     ctx = StageContext(Path())
     scene = scene_with(moved(4.0, (0.0, 0.05, -0.2)), tmp_path / "room.ply", ctx)
     assert farthest_m(scene, near_m=1.0) < 0.05
-    told = {quality.name: quality.value for quality in ctx.qualities}
-    assert told["scan to depth"] < 0.03 < 0.05 < told["scan to depth before"]
+    told = {quality.key: quality.value for quality in ctx.qualities}
+    assert told["scan_to_depth"] < 0.03 < 0.05 < told["scan_to_depth_before"]
     assert told["scan_faces"] == len(truth_mesh().faces)
     assert ctx.warnings == []
 

@@ -86,7 +86,7 @@ def refine(
 
 
 def quality(ctx: StageContext, name: str) -> float:
-    return next(q.value for q in ctx.qualities if q.name == name)
+    return next(q.value for q in ctx.qualities if q.key == name)
 
 
 def test_the_shipped_prior_is_at_work_and_a_good_motion_stays() -> None:
@@ -94,10 +94,10 @@ def test_the_shipped_prior_is_at_work_and_a_good_motion_stays() -> None:
     refined, ctx = refine(truth)
     found = refined.people[0]
     assert refined.prior == ("scenemi",)
-    assert 0 < refined.prior_share[0] == quality(ctx, "frames shaped by scenemi") <= 1
+    assert 0 < refined.prior_share[0] == quality(ctx, "frames_shaped_by_prior") <= 1
     assert mpjpe(found.joints_world_m, truth.joints_world_m) < 0.03
     assert np.median(picture_distance_ratio(found, truth)) < 0.015
-    assert quality(ctx, "foot skating gmd refined") <= quality(ctx, "foot skating gmd raw") + 0.02
+    assert quality(ctx, "foot_skating_gmd_refined") <= quality(ctx, "foot_skating_gmd_raw") + 0.02
     assert jerk_m_s3(found.joints_world_m, FPS) < 1.5 * jerk_m_s3(truth.joints_world_m, FPS)
 
 
@@ -135,8 +135,8 @@ def test_a_body_a_little_under_the_floor_is_put_on_it() -> None:
     truth = planted_walk(FRAMES)
     sunk = with_root_shift(truth, np.tile([0.0, -0.03, 0.0], (FRAMES, 1)))
     refined, ctx = refine(sunk, PLAIN)
-    assert quality(ctx, "penetration max raw") > 0.02
-    assert quality(ctx, "penetration max refined") < 0.015
+    assert quality(ctx, "penetration_max_raw") > 0.02
+    assert quality(ctx, "penetration_max_refined") < 0.015
     assert np.median(picture_distance_ratio(refined.people[0], sunk)) < 0.015
 
 
@@ -166,7 +166,7 @@ def test_an_object_in_a_body_gives_way_and_the_scene_says_so() -> None:
     moved = refined.scene.objects[0].T_world_object[:3, 3] - item.T_world_object[:3, 3]
     assert moved[0] > 0.02
     assert abs(moved[2]) < 0.3 * moved[0]
-    assert quality(ctx, "object 7 moved") == pytest.approx(np.linalg.norm(moved))
+    assert quality(ctx, "object_7_moved") == pytest.approx(np.linalg.norm(moved))
     field = SdfGrid(refined.scene.sdf_m, refined.scene.sdf_origin_m, refined.scene.sdf_spacing_m)
     assert field.sample(shoulder_m[None])[0] > scene(item).sdf_m.min()
     center_m = refined.scene.objects[0].T_world_object[:3, 3] + [0.0, 0.85, 0.0]

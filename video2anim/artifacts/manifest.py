@@ -7,24 +7,27 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 from pydantic import ConfigDict
 from typing_extensions import TypedDict
 
 from video2anim.artifacts.stage_files import read_json
 from video2anim.errors import ArtifactError
+from video2anim.types.quality import Better, Unit
 
 MANIFEST_NAME = "manifest.json"
 
 
 class QualityRow(TypedDict):
-    """One quality number."""
+    """One quality number: the fields of `video2anim.types.quality.Quality`."""
 
-    name: str
+    key: str
     value: float
-    unit: str
-    better: Literal["lower", "higher", "none"]
+    unit: Unit
+    better: Better
+    person_id: int | None
+    object_id: int | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from video2anim.artifacts.manifest import Manifest
+from video2anim.artifacts.manifest import Manifest, QualityRow
 from video2anim.pipeline.runner import Event, StageStatus
+from video2anim.types.quality import Quality
 
 if TYPE_CHECKING:
     from video2anim.cli.compose import Outcome
@@ -66,7 +67,7 @@ def stage_table(rows: Sequence[StageStatus]) -> None:
         if m is None:
             table.add_row(row.name, row.state, "-", "-", "-", escape(row.reason))
             continue
-        note = ", ".join(f"{q['name']} {_number(q['value'])} {q['unit']}".strip() for q in m.qualities[:3])
+        note = ", ".join(f"{q.label} {_number(q.value)} {q.unit}" for q in map(_quality, m.qualities[:3]))
         note = f"{row.reason}; {note}" if row.reason else note
         peak = "n/a" if m.peak_memory_mb is None else f"{m.peak_memory_mb:.0f} MB"
         table.add_row(row.name, row.state, f"{m.wall_time_s:.1f} s", peak, m.key[:8], escape(note))
@@ -88,15 +89,19 @@ def confirmed(text: str) -> bool:
     return sys.stdin.isatty() and typer.confirm(text, err=True)
 
 
+def _quality(row: QualityRow) -> Quality:
+    return Quality(**row)
+
+
 def manifest(folder: Path, found: Manifest) -> None:
     """Everything a stage's manifest says, and its files."""
     data = asdict(found)
     qualities, warnings = data.pop("qualities"), data.pop("warnings")
     for key, value in data.items():
         _out.print(f"{key}: {value}", soft_wrap=True, highlight=False, markup=False)
-    for quality in qualities:
-        hint = "" if quality["better"] == "none" else f" ({quality['better']} is better)"
-        line = f"{quality['name']}: {_number(quality['value'])} {quality['unit']}{hint}"
+    for quality in map(_quality, qualities):
+        hint = "" if quality.better == "none" else f" ({quality.better} is better)"
+        line = f"{quality.label}: {_number(quality.value)} {quality.unit}{hint}"
         _out.print(line, soft_wrap=True, highlight=False, markup=False)
     for text in warnings:
         _out.print(f"warning: {text}", soft_wrap=True, highlight=False, markup=False)

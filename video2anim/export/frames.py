@@ -34,7 +34,7 @@ def needed_keys(T_world_object: Float[np.ndarray, "frames 4 4"]) -> Int[np.ndarr
 
 
 def vertical_fov_rad(intrinsics: Intrinsics) -> float:
-    """Full vertical field of view of a centerd camera with this focal length and height."""
+    """Full vertical field of view of a centered camera with this focal length and height."""
     return float(2.0 * np.arctan2(0.5 * intrinsics.height_px, intrinsics.fy_px))
 
 

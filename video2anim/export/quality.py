@@ -10,8 +10,8 @@ from jaxtyping import Float
 from scenemi import metrics
 from video2anim.body.anny_body import shaped_body
 from video2anim.geometry.sdf import sample_sdf
-from video2anim.pipeline.stage import Quality
 from video2anim.types import BodyMotion, SceneModel
+from video2anim.types.quality import Quality, Unit
 from video2anim.types.skeleton import forward_kinematics
 
 VERTEX_STRIDE = 8
@@ -29,7 +29,7 @@ class MotionQuality:
     numbers: tuple[Quality, ...]
     time_s: Float[np.ndarray, "span"]
     jerk_m_s3: Float[np.ndarray, "span"]
-    """Mean over joints, centerd on its four frames; NaN at the ends."""
+    """Mean over joints, centered on its four frames; NaN at the ends."""
     clearance_m: Float[np.ndarray, "span"]
     """Signed distance of the nearest (or deepest) body vertex to the scene; NaN without a scene."""
     skating_m_s: Float[np.ndarray, "span"]
@@ -41,31 +41,29 @@ class Moment:
     """A frame to look at."""
 
     frame: int
-    what: str
+    key: str
     value: float
-    unit: str
+    unit: Unit
 
 
 def motion_quality(motion: BodyMotion, scene: SceneModel | None, span: slice, fps: float) -> MotionQuality:
     """Measure a motion over the frames `span` (see `measured_span`)."""
     joints_m = motion.joints_world_m[span]
     numbers = [
-        Quality("jerk", metrics.jerk_m_s3(joints_m, fps), "m/s³", "lower"),
-        Quality("foot skating (gmd)", metrics.foot_skating_gmd(joints_m, fps), "ratio", "lower"),
-        Quality("foot skating (kimodo)", metrics.foot_skating_kimodo(joints_m, fps), "ratio", "lower"),
-        Quality("foot skating (rohm)", metrics.foot_skating_rohm(joints_m, fps), "ratio", "lower"),
+        Quality("jerk", metrics.jerk_m_s3(joints_m, fps), "m/s^3", "lower"),
+        Quality("foot_skating_gmd", metrics.foot_skating_gmd(joints_m, fps), "ratio", "lower"),
+        Quality("foot_skating_kimodo", metrics.foot_skating_kimodo(joints_m, fps), "ratio", "lower"),
+        Quality("foot_skating_rohm", metrics.foot_skating_rohm(joints_m, fps), "ratio", "lower"),
     ]
     clearance_m = np.full(len(joints_m), np.nan)
     if scene is not None:
         distance_m = scene_distance_m(motion, scene, span)
         clearance_m = distance_m.min(1)
         numbers += [
-            Quality("frames in collision", metrics.collision_frame_ratio(distance_m, 0.0), "ratio", "lower"),
-            Quality(
-                "frames in collision, over 1 cm", metrics.collision_frame_ratio(distance_m, 0.01), "ratio", "lower"
-            ),
-            Quality("vertices in collision", metrics.collision_vertex_ratio(distance_m, 0.0), "ratio", "lower"),
-            Quality("deepest penetration", metrics.penetration_max_m(distance_m), "m", "lower"),
+            Quality("frames_in_collision", metrics.collision_frame_ratio(distance_m, 0.0), "ratio", "lower"),
+            Quality("frames_in_collision_1cm", metrics.collision_frame_ratio(distance_m, 0.01), "ratio", "lower"),
+            Quality("vertices_in_collision", metrics.collision_vertex_ratio(distance_m, 0.0), "ratio", "lower"),
+            Quality("penetration_max", metrics.penetration_max_m(distance_m), "m", "lower"),
             Quality("floating", metrics.floating_m(distance_m), "m", "lower"),
         ]
     return MotionQuality(
@@ -77,14 +75,15 @@ def motion_quality(motion: BodyMotion, scene: SceneModel | None, span: slice, fp
 def worst_moments(quality: MotionQuality, span: slice) -> tuple[Moment, ...]:
     """The deepest penetration, the fastest skating and the strongest jerk, where there is any."""
     found = []
-    for what, curve, least, sign, unit in (
-        ("deepest penetration", quality.clearance_m, _WORTH_A_LOOK_M, -1.0, "m"),
-        ("fastest skating", quality.skating_m_s, metrics.KIMODO_SPEED_M_S, 1.0, "m/s"),
-        ("strongest jerk", quality.jerk_m_s3, 0.0, 1.0, "m/s³"),
-    ):
+    curves: tuple[tuple[str, np.ndarray, float, float, Unit], ...] = (
+        ("penetration_max", quality.clearance_m, _WORTH_A_LOOK_M, -1.0, "m"),
+        ("skating_max", quality.skating_m_s, metrics.KIMODO_SPEED_M_S, 1.0, "m/s"),
+        ("jerk_max", quality.jerk_m_s3, 0.0, 1.0, "m/s^3"),
+    )
+    for key, curve, least, sign, unit in curves:
         bad = np.where(np.isfinite(curve), sign * curve, -np.inf)
         if len(bad) and bad.max() > least:
-            found.append(Moment(span.start + int(bad.argmax()), what, float(bad.max()), unit))
+            found.append(Moment(span.start + int(bad.argmax()), key, float(bad.max()), unit))
     return tuple(found)
 
 

@@ -13,8 +13,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from video2anim import __version__
 from video2anim.export import report_plots
 from video2anim.export.quality import VERTEX_STRIDE, MotionQuality, measured_span, motion_quality
-from video2anim.pipeline.stage import Quality
 from video2anim.types import BodyMotion, CameraEstimate, Contact, SceneModel
+from video2anim.types.quality import Quality
 
 STAGE_ORDER = ("raw", "keyframes", "refined")
 _FPS = 30.0
@@ -171,7 +171,7 @@ def _comparison(qualities: Mapping[str, MotionQuality]) -> list[dict[str, Any]]:
         verdict = "better" if gain > 0 else "worse" if gain < 0 else "same"
         rows.append(
             {
-                "name": first.name,
+                "name": first.label,
                 "unit": first.unit,
                 "better": first.better,
                 "values": [number.value for number in numbers],

@@ -1,6 +1,6 @@
 """A user's own program that turns a picture of an object into a mesh: the hook for InstantMesh, Hunyuan3D and the like.
 
-Contract: the program gets a PNG (512 x 512, the object centerd and whole, gray around it) and writes a GLB with +Y up
+Contract: the program gets a PNG (512 x 512, the object centered and whole, gray around it) and writes a GLB with +Y up
 and the side that the picture shows towards +Z, in any unit.
 """
 

@@ -6,25 +6,15 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from video2anim.errors import printable
+from video2anim.types.quality import Better, Quality, Unit
 
-Better = Literal["lower", "higher", "none"]
 NO_MODEL = "none"
 """Name in a stage's configuration of a model that is left out."""
-
-
-@dataclass(frozen=True, slots=True)
-class Quality:
-    """One number that says how well a stage did."""
-
-    name: str
-    value: float
-    unit: str
-    better: Better
 
 
 @dataclass(slots=True)
@@ -46,9 +36,18 @@ class StageContext:
         digest = hashlib.sha256(f"{self.seed}/{label}".encode()).digest()
         return np.random.default_rng(int.from_bytes(digest[:8], "little"))
 
-    def quality(self, name: str, value: float, unit: str, better: Better = "none") -> None:
+    def quality(
+        self,
+        key: str,
+        value: float,
+        unit: Unit,
+        better: Better = "none",
+        *,
+        person_id: int | None = None,
+        object_id: int | None = None,
+    ) -> None:
         """Record a quality number for the manifest and the report."""
-        self.qualities.append(Quality(name, float(value), unit, better))
+        self.qualities.append(Quality(key, float(value), unit, better, person_id, object_id))
 
     def warn(self, text: str) -> None:
         """Record a warning that the user sees."""

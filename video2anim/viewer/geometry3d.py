@@ -17,8 +17,8 @@ try:
     import open3d as o3d
 except (ImportError, OSError) as error:
     raise UsageError(
-        f"the viewer needs open3d and its system libraries, but importing it failed ({error}); run "
-        f"`pip install -e '.[viewer]'` in its checkout and, on Debian or Ubuntu, `apt-get install {SYSTEM_PACKAGES}`"
+        f"viewer: open3d could not be imported ({error}); its window needs system libraries, on Debian or Ubuntu "
+        f"`apt-get install {SYSTEM_PACKAGES}`; all other commands work without them"
     ) from error
 
 

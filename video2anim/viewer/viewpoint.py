@@ -49,7 +49,7 @@ def fit_viewpoint(
     height_px: int,
     fov_y_rad: float = 0.7,
 ) -> Viewpoint:
-    """The nearest camera of this orientation, centerd on the points, that has all of them in its picture."""
+    """The nearest camera of this orientation, centered on the points, that has all of them in its picture."""
     intrinsics = Intrinsics.centered(0.5 * height_px / np.tan(0.5 * fov_y_rad), width_px, height_px)
     turned = points_world_m @ R_world_camera
     center = 0.5 * (turned.min(0) + turned.max(0))

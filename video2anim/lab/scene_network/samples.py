@@ -133,7 +133,7 @@ def _read_shard(folder: Path) -> _Shard:
 
 
 def _crop(have: tuple[int, int], want: tuple[int, int], zoom: float) -> tuple[float, float, float, float]:
-    """x0, y0, width, height of a centerd crop of the wanted ratio; 1 = the largest."""
+    """x0, y0, width, height of a centered crop of the wanted ratio; 1 = the largest."""
     ratio = want[1] / want[0]
     height = min(have[0], have[1] / ratio) * zoom
     width = height * ratio

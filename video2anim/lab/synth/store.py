@@ -190,7 +190,7 @@ def _meta(shot: Shot, facts: dict[str, Any]) -> dict[str, Any]:
     lens, T = shot.intrinsics, shot.T_world_camera[0]
     x0, x1, z0, z1 = shot.room.bounds_m
     moving = {item.scene_object.object_id for item in shot.moving}
-    objects = [*shot.room.scene_objectects, *(item.obj for item in shot.moving)]
+    objects = [*shot.room.objects, *(item.scene_object for item in shot.moving)]
     return {
         "format_version": FORMAT_VERSION,
         **facts,

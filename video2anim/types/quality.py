@@ -1,0 +1,42 @@
+"""One schema for numbers that say how well something was done: in run.json, the report, `show` and the benchmarks."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+Better = Literal["lower", "higher", "none"]
+Unit = Literal["m", "m/s", "m/s^3", "px", "deg", "ratio", "%", "count", "MB"]
+_KEY = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """One number.
+
+    Raises:
+        ValueError: the key is not words of lower case joined by underscores, or the unit is none of `Unit`.
+    """
+
+    key: str
+    value: float
+    """NaN where it could not be measured."""
+    unit: Unit
+    better: Better = "none"
+    person_id: int | None = None
+    """Of whom it speaks; None: of the main person, or of no person."""
+    object_id: int | None = None
+
+    def __post_init__(self) -> None:
+        if not _KEY.fullmatch(self.key):
+            raise ValueError(f"Quality.key: want words joined by underscores, got {self.key!r}")
+        if self.unit not in get_args(Unit) or self.better not in get_args(Better):
+            raise ValueError(f"Quality {self.key}: want a unit of {get_args(Unit)} and a direction, got {self.unit!r}")
+
+    @property
+    def label(self) -> str:
+        """For people: the key's words, and of whom or what it speaks."""
+        of = [f"{word} {number}" for word, number in (("person", self.person_id), ("object", self.object_id))
+              if number is not None]  # fmt: skip
+        return self.key.replace("_", " ") + (f" ({', '.join(of)})" if of else "")
