@@ -44,7 +44,6 @@ import numpy as np
 
 from scenemi import metrics
 from scenemi.metrics import align_similarity
-from stages.refine import picture_distance_ratio
 from video2anim.artifacts.images import write_png
 from video2anim.artifacts.motion_io import write_motion
 from video2anim.body.anny_body import shaped_body
@@ -55,6 +54,7 @@ from video2anim.geometry.projection import project
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.lab.eval.results import SceneResult
+from video2anim.motion.observation import image_distance_ratio
 from video2anim.scene.supports import SUPPORT
 from video2anim.types import (
     BackgroundImage,
@@ -227,7 +227,7 @@ def row(
     clip: str, stage: str, motion: BodyMotion, raw: BodyMotion, track: PersonTrack, scene: SceneModel, media: Path
 ) -> Row:
     """One stage's numbers."""
-    off = 100 * picture_distance_ratio(motion, raw)
+    off = 100 * image_distance_ratio(motion, raw)
     body, field = shaped_body(motion.shape), SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
     valid = np.flatnonzero(motion.valid)
     index = np.arange(0, len(body.rest_vertices_m), 7)

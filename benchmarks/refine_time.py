@@ -118,7 +118,7 @@ def longer(motion: BodyMotion, frames: int) -> BodyMotion:
     order = there_and_back[np.arange(frames) % len(there_and_back)]
     values = {field.name: getattr(motion, field.name) for field in fields(motion) if field.name != "rest_joints_m"}
     values = {name: value[order] for name, value in values.items() if isinstance(value, np.ndarray)}
-    return replace(motion, **values | {"frame_time_s": np.arange(frames) / refine.FPS})
+    return replace(motion, **values | {"frame_time_s": np.arange(frames) / FPS})
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -10,12 +10,10 @@ it; it is a solid only where it stays for more than half of the clip.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from video2anim.errors import UsageError
 from video2anim.pipeline.options import limits
@@ -25,33 +23,14 @@ from video2anim.types import (
     BodyTracks,
     KeyframedMotion,
     MetricDepth,
-    PlacedObject,
     RefinedMotion,
     SceneModel,
 )
 
 if TYPE_CHECKING:
     from scenemi.postprocess.motion_solve import SceneMotion
-    from scenemi.postprocess.solids import Solids
     from scenemi.prior import InbetweeningPrior
-    from video2anim.geometry.moving_field import MovingField
     from video2anim.geometry.sdf import SdfGrid
-    from video2anim.types.quality import Unit
-
-FPS = 30.0
-"""Motion is at 30 fps after ingest."""
-_JUMP = 6.0
-"""Frames whose jerk exceeds the median by this factor are jumps of the observation."""
-_DIFFERENT_RAD = np.deg2rad(3.0)
-"""A joint's rotation differs when it does by more than this."""
-_MOVED_M = 0.001
-"""Objects that moved less stay."""
-_FAR_M = 0.5
-"""Distances beyond this are not measured: touch reaches 0.25 m, and normals are taken one spacing around."""
-_SLAB_SPACING_M = 0.02
-"""Of the field of an inferred support: slabs of 5 cm are lost between the nodes of the scene's."""
-_VERTICES = 500
-"""Skin vertices that penetration is measured with."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +80,16 @@ def refine_motion(
     """
     from scenemi.postprocess.motion_solve import solve_motions
     from scenemi.prior import InterpolationPrior, load_prior
+    from video2anim.motion.assessment import assess, shaped_by_prior
+    from video2anim.motion.movable_scene import (
+        PlaceUncertainty,
+        movable_solids,
+        moved_scene,
+        moving_fields,
+        scene_field,
+        with_scene_contacts,
+    )
+    from video2anim.motion.observation import observation
     from video2anim.objects.path import follow_hand
 
     prior = load_prior(config.prior, device=ctx.device, seed=ctx.seed)
@@ -108,12 +97,16 @@ def refine_motion(
         ctx.warn("no scenemi weights present: the observed motion is not repaired, only fitted to picture and scene")
     bridging = InterpolationPrior(monotone=True)
     prior = prior if prior.name == "scenemi" else bridging
-    solids, field = _solids(scene, keyframed.people[0], config), _field(scene)
+    uncertainty = PlaceUncertainty(
+        config.objects_move, config.object_across_ratio, config.object_top_m, config.support_m
+    )
+    solids = movable_solids(scene, keyframed.people[0].T_world_camera[0, :3, 3], uncertainty)
+    field = scene_field(scene)
     seen = [number for number, motion in enumerate(keyframed.people) if motion.valid.any()]
     for motion in keyframed.people:
         if not motion.valid.any():
             ctx.warn(f"person {motion.person_id} has no valid frame, motion left as it is")
-    observed = [_observation(keyframed.people[number], scene.objects) for number in seen]
+    observed = [observation(keyframed.people[number], scene.objects) for number in seen]
     made, alone = (
         [
             _filled(keyframed.people[number], one, by, field, config, ctx)
@@ -130,28 +123,27 @@ def refine_motion(
             )
             for one in (solved, plain)
         )
-    moved = _moved(scene, solids, solved.moved_m, ctx)
+    moved = moved_scene(scene, solids, solved.moved_m)
+    _report_places(ctx, scene, moved)
     # The paths were found with the bodies of stage metric.
     moved = replace(moved, objects=tuple(follow_hand(item, depth.bodies.people, people) for item in moved.objects))
-    after, moving = _field(moved), _moving(moved)
-    names, shares = ["none"] * len(people), [0.0] * len(people)
+    after, moving = scene_field(moved), moving_fields(moved)
+    names = ["none"] * len(people)
+    shares = [0.0] * len(people)
     for done, number in enumerate(seen, start=1):
         motion = keyframed.people[number]
         person_id = None if number == 0 else motion.person_id
         people[number], alike[number] = (
-            _touching(one, after, moving, moved.objects) for one in (people[number], alike[number])
+            with_scene_contacts(one, after, moving, moved.objects) for one in (people[number], alike[number])
         )
-        without = alike[number]
         if prior.name == "scenemi":
-            names[number], shares[number] = prior.name, _shaped(people[number], without)
+            names[number], shares[number] = prior.name, shaped_by_prior(people[number], alike[number])
         ctx.quality("frames_shaped_by_prior", shares[number], "ratio", "higher", person_id=person_id)
         raw = bodies.people[number].in_world(motion.T_world_camera)
-        for when, one, where in (
-            ("raw", raw, field),
-            ("without_prior", without, after),
-            ("refined", people[number], after),
-        ):
-            _report(ctx, when, one, raw, where, person_id)
+        stages = (("raw", raw, field), ("without_prior", alike[number], after), ("refined", people[number], after))
+        for when, one, where in stages:
+            for key, value, unit in assess(one, raw, where):
+                ctx.quality(f"{key}_{when}", value, unit, "lower", person_id=person_id)
         ctx.progress(done, len(seen))
     return RefinedMotion(tuple(people), tuple(names), tuple(shares), tuple(alike), moved)
 
@@ -168,6 +160,8 @@ def _filled(
     that are calm, between which it only bridges gaps."""
     from scenemi.longmotion import KeyframeMotion, inbetween
     from scenemi.windows import select_keyframes
+    from video2anim.motion.observation import inlier_frames
+    from video2anim.types import FPS
 
     interval = config.keyframe_interval_frames if prior.name == "scenemi" else 1
     keys = np.zeros(motion.frame_count, bool)
@@ -183,182 +177,11 @@ def _filled(
     return replace(observed, R_parent_joint=made.R_parent_joint, translation_world_m=made.translation_world_m)
 
 
-def _observation(motion: BodyMotion, objects: Sequence[PlacedObject]) -> SceneMotion:
-    """The motion after keyframes, and where the picture shows it: keyframes go along their lines of sight. Hands that
-    hold something touch no solid."""
-    from scenemi.postprocess.motion_solve import PictureTarget, SceneMotion
-    from video2anim.body.anny_body import shaped_body
-    from video2anim.body.contact import believed
-    from video2anim.geometry.projection import invert_rigid, project
-    from video2anim.objects.path import holding
-
-    shaped = shaped_body(motion.shape)
-    camera_m = motion.joints_camera_m
-    body_height_m = float(np.ptp(shaped.rest_vertices_m[:, 1]))
-    picture = PictureTarget(
-        project(camera_m, motion.intrinsics), inlier_frames(motion) & (camera_m[:, 0, 2] > 0.1),
-        motion.intrinsics.fy_px * body_height_m / np.maximum(camera_m[:, 0, 2], 0.1),
-        invert_rigid(motion.T_world_camera), motion.intrinsics.matrix(),
-    )  # fmt: skip
-    contact = np.where(holding(objects, motion), 0.0, believed(motion, shaped))
-    fixed = np.zeros(motion.frame_count, bool)
-    return SceneMotion(
-        motion.R_parent_joint, motion.T_world_root[:, :3, 3], contact, motion.rest_joints_m, shaped, FPS, fixed, picture
-    )
-
-
-def inlier_frames(motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
-    """Valid frames in which the observed body does not jump: where the landmark model changes its mind about left and
-    right, or front and back, the jerk is many times what it is elsewhere, and poses tell nothing."""
-    calm = motion.valid.copy()
-    jerk_m_s3 = np.linalg.norm(np.diff(motion.joints_world_m, n=3, axis=0), axis=-1).mean(1) * FPS**3
-    if not len(jerk_m_s3):
-        return calm
-    for first in np.flatnonzero(jerk_m_s3 > _JUMP * np.median(jerk_m_s3)):
-        calm[first : first + 4] = False
-    # Somebody who jumps about all the time is taken as observed.
-    return calm if calm.sum() > 0.5 * motion.valid.sum() else motion.valid
-
-
-def _field(scene: SceneModel) -> SdfGrid:
-    from video2anim.geometry.sdf import SdfGrid
-
-    return SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
-
-
-def _solids(scene: SceneModel, main: BodyMotion, config: RefineConfig) -> Solids:
-    """The objects, that give way mostly along their horizontal lines of sight; everything together where none does.
-    What somebody moves is one if it stays where it is for more than half of the clip, as it is in the scene's field."""
-    from scenemi.postprocess.solids import MovableSolid, Solids
-    from video2anim.geometry.scene_mesh import world_mesh
-    from video2anim.geometry.sdf import build_sdf_grid
-    from video2anim.objects.path import settled
-    from video2anim.scene.supports import SUPPORT
-
-    standing = [item for item in map(settled, scene.objects) if item is not None]
-    if not standing or not config.objects_move:
-        return Solids(_field(scene), floor=False)
-    camera_m = main.T_world_camera[0, :3, 3]
-    movable = []
-    for item in standing:
-        solid = world_mesh(item.mesh, item.T_world_object, item.scale)
-        bounds_m = np.stack([solid.vertices_m.min(0) - 0.3, solid.vertices_m.max(0) + 0.3])
-        inferred = item.label == SUPPORT
-        finest_m = min(_SLAB_SPACING_M, scene.sdf_spacing_m) if inferred else scene.sdf_spacing_m
-        spacing_m = max(finest_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
-        away_m = 0.5 * bounds_m.sum(0) - camera_m
-        away_m[1] = 0.0
-        field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None, reach_m=_FAR_M)
-        along = item.distance_sigma**2 * np.outer(away_m, away_m)
-        across = config.object_across_ratio**2 * (away_m @ away_m) * np.diag([1.0, 0.0, 1.0])
-        covariance_m2 = along + across + np.diag([0.0, config.object_top_m**2, 0.0])
-        movable.append(MovableSolid(field, config.support_m**2 * np.eye(3) if inferred else covariance_m2))
-    return Solids(None, tuple(movable))
-
-
-def _moved(scene: SceneModel, solids: Solids, moved_m: Float[np.ndarray, "solids 3"], ctx: StageContext) -> SceneModel:
-    """The scene with its objects where the solve has them."""
-    from video2anim.objects.path import settled
-
-    if not (np.abs(moved_m) > _MOVED_M).any():
-        return scene
-    objects, ways_m = [], iter(moved_m)
-    for item in scene.objects:
-        if settled(item) is None:
-            objects.append(item)
-            continue
-        way_m = next(ways_m)
-        paths = tuple(replace(path, T_world_object=_shifted(path.T_world_object, way_m)) for path in item.path)
-        objects.append(replace(item, T_world_object=_shifted(item.T_world_object, way_m), path=paths))
-        ctx.quality("moved", float(np.linalg.norm(way_m)), "m", object_id=item.object_id)
-    nodes = np.stack(np.meshgrid(*(np.arange(n) for n in scene.sdf_m.shape), indexing="ij"), -1)
-    slabs = [solids.distance_m(scene.sdf_origin_m + scene.sdf_spacing_m * slab, moved_m)[0] for slab in nodes]
-    return replace(scene, objects=tuple(objects), sdf_m=np.stack(slabs).astype(np.float32))
-
-
-def _shifted(T: Float[np.ndarray, "*frames 4 4"], way_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "*frames 4 4"]:
-    moved = T.copy()
-    moved[..., :3, 3] += way_m
-    return moved
-
-
-def _moving(scene: SceneModel) -> tuple[MovingField, ...]:
-    """Fields of the objects that somebody moves."""
-    from video2anim.geometry.moving_field import MovingField
-    from video2anim.geometry.scene_mesh import world_mesh
-    from video2anim.geometry.sdf import build_sdf_grid
-
-    fields = []
-    for item in scene.objects:
-        if item.path:
-            solid = world_mesh(item.mesh, np.eye(4), item.scale)
-            bounds_m = np.stack([solid.vertices_m.min(0) - 0.1, solid.vertices_m.max(0) + 0.1])
-            spacing_m = max(_SLAB_SPACING_M, float(np.ptp(bounds_m, axis=0).max()) / 60)
-            field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None, reach_m=_FAR_M)
-            fields.append(MovingField(field, np.asarray(item.path[0].T_world_object)))
-    return tuple(fields)
-
-
-def _touching(
-    motion: BodyMotion, scene: SdfGrid, moving: Sequence[MovingField], objects: Sequence[PlacedObject]
-) -> BodyMotion:
-    """A solved motion, that has its observed contacts, with those that it has in the scene; a hand that holds something
-    touches it."""
-    from video2anim.body.anny_body import shaped_body
-    from video2anim.body.contact import touches
-    from video2anim.objects.path import holding
-
-    contact = touches(motion, shaped_body(motion.shape), scene, motion.contact, moving)
-    return replace(motion, contact=np.where(holding(objects, motion), 1.0, contact))
-
-
-def _shaped(refined: BodyMotion, without: BodyMotion) -> float:
-    """Share of the valid frames in which some joint's rotation is another without the prior."""
-    from video2anim.geometry.rotations import axis_angle_from_matrix
-
-    turn = axis_angle_from_matrix(without.R_parent_joint.swapaxes(-1, -2) @ refined.R_parent_joint)
-    return float((np.linalg.norm(turn, axis=-1).max(1) > _DIFFERENT_RAD)[refined.valid].mean())
-
-
-def _report(
-    ctx: StageContext, when: str, motion: BodyMotion, seen: BodyMotion, field: SdfGrid, person_id: int | None
-) -> None:
-    """Quality from the first to the last valid frame."""
-    from scenemi import metrics
-    from video2anim.body.anny_body import shaped_body
-    from video2anim.types.skeleton import forward_kinematics
-
-    measured = np.flatnonzero(motion.valid)
-    span = slice(int(measured[0]), int(measured[-1]) + 1)
-    body = shaped_body(motion.shape)
-    index = np.arange(0, len(body.rest_vertices_m), max(1, len(body.rest_vertices_m) // _VERTICES))
-    joints_m, R_world_joint = forward_kinematics(
-        motion.R_parent_joint[span], motion.T_world_root[span, :3, 3], motion.rest_joints_m
-    )
-    distance_m = field.sample(body.vertices(R_world_joint, joints_m, index).astype(np.float64))
-    off = picture_distance_ratio(motion, seen)
-    rows: tuple[tuple[str, float, Unit], ...] = (
-        ("jerk", metrics.jerk_m_s3(joints_m, FPS), "m/s^3"),
-        ("foot_skating_gmd", metrics.foot_skating_gmd(joints_m, FPS), "ratio"),
-        ("penetration_max", metrics.penetration_max_m(distance_m), "m"),
-        ("frames_in_collision_1cm", metrics.collision_frame_ratio(distance_m, metrics.COLLISION_TAUS_M[1]), "ratio"),
-        ("image_distance_over_height", 100 * float(np.median(off)), "%"),
-    )
-    for key, value, unit in rows:
-        ctx.quality(f"{key}_{when}", value, unit, "lower", person_id=person_id)
-
-
-def picture_distance_ratio(motion: BodyMotion, seen: BodyMotion) -> Float[np.ndarray, "valid"]:
-    """Mean distance in the picture of the joints of two motions of one person, over the standing body's height there,
-    in every valid frame."""
-    from video2anim.body.anny_body import shaped_body
-    from video2anim.geometry.projection import project
-
-    body_height_m = float(np.ptp(shaped_body(seen.shape).rest_vertices_m[:, 1]))
-    valid = motion.valid & seen.valid
-    here, there = (one.joints_camera_m[valid] for one in (motion, seen))
-    apart_px = np.linalg.norm(project(here, motion.intrinsics) - project(there, seen.intrinsics), axis=-1).mean(1)
-    return apart_px * np.maximum(there[:, 0, 2], 0.1) / (seen.intrinsics.fy_px * body_height_m)
+def _report_places(ctx: StageContext, before: SceneModel, after: SceneModel) -> None:
+    for old, new in zip(before.objects, after.objects, strict=True):
+        way_m = new.T_world_object[:3, 3] - old.T_world_object[:3, 3]
+        if way_m.any():
+            ctx.quality("moved", float(np.linalg.norm(way_m)), "m", object_id=new.object_id)
 
 
 STAGE = StageSpec("refine", refine_motion, version=12, models=("prior",))

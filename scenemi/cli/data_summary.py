@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 from scenemi.data.source_clip import SourceClip
 from scenemi.windows import WINDOW_FRAMES
+from video2anim.types.clip import FPS
 
-FPS = 30.0
 _ALL = ("all", "")
 
 

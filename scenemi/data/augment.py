@@ -10,9 +10,9 @@ from jaxtyping import Float
 from scenemi.data.interpolate import blended, cubic_taps, nearest_rows, unit
 from scenemi.data.retarget import RetargetedMotion
 from video2anim.geometry.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
+from video2anim.types.clip import FPS
 from video2anim.types.skeleton import JOINT_NAMES
 
-TARGET_FPS = 30.0
 _OTHER = {"left": "right", "right": "left"}
 
 
@@ -89,7 +89,7 @@ def warped(motion: RetargetedMotion, rng: np.random.Generator, config: WarpConfi
     return at_times(motion, position[position <= frames - 1])
 
 
-def resampled(motion: RetargetedMotion, fps: float, target_fps: float = TARGET_FPS) -> RetargetedMotion:
+def resampled(motion: RetargetedMotion, fps: float, target_fps: float = FPS) -> RetargetedMotion:
     """The motion at another frame rate; frames are kept as they are where the rates divide.
 
     Raises:

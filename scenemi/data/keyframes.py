@@ -12,10 +12,10 @@ from scenemi.longmotion import KeyframeMotion
 from scenemi.windows import select_keyframes
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import nearest_rotation
+from video2anim.types.clip import FPS
 from video2anim.types.motion import BodyShape
 from video2anim.types.skeleton import JOINT_NAMES
 
-FPS = 30.0
 JOINTS = len(JOINT_NAMES)
 _ROTATION_TOLERANCE = 0.02
 """Largest entry of R^T R - I that is taken for rounding and repaired; more is no rotation."""

@@ -24,9 +24,9 @@ from video2anim.body.anny_body import ShapedBody, shaped_body
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
 from video2anim.types import BodyShape
+from video2anim.types.clip import FPS
 from video2anim.types.skeleton import forward_kinematics
 
-FPS = 30.0
 _VERSION = 2
 """Raised when retargeting gives other motions, so that old caches are not read."""
 

@@ -25,10 +25,9 @@ from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.sdf import SdfGrid
+from video2anim.types.clip import FPS
 from video2anim.types.motion import BodyShape
 from video2anim.types.skeleton import forward_kinematics
-
-FPS = 30.0
 
 
 class ObstacleField(Protocol):

@@ -14,10 +14,10 @@ from torch.nn import functional
 
 from scenemi.features import BODY_ROTATIONS, FEATURE_COUNT, JOINTS, LEVEL_X, LEVEL_Z, LYING, ROOT_ROTATION, TRANSLATION
 from scenemi.model.kinematics import matrices
+from video2anim.types.clip import FPS
 
 VIEW = 274
 """Channels of `view`: height 1, root 6, body 126, joints 66, speeds 69, turn 2, place 2, heading 2."""
-_FPS = 30.0
 
 
 def _columns(columns: list[int], value: float = 1.0) -> Tensor:
@@ -60,14 +60,14 @@ def view(raw: Float[Tensor, "batch frames 201"], heading: Float[Tensor, "batch f
     place = raw[..., [0, 2]]
     about = to_heading(raw - place[..., :1] * _JOINT_X.to(raw) - place[..., 1:] * _JOINT_Z.to(raw), heading)
     step = functional.pad(raw[:, 1:] - raw[:, :-1], (0, 0, 1, 0))
-    speed = _FPS * to_heading(step, heading)
+    speed = FPS * to_heading(step, heading)
     before = torch.cat([heading[:, :1], heading[:, :-1]], 1)
     cosine = (heading * before).sum(-1, keepdim=True)
     sine = heading[..., :1] * before[..., 1:] - heading[..., 1:] * before[..., :1]
     return torch.cat(
         [
             about[..., 1:2], about[..., ROOT_ROTATION], about[..., BODY_ROTATIONS], about[..., JOINTS],
-            speed[..., TRANSLATION], speed[..., JOINTS], cosine, _FPS * sine, place, heading,
+            speed[..., TRANSLATION], speed[..., JOINTS], cosine, FPS * sine, place, heading,
         ],
         -1,
     )  # fmt: skip

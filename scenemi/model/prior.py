@@ -25,10 +25,10 @@ from scenemi.scene.field import GridField
 from scenemi.scene.grid import canonical_grid
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import nearest_rotation
+from video2anim.types.clip import FPS
 
 BATCH_WINDOWS = 32
 """Windows sampled at once by `fill_many`: more take memory and no less time."""
-MODEL_FPS = 30.0
 TRAINED_NOISE = 1.0
 """The largest l in training (paper 3.2.1); noisier keyframes are taken for this noisy."""
 
@@ -205,5 +205,5 @@ def _expect_fit(window: KeyframeWindow, window_frames: int) -> None:
             f"prior scenemi: want windows of up to {window_frames} frames, got {len(window.is_keyframe)}; "
             "`scenemi.inbetween` cuts longer motions"
         )
-    if abs(window.fps - MODEL_FPS) > 0.01:
-        raise InputError(f"prior scenemi: want {MODEL_FPS:g} frames per second, got {window.fps:g}; resample first")
+    if abs(window.fps - FPS) > 0.01:
+        raise InputError(f"prior scenemi: want {FPS:g} frames per second, got {window.fps:g}; resample first")

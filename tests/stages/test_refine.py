@@ -11,20 +11,14 @@ from synthetic import FPS, planted_walk, with_root_shift
 
 import scenemi.prior
 from scenemi.metrics import jerk_m_s3, mpjpe
-from stages.refine import (
-    RefineConfig,
-    _field,
-    _moving,
-    _observation,
-    inlier_frames,
-    picture_distance_ratio,
-    refine_motion,
-)
+from stages.refine import RefineConfig, refine_motion
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import touches
 from video2anim.errors import ModelMissingError
 from video2anim.geometry.scene_mesh import box_mesh, empty_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
+from video2anim.motion.movable_scene import moving_fields, scene_field
+from video2anim.motion.observation import image_distance_ratio, inlier_frames, observation
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
     BodyMotion,
@@ -96,7 +90,7 @@ def test_the_shipped_prior_is_at_work_and_a_good_motion_stays() -> None:
     assert refined.prior == ("scenemi",)
     assert 0 < refined.prior_share[0] == quality(ctx, "frames_shaped_by_prior") <= 1
     assert mpjpe(found.joints_world_m, truth.joints_world_m) < 0.03
-    assert np.median(picture_distance_ratio(found, truth)) < 0.015
+    assert np.median(image_distance_ratio(found, truth)) < 0.015
     assert quality(ctx, "foot_skating_gmd_refined") <= quality(ctx, "foot_skating_gmd_raw") + 0.02
     assert jerk_m_s3(found.joints_world_m, FPS) < 1.5 * jerk_m_s3(truth.joints_world_m, FPS)
 
@@ -137,7 +131,7 @@ def test_a_body_a_little_under_the_floor_is_put_on_it() -> None:
     refined, ctx = refine(sunk, PLAIN)
     assert quality(ctx, "penetration_max_raw") > 0.02
     assert quality(ctx, "penetration_max_refined") < 0.015
-    assert np.median(picture_distance_ratio(refined.people[0], sunk)) < 0.015
+    assert np.median(image_distance_ratio(refined.people[0], sunk)) < 0.015
 
 
 @pytest.mark.parametrize("config", [PLAIN, RefineConfig()])
@@ -214,7 +208,7 @@ def test_a_hand_that_holds_something_is_not_drawn_to_solids() -> None:
     contact[:, wrist] = 1.0
     motion = replace(slow, contact=contact)
     item = carried(motion, wrist, Hold(motion.person_id, "right hand", 15, 45))
-    empty, full = (_observation(motion, objects).contact[:, wrist] for objects in ((), (item,)))
+    empty, full = (observation(motion, objects).contact[:, wrist] for objects in ((), (item,)))
     assert (empty == 1.0).all()
     np.testing.assert_array_equal(np.flatnonzero(full == 0.0), np.arange(15, 46))
 
@@ -231,9 +225,9 @@ def test_a_moved_object_is_touched_where_it_rests() -> None:
     T_world_object[stance[-1] + 8 :, 0, 3] += 1.0
     path = ObjectPath(T_world_object, ())
     block = PlacedObject(5, "box", box_mesh(0.4, 0.3, 0.4), 1.0, T_world_object[0], None, None, True, "", path=(path,))
-    body, field = shaped_body(lifted.shape), _field(scene())
+    body, field = shaped_body(lifted.shape), scene_field(scene())
     without = touches(lifted, body, field, lifted.contact)
-    contact = touches(lifted, body, field, lifted.contact, _moving(scene(block)))
+    contact = touches(lifted, body, field, lifted.contact, moving_fields(scene(block)))
     assert not without[stance, 10].any()
     assert contact[stance[2:-2], 10].all()
     assert not contact[stance[-1] + 8 :, 10].any()

@@ -14,10 +14,10 @@ from video2anim import __version__
 from video2anim.export import report_plots
 from video2anim.export.quality import VERTEX_STRIDE, MotionQuality, measured_span, motion_quality
 from video2anim.types import BodyMotion, CameraEstimate, Contact, SceneModel
+from video2anim.types.clip import FPS
 from video2anim.types.quality import Quality
 
 STAGE_ORDER = ("raw", "keyframes", "refined")
-_FPS = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +144,7 @@ def _person(report: ReportInput, index: int) -> dict[str, Any]:
     }
     if span is None:
         return facts
-    qualities = {name: motion_quality(motion, report.scene, span, _FPS) for name, motion in motions.items()}
+    qualities = {name: motion_quality(motion, report.scene, span, FPS) for name, motion in motions.items()}
     facts["rows"] = _comparison(qualities)
     facts["plots"] = [
         ("Jerk over time", report_plots.jerk_plot(qualities)),

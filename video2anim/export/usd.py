@@ -20,9 +20,9 @@ from video2anim.export.glb import FAR_M, NEAR_M, SKIN_RGB, object_name, plain_na
 from video2anim.geometry.rotations import matrix_from_quaternion
 from video2anim.geometry.scene_mesh import colored, with_vertex_colors
 from video2anim.types import BodyMotion, Mesh, PlacedObject, SceneModel
+from video2anim.types.clip import FPS
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
-FPS = 30.0
 _APERTURE = 0.36
 """Width of the picture: 36 mm in tenths of a scene unit, USD's unit of lenses."""
 _BODY_REACH_M = 0.4

@@ -18,7 +18,6 @@ from video2anim.humans.landmarks import KEYPOINT_INDEX
 from video2anim.humans.problem import Observations
 from video2anim.types.skeleton import JOINT_INDEX
 
-LIFTER_FPS = 30.0
 KEYPOINTS = len(KEYPOINT_NAMES)
 CONTACT_JOINTS: tuple[str, ...] = (
     "left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist", "pelvis", "spine3",
@@ -40,7 +39,7 @@ _FARTHEST = 6.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LifterInput:
-    """Features of frames at `LIFTER_FPS`, with what undoes their frame."""
+    """Features of frames at `FPS`, with what undoes their frame."""
 
     features: Float[np.ndarray, "*batch frames features"]
     R_camera_ray: Float[np.ndarray, "*batch frames 3 3"]
@@ -76,7 +75,7 @@ class LiftedBody:
 
 
 def lifter_input(observed: Observations) -> LifterInput:
-    """Features of a person's frames, which must be evenly spaced at `LIFTER_FPS`."""
+    """Features of a person's frames, which must be evenly spaced at `FPS`."""
     valid = observed.valid & np.isfinite(observed.keypoints_px).all((1, 2))
     k = observed.intrinsics
     center_px = _carried(observed.keypoints_px[:, _HIPS].mean(1), valid)

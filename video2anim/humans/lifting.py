@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
-from video2anim.humans.lifter_input import LIFTER_FPS, LiftedBody, lifted_body, lifter_input
+from video2anim.humans.lifter_input import FPS, LiftedBody, lifted_body, lifter_input
 from video2anim.humans.problem import Observations
 
 Network = Callable[[Float[np.ndarray, "frames features"]], Float[np.ndarray, "frames outputs"]]
 _NEAR_ENOUGH = 0.1
-"""A frame rate within this share of `LIFTER_FPS` is taken as it is."""
+"""A frame rate within this share of `FPS` is taken as it is."""
 _LONGEST_GAP_S = 0.12
 """Measurements farther apart are not joined by a line."""
 
@@ -23,15 +23,15 @@ def lift(observed: Observations, network: Network) -> LiftedBody:
 
     Args:
         observed: all frames of a clip, in order of time.
-        network: features -> outputs, at `LIFTER_FPS`.
+        network: features -> outputs, at `FPS`.
     """
     times = observed.frame_time_s
-    step_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0 / LIFTER_FPS
+    step_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0 / FPS
     even = len(times) < 2 or float(np.abs(np.diff(times) - step_s).max()) < 0.5 * step_s
-    if even and abs(step_s * LIFTER_FPS - 1.0) <= _NEAR_ENOUGH:
+    if even and abs(step_s * FPS - 1.0) <= _NEAR_ENOUGH:
         given = lifter_input(observed)
         return lifted_body(network(given.features), given)
-    grid = np.arange(times[0], times[-1] + 0.5 / LIFTER_FPS, 1.0 / LIFTER_FPS)
+    grid = np.arange(times[0], times[-1] + 0.5 / FPS, 1.0 / FPS)
     given = lifter_input(_at(observed, grid))
     return _back(lifted_body(network(given.features), given), grid, times)
 
@@ -70,7 +70,7 @@ def _taken(observed: Observations, index: Int[np.ndarray, "n"], times: np.ndarra
 def _back(lifted: LiftedBody, grid_s: np.ndarray, times_s: np.ndarray) -> LiftedBody:
     """The answer at the clip's own times."""
     last = len(grid_s) - 1
-    place = np.clip((times_s - grid_s[0]) * LIFTER_FPS, 0, last)
+    place = np.clip((times_s - grid_s[0]) * FPS, 0, last)
     left = np.floor(place).astype(int)
     right, weight = np.minimum(left + 1, last), place - left
 

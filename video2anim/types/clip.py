@@ -12,6 +12,9 @@ from pydantic import FiniteFloat, NonNegativeFloat, NonNegativeInt, PositiveFloa
 
 from video2anim.types.storage import Holds, PayloadFile
 
+FPS = 30.0
+"""Frame rate of every clip and motion after ingest; the networks are trained at it."""
+
 
 @dataclass(frozen=True, slots=True)
 class SourceVideo:

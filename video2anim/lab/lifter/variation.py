@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.humans.lifter_input import LIFTER_FPS
+from video2anim.humans.lifter_input import FPS
 from video2anim.types.skeleton import JOINT_INDEX
 
 
@@ -80,7 +80,7 @@ def _rotations(vectors_rad: np.ndarray) -> Tensor:
 
 def _swings(rng: np.random.Generator, batch: int, frames: int) -> Float[Tensor, "batch 4 frames 3 3"]:
     """Turns of hips and shoulders that rise and fall over the window; half of them stay as they are."""
-    time_s = np.arange(frames)[:, None] / LIFTER_FPS
+    time_s = np.arange(frames)[:, None] / FPS
     shape = (batch, len(_WIDE), 1, 1)
     steady, swinging = rng.normal(0, _SWING_RAD, (2, batch, len(_WIDE), 1, 3)) * (rng.random(shape) < 0.5)
     rate = 2 * np.pi * rng.uniform(*_SWING_HZ, shape)

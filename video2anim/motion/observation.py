@@ -1,0 +1,59 @@
+"""The observed motion as the final solve takes it: poses, contacts, and where the image shows the joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from scenemi.postprocess.motion_solve import PictureTarget, SceneMotion
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.contact import believed
+from video2anim.geometry.projection import invert_rigid, project
+from video2anim.objects.path import holding
+from video2anim.types import FPS, BodyMotion, PlacedObject
+
+_JUMP = 6.0
+"""Frames whose jerk exceeds the median by this factor are jumps of the observation."""
+
+
+def observation(motion: BodyMotion, objects: Sequence[PlacedObject]) -> SceneMotion:
+    """The motion after keyframes, and where the picture shows it: keyframes go along their lines of sight. Hands that
+    hold something touch no solid."""
+    shaped = shaped_body(motion.shape)
+    camera_m = motion.joints_camera_m
+    body_height_m = float(np.ptp(shaped.rest_vertices_m[:, 1]))
+    picture = PictureTarget(
+        project(camera_m, motion.intrinsics), inlier_frames(motion) & (camera_m[:, 0, 2] > 0.1),
+        motion.intrinsics.fy_px * body_height_m / np.maximum(camera_m[:, 0, 2], 0.1),
+        invert_rigid(motion.T_world_camera), motion.intrinsics.matrix(),
+    )  # fmt: skip
+    contact = np.where(holding(objects, motion), 0.0, believed(motion, shaped))
+    fixed = np.zeros(motion.frame_count, bool)
+    return SceneMotion(
+        motion.R_parent_joint, motion.T_world_root[:, :3, 3], contact, motion.rest_joints_m, shaped, FPS, fixed, picture
+    )
+
+
+def inlier_frames(motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
+    """Valid frames in which the observed body does not jump: where the landmark model changes its mind about left and
+    right, or front and back, the jerk is many times what it is elsewhere, and poses tell nothing."""
+    calm = motion.valid.copy()
+    jerk_m_s3 = np.linalg.norm(np.diff(motion.joints_world_m, n=3, axis=0), axis=-1).mean(1) * FPS**3
+    if not len(jerk_m_s3):
+        return calm
+    for first in np.flatnonzero(jerk_m_s3 > _JUMP * np.median(jerk_m_s3)):
+        calm[first : first + 4] = False
+    # Somebody who jumps about all the time is taken as observed.
+    return calm if calm.sum() > 0.5 * motion.valid.sum() else motion.valid
+
+
+def image_distance_ratio(motion: BodyMotion, seen: BodyMotion) -> Float[np.ndarray, "valid"]:
+    """Mean distance in the picture of the joints of two motions of one person, over the standing body's height there,
+    in every valid frame."""
+    body_height_m = float(np.ptp(shaped_body(seen.shape).rest_vertices_m[:, 1]))
+    valid = motion.valid & seen.valid
+    here, there = (one.joints_camera_m[valid] for one in (motion, seen))
+    apart_px = np.linalg.norm(project(here, motion.intrinsics) - project(there, seen.intrinsics), axis=-1).mean(1)
+    return apart_px * np.maximum(there[:, 0, 2], 0.1) / (seen.intrinsics.fy_px * body_height_m)
