@@ -1,4 +1,4 @@
-"""What the README tells people to type works."""
+"""What the README tells people to type works; what README and docs name exists."""
 
 from __future__ import annotations
 
@@ -9,9 +9,14 @@ from pathlib import Path
 import pytest
 from test_public_api import commands
 
+from video2anim.cli.compose import pipeline_nodes
+from video2anim.pipeline.options import options_of
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 README = REPOSITORY / "README.md"
 MAX_LINES = 150
+PAGES = (README, *sorted((REPOSITORY / "docs").glob("*.md")))
+FOLDERS = ("video2anim", "scenemi", "stages", "configs", "tests", "training", "benchmarks", "tools")
 
 
 def code_lines() -> list[str]:
@@ -53,10 +58,32 @@ def test_command_exists_with_its_options(line: str) -> None:
             assert word.split("=")[0] in known[name] | known[""] | {"--help"}, f"{name} has no option {word}"
 
 
-def test_linked_files_exist() -> None:
-    targets = re.findall(r"\]\(([^)#\s]+)", README.read_text()) + re.findall(r'src="([^"]+)"', README.read_text())
-    for target in targets:
-        assert "://" in target or (REPOSITORY / target).exists(), target
+def anchors(page: Path) -> set[str]:
+    """Names by which a page's headings are linked."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", [*PAGES, REPOSITORY / "CONTRIBUTING.md"], ids=lambda page: page.name)
+def test_linked_files_and_headings_exist(page: Path) -> None:
+    for target in re.findall(r'(?:\]\(|src=")([^)\s"]+)', page.read_text()):
+        if "://" not in target:
+            name, _, heading = target.partition("#")
+            linked = page.parent / name if name else page
+            assert linked.exists(), target
+            assert not heading or heading in anchors(linked), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_options_and_modules_named_exist(page: Path) -> None:
+    options = {f"{node.name}.{option}" for node in pipeline_nodes() for option in options_of(node.config_type)}
+    stages = "|".join(node.name for node in pipeline_nodes())
+    for code in re.findall(r"`([^`\n]+)`|^    (.*)$", page.read_text(), re.MULTILINE):
+        text = "".join(code)
+        for option in re.findall(rf"(?<![\w./-])(?:{stages})\.[a-z][a-z_]+\b(?![\w./-])", text):
+            assert option in options or option.endswith((".md", ".json", ".npz", ".glb", ".usdc")), option
+        for path in re.findall(rf"(?<![\w./-])(?:{'|'.join(FOLDERS)})/[\w/]+\.py\b", text):
+            assert (REPOSITORY / path).is_file(), path
 
 
 def test_make_targets_exist() -> None:
