@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from video2anim.humans.lifter_input import LiftedBody
     from video2anim.humans.problem import FittedBody, Observations
 
-_REGRESSOR_ERROR_M = 0.05
-"""Error that joints of a body regressor are taken to have about the pelvis; it tells none itself."""
 _FRAMES_AT_ONCE = 256
 """Of meshes in memory."""
 
@@ -36,9 +34,8 @@ class HumansConfig:
     method: Literal["both", "lifter", "optimizer"] = "both"
     """`lifter`: the network's answer as it is; `optimizer`: a fit to the landmarks alone; `both`: a fit that starts
     from the network's answer and stays near it."""
-    model: Annotated[str, model_of("lifter", "body-regressor"), only_without("method", "optimizer")] = "lifter"
-    """Model that lifts landmarks to bodies; `lifter@FILE` for weights of your own. `hmr2@FILE` and `gem-smpl@FILE` give
-    the rotations instead; distance and contacts stay the lifter's."""
+    model: Annotated[str, model_of("lifter"), only_without("method", "optimizer")] = "lifter"
+    """Model that lifts landmarks to bodies; `lifter@FILE` for weights of your own."""
     height_m: Heights | None = None
     """Known standing height in meters: of the main person, or by person's ID. Others are taken for adults of the mean
     height, under the evidence of the picture and of the floor that they share."""
@@ -47,11 +44,6 @@ class HumansConfig:
     cutoff_hz: Annotated[float, limits("Hz", ge=0, le=1000), only_without("method", "lifter")] = 6.0
     """Faster changes are taken out of the fitted motion (6 Hz is usual for gait; raise it for throws and strikes, 0
     leaves all)."""
-
-    @property
-    def lifter_model(self) -> str:
-        """The model of slot `lifter`: under a body regressor the project's own."""
-        return "lifter" if _is_regressor(self) else self.model
 
 
 def recover_humans(
@@ -67,8 +59,6 @@ def recover_humans(
     selected = tuple(track.whole(clip.frame_count) for track in tracks.selected())
     observed = [observations(track, clip.frame_time_s, camera.intrinsics) for track in selected]
     lifted = _lifted(observed, config, ctx)
-    if _is_regressor(config):
-        lifted = _regressed(clip, selected, camera, lifted, config, ctx)
     heights_m = [height_of(config.height_m, track.person_id, tracks.selected_ids[0]) for track in selected]
     fits = [
         _fit(seen, raised, height_m, config, ctx)
@@ -99,45 +89,13 @@ def _lifted(observed: list[Observations], config: HumansConfig, ctx: StageContex
 
     if config.method == "optimizer":
         return [None] * len(observed)
-    network = ctx.model(config.lifter_model)
+    network = ctx.model(config.model)
     return [lift(one, network) for one in observed]
 
 
-def _is_regressor(config: HumansConfig) -> bool:
-    from video2anim.networks import find_model
-
-    return config.method != "optimizer" and find_model(config.model).slot == "body-regressor"
-
-
 def _slots(config: HumansConfig) -> tuple[str, ...]:
-    """Slots of the models that are used: a body regressor's rotations go onto the lifter's bodies."""
-    if config.method == "optimizer":
-        return ()
-    return ("lifter", "body-regressor") if _is_regressor(config) else ("lifter",)
-
-
-def _regressed(
-    clip: VideoClip,
-    tracks: tuple[PersonTrack, ...],
-    camera: CameraEstimate,
-    lifted: list[LiftedBody] | list[None],
-    config: HumansConfig,
-    ctx: StageContext,
-) -> list[LiftedBody]:
-    """The rotations of a body regressor, where it saw the person, on the lifter's bodies."""
-    from video2anim.networks.regressors import regress
-    from video2anim.video import read_frames
-
-    network = ctx.model(config.model)
-    found = regress(network, tracks, lambda: read_frames(clip), camera.intrinsics, camera.R_first_camera)
-    turned = []
-    for own, theirs in zip(lifted, found, strict=True):
-        assert own is not None
-        seen = theirs.valid[:, None, None, None]
-        error_m = np.where(theirs.valid[:, None], _REGRESSOR_ERROR_M, own.error_m)
-        R = np.where(seen, theirs.R_parent_joint, own.R_parent_joint)
-        turned.append(replace(own, R_parent_joint=R, error_m=error_m))
-    return turned
+    """Slots of the models that are used."""
+    return () if config.method == "optimizer" else ("lifter",)
 
 
 def _fit(

@@ -39,7 +39,7 @@ def test_models_list_tells_licences_and_state(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setenv("COLUMNS", "300")
     answer = video2anim("models", "list")
     assert answer.code == 0
-    for word in ("blazepose-heavy", "depth-anything-v2-small", "Apache-2.0", "absent", "hmr2", "non-commercial"):
+    for word in ("blazepose-heavy", "moge-2-small", "Apache-2.0", "absent", "triposr", "CC-BY-4.0"):
         assert word in answer.out
     assert video2anim("models", "verify").code == 0, "what is absent is not damaged"
     assert list(tmp_path.iterdir()) == [], "looking fetches nothing"

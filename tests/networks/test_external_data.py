@@ -53,17 +53,17 @@ def test_weights_of_any_name_belong_to_the_digest(tmp_path: Path, location: str)
     network = Network(path, inputs=("x",), outputs=("out",))
     np.testing.assert_array_equal(network.run({"x": np.zeros(4, np.float32)}, ["out"])["out"], np.ones(4))
     assert data_files(path) == (data,)
-    before = networks.weight_digests(f"hmr2@{path}")
+    before = networks.weight_digests(f"lifter@{path}")
     weights(data, 2.0)
-    assert networks.weight_digests(f"hmr2@{path}") != before
+    assert networks.weight_digests(f"lifter@{path}") != before
 
 
 def test_a_file_that_no_graph_names_does_not_count(tmp_path: Path) -> None:
     weights(tmp_path / "w.bin", 1.0)
     path = graph_with(tmp_path / "model.onnx", ["w.bin"])
-    before = networks.weight_digests(f"hmr2@{path}")
+    before = networks.weight_digests(f"lifter@{path}")
     weights(tmp_path / "other.bin", 1.0)
-    assert networks.weight_digests(f"hmr2@{path}") == before
+    assert networks.weight_digests(f"lifter@{path}") == before
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_files_out_of_the_folder_are_neither_read_nor_looked_at(tmp_path: Path, 
     assert str(caught.value).isprintable()
     if location != "link.bin":
         assert data_files(path) == ()
-    assert set(networks.weight_digests(f"hmr2@{path}")) == {"hmr2"}
+    assert set(networks.weight_digests(f"lifter@{path}")) == {"lifter"}
 
 
 @pytest.mark.parametrize("name", [b"\0" * 8, b"w" * 3000, b"\xff\xfe.bin", b"a/" * 60 + b"w"])

@@ -40,14 +40,10 @@ def own(tmp_path: Path) -> Callable[[str], str]:
 
 
 def test_the_lifter_is_in_the_key_where_it_is_used(own: Callable[[str], str]) -> None:
-    """Under a body regressor too, whose rotations go onto the lifter's bodies; not where landmarks alone are fitted."""
+    """Not where landmarks alone are fitted."""
     assert list(used("humans")) == ["lifter"]
     assert list(used("humans", method="lifter")) == ["lifter"]
     assert used("humans", model=own("lifter"))["lifter"] != used("humans")["lifter"]
-    for regressor in ("hmr2", "gem-smpl"):
-        found = used("humans", model=own(regressor))
-        assert set(found) == {regressor, "lifter"}
-        assert found["lifter"] == used("humans")["lifter"]
     assert used("humans", method="optimizer") == {}
 
 
@@ -63,7 +59,7 @@ def test_the_stage_loads_what_the_key_names(own: Callable[[str], str]) -> None:
         raise Stop
 
     ctx = StageContext(Path(), load_model=load)
-    for config in (HumansConfig(), HumansConfig(model=own("lifter")), HumansConfig(model=own("hmr2"))):
+    for config in (HumansConfig(), HumansConfig(model=own("lifter"))):
         with pytest.raises(Stop):
             humans._lifted([], config, ctx)
         digests = TableModels().digests(slots_of(humans.STAGE, config), config)

@@ -99,7 +99,7 @@ def test_weights_under_other_terms_are_the_users_to_bring(tmp_path: Path, cache:
         "triposr": "no official export .*MIT",
         "completer": "none is public",
     }
-    assert {row.name for row in rows} == {"hmr2", "gem-smpl", "maskformer-swin-small-ade", *others}
+    assert {row.name for row in rows} == {"maskformer-swin-small-ade", *others}
     for name, why in others.items():
         with pytest.raises(ModelMissingError, match=rf"not fetched, {why}.*{name}@PATH"):
             networks.ensure(name)
@@ -116,8 +116,8 @@ def test_weights_under_other_terms_are_the_users_to_bring(tmp_path: Path, cache:
         assert networks.weight_digests(f"{row.name}@{own}") == {row.name: DIGEST}
     # A file of that name in the cache is not taken for one the table vouches for.
     cache.mkdir()
-    (cache / "hmr2.onnx").write_bytes(WEIGHTS)
-    assert {s.entry.name: s.state for s in networks.verify()}["hmr2"] == "absent"
+    (cache / "completer.onnx").write_bytes(WEIGHTS)
+    assert {s.entry.name: s.state for s in networks.verify()}["completer"] == "absent"
 
 
 UNRUN = {"scenemi": "prior", "anny": "body", "fid": "motion-features", "gait": "walking-styles"}
@@ -318,7 +318,7 @@ def test_weights_that_cannot_be_read_are_named(cache: Path, monkeypatch: pytest.
     own = tmp_path / "mine.onnx"
     own.write_bytes(WEIGHTS)
     monkeypatch.setattr(Path, "open", refuse)
-    for use in (lambda: networks.ensure("blazepose-full"), lambda: networks.weight_digests(f"hmr2@{own}")):
+    for use in (lambda: networks.ensure("blazepose-full"), lambda: networks.weight_digests(f"completer@{own}")):
         with pytest.raises(ModelMissingError, match="want a readable file, got Permission denied at") as caught:
             use()
         assert "\n" not in str(caught.value)

@@ -119,13 +119,13 @@ def test_two_options_that_contradict_each_other() -> None:
 def test_valid_values_stay_what_they_were() -> None:
     stages = with_sets(
         "camera.focal_px=1e3", "camera.height_m=2", "track.person=3", "ingest.shot=1", "place.yaw_starts_deg=[1, 2]",
-        "humans.iterations=50", "segment.max_objects=0", "depth.provider=depth", "humans.model=hmr2@x.onnx", "seed=7",
+        "humans.iterations=50", "segment.max_objects=0", "depth.provider=depth", "humans.model=lifter@x.onnx", "seed=7",
     ).stages  # fmt: skip
     assert (stages["camera"].focal_px, stages["camera"].height_m) == (1000.0, 2.0)
     assert (stages["track"].person, stages["ingest"].shot) == ("3", 1)
     assert stages["place"].yaw_starts_deg == (1.0, 2.0)
     assert (stages["humans"].iterations, stages["segment"].max_objects) == (50, 0)
-    assert (stages["depth"].provider, stages["humans"].model) == ("depth", "hmr2@x.onnx")
+    assert (stages["depth"].provider, stages["humans"].model) == ("depth", "lifter@x.onnx")
 
 
 # Options that another one makes meaningless.
@@ -138,7 +138,7 @@ def test_valid_values_stay_what_they_were() -> None:
         ("depth.provider=geometric", "depth.hue_shifts_rad=[0.1]"),
         ("camera.camera_model=none", "camera.field_frames=5"),
         ("humans.method=lifter", "humans.iterations=10"),
-        ("humans.method=optimizer", "humans.model=hmr2@x.onnx"),
+        ("humans.method=optimizer", "humans.model=lifter@x.onnx"),
         ("export.preview=false", "export.preview_height_px=100"),
         ("scene.scan_up=z",),
         ("scene.scan=room.ply", "scene.walked_m=2"),

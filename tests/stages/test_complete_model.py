@@ -117,7 +117,7 @@ def test_wrong_networks_stop_the_stage(tmp_path: Path) -> None:
     with pytest.raises(ModelMissingError, match="there is none; correct the path"):
         completed(masks, f"completer@{tmp_path / 'none.onnx'}")
     with pytest.raises(UsageError, match=r"complete\.model: want a model of slot completer"):
-        resolve(pipeline_nodes(), "p", [("test", {"complete": {"model": f"hmr2@{tmp_path / 'net.onnx'}"}})])
+        resolve(pipeline_nodes(), "p", [("test", {"complete": {"model": f"lifter@{tmp_path / 'net.onnx'}"}})])
 
 
 def test_the_file_is_part_of_the_key(tmp_path: Path) -> None:

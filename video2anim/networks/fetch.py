@@ -185,11 +185,9 @@ def _files(entry: ModelEntry) -> tuple[tuple[Path, str], ...]:
 
 
 def _all_files(entry: ModelEntry, source: FileSource) -> Iterator[Path]:
-    """The user's files, then those beside them: statistics, and weights that a graph keeps apart."""
+    """The user's files, then weights that their graphs keep apart."""
     named = _user_files(entry, source)
     yield from named
-    if (statistics := named[0].with_suffix(".stats.npz")).is_file():
-        yield statistics
     if entry.runtime == "onnx":
         for path in named:
             yield from data_files(path)

@@ -91,21 +91,20 @@ Heights = Height | dict[Annotated[int, limits("(ID)", ge=1, le=1_000_000)], Heig
 """Standing height of the main person, or of people by ID."""
 
 
-def model_of(slot: str, *others: str, also: tuple[str, ...] = ()) -> pydantic.AfterValidator:
-    """Name of a model of one of these slots, NAME@PATH for weights of the user's own, or one of the names in `also`."""
-    slots = (slot, *others)
+def model_of(slot: str, *, also: tuple[str, ...] = ()) -> pydantic.AfterValidator:
+    """Name of a model of the slot, NAME@PATH for weights of the user's own, or one of the names in `also`."""
 
     def known(name: str) -> str:
         from video2anim.networks import find_model, list_models
 
         try:
-            if name in also or find_model(name).slot in slots:
+            if name in also or find_model(name).slot == slot:
                 return name
         except (UsageError, RuntimeError):  # no such model, or a PATH in the home of nobody
             pass
-        names = ", ".join(model.name for model in list_models() if model.slot in slots)
+        names = ", ".join(model.name for model in list_models() if model.slot == slot)
         besides = "".join(f" or {text!r}" for text in also)
-        raise ValueError(f"a model of slot {' or '.join(slots)} ({names}; NAME@PATH for weights of your own){besides}")
+        raise ValueError(f"a model of slot {slot} ({names}; NAME@PATH for weights of your own){besides}")
 
     return pydantic.AfterValidator(known)
 
