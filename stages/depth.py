@@ -51,7 +51,7 @@ class DepthModel(Protocol):
     """A network in slot `depth`."""
 
     kind: str
-    """`disparity` (relative, large = near), `depth` (relative) or `metric`."""
+    """`disparity` (relative, large = near) or `metric`."""
 
     def infer(self, image_rgb: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
         """Depth or disparity at the size of the picture; NaN where unknown."""

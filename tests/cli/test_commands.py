@@ -51,7 +51,6 @@ def test_weights_in_the_key_follow_the_chosen_model() -> None:
         return TableModels().digests(("pose",), config)
 
     assert set(digests(model="blazepose-heavy")) == {"blazepose-heavy", "blazepose-detector"}
-    assert digests(model="blazepose-full") != digests(model="blazepose-heavy")
     with pytest.raises(UsageError, match="nopose"):
         digests(model="nopose")
 

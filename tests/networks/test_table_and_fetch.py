@@ -83,7 +83,7 @@ def test_rows_are_complete_and_names_unique() -> None:
             continue
         assert len(row.sha256) == 64
         assert int(row.sha256, 16) > 0
-        assert row.size_bytes > 0 or row.name in ("geocalib", "rf-detr-seg-small"), "their origins state no size"
+        assert row.size_bytes > 0 or row.name == "geocalib", "its origin states no size"
         assert row.licence in ("Apache-2.0", "MIT", "CC-BY-4.0"), "what is fetched may be used by anybody"
         if row.adapter:
             module, _, adapter = row.adapter.partition(":")
@@ -91,29 +91,22 @@ def test_rows_are_complete_and_names_unique() -> None:
         assert all(networks.find_model(name) for name in row.requires)
 
 
-def test_weights_under_other_terms_are_the_users_to_bring(tmp_path: Path, cache: Path) -> None:
+def test_weights_that_are_not_public_are_the_users_to_bring(tmp_path: Path, cache: Path) -> None:
     rows = [row for row in networks.list_models() if isinstance(row.source, table.UserSource)]
-    free = "depth-anything-v2-metric-indoor-small"
-    others = {
-        free: "no public export .*Apache-2.0",
-        "triposr": "no official export .*MIT",
-        "completer": "none is public",
-    }
-    assert {row.name for row in rows} == {"maskformer-swin-small-ade", *others}
-    for name, why in others.items():
-        with pytest.raises(ModelMissingError, match=rf"not fetched, {why}.*{name}@PATH"):
-            networks.ensure(name)
-    for row in (row for row in rows if row.name not in others):
-        assert "non-commercial" in row.licence
+    reasons = {"triposr": "no official export .*MIT", "completer": "none is public"}
+    assert {row.name for row in rows} == set(reasons)
+    for row in rows:
         assert row.verified == "contract"
         for use in (networks.ensure, networks.pull, networks.weight_digests):
-            with pytest.raises(ModelMissingError, match=rf"not fetched.*non-commercial.*{row.name}@PATH") as caught:
+            with pytest.raises(
+                ModelMissingError, match=rf"not fetched, {reasons[row.name]}.*{row.name}@PATH"
+            ) as caught:
                 use(row.name)
             assert "\n" not in str(caught.value)
-        own = tmp_path / f"{row.name}.onnx"
-        own.write_bytes(WEIGHTS)
-        assert networks.ensure(f"{row.name}@{own}") == own
-        assert networks.weight_digests(f"{row.name}@{own}") == {row.name: DIGEST}
+    own = tmp_path / "own.onnx"
+    own.write_bytes(WEIGHTS)
+    assert networks.ensure(f"completer@{own}") == own
+    assert networks.weight_digests(f"completer@{own}") == {"completer": DIGEST}
     # A file of that name in the cache is not taken for one the table vouches for.
     cache.mkdir()
     (cache / "completer.onnx").write_bytes(WEIGHTS)
@@ -195,10 +188,8 @@ def test_a_dependency_counts_by_its_version(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 NOTICED = {
-    "blazepose-detector": "BlazePose", "blazepose-heavy": "BlazePose", "blazepose-full": "BlazePose",
-    "geocalib": "GeoCalib", "moge-2-small": "MoGe-2", "eomt-small-coco": "EoMT",
-    "depth-anything-v2-small": "Depth Anything V2 small", "depth-anything-3-small": "Depth Anything 3 small",
-    "rf-detr-seg-small": "RF-DETR-Seg small", "anny": "Anny", "objectron": "Objectron", "objectron-chair": "Objectron",
+    "blazepose-detector": "BlazePose", "blazepose-heavy": "BlazePose", "geocalib": "GeoCalib", "moge-2-small": "MoGe-2",
+    "eomt-small-coco": "EoMT", "anny": "Anny", "objectron": "Objectron", "objectron-chair": "Objectron",
 }  # fmt: skip
 """What the notice calls the work of others."""
 
@@ -232,7 +223,7 @@ def test_the_notice_tells_of_all_that_comes_along_or_is_fetched() -> None:
 
 def test_slot_gives_its_first_model_and_unknown_names_the_known() -> None:
     assert networks.find_model("pose").name == "blazepose-heavy"
-    with pytest.raises(UsageError, match=r"unknown model 'blazepos'; known: .*blazepose-full"):
+    with pytest.raises(UsageError, match=r"unknown model 'blazepos'; known: .*blazepose-heavy"):
         networks.find_model("blazepos")
 
 
@@ -243,7 +234,7 @@ def test_importing_models_loads_no_runtime() -> None:
 
 
 @pytest.mark.usefixtures("small_models")
-@pytest.mark.parametrize("name", ["blazepose-heavy", "blazepose-full"])
+@pytest.mark.parametrize("name", ["blazepose-heavy", "blazepose-detector"])
 def test_ensure_fetches_once_then_works_without_clients(name: str, cache: Path, client: _Client) -> None:
     told: list[tuple[str, int, int]] = []
     path = networks.ensure(name, lambda *what: told.append(what))
@@ -270,7 +261,7 @@ def test_a_part_of_a_file_that_packs_several(
 
 @pytest.mark.usefixtures("small_models", "cache")
 def test_pip_is_asked_for_a_fixed_wheel(client: _Client) -> None:
-    networks.ensure("blazepose-full")
+    networks.ensure("blazepose-detector")
     command = client.commands[0]
     assert command[:4] == [sys.executable, "-m", "pip", "download"]
     assert {"--no-deps", "--only-binary=:all:", "3.11", "mediapipe==0.10.21"} <= set(command)
@@ -279,13 +270,13 @@ def test_pip_is_asked_for_a_fixed_wheel(client: _Client) -> None:
 @pytest.mark.usefixtures("small_models")
 def test_wrong_digest_of_a_cached_file(cache: Path) -> None:
     cache.mkdir()
-    (cache / "blazepose-full.tflite").write_bytes(b"tampered")
+    (cache / "blazepose-detector.tflite").write_bytes(b"tampered")
     with pytest.raises(ModelMissingError, match=r"wanted .*came .*delete the file or run `video2anim models pull") as e:
-        networks.ensure("blazepose-full")
+        networks.ensure("blazepose-detector")
     assert e.value.exit_code == 4
     assert "\n" not in str(e.value)
     states = {s.entry.name: s.state for s in networks.verify()}
-    assert states["blazepose-full"] == "damaged"
+    assert states["blazepose-detector"] == "damaged"
     assert states["blazepose-heavy"] == "absent"
 
 
@@ -314,32 +305,33 @@ def test_weights_that_cannot_be_read_are_named(cache: Path, monkeypatch: pytest.
         raise PermissionError(13, "Permission denied")
 
     cache.mkdir()
-    (cache / "blazepose-full.tflite").write_bytes(WEIGHTS)
+    (cache / "blazepose-detector.tflite").write_bytes(WEIGHTS)
     own = tmp_path / "mine.onnx"
     own.write_bytes(WEIGHTS)
     monkeypatch.setattr(Path, "open", refuse)
-    for use in (lambda: networks.ensure("blazepose-full"), lambda: networks.weight_digests(f"completer@{own}")):
+    for use in (lambda: networks.ensure("blazepose-detector"), lambda: networks.weight_digests(f"completer@{own}")):
         with pytest.raises(ModelMissingError, match="want a readable file, got Permission denied at") as caught:
             use()
         assert "\n" not in str(caught.value)
-    assert {state.entry.name: state.state for state in networks.verify()}["blazepose-full"] == "damaged"
+    assert {state.entry.name: state.state for state in networks.verify()}["blazepose-detector"] == "damaged"
 
 
-@pytest.mark.parametrize("name", ["eomt-small-coco", "rf-detr-seg-small"])
-def test_a_branch_that_moved_on_is_told(name: str, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Their commits are not known; the digest holds the file."""
+def test_a_branch_that_moved_on_is_told(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its commit is not known; the digest holds the file."""
     monkeypatch.setattr(fetch.urllib.request, "urlopen", _Addresses({"": b"another file"}))
-    with pytest.raises(ModelMissingError, match=rf"a branch, which moved on: name a file .*{name}@PATH.*nothing was"):
-        networks.ensure(name)
+    with pytest.raises(
+        ModelMissingError, match=r"a branch, which moved on: name a file .*eomt-small-coco@PATH.*nothing"
+    ):
+        networks.ensure("eomt-small-coco")
     assert list(cache.iterdir()) == []
 
 
 @pytest.mark.usefixtures("small_models", "client")
 def test_pull_replaces_a_damaged_file_and_brings_what_is_required(cache: Path) -> None:
     cache.mkdir()
-    (cache / "blazepose-full.tflite").write_bytes(b"tampered")
-    names = [path.name for path in networks.pull("blazepose-full")]
-    assert names == ["blazepose-detector.tflite", "blazepose-full.tflite"]
+    (cache / "blazepose-heavy.tflite").write_bytes(b"tampered")
+    names = [path.name for path in networks.pull("blazepose-heavy")]
+    assert names == ["blazepose-detector.tflite", "blazepose-heavy.tflite"]
     assert all((cache / name).read_bytes() == WEIGHTS for name in names)
 
 
@@ -347,14 +339,14 @@ def test_pull_replaces_a_damaged_file_and_brings_what_is_required(cache: Path) -
 def test_wrong_digest_of_a_fetched_file_keeps_nothing(cache: Path, client: _Client) -> None:
     client.content = b"another file"
     with pytest.raises(ModelMissingError, match="nothing was kept"):
-        networks.ensure("blazepose-full")
+        networks.ensure("blazepose-detector")
     assert list(cache.iterdir()) == []
 
 
 @pytest.mark.usefixtures("cache")
-def test_without_npm_the_other_model_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_npm_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fetch.shutil, "which", lambda _: None)
-    with pytest.raises(ModelMissingError, match=r"npm is not installed.*--set track\.model=blazepose-full") as caught:
+    with pytest.raises(ModelMissingError, match=r"npm is not installed; install it$") as caught:
         networks.ensure("blazepose-heavy")
     assert "\n" not in str(caught.value)
 
@@ -363,7 +355,7 @@ def test_without_npm_the_other_model_is_named(monkeypatch: pytest.MonkeyPatch) -
 def test_a_failing_client_is_quoted_in_one_line(client: _Client) -> None:
     client.returncode, client.stderr = 1, "WARNING: slow\nERROR: No matching distribution found\n"
     with pytest.raises(ModelMissingError, match=r"pip could not fetch .*No matching distribution") as caught:
-        networks.ensure("blazepose-full")
+        networks.ensure("blazepose-detector")
     assert "\n" not in str(caught.value)
 
 
@@ -372,18 +364,18 @@ def test_unwritable_cache_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     blocked = tmp_path / "file"
     blocked.write_text("")
     monkeypatch.setenv(fetch.CACHE_VARIABLE, str(blocked / "cache"))
-    with pytest.raises(ModelMissingError, match=r"cannot store blazepose-full .*VIDEO2ANIM_CACHE"):
-        networks.ensure("blazepose-full")
+    with pytest.raises(ModelMissingError, match=r"cannot store blazepose-detector .*VIDEO2ANIM_CACHE"):
+        networks.ensure("blazepose-detector")
 
 
 def test_own_file_is_taken_as_it_is(tmp_path: Path) -> None:
     own = tmp_path / "mine.onnx"
-    name = f"depth-anything-v2-small@{own}"
+    name = f"moge-2-small@{own}"
     with pytest.raises(ModelMissingError, match="there is none; correct the path"):
         networks.ensure(name)
     own.write_bytes(WEIGHTS)
     assert networks.ensure(name) == own
-    assert networks.weight_digests(name) == {"depth-anything-v2-small": DIGEST}
+    assert networks.weight_digests(name) == {"moge-2-small": DIGEST}
     assert networks.find_model(name).source.text == f"file:{own}"
 
 
@@ -392,7 +384,7 @@ def test_digests_of_a_model_name_all_its_files() -> None:
 
 
 def test_hub_address_is_pinned() -> None:
-    source = networks.find_model("depth-anything-v2-small").source
+    source = networks.find_model("moge-2-small").source
     assert isinstance(source, table.HubSource)
     assert f"/resolve/{source.revision}/" in source.url
     assert len(source.revision) == 40
@@ -423,63 +415,6 @@ class _Addresses:
         raise urllib.error.URLError("[Errno -2] Name or service not known")
 
 
-GRAPH, DATA = b"the graph", b"and its weights in a file of their own"
-
-
-@pytest.fixture
-def split_model(monkeypatch: pytest.MonkeyPatch) -> str:
-    """Depth Anything 3 with the digests of `GRAPH` and `DATA`."""
-    row = table.find_model("depth-anything-3-small")
-    assert isinstance(row.source, table.HubSource)
-    assert row.source.data is not None
-    data = replace(row.source.data, sha256=hashlib.sha256(DATA).hexdigest())
-    small = replace(
-        row,
-        source=replace(row.source, data=data),
-        sha256=hashlib.sha256(GRAPH).hexdigest(),
-        size_bytes=len(GRAPH) + len(DATA),
-    )
-    monkeypatch.setattr(table, "MODELS", (small,))
-    return small.name
-
-
-def test_a_graph_and_its_weights_are_fetched_together(
-    split_model: str, cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    hosts = _Addresses({"/onnx/model.onnx": GRAPH, "/onnx/model.onnx_data": DATA})
-    monkeypatch.setattr(fetch.urllib.request, "urlopen", hosts)
-    told: list[tuple[str, int, int]] = []
-    path = networks.ensure(split_model, lambda *what: told.append(what))
-    assert path == cache / split_model / "model.onnx", "the graph names its weights, so both keep their names"
-    assert {p.name: p.read_bytes() for p in path.parent.iterdir()} == {"model.onnx": GRAPH, "model.onnx_data": DATA}
-    assert [done for _, done, _ in told] == [0, len(GRAPH), len(GRAPH + DATA), len(GRAPH + DATA)]
-    assert networks.verify()[0].state == "ready"
-    digests = networks.weight_digests(split_model)
-    assert digests == {split_model: hashlib.sha256(GRAPH).hexdigest() + hashlib.sha256(DATA).hexdigest()}
-    assert networks.ensure(split_model) == path
-    assert len(hosts.asked) == 2
-    (path.parent / "model.onnx_data").write_bytes(b"tampered")
-    assert networks.verify()[0].state == "damaged"
-    with pytest.raises(ModelMissingError, match=r"digest of .*model\.onnx_data: wanted .*models pull depth-anything-3"):
-        networks.ensure(split_model)
-    (path.parent / "model.onnx_data").unlink()
-    with pytest.raises(ModelMissingError, match=r"model\.onnx_data is gone; run"):
-        networks.ensure(split_model)
-    networks.pull(split_model)
-    assert networks.verify()[0].state == "ready"
-
-
-@pytest.mark.parametrize("other", ["/onnx/model.onnx", "/onnx/model.onnx_data"])
-def test_neither_of_two_files_is_kept_when_one_is_another(
-    split_model: str, cache: Path, monkeypatch: pytest.MonkeyPatch, other: str
-) -> None:
-    hosts = _Addresses({"/onnx/model.onnx": GRAPH, "/onnx/model.onnx_data": DATA} | {other: b"another"})
-    monkeypatch.setattr(fetch.urllib.request, "urlopen", hosts)
-    with pytest.raises(ModelMissingError, match="nothing was kept"):
-        networks.ensure(split_model)
-    assert list((cache / split_model).iterdir()) == []
-
-
 @pytest.mark.usefixtures("small_models")
 def test_a_file_of_a_release(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hosts = _Addresses(
@@ -503,7 +438,7 @@ def test_a_size_that_is_not_known_still_counts(cache: Path, monkeypatch: pytest.
 def test_addresses_are_pinned_by_commit_or_by_digest() -> None:
     for row in networks.list_models():
         if isinstance(row.source, table.HubSource):
-            assert len(row.source.revision) == 40 or row.name in ("eomt-small-coco", "rf-detr-seg-small")
+            assert len(row.source.revision) == 40 or row.name == "eomt-small-coco"
             assert f"/resolve/{row.source.revision}/" in row.source.url
         if isinstance(row.source, table.HubSource | table.ReleaseSource):
             assert row.source.text.endswith(f"/{row.source.file}")
@@ -518,9 +453,7 @@ def test_addresses_are_pinned_by_commit_or_by_digest() -> None:
         http.client.RemoteDisconnected("Remote end closed connection\nwithout response"),
     ],
 )
-@pytest.mark.parametrize(
-    "name", ["depth-anything-v2-small", "moge-2-small", "depth-anything-3-small", "geocalib", "eomt-small-coco"]
-)
+@pytest.mark.parametrize("name", ["moge-2-small", "geocalib", "eomt-small-coco"])
 def test_without_network_one_line_names_the_source_and_the_way_out(
     name: str, failure: Exception, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -590,4 +523,3 @@ def test_the_list_shows_size_licence_and_source_of_all(
         assert row.source.text in lines[row.name]
         assert "contract" in lines[row.name] or "weights" in lines[row.name]
     assert "140.9 MB" in lines["moge-2-small"]
-    assert "105.3 MB" in lines["depth-anything-3-small"]

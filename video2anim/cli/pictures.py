@@ -13,9 +13,6 @@ from video2anim.errors import InputError, StageError, UsageError
 if TYPE_CHECKING:
     import numpy as np
 
-KINDS = {"disparity": "disparity", "depth": "relative", "metric": "metric"}
-"""Names of the kinds of depth: as an adapter calls them, and as they are written."""
-
 
 def models_run(
     slot: Annotated[Literal["depth", "camera", "segment"], typer.Argument(help="depth, camera or segment.")],
@@ -62,12 +59,12 @@ def models_run(
 
 
 def depth_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """`depth` (N, h, w) float32 and `kind`: metric (m), relative (up to scale and offset), or disparity (inverse)."""
+    """`depth` (N, h, w) float32 and `kind`: metric (m) or disparity (inverse, up to scale and offset)."""
     import numpy as np
 
     return {
         "depth": np.stack([np.asarray(model.infer(picture), np.float32) for picture in pictures]),
-        "kind": np.array(KINDS[model.kind]),
+        "kind": np.array(model.kind),
     }
 
 

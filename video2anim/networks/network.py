@@ -38,13 +38,10 @@ class Network:
                 f"{path}: want tensors {tuple(inputs)} -> {tuple(outputs)}, got {self._session.tensors}"
             )
 
-    def rank(self, name: str) -> int:
-        """Number of axes of an input."""
-        return len(self.inputs[name].shape)
-
     def fixed_size(self, name: str) -> tuple[int, int] | None:
         """Height and width of an input picture, None where either may vary."""
-        height, width = self.inputs[name].shape[-2:] if self.rank(name) >= 2 else (None, None)
+        shape = self.inputs[name].shape
+        height, width = shape[-2:] if len(shape) >= 2 else (None, None)
         return (height, width) if isinstance(height, int) and isinstance(width, int) else None
 
     def run(self, feeds: Mapping[str, np.ndarray], outputs: Sequence[str]) -> dict[str, np.ndarray]:

@@ -50,15 +50,6 @@ class NpmSource:
 
 
 @dataclass(frozen=True, slots=True)
-class ExternalData:
-    """Weights that a network's graph keeps in a file of its own, which must lie beside it under its name."""
-
-    file: str
-    """In the repository of the graph."""
-    sha256: str
-
-
-@dataclass(frozen=True, slots=True)
 class HubSource:
     """A file of a model hub's repository."""
 
@@ -66,7 +57,6 @@ class HubSource:
     revision: str
     """A commit; or a branch where the commit is not known, whose file is the pinned one as long as its digest is."""
     file: str
-    data: ExternalData | None = None
 
     @property
     def is_branch(self) -> bool:
@@ -79,11 +69,7 @@ class HubSource:
 
     @property
     def url(self) -> str:
-        return self.url_of(self.file)
-
-    def url_of(self, file: str) -> str:
-        """Address of a file of the repository."""
-        return f"https://huggingface.co/{self.repository}/resolve/{self.revision}/{file}"
+        return f"https://huggingface.co/{self.repository}/resolve/{self.revision}/{self.file}"
 
 
 @dataclass(frozen=True, slots=True)

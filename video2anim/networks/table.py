@@ -10,7 +10,6 @@ from video2anim.errors import UsageError
 from video2anim.networks.entry import ModelEntry
 from video2anim.networks.sources import (
     DependencySource,
-    ExternalData,
     FileSource,
     HubSource,
     NpmSource,
@@ -29,12 +28,11 @@ _OBJECTRON = ("@mediapipe/objectron", "0.4.1675468480")
 _OBJECTRON_BYTES = 9_987_728
 """Size of its detector, which lies behind a list of labels in one file."""
 _BRANCH = "main"
-"""Revision of two hub repositories whose commit could not be found: their makers publish digests, and no commit. The
-digest holds the file; should the branch move on, fetching fails and says so."""
+"""Revision of a hub repository whose commit could not be found: its maker publishes digests, and no commit. The digest
+holds the file; should the branch move on, fetching fails and says so."""
 _ROOM_NET = "727fd91764d60ae3f528eeffb35c966543ec1a17769072cdf34b72159508344d"
 """Digest of the room network: one file for three slots."""
 _ROOM_NET_BYTES = 11_280_767
-_BLAZEPOSE = "video2anim.networks.blazepose:BlazePose"
 
 MODELS: tuple[ModelEntry, ...] = (
     ModelEntry(
@@ -57,20 +55,7 @@ MODELS: tuple[ModelEntry, ...] = (
         size_bytes=27_709_200,
         licence="Apache-2.0",
         verified="weights",
-        adapter=_BLAZEPOSE,
-        requires=("blazepose-detector",),
-        instead="--set track.model=blazepose-full",
-    ),
-    ModelEntry(
-        slot="pose",
-        name="blazepose-full",
-        runtime="tflite",
-        source=PipSource("mediapipe", _MEDIAPIPE, "mediapipe/modules/pose_landmark/pose_landmark_full.tflite"),
-        sha256="e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
-        size_bytes=6_440_512,
-        licence="Apache-2.0",
-        verified="weights",
-        adapter=_BLAZEPOSE,
+        adapter="video2anim.networks.blazepose:BlazePose",
         requires=("blazepose-detector",),
     ),
     ModelEntry(
@@ -97,35 +82,6 @@ MODELS: tuple[ModelEntry, ...] = (
     ),
     ModelEntry(
         slot="depth",
-        name="depth-anything-v2-small",
-        runtime="onnx",
-        source=HubSource(
-            "onnx-community/depth-anything-v2-small",
-            "4472b7362082ad9968fee890ca0f1e5aca36b93d",
-            "onnx/model.onnx",
-        ),
-        sha256="afb6a5c28f3b6bf1618c6e43f02073ef9dfdc70e937502d51603e57b0a1df10c",
-        size_bytes=99_060_839,
-        licence="Apache-2.0",
-        verified="contract",
-        adapter="video2anim.networks.depth_anything:DepthAnything",
-    ),
-    ModelEntry(
-        slot="depth",
-        name="depth-anything-v2-metric-indoor-small",
-        runtime="onnx",
-        source=UserSource(
-            "ONNX export of hub depth-anything/Depth-Anything-V2-Metric-Indoor-Small-hf",
-            why="no public export of it has a known digest",
-        ),
-        sha256="",
-        size_bytes=0,
-        licence="Apache-2.0",
-        verified="contract",
-        adapter="video2anim.networks.depth_anything:DepthAnythingMetric",
-    ),
-    ModelEntry(
-        slot="depth",
         name="moge-2-small",
         runtime="onnx",
         source=HubSource("Ruicheng/moge-2-vits-normal-onnx", "e50ffda41565591092adea54c6ac83d6212e1e23", "model.onnx"),
@@ -134,23 +90,6 @@ MODELS: tuple[ModelEntry, ...] = (
         licence="MIT",
         verified="contract",
         adapter="video2anim.networks.moge:Moge",
-        also=("camera",),
-    ),
-    ModelEntry(
-        slot="depth",
-        name="depth-anything-3-small",
-        runtime="onnx",
-        source=HubSource(
-            "onnx-community/depth-anything-v3-small",
-            "0b6a7f3bf5595f9950b91389e0da3a0de130324c",
-            "onnx/model.onnx",
-            ExternalData("onnx/model.onnx_data", "802bb24741e67f5bb2b369fc64d40afe11439cc895d676d658d65cfb75c9860f"),
-        ),
-        sha256="396008798244a074297fd88e450433b1357fc687f534939375c804ded86e7b2a",
-        size_bytes=640_691 + 104_702_464,
-        licence="Apache-2.0",
-        verified="contract",
-        adapter="video2anim.networks.depth_anything_3:DepthAnything3",
         also=("camera",),
     ),
     ModelEntry(
@@ -195,29 +134,7 @@ MODELS: tuple[ModelEntry, ...] = (
         size_bytes=96_025_182,
         licence="MIT",
         verified="contract",
-        adapter="video2anim.networks.maskformer:Eomt",
-    ),
-    ModelEntry(
-        slot="segment",
-        name="rf-detr-seg-small",
-        runtime="onnx",
-        source=HubSource("besit/rfdetr-onnx", _BRANCH, "rfdetr-seg-small.onnx"),
-        sha256="6e9ac79e34143c8cbd63b5e1c653c3108ea944ab08153433c761f72d7fef641c",
-        size_bytes=0,
-        licence="Apache-2.0",
-        verified="contract",
-        adapter="video2anim.networks.rf_detr_seg:RfDetrSeg",
-    ),
-    ModelEntry(
-        slot="segment",
-        name="maskformer-swin-small-ade",
-        runtime="onnx",
-        source=UserSource("hub onnx-community/maskformer-swin-small-ade, onnx/model.onnx, 260 MB"),
-        sha256="",
-        size_bytes=0,
-        licence="code and weights CC-BY-NC-4.0: non-commercial",
-        verified="contract",
-        adapter="video2anim.networks.maskformer:MaskFormer",
+        adapter="video2anim.networks.eomt:Eomt",
     ),
     ModelEntry(
         slot="finder",
