@@ -15,13 +15,13 @@ import pytest
 from av.error import BlockingIOError as NoThread
 from av.stream import Disposition
 from test_video_clips import make_clip, number_of, numbered
-from video2anim.video.source_scan import scan_source
 
 from video2anim.cli.compose import source_video
 from video2anim.errors import InputError, is_memory_shortage
 from video2anim.video import read_frames
 from video2anim.video.container import open_video
 from video2anim.video.decode import DecodeReport, decode, probe
+from video2anim.video.source_scan import scan_source
 
 WIDTH, HEIGHT = 160, 96
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scene_motions import Window, acted
-from scenemi.scene.body_spheres import BodySpheres, adult_spheres, fit_spheres
 
 from scenemi.scene.basis_points import bps
+from scenemi.scene.body_spheres import BodySpheres, adult_spheres, fit_spheres
 from scenemi.scene.furniture import FURNITURE, Piece, doorway, wall
 from scenemi.scene.pseudo import PseudoConfig, SyntheticScene, SyntheticScenes
 from scenemi.scene.scan_noise import ScanNoise

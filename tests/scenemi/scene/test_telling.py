@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 from scene_motions import FRAMES, Window
-from scenemi.scene.body_spheres import adult_spheres
 
 from scenemi.model.base import join_keyframes
+from scenemi.scene.body_spheres import adult_spheres
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.pseudo import PseudoConfig, SyntheticScenes
 from scenemi.scene.sliding import SweptBody

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenemi.scene.body_spheres import adult_spheres
 from small_run import PLAIN, SHARD, write_acted
 
 from scenemi.data.windows import MotionSet, WindowBatch
 from scenemi.features import JOINTS, encode
 from scenemi.model.base import join_keyframes
+from scenemi.scene.body_spheres import adult_spheres
 from scenemi.scene.boxes import Boxes
 from scenemi.training import pool
 from scenemi.training.pool import MAX_BOXES, UNITS_PER_METRE, Shard, grow_pool, open_pool, scene_boxes, telling_share
