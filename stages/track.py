@@ -89,7 +89,7 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
     ctx.quality("mean_score", float(main.score[main.valid].mean()), "ratio", "higher")
     if seen < 0.5:
         ctx.warn(f"person {main.person_id} is seen in only {100 * seen:.0f} % of the frames")
-    return PersonTracks(people=people, selected_ids=selected, frame_stride=1, thumbnails=thumbnails)
+    return PersonTracks(people=people, selected_ids=selected, thumbnails=thumbnails)
 
 
 def _is_person(track: Track, min_frames: int, sure_frames: int) -> bool:
@@ -148,4 +148,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=5, models=("pose",))
+STAGE = StageSpec("track", track_people, version=6, models=("pose",))

@@ -91,7 +91,7 @@ def estimated(sighting: Sighting, rng: np.random.Generator, folder: Path) -> Bod
         tilt @ sighting.R_camera_world[:, 1], "human", UP_ERROR_RAD, True, np.tile(np.eye(3), (FRAMES, 1, 1)),
     )  # fmt: skip
     context = StageContext(folder, load_model=load_model)
-    bodies = recover_humans(_clip(folder), PersonTracks((track,), (1,), 1), camera, HumansConfig(), context)
+    bodies = recover_humans(_clip(folder), PersonTracks((track,), (1,)), camera, HumansConfig(), context)
     return bodies.people[0]
 
 

@@ -379,13 +379,13 @@ def test_persons_to_work_on_are_among_the_tracked(tmp_path: Path) -> None:
         np.zeros((3, 64, 64), np.uint8), np.ones((3, 2, 3)),
     )  # fmt: skip
     longer = replace(track, valid=np.ones(4, bool))
-    good = written(PersonTracks((track,), (4,), 1), tmp_path / "stages" / "02_a")
+    good = written(PersonTracks((track,), (4,)), tmp_path / "stages" / "02_a")
     assert np.isnan(read_value(PersonTracks, good).people[0].landmarks_m).all(), (
         "gaps are allowed where the type says so"
     )
-    bad = written(PersonTracks((track,), (5,), 1), tmp_path / "stages" / "02_b")
+    bad = written(PersonTracks((track,), (5,)), tmp_path / "stages" / "02_b")
     assert "selected_ids: want numbers among [4], got (5,)" in refused(PersonTracks, bad)
-    uneven = written(PersonTracks((longer,), (4,), 1), tmp_path / "stages" / "02_c")
+    uneven = written(PersonTracks((longer,), (4,)), tmp_path / "stages" / "02_c")
     assert "people.0.score: want shape (4,), got (3,)" in refused(PersonTracks, uneven)
 
 

@@ -129,7 +129,7 @@ def as_stage_input(observed: Observations, focal_35mm: float = 0.0) -> tuple[Vid
     clip = VideoClip(
         PayloadFile(Path("none.mp4")), 1280, 720, 10.0, times, times, source, ((0.0, 2.5),), 0, True, 0.0, ()
     )
-    return clip, PersonTracks((track,), (1,), 1)
+    return clip, PersonTracks((track,), (1,))
 
 
 def test_camera_stage_states_an_uncertainty_that_holds(filmed: Filmed) -> None:

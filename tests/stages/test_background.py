@@ -109,7 +109,7 @@ def test_plate_and_masks_of_one_walker(tmp_path: Path, with_mask: bool) -> None:
     wall = textured(1, WIDTH, HEIGHT)
     lefts = walk(10, 270)
     clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts])
-    tracks = PersonTracks((track_of(lefts, 1, with_mask=with_mask),), (1,), 1)
+    tracks = PersonTracks((track_of(lefts, 1, with_mask=with_mask),), (1,))
     ctx = StageContext(tmp_path)
     found = make_background(clip, tracks, BackgroundConfig(), ctx)
     assert np.abs(found.background_rgb.astype(int) - wall).mean() < 2.0
@@ -127,7 +127,7 @@ def test_other_people_leave_the_plate_but_are_not_selected(tmp_path: Path) -> No
     wall = textured(2, WIDTH, HEIGHT)
     main, other = walk(0, 120), walk(280, 170)
     clip, truth = make_clip(tmp_path / "clip.mp4", wall, [main, other])
-    tracks = PersonTracks((track_of(main, 4), track_of(other, 7)), (7, 4), 1)
+    tracks = PersonTracks((track_of(main, 4), track_of(other, 7)), (7, 4))
     found = make_background(clip, tracks, BackgroundConfig(), StageContext(tmp_path))
     index = found.frame_index
     assert np.abs(found.background_rgb.astype(int) - wall).mean() < 2.0
@@ -141,7 +141,7 @@ def test_a_person_who_never_moves_leaves_a_hole_that_is_marked(tmp_path: Path) -
     lefts = walk(100, 100, 12)
     clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts])
     ctx = StageContext(tmp_path)
-    found = make_background(clip, PersonTracks((track_of(lefts, 1),), (1,), 1), BackgroundConfig(), ctx)
+    found = make_background(clip, PersonTracks((track_of(lefts, 1),), (1,)), BackgroundConfig(), ctx)
     hidden = truth[0][0]
     assert np.mean(found.seen_ratio[hidden] == 0) > 0.99
     assert np.mean(found.seen_ratio[~hidden] == 1) > 0.9
@@ -156,7 +156,7 @@ def test_frames_without_the_person(tmp_path: Path) -> None:
     wall = textured(4, WIDTH, HEIGHT)
     lefts: list[int | None] = [None] * 20 + [round(x) for x in np.linspace(0, 200, 21)]
     clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts])
-    tracks = PersonTracks((track_of(lefts, 1),), (1,), 1)
+    tracks = PersonTracks((track_of(lefts, 1),), (1,))
     found = make_background(clip, tracks, BackgroundConfig(), StageContext(tmp_path))
     absent = found.frame_index < 20
     assert not found.person_mask[absent].any()
@@ -166,7 +166,7 @@ def test_frames_without_the_person(tmp_path: Path) -> None:
 def test_nobody(tmp_path: Path) -> None:
     wall = textured(5, WIDTH, HEIGHT)
     clip, _ = make_clip(tmp_path / "clip.mp4", wall, [[None] * 7])
-    found = make_background(clip, PersonTracks((), (), 1), BackgroundConfig(), StageContext(tmp_path))
+    found = make_background(clip, PersonTracks((), ()), BackgroundConfig(), StageContext(tmp_path))
     assert not found.person_mask.any()
     assert np.all(found.seen_ratio == 1)
     assert np.abs(found.background_rgb.astype(int) - wall).mean() < 2.0
@@ -177,7 +177,7 @@ def test_moving_camera_is_aligned_to_the_first_frame(tmp_path: Path) -> None:
     lefts = walk(20, 260)
     clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts], shift_px=1.0)
     ctx = StageContext(tmp_path)
-    found = make_background(clip, PersonTracks((track_of(lefts, 1),), (1,), 1), BackgroundConfig(), ctx)
+    found = make_background(clip, PersonTracks((track_of(lefts, 1),), (1,)), BackgroundConfig(), ctx)
     seen = found.seen_ratio > 0.2
     assert seen.mean() > 0.9
     assert np.abs(found.background_rgb.astype(int) - wall[:, :WIDTH])[seen].mean() < 3.0
@@ -189,7 +189,7 @@ def test_work_is_done_at_reduced_size_and_in_few_samples(tmp_path: Path) -> None
     wall = textured(7, WIDTH, HEIGHT)
     lefts = walk(10, 270)
     clip, _ = make_clip(tmp_path / "clip.mp4", wall, [lefts])
-    tracks = PersonTracks((track_of(lefts, 1),), (1,), 1)
+    tracks = PersonTracks((track_of(lefts, 1),), (1,))
     ctx = StageContext(tmp_path)
     found = make_background(clip, tracks, BackgroundConfig(frame_step=2, max_samples=9, long_side_px=96), ctx)
     assert found.person_mask.shape == (25, 60, 96)
@@ -229,7 +229,7 @@ def test_the_network_is_asked_about_every_mask_frame(tmp_path: Path) -> None:
 
     lefts = walk(10, 270)
     clip, truth = make_clip(tmp_path / "clip.mp4", textured(1, WIDTH, HEIGHT), [lefts])
-    tracks = PersonTracks((track_of(lefts, 1),), (1,), 1)
+    tracks = PersonTracks((track_of(lefts, 1),), (1,))
     ctx = StageContext(tmp_path, load_model=lambda name: {"mine": Nobody()}[name])
     found = make_background(clip, tracks, BackgroundConfig(segment_model="mine"), ctx)
     assert len(asked) == len(found.frame_index)

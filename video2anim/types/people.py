@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from pydantic import NonNegativeInt, PositiveInt
+from pydantic import NonNegativeInt
 
 from video2anim.types.storage import Holds, IdsOf, OnePer, Storage, stored
 
@@ -78,8 +78,6 @@ class PersonTracks:
     people: tuple[PersonTrack, ...]
     selected_ids: Annotated[tuple[int, ...], IdsOf("people")]
     """Persons the later stages work on (`--person`)."""
-    frame_stride: PositiveInt
-    """Landmarks were run on every such frame and interpolated between; 1 = every frame."""
     thumbnails: Annotated[tuple[Thumbnail, ...], OnePer("people")] = ()
     """One of each person, in the order of `people`."""
 

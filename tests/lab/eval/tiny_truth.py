@@ -355,7 +355,7 @@ def _seen_values(folder: Path, tiny: Tiny) -> dict[type, Any]:
     background = BackgroundImage(background_rgb(), np.ones(MAP[::-1]), index, masks, masks)
     return {
         VideoClip: clip,
-        PersonTracks: PersonTracks(tracks, tuple(t.person_id for t in tracks), 1),
+        PersonTracks: PersonTracks(tracks, tuple(t.person_id for t in tracks)),
         CameraEstimate: camera,
         BackgroundImage: background,
     }
