@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import pytest
 from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.manifest import read_manifest
 from video2anim.errors import ArtifactError, InputError, StageError, UsageError
-from video2anim.pipeline.config import load_preset, parse_set, resolve, result_config
+from video2anim.pipeline.config import load_preset, parse_set, resolve
 from video2anim.pipeline.graph import GraphError, Node, build_graph
 from video2anim.pipeline.runner import Edits, Event, Runner, StageStatus
 from video2anim.pipeline.scene_folder import RunRecord, StageRow, locked, prepare, read_record, write_record
@@ -42,7 +42,6 @@ class SeedsConfig:
     count: int = 3
     noise: float = 0.0
     name: str = "x"
-    workers: int = field(default=1, metadata={"in_key": False})
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,6 @@ def test_runs_once(run: Callable, tmp_path: Path) -> None:
         ({"source": "s2"}, {"seeds": "ran"}),  # same numbers come out, so what follows stays
         ({"seeds": {"count": 4}}, RAN),
         ({"seeds": {"name": "y"}}, {"seeds": "ran"}),
-        ({"seeds": {"workers": 8}}, {}),
         ({"double": {"factor": 3.0}}, {"double": "ran", "add": "ran"}),
         ({"add": {"factor": 3.0}}, {"add": "ran"}),
         ({"weights": "d2"}, {"double": "ran"}),
@@ -266,7 +264,7 @@ def test_damaged_input_is_named(run: Callable, tmp_path: Path) -> None:
 
 def test_manifest_and_events(run: Callable, tmp_path: Path) -> None:
     events: list[Event] = []
-    run(events=events, seeds={"workers": 7})
+    run(events=events)
     assert [(e.kind, e.stage) for e in events if e.stage == "double"] == [
         ("start", "double"), ("progress", "double"), ("warning", "double"), ("done", "double")
     ]  # fmt: skip
@@ -332,10 +330,6 @@ def test_later_layers_win() -> None:
     assert resolve(nodes(), "p", [("run.json", json.loads(json.dumps(config.as_dict())))]) == config
 
 
-def test_speed_knobs_stay_out_of_the_key() -> None:
-    assert result_config(SeedsConfig(workers=8)) == result_config(SeedsConfig())
-
-
 def test_parse_set() -> None:
     assert parse_set(["a.b=1", "a.c=x", "seed=3", "a.d=[1, 2]", "a.e=null", "a.f="]) == {
         "a": {"b": 1, "c": "x", "d": [1, 2], "e": None, "f": None}, "seed": 3
@@ -350,7 +344,7 @@ def test_parse_set() -> None:
     [
         ({"seds": {}}, "unknown key 'seds' .did you mean 'seeds'"),
         ({"seeds": {"cont": 1}}, "unknown key 'seeds.cont' .did you mean 'seeds.count'"),
-        ({"seeds": {"zzz": 1}}, "known: count, noise, name, workers"),
+        ({"seeds": {"zzz": 1}}, "known: count, noise, name"),
         ({"seeds": 3}, "wants a mapping"),
         ({"seeds": {"count": "many"}}, "seeds.count: .*'many'"),
         ({"seeds": {"count": 2.5}}, "seeds.count"),

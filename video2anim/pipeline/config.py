@@ -36,12 +36,12 @@ class PipelineConfig:
 
 
 def result_config(config: Any) -> dict[str, Any]:
-    """The fields of a stage config that can change its result; speed knobs (`in_key` False) are left out.
+    """The fields of a stage config that can change its result.
 
     Of the user's files and folders (`user_path`) it is the content that counts; one that is gone counts as changed. Of
     fields with `counts_as` it is what that makes of them.
     """
-    found = {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.metadata.get("in_key", True)}
+    found = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
     for field in dataclasses.fields(config):
         if field.metadata.get("user_path") and found.get(field.name):
             path = found[field.name]
