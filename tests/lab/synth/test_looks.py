@@ -8,8 +8,8 @@ import pytest
 from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
 from video2anim.lab.synth.looks import make_looks
 from video2anim.lab.synth.render.garments import borders_of, material_at, spanning
+from video2anim.lab.synth.render.texture import KINDS
 from video2anim.lab.synth.wardrobe import BAREFOOT, draw_outfit
-from video2anim.lab.synth.world import MATERIAL_KINDS
 from video2anim.types import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX
 
@@ -83,7 +83,7 @@ def test_same_generator_same_looks_and_others_differ() -> None:
 def test_materials_can_be_drawn() -> None:
     for seed in range(40):
         for material in draw_outfit(0.5, np.random.default_rng(seed)).materials.values():
-            assert material.kind in MATERIAL_KINDS
+            assert material.kind in KINDS
             assert all(0 <= c <= 1 for c in (*material.rgb, *material.rgb2))
 
 

@@ -10,7 +10,8 @@ import pytest
 from video2anim.lab.synth.compose import ComposeOptions
 from video2anim.lab.synth.pictures import _opened, _with_sky, repainted, room_pictures
 from video2anim.lab.synth.presets import clip_specs
-from video2anim.lab.synth.world import LABELS, MATERIAL_KINDS, Material, Room, SceneObject
+from video2anim.lab.synth.render.texture import KINDS
+from video2anim.lab.synth.world import LABELS, Material, Room, SceneObject
 
 SPEC = clip_specs("random", 1, 5)[0]
 OPTIONS = ComposeOptions(96, 64)
@@ -60,7 +61,7 @@ def test_repainting_keeps_what_glows_and_the_share() -> None:
     changed = np.mean([a != b for a, b in zip(materials, painted, strict=True)])
     assert changed == pytest.approx(0.5, abs=0.08)
     assert [m.emission for m in painted] == [m.emission for m in materials]
-    assert {m.kind for m in painted} <= set(MATERIAL_KINDS)
+    assert {m.kind for m in painted} <= set(KINDS)
     assert all(0 <= channel <= 1 for m in painted for channel in (*m.rgb, *m.rgb2))
 
 

@@ -12,8 +12,8 @@ from video2anim.lab.synth.render.caster import Caster
 from video2anim.lab.synth.render.denoise import Links, link, smooth_tiles
 from video2anim.lab.synth.render.lens import covers_picture, pixel_directions, project_distorted
 from video2anim.lab.synth.render.lighting import AMBIENT_REACH_M, ambient_reach, lamp_reach
-from video2anim.lab.synth.render.texture import Spot, groups, material_rgb
-from video2anim.lab.synth.world import MATERIAL_KINDS, Light, Material, SensorModel
+from video2anim.lab.synth.render.texture import KINDS, Spot, groups, material_rgb
+from video2anim.lab.synth.world import Light, Material, SensorModel
 from video2anim.types import Intrinsics
 
 K1, K2 = -0.18, 0.05
@@ -142,7 +142,7 @@ def spot(footprint: float, count: int = 4000) -> Spot:
     return Spot(u, v, np.full(count, footprint, np.float32), (u > 0).astype(np.float32))
 
 
-@pytest.mark.parametrize("kind", MATERIAL_KINDS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_texture_has_color_and_calms_down_far_away(kind: str) -> None:
     material = Material(kind, (0.7, 0.5, 0.3), (0.2, 0.25, 0.3), 0.05, stain=0.3, seed=4)
     near, far = material_rgb(material, spot(1e-4)), material_rgb(material, spot(0.5))

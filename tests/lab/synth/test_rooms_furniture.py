@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from video2anim.errors import InputError
+from video2anim.lab.synth.render.texture import KINDS
 from video2anim.lab.synth.rooms import make_furniture
 from video2anim.lab.synth.rooms.clearance import solids_of
 from video2anim.lab.synth.rooms.primitives import (
@@ -23,7 +24,7 @@ from video2anim.lab.synth.rooms.primitives import (
     tube,
     volume_m3,
 )  # fmt: skip
-from video2anim.lab.synth.world import CLUTTER_LABELS, FURNITURE_LABELS, MATERIAL_KINDS, SceneObject
+from video2anim.lab.synth.world import CLUTTER_LABELS, FURNITURE_LABELS, SceneObject
 
 MADE = (*FURNITURE_LABELS, *(label for label in CLUTTER_LABELS if label != "clutter"))
 HIGHEST_M = {"chair": 1.2, "armchair": 1.2, "sofa": 1.1, "bed": 1.3, "table": 0.8, "desk": 0.8, "shelf": 2.2,
@@ -66,7 +67,7 @@ def test_every_part_is_closed_and_outward(label):
         obj = make_furniture(label, np.random.default_rng(seed))
         for part in obj.parts:
             assert trimesh.Trimesh(part.vertices_m, part.faces, process=False).is_watertight, (label, obj.note)
-            assert part.material.kind in MATERIAL_KINDS
+            assert part.material.kind in KINDS
             for vertices, faces in solids_of(part):
                 assert volume_m3((vertices, faces)) > 0, (label, obj.note)
 

@@ -9,12 +9,6 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from video2anim.types import BodyMotion, Intrinsics
 
-MATERIAL_KINDS = (
-    "plain", "plaster", "wood", "planks", "parquet", "tiles", "carpet", "fabric", "stripes", "checks", "leather",
-    "metal", "brick", "leaf", "picture", "screen", "paper", "skin", "hair",
-)  # fmt: skip
-"""Procedural textures that the renderer knows."""
-
 FURNITURE_LABELS = (
     "chair", "armchair", "sofa", "bed", "table", "desk", "shelf", "cabinet", "stool", "plant", "lamp", "box", "step",
 )  # fmt: skip
@@ -29,7 +23,7 @@ class Material:
     """A procedural solid texture: a color for each point of an object's own frame, so that no UVs are needed."""
 
     kind: str
-    """One of `MATERIAL_KINDS`."""
+    """One of `KINDS` of `render/texture.py`."""
     rgb: tuple[float, float, float]
     """Main color, sRGB 0 to 1."""
     rgb2: tuple[float, float, float] = (0.5, 0.5, 0.5)

@@ -34,14 +34,6 @@ def over(points_m: np.ndarray, prop: Prop, margin_m: float = 0.0) -> np.ndarray:
     return (np.abs(x) < 0.5 * prop.size_m[0] + margin_m) & (np.abs(z) < 0.5 * prop.size_m[1] + margin_m)
 
 
-def lowest_over(points_m: np.ndarray, prop: Prop, parts: np.ndarray | None = None) -> Float[np.ndarray, "frames"]:
-    """Height of the lowest point over the prop in every frame, infinite where there is none."""
-    inside = over(points_m, prop)
-    if parts is not None:
-        inside &= parts
-    return np.where(inside, points_m[..., 1], np.inf).min(1)
-
-
 def at_height(prop: Prop, height_m: float) -> Prop:
     """The prop with its surface at another height."""
     x, _, z = prop.position_m

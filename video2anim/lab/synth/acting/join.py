@@ -50,7 +50,7 @@ def joined(
     acted = cut(acted, first, len(acted.translation_m))
     acted = _moved_to(acted, captured_joints[-1], captured_world[-1], rest)
     R, translation = _faded_pose(translation_m, R_parent_joint, acted)
-    R, translation = _stand(R, translation, captured_joints, captured_world[-1], contact[-1], acted, rest)
+    R, translation = _stand(R, translation, captured_joints, captured_world[-1], acted, rest)
     down = acted.contact & _still(R, translation, rest)
     count = len(translation_m) - 1
     item, held = acted.item_pose, acted.item_held
@@ -154,8 +154,8 @@ def _faded_pose(
 
 
 def _stand(
-    R: np.ndarray, translation: np.ndarray, joints_m: np.ndarray, R_world: np.ndarray, contact: np.ndarray,
-    acted: ProceduralMotion, rest: np.ndarray,
+    R: np.ndarray, translation: np.ndarray, joints_m: np.ndarray, R_world: np.ndarray, acted: ProceduralMotion,
+    rest: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Feet back on their places by the legs; the pelvis sinks where a leg is too short."""
     acted_joints, acted_world = forward_kinematics(acted.R_parent_joint, acted.translation_m, rest)

@@ -54,7 +54,7 @@ def act_lie(script: Script) -> ProceduralMotion:
     hands_on_thighs(script, again, script.now_s, lie.end_s - 0.35)
     rise(script, again)
     leave(script)
-    done, prop = _settled(script, (sit, lie, again), yaw, height, up)
+    done, prop = _settled(script, (sit, lie, again), yaw, height)
     return motion_of("lie", done, (prop,))
 
 
@@ -107,7 +107,7 @@ def _arms(script: Script, sit: PelvisHold, lie: PelvisHold, R_lie: np.ndarray, h
 
 
 def _settled(
-    script: Script, holds: tuple[PelvisHold, PelvisHold, PelvisHold], yaw: float, height: float, up: np.ndarray
+    script: Script, holds: tuple[PelvisHold, PelvisHold, PelvisHold], yaw: float, height: float
 ) -> tuple[Performed, Prop]:
     """Solves until sitting and lying body rest on one height, and lifts the body where it would sink in between."""
     size, (sit, lie, again) = script.size, holds

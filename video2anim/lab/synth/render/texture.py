@@ -66,7 +66,7 @@ def unrolled(
 
 def material_rgb(material: Material, spot: Spot) -> Float[np.ndarray, "points 3"]:
     """Linear color of one material."""
-    share, tint = _KINDS[material.kind](material, spot)
+    share, tint = KINDS[material.kind](material, spot)
     first, second = np.asarray(material.rgb, np.float32), np.asarray(material.rgb2, np.float32)
     colour = first + share[:, None] * (second - first)
     if material.stain > 0:
@@ -264,7 +264,7 @@ def _hair(material: Material, spot: Spot) -> Pattern:
     return np.clip(lock - 0.35, 0, 1), 1 + 0.5 * (lock - 0.5) + 0.4 * strand * seen(spot.footprint, 0.004)
 
 
-_KINDS: dict[str, Callable[[Material, Spot], Pattern]] = {
+KINDS: dict[str, Callable[[Material, Spot], Pattern]] = {
     "plain": _plain,
     "plaster": _plaster,
     "wood": _wood,

@@ -39,7 +39,7 @@ ITEM_LABELS = ("book", "cup", "toy", "bag", "box", "vase")
 """What people pick up."""
 
 
-def make_plant(rng: np.random.Generator, palette: Palette, height_m: float | None = None) -> SceneObject:
+def make_plant(rng: np.random.Generator, height_m: float | None = None) -> SceneObject:
     """Pot plant 0.25-1.8 m high: a tuft of long leaves or branches with broad ones. Leaves are thin closed solids."""
     m = Maker(rng)
     tall = height_m or m.uniform(0.5, 1.7)

@@ -38,7 +38,7 @@ def make_furniture(
         height = seat.height_m if surface_height_m is None else surface_height_m
         return make_seat(label, Seat(seat.width_m, seat.depth_m, height, seat.back, seat.arms), rng, palette)
     if label == "plant":
-        return make_plant(rng, palette, surface_height_m)
+        return make_plant(rng, surface_height_m)
     if label == "lamp":
         return make_lamp(rng, palette, surface_height_m)
     makers = {

@@ -209,7 +209,7 @@ ARRANGE: dict[str, Callable[[Furnisher], None]] = {
 def extras(f: Furnisher, least: int) -> None:
     """Plants and odds and ends; more until there are `least` pieces besides what the plan began with."""
     if f.chance(0.75):
-        f.plan.against_wall(make_plant(f.rng, f.palette), f.rng)
+        f.plan.against_wall(make_plant(f.rng), f.rng)
     if f.chance(0.3):
         f.plan.against_wall(make_lamp(f.rng, f.palette, f.u(1.35, 1.7)), f.rng)
     if f.chance(0.35 * f.clutter * 2):

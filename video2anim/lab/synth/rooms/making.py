@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from video2anim.lab.synth.rooms.primitives import Mesh, merge
+from video2anim.lab.synth.rooms.primitives import Mesh
 from video2anim.lab.synth.world import Material, Part, SceneObject, Surface
 
 
@@ -19,11 +19,6 @@ class Maker:
     def add(self, mesh: Mesh, material: Material, smooth: bool = False) -> None:
         vertices, faces = mesh
         self.parts.append(Part(np.asarray(vertices, float), np.asarray(faces, np.int64), material, smooth))
-
-    def add_all(self, meshes: list[Mesh], material: Material, smooth: bool = False) -> None:
-        """Several solids of one material as one part."""
-        if meshes:
-            self.add(merge(meshes), material, smooth)
 
     def surface(self, kind: str, height_m: float, size_m: tuple[float, float], x: float = 0.0, z: float = 0.0) -> None:
         self.surfaces.append(Surface(kind, height_m, (x, z), size_m))

@@ -191,13 +191,13 @@ def _chair(m: Maker, p: Palette, seat: Seat) -> str:
         kind = pick(
             m.rng, ("slats", "ladder", "panel", "curved") if not padded else ("padded", "padded", "curved", "slats")
         )
-        _chair_back(m, p, seat, kind, frame if style != "pedestal" else wood, cover)
+        _chair_back(m, seat, kind, frame if style != "pedestal" else wood, cover)
     if seat.arms:
         _chair_arms(m, seat, frame)
     return f"chair, {style} legs, {kind} back"
 
 
-def _chair_back(m: Maker, p: Palette, seat: Seat, kind: str, frame: Material, cover: Material) -> None:
+def _chair_back(m: Maker, seat: Seat, kind: str, frame: Material, cover: Material) -> None:
     assert seat.back is not None
     h, w = seat.back.height_m, seat.width_m
     add = lambda mesh, material, smooth=False: m.add(_leaned(mesh, seat), material, smooth)  # noqa: E731

@@ -21,7 +21,6 @@ from video2anim.lab.synth.rooms.primitives import (
 from video2anim.lab.synth.world import Material, SceneObject
 
 Size = tuple[float, float]
-CABINET_KINDS = ("sideboard", "chest", "wardrobe", "night", "media", "kitchen")
 
 
 def make_shelf(
