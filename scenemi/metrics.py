@@ -138,11 +138,6 @@ def floating_m(signed_distance_m: Float[np.ndarray, "frames vertices"]) -> float
     return float(np.maximum(gap_m, 0.0).mean())
 
 
-def in_close_proximity(signed_distance_m: Float[np.ndarray, "frames vertices"]) -> bool:
-    """Whether human and scene come within 8 cm of each other in the clip."""
-    return bool(np.min(signed_distance_m) < CLOSE_PROXIMITY_M)
-
-
 def mpjpe(estimate_m: Float[np.ndarray, "frames 22 3"], truth_m: Float[np.ndarray, "frames 22 3"]) -> float:
     """Mean distance between equal joints, no alignment. Meters, lower is better."""
     return float(_distances(estimate_m, truth_m).mean())

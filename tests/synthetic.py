@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from leg_ik import move_ankles
 
 from video2anim.body.anny_body import ADULT, anny_model, shaped_body
-from video2anim.body.leg_ik import LEGS, move_ankles
+from video2anim.body.legs import LEGS
 from video2anim.geometry.projection import invert_rigid
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyMotion, BodyShape, Intrinsics

@@ -80,15 +80,6 @@ def at_times(motion: RetargetedMotion, position: Float[np.ndarray, "new"]) -> Re
     )
 
 
-def warped(motion: RetargetedMotion, rng: np.random.Generator, config: WarpConfig | None = None) -> RetargetedMotion:
-    """The whole motion at a smooth random speed; longer or shorter than before."""
-    config = config or WarpConfig()
-    frames = len(motion.translation_m)
-    longest = int(np.ceil(frames / config.slowest)) + 1
-    position = random_times(rng, 1, longest, config)[0]
-    return at_times(motion, position[position <= frames - 1])
-
-
 def resampled(motion: RetargetedMotion, fps: float, target_fps: float = FPS) -> RetargetedMotion:
     """The motion at another frame rate; frames are kept as they are where the rates divide.
 

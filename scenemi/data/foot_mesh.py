@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from video2anim.body.anny_body import ShapedBody
-from video2anim.body.leg_ik import Leg
+from video2anim.body.legs import Leg
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.leg_ik import Leg
+from video2anim.body.legs import Leg
 from video2anim.geometry.rotations import matrix_from_axis_angle
 
 _SOFT, _LONGEST = 0.995, 0.9995

@@ -16,7 +16,6 @@ from scenemi.data.prox import read_prox, read_prox_sdf
 from scenemi.data.source_clip import SourceClip
 from scenemi.data.split import Part, Split
 from scenemi.data.trumans import read_trumans, read_trumans_sdf
-from scenemi.scene.geometry import SceneGeometry
 from video2anim.body.anny_body import ShapedBody
 from video2anim.errors import UsageError
 from video2anim.geometry.sdf import SdfGrid
@@ -37,14 +36,6 @@ class SceneClip:
     """By the data set's own rule; no room that is tested on is trained on."""
     solids: Callable[[], SdfGrid]
     """Signed distances to what stands on the floor, read when they are asked for."""
-
-    def geometry(self) -> SceneGeometry:
-        """The scene with its floor.
-
-        Raises:
-            InputError: the scene's files are missing or broken.
-        """
-        return SceneGeometry.from_sdf(self.solids()).with_floor()
 
 
 @dataclass(frozen=True, slots=True)

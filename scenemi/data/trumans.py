@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from scenemi.data.plain_files import read_array
 from scenemi.data.smpl_clip import smpl_clip
@@ -72,15 +71,6 @@ def read_trumans(folder: str | Path, *, min_frames: int = 30) -> Iterator[Truman
             model="smplx",
         )
         yield TrumansTake(clip, scenes[int(scene[start])])
-
-
-def read_trumans_scene(folder: str | Path, name: str) -> Float[np.ndarray, "points 3"]:
-    """Centers of the occupied voxels of a scene, meters, in the frame of the takes.
-
-    Raises:
-        InputError: no such scene, or another grid.
-    """
-    return _LOW_M + _VOXEL_M * (np.argwhere(_voxels(folder, name)) + 0.5)
 
 
 def read_trumans_sdf(folder: str | Path, name: str) -> SdfGrid:

@@ -98,10 +98,6 @@ class SceneGeometry:
         """Everything below a height; exact."""
         return cls.of(HalfSpace(y_m))
 
-    def with_floor(self, y_m: float = 0.0) -> SceneGeometry:
-        """The scene and an endless floor, for scenes whose own floor is missing or ends."""
-        return SceneGeometry((*self.parts, (np.eye(4), HalfSpace(y_m))))
-
     def transformed(self, T_target_world: Float[np.ndarray, "4 4"]) -> SceneGeometry:
         """The scene moved rigidly: what was at p is at T p.
 

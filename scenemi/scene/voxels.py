@@ -12,8 +12,6 @@ from scenemi.scene.geometry import SceneGeometry
 GRID_SHAPE = (48, 24, 48)
 """Voxels along x, y, z of the canonical frame."""
 VOXEL_M = 0.1
-OCCUPIED_WITHIN_M = 0.05
-"""A voxel is occupied when a solid point lies this near its center."""
 EDGE_TOLERANCE_M = 1e-4
 """So that a floor at y = 0, exactly this far below the lowest centers, fills the lowest layer."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenemi.data.augment import MIRROR_JOINT, WarpConfig, at_times, cropped, mirrored, random_times, resampled, warped
+from scenemi.data.augment import MIRROR_JOINT, WarpConfig, at_times, cropped, mirrored, random_times, resampled
 from scenemi.data.balance import BalanceConfig, clip_probabilities
 from scenemi.data.interpolate import blended, cubic_taps
 from scenemi.data.retarget import RetargetedMotion, retarget
@@ -80,17 +80,6 @@ def test_a_warp_at_speed_one_is_the_motion_itself(walk: RetargetedMotion) -> Non
     np.testing.assert_allclose(same.translation_m, walk.translation_m, atol=1e-12)
     np.testing.assert_allclose(same.R_parent_joint, walk.R_parent_joint, atol=1e-9)
     np.testing.assert_array_equal(same.contact, walk.contact)
-
-
-def test_a_warped_motion_passes_through_the_same_poses(walk: RetargetedMotion, body: ShapedBody) -> None:
-    config = WarpConfig(slowest=0.5, fastest=0.5 + 1e-9)
-    slow = warped(walk, np.random.default_rng(1), config)
-    frames = len(walk.translation_m)
-    assert abs(len(slow.translation_m) - (2 * frames - 1)) <= 1
-    rest = body.rest_joints_m
-    np.testing.assert_allclose(joints(slow, rest)[::2][: frames - 1], joints(walk, rest)[: frames - 1], atol=1e-4)
-    steps = np.linalg.norm(np.diff(joints(slow, rest), axis=0), axis=-1)
-    assert steps.max() < 0.7 * np.linalg.norm(np.diff(joints(walk, rest), axis=0), axis=-1).max()
 
 
 def test_resampling_picks_frames_or_interpolates(walk: RetargetedMotion) -> None:

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from retarget_quality import LIMBS, measure_retarget
 from test_retarget import assert_elbows_bend_forward, body_of
 
 from scenemi.data.body_measure import measure_body
 from scenemi.data.container import MotionArchive, SourceClip
 from scenemi.data.rest_pose import rest_axes
 from scenemi.data.retarget import RetargetedMotion, retarget
-from scenemi.data.retarget_quality import LIMBS, measure_retarget
 from scenemi.data.sources import is_free, license_of
-from video2anim.body.leg_ik import LEGS
+from video2anim.body.legs import LEGS
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import axis_angle_from_matrix
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics

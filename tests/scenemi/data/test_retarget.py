@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from retarget_quality import measure_retarget
 
 from scenemi.contacts import foot_contacts, runs
 from scenemi.data.container import MotionArchive, SourceClip
@@ -14,9 +15,8 @@ from scenemi.data.fading import envelope, faded
 from scenemi.data.hinge_limb import LegBones, bend_leg, move_wrist
 from scenemi.data.rest_pose import rest_axes
 from scenemi.data.retarget import RetargetedMotion, retarget
-from scenemi.data.retarget_quality import measure_retarget
 from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
-from video2anim.body.leg_ik import LEGS
+from video2anim.body.legs import LEGS
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyShape

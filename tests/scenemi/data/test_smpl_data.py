@@ -15,7 +15,7 @@ from scenemi.data.readers import read_clips
 from scenemi.data.retarget import retarget
 from scenemi.data.smpl_clip import PELVIS_M, R_Y_UP_Z_UP, SmplModel
 from scenemi.data.source_clip import SourceClip
-from scenemi.data.trumans import read_trumans, read_trumans_scene
+from scenemi.data.trumans import read_trumans
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_quaternion
@@ -126,11 +126,7 @@ def test_trumans_takes_and_scenes(tmp_path: Path, smpl_walk: SourceClip) -> None
     assert [take.scene_name for take in takes] == ["bedroom", "kitchen", "kitchen", "bedroom"]
     assert [len(take.clip.root_position_m) for take in takes] == [120, 60, 59, 120]
     expect_walk(takes[0].clip, smpl_walk)
-    points = read_trumans_scene(tmp_path, "kitchen")
-    np.testing.assert_allclose(points, [[-2.99, 1.99, 3.99], [0.01, 0.01, 0.01]])
     assert len(read_clips(tmp_path)) == 4
-    with pytest.raises(InputError, match="missing"):
-        read_trumans_scene(tmp_path, "cellar")
 
 
 def test_trumans_without_pickles(tmp_path: Path, smpl_walk: SourceClip) -> None:

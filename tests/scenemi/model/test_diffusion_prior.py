@@ -92,7 +92,8 @@ def walk(frames: int = 121, interval: int = 30) -> KeyframeWindow:
 
 def room() -> SceneGeometry:
     rng = np.random.default_rng(5)
-    return SceneGeometry.from_points(rng.uniform([-2, 0, -2], [2, 1.5, 3], (300, 3))).with_floor()
+    solids = SceneGeometry.from_points(rng.uniform([-2, 0, -2], [2, 1.5, 3], (300, 3)))
+    return SceneGeometry((*solids.parts, *SceneGeometry.floor().parts))
 
 
 def off(a: WindowMotion, b: WindowMotion) -> float:

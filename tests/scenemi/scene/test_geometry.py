@@ -102,7 +102,8 @@ def test_distance_grid_against_the_boxes_it_was_built_from() -> None:
 
 
 def test_a_moved_scene_answers_as_moved_points(furnished_room: trimesh.Trimesh) -> None:
-    scene = SceneGeometry.from_mesh(furnished_room.vertices, furnished_room.faces).with_floor(-0.1)
+    solids = SceneGeometry.from_mesh(furnished_room.vertices, furnished_room.faces)
+    scene = SceneGeometry((*solids.parts, *SceneGeometry.floor(-0.1).parts))
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = matrix_from_axis_angle(np.array([0.3, -1.1, 0.2])), [0.5, -0.2, 2.0]
     points_m = points_around(200)

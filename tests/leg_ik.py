@@ -2,33 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float
 
+from video2anim.body.legs import Leg
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.types.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
+from video2anim.types.skeleton import PARENTS, forward_kinematics
 
 _STRAIGHTEST = 0.999
 """Longest hip-ankle distance a correction may ask for, as a share of the leg: beyond it the knee would snap."""
 _HINT = 1e-3
 """Weight of the hip's x axis in the knee's bending axis; it decides for a straight leg only."""
-
-
-@dataclass(frozen=True, slots=True)
-class Leg:
-    """Joint indices of one leg."""
-
-    hip: int
-    knee: int
-    ankle: int
-    toe: int
-
-
-LEGS: tuple[Leg, ...] = tuple(
-    Leg(*(JOINT_INDEX[f"{side}_{joint}"] for joint in ("hip", "knee", "ankle", "foot"))) for side in ("left", "right")
-)
 
 
 def move_ankles(
