@@ -76,7 +76,7 @@ def make_background(
     raster = Raster.of_clip(clip.width_px, clip.height_px, config.long_side_px)
     frame_index = np.unique(np.r_[0 : clip.frame_count : config.frame_step, clip.frame_count - 1])
     generous = _generous_masks(tracks, frame_index, raster)
-    samples = _collect(clip, frame_index, generous, config, raster, ctx)
+    samples = _collect(clip, frame_index, generous, config, ctx)
 
     excluded = _excluded(generous, samples, raster)
     median = median_background(samples.rgb, excluded)
@@ -155,7 +155,6 @@ def _collect(
     frame_index: Int[np.ndarray, "samples"],
     person: Bool[np.ndarray, "samples small_height small_width"],
     config: BackgroundConfig,
-    raster: Raster,
     ctx: StageContext,
 ) -> _Samples:
     """Read and align the frames of the median."""

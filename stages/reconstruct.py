@@ -111,7 +111,7 @@ def reconstruct_objects(
         if seen is None or len(seen.points_m) < config.min_points:
             ctx.warn(f"object {found.object_id} has too little reliable depth and is dropped")
         else:
-            mesh = _foreign(found, seen, foreign, config, ctx) or _fitted(found, seen, background, depth, config)
+            mesh = _foreign(found, seen, foreign, config, ctx) or _fitted(found, seen, background, depth)
             meshes.append(mesh)
         ctx.progress(done + 1, len(completed.objects))
     ctx.quality("meshes", len(meshes), "count")
@@ -120,9 +120,7 @@ def reconstruct_objects(
     return ObjectMeshes(tuple(meshes))
 
 
-def _fitted(
-    found: CompletedObject, seen: SeenObject, background: BackgroundImage, depth: MetricDepth, config: ReconstructConfig
-) -> ObjectMesh:
+def _fitted(found: CompletedObject, seen: SeenObject, background: BackgroundImage, depth: MetricDepth) -> ObjectMesh:
     """The form with the most evidence."""
     from video2anim.objects.meshing import ObjectPicture, form_mesh, outline_iou
     from video2anim.objects.recognize import log_prior, recognized

@@ -77,19 +77,19 @@ def run(options: argparse.Namespace) -> None:
     if not (cache() / "acted.npz").is_file():
         words = ["synth", "--motion-only", "--count", str(ACTED), "--seed", str(ACTED_SEED)]
         command = [sys.executable, "-m", "video2anim.cli.main", *words, "--out", str(cache() / "acted.npz")]
-        turn(command, options, 1e9)
+        turn(command, options)
     while (left := (until - time.monotonic()) / 60) > 0.05:
-        turn(prior_command(options, "--minutes", f"{min(PRIOR_MINUTES, left):.2f}"), options, left)
+        turn(prior_command(options, "--minutes", f"{min(PRIOR_MINUTES, left):.2f}"), options)
         left = (until - time.monotonic()) / 60
         if left > 0.05 and not errors_path().is_file():
             words = ["--motion", str(options.motion), "--windows", str(ERROR_WINDOWS), "--out", str(errors_path())]
             words += ["--cache", str(cache() / "lifter")]
-            turn([sys.executable, str(REPOSITORY / "training" / "pipeline_errors.py"), *words], options, left)
+            turn([sys.executable, str(REPOSITORY / "training" / "pipeline_errors.py"), *words], options)
             left = (until - time.monotonic()) / 60
         if left > 0.05 and lifter_improves():
             words = ["run", "--motion", str(options.motion), "--minutes", f"{min(LIFTER_MINUTES, left):.2f}"]
             words += ["--threads", str(options.threads), "--cache", str(cache() / "lifter")]
-            turn([sys.executable, str(REPOSITORY / "training" / "lifter.py"), *words], options, left)
+            turn([sys.executable, str(REPOSITORY / "training" / "lifter.py"), *words], options)
 
 
 def locked() -> IO[str]:
@@ -102,7 +102,7 @@ def locked() -> IO[str]:
     return lock
 
 
-def turn(command: list[str], options: argparse.Namespace, left_minutes: float) -> None:
+def turn(command: list[str], options: argparse.Namespace) -> None:
     """One command to its end; the run ends with it where it fails, and takes it along when it is stopped itself."""
     with (cache() / "log.txt").open("a") as log:
         child = subprocess.Popen(command, stdout=log, stderr=log, env=environment(options))

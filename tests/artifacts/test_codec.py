@@ -35,9 +35,9 @@ class Everything:
     pair: tuple[int, float]
     inner: Inner
     many: tuple[Inner, ...]
+    flags: np.ndarray
     mask: np.ndarray = stored(Storage.IMAGE)
     picture: np.ndarray = stored(Storage.IMAGE)
-    flags: np.ndarray = stored(Storage.ARRAY)
 
 
 def everything() -> Everything:
@@ -45,7 +45,7 @@ def everything() -> Everything:
     inner = Inner("a", rng.normal(size=(3, 2)))
     return Everything(
         1 / 3, None, ("x", "ü"), (3, 0.1), inner, (inner, Inner("b", np.arange(4))),
-        rng.random((7, 5)) > 0.5, rng.integers(0, 256, (7, 5, 3), np.uint8), rng.random((2, 3)) > 0.5,
+        rng.random((2, 3)) > 0.5, rng.random((7, 5)) > 0.5, rng.integers(0, 256, (7, 5, 3), np.uint8),
     )  # fmt: skip
 
 

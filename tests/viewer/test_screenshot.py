@@ -18,7 +18,6 @@ from walk_scene import room, room_with_carried_box, walk
 
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.projection import project
-from video2anim.geometry.scene_mesh import grid_faces
 from video2anim.types import BodyMotion, Mesh, RoomPiece, SceneModel
 from video2anim.viewer import SceneView, screenshot, view
 from video2anim.viewer.drawing import draw_static, world_vertices
@@ -74,6 +73,13 @@ def test_a_carried_box_is_drawn_where_it_is_in_each_frame(tmp_path: Path) -> Non
         # The middle of what is seen of a box is not quite its own.
         np.testing.assert_allclose(found[-1].mean(0), expected_px(people, scene, frame), atol=8)
     assert np.linalg.norm(found[0].mean(0) - found[2].mean(0)) > 50
+
+
+def grid_faces(rows: int, columns: int) -> np.ndarray:
+    """Triangles of a grid of vertices; with x along columns and z along rows they face +y."""
+    corner = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = corner[:-1, :-1].ravel(), corner[:-1, 1:].ravel(), corner[1:, :-1].ravel(), corner[1:, 1:].ravel()
+    return np.concatenate([np.stack([a, c, b], -1), np.stack([b, c, d], -1)])
 
 
 def test_the_shadow_goes_with_the_carried_box() -> None:

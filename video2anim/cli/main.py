@@ -40,11 +40,9 @@ DiscardEdits = Annotated[bool, typer.Option("--discard-edits", help="Make stages
 
 @app.callback(invoke_without_command=True)
 def _root(
-    context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    context.obj = {"debug": debug}
     if version:
         typer.echo(f"video2anim {__version__}")
         raise typer.Exit

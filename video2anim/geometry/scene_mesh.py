@@ -1,4 +1,4 @@
-"""Small meshes: none, a grid's triangles, an object in the world, a box, several as one."""
+"""Small meshes: none, an object in the world, a box, several as one."""
 
 from __future__ import annotations
 
@@ -29,13 +29,6 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
         np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]),
         np.concatenate([mesh.vertex_rgb for mesh in meshes]),
     )
-
-
-def grid_faces(rows: int, columns: int) -> Int[np.ndarray, "faces 3"]:
-    """Triangles of a grid of vertices; with x along columns and z along rows they face +y."""
-    corner = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = corner[:-1, :-1].ravel(), corner[:-1, 1:].ravel(), corner[1:, :-1].ravel(), corner[1:, 1:].ravel()
-    return np.concatenate([np.stack([a, c, b], -1), np.stack([b, c, d], -1)])
 
 
 def world_mesh(mesh: Mesh, T_world_object: Float[np.ndarray, "4 4"], scale: float) -> Mesh:

@@ -40,10 +40,6 @@ class UprightBox:
     def size_m(self) -> Float[np.ndarray, "3"]:
         return self.high_m - self.low_m
 
-    def to_box(self, points_world_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
-        """World points in axes of the box."""
-        return points_world_m @ self.R_world_box
-
     def with_bounds(self, low_m: np.ndarray, high_m: np.ndarray) -> UprightBox:
         """The same axes, other corners."""
         return UprightBox(self.R_world_box, low_m, high_m, self.measured)

@@ -9,10 +9,8 @@ from typing import Any
 
 
 class Storage(StrEnum):
-    """Form of a field inside a stage folder."""
+    """Form of a field inside a stage folder, other than arrays in the value's `.npz`."""
 
-    ARRAY = "array"
-    """In the value's `.npz` (default for arrays)."""
     IMAGE = "image"
     """Its own PNG: uint8 RGB (H, W, 3), uint8 gray (H, W) or bool mask (H, W) as 0/255."""
 
