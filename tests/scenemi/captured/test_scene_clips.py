@@ -14,6 +14,7 @@ from scenemi.data.prox import read_prox
 from scenemi.data.readers import read_clips
 from scenemi.data.retarget import retarget
 from scenemi.data.scene_clips import fit_scene, read_scene_clips, scene_folders
+from scenemi.scene.geometry import SceneGeometry
 from scenemi.scene.voxel_sdf import scan_sdf, voxel_sdf
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.errors import InputError, UsageError
