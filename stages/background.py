@@ -62,7 +62,7 @@ class _People:
 def make_background(
     clip: VideoClip, tracks: PersonTracks, config: BackgroundConfig, ctx: StageContext
 ) -> BackgroundImage:
-    """Plate of the clip and masks of its people.
+    """Background image of the clip and masks of its people.
 
     For a moving camera the frames are aligned to the first one by a homography, which is exact for a turning camera
     only; a warning says so.
@@ -287,7 +287,7 @@ def _report(
     if not clip.camera_is_static:
         lost = int(np.isnan(samples.H_reference_frame[:, 0, 0]).sum())
         ctx.warn(
-            "the camera moves: the background background image is aligned to the first frame by a homography"
+            "the camera moves: the background image is aligned to the first frame by a homography"
             + (f"; {lost} of {len(samples.H_reference_frame)} sampled frames could not be aligned" if lost else "")
         )
     if unseen.mean() > 0.02:

@@ -132,7 +132,7 @@ def _with_people(
     is_static: bool,
     config: DepthConfig,
 ) -> DepthClip:
-    """Stage set behind, the person as an upright figure before it, in every sampled frame."""
+    """The planar scene behind, the person as an upright figure before it, in every sampled frame."""
     from video2anim.depth.person_depth import figure_distance, standing_feet
     from video2anim.geometry.gravity_view import GravityView
 

@@ -4,7 +4,7 @@
         --runs runs [--steps 400] [--rows "base" "no scene channels"]
 
 All rows have the same size, steps, batch and seed: they compare with each other, not with the package's weights. They
-learn one object only, the expected motion between exact keyframes (`ALONE`), so that minutes say something.
+learn only one thing, the expected motion between exact keyframes (`ALONE`), so that minutes say something.
 A run that is in `--runs` already goes on to `--steps`; rows with the same motion share its windows. Each row is written
 to `runs/ROW/numbers.json` when done, and all that are there to `ablations.json` and `.md`: the base's validation clips
 at 15, 30 and 60 frames, and collisions in scenes that tell, before anything is cleared after sampling.

@@ -47,7 +47,7 @@ def median_background(
     """
     count, height, width = samples.shape[:3]
     if count > 255:
-        raise ValueError(f"median_plate: want at most 255 samples, got {count}")
+        raise ValueError(f"median_background: want at most 255 samples, got {count}")
     rows = _nearest(height, excluded.shape[1])
     columns = _nearest(width, excluded.shape[2])
     background = np.zeros((height, width, 3), np.uint8)

@@ -1,7 +1,7 @@
 """Figure and ground: which pixels show a person.
 
 Two witnesses are added as log odds: the person model's own mask, coarse but knowing, and the difference from the
-background background image, sharp but ignorant. Where the background image is unknown the first decides alone.
+background image, sharp but ignorant. Where the background image is unknown the first decides alone.
 """
 
 from __future__ import annotations

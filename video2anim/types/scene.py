@@ -1,4 +1,4 @@
-"""The scene: background background image, depth, object masks and meshes, floor and walls."""
+"""The scene: background image, depth, object masks and meshes, floor and walls."""
 
 # `stored()` marks how a field lies on disk; it is no default, though it stands where one would.
 # pyright: reportGeneralTypeIssues=false

@@ -1,4 +1,4 @@
-"""Numbers of an procedural motion that several tests look at."""
+"""Numbers of a procedural motion that several tests look at."""
 
 from __future__ import annotations
 

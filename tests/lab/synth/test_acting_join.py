@@ -1,4 +1,4 @@
-"""A captured walk goes over into an procedural motion."""
+"""A captured walk goes over into a procedural motion."""
 
 from __future__ import annotations
 

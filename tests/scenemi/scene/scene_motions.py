@@ -38,7 +38,7 @@ def canonical(body: ShapedBody, R_parent_joint: np.ndarray, translation_m: np.nd
 
 
 def acted(kind: str, body: ShapedBody, seed: int) -> Window:
-    """The part of an procedural motion around its first rest."""
+    """The part of a procedural motion around its first rest."""
     motion = act(kind, body, np.random.default_rng(seed))
     rests = np.flatnonzero(motion.contact[:, [0, 20, 21]].any(axis=1))
     start = int(np.clip(rests[0] - 50 if len(rests) else 60, 0, len(motion.contact) - FRAMES))

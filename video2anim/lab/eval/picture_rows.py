@@ -1,4 +1,4 @@
-"""Numbers of what is seen: background background image, person masks, depth."""
+"""Numbers of what is seen: background image, person masks, depth."""
 
 from __future__ import annotations
 

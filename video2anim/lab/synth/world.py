@@ -129,7 +129,7 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class Prop:
-    """An object an procedural motion needs, in the world frame; the furniture maker builds it to measure."""
+    """An object a procedural motion needs, in the world frame; the furniture maker builds it to measure."""
 
     kind: str
     """`seat`, `bed`, `table` (something to reach to or lean on at `height_m`), `step`, `wall` (to lean against),

@@ -1,4 +1,4 @@
-"""A captured walk that goes over into an procedural motion without sliding feet."""
+"""A captured walk that goes over into a procedural motion without sliding feet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects that an procedural motion needs, built to measure at the exact place."""
+"""Objects that a procedural motion needs, built to measure at the exact place."""
 
 from __future__ import annotations
 
