@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -266,7 +266,8 @@ def _nearest(boxes: Boxes, points_m: Float[np.ndarray, "points 3"]) -> Boxes:
 
 def _digest(motions: MotionSet, seed: int, config: PseudoConfig) -> str:
     """Of all that decides what a shard holds."""
-    digest = hashlib.sha256(repr((_VERSION, seed, config, motions.config)).encode())
+    # Values without their names: a renamed option makes no other windows.
+    digest = hashlib.sha256(repr((_VERSION, seed, astuple(config), astuple(motions.config))).encode())
     store = motions.store
     for table in (motions.rest_joints_m, store.clip_name, store.piece_clip, store.piece_first, store.piece_frames):
         digest.update(np.ascontiguousarray(table).tobytes())

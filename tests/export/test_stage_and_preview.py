@@ -55,7 +55,7 @@ def test_stage_leaves_all_files(gray_clip: VideoClip, tmp_path: Path) -> None:
         "motion_amass_7.npz", "objects/3.glb", "preview.mp4",
     }  # fmt: skip
     assert sum(name.startswith("overlay_") for name in names) == 2
-    assert any(name.startswith("worst_strongest-jerk_") for name in names)
+    assert any(name.startswith("worst_jerk-max_") for name in names)
     assert all(file.path.stat().st_size > 0 for file in exported.files)
     assert ctx.warnings == []
     assert read_motion(tmp_path / "motion_7.npz").person_id == 7
