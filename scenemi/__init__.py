@@ -6,6 +6,7 @@ filled = inbetween(KeyframeMotion(R_parent_joint, translation_m, is_keyframe, re
 """
 
 from scenemi.longmotion import KeyframeMotion, LongMotion, inbetween
+from scenemi.model.load import load_prior, scenemi_available
 from scenemi.postprocess.motion_solve import SceneMotion, solve_motions
 from scenemi.postprocess.solids import Solids
 from scenemi.prior import (
@@ -13,8 +14,6 @@ from scenemi.prior import (
     InterpolationPrior,
     KeyframeWindow,
     WindowMotion,
-    load_prior,
-    scenemi_available,
 )
 from scenemi.windows import OVERLAP_FRAMES, WINDOW_FRAMES, plan_windows, select_keyframes
 

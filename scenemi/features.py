@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.rotations import matrix_from_rot6d, rot6d_from_matrix
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 

@@ -19,7 +19,7 @@ from video2anim.geometry.sdf import SdfGrid
 
 if TYPE_CHECKING:
     from scenemi.scene.geometry import SceneGeometry
-    from video2anim.body.anny_body import ShapedBody
+    from video2anim.body.shaped_body import ShapedBody
 
     Scene = SdfGrid | SceneGeometry
 

@@ -1,30 +1,22 @@
-"""What an in-betweening prior is, the interpolation baseline, and the choice between priors."""
+"""What an in-betweening prior is, and the interpolation baseline."""
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from video2anim.errors import ModelMissingError, UsageError
 from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.skeleton import PARENTS
 
 if TYPE_CHECKING:
     from scenemi.scene.geometry import SceneGeometry
-    from video2anim.body.anny_body import ShapedBody
+    from video2anim.body.shaped_body import ShapedBody
 
-PriorChoice = Literal["auto", "interpolation", "scenemi"]
-WEIGHTS_FOLDER = Path(__file__).parent / "weights"
-WEIGHTS_NAME = "small"
-"""Of the weights that ship; others are taken only where they are named."""
 DEFAULT_STOP_STEP = 20
 """T*: noisy keyframes steer the sampling only above this diffusion step (paper 3.2.1, Table 3)."""
 
@@ -144,34 +136,3 @@ class InterpolationPrior:
         translation_m = self._spline(keys, window.translation_world_m[keys])(frames)
         translation_m[keys] = window.translation_world_m[keys]
         return WindowMotion(R_parent_joint, translation_m)
-
-
-def load_prior(choice: PriorChoice = "auto", *, device: str = "cpu", seed: int = 0) -> InbetweeningPrior:
-    """The prior by name; `auto` is `scenemi` where its weights are present, else `interpolation` (see `.name`).
-
-    Args:
-        choice: which.
-        device: of torch.
-        seed: of sampling; interpolation draws nothing.
-
-    Raises:
-        ModelMissingError: `scenemi` was asked for and no weights are present.
-        UsageError: unknown name.
-    """
-    if choice not in ("auto", "interpolation", "scenemi"):
-        raise UsageError(f"prior: want auto, interpolation or scenemi, got {choice!r}")
-    if choice == "interpolation" or (choice == "auto" and not scenemi_available()):
-        return InterpolationPrior()
-    if not scenemi_available():
-        raise ModelMissingError(
-            f"prior scenemi: no weights {WEIGHTS_NAME}.safetensors in {WEIGHTS_FOLDER}; set the prior to "
-            "'interpolation' or 'auto'"
-        )
-    model = importlib.import_module("scenemi.model.prior")
-    return model.load_diffusion_prior(WEIGHTS_FOLDER, device=device, weights=WEIGHTS_NAME, seed=seed)
-
-
-def scenemi_available() -> bool:
-    """Whether the diffusion model and the weights that `load_prior` takes are installed."""
-    installed = importlib.util.find_spec("scenemi.model") is not None
-    return installed and (WEIGHTS_FOLDER / f"{WEIGHTS_NAME}.safetensors").is_file()

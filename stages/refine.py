@@ -78,8 +78,9 @@ def refine_motion(
     Raises:
         ModelMissingError: the prior is set to `scenemi` and its weights are absent.
     """
+    from scenemi.model.load import load_prior
     from scenemi.postprocess.motion_solve import solve_motions
-    from scenemi.prior import InterpolationPrior, load_prior
+    from scenemi.prior import InterpolationPrior
     from video2anim.motion.assessment import assess, shaped_by_prior
     from video2anim.motion.movable_scene import (
         PlaceUncertainty,

@@ -23,7 +23,7 @@ class PlainCommand(TyperCommand):
         params = super().get_params(ctx)
         for param in params:
             if param.metavar is not None or getattr(param, "is_flag", False):
-                param.display_type_rich = lambda ctx: None
+                param.display_type_rich = lambda ctx: None  # pyright: ignore[reportAttributeAccessIssue] # typer sets it
         return params
 
 

@@ -13,7 +13,8 @@ from scenemi.metrics import standing_feet
 from scenemi.postprocess.in_scene import put_in_scene
 from scenemi.prior import InbetweeningPrior, KeyframeWindow, WindowMotion
 from scenemi.scene.geometry import SceneGeometry
-from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import UsageError
 from video2anim.types.skeleton import forward_kinematics
 

@@ -33,10 +33,11 @@ def bent(clip: SourceClip, rng: np.random.Generator) -> SourceClip:
     way = _way(clip)
     waves, sharpness = rng.uniform(*_WAVES_M, 2), rng.uniform(0.2, 1.0) * _SHARPEST_PER_M
     phase, share = rng.uniform(0, 2 * np.pi, 2), rng.uniform(0.3, 0.7)
-    turn_per_m = sharpness * sum(
+    slow, fast = (
         part * np.sin(2 * np.pi * way / wave + start)
         for part, wave, start in zip((share, 1 - share), waves, phase, strict=True)
     )
+    turn_per_m = sharpness * (slow + fast)
     turn_rad = np.concatenate([[0.0], np.cumsum(turn_per_m[1:] * np.diff(way))])
     turn = matrix_from_axis_angle(turn_rad[:, None] * np.array([0.0, 1.0, 0.0]))
     step_m = np.diff(clip.root_position_m, axis=0)

@@ -20,7 +20,8 @@ from scenemi.data.augment import resampled
 from scenemi.data.bend import MIN_WAY_M, bent, way_m
 from scenemi.data.container import MotionArchive
 from scenemi.data.retarget import RetargetedMotion, retarget
-from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
 from video2anim.types import BodyShape

@@ -16,7 +16,7 @@ from scenemi.data.prox import read_prox, read_prox_sdf
 from scenemi.data.source_clip import SourceClip
 from scenemi.data.split import Part, Split
 from scenemi.data.trumans import read_trumans, read_trumans_sdf
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import UsageError
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.skeleton import forward_kinematics

@@ -34,7 +34,8 @@ from scenemi.data.motion_store import (
 from scenemi.data.sources import BROKEN_CLIPS
 from scenemi.data.split import Part, Split
 from scenemi.windows import WINDOW_FRAMES
-from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_quaternion
 from video2anim.types import BodyShape

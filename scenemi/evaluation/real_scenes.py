@@ -16,7 +16,7 @@ from scenemi.evaluation.windows import EvaluationWindow, adult_body, windows_of
 from scenemi.features import canonical_frame
 from scenemi.scene.grid import SPACING_M
 from scenemi.windows import WINDOW_FRAMES
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.geometry.sdf import SdfGrid
 

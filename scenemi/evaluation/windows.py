@@ -21,7 +21,8 @@ from scenemi.features import to_canonical
 from scenemi.prior import KeyframeWindow
 from scenemi.scene.geometry import SceneGeometry
 from scenemi.windows import WINDOW_FRAMES, select_keyframes
-from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.sdf import SdfGrid

@@ -73,7 +73,7 @@ class PaperDenoiser(nn.Module):
         """The paper's forward process is about zero."""
         return torch.zeros_like(given.base)
 
-    def noise(self, white: Float[Tensor, "batch frames 201"], prepared: Tensor | None) -> Tensor:
+    def noise(self, white: Float[Tensor, "batch frames 201"], prepared: object) -> Tensor:
         """White noise."""
         return white
 

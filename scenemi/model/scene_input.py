@@ -14,7 +14,8 @@ from scenemi.prior import KeyframeWindow
 from scenemi.scene.basis_points import anchor_vertices, bps
 from scenemi.scene.geometry import SceneGeometry
 from scenemi.scene.voxels import GridSpec, occupancy
-from video2anim.body.anny_body import ADULT, ShapedBody, anny_model, shaped_body
+from video2anim.body.anny_body import ADULT, anny_model, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.motion import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics

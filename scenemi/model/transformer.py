@@ -28,6 +28,7 @@ class Block(nn.Module):
         self.bias = nn.Parameter(torch.zeros(heads, 2 * tokens - 1))
         """Added to the attention by distance in time."""
         index = torch.arange(tokens)
+        self.distance: Tensor
         self.register_buffer("distance", index[:, None] - index[None] + tokens - 1, persistent=False)
 
     def forward(

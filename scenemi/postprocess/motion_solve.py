@@ -32,7 +32,7 @@ from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_ax
 from video2anim.types.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 
 if TYPE_CHECKING:
-    from video2anim.body.anny_body import ShapedBody
+    from video2anim.body.shaped_body import ShapedBody
 
 JOINTS = len(PARENTS)
 UNKNOWNS = 3 + 3 * JOINTS

@@ -13,7 +13,7 @@ from video2anim.geometry.sampling import farthest_points
 from video2anim.types.skeleton import TOUCHING_PARTS
 
 if TYPE_CHECKING:
-    from video2anim.body.anny_body import ShapedBody
+    from video2anim.body.shaped_body import ShapedBody
 
 PARTS = tuple(TOUCHING_PARTS.values())
 _SPREAD_POINTS, _PART_POINTS = 500, 100

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from scenemi.scene.geometry import SceneGeometry
-from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.motion import BodyShape
 
 BPS_ANCHORS = 64

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
-from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.motion import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX
 

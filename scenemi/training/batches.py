@@ -19,7 +19,7 @@ from scenemi.training.config import TrainConfig
 from scenemi.training.keyframe_masks import draw_mask, draw_observed_mask
 from scenemi.training.noise import PipelineErrors, gaussian, told_level
 from scenemi.training.pool import UNITS_PER_METRE, AnyShard, SceneShard, stored_scenes
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 
 LOOKED_AT = 31
 """Frames of a window in which joints by forward kinematics are compared: in all they cost as much as the network."""

@@ -15,7 +15,7 @@ from scenemi.model.config import PaperConfig
 from scenemi.scene.basis_points import anchor_vertices, shortened
 from scenemi.scene.voxels import GridSpec
 from scenemi.training.batches import Batch
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.skeleton import forward_kinematics
 
 

@@ -23,7 +23,7 @@ from scenemi.training.batches import LOOKED_AT, Batch
 from scenemi.training.config import TrainConfig
 from scenemi.training.descriptors import descriptors_of
 from scenemi.training.noise import noisy_features
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 
 _MIN_FEATURE, _MIN_JOINT_M = 0.02, 0.01
 """Errors below these (standard deviations; meters for each joint) need not become smaller."""

@@ -11,7 +11,7 @@ import tempfile
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -110,7 +110,7 @@ def unpack_run(folder: Path, into: Path) -> Unpacked:
         files = None
         if motion is not None:
             with (into / "motion.npz").open("wb") as stream:
-                np.savez_compressed(stream, **_decompressed(motion))
+                np.savez_compressed(stream, allow_pickle=False, **cast("dict[str, Any]", _decompressed(motion)))
             MotionArchive.read(into / "motion.npz")
             files = RunFiles.of(
                 into / "config.json", [into / "motion.npz"], into / "split.json", into / "cache",
@@ -151,7 +151,8 @@ def _compressed(tables: dict[str, np.ndarray]) -> bytes:
         units = np.rint(root_m[places] * _UNITS_PER_METRE).astype(np.int32)
         moves.append(np.diff(units, axis=0, prepend=0).T.ravel())
     stream = io.BytesIO()
-    np.savez(stream, turns=_planes(np.concatenate(turns)), moves=np.concatenate(moves), **tables)
+    arrays = {"turns": _planes(np.concatenate(turns)), "moves": np.concatenate(moves), **tables}
+    np.savez(stream, allow_pickle=False, **cast("dict[str, Any]", arrays))
     return lzma.compress(stream.getvalue(), preset=6)
 
 

@@ -22,7 +22,7 @@ from scenemi.training.losses import Losses, TrainingLoss
 from scenemi.training.pool import AnyShard
 from scenemi.training.scales import measure_scales
 from scenemi.training.validate import Validation
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import StageError
 
 _SCALE_STEPS, _SCALE_WINDOWS = 1_000_000_000, 512
@@ -107,7 +107,8 @@ class Run:
             self.optimizer.step()
             keep = (1 - 1 / self.step) ** (self._power + 1)
             now = self.model.state_dict()
-            torch._foreach_lerp_([self.average[name] for name in now], list(now.values()), 1 - keep)
+            average = [self.average[name] for name in now]
+            torch._foreach_lerp_(average, list(now.values()), 1 - keep)  # pyright: ignore[reportPrivateImportUsage]
         means = (torch.stack([getattr(losses, name) for losses, _ in found]).mean() for name in Losses.__slots__)
         return Losses(*means), norm
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from video2anim.body.anny_body import ADULT, KEYPOINT_NAMES, PHENOTYPES, ShapedBody, anny_model, shaped_body
+from video2anim.body.anny_body import ADULT, KEYPOINT_NAMES, PHENOTYPES, anny_model, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import UsageError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyShape

@@ -9,8 +9,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-import scenemi.prior
-from scenemi.prior import InterpolationPrior, KeyframeWindow, load_prior, padded
+import scenemi.model.load
+from scenemi.model.load import load_prior
+from scenemi.prior import InterpolationPrior, KeyframeWindow, padded
 from video2anim.errors import ModelMissingError, UsageError
 
 KEYS = np.array([0, 7, 15, 31, 40])
@@ -62,7 +63,7 @@ def test_a_window_without_its_ends_or_with_nan_keyframes_is_refused() -> None:
 def test_without_weights_auto_is_interpolation_and_scenemi_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scenemi.prior, "WEIGHTS_FOLDER", tmp_path)
+    monkeypatch.setattr(scenemi.model.load, "WEIGHTS_FOLDER", tmp_path)
     assert load_prior("auto").name == "interpolation"
     assert load_prior("interpolation").name == "interpolation"
     with pytest.raises(ModelMissingError, match="prior scenemi"):
@@ -74,7 +75,7 @@ def test_without_weights_auto_is_interpolation_and_scenemi_is_refused(
 def test_auto_takes_the_weights_that_ship_and_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file of other weights in the folder was enough to choose `scenemi`, which then failed."""
     (tmp_path / "research.safetensors").touch()
-    monkeypatch.setattr(scenemi.prior, "WEIGHTS_FOLDER", tmp_path)
+    monkeypatch.setattr(scenemi.model.load, "WEIGHTS_FOLDER", tmp_path)
     assert load_prior("auto").name == "interpolation"
 
 

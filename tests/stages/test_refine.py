@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from synthetic import FPS, planted_walk, with_root_shift
 
-import scenemi.prior
+import scenemi.model.load
 from scenemi.metrics import jerk_m_s3, mpjpe
 from stages.refine import RefineConfig, refine_motion
 from video2anim.body.anny_body import shaped_body
@@ -40,7 +40,7 @@ PLAIN = RefineConfig(prior="interpolation")
 
 @pytest.fixture
 def no_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenemi.prior, "WEIGHTS_FOLDER", tmp_path)
+    monkeypatch.setattr(scenemi.model.load, "WEIGHTS_FOLDER", tmp_path)
 
 
 def scene(*objects: PlacedObject) -> SceneModel:

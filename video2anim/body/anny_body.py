@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
 
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import UsageError
 from video2anim.types.motion import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
@@ -80,47 +80,6 @@ _KNUCKLES = {
 def _y_up(points: torch.Tensor) -> torch.Tensor:
     """Anny's z-up, facing -y axes to y-up, facing +z."""
     return torch.stack([points[..., 0], points[..., 2], -points[..., 1]], -1)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ShapedBody:
-    """A body of one shape, ready to be posed. Rest mesh +Y up, facing +Z, pelvis at the origin.
-
-    Anny's rest mesh is in the A-pose, that of the SMPL family in the T-pose.
-    """
-
-    shape: BodyShape
-    rest_vertices_m: Float[np.ndarray, "vertices 3"]
-    faces: Int[np.ndarray, "faces 3"]
-    skin_weights: Float[np.ndarray, "vertices 22"]
-    inverse_bind: Float[np.ndarray, "22 4 4"]
-    """Takes the rest mesh into each joint's T-pose frame."""
-    rest_joints_m: Float[np.ndarray, "22 3"]
-
-    @property
-    def vertex_part(self) -> Int[np.ndarray, "vertices"]:
-        """Joint with the largest weight for each vertex."""
-        return self.skin_weights.argmax(1)
-
-    def vertices(
-        self,
-        R_world_joint: Float[np.ndarray, "frames 22 3 3"],
-        joints_m: Float[np.ndarray, "frames 22 3"],
-        index: Int[np.ndarray, "chosen"] | None = None,
-    ) -> Float[np.ndarray, "frames chosen 3"]:
-        """Skinned vertices (all, or the chosen ones) by linear blending, in the frame of the joints."""
-        weights = self.skin_weights if index is None else self.skin_weights[index]
-        rest = self.rest_vertices_m if index is None else self.rest_vertices_m[index]
-        rotation = R_world_joint @ self.inverse_bind[:, :3, :3]
-        shift = (R_world_joint @ self.inverse_bind[:, :3, 3, None])[..., 0] + joints_m
-        transforms = np.concatenate([rotation, shift[..., None]], -1).astype(np.float32)
-        rest_h = np.concatenate([rest, np.ones((len(rest), 1))], 1).astype(np.float32)
-        out = np.empty((len(transforms), len(rest), 3), np.float32)
-        weights32 = weights.astype(np.float32)
-        for t, transform in enumerate(transforms):
-            blended = (weights32 @ transform.reshape(22, 12)).reshape(-1, 3, 4)
-            out[t] = np.einsum("vij,vj->vi", blended, rest_h)
-        return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

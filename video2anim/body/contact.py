@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.moving_field import MovingField
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.motion import BodyMotion

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.body.smpl_file import SmplFile, read_smpl_file
 from video2anim.errors import InputError, UsageError
 from video2anim.types.motion import BodyShape

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import StageError
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
 from video2anim.geometry.vertex_normals import vertex_normals

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.chamfer import huber_of_square
 from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.projection import backproject, invert_rigid, transform_points

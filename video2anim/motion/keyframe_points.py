@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.sampling import farthest_points
 from video2anim.types import BodyMotion
 from video2anim.types.skeleton import TOUCHING_PARTS, forward_kinematics

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import LIKELY, NEAR_M, SLOW_M_S, posed_vertices, skin_of, speed_m_s
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.scene.nearest_surface import nearest_surface

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool
 
-from video2anim.body.anny_body import ShapedBody
 from video2anim.body.contact import posed_vertices
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.motion import BodyMotion
 from video2anim.types.skeleton import JOINT_INDEX

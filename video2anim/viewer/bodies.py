@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.scene.contact_graph import BODY_PARTS
 from video2anim.types import BodyMotion, Contact
 from video2anim.types.skeleton import forward_kinematics

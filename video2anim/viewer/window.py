@@ -16,8 +16,8 @@ from video2anim.errors import UsageError
 from video2anim.viewer.bodies import PosedBodies
 from video2anim.viewer.drawing import drawable_mesh
 from video2anim.viewer.geometry3d import camera_lines, move_mesh, o3d, scene_meshes, triangle_mesh
+from video2anim.viewer.scene_view import STAGES, SceneView
 from video2anim.viewer.software import oblique_viewpoint
-from video2anim.viewer.view import STAGES, SceneView
 from video2anim.viewer.viewpoint import Viewpoint
 
 _FPS = 30.0

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from scenemi.metrics import jerk_m_s3
-from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.rotations import axis_angle_from_matrix
 from video2anim.lab.synth.acting.measure import measure
 from video2anim.lab.synth.world import ProceduralMotion

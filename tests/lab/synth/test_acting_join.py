@@ -10,7 +10,7 @@ from acting_checks import adult
 
 from scenemi.data.container import MotionArchive
 from scenemi.data.retarget import retarget
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import UsageError
 from video2anim.lab.synth.acting import act, joined
 from video2anim.lab.synth.world import ProceduralMotion

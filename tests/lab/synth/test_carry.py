@@ -9,7 +9,7 @@ import pytest
 from acting_checks import adult
 from scipy.spatial import KDTree
 
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.lab.synth.acting import CARRIES, act_carry
 from video2anim.lab.synth.acting.grip import Grip, fingers, side_grip

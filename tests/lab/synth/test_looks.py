@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.lab.synth.looks import make_looks
 from video2anim.lab.synth.render.garments import borders_of, material_at, spanning
 from video2anim.lab.synth.render.texture import KINDS

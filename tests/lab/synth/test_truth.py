@@ -11,7 +11,8 @@ import pytest
 import trimesh
 from command import video2anim
 
-from video2anim.body.anny_body import ShapedBody, shaped_body
+from video2anim.body.anny_body import shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.types import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 

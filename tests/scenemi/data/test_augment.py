@@ -10,7 +10,8 @@ from scenemi.data.balance import BalanceConfig, clip_probabilities
 from scenemi.data.interpolate import blended, cubic_taps
 from scenemi.data.retarget import RetargetedMotion, retarget
 from scenemi.data.source_clip import SourceClip
-from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.rotations import axis_angle_from_matrix
 from video2anim.types import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, forward_kinematics

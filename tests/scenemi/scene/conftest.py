@@ -8,7 +8,8 @@ import trimesh
 from scene_motions import FRAMES, Window, acted, canonical
 from synthetic import planted_walk
 
-from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.motion import BodyShape
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scenemi.scene.basis_points import anchor_vertices
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.lab.synth.acting import act
 from video2anim.types.skeleton import forward_kinematics
 

@@ -11,7 +11,8 @@ from scenemi.scene.basis_points import anchor_vertices, bps
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.geometry import HalfSpace, SceneGeometry
 from scenemi.scene.voxels import DEFAULT_GRID, GridSpec, occupancy
-from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.motion import BodyShape
 
 

@@ -15,7 +15,8 @@ from scenemi.scene.furniture import FURNITURE, Piece, doorway, wall
 from scenemi.scene.pseudo import PseudoConfig, SyntheticScene, SyntheticScenes
 from scenemi.scene.scan_noise import ScanNoise
 from scenemi.scene.voxels import occupancy
-from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.motion import BodyShape
 
 CLEAN = PseudoConfig(empty_share=0.0, hollow_share=0.0, noise=ScanNoise.none())

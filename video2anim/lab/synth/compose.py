@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.anny_body import ADULT, ShapedBody, shaped_body
+from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.lab.synth.acting import ACTS, CARRIES, act, act_carry, joined
 from video2anim.lab.synth.acting.curves import turned

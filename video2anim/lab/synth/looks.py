@@ -14,7 +14,8 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from video2anim.body.anny_body import KEYPOINT_NAMES, ShapedBody, anny_model
+from video2anim.body.anny_body import KEYPOINT_NAMES, anny_model
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.lab.synth.render.surfaces import face_normals
 from video2anim.lab.synth.wardrobe import Outfit, draw_outfit
 from video2anim.lab.synth.world import Material

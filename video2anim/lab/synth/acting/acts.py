@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import UsageError
 from video2anim.lab.synth.acting.climb import act_step_up
 from video2anim.lab.synth.acting.curves import turned

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scenemi.data.container import SourceClip, SourceSkeleton
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
 from video2anim.lab.synth.acting.curves import FPS
 from video2anim.lab.synth.world import ProceduralMotion

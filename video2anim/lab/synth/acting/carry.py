@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.lab.synth.acting.curves import FPS, axis_rotation, turned
 from video2anim.lab.synth.acting.finish import cut, motion_of

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from video2anim.body.anny_body import ShapedBody
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.lab.synth.acting.curves import axis_rotation
 from video2anim.types.skeleton import JOINT_INDEX
 

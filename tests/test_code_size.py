@@ -1,0 +1,31 @@
+"""What `tools/code_size.py` counts and the design forbids."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[1] / "tools"
+
+
+def test_nothing_imports_in_a_circle(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(TOOLS))
+    import code_size
+
+    size = code_size.measure()
+    assert size.file_circles == []
+    assert size.package_circles == []
+
+
+def test_a_circle_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Imports inside functions count: they are how circles hide."""
+    monkeypatch.syspath_prepend(str(TOOLS))
+    import code_size
+
+    folder = tmp_path / "video2anim"
+    folder.mkdir()
+    (folder / "a.py").write_text("import video2anim.b\n")
+    (folder / "b.py").write_text("def f():\n    from video2anim.a import g\n")
+    found = code_size.import_graph(code_size.modules(tmp_path))
+    assert code_size.circles(found) == [["video2anim.a", "video2anim.b"]]
