@@ -78,7 +78,7 @@ def compared(scene: Path, truth: Path, sigmas: Sigmas) -> list[dict[str, float |
     assert masks is not None
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
     whole = picture_evidence(depth, background, bodies, camera, floor, result.clip.fps, np.random.default_rng(0))
-    whole = with_objects(whole, depth, background, bodies.people[0], masks)
+    whole = with_objects(whole, depth, background, bodies.main, masks)
     meta, arrays = json.loads((truth / "meta.json").read_text()), np.load(truth / "truth.npz")
     rows = []
     for name, changed in WITHOUT.items():

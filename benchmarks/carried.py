@@ -95,7 +95,7 @@ def of_clip(scene_dir: Path, truth_dir: Path) -> list[ClipRow]:
     if scene is None or bodies is None or not bodies.people:
         raise SystemExit(f"{scene_dir}: {result.why(BodyTracks, SceneModel) or 'nobody was fitted'}")
     frames = match_frames(result.clip, truth)
-    T_true_estimate = truth_from_estimate(bodies.people[0].T_world_camera, truth, frames)
+    T_true_estimate = truth_from_estimate(bodies.main.T_world_camera, truth, frames)
     refined = result.get(RefinedMotion)
     main = (refined.people if refined else bodies.people)[0]
     joints_m = transform_points(T_true_estimate, main.joints_world_m.astype(np.float64))

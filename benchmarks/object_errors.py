@@ -81,7 +81,7 @@ def main() -> None:
 
 def of_clip(clip: Clip) -> dict[str, Any]:
     """Logs of scale and body height against the truth; AbsRel of the background image's depth."""
-    body, true = clip.get(MetricDepth).bodies.people[0], clip.truth.main
+    body, true = clip.get(MetricDepth).bodies.main, clip.truth.main
     depth, value = clip.get(MetricDepth).background_depth_m, clip.get(DepthClip).background_value
     true_m = resample_nearest(clip.truth.background_depth_m, depth.shape)
     known = true_m > 0
@@ -90,7 +90,7 @@ def of_clip(clip: Clip) -> dict[str, Any]:
     fitted = design @ np.linalg.lstsq(design, 1 / true_m[known], rcond=None)[0]
     return {
         "clip": clip.name,
-        "scale_log": float(np.log(body.T_world_camera[0][1, 3] / true.T_world_camera[0][1, 3])),
+        "scale_log": float(np.log(body.view().T_world_camera[1, 3] / true.view().T_world_camera[1, 3])),
         "stature_log": float(np.log(np.ptp(body.rest_joints_m[:, 1]) / np.ptp(true.rest_joints_m[:, 1]))),
         "absrel": float(np.abs(np.expm1(off)).mean()),
         "absrel_one_scale": float(np.abs(np.expm1(off - np.median(off))).mean()),
@@ -101,7 +101,7 @@ def of_clip(clip: Clip) -> dict[str, Any]:
 def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
     """Each matched piece of furniture."""
     depth, masks = clip.get(MetricDepth), clip.get(InstanceMasks)
-    body, lifter = depth.bodies.people[0], ObjectBackprojector(masks, depth)
+    body, lifter = depth.bodies.main, ObjectBackprojector(masks, depth)
     furniture = clip.truth.furniture(MIN_VISIBLE_PX)
     pairs = pairs_by_mask(match_masks(masks, furniture, clip.truth))
     T = truth_from_estimate(body.T_world_camera, clip.truth, match_frames(clip.result.clip, clip.truth))
@@ -119,7 +119,7 @@ def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
             "clip": clip.name, "label": furniture[j].label, "distance_log": off[number], "cut": cut,
             "by_scale_m": abs(float(np.expm1(scale_log))) * measured[1],
         }  # fmt: skip
-    camera_m = body.T_world_camera[0][:3, 3]
+    camera_m = body.view().T_world_camera[:3, 3]
     moved = {
         "as it is": objects,
         "true scale": [nearer(item, scale_log, camera_m) for item in objects],

@@ -164,7 +164,7 @@ def picture(truth: Truth, placed: PlacedObjects, path: Path) -> None:
     whole = trimesh.util.concatenate([
         trimesh.Trimesh(m.vertices_m, m.faces, vertex_colors=m.vertex_rgb, process=False) for m in meshes
     ])  # fmt: skip
-    camera = truth.main.T_world_camera[0]
+    camera = truth.main.view().T_world_camera
     center = whole.vertices.mean(0)
     beside = camera.copy()
     turn = trimesh.transformations.rotation_matrix(np.deg2rad(70), [0, 1, 0], center)

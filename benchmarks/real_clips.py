@@ -171,7 +171,7 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
         "forms": dict(Counter(one.method for one in meshes.objects)),
         "trusted": sum(one.trusted for one in scene.objects) / max(len(scene.objects), 1),
         **right_class(folder.name, result.record.contacts),
-        **camera_off(folder.name, metric.bodies.people[0], media),
+        **camera_off(folder.name, metric.bodies.main, media),
     }  # fmt: skip
 
 
@@ -191,7 +191,7 @@ def right_class(clip: str, contacts: Sequence[Contact]) -> dict[str, float | Non
 def depth_order(metric: MetricDepth, masks: InstanceMasks, background: BackgroundImage) -> float:
     """Share of the pixels of objects at which the main person is seen whose depth is not before the person."""
     shape = metric.background_depth_m.shape
-    body = metric.bodies.people[0]
+    body = metric.bodies.main
     passed = passed_before(
         body, background.frame_index, background.selected_mask, body.intrinsics.resized(*shape[::-1])
     )

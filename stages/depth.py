@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Protocol
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from video2anim.errors import StageError
 from video2anim.pipeline.options import limits, model_of, only_with, only_without
 from video2anim.pipeline.stage import StageContext, StageSpec
-from video2anim.types import BackgroundImage, BodyTracks, CameraEstimate, DepthClip, VideoClip
+from video2anim.types import BackgroundImage, BodyTracks, CameraEstimate, DepthClip, VideoClip, View
 
 if TYPE_CHECKING:
     from video2anim.depth.planar_scene import PlanarSceneProxy
@@ -71,10 +70,8 @@ def estimate_depth(
     The camera's place over the floor is taken from the fitted bodies; `camera` says whether it moves.
 
     Raises:
-        StageError: there is no body.
+        StageError: provider `geometric`, and nobody is seen in any frame.
     """
-    if not bodies.people:
-        raise StageError("depth: want at least one fitted body, got none; check stage humans")
     if config.provider == "geometric":
         depth = _geometric(background_image, bodies, camera, config, ctx)
     else:
@@ -102,13 +99,11 @@ def _geometric(
     from video2anim.depth.planar_scene import StageSetConfig, stage_set_depth
 
     height, width = background_image.seen_ratio.shape
-    main = bodies.people[0]
+    view = bodies.main_view.resized(width, height)
     small_rgb = cv2.resize(background_image.background_rgb, (width, height), interpolation=cv2.INTER_AREA)
     stands = [standing_feet(body, config.contact_threshold) for body in bodies.people]
     spots = np.concatenate([feet[on] for feet, on in stands]) * np.array([1.0, 0.0, 1.0])
-    intrinsics = main.intrinsics.resized(width, height)
-    settings = StageSetConfig(far_m=config.far_m)
-    planar_scene = stage_set_depth(small_rgb, main.T_world_camera[0], intrinsics, spots, settings)
+    planar_scene = stage_set_depth(small_rgb, view, spots, StageSetConfig(far_m=config.far_m))
     ctx.quality("standing_spots", len(spots), "count", "higher")
     if planar_scene is None:
         ctx.warn("no foot stands on floor that the picture shows; background depth is unknown")
@@ -136,19 +131,20 @@ def _with_people(
     from video2anim.depth.person_depth import figure_distance, standing_feet
     from video2anim.geometry.gravity_view import GravityView
 
-    main = bodies.people[0]
+    main = bodies.main
     height, width = background_image.seen_ratio.shape
-    intrinsics = main.intrinsics.resized(width, height)
     feet_world_m, standing = standing_feet(main, config.contact_threshold)
     samples = len(background_image.frame_index)
     depth_m = np.repeat(planar_scene.depth_m[None].astype(np.float32), samples, axis=0)
     sigma_m = np.repeat(planar_scene.sigma_m[None].astype(np.float32), samples, axis=0)
     valid = np.repeat(planar_scene.valid[None], samples, axis=0) & ~background_image.person_mask
-    view = GravityView.of_camera(main.T_world_camera[0], intrinsics)
+    first = main.view().resized(width, height)
+    view = GravityView.of(first)
     for sample, frame in enumerate(background_image.frame_index):
         if not is_static:
-            valid[sample] &= _same_view(main.T_world_camera[frame], main.T_world_camera[0])
-            view = GravityView.of_camera(main.T_world_camera[frame], intrinsics)
+            now = main.view(frame).resized(width, height)
+            valid[sample] &= _same_view(now, first)
+            view = GravityView.of(now)
         mask = background_image.selected_mask[sample]
         found = figure_distance(view, mask, feet_world_m[frame][standing[frame]])
         if found is None or view.camera_height_m <= 0.05:
@@ -174,9 +170,8 @@ def _with_people(
     )
 
 
-def _same_view(T_world_a: Float[np.ndarray, "4 4"], T_world_b: Float[np.ndarray, "4 4"]) -> bool:
-    turn = np.abs(T_world_a[:3, :3] - T_world_b[:3, :3]).max()
-    return bool(max(turn, np.abs(T_world_a[:3, 3] - T_world_b[:3, 3]).max()) < _SAME_VIEW)
+def _same_view(a: View, b: View) -> bool:
+    return bool(np.abs(a.T_world_camera[:3] - b.T_world_camera[:3]).max() < _SAME_VIEW)
 
 
 def _network(

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from jaxtyping import Bool, Float
 
-from video2anim.errors import StageError
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
@@ -66,12 +65,10 @@ def fit_metric(
     from video2anim.calibration.gather import picture_evidence, with_objects
     from video2anim.geometry.masks import shrunk
 
-    if not bodies.people or not bodies.people[0].valid.any():
-        raise StageError("metric: want a fitted body with at least one valid frame, got none; check stage humans")
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
     evidence = with_objects(
         picture_evidence(depth, background, bodies, camera, floor, clip.fps, ctx.rng("metric/points")),
-        depth, background, bodies.people[0], masks,
+        depth, background, bodies.main, masks,
     )  # fmt: skip
     found = calibrate(evidence)
     problem = _problem(evidence, found, config)

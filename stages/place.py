@@ -16,13 +16,13 @@ from jaxtyping import Float
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
-    BodyMotion,
     InstanceMasks,
     MetricDepth,
     ObjectMesh,
     ObjectMeshes,
     PlacedObject,
     PlacedObjects,
+    View,
 )
 
 _FINENESS = 50
@@ -67,7 +67,7 @@ def place_objects(
             item = _fitted_form(found, found.chamfer_m, config)
         else:
             points_m = lifter.lift(found.object_id).points_world_m
-            item = _by_chamfer(found, points_m, depth.bodies.people[0], config, ctx)
+            item = _by_chamfer(found, points_m, depth.bodies.main_view, config, ctx)
         if item.trusted and not depth.trusted:
             item = replace(item, trusted=False, reason="the scale of depth is not trusted")
         placed.append(replace(item, distance_sigma=depth.object_sigma[str(found.object_id)]))
@@ -100,7 +100,7 @@ def _fitted_form(found: ObjectMesh, chamfer_m: float, config: PlaceConfig) -> Pl
 def _by_chamfer(
     found: ObjectMesh,
     points_m: Float[np.ndarray, "points 3"],
-    body: BodyMotion,
+    view: View,
     config: PlaceConfig,
     ctx: StageContext,
 ) -> PlacedObject:
@@ -122,8 +122,7 @@ def _by_chamfer(
             faces,
             found.T_world_object,
             points_m,
-            body.T_world_camera[0],
-            body.intrinsics,
+            view,
             yaw_starts_rad=tuple(np.deg2rad(config.yaw_starts_deg)),
             rng=ctx.rng(f"place/{found.object_id}"),
             max_points=config.points,

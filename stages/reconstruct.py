@@ -28,6 +28,7 @@ from video2anim.types import (
     MetricDepth,
     ObjectMesh,
     ObjectMeshes,
+    View,
 )
 
 if TYPE_CHECKING:
@@ -93,10 +94,7 @@ def reconstruct_objects(
 
     unseen = never_seen(background.seen_ratio, depth.background_depth_m.shape)
     people = PeopleEvidence(*rested_and_inner_m(depth.bodies))
-    body, (height, width) = depth.bodies.people[0], background.background_rgb.shape[:2]
-    heading_rad = room_heading(
-        background.background_rgb, body.T_world_camera[0], body.intrinsics.resized(width, height)
-    )
+    heading_rad = room_heading(background.background_rgb, _background_view(depth, background))
     # A yaw turns z towards x, a heading x towards z.
     room_yaw_rad = None if heading_rad is None else -heading_rad
     views = ObjectViews(masks, depth, unseen, people, config.depth_error_ratio, room_yaw_rad)
@@ -126,11 +124,8 @@ def _fitted(found: CompletedObject, seen: SeenObject, background: BackgroundImag
     from video2anim.objects.recognize import log_prior, recognized
 
     best = recognized(seen, log_prior(found.label))[0]
-    body, (height, width) = depth.bodies.people[0], background.background_rgb.shape[:2]
-    picture = ObjectPicture(
-        _completed_picture(found, background), found.amodal_mask, body.intrinsics.resized(width, height),
-        body.T_world_camera[0],
-    )  # fmt: skip
+    view = _background_view(depth, background)
+    picture = ObjectPicture(_completed_picture(found, background), found.amodal_mask, view)
     mesh, parts, texture = form_mesh(best, picture)
     label = best.form.name if found.label in ("object", "furniture") else found.label
     sigma = best.sigma
@@ -139,6 +134,11 @@ def _fitted(found: CompletedObject, seen: SeenObject, background: BackgroundImag
         best.T_world_object, parts, (texture,), best.chamfer_m, float(np.hypot(*sigma[:2])), float(sigma[2]),
         float(np.sqrt(np.mean(sigma[6:] ** 2))), outline_iou(best, seen.evidence, seen.own),
     )  # fmt: skip
+
+
+def _background_view(depth: MetricDepth, background: BackgroundImage) -> View:
+    height_px, width_px = background.background_rgb.shape[:2]
+    return depth.bodies.main_view.resized(width_px, height_px)
 
 
 def _user_meshes(config: ReconstructConfig) -> dict[int, Path]:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.errors import StageError
 from video2anim.pipeline.config import user_path
 from video2anim.pipeline.options import limits, only_with, only_without
 from video2anim.pipeline.stage import StageContext, StageSpec
@@ -107,7 +106,7 @@ def build_scene(
         return _scanned(motion_m, depth, bodies, config, ctx)
     rested = _rested(bodies)
     pictures = _pictures(clip, background)
-    found = placed.objects if pictures is None else with_moved_objects(pictures, masks, bodies.people, placed.objects)
+    found = placed.objects if pictures is None else with_moved_objects(pictures, masks, bodies, placed.objects)
     moved = [item for item in found if item.path]
     still = [item for item in found if not item.path]
     objects = _not_walked_through(still, rested, bodies, config, ctx)
@@ -182,10 +181,11 @@ def _scanned(
     scan = replace(scan, vertices_m=transform_points(T_world_scan, scan.vertices_m))
     if config.scan_register:
         height, width = depth.background_depth_m.shape
-        body, known = bodies.people[0], depth.background_valid & (depth.background_depth_m < config.far_m)
-        seen_m = backproject(depth.background_depth_m.astype(np.float64), body.intrinsics.resized(width, height))[known]
+        view = bodies.main_view.resized(width, height)
+        known = depth.background_valid & (depth.background_depth_m < config.far_m)
+        seen_m = backproject(depth.background_depth_m.astype(np.float64), view.intrinsics)[known]
         if len(seen_m):
-            found = registered(scan, transform_points(body.T_world_camera[0], seen_m), ctx.rng("scene/scan"))
+            found = registered(scan, transform_points(view.T_world_camera, seen_m), ctx.rng("scene/scan"))
             scan = replace(scan, vertices_m=transform_points(found.T_world_scan, scan.vertices_m))
             ctx.quality("scan_to_depth_before", found.before_m, "m", "lower")
             ctx.quality("scan_to_depth", found.after_m, "m", "lower")
@@ -272,11 +272,8 @@ def _supports(
 
 
 def _motion_bounds(bodies: BodyTracks) -> Float[np.ndarray, "2 3"]:
-    joints = [body.joints_world_m[body.valid].reshape(-1, 3) for body in bodies.people]
-    points = np.concatenate(joints) if joints else np.zeros((0, 3))
-    points = points[np.isfinite(points).all(1)]
-    if not len(points):
-        raise StageError("scene: want a body with at least one valid frame, got none; check stage humans")
+    people = (bodies.main, *bodies.people[1:])
+    points = np.concatenate([body.joints_world_m[body.valid].reshape(-1, 3) for body in people])
     return np.stack([points.min(0), points.max(0)])
 
 

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from video2anim.errors import StageError
 from video2anim.pipeline.options import limits, model_of
 from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import (
@@ -27,13 +26,13 @@ from video2anim.types import (
     InstanceMasks,
     ObjectInstance,
     VideoClip,
+    View,
 )
 
 if TYPE_CHECKING:
     from video2anim.networks.segmentation import Segmentation
     from video2anim.objects.depth_regions import RegionLimits, Regions
     from video2anim.objects.merge import Detection
-    from video2anim.types import BodyMotion
 
 _FURNITURE_WORDS = ("chair", "table", "desk", "box")
 """Words of the detector for what a body uses."""
@@ -85,13 +84,12 @@ def segment_background(
     from video2anim.objects.depth_regions import RegionLimits, find_regions
     from video2anim.objects.merge import Detection
 
-    if not bodies.people or not bodies.people[0].valid.any():
-        raise StageError("segment: want a fitted body with at least one valid frame, got none; check stage humans")
-    shape, body = depth.background_value.shape, bodies.people[0]
+    main, shape = bodies.main, depth.background_value.shape
+    view = main.view().resized(*shape[::-1])
     seen = None if config.provider == "geometric" else ctx.model(config.provider).segment(background.background_rgb)
     named = np.zeros(shape, bool) if seen is None else shrunk(seen.semantic == CLASSES.index("floor"), shape)
     evidence = picture_evidence(depth, background, bodies, camera, named, clip.fps, ctx.rng("segment/points"))
-    depth_m = first_depth_m(evidence, depth, body)
+    depth_m = first_depth_m(evidence, depth, main)
     valid = depth.background_valid & np.isfinite(depth_m)
     depth_m = np.where(np.isfinite(depth_m), depth_m, 1e3)
     limits = RegionLimits(
@@ -100,12 +98,12 @@ def segment_background(
         max_m=config.max_m,
         most=4 * config.max_objects,
     )
-    regions = find_regions(depth_m, valid, body.T_world_camera[0], body.intrinsics.resized(*shape[::-1]), limits)
+    regions = find_regions(depth_m, valid, view, limits)
     named = _named_by_finder(background, depth_m, regions.floor, config, ctx)
     if seen is None and not named:
         found, floor = [Detection("object", r.score, r.mask) for r in regions.objects], regions.floor
     else:
-        found, floor = _with_networks(seen, named, depth_m, valid, regions, limits, body, ctx)
+        found, floor = _with_networks(seen, named, depth_m, valid, regions, limits, view, ctx)
     scores = [item.score + 0.5 * _occlusion_share(item, background) for item in found]
     order = [i for i in np.argsort(scores)[::-1] if scores[i] >= config.min_score][: config.max_objects]
     instances = tuple(
@@ -157,7 +155,7 @@ def _with_networks(
     valid: Bool[np.ndarray, "small_height small_width"],
     regions: Regions,
     limits: RegionLimits,
-    body: BodyMotion,
+    view: View,
     ctx: StageContext,
 ) -> tuple[list[Detection], Bool[np.ndarray, "small_height small_width"]]:
     """What the networks recognize, joined with the regions of depth; and the floor by both."""
@@ -174,8 +172,8 @@ def _with_networks(
         ]
         built = shrunk(np.isin(seen.semantic, [CLASSES.index(name) for name in ("floor", "wall", "ceiling")]), shape)
         floor = shrunk(seen.semantic == CLASSES.index("floor"), shape)
-    camera_m = backproject(depth_m, body.intrinsics.resized(*shape[::-1]))
-    world_m = transform_points(body.T_world_camera[0], camera_m.reshape(-1, 3)).reshape(camera_m.shape)
+    camera_m = backproject(depth_m, view.intrinsics)
+    world_m = transform_points(view.T_world_camera, camera_m.reshape(-1, 3)).reshape(camera_m.shape)
     found = joined_objects(recognised, regions.objects, built, world_m, valid, limits)
     ctx.quality("recognized", len(recognised), "count")
     if seen is None:

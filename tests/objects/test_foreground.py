@@ -8,6 +8,7 @@ import pytest
 from seen_boxes import FLOOR, LENS, Block, Shot, looking, shoot, table
 
 from video2anim.objects.foreground import foreground_mask, inverse_background
+from video2anim.types import View
 
 CAMERA = looking((0.0, 1.6, 0.0), (0.0, 0.6, -3.0))
 WALL = Block((0.0, 1.5, -5.05), (14.0, 3.0, 0.1), np.deg2rad(8.0))
@@ -28,7 +29,7 @@ def behind(shot: Shot, *masks: np.ndarray) -> np.ndarray | None:
 
 def shown(shot: Shot, own: np.ndarray, known: np.ndarray = ALL, depth_m: np.ndarray | None = None) -> np.ndarray:
     depth_m = shot.depth_m if depth_m is None else depth_m
-    return foreground_mask(own, known, depth_m, shot.T_world_camera, LENS, behind(shot, own))
+    return foreground_mask(own, known, depth_m, View(shot.T_world_camera, LENS), behind(shot, own))
 
 
 def test_wall_goes_on_behind_things() -> None:
@@ -98,7 +99,7 @@ def test_pixels_without_depth_never_count_and_hardly_any_left_means_all() -> Non
     unknown = np.zeros_like(own)
     unknown[:, : own.shape[1] // 2] = True
     holes_m = np.where(unknown, np.nan, shot.depth_m)
-    found = foreground_mask(own, ~unknown, holes_m, shot.T_world_camera, LENS, behind(shot, own))
+    found = foreground_mask(own, ~unknown, holes_m, View(shot.T_world_camera, LENS), behind(shot, own))
     assert not found[unknown].any()
     assert found[own & ~unknown].mean() > 0.9
     patch = np.zeros_like(own)

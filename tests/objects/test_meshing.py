@@ -14,7 +14,7 @@ from video2anim.geometry.scene_mesh import with_vertex_colors
 from video2anim.objects.form_fit import POSE, FormFit
 from video2anim.objects.furniture import FORMS, Form
 from video2anim.objects.meshing import ObjectPicture, form_mesh, outline_iou
-from video2anim.types import Mesh, ObjectPart
+from video2anim.types import Mesh, ObjectPart, View
 
 FRONT_RGB, SIDE_RGB, TOP_RGB, ROOM_RGB = (0, 0, 250), (250, 0, 0), (0, 250, 0), (90, 90, 90)
 BLOCK = Block((0.2, 0.4, -3.0), (1.0, 0.8, 0.6), -0.5)
@@ -42,7 +42,7 @@ def painted(scale: int = 1, others: tuple[Block, ...] = ()) -> ObjectPicture:
     mask = shot.mask(0)
     rgb, mask = (image.repeat(scale, 0).repeat(scale, 1) for image in (rgb, mask))
     lens = LENS.resized(scale * LENS.width_px, scale * LENS.height_px)
-    return ObjectPicture(rgb, mask, lens, shot.T_world_camera)
+    return ObjectPicture(rgb, mask, View(shot.T_world_camera, lens))
 
 
 def dense(fit: FormFit, picture: ObjectPicture) -> Mesh:
@@ -115,7 +115,7 @@ def test_parts_behind_parts_do_not_have_their_colors() -> None:
     nearest = np.argmin(first, 0).reshape(row.shape)
     own = np.isfinite(np.min(first, 0)).reshape(row.shape)
     rgb = np.where(own[..., None], np.where((nearest == names.index("back"))[..., None], (0, 0, 250), (250, 0, 0)), 90)
-    mesh, parts, texture = form_mesh(fit, ObjectPicture(rgb.astype(np.uint8), own, LENS, camera))
+    mesh, parts, texture = form_mesh(fit, ObjectPicture(rgb.astype(np.uint8), own, View(camera, LENS)))
     for part in parts:
         faces = slice(part.first_face, part.first_face + part.face_count)
         piece = replace(mesh, faces=mesh.faces[faces])

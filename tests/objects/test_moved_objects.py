@@ -21,6 +21,7 @@ from video2anim.objects.hands import hands_of
 from video2anim.types import (
     BodyMotion,
     BodyShape,
+    BodyTracks,
     InstanceMasks,
     ObjectInstance,
     PlacedObject,
@@ -67,7 +68,7 @@ class Scene:
             for one, mask in zip(objects, masks, strict=True)
         )
         known = InstanceMasks("truth", instances, np.zeros((LENS.height_px, LENS.width_px), bool))
-        return with_moved_objects(self.pictures, known, people or (self.motion,), objects)
+        return with_moved_objects(self.pictures, known, BodyTracks(tuple(people or (self.motion,))), objects)
 
 
 def hand_course(taken: int, put: int, rise: int, lift_m: float) -> np.ndarray:

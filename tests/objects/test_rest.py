@@ -13,7 +13,7 @@ from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.geometry.scene_mesh import box_mesh
 from video2anim.objects.hands import HandPath
 from video2anim.objects.rest import Rest, SceneAtRest
-from video2anim.types import InstanceMasks, ObjectInstance, PlacedObject
+from video2anim.types import InstanceMasks, ObjectInstance, PlacedObject, View
 
 EYE_M = (0.0, 1.6, 0.0)
 T_WORLD_CAMERA = looking(EYE_M, (0.0, 0.6, -3.0))
@@ -33,7 +33,7 @@ def placed(block: Block, number: int = 1, scale: float = 1.0) -> PlacedObject:
 def scene(blocks: Sequence[Block] = (), T_world_camera: np.ndarray = T_WORLD_CAMERA, scale: float = 1.0) -> SceneAtRest:
     objects = [placed(block, number, scale) for number, block in enumerate(blocks, 1)]
     nothing = np.zeros((LENS.height_px, LENS.width_px), bool)
-    return SceneAtRest(objects, InstanceMasks("truth", (), nothing), LENS, T_world_camera)
+    return SceneAtRest(objects, InstanceMasks("truth", (), nothing), View(T_world_camera, LENS))
 
 
 def depth_of(block: Block, T_world_camera: np.ndarray = T_WORLD_CAMERA) -> float:
@@ -203,7 +203,7 @@ def with_masks(boxes: Boxes, shrink: int = 1, gone: int = -1) -> SceneAtRest:
         instances.append(ObjectInstance(number, "object", 1.0, np.zeros(4), mask))
     objects = [placed(TABLE, number) for number in range(1, len(boxes) + 1) if number != gone]
     floor = np.zeros((LENS.height_px * shrink, LENS.width_px * shrink), bool)
-    return SceneAtRest(objects, InstanceMasks("truth", tuple(instances), floor), LENS, T_WORLD_CAMERA)
+    return SceneAtRest(objects, InstanceMasks("truth", tuple(instances), floor), View(T_WORLD_CAMERA, LENS))
 
 
 def outline(x0: int, y0: int, x1: int, y1: int) -> np.ndarray:

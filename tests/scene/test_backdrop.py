@@ -31,6 +31,7 @@ from video2anim.types import (
     ObjectInstance,
     RoomPiece,
     SceneModel,
+    View,
 )
 
 LENS = Intrinsics.centered(300.0, 480, 360)
@@ -176,7 +177,7 @@ def walls_by_axis(found: Backdrop) -> dict[str, np.ndarray]:
 def test_edges_tell_the_heading_of_walls() -> None:
     for yaw_deg in (0.0, 8.0, 33.0):
         world = room(yaw_deg)
-        heading = room_heading(world.background.background_rgb, world.pose, LENS)
+        heading = room_heading(world.background.background_rgb, View(world.pose, LENS))
         assert heading is not None
         assert abs((np.rad2deg(heading) + 45) % 90 - 45) < 1.0
 

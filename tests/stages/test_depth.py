@@ -16,7 +16,7 @@ from video2anim.errors import StageError
 from video2anim.geometry.column_layers import background_distance, ground_contact_distance
 from video2anim.geometry.gravity_view import GravityView
 from video2anim.pipeline.stage import StageContext
-from video2anim.types import BodyTracks, Intrinsics
+from video2anim.types import BodyTracks, Intrinsics, View
 
 
 def _scale_free_error(room: Room, surface: int) -> float:
@@ -77,7 +77,7 @@ def test_no_floor_in_the_picture_is_unknown_not_invented() -> None:
 def test_no_body_is_an_error() -> None:
     room = make_room()
     config = DepthConfig(provider="geometric")
-    with pytest.raises(StageError, match="want at least one fitted body"):
+    with pytest.raises(StageError, match="want a fitted body with at least one valid frame"):
         estimate_depth(None, room.background, BodyTracks((), ()), room.camera, config, StageContext(Path()))  # type: ignore[arg-type]
 
 
@@ -85,9 +85,9 @@ def test_no_body_is_an_error() -> None:
 def test_cylinder_round_trip_and_floor_rows(roll_deg: float) -> None:
     T_world_camera = camera_pose(1.5, 20.0, roll_deg)
     intrinsics = Intrinsics.centered(100.0, 120, 80)
-    view = GravityView.of_camera(T_world_camera, intrinsics)
+    view = GravityView.of(View(T_world_camera, intrinsics))
     grid = view.grid_of_pixels()
-    nodes, seen = view.pixels_of_grid(T_world_camera)
+    nodes, seen = view.pixels_of_grid()
     column, row = (round(float(c)) for c in grid[40, 60])
     assert seen[row, column]
     # The nearest node lies within half a step, which is about half a pixel, on each axis.

@@ -16,7 +16,7 @@ from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.objects.placement import place
 from video2anim.pipeline.stage import StageContext
-from video2anim.types import Intrinsics, ObjectMesh, ObjectMeshes, PlacedObject
+from video2anim.types import Intrinsics, ObjectMesh, ObjectMeshes, PlacedObject, View
 
 
 @pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(14.0, 0.0), (22.0, 12.0)])
@@ -112,7 +112,7 @@ def test_known_mesh_is_brought_to_its_points(base_m: float, pitch_deg: float) ->
     start = np.eye(4)
     start[:3, 3] = (0.7, base_m, -3.3)
     found = place(
-        vertices, faces, start, world_m[seen], T_world_camera, intrinsics,
+        vertices, faces, start, world_m[seen], View(T_world_camera, intrinsics),
         yaw_starts_rad=(-1.0, 0.6, 2.0), rng=np.random.default_rng(0),
     )  # fmt: skip
     assert found.T_world_object[1, 3] == base_m

@@ -40,13 +40,11 @@ def test_empty_room_has_no_objects() -> None:
 
 def test_true_depth_of_any_provider_segments_as_well() -> None:
     room = make_room()
-    body = room.bodies.people[0]
     height, width = room.depth_m.shape
     regions = find_regions(
         room.depth_m,
         np.ones(room.depth_m.shape, dtype=bool),
-        body.T_world_camera[0],
-        body.intrinsics.resized(width, height),
+        room.bodies.main_view.resized(width, height),
         RegionLimits(),
     )
     assert len(regions.objects) == 1

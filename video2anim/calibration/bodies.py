@@ -21,7 +21,7 @@ _HALVINGS = 30
 def calibrated(bodies: BodyTracks, found: Calibration) -> BodyTracks:
     """The same people at their sizes, under the lens and above the floor of the fit (+Y up, floor at y = 0, origin
     below the main person's first valid root). Each keeps its place and size in the picture."""
-    main = bodies.people[0]
+    main = bodies.main
     k = main.intrinsics
     lens = found.focal_px / k.fx_px
     intrinsics = Intrinsics(found.focal_px, k.fy_px * lens, k.cx_px, k.cy_px, k.width_px, k.height_px)
@@ -33,7 +33,7 @@ def calibrated(bodies: BodyTracks, found: Calibration) -> BodyTracks:
         _moved(body, float(ratio), lens, intrinsics, T_world_camera)
         for body, ratio in zip(bodies.people, found.body_height_ratio, strict=True)
     ]
-    first = people[0].joints_world_m[np.flatnonzero(people[0].valid)[0], 0] if people[0].valid.any() else np.zeros(3)
+    first = people[0].joints_world_m[np.flatnonzero(people[0].valid)[0], 0]
     away_m = -first * np.array([1.0, 0.0, 1.0])
     T_world_camera[:, :3, 3] += away_m
     people = [

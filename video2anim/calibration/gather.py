@@ -67,7 +67,7 @@ behind it, and masks that are a little too large touch it."""
 def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) -> PersonEvidence:
     """Soles and balance of one person, in the first frame's camera."""
     shaped = shaped_body(body.shape)
-    T = invert_rigid(body.T_world_camera[0])
+    T = invert_rigid(body.view().T_world_camera)
     frames = np.flatnonzero(body.valid)
     skin = np.flatnonzero(np.isin(shaped.vertex_part, FEET))
     lowest_m = np.empty((len(frames), 3))
@@ -119,7 +119,7 @@ def picture_evidence(
     rng: np.random.Generator,
 ) -> Evidence:
     """Everything but the objects; `floor` is at the size of the depth map."""
-    main = bodies.people[0]
+    main = bodies.main
     pairs = zip(bodies.people, bodies.quality, strict=True)
     people = tuple(person_evidence(body, fps, judged.body_height_sigma_m) for body, judged in pairs)
     other = _OTHER_DEPTH if depth.kind == "depth" else _OTHER_DISPARITY
@@ -156,22 +156,21 @@ def with_objects(
     evidence: Evidence, depth: DepthClip, background: BackgroundImage, main: BodyMotion, masks: InstanceMasks
 ) -> Evidence:
     """The same with what is seen of the objects."""
-    T = main.T_world_camera[0]
     depth_m = first_depth_m(evidence, depth, main)
     floor = shrunk(masks.floor_mask, depth_m.shape)
     passed = passed_before(
         main, background.frame_index, background.selected_mask, main.intrinsics.resized(*depth_m.shape[::-1])
     )
-    view = _View(depth.background_value, depth_m, depth.background_valid & np.isfinite(depth_m), floor, main, T)
+    picture = _Picture(depth.background_value, depth_m, depth.background_valid & np.isfinite(depth_m), floor, main)
     own = [(one, shrunk(one.mask, depth_m.shape)) for one in masks.instances]
-    seen = (view.object(one.object_id, one.label, mask, passed, evidence.people[0]) for one, mask in own)
+    seen = (picture.object(one.object_id, one.label, mask, passed, evidence.people[0]) for one, mask in own)
     return replace(evidence, objects=tuple(seen))
 
 
 def first_depth_m(evidence: Evidence, depth: DepthClip, main: BodyMotion) -> Float[np.ndarray, "height width"]:
     """Depth of the background image by the line through floor and person under the camera of stage humans; NaN where
     none."""
-    T = main.T_world_camera[0]
+    T = main.view().T_world_camera
     line = first_line(evidence, T[1, :3], max(float(T[1, 3]), 0.05))
     return metric_depth(depth.kind, depth.background_value, *line)
 
@@ -227,7 +226,7 @@ def _floor_pixels(
         sure[at[inside, 1], at[inside, 0]] = True
     rows, columns = np.nonzero(sure & depth.background_valid)
     pixel = _pixels(rows, columns, main, shape)
-    T = main.T_world_camera[0]
+    T = main.view().T_world_camera
     down = -(np.concatenate([pixel / main.intrinsics.fx_px, np.ones((len(pixel), 1))], 1) @ T[1, :3])
     reach_m = max(float(T[1, 3]), 0.05) / np.maximum(down, 1e-6)
     usable = np.flatnonzero((down > 0.02) & (reach_m < _FARTHEST_FLOOR_M))
@@ -240,13 +239,13 @@ def _floor_pixels(
     return PixelEvidence(pixel[usable], value)
 
 
-class _View:
+class _Picture:
     """Measures objects in one picture."""
 
     def __init__(
-        self, value: np.ndarray, depth_m: np.ndarray, known: np.ndarray, floor: np.ndarray, main: BodyMotion,
-        T: np.ndarray,
-    ) -> None:  # fmt: skip
+        self, value: np.ndarray, depth_m: np.ndarray, known: np.ndarray, floor: np.ndarray, main: BodyMotion
+    ) -> None:
+        T = main.view().T_world_camera
         self.value, self.depth_m, self.known, self.floor, self.main = value, depth_m, known, floor, main
         rows, columns = np.indices(value.shape)
         self.pixel = _pixels(rows, columns, main, value.shape)

@@ -57,7 +57,8 @@ def passed_before(
     """
     farthest_m = np.zeros((_VOTES, *masks.shape[1:]), np.float32)
     seen, hidden = np.zeros(masks.shape[1:], np.int32), np.zeros(masks.shape[1:], np.int32)
-    still = np.abs(body.T_world_camera[frames] - body.T_world_camera[0]).max(initial=0.0) < _MOVED_M
+    first = body.view().T_world_camera
+    still = np.abs(body.T_world_camera[frames] - first).max(initial=0.0) < _MOVED_M
     chosen = np.flatnonzero(body.valid[frames]) if still else np.zeros(0, np.int64)
     if len(chosen) < _VOTES:
         return Passed(farthest_m[0], seen, hidden)
@@ -65,7 +66,7 @@ def passed_before(
     at = frames[chosen]
     shaped = shaped_body(body.shape)
     skins_m = posed_vertices(body, shaped, None, at)
-    T_camera_world = invert_rigid(body.T_world_camera[0])
+    T_camera_world = invert_rigid(first)
     for skin_m, mask in zip(skins_m, masks[chosen], strict=True):
         camera_m = transform_points(T_camera_world, skin_m)
         there_m = _depth_of(camera_m, shaped.faces, intrinsics)

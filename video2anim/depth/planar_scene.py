@@ -17,7 +17,7 @@ from video2anim.depth.floor_boundary import BoundaryConfig, FloorBoundary, find_
 from video2anim.depth.furniture_layers import grow_cutout
 from video2anim.geometry.column_layers import background_distance, ground_contact_distance
 from video2anim.geometry.gravity_view import GravityView, remap
-from video2anim.types.camera import Intrinsics
+from video2anim.types.camera import View
 
 _EDGE_ROWS = 3
 """Rows below the floor's boundary whose look is mixed with that of the upright surface."""
@@ -51,8 +51,7 @@ class PlanarSceneProxy:
 
 def stage_set_depth(
     background_rgb: UInt8[np.ndarray, "height width 3"],
-    T_world_camera: Float[np.ndarray, "4 4"],
-    intrinsics: Intrinsics,
+    camera: View,
     standing_world_m: Float[np.ndarray, "spots 3"],
     config: StageSetConfig,
 ) -> PlanarSceneProxy | None:
@@ -60,13 +59,13 @@ def stage_set_depth(
     floor).
 
     Args:
-        plate_rgb: picture without people, of the size the intrinsics say.
+        background_rgb: picture without people, of the size the camera says.
         standing_world_m: places on the floor where feet stood.
     """
-    view = GravityView.of_camera(T_world_camera, intrinsics)
+    view = GravityView.of(camera)
     if view.camera_height_m <= 0.05 or not len(standing_world_m):
         return None
-    nodes, seen = view.pixels_of_grid(T_world_camera)
+    nodes, seen = view.pixels_of_grid()
     image = remap(background_rgb, nodes)
     seed = _floor_seeds(view, standing_world_m, config.seed_radius_m) & seen
     if not seed.any():

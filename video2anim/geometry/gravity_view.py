@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.geometry.projection import pixel_rays, project
-from video2anim.types.camera import Intrinsics
+from video2anim.types.camera import View
 
 _LEVEL_RAD = 1e-3
 """Rays closer to the horizon than this meet no floor."""
@@ -23,7 +23,7 @@ _LEVEL_RAD = 1e-3
 class GravityView:
     """Maps between a picture and its cylinder, and what the cylinder knows of the floor y = 0."""
 
-    intrinsics: Intrinsics
+    camera: View
     camera_height_m: float
     ray_horizontal: Float[np.ndarray, "height width"]
     """Horizontal length of the pixel's ray of unit z-depth: horizontal distance = z-depth x this."""
@@ -39,8 +39,9 @@ class GravityView:
     rows: int
 
     @classmethod
-    def of_camera(cls, T_world_camera: Float[np.ndarray, "4 4"], intrinsics: Intrinsics) -> GravityView:
-        """View of a camera; the angular step is that of a pixel at the picture's center."""
+    def of(cls, camera: View) -> GravityView:
+        """Of a camera's view; the angular step is that of a pixel at the picture's center."""
+        T_world_camera, intrinsics = camera.T_world_camera, camera.intrinsics
         R_world_camera = T_world_camera[:3, :3]
         ray_world = pixel_rays(intrinsics) @ R_world_camera.T
         heading = _horizontal(R_world_camera[:, 2], R_world_camera @ np.array([0.0, -1.0, 0.0]))
@@ -51,7 +52,7 @@ class GravityView:
         span = float(np.ptp(azimuth))
         step = max(1.0 / intrinsics.fx_px, span / (2.0 * max(intrinsics.width_px, 8)))
         return cls(
-            intrinsics=intrinsics,
+            camera=camera,
             camera_height_m=float(T_world_camera[1, 3]),
             ray_horizontal=ray_horizontal,
             ray_world=ray_world,
@@ -100,19 +101,18 @@ class GravityView:
         points = self.center_world_m + self.ray_world.reshape(-1, 3)
         return self.locate(points).reshape(*self.ray_horizontal.shape, 2)
 
-    def pixels_of_grid(
-        self, T_world_camera: Float[np.ndarray, "4 4"]
-    ) -> tuple[Float[np.ndarray, "rows columns 2"], Bool[np.ndarray, "rows columns"]]:
+    def pixels_of_grid(self) -> tuple[Float[np.ndarray, "rows columns 2"], Bool[np.ndarray, "rows columns"]]:
         """Pixel under every node of the cylinder, held at the picture's edge, and whether the picture shows it."""
         azimuth = self.azimuth_rad(np.arange(self.columns))[None, :]
         elevation = self.elevation_rad(np.arange(self.rows))[:, None]
         flat = np.cos(azimuth)[..., None] * self.heading_world + np.sin(azimuth)[..., None] * self.right_world
         ray = flat + np.tan(np.clip(elevation, -1.56, 1.56))[..., None] * np.array([0.0, 1.0, 0.0])
-        ray_camera = ray @ T_world_camera[:3, :3]
+        ray_camera = ray @ self.camera.T_world_camera[:3, :3]
         ahead = ray_camera[..., 2] > 1e-6
         ray_camera[~ahead] = (0.0, 0.0, 1.0)
-        pixels = project(ray_camera, self.intrinsics)
-        size = np.array([self.intrinsics.width_px, self.intrinsics.height_px])
+        lens = self.camera.intrinsics
+        pixels = project(ray_camera, lens)
+        size = np.array([lens.width_px, lens.height_px])
         seen = ahead & (pixels >= -0.5).all(-1) & (pixels <= size - 0.5).all(-1)
         return np.clip(pixels, 0, size - 1), seen
 

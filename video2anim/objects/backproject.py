@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import backproject, transform_points
 from video2anim.objects.foreground import foreground_mask, inverse_background
-from video2anim.types import InstanceMasks, MetricDepth
-from video2anim.types.camera import Intrinsics
+from video2anim.types import InstanceMasks, MetricDepth, View
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,9 +33,7 @@ class ObjectBackprojector:
 
     def __init__(self, masks: InstanceMasks, depth: MetricDepth) -> None:
         height, width = depth.background_depth_m.shape
-        body = depth.bodies.people[0]
-        self.T_world_camera: Float[np.ndarray, "4 4"] = body.T_world_camera[0]
-        self.lens: Intrinsics = body.intrinsics.resized(width, height)
+        self.view: View = depth.bodies.main_view.resized(width, height)
         self.known: Bool[np.ndarray, "height width"] = depth.background_valid
         self.floor: Bool[np.ndarray, "height width"] = shrunk(masks.floor_mask, (height, width))
         self._depth_m = depth.background_depth_m.astype(np.float64)
@@ -49,13 +46,13 @@ class ObjectBackprojector:
     def lift(self, object_id: int) -> BackprojectedObject:
         """The object's depth."""
         own = self._masks[object_id]
-        shows = foreground_mask(own, self.known, self._depth_m, self.T_world_camera, self.lens, self._behind)
+        shows = foreground_mask(own, self.known, self._depth_m, self.view, self._behind)
         return BackprojectedObject(own, shows, self._depth_m, self.world_m()[shows])
 
     def world_m(self) -> Float[np.ndarray, "height width 3"]:
         """World points of all pixels."""
-        camera_m = backproject(self._depth_m, self.lens)
-        return transform_points(self.T_world_camera, camera_m.reshape(-1, 3)).reshape(camera_m.shape)
+        camera_m = backproject(self._depth_m, self.view.intrinsics)
+        return transform_points(self.view.T_world_camera, camera_m.reshape(-1, 3)).reshape(camera_m.shape)
 
     @cached_property
     def _behind(self) -> Float[np.ndarray, "height width"] | None:

@@ -21,7 +21,7 @@ from video2anim.objects.changes import Change, lasting_changes
 from video2anim.objects.hands import NEAR_M, UP, Grip, HandPath, grip, hands_of, holders, reach
 from video2anim.objects.meshing import ObjectPicture, box_object
 from video2anim.objects.rest import Rest, SceneAtRest
-from video2anim.types import BodyMotion, Hold, InstanceMasks, ObjectPath, PlacedObject
+from video2anim.types import Hold, InstanceMasks, ObjectPath, PlacedObject
 
 LONG_SIDE_PX = 480
 """Of the pictures that are looked at."""
@@ -92,20 +92,22 @@ class Pictures:
 def with_moved_objects(
     pictures: Pictures,
     masks: InstanceMasks,
-    people: Sequence[BodyMotion],
+    bodies: BodyTracks,
     objects: Sequence[PlacedObject],
 ) -> list[PlacedObject]:
     """The objects, those that somebody moves with their paths, and boxes for moved objects that were not among them.
 
     Nothing is found that never rests for a second.
     """
-    lens = people[0].intrinsics.resized(*pictures.rgb.shape[2:0:-1])
-    hands = [hand for motion in people for hand in hands_of(motion, lens)]
+    height_px, width_px = pictures.rgb.shape[1:3]
+    view = bodies.main_view.resized(width_px, height_px)
+    lens = view.intrinsics
+    hands = [hand for motion in bodies.people for hand in hands_of(motion, lens)]
     changes = lasting_changes(pictures.rgb, pictures.hidden, reach(hands, lens), _MIN_PX)
     largest = sorted(changes, key=lambda change: change.mask.sum(), reverse=True)
     found = [grip(change, hands, pictures.step, lens) for change in largest]
     grips = [one for one in found if one is not None][:_MAX_GRIPS]
-    scene = SceneAtRest(objects, masks, lens, people[0].T_world_camera[0])
+    scene = SceneAtRest(objects, masks, view)
     ways = [way for pair in _pairs(grips) for way in _ways(*pair, scene, pictures)]
     kept = {item.object_id: item for item in objects}
     for way in _apart(ways):
@@ -178,15 +180,15 @@ def _ways(taken: Grip | None, put: Grip | None, scene: SceneAtRest, pictures: Pi
         best = rests[shows.came]
         if put and taken and not best.alike(rests[not shows.came]):
             # Most of it is hidden there: it lies where the hand leaves it.
-            loose = _path(hand, first, last, {shows.came: best}, scene.T_world_camera)
+            loose = _path(hand, first, last, {shows.came: best}, scene.view.T_world_camera)
             rests[not shows.came] = scene.lowered(Rest(loose[first if shows.came else last], best.size_m))
         looks = _looks(shows, rested, hand, best, (first, last), scene, pictures)
         pulled = min(best.size_m[:2]) > _FURNITURE_M
         if pulled and put is None:
             last = looks.let_go(first)
-            loose = _path(hand, first, last, rests, scene.T_world_camera)
+            loose = _path(hand, first, last, rests, scene.view.T_world_camera)
             rests[True] = scene.lowered(Rest(loose[last], best.size_m))
-        T = _path(hand, first, last, rests, scene.T_world_camera)
+        T = _path(hand, first, last, rests, scene.view.T_world_camera)
         if pulled:
             T[:, :3, :3] = matrix_from_axis_angle(np.arctan2(T[:, 0, 2], T[:, 2, 2])[:, None] * UP)
             T[:, 1, 3] = best.T_world_object[1, 3]
@@ -244,18 +246,19 @@ def _looks(
     """
     at = hold[1] if change.came else hold[0]
     offset_m = transform_points(
-        invert_rigid(hand.T_world_hand[at]), _at_hand(hand, at, rest, scene.T_world_camera)[None]
+        invert_rigid(hand.T_world_hand[at]), _at_hand(hand, at, rest, scene.view.T_world_camera)[None]
     )[0]
     center_m = transform_points(hand.T_world_hand, offset_m[None])[:, 0]
-    pixels = project(transform_points(invert_rigid(scene.T_world_camera), center_m), scene.lens)
+    lens = scene.view.intrinsics
+    pixels = project(transform_points(invert_rigid(scene.view.T_world_camera), center_m), lens)
     palette = KDTree(_lab(change.rgb)[cv2.erode(change.mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0])
     others = pictures.colors_of_people(hold)
-    background, half_px = _lab(pictures.background_rgb), (0.5 * max(rest.size_m) + 0.5 * NEAR_M) * scene.lens.fx_px
+    background, half_px = _lab(pictures.background_rgb), (0.5 * max(rest.size_m) + 0.5 * NEAR_M) * lens.fx_px
     found = []
     for sample, rgb in enumerate(pictures.rgb):
         frame = sample * pictures.step
         (x, y), depth_m = pixels[frame], hand.depth_m[frame]
-        if not hand.valid[frame] or not (0 <= x < scene.lens.width_px and 0 <= y < scene.lens.height_px):
+        if not hand.valid[frame] or not (0 <= x < lens.width_px and 0 <= y < lens.height_px):
             continue
         x0, y0 = (max(int(value - half_px / depth_m), 0) for value in (x, y))
         x1, y1 = (int(value + half_px / depth_m) + 1 for value in (x, y))
@@ -297,7 +300,7 @@ def _placed(way: _Way, scene: SceneAtRest, number: int) -> PlacedObject:
     T, hold, item = way.T_world_object, way.hold, way.known
     if item is None:
         rest = T[hold.last_frame if way.change.came else hold.first_frame]
-        picture = ObjectPicture(way.change.rgb, way.change.mask, scene.lens, scene.T_world_camera)
+        picture = ObjectPicture(way.change.rgb, way.change.mask, scene.view)
         mesh, parts, texture = box_object(way.size_m, rest, picture)
         reason = f"moved by the {hold.hand} of person {hold.person_id}"
         item = PlacedObject(

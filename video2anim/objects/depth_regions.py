@@ -11,7 +11,7 @@ from scipy.ndimage import binary_opening, minimum_filter
 
 from video2anim.geometry.column_layers import background_distance
 from video2anim.geometry.gravity_view import GravityView, remap
-from video2anim.types.camera import Intrinsics
+from video2anim.types.camera import View
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +54,11 @@ class Regions:
 def find_regions(
     depth_m: Float[np.ndarray, "height width"],
     valid: Bool[np.ndarray, "height width"],
-    T_world_camera: Float[np.ndarray, "4 4"],
-    intrinsics: Intrinsics,
+    camera: View,
     limits: RegionLimits,
 ) -> Regions:
     """Floor and objects of a background image's metric depth, best first. Any source of depth will do."""
-    view = GravityView.of_camera(T_world_camera, intrinsics)
+    view = GravityView.of(camera)
     height_m = view.center_world_m[1] + depth_m * view.ray_world[..., 1]
     distance_m = depth_m * view.ray_horizontal
     low = np.abs(height_m) < limits.floor_tolerance_m + 0.03 * distance_m
@@ -67,7 +66,7 @@ def find_regions(
     upright = valid & ~floor & ((height_m > 0) | low)
     if not upright.any():
         return Regions((), floor)
-    background_m = _background(view, T_world_camera, distance_m, upright)
+    background_m = _background(view, distance_m, upright)
     near = upright & (distance_m < limits.nearer_ratio * background_m)
     near = np.asarray(binary_opening(near & ~_breaks(depth_m, limits.break_ratio), np.ones((2, 2))), dtype=bool)
     count, parts = cv2.connectedComponents(near.astype(np.uint8), connectivity=4)
@@ -87,11 +86,9 @@ def _lies_flat(view: GravityView, distance_m: np.ndarray) -> Bool[np.ndarray, "h
     return np.abs(change) > 0.5 * np.abs(floor_change)
 
 
-def _background(
-    view: GravityView, T_world_camera: np.ndarray, distance_m: np.ndarray, upright: np.ndarray
-) -> Float[np.ndarray, "height width"]:
+def _background(view: GravityView, distance_m: np.ndarray, upright: np.ndarray) -> Float[np.ndarray, "height width"]:
     """Distance of the background behind every pixel: the farthest upright surface of its plumb column."""
-    nodes, seen = view.pixels_of_grid(T_world_camera)
+    nodes, seen = view.pixels_of_grid()
     there = seen & remap(upright, nodes, nearest=True)
     reach = np.where(there, remap(distance_m.astype(np.float32), nodes, nearest=True), np.nan)
     known = there.sum(0) >= 2

@@ -96,7 +96,7 @@ class ObjectViews:
         if obj.shows.sum() < _MIN_POINTS:
             return None
         nearer = self._nearer(found.object_id)
-        outside, k = self._outside_px(found, obj, self._unseen | nearer), lifter.lens
+        outside, k = self._outside_px(found, obj, self._unseen | nearer), lifter.view.intrinsics
         chosen = np.flatnonzero(own & (obj.shows | ~known))
         row, column = np.unravel_index(chosen[rng.permutation(len(chosen))[:_POINTS]], own.shape)
         local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones(len(row))], -1)
@@ -107,10 +107,10 @@ class ObjectViews:
         )
         sigma = self._depth.object_sigma.get(str(found.object_id), _MIN_DISTANCE_SIGMA)
         evidence = ObjectEvidence(
-            camera_m=lifter.T_world_camera[:3, 3].copy(),
-            T_camera_world=invert_rigid(lifter.T_world_camera),
+            camera_m=lifter.view.T_world_camera[:3, 3].copy(),
+            T_camera_world=invert_rigid(lifter.view.T_world_camera),
             intrinsics=k,
-            rays=local @ lifter.T_world_camera[:3, :3].T,
+            rays=local @ lifter.view.T_world_camera[:3, :3].T,
             depth_m=np.where(obj.shows[row, column], obj.depth_m[row, column], np.nan),
             outside_px=outside,
             free_m=np.where(own & known, obj.depth_m, 0.0),
@@ -146,10 +146,10 @@ class ObjectViews:
 
     def _foot(self, obj: BackprojectedObject) -> Bool[np.ndarray, "height width"]:
         """What is too low to be told from the floor by depth, right below what shows the object."""
-        distance_m = np.linalg.norm(self._world_m - self._lifter.T_world_camera[:3, 3], axis=-1)
+        distance_m = np.linalg.norm(self._world_m - self._lifter.view.T_world_camera[:3, 3], axis=-1)
         low = self._world_m[..., 1] < floor_band_m(distance_m)
         away_m = np.median(distance_m[obj.shows])
-        down_px = int(np.ceil(floor_band_m(away_m) / away_m * self._lifter.lens.fy_px))
+        down_px = int(np.ceil(floor_band_m(away_m) / away_m * self._lifter.view.intrinsics.fy_px))
         below = cv2.dilate(obj.shows.astype(np.uint8), np.ones((down_px + 1, 1), np.uint8), anchor=(0, down_px))
         return obj.own & low & (below > 0)
 

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from video2anim.geometry.harmonic import harmonic_fill
 from video2anim.geometry.projection import backproject, transform_points
-from video2anim.types.camera import Intrinsics
+from video2anim.types.camera import View
 
 _CELLS = 96
 """Cells along the picture's longer side in which the background is filled in."""
@@ -72,8 +72,7 @@ def foreground_mask(
     own: Bool[np.ndarray, "height width"],
     known: Bool[np.ndarray, "height width"],
     depth_m: Float[np.ndarray, "height width"],
-    T_world_camera: Float[np.ndarray, "4 4"],
-    intrinsics: Intrinsics,
+    view: View,
     inverse_background_m: Float[np.ndarray, "height width"] | None,
 ) -> Bool[np.ndarray, "height width"]:
     """The pixels of `own` with depth that show the object; all of them where hardly any would be left.
@@ -84,10 +83,10 @@ def foreground_mask(
     seen = own & known
     if seen.sum() < _MIN_PIXELS:
         return seen
-    camera_m = T_world_camera[:3, 3]
-    world_m = transform_points(T_world_camera, backproject(depth_m.astype(np.float64), intrinsics).reshape(-1, 3))
+    points_m = backproject(depth_m.astype(np.float64), view.intrinsics).reshape(-1, 3)
+    world_m = transform_points(view.T_world_camera, points_m)
     world_m = world_m.reshape(*own.shape, 3)
-    sight_m = world_m - camera_m
+    sight_m = world_m - view.T_world_camera[:3, 3]
     distance_m = np.linalg.norm(sight_m, axis=-1)
     top_m = max(float(np.percentile(world_m[seen][:, 1], 95)), 0.05)
     kept = seen & (world_m[..., 1] >= np.minimum(floor_band_m(distance_m), _LOWEST_SHARE * top_m))

@@ -13,8 +13,7 @@ from video2anim.objects.form_fit import FormFit, ObjectEvidence
 from video2anim.objects.furniture import BOX
 from video2anim.objects.solids import Solids
 from video2anim.objects.texture import textured
-from video2anim.types import Mesh, ObjectPart, Texture
-from video2anim.types.camera import Intrinsics
+from video2anim.types import Mesh, ObjectPart, Texture, View
 
 _SEEN_M = 0.03
 """A surface so far behind the first that a ray meets is still the one that is seen: sides meet at edges."""
@@ -32,8 +31,7 @@ class ObjectPicture:
     rgb: UInt8[np.ndarray, "height width 3"]
     own: Bool[np.ndarray, "height width"]
     """Pixels that show it or were completed."""
-    intrinsics: Intrinsics
-    T_world_camera: Float[np.ndarray, "4 4"]
+    view: View
 
 
 def form_mesh(fit: FormFit, picture: ObjectPicture) -> tuple[Mesh, tuple[ObjectPart, ...], Texture]:
@@ -59,8 +57,8 @@ def _painted(
         first, count = first + len(own_faces), count + len(own_m)
     vertices_m, every = np.concatenate(vertices), np.concatenate(faces)
     # A pixel of the picture at the object's distance.
-    away_m = float(np.linalg.norm(T_world_object[:3, 3] - picture.T_world_camera[:3, 3]))
-    finest_m = away_m / picture.intrinsics.fx_px
+    away_m = float(np.linalg.norm(T_world_object[:3, 3] - picture.view.T_world_camera[:3, 3]))
+    finest_m = away_m / picture.view.intrinsics.fx_px
 
     def color(points_m: np.ndarray, normals: np.ndarray) -> UInt8[np.ndarray, "points 3"]:
         return _colors(points_m, normals, solids, T_world_object, picture)
@@ -78,10 +76,10 @@ def _colors(
 ) -> UInt8[np.ndarray, "points 3"]:
     """Those of the picture where the camera sees a point; elsewhere of the nearest seen place that looks the same way,
     in the object or in its mirror images."""
-    T_object_camera = invert_rigid(T_world_object) @ picture.T_world_camera
+    T_object_camera = invert_rigid(T_world_object) @ picture.view.T_world_camera
     camera_m = transform_points(invert_rigid(T_object_camera), points_m)
     ahead = camera_m[:, 2] > 0.05
-    pixels = project(np.where(ahead[:, None], camera_m, [0.0, 0.0, 1.0]), picture.intrinsics)
+    pixels = project(np.where(ahead[:, None], camera_m, [0.0, 0.0, 1.0]), picture.view.intrinsics)
     height, width = picture.own.shape
     u, v = (np.round(pixels[:, k]).astype(int) for k in (0, 1))
     inside = ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from video2anim.geometry.chamfer import ChamferConfig, ChamferLoss, chamfer_m
 from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.projection import invert_rigid, transform_points
-from video2anim.types.camera import Intrinsics
+from video2anim.types.camera import View
 
 _MAX_FACTOR = 2.5
 """Scales are kept within this factor of the first guess."""
@@ -60,13 +60,12 @@ class _Problem:
         vertices_m: np.ndarray,
         faces: np.ndarray,
         points_world_m: np.ndarray,
-        T_world_camera: np.ndarray,
-        intrinsics: Intrinsics,
+        view: View,
         rng: np.random.Generator,
         max_points: int,
     ) -> None:
-        self.vertices_m, self.faces, self.intrinsics = vertices_m, faces, intrinsics
-        self.T_camera_world = invert_rigid(T_world_camera)
+        self.vertices_m, self.faces, self.intrinsics = vertices_m, faces, view.intrinsics
+        self.T_camera_world = invert_rigid(view.T_world_camera)
         self.points_m = points_world_m[rng.permutation(len(points_world_m))[:max_points]]
         self.max_points, self.rng = max_points, rng
 
@@ -136,8 +135,7 @@ def place(
     faces: Int[np.ndarray, "faces 3"],
     T_world_object: Float[np.ndarray, "4 4"],
     points_world_m: Float[np.ndarray, "points 3"],
-    T_world_camera: Float[np.ndarray, "4 4"],
-    intrinsics: Intrinsics,
+    view: View,
     *,
     yaw_starts_rad: tuple[float, ...],
     rng: np.random.Generator,
@@ -154,7 +152,7 @@ def place(
     """
     if not len(points_world_m) or not len(vertices_m):
         raise ValueError(f"place: want points and vertices, got {len(points_world_m)} and {len(vertices_m)}")
-    problem = _Problem(vertices_m, faces, points_world_m, T_world_camera, intrinsics, rng, max_points)
+    problem = _Problem(vertices_m, faces, points_world_m, view, rng, max_points)
     yaw = float(np.arctan2(T_world_object[0, 2], T_world_object[2, 2]))
     x_m, base_m, z_m = (float(v) for v in T_world_object[:3, 3])
     first = _State(x_m, z_m, yaw, 1.0, base_m)

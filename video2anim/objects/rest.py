@@ -13,8 +13,7 @@ from video2anim.geometry.projection import pixel_rays
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.objects.hands import UP, HandPath
-from video2anim.types import InstanceMasks, PlacedObject
-from video2anim.types.camera import Intrinsics
+from video2anim.types import InstanceMasks, PlacedObject, View
 
 _RESTS_M = 0.25
 """A level surface so far below or above the bottom of something is what it rests on."""
@@ -57,15 +56,9 @@ class Rest:
 class SceneAtRest:
     """The scene in which something moves, in the pictures of a fixed camera."""
 
-    def __init__(
-        self,
-        objects: Sequence[PlacedObject],
-        masks: InstanceMasks,
-        lens: Intrinsics,
-        T_world_camera: Float[np.ndarray, "4 4"],
-    ) -> None:
-        self.objects, self.lens, self.T_world_camera = {item.object_id: item for item in objects}, lens, T_world_camera
-        size = (lens.width_px, lens.height_px)
+    def __init__(self, objects: Sequence[PlacedObject], masks: InstanceMasks, view: View) -> None:
+        self.objects, self.view = {item.object_id: item for item in objects}, view
+        size = (view.intrinsics.width_px, view.intrinsics.height_px)
         self._masks = {
             item.object_id: cv2.resize(item.mask.astype(np.uint8), size, interpolation=cv2.INTER_AREA) > 0
             for item in masks.instances
@@ -86,13 +79,14 @@ class SceneAtRest:
         """A box around what a change shows, at the distance of the hand that has it then, on what is under it."""
         rows, columns = np.nonzero(mask)
         depth_m = float(hand.depth_m[frame])
-        R, origin_m = self.T_world_camera[:3, :3], self.T_world_camera[:3, 3]
-        across_m = (np.ptp(columns) + 1) * depth_m / self.lens.fx_px
-        down_m = (np.ptp(rows) + 1) * depth_m / self.lens.fy_px
+        R, origin_m = self.view.T_world_camera[:3, :3], self.view.T_world_camera[:3, 3]
+        lens = self.view.intrinsics
+        across_m = (np.ptp(columns) + 1) * depth_m / lens.fx_px
+        down_m = (np.ptp(rows) + 1) * depth_m / lens.fy_px
         # A box as deep as wide, seen from above by the camera's pitch, shows its front and its top.
         sine = float(np.clip(-R[1, 2], 0, 0.95))
         height_m = max((down_m - across_m * sine) / np.sqrt(1 - sine**2), 0.25 * across_m)
-        low = R @ pixel_rays(self.lens)[rows.max(), round(columns.mean())]
+        low = R @ pixel_rays(lens)[rows.max(), round(columns.mean())]
         front_m = origin_m + depth_m * low
         support_m = self._support_m(front_m)
         if support_m is not None and low[1] < 0:

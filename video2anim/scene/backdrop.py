@@ -15,7 +15,7 @@ from video2anim.scene.heading import room_heading
 from video2anim.scene.patches import SMOOTH_PX, clear, room_piece, smooth_field, squared, tidy
 from video2anim.scene.planes import Plane, room_planes
 from video2anim.scene.regions import FLOOR, HIDDEN, LOW, cards, labeled
-from video2anim.scene.view import View, look
+from video2anim.scene.view import Look, look
 from video2anim.types.metric import MetricDepth
 from video2anim.types.motion import BodyMotion
 from video2anim.types.scene import BackgroundImage, InstanceMasks, RoomPiece
@@ -32,7 +32,7 @@ class Backdrop:
 
     pieces: tuple[RoomPiece, ...]
     parts: tuple[Part, ...]
-    view: View
+    view: Look
     floor: Bool[np.ndarray, "height width"]
     """Pixels of the view that show the floor, also beyond the floor's mask."""
     surface_m: Float[np.ndarray, "height width"]
@@ -55,8 +55,7 @@ def backdrop(
     """
     sigma = np.zeros_like(depth.background_depth_m) if relative_sigma is None else relative_sigma
     view = look(depth, masks, background, sigma, far_m)
-    body = depth.bodies.people[0]
-    heading_rad = room_heading(background.background_rgb, view.T_world_camera, body.intrinsics)
+    heading_rad = room_heading(background.background_rgb, depth.bodies.main_view)
     paths_m = body_paths(depth.bodies.people)
     people_m = _people_depth(view, paths_m)
     planes, label = _explained(view, heading_rad, people_m, paths_m)
@@ -83,7 +82,7 @@ def body_paths(people: Sequence[BodyMotion]) -> Float[np.ndarray, "points 3"]:
 
 
 def _explained(
-    view: View,
+    view: Look,
     heading_rad: float | None,
     people_m: Float[np.ndarray, "height width"],
     paths_m: Float[np.ndarray, "points 3"],
@@ -118,7 +117,7 @@ def _explained(
     return planes, label
 
 
-def _before_people(plane: Plane, own: np.ndarray, view: View, people_m: np.ndarray, paths_m: np.ndarray) -> bool:
+def _before_people(plane: Plane, own: np.ndarray, view: Look, people_m: np.ndarray, paths_m: np.ndarray) -> bool:
     """People were behind the plane, farther than it can be pushed."""
     if plane.kind in ("backdrop", "level") or not own.any():
         return False
@@ -126,7 +125,7 @@ def _before_people(plane: Plane, own: np.ndarray, view: View, people_m: np.ndarr
     return bool((people_m[own] > pushed.depth_m(view.direction[own])).mean() > _MAX_CUT)
 
 
-def _people_depth(view: View, paths_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "height width"]:
+def _people_depth(view: Look, paths_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "height width"]:
     """Largest depth that people had at each pixel, around their joints and to their skin; 0 where they never were."""
     reached_m = np.zeros(view.shape, np.float32)
     pixel, depth_m, _ = view.pixels(paths_m)
@@ -138,7 +137,7 @@ def _people_depth(view: View, paths_m: Float[np.ndarray, "points 3"]) -> Float[n
     return reached_m
 
 
-def _far_part(view: View, parts: list[Part], own: np.ndarray, paths_m: np.ndarray) -> list[Part]:
+def _far_part(view: Look, parts: list[Part], own: np.ndarray, paths_m: np.ndarray) -> list[Part]:
     """The backdrop behind everything else, square to the sight; none where nothing is far."""
     if not own.any():
         return []
@@ -151,7 +150,7 @@ def _far_part(view: View, parts: list[Part], own: np.ndarray, paths_m: np.ndarra
 
 
 def _surface_depth(
-    view: View, parts: Sequence[Part], label: Int[np.ndarray, "height width"]
+    view: Look, parts: Sequence[Part], label: Int[np.ndarray, "height width"]
 ) -> Float[np.ndarray, "height width"]:
     """Depth of what each pixel shows, by its part; 0 where that is an object or not known. The floor
     counts as the foot of what is seen above it: it belongs to a wall's place or to what is seen through a gap."""
@@ -169,7 +168,7 @@ def _piece(
     parts: Sequence[Part],
     surface_m: Float[np.ndarray, "height width"],
     label: Int[np.ndarray, "height width"],
-    view: View,
+    view: Look,
     background_rgb: UInt8[np.ndarray, "height width 3"],
 ) -> RoomPiece | None:
     """A part where the picture shows nothing farther."""

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from video2anim.scene.patches import Patch
 from video2anim.scene.planes import Plane
 from video2anim.scene.regions import FLOOR
-from video2anim.scene.view import View
+from video2anim.scene.view import Look
 
 BODY_M = 0.3
 """From a joint to the skin and what swings around it: no piece is nearer to people's paths than this."""
@@ -42,18 +42,18 @@ class Part:
     patch: Patch
     own: Bool[np.ndarray, "height width"]
 
-    def reach_m(self, view: View) -> float:
+    def reach_m(self, view: Look) -> float:
         """Usual distance of what it shows from the camera."""
         direction = view.direction[self.own]
         return float(np.median(np.linalg.norm(direction, axis=-1) * np.minimum(self.plane.depth_m(direction), 1e3)))
 
-    def is_open(self, view: View, surface_m: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+    def is_open(self, view: Look, surface_m: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
         """Where pixels show something farther."""
         return surface_m > (1 + THROUGH) * self.plane.depth_m(view.direction)
 
 
 def parts_of(
-    view: View,
+    view: Look,
     planes: Sequence[Plane],
     label: Int[np.ndarray, "height width"],
     paths_m: Float[np.ndarray, "points 3"],
@@ -75,7 +75,7 @@ def parts_of(
     return _cornered(parts, view)
 
 
-def rectangle(plane: Plane, own: Bool[np.ndarray, "height width"], view: View, heading_rad: float = 0.0) -> Patch:
+def rectangle(plane: Plane, own: Bool[np.ndarray, "height width"], view: Look, heading_rad: float = 0.0) -> Patch:
     """Least rectangle around a plane's pixels; walls and cards go down to the floor."""
     if plane.kind == "ceiling":
         across = np.array([np.cos(heading_rad), 0.0, np.sin(heading_rad)])
@@ -100,7 +100,7 @@ def rectangle(plane: Plane, own: Bool[np.ndarray, "height width"], view: View, h
     return Patch(origin_m, across, upward, low, high)
 
 
-def _footed(plane: Plane, own: np.ndarray, floor: np.ndarray, view: View) -> Plane:
+def _footed(plane: Plane, own: np.ndarray, floor: np.ndarray, view: Look) -> Plane:
     """The wall moved towards where the floor ends under it, whose depth gravity alone tells.
 
     Both distances are weighted by their errors: that of the foot grows with its distance, seen from the camera's
@@ -123,7 +123,7 @@ def _footed(plane: Plane, own: np.ndarray, floor: np.ndarray, view: View) -> Pla
     return plane.pushed(float(np.exp(share * np.clip(log_ratio, -MAX_PUSH, MAX_PUSH))))
 
 
-def behind_people(plane: Plane, patch: Patch, view: View, paths_m: Float[np.ndarray, "points 3"]) -> Plane:
+def behind_people(plane: Plane, patch: Patch, view: Look, paths_m: Float[np.ndarray, "points 3"]) -> Plane:
     """The plane pushed along the sight until nobody is seen behind it."""
     from_camera_m = paths_m - view.camera_m
     along = from_camera_m @ plane.normal
@@ -137,7 +137,7 @@ def behind_people(plane: Plane, patch: Patch, view: View, paths_m: Float[np.ndar
     return plane.pushed(need) if 1 < need <= 1 + MAX_PUSH else plane
 
 
-def _cornered(parts: list[Part], view: View) -> list[Part]:
+def _cornered(parts: list[Part], view: Look) -> list[Part]:
     """Walls that end near where they meet end there; likewise walls and the ceiling."""
     ends_m = np.array([[part.patch.low_m, part.patch.high_m] for part in parts])
 
@@ -176,7 +176,7 @@ def _cornered(parts: list[Part], view: View) -> list[Part]:
     return ended
 
 
-def _holds(patch: Patch, plane: Plane, view: View) -> Bool[np.ndarray, "height width"]:
+def _holds(patch: Patch, plane: Plane, view: Look) -> Bool[np.ndarray, "height width"]:
     """Pixels at which the rectangle is met."""
     depth_m = plane.depth_m(view.direction)
     met = np.isfinite(depth_m)
@@ -189,7 +189,7 @@ def _holds(patch: Patch, plane: Plane, view: View) -> Bool[np.ndarray, "height w
 def before_walls(
     parts: Sequence[Part],
     points_m: Float[np.ndarray, "rows columns 3"],
-    view: View,
+    view: Look,
     surface_m: Float[np.ndarray, "height width"],
     *,
     endless: bool = False,

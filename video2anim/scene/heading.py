@@ -9,10 +9,10 @@ depth are 5 to 20 degrees off.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from video2anim.geometry.line_segments import detect_line_segments
-from video2anim.types.camera import Intrinsics
+from video2anim.types.camera import View
 
 _STEP_RAD = np.deg2rad(0.5)
 _EDGE_SIGMA_RAD = np.deg2rad(1.0)
@@ -29,17 +29,16 @@ _APART_RAD = np.deg2rad(8.0)
 """...where it is farther than this from it."""
 
 
-def room_heading(
-    background_rgb: UInt8[np.ndarray, "height width 3"], T_world_camera: Float[np.ndarray, "4 4"], lens: Intrinsics
-) -> float | None:
+def room_heading(background_rgb: UInt8[np.ndarray, "height width 3"], view: View) -> float | None:
     """atan2(z, x) of the walls' normals in the world, modulo a right angle; None where edges do not tell."""
+    lens = view.intrinsics
     height = lens.height_px
     ends = detect_line_segments(background_rgb).ends.reshape(-1, 2, 2)
     if not len(ends):
         return None
     center = np.array([0.5 * (lens.width_px - 1) - lens.cx_px, 0.5 * (height - 1) - lens.cy_px]) / height
     seen = (ends + center) * height / [lens.fx_px, lens.fy_px]
-    ray = np.concatenate([seen, np.ones((*seen.shape[:2], 1))], -1) @ T_world_camera[:3, :3].T
+    ray = np.concatenate([seen, np.ones((*seen.shape[:2], 1))], -1) @ view.T_world_camera[:3, :3].T
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     normal, along = np.cross(ray[:, 0], ray[:, 1]), ray.sum(1)
     length = np.linalg.norm(normal, axis=-1)

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from video2anim.geometry.harmonic import harmonic_fill
 from video2anim.scene.polygons import outlines, triangulated
-from video2anim.scene.view import View
+from video2anim.scene.view import Look
 from video2anim.types.scene import Mesh, RoomPiece, Texture
 
 SMOOTH_PX = 3
@@ -95,7 +95,7 @@ def room_piece(
     name: str,
     patch: Patch,
     field: Float[np.ndarray, "rows columns"],
-    view: View,
+    view: Look,
     shown: Bool[np.ndarray, "height width"],
     background_rgb: UInt8[np.ndarray, "height width 3"],
     openings: tuple[Float[np.ndarray, "4 2"], ...] = (),
@@ -124,7 +124,7 @@ def room_piece(
 
 def _painted(
     patch: Patch,
-    view: View,
+    view: Look,
     shown: Bool[np.ndarray, "height width"],
     background_rgb: UInt8[np.ndarray, "height width 3"],
 ) -> UInt8[np.ndarray, "rows columns 3"]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from video2anim.scene.view import View
+from video2anim.scene.view import Look
 
 DEPTH_SIGMA = 0.05
 """Standard deviation of the logarithm of a network's depth about a wall, that of the clip's scale left out: measured
@@ -43,12 +43,12 @@ class Plane:
     distance_m: float
 
     def depth_m(self, direction: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
-        """Depth at which the plane is met along directions of a `View`; infinite where it is not."""
+        """Depth at which the plane is met along directions of a `Look`; infinite where it is not."""
         along = direction @ self.normal
         met = along > _GRAZING * np.linalg.norm(direction, axis=-1)
         return np.where(met, self.distance_m / np.where(met, along, 1.0), np.inf)
 
-    def off(self, view: View) -> Float[np.ndarray, "height width"]:
+    def off(self, view: Look) -> Float[np.ndarray, "height width"]:
         """Logarithm of the seen depth over the plane's, in `DEPTH_SIGMA`; infinite where the plane is not met."""
         plane_m = self.depth_m(view.direction)
         met = np.isfinite(plane_m)
@@ -59,7 +59,7 @@ class Plane:
         return replace(self, distance_m=self.distance_m * ratio)
 
 
-def room_planes(view: View, open_to: Bool[np.ndarray, "height width"], heading_rad: float | None) -> list[Plane]:
+def room_planes(view: Look, open_to: Bool[np.ndarray, "height width"], heading_rad: float | None) -> list[Plane]:
     """Planes that explain pixels of `open_to`, the one that explains most first.
 
     Args:
@@ -88,13 +88,13 @@ def room_planes(view: View, open_to: Bool[np.ndarray, "height width"], heading_r
 
 
 def supporting(
-    plane: Plane, view: View, normals: Float[np.ndarray, "height width 3"]
+    plane: Plane, view: Look, normals: Float[np.ndarray, "height width 3"]
 ) -> Bool[np.ndarray, "height width"]:
     """Pixels whose depth and slope speak for the plane."""
     return (np.abs(plane.off(view)) < INLIER_SIGMAS) & (-normals @ plane.normal > _FACING)
 
 
-def _voted(view: View, normals: np.ndarray, left: np.ndarray) -> Plane | None:
+def _voted(view: Look, normals: np.ndarray, left: np.ndarray) -> Plane | None:
     """The plane with most votes among all headings and distances, and both level ones."""
     offset_m, normal = view.offset_m[left], normals[left]
     if len(offset_m) < _MIN_SHARE * left.size:
@@ -117,7 +117,7 @@ def _voted(view: View, normals: np.ndarray, left: np.ndarray) -> Plane | None:
     return Plane(kind, candidates[index], float(np.exp(edges[top] + 0.5 * BIN)))
 
 
-def _refined(plane: Plane, view: View, normals: np.ndarray, left: np.ndarray) -> Plane:
+def _refined(plane: Plane, view: Look, normals: np.ndarray, left: np.ndarray) -> Plane:
     """Heading and distance by least squares of the logarithm of depth over the pixels that speak for it."""
     for _ in range(6):
         chosen = left & supporting(plane, view, normals)
@@ -138,7 +138,7 @@ def _heading(plane: Plane) -> float:
     return float(np.arctan2(plane.normal[2], plane.normal[0]))
 
 
-def _squared(plane: Plane, square_rad: float, view: View, normals: np.ndarray, left: np.ndarray) -> Plane:
+def _squared(plane: Plane, square_rad: float, view: Look, normals: np.ndarray, left: np.ndarray) -> Plane:
     """The wall turned to the nearest right angle to a heading, at its pixels' usual distance; the wall itself where
     that would be a larger turn than `_REACH_RAD`."""
     own = _heading(plane)

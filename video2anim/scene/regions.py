@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from video2anim.scene.planes import BIN, DEPTH_SIGMA, INLIER_SIGMAS, Plane
-from video2anim.scene.view import View
+from video2anim.scene.view import Look
 
 FLOOR, HIDDEN = -1, -2
 """Labels beside the numbers of planes: ground, what objects or low objects hide."""
@@ -35,7 +35,7 @@ LOW = 0.2
 the depth's error."""
 
 
-def cards(view: View, open_to: Bool[np.ndarray, "height width"], planes: Sequence[Plane]) -> list[Plane]:
+def cards(view: Look, open_to: Bool[np.ndarray, "height width"], planes: Sequence[Plane]) -> list[Plane]:
     """Upright planes that face the camera, one per distance at which much stands that no plane explains."""
     left = open_to.copy()
     for plane in planes:
@@ -63,7 +63,7 @@ def cards(view: View, open_to: Bool[np.ndarray, "height width"], planes: Sequenc
 
 
 def labeled(
-    view: View, open_to: Bool[np.ndarray, "height width"], planes: Sequence[Plane]
+    view: Look, open_to: Bool[np.ndarray, "height width"], planes: Sequence[Plane]
 ) -> Int[np.ndarray, "height width"]:
     """Number of the plane that each pixel shows, or one of the labels above.
 
@@ -77,7 +77,7 @@ def labeled(
     return _without_crumbs(label, open_to, [*least, round(_CRUMB * label.size)])
 
 
-def _cost(plane: Plane, view: View) -> Float[np.ndarray, "height width"]:
+def _cost(plane: Plane, view: Look) -> Float[np.ndarray, "height width"]:
     """0 where a plane explains depth, 1 where it does not."""
     if plane.kind == "backdrop":
         return np.where(view.unsure, 0.0, np.where(view.known, _WORST, _FAR_COST))
@@ -95,14 +95,14 @@ def _misfit(deviations: np.ndarray) -> np.ndarray:
     return square / (1 + square)
 
 
-def _floor_cost(view: View) -> Float[np.ndarray, "height width"]:
+def _floor_cost(view: Look) -> Float[np.ndarray, "height width"]:
     """0 where depth is that of the floor: ground that the floor's mask lacks."""
     height_m = view.camera_m[1] + view.offset_m[..., 1]
     cost = _misfit(height_m / (LOW * view.eye_m))
     return np.where(view.known & ~view.unsure & (view.direction[..., 1] < 0), cost, _WORST)
 
 
-def _smooth(cost: np.ndarray, open_to: np.ndarray, view: View) -> Float[np.ndarray, "height width"]:
+def _smooth(cost: np.ndarray, open_to: np.ndarray, view: Look) -> Float[np.ndarray, "height width"]:
     radius = max(2, round(_SMOOTH_SHARE * max(view.shape)))
     guide, weight = view.rgb.astype(np.float32) / 255, open_to.astype(np.float32)
     total, share = (

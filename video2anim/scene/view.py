@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Shaped, UInt8
 
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, pixel_rays, project, transform_points
-from video2anim.types.camera import Intrinsics
+from video2anim.types.camera import View
 from video2anim.types.metric import MetricDepth
 from video2anim.types.scene import BackgroundImage, DepthClip, InstanceMasks
 
@@ -24,12 +24,10 @@ _NORMAL_BLUR_PX = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class Look(View):
     """One look at the room. Directions are in world axes, from the camera, with a part of 1 along the view axis: a
     direction times a depth is an offset from the camera in meters."""
 
-    T_world_camera: Float[np.ndarray, "4 4"]
-    intrinsics: Intrinsics
     direction: Float[np.ndarray, "height width 3"]
     depth_m: Float[np.ndarray, "height width"]
     known: Bool[np.ndarray, "height width"]
@@ -87,14 +85,13 @@ class View:
 
 def look(
     depth: MetricDepth, masks: InstanceMasks, background: BackgroundImage, relative_sigma: np.ndarray, far_m: float
-) -> View:
+) -> Look:
     """The first frame's view of the background image. `relative_sigma` is of the background image's depth, as a share
     of it."""
-    body = depth.bodies.people[0]
     height, width = depth.background_depth_m.shape
     shrink = min(1.0, LONG_SIDE_PX / max(height, width))
     size = (max(8, round(width * shrink)), max(8, round(height * shrink)))
-    lens = body.intrinsics.resized(*size)
+    view = depth.bodies.main_view.resized(*size)
 
     def small(values: np.ndarray) -> np.ndarray:
         return cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_NEAREST_EXACT)
@@ -106,11 +103,10 @@ def look(
     for instance in masks.instances:
         objects |= instance.mask
     floor, objects = shrunk(masks.floor_mask, size[::-1], 0.5), shrunk(objects, size[::-1], 0.25)
-    T_world_camera = body.T_world_camera[0]
-    return View(
-        T_world_camera,
-        lens,
-        pixel_rays(lens) @ T_world_camera[:3, :3].T,
+    return Look(
+        view.T_world_camera,
+        view.intrinsics,
+        pixel_rays(view.intrinsics) @ view.T_world_camera[:3, :3].T,
         depth_m,
         known,
         known & ((depth_m > far_m) | (small(relative_sigma) > MAX_DOUBT)),

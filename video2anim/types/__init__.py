@@ -3,7 +3,7 @@
 Every value is a frozen dataclass of numpy arrays and plain values. `stored()` marks how a field lies on disk.
 """
 
-from video2anim.types.camera import CameraEstimate, Intrinsics
+from video2anim.types.camera import CameraEstimate, Intrinsics, View
 from video2anim.types.clip import FPS, SourceInfo, SourceVideo, VideoClip
 from video2anim.types.contact import Contact
 from video2anim.types.metric import MetricDepth
@@ -69,5 +69,6 @@ __all__ = [
     "Texture",
     "Thumbnail",
     "VideoClip",
+    "View",
     "stored",
 ]

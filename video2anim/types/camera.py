@@ -39,6 +39,18 @@ class Intrinsics:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A camera in one frame: where it is and its lens."""
+
+    T_world_camera: Annotated[Float[np.ndarray, "4 4"], Holds.RIGID]
+    intrinsics: Intrinsics
+
+    def resized(self, width_px: int, height_px: int) -> View:
+        """The same view as a picture of another size."""
+        return View(self.T_world_camera, self.intrinsics.resized(width_px, height_px))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class UpEvidence:
     """What one source says of gravity, on its own."""
 

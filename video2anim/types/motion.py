@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import FiniteFloat, NonNegativeInt
 
-from video2anim.types.camera import Intrinsics
+from video2anim.errors import StageError
+from video2anim.types.camera import Intrinsics, View
 from video2anim.types.scene import SceneModel
 from video2anim.types.storage import Holds, OnePer
 
@@ -63,6 +64,10 @@ class BodyMotion:
         """World joints from the first to the last valid frame: where differences over time mean something."""
         rows = np.flatnonzero(self.valid)
         return self.joints_world_m[rows[0] : rows[-1] + 1] if len(rows) else self.joints_world_m[:0]
+
+    def view(self, frame: int = 0) -> View:
+        """The clip's camera in a frame; that of the first one sees the background image."""
+        return View(self.T_world_camera[frame], self.intrinsics)
 
     def in_world(self, T_world_camera: Float[np.ndarray, "frames 4 4"]) -> BodyMotion:
         """The same motion before the same cameras, in a world in which these stand elsewhere."""
@@ -120,6 +125,26 @@ class BodyTracks:
     people: tuple[BodyMotion, ...]
     quality: Annotated[tuple[PersonQuality, ...], OnePer("people")] = ()
     """Of each person."""
+
+    @property
+    def main(self) -> BodyMotion:
+        """The main person, who comes first.
+
+        Raises:
+            StageError: there is nobody, or the main person is seen in no frame.
+        """
+        if not self.people or not self.people[0].valid.any():
+            raise StageError("want a fitted body with at least one valid frame, got none; check stage humans")
+        return self.people[0]
+
+    @property
+    def main_view(self) -> View:
+        """The view of the background image: the clip's camera in the first frame.
+
+        Raises:
+            StageError: as `main`.
+        """
+        return self.main.view()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -211,7 +211,7 @@ def scene_objects(result: SceneResult, truth: Truth) -> list[dict[str, float]]:
     scene, bodies, instances = result.scene, result.bodies, result.get(InstanceMasks)
     if scene is None or bodies is None:
         return []
-    T = truth_from_estimate(bodies.people[0].T_world_camera, truth, match_frames(result.clip, truth))
+    T = truth_from_estimate(bodies.main.T_world_camera, truth, match_frames(result.clip, truth))
     furniture = truth.furniture(MIN_VISIBLE_PX)
     by_mask = {} if instances is None else pairs_by_mask(match_masks(instances, furniture, truth))
     return compared_objects(scene.objects, furniture, by_mask, T)

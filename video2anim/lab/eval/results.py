@@ -90,7 +90,7 @@ class SceneResult:
         found = {name: self.get(kind) for name, kind in MOTION_STAGES.items()}
         people = {name: value.people for name, value in found.items() if value is not None}
         if "raw" in people and (metric := self.get(MetricDepth)) is not None:
-            T_world_camera = metric.bodies.people[0].T_world_camera
+            T_world_camera = metric.bodies.main.T_world_camera
             people["raw"] = tuple(motion.in_world(T_world_camera) for motion in people["raw"])
         return people
 
