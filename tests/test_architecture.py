@@ -143,6 +143,25 @@ def test_stages_never_import_another_stage() -> None:
     assert not wrong
 
 
+def unread(whole: ast.Module) -> list[str]:
+    """Parameters of functions that their bodies never name, but `config` and `ctx` of stages; protocols have no bodies."""
+    found = []
+    for node in ast.walk(whole):
+        if isinstance(node, ast.FunctionDef) and ast.unparse(node.body[-1]) != "...":
+            named = {n.id for part in node.body for n in ast.walk(part) if isinstance(n, ast.Name)}
+            parameters = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+            given = {"self", "cls", "_"} | ({"config", "ctx"} if parameters[-2:] == ["config", "ctx"] else set())
+            found += [f"{node.name}({name})" for name in parameters if name not in named | given]
+    return found
+
+
+def test_stages_read_what_they_take() -> None:
+    """An input that is never read makes a stage run again for nothing."""
+    wrong = {relative(path): unread(tree(path)) for path in sources() if relative(path).startswith("stages/")}
+    assert not {path: names for path, names in wrong.items() if names}
+    assert unread(ast.parse("def f(a, b, *, c):\n    return a + c")) == ["f(b)"]
+
+
 def test_only_the_command_line_imports_stages() -> None:
     importers = {
         relative(path).rsplit("/", 1)[0]

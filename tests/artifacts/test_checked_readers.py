@@ -8,7 +8,6 @@ import re
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from unchecked import unchecked
 from walk_scene import box_mesh, room, walk
 
 from video2anim.artifacts.codec import read_value, write_value
@@ -183,7 +183,7 @@ def test_motions_of_a_stage_have_the_clips_frames(tmp_path: Path) -> None:
     )
     assert read_value(RefinedMotion, folder).people[0].frame_count == 5
     assert r"frame_time_s: want shape (6,), got (5,)" in refused(RefinedMotion, folder, clip)
-    folder = written(BodyTracks((walk(6), walk(5, 2))), tmp_path / "stages" / "04_humans")
+    folder = written(unchecked(BodyTracks(()), people=(walk(6), walk(5, 2))), tmp_path / "stages" / "04_humans")
     assert "want shape (6,), got (5,)" in refused(BodyTracks, folder)
 
 
@@ -203,9 +203,10 @@ def test_motions_of_several_fields_have_files_of_their_own(tmp_path: Path) -> No
 
 def test_keyframes_are_frames_of_the_clip(tmp_path: Path) -> None:
     for wrong in ([0, 5, 6], [-1, 2], [3, 3], [4, 1]):
-        folder = written(KeyframedMotion((walk(FRAMES),), (np.array(wrong),)), tmp_path / "stages" / f"13_k{wrong[0]}")
+        value = unchecked(KeyframedMotion((), ()), people=(walk(FRAMES),), keyframe_index=(np.array(wrong),))
+        folder = written(value, tmp_path / "stages" / f"13_k{wrong[0]}")
         assert "want numbers of frames" in refused(KeyframedMotion, folder)
-    folder = written(KeyframedMotion((walk(FRAMES),), ()), tmp_path / "stages" / "13_none")
+    folder = written(unchecked(KeyframedMotion((), ()), people=(walk(FRAMES),)), tmp_path / "stages" / "13_none")
     assert "keyframe_index: want one of each of the 1 people, got 0" in refused(KeyframedMotion, folder)
 
 
@@ -378,12 +379,12 @@ def test_persons_to_work_on_are_among_the_tracked(tmp_path: Path) -> None:
         4, rows, np.ones(3), np.ones((3, 4)), np.ones((3, 33, 2)), np.full((3, 33, 3), np.nan), np.ones((3, 33)),
         np.zeros((3, 64, 64), np.uint8), np.ones((3, 2, 3)),
     )  # fmt: skip
-    longer = replace(track, valid=np.ones(4, bool))
+    longer = unchecked(track, valid=np.ones(4, bool))
     good = written(PersonTracks((track,), (4,)), tmp_path / "stages" / "02_a")
     assert np.isnan(read_value(PersonTracks, good).people[0].landmarks_m).all(), (
         "gaps are allowed where the type says so"
     )
-    bad = written(PersonTracks((track,), (5,)), tmp_path / "stages" / "02_b")
+    bad = written(unchecked(PersonTracks((track,), (4,)), selected_ids=(5,)), tmp_path / "stages" / "02_b")
     assert "selected_ids: want numbers among [4], got (5,)" in refused(PersonTracks, bad)
     uneven = written(PersonTracks((longer,), (4,)), tmp_path / "stages" / "02_c")
     assert "people.0.score: want shape (4,), got (3,)" in refused(PersonTracks, uneven)

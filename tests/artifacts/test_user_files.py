@@ -161,7 +161,7 @@ def test_what_no_room_has_is_refused(tmp_path: Path, places: str, corners: str, 
 
 
 def test_too_many_faces_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(user_files, "MOST_FACES", 11)
+    monkeypatch.setattr(user_files, "MAX_FACES", 11)
     assert "want a mesh of at most 11 faces, got 12" in refused(export(red_box(), tmp_path / "box.ply"))
 
 

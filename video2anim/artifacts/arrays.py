@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import math
 import os
-import typing
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 
 from video2anim.artifacts.stage_files import MAX_BYTES, opened, shown
 from video2anim.errors import ArtifactError
+from video2anim.types.checks import annotation, content_fault, shape_fault
 from video2anim.types.storage import Holds
 
 Axes = MutableMapping[str, int]
@@ -24,22 +24,8 @@ Axes = MutableMapping[str, int]
 CLIP_AXES = ("frames", "height", "width")
 """Axes that mean the same in every value made from a clip."""
 
-MAX_M = 1e4
-"""Places farther away than 10 km are in the wrong unit."""
-_ROTATION_TOLERANCE = 1e-3
 _DEFLATE_RATIO = 1032
 """The most that one byte of a zip's deflate stream can become."""
-
-
-def annotation(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    """A type and what `Annotated` says of it."""
-    return (hint.__origin__, hint.__metadata__) if typing.get_origin(hint) is typing.Annotated else (hint, ())
-
-
-def is_array(hint: Any) -> bool:
-    """Whether a type is an array: plain, or with a kind and shape by jaxtyping."""
-    kind = annotation(hint)[0]
-    return kind is np.ndarray or getattr(kind, "array_type", None) is np.ndarray
 
 
 class Archive:
@@ -134,16 +120,13 @@ def expect_shape(shape: tuple[int, ...], dtype: np.dtype, hint: Any, axes: Axes,
         raise ArtifactError(f"{shown(name)}: want {kinds[-1]}, got {shown(str(dtype))} in {where}")
     if kind is np.ndarray:
         return
-    words = [int(word) if word.isdigit() else word for word in kind.dim_str.split()]
-    wanted = [axes.get(word, word) if isinstance(word, str) else word for word in words]
-    pairs = list(zip(wanted, shape, strict=False))
-    if len(wanted) != len(shape) or any(length != want for want, length in pairs if isinstance(want, int)):
-        text = f"({', '.join(map(str, wanted))}{',' if len(wanted) == 1 else ''})"
-        raise ArtifactError(f"{shown(name)}: want shape {text}, got {shape} in {where}")
-    new = {word: length for word, length in pairs if isinstance(word, str)}
-    if any(new.get(word) == 0 for word in CLIP_AXES):
-        raise ArtifactError(f"{shown(name)}: want at least one of {', '.join(new)}, got shape {shape} in {where}")
-    axes.update(new)
+    own: dict[str, int] = dict(axes)
+    if fault := shape_fault(shape, kind, own):
+        raise ArtifactError(f"{shown(name)}: {fault} in {where}")
+    named = [word for word in kind.dim_str.split() if not word.isdigit()]
+    if any(own[word] == 0 for word in named if word in CLIP_AXES):
+        raise ArtifactError(f"{shown(name)}: want at least one of {', '.join(named)}, got shape {shape} in {where}")
+    axes.update({word: own[word] for word in named})
 
 
 def _kinds(hint: Any) -> tuple[str, ...]:
@@ -160,42 +143,5 @@ def expect_content(array: np.ndarray, marks: tuple[Any, ...], axes: Mapping[str,
     Raises:
         ArtifactError: they are not; names the first row that is wrong.
     """
-    if array.dtype.kind in "fc" and Holds.GAPS not in marks and not np.isfinite(array).all():
-        raise ArtifactError(f"{shown(name)}: want finite numbers, got NaN or infinity in {where}")
-    for mark in marks:
-        bad = np.atleast_1d(_FAULTS[mark](array, axes)) if mark in _FAULTS else np.zeros(1, bool)
-        if bad.any():
-            row = ", ".join(str(index) for index in np.unravel_index(int(bad.argmax()), bad.shape))
-            raise ArtifactError(f"{shown(name)}: want {mark.value}, got something else at [{row}] in {where}")
-
-
-def _no_rotation(R: np.ndarray, _: Mapping[str, int]) -> np.ndarray:
-    R = np.clip(R, -2.0, 2.0)  # a product of huge numbers overflows; these are no rotation either
-    off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max((-1, -2))
-    return (off > _ROTATION_TOLERANCE) | (np.linalg.det(R) < 0)
-
-
-def _not_rigid(T: np.ndarray, axes: Mapping[str, int]) -> np.ndarray:
-    last = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(-1)
-    return _no_rotation(T[..., :3, :3], axes) | (np.abs(T[..., :3, 3]).max(-1) > MAX_M) | (last > 1e-6)
-
-
-def _not_rising(rows: np.ndarray, _: Mapping[str, int]) -> np.ndarray:
-    return np.append(False, ~(rows[1:] > rows[:-1]))
-
-
-def _no_frames(rows: np.ndarray, axes: Mapping[str, int]) -> np.ndarray:
-    return _not_rising(rows, axes)[: len(rows)] | (rows < 0) | (rows >= axes.get("frames", np.inf))
-
-
-_FAULTS: dict[Any, Callable[[np.ndarray, Mapping[str, int]], np.ndarray]] = {
-    Holds.ROTATION: _no_rotation,
-    Holds.RIGID: _not_rigid,
-    Holds.DIRECTION: lambda vector, _: np.abs(np.square(np.clip(vector, -2, 2)).sum(-1) - 1.0) > _ROTATION_TOLERANCE,
-    Holds.RISING: _not_rising,
-    Holds.FRAMES: _no_frames,
-    Holds.SHARES: lambda share, _: (share < -1e-6) | (share > 1 + 1e-6),
-    Holds.FROM_ORIGIN: lambda points, _: np.abs(points) > np.append(1e-6, np.full(len(points) - 1, MAX_M))[:, None],
-    Holds.SOMETHING: lambda picture, _: np.asarray(not picture.any()),
-}
-"""Where an array is not what a mark says: one boolean per row."""
+    if fault := content_fault(array, marks, axes):
+        raise ArtifactError(f"{shown(name)}: {fault} in {where}")

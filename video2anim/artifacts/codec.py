@@ -22,12 +22,13 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
-from video2anim.artifacts.arrays import CLIP_AXES, Archive, Axes, annotation, is_array, opened_archive
+from video2anim.artifacts.arrays import CLIP_AXES, Archive, Axes, opened_archive
 from video2anim.artifacts.images import read_png, write_png
 from video2anim.artifacts.meshes import read_ply, write_ply
 from video2anim.artifacts.motion_io import read_motion, write_motion
 from video2anim.artifacts.stage_files import ARRAYS_NPZ, MASKS_NPZ, VALUE_JSON, member, read_json, shown
 from video2anim.errors import ArtifactError
+from video2anim.types.checks import annotation, count_fault, ids_fault, is_array
 from video2anim.types.clip import VideoClip
 from video2anim.types.motion import BodyMotion
 from video2anim.types.scene import Mesh
@@ -191,23 +192,21 @@ class _Reader:
         for name, hint in hints.items():
             for mark in annotation(hint)[1]:
                 self._expect_counterparts(kind, name, mark, found)
-        return kind(**found)
+        try:
+            return kind(**found)
+        except ValueError as error:
+            raise ArtifactError(f"{error} in {self._folder}") from error
 
     def _expect_counterparts(self, kind: type, name: str, mark: Any, found: dict[str, Any]) -> None:
         """What one field must have in common with another."""
         if isinstance(mark, OnePer):
-            optional = next(f for f in dataclasses.fields(kind) if f.name == name).default is not dataclasses.MISSING
-            wanted, came = len(found[mark.field]), len(found[name])
-            if came != wanted and not (optional and came == 0):
-                raise ArtifactError(
-                    f"{name}: want one of each of the {wanted} {mark.field}, got {came} in {self._folder}"
-                )
-        if isinstance(mark, IdsOf):
-            ids = [item.person_id for item in found[mark.field]]
-            if not set(found[name]) <= set(ids):
-                raise ArtifactError(
-                    f"{name}: want numbers among {shown(ids)}, got {shown(found[name])} in {self._folder}"
-                )
+            fault = count_fault(kind, name, mark, len(found[name]), len(found[mark.field]))
+        elif isinstance(mark, IdsOf):
+            fault = ids_fault(found[mark.field], found[name])
+        else:
+            return
+        if fault is not None:
+            raise ArtifactError(f"{name}: {shown(fault)} in {self._folder}")
 
 
 class _Scope(ChainMap[str, int]):

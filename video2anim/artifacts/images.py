@@ -9,9 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from video2anim.artifacts.arrays import Axes, annotation, damage, expect_content, expect_shape
+from video2anim.artifacts.arrays import Axes, damage, expect_content, expect_shape
 from video2anim.artifacts.stage_files import opened
 from video2anim.errors import ArtifactError, InputError
+from video2anim.types.checks import annotation
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _MAX_PIXELS = 1 << 27

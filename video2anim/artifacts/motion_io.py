@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from pydantic import NonNegativeInt, TypeAdapter, ValidationError
 
-from video2anim.artifacts.arrays import Axes, is_array, opened_archive
+from video2anim.artifacts.arrays import Axes, opened_archive
 from video2anim.artifacts.stage_files import first_fault
 from video2anim.errors import ArtifactError
 from video2anim.types.camera import Intrinsics
+from video2anim.types.checks import is_array
 from video2anim.types.motion import BodyMotion, BodyShape
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.types.storage import Holds

@@ -121,15 +121,16 @@ def read_mesh_file(path: Path) -> Mesh:
     if (faces := sum(len(part.faces) for part in parts)) > MAX_FACES:
         raise InputError(f"want a mesh of at most {MAX_FACES:,} faces, got {faces:,} at {path}; simplify it first")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    mesh = Mesh(
-        np.concatenate([np.asarray(part.vertices, np.float64) for part in parts]),
-        np.concatenate([np.asarray(part.faces, np.int64) + start for part, start in zip(parts, starts, strict=True)]),
-        np.concatenate([_vertex_rgb(part, path) for part in parts]),
-    )
+    vertices_m = np.concatenate([np.asarray(part.vertices, np.float64) for part in parts])
+    triangles = [np.asarray(part.faces, np.int64) + start for part, start in zip(parts, starts, strict=True)]
+    rgb = np.concatenate([_vertex_rgb(part, path) for part in parts])
     try:
+        mesh = Mesh(vertices_m, np.concatenate(triangles), rgb)
         expect_sound(mesh, path)
     except ArtifactError as error:
         raise InputError(str(error)) from error
+    except ValueError as error:
+        raise InputError(f"{path.name}: {error} at {path}") from error
     return mesh
 
 

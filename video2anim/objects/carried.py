@@ -21,7 +21,7 @@ from video2anim.objects.changes import Change, lasting_changes
 from video2anim.objects.hands import NEAR_M, UP, Grip, HandPath, grip, hands_of, holders, reach
 from video2anim.objects.meshing import ObjectPicture, box_object
 from video2anim.objects.rest import Rest, SceneAtRest
-from video2anim.types import Hold, InstanceMasks, ObjectPath, PlacedObject
+from video2anim.types import BodyTracks, Hold, InstanceMasks, ObjectPath, PlacedObject
 
 LONG_SIDE_PX = 480
 """Of the pictures that are looked at."""

@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import FiniteFloat, NonNegativeFloat, PositiveFloat, PositiveInt
 
+from video2anim.types.checks import Checked
 from video2anim.types.storage import Holds
 
 
 @dataclass(frozen=True, slots=True)
-class Intrinsics:
+class Intrinsics(Checked):
     """Pinhole camera. Pixel (0, 0) is the center of the top-left pixel; +x right, +y down, +z forward."""
 
     fx_px: PositiveFloat
@@ -39,7 +40,7 @@ class Intrinsics:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class View(Checked):
     """A camera in one frame: where it is and its lens."""
 
     T_world_camera: Annotated[Float[np.ndarray, "4 4"], Holds.RIGID]
@@ -51,7 +52,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UpEvidence:
+class UpEvidence(Checked):
     """What one source says of gravity, on its own."""
 
     source: str
@@ -62,7 +63,7 @@ class UpEvidence:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraEstimate:
+class CameraEstimate(Checked):
     """Lens and gravity of the clip's camera."""
 
     intrinsics: Intrinsics

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import FiniteFloat, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
+from video2anim.types.checks import Checked
 from video2anim.types.storage import Holds, PayloadFile
 
 FPS = 30.0
@@ -26,7 +27,7 @@ class SourceVideo:
 
 
 @dataclass(frozen=True, slots=True)
-class SourceInfo:
+class SourceInfo(Checked):
     """What the container and decoder said of the input."""
 
     codec: str
@@ -47,7 +48,7 @@ class SourceInfo:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class VideoClip:
+class VideoClip(Checked):
     """One shot at 30 fps. Read its pictures with `video2anim.video.read_frames`."""
 
     video: PayloadFile

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 from pydantic import ConfigDict, FiniteFloat, NonNegativeInt
 
+from video2anim.types.checks import Checked
+
 FLOOR = "floor"
 """Label and surface of the floor, which is no object."""
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
+class Contact(Checked):
     """A part of a body on one surface for a while: an edge of the contact graph."""
 
     __pydantic_config__ = ConfigDict(strict=True, extra="forbid")

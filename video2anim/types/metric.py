@@ -12,12 +12,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import FiniteFloat, NonNegativeFloat, PositiveFloat
 
+from video2anim.types.checks import Checked
 from video2anim.types.motion import BodyTracks
 from video2anim.types.storage import Holds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MetricDepth:
+class MetricDepth(Checked):
     """Scale and offset that make a `DepthClip` metric (paper 8.1), the depth they give, every object and the people at
     their own distance, and the people and camera that were fitted with them."""
 

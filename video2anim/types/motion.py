@@ -11,12 +11,13 @@ from pydantic import FiniteFloat, NonNegativeInt
 
 from video2anim.errors import StageError
 from video2anim.types.camera import Intrinsics, View
+from video2anim.types.checks import Checked, expect_equal_lengths, expect_sound
 from video2anim.types.scene import SceneModel
 from video2anim.types.storage import Holds, OnePer
 
 
 @dataclass(frozen=True, slots=True)
-class BodyShape:
+class BodyShape(Checked):
     """Parameters that a body model turns into a rest body."""
 
     model: str
@@ -27,7 +28,7 @@ class BodyShape:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BodyMotion:
+class BodyMotion(Checked):
     """Skeletal motion of one person at 30 fps in the world frame (+Y up, floor at y = 0, meters).
 
     Rows with `valid` False are finite (held or interpolated) but are not measurements.
@@ -90,7 +91,7 @@ class BodyMotion:
 
 
 @dataclass(frozen=True, slots=True)
-class PersonQuality:
+class PersonQuality(Checked):
     """What speaks for and against one fitted person; everything is known without truth."""
 
     reprojection_px: float
@@ -118,13 +119,21 @@ class PersonQuality:
         return not self.doubts
 
 
+def _expect_people(value: BodyTracks | KeyframedMotion | RefinedMotion) -> None:
+    expect_sound(value)
+    expect_equal_lengths(value, "people", [one.frame_count for one in value.people])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class BodyTracks:
+class BodyTracks(Checked):
     """Bodies as fitted to the video, before any prior repairs them ("raw" in reports)."""
 
     people: tuple[BodyMotion, ...]
     quality: Annotated[tuple[PersonQuality, ...], OnePer("people")] = ()
     """Of each person."""
+
+    def __post_init__(self) -> None:
+        _expect_people(self)
 
     @property
     def main(self) -> BodyMotion:
@@ -148,16 +157,19 @@ class BodyTracks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KeyframedMotion:
+class KeyframedMotion(Checked):
     """Motion after keyframe optimization (paper 8.2): roots of the keyframes moved, others interpolated."""
 
     people: tuple[BodyMotion, ...]
     keyframe_index: Annotated[tuple[Annotated[Int[np.ndarray, "keyframes"], Holds.FRAMES], ...], OnePer("people")]
     """Optimized frames, one array per person."""
 
+    def __post_init__(self) -> None:
+        _expect_people(self)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RefinedMotion:
+class RefinedMotion(Checked):
     """Final motion."""
 
     people: tuple[BodyMotion, ...]
@@ -170,3 +182,6 @@ class RefinedMotion:
     """The same solve from the observed motion: what is left of the result without the prior."""
     scene: SceneModel
     """The scene that the motion fits: objects moved along their lines of sight."""
+
+    def __post_init__(self) -> None:
+        _expect_people(self)

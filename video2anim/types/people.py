@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from pydantic import NonNegativeInt
 
+from video2anim.types.checks import Checked
 from video2anim.types.storage import Holds, IdsOf, OnePer, Storage, stored
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PersonTrack:
+class PersonTrack(Checked):
     """One person from the first frame to the last that shows them. Where `valid` is False the other rows are NaN
     (masks 0)."""
 
@@ -63,7 +64,7 @@ class PersonTrack:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Thumbnail:
+class Thumbnail(Checked):
     """A person as seen in the frame that shows most of them."""
 
     person_id: NonNegativeInt
@@ -72,7 +73,7 @@ class Thumbnail:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PersonTracks:
+class PersonTracks(Checked):
     """All people, largest mean box area first."""
 
     people: tuple[PersonTrack, ...]

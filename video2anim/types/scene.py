@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from pydantic import Field, FiniteFloat, NonNegativeFloat, NonNegativeInt, PositiveFloat
 
+from video2anim.types.checks import Checked, expect_sound
 from video2anim.types.storage import Holds, Storage, stored
 
 MAX_FACES = 3_000_000
@@ -19,16 +20,24 @@ MAX_FACES = 3_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mesh:
+class Mesh(Checked):
     """Triangles with a color per vertex. Stored as PLY."""
 
     vertices_m: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
     vertex_rgb: UInt8[np.ndarray, "vertices 3"]
 
+    def __post_init__(self) -> None:
+        expect_sound(self)
+        if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices_m):
+            raise ValueError(
+                f"Mesh.faces: want triangles of {len(self.vertices_m)} vertices, "
+                f"got numbers {self.faces.min()} to {self.faces.max()}"
+            )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BackgroundImage:
+class BackgroundImage(Checked):
     """The picture without its people (temporal median), and where people are in sampled frames."""
 
     background_rgb: UInt8[np.ndarray, "height width 3"] = stored(Storage.IMAGE)
@@ -44,7 +53,7 @@ class BackgroundImage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DepthClip:
+class DepthClip(Checked):
     """Depth up to one scale and offset for the whole clip, at the working resolution."""
 
     kind: Annotated[str, Field(pattern="^(depth|disparity)$")]
@@ -63,7 +72,7 @@ class DepthClip:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObjectInstance:
+class ObjectInstance(Checked):
     """One object in the background image."""
 
     object_id: NonNegativeInt
@@ -76,14 +85,14 @@ class ObjectInstance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class InstanceMasks:
+class InstanceMasks(Checked):
     provider: str
     instances: tuple[ObjectInstance, ...]
     floor_mask: Bool[np.ndarray, "height width"] = stored(Storage.IMAGE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CompletedObject:
+class CompletedObject(Checked):
     """An object with its hidden parts restored (amodal)."""
 
     object_id: NonNegativeInt
@@ -103,7 +112,7 @@ class CompletedObjects:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Texture:
+class Texture(Checked):
     """A picture on the faces of a mesh."""
 
     image_rgb: UInt8[np.ndarray, "rows columns 3"] = stored(Storage.IMAGE)
@@ -112,7 +121,7 @@ class Texture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObjectPart:
+class ObjectPart(Checked):
     """A run of faces of an object's mesh that is one object to a body: a closed surface of its own."""
 
     name: str
@@ -122,7 +131,7 @@ class ObjectPart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObjectMesh:
+class ObjectMesh(Checked):
     """A reconstructed object in its own frame: +Y up, front towards +Z, resting on y = 0, its seat, top or body over
     the origin."""
 
@@ -154,7 +163,7 @@ class ObjectMeshes:
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
+class Hold(Checked):
     """A stretch of frames in which somebody has an object in hand."""
 
     person_id: NonNegativeInt
@@ -164,18 +173,29 @@ class Hold:
     last_frame: NonNegativeInt
     """The last one held."""
 
+    def __post_init__(self) -> None:
+        expect_sound(self)
+        if self.last_frame < self.first_frame:
+            raise ValueError(f"Hold.last_frame: want {self.first_frame} or later, got {self.last_frame}")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObjectPath:
+class ObjectPath(Checked):
     """Rigid motion of an object that somebody moves: one pose per frame of the clip, constant while nobody holds it."""
 
     T_world_object: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
     holds: tuple[Hold, ...]
     """In order of time."""
 
+    def __post_init__(self) -> None:
+        expect_sound(self)
+        if any(hold.last_frame >= len(self.T_world_object) for hold in self.holds):
+            last = max(hold.last_frame for hold in self.holds)
+            raise ValueError(f"ObjectPath.holds: want frames of the {len(self.T_world_object)}, got {last}")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlacedObject:
+class PlacedObject(Checked):
     """Metric pose of an object (paper 8.1): x_world = T_world_object @ (scale * x_object)."""
 
     object_id: NonNegativeInt
@@ -218,7 +238,7 @@ class PlacedObjects:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RoomPiece:
+class RoomPiece(Checked):
     """A part of what is around people and objects, in the world. Flat, but for a user's scan."""
 
     name: str
@@ -232,7 +252,7 @@ class RoomPiece:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SceneModel:
+class SceneModel(Checked):
     """Everything the body can touch, in the world frame."""
 
     objects: tuple[PlacedObject, ...]

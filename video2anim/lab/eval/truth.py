@@ -11,12 +11,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
 from pydantic import Field, FiniteFloat, NonNegativeInt
 
-from video2anim.artifacts.arrays import MAX_M, Archive, Axes, expect_content, opened_archive
+from video2anim.artifacts.arrays import Archive, Axes, expect_content, opened_archive
 from video2anim.artifacts.images import read_png
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.artifacts.stage_files import member, read_json
 from video2anim.errors import ArtifactError, InputError
 from video2anim.types import BodyMotion, Intrinsics
+from video2anim.types.checks import MAX_M
 from video2anim.types.storage import Holds
 
 _FIRST_PERSON_VALUE = 1000
