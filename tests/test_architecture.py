@@ -144,7 +144,7 @@ def test_stages_never_import_another_stage() -> None:
 
 
 def unread(whole: ast.Module) -> list[str]:
-    """Parameters of functions that their bodies never name, but `config` and `ctx` of stages; protocols have no bodies."""
+    """Parameters that a function's body never names, but `config` and `ctx` of stages; protocols have no bodies."""
     found = []
     for node in ast.walk(whole):
         if isinstance(node, ast.FunctionDef) and ast.unparse(node.body[-1]) != "...":

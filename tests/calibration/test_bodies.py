@@ -106,6 +106,5 @@ def test_soles_of_a_true_camera_are_on_the_floor() -> None:
 def test_a_person_who_is_never_seen_stays_finite() -> None:
     body = walk(FRAMES)
     unseen = replace(body, valid=np.zeros(FRAMES, bool))
-    both = replace(found(body, 1.0, 1.0), body_height_ratio=np.ones(2))
-    after = calibrated(BodyTracks((body, unseen)), both).people[1]
+    after = calibrated(BodyTracks((body, unseen)), found(body, 1.0, 1.0, 1.0)).people[1]
     assert np.isfinite(after.joints_world_m).all()

@@ -86,7 +86,7 @@ class GravityView:
 
     def floor_row(self, distance_m: np.ndarray) -> np.ndarray:
         """Row at which the floor lies at a horizontal distance."""
-        return (self.elevation_top_rad + np.arctan2(self.camera_height_m, distance_m)) / self.step_rad
+        return np.asarray((self.elevation_top_rad + np.arctan2(self.camera_height_m, distance_m)) / self.step_rad)
 
     def locate(self, points_world_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 2"]:
         """Column and row of world points."""

@@ -67,7 +67,7 @@ class Pictures:
         return np.stack([cv2.dilate(mask.astype(np.uint8), _MARGIN) > 0 for mask in self.person_mask])
 
     @functools.cached_property
-    def _people(self) -> list[Float[np.ndarray, "some 3"]]:
+    def _people(self) -> list[Float[np.ndarray, "_ 3"]]:
         """Some colors of people in each picture."""
         found = []
         for rgb, mask in zip(self.rgb, self.person_mask, strict=True):

@@ -7,6 +7,8 @@ tells them apart.
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
@@ -33,6 +35,8 @@ _GRAZING = 0.12
 _MIN_PIXELS = 30
 _MIN_SHARE = 0.15
 """Of the pixels with depth; where fewer would be left, all count."""
+
+_Meters = TypeVar("_Meters", float, np.ndarray)
 
 
 def inverse_background(
@@ -100,7 +104,7 @@ def foreground_mask(
     return kept if kept.sum() >= max(_MIN_PIXELS, _MIN_SHARE * seen.sum()) else seen
 
 
-def floor_band_m(distance_m: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+def floor_band_m(distance_m: _Meters) -> _Meters:
     """Height below which depth does not tell an object from the floor."""
     return _FLOOR_M + _FLOOR_SHARE * distance_m
 

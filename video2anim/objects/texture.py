@@ -74,7 +74,7 @@ def _packed(size: Int[np.ndarray, "faces 2"]) -> tuple[Int[np.ndarray, "faces 2"
             x, y, tall = 0, y + tall, 0
         corner[number] = x, y
         x, tall = x + width, max(tall, height)
-    return corner, y + tall
+    return corner, int(y + tall)
 
 
 def _texels(size: np.ndarray, corner: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -169,7 +169,7 @@ def _piece(
     surface_m: Float[np.ndarray, "height width"],
     label: Int[np.ndarray, "height width"],
     view: Look,
-    background_rgb: UInt8[np.ndarray, "height width 3"],
+    background_rgb: UInt8[np.ndarray, "background_height background_width 3"],
 ) -> RoomPiece | None:
     """A part where the picture shows nothing farther."""
     nodes_m = part.patch.grid(part.reach_m(view) / view.intrinsics.fx_px)

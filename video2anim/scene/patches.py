@@ -97,7 +97,7 @@ def room_piece(
     field: Float[np.ndarray, "rows columns"],
     view: Look,
     shown: Bool[np.ndarray, "height width"],
-    background_rgb: UInt8[np.ndarray, "height width 3"],
+    background_rgb: UInt8[np.ndarray, "background_height background_width 3"],
     openings: tuple[Float[np.ndarray, "4 2"], ...] = (),
 ) -> RoomPiece:
     """The part of a rectangle where a field over its nodes is positive, with the background image's picture on it.
@@ -126,7 +126,7 @@ def _painted(
     patch: Patch,
     view: Look,
     shown: Bool[np.ndarray, "height width"],
-    background_rgb: UInt8[np.ndarray, "height width 3"],
+    background_rgb: UInt8[np.ndarray, "background_height background_width 3"],
 ) -> UInt8[np.ndarray, "rows columns 3"]:
     """The picture of a rectangle, upper row first: as many texels as pixels where it is seen."""
     larger = np.array([background_rgb.shape[1] / view.shape[1], background_rgb.shape[0] / view.shape[0]])

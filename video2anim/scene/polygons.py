@@ -14,7 +14,7 @@ _TOLERANCE = 0.75
 """Outlines may leave the line where a field is zero by so many cells: less than its blur."""
 
 
-def outlines(field: Float[np.ndarray, "rows columns"]) -> list[Float[np.ndarray, "corners 2"]]:
+def outlines(field: Float[np.ndarray, "rows columns"]) -> list[Float[np.ndarray, "_ 2"]]:
     """Closed polygons (column, row) around where a field over a raster's nodes is positive: counter-clockwise with rows
     upward, holes the other way round. They end at the raster's border."""
     # Outside is as negative as the border is positive, so that clipping puts the line onto the border.
@@ -46,7 +46,7 @@ def signed_area(ring: Float[np.ndarray, "corners 2"]) -> float:
 
 
 def triangulated(
-    rings: Sequence[Float[np.ndarray, "corners 2"]],
+    rings: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[Float[np.ndarray, "points 2"], Int[np.ndarray, "faces 3"]]:
     """Triangles of polygons with holes, counter-clockwise, as `outlines` gives them: no corners but theirs."""
     outer = [ring for ring in rings if signed_area(ring) > 0]

@@ -181,7 +181,7 @@ def _crossed_frames(solid: SdfGrid, support: Support, motion: BodyMotion, body: 
     """Frames in which somebody is inside, not counting what rests on top: the part and the joints beside it, while the
     part is as far from the surface as when it rests."""
     joints = [joint for part in KINDS[support.kind] for joint in TOUCHING_PARTS[part]]
-    beside = [*joints, *PARENTS[joints], *np.flatnonzero(np.isin(PARENTS, joints))]
+    beside = [*joints, *PARENTS[joints].tolist(), *np.flatnonzero(np.isin(PARENTS, joints)).tolist()]
     normal, top_m = support.T_world_top[:3, 1], support.T_world_top[:3, 3]
     over_m = (motion.joints_world_m[:, joints[0]] - top_m) @ normal
     at_rest = np.abs(over_m - support.over_m) < _SAME_M
@@ -208,7 +208,7 @@ def _rests(
         )
         facing = (R_world_joint[:, joints[0]] @ np.array(_FACING[kind], np.float64)).mean(0)
         facing /= max(float(np.linalg.norm(facing)), 1e-9)
-        level = kind in _LEVEL or -facing[1] > np.cos(np.deg2rad(_LEVEL_DEG))
+        level = kind in _LEVEL or bool(-facing[1] > np.cos(np.deg2rad(_LEVEL_DEG)))
         if not level and facing[1] > np.cos(np.deg2rad(_LEVEL_DEG)):
             continue  # Nothing rests against what is above it.
         facing = np.array([0.0, -1.0, 0.0]) if level else facing
