@@ -121,7 +121,7 @@ def _generous_masks(
         for track in tracks.people:
             seen = track.row(int(frame))
             if seen is not None:
-                likely = person_probability(track, frame, raster) > 0.25
+                likely = person_probability(track, int(frame), raster) > 0.25
                 masks[row] |= dilated(likely, _margin_px(track.box_px[seen], raster, 0.04))
     return masks
 
@@ -140,7 +140,7 @@ def _grown(
         for track in tracks.people:
             seen = track.row(int(frame))
             if seen is not None:
-                mask = masks[row] | (person_probability(track, frame, raster) > 0.5)
+                mask = masks[row] | (person_probability(track, int(frame), raster) > 0.5)
                 grown[row] |= dilated(mask, _margin_px(track.box_px[seen], raster, 0.015))
     return grown
 
@@ -229,7 +229,7 @@ def _masks(
     nobody = np.zeros(shape[1:], np.float32)
     for row, (frame, picture) in enumerate(zip(frame_index, _mask_frames(clip, frame_index), strict=True)):
         ctx.progress(shape[0] + row + 1, 2 * shape[0])
-        by_id = {t.person_id: person_probability(t, frame, raster) for t in tracks.people}
+        by_id = {t.person_id: person_probability(t, int(frame), raster) for t in tracks.people}
         main = nobody if main_id is None else by_id.pop(main_id, nobody)
         others = np.max([nobody, *by_id.values()], axis=0)
         ground, ground_known = _background_in_frame(small_background, known, samples.H_reference_frame[row], raster)

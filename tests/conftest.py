@@ -5,7 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from command import video2anim
+from jaxtyping import install_import_hook
+from runtime_types import CHECKED
+
+install_import_hook(CHECKED, "runtime_types.checked")  # before anything of ours is imported
+
+from command import video2anim  # noqa: E402
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

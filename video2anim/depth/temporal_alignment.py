@@ -3,7 +3,7 @@ image."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -40,7 +40,7 @@ def fitted_line(
     return (scale, offset) if scale > 0 else None
 
 
-def flicker(values: Sequence[Float[np.ndarray, "height width"]], still: Bool[np.ndarray, "height width"]) -> float:
+def flicker(values: Iterable[Float[np.ndarray, "height width"]], still: Bool[np.ndarray, "height width"]) -> float:
     """Median over still pixels of the deviation over time, as a share of the range of values in the clip."""
     stack = np.stack([value[still] for value in values]).astype(np.float64)
     low, high = np.percentile(stack, [2, 98])

@@ -72,11 +72,11 @@ class GravityView:
 
     def azimuth_rad(self, columns: np.ndarray) -> np.ndarray:
         """Azimuth of (fractional) columns."""
-        return self.azimuth_start_rad + columns * self.step_rad
+        return np.asarray(self.azimuth_start_rad + columns * self.step_rad)
 
     def elevation_rad(self, rows: np.ndarray) -> np.ndarray:
         """Elevation of (fractional) rows; negative is below the horizon."""
-        return self.elevation_top_rad - rows * self.step_rad
+        return np.asarray(self.elevation_top_rad - rows * self.step_rad)
 
     def floor_distance_m(self, rows: np.ndarray) -> np.ndarray:
         """Horizontal distance at which a row meets the floor; infinite at and above the horizon."""

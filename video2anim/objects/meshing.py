@@ -91,7 +91,8 @@ def _colors(
     rgb = picture.rgb[v, u].copy()
     if not seen.any():
         some = picture.rgb[picture.own]
-        return np.tile(np.median(some, axis=0).astype(np.uint8) if len(some) else np.uint8(_GRAY), (len(rgb), 1))
+        color = np.median(some, axis=0).astype(np.uint8) if len(some) else np.full(3, _GRAY, np.uint8)
+        return np.tile(color, (len(rgb), 1))
     place = np.concatenate([points_m, _SIDE_M * normals], 1)
     some = np.flatnonzero(seen)
     some = some[:: max(1, len(some) // _SOURCES)]

@@ -191,7 +191,7 @@ def _not_rigid(T: np.ndarray, axes: Mapping[str, int]) -> _Rows:
     return _no_rotation(T[..., :3, :3], axes) | (np.abs(T[..., :3, 3]).max(-1) > MAX_M) | (last > 1e-6)
 
 
-def _not_rising(rows: np.ndarray, _: Mapping[str, int]) -> _Rows:
+def _not_rising(rows: np.ndarray, _: Mapping[str, int]) -> np.ndarray:
     return np.append(False, ~(rows[1:] > rows[:-1]))
 
 
