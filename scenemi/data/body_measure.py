@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from scenemi.data.foot_mesh import PartHull, Sole, hull_of, sole_of
 from scenemi.data.hinge_limb import LegBones
-from video2anim.body.shaped_body import ShapedBody
 from video2anim.body.legs import LEGS
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.skeleton import FEET, JOINT_INDEX
 
 _ELBOWS = (JOINT_INDEX["left_elbow"], JOINT_INDEX["right_elbow"])

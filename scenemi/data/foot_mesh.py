@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from video2anim.body.shaped_body import ShapedBody
 from video2anim.body.legs import Leg
+from video2anim.body.shaped_body import ShapedBody
 
 
 @dataclass(frozen=True, slots=True, eq=False)

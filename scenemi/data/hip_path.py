@@ -11,8 +11,8 @@ from scenemi.data.fading import bridged, envelope
 from scenemi.data.foot_mesh import PartHull
 from scenemi.data.foot_plant import FootPose
 from scenemi.data.hinge_limb import hip_drop
-from video2anim.body.shaped_body import ShapedBody
 from video2anim.body.legs import LEGS
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.skeleton import JOINT_INDEX
 
 HIPS = (JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"])

@@ -20,8 +20,8 @@ from scenemi.data.foot_plant import FootPose, place_foot, pose_foot, turned_abou
 from scenemi.data.hinge_limb import bend_leg, move_wrist
 from scenemi.data.hip_path import height_correction, out_of_floor, reach_drop, scaled_path
 from scenemi.data.rest_pose import rest_axes
-from video2anim.body.shaped_body import ShapedBody
 from video2anim.body.legs import LEGS
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from video2anim.types.skeleton import JOINT_INDEX, PARENTS

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from scenemi.data.container import SourceClip
 from scenemi.data.retarget import RetargetedMotion
 from scenemi.metrics import jerk_m_s3
-from video2anim.body.shaped_body import ShapedBody
 from video2anim.body.legs import LEGS
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 _SIDES = ("left", "right")

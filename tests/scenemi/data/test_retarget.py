@@ -16,8 +16,8 @@ from scenemi.data.hinge_limb import LegBones, bend_leg, move_wrist
 from scenemi.data.rest_pose import rest_axes
 from scenemi.data.retarget import RetargetedMotion, retarget
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.body.shaped_body import ShapedBody
 from video2anim.body.legs import LEGS
+from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types import BodyShape
