@@ -119,7 +119,7 @@ def _write_worst(clip: VideoClip, bodies: BodyTracks, refined: RefinedMotion, ct
     span = measured_span(main)
     if span is None:
         return []
-    raw, written = bodies.people[0].in_world(main.T_world_camera), []
+    raw, written = bodies.main.in_world(main.T_world_camera), []
     for moment in worst_moments(motion_quality(main, refined.scene, span, clip.fps), span):
         name = moment.key.replace("_", "-")
         ctx.quality(moment.key, moment.value, moment.unit, "lower")

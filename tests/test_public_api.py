@@ -19,7 +19,7 @@ TYPES = [
     "KeyframedMotion", "Mesh", "MetricDepth", "ObjectInstance", "ObjectMesh", "ObjectMeshes", "ObjectPart",
     "ObjectPath", "PayloadFile", "PersonQuality", "PersonTrack", "PersonTracks", "PlacedObject", "PlacedObjects",
     "RefinedMotion",
-    "RoomPiece", "SceneModel", "SourceInfo", "SourceVideo", "Storage", "Texture", "Thumbnail", "VideoClip",
+    "RoomPiece", "SceneModel", "SourceInfo", "SourceVideo", "Storage", "Texture", "Thumbnail", "VideoClip", "View",
     "stored",
 ]  # fmt: skip
 COMMANDS = {
