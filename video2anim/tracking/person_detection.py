@@ -94,7 +94,7 @@ def head_up(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], found: 
 
 def _is_head_down(found: PoseEstimate) -> bool:
     turn = found.next_roi.rotation_rad
-    return abs(np.arctan2(np.sin(turn), np.cos(turn))) > _HEAD_DOWN_RAD
+    return bool(abs(np.arctan2(np.sin(turn), np.cos(turn))) > _HEAD_DOWN_RAD)
 
 
 def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:
