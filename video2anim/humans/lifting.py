@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
-from video2anim.humans.lifter_input import FPS, LiftedBody, lifted_body, lifter_input
+from video2anim.humans.lifter_input import LiftedBody, lifted_body, lifter_input
+from video2anim.types.clip import FPS
 from video2anim.humans.problem import Observations
 
 Network = Callable[[Float[np.ndarray, "frames features"]], Float[np.ndarray, "frames outputs"]]

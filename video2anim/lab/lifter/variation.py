@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.humans.lifter_input import FPS
+from video2anim.types.clip import FPS
 from video2anim.types.skeleton import JOINT_INDEX
 
 
