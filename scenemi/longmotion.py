@@ -48,7 +48,7 @@ class LongMotion:
     R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
     translation_world_m: Float[np.ndarray, "frames 3"]
     spans: tuple[WindowSpan, ...]
-    bridged_index: Int[np.ndarray, "bridges"]
+    interpolated_index: Int[np.ndarray, "bridges"]
     """Frames made keyframes by interpolation, because no keyframe was given for a whole window."""
 
 

@@ -96,14 +96,14 @@ def _geometric(
     import cv2
 
     from video2anim.depth.person_depth import standing_feet
-    from video2anim.depth.planar_scene import StageSetConfig, stage_set_depth
+    from video2anim.depth.planar_scene import PlanarSceneConfig, planar_scene_depth
 
     height, width = background_image.seen_ratio.shape
     view = bodies.main_view.resized(width, height)
     small_rgb = cv2.resize(background_image.background_rgb, (width, height), interpolation=cv2.INTER_AREA)
     stands = [standing_feet(body, config.contact_threshold) for body in bodies.people]
     spots = np.concatenate([feet[on] for feet, on in stands]) * np.array([1.0, 0.0, 1.0])
-    planar_scene = stage_set_depth(small_rgb, view, spots, StageSetConfig(far_m=config.far_m))
+    planar_scene = planar_scene_depth(small_rgb, view, spots, PlanarSceneConfig(far_m=config.far_m))
     ctx.quality("standing_spots", len(spots), "count", "higher")
     if planar_scene is None:
         ctx.warn("no foot stands on floor that the picture shows; background depth is unknown")
@@ -128,7 +128,7 @@ def _with_people(
     config: DepthConfig,
 ) -> DepthClip:
     """The planar scene behind, the person as an upright figure before it, in every sampled frame."""
-    from video2anim.depth.person_depth import figure_distance, standing_feet
+    from video2anim.depth.person_depth import person_distance, standing_feet
     from video2anim.geometry.gravity_view import GravityView
 
     main = bodies.main
@@ -146,7 +146,7 @@ def _with_people(
             valid[sample] &= _same_view(now, first)
             view = GravityView.of(now)
         mask = background_image.selected_mask[sample]
-        found = figure_distance(view, mask, feet_world_m[frame][standing[frame]])
+        found = person_distance(view, mask, feet_world_m[frame][standing[frame]])
         if found is None or view.camera_height_m <= 0.05:
             continue
         depth_m[sample][mask] = found[0] / view.ray_horizontal[mask]

@@ -107,15 +107,11 @@ def refine_motion(
     for motion in keyframed.people:
         if not motion.valid.any():
             ctx.warn(f"person {motion.person_id} has no valid frame, motion left as it is")
-    observed = [observation(keyframed.people[number], scene.objects) for number in seen]
-    made, alone = (
-        [
-            _filled(keyframed.people[number], one, by, field, config, ctx)
-            for number, one in zip(seen, observed, strict=True)
-        ]
+    observed = [(keyframed.people[number], observation(keyframed.people[number], scene.objects)) for number in seen]
+    solved, plain = (
+        solve_motions([_filled(motion, one, by, field, config, ctx) for motion, one in observed], solids)
         for by in (prior, bridging)
     )
-    solved, plain = solve_motions(made, solids), solve_motions(alone, solids)
     people, alike = list(keyframed.people), list(keyframed.people)
     for k, number in enumerate(seen):
         people[number], alike[number] = (
@@ -129,8 +125,7 @@ def refine_motion(
     # The paths were found with the bodies of stage metric.
     moved = replace(moved, objects=tuple(follow_hand(item, depth.bodies.people, people) for item in moved.objects))
     after, moving = scene_field(moved), moving_fields(moved)
-    names = ["none"] * len(people)
-    shares = [0.0] * len(people)
+    names, shares = ["none"] * len(people), [0.0] * len(people)
     for done, number in enumerate(seen, start=1):
         motion = keyframed.people[number]
         person_id = None if number == 0 else motion.person_id
@@ -172,8 +167,8 @@ def _filled(
         noise=(config.keyframe_noise_deg, config.keyframe_noise_cm),
     )  # fmt: skip
     made = inbetween(given, prior, scene=field, window=config.window_frames, overlap=config.overlap_frames)
-    if len(made.bridged_index) and prior.name == "scenemi":
-        frames = ", ".join(str(i) for i in made.bridged_index)
+    if len(made.interpolated_index) and prior.name == "scenemi":
+        frames = ", ".join(str(i) for i in made.interpolated_index)
         ctx.warn(f"person {motion.person_id}: gaps longer than a window were bridged by interpolation at {frames}")
     return replace(observed, R_parent_joint=made.R_parent_joint, translation_world_m=made.translation_world_m)
 

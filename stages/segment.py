@@ -165,17 +165,17 @@ def _with_networks(
     from video2anim.objects.merge import Detection, joined_objects
 
     shape = depth_m.shape
-    recognised, built, floor = list(named), np.zeros(shape, bool), np.zeros(shape, bool)
+    recognized, built, floor = list(named), np.zeros(shape, bool), np.zeros(shape, bool)
     if seen is not None:
-        recognised += [
+        recognized += [
             Detection(i.label, i.score, shrunk(i.mask, shape)) for i in seen.instances if i.kind == "furniture"
         ]
         built = shrunk(np.isin(seen.semantic, [CLASSES.index(name) for name in ("floor", "wall", "ceiling")]), shape)
         floor = shrunk(seen.semantic == CLASSES.index("floor"), shape)
     camera_m = backproject(depth_m, view.intrinsics)
     world_m = transform_points(view.T_world_camera, camera_m.reshape(-1, 3)).reshape(camera_m.shape)
-    found = joined_objects(recognised, regions.objects, built, world_m, valid, limits)
-    ctx.quality("recognized", len(recognised), "count")
+    found = joined_objects(recognized, regions.objects, built, world_m, valid, limits)
+    ctx.quality("recognized", len(recognized), "count")
     if seen is None:
         return found, regions.floor
     # Where depth says flat and low and the network has no other idea, or where it says floor and depth does not object.

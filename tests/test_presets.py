@@ -28,7 +28,7 @@ def test_preset_resolves(name: str) -> None:
             assert getattr(config.stages[stage], option) == value
     again = resolve(pipeline_nodes(), name, [("run.json", config.as_dict())])
     assert again == config
-    assert all(find_model(model).licence for model in preset_models(name))
+    assert all(find_model(model).license for model in preset_models(name))
 
 
 def test_what_no_preset_names_is_as_in_the_default_preset() -> None:
@@ -43,7 +43,7 @@ def test_default_needs_only_package_sources() -> None:
         model = find_model(name)
         for part in (model, *(find_model(other) for other in model.requires)):
             assert part.source.text.startswith(("package:", "wheel:")), part.name
-            assert part.licence == "Apache-2.0"
+            assert part.license == "Apache-2.0"
 
 
 def test_preset_file_of_the_users_own(tmp_path: Path) -> None:

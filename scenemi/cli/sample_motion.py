@@ -56,8 +56,8 @@ def sample_motion(
     given = replace(keyframes.to_motion(length), body=body_of(keyframes), noise_level=expect_noise(noise))
     filled = inbetween(given, prior, scene=scene)
     notes = []
-    if len(filled.bridged_index):
-        frames = ", ".join(str(frame) for frame in filled.bridged_index)
+    if len(filled.interpolated_index):
+        frames = ", ".join(str(frame) for frame in filled.interpolated_index)
         notes.append(f"gaps longer than a window were bridged by interpolation at frames {frames}")
     first, last = int(keyframes.frame_index[0]), int(keyframes.frame_index[-1])
     if first > 0:

@@ -39,7 +39,7 @@ def guess_unit(leg_length: float, where: str) -> str:
     """
     off = dict.fromkeys(UNITS_M, np.inf)
     if 0 < leg_length < np.inf:
-        off = {name: abs(np.log(leg_length * metres / _LEG_M)) for name, metres in UNITS_M.items()}
+        off = {name: abs(np.log(leg_length * meters / _LEG_M)) for name, meters in UNITS_M.items()}
     unit_name = min(off, key=lambda name: off[name])
     if not off[unit_name] < np.log(1.45):
         raise InputError(

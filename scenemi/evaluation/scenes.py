@@ -12,12 +12,12 @@ from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol, give_
 from scenemi.prior import InterpolationPrior
 from scenemi.scene.basis_points import anchor_vertices
 from scenemi.scene.boxes import Boxes
-from scenemi.scene.pseudo import PseudoConfig, SyntheticScenes
+from scenemi.scene.pseudo import SyntheticSceneConfig, SyntheticScenes
 from video2anim.types.skeleton import forward_kinematics
 
 SCENE_SEED = 20_251
 BLIND_INTERVAL = 60
-EVALUATION_SCENES = PseudoConfig(empty_share=0.0)
+EVALUATION_SCENES = SyntheticSceneConfig(empty_share=0.0)
 """Scenes of training, but never empty: a window without anything to hit tells nothing of collisions."""
 
 
@@ -48,7 +48,7 @@ class Obstacles:
 
 
 def with_synthetic_scenes(
-    windows: Sequence[EvaluationWindow], *, seed: int = SCENE_SEED, config: PseudoConfig = EVALUATION_SCENES
+    windows: Sequence[EvaluationWindow], *, seed: int = SCENE_SEED, config: SyntheticSceneConfig = EVALUATION_SCENES
 ) -> tuple[EvaluationWindow, ...]:
     """The windows, each in a scene in which its true motion could have happened, with solids where the interpolation of
     keyframes every 60 frames would go and the true body does not.

@@ -33,7 +33,7 @@ _THICKEST_M = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class PseudoConfig:
+class SyntheticSceneConfig:
     """How full scenes are."""
 
     empty_share: float = 0.1
@@ -91,8 +91,8 @@ class SyntheticScene:
 class SyntheticScenes:
     """Draws scenes; the same generator state and motion give the same scene."""
 
-    def __init__(self, config: PseudoConfig | None = None) -> None:
-        self.config = config or PseudoConfig()
+    def __init__(self, config: SyntheticSceneConfig | None = None) -> None:
+        self.config = config or SyntheticSceneConfig()
 
     def draw(
         self,

@@ -18,7 +18,7 @@ from scenemi.scene.rows import BoxRows, SceneRows, VolumeRows
 from scenemi.training.config import TrainConfig
 from scenemi.training.keyframe_masks import draw_mask, draw_observed_mask
 from scenemi.training.noise import PipelineErrors, gaussian, told_level
-from scenemi.training.pool import UNITS_PER_METRE, AnyShard, SceneShard, stored_scenes
+from scenemi.training.pool import UNITS_PER_METER, AnyShard, SceneShard, stored_scenes
 from video2anim.body.shaped_body import ShapedBody
 
 LOOKED_AT = 31
@@ -93,7 +93,7 @@ class PoolBatches:
         shards = self._kinds[int(rng.integers(len(self._kinds))) if len(self._kinds) > 1 else 0]
         units, scene, telling, valid, body = _rows(shards, rng.integers(0, sum(map(len, shards)), config.batch))
         count, frames = units.shape[:2]
-        features = torch.from_numpy(units).float().div_(UNITS_PER_METRE)
+        features = torch.from_numpy(units).float().div_(UNITS_PER_METER)
         mirror = torch.from_numpy(rng.random(count) < 0.5)
         features = torch.where(mirror[:, None, None], mirrored(features), features)
         shown = rng.random(count) < config.scene_share  # of some nothing but the floor
@@ -211,4 +211,4 @@ def mirrored(features: Float[Tensor, "... 201"]) -> Float[Tensor, "... 201"]:
 def statistics_of(shards: Sequence[AnyShard], bodies: Sequence[ShapedBody]) -> Statistics:
     """Statistics of the features over some windows of the pool, and of the bodies' lengths."""
     some = np.concatenate([shard.features[::8].reshape(-1, FEATURE_COUNT) for shard in shards[:4]])
-    return Statistics.of(some.astype(np.float64) / UNITS_PER_METRE, np.stack([body_lengths(body) for body in bodies]))
+    return Statistics.of(some.astype(np.float64) / UNITS_PER_METER, np.stack([body_lengths(body) for body in bodies]))

@@ -84,8 +84,8 @@ def told_level(
 ) -> tuple[float, float]:
     """What a model is told of a window's noise: about its root mean square, in degrees and centimeters."""
     true = np.array([np.sqrt(np.square(turn_rad).mean()) / _DEGREE, 100 * np.sqrt(np.square(shift_m).mean())])
-    degrees, centimetres = true * np.exp(rng.normal(0.0, _TOLD, 2))
-    return float(degrees), float(centimetres)
+    degrees, centimeters = true * np.exp(rng.normal(0.0, _TOLD, 2))
+    return float(degrees), float(centimeters)
 
 
 def noisy_features(

@@ -35,7 +35,7 @@ from video2anim.errors import InputError
 
 PIECE_BYTES = 16 * 2**20
 _MAX_BYTES = 2**30
-_UNITS_PER_METRE = 8192.0
+_UNITS_PER_METER = 8192.0
 _SETTINGS, _MOTION, _STATE = "run.json", "motion", "state"
 _LEVELS = 127
 
@@ -148,7 +148,7 @@ def _compressed(tables: dict[str, np.ndarray]) -> bytes:
     for rows, places in _by_clip(tables):
         frames = places.stop - places.start
         turns.append(np.diff(rotation[rows].reshape(frames, -1), axis=0, prepend=np.int16(0)).T.ravel())
-        units = np.rint(root_m[places] * _UNITS_PER_METRE).astype(np.int32)
+        units = np.rint(root_m[places] * _UNITS_PER_METER).astype(np.int32)
         moves.append(np.diff(units, axis=0, prepend=0).T.ravel())
     stream = io.BytesIO()
     arrays = {"turns": _planes(np.concatenate(turns)), "moves": np.concatenate(moves), **tables}
@@ -171,7 +171,7 @@ def _decompressed(data: bytes) -> dict[str, np.ndarray]:
         columns = turns[4 * rows.start : 4 * rows.stop].reshape(-1, frames)
         rotation[rows] = np.cumsum(columns, axis=1, dtype=np.int16).T.reshape(-1, 4)
         way = np.cumsum(moves[3 * places.start : 3 * places.stop].reshape(3, frames), axis=1)
-        root_m[places] = way.T / _UNITS_PER_METRE
+        root_m[places] = way.T / _UNITS_PER_METER
     return {**tables, "rot": rotation, "root_pos": root_m}
 
 

@@ -24,7 +24,7 @@ from scenemi.features import FEATURE_COUNT, JOINTS, canonical_frame, encode, to_
 from scenemi.model.base import join_keyframes
 from scenemi.scene.body_spheres import BodySpheres, fit_spheres
 from scenemi.scene.boxes import Boxes
-from scenemi.scene.pseudo import PseudoConfig, SyntheticScenes
+from scenemi.scene.pseudo import SyntheticSceneConfig, SyntheticScenes
 from scenemi.scene.rows import BoxRows, SceneRows, VolumeRows
 from scenemi.training.keyframe_masks import draw_telling_mask
 from scenemi.training.scene_pool import SceneMotions
@@ -33,7 +33,7 @@ from video2anim.errors import InputError
 from video2anim.types.skeleton import forward_kinematics
 
 SHARD_WINDOWS = 1024
-UNITS_PER_METRE = 8192.0
+UNITS_PER_METER = 8192.0
 """Integer steps of a stored feature: windows reach 4 m, and an eighth of a millimeter is far below any noise."""
 MAX_BOXES = 16
 """Boxes kept of a scene: the nearest to the true and the blind path."""
@@ -91,7 +91,7 @@ def grow_pool(
     windows: int,
     *,
     seed: int = 0,
-    config: PseudoConfig | None = None,
+    config: SyntheticSceneConfig | None = None,
     on_shard: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Make the shards that are missing until the pool has `windows` windows.
@@ -107,7 +107,7 @@ def grow_pool(
     Raises:
         InputError: the shards that are there were made of other motion, or by other rules.
     """
-    made_of = _digest(motions, seed, config or PseudoConfig())
+    made_of = _digest(motions, seed, config or SyntheticSceneConfig())
     for path in sorted(folder.glob("shard_????")):
         if _meta(path).get("made_of") != made_of:
             raise InputError(f"{folder}: training windows of other motion or of an older version; delete the folder")
@@ -186,7 +186,7 @@ class _Drawn:
         blind = join_keyframes(
             torch.from_numpy(features[..., JOINTS].astype(np.float32)), torch.from_numpy(masks.astype(np.float32))
         )
-        units = np.clip(np.rint(features * UNITS_PER_METRE), -32767, 32767).astype(np.int16)
+        units = np.clip(np.rint(features * UNITS_PER_METER), -32767, 32767).astype(np.int16)
         assert units.shape[-1] == FEATURE_COUNT
         return cls(windows, units, joints_m, R_world, masks, blind.unflatten(-1, (22, 3)).numpy())
 
@@ -264,7 +264,7 @@ def _nearest(boxes: Boxes, points_m: Float[np.ndarray, "points 3"]) -> Boxes:
     return Boxes(boxes.center_m[kept], boxes.half_m[kept], boxes.yaw_rad[kept])
 
 
-def _digest(motions: MotionSet, seed: int, config: PseudoConfig) -> str:
+def _digest(motions: MotionSet, seed: int, config: SyntheticSceneConfig) -> str:
     """Of all that decides what a shard holds."""
     # Values without their names: a renamed option makes no other windows.
     digest = hashlib.sha256(repr((_VERSION, seed, astuple(config), astuple(motions.config))).encode())

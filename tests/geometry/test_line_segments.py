@@ -27,8 +27,8 @@ def boxes(rng: np.random.Generator, count: int, heading_rad: float) -> Float[np.
     cos, sin = math.cos(heading_rad), math.sin(heading_rad)
     turn = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
     for _ in range(count):
-        centre = np.array([rng.uniform(-1.5, 1.5), rng.uniform(-1.2, 0.6), rng.uniform(2.5, 6)])
-        box = (corners * rng.uniform(0.4, 1.5, 3)) @ turn.T + centre
+        center = np.array([rng.uniform(-1.5, 1.5), rng.uniform(-1.2, 0.6), rng.uniform(2.5, 6)])
+        box = (corners * rng.uniform(0.4, 1.5, 3)) @ turn.T + center
         found += [(box[a], box[b]) for a, b in pairs]
     return np.array(found)
 

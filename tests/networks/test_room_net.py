@@ -33,8 +33,8 @@ RED, GREEN, BLUE, SLOPE, ONE = range(5)
 def picture_graph(path: Path, answers: dict[str, list[dict[int, float]]], *, width: str | int = "w") -> Path:
     """A network whose outputs are sums over what `RED` ... `ONE` are; one dict of weights per channel."""
     kernel = np.zeros((5, 3, 3, 3), np.float32)
-    for colour in (RED, GREEN, BLUE):
-        kernel[colour, colour, 1, 1] = 1.0
+    for color in (RED, GREEN, BLUE):
+        kernel[color, color, 1, 1] = 1.0
     kernel[SLOPE, RED, 1] = -0.5, 0.0, 0.5
     constants = {"kernel": kernel, "bias": np.eye(5, dtype=np.float32)[ONE]}
     nodes, infos = [], []
@@ -283,7 +283,7 @@ def room() -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """480 x 640: two objects and two people, the second person before the floor."""
     image, masks = np.zeros((480, 640, 3), np.uint8), {}
     image[300:, :, 1] = 200
-    for name, (rows, columns), colour in (
+    for name, (rows, columns), color in (
         ("left", ((200, 300), (60, 160)), 0),
         ("right", ((220, 340), (400, 560)), 0),
         ("one", ((100, 280), (240, 300)), 2),
@@ -291,9 +291,9 @@ def room() -> tuple[np.ndarray, dict[str, np.ndarray]]:
     ):
         mask = np.zeros(image.shape[:2], bool)
         mask[rows[0] : rows[1], columns[0] : columns[1]] = True
-        image[mask] = np.eye(3, dtype=np.uint8)[colour] * 200
+        image[mask] = np.eye(3, dtype=np.uint8)[color] * 200
         masks[name] = mask
-        if colour == 0:  # brightest a little off the middle, falling off by 3 gray levels a pixel
+        if color == 0:  # brightest a little off the middle, falling off by 3 gray levels a pixel
             y, x = np.mgrid[: image.shape[0], : image.shape[1]]
             far = np.hypot(y - 0.5 * sum(rows) - 2.3, x - 0.5 * sum(columns) - 1.4)
             image[mask, 0] = np.maximum(200, 255 - 3 * far[mask]).astype(np.uint8)

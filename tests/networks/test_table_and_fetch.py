@@ -84,7 +84,7 @@ def test_rows_are_complete_and_names_unique() -> None:
         assert len(row.sha256) == 64
         assert int(row.sha256, 16) > 0
         assert row.size_bytes > 0 or row.name == "geocalib", "its origin states no size"
-        assert row.licence in ("Apache-2.0", "MIT", "CC-BY-4.0"), "what is fetched may be used by anybody"
+        assert row.license in ("Apache-2.0", "MIT", "CC-BY-4.0"), "what is fetched may be used by anybody"
         if row.adapter:
             module, _, adapter = row.adapter.partition(":")
             assert hasattr(importlib.import_module(module), adapter)
@@ -135,7 +135,7 @@ def test_all_data_that_comes_along_is_in_the_table() -> None:
         card = path.with_suffix(".md") if path.with_suffix(".md").is_file() else path.with_name("CARD.md")
         if card.is_file() and "sha256" in card.read_text():
             assert row.sha256 in card.read_text(), card
-        assert not card.is_file() or row.licence in card.read_text(), card
+        assert not card.is_file() or row.license in card.read_text(), card
     assert {row.name: row.slot for row in networks.list_models() if not row.adapter} == UNRUN
 
 
@@ -205,18 +205,18 @@ def test_the_notice_tells_of_all_that_comes_along_or_is_fetched() -> None:
         match row.source:
             case table.WheelSource():
                 assert row.source.file in paragraphs["Part"]
-                assert row.licence == "Apache-2.0"
+                assert row.license == "Apache-2.0"
                 card = networks.model_path(row).with_suffix(".md")
                 if card.is_file():
                     assert "obtained from mocap.cs.cmu.edu" in " ".join(card.read_text().split()), card
             case table.DependencySource():
                 assert f"{NOTICED[row.name]} body model" in paragraphs["Dependencies"]
-                assert row.licence.split(",")[0].removeprefix("code ") in paragraphs["Dependencies"]
+                assert row.license.split(",")[0].removeprefix("code ") in paragraphs["Dependencies"]
             case table.UserSource():
                 continue
             case _:
                 assert NOTICED[row.name] in paragraphs["Fetched"]
-                assert row.licence in paragraphs["Fetched"].split(NOTICED[row.name], 1)[1]
+                assert row.license in paragraphs["Fetched"].split(NOTICED[row.name], 1)[1]
     for origin in ("CMU", "DeepMimic", "ACCAD"):
         assert f"- {origin}: " in f"- {paragraphs['Their']}"
 
@@ -519,7 +519,7 @@ def test_the_list_shows_size_licence_and_source_of_all(
     show.models_table(networks.verify())
     lines = {line.split()[1]: line for line in capsys.readouterr().out.splitlines()[1:] if line.strip()}
     for row in networks.list_models():
-        assert row.licence in lines[row.name]
+        assert row.license in lines[row.name]
         assert row.source.text in lines[row.name]
         assert "contract" in lines[row.name] or "weights" in lines[row.name]
     assert "140.9 MB" in lines["moge-2-small"]

@@ -171,7 +171,7 @@ def test_the_table_takes_the_folder_or_the_encoder(tmp_path: Path) -> None:
         assert isinstance(networks.load_model(name), TripoSR)
         assert networks.ensure(name) == folder / "encoder.onnx"
     row = networks.find_model("object-mesh")
-    assert (row.name, row.licence, row.verified) == ("triposr", "MIT", "contract")
+    assert (row.name, row.license, row.verified) == ("triposr", "MIT", "contract")
 
 
 @pytest.mark.parametrize("file", ["encoder.onnx", "field.onnx"])

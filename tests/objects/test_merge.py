@@ -30,7 +30,7 @@ def region(mask: np.ndarray, score: float = 0.8) -> Region:
 
 
 def join(
-    recognised: list[Detection],
+    recognized: list[Detection],
     regions: list[Region],
     *,
     built: np.ndarray | None = None,
@@ -40,7 +40,7 @@ def join(
 ) -> list[Detection]:
     nowhere = np.zeros((ROWS, COLUMNS), bool)
     built = nowhere if built is None else built
-    return joined_objects(recognised, regions, built, wall_of(pixel_m), ~nowhere if valid is None else valid, limits)
+    return joined_objects(recognized, regions, built, wall_of(pixel_m), ~nowhere if valid is None else valid, limits)
 
 
 def found(joined: list[Detection], label: str) -> Detection:

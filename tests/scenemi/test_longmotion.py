@@ -70,7 +70,7 @@ def test_seams_do_not_pop_even_when_the_prior_moves_its_seed() -> None:
 def test_a_gap_longer_than_a_window_is_bridged_and_told() -> None:
     motion = planted_walk(400)
     filled = inbetween(keyframe_motion(motion, np.array([0, 15, 30, 300, 399])), InterpolationPrior())
-    assert len(filled.bridged_index) == 2
+    assert len(filled.interpolated_index) == 2
     turn_rad = np.linalg.norm(
         axis_angle_from_matrix(np.swapaxes(filled.R_parent_joint[:-1], -1, -2) @ filled.R_parent_joint[1:]), axis=-1
     )

@@ -73,7 +73,7 @@ def make_clip(
     path: Path, wall: np.ndarray, people: list[list[int | None]], *, shift_px: float = 0.0
 ) -> tuple[VideoClip, list[np.ndarray]]:
     """A clip of people walking before a wall, and the truth of each person's mask, (people, frames, H, W)."""
-    colours = [(210, 40, 40), (40, 60, 210)]
+    colors = [(210, 40, 40), (40, 60, 210)]
     rng = np.random.default_rng(11)
     count = len(people[0])
     truth = [np.zeros((count, HEIGHT, WIDTH), bool) for _ in people]
@@ -85,7 +85,7 @@ def make_clip(
                 left = lefts[frame]
                 if left is not None:
                     truth[person][frame, TOP : TOP + PERSON_H, max(left, 0) : left + PERSON_W] = True
-                    picture[truth[person][frame]] = colours[person]
+                    picture[truth[person][frame]] = colors[person]
             writer.write(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
     info = SourceInfo("h264", "yuv420p", WIDTH, HEIGHT, 0, 1.0, 30.0, count, count, count / 30, 0.0)
     time_s = np.arange(count) / 30

@@ -97,8 +97,8 @@ def inpaint_unobserved(
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     # Area averages over seen pixels only, so that the hole's black does not bleed into its rim.
     weight = cv2.resize((~hole).astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    colour = cv2.resize(np.where(hole[..., None], 0, background).astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    small = np.clip(colour / np.maximum(weight, 1e-6)[..., None] + 0.5, 0, 255).astype(np.uint8)
+    color = cv2.resize(np.where(hole[..., None], 0, background).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    small = np.clip(color / np.maximum(weight, 1e-6)[..., None] + 0.5, 0, 255).astype(np.uint8)
     painted = cv2.inpaint(small, (weight < 0.25).astype(np.uint8), _INPAINT_RADIUS_PX, cv2.INPAINT_TELEA)
     painted = cv2.resize(painted, (width, height), interpolation=cv2.INTER_LINEAR)
     return np.where(hole[..., None], painted, background)

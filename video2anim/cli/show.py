@@ -119,11 +119,11 @@ def objects(found: InstanceMasks) -> None:
 
 def models_table(states: Sequence[ModelState]) -> None:
     """The model table with what lies in the cache."""
-    table = Table("slot", "model", "runtime", "size", "licence", "verified", "here", "source", box=None, pad_edge=False)
+    table = Table("slot", "model", "runtime", "size", "license", "verified", "here", "source", box=None, pad_edge=False)
     for state in states:
         e = state.entry
         size = f"{e.size_bytes / 1e6:.1f} MB" if e.size_bytes else "-"
-        table.add_row(e.slot, e.name, e.runtime, size, e.licence, e.verified, state.state, escape(e.source.text))
+        table.add_row(e.slot, e.name, e.runtime, size, e.license, e.verified, state.state, escape(e.source.text))
     _out.print(table)
 
 

@@ -58,9 +58,9 @@ def synth_command(
         preset, count, seed, width_px, height_px, tuple(motion or ()), noncommercial, meshes, room_m, longest_s=longest
     )
     if motion_only:
-        from video2anim.lab.synth.motions import write_acted
+        from video2anim.lab.synth.motions import write_procedural
 
-        written = write_acted(out, count=24 if count is None else count, seed=seed)
+        written = write_procedural(out, count=24 if count is None else count, seed=seed)
         typer.echo(f"{out}: {written} motions")
         return
     with show.counted("clips" if not frames_only else "shards") as on_done:

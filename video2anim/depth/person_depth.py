@@ -25,7 +25,7 @@ def standing_feet(
     return feet_world_m, touching & low & motion.valid[:, None]
 
 
-def figure_distance(
+def person_distance(
     view: GravityView, mask: Bool[np.ndarray, "height width"], feet_world_m: Float[np.ndarray, "feet 3"]
 ) -> tuple[float, float] | None:
     """Horizontal distance of the floor under a figure and its standard deviation, in meters.

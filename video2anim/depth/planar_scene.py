@@ -24,7 +24,7 @@ _EDGE_ROWS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class StageSetConfig:
+class PlanarSceneConfig:
     """Limits of the planar scene proxy."""
 
     far_m: float = 30.0
@@ -49,11 +49,11 @@ class PlanarSceneProxy:
     """0 background, 1 floor, 2 and up one cut-out each."""
 
 
-def stage_set_depth(
+def planar_scene_depth(
     background_rgb: UInt8[np.ndarray, "height width 3"],
     camera: View,
     standing_world_m: Float[np.ndarray, "spots 3"],
-    config: StageSetConfig,
+    config: PlanarSceneConfig,
 ) -> PlanarSceneProxy | None:
     """Depth of the background image, or None where no standing spot lies in the picture (then nothing is known of the
     floor).
@@ -124,7 +124,7 @@ def _cutouts(
     seed: np.ndarray,
     boundary: FloorBoundary,
     background_m: np.ndarray,
-    config: StageSetConfig,
+    config: PlanarSceneConfig,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Masks on the cylinder and distance per column of upright objects before the background, farthest first."""
     rows = np.arange(view.rows)[:, None]
@@ -166,7 +166,7 @@ def _compose(
     sigma_m: np.ndarray,
     known: np.ndarray,
     cutouts: list[tuple[np.ndarray, np.ndarray]],
-    config: StageSetConfig,
+    config: PlanarSceneConfig,
 ) -> PlanarSceneProxy:
     shape = seen.shape
     distance = np.broadcast_to(background_m, shape).copy()

@@ -16,7 +16,7 @@ from video2anim.export.character import Character
 from video2anim.types import BodyMotion
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
-CENTIMETRES_PER_METRE = 100.0
+CENTIMETERS_PER_METER = 100.0
 _GIMBAL_COSINE = 1e-6
 
 
@@ -26,14 +26,14 @@ def write_bvh(path: Path, character: Character) -> None:
     End sites are the tips of the mesh beyond head, hands and toes.
     """
     motion = character.motion
-    offsets_cm = character.joint_offsets_m * CENTIMETRES_PER_METRE
-    tips_cm = character.tips_m * CENTIMETRES_PER_METRE
+    offsets_cm = character.joint_offsets_m * CENTIMETERS_PER_METER
+    tips_cm = character.tips_m * CENTIMETERS_PER_METER
     lines = ["HIERARCHY", *_joint_lines(0, offsets_cm, tips_cm, depth=0), "MOTION"]
     lines += [f"Frames: {motion.frame_count}", f"Frame Time: {_frame_time_s(motion):.8f}"]
     order = _depth_first(0)
     euler_deg = np.degrees(continuous_euler_zyx(motion.R_parent_joint))[:, order]
     # The root's OFFSET and its position channels add up.
-    root_cm = character.root_translation_m * CENTIMETRES_PER_METRE - offsets_cm[0]
+    root_cm = character.root_translation_m * CENTIMETERS_PER_METER - offsets_cm[0]
     values = np.concatenate([root_cm, euler_deg.reshape(motion.frame_count, -1)], axis=1)
     lines += [" ".join(f"{value:.6f}" for value in row) for row in values.tolist()]
     path.write_text("\n".join(lines) + "\n", encoding="ascii")

@@ -39,7 +39,7 @@ class ModelRow:
     """A model that the run used."""
 
     name: str
-    licence: str
+    license: str
     source: str = ""
 
 

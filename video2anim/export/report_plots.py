@@ -25,7 +25,7 @@ _BAR = 0.8
 """Share of its row that a bar, or bars of one time together, fill."""
 _LETTER = 0.011
 """Width of a small letter as a share of the plot's: a bar names its surface where there is room."""
-_CENTIMETRES_PER_METRE = 100.0
+_CENTIMETERS_PER_METER = 100.0
 
 
 def data_uri(content: bytes, media_type: str) -> str:
@@ -49,7 +49,7 @@ def clearance_plot(qualities: Mapping[str, MotionQuality]) -> str:
     axes.axhline(0, color="#c0392b", lw=0.8)
     lows, highs = [0.0], [0.0]
     for stage, quality in qualities.items():
-        clearance_cm = quality.clearance_m * _CENTIMETRES_PER_METRE
+        clearance_cm = quality.clearance_m * _CENTIMETERS_PER_METER
         axes.plot(quality.time_s, clearance_cm, color=STAGE_COLORS[stage], lw=1.2, label=stage)
         finite = clearance_cm[np.isfinite(clearance_cm)]
         lows += finite.tolist()

@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 
 from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from video2anim.humans.lifter_input import LiftedBody, lifted_body, lifter_input
-from video2anim.types.clip import FPS
 from video2anim.humans.problem import Observations
+from video2anim.types.clip import FPS
 
 Network = Callable[[Float[np.ndarray, "frames features"]], Float[np.ndarray, "frames outputs"]]
 _NEAR_ENOUGH = 0.1

@@ -21,7 +21,7 @@ _MAX_BONE_SPREAD = 0.2
 _FASTEST_M_S = 13.0
 """No root moves faster: the fastest sprint measured is 12.4 m/s."""
 _MAX_FAST = 0.02
-_STATURES_M = (0.7, 2.2)
+_BODY_HEIGHTS_M = (0.7, 2.2)
 _SURE_FRAMES = 15
 
 
@@ -85,7 +85,7 @@ def _fast_share(root_m: Float[np.ndarray, "frames 3"], fps: float) -> float:
 
 def _doubts(quality: PersonQuality, valid_frames: int) -> list[str]:
     """Why the track should not be trusted, in words; empty if nothing speaks against it."""
-    low, high = _STATURES_M
+    low, high = _BODY_HEIGHTS_M
     checks = (
         (
             quality.reprojection_ratio > _MAX_REPROJECTION,

@@ -22,7 +22,7 @@ class ModelEntry:
     which have a version."""
     size_bytes: int
     """Of all its files; 0 for files that the user brings, dependencies, and where the origin states a digest alone."""
-    licence: str
+    license: str
     verified: Literal["weights", "contract"]
     """`weights`: run against real pictures with these weights; `contract`: only the tensor contract is tested."""
     adapter: str

@@ -342,7 +342,7 @@ def _client_missing(entry: ModelEntry, client: str) -> ModelMissingError:
 
 def _not_ours(entry: ModelEntry, source: UserSource) -> ModelMissingError:
     return ModelMissingError(
-        f"{entry.name} is not fetched, {source.why} ({entry.licence}); "
+        f"{entry.name} is not fetched, {source.why} ({entry.license}); "
         f"get it ({source.origin}) and name the file as {entry.name}@PATH"
     )
 

@@ -89,7 +89,7 @@ def _middles(heat: np.ndarray, wanted: np.ndarray) -> Float[np.ndarray, "middles
     peak = (smooth == cv2.dilate(smooth, around)) & (smooth > _MIN_HEAT)
     peak &= cv2.dilate(wanted.astype(np.uint8), around) > 0
     # A flat top is one middle: its center.
-    count, _, _, centre = cv2.connectedComponentsWithStats(peak.astype(np.uint8), connectivity=8)
-    x, y = np.round(centre[1:count]).astype(int).T
+    count, _, _, center = cv2.connectedComponentsWithStats(peak.astype(np.uint8), connectivity=8)
+    x, y = np.round(center[1:count]).astype(int).T
     order = np.argsort(-smooth[y, x])[:_MOST]
     return np.stack([x, y, smooth[y, x]], 1)[order].astype(np.float64)

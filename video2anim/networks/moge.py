@@ -102,10 +102,10 @@ class Moge:
         self._network.expect_shape("points", found["points"], (1, net_h, net_w, 3))
         self._network.expect_shape("mask", found["mask"], (1, net_h, net_w))
         self._network.expect_shape(self._scale, found[self._scale].reshape(-1), (1,))
-        points, metres = found["points"][0], float(found[self._scale].reshape(-1)[0])
+        points, meters = found["points"][0], float(found[self._scale].reshape(-1)[0])
         valid = (found["mask"][0] > _MASK_FROM) & np.isfinite(points).all(-1)
         focal_net_px, shift = focal_and_shift(points, valid)
-        depth_m = metres * (points[..., 2] + np.float32(shift))
+        depth_m = meters * (points[..., 2] + np.float32(shift))
         valid &= np.isfinite(depth_m) & (depth_m > 0.0)
         normal = found.get("normal")
         if normal is not None:

@@ -32,7 +32,7 @@ class Detection:
 
 
 def joined_objects(
-    recognised: Sequence[Detection],
+    recognized: Sequence[Detection],
     regions: Sequence[Region],
     built: Bool[np.ndarray, "height width"],
     points_world_m: Float[np.ndarray, "height width 3"],
@@ -51,7 +51,7 @@ def joined_objects(
     """
     found: list[Detection] = []
     taken = np.zeros(built.shape, bool)
-    for obj in recognised:
+    for obj in recognized:
         mask = _main_parts(obj.mask & ~taken)
         if mask.sum() < _LEFT * obj.mask.sum():
             continue

@@ -38,7 +38,7 @@ class Descriptor:
 
     structure: Float[np.ndarray, "cells"]
     """Log luminance on a coarse grid, slow shading removed, zero mean, unit norm (less for a blank picture)."""
-    colours: Float[np.ndarray, "bins"]
+    colors: Float[np.ndarray, "bins"]
     """Square root of the histogram of chromaticity and relative luminance; unit norm."""
 
 
@@ -75,8 +75,8 @@ def _softened(histogram: Float[np.ndarray, "luminance a b"], axis: int) -> Float
 def distance(a: Descriptor, b: Descriptor) -> float:
     """How unlike two pictures are, 0 (same) to 1: mean of the structures' and the colors' difference."""
     structure = 0.5 * float(np.sum((a.structure - b.structure) ** 2))
-    colours = np.sqrt(max(0.0, 1.0 - float(a.colours @ b.colours)))
-    return float(0.5 * (min(1.0, structure) + colours))
+    colors = np.sqrt(max(0.0, 1.0 - float(a.colors @ b.colors)))
+    return float(0.5 * (min(1.0, structure) + colors))
 
 
 class ShotDetector:

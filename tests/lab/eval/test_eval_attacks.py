@@ -209,14 +209,14 @@ def test_a_wrong_value_of_the_truth(truth: Path, case: str) -> None:
 @pytest.mark.parametrize("spoil", SPOILS)
 def test_a_spoilt_plate_has_a_reason(truth: Path, spoil: str) -> None:
     SPOILS[spoil](truth / "plate.png")
-    with pytest.raises(ArtifactError, match=r"background image\.png"):
+    with pytest.raises(ArtifactError, match=r"plate\.png"):
         _ = read_truth(truth).background_rgb
 
 
 @pytest.mark.parametrize("image", [np.zeros((2, 2, 3)), np.zeros((CLIP[1], CLIP[0], 4)), np.zeros((9, 9))])
 def test_a_plate_of_another_size_or_with_holes_has_a_reason(truth: Path, image: np.ndarray) -> None:
     assert cv2.imwrite(str(truth / "plate.png"), image.astype(np.uint8))
-    with pytest.raises(ArtifactError, match=r"background image\.png: want"):
+    with pytest.raises(ArtifactError, match=r"plate\.png: want"):
         _ = read_truth(truth).background_rgb
 
 

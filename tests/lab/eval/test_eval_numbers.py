@@ -260,8 +260,8 @@ def test_depth_numbers(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
 
 def test_disparity_is_fitted_as_disparity(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
     def disparity(clip: DepthClip) -> DepthClip:
-        metres, bare = 4 * clip.value + 0.5, 4 * clip.background_value + 0.5
-        return replace(clip, kind="disparity", value=3 / metres - 0.2, background_value=3 / bare - 0.2)
+        meters, bare = 4 * clip.value + 0.5, 4 * clip.background_value + 0.5
+        return replace(clip, kind="disparity", value=3 / meters - 0.2, background_value=3 / bare - 0.2)
 
     found = evaluated(tmp_path, truth_dir, tiny, {DepthClip: disparity})
     assert value(found, "depth", "abs_rel") < 1e-3

@@ -22,7 +22,7 @@ FOCAL_PX = (70.0, 48.0)
 PITCH_DEG, ROLL_DEG = (-14.0, -24.0), (7.0, -5.0)
 FLOOR, BOX, PERSON = 1, 7, 1000
 """Instance numbers."""
-COLOURS = {0: (150, 180, 220), FLOOR: (40, 160, 60), BOX: (200, 50, 40), PERSON: (60, 60, 210)}
+COLORS = {0: (150, 180, 220), FLOOR: (40, 160, 60), BOX: (200, 50, 40), PERSON: (60, 60, 210)}
 NAMES = {0: "none", FLOOR: "floor", BOX: "box", PERSON: "person"}
 SEEN_CLASS = {0: "other", FLOOR: "floor", BOX: "furniture", PERSON: "person"}
 
@@ -62,7 +62,7 @@ def rendered(number: int) -> dict[str, np.ndarray]:
         put(np.where(on, panel, np.inf), np.array([0.0, 0.0, 1.0]), PERSON)
     seen = np.isfinite(depth_m)
     return {
-        "rgb": np.array([COLOURS[int(i)] for i in instance.ravel()], np.uint8).reshape(HEIGHT, WIDTH, 3),
+        "rgb": np.array([COLORS[int(i)] for i in instance.ravel()], np.uint8).reshape(HEIGHT, WIDTH, 3),
         "depth_mm": np.rint(np.where(seen, 1000 * depth_m, 0)).astype(np.uint16),
         "normal_camera": np.rint(127 * normal @ R).astype(np.int8),
         "instance": instance,
@@ -100,7 +100,7 @@ def unspoiled(monkeypatch: pytest.MonkeyPatch) -> None:
 def palette_class(picture: torch.Tensor) -> np.ndarray:
     """Class of the nearest color at half size."""
     rgb = picture.numpy().reshape(3, picture.shape[1] // 2, 2, picture.shape[2] // 2, 2).mean((2, 4))
-    far = np.stack([np.abs(rgb - np.array(colour)[:, None, None]).sum(0) for colour in COLOURS.values()])
+    far = np.stack([np.abs(rgb - np.array(color)[:, None, None]).sum(0) for color in COLORS.values()])
     return np.array([CLASSES.index(name) for name in SEEN_CLASS.values()])[far.argmin(0)]
 
 

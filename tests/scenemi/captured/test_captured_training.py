@@ -133,7 +133,7 @@ def shards(motions: SceneMotions, tmp_path_factory: pytest.TempPathFactory) -> l
 
 def test_mirrored_windows_keep_their_distances(shards: list[SceneShard]) -> None:
     """Of every window drawn the distances of its joints are those of the stored window, sides exchanged or not."""
-    stored = torch.cat([torch.from_numpy(shard.features / pool.UNITS_PER_METRE) for shard in shards]).float()
+    stored = torch.cat([torch.from_numpy(shard.features / pool.UNITS_PER_METER) for shard in shards]).float()
     scene = pool.stored_scenes([(shard, row) for shard in shards for row in range(SHARD)])
     true_m = scene.field(torch.ones(2 * SHARD)).distance_m(stored[..., JOINTS].unflatten(-1, (22, 3)).flatten(1, 2))
     true_m = true_m.unflatten(1, (-1, 22))

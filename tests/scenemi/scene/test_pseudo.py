@@ -12,19 +12,23 @@ from scene_motions import Window, acted
 from scenemi.scene.basis_points import bps
 from scenemi.scene.body_spheres import BodySpheres, adult_spheres, fit_spheres
 from scenemi.scene.furniture import FURNITURE, Piece, doorway, wall
-from scenemi.scene.pseudo import PseudoConfig, SyntheticScene, SyntheticScenes
+from scenemi.scene.pseudo import SyntheticScene, SyntheticSceneConfig, SyntheticScenes
 from scenemi.scene.scan_noise import ScanNoise
 from scenemi.scene.voxels import occupancy
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.motion import BodyShape
 
-CLEAN = PseudoConfig(empty_share=0.0, hollow_share=0.0, noise=ScanNoise.none())
+CLEAN = SyntheticSceneConfig(empty_share=0.0, hollow_share=0.0, noise=ScanNoise.none())
 TIGHT = replace(CLEAN, clearance_m=((1.0, 0.0, 0.0),), wall_room_m=0.0, loose_share=0.0, furniture=(5, 8))
 DEEPEST_M = 0.02
 
 
-def draw(window: Window, seed: int, config: PseudoConfig = CLEAN, spheres: BodySpheres | None = None) -> SyntheticScene:
+def draw(
+    window: Window, seed: int, config: SyntheticSceneConfig = CLEAN, spheres: BodySpheres | None = None
+) -> SyntheticScene:
+    window: Window, seed: int, config: SyntheticSceneConfig = CLEAN, spheres: BodySpheres | None = None
+) -> SyntheticScene:
     rng = np.random.default_rng(seed)
     return SyntheticScenes(config).draw(
         rng, window.joints_m, window.R_world_joint, window.anchors_m, window.contact, spheres=spheres
@@ -72,7 +76,7 @@ def test_voxels_and_offsets_are_those_of_the_geometry(sit: Window) -> None:
 
 
 def test_one_seed_one_scene(walk: Window) -> None:
-    config = PseudoConfig()
+    config = SyntheticSceneConfig()
     first, again, other = (draw(walk, seed, config) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.occupancy, again.occupancy)
     np.testing.assert_array_equal(first.bps, again.bps)

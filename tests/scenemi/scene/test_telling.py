@@ -12,7 +12,7 @@ from scene_motions import FRAMES, Window
 from scenemi.model.base import join_keyframes
 from scenemi.scene.body_spheres import adult_spheres
 from scenemi.scene.boxes import Boxes
-from scenemi.scene.pseudo import PseudoConfig, SyntheticScenes
+from scenemi.scene.pseudo import SyntheticSceneConfig, SyntheticScenes
 from scenemi.scene.sliding import SweptBody
 from scenemi.scene.telling import TrueSweep, telling_solids
 
@@ -103,7 +103,7 @@ def test_gaps_to_the_sweep_against_all_balls(walk: Window) -> None:
 
 def test_a_scene_around_a_blind_path_keeps_the_body_free_and_stops_the_other(walk: Window) -> None:
     """Through `SyntheticScenes`, with furniture pushed up to the telling solids."""
-    scenes = SyntheticScenes(replace(PseudoConfig(), empty_share=0.0))
+    scenes = SyntheticScenes(replace(SyntheticSceneConfig(), empty_share=0.0))
     body, path_m, hits = swept(walk), blind(walk), []
     for seed in range(8):
         named = scenes.solids(

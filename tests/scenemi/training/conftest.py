@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from small_run import CONFIG, PLAIN, shrink, write_acted
+from small_run import CONFIG, PLAIN, shrink, write_procedural
 
 from scenemi.data.windows import MotionSet
 from scenemi.features import Statistics
@@ -24,7 +24,7 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four acted clips."""
-    return write_acted(tmp_path_factory.mktemp("acted") / "acted.npz", ("walk", "sit", "reach", "pick_up"))
+    return write_procedural(tmp_path_factory.mktemp("acted") / "acted.npz", ("walk", "sit", "reach", "pick_up"))
 
 
 @pytest.fixture(scope="session")

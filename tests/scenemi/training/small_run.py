@@ -49,7 +49,7 @@ def shrink(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(run, "_SCALE_WINDOWS", 4 * CONFIG.batch)
 
 
-def write_acted(path: Path, kinds: tuple[str, ...]) -> Path:
+def write_procedural(path: Path, kinds: tuple[str, ...]) -> Path:
     """An archive of acted clips of five seconds."""
     body = shaped_body(BodyShape("anny", dict(ADULT)))
     clips = [

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from small_run import CONFIG, write_acted
+from small_run import CONFIG, write_procedural
 from typer.testing import CliRunner
 
 from scenemi.cli.main import app
@@ -117,7 +117,7 @@ def test_what_is_no_pack_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         pack_run(tmp_path / "pack", RunFiles(CONFIG, (), None, None), tmp_path / "none")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").touch()
-    archive = write_acted(tmp_path / "a.npz", ("walk",))
+    archive = write_procedural(tmp_path / "a.npz", ("walk",))
     with pytest.raises(InputError, match="empty folder"):
         pack_run(tmp_path / "full", RunFiles(CONFIG, (archive,), None, None), tmp_path)
     pack_run(tmp_path / "pack", RunFiles(CONFIG, (archive,), None, None), tmp_path)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_run import PLAIN, SHARD, write_acted
+from small_run import PLAIN, SHARD, write_procedural
 
 from scenemi.data.windows import MotionSet, WindowBatch
 from scenemi.features import JOINTS, encode
@@ -17,7 +17,7 @@ from scenemi.model.base import join_keyframes
 from scenemi.scene.body_spheres import adult_spheres
 from scenemi.scene.boxes import Boxes
 from scenemi.training import pool
-from scenemi.training.pool import MAX_BOXES, UNITS_PER_METRE, Shard, grow_pool, open_pool, scene_boxes, telling_share
+from scenemi.training.pool import MAX_BOXES, UNITS_PER_METER, Shard, grow_pool, open_pool, scene_boxes, telling_share
 from video2anim.errors import InputError
 from video2anim.types.skeleton import JOINT_INDEX
 
@@ -43,7 +43,7 @@ def masks_of(shard: Shard) -> np.ndarray:
 
 
 def joints_m(shard: Shard) -> np.ndarray:
-    return (shard.features[..., JOINTS] / UNITS_PER_METRE).reshape(len(shard), 121, 22, 3)
+    return (shard.features[..., JOINTS] / UNITS_PER_METER).reshape(len(shard), 121, 22, 3)
 
 
 def blind_m(shard: Shard) -> np.ndarray:
@@ -92,7 +92,7 @@ def test_a_shard_is_the_same_for_the_same_seed_whenever_it_is_made(motions: Moti
 @pytest.mark.usefixtures("few")
 def test_shards_of_other_motion_are_not_added_to(motions: MotionSet, tmp_path: Path) -> None:
     grow_pool(tmp_path / "pool", motions, 1)
-    other = MotionSet.build([write_acted(tmp_path / "a.npz", ("walk",))], None, None, bodies=1, config=PLAIN)
+    other = MotionSet.build([write_procedural(tmp_path / "a.npz", ("walk",))], None, None, bodies=1, config=PLAIN)
     for changed, seed in ((other, 0), (motions, 1)):
         with pytest.raises(InputError, match="other motion or of an older version; delete"):
             grow_pool(tmp_path / "pool", changed, 2 * FEW, seed=seed)
@@ -116,7 +116,7 @@ def test_stored_features_are_those_of_the_motion(
     grow_pool(tmp_path, motions, 1)
     (shard,), (windows,) = open_pool(tmp_path), drawn
     true = encode(windows.R_parent_joint, windows.translation_m, motions.rest_joints_m[windows.body_index])
-    assert np.abs(shard.features / UNITS_PER_METRE - true).max() < 1 / 8192
+    assert np.abs(shard.features / UNITS_PER_METER - true).max() < 1 / 8192
     assert shard.features.dtype == np.int16
     np.testing.assert_array_equal(shard.valid_frames, windows.valid.sum(1))
     np.testing.assert_array_equal(shard.body, windows.body_index)
@@ -169,7 +169,7 @@ def test_rows_of_boxes_come_before_rows_of_zeros(shards: list[Shard]) -> None:
 
 
 def test_a_scene_tells_more_than_a_third_of_acted_walks_what_their_keyframes_do_not(tmp_path: Path) -> None:
-    path = write_acted(tmp_path / "walks.npz", ("walk",) * 3)
+    path = write_procedural(tmp_path / "walks.npz", ("walk",) * 3)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool, "SHARD_WINDOWS", 64)
         grow_pool(tmp_path / "pool", MotionSet.build([path], None, None, bodies=1, config=PLAIN), 64)

@@ -51,7 +51,7 @@ class MovedObject:
 class MovedObjects:
     """All objects that are moved in truth, and how many paths are left over."""
 
-    things: tuple[MovedObject, ...]
+    objects: tuple[MovedObject, ...]
     false_paths: int
 
 
@@ -71,16 +71,16 @@ def carried_group(
 
 def carried_numbers(found: MovedObjects) -> dict[str, float]:
     """The rows of the group; every object weighs the same."""
-    errors_m = [float(obj.error_m.mean()) for obj in found.things if obj.estimate_id is not None]
+    errors_m = [float(obj.error_m.mean()) for obj in found.objects if obj.estimate_id is not None]
     return {
-        "carried_found": len(errors_m) / len(found.things) if found.things else np.nan,
+        "carried_found": len(errors_m) / len(found.objects) if found.objects else np.nan,
         "carried_path_m": float(np.mean(errors_m)) if errors_m else np.nan,
         "carried_false": float(found.false_paths),
     }
 
 
 def _note(found: MovedObjects) -> str:
-    told = [f"{obj.label}: {'found' if obj.estimate_id is not None else 'not found'}" for obj in found.things]
+    told = [f"{obj.label}: {'found' if obj.estimate_id is not None else 'not found'}" for obj in found.objects]
     return f"{', '.join(told)}." if told else ""
 
 
@@ -99,7 +99,7 @@ def moved_objects(
     near = mean_m <= SAME_PATH_M
     rows, columns = linear_sum_assignment(np.where(near, mean_m, 1e6))
     pairs = {int(j): int(i) for i, j in zip(rows, columns, strict=True) if near[i, j]}
-    things = [
+    matched = [
         MovedObject(
             item.object_id, item.label, mine[pairs[j]].object_id, error_m[pairs[j]][j],
             hold_error(mine[pairs[j]], item, frames),
@@ -108,7 +108,7 @@ def moved_objects(
         else MovedObject(item.object_id, item.label, None, np.zeros(0), np.nan)
         for j, item in enumerate(true)
     ]  # fmt: skip
-    return MovedObjects(tuple(things), len(mine) - len(pairs))
+    return MovedObjects(tuple(matched), len(mine) - len(pairs))
 
 
 def hold_error(obj: PlacedObject, item: TrueObject, frames: FrameMatch) -> float:

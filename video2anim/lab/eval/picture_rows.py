@@ -41,7 +41,7 @@ _DELTA = 1.25
 
 def background_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
     """The background image against the true empty picture, and masks of people."""
-    title = "Background background image"
+    title = "Background image"
     background = result.get(BackgroundImage)
     if background is None:
         return make_group("background", title, BACKGROUND, {"value": result.why(BackgroundImage)})

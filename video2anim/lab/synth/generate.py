@@ -31,7 +31,7 @@ Job = TypeVar("Job")
 Made = TypeVar("Made")
 SET_NAME = "set.json"
 _DIGESTED = ("truth.npz", "video.mp4")
-_OURS = re.compile(r"meta\.json|truth(_\d+)?\.npz|video\.mp4|background image\.png|scene\.glb|objects|\w+\.npy")
+_OURS = re.compile(r"meta\.json|truth(_\d+)?\.npz|video\.mp4|plate\.png|scene\.glb|objects|\w+\.npy")
 """What clips and shards consist of."""
 GENERATOR_VERSION = 1
 """Raised when the same specification gives another clip."""

@@ -19,7 +19,7 @@ MOST = 100_000
 """Motions of an archive, which is put together in memory."""
 
 
-def write_acted(path: Path, *, count: int, seed: int) -> int:
+def write_procedural(path: Path, *, count: int, seed: int) -> int:
     """Write `count` procedural motions, kinds in turn, each on a body of its own; their source is `synthetic`.
 
     Returns:

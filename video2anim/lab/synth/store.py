@@ -165,13 +165,13 @@ def _write_meshes(work: Path, shot: Shot) -> None:
 
 def placed_object(obj: SceneObject) -> PlacedObject:
     """An object as the pipeline's type, colors baked to the vertices."""
-    vertices, faces, colours, count = [], [], [], 0
+    vertices, faces, colors, count = [], [], [], 0
     for part in obj.parts:
         vertices.append(np.asarray(part.vertices_m, float))
         faces.append(np.asarray(part.faces, np.int64) + count)
-        colours.append(_baked(part))
+        colors.append(_baked(part))
         count += len(part.vertices_m)
-    mesh = Mesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(colours))
+    mesh = Mesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(colors))
     return PlacedObject(obj.object_id, obj.label, mesh, 1.0, obj.T_world_object, None, None, True, obj.note)
 
 

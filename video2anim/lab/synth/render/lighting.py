@@ -174,9 +174,9 @@ def response_of(
     emission = np.array([*(m.emission for m in materials), 0.0], np.float32)[points.material]
     shining = np.flatnonzero(emission > 0)
     if len(shining):
-        colour = np.array([linear_light(np.asarray(m.rgb)) for m in materials], np.float32)[points.material[shining]]
+        color = np.array([linear_light(np.asarray(m.rgb)) for m in materials], np.float32)[points.material[shining]]
         screen = np.array([m.kind == "screen" for m in materials])[points.material[shining], None]
-        glow[shining] = np.where(screen, diffuse[shining], colour) * emission[shining, None]
+        glow[shining] = np.where(screen, diffuse[shining], color) * emission[shining, None]
     return Response(lamp, ambient, glow)
 
 

@@ -220,10 +220,10 @@ def _draw_over(
     casters = [room_opaque, caster]
     reach = sheet_reach(sheet, lamps, casters, width)
     response = response_of(sheet.points, surfaces.materials, lamps.lights, lamps.ambient_rgb)
-    colour = response.lit(reach.reshape(-1, reach.shape[-1])[sheet.seen])
+    color = response.lit(reach.reshape(-1, reach.shape[-1])[sheet.seen])
     pixel = rectangle_pixels(sheet.rows, sheet.columns, width)
     behind = out[pixel]
-    out[pixel[sheet.seen]] = colour
+    out[pixel[sheet.seen]] = color
     shown = cv2.dilate(np.isfinite(sheet.depth_m).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     edge = np.flatnonzero(sheet.links.edges() & shown)
     if not len(edge):

@@ -68,11 +68,11 @@ def material_rgb(material: Material, spot: Spot) -> Float[np.ndarray, "points 3"
     """Linear color of one material."""
     share, tint = KINDS[material.kind](material, spot)
     first, second = np.asarray(material.rgb, np.float32), np.asarray(material.rgb2, np.float32)
-    colour = first + share[:, None] * (second - first)
+    color = first + share[:, None] * (second - first)
     if material.stain > 0:
         dirt = fractal(spot.u / 0.9, spot.v / 0.9, spot.footprint / 0.9, material.seed + 77, 5)
         tint = tint * (1 - 0.6 * material.stain * np.clip(dirt - 0.45, 0, 1))
-    return linear_light(np.clip(colour * tint[:, None], 0, 1)).astype(np.float32)
+    return linear_light(np.clip(color * tint[:, None], 0, 1)).astype(np.float32)
 
 
 Pattern = tuple[np.ndarray, np.ndarray]
