@@ -27,8 +27,6 @@ DEEPEST_M = 0.02
 def draw(
     window: Window, seed: int, config: SyntheticSceneConfig = CLEAN, spheres: BodySpheres | None = None
 ) -> SyntheticScene:
-    window: Window, seed: int, config: SyntheticSceneConfig = CLEAN, spheres: BodySpheres | None = None
-) -> SyntheticScene:
     rng = np.random.default_rng(seed)
     return SyntheticScenes(config).draw(
         rng, window.joints_m, window.R_world_joint, window.anchors_m, window.contact, spheres=spheres
