@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_WAIT_POLICY ?= passive
 
-.PHONY: demo test lint types bench clean train-prior train-progress train-stop
+.PHONY: demo test fast lint types bench clean train-prior train-progress train-stop
 MOTION_DIR ?= ../shared/motion
 THREADS ?= 1
 
@@ -31,9 +31,16 @@ $(VENV)/.programs: $(VENV)/.dev
 demo: $(VENV)/.run
 	$(BIN)/video2anim demo --out demo_out
 
+# Two workers, a file at a time; each has one thread for its numbers.
 test: $(VENV)/.programs
 	$(BIN)/ruff check .
-	$(BIN)/python -m pytest -q
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright --pythonpath $(BIN)/python
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --durations=20
+
+# Units and laws, without what takes longer than a moment (tests/slow_tests.txt).
+fast: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --fast
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
