@@ -29,9 +29,8 @@ from video2anim.types import (
 
 if TYPE_CHECKING:
     from video2anim.geometry.sdf import SdfGrid
-    from video2anim.motion.keyframe_depth import DepthTarget
     from video2anim.motion.keyframe_points import SkinPoints
-    from video2anim.motion.keyframe_roots import ContactPart, RootProblem, RootWeights
+    from video2anim.motion.keyframe_roots import RootProblem, RootWeights
 
 
 @dataclass(frozen=True)
@@ -89,6 +88,7 @@ def optimize_keyframes(
     background image holds, and only where the depth's scale is trusted.
     """
     from video2anim.geometry.sdf import SdfGrid
+    from video2anim.motion.keyframe_problem import choose_keyframes
 
     grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
     masks_fit = background.selected_mask.shape[1:] == depth.depth_m.shape[1:]
@@ -100,7 +100,7 @@ def optimize_keyframes(
         ctx.warn(f"depth loss left out, masks {masks} do not fit depth {maps}")
     people, indices = [], []
     for number, motion in enumerate(depth.bodies.people):
-        keyframes = _choose_keyframes(motion.valid, config.keyframe_interval_frames)
+        keyframes = choose_keyframes(motion.valid, config.keyframe_interval_frames)
         indices.append(keyframes)
         if len(keyframes) == 0:
             ctx.warn(f"person {motion.person_id} has no valid frame, motion left as it is")
@@ -128,6 +128,7 @@ def _optimize_person(
     from video2anim.body.anny_body import shaped_body
     from video2anim.motion.keyframe_depth import depth_targets
     from video2anim.motion.keyframe_points import SkinSample
+    from video2anim.motion.keyframe_problem import KeyframeReach, between_keyframes, root_problem
     from video2anim.motion.keyframe_roots import solve_along
     from video2anim.objects.path import holding
 
@@ -138,11 +139,14 @@ def _optimize_person(
         depth_targets(motion, body, *seen, points=config.depth_points, rng=ctx.rng("depth points")) if seen else ()
     )
     free = replace(motion, contact=np.where(holding(objects, motion), 0.0, motion.contact))
-    problem = _root_problem(free, keyframes, before, grid, targets, config)
+    reach = KeyframeReach(
+        config.contact_threshold, config.contact_reach_m, config.contact_points, config.penetration_reach_m
+    )
+    problem = root_problem(free, keyframes, before, grid, targets, reach)
     along_m = solve_along(
         problem, _weights(config), iterations=config.iterations, learning_rate_m=config.learning_rate_m
     )
-    displacement_m = _between_keyframes(keyframes, along_m[:, None] * problem.direction, motion.frame_count)
+    displacement_m = between_keyframes(keyframes, along_m[:, None] * problem.direction, motion.frame_count)
     moved = motion.with_pose(
         translation_world_m=motion.T_world_root[:, :3, 3] + displacement_m, R_parent_joint=motion.R_parent_joint
     )
@@ -152,60 +156,6 @@ def _optimize_person(
     ctx.quality("root_displacement_mean", mean_m, "m", person_id=person_id)
     _report_keyframes(ctx, person_id, problem, displacement_m, after, config)
     return moved
-
-
-def _between_keyframes(
-    keyframes: Int[np.ndarray, "keyframes"], moves_m: Float[np.ndarray, "keyframes 3"], frame_count: int
-) -> Float[np.ndarray, "frames 3"]:
-    """Displacement of every frame: monotone cubic between keyframes (no overshoot), constant beyond them."""
-    from scipy.interpolate import PchipInterpolator
-
-    if len(keyframes) == 1:
-        return np.tile(moves_m, (frame_count, 1))
-    frames = np.clip(np.arange(frame_count), keyframes[0], keyframes[-1])
-    return PchipInterpolator(keyframes, moves_m)(frames)
-
-
-def _choose_keyframes(valid: Bool[np.ndarray, "frames"], interval: int) -> Int[np.ndarray, "keyframes"]:
-    """Valid frames on the regular grid, and the edges of every valid stretch."""
-    on_grid = np.zeros(len(valid), dtype=bool)
-    on_grid[::interval] = True
-    edge = np.diff(np.concatenate([[False], valid, [False]]).astype(np.int8))
-    on_grid[np.flatnonzero(edge == 1)] = True
-    on_grid[np.flatnonzero(edge == -1) - 1] = True
-    return np.flatnonzero(on_grid & valid)
-
-
-def _root_problem(
-    motion: BodyMotion,
-    keyframes: Int[np.ndarray, "keyframes"],
-    points: SkinPoints,
-    grid: SdfGrid,
-    targets: tuple[DepthTarget, ...],
-    config: KeyframesConfig,
-) -> RootProblem:
-    """World-frame arrays at the keyframes; touches whose surface is out of reach are left out."""
-    from video2anim.motion.keyframe_points import TOUCHING
-    from video2anim.motion.keyframe_roots import ContactPart, RootProblem, contact_distance_m
-
-    contacts: list[ContactPart] = []
-    for joints in TOUCHING:
-        part_m = points.touching_m(joints)
-        probability = motion.contact[keyframes][:, joints].max(axis=1)
-        rows = np.flatnonzero(probability >= config.contact_threshold)
-        if len(rows) == 0 or part_m.shape[1] == 0:
-            continue
-        skin_m = part_m[keyframes[rows]]
-        near = np.abs(contact_distance_m(skin_m, grid, config.contact_points)) <= config.contact_reach_m
-        if near.any():
-            contacts.append(ContactPart(joints, rows[near], skin_m[near], probability[rows][near]))
-    valid = np.flatnonzero(motion.valid)
-    skin_m = points.spread_m[valid]
-    row, vertex = np.nonzero(grid.sample(skin_m) < config.penetration_reach_m)
-    root_m = motion.T_world_root[:, :3, 3]
-    away_m = root_m[keyframes] - motion.T_world_camera[keyframes, :3, 3]
-    direction = away_m / np.maximum(np.linalg.norm(away_m, axis=1, keepdims=True), 1e-6)
-    return RootProblem(keyframes, root_m, direction, skin_m[row, vertex], valid[row], tuple(contacts), targets, grid)
 
 
 def _report(

@@ -5,7 +5,6 @@ A scan of the user's takes the place of all that.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -21,9 +20,7 @@ from video2anim.types import (
     BodyTracks,
     DepthClip,
     InstanceMasks,
-    Mesh,
     MetricDepth,
-    PlacedObject,
     PlacedObjects,
     RoomPiece,
     SceneModel,
@@ -31,16 +28,10 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
-    from video2anim.objects.carried import Pictures
-    from video2anim.scene.supports import Support
+    pass
 
 _FAR_SCAN_M = 0.25
 """A scan that stays farther from the video's depth is probably not in place."""
-_UNKNOWN_M = 0.25
-"""What rests this far from every surface rests on something that is not in the scene: nearer ones the solve of stage
-refine brings together."""
-_LOW_M = 0.3
-"""Heights of single contacts are uncertain by several centimeters, so lower steps and seats are not claimed."""
 
 _ShiftM = Annotated[float, limits("m", ge=-10_000_000, le=10_000_000)]
 """Scans in the coordinates of a survey lie far from the origin."""
@@ -96,30 +87,37 @@ def build_scene(
     from video2anim.geometry.sdf import build_sdf_grid
     from video2anim.objects.carried import with_moved_objects
     from video2anim.objects.path import settled
+    from video2anim.objects.pictures import pictures_of
     from video2anim.scene.backdrop import backdrop
+    from video2anim.scene.field import field_bounds, field_spacing, motion_bounds, overlaps
     from video2anim.scene.ground import ground
+    from video2anim.scene.inferred_supports import inferred_supports, rested_on, without_walked_through
     from video2anim.scene.view import relative_sigma
 
     bodies = depth.bodies
-    motion_m = _motion_bounds(bodies)
+    motion_m = motion_bounds(bodies)
     if config.scan:
         return _scanned(motion_m, depth, bodies, config, ctx)
-    rested = _rested(bodies)
-    pictures = _pictures(clip, background)
+    rested = rested_on(bodies)
+    pictures = pictures_of(clip, background)
     found = placed.objects if pictures is None else with_moved_objects(pictures, masks, bodies, placed.objects)
     moved = [item for item in found if item.path]
     still = [item for item in found if not item.path]
-    objects = _not_walked_through(still, rested, bodies, config, ctx)
+    objects, rejected = without_walked_through(
+        still, rested, bodies, spacing_m=config.sdf_spacing_m, max_path_m=config.walked_m
+    )
     stay = [item for item in map(settled, moved) if item is not None]
-    supports = _supports([*objects, *stay], rested, bodies, ctx) if config.supports else []
+    supports, inferred = inferred_supports([*objects, *stay], rested, bodies) if config.supports else ([], [])
+    for text in (*rejected, *inferred):
+        ctx.warn(text)
     ctx.quality("rejected_by_motion", len(still) - len(objects), "count")
     ctx.quality("moved", len(moved), "count")
     ctx.quality("inferred_supports", len(supports), "count")
     objects += supports
     solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *stay)]
-    bounds_m = _field_bounds(motion_m, solids, config)
-    spacing_m = _field_spacing(bounds_m, config)
-    near = [solid for solid in solids if _overlap(solid, bounds_m)]
+    bounds_m = field_bounds(motion_m, solids, config.margin_m, config.reach_m)
+    spacing_m = field_spacing(bounds_m, config.sdf_spacing_m, config.max_nodes)
+    near = [solid for solid in solids if overlaps(solid, bounds_m)]
     grid = build_sdf_grid(near, bounds_m, spacing_m, floor_y_m=0.0)
     seen = backdrop(depth, masks, background, config.far_m, relative_sigma(depth, clip_depth))
     around_m = motion_m[:, [0, 2]] + np.array([[-config.margin_m], [config.margin_m]])
@@ -135,31 +133,6 @@ def build_scene(
     return SceneModel(tuple(objects), floor, seen.pieces, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
 
 
-def _pictures(clip: VideoClip, background: BackgroundImage) -> Pictures | None:
-    """Small pictures with where people are in them; None for a camera that moves."""
-    import cv2
-
-    from video2anim.objects.carried import LONG_SIDE_PX, MAX_SAMPLES, Pictures
-    from video2anim.video import read_frames
-
-    if not clip.camera_is_static or len(background.frame_index) < 2:
-        return None
-    step = int(background.frame_index[1])
-    regular = np.flatnonzero(background.frame_index % step == 0)
-    every = -(-len(regular) // MAX_SAMPLES)
-    rows = regular[::every]
-    scale = min(1.0, LONG_SIDE_PX / max(clip.width_px, clip.height_px))
-    size = (round(clip.width_px * scale), round(clip.height_px * scale))
-    frames = read_frames(clip, 0, int(background.frame_index[rows[-1]]) + 1, step * every)
-    rgb = np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
-    people = [
-        cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-        for mask in background.person_mask[rows]
-    ]
-    background_rgb = cv2.resize(background.background_rgb, size, interpolation=cv2.INTER_AREA)
-    return Pictures(rgb, np.stack(people) > 0, background_rgb, step * every)
-
-
 def _scanned(
     motion_m: Float[np.ndarray, "2 3"], depth: MetricDepth, bodies: BodyTracks, config: SceneConfig, ctx: StageContext
 ) -> SceneModel:
@@ -170,6 +143,7 @@ def _scanned(
     from video2anim.geometry.projection import backproject, transform_points
     from video2anim.geometry.rotations import matrix_from_axis_angle
     from video2anim.geometry.scene_mesh import empty_mesh
+    from video2anim.scene.field import field_spacing
     from video2anim.scene.scan import registered, scan_field
 
     scan = read_mesh_file(Path(config.scan))
@@ -196,115 +170,12 @@ def _scanned(
                 )
     bounds_m = np.stack([motion_m[0] - config.margin_m, motion_m[1] + config.margin_m])
     bounds_m[0, 1], bounds_m[1, 1] = -0.3, max(bounds_m[1, 1], 2.0)
-    spacing_m = _field_spacing(bounds_m, config)
+    spacing_m = field_spacing(bounds_m, config.sdf_spacing_m, config.max_nodes)
     grid = scan_field(scan, bounds_m, spacing_m)
     ctx.quality("sdf_spacing", spacing_m, "m", "lower")
     ctx.quality("scan_faces", len(scan.faces), "count")
     floor, room = RoomPiece("floor", empty_mesh()), RoomPiece("scan", scan)
     return SceneModel((), floor, (room,), grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
-
-
-def _not_walked_through(
-    objects: Sequence[PlacedObject],
-    rested: list[tuple[int, Support]],
-    bodies: BodyTracks,
-    config: SceneConfig,
-    ctx: StageContext,
-) -> list[PlacedObject]:
-    """Objects without those that somebody walks through and nobody uses: their place or depth is wrong."""
-    from video2anim.geometry.scene_mesh import world_mesh
-    from video2anim.geometry.sdf import build_sdf_grid
-    from video2anim.scene.free_space import path_length_inside_m
-    from video2anim.scene.supports import MIN_FRAMES
-
-    kept = []
-    for item in objects:
-        solid = world_mesh(item.mesh, item.T_world_object, item.scale)
-        bounds_m = np.stack([solid.vertices_m.min(0) - 0.2, solid.vertices_m.max(0) + 0.2])
-        spacing_m = max(config.sdf_spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
-        field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None)
-        walked_m = max(path_length_inside_m(field, motion) for motion in bodies.people)
-        near = [support.gaps_m([solid], reach_m=2 * _UNKNOWN_M) for _, support in rested if support.top_m > _LOW_M]
-        used = any((gap_m < _UNKNOWN_M).sum() >= MIN_FRAMES for gap_m in near)
-        if used or walked_m <= config.walked_m:
-            kept.append(item)
-            continue
-        ctx.warn(
-            f"object {item.object_id} ({item.label}): somebody walks {walked_m:.1f} m in it, so its place or depth is "
-            "wrong; it is left out"
-        )
-    return kept
-
-
-def _rested(bodies: BodyTracks) -> list[tuple[int, Support]]:
-    """Surfaces that parts of people rested on, with the person's number."""
-    from video2anim.body.anny_body import shaped_body
-    from video2anim.scene.supports import rested_places
-
-    return [(one.person_id, found) for one in bodies.people for found in rested_places(one, shaped_body(one.shape))]
-
-
-def _supports(
-    objects: Sequence[PlacedObject], rested: list[tuple[int, Support]], bodies: BodyTracks, ctx: StageContext
-) -> list[PlacedObject]:
-    """A solid for every place where a part rested far from objects and floor, and through which nobody goes."""
-    from video2anim.body.anny_body import shaped_body
-    from video2anim.geometry.scene_mesh import world_mesh
-    from video2anim.scene.supports import MIN_FRAMES, SUPPORT, standing_solid
-
-    people = [(motion, shaped_body(motion.shape)) for motion in bodies.people]
-    number = max((item.object_id for item in objects), default=0)
-    made: list[PlacedObject] = []
-    for person, support in rested:
-        solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *made)]
-        far = int((support.gaps_m(solids, reach_m=2 * _UNKNOWN_M) > _UNKNOWN_M).sum())
-        if far < MIN_FRAMES or (support.level and support.top_m < _LOW_M):
-            continue
-        told = f"the {support.kind} of person {person} rested in {far} frames at {support.top_m:.2f} m"
-        solid = standing_solid(support, people)
-        if solid is None:
-            ctx.warn(f"{told} with no surface near, but bodies pass there too: no support is inferred")
-            continue
-        number += 1
-        made.append(PlacedObject(number, SUPPORT, solid[0], 1.0, solid[1], None, None, True, f"inferred: {told}"))
-        ctx.warn(f"a support is inferred, since {told} with no surface near; its sides are unknown")
-    return made
-
-
-def _motion_bounds(bodies: BodyTracks) -> Float[np.ndarray, "2 3"]:
-    people = (bodies.main, *bodies.people[1:])
-    points = np.concatenate([body.joints_world_m[body.valid].reshape(-1, 3) for body in people])
-    return np.stack([points.min(0), points.max(0)])
-
-
-def _field_bounds(
-    motion_m: Float[np.ndarray, "2 3"], solids: list[Mesh], config: SceneConfig
-) -> Float[np.ndarray, "2 3"]:
-    """Motion with a margin, and the objects within reach of it; from under the floor to above the highest joint."""
-    low, high = motion_m[0] - config.margin_m, motion_m[1] + config.margin_m
-    for solid in solids:
-        box_low, box_high = solid.vertices_m.min(0).astype(float), solid.vertices_m.max(0).astype(float)
-        gap = np.maximum(np.maximum(box_low - motion_m[1], motion_m[0] - box_high), 0)[[0, 2]]
-        if np.hypot(*gap) <= config.reach_m:
-            low, high = np.minimum(low, box_low - 0.2), np.maximum(high, box_high + 0.2)
-    low[1] = -0.3
-    high[1] = max(high[1], 2.0)
-    return np.stack([low, high])
-
-
-def _field_spacing(bounds_m: Float[np.ndarray, "2 3"], config: SceneConfig) -> float:
-    """The wanted spacing, or the finest that stays within the limit of nodes."""
-    spacing_m = config.sdf_spacing_m
-    while np.prod(np.ceil(np.ptp(bounds_m, axis=0) / spacing_m) + 1) > config.max_nodes:
-        spacing_m *= 1.05
-    return spacing_m
-
-
-def _overlap(solid: Mesh, bounds_m: Float[np.ndarray, "2 3"]) -> bool:
-    if not len(solid.faces):
-        return False
-    low, high = solid.vertices_m.min(0), solid.vertices_m.max(0)
-    return bool((low <= bounds_m[1]).all() and (high >= bounds_m[0]).all())
 
 
 STAGE = StageSpec("scene", build_scene, version=16)

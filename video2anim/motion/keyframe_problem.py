@@ -1,0 +1,78 @@
+"""Which frames are keyframes, what their roots are solved by, and what becomes of the frames between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.interpolate import PchipInterpolator
+
+from video2anim.geometry.sdf import SdfGrid
+from video2anim.motion.keyframe_depth import DepthTarget
+from video2anim.motion.keyframe_points import TOUCHING, SkinPoints
+from video2anim.motion.keyframe_roots import ContactPart, RootProblem, contact_distance_m
+from video2anim.types import BodyMotion
+
+
+@dataclass(frozen=True, slots=True)
+class KeyframeReach:
+    """Which parts of the body are pulled to surfaces and kept out of them."""
+
+    contact_probability: float
+    """A part is pulled from this probability of contact on."""
+    contact_m: float
+    """A touching part farther than this from every surface is left alone."""
+    contact_points: int
+    """Nearest vertices of a part whose mean distance counts."""
+    penetration_m: float
+    """Vertices that start farther from every surface are not tested."""
+
+
+def choose_keyframes(valid: Bool[np.ndarray, "frames"], interval: int) -> Int[np.ndarray, "keyframes"]:
+    """Valid frames on the regular grid, and the edges of every valid stretch."""
+    on_grid = np.zeros(len(valid), dtype=bool)
+    on_grid[::interval] = True
+    edge = np.diff(np.concatenate([[False], valid, [False]]).astype(np.int8))
+    on_grid[np.flatnonzero(edge == 1)] = True
+    on_grid[np.flatnonzero(edge == -1) - 1] = True
+    return np.flatnonzero(on_grid & valid)
+
+
+def between_keyframes(
+    keyframes: Int[np.ndarray, "keyframes"], moves_m: Float[np.ndarray, "keyframes 3"], frame_count: int
+) -> Float[np.ndarray, "frames 3"]:
+    """Displacement of every frame: monotone cubic between keyframes (no overshoot), constant beyond them."""
+    if len(keyframes) == 1:
+        return np.tile(moves_m, (frame_count, 1))
+    frames = np.clip(np.arange(frame_count), keyframes[0], keyframes[-1])
+    return PchipInterpolator(keyframes, moves_m)(frames)
+
+
+def root_problem(
+    motion: BodyMotion,
+    keyframes: Int[np.ndarray, "keyframes"],
+    points: SkinPoints,
+    grid: SdfGrid,
+    targets: tuple[DepthTarget, ...],
+    reach: KeyframeReach,
+) -> RootProblem:
+    """World-frame arrays at the keyframes; touches whose surface is out of reach are left out."""
+    contacts: list[ContactPart] = []
+    for joints in TOUCHING:
+        part_m = points.touching_m(joints)
+        probability = motion.contact[keyframes][:, joints].max(axis=1)
+        rows = np.flatnonzero(probability >= reach.contact_probability)
+        if len(rows) == 0 or part_m.shape[1] == 0:
+            continue
+        skin_m = part_m[keyframes[rows]]
+        near = np.abs(contact_distance_m(skin_m, grid, reach.contact_points)) <= reach.contact_m
+        if near.any():
+            contacts.append(ContactPart(joints, rows[near], skin_m[near], probability[rows][near]))
+    valid = np.flatnonzero(motion.valid)
+    skin_m = points.spread_m[valid]
+    row, vertex = np.nonzero(grid.sample(skin_m) < reach.penetration_m)
+    root_m = motion.T_world_root[:, :3, 3]
+    away_m = root_m[keyframes] - motion.T_world_camera[keyframes, :3, 3]
+    direction = away_m / np.maximum(np.linalg.norm(away_m, axis=1, keepdims=True), 1e-6)
+    return RootProblem(keyframes, root_m, direction, skin_m[row, vertex], valid[row], tuple(contacts), targets, grid)

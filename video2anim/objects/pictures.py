@@ -1,0 +1,30 @@
+"""Small pictures of a clip, in which moved objects are looked for."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from video2anim.objects.carried import LONG_SIDE_PX, MAX_SAMPLES, Pictures
+from video2anim.types import BackgroundImage, VideoClip
+from video2anim.video import read_frames
+
+
+def pictures_of(clip: VideoClip, background: BackgroundImage) -> Pictures | None:
+    """Small pictures with where people are in them; None for a camera that moves."""
+    if not clip.camera_is_static or len(background.frame_index) < 2:
+        return None
+    step = int(background.frame_index[1])
+    regular = np.flatnonzero(background.frame_index % step == 0)
+    every = -(-len(regular) // MAX_SAMPLES)
+    rows = regular[::every]
+    scale = min(1.0, LONG_SIDE_PX / max(clip.width_px, clip.height_px))
+    size = (round(clip.width_px * scale), round(clip.height_px * scale))
+    frames = read_frames(clip, 0, int(background.frame_index[rows[-1]]) + 1, step * every)
+    rgb = np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
+    people = [
+        cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        for mask in background.person_mask[rows]
+    ]
+    background_rgb = cv2.resize(background.background_rgb, size, interpolation=cv2.INTER_AREA)
+    return Pictures(rgb, np.stack(people) > 0, background_rgb, step * every)

@@ -1,0 +1,88 @@
+"""What the motion says of a scene: objects that nobody could walk through, and supports that must be there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from video2anim.body.anny_body import shaped_body
+from video2anim.geometry.scene_mesh import world_mesh
+from video2anim.geometry.sdf import build_sdf_grid
+from video2anim.scene.free_space import path_length_inside_m
+from video2anim.scene.supports import MIN_FRAMES, SUPPORT, Support, rested_places, standing_solid
+from video2anim.types import BodyTracks, PlacedObject
+
+_UNKNOWN_M = 0.25
+"""What rests this far from every surface rests on something that is not in the scene: nearer ones the solve of stage
+refine brings together."""
+_LOW_M = 0.3
+"""Heights of single contacts are uncertain by several centimeters, so lower steps and seats are not claimed."""
+
+
+def rested_on(bodies: BodyTracks) -> list[tuple[int, Support]]:
+    """Surfaces that parts of people rested on, with the person's number."""
+    return [(one.person_id, found) for one in bodies.people for found in rested_places(one, shaped_body(one.shape))]
+
+
+def without_walked_through(
+    objects: Sequence[PlacedObject],
+    rested: list[tuple[int, Support]],
+    bodies: BodyTracks,
+    *,
+    spacing_m: float,
+    max_path_m: float,
+) -> tuple[list[PlacedObject], list[str]]:
+    """Objects without those that somebody walks through and nobody uses: their place or depth is wrong. And a
+    warning for each that is left out.
+
+    Args:
+        rested: By `rested_on`.
+        spacing_m: Of the distance field that paths are measured in, at least.
+        max_path_m: Longest path of a pelvis inside an object.
+    """
+
+    kept: list[PlacedObject] = []
+    warnings: list[str] = []
+    for item in objects:
+        solid = world_mesh(item.mesh, item.T_world_object, item.scale)
+        bounds_m = np.stack([solid.vertices_m.min(0) - 0.2, solid.vertices_m.max(0) + 0.2])
+        node_m = max(spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
+        field = build_sdf_grid([solid], bounds_m, node_m, floor_y_m=None)
+        walked_m = max(path_length_inside_m(field, motion) for motion in bodies.people)
+        near = [support.gaps_m([solid], reach_m=2 * _UNKNOWN_M) for _, support in rested if support.top_m > _LOW_M]
+        used = any((gap_m < _UNKNOWN_M).sum() >= MIN_FRAMES for gap_m in near)
+        if used or walked_m <= max_path_m:
+            kept.append(item)
+            continue
+        warnings.append(
+            f"object {item.object_id} ({item.label}): somebody walks {walked_m:.1f} m in it, so its place or depth is "
+            "wrong; it is left out"
+        )
+    return kept, warnings
+
+
+def inferred_supports(
+    objects: Sequence[PlacedObject], rested: list[tuple[int, Support]], bodies: BodyTracks
+) -> tuple[list[PlacedObject], list[str]]:
+    """A solid for every place where a part rested far from objects and floor, and through which nobody goes; and a
+    warning for each such place."""
+
+    people = [(motion, shaped_body(motion.shape)) for motion in bodies.people]
+    number = max((item.object_id for item in objects), default=0)
+    made: list[PlacedObject] = []
+    warnings: list[str] = []
+    for person, support in rested:
+        solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *made)]
+        far = int((support.gaps_m(solids, reach_m=2 * _UNKNOWN_M) > _UNKNOWN_M).sum())
+        if far < MIN_FRAMES or (support.level and support.top_m < _LOW_M):
+            continue
+        told = f"the {support.kind} of person {person} rested in {far} frames at {support.top_m:.2f} m"
+        solid = standing_solid(support, people)
+        if solid is None:
+            warnings.append(f"{told} with no surface near, but bodies pass there too: no support is inferred")
+            continue
+        number += 1
+        made.append(PlacedObject(number, SUPPORT, solid[0], 1.0, solid[1], None, None, True, f"inferred: {told}"))
+        warnings.append(f"a support is inferred, since {told} with no surface near; its sides are unknown")
+    return made, warnings

@@ -1,0 +1,137 @@
+"""Frames of a source at wanted times, and what is wrong with the source."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.errors import StageError
+from video2anim.types import SourceInfo
+from video2anim.video.cfr import max_gap_s
+from video2anim.video.decode import DecodeReport, SourceHeader, Stamps, decode
+from video2anim.video.source_scan import SourceScan
+
+_LOW_FPS = 20.0
+_SMALL_SIDE_PX = 240
+_LONG_HOLE_S = 0.25
+_CUT_OFF_S = 0.5
+"""Seconds by which the header may be wrong about the end."""
+
+
+def frames_at(
+    path: Path,
+    header: SourceHeader,
+    stamps: Stamps,
+    wanted_s: Float[np.ndarray, "frames"],
+    size_px: tuple[int, int],
+) -> Iterator[tuple[np.ndarray, bool]]:
+    """One RGB picture per wanted time stamp, and whether it is the right one.
+
+    Where the decoder, on damaged input, does not return a picture that it returned before, the last one is held.
+
+    Raises:
+        StageError: no picture decodes at all.
+    """
+    position = 0
+    held: np.ndarray | None = None
+    for picture in decode(path, header, DecodeReport(), stamps):
+        if picture.time_s < wanted_s[position]:
+            continue
+        rgb: np.ndarray | None = None
+        while position < len(wanted_s) and wanted_s[position] <= picture.time_s:
+            found = wanted_s[position] == picture.time_s
+            if rgb is None and (found or held is None):
+                rgb = picture.rgb(*size_px)
+            held = rgb if rgb is not None else held
+            assert held is not None
+            yield held, bool(found)
+            position += 1
+        if position == len(wanted_s):
+            return
+    if held is None:
+        raise StageError(f"{path}: pictures decoded on the first pass but not on the second; is the file changing?")
+    for _ in range(len(wanted_s) - position):
+        yield held, False
+
+
+def source_warnings(
+    header: SourceHeader,
+    source_scan: SourceScan,
+    shot: int,
+    shot_time_s: Float[np.ndarray, "shot_pictures"],
+    size_px: tuple[int, int],
+) -> list[str]:
+    """One line for everything in the source that may make results worse than expected."""
+
+    texts = []
+    shots_s, report = source_scan.shots_s(), source_scan.report
+    if len(shots_s) > 1:
+        start_s, end_s = shots_s[shot]
+        texts.append(
+            f"{len(shots_s)} shots found; shot {shot} ({start_s:.2f} to {end_s:.2f} s) is used, "
+            f"--set ingest.shot=N (0 to {len(shots_s) - 1}) chooses another"
+        )
+    if header.video_streams > 1:
+        texts.append(
+            f"{header.video_streams} video streams found; stream {header.stream_index} is used, the one marked as "
+            "default, else the first; for another, copy it to a file of its own"
+        )
+    if header.hdr:
+        texts.append(
+            f"high dynamic range ({header.hdr}), shown as it is: dark and pale to detectors and in textures; "
+            "convert the video to standard range (BT.709) before for true colors"
+        )
+    if source_scan.stamps == "dts":
+        texts.append("the file's presentation times go back and forth; decode order and decode times are used")
+    if source_scan.reached_end and header.claimed_frames > report.frames:
+        texts.append(
+            f"the header claims {header.claimed_frames} frames, {report.frames} decode: the file is cut off or damaged"
+        )
+    end_s = source_scan.time_s[-1] + source_scan.period_s
+    if source_scan.reached_end and header.claimed_s > end_s + _CUT_OFF_S:
+        texts.append(
+            f"the header claims {header.claimed_s:.2f} s, the pictures end at {end_s:.2f} s: the file is cut off or "
+            "damaged"
+        )
+    if report.damaged_packets or report.damaged_frames or report.stopped_by:
+        stopped = f"; decoding stopped early: {report.stopped_by}" if report.stopped_by else ""
+        texts.append(
+            f"damaged data: {report.damaged_packets} packets did not decode, "
+            f"{report.damaged_frames} pictures are marked corrupt{stopped}"
+        )
+    if report.dropped_stamps:
+        texts.append(f"{report.dropped_stamps} pictures left out: their time stamps do not advance")
+    if len(shot_time_s) > 1:
+        fps = 1.0 / float(np.median(np.diff(shot_time_s)))
+        if fps < _LOW_FPS:
+            texts.append(f"low frame rate: {fps:.1f} fps (want {_LOW_FPS:.0f} or more); fast motion will be lost")
+        elif max_gap_s(shot_time_s) > _LONG_HOLE_S:
+            texts.append(f"the source shows nothing new for {max_gap_s(shot_time_s):.2f} s; the picture is held")
+    if min(size_px) < _SMALL_SIDE_PX:
+        texts.append(
+            f"small picture: {size_px[0]}x{size_px[1]} px (want a short side of {_SMALL_SIDE_PX} or more); "
+            "people will be found less reliably"
+        )
+    return texts
+
+
+def source_info(header: SourceHeader, source_scan: SourceScan) -> SourceInfo:
+    """What the container and the decoder say of the source."""
+    time_s = source_scan.time_s
+    span_s = float(time_s[-1] - time_s[0])
+    return SourceInfo(
+        codec=header.codec,
+        pixel_format=header.pixel_format,
+        stored_width_px=header.stored_width_px,
+        stored_height_px=header.stored_height_px,
+        rotation_deg=header.rotation_deg,
+        pixel_aspect=header.pixel_aspect,
+        average_fps=(len(time_s) - 1) / span_s if span_s > 0 else header.nominal_fps,
+        decoded_frames=source_scan.report.frames,
+        claimed_frames=header.claimed_frames,
+        duration_s=span_s + source_scan.period_s,
+        focal_35mm=header.focal_35mm,
+    )
