@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from video2anim.artifacts.images import read_picture
-from video2anim.depth.test_time_views import jittered_disparity
+from video2anim.depth.hue_jitter import jittered_disparity
 from video2anim.geometry.line_segments import camera_with_edges, detect_line_segments
 from video2anim.geometry.perspective_field import FieldCamera, fit_camera
 from video2anim.lab.scene_network.samples import CLASS_TABLE, MIN_RATIO

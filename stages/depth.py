@@ -250,7 +250,7 @@ def _jittered(
     """Value, its deviation and reliable pixels, at the working resolution."""
     import cv2
 
-    from video2anim.depth.test_time_views import jittered_disparity, reliable
+    from video2anim.depth.hue_jitter import jittered_disparity, reliable
 
     size = (shape[1], shape[0])
     small_rgb = cv2.resize(image_rgb, _shrunk(image_rgb, size), interpolation=cv2.INTER_AREA)

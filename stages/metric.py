@@ -111,7 +111,7 @@ def _record(found: Calibration, ctx: StageContext) -> None:
     ctx.quality("size_uncertainty", float(found.body_height_log_sigma[0]), "ratio", "lower")
     ctx.quality("person_over_their_depth", float(np.exp(found.person_depth_log)), "ratio")
     for kind, off in found.residuals.items():
-        ctx.quality(f"residual_{kind.replace(' ', '_')}", off, "ratio", "lower")
+        ctx.quality("residual_" + kind.replace("'", "").replace(" ", "_"), off, "ratio", "lower")
 
 
 def _applied(

@@ -157,7 +157,7 @@ def _filled(
     from scenemi.longmotion import KeyframeMotion, inbetween
     from scenemi.windows import select_keyframes
     from video2anim.motion.observation import inlier_frames
-    from video2anim.types import FPS
+    from video2anim.types.clip import FPS
 
     interval = config.keyframe_interval_frames if prior.name == "scenemi" else 1
     keys = np.zeros(motion.frame_count, bool)

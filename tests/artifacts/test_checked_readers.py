@@ -401,7 +401,7 @@ def test_an_object_may_be_taken_out(tmp_path: Path) -> None:
 
 
 MANIFEST = Manifest("a", 1, "k", {"x": 1}, {}, {}, 0, "o", 0.5, 9.0,
-                    [{"name": "q", "value": float("nan"), "unit": "m", "better": "none"}], ["w"], {})  # fmt: skip
+                    [{"key": "q", "value": float("nan"), "unit": "m", "better": "none", "person_id": None, "object_id": None}], ["w"], {})  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from synthetic import planted_walk
 
-from scenemi import cli
+from scenemi.cli import main as cli
 from scenemi.data.container import write_archive
 from scenemi.data.source_clip import SourceClip, SourceSkeleton
 from video2anim.geometry.rotations import quaternion_from_matrix

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scenemi_cases import keyframe_arrays, scenemi, walk_archive, walk_bvh, walk_clip
 
-from scenemi import cli
+from scenemi.cli import main as cli
 from scenemi.data.container import MotionArchive, write_archive
 from scenemi.data.import_clip import UNITS_M
 from scenemi.data.plain_files import MAX_FRAMES

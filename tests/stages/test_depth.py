@@ -11,7 +11,7 @@ from scene_chain import all_finite, depth_of
 from synthetic_room import BOX, FLOOR, WALL, Room, camera_pose, make_room
 
 from stages.depth import DepthConfig, estimate_depth
-from video2anim.depth.test_time_views import jittered_disparity, reliable
+from video2anim.depth.hue_jitter import jittered_disparity, reliable
 from video2anim.errors import StageError
 from video2anim.geometry.column_layers import background_distance, ground_contact_distance
 from video2anim.geometry.gravity_view import GravityView

@@ -10,7 +10,7 @@ from keyframe_problem import depth_of, optimize, quality, root_m, scene
 from synthetic import planted_walk, rotation, with_root_shift
 
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.motion import keyframe_points
+from video2anim.motion import keyframe_points, keyframe_problem
 from video2anim.motion.keyframe_points import TOUCHING
 from video2anim.types import BodyMotion
 from video2anim.types.skeleton import JOINT_INDEX
@@ -151,7 +151,8 @@ def test_a_foot_of_the_wrong_pitch_touches_where_it_is_lowest(monkeypatch: pytes
         contact[:, pair] = contact[:, pair].max(1, keepdims=True)
     pitched = replace(truth.with_pose(translation_world_m=root_m(truth), R_parent_joint=R), contact=contact)
     _, together = optimize(pitched, scene())
-    monkeypatch.setattr(keyframe_points, "TOUCHING", tuple((joint,) for part in TOUCHING for joint in part))
+    for module in (keyframe_points, keyframe_problem):
+        monkeypatch.setattr(module, "TOUCHING", tuple((joint,) for part in TOUCHING for joint in part))
     _, apart = optimize(pitched, scene())
     deepest = [quality(ctx, "penetration_mean_after") for ctx in (together, apart)]
     assert deepest[0] < 0.6 * deepest[1]

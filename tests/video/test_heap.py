@@ -8,14 +8,13 @@ import sys
 import pytest
 
 KEPT_MB = """
-import contextlib, sys
 import numpy as np
-from video2anim.video.heap import pictures_apart
+from video2anim.video.heap import frames_in_mapped_memory
 
 def resident_mb():
     return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
 
-with pictures_apart() if sys.argv[1] == "apart" else contextlib.nullcontext():
+with frames_in_mapped_memory():
     np.ones(20_000_000, np.uint8)  # glibc's own threshold is above a picture from now on
     before = resident_mb()
     pictures, results = [], []
@@ -28,8 +27,7 @@ with pictures_apart() if sys.argv[1] == "apart" else contextlib.nullcontext():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc; the C library of Linux is meant")
-@pytest.mark.parametrize(("how", "min_mb", "max_mb"), [("apart", -30.0, 20.0), ("plain", 100.0, 400.0)])
-def test_pictures_give_their_memory_back(how: str, min_mb: float, max_mb: float) -> None:
-    """`plain` shows that there is something to mend: when it fails, the C library no longer needs the help."""
-    done = subprocess.run([sys.executable, "-c", KEPT_MB, how], capture_output=True, text=True, check=True)
-    assert min_mb < float(done.stdout) < max_mb
+def test_pictures_give_their_memory_back() -> None:
+    """Without it 200 MB stay, or nothing, as the C library's heap happens to lie."""
+    done = subprocess.run([sys.executable, "-c", KEPT_MB], capture_output=True, text=True, check=True)
+    assert -30.0 < float(done.stdout) < 20.0

@@ -210,7 +210,7 @@ class _Problem:
         depth_logs = np.concatenate([[state.person_log], state.object_log])
         rows.append(("distances", depth_logs / s.distance_log, 1.0, np.inf))
         for number, (size, person) in enumerate(zip(state.size, e.people, strict=True)):
-            rows.append(("stature", np.array([np.log(size) / person.body_height_sigma]), 1.0, np.inf))
+            rows.append(("body height", np.array([np.log(size) / person.body_height_sigma]), 1.0, np.inf))
             soles_m = state.body(person.soles_m, person.soles_root_m, size)
             sigma_m = np.hypot(s.sole_m * size, s.sole_distance_ratio * soles_m @ state.up)
             weight = self.weight(len(soles_m)) if number else 1.0

@@ -9,7 +9,8 @@ from video2anim.body.anny_body import shaped_body
 from video2anim.geometry.rotations import axis_angle_from_matrix
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.motion.observation import image_distance_ratio
-from video2anim.types import FPS, BodyMotion
+from video2anim.types import BodyMotion
+from video2anim.types.clip import FPS
 from video2anim.types.quality import Unit
 from video2anim.types.skeleton import forward_kinematics
 

@@ -12,7 +12,8 @@ from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import believed
 from video2anim.geometry.projection import invert_rigid, project
 from video2anim.objects.path import holding
-from video2anim.types import FPS, BodyMotion, PlacedObject
+from video2anim.types import BodyMotion, PlacedObject
+from video2anim.types.clip import FPS
 
 _JUMP = 6.0
 """Frames whose jerk exceeds the median by this factor are jumps of the observation."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, UInt8
@@ -35,6 +35,7 @@ class Segmentation:
     """Best score first."""
 
 
+@runtime_checkable
 class SegmentModel(Protocol):
     """A network in slot `segment`."""
 

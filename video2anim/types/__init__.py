@@ -4,7 +4,7 @@ Every value is a frozen dataclass of numpy arrays and plain values. `stored()` m
 """
 
 from video2anim.types.camera import CameraEstimate, Intrinsics, View
-from video2anim.types.clip import FPS, SourceInfo, SourceVideo, VideoClip
+from video2anim.types.clip import SourceInfo, SourceVideo, VideoClip
 from video2anim.types.contact import Contact
 from video2anim.types.metric import MetricDepth
 from video2anim.types.motion import BodyMotion, BodyShape, BodyTracks, KeyframedMotion, PersonQuality, RefinedMotion
@@ -32,7 +32,6 @@ from video2anim.types.scene import (
 from video2anim.types.storage import PayloadFile, Storage, stored
 
 __all__ = [
-    "FPS",
     "BackgroundImage",
     "BodyMotion",
     "BodyShape",

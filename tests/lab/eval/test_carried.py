@@ -178,7 +178,7 @@ def test_benchmark_rows(
 
     truth = moving_truth(tmp_path / "clip", truth_dir)
     (one,) = script.of_clip(write_scene(tmp_path / "scene", tiny, edits={RefinedMotion: edit}), truth)
-    assert (one.clip, one.obj, one.found, one.false_paths) == ("clip", "box", True, 0)
+    assert (one.clip, one.label, one.found, one.false_paths) == ("clip", "box", True, 0)
     assert one.path_mean_m == pytest.approx(0.1)
     assert one.path_p95_m == pytest.approx(0.1)
     assert one.hold_error_frames == pytest.approx(2.0)

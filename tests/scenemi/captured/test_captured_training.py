@@ -14,7 +14,7 @@ import pytest
 import torch
 from captured_files import GRID, START_Z_M, VOXEL_M, WALL, WRITERS
 
-from scenemi import cli
+from scenemi.cli import main as cli
 from scenemi.data import trumans
 from scenemi.data.augment import MIRROR_JOINT
 from scenemi.data.container import write_archive
