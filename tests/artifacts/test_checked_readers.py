@@ -8,6 +8,7 @@ import re
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ from video2anim.types import (
     SourceInfo,
     VideoClip,
 )
+from video2anim.types.quality import Quality
 
 FRAMES, HEIGHT, WIDTH = 6, 9, 12
 
@@ -401,7 +403,7 @@ def test_an_object_may_be_taken_out(tmp_path: Path) -> None:
 
 
 MANIFEST = Manifest("a", 1, "k", {"x": 1}, {}, {}, 0, "o", 0.5, 9.0,
-                    [{"key": "q", "value": float("nan"), "unit": "m", "better": "none", "person_id": None, "object_id": None}], ["w"], {})  # fmt: skip
+                    [asdict(Quality("q", float("nan"), "m"))], ["w"], {})  # fmt: skip
 
 
 @pytest.mark.parametrize(

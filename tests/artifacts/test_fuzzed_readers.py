@@ -11,6 +11,7 @@ import os
 import tempfile
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ from video2anim.types import (
     PersonQuality,
     SceneModel,
 )
+from video2anim.types.quality import Quality
 
 EXAMPLES = int(os.environ.get("VIDEO2ANIM_FUZZ_EXAMPLES", "15"))
 MAX_BYTES = 64 << 20
@@ -214,7 +216,7 @@ def test_motions_with_other_arrays(data: st.DataObject) -> None:
 
 
 MANIFEST = Manifest("a", 1, "k", {"x": [1, {"y": None}]}, {"A": "d"}, {}, 0, "o", 0.5, 9.0,
-                    [{"name": "q", "value": 1.0, "unit": "m", "better": "none"}], ["w"], {"numpy": "2"})  # fmt: skip
+                    [asdict(Quality("q", 1.0, "m"))], ["w"], {"numpy": "2"})  # fmt: skip
 
 
 @given(data=st.data())
