@@ -15,6 +15,19 @@ from command import video2anim  # noqa: E402
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--fast", action="store_true", help="leave out the tests of tests/slow_tests.txt")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """With `--fast`: without the tests that take longer than a moment, by what they took in a whole run."""
+    if config.getoption("--fast"):
+        slow = set((REPOSITORY / "tests" / "slow_tests.txt").read_text(encoding="utf-8").splitlines())
+        left_out = [item for item in items if item.nodeid.split("[")[0] in slow]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item.nodeid.split("[")[0] not in slow]
+
+
 @pytest.fixture(scope="session")
 def shared_media() -> Path:
     """Test media beside the checkout: real clips, references and broken inputs."""
