@@ -19,6 +19,7 @@ import re
 import statistics
 import subprocess
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -47,12 +48,18 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--count", type=int, help="only the first so many clips; no README table then")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="clips made, run and judged at a time")
+    parser.add_argument(
+        "--set", nargs="*", default=[], metavar="STAGE.OPTION=VALUE", help="an ablation; no README table then"
+    )
     parser.add_argument("--record", action="store_true", help="write the digests of the clips beside this script")
     options = parser.parse_args()
     truth, results = options.work / "truth", options.work / "results"
     made = make(options, truth)
     with ThreadPoolExecutor(options.workers) as pool:
-        jobs = [pool.submit(run_pipeline, truth / clip["name"], results / clip["name"]) for clip in made["clips"]]
+        jobs = [
+            pool.submit(run_pipeline, truth / clip["name"], results / clip["name"], options.set)
+            for clip in made["clips"]
+        ]
         for job in jobs:
             job.result()
     report_json, report_html = options.work / "eval.json", options.work / "eval.html"
@@ -66,6 +73,7 @@ def main() -> None:
         "generator": made["generator"],
         "motion_sources": made["motion_sources"],
         "clip_digests": {clip["name"]: clip["truth.npz"] for clip in made["clips"]},
+        "settings": options.set,
         "same_clips_as_recorded": same_as_recorded(made),
         "cost": cost(results, [clip["name"] for clip in made["clips"]]),
         "objects": objects(truth, results, [clip["name"] for clip in made["clips"]]),
@@ -77,7 +85,7 @@ def main() -> None:
     target.write_text(json.dumps(report, indent=1) + "\n")
     if options.record:
         RECORDED.write_text(json.dumps({k: made[k] for k in ("benchmark", "motion_sources", "clips")}, indent=1) + "\n")
-    if not options.count:
+    if not options.count and not options.set:
         put_table(Path("README.md"), tables(report))
     sys.stdout.write(f"{tables(report)}\n\n{prior_table(report['prior'])}\n{target}\n{report_html}\n")
 
@@ -93,9 +101,10 @@ def make(options: argparse.Namespace, truth: Path) -> dict[str, Any]:
     return json.loads((truth / "set.json").read_text())
 
 
-def run_pipeline(truth: Path, scene_dir: Path) -> None:
+def run_pipeline(truth: Path, scene_dir: Path, settings: Sequence[str] = ()) -> None:
     """All stages that are judged, for everybody in the clip."""
     words = ("--person", "all", "--until", "refine", "--overwrite")
+    words = (*words, *(word for setting in settings for word in ("--set", setting)))
     call("run", str(truth / "video.mp4"), "--out", str(scene_dir), *words)
 
 
@@ -199,7 +208,7 @@ PAIRED = {
     "pa_mpjpe": ("PA-MPJPE, mm", 1000),
 }  # fmt: skip
 """Title and factor of what is compared with and without the prior."""
-OBJECT_MEDIANS = {"chamfer": "Chamfer", "center_error": "middle"}
+OBJECT_MEDIANS = {"chamfer": "Chamfer", "center_error": "center"}
 MOTION_ROWS = (
     ("motion", "mpjpe", "root-relative MPJPE, mm", 1000), ("motion", "pa_mpjpe", "PA-MPJPE, mm", 1000),
     ("motion", "w_mpjpe", "W-MPJPE, mm", 1000), ("motion", "root_error", "root, absolute, m", 1),
@@ -207,15 +216,15 @@ MOTION_ROWS = (
     ("motion", "skating_gmd", "foot skating `gmd`", 1), ("motion", "contact_f1", "foot contact F1", 1),
     ("true_scene_laid", "collision_frames_1cm", "frames over 1 cm inside the true scene", 1),
     ("true_scene_laid", "penetration_max", "deepest penetration, true scene, m", 1),
-    ("own_scene", "collision_frames_1cm", "frames over 1 cm inside the own scene", 1),
+    ("own_scene", "collision_frames_1cm", "frames over 1 cm inside the reconstructed scene", 1),
 )  # fmt: skip
 STAGE_ROWS = (
     ("track", "main_recall", "person frames found"), ("track", "id_switches", "identity switches"),
-    ("camera", "fov_error", "vertical field of view, degrees off"), ("camera", "gravity_error", "gravity, degrees off"),
-    ("background", "mask_iou", "person mask IoU"), ("depth", "abs_rel", "background AbsRel, own scale"),
-    ("depth", "delta1", "background δ < 1.25, own scale"), ("segment", "floor_iou", "floor IoU"),
+    ("camera", "fov_error", "vertical field of view, error in degrees"), ("camera", "gravity_error", "gravity, error in degrees"),
+    ("background", "mask_iou", "person mask IoU"), ("depth", "abs_rel", "background AbsRel, aligned scale"),
+    ("depth", "delta1", "background δ < 1.25, aligned scale"), ("segment", "floor_iou", "floor IoU"),
     ("segment", "f1", "furniture F1 at IoU 0.5"), ("objects", "reconstructed", "furniture with a shape"),
-    ("objects", "chamfer", "object Chamfer, m"), ("objects", "center_error", "object middle, m off"),
+    ("objects", "chamfer", "object Chamfer, m"), ("objects", "center_error", "object center, error in m"),
 )  # fmt: skip
 STAGE_COLUMN = {"depth": "metric", "objects": "placed"}
 """Column of groups with several; the last one otherwise."""
