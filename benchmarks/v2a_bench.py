@@ -220,7 +220,8 @@ MOTION_ROWS = (
 )  # fmt: skip
 STAGE_ROWS = (
     ("track", "main_recall", "person frames found"), ("track", "id_switches", "identity switches"),
-    ("camera", "fov_error", "vertical field of view, error in degrees"), ("camera", "gravity_error", "gravity, error in degrees"),
+    ("camera", "fov_error", "vertical field of view, error in degrees"),
+    ("camera", "gravity_error", "gravity, error in degrees"),
     ("background", "mask_iou", "person mask IoU"), ("depth", "abs_rel", "background AbsRel, aligned scale"),
     ("depth", "delta1", "background δ < 1.25, aligned scale"), ("segment", "floor_iou", "floor IoU"),
     ("segment", "f1", "furniture F1 at IoU 0.5"), ("objects", "reconstructed", "furniture with a shape"),
