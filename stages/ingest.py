@@ -60,7 +60,6 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         StageError: the clip cannot be written.
     """
     from video2anim.camera.background_registration import STATIC_DRIFT_RATIO
-    from video2anim.video.cfr import constant_rate_index
     from video2anim.video.decode import probe
     from video2anim.video.source_report import source_info, source_warnings
     from video2anim.video.source_scan import scan_source
@@ -74,26 +73,7 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         stop_s=config.stop_s,
         on_picture=lambda done: ctx.progress(min(done, total // 2), total) if total else None,
     )
-    if len(source_scan.time_s) == 0:
-        raise InputError(
-            f"{source.path}: no picture between start_s={config.start_s} and stop_s={config.stop_s}; "
-            f"{source_scan.report.frames} pictures decode in all"
-        )
-    shot = _choose_shot(source.path, source_scan, config)
-    shot_time_s = source_scan.shot_time_s(shot)
-    source_time_s = shot_time_s[constant_rate_index(shot_time_s, FPS)]
-    if len(source_time_s) < config.min_frames:
-        raise InputError(
-            f"{source.path}: want at least {config.min_frames} frames at {FPS} fps "
-            f"({config.min_frames / FPS:.2f} s), got {len(source_time_s)} from {len(shot_time_s)} decoded pictures"
-        )
-    if len(source_time_s) > _MAX_FRAMES_PER_PICTURE * len(shot_time_s):
-        raise InputError(
-            f"{source.path}: want a film of at least {FPS / _MAX_FRAMES_PER_PICTURE:.0f} pictures a second, got "
-            f"{len(shot_time_s)} pictures in {len(source_time_s) / FPS:.0f} s; choose a denser part with "
-            "--set ingest.start_s=S --set ingest.stop_s=S, or another shot with --set ingest.shot=N "
-            f"(of {len(source_scan.shot_start)})"
-        )
+    shot, shot_time_s, source_time_s = _chosen_times(source.path, source_scan, config)
     size_px = header.upright_size_px(config.max_long_side_px)
     path = ctx.work_dir / "video.mp4"
     written = _write_clip(source.path, header, source_scan.stamps, source_time_s, size_px, path, ctx)
@@ -131,6 +111,35 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
 class _Written:
     drift_ratio: float
     missing_frames: int
+
+
+def _chosen_times(
+    path: Path, source_scan: SourceScan, config: IngestConfig
+) -> tuple[int, Float[np.ndarray, "pictures"], Float[np.ndarray, "frames"]]:
+    """Number of the shot, the times of its pictures, and of the picture that each frame of the clip shows."""
+    from video2anim.video.cfr import constant_rate_index
+
+    if len(source_scan.time_s) == 0:
+        raise InputError(
+            f"{path}: no picture between start_s={config.start_s} and stop_s={config.stop_s}; "
+            f"{source_scan.report.frames} pictures decode in all"
+        )
+    shot = _choose_shot(path, source_scan, config)
+    shot_time_s = source_scan.shot_time_s(shot)
+    source_time_s = shot_time_s[constant_rate_index(shot_time_s, FPS)]
+    if len(source_time_s) < config.min_frames:
+        raise InputError(
+            f"{path}: want at least {config.min_frames} frames at {FPS} fps "
+            f"({config.min_frames / FPS:.2f} s), got {len(source_time_s)} from {len(shot_time_s)} decoded pictures"
+        )
+    if len(source_time_s) > _MAX_FRAMES_PER_PICTURE * len(shot_time_s):
+        raise InputError(
+            f"{path}: want a film of at least {FPS / _MAX_FRAMES_PER_PICTURE:.0f} pictures a second, got "
+            f"{len(shot_time_s)} pictures in {len(source_time_s) / FPS:.0f} s; choose a denser part with "
+            "--set ingest.start_s=S --set ingest.stop_s=S, or another shot with --set ingest.shot=N "
+            f"(of {len(source_scan.shot_start)})"
+        )
+    return shot, shot_time_s, source_time_s
 
 
 def _choose_shot(path: Path, source_scan: SourceScan, config: IngestConfig) -> int:

@@ -28,7 +28,9 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
-    from scenemi.postprocess.motion_solve import SceneMotion
+    from collections.abc import Sequence
+
+    from scenemi.postprocess.motion_solve import SceneMotion, Solved
     from scenemi.prior import InbetweeningPrior
     from video2anim.geometry.sdf import SdfGrid
 
@@ -81,7 +83,7 @@ def refine_motion(
     from scenemi.model.load import load_prior
     from scenemi.postprocess.motion_solve import solve_motions
     from scenemi.prior import InterpolationPrior
-    from video2anim.motion.assessment import assess, shaped_by_prior
+    from video2anim.motion.assessment import shaped_by_prior
     from video2anim.motion.movable_scene import (
         PlaceUncertainty,
         movable_solids,
@@ -112,14 +114,7 @@ def refine_motion(
         solve_motions([_filled(motion, one, by, field, config, ctx) for motion, one in observed], solids)
         for by in (prior, bridging)
     )
-    people, alike = list(keyframed.people), list(keyframed.people)
-    for k, number in enumerate(seen):
-        people[number], alike[number] = (
-            keyframed.people[number].with_pose(
-                translation_world_m=one.translation_world_m[k], R_parent_joint=one.R_parent_joint[k]
-            )
-            for one in (solved, plain)
-        )
+    people, alike = (_posed(keyframed.people, seen, one) for one in (solved, plain))
     moved = moved_scene(scene, solids, solved.moved_m)
     _report_places(ctx, scene, moved)
     # The paths were found with the bodies of stage metric.
@@ -137,11 +132,19 @@ def refine_motion(
         ctx.quality("frames_shaped_by_prior", shares[number], "ratio", "higher", person_id=person_id)
         raw = bodies.people[number].in_world(motion.T_world_camera)
         stages = (("raw", raw, field), ("without_prior", alike[number], after), ("refined", people[number], after))
-        for when, one, where in stages:
-            for key, value, unit in assess(one, raw, where):
-                ctx.quality(f"{key}_{when}", value, unit, "lower", person_id=person_id)
+        _report(ctx, stages, person_id)
         ctx.progress(done, len(seen))
     return RefinedMotion(tuple(people), tuple(names), tuple(shares), tuple(alike), moved)
+
+
+def _posed(people: Sequence[BodyMotion], numbers: Sequence[int], solved: Solved) -> list[BodyMotion]:
+    """The people, those of the numbers in their solved poses."""
+    posed = list(people)
+    for k, number in enumerate(numbers):
+        posed[number] = people[number].with_pose(
+            translation_world_m=solved.translation_world_m[k], R_parent_joint=solved.R_parent_joint[k]
+        )
+    return posed
 
 
 def _filled(
@@ -171,6 +174,15 @@ def _filled(
         frames = ", ".join(str(i) for i in made.interpolated_index)
         ctx.warn(f"person {motion.person_id}: gaps longer than a window were bridged by interpolation at {frames}")
     return replace(observed, R_parent_joint=made.R_parent_joint, translation_world_m=made.translation_world_m)
+
+
+def _report(ctx: StageContext, stages: Sequence[tuple[str, BodyMotion, SdfGrid]], person_id: int | None) -> None:
+    """Quality of a motion by stage; the first of them is what the image shows."""
+    from video2anim.motion.assessment import assess
+
+    for when, motion, field in stages:
+        for key, value, unit in assess(motion, stages[0][1], field):
+            ctx.quality(f"{key}_{when}", value, unit, "lower", person_id=person_id)
 
 
 def _report_places(ctx: StageContext, before: SceneModel, after: SceneModel) -> None:

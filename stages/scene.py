@@ -103,17 +103,14 @@ def build_scene(
     found = placed.objects if pictures is None else with_moved_objects(pictures, masks, bodies, placed.objects)
     moved = [item for item in found if item.path]
     still = [item for item in found if not item.path]
-    objects, rejected = without_walked_through(
+    kept, rejected = without_walked_through(
         still, rested, bodies, spacing_m=config.sdf_spacing_m, max_path_m=config.walked_m
     )
     stay = [item for item in map(settled, moved) if item is not None]
-    supports, inferred = inferred_supports([*objects, *stay], rested, bodies) if config.supports else ([], [])
+    supports, inferred = inferred_supports([*kept, *stay], rested, bodies) if config.supports else ([], [])
     for text in (*rejected, *inferred):
         ctx.warn(text)
-    ctx.quality("rejected_by_motion", len(still) - len(objects), "count")
-    ctx.quality("moved", len(moved), "count")
-    ctx.quality("inferred_supports", len(supports), "count")
-    objects += supports
+    objects = [*kept, *supports]
     solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *stay)]
     bounds_m = field_bounds(motion_m, solids, config.margin_m, config.reach_m)
     spacing_m = field_spacing(bounds_m, config.sdf_spacing_m, config.max_nodes)
@@ -122,15 +119,23 @@ def build_scene(
     seen = backdrop(depth, masks, background, config.far_m, relative_sigma(depth, clip_depth))
     around_m = motion_m[:, [0, 2]] + np.array([[-config.margin_m], [config.margin_m]])
     floor = ground(seen, background, around_m)
-    ctx.quality("objects", len(objects), "count")
+    ctx.quality("rejected_by_motion", len(still) - len(kept), "count")
+    ctx.quality("inferred_supports", len(supports), "count")
     ctx.quality("objects_in_field", len(near), "count")
-    ctx.quality("sdf_spacing", spacing_m, "m", "lower")
-    ctx.quality("sdf_nodes", grid.sdf_m.size, "count")
-    ctx.quality("background_faces", sum(len(piece.mesh.faces) for piece in seen.pieces), "count")
-    ctx.quality("walls", sum(piece.name.startswith("wall") for piece in seen.pieces), "count")
-    objects += moved
-    ctx.quality("openings", sum(len(piece.openings) for piece in seen.pieces), "count")
-    return SceneModel(tuple(objects), floor, seen.pieces, grid.sdf_m, np.asarray(grid.origin_m), float(spacing_m))
+    origin_m = np.asarray(grid.origin_m)
+    scene = SceneModel((*objects, *moved), floor, seen.pieces, grid.sdf_m, origin_m, float(spacing_m))
+    _report(ctx, scene, len(moved))
+    return scene
+
+
+def _report(ctx: StageContext, scene: SceneModel, moved: int) -> None:
+    ctx.quality("moved", moved, "count")
+    ctx.quality("objects", len(scene.objects) - moved, "count")
+    ctx.quality("sdf_spacing", scene.sdf_spacing_m, "m", "lower")
+    ctx.quality("sdf_nodes", scene.sdf_m.size, "count")
+    ctx.quality("background_faces", sum(len(piece.mesh.faces) for piece in scene.background), "count")
+    ctx.quality("walls", sum(piece.name.startswith("wall") for piece in scene.background), "count")
+    ctx.quality("openings", sum(len(piece.openings) for piece in scene.background), "count")
 
 
 def _scanned(
