@@ -116,8 +116,9 @@ def read_mesh_file(path: Path) -> Mesh:
     except Exception as error:  # the loaders raise what their parsers raise
         raise InputError(f"want a mesh, got {type(error).__name__} at {path}") from error
     parts = [part for part in parts if len(part.faces)]
-    if not parts or not all(np.isfinite(part.vertices).all() for part in parts):
-        raise InputError(f"want a mesh with triangles and finite vertices, got {len(parts)} parts at {path}")
+    sound = (part.vertices.shape[1:] == (3,) and np.isfinite(part.vertices).all() for part in parts)
+    if not parts or not all(sound):
+        raise InputError(f"want a mesh with triangles and finite vertices (x, y, z), got {len(parts)} parts at {path}")
     if (faces := sum(len(part.faces) for part in parts)) > MAX_FACES:
         raise InputError(f"want a mesh of at most {MAX_FACES:,} faces, got {faces:,} at {path}; simplify it first")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])

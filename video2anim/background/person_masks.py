@@ -86,6 +86,7 @@ def _margin_px(box_px: Float[np.ndarray, "4"], raster: Raster, ratio: float) -> 
 
 
 def aligned(rgb: UInt8[np.ndarray, "height width 3"], H: Float[np.ndarray, "3 3"]) -> np.ndarray:
+    """A picture as the first frame sees it, by a homography."""
     return cv2.warpPerspective(rgb, H, (rgb.shape[1], rgb.shape[0]), flags=cv2.INTER_LINEAR)
 
 
