@@ -12,7 +12,7 @@ from pathlib import Path
 
 LISTED = Path(__file__).resolve().parents[1] / "tests" / "slow_tests.txt"
 SLOW_S = 0.3
-"""Of a test with all its cases; about 4,000 faster ones make a run of two minutes on two cores."""
+"""Of a test with all its cases; about 4,000 faster ones make a run of four minutes on two cores."""
 
 if __name__ == "__main__":
     seconds: dict[str, float] = defaultdict(float)
