@@ -70,13 +70,13 @@ from video2anim.types import (
     RefinedMotion,
     SceneModel,
 )
+from video2anim.types.clip import FPS
 from video2anim.types.skeleton import FEET, JOINT_INDEX, TOUCHING_PARTS
 
 CLIPS = (
     "ocv_sts", "ocv_walk", "pose2sim_single_cam01", "pose2sim_single_cam02", "bodypose3d_squat", "sports2d_demo",
     "gvhmr_tennis", "glamr_pexels_walking", "sam2_bedroom", "davis_breakdance_flare",
 )  # fmt: skip
-FPS = 30.0
 LIMBS = [JOINT_INDEX[f"{side}_{part}"] for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
          for side in ("left", "right")]  # fmt: skip
 LANDMARKS = [11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from scenemi.scene.geometry import SceneGeometry
     from video2anim.body.shaped_body import ShapedBody
 
+WEIGHTS_FOLDER = Path(__file__).parent / "weights"
 DEFAULT_STOP_STEP = 20
 """T*: noisy keyframes steer the sampling only above this diffusion step (paper 3.2.1, Table 3)."""
 

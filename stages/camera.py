@@ -260,7 +260,7 @@ def _up(body: FittedBody, seen: np.ndarray, duration_s: float) -> UpEstimate:
     balance = up_from_static_equilibrium(body.joints_camera_m, duration_s)
     together = seen + balance.up
     apart_rad = math.acos(float(np.clip(seen @ balance.up, -1, 1)))
-    # Two views of one object: half their distance is the least that the mean may be wrong.
+    # Two estimates of one direction: half their distance is the least that the mean may be wrong.
     sigma_rad = math.hypot(0.5 * apart_rad, balance.sigma_rad / math.sqrt(2))
     return UpEstimate(together / np.linalg.norm(together), sigma_rad, balance.support)
 

@@ -18,13 +18,12 @@ from video2anim.errors import InputError, UsageError
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import PayloadFile, SourceVideo, VideoClip
+from video2anim.types.clip import FPS
 
 if TYPE_CHECKING:
     from video2anim.video.decode import SourceHeader, Stamps
     from video2anim.video.source_scan import SourceScan
 
-FPS = 30
-"""Frame rate of every clip; all later stages count on it."""
 _MAX_FRAMES_PER_PICTURE = 15
 """Fewer than 2 pictures a second, on average, are no film: nearly every frame would repeat the one before."""
 _MOTION_SAMPLES = 20
@@ -95,7 +94,7 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         video=PayloadFile(path),
         width_px=size_px[0],
         height_px=size_px[1],
-        fps=float(FPS),
+        fps=FPS,
         frame_time_s=np.arange(len(source_time_s)) / FPS,
         source_time_s=source_time_s,
         source=source_info(header, source_scan),
@@ -129,7 +128,7 @@ def _chosen_times(
     source_time_s = shot_time_s[constant_rate_index(shot_time_s, FPS)]
     if len(source_time_s) < config.min_frames:
         raise InputError(
-            f"{path}: want at least {config.min_frames} frames at {FPS} fps "
+            f"{path}: want at least {config.min_frames} frames at {FPS:.0f} fps "
             f"({config.min_frames / FPS:.2f} s), got {len(source_time_s)} from {len(shot_time_s)} decoded pictures"
         )
     if len(source_time_s) > _MAX_FRAMES_PER_PICTURE * len(shot_time_s):
@@ -169,7 +168,7 @@ def _write_clip(
     sampled = set(np.linspace(0, count - 1, samples + 1).round().astype(int).tolist())
     motion = CameraMotion()
     missing = 0
-    with FrameWriter(path, width_px=size_px[0], height_px=size_px[1], fps=FPS) as writer:
+    with FrameWriter(path, width_px=size_px[0], height_px=size_px[1], fps=round(FPS)) as writer:
         for index, (rgb, found) in enumerate(frames_at(source, header, stamps, source_time_s, size_px)):
             writer.write(rgb)
             missing += not found

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -26,9 +26,6 @@ from video2anim.types import (
     SceneModel,
     VideoClip,
 )
-
-if TYPE_CHECKING:
-    pass
 
 _FAR_SCAN_M = 0.25
 """A scan that stays farther from the video's depth is probably not in place."""

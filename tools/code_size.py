@@ -18,6 +18,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("video2anim", "scenemi", "stages")
 
@@ -95,32 +99,12 @@ def reached(graph: dict[str, set[str]], starts: Iterable[str]) -> set[str]:
 
 
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
-    """Groups of nodes that import each other in a circle (Tarjan's strong components of more than one node)."""
-    order: dict[str, int] = {}
-    low: dict[str, int] = {}
-    stack: list[str] = []
-    found: list[list[str]] = []
-
-    def visit(node: str) -> None:
-        order[node] = low[node] = len(order)
-        stack.append(node)
-        for other in sorted(graph[node]):
-            if other not in order:
-                visit(other)
-                low[node] = min(low[node], low[other])
-            elif other in stack:
-                low[node] = min(low[node], order[other])
-        if low[node] == order[node]:
-            group = [stack.pop()]
-            while group[-1] != node:
-                group.append(stack.pop())
-            if len(group) > 1:
-                found.append(sorted(group))
-
-    for node in sorted(graph):
-        if node not in order:
-            visit(node)
-    return found
+    """Groups of nodes that import each other in a circle."""
+    names = sorted(graph)
+    edges = np.array([[other in graph[name] for other in names] for name in names], bool)
+    count, group = connected_components(csr_matrix(edges), connection="strong")
+    members = [[name for name, own in zip(names, group, strict=True) if own == number] for number in range(count)]
+    return [found for found in members if len(found) > 1]
 
 
 def package_of(name: str) -> str:

@@ -8,42 +8,19 @@ and tools left out) counts too. The prior (`scenemi.model`, its data and weights
 
 from __future__ import annotations
 
-import ast
 import sys
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("video2anim", "scenemi", "stages")
+from code_size import import_graph, modules
+
 PRIOR = ("scenemi.model", "scenemi.data", "scenemi.training", "scenemi.evaluation")
-
-
-def modules() -> dict[str, Path]:
-    """Files of the packages by module name."""
-    found = {}
-    for package in PACKAGES:
-        for path in (ROOT / package).rglob("*.py"):
-            parts = path.relative_to(ROOT).with_suffix("").parts
-            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return found
-
-
-def imported(path: Path, known: dict[str, Path]) -> set[str]:
-    """Modules that a file names."""
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return names & known.keys()
 
 
 def own(stages: list[str]) -> dict[str, int]:
     """Lines by module."""
     known = modules()
     importers: dict[str, set[str]] = {name: set() for name in known}
-    for name, path in known.items():
-        for other in imported(path, known) - {name}:
+    for name, targets in import_graph(known).items():
+        for other in targets:
             importers[other].add(name)
     counted = {f"stages.{stage}" for stage in stages}
     composed = {"video2anim.cli.compose"}

@@ -27,10 +27,9 @@ from video2anim.networks import load_model
 from video2anim.networks.fetch import cache_dir
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyMotion, CameraEstimate, Intrinsics, PersonTrack, PersonTracks, VideoClip
-from video2anim.types.clip import SourceInfo
+from video2anim.types.clip import FPS, SourceInfo
 from video2anim.types.storage import PayloadFile
 
-FPS = 30.0
 FRAMES = 180
 """Six seconds: longer than a window of the prior, so that each sees other errors."""
 FOCAL_PX = 1000.0

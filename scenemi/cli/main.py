@@ -20,7 +20,7 @@ from scenemi.cli.parts import (
     say_progress,
 )
 from video2anim.errors import InputError, UsageError, expect_values, is_output_lost, last_words
-from video2anim.geometry.torch_setup import device_of
+from video2anim.geometry.torch_device import device_of
 
 if TYPE_CHECKING:
     from scenemi.training.packing import Unpacked

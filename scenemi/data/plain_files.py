@@ -169,7 +169,7 @@ def checked(model: type[Model], where: str, values: dict[str, Any]) -> Model:
     """The values as a model.
 
     Raises:
-        InputError: the first object that does not fit.
+        InputError: the first fault.
     """
     try:
         return model.model_validate(values)

@@ -93,7 +93,7 @@ def read_meshes(path: Path) -> SceneFile:
 
 
 def _rows(found: object, name: str, kind: type) -> np.ndarray:
-    """Rows of three of what trimesh read; none where it has no such object (points have no faces)."""
+    """Rows of three of what trimesh read; none where it has no such rows (points have no faces)."""
     rows = np.asarray(getattr(found, name, np.zeros((0, 3))), kind)
     if rows.ndim != 2 or rows.shape[1] != 3:
         raise ValueError(f"{name} want rows of three, got {rows.shape}")

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from scenemi.model.load import WEIGHTS_FOLDER
-from scenemi.prior import InbetweeningPrior, InterpolationPrior
+from scenemi.prior import WEIGHTS_FOLDER, InbetweeningPrior, InterpolationPrior
 from video2anim.errors import ModelMissingError, UsageError
 
 INTERPOLATION = "interpolation"

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Literal
 
-from scenemi.prior import InbetweeningPrior, InterpolationPrior
+from scenemi.prior import WEIGHTS_FOLDER, InbetweeningPrior, InterpolationPrior
 from video2anim.errors import ModelMissingError, UsageError
 
 PriorChoice = Literal["auto", "interpolation", "scenemi"]
-WEIGHTS_FOLDER = Path(__file__).parents[1] / "weights"
 WEIGHTS_NAME = "small"
 """Of the weights that ship; others are taken only where they are named."""
 

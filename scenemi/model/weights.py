@@ -18,9 +18,9 @@ from scenemi.data.plain_files import one_line
 from scenemi.features import Statistics
 from scenemi.model.build import AnyDenoiser, build_denoiser
 from scenemi.model.config import AnyConfig, config_from_json
+from scenemi.prior import WEIGHTS_FOLDER
 from video2anim.errors import InputError, ModelMissingError
 
-WEIGHTS_FOLDER = Path(__file__).parent.parent / "weights"
 FORMAT = "scenemi-weights-2"
 
 

@@ -8,7 +8,7 @@ import re
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -421,6 +421,14 @@ def test_manifests_are_checked(tmp_path: Path, key: str, wrong: Any) -> None:
     with pytest.raises(ArtifactError, match=key) as caught:
         read_manifest(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+def test_a_manifest_from_before_keys_is_read_without_its_qualities(tmp_path: Path) -> None:
+    MANIFEST.write(tmp_path)
+    old = {"name": "foot skating (gmd)", "value": 0.1, "unit": "", "better": "lower"}
+    data = json.loads((tmp_path / "manifest.json").read_text()) | {"qualities": [old]}
+    (tmp_path / "manifest.json").write_text(json.dumps(data))
+    assert read_manifest(tmp_path) == replace(MANIFEST, qualities=[])
 
 
 def test_a_manifest_that_is_nested_deeply_or_a_pipe(tmp_path: Path) -> None:

@@ -273,9 +273,9 @@ def test_contacts_are_at_the_node_of_the_person(tmp_path: Path, people: tuple[Bo
     assert "contacts" not in extras[0]
     assert extras[1]["contacts"] == [
         {"body_part": "left hand", "object_id": 3, "label": "storage box", "surface": "top", "start_s": 0.1,
-         "end_s": 0.3, "mean_distance_m": 0.004, "max_distance_m": -0.01},
+         "end_s": 0.3, "mean_distance_m": 0.004, "largest_distance_m": -0.01},
         {"body_part": "left foot", "label": "floor", "surface": "floor", "start_s": 0.0, "end_s": 0.2,
-         "mean_distance_m": 0.0, "max_distance_m": 0.01},
+         "mean_distance_m": 0.0, "largest_distance_m": 0.01},
     ]  # fmt: skip
 
 

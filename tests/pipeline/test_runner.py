@@ -14,7 +14,7 @@ import pytest
 from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.manifest import read_manifest
 from video2anim.errors import ArtifactError, InputError, StageError, UsageError
-from video2anim.pipeline.config import load_preset, parse_set, resolve
+from video2anim.pipeline.config import known_part, load_preset, parse_set, resolve
 from video2anim.pipeline.graph import GraphError, Node, build_graph
 from video2anim.pipeline.runner import Edits, Event, Runner, StageStatus
 from video2anim.pipeline.scene_folder import RunRecord, StageRow, locked, prepare, read_record, write_record
@@ -328,6 +328,12 @@ def test_later_layers_win() -> None:
     assert config.stages["seeds"] == SeedsConfig(count=6, noise=1.0)
     assert config.seed == 4
     assert resolve(nodes(), "p", [("run.json", json.loads(json.dumps(config.as_dict())))]) == config
+
+
+def test_a_record_of_another_version_is_read_without_what_this_one_has_not() -> None:
+    recorded = {"seed": 3, "gone": {"a": 1}, "seeds": {"count": 4, "least": 2}, "odd": 3}
+    assert known_part(nodes(), recorded) == {"seed": 3, "seeds": {"count": 4}}
+    assert resolve(nodes(), "p", [("run.json", known_part(nodes(), recorded))]).seed == 3
 
 
 def test_parse_set() -> None:

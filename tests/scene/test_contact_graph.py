@@ -99,7 +99,7 @@ def test_somebody_who_sits_on_a_box_touches_its_top_with_seat_and_thighs() -> No
     deepest_m = skin_m(motion, "pelvis")[:, 1].min() - (low_m + 0.01)
     seat = next(one for one in contacts if one.body_part == "seat")
     assert seat.mean_distance_m == pytest.approx(deepest_m, abs=SKIN_M)
-    assert seat.max_distance_m == pytest.approx(seat.mean_distance_m)
+    assert seat.largest_distance_m == pytest.approx(seat.mean_distance_m)
 
 
 def test_parts_of_an_object_are_told_by_name() -> None:
@@ -169,7 +169,7 @@ def test_between_touches_a_hand_may_leave_by_less_than_5_cm() -> None:
     height_m[20:30], height_m[40:50] = 0.04, 0.06
     found = hand_over_table(height_m, np.ones(FRAMES, bool))
     assert [(round(one.start_s * FPS), round(one.end_s * FPS)) for one in found] == [(0, 39), (50, 59)]
-    assert found[0].max_distance_m == pytest.approx(0.04, abs=SKIN_M)
+    assert found[0].largest_distance_m == pytest.approx(0.04, abs=SKIN_M)
 
 
 def test_feet_stand_on_the_floor_and_not_at_the_side_of_what_is_near() -> None:
@@ -249,7 +249,7 @@ def test_a_hand_touches_what_it_carries_all_the_way_and_nothing_else() -> None:
     (contact,) = contact_graph(motion, scene_of(table, moved(board, way_m, hold)))
     assert told([contact]) == {("left hand", 6, "top")}
     assert (contact.start_s, contact.end_s) == pytest.approx((5 / FPS, 45 / FPS))
-    assert contact.max_distance_m == pytest.approx(0.0, abs=SKIN_M)
+    assert contact.largest_distance_m == pytest.approx(0.0, abs=SKIN_M)
     both = Hold(motion.person_id, "both hands", 5, 45)
     assert told(contact_graph(motion, scene_of(table, moved(board, way_m, both)))) == told([contact])
     somebody = Hold(motion.person_id + 1, "left hand", 5, 45)

@@ -7,9 +7,9 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from pydantic import ConfigDict
+from pydantic import BeforeValidator, ConfigDict
 from typing_extensions import TypedDict
 
 from video2anim.artifacts.stage_files import read_json
@@ -28,6 +28,14 @@ class QualityRow(TypedDict):
     better: Better
     person_id: int | None
     object_id: int | None
+
+
+def _with_keys(rows: Any) -> Any:
+    """Without rows as they were before keys (until 2026-11): they explain a result, which is read without them."""
+    before = {"name", "value", "unit", "better"}
+    return (
+        [row for row in rows if not isinstance(row, dict) or row.keys() != before] if isinstance(rows, list) else rows
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +59,7 @@ class Manifest:
     wall_time_s: float
     peak_memory_mb: float | None
     """Largest resident set of the process during the stage; None where the system does not tell."""
-    qualities: list[QualityRow]
+    qualities: Annotated[list[QualityRow], BeforeValidator(_with_keys)]
     warnings: list[str]
     versions: dict[str, str]
     licenses: dict[str, str] = dataclasses.field(default_factory=dict)

@@ -80,7 +80,7 @@ def read_json(path: Path, kind: Any) -> Any:
 
 
 def first_fault(error: ValidationError) -> str:
-    """The first object that pydantic found wrong, in one line."""
+    """The first fault that pydantic found, in one line."""
     fault = error.errors(include_url=False, include_context=False)[0]
     where = ".".join(str(part) for part in fault["loc"]) or "the whole"
     if fault["type"] == "json_invalid":

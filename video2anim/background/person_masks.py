@@ -25,9 +25,9 @@ from video2anim.video import read_frames
 class MedianSamples:
     """Frames of the median, aligned to the first frame of the clip."""
 
-    row: Int[np.ndarray, "plate_samples"]
+    row: Int[np.ndarray, "median_samples"]
     """Which of the mask frames they are."""
-    rgb: UInt8[np.ndarray, "plate_samples height width 3"]
+    rgb: UInt8[np.ndarray, "median_samples height width 3"]
     H_reference_frame: Float[np.ndarray, "samples 3 3"]
     """For every mask frame; identity for a static camera, NaN where it could not be registered."""
 
@@ -92,7 +92,7 @@ def aligned(rgb: UInt8[np.ndarray, "height width 3"], H: Float[np.ndarray, "3 3"
 
 def excluded_from_median(
     person: Bool[np.ndarray, "samples small_height small_width"], samples: MedianSamples, raster: Raster
-) -> Bool[np.ndarray, "plate_samples small_height small_width"]:
+) -> Bool[np.ndarray, "median_samples small_height small_width"]:
     """What the median leaves out of each of its samples: people, and what lies outside an aligned frame."""
     excluded = person[samples.row].copy()
     for k, row in enumerate(samples.row):

@@ -37,8 +37,8 @@ class Sigmas:
     upright_rad: float = 0.3
     """Direction from feet to center of mass in a look (walking, reaching, bending)."""
     looks: float = 12.0
-    """Points of one object err together: the floor's pixels, and the soles of another person, count as no more than so
-    many. The skin points of a frame count as one."""
+    """Points of one kind of evidence err together: the floor's pixels, and the soles of another person, count as no
+    more than so many. The skin points of a frame count as one."""
     floor_log: float = 0.08
     """Depth of a floor pixel, logarithm."""
     skin_log: float = 0.05
@@ -192,7 +192,7 @@ class _Problem:
         return state.rays(pixel) * np.exp(state.person_log + self.inverse_log(value, state))[:, None]
 
     def weight(self, points: int) -> float:
-        """Root of the weight of each of so many points of one object."""
+        """Root of the weight of each of so many points of one kind of evidence."""
         return min(1.0, self.sigmas.looks / max(points, 1)) ** 0.5
 
     def residuals(self, x: np.ndarray) -> np.ndarray:

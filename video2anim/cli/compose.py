@@ -30,7 +30,7 @@ from video2anim.artifacts.folder import file_digest
 from video2anim.cli.report import report_html
 from video2anim.errors import InputError, UsageError
 from video2anim.pipeline import results
-from video2anim.pipeline.config import PipelineConfig, expect_user_paths, load_preset, resolve
+from video2anim.pipeline.config import PipelineConfig, expect_user_paths, known_part, load_preset, resolve
 from video2anim.pipeline.graph import Node, build_graph
 from video2anim.pipeline.runner import CURRENT, Edits, Event, Runner, StageStatus, library_versions
 from video2anim.pipeline.scene_folder import (
@@ -202,7 +202,7 @@ def open_scene(
     """
     record = read_record(scene_dir)
     nodes = pipeline_nodes()
-    config: PipelineConfig = resolve(nodes, record.preset, [("run.json", record.config)])
+    config: PipelineConfig = resolve(nodes, record.preset, [("run.json", known_part(nodes, record.config))])
     source = SourceVideo(Path(record.input_path), record.input_digest)
     return Runner(scene_dir, nodes, config, source, TableModels(), device=device, on_event=on_event), record
 
@@ -287,13 +287,13 @@ def _settled(
             both = isinstance(value, Mapping) and isinstance(settings.get(key), Mapping)
             settings[key] = {**settings[key], **value} if both else value
     if request.preset is None and remembered is not None:
-        base = [("run.json", remembered.config)]
+        base = [("run.json", known_part(nodes, remembered.config))]
         preset = remembered.preset
     else:
         preset = request.preset or DEFAULT_PRESET
         base = [(f"preset {preset}", load_preset(preset))]
         if remembered is not None:
-            base.append(("run.json", remembered.settings))
+            base.append(("run.json", known_part(nodes, remembered.settings)))
     return resolve(nodes, preset, [*base, *request.options]), settings
 
 
@@ -328,6 +328,7 @@ def _tell_changes(runner: Runner, before: RunRecord, now: RunRecord, on_event: C
             changed += [f"{stage} {old} -> {options}"] if old != options else []
             continue
         changed += [f"{stage}.{k} {old.get(k)} -> {v}" for k, v in options.items() if old.get(k) != plain(v)]
+        changed += [f"{stage}.{k} {old[k]}, which this version has not" for k in old.keys() - options.keys()]
     if changed:
         again = ", ".join(row.name for row in runner.status() if row.state == "stale")
         told = f"; to run again: {again}" if again else ""

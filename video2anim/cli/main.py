@@ -14,7 +14,7 @@ from video2anim.cli.evaluate import eval_command, eval_set_command
 from video2anim.cli.pictures import models_run
 from video2anim.cli.synth import synth_command
 from video2anim.errors import expect_values, is_output_lost, last_words
-from video2anim.geometry.torch_setup import device_of
+from video2anim.geometry.torch_device import device_of
 
 if TYPE_CHECKING:
     from video2anim.pipeline.runner import Edits

@@ -1,1 +1,1 @@
-"""Keyframes of a motion: which frames are reliable, and how far each is off."""
+"""The final motion: keyframes and their roots, the observation, the scene that gives way, and quality."""

@@ -60,7 +60,7 @@ def follow_hand(placed: PlacedObject, before: Sequence[BodyMotion], after: Seque
 
 
 def settled(placed: PlacedObject) -> PlacedObject | None:
-    """The object as an object that stays where it is, if it does for more than half of the clip."""
+    """The object as one that stays where it is, if it does for more than half of the clip."""
     if not placed.path:
         return placed
     T = placed.path[0].T_world_object

@@ -175,6 +175,18 @@ def resolve(nodes: Sequence[Node], preset: str, layers: Sequence[tuple[str, Mapp
     return PipelineConfig(preset, seed, stages)
 
 
+def known_part(nodes: Sequence[Node], config: Mapping[str, Any]) -> dict[str, Any]:
+    """A configuration that another version may have recorded, without the stages and options that this one has not."""
+    types = {node.name: options_of(node.config_type) for node in nodes}
+    return {
+        key: {name: one for name, one in value.items() if name in types[key]}
+        if key in types and isinstance(value, Mapping)
+        else value
+        for key, value in config.items()
+        if key in types or key in RUN_KEYS
+    }
+
+
 def _expect_known(key: Any, known: Collection[str], source: str, prefix: str = "") -> None:
     if isinstance(key, str) and key in known:
         return

@@ -35,5 +35,5 @@ class Contact(Checked):
     mean_distance_m: FiniteFloat
     """Mean over the frames of the skin's distance from the surface where it is nearest or deepest: a gap is positive, a
     depth negative."""
-    max_distance_m: FiniteFloat
+    largest_distance_m: FiniteFloat
     """That of the frame in which it is farthest from 0."""

@@ -122,7 +122,7 @@ class Texture(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectPart(Checked):
-    """A run of faces of an object's mesh that is one object to a body: a closed surface of its own."""
+    """A run of faces of an object's mesh that a body touches as one: a closed surface of its own."""
 
     name: str
     """`seat`, `back`, `arm`, `leg`, `top`, `base`, `board`, `body`..."""

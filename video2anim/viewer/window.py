@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from video2anim.errors import UsageError
+from video2anim.types.clip import FPS
 from video2anim.viewer.bodies import PosedBodies
 from video2anim.viewer.drawing import drawable_mesh
 from video2anim.viewer.geometry3d import camera_lines, move_mesh, o3d, scene_meshes, triangle_mesh
@@ -20,7 +21,6 @@ from video2anim.viewer.scene_view import STAGES, SceneView
 from video2anim.viewer.software import oblique_viewpoint
 from video2anim.viewer.viewpoint import Viewpoint
 
-_FPS = 30.0
 _WIDTH_PX, _HEIGHT_PX = 1280, 720
 _KEY_LEFT, _KEY_RIGHT, _KEY_UP, _KEY_DOWN, _KEY_HOME = 263, 262, 265, 264, 268
 """GLFW key codes."""
@@ -83,8 +83,8 @@ class Player:
         while self.visualizer.poll_events():
             now_s = time.monotonic()
             if self.playing and now_s >= next_s:
-                steps = 1 + int((now_s - next_s) * _FPS)
-                next_s += steps / _FPS
+                steps = 1 + int((now_s - next_s) * FPS)
+                next_s += steps / FPS
                 self.show((self.frame + steps) % self.view_of.frame_count)
             elif not self.playing:
                 next_s = now_s

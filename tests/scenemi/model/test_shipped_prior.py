@@ -17,9 +17,8 @@ from scenemi.evaluation.seams import keyframe_motion, seam_jerk
 from scenemi.evaluation.windows import FPS, adult_body
 from scenemi.longmotion import inbetween
 from scenemi.model.config import SIZES
-from scenemi.model.load import WEIGHTS_FOLDER
 from scenemi.model.prior import DiffusionPrior, load_diffusion_prior
-from scenemi.prior import InterpolationPrior, KeyframeWindow
+from scenemi.prior import WEIGHTS_FOLDER, InterpolationPrior, KeyframeWindow
 from scenemi.scene.geometry import SceneGeometry
 from scenemi.training.validate import Validation, Validator
 from scenemi.windows import WINDOW_FRAMES

@@ -22,9 +22,9 @@ from video2anim.lab.synth.rooms import build_room, penetration_m, split_items
 from video2anim.lab.synth.showing import showing_view, swept_points
 from video2anim.lab.synth.world import Actor, MovingObject, ProceduralMotion, Room, SceneObject, SensorModel, Shot
 from video2anim.types import BodyMotion, BodyShape, Intrinsics
+from video2anim.types.clip import FPS
 from video2anim.types.skeleton import forward_kinematics
 
-FPS = 30.0
 DEEPEST_M = 0.01
 """No body vertex may lie deeper than this in any object."""
 _ATTEMPTS = 8

@@ -19,8 +19,8 @@ from video2anim.lab.synth.rooms.making import pose
 from video2anim.lab.synth.rooms.placing import Boxes, Plan
 from video2anim.lab.synth.world import Room, SceneObject
 from video2anim.types import Intrinsics
+from video2anim.types.clip import FPS
 
-FPS = 30.0
 HIDDEN_RATIO = 0.2
 """Out of sight: the box of what is seen of the body has less than this share of the area of the whole body's box."""
 _FULLY_RATIO = 0.02

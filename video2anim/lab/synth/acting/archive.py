@@ -7,8 +7,8 @@ import numpy as np
 from scenemi.data.container import SourceClip, SourceSkeleton
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
-from video2anim.lab.synth.acting.curves import FPS
 from video2anim.lab.synth.world import ProceduralMotion
+from video2anim.types.clip import FPS
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
 _UNEVEN = ("step_up", "lie")

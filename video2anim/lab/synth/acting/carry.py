@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
-from video2anim.lab.synth.acting.curves import FPS, axis_rotation, turned
+from video2anim.lab.synth.acting.curves import axis_rotation, turned
 from video2anim.lab.synth.acting.finish import cut, motion_of
 from video2anim.lab.synth.acting.grip import Grip, Hands, bag_grip, expect_sane, object_in, side_grip, top_grip
 from video2anim.lab.synth.acting.measure import measure
@@ -23,6 +23,7 @@ from video2anim.lab.synth.acting.script import HandGoal, Script
 from video2anim.lab.synth.acting.sit import approach, palm_down
 from video2anim.lab.synth.acting.walking import bezier, random_pace, turn, walk
 from video2anim.lab.synth.world import ProceduralMotion, Prop, SceneObject
+from video2anim.types.clip import FPS
 
 _BEFORE_S, _AFTER_S = 2.0, 1.6
 """What is kept of the motion before the object is grasped and after it is let go."""

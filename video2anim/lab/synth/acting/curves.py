@@ -9,7 +9,8 @@ from jaxtyping import Float
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-FPS = 30.0
+from video2anim.types.clip import FPS
+
 GRAVITY_M_S2 = 9.81
 _HOLD = 1e5
 """Weight that makes a least-squares row as good as exact."""

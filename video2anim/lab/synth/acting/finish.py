@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.lab.synth.acting.curves import FPS, turned
+from video2anim.lab.synth.acting.curves import turned
 from video2anim.lab.synth.acting.measure import BodyMeasure
 from video2anim.lab.synth.acting.perform import Performed
 from video2anim.lab.synth.world import ProceduralMotion, Prop
+from video2anim.types.clip import FPS
 
 SEAT_GAP_M = 0.002
 """A surface lies this far under the lowest vertex that rests on it."""

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.lab.synth.acting.curves import FPS, turned
+from video2anim.lab.synth.acting.curves import turned
 from video2anim.lab.synth.acting.finish import motion_of, probes
 from video2anim.lab.synth.acting.perform import Performed, perform
 from video2anim.lab.synth.acting.script import HandGoal, PelvisHold, Script
 from video2anim.lab.synth.acting.sit import approach, leave, palm_down
 from video2anim.lab.synth.acting.walking import step_to, turn
 from video2anim.lab.synth.world import ProceduralMotion, Prop
+from video2anim.types.clip import FPS
 
 _WRIST_OVER_M = 0.12
 _ITEM_HALF_M = 0.06

@@ -10,11 +10,12 @@ from jaxtyping import Bool, Float
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import UsageError
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from video2anim.lab.synth.acting.curves import FPS, ease, hermite, smooth_lift, turned
+from video2anim.lab.synth.acting.curves import ease, hermite, smooth_lift, turned
 from video2anim.lab.synth.acting.finish import cut
 from video2anim.lab.synth.acting.limbs import leg_rotations
 from video2anim.lab.synth.acting.measure import LEG
 from video2anim.lab.synth.world import ProceduralMotion, Prop
+from video2anim.types.clip import FPS
 from video2anim.types.skeleton import forward_kinematics
 
 BLEND_S = 0.8

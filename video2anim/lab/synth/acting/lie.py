@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from video2anim.lab.synth.acting.curves import FPS, axis_rotation, smooth_lift, turned
+from video2anim.lab.synth.acting.curves import axis_rotation, smooth_lift, turned
 from video2anim.lab.synth.acting.finish import SEAT_GAP_M, at_height, motion_of, over, probes
 from video2anim.lab.synth.acting.measure import BodyMeasure
 from video2anim.lab.synth.acting.perform import Performed, perform
@@ -14,6 +14,7 @@ from video2anim.lab.synth.acting.script import FootHold, HandGoal, PelvisHold, S
 from video2anim.lab.synth.acting.sit import approach, hands_on_thighs, leave, rise, take_seat
 from video2anim.lab.synth.acting.walking import turn
 from video2anim.lab.synth.world import ProceduralMotion, Prop
+from video2anim.types.clip import FPS
 
 _MAX_DROP_M = 0.01
 """The bed gives way so far where a limb still dips into it on the way."""

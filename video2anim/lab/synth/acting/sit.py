@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.lab.synth.acting.curves import FPS, turned
+from video2anim.lab.synth.acting.curves import turned
 from video2anim.lab.synth.acting.finish import SEAT_GAP_M, at_height, motion_of, over, probes
 from video2anim.lab.synth.acting.perform import Performed, perform
 from video2anim.lab.synth.acting.script import HandGoal, PelvisHold, Script
 from video2anim.lab.synth.acting.walking import bezier, random_pace, turn, walk
 from video2anim.lab.synth.world import ProceduralMotion, Prop
+from video2anim.types.clip import FPS
 
 _ON_SEAT = (0, 1, 2, 3)
 """Parts that may rest on a seat: pelvis, thighs, loins."""

@@ -21,8 +21,8 @@ from video2anim.lab.synth.render.picture import PERSON_ID, Picture
 from video2anim.lab.synth.render.surfaces import Surfaces, of_object, of_objects
 from video2anim.lab.synth.render.view import Components, Eye, Lamps, Sheet, room_components, sheet_of
 from video2anim.lab.synth.world import Shot
+from video2anim.types.clip import FPS
 
-FPS = 30.0
 STILL_RAYS = (8, 12)
 """Rays per pixel for each light and for the hemisphere where the room is lit once for a clip."""
 MOVING_RAYS = (2, 4)
