@@ -202,7 +202,11 @@ def open_scene(
     """
     record = read_record(scene_dir)
     nodes = pipeline_nodes()
-    config: PipelineConfig = resolve(nodes, record.preset, [("run.json", known_part(nodes, record.config))])
+    known, unknown = known_part(nodes, record.config)
+    if unknown:
+        text = f"{scene_dir / 'run.json'}: options of another version are left out: {', '.join(unknown)}"
+        on_event(Event("note", "", text=text))
+    config: PipelineConfig = resolve(nodes, record.preset, [("run.json", known)])
     source = SourceVideo(Path(record.input_path), record.input_digest)
     return Runner(scene_dir, nodes, config, source, TableModels(), device=device, on_event=on_event), record
 
@@ -287,13 +291,13 @@ def _settled(
             both = isinstance(value, Mapping) and isinstance(settings.get(key), Mapping)
             settings[key] = {**settings[key], **value} if both else value
     if request.preset is None and remembered is not None:
-        base = [("run.json", known_part(nodes, remembered.config))]
+        base = [("run.json", known_part(nodes, remembered.config)[0])]
         preset = remembered.preset
     else:
         preset = request.preset or DEFAULT_PRESET
         base = [(f"preset {preset}", load_preset(preset))]
         if remembered is not None:
-            base.append(("run.json", known_part(nodes, remembered.settings)))
+            base.append(("run.json", known_part(nodes, remembered.settings)[0]))
     return resolve(nodes, preset, [*base, *request.options]), settings
 
 

@@ -129,7 +129,8 @@ def status_command(scene_dir: SceneDir) -> None:
     """Which stages are up to date, edited by hand, or stale."""
     from video2anim.cli import compose, show
 
-    runner, record = compose.open_scene(scene_dir)
+    with show.progress() as on_event:
+        runner, record = compose.open_scene(scene_dir, on_event=on_event)
     show.outcome(compose.scene_outcome(scene_dir, runner, record, runner.status()))
 
 

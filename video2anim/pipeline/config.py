@@ -175,16 +175,20 @@ def resolve(nodes: Sequence[Node], preset: str, layers: Sequence[tuple[str, Mapp
     return PipelineConfig(preset, seed, stages)
 
 
-def known_part(nodes: Sequence[Node], config: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration that another version may have recorded, without the stages and options that this one has not."""
+def known_part(nodes: Sequence[Node], config: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Split a recorded configuration, maybe of another version, into what this version knows and the other keys."""
     types = {node.name: options_of(node.config_type) for node in nodes}
-    return {
-        key: {name: one for name, one in value.items() if name in types[key]}
-        if key in types and isinstance(value, Mapping)
-        else value
-        for key, value in config.items()
-        if key in types or key in RUN_KEYS
-    }
+    known: dict[str, Any] = {}
+    unknown = []
+    for key, value in config.items():
+        if key not in types and key not in RUN_KEYS:
+            unknown.append(key)
+        elif key in types and isinstance(value, Mapping):
+            known[key] = {name: one for name, one in value.items() if name in types[key]}
+            unknown += [f"{key}.{name}" for name in value if name not in types[key]]
+        else:
+            known[key] = value
+    return known, unknown
 
 
 def _expect_known(key: Any, known: Collection[str], source: str, prefix: str = "") -> None:
