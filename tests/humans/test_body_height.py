@@ -59,7 +59,7 @@ def test_a_height_that_nobody_has(known: Any) -> None:
 
 def test_somebody_who_is_not_worked_on() -> None:
     expect_heights({1: 1.7}, (1, 2))
-    with pytest.raises(UsageError, match=r"--height-m 3=1.7: want the ID of a person that is worked on \(1, 2\)"):
+    with pytest.raises(UsageError, match=r"--height-m 3=1.7: want the ID of a selected person \(1, 2\)"):
         expect_heights({3: 1.7}, (1, 2))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from synthetic import planted_walk, true_keypoints
 
-from stages.humans import HumansConfig, _smoothed
+from stages.humans import HumansConfig
 from video2anim.geometry.projection import invert_rigid, project
 from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
 from video2anim.humans import long_clip
@@ -29,6 +29,7 @@ from video2anim.humans.lifting import lift
 from video2anim.humans.objective import FitConfig
 from video2anim.humans.optimize import fit_body, place_lifted, reposed
 from video2anim.humans.problem import Observations
+from video2anim.humans.smoothing import smoothed_fit
 from video2anim.networks import lifter, load_model
 from video2anim.networks.lifter import Lifter
 from video2anim.types import Intrinsics
@@ -255,8 +256,8 @@ def test_other_poses_of_a_fitted_body(walk: Walk, network: Lifter) -> None:
 
     shaken = fit.R_parent_joint @ matrix_from_axis_angle(np.random.default_rng(1).normal(0, 0.05, (90, 22, 3)))
     jittery = reposed(walk.observed, fit, shaken, fit.translation_camera_m)
-    kept = _smoothed(walk.observed, jittery, HumansConfig(cutoff_hz=0.0))
-    smooth = _smoothed(walk.observed, jittery, HumansConfig())
+    kept = smoothed_fit(walk.observed, jittery, 0.0)
+    smooth = smoothed_fit(walk.observed, jittery, HumansConfig().cutoff_hz)
     np.testing.assert_array_equal(kept.R_parent_joint, shaken)
     jerk = [float(np.linalg.norm(np.diff(one.joints_camera_m, 3, axis=0), axis=-1).mean()) for one in (jittery, smooth)]
     assert jerk[1] < 0.2 * jerk[0]

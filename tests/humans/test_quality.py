@@ -44,7 +44,7 @@ def person(valid: np.ndarray | None = None) -> tuple[PersonTrack, Observations, 
 
 
 def judge(*parts: object) -> PersonQuality:
-    return person_quality(*parts, FPS, jerk_m_s3=50.0, skating_gmd=0.1)  # type: ignore[arg-type]
+    return person_quality(*parts, FPS, 0.09)  # type: ignore[arg-type]
 
 
 def test_a_good_fit_is_trusted_and_its_numbers_are_right() -> None:
@@ -57,7 +57,10 @@ def test_a_good_fit_is_trusted_and_its_numbers_are_right() -> None:
     assert found.bone_spread == 0.0
     assert found.fast_share == 0.0
     assert found.body_height_m == pytest.approx(float(np.ptp(motion.rest_joints_m[:, 1])))
-    assert (found.jerk_m_s3, found.skating_gmd) == (50.0, 0.1)
+    jerk_m_s3 = FPS**3 * np.linalg.norm(np.diff(motion.joints_world_m, n=3, axis=0), axis=-1).mean()
+    assert found.jerk_m_s3 == pytest.approx(float(jerk_m_s3))
+    assert found.skating_gmd == 0.0
+    assert found.body_height_sigma_m == 0.09
 
 
 @pytest.mark.parametrize(

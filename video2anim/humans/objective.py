@@ -13,6 +13,7 @@ import torch
 
 from video2anim.body.anny_body import ADULT, PEOPLES_LENGTHS, AnnyModel
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d
+from video2anim.humans.body_height import KNOWN_SIGMA_M
 from video2anim.humans.initial import landmark_rotation
 from video2anim.humans.landmarks import KEYPOINT_INDEX, KEYPOINT_TRUST
 from video2anim.humans.lifter_input import LiftedBody
@@ -69,6 +70,11 @@ class FitConfig:
     """Error of the lifter's joint angles, where it expects the usual error of the joints that they move."""
     lifted_usual_m: float = 0.035
     """Distance from the truth that the lifter expects of a joint on motion like that of its training."""
+
+    @classmethod
+    def for_height(cls, known_m: float | None) -> FitConfig:
+        """For a person whose standing height is known in meters, or (None) for an adult."""
+        return cls() if known_m is None else cls(body_height_m=known_m, body_height_sigma_m=KNOWN_SIGMA_M)
 
 
 _ANGLE_SIGMA_RAD = {

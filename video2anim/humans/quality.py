@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from scenemi import metrics
 from video2anim.humans.landmarks import BLAZEPOSE_OF_KEYPOINT
 from video2anim.humans.problem import FittedBody, Observations
 from video2anim.types.motion import BodyMotion, PersonQuality
@@ -31,11 +32,9 @@ def person_quality(
     fit: FittedBody,
     motion: BodyMotion,
     fps: float,
-    *,
-    jerk_m_s3: float,
-    skating_gmd: float,
+    body_height_sigma_m: float,
 ) -> PersonQuality:
-    """Numbers of one person's fit, and a verdict.
+    """Numbers of one person's fit, and the reasons not to trust it.
 
     Args:
         track: landmarks as they were detected.
@@ -43,20 +42,21 @@ def person_quality(
         fit: the body in the camera.
         motion: the body in the world.
         fps: frames per second.
-        jerk_m_s3: of `motion.measured_joints_m`.
-        skating_gmd: the same.
+        body_height_sigma_m: of the standing height before the fit.
     """
     valid = np.flatnonzero(motion.valid)
     error_px = np.nanmedian(fit.reprojection_px[valid], axis=1)
+    joints_m = motion.measured_joints_m
     found = PersonQuality(
         reprojection_px=float(np.nanmedian(fit.reprojection_px)),
         reprojection_ratio=float(np.nanmedian(error_px / observed.size_px[valid])),
-        jerk_m_s3=jerk_m_s3,
-        skating_gmd=skating_gmd,
+        jerk_m_s3=metrics.jerk_m_s3(joints_m, fps),
+        skating_gmd=metrics.foot_skating_gmd(joints_m, fps) if len(joints_m) > 3 else float("nan"),
         bone_spread=bone_spread(track),
         valid_share=float(motion.valid.mean()),
         body_height_m=float(np.ptp(fit.rest_joints_m[:, 1])),
-        fast_share=_fast_share(motion.measured_joints_m[:, 0], fps),
+        fast_share=_fast_share(joints_m[:, 0], fps),
+        body_height_sigma_m=body_height_sigma_m,
     )
     return replace(found, doubts=tuple(_doubts(found, len(valid))))
 

@@ -1,0 +1,93 @@
+"""The fitted bodies in the world: floor under the main person's feet, +Y up, and one motion per person."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from video2anim.body.anny_body import shaped_body
+from video2anim.humans.ground import floor_height, foot_contact
+from video2anim.humans.lifter_input import CONTACT_INDEX, LiftedBody
+from video2anim.humans.problem import FittedBody
+from video2anim.types import BodyMotion, CameraEstimate, PersonTrack
+from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
+
+_CHUNK_FRAMES = 256
+"""Frames whose foot meshes are in memory together (6 MB)."""
+
+
+def world_poses(
+    fit: FittedBody, valid: Bool[np.ndarray, "frames"], R_world_camera: Float[np.ndarray, "frames 3 3"], fps: float
+) -> tuple[Float[np.ndarray, "frames 4 4"], float]:
+    """Camera poses in the world, and the spread of the floor's height in meters.
+
+    The floor of the person is at y = 0, and the first valid root above the origin.
+    """
+    joints = np.einsum("tab,tjb->tja", R_world_camera, fit.joints_camera_m)
+    floor_m, spread_m = floor_height(_sole_heights(fit, R_world_camera)[valid], fps)
+    first = int(np.flatnonzero(valid)[0])
+    T_world_camera = np.tile(np.eye(4), (len(valid), 1, 1))
+    T_world_camera[:, :3, :3] = R_world_camera
+    T_world_camera[:, :3, 3] = [-joints[first, 0, 0], -floor_m, -joints[first, 0, 2]]
+    return T_world_camera, spread_m
+
+
+def _sole_heights(fit: FittedBody, R_world_camera: np.ndarray) -> Float[np.ndarray, "frames feet"]:
+    """Height of the lowest point of the left and the right foot above the camera."""
+    body = shaped_body(fit.shape)
+    R_parent_joint, translation_m = _turned(fit, R_world_camera)
+    joints, R_world_joint = forward_kinematics(R_parent_joint, translation_m, body.rest_joints_m)
+    heights = np.empty((len(joints), 2))
+    for foot, side in enumerate(("left", "right")):
+        own = [JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"]]
+        index = np.flatnonzero(np.isin(body.vertex_part, own))
+        for begin in range(0, len(joints), _CHUNK_FRAMES):
+            some = slice(begin, begin + _CHUNK_FRAMES)
+            heights[some, foot] = body.vertices(R_world_joint[some], joints[some], index)[..., 1].min(1)
+    return heights
+
+
+def _turned(
+    fit: FittedBody, R_world_camera: np.ndarray
+) -> tuple[Float[np.ndarray, "frames 22 3 3"], Float[np.ndarray, "frames 3"]]:
+    """Rotations and translation of the body along the world's axes, about the camera."""
+    R_parent_joint = fit.R_parent_joint.copy()
+    R_parent_joint[:, 0] = R_world_camera @ R_parent_joint[:, 0]
+    return R_parent_joint, np.einsum("tab,tb->ta", R_world_camera, fit.translation_camera_m)
+
+
+def world_motion(
+    fit: FittedBody,
+    lifted: LiftedBody | None,
+    track: PersonTrack,
+    camera: CameraEstimate,
+    T_world_camera: Float[np.ndarray, "frames 4 4"],
+    frame_time_s: Float[np.ndarray, "frames"],
+    fps: float,
+) -> BodyMotion:
+    """One person's motion. Contacts are those of the lifter; without it, of the feet's own motion."""
+    frames = len(frame_time_s)
+    R_parent_joint, translation_m = _turned(fit, T_world_camera[:, :3, :3])
+    blank = BodyMotion(
+        person_id=track.person_id,
+        frame_time_s=frame_time_s,
+        valid=track.valid,
+        T_world_root=T_world_camera,
+        R_parent_joint=R_parent_joint,
+        T_world_camera=T_world_camera,
+        intrinsics=camera.intrinsics,
+        contact=np.zeros((frames, 22)),
+        shape=fit.shape,
+        rest_joints_m=fit.rest_joints_m,
+        joints_world_m=np.zeros((frames, 22, 3)),
+    )
+    translation_m = translation_m + T_world_camera[:, :3, 3]
+    posed = blank.with_pose(translation_world_m=translation_m, R_parent_joint=R_parent_joint)
+    if lifted is None:
+        camera_m = T_world_camera[:, :3, 3]
+        return replace(posed, contact=foot_contact(posed.joints_world_m, track.valid, fps, camera_m))
+    contact = np.zeros((frames, 22))
+    contact[:, CONTACT_INDEX] = lifted.contact * track.valid[:, None]
+    return replace(posed, contact=contact)
