@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
+from video2anim.geometry.runs import runs, without_short_runs
+
 
 @dataclass(frozen=True, slots=True)
 class ContactConfig:
@@ -70,15 +72,10 @@ def foot_contacts(
             (speed < config.release * slow) & (above_m < config.release * height_m),
         )
         shortest = max(2, round(config.shortest_s * fps))
-        flag = _cleaned(flag, shortest)
-        flags.append(_cleaned(_cut_where_it_strays(flag, joint_m, speed, config.drift_m), shortest, close=False))
+        flag = without_short_runs(flag, shortest)
+        cut = _cut_where_it_strays(flag, joint_m, speed, config.drift_m)
+        flags.append(without_short_runs(cut, shortest, close_gaps=False))
     return np.stack(flags, -1)
-
-
-def runs(flags: Bool[np.ndarray, "frames"]) -> list[tuple[int, int]]:
-    """[start, stop) of each run of true frames."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def _speed(joint_m: np.ndarray, fps: float) -> Float[np.ndarray, "frames"]:
@@ -108,19 +105,6 @@ def _hysteresis(enter: np.ndarray, stay: np.ndarray) -> Bool[np.ndarray, "frames
     for start, stop in runs(stay):
         flag[start:stop] = enter[start:stop].any()
     return flag
-
-
-def _cleaned(flag: np.ndarray, shortest: int, *, close: bool = True) -> Bool[np.ndarray, "frames"]:
-    """Inner gaps below `shortest` frames closed, then shorter runs dropped."""
-    cleaned = flag.copy()
-    if close:
-        for start, stop in runs(~flag):
-            if stop - start < shortest and start > 0 and stop < len(flag):
-                cleaned[start:stop] = True
-    for start, stop in runs(cleaned):
-        if stop - start < shortest:
-            cleaned[start:stop] = False
-    return cleaned
 
 
 def _cut_where_it_strays(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -101,6 +101,7 @@ def is_exact(window: KeyframeWindow) -> bool:
     return window.noise_level == 0 and (window.noise is None or not window.noise.any())
 
 
+@runtime_checkable
 class InbetweeningPrior(Protocol):
     """Fills the frames between keyframes."""
 

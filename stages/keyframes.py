@@ -9,28 +9,15 @@ displacement, not the motion, is interpolated, so the raw motion keeps its detai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
-
-import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
-from video2anim.types import (
-    BackgroundImage,
-    BodyMotion,
-    KeyframedMotion,
-    MetricDepth,
-    PlacedObject,
-    SceneModel,
-)
+from video2anim.types import BackgroundImage, KeyframedMotion, MetricDepth, SceneModel
 
 if TYPE_CHECKING:
-    from video2anim.geometry.sdf import SdfGrid
-    from video2anim.motion.keyframe_points import SkinPoints
-    from video2anim.motion.keyframe_roots import RootProblem, RootWeights
+    from video2anim.motion.keyframe_fit import RootFitConfig
 
 
 @dataclass(frozen=True)
@@ -88,16 +75,11 @@ def optimize_keyframes(
     background image holds, and only where the depth's scale is trusted.
     """
     from video2anim.geometry.sdf import SdfGrid
+    from video2anim.motion.keyframe_fit import fit_roots, root_fit_quality
     from video2anim.motion.keyframe_problem import choose_keyframes
 
     grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
-    masks_fit = background.selected_mask.shape[1:] == depth.depth_m.shape[1:]
-    usable = depth.trusted and masks_fit
-    if not depth.trusted:
-        ctx.warn(f"depth loss left out, the depth's scale is not trusted ({depth.reason})")
-    elif not masks_fit:
-        masks, maps = background.selected_mask.shape[1:], depth.depth_m.shape[1:]
-        ctx.warn(f"depth loss left out, masks {masks} do not fit depth {maps}")
+    usable = _depth_is_usable(depth, background, ctx)
     people, indices = [], []
     for number, motion in enumerate(depth.bodies.people):
         keyframes = choose_keyframes(motion.valid, config.keyframe_interval_frames)
@@ -107,112 +89,35 @@ def optimize_keyframes(
             people.append(motion)
             continue
         seen = (depth, background) if number == 0 and usable else None
+        fit = fit_roots(motion, scene.objects, keyframes, grid, seen, _fit_config(config), ctx.rng("depth points"))
+        people.append(fit.motion)
         person_id = None if number == 0 else motion.person_id
-        people.append(_optimize_person(motion, scene.objects, keyframes, grid, seen, config, ctx, person_id))
+        for key, value, unit in root_fit_quality(fit, config.contact_points):
+            ctx.quality(key, value, unit, "lower", person_id=person_id)
+        ctx.quality("root_displacement_mean", fit.mean_displacement_m, "m", person_id=person_id)
         ctx.progress(number + 1, len(depth.bodies.people))
     return KeyframedMotion(tuple(people), tuple(indices))
 
 
-def _optimize_person(
-    motion: BodyMotion,
-    objects: Sequence[PlacedObject],
-    keyframes: Int[np.ndarray, "keyframes"],
-    grid: SdfGrid,
-    seen: tuple[MetricDepth, BackgroundImage] | None,
-    config: KeyframesConfig,
-    ctx: StageContext,
-    person_id: int | None,
-) -> BodyMotion:
-    """One person moved; `person_id` marks its quality numbers. Hands that hold one of the objects touch no
-    solid."""
-    from video2anim.body.anny_body import shaped_body
-    from video2anim.motion.keyframe_depth import depth_targets
-    from video2anim.motion.keyframe_points import SkinSample
-    from video2anim.motion.keyframe_problem import KeyframeReach, between_keyframes, root_problem
-    from video2anim.motion.keyframe_roots import solve_along
-    from video2anim.objects.path import holding
+def _depth_is_usable(depth: MetricDepth, background: BackgroundImage, ctx: StageContext) -> bool:
+    """Whether the depth loss can be used; a warning where it cannot."""
+    masks, maps = background.selected_mask.shape[1:], depth.depth_m.shape[1:]
+    if not depth.trusted:
+        ctx.warn(f"depth loss left out, the depth's scale is not trusted ({depth.reason})")
+    elif masks != maps:
+        ctx.warn(f"depth loss left out, masks {masks} do not fit depth {maps}")
+    return depth.trusted and masks == maps
 
-    body = shaped_body(motion.shape)
-    sample = SkinSample(body, spread=config.sampled_vertices, per_part=config.vertices_per_contact_part)
-    before = sample.on(motion)
-    targets = (
-        depth_targets(motion, body, *seen, points=config.depth_points, rng=ctx.rng("depth points")) if seen else ()
-    )
-    free = replace(motion, contact=np.where(holding(objects, motion), 0.0, motion.contact))
+
+def _fit_config(config: KeyframesConfig) -> RootFitConfig:
+    from video2anim.motion.keyframe_fit import RootFitConfig
+    from video2anim.motion.keyframe_problem import KeyframeReach
+    from video2anim.motion.keyframe_roots import RootWeights
+
     reach = KeyframeReach(
         config.contact_threshold, config.contact_reach_m, config.contact_points, config.penetration_reach_m
     )
-    problem = root_problem(free, keyframes, before, grid, targets, reach)
-    along_m = solve_along(
-        problem, _weights(config), iterations=config.iterations, learning_rate_m=config.learning_rate_m
-    )
-    displacement_m = between_keyframes(keyframes, along_m[:, None] * problem.direction, motion.frame_count)
-    moved = motion.with_pose(
-        translation_world_m=motion.T_world_root[:, :3, 3] + displacement_m, R_parent_joint=motion.R_parent_joint
-    )
-    after = sample.on(moved)
-    _report(ctx, person_id, before, after, motion.valid, grid)
-    mean_m = float(np.linalg.norm(displacement_m[motion.valid], axis=1).mean())
-    ctx.quality("root_displacement_mean", mean_m, "m", person_id=person_id)
-    _report_keyframes(ctx, person_id, problem, displacement_m, after, config)
-    return moved
-
-
-def _report(
-    ctx: StageContext,
-    person_id: int | None,
-    before: SkinPoints,
-    after: SkinPoints,
-    valid: Bool[np.ndarray, "frames"],
-    grid: SdfGrid,
-) -> None:
-    """Penetration over all valid frames, keyframes and others."""
-    for when, points in (("before", before), ("after", after)):
-        deepest_m = _deepest_m(points.spread_m[valid], grid)
-        ctx.quality(f"penetration_max_{when}", float(deepest_m.max()), "m", "lower", person_id=person_id)
-        ctx.quality(f"penetration_mean_{when}", float(deepest_m.mean()), "m", "lower", person_id=person_id)
-
-
-def _deepest_m(skin_m: Float[np.ndarray, "frames vertices 3"], grid: SdfGrid) -> Float[np.ndarray, "frames"]:
-    return np.maximum(0.0, -grid.sample(skin_m).min(axis=1))
-
-
-def _report_keyframes(
-    ctx: StageContext,
-    person_id: int | None,
-    problem: RootProblem,
-    displacement_m: np.ndarray,
-    after: SkinPoints,
-    config: KeyframesConfig,
-) -> None:
-    """Contact distance and depth agreement before and after."""
-    from video2anim.geometry.chamfer import chamfer_m
-    from video2anim.motion.keyframe_roots import contact_distance_m
-
-    frames = problem.frame
-    touching = {
-        "before": [part.skin_m for part in problem.contacts],
-        "after": [after.touching_m(part.joints)[frames[part.keyframe]] for part in problem.contacts],
-    }
-    visible: dict[str, list[np.ndarray]] = {"before": [], "after": []}
-    for target in problem.depth:
-        visible["before"].append(target.visible_m)
-        visible["after"].append(target.visible_m + displacement_m[target.frame])
-    for when, skins_m in touching.items():
-        if skins_m:
-            gaps_m = [contact_distance_m(skin_m, problem.scene, config.contact_points) for skin_m in skins_m]
-            mean_m = float(np.abs(np.concatenate(gaps_m)).mean())
-            ctx.quality(f"contact_distance_{when}", mean_m, "m", "lower", person_id=person_id)
-        if visible[when]:
-            pairs = zip(visible[when], problem.depth, strict=True)
-            distances_m = [chamfer_m(skin_m, target.depth_m) for skin_m, target in pairs]
-            ctx.quality(f"depth_chamfer_{when}", float(np.mean(distances_m)), "m", "lower", person_id=person_id)
-
-
-def _weights(config: KeyframesConfig) -> RootWeights:
-    from video2anim.motion.keyframe_roots import RootWeights
-
-    return RootWeights(
+    weights = RootWeights(
         regularization=config.weight_regularization,
         contact=config.weight_contact,
         penetration=config.weight_penetration,
@@ -222,6 +127,10 @@ def _weights(config: KeyframesConfig) -> RootWeights:
         huber_m=config.huber_m,
         contact_points=config.contact_points,
     )
+    return RootFitConfig(
+        config.sampled_vertices, config.vertices_per_contact_part, config.depth_points, reach, weights,
+        config.iterations, config.learning_rate_m,
+    )  # fmt: skip
 
 
 STAGE = StageSpec("keyframes", optimize_keyframes, version=12)

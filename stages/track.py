@@ -23,8 +23,6 @@ _MIN_MEAN_SCORE = 0.7
 _MIN_MEAN_VISIBILITY = 0.5
 _MIN_MEAN_VISIBILITY_SHORT = 0.7
 """For tracks of less than a second, which may be a mixture of two bodies at an occlusion."""
-
-
 _PERSON = r"^(largest|all|\s*[0-9]{1,9}\s*)$"
 
 

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.body.legs import Leg
-from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.geometry.rotations import matrix_from_axis_angle, smallest_rotations
+from video2anim.geometry.two_bone import flexion_rad
 from video2anim.types.skeleton import PARENTS, forward_kinematics
 
 _STRAIGHTEST = 0.999
@@ -38,10 +39,10 @@ def move_ankles(
 
     bend_axis = np.cross(thigh_m, shin_m) + _HINT * (thigh * shin)[:, None] * R_world_joint[:, leg.hip, :, 0]
     bend_axis /= _length(bend_axis)[:, None]
-    turn = _flexion(thigh, shin, wanted) - _flexion(thigh, shin, present)
+    turn = flexion_rad(thigh, shin, wanted) - flexion_rad(thigh, shin, present)
     R_knee = matrix_from_axis_angle(bend_axis * turn[:, None])
     bent_m = thigh_m + _apply(R_knee, shin_m)
-    R_hip = _smallest_rotation(bent_m, aim_m)
+    R_hip = smallest_rotations(bent_m, aim_m)
 
     R_world_hip = R_hip @ R_world_joint[:, leg.hip]
     R_world_knee = R_hip @ R_knee @ R_world_joint[:, leg.knee]
@@ -50,19 +51,6 @@ def move_ankles(
     solved[:, leg.knee] = _transposed(R_world_hip) @ R_world_knee
     solved[:, leg.ankle] = _transposed(R_world_knee) @ R_world_joint[:, leg.ankle]
     return solved
-
-
-def _flexion(thigh_m: np.ndarray, shin_m: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
-    """Angle between thigh and shin directions, 0 = straight, for a hip-ankle distance."""
-    cosine = (distance_m**2 - thigh_m**2 - shin_m**2) / (2 * thigh_m * shin_m)
-    return np.arccos(np.clip(cosine, -1.0, 1.0))
-
-
-def _smallest_rotation(from_m: np.ndarray, to_m: np.ndarray) -> Float[np.ndarray, "frames 3 3"]:
-    axis = np.cross(from_m, to_m)
-    sine = _length(axis)
-    angle = np.arctan2(sine, np.einsum("td,td->t", from_m, to_m))
-    return matrix_from_axis_angle(axis * (angle / np.maximum(sine, 1e-15))[:, None])
 
 
 def _length(vector: np.ndarray) -> Float[np.ndarray, "frames"]:

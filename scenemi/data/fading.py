@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-from scenemi.contacts import runs
+from video2anim.geometry.runs import runs
 
 _SLOPE = 0.7
 """Share of a run's end speed that a gap starts with: full speed overshoots."""

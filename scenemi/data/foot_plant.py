@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import distance_transform_edt
 
-from scenemi.contacts import runs
 from scenemi.data.fading import envelope, faded
 from scenemi.data.foot_mesh import Sole
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from video2anim.geometry.runs import runs
 
 _MAX_ROLL_RAD = 0.7
 _PITCH_RAD = (-0.9, 1.4)

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.body.legs import Leg
-from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.geometry.rotations import matrix_from_axis_angle, smallest_rotations
+from video2anim.geometry.two_bone import flexion_rad
 
 _SOFT, _LONGEST = 0.995, 0.9995
 """Shares of the leg: where stretching begins to saturate, and where it ends."""
@@ -68,7 +69,7 @@ def bend_leg(
     flexion = _flexion_for(distance, bones)
     R_hip_knee = matrix_from_axis_angle(np.stack([flexion, 0 * flexion, 0 * flexion], -1))
     bent_m = (R_world_hip @ (bones.thigh_m + R_hip_knee @ bones.shin_m)[..., None])[..., 0]
-    R_hip = _smallest_turn(bent_m, aim_m) @ R_world_hip
+    R_hip = smallest_rotations(bent_m, aim_m) @ R_world_hip
     return R_hip, R_hip @ R_hip_knee
 
 
@@ -101,18 +102,8 @@ def move_wrist(
     present = np.linalg.norm(present_m, axis=-1)
     longest = np.maximum(_LONGEST * (upper + fore), present)
     wanted = np.clip(np.linalg.norm(present_m + shift_m, axis=-1), _SHORTEST * (upper + fore), longest)
-    flexions = [
-        np.arccos(np.clip((distance**2 - upper**2 - fore**2) / (2 * upper * fore), -1.0, 1.0))
-        for distance in (present, wanted)
-    ]
-    R_bend = matrix_from_axis_angle((R_world_shoulder @ elbow_axis) * (flexions[1] - flexions[0])[:, None])
+    turn = flexion_rad(upper, fore, wanted) - flexion_rad(upper, fore, present)
+    R_bend = matrix_from_axis_angle((R_world_shoulder @ elbow_axis) * turn[:, None])
     bent_m = upper_m + (R_bend @ fore_m[..., None])[..., 0]
-    R_turn = _smallest_turn(bent_m, present_m + shift_m)
+    R_turn = smallest_rotations(bent_m, present_m + shift_m)
     return R_turn @ R_world_shoulder, R_turn @ R_bend @ R_world_elbow
-
-
-def _smallest_turn(from_m: np.ndarray, to_m: np.ndarray) -> Float[np.ndarray, "frames 3 3"]:
-    axis = np.cross(from_m, to_m)
-    sine = np.linalg.norm(axis, axis=-1)
-    angle = np.arctan2(sine, np.einsum("td,td->t", from_m, to_m))
-    return matrix_from_axis_angle(axis * (angle / np.maximum(sine, 1e-15))[:, None])

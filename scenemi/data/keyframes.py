@@ -121,21 +121,7 @@ def checked_keyframes(
             f"{where}: want at least 2 keyframes, got {len(R_parent_joint)}; give the pose at another frame too"
         )
     frames = _whole_frames(where, frame_index)
-    finite = np.isfinite(R_parent_joint).all((1, 2, 3)) & np.isfinite(translation_m).all(1)
-    if not finite.all():
-        raise InputError(f"{where}: keyframe {frames[~finite][0]} holds NaN or infinity; leave it out or repair it")
-    if not np.isfinite(rest_joints_m).all():
-        raise InputError(f"{where}: rest_joints_m holds NaN or infinity")
-    with np.errstate(over="ignore"):
-        body_height_m = float(np.ptp(rest_joints_m[:, 1]))
-    if (
-        not _BODY_HEIGHT_M[0] < body_height_m < _BODY_HEIGHT_M[1]
-        or max(np.abs(a).max() for a in (translation_m, rest_joints_m)) > _FARTHEST_M
-    ):
-        raise InputError(
-            f"{where}: want meters and +Y up, got a skeleton {body_height_m:.2f} high and roots up to "
-            f"{np.abs(translation_m).max():.1f} from the origin"
-        )
+    _expect_possible(where, frames, R_parent_joint, translation_m, rest_joints_m)
     order = np.argsort(frames)
     return Keyframes(
         frames[order],
@@ -157,6 +143,25 @@ def _expect_shapes(
     for name, want, have in zip(names, wanted, got, strict=True):
         if want != have:
             raise InputError(f"{where}: {name} wants shape {want}, got {have}")
+
+
+def _expect_possible(
+    where: str, frames: np.ndarray, R: np.ndarray, translation_m: np.ndarray, rest_joints_m: np.ndarray
+) -> None:
+    """Finite numbers, and a body and places that meters and +Y up make possible."""
+    finite = np.isfinite(R).all((1, 2, 3)) & np.isfinite(translation_m).all(1)
+    if not finite.all():
+        raise InputError(f"{where}: keyframe {frames[~finite][0]} holds NaN or infinity; leave it out or repair it")
+    if not np.isfinite(rest_joints_m).all():
+        raise InputError(f"{where}: rest_joints_m holds NaN or infinity")
+    with np.errstate(over="ignore"):
+        body_height_m = float(np.ptp(rest_joints_m[:, 1]))
+    farthest_m = max(np.abs(a).max() for a in (translation_m, rest_joints_m))
+    if not _BODY_HEIGHT_M[0] < body_height_m < _BODY_HEIGHT_M[1] or farthest_m > _FARTHEST_M:
+        raise InputError(
+            f"{where}: want meters and +Y up, got a skeleton {body_height_m:.2f} high and roots up to "
+            f"{np.abs(translation_m).max():.1f} from the origin"
+        )
 
 
 def _whole_frames(where: str, frame_index: np.ndarray) -> Int[np.ndarray, "keyframes"]:

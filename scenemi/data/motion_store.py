@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from scenemi.contacts import runs
 from scenemi.data.augment import resampled
 from scenemi.data.bend import MIN_WAY_M, bent, way_m
 from scenemi.data.container import MotionArchive
@@ -24,6 +23,7 @@ from video2anim.body.anny_body import shaped_body
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
+from video2anim.geometry.runs import runs
 from video2anim.types import BodyShape
 from video2anim.types.clip import FPS
 from video2anim.types.skeleton import forward_kinematics

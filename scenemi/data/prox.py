@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from scenemi.contacts import runs
 from scenemi.data.plain_files import read_array, read_json_value
 from scenemi.data.smpl_clip import R_Y_UP_Z_UP, smpl_clip
 from scenemi.data.source_clip import SourceClip
 from scenemi.scene.voxel_sdf import standing_sdf
 from video2anim.body.array_pickle import read_pickled_arrays
 from video2anim.errors import InputError
+from video2anim.geometry.runs import runs
 from video2anim.geometry.sdf import SdfGrid
 
 _FPS = 30.0

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from scenemi.contacts import runs
 from scenemi.scene.body_spheres import BodySpheres
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.furniture import Piece, block, seat_of, table_of
 from scenemi.scene.sliding import Slide, SweptBody, nearest_free
+from video2anim.geometry.runs import runs
 from video2anim.types.skeleton import JOINT_INDEX
 
 _HIPS = [JOINT_INDEX[n] for n in ("pelvis", "left_hip", "right_hip")]

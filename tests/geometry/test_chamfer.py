@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from video2anim.geometry.chamfer import ChamferConfig, ChamferLoss, chamfer_m, huber_of_square
+from video2anim.geometry.chamfer import ChamferConfig, ChamferLoss, chamfer_m
+from video2anim.geometry.robust import huber_of_square
 
 
 def clouds() -> tuple[np.ndarray, np.ndarray]:

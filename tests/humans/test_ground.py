@@ -7,8 +7,9 @@ import pytest
 from synthetic import planted_walk
 
 from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.contact import foot_contact
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.humans.ground import floor_height, foot_contact, level_frame, up_from_static_equilibrium
+from video2anim.humans.ground import floor_height, level_frame, up_from_static_equilibrium
 from video2anim.types import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 

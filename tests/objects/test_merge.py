@@ -9,7 +9,7 @@ from video2anim.objects.depth_regions import Region, RegionLimits
 from video2anim.objects.merge import Detection, joined_objects
 
 ROWS, COLUMNS = 60, 100
-LIMITS = RegionLimits()
+LIMITS = RegionLimits(min_ratio=0.004, min_m=0.15, max_m=4.0, max_objects=12)
 """0.4 % of 6000 pixels are 24; sizes from 0.15 to 4 m."""
 
 

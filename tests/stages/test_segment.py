@@ -45,7 +45,7 @@ def test_true_depth_of_any_provider_segments_as_well() -> None:
         room.depth_m,
         np.ones(room.depth_m.shape, dtype=bool),
         room.bodies.main_view.resized(width, height),
-        RegionLimits(),
+        RegionLimits(min_ratio=0.004, min_m=0.15, max_m=4.0, max_objects=12),
     )
     assert len(regions.objects) == 1
     assert _iou(regions.objects[0].mask, room.surface == BOX) > 0.8

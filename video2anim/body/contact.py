@@ -24,6 +24,8 @@ _SLOW_SEEN_M_S = 0.6
 """The same of a motion straight from the picture: landmarks of a part at rest still move by 0.2 to 0.5 m/s."""
 _ALONG = 0.25
 """There, motion along the line of sight counts so much: one camera sees it badly, and its jitter would hide rest."""
+_FOOT_SPEED_M_S, _FOOT_HEIGHT_M = (0.35, 0.1), (0.12, 0.03)
+"""Limit and softness of the speed of a foot in contact, and of its height above the other foot."""
 _WINDOW_FRAMES = 2
 """Speed is taken over so many frames before and after (0.13 s in all): single steps hold the estimate's jitter, and a
 longer time takes feet for flying that have just landed."""
@@ -57,12 +59,46 @@ def speed_m_s(motion: BodyMotion, joint: int, *, along: float = 1.0) -> Float[np
     path_m = motion.joints_world_m[:, joint].astype(np.float64)
     frame = np.arange(len(path_m))
     first, last = np.maximum(frame - _WINDOW_FRAMES, 0), np.minimum(frame + _WINDOW_FRAMES, len(path_m) - 1)
-    sight = path_m - motion.T_world_camera[:, :3, 3]
-    sight /= np.maximum(np.linalg.norm(sight, axis=-1, keepdims=True), 1e-9)
-    way_m = path_m[last] - path_m[first]
-    way_m -= (1 - along) * (way_m * sight).sum(-1, keepdims=True) * sight
+    way_m = _across_sight(path_m[last] - path_m[first], path_m - motion.T_world_camera[:, :3, 3], along)
     time_s = np.maximum(motion.frame_time_s[last] - motion.frame_time_s[first], 1e-3)
     return np.linalg.norm(way_m, axis=-1) / time_s
+
+
+def _across_sight(
+    way_m: Float[np.ndarray, "*n 3"], sight_m: Float[np.ndarray, "*n 3"], along: float
+) -> Float[np.ndarray, "*n 3"]:
+    """Displacements whose part along the line of sight is scaled by `along`."""
+    sight = sight_m / np.maximum(np.linalg.norm(sight_m, axis=-1, keepdims=True), 1e-9)
+    return way_m - (1 - along) * (way_m * sight).sum(-1, keepdims=True) * sight
+
+
+def foot_contact(
+    joints_world_m: Float[np.ndarray, "frames 22 3"],
+    valid: Bool[np.ndarray, "frames"],
+    fps: float,
+    camera_world_m: Float[np.ndarray, "frames 3"],
+) -> Float[np.ndarray, "frames 22"]:
+    """Contact probability of the feet by their motion alone, for bodies without the lifter's contacts; others are 0.
+
+    A foot joint is in contact while it is slow and not much higher than the same joint of the other foot: a planted
+    foot carries the body, so it is the lower one, or both rest.
+    """
+    contact = np.zeros(joints_world_m.shape[:2])
+    if len(joints_world_m) < 3:
+        return contact
+    velocity = np.gradient(joints_world_m, 1.0 / fps, axis=0)
+    speed = np.linalg.norm(_across_sight(velocity, joints_world_m - camera_world_m[:, None], _ALONG), axis=-1)
+    for left, right in ((JOINT_INDEX[f"left_{name}"], JOINT_INDEX[f"right_{name}"]) for name in ("ankle", "foot")):
+        for joint, other in ((left, right), (right, left)):
+            slow = _below(speed[:, joint], *_FOOT_SPEED_M_S)
+            low = _below(joints_world_m[:, joint, 1] - joints_world_m[:, other, 1], *_FOOT_HEIGHT_M)
+            contact[:, joint] = slow * low * valid
+    return contact
+
+
+def _below(value: np.ndarray, limit: float, softness: float) -> np.ndarray:
+    """Logistic step: 1 far below the limit, 0 far above it."""
+    return 1.0 / (1.0 + np.exp((value - limit) / softness))
 
 
 def believed(motion: BodyMotion, body: ShapedBody) -> Float[np.ndarray, "frames 22"]:

@@ -71,22 +71,13 @@ class ChamferLoss:
             self._source_of_target = np.asarray(KDTree(source_m).query(self._target_m)[1])
 
     def _robust_mean(self, difference_m: torch.Tensor) -> torch.Tensor:
+        from video2anim.geometry.robust import huber_of_square
+
         square = (difference_m * difference_m).sum(-1)
         if self.config.trim_ratio > 0:
             kept = max(1, round(len(square) * (1 - self.config.trim_ratio)))
             square = square.topk(kept, largest=False).values
         return huber_of_square(square, self.config.huber_m).mean()
-
-
-def huber_of_square(square_m2: torch.Tensor, huber_m: float) -> torch.Tensor:
-    """Huber cost in m^2 of a squared distance: d^2 up to `huber_m`, then 2 huber d - huber^2. Smooth at zero."""
-    import torch
-
-    if not np.isfinite(huber_m):
-        return square_m2
-    limit = huber_m**2
-    far = 2 * huber_m * torch.sqrt(torch.clamp(square_m2, min=limit)) - limit
-    return torch.where(square_m2 <= limit, square_m2, far)
 
 
 def chamfer_m(

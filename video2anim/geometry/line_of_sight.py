@@ -6,22 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from video2anim.geometry.projection import project
+from video2anim.geometry.vertex_normals import vertex_normals
 from video2anim.types.camera import Intrinsics
 
 _NEAR_M = 0.05
-
-
-def vertex_normals(
-    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
-) -> Float[np.ndarray, "vertices 3"]:
-    """Area-weighted unit normals; zero for vertices of no face."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    face_normal = np.cross(b - a, c - a)
-    normals = np.zeros((len(vertices), 3))
-    for k in range(3):
-        for axis in range(3):
-            normals[:, axis] += np.bincount(faces[:, k], face_normal[:, axis], minlength=len(vertices))
-    return normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
 
 
 def visible_vertices(
@@ -37,7 +25,7 @@ def visible_vertices(
     is hidden. Cells are a little larger than the spacing of the vertices, so that a surface has no holes in the buffer.
     """
     z = vertices_camera_m[:, 2]
-    normals = vertex_normals(vertices_camera_m, faces)
+    normals = vertex_normals(vertices_camera_m, faces, undefined=(0.0, 0.0, 0.0))
     facing = np.einsum("ij,ij->i", normals, vertices_camera_m) < 0
     seen = np.zeros(len(z), dtype=bool)
     candidate = np.flatnonzero((z > _NEAR_M) & facing)

@@ -161,3 +161,11 @@ def rotation_between(direction_from: np.ndarray, direction_to: np.ndarray) -> np
             return np.eye(3)
         raise ValueError("rotation_between: opposite directions have no single smallest rotation")
     return matrix_from_axis_angle(axis / sine * np.arctan2(sine, a @ b))
+
+
+def smallest_rotations(vectors_from: np.ndarray, vectors_to: np.ndarray) -> np.ndarray:
+    """Smallest rotations (N, 3, 3) that turn vectors (N, 3) of any length into the directions of others."""
+    axis = np.cross(vectors_from, vectors_to)
+    sine = np.linalg.norm(axis, axis=-1)
+    angle = np.arctan2(sine, np.einsum("td,td->t", vectors_from, vectors_to))
+    return matrix_from_axis_angle(axis * (angle / np.maximum(sine, 1e-15))[:, None])

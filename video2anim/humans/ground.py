@@ -1,11 +1,11 @@
-"""Up direction, floor and contacts from a moving body."""
+"""Up direction and floor from a moving body."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from video2anim.types.skeleton import JOINT_INDEX
 
@@ -19,7 +19,7 @@ _SEGMENTS = (
 """Mass share of body segments (Winter 2009, table 4.1), each at the middle of its joints."""
 _OBSERVATIONS_PER_S = 3.0
 _LEVEL_SIGMA_M = 0.07
-"""Supports of one level spread less than this."""
+"""Heights of one level have a smaller standard deviation."""
 _FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
 
 
@@ -51,9 +51,9 @@ def up_from_static_equilibrium(
 ) -> UpEstimate:
     """Direction against gravity: a body that stands or walks has, on average, its center of mass over its feet.
 
-    Iteratively re-weighted mean of the directions feet -> center of mass, so lying, bending or airborne frames lose
-    their say, combined with a weak belief that cameras are held level. Errors of neighboring frames are strongly
-    correlated: every third of a second of the time the frames span counts as one look, however many frames it has.
+    Iteratively re-weighted mean of the directions feet -> center of mass, which
+    down-weights lying, bending and airborne frames, combined with a weak prior that cameras are held level. Errors of
+    neighboring frames are strongly correlated: each third of a second counts as one observation.
     """
     feet = joints_camera_m[:, [JOINT_INDEX[name] for name in _FEET]].mean(1)
     direction = center_of_mass(joints_camera_m) - feet
@@ -91,47 +91,13 @@ def level_frame(up_camera: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     return np.stack([x, y, z])
 
 
-def foot_contact(
-    joints_world_m: Float[np.ndarray, "frames 22 3"],
-    valid: Bool[np.ndarray, "frames"],
-    fps: float,
-    camera_world_m: Float[np.ndarray, "frames 3"],
-    *,
-    speed_m_s: float = 0.35,
-    softness_m_s: float = 0.1,
-) -> Float[np.ndarray, "frames 22"]:
-    """Contact probability of each joint; only feet are judged, all others are 0.
-
-    Motion along the line of sight counts a quarter: one camera sees it badly, and its jitter would hide contact.
-
-    A foot joint is in contact while it moves slower than `speed_m_s` and is not much higher than the other foot:
-    a planted foot carries the body, so it is the lower one or both rest.
-    """
-    contact = np.zeros(joints_world_m.shape[:2])
-    if len(joints_world_m) < 3:
-        return contact
-    velocity = np.gradient(joints_world_m, 1.0 / fps, axis=0)
-    sight = joints_world_m - camera_world_m[:, None]
-    sight /= np.maximum(np.linalg.norm(sight, axis=-1, keepdims=True), 1e-6)
-    along = (velocity * sight).sum(-1, keepdims=True) * sight
-    speed = np.linalg.norm(velocity - 0.75 * along, axis=-1)
-    for name in _FEET:
-        joint = JOINT_INDEX[name]
-        other = JOINT_INDEX[name.replace("left", "right") if "left" in name else name.replace("right", "left")]
-        slow = 1.0 / (1.0 + np.exp((speed[:, joint] - speed_m_s) / softness_m_s))
-        above = joints_world_m[:, joint, 1] - joints_world_m[:, other, 1]
-        low = 1.0 / (1.0 + np.exp((above - 0.12) / 0.03))
-        contact[:, joint] = slow * low * valid
-    return contact
-
-
 def floor_height(
     sole_height_m: Float[np.ndarray, "frames feet"], fps: float, *, window_s: float = 0.6
 ) -> tuple[float, float]:
-    """Height of the lowest level that carries the body again and again, and the spread of that level.
+    """Height of the lowest level that carries the body in several windows, and the spread of that level.
 
     Somebody who stands, walks or runs has a foot down at least once in about 0.6 s, so the low end of the soles in
-    every such window is a support, unless the body is in the air or lies: the floor is their `lowest_level`.
+    every such window is a support, unless the body is in the air or lies. The floor is their `lowest_level`.
 
     Args:
         sole_height_m: lowest point of each foot, valid frames in order of time.
@@ -145,11 +111,11 @@ def floor_height(
 def lowest_level(
     supports_m: Float[np.ndarray, "windows"], *, level_gap_m: float = 0.25
 ) -> Float[np.ndarray, "some_windows"]:
-    """Those of the heights at which a body stood that are on the floor, sorted.
+    """Heights of the floor among those at which a body stood, sorted.
 
-    Supports may lie at several heights (steps, a roof, a bed): they are parted where nothing lies within `level_gap_m`,
-    and the lowest level seen in at least two windows (and a twelfth of all) is the floor. Stairs are nearer to each
-    other than that: where what is left is no level, its lowest part is taken if a fifth of all windows agree on it.
+    Supports may lie at several heights (steps, a roof, a bed): they are split at gaps above `level_gap_m`,
+    and the lowest level of at least two windows (and a twelfth of all) is the floor. Stairs are closer to each other:
+    a level whose heights spread too much is cut to its lowest part, if a fifth of all windows are in it.
     """
     supports_m = np.sort(supports_m)
     levels = np.split(supports_m, np.flatnonzero(np.diff(supports_m) > level_gap_m) + 1)
@@ -159,11 +125,11 @@ def lowest_level(
 
 
 def _lowest_stair(heights_m: Float[np.ndarray, "windows"], windows: int) -> Float[np.ndarray, "some_windows"]:
-    """The lowest of sorted heights, cut at their widest gap as long as they spread more than the noise of one level."""
+    """The lowest of sorted heights, cut at the widest gap while they spread more than the noise of one level."""
     while np.std(heights_m) > _LEVEL_SIGMA_M:
         cut = int(np.argmax(np.diff(heights_m))) + 1
         low = heights_m[:cut]
-        # A ramp (gravity a little off) has no gap that stands out; two odd windows are no level.
+        # A ramp, by an error of gravity, has no dominant gap; two outlier windows are no level.
         if len(low) < max(3, windows / 5) or heights_m[cut] - low[-1] < 2 * np.std(low):
             break
         heights_m = low

@@ -1,4 +1,4 @@
-"""A first body from 3D landmarks: bone directions give rotations, the picture gives the translation."""
+"""Initial body from 3D landmarks: bone directions give rotations, the image gives the translation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ _CHILD = {
 }  # fmt: skip
 _NEVER_SINGULAR = 1e-9
 _YAW_SHARE, _PITCH_SHARE = 0.75, 0.3
-"""Parts of the viewing ray's angle by which BlazePose's landmarks are turned against the camera."""
+"""Parts of the viewing ray's angle by which BlazePose's landmarks are rotated against the camera
+(`benchmarks/landmark_axes.py`)."""
 
 
 def ray_rotation(points_px: Float[np.ndarray, "frames 2"], intrinsics: Intrinsics) -> Float[np.ndarray, "frames 3 3"]:
@@ -48,8 +49,8 @@ def landmark_rotation(
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Rotation from the axes of a person's 3D landmarks into the camera frame.
 
-    A crop does not tell where it was cut, but the landmark model takes people for upright before a level camera, and
-    so undoes a part of the viewing ray's tilt by itself. Measured over rendered people (`benchmarks/landmark_axes.py`).
+    The landmark model sees a crop, whose place in the image it does not know, but assumes upright people and a level
+    camera, and so corrects a part of the viewing ray's tilt. Measured on rendered people.
     """
     x = (points_px[:, 0] - intrinsics.cx_px) / intrinsics.fx_px
     y = (points_px[:, 1] - intrinsics.cy_px) / intrinsics.fy_px
@@ -119,7 +120,7 @@ def _mid(at: object, part: str) -> np.ndarray:
 
 
 def _frame_from(left: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(T, 3, 3) frames with y along `up` and x as near `left` as can be."""
+    """(T, 3, 3) frames with y along `up` and x as close to `left` as possible."""
     y = up / np.linalg.norm(up, axis=-1, keepdims=True)
     x = left - (left * y).sum(-1, keepdims=True) * y
     x /= np.linalg.norm(x, axis=-1, keepdims=True)

@@ -33,4 +33,4 @@ _EXTREMITIES = ("index", "pinky", "heel", "toe", "eye", "ear", "nose")
 KEYPOINT_TRUST: np.ndarray = np.array(
     [0.5 if any(part in name for part in _EXTREMITIES) else 1.0 for name in KEYPOINT_NAMES]
 )
-"""Weight of each keypoint: limb joints are what the detector was made for, hands, feet and face vary more."""
+"""Weight of each keypoint: landmarks of hands, feet and face vary more than limb joints."""

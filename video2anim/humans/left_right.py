@@ -1,4 +1,4 @@
-"""Frames in which a landmark model takes left for right."""
+"""Frames in which a landmark model swaps left and right."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from video2anim.humans.landmarks import MIRROR_KEYPOINT
 
 _SIDED = np.arange(len(MIRROR_KEYPOINT)) != MIRROR_KEYPOINT
 _MIN_JUMP = 0.08
-"""Mean jump of the keypoints from frame to frame, over the person's size, below which nothing is suspected."""
+"""Mean jump of the keypoints from frame to frame, over the person's size, below which no flip is tested."""
 _CLEARLY = 0.5
-"""With sides exchanged the jump must shrink to less than this share."""
+"""With sides exchanged the jump must fall below this share."""
 _LONGEST_S = 1.0
-"""Longer stretches may be a person who turned while unseen, and stay."""
+"""Longer stretches stay: the person may have turned while unseen."""
 _DEPTH_SCALE = 0.6
-"""Meters of the 3D landmarks that count as much as the person's size in the picture."""
+"""Meters of the 3D landmarks that weigh as much as the person's size in the image."""
 
 
 def left_right_flips(
@@ -27,8 +27,8 @@ def left_right_flips(
 ) -> Bool[np.ndarray, "frames"]:
     """Frames whose left and right are exchanged against those before and after.
 
-    A body cannot turn about within a frame. Where all keypoints jump, and would hardly jump with sides exchanged, the
-    model has changed its mind; short stretches between two such changes are wrong, for it is right most of the time.
+    A body cannot turn around within a frame. Where all keypoints jump, and hardly jump with sides exchanged, the
+    landmark model flipped. Of the stretches between flips, the alternate ones with fewer frames in all are wrong.
     """
     rows = np.flatnonzero(valid)
     swapped = np.zeros(len(valid), bool)
@@ -37,7 +37,7 @@ def left_right_flips(
     size = np.linalg.norm(np.ptp(keypoints_px[rows], axis=1), axis=-1)
     seen = np.concatenate(
         [keypoints_px[rows] / np.median(size), keypoints_m[rows] / _DEPTH_SCALE], -1
-    )  # places across the picture, and relative to the hips in depth
+    )  # image positions, and depths relative to the hips
     both = np.minimum(weight[rows[1:]], weight[rows[:-1]][:, MIRROR_KEYPOINT])[:, _SIDED] + 1e-3
     stay = np.linalg.norm(seen[1:] - seen[:-1], axis=-1)[:, _SIDED]
     cross = np.linalg.norm(seen[1:] - seen[:-1][:, MIRROR_KEYPOINT], axis=-1)[:, _SIDED]

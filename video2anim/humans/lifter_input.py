@@ -1,7 +1,7 @@
-"""What the temporal lifter sees of a person, and how its answer becomes a body.
+"""Input of the temporal lifter, and the body that its output stands for.
 
-The network never sees pixels or the lens: each frame is given in the frame of the person's viewing ray (optical axis
-through the middle of the hips), as directions in units of the person's own size: one network serves all cameras.
+The network sees neither pixels nor the lens: each frame is given in the frame of the person's viewing ray (optical axis
+through the middle of the hips), as directions in units of the person's size, so one network serves all cameras.
 """
 
 from __future__ import annotations
@@ -22,36 +22,36 @@ KEYPOINTS = len(KEYPOINT_NAMES)
 CONTACT_JOINTS: tuple[str, ...] = (
     "left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist", "pelvis", "spine3",
 )  # fmt: skip
-"""Heels, balls of the feet, hands, seat, back."""
+"""Heels, balls of the feet, hands, seat and back."""
 CONTACT_INDEX = np.array([JOINT_INDEX[name] for name in CONTACT_JOINTS])
 FEATURES = 6 * KEYPOINTS + 4
 """Directions 2, 3D landmarks 3 and visibility 1 per keypoint; logarithm of the size, motion of the hips 2, valid 1."""
 OUTPUTS = 22 * 6 + 3 + len(CONTACT_JOINTS) + 22 + 3
-"""Rotations, place, contact logits, logarithms of the joints' expected errors, up."""
+"""Rotations, position, contact logits, logarithms of the joints' expected errors, up."""
 CONTACT_OUTPUTS = slice(135, 135 + len(CONTACT_JOINTS))
 ERROR_OUTPUTS = slice(CONTACT_OUTPUTS.stop, CONTACT_OUTPUTS.stop + 22)
 LOG_ERROR_RANGE = (-5.0, 0.5)
 _HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
 _SMALLEST = 1e-4
 _FARTHEST = 6.0
-"""Directions farther from the hips than so many sizes of the person are errors."""
+"""Directions are clipped to this many sizes of the person from the hips."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LifterInput:
-    """Features of frames at `FPS`, with what undoes their frame."""
+    """Features of frames at `FPS`, and the frame of reference that they are in."""
 
     features: Float[np.ndarray, "*batch frames features"]
     R_camera_ray: Float[np.ndarray, "*batch frames 3 3"]
     size: Float[np.ndarray, "*batch frames"]
     """Root mean square distance of the seen keypoints' directions from the middle of the hips, at depth 1."""
     focal_px: float
-    """Of the lens that the directions assume."""
+    """Focal length under which the directions were computed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiftedBody:
-    """The lifter's answer, in the camera (OpenCV axes)."""
+    """Output of the lifter, in the camera (OpenCV axes)."""
 
     R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
     """Joint 0 is the root orientation in the camera."""
@@ -60,14 +60,14 @@ class LiftedBody:
     contact: Float[np.ndarray, "frames 8"]
     """Probabilities, in the order of `CONTACT_JOINTS`."""
     up_camera: Float[np.ndarray, "frames 3"]
-    """Unit vector against gravity as the frame's pose tells it."""
+    """Unit vector against gravity, estimated from the pose."""
     error_m: Float[np.ndarray, "frames 22"]
-    """Distance from the truth that the network expects of each joint, about the pelvis."""
+    """Error that the network predicts for each joint, relative to the pelvis."""
     focal_px: float
-    """Of the lens assumed, with which the distance grows."""
+    """Focal length under which the distance was computed; the distance is proportional to it."""
 
     def rows(self, frames: Int[np.ndarray, "chosen"]) -> LiftedBody:
-        """The answer for some of the frames."""
+        """The output for some of the frames."""
         return LiftedBody(
             self.R_parent_joint[frames], self.translation_camera_m[frames], self.contact[frames],
             self.up_camera[frames], self.error_m[frames], self.focal_px,
@@ -103,10 +103,10 @@ def ray_features(
     Args:
         ray_camera: directions in the camera, of any length.
         R_camera_ray: `ray_rotation` of the middle of the hips.
-        points_ray_m: 3D landmarks in the frame of the ray, relative to anything.
+        points_ray_m: 3D landmarks in the frame of the ray, with any origin.
         visibility: 0 to 1.
-        valid: frames with a measurement; the others are marked and zero.
-        focal_px: of the lens that the rays assume; only handed on.
+        valid: frames with a measurement; features of the others are zero.
+        focal_px: focal length of the rays; only stored.
     """
     seen = np.where(valid[..., None], visibility, 0.0)
     turned = ray_camera @ R_camera_ray  # rows: R^T ray
@@ -132,7 +132,7 @@ def ray_features(
 
 
 def lifted_body(output: Float[np.ndarray, "frames outputs"], given: LifterInput) -> LiftedBody:
-    """The network's answer as a body.
+    """The network's output as a body.
 
     Args:
         output: 22 rotations (6D, root in the frame of the ray), logarithm of depth x size, offset of the pelvis from

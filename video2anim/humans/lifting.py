@@ -1,4 +1,4 @@
-"""A clip through the lifter, whatever its frame rate."""
+"""Runs the lifter on a clip of any frame rate."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from video2anim.types.clip import FPS
 
 Network = Callable[[Float[np.ndarray, "frames features"]], Float[np.ndarray, "frames outputs"]]
 _NEAR_ENOUGH = 0.1
-"""A frame rate within this share of `FPS` is taken as it is."""
+"""Frame rates within this share of `FPS` are not resampled."""
 _LONGEST_GAP_S = 0.12
-"""Measurements farther apart are not joined by a line."""
+"""Measurements farther apart are not interpolated."""
 
 
 def lift(observed: Observations, network: Network) -> LiftedBody:
@@ -38,7 +38,7 @@ def lift(observed: Observations, network: Network) -> LiftedBody:
 
 
 def _at(observed: Observations, grid_s: Float[np.ndarray, "samples"]) -> Observations:
-    """Measurements at other times, on straight lines between the valid neighbors."""
+    """Measurements at other times, by linear interpolation between valid neighbors."""
     rows = np.flatnonzero(observed.valid)
     times = observed.frame_time_s[rows]
     if len(rows) == 0:
@@ -69,7 +69,7 @@ def _taken(observed: Observations, index: Int[np.ndarray, "n"], times: np.ndarra
 
 
 def _back(lifted: LiftedBody, grid_s: np.ndarray, times_s: np.ndarray) -> LiftedBody:
-    """The answer at the clip's own times."""
+    """The output at the times of the clip's frames."""
     last = len(grid_s) - 1
     place = np.clip((times_s - grid_s[0]) * FPS, 0, last)
     left = np.floor(place).astype(int)

@@ -15,8 +15,9 @@ from video2anim.humans.optimize import fit_body
 from video2anim.humans.problem import FittedBody, Observations, evenly_spread
 
 PIECE_FRAMES, SHARED_FRAMES = 360, 24
-"""Clips longer than a piece are fitted in pieces that share so many frames."""
+"""Longer clips are fitted in pieces of 12 s, which bound the memory, and overlap by 0.8 s."""
 _SHAPE_FRAMES = 120
+"""Frames, spread over a long clip, that its shape is fitted to."""
 ITERATIONS_FROM_LANDMARKS, ITERATIONS_FROM_LIFTED = 400, 160
 
 
@@ -28,10 +29,10 @@ def fit_long(
     iterations: int | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> FittedBody:
-    """`fit_body` under a known lens: at once where the clip is short, else in pieces.
+    """`fit_body` under a known lens: of the whole clip where it is short, else in pieces.
 
-    The shape of a long clip comes from frames spread over all of it and holds for every piece. Neighbouring pieces
-    share frames, over which one fades into the other.
+    The shape of a long clip comes from frames spread over all of it and holds for every piece. Neighboring pieces
+    overlap and are blended there.
 
     Raises:
         StageError: fewer than one valid frame.
@@ -65,7 +66,7 @@ def fit_long(
 
 
 def _pieces(valid: np.ndarray) -> list[Int[np.ndarray, "frames"]]:
-    """Runs of frames that cover the clip and overlap; each holds a valid frame."""
+    """Overlapping runs of frames that cover the clip; each holds a valid frame."""
     frames = len(valid)
     if frames <= PIECE_FRAMES + SHARED_FRAMES:
         return [np.arange(frames)]
@@ -92,7 +93,7 @@ def _rows(observed: Observations, rows: np.ndarray) -> Observations:
 
 
 def _joined(fits: list[FittedBody], pieces: list[np.ndarray], frames: int) -> FittedBody:
-    """Pieces that fade into each other over shared frames; joints by forward kinematics of the faded pose."""
+    """Pieces blended over their shared frames; joints by forward kinematics of the blended pose."""
     from video2anim.types.skeleton import forward_kinematics
 
     first = fits[0]

@@ -1,7 +1,7 @@
 """The objective of the body fit: a negative log posterior in torch.
 
-Every term is a squared (or Huber) residual over a standard deviation with a physical unit, so weights can be read
-and questioned. Landmark errors of one clip are not independent; `FitConfig.landmark_share` says how much each counts.
+Every term is a squared (or Huber) residual over a standard deviation with a physical unit, so every weight has
+a meaning. Landmark errors of one clip are not independent: `FitConfig.landmark_share` is the weight of each.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class FitConfig:
     landmark_2d_ratio: float = 0.004
     """Pixel error of a limb landmark as a share of the person's box diagonal."""
     landmark_2d_px: float = 3.0
-    """Error of landmarks that no size of the person can undercut: that of the pictures' own pixels."""
+    """Pixel error of a landmark at any size of the person; both add in quadrature."""
     landmark_3d_m: float = 0.05
     """Error of a 3D landmark across the line of sight."""
     landmark_3d_depth_m: float = 0.10
@@ -37,39 +37,39 @@ class FitConfig:
     landmark_share: float = 0.3
     """Weight of each 3D landmark; below 1 because their errors are strongly correlated over time."""
     acceleration_m_s2: float = 25.0
-    """Joint acceleration that is nothing special; larger ones count linearly. What it leaves of jitter is for a filter
-    to take out: a tighter prior couples the frames so that the fit is slow to leave its start."""
+    """Standard deviation of joint accelerations; those over 1.5 of it count linearly. A tighter prior would remove more
+    jitter, but couples the frames so that the fit converges slowly; the low-pass filter removes the rest."""
     angular_rate_rad_s: float = 8.0
-    """Joint angle rate that is nothing special."""
+    """Standard deviation of the rate of joint angles."""
     body_height_m: float = 1.70
     """Mean standing height of adults (NCD-RisC 2016: women 1.59 to 1.65 m, men 1.71 to 1.78 m in most regions)."""
     body_height_sigma_m: float = 0.09
     shape_sigma: float = 0.4
-    """Spread of the other phenotypes, whose whole range is 1. Gender lies near its ends, and the body model's whole
-    range of proportions changes the legs' share of the body height by only 1.6 points, no more than adults differ."""
+    """Standard deviation of the other phenotypes, whose range is 0 to 1: wide, since gender lies near its ends and the
+    range of proportions changes the legs' share of the body height by 1.6 points only, as adults differ."""
     prior_share: float = 4.0
-    """Weight of the shape and lens priors per frame: a detector's bias is the same in every frame, so the evidence of
-    a long clip on shape and lens does not grow with its length as independent errors would let it."""
+    """Weight of the shape and lens priors per frame: a detector's bias is the same in every frame, so the evidence on
+    shape and lens does not grow with the length of the clip."""
     focal_ratio: float = 0.9
     """Median of focal length over the longer image side for phones, webcams and camcorders (24 to 45 mm equivalent)."""
     focal_log_sigma: float = 0.3
     lifted_m: float = 0.05
-    """Error of the lifter's joints, relative to the pelvis, across the line of sight, where it expects the usual one;
-    it grows with what the lifter expects."""
+    """Error of the lifter's joints, relative to the pelvis and across the line of sight, where its predicted error is
+    `lifted_usual_m`; it is proportional to the predicted error."""
     lifted_depth_m: float = 0.08
     """The same along the line of sight."""
     lifted_share: float = 1.0
     """Weight of each lifted joint, as `landmark_share`."""
     landmark_share_lifted: float = 0.05
-    """Weight of each 3D landmark where the lifter has read them already: against marker-based capture they are twice as
-    far off (`benchmarks/lifter.py`; with 0.3 for both weights PA-MPJPE was 51 and 42 mm on `ocv_sts` and `ocv_walk`,
-    with these 47 and 37)."""
+    """Weight of each 3D landmark beside the lifter, which uses them as input: against marker-based capture their error
+    is twice as large (`benchmarks/lifter.py`: PA-MPJPE 47 and 37 mm on `ocv_sts` and `ocv_walk`; 51 and 42 with 0.3
+    for both weights)."""
     lifted_distance_ratio: float = 0.1
-    """Error of the lifter's distance of the body, the same in all frames of a clip."""
+    """Error of the body's distance by the lifter, common to all frames of a clip."""
     lifted_angle_rad: float = 0.4
-    """Error of the lifter's joint angles, where it expects the usual error of the joints that they move."""
+    """Error of the lifter's joint angles, where the predicted error of the moved joints is `lifted_usual_m`."""
     lifted_usual_m: float = 0.035
-    """Distance from the truth that the lifter expects of a joint on motion like that of its training."""
+    """Predicted error of a joint on motion like that of the training set."""
 
     @classmethod
     def for_height(cls, known_m: float | None) -> FitConfig:
@@ -86,7 +86,7 @@ _HINGES = {"left_knee": (0, 1.0), "right_knee": (0, 1.0), "left_elbow": (1, -1.0
 """Hinge joints: axis of flexion in the joint frame and its positive sense."""
 _HINGE_SIGMA_RAD, _OVERSTRETCH_SIGMA_RAD, _FOREARM_TWIST_SIGMA_RAD = 3.0, 0.1, 0.8
 _MIN_DOUBT = 0.5
-"""Share of the usual error below which the lifter's own expectation is not believed."""
+"""Lower limit of the predicted error over the usual one."""
 PERSON = ADULT | {name: mean for name, (mean, _) in PEOPLES_LENGTHS.items()}
 """The average adult with people's proportions, from which a fit starts."""
 SHAPE_PARAMETERS = ("height", "gender", "weight", "proportions", *PEOPLES_LENGTHS)
@@ -134,7 +134,7 @@ class Objective:
         self._lifted = None if lifted is None else torch.from_numpy(lifted.R_parent_joint).float()
         self._distance_per_px: torch.Tensor | None = None
         if lifted is not None:
-            # Distance grows with the focal length: what the lifter sees is their ratio.
+            # The image fixes distance over focal length only.
             distance_m = torch.from_numpy(lifted.translation_camera_m[:, 2]).float().clamp_min(0.1)
             self._distance_per_px = distance_m / lifted.focal_px
         if lifted is not None:
@@ -183,9 +183,8 @@ class Objective:
         return values
 
     def translation_m(self, parameters: Parameters, body_height_m: torch.Tensor) -> torch.Tensor:
-        """(T, 3) root translations. They grow with the body, and depth grows with the focal length, which leaves the
-        body's place and size in the picture as they are: shape and focal length can then move without fighting every
-        frame's translation.
+        """(T, 3) root translations, scaled by the body, and in depth by the focal length. The body then keeps its place
+        and size in the image while shape and focal length change, so these are not coupled to every translation.
         """
         zoom = torch.exp(parameters.log_focal - self._start_log_focal)
         grown = body_height_m / self.start_body_height_m
@@ -223,7 +222,7 @@ class Objective:
         return data + self._motion(prediction, parameters) + self._shape(prediction, parameters)
 
     def _as_lifted(self, prediction: Prediction, R_parent_joint: torch.Tensor) -> torch.Tensor:
-        """Joints (about the pelvis, of a body of this shape) and angles as the lifter has them."""
+        """Joints (relative to the pelvis, for a body of this shape) and angles against those of the lifter."""
         c = self.config
         zero = torch.zeros_like(prediction.joints_m[:, 0])
         wanted, _ = forward_kinematics(R_parent_joint, zero, prediction.rest_joints_m)
@@ -237,7 +236,7 @@ class Objective:
         return c.lifted_share * (self._believed * (joints + angles)).sum()
 
     def _as_far(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
-        """The distance that the lifter sees in the size of a body of average build; a small one is as much nearer."""
+        """Mean distance against that of the lifter, which assumes average build: it is scaled by the body height."""
         assert self._distance_per_px is not None
         wanted = (
             parameters.log_focal + (self._distance_per_px * prediction.body_height_m / self.start_body_height_m).log()
@@ -249,7 +248,7 @@ class Objective:
     def _landmarks_3d(self, prediction: Prediction) -> torch.Tensor:
         hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
         relative = prediction.keypoints_m - prediction.keypoints_m[:, hips].mean(1, keepdim=True)
-        # The landmark model tells poses, not sizes: everybody is as tall as a average adult to it.
+        # 3D landmarks have the size of an average adult for everybody.
         relative = relative * (self.start_body_height_m / prediction.body_height_m)
         turned = torch.einsum("tba,tkb->tka", self._R_camera_landmarks, relative)
         wanted = self._points - self._points[:, hips].mean(1, keepdim=True)
@@ -263,11 +262,11 @@ class Objective:
         step = self._step_s[:, None, None]
         velocity = prediction.joints_m.diff(dim=0) / step
         between = 0.5 * (step[1:] + step[:-1])
-        # For a body of the mean height: else the prior would make people small, since the small move less.
+        # Scaled to the mean height: else the prior would favor small bodies, whose accelerations are smaller.
         scale = self.config.acceleration_m_s2 * prediction.body_height_m / self.config.body_height_m
         acceleration = velocity.diff(dim=0) / between / scale
         rate = parameters.angles_rad.diff(dim=0) / step / self.config.angular_rate_rad_s
-        # Joints move together: 22 accelerations say about as much as 7 independent ones.
+        # Joints move together: 22 accelerations weigh as about 7 independent ones.
         return 0.3 * (_huber((acceleration**2).sum(-1), 1.5).sum() + _huber((rate**2).sum(-1), 1.5).sum())
 
     def _pose(self, parameters: Parameters) -> torch.Tensor:

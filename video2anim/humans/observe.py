@@ -1,4 +1,4 @@
-"""From a tracked person to what the fit sees."""
+"""Observations of a fit from a tracked person."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from video2anim.types.people import PersonTrack
 def observations(
     track: PersonTrack, frame_time_s: np.ndarray, intrinsics: Intrinsics, frames: np.ndarray | None = None
 ) -> Observations:
-    """Landmarks of a track (all frames, or the chosen ones) in the order of the body's keypoints, left and right set
-    right where they were exchanged for a moment."""
+    """Landmarks of a track (all frames, or the chosen ones) in the order of the body's keypoints, without short
+    left-right flips."""
     pixels, points = track.landmarks_px[:, LANDMARK_ORDER], track.landmarks_m[:, LANDMARK_ORDER]
     weight = np.nan_to_num(np.where(track.valid[:, None], track.visibility[:, LANDMARK_ORDER], 0.0))
     swapped = left_right_flips(pixels, points, weight, track.valid, frame_time_s)

@@ -1,4 +1,4 @@
-"""Run the body fit."""
+"""The body fit: initial values, optimization, result."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def fit_body(
         fit_shape: treat the shape as unknown; else it stays `shape`.
         shape: Anny parameters to start from (default: `PERSON`).
         warm: an earlier fit of the same frames to start from, possibly under another focal length.
-        lifted: the lifter's answer for the same frames, to start from and to stay near.
+        lifted: output of the lifter for the same frames, as initial values and as evidence.
 
     Raises:
         StageError: fewer than one valid frame.
@@ -87,7 +87,7 @@ def fit_body(
 
 @one_thread()
 def place_lifted(observed: Observations, lifted: LiftedBody, config: FitConfig | None = None) -> FittedBody:
-    """The lifter's answer as it is, on an adult of average build; no height is taken into account.
+    """The lifter's output as it is, on an adult of average build; known heights are not used.
 
     Raises:
         StageError: fewer than one valid frame.
@@ -154,7 +154,7 @@ def _start(observed: Observations, objective: Objective, lifted: LiftedBody | No
 
 
 def _start_warm(observed: Observations, objective: Objective, warm: FittedBody, base: dict[str, float]) -> Parameters:
-    """The earlier body, moved along the line of sight so that it keeps its size in the picture."""
+    """The earlier fit, moved along the line of sight so that it keeps its size in the image."""
     start_m = objective.start_body_height_m
     grown = float(
         objective.model.rest_skeleton({k: torch.tensor(v) for k, v in warm.shape.parameters.items()}).body_height_m

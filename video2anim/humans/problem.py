@@ -1,4 +1,4 @@
-"""What a fit knows and what it finds."""
+"""Input and result of a body fit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Observations:
 
     @property
     def size_px(self) -> Float[np.ndarray, "frames"]:
-        """Height of the person's upright box per frame, the yardstick of pixel errors; NaN where not valid."""
+        """Diagonal of the box around the seen keypoints per frame, the unit of pixel errors; NaN where not valid."""
         seen = np.where(self.weight[..., None] > 0, self.keypoints_px, np.nan)
         size = np.full(len(self.valid), np.nan)
         rows = self.valid & (np.isfinite(seen[..., 0]).sum(1) >= 2)

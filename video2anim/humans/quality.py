@@ -1,4 +1,4 @@
-"""How far a fitted person can be trusted, from the fit alone: no truth is needed."""
+"""Quality of a fitted person, from the fit alone."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from video2anim.types.people import PersonTrack
 
 _BONES = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
 _MAX_REPROJECTION = 0.04
-"""Share of the person's size: beyond it the body is not the one in the picture (landmarks err by about 0.01)."""
+"""Maximum share of the person's size (landmarks err by about 0.01)."""
 _MIN_VALID = 0.5
 _MAX_BONE_SPREAD = 0.2
-"""Bones do not change: a detector that sees them change this much mixes people up or guesses."""
+"""Bones have fixed lengths: at this relative spread the detector confuses people or guesses."""
 _FASTEST_M_S = 13.0
-"""No root moves faster: the fastest sprint measured is 12.4 m/s."""
+"""Maximum speed of a root; the fastest sprint measured is 12.4 m/s."""
 _MAX_FAST = 0.02
 _BODY_HEIGHTS_M = (0.7, 2.2)
 _SURE_FRAMES = 15
@@ -77,14 +77,14 @@ def bone_spread(track: PersonTrack) -> float:
 
 
 def _fast_share(root_m: Float[np.ndarray, "frames 3"], fps: float) -> float:
-    """Share of the steps in which the root moves faster than anybody can."""
+    """Share of the steps in which the root is faster than a sprinter."""
     if len(root_m) < 2:
         return 0.0
     return float((np.linalg.norm(np.diff(root_m, axis=0), axis=-1) * fps > _FASTEST_M_S).mean())
 
 
 def _doubts(quality: PersonQuality, valid_frames: int) -> list[str]:
-    """Why the track should not be trusted, in words; empty if nothing speaks against it."""
+    """Reasons not to trust the track."""
     low, high = _BODY_HEIGHTS_M
     checks = (
         (

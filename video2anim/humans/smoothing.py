@@ -43,4 +43,4 @@ def low_pass(
         return R_parent_joint, translation_m
     quaternions = continuous_quaternions(quaternion_from_matrix(R_parent_joint))
     R_smooth = matrix_from_quaternion(sosfiltfilt(sections, quaternions, axis=0))
-    return np.asarray(R_smooth), sosfiltfilt(sections, translation_m, axis=0)
+    return np.asarray(R_smooth), np.ascontiguousarray(sosfiltfilt(sections, translation_m, axis=0))

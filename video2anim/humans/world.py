@@ -8,14 +8,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.humans.ground import floor_height, foot_contact
+from video2anim.body.contact import foot_contact
+from video2anim.humans.ground import floor_height
 from video2anim.humans.lifter_input import CONTACT_INDEX, LiftedBody
 from video2anim.humans.problem import FittedBody
 from video2anim.types import BodyMotion, CameraEstimate, PersonTrack
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 _CHUNK_FRAMES = 256
-"""Frames whose foot meshes are in memory together (6 MB)."""
+"""Frames whose foot meshes are in memory together."""
 
 
 def world_poses(

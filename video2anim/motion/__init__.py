@@ -1,1 +1,1 @@
-"""The final motion: keyframes and their roots, the observation, the scene that gives way, and quality."""
+"""The final motion: keyframe roots, observation, movable objects, refinement, and quality."""

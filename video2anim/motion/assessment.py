@@ -1,4 +1,4 @@
-"""Quality of a final motion, and how much of it the prior made."""
+"""Quality numbers of a final motion, and the share of frames that the prior changed."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from video2anim.types.quality import Unit
 from video2anim.types.skeleton import forward_kinematics
 
 _DIFFERENT_RAD = np.deg2rad(3.0)
-"""A joint's rotation differs when it does by more than this."""
+"""Rotations of a joint that differ by less count as equal."""
 _VERTICES = 500
 """Skin vertices that penetration is measured with."""
 
 
 def shaped_by_prior(refined: BodyMotion, without: BodyMotion) -> float:
-    """Share of the valid frames in which some joint's rotation is another without the prior."""
+    """Share of the valid frames in which the rotation of some joint differs from that without the prior."""
     turn = axis_angle_from_matrix(without.R_parent_joint.swapaxes(-1, -2) @ refined.R_parent_joint)
     return float((np.linalg.norm(turn, axis=-1).max(1) > _DIFFERENT_RAD)[refined.valid].mean())
 

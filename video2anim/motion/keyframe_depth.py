@@ -1,4 +1,4 @@
-"""Depth points and visible skin that keyframes are drawn together by: part of the keyframes stage."""
+"""Depth loss of stage keyframes: Chamfer distance between depth points and the visible skin."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from video2anim.body.shaped_body import ShapedBody
-from video2anim.geometry.chamfer import huber_of_square
 from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.projection import backproject, invert_rigid, transform_points
+from video2anim.geometry.robust import huber_of_square
 from video2anim.types import BackgroundImage, BodyMotion, MetricDepth
 from video2anim.types.skeleton import forward_kinematics
 
 _MIN_POINTS = 50
 """Of depth and of skin, for a frame to count."""
 _TRIM_RATIO = 0.1
-"""Share of the farthest depth and skin points left out: hair, clothes, mask borders."""
+"""Share of the pairs with the largest distances that is left out: hair, clothes, mask borders."""
 _LOOK_UP_AFTER_M = 0.01
-"""Neighbors are looked up again where skin has moved so far: a fifth of what depth is usually wrong by on a body."""
+"""Neighbors are searched again where skin has moved so far: a fifth of the usual depth error on a body."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,9 +72,8 @@ def depth_targets(
 class DepthLoss:
     """Robust Chamfer cost (m^2) between moved skin and depth points, mean over frames and over both directions.
 
-    All frames are one tensor, and neighbors (with the pairs that are trimmed) stay as they are for as long as the skin
-    of their frame stays where it was: with a graph per frame and a look-up every few steps this loss took three
-    quarters of the stage's time.
+    All frames are one tensor, and the pairs of a frame are kept until its skin has moved: with a graph per frame and a
+    search every few steps this loss took three quarters of the stage's time.
     """
 
     def __init__(self, targets: tuple[DepthTarget, ...], *, huber_m: float) -> None:
@@ -107,7 +106,7 @@ class DepthLoss:
             self._weight = torch.as_tensor(np.concatenate(weight), dtype=torch.float32)
 
     def _pairs(self, frame: int, skin_m: np.ndarray) -> _Pairs:
-        """Both directions' pairs of one frame without the farthest, each direction weighing half of the frame."""
+        """Pairs of one frame in both directions, without the farthest; each direction has half of the weight."""
         depth_m = self._depth_m[frame]
         to_depth_m, depth_of_skin = (np.asarray(found) for found in self._trees[frame].query(skin_m))
         to_skin_m, skin_of_depth = (np.asarray(found) for found in KDTree(skin_m).query(depth_m))

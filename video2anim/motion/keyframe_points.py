@@ -1,4 +1,4 @@
-"""Skin that keyframes are judged by: samples of the whole body, and of the parts that may touch."""
+"""Skin samples for stage keyframes: of the whole body, and of the parts that may touch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from video2anim.types import BodyMotion
 from video2anim.types.skeleton import TOUCHING_PARTS, forward_kinematics
 
 TOUCHING = tuple(TOUCHING_PARTS.values())
-"""Parts that are pulled to a surface."""
+"""Joints of the parts that may touch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,12 +25,12 @@ class SkinPoints:
     """By contact joint."""
 
     def touching_m(self, joints: tuple[int, ...]) -> Float[np.ndarray, "frames vertices 3"]:
-        """Skin of parts that touch as one."""
+        """Skin of the joints of one part."""
         return np.concatenate([self.parts_m[joint] for joint in joints], axis=1)
 
 
 class SkinSample:
-    """Which vertices of a body are looked at."""
+    """Sampled vertices of a body."""
 
     def __init__(self, body: ShapedBody, *, spread: int, per_part: int) -> None:
         """Choose `spread` vertices of the whole body and up to `per_part` of each part that may touch."""
@@ -45,7 +45,7 @@ class SkinSample:
         """The chosen vertices of a motion's every frame."""
         index = np.concatenate([self._spread, *self._parts.values()])
         root_m = motion.T_world_root[:, :3, 3]
-        # Skinned about the root and moved after: single precision is lost far from the origin.
+        # Skinned at the origin, then translated: single precision is too coarse far from it.
         joints_m, R_world_joint = forward_kinematics(motion.R_parent_joint, np.zeros_like(root_m), motion.rest_joints_m)
         skin_m = self._body.vertices(R_world_joint, joints_m, index).astype(np.float64) + root_m[:, None]
         ends = np.cumsum([len(self._spread), *(len(part) for part in self._parts.values())])

@@ -1,4 +1,4 @@
-"""Which frames are keyframes, what their roots are solved by, and what becomes of the frames between."""
+"""Choice of keyframes, the arrays that their roots are optimized with, and interpolation between them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.interpolate import PchipInterpolator
 
+from video2anim.geometry.runs import runs
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.motion.keyframe_depth import DepthTarget
 from video2anim.motion.keyframe_points import TOUCHING, SkinPoints
@@ -17,25 +18,24 @@ from video2anim.types import BodyMotion
 
 @dataclass(frozen=True, slots=True)
 class KeyframeReach:
-    """Which parts of the body are pulled to surfaces and kept out of them."""
+    """Which skin takes part in the contact and penetration losses."""
 
     contact_probability: float
     """A part is pulled from this probability of contact on."""
     contact_m: float
-    """A touching part farther than this from every surface is left alone."""
+    """A touching part farther than this from every surface has no contact loss."""
     contact_points: int
     """Nearest vertices of a part whose mean distance counts."""
     penetration_m: float
-    """Vertices that start farther from every surface are not tested."""
+    """Vertices that start farther from every surface have no penetration loss."""
 
 
 def choose_keyframes(valid: Bool[np.ndarray, "frames"], interval: int) -> Int[np.ndarray, "keyframes"]:
     """Valid frames on the regular grid, and the edges of every valid stretch."""
     on_grid = np.zeros(len(valid), dtype=bool)
     on_grid[::interval] = True
-    edge = np.diff(np.concatenate([[False], valid, [False]]).astype(np.int8))
-    on_grid[np.flatnonzero(edge == 1)] = True
-    on_grid[np.flatnonzero(edge == -1) - 1] = True
+    for start, stop in runs(valid):
+        on_grid[[start, stop - 1]] = True
     return np.flatnonzero(on_grid & valid)
 
 

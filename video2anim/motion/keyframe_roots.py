@@ -1,5 +1,4 @@
-"""How far keyframes' roots go along their lines of sight, from five losses (paper 8.2): the maths behind the keyframes
-stage."""
+"""Displacements of keyframe roots along their lines of sight by five losses (SceneMI, supplement section 8.2)."""
 
 from __future__ import annotations
 
@@ -9,7 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from video2anim.geometry.chamfer import huber_of_square
+from video2anim.geometry.robust import huber_of_square
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.geometry.torch_threads import one_thread
 from video2anim.motion.keyframe_depth import DepthLoss, DepthTarget
@@ -31,7 +30,7 @@ class RootWeights:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactPart:
-    """Skin of what touches as one, at the keyframes where it touches."""
+    """Skin of one part of the body, at the keyframes where it touches."""
 
     joints: tuple[int, ...]
     keyframe: Int[np.ndarray, "touches"]
@@ -50,7 +49,7 @@ class RootProblem:
     direction: Float[np.ndarray, "keyframes 3"]
     """Unit vectors from the camera to the keyframes' roots."""
     skin_m: Float[np.ndarray, "points 3"]
-    """Vertices to be kept out of solids, of keyframes and of frames between them."""
+    """Vertices of the penetration loss, of keyframes and of the frames between them."""
     skin_frame: Int[np.ndarray, "points"]
     """Frame of each of them."""
     contacts: tuple[ContactPart, ...]
@@ -62,8 +61,8 @@ class RootProblem:
 def solve_along(
     problem: RootProblem, weights: RootWeights, *, iterations: int, learning_rate_m: float
 ) -> Float[np.ndarray, "keyframes"]:
-    """Ways along the lines of sight (meters) that minimize the weighted losses: Adam from zero, step size falling along
-    a cosine."""
+    """Displacements along the lines of sight (meters) that minimize the weighted losses: Adam from zero with a cosine
+    schedule of the step size."""
     losses = _Losses(problem, weights)
     along_m = torch.zeros(len(problem.frame), 1, requires_grad=True)
     optimizer = torch.optim.Adam([along_m], lr=learning_rate_m)
@@ -84,7 +83,7 @@ def contact_distance_m(
 
 
 class _Losses:
-    """Weighted sum of the five losses as a function of ways along the sight (K, 1)."""
+    """Weighted sum of the five losses as a function of the displacements along the lines of sight (K, 1)."""
 
     def __init__(self, problem: RootProblem, weights: RootWeights) -> None:
         self.weights, self.problem = weights, problem
@@ -128,7 +127,7 @@ class _Losses:
         return (square / count.clamp(min=1)).mean()
 
     def _contact(self, displacement_m: torch.Tensor) -> torch.Tensor:
-        """Mean over all touches, weighed by probability, of the Huber cost of the part's distance."""
+        """Mean over all contacts, weighted by probability, of the Huber cost of the part's distance."""
         costs, weights = [], []
         for keyframe, skin_m, probability in self.contacts:
             distance_m = self.problem.scene.sample(skin_m + displacement_m[keyframe][:, None])
@@ -139,7 +138,7 @@ class _Losses:
         return torch.cat(costs).sum() / torch.cat(weights).sum()
 
     def _change(self, move_m: torch.Tensor) -> torch.Tensor:
-        """Mean squared difference of consecutive moves, per usual keyframe step."""
+        """Mean squared difference of consecutive displacements, per usual keyframe step."""
         return ((move_m.diff(dim=0) / self.step[:, None]) ** 2).sum(-1).mean()
 
     def _acceleration(self, displacement_m: torch.Tensor) -> torch.Tensor:
@@ -150,11 +149,11 @@ class _Losses:
 
 
 _Place = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-"""Rows of the keyframes around each frame (N,) (N,), and its place between them (N, 1) from 0 to 1."""
+"""Rows of the keyframes before and after each frame (N,) (N,), and its position between them (N, 1) from 0 to 1."""
 
 
 def _at(move_m: torch.Tensor, place: _Place) -> torch.Tensor:
-    """Move (N, D) at frames between keyframes, linear in time."""
+    """Displacement (N, D) at frames between keyframes, linear in time."""
     left, right, weight = place
     before, after = move_m.index_select(0, left), move_m.index_select(0, right)
     return before + weight * (after - before)

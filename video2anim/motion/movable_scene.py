@@ -1,4 +1,4 @@
-"""A scene whose objects give way: their solids and uncertain places for the solve, and the scene that it finds."""
+"""Movable objects of a scene: their solids and position covariances for the solve, and the scene after it."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from video2anim.scene.supports import SUPPORT
 from video2anim.types import BodyMotion, PlacedObject, SceneModel
 
 _MOVED_M = 0.001
-"""Objects that moved less stay."""
+"""Smaller displacements are not applied."""
 _FAR_M = 0.5
-"""Distances beyond this are not measured: touch reaches 0.25 m, and normals are taken one spacing around."""
+"""Range of the distance fields: contacts reach 0.25 m, and normals need one more spacing."""
 _SLAB_SPACING_M = 0.02
-"""Of the field of an inferred support: slabs of 5 cm are lost between the nodes of the scene's."""
+"""Spacing of the field of an inferred support: a slab of 5 cm is thinner than the spacing of the scene's field."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlaceUncertainty:
-    """How far objects may give way."""
+    """Position uncertainty of the objects."""
 
     objects_move: bool
-    """False: the scene is one rigid solid."""
+    """False: the scene is fixed."""
     across_ratio: float
     """Standard deviation across the horizontal line of sight, over the distance."""
     top_m: float
@@ -47,8 +47,10 @@ def scene_field(scene: SceneModel) -> SdfGrid:
 
 
 def movable_solids(scene: SceneModel, camera_m: Float[np.ndarray, "3"], uncertainty: PlaceUncertainty) -> Solids:
-    """The objects, that give way mostly along their horizontal lines of sight; everything together where none does.
-    What somebody moves is one if it stays where it is for more than half of the clip, as it is in the scene's field."""
+    """The objects, which move mostly along their horizontal lines of sight; the fixed scene where none may move.
+
+    An object with a path is one of them if it rests in one place for more than half of the clip.
+    """
     standing = [item for item in map(settled, scene.objects) if item is not None]
     if not standing or not uncertainty.objects_move:
         return Solids(scene_field(scene), floor=False)
@@ -70,7 +72,7 @@ def movable_solids(scene: SceneModel, camera_m: Float[np.ndarray, "3"], uncertai
 
 
 def moved_scene(scene: SceneModel, solids: Solids, moved_m: Float[np.ndarray, "solids 3"]) -> SceneModel:
-    """The scene with its objects where the solve has them; the same scene where none moved by a millimeter."""
+    """The scene with its objects at the solved places; the same scene where none moved by a millimeter."""
     if not (np.abs(moved_m) > _MOVED_M).any():
         return scene
     objects, ways_m = [], iter(moved_m)
@@ -108,7 +110,7 @@ def moving_fields(scene: SceneModel) -> tuple[MovingField, ...]:
 def with_scene_contacts(
     motion: BodyMotion, scene: SdfGrid, moving: Sequence[MovingField], objects: Sequence[PlacedObject]
 ) -> BodyMotion:
-    """A solved motion, that has its observed contacts, with those that it has in the scene; a hand that holds something
-    touches it."""
+    """A solved motion with its contacts in the scene in place of the observed ones; a hand that holds an object touches
+    it."""
     contact = touches(motion, shaped_body(motion.shape), scene, motion.contact, moving)
     return replace(motion, contact=np.where(holding(objects, motion), 1.0, contact))

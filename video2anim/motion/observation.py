@@ -1,4 +1,4 @@
-"""The observed motion as the final solve takes it: poses, contacts, and where the image shows the joints."""
+"""The observed motion as input of the final solve: poses, contacts, and image positions of the joints."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _JUMP = 6.0
 
 
 def observation(motion: BodyMotion, objects: Sequence[PlacedObject]) -> SceneMotion:
-    """The motion after keyframes, and where the picture shows it: keyframes go along their lines of sight. Hands that
-    hold something touch no solid."""
+    """The motion after stage keyframes, which moved it along lines of sight only, with its joints in the image. Hands
+    that hold an object touch no solid."""
     shaped = shaped_body(motion.shape)
     camera_m = motion.joints_camera_m
     body_height_m = float(np.ptp(shaped.rest_vertices_m[:, 1]))
@@ -38,21 +38,21 @@ def observation(motion: BodyMotion, objects: Sequence[PlacedObject]) -> SceneMot
 
 
 def inlier_frames(motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
-    """Valid frames in which the observed body does not jump: where the landmark model changes its mind about left and
-    right, or front and back, the jerk is many times what it is elsewhere, and poses tell nothing."""
+    """Valid frames in which the observed body does not jump: where the landmark model flips left and right, or front
+    and back, the jerk is many times the median."""
     calm = motion.valid.copy()
     jerk_m_s3 = np.linalg.norm(np.diff(motion.joints_world_m, n=3, axis=0), axis=-1).mean(1) * FPS**3
     if not len(jerk_m_s3):
         return calm
     for first in np.flatnonzero(jerk_m_s3 > _JUMP * np.median(jerk_m_s3)):
         calm[first : first + 4] = False
-    # Somebody who jumps about all the time is taken as observed.
+    # Motion that is jerky throughout is used as observed.
     return calm if calm.sum() > 0.5 * motion.valid.sum() else motion.valid
 
 
 def image_distance_ratio(motion: BodyMotion, seen: BodyMotion) -> Float[np.ndarray, "valid"]:
-    """Mean distance in the picture of the joints of two motions of one person, over the standing body's height there,
-    in every valid frame."""
+    """Mean image distance of the joints of two motions of one person over the standing body's height in the image, per
+    valid frame."""
     body_height_m = float(np.ptp(shaped_body(seen.shape).rest_vertices_m[:, 1]))
     valid = motion.valid & seen.valid
     here, there = (one.joints_camera_m[valid] for one in (motion, seen))

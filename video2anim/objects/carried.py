@@ -1,7 +1,7 @@
-"""Objects that somebody picks up, carries, pulls or puts down, from what changes for good in a fixed camera's picture.
+"""Objects that somebody picks up, carries, pulls or puts down, from lasting changes in the image of a fixed camera.
 
-What leaves or comes where a hand is at that moment was taken or put down by it. It lies at the hand's distance then, on
-what is under it, and in between it moves with the hand, where the pictures must show its colors.
+Where something disappears or appears beside a hand, the hand took it or put it down. It then rests at the hand's
+distance on the surface below, and in between it moves with the hand, where the images must show its colors.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from video2anim.objects.rest import Rest, SceneAtRest
 from video2anim.types import BodyTracks, Hold, InstanceMasks, ObjectPath, PlacedObject
 
 LONG_SIDE_PX = 480
-"""Of the pictures that are looked at."""
+"""Size of the images that are analyzed."""
 _MIN_PX = 60
-"""Of that picture: a cup at 3 m. Smaller changes are borders of shadows and of people as often."""
+"""Minimum area of a change in those images: a cup at 3 m. Smaller changes are mostly borders of shadows and people."""
 MAX_SAMPLES = 400
-"""Of them: 200 MB; longer clips are looked at less often."""
+"""Maximum number of images (200 MB); longer clips are sampled less often."""
 _MAX_GRIPS = 12
-"""Every two of them are tried together: 2 s."""
+"""Maximum number of grips; all pairs are tested (2 s)."""
 _LOOKS = 3
-"""Fewer pictures of a hold tell nothing."""
+"""Minimum number of images of a hold."""
 _ALIKE_LAB = 8.0
-"""Colors of one object differ by less: noise, light and blur."""
+"""Maximum color difference (CIE Lab) within an object: noise, light and blur."""
 _SEEN = 0.1
-"""So much more of an object, as a share, must be seen at its place in the hand than there at other times; half as much
-where it was seen to be taken and to be put down."""
+"""Minimum share of an object seen in the hand during the hold beyond that seen there at other times; half of it where
+both its pick-up and its put-down were seen."""
 _MARGIN = np.ones((7, 7), np.uint8)
-"""Masks of people are too small by as much in places."""
+"""Dilation of the masks of people, which are too small in places."""
 _COLORS = 50
-"""Of people, looked at in each picture."""
+"""Colors of people that are sampled per image."""
 _SHOWN = 0.3
-"""Share of an object that the background image shows where it shows it: people hide some of it for long."""
+"""Minimum share of an object's pixels that the background image shows: people hide some for long."""
 _FURNITURE_M = 0.4
-"""What is so high and wide is not lifted but pulled."""
+"""Objects this wide and high are pulled over the floor, not lifted."""
 _FADE_FRAMES = 10
-"""In which the difference between an object's rest and the hand fades by two thirds: a third of a second."""
+"""Time constant (0.33 s) of the transition between the pose at rest and the pose in the hand."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """Small pictures of a fixed camera's clip, equally spaced in time."""
+    """Small images of a clip of a fixed camera, equally spaced in time."""
 
     rgb: UInt8[np.ndarray, "samples height width 3"]
     person_mask: Bool[np.ndarray, "samples height width"]
@@ -81,7 +81,7 @@ class Pictures:
         return KDTree(np.concatenate([np.full((1, 3), 1e3), *outside]))
 
     def background_shows(self, change: Change) -> bool:
-        """The background image, a median over time, shows what the change does: most looks at its pixels saw it."""
+        """Whether the background image, a median over time, shows the object of the change: most samples saw it."""
         looks = [
             (~hidden[:, change.mask]).sum(0) for hidden in (self.hidden[: change.first + 1], self.hidden[change.last :])
         ]
@@ -95,9 +95,9 @@ def with_moved_objects(
     bodies: BodyTracks,
     objects: Sequence[PlacedObject],
 ) -> list[PlacedObject]:
-    """The objects, those that somebody moves with their paths, and boxes for moved objects that were not among them.
+    """The objects with the paths of those that somebody moves, and boxes for moved objects that were not among them.
 
-    Nothing is found that never rests for a second.
+    Objects that never rest for a second are not found.
     """
     height_px, width_px = pictures.rgb.shape[1:3]
     view = bodies.main_view.resized(width_px, height_px)
@@ -117,8 +117,7 @@ def with_moved_objects(
 
 
 def _pairs(grips: Sequence[Grip]) -> list[tuple[Grip | None, Grip | None]]:
-    """What a person takes may be what it puts down later or never, and what it puts down may be in hand from the start;
-    pictures decide."""
+    """Candidate pairs of pick-up and put-down by one person; None for an end outside of the clip."""
     taken = [one for one in grips if not one.change.came]
     put = [one for one in grips if one.change.came]
     pairs: list[tuple[Grip | None, Grip | None]] = [
@@ -132,7 +131,7 @@ def _pairs(grips: Sequence[Grip]) -> list[tuple[Grip | None, Grip | None]]:
 
 
 def _same_colors(a: Change, b: Change) -> bool:
-    """Most of what the one shows has colors of the other."""
+    """Whether most pixels of one have colors of the other."""
     palette = KDTree(_lab(a.rgb)[a.mask])
     gap = palette.query(_lab(b.rgb)[b.mask], distance_upper_bound=_ALIKE_LAB)[0]
     return bool(np.isfinite(gap).mean() > 0.5)
@@ -144,23 +143,23 @@ def _lab(rgb: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Way:
-    """One way in which something may have been moved."""
+    """One hypothesis of how an object was moved."""
 
     change: Change
-    """That shows most of the object."""
+    """The change that shows most of the object."""
     hold: Hold
     T_world_object: Float[np.ndarray, "frames 4 4"]
     known: PlacedObject | None
     size_m: tuple[float, float, float]
-    """Of the box that stands for what is not known."""
+    """Size of the box for an unknown object."""
     evidence: float
-    """Pixels that show it in the hand, summed over the pictures, and twice where both ends were seen."""
+    """Pixels that show it in the hand, summed over the images; doubled where both ends were seen."""
 
 
 def _ways(taken: Grip | None, put: Grip | None, scene: SceneAtRest, pictures: Pictures) -> list[_Way]:
-    """With each hand that may have moved it, if the pictures show it there."""
+    """One hypothesis per hand that may have moved it, if the images show it there."""
     grips = [one for one in (taken, put) if one is not None]
-    # Where a known object is in the picture, otherwise where most is seen.
+    # The end that shows a known object, otherwise the one that shows more.
     known = {
         one.change.came: scene.known(one.change.mask) if pictures.background_shows(one.change) else None
         for one in grips
@@ -179,7 +178,7 @@ def _ways(taken: Grip | None, put: Grip | None, scene: SceneAtRest, pictures: Pi
             rests[shows.came] = Rest.of(item)
         best = rests[shows.came]
         if put and taken and not best.alike(rests[not shows.came]):
-            # Most of it is hidden there: it lies where the hand leaves it.
+            # Mostly hidden at the other end: it rests where the hand leaves it.
             loose = _path(hand, first, last, {shows.came: best}, scene.view.T_world_camera)
             rests[not shows.came] = scene.lowered(Rest(loose[first if shows.came else last], best.size_m))
         looks = _looks(shows, rested, hand, best, (first, last), scene, pictures)
@@ -203,17 +202,16 @@ def _ways(taken: Grip | None, put: Grip | None, scene: SceneAtRest, pictures: Pi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Looks:
-    """What of an object the pictures show at its place in a hand, whether it is there or not."""
+    """Share of an object that each image shows at its place in a hand, during the hold and outside of it."""
 
     frame: Int[np.ndarray, "looks"]
     share: Float[np.ndarray, "looks"]
-    """Pixels of its colors, as a share of its own."""
+    """Pixels of its colors over its area."""
     clear: Bool[np.ndarray, "looks"]
-    """Its places of rest are elsewhere in the picture."""
+    """Whether its places of rest are elsewhere in the image."""
 
     def held(self, first: int, last: int) -> tuple[float, int]:
-        """How much more is seen while it is held than at other times, and in how many pictures; nothing where these are
-        too few."""
+        """Mean share during the hold minus that at other times, and the number of images; zeros where too few."""
         inside = (self.frame >= first) & (self.frame <= last)
         if inside.sum() < _LOOKS:
             return 0.0, 0
@@ -221,7 +219,7 @@ class _Looks:
         return float(self.share[inside].mean() - (chance.mean() if len(chance) else 0.0)), int(inside.sum())
 
     def let_go(self, first: int) -> int:
-        """The last frame in which it is held: before it more than half of what is seen at first is seen, then less."""
+        """Last frame of the hold: before it the share is above half of that at the start, then below."""
         later = np.flatnonzero(self.frame >= first)
         if not len(later):
             return first
@@ -238,7 +236,7 @@ def _looks(
     scene: SceneAtRest,
     pictures: Pictures,
 ) -> _Looks:
-    """Of the object that a change shows, in a hand that takes it from its rest or puts it there.
+    """Shares of the object of a change in a hand that takes it from its rest or puts it there.
 
     Args:
         rested: Pixels where it rests before or after.
@@ -275,8 +273,8 @@ def _looks(
 
 
 def _apart(ways: Sequence[_Way]) -> list[_Way]:
-    """The likeliest ways without those that move the object of another one: one person at one time, or a place where it
-    rests."""
+    """The hypotheses with most evidence, without those in conflict with a better one: same person and time, same
+    object, or same place of rest."""
     chosen: list[_Way] = []
     for way in sorted(ways, key=lambda one: (one.known is not None, one.evidence), reverse=True):
         if not any(_one_object(way, other) for other in chosen):
@@ -312,7 +310,7 @@ def _placed(way: _Way, scene: SceneAtRest, number: int) -> PlacedObject:
 def _at_hand(
     hand: HandPath, frame: int, rest: Rest, T_world_camera: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "3"]:
-    """The middle of an object at rest, moved along the line of sight to the hand's distance."""
+    """Center of an object at rest, moved along the line of sight to the hand's distance."""
     origin_m = T_world_camera[:3, 3]
     sight = rest.center_m - origin_m
     return origin_m + sight * np.linalg.norm(hand.T_world_hand[frame, :3, 3] - origin_m) / np.linalg.norm(sight)
@@ -321,13 +319,13 @@ def _at_hand(
 def _path(
     hand: HandPath, first: int, last: int, rests: dict[bool, Rest], T_world_camera: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "frames 4 4"]:
-    """At rest, with the hand, at rest.
+    """Pose of the object in every frame: at rest, with the hand, at rest.
 
-    The hand's distance from the camera is known worse than where the object rests, so that the object seen in the hand
-    is taken to be at the hand's distance, and the way from or to its rest is spread over a moment.
+    The hand's distance from the camera is less certain than that of the object at rest. In the hand the object is at
+    the hand's distance, and the difference fades over a short time.
 
     Args:
-        rests: Where it lies before (False) and after (True), or one of them.
+        rests: Where it rests before (False) and after (True), or one of them.
     """
     T_hand, held = hand.T_world_hand, np.arange(first, last + 1)
     ways, gaps = [], []

@@ -1,8 +1,8 @@
-"""Places of a fixed camera's picture that look different for good from some moment on: something left or came there.
+"""Lasting changes in the images of a fixed camera: places where an object appears or disappears.
 
 A pixel changes where the medians of its colors before and after a moment differ by more than its noise. People hide
-what happens when somebody takes an object, so that the moment is known as a stretch: from the last look at the old
-color to the first at the new one.
+the moment at which they take an object, so it is given as an interval: from the last sample of the old color to the
+first of the new one.
 """
 
 from __future__ import annotations
@@ -16,27 +16,26 @@ from jaxtyping import Bool, Float32, Int, UInt8
 from scipy import ndimage
 
 _WINDOW = 6
-"""Looks before and after a moment that medians are taken of: a second of a clip sampled every fifth frame. What stays
-for less is not at rest."""
+"""Samples before and after a moment that medians are taken of: 1 s of a clip sampled every fifth frame. Objects that
+stay for less are not at rest."""
 _CALM = 5
-"""Of these, so many must look alike: a hand or a face passes, or one is seen through noise."""
+"""Minimum number of them with the same color; others may show a hand or a face that passes, or noise."""
 _LUMINANCE_WEIGHT = 0.5
-"""Cast shadows change luminance most; it counts for less, as for the masks of people."""
+"""Weight of luminance, which cast shadows change most."""
 _NOISE_LAB = 1.5
-"""Least noise of a pixel: compression and light that passes."""
+"""Minimum noise of a pixel: compression and flicker."""
 _NOISES = 5.0
-"""A change is this many times the noise."""
+"""Minimum change of a pixel over its noise."""
 _TELLING = 0.3
-"""A look that sees this share of the pixels tells their state."""
+"""Minimum visible share of the pixels for a sample to tell their state."""
 _EVEN = 0.15
-"""Logarithms of the light's change that differ by less are the same: a shadow takes the same share of every channel,
-over its whole area."""
+"""Maximum spread of a shadow's change of light (logarithm), which is the same in all channels and over its area."""
 _PIECE = 0.2
-"""Smaller pieces against the largest are not the object's."""
+"""Minimum area of a piece over that of the largest."""
 _WEAK = 0.25
-"""What changes by a smaller share of the upper quartile is a shadow of the object."""
+"""Minimum change over the upper quartile of the changes; smaller ones are shadows of the object."""
 _BORDER_PX = 2
-"""The edge of an object is looked at so far inside and outside its outline."""
+"""Width of the band on both sides of an outline in which its edge is measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,13 +45,13 @@ class Change:
     mask: Bool[np.ndarray, "height width"]
     """Its pixels."""
     first: int
-    """Sample of the last look at what was there before."""
+    """Last sample of the old state."""
     last: int
-    """Sample of the first look at what is there now."""
+    """First sample of the new state."""
     came: bool
-    """Something is there since; False where it was there before."""
+    """True: the object appeared; False: it disappeared."""
     rgb: UInt8[np.ndarray, "height width 3"]
-    """The picture with it."""
+    """The image with the object."""
 
 
 def lasting_changes(
@@ -61,13 +60,13 @@ def lasting_changes(
     wanted: Bool[np.ndarray, "height width"],
     min_px: float,
 ) -> tuple[Change, ...]:
-    """Changes of a fixed camera's picture, in order of time.
+    """Changes in the images of a fixed camera, in order of time.
 
     Args:
         rgb: Pictures, equally spaced in time.
         hidden: Where people are in front.
-        wanted: Where to look.
-        least_px: Pixels of the smallest.
+        wanted: Pixels that are analyzed.
+        min_px: Minimum area of a change.
     """
     pixels = _Pixels.of(rgb, hidden, wanted) if len(rgb) > 2 * _WINDOW else None
     if pixels is None:
@@ -100,7 +99,7 @@ class _Pixels:
 
     @classmethod
     def of(cls, rgb: np.ndarray, hidden: np.ndarray, wanted: Bool[np.ndarray, "height width"]) -> _Pixels | None:
-        """Those that are wanted; None where nothing moves there."""
+        """Those wanted pixels whose color changes; None where none does."""
         around = np.ones((2 * _BORDER_PX + 3,) * 2, np.uint8)
         rows, columns = np.nonzero(cv2.dilate(wanted.astype(np.uint8), around))
         if not len(rows):
@@ -124,7 +123,7 @@ class _Pixels:
         return np.where(self.known[..., None], color[self.place.clip(0)], np.nan).astype(np.float32)
 
     def events(self, min_px: float) -> Iterator[tuple[Bool[np.ndarray, "height width"], int]]:
-        """Pixels that change together, and the gap between samples in which most of them do."""
+        """Pixels that change together, and the interval between samples in which most of them do."""
         step = np.linalg.norm(self.after - self.before, axis=-1)
         jitter = np.where(self.seen[1:], np.linalg.norm(self.color[1:] - self.before, axis=-1), 0)
         noise = np.maximum(_NOISE_LAB, np.median(np.nan_to_num(jitter), axis=0))
@@ -141,7 +140,7 @@ class _Pixels:
             yield whole, box[0].start + int(amount.argmax())
 
     def moment(self, mask: Bool[np.ndarray, "height width"], about: int) -> tuple[int, int]:
-        """Samples of the last look at the old state and the first at the new; what sees too little does not count."""
+        """Last sample of the old state and first of the new; samples with too few visible pixels do not count."""
         own = self.place[mask]
         color, seen = self.color[:, own], self.seen[:, own]
         from_old, from_new = (np.linalg.norm(color - state[about, own], axis=-1) for state in (self.before, self.after))
@@ -160,7 +159,7 @@ def _cut(
     before: Float32[np.ndarray, "height width 3"],
     after: Float32[np.ndarray, "height width 3"],
 ) -> Bool[np.ndarray, "height width"]:
-    """Without the shadows at its border, which change less than the most of it."""
+    """The mask without shadows at its border, which change less than the rest."""
     amount = np.nan_to_num(np.linalg.norm(after - before, axis=-1))
     strong = ndimage.binary_opening(mask & (amount > _WEAK * np.percentile(amount[mask], 75)), np.ones((2, 2)))
     closed = ndimage.binary_closing(strong, np.ones((5, 5))).astype(np.uint8)
@@ -174,7 +173,7 @@ def _cut(
 def _lively(
     color: Float32[np.ndarray, "samples pixels 3"], seen: Bool[np.ndarray, "samples pixels"]
 ) -> Bool[np.ndarray, "pixels"]:
-    """Pixels that may change, by means over blocks of a window, of which a change that lasts fills one by half."""
+    """Pixels that may change, by means over blocks of a window: a lasting change fills at least half of a block."""
     low, high = np.full(color.shape[1:], np.inf, np.float32), np.full(color.shape[1:], -np.inf, np.float32)
     for start in range(0, len(color), _WINDOW):
         block, free = color[start : start + _WINDOW], seen[start : start + _WINDOW, :, None]
@@ -190,7 +189,7 @@ def _lively(
 def _light_change(
     before: Float32[np.ndarray, "height width 3"], after: Float32[np.ndarray, "height width 3"]
 ) -> Float32[np.ndarray, "height width 3"]:
-    """Logarithm of what each channel gained."""
+    """Logarithm of the change of each linear channel."""
     light = []
     for state in (before, after):
         lab = np.nan_to_num(state) / [_LUMINANCE_WEIGHT, 1, 1]
@@ -200,7 +199,7 @@ def _light_change(
 
 
 def _shadow(*states: Float32[np.ndarray, "height width 3"]) -> Bool[np.ndarray, "height width"]:
-    """Where all channels lost or gained the same share of light, and so did the pixels around."""
+    """Where the change of light is the same in all channels and in the neighborhood."""
     change, square = _light_change(*states), (5, 5)
     mean = change.mean(-1)
     spread = np.sqrt(np.maximum(cv2.blur(mean**2, square) - cv2.blur(mean, square) ** 2, 0))
@@ -216,7 +215,7 @@ def _lab(rgb: UInt8[np.ndarray, "height width 3"]) -> Float32[np.ndarray, "heigh
 def _medians(
     color: Float32[np.ndarray, "samples pixels 3"], seen: Bool[np.ndarray, "samples pixels"]
 ) -> Float32[np.ndarray, "samples pixels 3"]:
-    """Median of each pixel's latest looks up to every sample; NaN for fewer than a window, or where they differ."""
+    """Median of each pixel's latest visible samples up to every sample; NaN where they are too few or differ."""
     kept = np.full((_WINDOW, *color.shape[1:]), np.nan, np.float32)
     medians = np.empty_like(color)
     for k, (now, free) in enumerate(zip(color, seen, strict=True)):
@@ -236,13 +235,13 @@ def _told(
     before: Float32[np.ndarray, "height width 3"],
     after: Float32[np.ndarray, "height width 3"],
 ) -> Change:
-    """Which of the two states shows something: the one in which the outline is an edge of the picture."""
+    """The change with the state that shows the object: the one in which the outline is an image edge."""
     square = np.ones((2 * _BORDER_PX + 1,) * 2, np.uint8)
     solid = mask.astype(np.uint8)
     outer = (cv2.dilate(solid, square) > 0) & ~mask & np.isfinite(before + after).all(-1)
     edges = []
     for state in (before, after):
-        # Each pixel outside is held to the mean color of the pixels inside that are near.
+        # Compare each pixel outside to the mean color of near pixels inside.
         near = cv2.blur(np.nan_to_num(state) * solid[..., None], square.shape)
         weight = cv2.blur(solid.astype(np.float32), square.shape)
         gap = np.linalg.norm(near / np.maximum(weight, 1e-6)[..., None] - state, axis=-1)

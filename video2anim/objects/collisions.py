@@ -1,4 +1,4 @@
-"""Objects that rest on each other and do not run into each other."""
+"""Collision resolution: objects rest on each other and do not overlap."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from video2anim.geometry.sdf import SdfGrid, build_sdf_grid, surface_samples
 from video2anim.types.scene import Mesh
 
 _SAMPLE_M = 0.04
-"""Distance of the surface points that are tested, beside points inside."""
+"""Spacing of the surface points that are tested, besides inner points."""
 _MAX_SHIFT_M = 0.3
-"""Objects that overlap are moved by no more than this."""
+"""Maximum displacement of an object."""
 _ROUNDS = 12
 _DIRECTIONS = 12
-"""Horizontal ways out that are tried."""
+"""Number of horizontal directions that are tested."""
 _STEPS_M = (0.04, 0.08, 0.12, 0.17, 0.23, 0.3, 0.4, 0.5, 0.6)
-"""How far along each, up to both objects' largest shift."""
+"""Distances tested along each, up to the sum of both maximum displacements."""
 _FREER = 0.8
-"""A way out is taken for another only where it is this much shorter."""
+"""Another direction is used only if its distance is below this share of that along the gradient."""
 _MAX_POINTS = 600
-"""Of each object, for trying ways out."""
+"""Points of each object for testing directions."""
 _SAME_SHARE = 0.6
-"""Two objects that have this share of each other in them are one that was found twice."""
+"""Mutual overlap from which two objects are duplicates of one."""
 _UNDER_M = 0.25
-"""An object is put down or lifted by at most this to rest on what is below it."""
+"""Maximum vertical displacement to rest on what is below."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,14 +37,14 @@ class PlacedSolid:
     mesh: Mesh
     """World coordinates."""
     sigma_m: float
-    """How uncertain its place is; of two that overlap the less certain one gives way."""
+    """Standard deviation of its position; of two that overlap the less certain one moves more."""
     raised: bool = False
-    """Seen to rest on something else than the floor."""
+    """Whether it rests on something other than the floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResolvedPlacement:
-    """What was done to an object, and what is left."""
+    """Displacement of an object, and the overlap that is left."""
 
     shift_m: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     rests_on: int | None = None
@@ -53,11 +53,11 @@ class ResolvedPlacement:
     """Deepest point inside another object."""
     overlap_after_m: float = 0.0
     inside_of: int | None = None
-    """The object it still runs into most."""
+    """Number of the object that it still overlaps most."""
 
 
 def resolve_collisions(objects: Sequence[PlacedSolid], tolerance_m: float = 0.03) -> list[ResolvedPlacement]:
-    """Put raised objects onto what is under them, then part those that overlap by more than the tolerance.
+    """Put raised objects onto what is under them, then separate those that overlap by more than the tolerance.
 
     Objects move horizontally, away from each other, each in proportion to the variance of its place.
     """
@@ -72,7 +72,7 @@ def resolve_collisions(objects: Sequence[PlacedSolid], tolerance_m: float = 0.03
         depth_m, _ = pair.depth(done)
         done[pair.one] = replace(done[pair.one], overlap_before_m=max(done[pair.one].overlap_before_m, depth_m))
         done[pair.other] = replace(done[pair.other], overlap_before_m=max(done[pair.other].overlap_before_m, depth_m))
-    # One object found twice is nowhere else: it is told, and stays.
+    # Duplicates of one object stay where they are and are reported.
     apart = [pair for pair in pairs if not pair.is_same_object(done)]
     for _ in range(_ROUNDS):
         moved = False
@@ -105,7 +105,7 @@ def _stacked(pair: _Pair, done: Sequence[ResolvedPlacement]) -> bool:
 def _undo_useless(
     pairs: Sequence[_Pair], at_first: Sequence[float], done: list[ResolvedPlacement], tolerance_m: float
 ) -> None:
-    """Objects whose overlap did not get smaller by moving stand where they stood."""
+    """Objects whose overlap did not shrink by at least 30 % are moved back."""
     for pair, before_m in zip(pairs, at_first, strict=True):
         after_m, _ = pair.depth(done)
         if after_m > max(tolerance_m, 0.7 * before_m):
@@ -114,7 +114,7 @@ def _undo_useless(
 
 
 def _carry_along(done: list[ResolvedPlacement]) -> None:
-    """What rests on an object moves with it."""
+    """Objects move with what they rest on."""
     for number, state in enumerate(done):
         under, seen = state.rests_on, {number}
         while under is not None and under not in seen:
@@ -126,7 +126,7 @@ def _carry_along(done: list[ResolvedPlacement]) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solid:
-    """An object where it stood at first."""
+    """An object at its initial place."""
 
     field: SdfGrid
     points_m: np.ndarray
@@ -145,7 +145,7 @@ class _Pair:
     second: _Solid
 
     def is_same_object(self, done: list[ResolvedPlacement]) -> bool:
-        """Whether both are in each other for the most part."""
+        """Whether both are mostly inside each other."""
         apart_m = done[self.one].shift_m - done[self.other].shift_m
         if not len(self.first.inner_m) or not len(self.second.inner_m):
             return False
@@ -166,9 +166,9 @@ class _Pair:
         return max(deep_one, deep_other), away / length
 
     def way_out(self, done: list[ResolvedPlacement], away: np.ndarray, tolerance_m: float) -> np.ndarray:
-        """The horizontal direction in which `one` gets out: `away`, unless another is clearly shorter.
+        """The horizontal direction in which `one` leaves: `away`, unless another is clearly shorter.
 
-        What is inside may point deeper in, where one object reaches through the other's edge.
+        `away` may point inward where one object reaches through the edge of the other.
         """
         apart_m = done[self.one].shift_m - done[self.other].shift_m
         one_m = _some_near(self.first.points_m + apart_m, self.second.field)
@@ -189,7 +189,7 @@ class _Pair:
         angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         around = np.stack([np.cos(angle), np.zeros(_DIRECTIONS), np.sin(angle)], -1)
         lengths_m = np.array([length_m(way) for way in around])
-        # Of ways as short as each other the one that is most like the usual one.
+        # Among equally short directions the one closest to `away`.
         best = np.lexsort((-(around @ away), lengths_m))[0]
         return around[best] if lengths_m[best] < _FREER * usual_m else away
 
@@ -237,7 +237,7 @@ def _pairs(objects: Sequence[PlacedSolid], done: Sequence[ResolvedPlacement]) ->
         grid_bounds = np.stack([own_m[0] - margin, own_m[1] + margin])
         grid = build_sdf_grid([objects[number].mesh], grid_bounds, spacing_m, floor_y_m=None)
         triangles_m = objects[number].mesh.vertices_m.astype(np.float64)[objects[number].mesh.faces]
-        # What is deep inside counts besides: an object found twice has its surface in the other's.
+        # Inner points besides: the surface of a duplicate lies on that of the other.
         inner_m = _inner_points(grid)
         points_m = np.concatenate([surface_samples(triangles_m, _SAMPLE_M)[0], inner_m])
         fields[number] = _Solid(grid, points_m, inner_m)
@@ -258,7 +258,7 @@ def _bounds(mesh: Mesh, shift_m: np.ndarray) -> Float[np.ndarray, "2 3"] | None:
 
 
 def _meet(a: np.ndarray | None, b: np.ndarray | None) -> bool:
-    """Whether two boxes overlap or may once their objects have moved."""
+    """Whether two boxes overlap or may overlap after moving."""
     reach = 2 * _MAX_SHIFT_M * np.array([1.0, 0.0, 1.0])
     return a is not None and b is not None and bool((a[0] < b[1] + reach).all() and (b[0] < a[1] + reach).all())
 
@@ -277,7 +277,7 @@ def _move(done: list[ResolvedPlacement], number: int, step_m: np.ndarray) -> boo
 
 
 def _put_down(number: int, objects: Sequence[PlacedSolid], done: Sequence[ResolvedPlacement]) -> ResolvedPlacement:
-    """The object on the highest top under its footprint that is near its lower end."""
+    """The object on the highest surface under its footprint near its lower end."""
     import trimesh
 
     vertices_m = objects[number].mesh.vertices_m.astype(np.float64)

@@ -13,25 +13,26 @@ from video2anim.geometry.column_layers import background_distance
 from video2anim.geometry.gravity_view import GravityView, remap
 from video2anim.types.camera import View
 
+_FLOOR_TOLERANCE_M, _FLOOR_TOLERANCE_RATIO = 0.08, 0.03
+"""Flat points lower than this, plus this share of their distance, belong to the floor."""
+NEARER_RATIO = 0.9
+"""Objects are nearer than this share of the background's distance."""
+_BREAK_RATIO = 0.06
+"""Relative step in depth between neighboring pixels that separates surfaces."""
+
 
 @dataclass(frozen=True, slots=True)
 class RegionLimits:
     """What counts as an object."""
 
-    min_ratio: float = 0.004
-    """Share of the picture."""
-    min_m: float = 0.15
+    min_ratio: float
+    """Share of the image."""
+    min_m: float
     """Width and height."""
-    max_m: float = 4.0
+    max_m: float
     """Width and height."""
-    floor_tolerance_m: float = 0.08
-    """Flat points lower than this, plus 3 % of their distance, belong to the floor."""
-    nearer_ratio: float = 0.9
-    """Objects are nearer than this share of the background's distance."""
-    break_ratio: float = 0.06
-    """Relative step in depth between neighboring pixels that separates surfaces."""
-    most: int = 12
-    """At most so many objects, those with the best score."""
+    max_objects: int
+    """Those with the best score are kept."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +41,7 @@ class Region:
 
     mask: Bool[np.ndarray, "height width"]
     score: float
-    """0 to 1: how much nearer than the background it is, times the share of its foot line on the floor."""
+    """0 to 1: contrast of its distance to the background, times the share of its lower edge on the floor."""
     width_m: float
     height_m: float
 
@@ -57,18 +58,18 @@ def find_regions(
     camera: View,
     limits: RegionLimits,
 ) -> Regions:
-    """Floor and objects of a background image's metric depth, best first. Any source of depth will do."""
+    """Floor and objects of a background image's metric depth, best first."""
     view = GravityView.of(camera)
     height_m = view.center_world_m[1] + depth_m * view.ray_world[..., 1]
     distance_m = depth_m * view.ray_horizontal
-    low = np.abs(height_m) < limits.floor_tolerance_m + 0.03 * distance_m
+    low = np.abs(height_m) < _FLOOR_TOLERANCE_M + _FLOOR_TOLERANCE_RATIO * distance_m
     floor = valid & low & (view.ray_world[..., 1] < 0) & _lies_flat(view, distance_m)
     upright = valid & ~floor & ((height_m > 0) | low)
     if not upright.any():
         return Regions((), floor)
     background_m = _background(view, distance_m, upright)
-    near = upright & (distance_m < limits.nearer_ratio * background_m)
-    near = np.asarray(binary_opening(near & ~_breaks(depth_m, limits.break_ratio), np.ones((2, 2))), dtype=bool)
+    near = upright & (distance_m < NEARER_RATIO * background_m)
+    near = np.asarray(binary_opening(near & ~_breaks(depth_m, _BREAK_RATIO), np.ones((2, 2))), dtype=bool)
     count, parts = cv2.connectedComponents(near.astype(np.uint8), connectivity=4)
     found = []
     for index in range(1, count):
@@ -76,11 +77,11 @@ def find_regions(
         if region is not None:
             found.append(region)
     found.sort(key=lambda region: -region.score)
-    return Regions(tuple(found[: limits.most]), floor)
+    return Regions(tuple(found[: limits.max_objects]), floor)
 
 
 def _lies_flat(view: GravityView, distance_m: np.ndarray) -> Bool[np.ndarray, "height width"]:
-    """Pixels whose distance changes with elevation as that of a floor does, not like that of an upright surface."""
+    """Pixels whose distance changes with elevation as that of the floor, not as that of an upright surface."""
     floor_m = view.camera_height_m * view.ray_horizontal / np.maximum(-view.ray_world[..., 1], 1e-3)
     change, floor_change = (np.gradient(field, axis=0) for field in (distance_m, floor_m))
     return np.abs(change) > 0.5 * np.abs(floor_change)

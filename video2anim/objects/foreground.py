@@ -1,8 +1,7 @@
-"""Which pixels of an object's mask show the object.
+"""Foreground pixels of an object's mask.
 
-Masks of networks are blobs: between the legs of a chair, and along every outline, they hold floor and wall. Lifted by
-their depth these pixels stretch the object to whatever is behind it. What the room would look like without its objects
-tells them apart.
+Masks of networks also hold floor and wall, between the legs of a chair and along outlines. These pixels would stretch
+the backprojected object to what is behind it. They are found by the depth of the room without its objects.
 """
 
 from __future__ import annotations
@@ -18,23 +17,23 @@ from video2anim.geometry.projection import backproject, transform_points
 from video2anim.types.camera import View
 
 _CELLS = 96
-"""Cells along the picture's longer side in which the background is filled in."""
+"""Resolution of the filled-in background, along the longer side."""
 _MIXED_PX = 3
-"""Depths mix so near to an outline."""
+"""Pixels at an outline whose depths are mixed."""
 _BEFORE_WALL = 0.9
-"""An object whose nearer quarter is before this share of the background's distance stands free of it."""
+"""An object whose lower quartile of depth is below this share of the background's stands free of it."""
 _BACKGROUND = 0.75
-"""Pixels of such an object that are so much of the way from it to the background are the background's."""
+"""Pixels of such an object at this share of the way to the background are background."""
 _FLOOR_M = 0.03
 _FLOOR_SHARE = 0.01
-"""Floor's depth is off by so much of its distance, beside `_FLOOR_M`."""
+"""Height below which a pixel may be floor: `_FLOOR_M` plus this share of its distance."""
 _LOWEST_SHARE = 0.2
-"""Of an object's height: no more than this is taken for floor, so that low objects stay."""
+"""Maximum share of an object's height that may be floor, so that low objects stay."""
 _GRAZING = 0.12
-"""Cosine between ray and normal below which a surface is no surface but the smear between two."""
+"""Minimum cosine between ray and normal; below it pixels interpolate between two surfaces."""
 _MIN_PIXELS = 30
 _MIN_SHARE = 0.15
-"""Of the pixels with depth; where fewer would be left, all count."""
+"""Minimum share of the pixels with depth that is kept; otherwise all are."""
 
 _Meters = TypeVar("_Meters", float, np.ndarray)
 
@@ -45,7 +44,7 @@ def inverse_background(
     objects: Bool[np.ndarray, "height width"],
     floor: Bool[np.ndarray, "height width"],
 ) -> Float[np.ndarray, "height width"] | None:
-    """One over the depth of what stands behind all objects, in 1/m; None where the picture shows none of it.
+    """Inverse depth of the background behind all objects, in 1/m; None where the image shows none of it.
 
     A plane's inverse depth is linear in the picture, so the gaps are filled with the harmonic function.
 
@@ -79,10 +78,10 @@ def foreground_mask(
     view: View,
     inverse_background_m: Float[np.ndarray, "height width"] | None,
 ) -> Bool[np.ndarray, "height width"]:
-    """The pixels of `own` with depth that show the object; all of them where hardly any would be left.
+    """The pixels of `own` with depth that show the object; all of them where too few would be left.
 
-    Left out are floor, what is at the background or nearly (where the object stands free of it), and surfaces that the
-    camera would see edge on, which are the smear between two.
+    Left out are floor, pixels near the background (where the object stands free of it), and surfaces seen edge-on,
+    which interpolate between two depths.
     """
     seen = own & known
     if seen.sum() < _MIN_PIXELS:
@@ -105,7 +104,7 @@ def foreground_mask(
 
 
 def floor_band_m(distance_m: _Meters) -> _Meters:
-    """Height below which depth does not tell an object from the floor."""
+    """Height below which depth cannot distinguish an object from the floor."""
     return _FLOOR_M + _FLOOR_SHARE * distance_m
 
 
@@ -116,7 +115,7 @@ def surface_normals(world_m: Float[np.ndarray, "height width 3"]) -> Float[np.nd
 
 
 def _gentler_normals(world_m: np.ndarray) -> Float[np.ndarray, "height width 3"]:
-    """Normals by the shorter of the differences to both sides: a sharp step beside a surface does not tilt it."""
+    """Normals by the shorter of both one-sided differences, which a depth step beside a surface does not tilt."""
     along = []
     for axis in (0, 1):
         step = np.diff(world_m, axis=axis)

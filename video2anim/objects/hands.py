@@ -1,4 +1,4 @@
-"""Hands through a clip, and when one of them takes something or puts it down."""
+"""Hands over time, and when they take something or put it down."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 UP = np.array([0.0, 1.0, 0.0])
 NEAR_M = 0.2
-"""A hand so near the outline of what leaves or comes, at the hand's distance, has to do with it: a hand's length."""
+"""Maximum distance of a hand from the outline of a change, at the hand's depth: a hand's length."""
 _HAND_M = 0.09
 """From the wrist to the middle of the hand."""
 _STEADY_M = 0.06
-"""Hands that hold one object keep their distance from each other: its standard deviation."""
+"""Maximum standard deviation of the distance between two hands that hold one object."""
 _SLACK = 2
-"""Samples by which the moment may be earlier or later than the pictures tell: what moves slowly at first still overlaps
-its old place."""
+"""Samples by which the moment may differ from that of the change: an object that moves slowly still overlaps its old
+place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,22 +44,22 @@ class HandPath:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grip:
-    """Something is taken or put down by one of some hands of a person."""
+    """A change that hands of a person caused by taking or putting down."""
 
     change: Change
     person_id: int
     hands: dict[str, HandPath]
-    """Those that are near, nearest first."""
+    """Near hands, nearest first."""
     frames: dict[str, int]
-    """When each is nearest."""
+    """Frame at which each is nearest."""
 
     def frame(self, name: str) -> int:
-        """When that hand does it; of one that is not near, when the nearest does."""
+        """Frame of that hand; of a hand that is not near, the frame of the nearest."""
         return self.frames.get(name, next(iter(self.frames.values())))
 
 
 def hands_of(motion: BodyMotion, lens: Intrinsics) -> list[HandPath]:
-    """Left and right hand of a person in the pictures of a fixed camera."""
+    """Left and right hand of a person in the images of a fixed camera."""
     joints_m, R = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
     found = []
     for side in ("left", "right"):
@@ -76,7 +76,7 @@ def hands_of(motion: BodyMotion, lens: Intrinsics) -> list[HandPath]:
 
 
 def reach(hands: Sequence[HandPath], lens: Intrinsics) -> Bool[np.ndarray, "height width"]:
-    """Pixels where something may be that a hand takes or puts down: as far from it as three hands are long."""
+    """Pixels within three hand lengths of a hand, where it may take or put down something."""
     near = np.zeros((lens.height_px, lens.width_px), np.uint8)
     for hand in hands:
         for (x, y), depth_m in zip(hand.pixels[hand.valid], hand.depth_m[hand.valid], strict=True):
@@ -87,7 +87,7 @@ def reach(hands: Sequence[HandPath], lens: Intrinsics) -> Bool[np.ndarray, "heig
 
 
 def gaps_m(hand: HandPath, mask: Bool[np.ndarray, "height width"], lens: Intrinsics) -> Float[np.ndarray, "frames"]:
-    """Distance of a hand from an outline in the picture, at the hand's distance; infinite where it is not seen."""
+    """Image distance of a hand from an outline, at the hand's depth; infinite where the hand is not in the image."""
     away = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
     x, y = (hand.pixels[:, k].round() for k in (0, 1))
     inside = hand.valid & (x >= 0) & (x < lens.width_px) & (y >= 0) & (y < lens.height_px)
@@ -97,7 +97,7 @@ def gaps_m(hand: HandPath, mask: Bool[np.ndarray, "height width"], lens: Intrins
 
 
 def grip(change: Change, hands: Sequence[HandPath], step: int, lens: Intrinsics) -> Grip | None:
-    """The hands of the nearest person that are near while something leaves or comes; None where none is.
+    """The near hands of the nearest person during a change; None where there are none.
 
     Args:
         step: Frames from sample to sample of the change.
@@ -120,8 +120,8 @@ def grip(change: Change, hands: Sequence[HandPath], step: int, lens: Intrinsics)
 
 
 def holders(grips: Sequence[Grip], first: int, last: int) -> dict[str, HandPath]:
-    """The hands that may hold something from a frame to another: both together where they keep their distance, else
-    each that is near at one end."""
+    """The hands that may hold an object between two frames: both together where their distance is constant, else each
+    that is near at one end."""
     found = {name: hand for one in grips for name, hand in one.hands.items()}
     if len(found) < 2 or not all(len(one.hands) == 2 for one in grips):
         return found
@@ -133,7 +133,7 @@ def holders(grips: Sequence[Grip], first: int, last: int) -> dict[str, HandPath]
 
 
 def _both(left: HandPath, right: HandPath) -> HandPath:
-    """Between both hands, turned as the line from one to the other turns."""
+    """The middle of both hands, with the yaw of the line between them."""
     T = left.T_world_hand.copy()
     across = right.T_world_hand[:, :3, 3] - left.T_world_hand[:, :3, 3]
     yaw_rad = np.arctan2(-across[:, 2], across[:, 0])

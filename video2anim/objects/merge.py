@@ -1,5 +1,4 @@
-"""Objects of a background image from two sources: what a network recognizes, and what stands out of a metric depth
-map."""
+"""Merging of recognized objects and regions of depth."""
 
 from __future__ import annotations
 
@@ -13,18 +12,18 @@ from jaxtyping import Bool, Float
 from video2anim.objects.depth_regions import Region, RegionLimits
 
 _COVERED = 0.5
-"""A region that recognized objects cover to this share is one of them."""
+"""Share of a region covered by recognized objects above which it is one of them."""
 _LEFT = 0.5
-"""A recognized object of which better ones leave less than this share is one of them, or several taken for one."""
+"""Minimum share of a recognized object that better ones leave uncovered."""
 _BUILT = 0.6
-"""A region that lies on walls, ceiling and floor to this share is no object."""
+"""Share of a region on walls, ceiling and floor above which it is no object."""
 _MIN_PART = 0.15
-"""Parts of a mask smaller than this share of the largest are dropped."""
+"""Minimum area of a part of a mask over that of the largest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
-    """An object of either source, at the size of the depth map; `object` where no network names it."""
+    """An object of any source, at the size of the depth map; its label is `object` where no network recognized it."""
 
     label: str
     score: float
@@ -65,14 +64,14 @@ def joined_objects(
             continue
         mask = _main_parts(region.mask & ~taken)
         if mask.mean() >= limits.min_ratio:
-            # Nobody recognized it: less sure than an object that both see.
+            # Not recognized: a lower score than that of recognized objects.
             found.append(Detection("object", 0.7 * region.score, mask))
             taken |= mask
     return sorted(found, key=lambda item: -item.score)
 
 
 def _has_object_size(points_m: np.ndarray, limits: RegionLimits) -> bool:
-    """Whether lifted points span an object's width and height. Unknown depth is no reason to doubt a network."""
+    """Whether the points span an object's width and height; true where too few have depth."""
     if len(points_m) < 12:
         return True
     low, high = np.percentile(points_m, [5, 95], axis=0)
@@ -81,7 +80,7 @@ def _has_object_size(points_m: np.ndarray, limits: RegionLimits) -> bool:
 
 
 def _main_parts(mask: np.ndarray) -> Bool[np.ndarray, "height width"]:
-    """The mask without crumbs."""
+    """The mask without small parts."""
     count, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     if count <= 2:
         return mask

@@ -1,4 +1,4 @@
-"""Objects that somebody moves: their path after the body that holds them has been moved itself."""
+"""Paths of carried objects: they follow the hand after the body has been moved."""
 
 from __future__ import annotations
 
@@ -17,22 +17,21 @@ from video2anim.types.skeleton import JOINT_INDEX, TOUCHING_PARTS, forward_kinem
 BOTH = "both hands"
 _HANDS = ("left hand", "right hand")
 BLEND_FRAMES = 5
-"""A sixth of a second: over so many frames of a hold an object goes over from its place of rest to the hand."""
+"""Frames (0.17 s) of the transition between rest and hand."""
 _SURE_M = 0.1
-"""Hands nearer to each other, seen from above, tell less of a turn: none where one is over the other."""
+"""Horizontal distance of the hands below which their yaw is down-weighted."""
 
 
 def follow_hand(placed: PlacedObject, before: Sequence[BodyMotion], after: Sequence[BodyMotion]) -> PlacedObject:
-    """The object in the hands of bodies that have been moved.
+    """The object with its path adapted to bodies that have been moved.
 
-    While it is held it keeps its pose in the hand; while it rests it stays where it is, on what it rests on. In between
-    it goes over from one to the other within the hold. An object that is carried with both hands follows their middle,
-    and turns with the line between them about the vertical.
+    While it is held it keeps its pose in the hand; while it rests it stays in place; the transition lies within the
+    hold. An object in both hands follows their middle and the yaw of the line between them.
 
     Args:
-        placed: where somebody moves it; else it is returned as it is.
+        placed: the object; without a path it is returned as it is.
         before: the motions that its path was found with.
-        after: those of the same people that it is to fit; who is in one alone moves nothing.
+        after: the moved ones; people who are in one of both only are ignored.
     """
     if not placed.path:
         return placed
@@ -46,7 +45,7 @@ def follow_hand(placed: PlacedObject, before: Sequence[BodyMotion], after: Seque
         taken_over = number > 0 and holds[number - 1].last_frame + 1 >= hold.first_frame
         handed_on = number + 1 < len(holds) and holds[number + 1].first_frame <= hold.last_frame + 1
         frames = slice(hold.first_frame, hold.last_frame + 1)
-        # Where it was taken from: its place of rest, or the hand that had it.
+        # The pose before the hold: at rest, or in the hand before.
         start = (way if taken_over else np.eye(4)) @ T_before[frames]
         ways = _hand_ways(known[hold.person_id], moved[hold.person_id], hold)
         held = ways @ T_before[frames]
@@ -60,7 +59,7 @@ def follow_hand(placed: PlacedObject, before: Sequence[BodyMotion], after: Seque
 
 
 def settled(placed: PlacedObject) -> PlacedObject | None:
-    """The object as one that stays where it is, if it does for more than half of the clip."""
+    """The object at rest, if it rests in one place for more than half of the clip; else None."""
     if not placed.path:
         return placed
     T = placed.path[0].T_world_object
@@ -72,7 +71,7 @@ def settled(placed: PlacedObject) -> PlacedObject | None:
 
 
 def holding(objects: Sequence[PlacedObject], motion: BodyMotion) -> Bool[np.ndarray, "frames 22"]:
-    """Wrists of a person that have an object in hand."""
+    """Joints of a person's hands that hold an object."""
     held = np.zeros(motion.contact.shape, bool)
     for hold in (hold for placed in objects for hold in placed.holds if hold.person_id == motion.person_id):
         for part in _HANDS if hold.hand == BOTH else (hold.hand,):
@@ -81,7 +80,7 @@ def holding(objects: Sequence[PlacedObject], motion: BodyMotion) -> Bool[np.ndar
 
 
 def _hand_ways(before: BodyMotion, after: BodyMotion, hold: Hold) -> Float[np.ndarray, "held 4 4"]:
-    """Rigid motions of the world that bring what is in a hand from one motion into the other, by frame of the hold."""
+    """Rigid transforms that move an object with the hand from one motion to the other, by frame of the hold."""
     frames = slice(hold.first_frame, hold.last_frame + 1)
     joints = [
         forward_kinematics(motion.R_parent_joint[frames], motion.T_world_root[frames, :3, 3], motion.rest_joints_m)
@@ -105,7 +104,7 @@ def _hand_ways(before: BodyMotion, after: BodyMotion, hold: Hold) -> Float[np.nd
 
 
 def _shares(count: int, *, rises: bool) -> Float[np.ndarray, "frames"]:
-    """Share of the hand at each frame of a hold: 0 before the first, 1 from the sixth on; 1 throughout without rise."""
+    """Weight of the hand at each frame of a hold: from 0 before the first to 1 at the sixth; all 1 without a rise."""
     if not rises:
         return np.ones(count)
     share = np.clip((1.0 + np.arange(count)) / (BLEND_FRAMES + 1), 0.0, 1.0)
@@ -115,7 +114,7 @@ def _shares(count: int, *, rises: bool) -> Float[np.ndarray, "frames"]:
 def _blended(
     T_a: Float[np.ndarray, "frames 4 4"], T_b: Float[np.ndarray, "frames 4 4"], share: Float[np.ndarray, "frames"]
 ) -> Float[np.ndarray, "frames 4 4"]:
-    """Poses between two, 0 at the first; where it is 1, the second itself."""
+    """Poses interpolated between two; a share of 1 gives the second exactly."""
     T = T_b.copy()
     some = share < 1.0
     weight = share[some, None]

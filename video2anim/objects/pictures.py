@@ -1,13 +1,27 @@
-"""Small pictures of a clip, in which moved objects are looked for."""
+"""Objects with the paths of those that somebody moves, found in small pictures of the clip."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
-from video2anim.objects.carried import LONG_SIDE_PX, MAX_SAMPLES, Pictures
-from video2anim.types import BackgroundImage, VideoClip
+from video2anim.objects.carried import LONG_SIDE_PX, MAX_SAMPLES, Pictures, with_moved_objects
+from video2anim.types import BackgroundImage, BodyTracks, InstanceMasks, PlacedObject, VideoClip
 from video2anim.video import read_frames
+
+
+def with_paths(
+    objects: Sequence[PlacedObject],
+    clip: VideoClip,
+    masks: InstanceMasks,
+    background: BackgroundImage,
+    bodies: BodyTracks,
+) -> Sequence[PlacedObject]:
+    """`with_moved_objects` of a clip; the objects as they are where the camera moves."""
+    pictures = pictures_of(clip, background)
+    return objects if pictures is None else with_moved_objects(pictures, masks, bodies, objects)
 
 
 def pictures_of(clip: VideoClip, background: BackgroundImage) -> Pictures | None:

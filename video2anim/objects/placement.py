@@ -1,4 +1,4 @@
-"""Pose and scale of an object by Chamfer distance to its depth points (paper 8.1): upright, resting where it rests."""
+"""Pose and scale of an upright object by Chamfer distance to its depth points (SceneMI, supplement section 8.1)."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.types.camera import View
 
 _MAX_FACTOR = 2.5
-"""Scales are kept within this factor of the first guess."""
+"""Maximum factor between the scale and its first guess."""
 _PATCH_POINTS = 12
-"""Neighbouring depth points err together: so many count as one."""
+"""Neighboring depth points have common errors: so many count as one."""
 _MIN_ERROR_M = 0.01
 _ROUNDS = 3
-"""Times that visibility is found again in a descent."""
+"""Updates of the visible points during a descent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,10 +142,10 @@ def place(
     max_points: int = 300,
     keep_ratio: float = 0.9,
 ) -> Placement:
-    """Horizontal position, yaw and scale of least robust Chamfer distance, from several yaws.
+    """Horizontal position, yaw and scale of minimum robust Chamfer distance, from several yaws.
 
-    The first guess's own yaw is preferred: another start must reach `keep_ratio` of its loss, since many objects look
-    alike from several sides.
+    The yaw of the first guess is preferred: another start must reach `keep_ratio` of its loss, since many objects are
+    similar from several sides.
 
     Raises:
         ValueError: there are no points or no vertices.

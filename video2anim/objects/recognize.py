@@ -1,4 +1,4 @@
-"""Which form an object has: every form is tried from several sides, and the one with the most evidence kept."""
+"""Recognition of an object's form: all forms are fitted from several yaws and ranked by their evidence."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _SCREEN_SAMPLES, _SAMPLES = 3, 7
 """Surface samples along a side of a solid, while forms are compared and at the end."""
 _SCREEN_ROUNDS = 6
 _RAISED = 0.05
-"""How often a box or a cabinet stands on something else than the floor."""
+"""Prior probability that a box or a cabinet stands on something other than the floor."""
 _KEPT = 4
-"""Starts that are followed to the end."""
+"""Forms that are fitted at full resolution."""
 
 
 def recognized(
@@ -27,7 +27,7 @@ def recognized(
     forms: Sequence[Form] = FORMS,
     sigmas: FitSigmas | None = None,
 ) -> list[FormFit]:
-    """The forms that were followed to the end, best first.
+    """The forms fitted at full resolution, best first.
 
     Args:
         log_prior: Logarithm of the odds of each class of form before the object was measured; classes that are not
@@ -56,15 +56,15 @@ def recognized(
 
 
 def _prior(form: Form, base_m: float, log_prior: Mapping[str, float]) -> float:
-    """Logarithm of the odds of a form before it is seen."""
+    """Log odds of a form before it is fitted."""
     raised = _RAISED if base_m > 0 and form.name in ("box", "cabinet") else 1.0
     return log_prior[form.name] + float(np.log(form.share * raised))
 
 
 def _starts(form: Form, box: UprightBox, base_m: float) -> list[Float[np.ndarray, "values"]]:
-    """The form before what was seen of the object, in every quarter turn in which it looks different.
+    """Initial values at the box of the object, for every quarter turn in which the form differs.
 
-    Sizes that were seen start with those of the box, within what is usual.
+    Measured sizes start at those of the box, within two standard deviations of the usual size.
     """
     yaw = float(np.arctan2(box.R_world_box[0, 2], box.R_world_box[2, 2]))
     extent_m = np.array([box.size_m[0], box.high_m[1] - base_m, box.size_m[2]])
@@ -91,18 +91,18 @@ _SYNONYMS = {
     "wardrobe": "cabinet", "chest of drawers": "cabinet", "cupboard": "cabinet", "refrigerator": "cabinet",
     "ottoman": "stool", "bench": "stool", "stairs": "steps", "step": "steps", "swivel chair": "chair",
 }  # fmt: skip
-"""Words of segmentation networks for classes of forms."""
+"""Labels of segmentation networks -> classes of forms."""
 _BROAD = {
     "chair": {"armchair": 0.3, "stool": 0.1, "sofa": 0.05}, "table": {"desk": 0.5}, "desk": {"table": 0.5},
     "box": {"stool": 0.2},
 }  # fmt: skip
-"""What else the same word means, and how often against what it says."""
+"""Other classes that a label may mean, with their odds against the class itself."""
 
 
 def log_prior(label: str) -> dict[str, float]:
-    """Logarithm of the odds of the classes of forms that a network's name for an object may mean, against what it says.
+    """Log odds of the classes of forms that a network's label may mean, against the class itself.
 
-    Names that no form has say nothing: all classes are then as likely.
+    Labels without a form give equal odds for all classes.
     """
     classes = sorted({form.name for form in FORMS})
     name = _SYNONYMS.get(label, label)

@@ -1,4 +1,4 @@
-"""Where something lies that a hand takes or puts down."""
+"""Resting poses of objects that a hand takes or puts down."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from video2anim.objects.hands import UP, HandPath
 from video2anim.types import InstanceMasks, PlacedObject, View
 
 _RESTS_M = 0.25
-"""A level surface so far below or above the bottom of something is what it rests on."""
+"""Maximum vertical distance of a level surface from the bottom of an object that rests on it."""
 _HAND_SIGMA_M = 0.15
 """Standard deviation of a hand's distance from the camera."""
 _FLOOR_SIGMA_M, _TOP_SIGMA_M = 0.02, 0.06
-"""Those of the heights of the floor and of objects' tops (`benchmarks/v2a_bench.py`)."""
+"""Standard deviations of the heights of the floor and of objects' tops (`benchmarks/v2a_bench.py`)."""
 _SAME_OBJECT = 0.3
-"""Share of the smaller outline in the other from which both are of one object..."""
+"""Minimum share of the smaller outline inside the other for both to be of one object..."""
 _LARGER = 3.0
-"""...unless its outline is so much larger: objects stand on tables."""
+"""...unless the known outline is larger by this factor: objects stand on tables."""
 _ALIKE = 0.7
-"""Sizes of one object by two outlines: logarithm of their ratio, a factor of 2."""
+"""Maximum log ratio of the sizes of one object by two outlines: a factor of 2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
-    """An object where it lies."""
+    """An object at rest."""
 
     T_world_object: Float[np.ndarray, "4 4"]
     size_m: tuple[float, float, float]
@@ -39,7 +39,7 @@ class Rest:
 
     @classmethod
     def of(cls, item: PlacedObject) -> Rest:
-        """Of an object of the scene."""
+        """Pose and size of an object of the scene."""
         width_m, height_m, depth_m = (item.scale * np.ptp(item.mesh.vertices_m.astype(float), axis=0)).tolist()
         return cls(item.T_world_object, (width_m, height_m, depth_m))
 
@@ -49,12 +49,12 @@ class Rest:
         return self.T_world_object[:3, 3] + 0.5 * self.size_m[1] * self.T_world_object[:3, 1]
 
     def alike(self, other: Rest) -> bool:
-        """Both may be one object."""
+        """Whether both may be the same object."""
         return bool(np.abs(np.log(np.divide(self.size_m, other.size_m))).max() < _ALIKE)
 
 
 class SceneAtRest:
-    """The scene in which something moves, in the pictures of a fixed camera."""
+    """The static scene, in the images of a fixed camera."""
 
     def __init__(self, objects: Sequence[PlacedObject], masks: InstanceMasks, view: View) -> None:
         self.objects, self.view = {item.object_id: item for item in objects}, view
@@ -67,7 +67,7 @@ class SceneAtRest:
         self._solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in objects]
 
     def known(self, outline: Bool[np.ndarray, "height width"]) -> PlacedObject | None:
-        """The object of the background image that has an outline, or a part of it."""
+        """The object of the background image to which an outline belongs."""
         best, found = _SAME_OBJECT, None
         for number, mask in self._masks.items():
             shared = (mask & outline).sum() / max(min(mask.sum(), outline.sum()), 1)
@@ -76,7 +76,7 @@ class SceneAtRest:
         return found
 
     def rest(self, mask: Bool[np.ndarray, "height width"], hand: HandPath, frame: int) -> Rest:
-        """A box around what a change shows, at the distance of the hand that has it then, on what is under it."""
+        """A box for the object of a change, at the distance of the hand in that frame, on the surface below."""
         rows, columns = np.nonzero(mask)
         depth_m = float(hand.depth_m[frame])
         R, origin_m = self.view.T_world_camera[:3, :3], self.view.T_world_camera[:3, 3]
@@ -90,7 +90,7 @@ class SceneAtRest:
         front_m = origin_m + depth_m * low
         support_m = self._support_m(front_m)
         if support_m is not None and low[1] < 0:
-            # Where the line of sight meets the support is the less certain the flatter it meets it.
+            # The intersection of ray and support is less certain at flat angles.
             sigma_m = _FLOOR_SIGMA_M if support_m == 0 else _TOP_SIGMA_M
             weight = (low[1] * _HAND_SIGMA_M / sigma_m) ** 2
             front_m = origin_m + low * (depth_m + weight * (support_m - origin_m[1]) / low[1]) / (1 + weight)
@@ -104,7 +104,7 @@ class SceneAtRest:
         return Rest(T, (float(across_m), float(height_m), float(across_m)))
 
     def lowered(self, rest: Rest) -> Rest:
-        """The same object upright on what is under it."""
+        """The same object upright on the surface below."""
         T = np.eye(4)
         T[:3, :3] = matrix_from_axis_angle(np.arctan2(rest.T_world_object[0, 2], rest.T_world_object[2, 2]) * UP)
         T[:3, 3] = rest.T_world_object[:3, 3]
@@ -113,7 +113,7 @@ class SceneAtRest:
         return Rest(T, rest.size_m)
 
     def _support_m(self, bottom_m: Float[np.ndarray, "3"]) -> float | None:
-        """Height of the level surface nearest to the bottom of something; None where none is near."""
+        """Height of the level surface nearest to the bottom of an object; None where none is near."""
         heights = [0.0]
         for solid in self._solids:
             corners = solid.vertices_m[solid.faces]
@@ -125,6 +125,6 @@ class SceneAtRest:
             )
             over = ((low <= bottom_m[[0, 2]]) & (bottom_m[[0, 2]] <= high)).all(1)
             heights += corners[level][over].mean(1)[:, 1].tolist()
-        # What seems to be under the floor is on it.
+        # Below the floor counts as on the floor.
         gap_m = np.abs(np.array(heights) - max(bottom_m[1], 0.0))
         return float(heights[int(gap_m.argmin())]) if gap_m.min() < _RESTS_M else None

@@ -1,4 +1,4 @@
-"""What is seen behind the people and objects of a clip, as clean pieces: walls, ceiling, cards, one backdrop."""
+"""Background of a clip as planar pieces: walls, ceiling, cards (upright planes facing the camera), one backdrop."""
 
 from __future__ import annotations
 
@@ -21,23 +21,32 @@ from video2anim.types.motion import BodyMotion
 from video2anim.types.scene import BackgroundImage, InstanceMasks, RoomPiece
 
 _RASTER_M = 0.05
-"""Places nearer to each other are one."""
+"""Grid size to which positions of joints are rounded."""
 _MAX_CUT = 0.1
-"""A piece that loses a larger share because people were behind it is before them: it is left out."""
+"""A plane is left out where people were behind a larger share of its pixels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Backdrop:
-    """Pieces of what is seen behind people and objects."""
+    """Background behind people and objects."""
 
     pieces: tuple[RoomPiece, ...]
     parts: tuple[Part, ...]
     view: Look
     floor: Bool[np.ndarray, "height width"]
-    """Pixels of the view that show the floor, also beyond the floor's mask."""
+    """Pixels of the view that show the floor, also outside the floor's mask."""
     surface_m: Float[np.ndarray, "height width"]
-    """Depth of what pixels show, by its part; what stands above it for the floor."""
+    """Depth of each pixel by its plane; for floor pixels, that of the plane above them."""
     far_m: float
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Quality numbers: faces, walls, and openings in them."""
+        return {
+            "background_faces": sum(len(piece.mesh.faces) for piece in self.pieces),
+            "walls": sum(piece.name.startswith("wall") for piece in self.pieces),
+            "openings": sum(len(piece.openings) for piece in self.pieces),
+        }
 
 
 def backdrop(
@@ -47,10 +56,10 @@ def backdrop(
     far_m: float,
     relative_sigma: Float[np.ndarray, "small_height small_width"] | None = None,
 ) -> Backdrop:
-    """Pieces for everything seen that is neither floor nor object.
+    """Pieces for every pixel that is neither floor nor object.
 
     Args:
-        far_m: what is farther goes onto the backdrop behind everything.
+        far_m: farther depth goes onto the backdrop behind everything.
         relative_sigma: standard deviation of the background image's depth as a share of it; None where unknown.
     """
     sigma = np.zeros_like(depth.background_depth_m) if relative_sigma is None else relative_sigma
@@ -74,7 +83,7 @@ def backdrop(
 
 
 def body_paths(people: Sequence[BodyMotion]) -> Float[np.ndarray, "points 3"]:
-    """Joints of all people in all measured frames, each place once (on a raster of 5 cm)."""
+    """Joints of all people in all valid frames, rounded to a grid of 5 cm, without duplicates."""
     joints = [person.joints_world_m[person.valid].reshape(-1, 3) for person in people]
     points_m = np.concatenate([np.zeros((0, 3)), *joints])
     points_m = points_m[np.isfinite(points_m).all(1)]
@@ -87,11 +96,11 @@ def _explained(
     people_m: Float[np.ndarray, "height width"],
     paths_m: Float[np.ndarray, "points 3"],
 ) -> tuple[list[Plane], Int[np.ndarray, "height width"]]:
-    """Planes, the far backdrop last, and per pixel the number of the one it shows.
+    """Planes, the backdrop last, and the number of the plane that each pixel shows.
 
-    Low flat objects count as floor, higher ones as objects; all ceilings count as the clearest one.
+    Low flat objects are labeled floor, higher ones hidden; all ceilings are merged into the first.
     """
-    # Where depth is unknown there are gaps below the horizon, and what is far above it.
+    # Pixels without depth are gaps below the horizon, and far away above it.
     open_to = ~view.floor & ~view.objects & (view.known | (view.direction[..., 1] > 0))
     measured = open_to & view.known & ~view.unsure
     planes = room_planes(view, measured, heading_rad)
@@ -118,7 +127,7 @@ def _explained(
 
 
 def _before_people(plane: Plane, own: np.ndarray, view: Look, people_m: np.ndarray, paths_m: np.ndarray) -> bool:
-    """People were behind the plane, farther than it can be pushed."""
+    """Whether people were behind the plane, farther than it may be pushed back."""
     if plane.kind in ("backdrop", "level") or not own.any():
         return False
     pushed = behind_people(plane, rectangle(plane, own, view), view, paths_m)
@@ -126,7 +135,7 @@ def _before_people(plane: Plane, own: np.ndarray, view: Look, people_m: np.ndarr
 
 
 def _people_depth(view: Look, paths_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "height width"]:
-    """Largest depth that people had at each pixel, around their joints and to their skin; 0 where they never were."""
+    """Maximum depth of people at each pixel, by disks around their joints; 0 where nobody was."""
     reached_m = np.zeros(view.shape, np.float32)
     pixel, depth_m, _ = view.pixels(paths_m)
     for index in np.argsort(depth_m):
@@ -138,7 +147,7 @@ def _people_depth(view: Look, paths_m: Float[np.ndarray, "points 3"]) -> Float[n
 
 
 def _far_part(view: Look, parts: list[Part], own: np.ndarray, paths_m: np.ndarray) -> list[Part]:
-    """The backdrop behind everything else, square to the sight; none where nothing is far."""
+    """The backdrop behind everything else, parallel to the image; none where nothing is far."""
     if not own.any():
         return []
     corners_m = [part.patch.grid(1e9).reshape(-1, 3) for part in parts]
@@ -152,8 +161,8 @@ def _far_part(view: Look, parts: list[Part], own: np.ndarray, paths_m: np.ndarra
 def _surface_depth(
     view: Look, parts: Sequence[Part], label: Int[np.ndarray, "height width"]
 ) -> Float[np.ndarray, "height width"]:
-    """Depth of what each pixel shows, by its part; 0 where that is an object or not known. The floor
-    counts as the foot of what is seen above it: it belongs to a wall's place or to what is seen through a gap."""
+    """Depth of each pixel by its part; 0 at objects and where unknown. Floor pixels get the depth of the part above
+    them in the image: the floor ends at its foot."""
     surface_m = np.zeros(view.shape)
     for part in parts:
         surface_m[part.own] = part.plane.depth_m(view.direction[part.own])
@@ -171,11 +180,11 @@ def _piece(
     view: Look,
     background_rgb: UInt8[np.ndarray, "background_height background_width 3"],
 ) -> RoomPiece | None:
-    """A part where the picture shows nothing farther."""
+    """The mesh of a part, without the areas where the image shows something farther."""
     nodes_m = part.patch.grid(part.reach_m(view) / view.intrinsics.fx_px)
     solid = part.plane.kind in ("wall", "ceiling")
     own_m = part.plane.depth_m(view.direction)
-    # Cards and the backdrop are there where they are seen, and behind what is clearly nearer below that.
+    # Cards and the backdrop extend behind clearly nearer surfaces below their pixels.
     hidden = np.maximum.accumulate(part.own, axis=0) & (surface_m < own_m * (1 - THROUGH))
     covered = ~part.is_open(view, surface_m) if solid else hidden
     kept = view.sampled(part.own | covered, nodes_m, solid)
@@ -188,7 +197,7 @@ def _piece(
     with np.errstate(divide="ignore", invalid="ignore"):
         near = np.abs(np.log(surface_m / own_m)) < THROUGH
     taken = np.logical_or.reduce([other.own for other in parts])
-    # What no part explains is drawn on what is there, unless it is before that.
+    # Pixels of no part are textured onto the piece, unless they are in front of it.
     loose = ~taken & view.known & (view.depth_m > own_m * (1 - THROUGH))
     shown = part.own | ((label >= 0) & (loose | near))
     nearer = ~shown & ((surface_m < own_m) | (label == FLOOR))

@@ -12,6 +12,7 @@ from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import LIKELY, NEAR_M, SLOW_M_S, posed_vertices, skin_of, speed_m_s
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.projection import invert_rigid, transform_points
+from video2anim.geometry.runs import runs, without_short_runs
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.scene.nearest_surface import nearest_surface
 from video2anim.types.contact import FLOOR, Contact
@@ -28,57 +29,57 @@ RESTING_PARTS: dict[str, tuple[int, ...]] = {
         "left shin": "left_knee", "right shin": "right_knee",
     }.items()
 }  # fmt: skip
-"""Parts of which the picture does not say whether they touch. They count where they lie on something: a motion solved
-out of its scene touches sides of objects wherever it would have gone through them."""
+"""Parts without a contact probability. They touch only surfaces that they rest on: after the solve has removed
+penetration, a motion touches sides of objects by accident."""
 BODY_PARTS = TOUCHING_PARTS | RESTING_PARTS
 STAY_M = 0.05
-"""Between frames within `NEAR_M` a part touches all the while it stays so near: the gap
-of a standing foot wanders by 2 cm."""
+"""Between two frames within `NEAR_M` a part touches while it stays this near: the gap of a standing foot varies by
+2 cm."""
 SHORTEST_S = 0.1
-"""Gaps and contacts that are shorter are flickers: even the foot of a runner stays for 0.2 s."""
+"""Minimum duration of gaps and contacts; the stance of a runner lasts 0.2 s."""
 _RESTING_M, _RESTING_STAY_M = 0.01, 0.03
-"""The same distances of parts that lie on something: without the picture's word, what passes 3 cm above a seat rests on
-it no more than what hangs beside it."""
+"""The same distances of `RESTING_PARTS`, which have no contact probability: a part that passes 3 cm above a seat does
+not rest on it."""
 _RESTING_SHARE = 0.06
-"""So much of a limb's skin is within that: of a shin that kneels 0.09 to 0.26, of a thigh that sits 0.08 to 0.32; of a
-shin, the hollow of whose knee meets the edge of a seat, up to 0.057."""
+"""Minimum share of a limb's skin within that distance: kneeling shins have 0.09 to 0.26, sitting thighs 0.08 to 0.32,
+shins whose knee meets the edge of a seat up to 0.057."""
 _SAME_M = 0.01
-"""Surfaces whose gap is the least one within what the solve leaves are touched together."""
+"""Surfaces whose gap exceeds the smallest by less are touched together: residual of the solve."""
 _MAX_SKIN = 200
-"""Points of skin per part that are looked at: nine tenths of the skin of hands and feet lie within 1.5 cm of one, of
-other parts within 3 cm. A gap may come out 5 mm too large (of a hand, all of whose points are above its lowest)."""
+"""Maximum skin points per part: 90 % of the skin of hands and feet is within 1.5 cm of one, of other parts within 3 cm.
+Gaps are up to 5 mm too large."""
 _LEVEL_DEG = 45.0
-"""A face that looks up or down within this is `top` or `underside`, others are `side`."""
+"""Faces whose normal is this close to the vertical are `top` or `underside`, others `side`."""
 _LOOKS = ("top", "side", "underside")
 _USUAL = {
     "seat": "top", "top": "top", "arm": "top", "bed": "top", "tread": "top", "back": "side", "leg": "side",
     "board": "side",
 }  # fmt: skip
-"""Where the face of an object's part looks that the part's name alone stands for."""
+"""By name of a part: the face that the name alone stands for."""
 _WHOLE = "body"
-"""The one part of a box says nothing that the object's name does not."""
+"""Name of the only part of a box, left out of names of surfaces."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solid:
-    """An object in the world, its faces grouped into surfaces; one that somebody moves where it is at first."""
+    """An object in the world, its faces grouped into surfaces; a moved object is in its first pose."""
 
     placed: PlacedObject
     triangles_m: Float[np.ndarray, "faces 3 3"]
     names: tuple[str, ...]
     """Of the surfaces."""
     carries: Bool[np.ndarray, "surfaces"]
-    """Whether a surface looks up."""
+    """Whether a surface faces up."""
     surface: Int[np.ndarray, "faces"]
     """Number of each face's surface."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Gaps:
-    """How far parts of a body are from surfaces; the first surface is the floor."""
+    """Distances of the parts of a body from surfaces; the first surface is the floor."""
 
     gap_m: Float[np.ndarray, "surfaces parts frames"]
-    """Distance of the nearest or deepest skin; infinite beyond `STAY_M`, and where the part cannot touch."""
+    """Signed distance of the nearest or deepest skin; infinite beyond `STAY_M`, and where the part cannot touch."""
     share: Float[np.ndarray, "surfaces parts frames"]
     """Share of the part's skin within `_RESTING_STAY_M` of the surface."""
 
@@ -86,16 +87,16 @@ class _Gaps:
 def contact_graph(motion: BodyMotion, scene: SceneModel) -> tuple[Contact, ...]:
     """Contacts of one person with the floor and the objects, by part of the body and start.
 
-    Hands, feet, seat and back touch where the motion says so (probability over 0.5) and skin is within 3 cm of a
-    surface. Head, forearms, thighs and shins, of which no motion says so, touch where they lie on a surface that looks
-    up: within 1 cm, and slower than 0.4 m/s. What may carry a part, within 5 cm, goes before what is beside it: a foot
-    on the floor that is near the side of a chair does not touch the chair.
+    Hands, feet, seat and back touch where their contact probability is over 0.5 and skin is within 3 cm of a surface.
+    Head, forearms, thighs and shins, which have no probability, touch where they rest on a surface that faces up:
+    within 1 cm, and slower than 0.4 m/s. Surfaces that face up within 5 cm take precedence over sides: a foot on the
+    floor beside a chair does not touch the chair.
 
-    What somebody moves is touched where it is in each frame; its surfaces have the names of how it stands at first. A
-    hand that holds it needs no word of the motion, and touches nothing else.
+    Moved objects are touched at their place in each frame; their surfaces are named by their first pose. A hand that
+    holds one touches it whatever its probability, and nothing else.
 
     Args:
-        motion: in the scene, at best that of stage refine, whose contacts are those of its own skin.
+        motion: in the scene, best that of stage refine, whose contacts are computed from its skin.
         scene: as the motion fits it (`RefinedMotion.scene`).
     """
     solids = [_solid(placed) for placed in scene.objects]
@@ -109,13 +110,13 @@ def contact_graph(motion: BodyMotion, scene: SceneModel) -> tuple[Contact, ...]:
     for part, name in enumerate(BODY_PARTS):
         gap_m = gaps.gap_m[:, part]
         touched = _touched(name, gap_m, gaps.share[:, part], carries, shortest)
-        for surface, first, last in ((one, *run) for one, row in enumerate(touched) for run in _runs(row)):
-            distance_m = gap_m[surface, first : last + 1]
+        for surface, start, stop in ((one, *run) for one, row in enumerate(touched) for run in runs(row)):
+            distance_m = gap_m[surface, start:stop]
             distance_m = distance_m[np.isfinite(distance_m)]
             found.append(
                 Contact(
-                    motion.person_id, name, *owners[surface], float(motion.frame_time_s[first]),
-                    float(motion.frame_time_s[last]), float(distance_m.mean()),
+                    motion.person_id, name, *owners[surface], float(motion.frame_time_s[start]),
+                    float(motion.frame_time_s[stop - 1]), float(distance_m.mean()),
                     float(distance_m[np.abs(distance_m).argmax()]),
                 )
             )  # fmt: skip
@@ -129,7 +130,7 @@ def scene_contacts(people: Sequence[BodyMotion], scene: SceneModel) -> tuple[Con
 
 
 def _solid(placed: PlacedObject) -> _Solid:
-    """Surfaces of an object: faces of one part that look the same way."""
+    """Surfaces of an object: faces of one part on one side."""
     whole = world_mesh(placed.mesh, placed.pose(0), placed.scale)
     triangles_m = whole.vertices_m[whole.faces]
     normals = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
@@ -181,14 +182,14 @@ def _gaps(motion: BodyMotion, body: ShapedBody, solids: Sequence[_Solid]) -> _Ga
         found = nearest_surface(own_m, one.triangles_m, reach_m=STAY_M)
         meet(first + one.surface[found.face], found.point, found.distance_m)
         first += len(one.names)
-    # What holds one object touches no other.
+    # A hand that holds one object touches no other.
     owner = np.repeat(np.arange(-1, len(solids)), [1, *(len(one.names) for one in solids)])
     others = held.any(0) & ~np.concatenate([np.zeros((1, *held.shape[1:]), bool), held])[owner + 1]
     return _Gaps(np.where(others, np.inf, gap_m), np.where(others, 0.0, near / np.array(counts)[:, None]))
 
 
 def _held_in(part: str, placed: PlacedObject, motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
-    """Frames in which a part of the body is a hand that has an object."""
+    """Frames in which a part of the body is a hand that holds the object."""
     held = np.zeros(motion.frame_count, bool)
     for hold in placed.holds:
         both = hold.hand == "both hands" and part.endswith("hand")
@@ -200,7 +201,7 @@ def _held_in(part: str, placed: PlacedObject, motion: BodyMotion) -> Bool[np.nda
 def _beside_first(
     point_m: Float[np.ndarray, "points 3"], frame: Int[np.ndarray, "points"], placed: PlacedObject
 ) -> Float[np.ndarray, "points 3"]:
-    """Points of frames, brought to where they would be beside the object in the first frame."""
+    """Points relative to the object's pose in their frame, in the world with the object in its first pose."""
     if not placed.path:
         return point_m
     T_first_frame = placed.pose(0) @ invert_rigid(np.asarray(placed.path[0].T_world_object))
@@ -212,7 +213,7 @@ def _beside_first(
 
 
 def _may_touch(motion: BodyMotion, part: str) -> Bool[np.ndarray, "frames"]:
-    """Where the motion says that a part touches; where it is slow enough for that, of parts it says nothing of."""
+    """Frames with a high contact probability; of parts without one, those in which the part is slow."""
     joints = BODY_PARTS[part]
     if part in TOUCHING_PARTS:
         return motion.contact[:, list(joints)].max(1) > LIKELY
@@ -232,7 +233,7 @@ def _touched(
         part: its name.
         gap_m: of the part.
         share: of its skin near each surface.
-        carries: surfaces that look up.
+        carries: surfaces that face up.
         shortest: frames of the shortest gap and contact that count.
     """
     rests = part in RESTING_PARTS
@@ -241,40 +242,23 @@ def _touched(
     if rests:
         enough = carries[:, None] & ((share >= _RESTING_SHARE) | (part == "head"))
         near, stays = near & enough, stays & enough
-    elif part != "back":  # A back leans against what is behind it.
+    elif part != "back":  # Backs lean against sides.
         near[~carries] &= ~(stays & carries[:, None]).any(0)
-    # Skin in a solid and skin on it touch alike.
+    # Skin inside a solid touches like skin on it.
     open_m = np.where(near, np.maximum(gap_m, 0.0), np.inf)
     near &= open_m <= open_m.min(0, initial=np.inf) + _SAME_M
-    touched = np.stack([_lasting(_held(*one), shortest) for one in zip(near, stays, strict=True)])
+    touched = np.stack([without_short_runs(_held(*one), shortest) for one in zip(near, stays, strict=True)])
     if part != "back":
         beside = touched[~carries] & ~touched[carries].any(0)
-        touched[~carries] = np.stack([_lasting(one, shortest) for one in beside]) if len(beside) else beside
+        touched[~carries] = np.stack([without_short_runs(one, shortest) for one in beside]) if len(beside) else beside
     return touched
 
 
 def _held(near: Bool[np.ndarray, "frames"], stays: Bool[np.ndarray, "frames"]) -> Bool[np.ndarray, "frames"]:
-    """Frames that are near, and those between two of them all through which the part stays."""
+    """Near frames, and frames between two of them throughout which the part stays."""
     held = near.copy()
-    for first, last in _runs(near | stays):
-        inside = first + np.flatnonzero(near[first : last + 1])
+    for start, stop in runs(near | stays):
+        inside = start + np.flatnonzero(near[start:stop])
         if len(inside):
             held[inside[0] : inside[-1] + 1] = True
     return held
-
-
-def _lasting(touched: Bool[np.ndarray, "frames"], shortest: int) -> Bool[np.ndarray, "frames"]:
-    """The same with gaps shorter than so many frames closed, and shorter contacts dropped."""
-    lasting = touched.copy()
-    for first, last in _runs(~touched):
-        if last - first + 1 < shortest and first > 0 and last < len(touched) - 1:
-            lasting[first : last + 1] = True
-    for first, last in _runs(lasting):
-        lasting[first : last + 1] = last - first + 1 >= shortest
-    return lasting
-
-
-def _runs(chosen: Bool[np.ndarray, "frames"]) -> list[tuple[int, int]]:
-    """First and last frames of what is chosen without a break."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
-    return [(int(first), int(end) - 1) for first, end in zip(edges[::2], edges[1::2], strict=True)]

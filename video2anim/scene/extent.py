@@ -1,4 +1,4 @@
-"""Where planes of a room end: at the floor, behind the people, at each other."""
+"""Extent of the planes of a room: down to the floor, behind the people, up to each other."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from video2anim.scene.regions import FLOOR
 from video2anim.scene.view import Look
 
 BODY_M = 0.3
-"""From a joint to the skin and what swings around it: no piece is nearer to people's paths than this."""
+"""Minimum distance of background pieces from joints: skin, clothes and hands around them."""
 MAX_PUSH = 0.3
-"""A piece that would have to stand by a larger share farther to be behind the people is before them in truth."""
+"""Maximum relative increase of a plane's distance that puts it behind the people; beyond it the plane is in front."""
 THROUGH = 0.15
-"""Where the picture shows something by so large a share farther than a piece, the piece is not there."""
+"""Relative depth difference at which a pixel shows something behind a piece: the piece has an opening there."""
 _SCALE_SIGMA = 0.15
-"""Of the logarithm of a whole wall's depth by networks: measured as 0.06 to 0.17 on renders of furnished rooms."""
+"""Standard deviation of the logarithm of a wall's depth by networks: 0.06 to 0.17 on renders of furnished rooms."""
 _GRAVITY_RAD = np.deg2rad(1.0)
 """Error of gravity and of the line where floor and wall meet."""
 _MIN_FOOT = 0.05
-"""Of the picture's columns: shorter lines where floor and wall meet say nothing."""
+"""Minimum length of the line where floor and wall meet, over the image's width."""
 _CORNER = 0.25
-"""Pieces that end within this share of the distance from where they meet, end there."""
+"""Pieces that end within this share of the distance from their intersection are extended to it."""
 _ALONG, _ACROSS = np.cos(np.deg2rad(15.0)), np.sin(np.deg2rad(30.0))
-"""Walls turned by less than 15 degrees face alike; walls that meet at less than 30 degrees have no corner."""
+"""Walls within 15 degrees are parallel; walls that meet at less than 30 degrees have no corner."""
 _UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -43,7 +43,7 @@ class Part:
     own: Bool[np.ndarray, "height width"]
 
     def reach_m(self, view: Look) -> float:
-        """Usual distance of what it shows from the camera."""
+        """Median distance of its pixels from the camera."""
         direction = view.direction[self.own]
         return float(np.median(np.linalg.norm(direction, axis=-1) * np.minimum(self.plane.depth_m(direction), 1e3)))
 
@@ -59,7 +59,7 @@ def parts_of(
     paths_m: Float[np.ndarray, "points 3"],
     heading_rad: float | None,
 ) -> list[Part]:
-    """Each plane that pixels show, where its foot and the people say, as the rectangle that holds its pixels."""
+    """Visible planes, moved to their foot line and behind the people, each as the bounding rectangle of its pixels."""
     if heading_rad is None:
         wall = next((plane for plane in planes if plane.kind == "wall"), None)
         heading_rad = 0.0 if wall is None else float(np.arctan2(wall.normal[2], wall.normal[0]))
@@ -76,7 +76,7 @@ def parts_of(
 
 
 def rectangle(plane: Plane, own: Bool[np.ndarray, "height width"], view: Look, heading_rad: float = 0.0) -> Patch:
-    """Least rectangle around a plane's pixels; walls and cards go down to the floor."""
+    """Bounding rectangle of a plane's pixels; walls and cards extend down to the floor."""
     if plane.kind == "ceiling":
         across = np.array([np.cos(heading_rad), 0.0, np.sin(heading_rad)])
         upward = np.cross(-plane.normal, across)
@@ -101,15 +101,14 @@ def rectangle(plane: Plane, own: Bool[np.ndarray, "height width"], view: Look, h
 
 
 def _footed(plane: Plane, own: np.ndarray, floor: np.ndarray, view: Look) -> Plane:
-    """The wall moved towards where the floor ends under it, whose depth gravity alone tells.
+    """The wall moved toward its foot line, whose distance follows from gravity and the camera's height.
 
-    Both distances are weighted by their errors: that of the foot grows with its distance, seen from the camera's
-    height.
+    Both distances are weighted by their variances; the error of the foot line grows with its distance.
     """
     foot = np.zeros_like(own)
     foot[1:] = own[:-1] & floor[1:]
     foot &= view.direction[..., 1] < -1e-3
-    # Floor and wall meet between two rows.
+    # The foot line is between two rows.
     direction = 0.5 * (view.direction + np.roll(view.direction, 1, axis=0))[foot]
     direction = direction[direction[:, 1] < -1e-3]
     on_floor_m = direction * (-view.camera_m[1] / direction[:, 1:2])
@@ -124,7 +123,7 @@ def _footed(plane: Plane, own: np.ndarray, floor: np.ndarray, view: Look) -> Pla
 
 
 def behind_people(plane: Plane, patch: Patch, view: Look, paths_m: Float[np.ndarray, "points 3"]) -> Plane:
-    """The plane pushed along the sight until nobody is seen behind it."""
+    """The plane moved away from the camera until nobody is behind it."""
     from_camera_m = paths_m - view.camera_m
     along = from_camera_m @ plane.normal
     from_camera_m, along = from_camera_m[along > 0.1], along[along > 0.1]
@@ -138,7 +137,7 @@ def behind_people(plane: Plane, patch: Patch, view: Look, paths_m: Float[np.ndar
 
 
 def _cornered(parts: list[Part], view: Look) -> list[Part]:
-    """Walls that end near where they meet end there; likewise walls and the ceiling."""
+    """Parts extended or cut to their intersections where these are near: walls with walls, walls with the ceiling."""
     ends_m = np.array([[part.patch.low_m, part.patch.high_m] for part in parts])
 
     def gaps_m(index: int, axis: int, value_m: float) -> Float[np.ndarray, "2"]:
@@ -155,7 +154,7 @@ def _cornered(parts: list[Part], view: Look) -> list[Part]:
         if all(gap.min() < _CORNER * np.hypot(x, z) for gap in gaps):
             for index, value_m, gap in zip(pair, values_m, gaps, strict=True):
                 ends_m[index, gap.argmin(), 0] = value_m
-            # The picture's border cuts near walls lower than far ones; in truth a room's walls are of one height.
+            # The image border cuts near walls lower than far ones; the walls of a room have one height.
             ends_m[list(pair), 1, 1] = ends_m[list(pair), 1, 1].max()
     for number, roof in enumerate(parts):
         for index in walls if roof.plane.kind == "ceiling" else ():
@@ -177,7 +176,7 @@ def _cornered(parts: list[Part], view: Look) -> list[Part]:
 
 
 def _holds(patch: Patch, plane: Plane, view: Look) -> Bool[np.ndarray, "height width"]:
-    """Pixels at which the rectangle is met."""
+    """Pixels whose rays meet the rectangle."""
     depth_m = plane.depth_m(view.direction)
     met = np.isfinite(depth_m)
     points_m = view.camera_m + view.direction * np.where(met, depth_m, 0.0)[..., None] - patch.origin_m
@@ -194,11 +193,11 @@ def before_walls(
     *,
     endless: bool = False,
 ) -> Float[np.ndarray, "rows columns"]:
-    """How far points are before the walls that stand between them and the camera, in meters; less than 0 behind one.
+    """Distance of points in front of the walls between them and the camera, in meters; negative behind a wall.
 
     Args:
-        surface_m: depth of what each pixel shows.
-        endless: walls have no end to the sides.
+        surface_m: depth of each pixel by its part.
+        endless: treat walls as endless to the sides.
     """
     room_m = np.full(points_m.shape[:-1], np.inf)
     from_camera_m = points_m - view.camera_m

@@ -1,4 +1,4 @@
-"""Where the distance field of a scene lies, and how fine it is."""
+"""Extent and spacing of the distance field of a scene."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.types import BodyTracks, Mesh
 
 
@@ -42,6 +43,29 @@ def field_spacing(bounds_m: Float[np.ndarray, "2 3"], wanted_m: float, max_nodes
     while np.prod(np.ceil(np.ptp(bounds_m, axis=0) / spacing_m) + 1) > max_nodes:
         spacing_m *= 1.05
     return spacing_m
+
+
+def solid_field(
+    solids: Sequence[Mesh],
+    motion_m: Float[np.ndarray, "2 3"],
+    margin_m: float,
+    reach_m: float,
+    spacing_m: float,
+    max_nodes: int,
+) -> tuple[SdfGrid, int]:
+    """Distance field of the solids and the floor around the motion, and how many solids are in it.
+
+    Args:
+        solids: meshes in the world.
+        motion_m: lowest and highest corner of the motion.
+        margin_m: of the field around the motion.
+        reach_m: solids this near the motion lie wholly in the field.
+        spacing_m: of the nodes; wider where there would be more than `max_nodes`.
+        max_nodes: see `spacing_m`.
+    """
+    bounds_m = field_bounds(motion_m, solids, margin_m, reach_m)
+    near = [solid for solid in solids if overlaps(solid, bounds_m)]
+    return build_sdf_grid(near, bounds_m, field_spacing(bounds_m, spacing_m, max_nodes), floor_y_m=0.0), len(near)
 
 
 def overlaps(solid: Mesh, bounds_m: Float[np.ndarray, "2 3"]) -> bool:

@@ -1,4 +1,4 @@
-"""What the body's path says about the scene: where it goes is free."""
+"""Free space by the body: solids that it passes through."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ from video2anim.types.motion import BodyMotion
 from video2anim.types.skeleton import JOINT_INDEX
 
 _MAY_BE_INSIDE = ("left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist")
-"""Parts that touch objects and whose place is least certain."""
+"""Parts that touch objects and whose positions are least certain."""
 
 
 def passed_through(
     solid: SdfGrid, motion: BodyMotion, body: ShapedBody, *, deep_m: float, share: float, resting: Sequence[int] = ()
 ) -> Bool[np.ndarray, "frames"]:
-    """Frames in which a fair share of the body is deep inside a solid; hands, feet, and joints that rest on it are not
-    asked.
+    """Frames in which more than a share of the body is deep inside a solid, without hands, feet and `resting` joints.
 
-    Every second valid frame is looked at.
+    Every second valid frame is tested.
     """
     left_out = [*(JOINT_INDEX[name] for name in _MAY_BE_INSIDE), *resting]
     index = np.flatnonzero(~np.isin(body.vertex_part, left_out))[::12]
@@ -37,7 +36,7 @@ def passed_through(
 
 
 def path_length_inside_m(solid: SdfGrid, motion: BodyMotion) -> float:
-    """Horizontal way that the pelvis makes inside a solid: nobody walks in furniture."""
+    """Length of the pelvis' horizontal path inside a solid."""
     pelvis_m = motion.joints_world_m[:, JOINT_INDEX["pelvis"]].astype(np.float64)
     inside = motion.valid & (solid.sample(pelvis_m) < 0)
     step_m = np.linalg.norm(np.diff(pelvis_m[:, [0, 2]], axis=0), axis=-1)

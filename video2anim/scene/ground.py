@@ -1,4 +1,4 @@
-"""The floor as one clean patch, from under the motion to where it was seen."""
+"""The floor as one patch around the motion and as far as it was seen."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from video2anim.scene.patches import SMOOTH_PX, Patch, clear, room_piece, smooth
 from video2anim.types.scene import BackgroundImage, RoomPiece
 
 _STRAY = 0.5
-"""Percent of the floor's pixels that may be strays on every side."""
+"""Percentile of the floor's pixels that is left out as outliers on every side."""
 
 
 def ground(found: Backdrop, background: BackgroundImage, around_m: Float[np.ndarray, "2 2"]) -> RoomPiece:
     """Floor at y = 0, facing up: around the motion and as far as it was seen, but not behind walls.
 
     Args:
-        around_m: least and largest x and z of floor that is there in any case.
+        around_m: minimum and maximum x and z that the floor holds in any case.
     """
     view, points_m = found.view, [around_m]
     shown = clear(found.floor) & (view.direction[..., 1] < -1e-3)
@@ -29,7 +29,7 @@ def ground(found: Backdrop, background: BackgroundImage, around_m: Float[np.ndar
         points_m.append(np.percentile(seen_m, [_STRAY, 100 - _STRAY], axis=0))
     points_m += [one.patch.grid().reshape(-1, 3)[:, [0, 2]] for one in found.parts if one.plane.kind == "wall"]
     low, high = np.concatenate(points_m).min(0), np.concatenate(points_m).max(0)
-    # z across and x upward: the patch faces up.
+    # With z across and x upward the patch faces up.
     patch = Patch(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), low[::-1], high[::-1])
     nodes_m = patch.grid(0.0)
     known = tidy(view.sampled(found.floor, nodes_m, False), SMOOTH_PX)

@@ -16,17 +16,17 @@ from video2anim.types.camera import View
 
 _STEP_RAD = np.deg2rad(0.5)
 _EDGE_SIGMA_RAD = np.deg2rad(1.0)
-"""By which edges miss their vanishing point: error of their ends, of lens and of gravity."""
+"""Angle between edges and their vanishing point: errors of their ends, of lens and of gravity."""
 _UPRIGHT_RAD = np.deg2rad(2.0)
-"""Edges whose plane is so near to upright run up, or tell nothing."""
+"""Edges in planes this close to vertical are ignored: most of them are vertical."""
 _FULL_LENGTH = 0.1
-"""Edges of this length (radians) and more count whole."""
+"""Length in radians from which edges have full weight."""
 _MIN_SCORE = 0.15
-"""Of the edges' weight, that a room's heading explains beyond what a chance heading does."""
+"""Minimum share of the edges' weight that the heading explains beyond the mean over all headings."""
 _SECOND = 0.5
-"""Another heading that explains more than this share of the best one's says there is no right angle to speak of..."""
+"""No heading is returned where another one scores more than this share of the best..."""
 _APART_RAD = np.deg2rad(8.0)
-"""...where it is farther than this from it."""
+"""...and is farther than this from it."""
 
 
 def room_heading(background_rgb: UInt8[np.ndarray, "height width 3"], view: View) -> float | None:
@@ -47,11 +47,11 @@ def room_heading(background_rgb: UInt8[np.ndarray, "height width 3"], view: View
     fit = np.zeros((len(normal), len(turns)))
     for turn in (turns, turns + np.pi / 2):
         direction = np.stack([np.cos(turn), 0 * turn, np.sin(turn)])
-        # The same turn of an edge about its middle turns its plane less against a direction that it points at.
+        # Rotating an edge about its middle tilts its plane less toward directions that it points at.
         aside = np.sqrt(np.maximum(1 - (along @ direction) ** 2, 0.01))
         fit = np.maximum(fit, np.exp(-0.5 * (normal @ direction / aside / _EDGE_SIGMA_RAD) ** 2))
     weight = np.minimum(1, length / _FULL_LENGTH) * (np.abs(normal[:, 1]) > np.sin(_UPRIGHT_RAD))
-    # An edge that suits every heading, on the horizon, counts for none.
+    # Edges on the horizon fit every heading and cancel out.
     score = weight @ (fit - fit.mean(1, keepdims=True))
     best = int(score.argmax())
     apart = np.abs((turns - turns[best] + np.pi / 4) % (np.pi / 2) - np.pi / 4) > _APART_RAD

@@ -1,4 +1,4 @@
-"""What the motion says of a scene: objects that nobody could walk through, and supports that must be there."""
+"""Evidence of the motion on the scene: objects that people walk through, and supports that are missing."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from video2anim.scene.supports import MIN_FRAMES, SUPPORT, Support, rested_place
 from video2anim.types import BodyTracks, PlacedObject
 
 _UNKNOWN_M = 0.25
-"""What rests this far from every surface rests on something that is not in the scene: nearer ones the solve of stage
-refine brings together."""
+"""A part that rests farther from every surface rests on something that the scene lacks; nearer ones are brought to the
+surface by the solve of stage refine."""
 _LOW_M = 0.3
-"""Heights of single contacts are uncertain by several centimeters, so lower steps and seats are not claimed."""
+"""Heights of single contacts are uncertain by several centimeters, so lower supports are not inferred."""
 
 
 def rested_on(bodies: BodyTracks) -> list[tuple[int, Support]]:
@@ -29,12 +29,11 @@ def without_walked_through(
     objects: Sequence[PlacedObject],
     rested: list[tuple[int, Support]],
     bodies: BodyTracks,
-    *,
     spacing_m: float,
     max_path_m: float,
 ) -> tuple[list[PlacedObject], list[str]]:
-    """Objects without those that somebody walks through and nobody uses: their place or depth is wrong. And a
-    warning for each that is left out.
+    """Objects without those that somebody walks through and nobody rests on, and a warning for each of these: their
+    place is wrong.
 
     Args:
         rested: By `rested_on`.
@@ -56,8 +55,8 @@ def without_walked_through(
             kept.append(item)
             continue
         warnings.append(
-            f"object {item.object_id} ({item.label}): somebody walks {walked_m:.1f} m in it, so its place or depth is "
-            "wrong; it is left out"
+            f"object {item.object_id} ({item.label}) is left out: somebody walks {walked_m:.1f} m inside it, so its "
+            "place is wrong"
         )
     return kept, warnings
 
@@ -65,7 +64,7 @@ def without_walked_through(
 def inferred_supports(
     objects: Sequence[PlacedObject], rested: list[tuple[int, Support]], bodies: BodyTracks
 ) -> tuple[list[PlacedObject], list[str]]:
-    """A solid for every place where a part rested far from objects and floor, and through which nobody goes; and a
+    """A solid for every place where a part rested far from objects and floor and through which nobody passes, and a
     warning for each such place."""
 
     people = [(motion, shaped_body(motion.shape)) for motion in bodies.people]
@@ -80,9 +79,9 @@ def inferred_supports(
         told = f"the {support.kind} of person {person} rested in {far} frames at {support.top_m:.2f} m"
         solid = standing_solid(support, people)
         if solid is None:
-            warnings.append(f"{told} with no surface near, but bodies pass there too: no support is inferred")
+            warnings.append(f"{told} with no surface near, but bodies pass through that place: no support is inferred")
             continue
         number += 1
         made.append(PlacedObject(number, SUPPORT, solid[0], 1.0, solid[1], None, None, True, f"inferred: {told}"))
-        warnings.append(f"a support is inferred, since {told} with no surface near; its sides are unknown")
+        warnings.append(f"a support is inferred: {told} with no surface near; its extent is unknown")
     return made, warnings

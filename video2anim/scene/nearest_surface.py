@@ -1,4 +1,4 @@
-"""Which triangle of a solid is nearest to a point, and how far outside or inside the point lies."""
+"""Nearest triangle of a solid to each point, with the signed distance."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from scipy.spatial import KDTree
 from video2anim.geometry.sdf import point_triangle_distance, surface_samples
 
 _NEAREST_SAMPLES = 4
-"""Surface samples whose triangles are tried per point: at an edge two triangles are near, at a corner of a box three or
-more, of which any two tell the side."""
+"""Surface samples whose triangles are tested per point: two triangles meet at an edge, three or more at a corner of a
+box, of which any two give the sign."""
 _SAME_M = 1e-6
-"""Triangles that share the nearest point (on an edge) are equally far within what float64 leaves of a room's extent."""
+"""Distances closer than this are equal, as of triangles that share the nearest point on an edge (float64 rounding over
+the extent of a room)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearestSurface:
-    """Of some of the points asked for: those with a surface in reach."""
+    """Results for the points with a surface in reach."""
 
     point: Int[np.ndarray, "found"]
-    """Numbers of the points, rising."""
+    """Ascending numbers of the points."""
     face: Int[np.ndarray, "found"]
     """The nearest triangle of each."""
     distance_m: Float[np.ndarray, "found"]
@@ -52,8 +53,7 @@ def nearest_surface(
     near = _within_box(points_m, triangles_m[whole].reshape(-1, 3), reach_m) if len(whole) else whole
     if not len(near):
         return _nothing()
-    # Triangles and samples far from all points cannot be the nearest. A triangle's nearest sample is up to a step
-    # farther than the triangle.
+    # Drop triangles and samples far from all points; the nearest sample of a triangle is up to a step farther than it.
     low_m, high_m = points_m[near].min(0) - reach_m, points_m[near].max(0) + reach_m
     beside = (triangles_m[whole].max(1) < low_m) | (triangles_m[whole].min(1) > high_m)
     number = whole[~beside.any(1)]
@@ -71,7 +71,7 @@ def nearest_surface(
     faces = number[owner[kept[found[row, column]]]]
     distance_m = point_triangle_distance(points_m[near[row]], triangles_m[faces])
     above_m = np.einsum("nd,nd->n", points_m[near[row]] - triangles_m[faces, 0], normals[faces]) / area2[faces]
-    # The nearest; of those that share an edge there, the one that looks most towards the point or away from it.
+    # The nearest; of those that share an edge there, the one whose plane is farthest from the point.
     order = np.lexsort((-np.abs(above_m), np.round(distance_m / _SAME_M), row))
     order = order[np.unique(row[order], return_index=True)[1]]
     order = order[distance_m[order] <= reach_m]

@@ -1,4 +1,4 @@
-"""Rectangles on planes as pieces of a room: what of them stands for something seen or hidden, and its picture."""
+"""Rectangles on planes as textured pieces of a room, cut to a field over their nodes."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from video2anim.scene.view import Look
 from video2anim.types.scene import Mesh, RoomPiece, Texture
 
 SMOOTH_PX = 3
-"""Outlines are smooth over so many pixels of the view."""
+"""Radius of the smoothing of outlines, in pixels of the view."""
 _MAX_TEXELS = 1024
-"""Along a texture's longer side."""
+"""Along the longer side of a texture."""
 _MAX_NODES = 300
-"""Of a raster for outlines, along its longer side."""
+"""Nodes along the longer side of the grid for outlines."""
 _FILL_TEXELS = 96
-"""Colors of what is not seen are blended at this size."""
+"""Resolution at which colors of unseen areas are filled in."""
 _OPENING_IOU = 0.8
-"""A hole that overlaps its bounding rectangle so well is that rectangle."""
+"""IoU of a hole with its bounding rectangle from which it becomes that rectangle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ class Patch:
 
 
 def tidy(kept: Bool[np.ndarray, "rows columns"], radius: int) -> Bool[np.ndarray, "rows columns"]:
-    """Without slits, spurs, holes and crumbs narrower than twice the radius (in nodes); the border is none."""
+    """Closing and opening by a disk of this radius (in nodes), with edge padding."""
     size = 2 * radius + 1
     disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     padded = np.pad(kept.astype(np.uint8), 2 * size, mode="edge")
@@ -72,9 +72,11 @@ def smooth_field(kept: Bool[np.ndarray, "rows columns"], radius: int) -> Float[n
 def squared(
     kept: Bool[np.ndarray, "rows columns"], radius: int
 ) -> tuple[Float[np.ndarray, "rows columns"], tuple[Float[np.ndarray, "4 2"], ...]]:
-    """A smooth field with holes where a rectangle explains them, cut as rectangles where it explains what is missing at
-    the border, and those of the rectangles that are openings: with something of the piece on both sides and above.
-    Corners are shares of both sides."""
+    """A smooth field with rectangular holes and cuts, and the rectangles that are openings.
+
+    Missing regions that match their bounding rectangle become that rectangle; other holes are filled. An opening has
+    parts of the piece on both sides and above. Its corners are shares of the piece's sides.
+    """
     whole, openings = kept.copy(), []
     _, cut = cv2.connectedComponents((~kept).astype(np.uint8), connectivity=4)
     last = np.array(kept.shape) - 1
@@ -100,11 +102,14 @@ def room_piece(
     background_rgb: UInt8[np.ndarray, "background_height background_width 3"],
     openings: tuple[Float[np.ndarray, "4 2"], ...] = (),
 ) -> RoomPiece:
-    """The part of a rectangle where a field over its nodes is positive, with the background image's picture on it.
+    """The part of a rectangle where a field over its nodes is positive, textured from the background image.
 
     Args:
-        shown: pixels of the view that show it; the rest of it gets a smooth blend of what is around.
-        plate_rgb: the view's picture at any size.
+        patch: the rectangle.
+        field: over the nodes of the rectangle.
+        view: that shows it.
+        shown: pixels of the view that show it; the rest gets a harmonic fill of the colors around.
+        background_rgb: the image of the view, of any size.
         openings: corners as shares of the rectangle's sides.
     """
     last = np.array(field.shape[::-1]) - 1
@@ -128,7 +133,7 @@ def _painted(
     shown: Bool[np.ndarray, "height width"],
     background_rgb: UInt8[np.ndarray, "background_height background_width 3"],
 ) -> UInt8[np.ndarray, "rows columns 3"]:
-    """The picture of a rectangle, upper row first: as many texels as pixels where it is seen."""
+    """Texture of a rectangle, upper row first, at the resolution of the image where it is seen."""
     larger = np.array([background_rgb.shape[1] / view.shape[1], background_rgb.shape[0] / view.shape[0]])
     texel_m = float(np.sqrt(patch.extent_m.prod() / max(shown.sum() * larger.prod(), 1.0)))
     texel_m = max(texel_m, float(patch.extent_m.max()) / _MAX_TEXELS)
@@ -148,7 +153,7 @@ def _painted(
 def _blend(
     color: UInt8[np.ndarray, "rows columns 3"], told: Bool[np.ndarray, "rows columns"]
 ) -> UInt8[np.ndarray, "rows columns 3"]:
-    """Colors between and around those told, as smooth as can be."""
+    """Harmonic fill of the colors that are not known."""
     if told.all():
         return color
     shrink = min(1.0, _FILL_TEXELS / max(told.shape))
@@ -161,6 +166,6 @@ def _blend(
 
 
 def clear(mask: Bool[np.ndarray, "height width"], by_px: int = 2) -> Bool[np.ndarray, "height width"]:
-    """The mask without what is so near to its outline that its colors are mixed; the picture's border is none."""
+    """The mask eroded by the pixels at its outline, whose colors are mixed; the image border is no outline."""
     padded = np.pad(mask, by_px, mode="edge").astype(np.uint8)
     return cv2.erode(padded, np.ones((2 * by_px + 1,) * 2))[by_px:-by_px, by_px:-by_px].astype(bool)

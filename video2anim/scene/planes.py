@@ -1,4 +1,4 @@
-"""Planes of a room by voting: walls and ceiling that explain a picture's depth."""
+"""Planes of a room by voting: walls and ceilings that explain the depth of an image."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from jaxtyping import Bool, Float
 from video2anim.scene.view import Look
 
 DEPTH_SIGMA = 0.05
-"""Standard deviation of the logarithm of a network's depth about a wall, that of the clip's scale left out: measured
-as 0.03 to 0.10 on renders of furnished rooms."""
+"""Standard deviation of the logarithm of a network's depth on a wall, without the error of scale: 0.03 to 0.10 on
+renders of furnished rooms."""
 INLIER_SIGMAS = 2.5
 _HEADINGS = 120
-"""Directions of walls that are tried: every 3 degrees."""
+"""Headings of walls that are tested: every 3 degrees."""
 BIN = 0.6 * DEPTH_SIGMA
 """Width of a bin of the logarithm of a plane's distance."""
 _GRAZING = 0.1
-"""Cosine between sight and normal: planes seen flatter are lines, to which no depth belongs."""
+"""Minimum cosine between ray and normal: planes seen at a flatter angle have no depth in the image."""
 _FACING = 0.75
-"""Cosine to a plane's normal from which the slope of the depth speaks for it."""
+"""Minimum cosine between the normal of the depth and that of the plane."""
 _MIN_SHARE = 0.015
-"""Of the picture: planes that explain less are objects."""
+"""Minimum share of the image that a plane explains."""
 _LOSS = 0.5
-"""Walls are turned to the heading that the edges tell where it costs no more than this share of the pixels they
-explain: slopes of networks' depth are off by 5 to 20 degrees."""
+"""Walls are rotated to the heading of the image's edges unless they then explain this share fewer pixels: slopes of
+networks' depth are off by 5 to 20 degrees."""
 _REACH_RAD = np.deg2rad(22.5)
-"""Walls no farther than this from a right angle to the heading are taken for square: that of the picture's edges, or of
-the first wall."""
+"""Walls this close to a multiple of a right angle from the heading are rotated to it. The heading is that of the
+image's edges, or of the first wall."""
 _UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -63,9 +63,8 @@ def room_planes(view: Look, open_to: Bool[np.ndarray, "height width"], heading_r
     """Planes that explain pixels of `open_to`, the one that explains most first.
 
     Args:
-        heading_rad: of the room's walls by the picture's edges: walls near a right angle to it are turned there, since
-            edges know it better than slopes of depth. Without it walls are turned square to the first wall, where that
-            explains as much.
+        heading_rad: of the room's walls by the image's edges, which are more accurate than slopes of depth. None:
+            walls are rotated to the first wall.
     """
     normals, left, found, square = view.normals(), open_to.copy(), [], heading_rad
     while True:
@@ -82,7 +81,7 @@ def room_planes(view: Look, open_to: Bool[np.ndarray, "height width"], heading_r
         if explained.sum() < _MIN_SHARE * left.size:
             break
         found.append(plane)
-        # The whole noise around it is spent, also where the slope says otherwise: no second plane beside the first.
+        # Remove all pixels within its noise, whatever their slope, so that no second plane is found beside it.
         left &= np.abs(plane.off(view)) > INLIER_SIGMAS
     return found
 
@@ -90,7 +89,7 @@ def room_planes(view: Look, open_to: Bool[np.ndarray, "height width"], heading_r
 def supporting(
     plane: Plane, view: Look, normals: Float[np.ndarray, "height width 3"]
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels whose depth and slope speak for the plane."""
+    """Pixels whose depth and slope agree with the plane."""
     return (np.abs(plane.off(view)) < INLIER_SIGMAS) & (-normals @ plane.normal > _FACING)
 
 
@@ -118,14 +117,14 @@ def _voted(view: Look, normals: np.ndarray, left: np.ndarray) -> Plane | None:
 
 
 def _refined(plane: Plane, view: Look, normals: np.ndarray, left: np.ndarray) -> Plane:
-    """Heading and distance by least squares of the logarithm of depth over the pixels that speak for it."""
+    """Heading and distance by reweighted least squares over the supporting pixels."""
     for _ in range(6):
         chosen = left & supporting(plane, view, normals)
         if chosen.sum() < 8:
             return plane
         flat = view.direction[chosen][:, [0, 2]] * view.depth_m[chosen][:, None]
         weight = (1 - (plane.off(view)[chosen] / INLIER_SIGMAS) ** 2) ** 2
-        # One over depth is linear in a plane's parameters; times depth, errors are relative.
+        # Inverse depth is linear in the parameters of a plane; multiplied by depth, residuals are relative.
         across = np.linalg.lstsq(flat * weight[:, None], weight, rcond=None)[0]
         size = float(np.hypot(*across))
         if not np.isfinite(size) or size < 1e-6:
@@ -139,8 +138,8 @@ def _heading(plane: Plane) -> float:
 
 
 def _squared(plane: Plane, square_rad: float, view: Look, normals: np.ndarray, left: np.ndarray) -> Plane:
-    """The wall turned to the nearest right angle to a heading, at its pixels' usual distance; the wall itself where
-    that would be a larger turn than `_REACH_RAD`."""
+    """The wall rotated to the nearest right angle from a heading, at the median distance of its pixels; unchanged where
+    the rotation would exceed `_REACH_RAD`."""
     own = _heading(plane)
     square = square_rad + np.round((own - square_rad) / (np.pi / 2)) * np.pi / 2
     if abs(own - square) > _REACH_RAD:

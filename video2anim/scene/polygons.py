@@ -11,7 +11,7 @@ from mapbox_earcut import triangulate_float64
 from skimage.measure import approximate_polygon, find_contours
 
 _TOLERANCE = 0.75
-"""Outlines may leave the line where a field is zero by so many cells: less than its blur."""
+"""Maximum distance of outlines from the zero line of the field, in cells; it is below the blur of the field."""
 
 
 def outlines(field: Float[np.ndarray, "rows columns"]) -> list[Float[np.ndarray, "_ 2"]]:
@@ -34,7 +34,7 @@ def outlines(field: Float[np.ndarray, "rows columns"]) -> list[Float[np.ndarray,
 
 
 def _without_idle(ring: np.ndarray) -> np.ndarray:
-    """Without corners that lie on the line between their neighbors: where the line began."""
+    """The ring without collinear corners, such as the point where the contour began."""
     before, after = np.roll(ring, 1, 0), np.roll(ring, -1, 0)
     span = np.maximum(np.linalg.norm(after - before, axis=1), 1e-9)
     return ring[np.abs(_cross(ring - before, after - before)) / span > 1e-3]

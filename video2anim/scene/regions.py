@@ -13,30 +13,29 @@ from video2anim.scene.planes import BIN, DEPTH_SIGMA, INLIER_SIGMAS, Plane
 from video2anim.scene.view import Look
 
 FLOOR, HIDDEN = -1, -2
-"""Labels beside the numbers of planes: ground, what objects or low objects hide."""
+"""Labels besides the numbers of planes: floor, and pixels hidden by objects."""
 _CARD_COST = 0.5
-"""A card must explain so much better than a wall: with enough cards everything is explained."""
+"""Minimum cost of a card, so that planes with the same misfit are preferred."""
 CARD_SIGMAS = 5.0
-"""Trees, hedges and clutter are so thick, in deviations of depth, about their card."""
+"""Thickness of what a card stands for (trees, hedges, clutter), in standard deviations of depth."""
 _WORST = 2.0
-"""Of what is impossible."""
+"""Cost of impossible labels."""
 _UNKNOWN_COST = 0.6
-"""Where depth is unknown all planes cost the same..."""
+"""Cost of all planes where depth is unknown..."""
 _FAR_COST = 0.5
-"""...and the backdrop less: a gap in a plane is the plane's by what is around it, larger ones are far."""
+"""...and of the backdrop there: small gaps go to the plane around them by smoothing, large ones to the backdrop."""
 _SMOOTH_SHARE = 0.025
-"""Of the picture's long side: radius over which a pixel's costs are averaged along the picture's colors."""
+"""Radius of the guided filter of the costs, over the image's longer side."""
 _EDGE_EPSILON = 0.02**2
-"""Variance of a color (0 to 1) that is an edge of the picture."""
+"""Regularization of the guided filter: variance of colors (0 to 1) at edges."""
 _CRUMB, CARD_CRUMB = 0.006, 0.03
-"""Of the picture: smaller regions of planes, or of cards, go to those around them."""
+"""Minimum share of the image of regions of planes and of cards; smaller ones are merged into their surroundings."""
 LOW = 0.2
-"""Of the camera's height: flat objects lower than this are drawn on the floor, as mats, thresholds, rising ground and
-the depth's error."""
+"""Share of the camera's height below which flat objects are labeled floor: mats, thresholds, slopes, depth errors."""
 
 
 def cards(view: Look, open_to: Bool[np.ndarray, "height width"], planes: Sequence[Plane]) -> list[Plane]:
-    """Upright planes that face the camera, one per distance at which much stands that no plane explains."""
+    """Upright planes that face the camera, one per distance at which many pixels are not explained by a plane."""
     left = open_to.copy()
     for plane in planes:
         left &= np.abs(plane.off(view)) > CARD_SIGMAS
@@ -67,8 +66,7 @@ def labeled(
 ) -> Int[np.ndarray, "height width"]:
     """Number of the plane that each pixel shows, or one of the labels above.
 
-    Each plane's misfit of depth is averaged along the picture's colors before the least is taken, so regions
-    end at edges of the picture.
+    Costs of the planes are smoothed by a guided filter before the minimum is taken, so regions end at image edges.
     """
     costs = [_smooth(cost, open_to, view) for cost in (_floor_cost(view), *(_cost(plane, view) for plane in planes))]
     best = np.argmin(costs, axis=0) - 1
@@ -89,14 +87,13 @@ def _cost(plane: Plane, view: Look) -> Float[np.ndarray, "height width"]:
 
 
 def _misfit(deviations: np.ndarray) -> np.ndarray:
-    """From 0 to 1, half at one deviation, and never flat (Geman and McClure 1987): of planes that are all wrong the
-    least wrong one is taken."""
+    """Geman-McClure cost (1987), 0 to 1, 0.5 at one deviation: it grows everywhere, so the closest plane wins."""
     square = np.minimum(np.abs(deviations), 1e3) ** 2
     return square / (1 + square)
 
 
 def _floor_cost(view: Look) -> Float[np.ndarray, "height width"]:
-    """0 where depth is that of the floor: ground that the floor's mask lacks."""
+    """0 where depth is that of the floor, also outside the floor's mask."""
     height_m = view.camera_m[1] + view.offset_m[..., 1]
     cost = _misfit(height_m / (LOW * view.eye_m))
     return np.where(view.known & ~view.unsure & (view.direction[..., 1] < 0), cost, _WORST)

@@ -1,39 +1,68 @@
-"""A scan of the room in place of what the video shows: brought to the video's world, and its distance field."""
+"""A scan of the room by the user: pose, registration to the video's depth, and distance field."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from video2anim.geometry.projection import transform_points
+from video2anim.geometry.projection import backproject, transform_points
+from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.sdf import SdfGrid, surface_samples
+from video2anim.scene.field import field_bounds, field_spacing
+from video2anim.types.metric import MetricDepth
 from video2anim.types.scene import Mesh
 
 _SAMPLE_M = 0.04
 _NEAREST = 8
-"""Surface samples that vote on the side of a point."""
+"""Surface samples that vote on the sign of a point."""
 _MAX_SAMPLES = 400_000
 _POINTS = 3000
 _ROUNDS = 150
 _CELL_M = 0.1
-"""Points are taken evenly from cells of this size: a near wall has no more say than a chair."""
+"""One point is drawn per cell of this size, so that near surfaces do not dominate."""
 _KEPT = 0.85
-"""Share of the points that a registration trusts: people, and what was moved since the scan, are not in it."""
+"""Share of the points with the smallest distances that are used: people and moved objects are not in the scan."""
 _TURNED = np.linalg.qr(np.array([[0.6, -0.5, 0.62], [0.7, 0.7, -0.1], [-0.38, 0.5, 0.78]]))[0]
-"""Trees are slow where many points share a coordinate, as on walls: they see the room from a corner."""
+"""Rotation of the points in k-d trees, which are slow where many points share a coordinate, as on walls."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """Where a scan lies in the video's world."""
+    """Pose of a scan in the video's world."""
 
     T_world_scan: Float[np.ndarray, "4 4"]
     before_m: float
     """Mean distance of the video's points to the scan, the farthest 15 % left out; before and after."""
     after_m: float
+
+
+def scan_pose(up: Literal["y", "z"], yaw_deg: float, shift_m: Sequence[float]) -> Float[np.ndarray, "4 4"]:
+    """T_world_scan by the scan's upward axis, a rotation about the vertical, and a translation after it."""
+    T_world_scan = np.eye(4)
+    T_world_scan[:3, :3] = matrix_from_axis_angle(np.array([0.0, np.deg2rad(yaw_deg), 0.0]))
+    if up == "z":
+        T_world_scan[:3, :3] = T_world_scan[:3, :3] @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    T_world_scan[:3, 3] = shift_m
+    return T_world_scan
+
+
+def moved_mesh(mesh: Mesh, T: Float[np.ndarray, "4 4"]) -> Mesh:
+    """The mesh with its vertices transformed."""
+    return replace(mesh, vertices_m=transform_points(T, mesh.vertices_m))
+
+
+def visible_points(depth: MetricDepth, far_m: float) -> Float[np.ndarray, "points 3"]:
+    """World points of the background image's valid depth up to a distance."""
+    height, width = depth.background_depth_m.shape
+    view = depth.bodies.main_view.resized(width, height)
+    known = depth.background_valid & (depth.background_depth_m < far_m)
+    camera_m = backproject(depth.background_depth_m.astype(np.float64), view.intrinsics)[known]
+    return transform_points(view.T_world_camera, camera_m)
 
 
 def registered(scan: Mesh, points_world_m: Float[np.ndarray, "points 3"], rng: np.random.Generator) -> Registration:
@@ -53,7 +82,7 @@ def registered(scan: Mesh, points_world_m: Float[np.ndarray, "points 3"], rng: n
     before_m = _trimmed_mean(np.asarray(tree.query(points_m @ _TURNED)[0]))
     best, best_cost = np.eye(4), np.inf
     for turn in np.deg2rad([0.0, -20.0, 20.0]):
-        # The video's points move to the scan; the scan's pose is the inverse.
+        # Points of the video are moved to the scan; the pose of the scan is the inverse.
         T_scan_world = _about(_turned(turn), points_m.mean(0))
         cost = np.inf
         for _ in range(_ROUNDS):
@@ -97,6 +126,14 @@ def _rigid_upright(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     return T
 
 
+def field_around(
+    scan: Mesh, motion_m: Float[np.ndarray, "2 3"], margin_m: float, spacing_m: float, max_nodes: int
+) -> SdfGrid:
+    """`scan_field` around the lowest and highest corner of the motion, with at most so many nodes."""
+    bounds_m = field_bounds(motion_m, (), margin_m, 0.0)
+    return scan_field(scan, bounds_m, field_spacing(bounds_m, spacing_m, max_nodes))
+
+
 def scan_field(scan: Mesh, bounds_m: Float[np.ndarray, "2 3"], spacing_m: float, floor_y_m: float = 0.0) -> SdfGrid:
     """Signed distance to an open surface whose triangles face the free side, and to the floor.
 
@@ -126,7 +163,11 @@ def _samples(scan: Mesh) -> tuple[Float[np.ndarray, "samples 3"], Float[np.ndarr
     triangles_m = scan.vertices_m.astype(np.float64)[scan.faces]
     normal = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
     area = np.linalg.norm(normal, axis=-1)
-    triangles_m, normal, area = triangles_m[area > 0], normal[area > 0], area[area > 0]  # else pieces without end
+    triangles_m, normal, area = (
+        triangles_m[area > 0],
+        normal[area > 0],
+        area[area > 0],
+    )  # samples of degenerate ones never end
     step_m = max(_SAMPLE_M, float(np.sqrt(0.5 * area.sum() / _MAX_SAMPLES)))
     samples_m, owner = surface_samples(triangles_m, step_m)
     return samples_m, (normal / np.maximum(area, 1e-12)[:, None])[owner]

@@ -1,4 +1,4 @@
-"""Supports that must be there: where a part of the body rested for a while and the scene has no surface near."""
+"""Supports inferred from rests: places where a part of the body rested and the scene has no surface near."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import LIKELY, believed, posed_vertices, skin_of
 from video2anim.body.shaped_body import ShapedBody
+from video2anim.geometry.runs import runs
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.scene.free_space import passed_through
@@ -19,7 +20,7 @@ from video2anim.types.scene import Mesh
 from video2anim.types.skeleton import JOINT_INDEX, PARENTS, TOUCHING_PARTS, forward_kinematics
 
 SUPPORT = "support"
-"""Label of solids that are known by what rested on them alone."""
+"""Label of solids inferred from what rested on them."""
 KINDS: dict[str, tuple[str, ...]] = {
     "seat": ("seat",), "back": ("back",), "left hand": ("left hand",), "right hand": ("right hand",),
     "feet": ("left foot", "right foot"),
@@ -32,30 +33,30 @@ _FACING = {
     "right hand": (0, -1, 0),
     "feet": (0, -1, 0),
 }
-"""Where the touching skin faces in the frame of the part's first joint: palms look down in the T-pose."""
+"""Direction of the touching skin in the frame of the part's first joint; palms face down in the T-pose."""
 _LEVEL = ("seat", "feet")
-"""These rest on level surfaces, whatever way their skin faces."""
+"""Parts that rest on level surfaces whatever direction their skin faces."""
 _LEVEL_DEG = 45.0
-"""So do others that face down within this: a palm on a table."""
+"""Others rest on level surfaces where their skin faces down within this angle, such as a palm on a table."""
 MIN_FRAMES = 8
-"""A rest lasts at least so long (0.27 s); shorter ones are flickers of the contact."""
+"""Minimum duration of a rest (0.27 s)."""
 _LINK_M = 0.8
-"""Rests whose places are within a stride of each other use one support..."""
+"""Rests within a stride of each other share a support..."""
 _LINK_LEVEL_M = 0.2
-"""...if they are as high (or as far along the slab's normal) within what one camera leaves open."""
+"""...if their heights (along the normal of the surface) differ by less than the uncertainty of one camera."""
 _PATCH_M = 0.03
-"""Skin no farther than this from the part's foremost touches too."""
+"""Depth of the touching skin behind the foremost point of a part."""
 _MARGIN_M = 0.1
-"""A support reaches a hand's width beyond the skin on it."""
+"""Margin of a support around the skin on it: a hand's width."""
 _SLABS = ((0.1, _MARGIN_M), (0.1, 0.05), (0.05, 0.05))
-"""Thickness and margin (m) of what cannot reach down to the floor, since legs pass there."""
+"""Thickness and margin (m) of slabs, tested in order where a solid down to the floor is crossed by legs."""
 _CROSSED_RATIO = 1.0
-"""A support that bodies pass through in as many frames as rest on it is not there."""
+"""Maximum frames in which bodies pass through a support, over the frames of the rest."""
 _CROSSED_M, _CROSSED_SHARE = 0.01, 0.002
-"""They pass through where so much of their skin (of a calf: a hand's width of its height) is so deep in it."""
+"""A body passes through where this share of its skin (a hand's width of a calf) is this deep inside."""
 
 _ABOVE_FLOOR_M = 0.1
-"""What rests lower rests on the floor, within what one camera leaves open."""
+"""Lower rests are on the floor, within the uncertainty of one camera."""
 _INNER = tuple(
     JOINT_INDEX[name] for name in (
         "pelvis", "left_hip", "right_hip", "left_knee", "right_knee", "spine1", "spine2", "spine3", "neck", "head",
@@ -63,14 +64,14 @@ _INNER = tuple(
 )  # fmt: skip
 """Joints of trunk, hips, knees and head; hands and feet touch objects."""
 _EVERY = 5
-"""Frames from one look at where bodies are to the next."""
+"""Step between the frames in which inner joints are sampled."""
 _SAME_M = 0.1
-"""A part this near the distance that it has when it rests may rest there, though the picture does not say so."""
+"""A part whose distance from the surface differs from that of its rest by less may rest, without a contact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
-    """A part that did not move for a while."""
+    """A part that rested for a while."""
 
     frames: int
     normal: Float[np.ndarray, "3"]
@@ -94,14 +95,14 @@ class Support:
 
     kind: str
     T_world_top: Float[np.ndarray, "4 4"]
-    """Middle of the touched patch; y points out of the surface."""
+    """Frame at the middle of the touching skin; y points out of the surface."""
     size_m: Float[np.ndarray, "2"]
     """Extent of the touching skin along x and z of that frame."""
     level: bool
     nearest_m: Float[np.ndarray, "frames 3"]
-    """Foremost skin point of each frame that speaks for it."""
+    """Foremost skin point in each frame of its rests."""
     over_m: float
-    """How far the part's joint is from the surface when it rests there."""
+    """Distance of the part's joint from the surface during the rests."""
 
     @property
     def top_m(self) -> float:
@@ -109,7 +110,7 @@ class Support:
 
     @property
     def footprint_m(self) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-        """Corners in world x and z of a level one, with a margin."""
+        """Corners of a level support in world x and z, with a margin."""
         center, half = self.T_world_top[[0, 2], 3], 0.5 * self.size_m + _MARGIN_M
         return center - half, center + half
 
@@ -133,7 +134,7 @@ class Support:
 
 
 def rested_places(motion: BodyMotion, body: ShapedBody) -> list[Support]:
-    """Surfaces that parts of a person rested on, whether the scene has them or not; rests at one place are one."""
+    """Surfaces that parts of a person rested on, whether or not the scene has them; rests at one place are merged."""
     found = []
     contact = believed(motion, body)
     for kind, parts in KINDS.items():
@@ -147,7 +148,7 @@ def rested_places(motion: BodyMotion, body: ShapedBody) -> list[Support]:
 def rested_and_inner_m(
     bodies: BodyTracks,
 ) -> tuple[Float[np.ndarray, "rests 3"], Float[np.ndarray, "inner 3"]]:
-    """Skin of all people where it rested above the floor, and joints deep in their bodies, where no object is."""
+    """Skin of all people where it rested above the floor, and joints inside their bodies, where no object can be."""
     rested = [
         place.nearest_m[place.nearest_m[:, 1] > _ABOVE_FLOOR_M]
         for motion in bodies.people
@@ -160,7 +161,7 @@ def rested_and_inner_m(
 def standing_solid(
     support: Support, people: Sequence[tuple[BodyMotion, ShapedBody]]
 ) -> tuple[Mesh, Float[np.ndarray, "4 4"]] | None:
-    """The support's solid and pose: down to the floor, else a slab, if bodies pass free space only; else None.
+    """Solid and pose of the support: down to the floor, else a slab; None where bodies pass through all of them.
 
     Args:
         people: everybody who may pass there.
@@ -178,8 +179,8 @@ def standing_solid(
 
 
 def _crossed_frames(solid: SdfGrid, support: Support, motion: BodyMotion, body: ShapedBody) -> int:
-    """Frames in which somebody is inside, not counting what rests on top: the part and the joints beside it, while the
-    part is as far from the surface as when it rests."""
+    """Frames in which somebody is inside, without the resting part and its neighbors while the part is as far from the
+    surface as during its rest."""
     joints = [joint for part in KINDS[support.kind] for joint in TOUCHING_PARTS[part]]
     beside = [*joints, *PARENTS[joints].tolist(), *np.flatnonzero(np.isin(PARENTS, joints)).tolist()]
     normal, top_m = support.T_world_top[:3, 1], support.T_world_top[:3, 3]
@@ -192,15 +193,16 @@ def _crossed_frames(solid: SdfGrid, support: Support, motion: BodyMotion, body: 
         ).sum()
         for chosen, resting in ((at_rest, beside), (~at_rest, ()))
     )  # fmt: skip
-    # Every second frame is looked at.
+    # Every second frame is tested.
     return 2 * int(inside)
 
 
 def _rests(
     motion: BodyMotion, body: ShapedBody, contact: Float[np.ndarray, "frames"], kind: str, joints: tuple[int, ...]
 ) -> Iterator[Rest]:
-    """Stretches in which a part is in contact."""
-    for frames in _stretches(contact > LIKELY):
+    """Periods in which a part is in contact."""
+    for start, stop in runs(contact > LIKELY):
+        frames = np.arange(start, stop)
         if len(frames) < MIN_FRAMES:
             continue
         joints_m, R_world_joint = forward_kinematics(
@@ -220,14 +222,8 @@ def _rests(
         yield Rest(len(frames), -facing, level, skin_m[patch], nearest_m, joints_m[:, joints[0]])
 
 
-def _stretches(chosen: Bool[np.ndarray, "frames"]) -> list[Int[np.ndarray, "some"]]:
-    """Runs of consecutive frames."""
-    index = np.flatnonzero(chosen)
-    return np.split(index, np.flatnonzero(np.diff(index) > 1) + 1) if len(index) else []
-
-
 def _at_one_place(rests: list[Rest]) -> list[list[Rest]]:
-    """Groups of rests that are linked by nearness: along the surface, and in its height."""
+    """Groups of rests that are near each other along the surface and in its height."""
     groups: list[list[Rest]] = []
     for rest in rests:
         near = [group for group in groups if any(_linked(rest, other) for other in group)]

@@ -1,4 +1,4 @@
-"""The picture without people and objects as directions and depths from its camera, at a size for looking at regions."""
+"""The background image as directions and depths from its camera, at the resolution for segmenting planes."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from video2anim.types.metric import MetricDepth
 from video2anim.types.scene import BackgroundImage, DepthClip, InstanceMasks
 
 LONG_SIDE_PX = 192
-"""Depth networks draw nothing finer, and regions need no more."""
+"""Depth networks resolve nothing finer."""
 MAX_DOUBT = 0.3
-"""Depth with a standard deviation over this share of it says no more than far."""
+"""Maximum relative standard deviation of depth that is used; above it a pixel is `unsure`."""
 _NORMAL_BLUR_PX = 2.0
-"""Networks' depth ripples at a few pixels; a surface's slope shows over more."""
+"""Blur of inverse depth before normals: networks' depth ripples over a few pixels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look(View):
-    """One look at the room. Directions are in world axes, from the camera, with a part of 1 along the view axis: a
-    direction times a depth is an offset from the camera in meters."""
+    """Directions and depths of an image. Directions are in world axes with length 1 along the optical axis: a direction
+    times a depth is an offset from the camera in meters."""
 
     direction: Float[np.ndarray, "height width 3"]
     depth_m: Float[np.ndarray, "height width"]
     known: Bool[np.ndarray, "height width"]
     unsure: Bool[np.ndarray, "height width"]
-    """Depth known so badly, or so large, that it says no more than far."""
+    """Depth too uncertain or too large to be used: the pixel is far away."""
     floor: Bool[np.ndarray, "height width"]
     objects: Bool[np.ndarray, "height width"]
-    """Objects: what is behind them is hidden."""
+    """Pixels of objects, which hide the background."""
     rgb: UInt8[np.ndarray, "height width 3"]
 
     @property
@@ -48,7 +48,7 @@ class Look(View):
 
     @property
     def eye_m(self) -> float:
-        """Height of the camera above the floor, at least a decimeter: the yardstick for what is low."""
+        """Height of the camera above the floor, at least 0.1 m."""
         return max(float(self.camera_m[1]), 0.1)
 
     @property
@@ -66,7 +66,7 @@ class Look(View):
     def pixels(
         self, points_world_m: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points"], Bool[np.ndarray, "points"]]:
-        """Pixel, depth, and whether the picture holds it, of points of the world."""
+        """Pixel, depth, and whether the image holds it, of world points."""
         camera_m = transform_points(invert_rigid(self.T_world_camera), np.asarray(points_world_m, np.float64))
         ahead = camera_m[:, 2] > 0.05
         camera_m[~ahead] = (0.0, 0.0, 1.0)
@@ -77,7 +77,7 @@ class Look(View):
     def sampled(
         self, values: Shaped[np.ndarray, "height width"], points_world_m: Float[np.ndarray, "*points 3"], outside: Any
     ) -> Shaped[np.ndarray, "*points"]:
-        """Values of the pixels that points of the world are at; `outside` of the picture another."""
+        """Values at the pixels of world points; `outside` for points outside the image."""
         pixel, _, inside = self.pixels(points_world_m.reshape(-1, 3))
         column, row = (np.where(inside, np.round(pixel[:, k]), 0).astype(int) for k in (0, 1))
         return np.where(inside, values[row, column], outside).reshape(points_world_m.shape[:-1])
@@ -86,8 +86,8 @@ class Look(View):
 def look(
     depth: MetricDepth, masks: InstanceMasks, background: BackgroundImage, relative_sigma: np.ndarray, far_m: float
 ) -> Look:
-    """The first frame's view of the background image. `relative_sigma` is of the background image's depth, as a share
-    of it."""
+    """The first frame's view of the background image. `relative_sigma` is the relative standard deviation of
+    its depth."""
     height, width = depth.background_depth_m.shape
     shrink = min(1.0, LONG_SIDE_PX / max(height, width))
     size = (max(8, round(width * shrink)), max(8, round(height * shrink)))

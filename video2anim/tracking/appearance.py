@@ -1,4 +1,4 @@
-"""What people wear, as far as it tells one from another: colors of the upper and the lower body."""
+"""Appearance of people: color histograms of the clothes on the upper and the lower body."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ _MAX_PX = 64
 _PARTS = ((11, 12, 24, 23), (23, 24, 26, 25))
 """Corners of the trunk and of the thighs among the landmarks."""
 _WIDER = 0.15
-"""Clothes reach beyond the joints by this share of the line from left to right."""
+"""Margin of the clothes beyond the joints, as a share of the body's width."""
 _SEEN = 0.5
 _MIN_PIXELS = 40
 _BINS = (6, 12, 12)
 """Of lightness, and of the two color axes of CIE Lab."""
 _RANGES = [0.0, 256.0, 68.0, 188.0, 68.0, 188.0]
-"""8-bit Lab; clothes lie in the middle of the color axes."""
+"""8-bit Lab; the colors of clothes are in the middle of the color axes."""
 PARTS = len(_PARTS)
 
 
@@ -29,7 +29,7 @@ def clothing_histogram(
 ) -> Float[np.ndarray, "2 bins"]:
     """Color histograms of trunk and thighs, each of sum 1; zeros where the part is not seen.
 
-    Bins are blurred a little, so that a small change of the light is a small change of the histogram.
+    Bins are blurred, so that a small change of the light changes the histogram little.
 
     Args:
         image: RGB picture.
@@ -64,7 +64,7 @@ def clothing_histogram(
 
 
 def _blurred(histogram: np.ndarray) -> np.ndarray:
-    """[1 2 1] / 4 along each axis; what would leave at an end stays there."""
+    """[1 2 1] / 4 along each axis, with edge padding."""
     for axis in range(histogram.ndim):
         padded = np.pad(histogram, [(1, 1) if a == axis else (0, 0) for a in range(histogram.ndim)], mode="edge")
         low, center, high = (np.take(padded, np.arange(s, s + histogram.shape[axis]), axis) for s in (0, 1, 2))
@@ -74,7 +74,7 @@ def _blurred(histogram: np.ndarray) -> np.ndarray:
 
 @dataclass(slots=True, eq=False)
 class AppearanceDescriptor:
-    """What somebody wears, over the frames seen so far."""
+    """Colors of a person's clothes, over the frames seen so far."""
 
     histograms: Float[np.ndarray, "2 bins"] = field(default_factory=lambda: np.zeros((PARTS, int(np.prod(_BINS)))))
     """Sums over frames."""
@@ -84,7 +84,7 @@ class AppearanceDescriptor:
         self.histograms = self.histograms + seen
 
     def distance(self, other: AppearanceDescriptor) -> float:
-        """Hellinger distance of the colors, 0 (the same) to 1, mean over the parts known of both; NaN if none is."""
+        """Hellinger distance of the colors, 0 (equal) to 1, mean over the parts seen of both; NaN if there are none."""
         found = []
         for mine, theirs in zip(self.histograms, other.histograms, strict=True):
             if mine.sum() > 0 and theirs.sum() > 0:

@@ -1,7 +1,7 @@
-"""Finding every person in one picture: the detector at several zooms, then proof by the landmark network.
+"""Every person in one image: detections at several zooms, each confirmed by the landmark network.
 
-The detector alone is not believed: it fires on chairs and trees. A person is who the landmark network confirms: high
-presence, landmarks it can see, and a crop that settles when it is fitted again and again.
+The detector alone also fires on chairs and trees. The landmark network confirms a person by high presence, visible
+landmarks, and a crop that converges when it is refitted.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SETTLED_SHIFT = 0.06
 _SETTLED_SCALE = 0.1
 _SETTLED_TURN_RAD = 0.12
 _MIN_TILE_PX = 112
-"""Below half the detector's input a tile only magnifies blur."""
+"""Half of the detector's input; smaller tiles would only be magnified."""
 _SAME_DISTANCE = 0.25
 _SAME_MASK_SHARE = 0.6
 _MASK_ON = 127
@@ -37,7 +37,7 @@ _HIPS = (23, 24)
 
 
 def scan(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], *, min_score: float) -> list[SquareRoi]:
-    """Crops that may hold a person, best first, each body once: whole picture and square tiles at two zooms."""
+    """Crops that may hold a person, best first, without duplicates: of the image and of square tiles at two zooms."""
     height, width = image.shape[:2]
     parts = [pose.detect(image, min_score=min_score)]
     for x0, y0, side in square_tiles(width, height, min_px=_MIN_TILE_PX):
@@ -49,7 +49,7 @@ def scan(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], *, min_sco
 def scan_near(
     pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi, *, min_score: float
 ) -> list[SquareRoi]:
-    """The same in one tile around a place, where somebody was lost."""
+    """The same in one tile around the place where a person was lost."""
     reach = max(roi.side_px, _MIN_TILE_PX / 2)
     height, width = image.shape[:2]
     x0, x1 = (int(np.clip(roi.center_x_px + d * reach, 0, width)) for d in (-1, 1))
@@ -60,7 +60,7 @@ def scan_near(
 
 
 def confirm(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate | None:
-    """Fit the crop to the person until it settles; None where nobody convincing is there."""
+    """Refit the crop to the person until it converges; None where no person is confirmed."""
     for _ in range(_MAX_FITS):
         found = pose.estimate(image, roi)
         if found.presence < MIN_PRESENCE_KEPT or found.visibility.mean() < MIN_VISIBILITY_KEPT:
@@ -73,16 +73,16 @@ def confirm(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: Sq
 
 
 def follow(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate | None:
-    """The person of a known crop in the next picture; None where gone."""
+    """The person of a known crop in the next image; None where it is lost."""
     found = pose.estimate(image, roi)
     seen = found.presence >= MIN_PRESENCE_KEPT and found.visibility.mean() >= MIN_VISIBILITY_KEPT
     return found if seen and _continuous(roi, found.next_roi) else None
 
 
 def head_up(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], found: PoseEstimate) -> PoseEstimate:
-    """The person seen head up, where somebody followed head down looks at least as convincing so.
+    """The estimate with the head up, where a person tracked head down scores at least as well that way.
 
-    The crop turns with the body, so a network that lost its way in a flip would see the person head down forever.
+    The crop turns with the body, so after a wrong flip a person would stay head down.
     """
     if not _is_head_down(found):
         return found
@@ -98,10 +98,10 @@ def _is_head_down(found: PoseEstimate) -> bool:
 
 
 def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:
-    """Whether two estimates of one picture are about the same body.
+    """Whether two estimates in one image are of the same body.
 
-    Either their torsos coincide, or one's mask lies mostly in the other's: a crop of the wrong size makes a small ghost
-    inside a body, while masks of two people exclude each other even where one stands before the other.
+    Their torsos coincide, or one mask lies mostly in the other: a crop of the wrong size gives a small false body
+    inside the true one, while masks of two people exclude each other even under occlusion.
     """
     if not boxes_meet(first.box_px(), second.box_px()):
         return False
@@ -137,7 +137,7 @@ def hips_px(found: PoseEstimate) -> Float[np.ndarray, "2"]:
 
 
 def _distinct(found: Detections) -> list[SquareRoi]:
-    """Drop detections whose body circle is another's, found better in another tile."""
+    """Detections without those of the same body with a lower score, from another tile."""
     kept: list[SquareRoi] = []
     for index in np.argsort(-found.score, kind="stable"):
         roi = roi_of_detection(found, int(index))
@@ -147,14 +147,14 @@ def _distinct(found: Detections) -> list[SquareRoi]:
 
 
 def overlaps(roi: SquareRoi, other: SquareRoi) -> bool:
-    """Whether two crops are about the same body: near each other and of like size."""
+    """Whether two crops are of the same body: near each other and of similar size."""
     small, large = sorted((roi.side_px, other.side_px))
     gap_px = math.hypot(roi.center_x_px - other.center_x_px, roi.center_y_px - other.center_y_px)
     return gap_px < 0.2 * large and large < 1.5 * small
 
 
 def boxes_meet(box: Float[np.ndarray, "4"], other: Float[np.ndarray, "4"]) -> bool:
-    """Whether two boxes x0, y0, x1, y1 share a place."""
+    """Whether two boxes x0, y0, x1, y1 overlap."""
     return bool(np.all(np.minimum(box[2:], other[2:]) > np.maximum(box[:2], other[:2])))
 
 

@@ -1,4 +1,4 @@
-"""Following everybody through a clip: crops from frame to frame, identities by place, motion and clothes."""
+"""Tracking of everybody in a clip: crops from frame to frame, identities by position, motion and appearance."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from video2anim.tracking.appearance import AppearanceDescriptor, clothing_histog
 
 _BETTER_VISIBILITY = 0.1
 _HELD_FRAMES = 5
-"""A lost person is first looked for in the crop last seen, this many frames long."""
+"""Frames for which a lost person is searched in the last crop."""
 _LOCAL_SCAN_EVERY = 3
 _LOOKED_BACK = 300
-"""Frames before the last one that may tell of a person's motion."""
+"""Frames before the last one in which samples of a person's motion are searched."""
 THUMBNAIL_PX = 128
 _CLEARLY = 1.1
 _LOOKS_EVERY = 5
-"""Frames between those whose colors are kept."""
+"""Frames between samples of the appearance."""
 _OTHER_CLOTHING, _SAME_CLOTHING, _DISTINCT = 0.7, 0.3, 0.1
-"""Distances of clothes (`benchmarks/appearance.py`): beyond the first nobody is the same after a short loss, below the
-second somebody may be after a long one, if nobody else comes nearer than the third more."""
+"""Appearance distances (`benchmarks/appearance.py`). Above the first, a person is not the same after a short loss.
+Below the second, it may be after a long one, unless another person is within the third of that distance."""
 _NO_PICTURE = np.zeros((THUMBNAIL_PX, THUMBNAIL_PX, 3), np.uint8)
 
 
 @dataclass(slots=True, eq=False)
 class Track:
-    """A person in the making: estimates by frame."""
+    """A person's estimates by frame, while tracking."""
 
     estimates: dict[int, PoseEstimate] = field(default_factory=dict)
     best: tuple[float, int, np.ndarray] = (0.0, 0, _NO_PICTURE)
-    """How well the person is seen in the best frame, its number, and the crop."""
+    """Score of the best view of the person, its frame, and the crop."""
     last_frame: int = -1
     looks: AppearanceDescriptor | None = None
     """Colors of the clothes, None before the first was seen."""
 
     def put(self, frame: int, found: PoseEstimate) -> None:
-        """Keep what was found in a frame."""
+        """Add the estimate of a frame."""
         self.estimates[frame] = found
         self.last_frame = max(self.last_frame, frame)
 
     def drop(self, frame: int) -> None:
-        """Forget what was found in a frame."""
+        """Remove the estimate of a frame."""
         del self.estimates[frame]
         if frame == self.last_frame:
             self.last_frame = max(self.estimates, default=-1)
@@ -57,7 +57,7 @@ class Track:
         return self.estimates[self.last_frame]
 
     def look_at(self, frame: int, image: np.ndarray) -> None:
-        """Keep the picture of a frame that shows the person clearly better than those before."""
+        """Keep the crop of a frame whose score is clearly higher than those before."""
         found = self.estimates[frame]
         seen = found.roi.side_px * float(found.visibility.mean())
         if seen > _CLEARLY * self.best[0]:
@@ -65,7 +65,7 @@ class Track:
             self.best = (seen, frame, upright.crop(image, THUMBNAIL_PX))
 
     def see_clothing(self, frame: int, image: np.ndarray) -> None:
-        """Add the colors of a frame in which nobody else is near."""
+        """Add the appearance in a frame in which nobody else is near."""
         found = self.estimates[frame]
         self.looks = self.looks or AppearanceDescriptor()
         self.looks.add(clothing_histogram(image, found.landmarks_px, found.visibility))
@@ -139,7 +139,7 @@ class Tracker:
         self._admit(frame, image, rois)
 
     def _part_duplicates(self, frame: int) -> None:
-        """Where two tracks sit on one body, the one that came there from farther away loses it."""
+        """Where two tracks are on one body, the one that moved there from farther away loses it."""
         here = [track for track in self.tracks if frame in track.estimates]
         for i, first in enumerate(here):
             for second in here[i + 1 :]:
@@ -155,7 +155,7 @@ class Tracker:
         self._admit(frame, image, rois)
 
     def _admit(self, frame: int, image: np.ndarray, rois: list[SquareRoi]) -> None:
-        """Confirm candidates that are nobody known; give them to lost tracks or to new ones."""
+        """Confirm candidates that are not tracked yet; assign them to lost tracks or to new ones."""
         self._doubted = [(until, roi) for until, roi in self._doubted if until > frame]
         fresh: list[PoseEstimate] = []
         for roi in rois:
@@ -177,7 +177,7 @@ class Tracker:
             self._look_back(track, frame)
 
     def _is_known(self, found: PoseEstimate, frame: int, fresh: list[PoseEstimate]) -> bool:
-        """Whether somebody followed already has this body; a clearly better fit then replaces that person's own."""
+        """Whether a track already has this body; a clearly better estimate replaces that of the track."""
         for track in self.tracks:
             own = track.estimates.get(frame)
             if own is not None and finder.same_person(found, own):
@@ -187,7 +187,7 @@ class Tracker:
         return any(finder.same_person(found, other) for other in fresh)
 
     def _look_back(self, track: Track, frame: int) -> None:
-        """Follow a person just found backwards through the frames since the last scan."""
+        """Track a new person backward through the frames since the last scan."""
         for earlier, image in reversed(self._recent):
             if earlier >= frame or earlier in track.estimates:
                 return
@@ -216,14 +216,14 @@ def _near(track: Track, other: Track, frame: int) -> bool:
 
 
 def _looks(image: np.ndarray, fresh: list[PoseEstimate]) -> list[AppearanceDescriptor]:
-    """Clothes of people just found."""
+    """Appearance of new people."""
     return [AppearanceDescriptor(clothing_histogram(image, found.landmarks_px, found.visibility)) for found in fresh]
 
 
 def _match_lost(
     lost: list[Track], fresh: list[PoseEstimate], looks: list[AppearanceDescriptor], frame: int, max_lost: int
 ) -> list[Track | None]:
-    """For each person just found the lost track it continues, by position, size, overlap and clothes, or None."""
+    """For each new person the lost track that it continues, by position, size, overlap and appearance, or None."""
     owners: list[Track | None] = [None] * len(fresh)
     if not lost or not fresh:
         return owners
@@ -240,8 +240,8 @@ def _match_lost(
 def _continuation_cost(
     track: Track, found: PoseEstimate, looks: AppearanceDescriptor, frame: int, max_lost: int
 ) -> float:
-    """Distance from the predicted place in body radii plus missing box overlap plus distance of the clothes; infinite
-    where out of reach, or in other clothes."""
+    """Distance from the predicted position in body radii, plus 1 - IoU of the boxes, plus the appearance distance;
+    infinite where the position is out of reach or the appearance differs."""
     gap = frame - track.last_frame
     moved_px = gap * track.velocity_px()
     radius_px = track.last.next_roi.radius_px
@@ -255,7 +255,7 @@ def _continuation_cost(
 
 
 def rejoined(tracks: list[Track], max_away: int) -> list[Track]:
-    """Tracks of people who left and came back, joined where their clothes are alike and like nobody else's.
+    """Tracks of people who left and came back, joined where their appearance is similar and nobody else's is.
 
     Args:
         tracks: of all people.
@@ -281,7 +281,7 @@ def rejoined(tracks: list[Track], max_away: int) -> list[Track]:
 
 
 def _is_back(tracks: list[Track], i: int, j: int) -> bool:
-    """Whether the clothes are the same, and those of nobody else in the picture with either come near them."""
+    """Whether the appearance is the same, and that of nobody seen at the same time is nearly as close."""
     pair = (tracks[i], tracks[j])
     distance = tracks[i].appearance_distance(tracks[j].looks)
     if not distance < _SAME_CLOTHING:
@@ -291,5 +291,5 @@ def _is_back(tracks: list[Track], i: int, j: int) -> bool:
 
 
 def _meet(first: Track, second: Track) -> bool:
-    """Whether two tracks share a time, so that they are two people."""
+    """Whether two tracks overlap in time, so that they are two people."""
     return min(first.estimates) <= second.last_frame and min(second.estimates) <= first.last_frame

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from retarget_quality import measure_retarget
 
-from scenemi.contacts import foot_contacts, runs
+from scenemi.contacts import foot_contacts
 from scenemi.data.container import MotionArchive, SourceClip
 from scenemi.data.fading import envelope, faded
 from scenemi.data.hinge_limb import LegBones, bend_leg, move_wrist
@@ -20,6 +20,7 @@ from video2anim.body.legs import LEGS
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.geometry.runs import runs
 from video2anim.types import BodyShape
 from video2anim.types.skeleton import FEET, JOINT_INDEX, PARENTS, forward_kinematics
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
 from video2anim.export.frames import linear_light
-from video2anim.geometry.line_of_sight import vertex_normals
+from video2anim.geometry.vertex_normals import vertex_normals
 from video2anim.lab.synth.render.caster import Caster, Hits
 from video2anim.lab.synth.render.garments import Borders, material_at, no_borders
 from video2anim.lab.synth.render.vectors import dot, length, unit
