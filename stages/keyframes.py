@@ -30,10 +30,6 @@ class KeyframesConfig:
     """Skin vertices tested for penetration, spread by farthest-point sampling."""
     vertices_per_contact_part: Annotated[int, limits(ge=1, le=100_000)] = 100
     """Skin vertices of each part that may touch."""
-    contact_threshold: Annotated[float, limits(ge=0, le=1)] = 0.5
-    """Contact probability from which a part is pulled to the surface, weighed by the probability."""
-    contact_reach_m: Annotated[float, limits("m", ge=0, le=100)] = 0.25
-    """A touching part farther than this from every surface is left alone: what it touches is not in the scene."""
     contact_points: Annotated[int, limits(ge=1, le=100_000)] = 5
     """Nearest vertices of a part whose mean distance is brought to zero."""
     weight_regularization: Annotated[float, limits(ge=0, le=1_000_000)] = 40.0
@@ -114,9 +110,7 @@ def _fit_config(config: KeyframesConfig) -> RootFitConfig:
     from video2anim.motion.keyframe_problem import KeyframeReach
     from video2anim.motion.keyframe_roots import RootWeights
 
-    reach = KeyframeReach(
-        config.contact_threshold, config.contact_reach_m, config.contact_points, config.penetration_reach_m
-    )
+    reach = KeyframeReach(config.contact_points, config.penetration_reach_m)
     weights = RootWeights(
         regularization=config.weight_regularization,
         contact=config.weight_contact,

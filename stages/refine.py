@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from video2anim.errors import UsageError
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
@@ -39,27 +38,17 @@ class RefineConfig:
     keyframe_interval_frames: Annotated[int, limits("frames", ge=1, le=100_000)] = 5
     """Frames between keyframes given to the prior (paper: 15, every third optimized keyframe)."""
     keyframe_noise_deg: Annotated[float, limits("degrees", ge=0, le=100)] = 6.0
-    """How far the rotations of keyframes from video are off (paper's l)."""
+    """Standard deviation of the keyframes' rotations (the paper's l)."""
     keyframe_noise_cm: Annotated[float, limits("cm", ge=0, le=100)] = 3.0
-    """How far their translation is off."""
-    window_frames: Annotated[int, limits("frames", ge=2, le=100_000)] = 121
-    """Length of one synthesis (paper: N = 121)."""
-    overlap_frames: Annotated[int, limits("frames", ge=0, le=100_000)] = 60
-    """Frames of a window that seed the next (paper: v = 60)."""
+    """Standard deviation of the keyframes' translation."""
     objects_move: bool = True
-    """Whether objects give way along their lines of sight, as far as the calibration leaves their distance open."""
+    """Whether objects may move along their lines of sight, within the uncertainty of their distance."""
     object_across_ratio: Annotated[float, limits(gt=0, le=10)] = 0.01
-    """Standard deviation of an object's place across the horizontal line of sight, over its distance."""
+    """Standard deviation of an object's position across the horizontal line of sight, over its distance."""
     object_top_m: Annotated[float, limits("m", gt=0, le=10)] = 0.05
-    """Standard deviation of its height."""
+    """Standard deviation of an object's height."""
     support_m: Annotated[float, limits("m", gt=0, le=10)] = 0.05
-    """Standard deviation of an inferred support's place, each way: only the body that rested on it tells of it."""
-
-    def __post_init__(self) -> None:
-        if self.overlap_frames >= self.window_frames:
-            raise UsageError(
-                f"refine: want overlap_frames < window_frames, got {self.overlap_frames} and {self.window_frames}"
-            )
+    """Standard deviation of an inferred support's position, in each direction: its only evidence is the body on it."""
 
 
 def refine_motion(
@@ -87,13 +76,12 @@ def refine_motion(
     for motion in people:
         if not motion.valid.any():
             ctx.warn(f"person {motion.person_id} has no valid frame, motion left as it is")
-    noise = (config.keyframe_noise_deg, config.keyframe_noise_cm)
     found = refine_people(
         people,
         depth.bodies.people,
         scene,
         prior if prior.name == "scenemi" else None,
-        PriorConfig(config.keyframe_interval_frames, noise, config.window_frames, config.overlap_frames),
+        PriorConfig(config.keyframe_interval_frames, (config.keyframe_noise_deg, config.keyframe_noise_cm)),
         PlaceUncertainty(config.objects_move, config.object_across_ratio, config.object_top_m, config.support_m),
     )
     for number, frames in found.gaps.items():

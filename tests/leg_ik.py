@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.body.legs import Leg
-from video2anim.geometry.rotations import matrix_from_axis_angle, smallest_rotations
+from video2anim.geometry.rotations import matrix_from_axis_angle, rotations_between
 from video2anim.geometry.two_bone import flexion_rad
 from video2anim.types.skeleton import PARENTS, forward_kinematics
 
@@ -42,7 +42,7 @@ def move_ankles(
     turn = flexion_rad(thigh, shin, wanted) - flexion_rad(thigh, shin, present)
     R_knee = matrix_from_axis_angle(bend_axis * turn[:, None])
     bent_m = thigh_m + _apply(R_knee, shin_m)
-    R_hip = smallest_rotations(bent_m, aim_m)
+    R_hip = rotations_between(bent_m, aim_m)
 
     R_world_hip = R_hip @ R_world_joint[:, leg.hip]
     R_world_knee = R_hip @ R_knee @ R_world_joint[:, leg.knee]

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.body.legs import Leg
-from video2anim.geometry.rotations import matrix_from_axis_angle, smallest_rotations
+from video2anim.geometry.rotations import matrix_from_axis_angle, rotations_between
 from video2anim.geometry.two_bone import flexion_rad
 
 _SOFT, _LONGEST = 0.995, 0.9995
@@ -69,7 +69,7 @@ def bend_leg(
     flexion = _flexion_for(distance, bones)
     R_hip_knee = matrix_from_axis_angle(np.stack([flexion, 0 * flexion, 0 * flexion], -1))
     bent_m = (R_world_hip @ (bones.thigh_m + R_hip_knee @ bones.shin_m)[..., None])[..., 0]
-    R_hip = smallest_rotations(bent_m, aim_m) @ R_world_hip
+    R_hip = rotations_between(bent_m, aim_m) @ R_world_hip
     return R_hip, R_hip @ R_hip_knee
 
 
@@ -105,5 +105,5 @@ def move_wrist(
     turn = flexion_rad(upper, fore, wanted) - flexion_rad(upper, fore, present)
     R_bend = matrix_from_axis_angle((R_world_shoulder @ elbow_axis) * turn[:, None])
     bent_m = upper_m + (R_bend @ fore_m[..., None])[..., 0]
-    R_turn = smallest_rotations(bent_m, present_m + shift_m)
+    R_turn = rotations_between(bent_m, present_m + shift_m)
     return R_turn @ R_world_shoulder, R_turn @ R_bend @ R_world_elbow

@@ -18,6 +18,8 @@ LIKELY = 0.5
 """Contact probability from which a part is taken to touch."""
 NEAR_M = 0.03
 """Skin this near a surface touches it: what a body fitted to a video is off by at best."""
+REACH_M = 0.25
+"""A part that is in contact farther from every surface touches something that the scene lacks."""
 SLOW_M_S = 0.4
 """What touches hardly moves. A foot that stands is below 0.1 m/s after the solve, one that swings above 1."""
 _SLOW_SEEN_M_S = 0.6

@@ -163,7 +163,7 @@ def rotation_between(direction_from: np.ndarray, direction_to: np.ndarray) -> np
     return matrix_from_axis_angle(axis / sine * np.arctan2(sine, a @ b))
 
 
-def smallest_rotations(vectors_from: np.ndarray, vectors_to: np.ndarray) -> np.ndarray:
+def rotations_between(vectors_from: np.ndarray, vectors_to: np.ndarray) -> np.ndarray:
     """Smallest rotations (N, 3, 3) that turn vectors (N, 3) of any length into the directions of others."""
     axis = np.cross(vectors_from, vectors_to)
     sine = np.linalg.norm(axis, axis=-1)

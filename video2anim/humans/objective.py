@@ -58,8 +58,6 @@ class FitConfig:
     `lifted_usual_m`; it is proportional to the predicted error."""
     lifted_depth_m: float = 0.08
     """The same along the line of sight."""
-    lifted_share: float = 1.0
-    """Weight of each lifted joint, as `landmark_share`."""
     landmark_share_lifted: float = 0.05
     """Weight of each 3D landmark beside the lifter, which uses them as input: against marker-based capture their error
     is twice as large (`benchmarks/lifter.py`: PA-MPJPE 47 and 37 mm on `ocv_sts` and `ocv_walk`; 51 and 42 with 0.3
@@ -233,7 +231,7 @@ class Objective:
         # The squared distance of two rotation matrices is twice the squared angle, for small angles.
         apart = (prediction.R_parent_joint - R_parent_joint).square().sum((-1, -2)) / 2
         angles = _huber(apart / (c.lifted_angle_rad * self._angle_doubt) ** 2, 2.0).sum(1)
-        return c.lifted_share * (self._believed * (joints + angles)).sum()
+        return (self._believed * (joints + angles)).sum()
 
     def _as_far(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
         """Mean distance against that of the lifter, which assumes average build: it is scaled by the body height."""

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.interpolate import PchipInterpolator
 
+from video2anim.body.contact import LIKELY, REACH_M
 from video2anim.geometry.runs import runs
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.motion.keyframe_depth import DepthTarget
@@ -20,10 +21,6 @@ from video2anim.types import BodyMotion
 class KeyframeReach:
     """Which skin takes part in the contact and penetration losses."""
 
-    contact_probability: float
-    """A part is pulled from this probability of contact on."""
-    contact_m: float
-    """A touching part farther than this from every surface has no contact loss."""
     contact_points: int
     """Nearest vertices of a part whose mean distance counts."""
     penetration_m: float
@@ -57,16 +54,16 @@ def root_problem(
     targets: tuple[DepthTarget, ...],
     reach: KeyframeReach,
 ) -> RootProblem:
-    """World-frame arrays at the keyframes; touches whose surface is out of reach are left out."""
+    """World-frame arrays at the keyframes; contacts without a surface within `REACH_M` are left out."""
     contacts: list[ContactPart] = []
     for joints in TOUCHING:
         part_m = points.touching_m(joints)
         probability = motion.contact[keyframes][:, joints].max(axis=1)
-        rows = np.flatnonzero(probability >= reach.contact_probability)
+        rows = np.flatnonzero(probability >= LIKELY)
         if len(rows) == 0 or part_m.shape[1] == 0:
             continue
         skin_m = part_m[keyframes[rows]]
-        near = np.abs(contact_distance_m(skin_m, grid, reach.contact_points)) <= reach.contact_m
+        near = np.abs(contact_distance_m(skin_m, grid, reach.contact_points)) <= REACH_M
         if near.any():
             contacts.append(ContactPart(joints, rows[near], skin_m[near], probability[rows][near]))
     valid = np.flatnonzero(motion.valid)

@@ -37,8 +37,6 @@ class PriorConfig:
     keyframe_interval_frames: int
     noise: tuple[float, float]
     """Standard deviation of the keyframes: degrees, centimeters."""
-    window_frames: int
-    overlap_frames: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +110,7 @@ def _filled(
         observed.R_parent_joint, observed.translation_world_m, keys, motion.rest_joints_m, FPS, observed.body,
         noise=config.noise,
     )  # fmt: skip
-    made = inbetween(given, prior, scene=field, window=config.window_frames, overlap=config.overlap_frames)
+    made = inbetween(given, prior, scene=field)
     filled = replace(observed, R_parent_joint=made.R_parent_joint, translation_world_m=made.translation_world_m)
     return filled, made.interpolated_index
 

@@ -26,7 +26,7 @@ _MAX_POINTS = 600
 """Points of each object for testing directions."""
 _SAME_SHARE = 0.6
 """Mutual overlap from which two objects are duplicates of one."""
-_UNDER_M = 0.25
+UNDER_M = 0.25
 """Maximum vertical displacement to rest on what is below."""
 
 
@@ -285,7 +285,7 @@ def _put_down(number: int, objects: Sequence[PlacedSolid], done: Sequence[Resolv
         return ResolvedPlacement()
     low, high = vertices_m.min(0), vertices_m.max(0)
     center, half = 0.5 * (low + high), 0.3 * (high - low)
-    starts = np.array([[center[0] + a * half[0], low[1] + _UNDER_M, center[2] + b * half[2]]
+    starts = np.array([[center[0] + a * half[0], low[1] + UNDER_M, center[2] + b * half[2]]
                        for a in (-1, 0, 1) for b in (-1, 0, 1)])  # fmt: skip
     best, under = -np.inf, None
     for other, item in enumerate(objects):
@@ -298,7 +298,7 @@ def _put_down(number: int, objects: Sequence[PlacedSolid], done: Sequence[Resolv
         hits = hits[mesh.face_normals[faces, 1] > 0.5]
         if len(hits) >= 0.3 * len(starts):
             top_m = float(np.median(hits[:, 1]))
-            if abs(top_m - low[1]) <= _UNDER_M and top_m > best:
+            if abs(top_m - low[1]) <= UNDER_M and top_m > best:
                 best, under = top_m, other
     if under is None:
         return ResolvedPlacement()

@@ -14,14 +14,13 @@ from jaxtyping import Bool, Float
 
 from video2anim.geometry.harmonic import harmonic_fill
 from video2anim.geometry.projection import backproject, transform_points
+from video2anim.objects.depth_regions import NEARER_RATIO
 from video2anim.types.camera import View
 
 _CELLS = 96
 """Resolution of the filled-in background, along the longer side."""
 _MIXED_PX = 3
 """Pixels at an outline whose depths are mixed."""
-_BEFORE_WALL = 0.9
-"""An object whose lower quartile of depth is below this share of the background's stands free of it."""
 _BACKGROUND = 0.75
 """Pixels of such an object at this share of the way to the background are background."""
 _FLOOR_M = 0.03
@@ -96,7 +95,7 @@ def foreground_mask(
     if inverse_background_m is not None and kept.sum() >= _MIN_PIXELS:
         share = depth_m * inverse_background_m
         front = float(np.percentile(share[kept], 25))
-        if front < _BEFORE_WALL:
+        if front < NEARER_RATIO:
             kept &= share < front + _BACKGROUND * (1 - front)
     facing = np.abs((_gentler_normals(world_m) * sight_m).sum(-1))
     kept &= facing > _GRAZING * distance_m

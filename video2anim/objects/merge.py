@@ -12,9 +12,7 @@ from jaxtyping import Bool, Float
 from video2anim.objects.depth_regions import Region, RegionLimits
 
 _COVERED = 0.5
-"""Share of a region covered by recognized objects above which it is one of them."""
-_LEFT = 0.5
-"""Minimum share of a recognized object that better ones leave uncovered."""
+"""Share covered by better objects above which an object or a region is one of them."""
 _BUILT = 0.6
 """Share of a region on walls, ceiling and floor above which it is no object."""
 _MIN_PART = 0.15
@@ -52,7 +50,7 @@ def joined_objects(
     taken = np.zeros(built.shape, bool)
     for obj in recognized:
         mask = _main_parts(obj.mask & ~taken)
-        if mask.sum() < _LEFT * obj.mask.sum():
+        if mask.sum() < (1 - _COVERED) * obj.mask.sum():
             continue
         if mask.mean() < limits.min_ratio or not _has_object_size(points_world_m[mask & valid], limits):
             continue

@@ -12,11 +12,10 @@ from jaxtyping import Bool, Float
 from video2anim.geometry.projection import pixel_rays
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.scene_mesh import world_mesh
+from video2anim.objects.collisions import UNDER_M
 from video2anim.objects.hands import UP, HandPath
 from video2anim.types import InstanceMasks, PlacedObject, View
 
-_RESTS_M = 0.25
-"""Maximum vertical distance of a level surface from the bottom of an object that rests on it."""
 _HAND_SIGMA_M = 0.15
 """Standard deviation of a hand's distance from the camera."""
 _FLOOR_SIGMA_M, _TOP_SIGMA_M = 0.02, 0.06
@@ -127,4 +126,4 @@ class SceneAtRest:
             heights += corners[level][over].mean(1)[:, 1].tolist()
         # Below the floor counts as on the floor.
         gap_m = np.abs(np.array(heights) - max(bottom_m[1], 0.0))
-        return float(heights[int(gap_m.argmin())]) if gap_m.min() < _RESTS_M else None
+        return float(heights[int(gap_m.argmin())]) if gap_m.min() < UNDER_M else None

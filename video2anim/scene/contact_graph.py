@@ -15,6 +15,7 @@ from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.geometry.runs import runs, without_short_runs
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.scene.nearest_surface import nearest_surface
+from video2anim.scene.supports import LEVEL_COSINE
 from video2anim.types.contact import FLOOR, Contact
 from video2anim.types.motion import BodyMotion
 from video2anim.types.scene import PlacedObject, SceneModel
@@ -48,8 +49,6 @@ _SAME_M = 0.01
 _MAX_SKIN = 200
 """Maximum skin points per part: 90 % of the skin of hands and feet is within 1.5 cm of one, of other parts within 3 cm.
 Gaps are up to 5 mm too large."""
-_LEVEL_DEG = 45.0
-"""Faces whose normal is this close to the vertical are `top` or `underside`, others `side`."""
 _LOOKS = ("top", "side", "underside")
 _USUAL = {
     "seat": "top", "top": "top", "arm": "top", "bed": "top", "tread": "top", "back": "side", "leg": "side",
@@ -135,8 +134,7 @@ def _solid(placed: PlacedObject) -> _Solid:
     triangles_m = whole.vertices_m[whole.faces]
     normals = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
     up = normals[:, 1] / np.maximum(np.linalg.norm(normals, axis=-1), 1e-300)
-    steep = np.cos(np.deg2rad(_LEVEL_DEG))
-    looks = np.where(up > steep, 0, np.where(up < -steep, 2, 1))
+    looks = np.where(up > LEVEL_COSINE, 0, np.where(up < -LEVEL_COSINE, 2, 1))
     parts = np.zeros_like(looks)
     for number, part in enumerate(placed.parts, start=1):
         parts[part.first_face : part.first_face + part.face_count] = number

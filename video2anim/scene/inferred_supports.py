@@ -7,15 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from video2anim.body.anny_body import shaped_body
+from video2anim.body.contact import REACH_M
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.geometry.sdf import build_sdf_grid
 from video2anim.scene.free_space import path_length_inside_m
 from video2anim.scene.supports import MIN_FRAMES, SUPPORT, Support, rested_places, standing_solid
 from video2anim.types import BodyTracks, PlacedObject
 
-_UNKNOWN_M = 0.25
-"""A part that rests farther from every surface rests on something that the scene lacks; nearer ones are brought to the
-surface by the solve of stage refine."""
 _LOW_M = 0.3
 """Heights of single contacts are uncertain by several centimeters, so lower supports are not inferred."""
 
@@ -49,8 +47,8 @@ def without_walked_through(
         node_m = max(spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
         field = build_sdf_grid([solid], bounds_m, node_m, floor_y_m=None)
         walked_m = max(path_length_inside_m(field, motion) for motion in bodies.people)
-        near = [support.gaps_m([solid], reach_m=2 * _UNKNOWN_M) for _, support in rested if support.top_m > _LOW_M]
-        used = any((gap_m < _UNKNOWN_M).sum() >= MIN_FRAMES for gap_m in near)
+        near = [support.gaps_m([solid], reach_m=2 * REACH_M) for _, support in rested if support.top_m > _LOW_M]
+        used = any((gap_m < REACH_M).sum() >= MIN_FRAMES for gap_m in near)
         if used or walked_m <= max_path_m:
             kept.append(item)
             continue
@@ -73,7 +71,7 @@ def inferred_supports(
     warnings: list[str] = []
     for person, support in rested:
         solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *made)]
-        far = int((support.gaps_m(solids, reach_m=2 * _UNKNOWN_M) > _UNKNOWN_M).sum())
+        far = int((support.gaps_m(solids, reach_m=2 * REACH_M) > REACH_M).sum())
         if far < MIN_FRAMES or (support.level and support.top_m < _LOW_M):
             continue
         told = f"the {support.kind} of person {person} rested in {far} frames at {support.top_m:.2f} m"

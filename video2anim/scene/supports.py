@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.contact import LIKELY, believed, posed_vertices, skin_of
+from video2anim.body.contact import LIKELY, NEAR_M, believed, posed_vertices, skin_of
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.runs import runs
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
@@ -34,18 +34,16 @@ _FACING = {
     "feet": (0, -1, 0),
 }
 """Direction of the touching skin in the frame of the part's first joint; palms face down in the T-pose."""
+LEVEL_COSINE = np.cos(np.deg2rad(45.0))
+"""Surfaces whose normal is within this of the vertical are level."""
 _LEVEL = ("seat", "feet")
 """Parts that rest on level surfaces whatever direction their skin faces."""
-_LEVEL_DEG = 45.0
-"""Others rest on level surfaces where their skin faces down within this angle, such as a palm on a table."""
 MIN_FRAMES = 8
 """Minimum duration of a rest (0.27 s)."""
 _LINK_M = 0.8
 """Rests within a stride of each other share a support..."""
 _LINK_LEVEL_M = 0.2
 """...if their heights (along the normal of the surface) differ by less than the uncertainty of one camera."""
-_PATCH_M = 0.03
-"""Depth of the touching skin behind the foremost point of a part."""
 _MARGIN_M = 0.1
 """Margin of a support around the skin on it: a hand's width."""
 _SLABS = ((0.1, _MARGIN_M), (0.1, 0.05), (0.05, 0.05))
@@ -210,14 +208,14 @@ def _rests(
         )
         facing = (R_world_joint[:, joints[0]] @ np.array(_FACING[kind], np.float64)).mean(0)
         facing /= max(float(np.linalg.norm(facing)), 1e-9)
-        level = kind in _LEVEL or bool(-facing[1] > np.cos(np.deg2rad(_LEVEL_DEG)))
-        if not level and facing[1] > np.cos(np.deg2rad(_LEVEL_DEG)):
+        level = kind in _LEVEL or bool(-facing[1] > LEVEL_COSINE)
+        if not level and facing[1] > LEVEL_COSINE:
             continue  # Nothing rests against what is above it.
         facing = np.array([0.0, -1.0, 0.0]) if level else facing
         skin_m = posed_vertices(motion, body, skin_of(body, joints), frames)
         ahead_m = skin_m @ facing
         foremost = ahead_m.argmax(1)
-        patch = ahead_m > ahead_m.max(1, keepdims=True) - _PATCH_M
+        patch = ahead_m > ahead_m.max(1, keepdims=True) - NEAR_M
         nearest_m = skin_m[np.arange(len(frames)), foremost]
         yield Rest(len(frames), -facing, level, skin_m[patch], nearest_m, joints_m[:, joints[0]])
 
@@ -235,7 +233,7 @@ def _linked(one: Rest, other: Rest) -> bool:
     way_m = other.place_m - one.place_m
     off_m = abs(float(way_m @ one.normal))
     along_m = float(np.linalg.norm(way_m - (way_m @ one.normal) * one.normal))
-    alike = float(one.normal @ other.normal) > np.cos(np.deg2rad(_LEVEL_DEG))
+    alike = float(one.normal @ other.normal) > LEVEL_COSINE
     return one.level == other.level and alike and off_m < _LINK_LEVEL_M and along_m < _LINK_M
 
 

@@ -18,10 +18,7 @@ _BETTER_VISIBILITY = 0.1
 _HELD_FRAMES = 5
 """Frames for which a lost person is searched in the last crop."""
 _LOCAL_SCAN_EVERY = 3
-_LOOKED_BACK = 300
-"""Frames before the last one in which samples of a person's motion are searched."""
 THUMBNAIL_PX = 128
-_CLEARLY = 1.1
 _LOOKS_EVERY = 5
 """Frames between samples of the appearance."""
 _OTHER_CLOTHING, _SAME_CLOTHING, _DISTINCT = 0.7, 0.3, 0.1
@@ -57,10 +54,10 @@ class Track:
         return self.estimates[self.last_frame]
 
     def look_at(self, frame: int, image: np.ndarray) -> None:
-        """Keep the crop of a frame whose score is clearly higher than those before."""
+        """Keep the crop of a frame whose score is higher than those before."""
         found = self.estimates[frame]
         seen = found.roi.side_px * float(found.visibility.mean())
-        if seen > _CLEARLY * self.best[0]:
+        if seen > self.best[0]:
             upright = replace(found.roi, rotation_rad=0.0)
             self.best = (seen, frame, upright.crop(image, THUMBNAIL_PX))
 
@@ -76,8 +73,7 @@ class Track:
 
     def velocity_px(self) -> np.ndarray:
         """Median motion of the hips per frame over the last frames, (2,)."""
-        last = range(self.last_frame, self.last_frame - _LOOKED_BACK, -1)
-        frames = sorted([frame for frame in last if frame in self.estimates][:5])
+        frames = sorted(self.estimates)[-5:]
         if len(frames) < 2:
             return np.zeros(2)
         hips = np.array([finder.hips_px(self.estimates[frame]) for frame in frames])
@@ -200,8 +196,8 @@ class Tracker:
 def _surprise(track: Track, frame: int) -> float:
     """Distance of this frame's hips from where the motion before would put them, in body radii."""
     before = Track()
-    for earlier in range(frame - _LOOKED_BACK, frame):
-        if earlier in track.estimates:
+    for earlier in track.estimates:
+        if earlier < frame:
             before.put(earlier, track.estimates[earlier])
     if not before.estimates:
         return np.inf
