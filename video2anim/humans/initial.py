@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.geometry.rotations import matrix_from_axis_angle, nearest_rotation
+from video2anim.geometry.rotations import matrix_from_axis_angle, nearest_rotation, rotations_between
 from video2anim.humans.landmarks import KEYPOINT_INDEX
 from video2anim.types.camera import Intrinsics
 from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
@@ -23,7 +23,6 @@ _CHILD = {
     "right_elbow": "right_wrist", "left_hip": "left_knee", "right_hip": "right_knee",
     "left_knee": "left_ankle", "right_knee": "right_ankle", "left_ankle": "left_foot", "right_ankle": "right_foot",
 }  # fmt: skip
-_NEVER_SINGULAR = 1e-9
 _YAW_SHARE, _PITCH_SHARE = 0.75, 0.3
 """Parts of the viewing ray's angle by which BlazePose's landmarks are rotated against the camera
 (`benchmarks/landmark_axes.py`)."""
@@ -37,11 +36,7 @@ def ray_rotation(points_px: Float[np.ndarray, "frames 2"], intrinsics: Intrinsic
     x = (points_px[:, 0] - intrinsics.cx_px) / intrinsics.fx_px
     y = (points_px[:, 1] - intrinsics.cy_px) / intrinsics.fy_px
     ray = np.stack([x, y, np.ones_like(x)], -1)
-    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-    axis = np.cross(np.array([0.0, 0.0, 1.0]), ray)
-    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
-    angle = np.arctan2(sine, ray[:, 2:])
-    return matrix_from_axis_angle(axis / np.maximum(sine, _NEVER_SINGULAR) * angle)
+    return rotations_between(np.broadcast_to([0.0, 0.0, 1.0], ray.shape), ray)
 
 
 def landmark_rotation(
@@ -84,7 +79,7 @@ def rotations_from_keypoints(
             if name.endswith("ankle"):
                 bone = np.array([0.0, 0.0, 1.0])
             wanted = np.einsum("tji,tj->ti", world[:, parent], at(end) - at(start))
-            world[:, joint] = world[:, parent] @ _swing(bone, wanted)
+            world[:, joint] = world[:, parent] @ rotations_between(np.broadcast_to(bone, wanted.shape), wanted)
         else:
             world[:, joint] = world[:, parent]
         local[:, joint] = np.swapaxes(world[:, parent], -1, -2) @ world[:, joint]
@@ -125,13 +120,3 @@ def _frame_from(left: np.ndarray, up: np.ndarray) -> np.ndarray:
     x = left - (left * y).sum(-1, keepdims=True) * y
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
     return nearest_rotation(np.stack([x, y, np.cross(x, y)], -1))
-
-
-def _swing(bone: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """(T, 3, 3) smallest rotations of a rest bone (3,) onto directions (T, 3)."""
-    unit = bone / np.linalg.norm(bone)
-    goal = wanted / np.linalg.norm(wanted, axis=-1, keepdims=True)
-    axis = np.cross(np.broadcast_to(unit, goal.shape), goal)
-    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
-    angle = np.arctan2(sine, (goal @ unit)[:, None])
-    return matrix_from_axis_angle(axis / np.maximum(sine, _NEVER_SINGULAR) * angle)

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from video2anim.body.anny_body import ADULT, PEOPLES_LENGTHS, AnnyModel
+from video2anim.geometry.robust import huber_of_square
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d
 from video2anim.humans.body_height import KNOWN_SIGMA_M
 from video2anim.humans.initial import landmark_rotation
@@ -210,7 +211,7 @@ class Objective:
         prediction = self.predict(parameters)
         c = self.config
         error = self.residual_px(prediction, parameters) / self._sigma_px[:, None, None]
-        data = (self._weight * _huber((error**2).sum(-1), 2.0)).sum()
+        data = (self._weight * _half_huber((error**2).sum(-1))).sum()
         if self._lifted is None:
             data = data + c.landmark_share * self._landmarks_3d(prediction) + self._pose(parameters)
         else:
@@ -227,10 +228,10 @@ class Objective:
         off = prediction.joints_m - prediction.joints_m[:, :1] - wanted
         turned = torch.einsum("tba,tjb->tja", self._R_camera_landmarks, off)
         sigma = torch.tensor([c.lifted_m, c.lifted_m, c.lifted_depth_m])
-        joints = _huber(((turned / sigma / self._doubt[..., None]) ** 2).sum(-1), 2.0).sum(1)
+        joints = _half_huber(((turned / sigma / self._doubt[..., None]) ** 2).sum(-1)).sum(1)
         # The squared distance of two rotation matrices is twice the squared angle, for small angles.
         apart = (prediction.R_parent_joint - R_parent_joint).square().sum((-1, -2)) / 2
-        angles = _huber(apart / (c.lifted_angle_rad * self._angle_doubt) ** 2, 2.0).sum(1)
+        angles = _half_huber(apart / (c.lifted_angle_rad * self._angle_doubt) ** 2).sum(1)
         return (self._believed * (joints + angles)).sum()
 
     def _as_far(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
@@ -251,7 +252,7 @@ class Objective:
         turned = torch.einsum("tba,tkb->tka", self._R_camera_landmarks, relative)
         wanted = self._points - self._points[:, hips].mean(1, keepdim=True)
         sigma = torch.tensor([self.config.landmark_3d_m, self.config.landmark_3d_m, self.config.landmark_3d_depth_m])
-        return (self._weight * _huber((((turned - wanted) / sigma) ** 2).sum(-1), 2.0)).sum()
+        return (self._weight * _half_huber((((turned - wanted) / sigma) ** 2).sum(-1))).sum()
 
     def _motion(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
         """Accelerations of joints and rates of angles; frames may be any time apart."""
@@ -265,7 +266,7 @@ class Objective:
         acceleration = velocity.diff(dim=0) / between / scale
         rate = parameters.angles_rad.diff(dim=0) / step / self.config.angular_rate_rad_s
         # Joints move together: 22 accelerations weigh as about 7 independent ones.
-        return 0.3 * (_huber((acceleration**2).sum(-1), 1.5).sum() + _huber((rate**2).sum(-1), 1.5).sum())
+        return 0.3 * (_half_huber((acceleration**2).sum(-1), 1.5).sum() + _half_huber((rate**2).sum(-1), 1.5).sum())
 
     def _pose(self, parameters: Parameters) -> torch.Tensor:
         rest = ((parameters.angles_rad / self._angle_sigma) ** 2).sum()
@@ -288,10 +289,9 @@ class Objective:
         return 0.5 * self._prior_weight * (spread + body_height + focal)
 
 
-def _huber(square: torch.Tensor, knee: float) -> torch.Tensor:
-    """0.5 x square up to the knee (in sigmas), linear beyond."""
-    root = (square + 1e-12).sqrt()
-    return torch.where(root < knee, 0.5 * square, knee * root - 0.5 * knee * knee)
+def _half_huber(square: torch.Tensor, threshold: float = 2.0) -> torch.Tensor:
+    """Negative log likelihood of a squared residual in sigmas: Huber cost, linear beyond the threshold."""
+    return 0.5 * huber_of_square(square, threshold)
 
 
 def _angle_prior() -> tuple[torch.Tensor, list[tuple[int, int, float]]]:
