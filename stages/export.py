@@ -104,7 +104,7 @@ def _write_pictures(
         if sound_from is None:
             ctx.warn(f"the preview has no sound: the video is no longer at {source.path}")
         write_preview(written[-1], clip, refined.people, refined.scene, size, ctx.progress, sound_from=sound_from)
-    for frame in _spread(refined.people[0].valid.nonzero()[0].tolist(), config.overlay_frames):
+    for frame in _spread(refined.main.valid.nonzero()[0].tolist(), config.overlay_frames):
         written.append(ctx.work_dir / f"overlay_{frame:05d}.png")
         write_png(written[-1], overlay_frame(clip, refined.people, frame))
     return written
@@ -115,7 +115,7 @@ def _write_worst(clip: VideoClip, bodies: BodyTracks, refined: RefinedMotion, ct
     from video2anim.export.preview import moment_picture
     from video2anim.export.quality import measured_span, motion_quality, worst_moments
 
-    main = refined.people[0]
+    main = refined.main
     span = measured_span(main)
     if span is None:
         return []

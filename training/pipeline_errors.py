@@ -91,7 +91,7 @@ def estimated(sighting: Sighting, rng: np.random.Generator, folder: Path) -> Bod
     )  # fmt: skip
     context = StageContext(folder, load_model=load_model)
     bodies = recover_humans(_clip(folder), PersonTracks((track,), (1,)), camera, HumansConfig(), context)
-    return bodies.people[0]
+    return bodies.main
 
 
 def errors(sighting: Sighting, found: BodyMotion) -> tuple[np.ndarray, np.ndarray]:

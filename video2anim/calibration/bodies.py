@@ -13,7 +13,7 @@ from video2anim.calibration.fit import Calibration, under_lens
 from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.humans.ground import level_frame
 from video2anim.types import BodyMotion, BodyTracks, Intrinsics
-from video2anim.types.motion import BodyShape
+from video2anim.types.motion import BodyShape, main_person
 
 _HALVINGS = 30
 
@@ -33,7 +33,7 @@ def calibrated(bodies: BodyTracks, found: Calibration) -> BodyTracks:
         _moved(body, float(ratio), lens, intrinsics, T_world_camera)
         for body, ratio in zip(bodies.people, found.body_height_ratio, strict=True)
     ]
-    first = people[0].joints_world_m[np.flatnonzero(people[0].valid)[0], 0]
+    first = main_person(people).measured_joints_m[0, 0]
     away_m = -first * np.array([1.0, 0.0, 1.0])
     T_world_camera[:, :3, 3] += away_m
     people = [

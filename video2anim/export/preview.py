@@ -12,7 +12,8 @@ from jaxtyping import Float, UInt8
 
 from video2anim.export.sound import finish_video
 from video2anim.geometry.sdf import SdfGrid
-from video2anim.types import BodyMotion, Intrinsics, SceneModel, VideoClip
+from video2anim.types import BodyMotion, SceneModel, VideoClip
+from video2anim.types.motion import main_person
 from video2anim.video import FrameWriter, read_frame, read_frames
 from video2anim.viewer.bodies import PosedBodies
 from video2anim.viewer.drawing import draw_frustum, draw_static, objects_stay
@@ -71,10 +72,10 @@ def write_preview(
     size = config or PreviewConfig()
     bodies = PosedBodies(people)
     width_px, height_px = _panel_size(clip, size.panel_height_px)
-    lens = people[0].intrinsics.resized(width_px, height_px)
+    main = main_person(people)
     side = side_viewpoint(people, scene, size.side_width_px, height_px)
     side_empty = _empty_scene(scene, side, 0)
-    total = min(clip.frame_count, people[0].frame_count)
+    total = min(clip.frame_count, main.frame_count)
     silent = path.with_name(f".silent-{path.name}")
     with FrameWriter(
         silent, width_px=width_px + size.side_width_px, height_px=height_px, fps=round(clip.fps), crf=20
@@ -83,11 +84,11 @@ def write_preview(
             zip(read_frames(clip, 0, total), bodies.frames(0, total), strict=True)
         ):
             small = cv2.resize(picture, (width_px, height_px), interpolation=cv2.INTER_AREA)
-            left = _overlay(small, bodies, meshes, frame, lens)
+            left = _overlay(small, bodies, meshes, frame)
             if frame and not objects_stay(scene, frame):
                 side_empty = _empty_scene(scene, side, frame)
             right = side_empty.copy()
-            draw_frustum(right, side, people[0].T_world_camera[frame], people[0].intrinsics)
+            draw_frustum(right, side, main.view(frame))
             bodies.draw(right, side, meshes, frame)
             both = np.concatenate([left, right.rgb], axis=1)
             label = f"{frame}  {clip.frame_time_s[frame]:.2f} s"
@@ -107,7 +108,7 @@ def overlay_frame(
     width_px, height_px = _panel_size(clip, height_px)
     small = cv2.resize(read_frame(clip, frame), (width_px, height_px), interpolation=cv2.INTER_AREA)
     (meshes,) = bodies.frames(frame, frame + 1)
-    return _overlay(small, bodies, meshes, frame, people[0].intrinsics.resized(width_px, height_px))
+    return _overlay(small, bodies, meshes, frame)
 
 
 def moment_picture(
@@ -115,7 +116,7 @@ def moment_picture(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """One frame of one person: refined over the input, and raw and refined from the side, near by."""
     panels = [overlay_frame(clip, (refined,), frame, height_px)]
-    sideways = np.cross([0.0, 1.0, 0.0], refined.T_world_camera[frame, :3, 2])
+    sideways = np.cross([0.0, 1.0, 0.0], refined.view(frame).forward)
     around = [motion.joints_world_m[frame] for motion in (raw, refined)]
     points_m = np.concatenate([a + shift for a in around for shift in _AROUND_M])
     size_px = panels[0].shape[0]
@@ -140,10 +141,9 @@ def _empty_scene(scene: SceneModel, viewpoint: Viewpoint, frame: int) -> Canvas:
 def side_viewpoint(people: tuple[BodyMotion, ...], scene: SceneModel, width_px: int, height_px: int) -> Viewpoint:
     """A camera at right angles to the filming one that sees all bodies and the objects near them. Where objects would
     hide the bodies from there, it looks from the other side, or from higher up."""
-    forward = people[0].T_world_camera[0, :3, 2]
     joints_m = [body.joints_world_m[body.valid] for body in people]
     asked_m = [own[:: max(1, len(own) // _LOOKED_AT)].reshape(-1, 3) for own in joints_m]
-    sideways = np.cross([0.0, 1.0, 0.0], forward)
+    sideways = np.cross([0.0, 1.0, 0.0], main_person(people).view().forward)
     return _clear_viewpoint(framed_points(people, scene), np.concatenate(asked_m), sideways, scene, width_px, height_px)
 
 
@@ -179,10 +179,12 @@ def hidden_share(points_m: Float[np.ndarray, "points 3"], viewpoint: Viewpoint, 
 
 
 def _overlay(
-    picture: np.ndarray, bodies: PosedBodies, meshes: tuple[np.ndarray, ...], frame: int, lens: Intrinsics
+    picture: UInt8[np.ndarray, "height width 3"], bodies: PosedBodies, meshes: tuple[np.ndarray, ...], frame: int
 ) -> UInt8[np.ndarray, "height width 3"]:
     canvas = Canvas.over(picture)
-    bodies.draw(canvas, Viewpoint(bodies.people[0].T_world_camera[frame], lens), meshes, frame)
+    height_px, width_px = picture.shape[:2]
+    camera = main_person(bodies.people).view(frame).resized(width_px, height_px)
+    bodies.draw(canvas, Viewpoint(camera.T_world_camera, camera.intrinsics), meshes, frame)
     return cv2.addWeighted(canvas.rgb, _BODY_OPACITY, picture, 1.0 - _BODY_OPACITY, 0.0)
 
 

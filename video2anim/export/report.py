@@ -15,6 +15,7 @@ from video2anim.export import report_plots
 from video2anim.export.quality import VERTEX_STRIDE, MotionQuality, measured_span, motion_quality
 from video2anim.types import BodyMotion, CameraEstimate, Contact, SceneModel
 from video2anim.types.clip import FPS
+from video2anim.types.motion import main_person
 from video2anim.types.quality import Quality
 
 STAGE_ORDER = ("raw", "keyframes", "refined")
@@ -186,7 +187,7 @@ def _moved_objects(report: ReportInput) -> list[dict[str, Any]]:
     people = next(iter(report.motions.values()), ())
     if report.scene is None or not people:
         return []
-    time_s, rows = people[0].frame_time_s, []
+    time_s, rows = main_person(people).frame_time_s, []
     for placed in report.scene.objects:
         for hold in placed.holds:
             held = slice(max(0, hold.first_frame - 1), hold.last_frame + 1)

@@ -46,6 +46,16 @@ class View(Checked):
     T_world_camera: Annotated[Float[np.ndarray, "4 4"], Holds.RIGID]
     intrinsics: Intrinsics
 
+    @property
+    def center_m(self) -> Float[np.ndarray, "3"]:
+        """Where the camera is, in the world."""
+        return self.T_world_camera[:3, 3]
+
+    @property
+    def forward(self) -> Float[np.ndarray, "3"]:
+        """Unit vector along the view axis, in the world."""
+        return self.T_world_camera[:3, 2]
+
     def resized(self, width_px: int, height_px: int) -> View:
         """The same view as a picture of another size."""
         return View(self.T_world_camera, self.intrinsics.resized(width_px, height_px))

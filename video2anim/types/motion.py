@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -119,60 +120,80 @@ class PersonQuality(Checked):
         return not self.doubts
 
 
-def _expect_people(value: BodyTracks | KeyframedMotion | RefinedMotion) -> None:
-    expect_sound(value)
-    expect_equal_lengths(value, "people", [one.frame_count for one in value.people])
+_NOBODY = "want a fitted body with at least one valid frame, got none; check stage humans"
+
+
+def main_person(people: Sequence[BodyMotion]) -> BodyMotion:
+    """The main person, who comes first.
+
+    Raises:
+        StageError: there is nobody.
+    """
+    if not people:
+        raise StageError(_NOBODY)
+    return people[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BodyTracks(Checked):
-    """Bodies as fitted to the video, before any prior repairs them ("raw" in reports)."""
-
+class _People(Checked):
     people: tuple[BodyMotion, ...]
-    quality: Annotated[tuple[PersonQuality, ...], OnePer("people")] = ()
-    """Of each person."""
+    """Main person first; all over the same frames of the same camera."""
 
     def __post_init__(self) -> None:
-        _expect_people(self)
+        expect_sound(self)
+        expect_equal_lengths(self, "people", [one.frame_count for one in self.people])
 
     @property
     def main(self) -> BodyMotion:
-        """The main person, who comes first.
+        """The main person.
 
         Raises:
-            StageError: there is nobody, or the main person is seen in no frame.
+            StageError: there is nobody.
         """
-        if not self.people or not self.people[0].valid.any():
-            raise StageError("want a fitted body with at least one valid frame, got none; check stage humans")
-        return self.people[0]
+        return main_person(self.people)
 
     @property
     def main_view(self) -> View:
         """The view of the background image: the clip's camera in the first frame.
 
         Raises:
-            StageError: as `main`.
+            StageError: there is nobody.
         """
         return self.main.view()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KeyframedMotion(Checked):
-    """Motion after keyframe optimization (paper 8.2): roots of the keyframes moved, others interpolated."""
+class BodyTracks(_People):
+    """Bodies as fitted to the video, before any prior repairs them ("raw" in reports)."""
 
-    people: tuple[BodyMotion, ...]
-    keyframe_index: Annotated[tuple[Annotated[Int[np.ndarray, "keyframes"], Holds.FRAMES], ...], OnePer("people")]
-    """Optimized frames, one array per person."""
+    quality: Annotated[tuple[PersonQuality, ...], OnePer("people")] = ()
+    """Of each person."""
 
-    def __post_init__(self) -> None:
-        _expect_people(self)
+    @property
+    def main(self) -> BodyMotion:
+        """The main person.
+
+        Raises:
+            StageError: there is nobody, or the main person is seen in no frame.
+        """
+        main = main_person(self.people)
+        if not main.valid.any():
+            raise StageError(_NOBODY)
+        return main
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RefinedMotion(Checked):
+class KeyframedMotion(_People):
+    """Motion after keyframe optimization (paper 8.2): roots of the keyframes moved, others interpolated."""
+
+    keyframe_index: Annotated[tuple[Annotated[Int[np.ndarray, "keyframes"], Holds.FRAMES], ...], OnePer("people")]
+    """Optimized frames, one array per person."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedMotion(_People):
     """Final motion."""
 
-    people: tuple[BodyMotion, ...]
     prior: Annotated[tuple[str, ...], OnePer("people")]
     """In-betweening prior behind the motion of each person: `scenemi`, or `none` for the observed motion."""
     prior_share: Annotated[tuple[float, ...], OnePer("people")]
@@ -182,6 +203,3 @@ class RefinedMotion(Checked):
     """The same solve from the observed motion: what is left of the result without the prior."""
     scene: SceneModel
     """The scene that the motion fits: objects moved along their lines of sight."""
-
-    def __post_init__(self) -> None:
-        _expect_people(self)

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int, UInt8
 
 from video2anim.geometry.projection import transform_points
 from video2anim.geometry.scene_mesh import colored, with_vertex_colors, world_mesh
-from video2anim.types import Intrinsics, Mesh, PlacedObject, SceneModel
+from video2anim.types import Mesh, PlacedObject, SceneModel, View
 from video2anim.viewer.raster import Canvas, Light, draw_lines, draw_mesh
 from video2anim.viewer.shadows import contact_shaded
 from video2anim.viewer.viewpoint import Viewpoint
@@ -76,20 +76,17 @@ def draw_body(
     draw_mesh(canvas, corners_m, faces, rgb, viewpoint.intrinsics, closed=True, light="smooth")
 
 
-def draw_frustum(
-    canvas: Canvas, viewpoint: Viewpoint, T_world_camera: Float[np.ndarray, "4 4"], lens: Intrinsics
-) -> None:
-    """Draw the filming camera as a pyramid."""
-    apex_m, corners_m = frustum(T_world_camera, lens)
+def draw_frustum(canvas: Canvas, viewpoint: Viewpoint, camera: View) -> None:
+    """Draw the clip's camera as a pyramid."""
+    apex_m, corners_m = frustum(camera)
     starts_m = np.concatenate([np.repeat(apex_m[None], 4, 0), corners_m])
     ends_m = np.concatenate([corners_m, np.roll(corners_m, -1, 0)])
     draw_lines(canvas, viewpoint.to_camera(starts_m), viewpoint.to_camera(ends_m), _FRUSTUM_RGB, viewpoint.intrinsics)
 
 
-def frustum(
-    T_world_camera: Float[np.ndarray, "4 4"], lens: Intrinsics, depth_m: float = 0.35
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4 3"]]:
-    """Apex and the four corners of the picture plane at `depth_m`, in the world."""
+def frustum(camera: View, depth_m: float = 0.35) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4 3"]]:
+    """Camera center and the four image corners at `depth_m`, in the world."""
+    T_world_camera, lens = camera.T_world_camera, camera.intrinsics
     right_px, bottom_px = lens.width_px - 1, lens.height_px - 1
     pixels = np.array([[0, 0], [right_px, 0], [right_px, bottom_px], [0, bottom_px]])
     rays = np.ones((4, 3))

@@ -8,7 +8,7 @@ import numpy as np
 
 from video2anim.errors import UsageError
 from video2anim.geometry.scene_mesh import colored
-from video2anim.types import Intrinsics, Mesh, SceneModel
+from video2anim.types import Mesh, SceneModel, View
 from video2anim.viewer.drawing import drawable_mesh, frustum
 
 SYSTEM_PACKAGES = "libusb-1.0-0 libgl1 libegl1 libgomp1"
@@ -58,9 +58,9 @@ def scene_meshes(scene: SceneModel | None, frame: int) -> dict[str, list[Any]]:
     }
 
 
-def camera_lines(T_world_camera: np.ndarray, lens: Intrinsics) -> Any:
-    """The filming camera as a pyramid of lines."""
-    apex_m, corners_m = frustum(T_world_camera, lens)
+def camera_lines(camera: View) -> Any:
+    """The clip's camera as a pyramid of lines."""
+    apex_m, corners_m = frustum(camera)
     lines = [[0, 1], [0, 2], [0, 3], [0, 4], [1, 2], [2, 3], [3, 4], [4, 1]]
     return o3d.geometry.LineSet(
         o3d.utility.Vector3dVector(np.concatenate([apex_m[None], corners_m])), o3d.utility.Vector2iVector(lines)

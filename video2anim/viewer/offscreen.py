@@ -6,6 +6,7 @@ started for the time of the picture.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import subprocess
@@ -20,6 +21,7 @@ import numpy as np
 from video2anim.errors import UsageError
 from video2anim.geometry.scene_mesh import colored
 from video2anim.types import SceneModel
+from video2anim.types.motion import main_person
 from video2anim.viewer.bodies import PosedBodies
 from video2anim.viewer.drawing import drawable_mesh
 from video2anim.viewer.software import oblique_viewpoint
@@ -111,15 +113,14 @@ def _write_request(
             colors.append(mesh.vertex_rgb)
     starts = np.cumsum([0, *(len(part) for part in vertices)])[:-1]
     viewpoint = oblique_viewpoint(people, scene, width_px, height_px)
-    lens = viewpoint.intrinsics
-    film = people[0].intrinsics
+    camera = main_person(people).view(frame)
     np.savez(
         path,
         vertices_m=np.concatenate(vertices),
         faces=np.concatenate([part + start for part, start in zip(faces, starts, strict=True)]),
         rgb=np.concatenate(colors),
         T_world_view=viewpoint.T_world_camera,
-        view_lens=[lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, lens.width_px, lens.height_px],
-        T_world_camera=people[0].T_world_camera[frame],
-        camera_lens=[film.fx_px, film.fy_px, film.cx_px, film.cy_px, film.width_px, film.height_px],
+        view_lens=dataclasses.astuple(viewpoint.intrinsics),
+        T_world_camera=camera.T_world_camera,
+        camera_lens=dataclasses.astuple(camera.intrinsics),
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from video2anim.errors import UsageError
-from video2anim.types import Intrinsics
+from video2anim.types import Intrinsics, View
 from video2anim.viewer.geometry3d import camera_lines, o3d, triangle_mesh
 from video2anim.viewer.viewpoint import Viewpoint
 from video2anim.viewer.window import place_camera
@@ -26,7 +26,7 @@ def draw(request: Path, picture: Path) -> None:
     with np.load(request, allow_pickle=False) as arrays:
         mesh = triangle_mesh(arrays["vertices_m"], arrays["faces"], arrays["rgb"])
         lens = _intrinsics(arrays["view_lens"])
-        camera = camera_lines(arrays["T_world_camera"], _intrinsics(arrays["camera_lens"]))
+        camera = camera_lines(View(arrays["T_world_camera"], _intrinsics(arrays["camera_lens"])))
         viewpoint = Viewpoint(arrays["T_world_view"], lens)
     visualizer = o3d.visualization.Visualizer()
     if not visualizer.create_window("video2anim", lens.width_px, lens.height_px, visible=False):

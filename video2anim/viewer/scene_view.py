@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from video2anim.errors import UsageError
 from video2anim.types import BodyMotion, Contact, SceneModel
+from video2anim.types.motion import main_person
 
 STAGES = ("raw", "keyframes", "refined")
 
@@ -39,4 +40,4 @@ class SceneView:
 
     @property
     def frame_count(self) -> int:
-        return self.people()[0].frame_count
+        return main_person(self.people()).frame_count

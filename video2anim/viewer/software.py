@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from video2anim.types import BodyMotion, Contact, SceneModel
+from video2anim.types.motion import main_person
 from video2anim.viewer.bodies import PosedBodies
 from video2anim.viewer.contacts import contact_line, contacts_at, touched_rgb
 from video2anim.viewer.drawing import draw_frustum, draw_static, world_vertices
@@ -46,7 +47,7 @@ def render_software(
     if scene is not None:
         draw_static(canvas, viewpoint, scene, background=True, objects=True, frame=frame, bodies_m=meshes)
     bodies.draw(canvas, viewpoint, meshes, frame)
-    draw_frustum(canvas, viewpoint, people[0].T_world_camera[frame], people[0].intrinsics)
+    draw_frustum(canvas, viewpoint, main_person(people).view(frame))
     picture = cv2.resize(canvas.rgb, (width_px, height_px), interpolation=cv2.INTER_AREA)
     now = [one for person in people for one in contacts_at(contacts, person.person_id, person.frame_time_s[frame])]
     for number, contact in enumerate(now):
@@ -74,7 +75,7 @@ def oblique_viewpoint(
 ) -> Viewpoint:
     """A camera turned and raised from the filming one that sees the whole path and the objects near it."""
     points_m = framed_points(people, scene)
-    forward = people[0].T_world_camera[0, :3, 2]
+    forward = main_person(people).view().forward
     c, s = np.cos(turn_rad), np.sin(turn_rad)
     turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
     return fit_viewpoint(points_m, looking(turn @ forward, _ELEVATION_RAD), width_px=width_px, height_px=height_px)

@@ -9,6 +9,7 @@ from typing import Literal
 
 from video2anim.errors import InputError, UsageError
 from video2anim.types import BodyMotion
+from video2anim.types.motion import main_person
 from video2anim.viewer.scene_view import SceneView
 
 Renderer = Literal["software", "open3d"]
@@ -88,5 +89,6 @@ def screenshot(
 
 
 def _expect_frame(people: tuple[BodyMotion, ...], frame: int) -> None:
-    if not 0 <= frame < people[0].frame_count:
-        raise UsageError(f"frame: want 0 to {people[0].frame_count - 1}, got {frame}")
+    count = main_person(people).frame_count
+    if not 0 <= frame < count:
+        raise UsageError(f"frame: want 0 to {count - 1}, got {frame}")

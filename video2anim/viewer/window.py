@@ -14,6 +14,7 @@ import numpy as np
 
 from video2anim.errors import UsageError
 from video2anim.types.clip import FPS
+from video2anim.types.motion import main_person
 from video2anim.viewer.bodies import PosedBodies
 from video2anim.viewer.drawing import drawable_mesh
 from video2anim.viewer.geometry3d import camera_lines, move_mesh, o3d, scene_meshes, triangle_mesh
@@ -66,7 +67,7 @@ class Player:
         self.playing = frame == 0
         self.shown = {"camera": True, "objects": True, "background": True, "floor": True}
         self.parts = scene_meshes(view_of.scene, frame)
-        self.parts["camera"] = [camera_lines(self.people[0].T_world_camera[frame], self.people[0].intrinsics)]
+        self.parts["camera"] = [camera_lines(main_person(self.people).view(frame))]
         (meshes,) = self.posed.frames(frame, frame + 1)
         self.bodies = [
             triangle_mesh(vertices_m, body.faces, self.posed.colors(person, frame))
@@ -99,7 +100,7 @@ class Player:
             self.visualizer.update_geometry(mesh)
         self._move_objects(before)
         (old,) = self.parts["camera"]
-        old.points = camera_lines(self.people[0].T_world_camera[self.frame], self.people[0].intrinsics).points
+        old.points = camera_lines(main_person(self.people).view(self.frame)).points
         if self.shown["camera"]:
             self.visualizer.update_geometry(old)
 
