@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 from command import FOLDERS, STAGE_NAMES, Answer, command_line, payload_digests, process, video2anim
+from smpl_files import write_human
 from test_bvh import bvh_joints_cm
 from test_glb import Reread
 
@@ -325,6 +326,26 @@ def test_export_format(scene: Scene, tmp_path: Path, name: str, made: str) -> No
     assert all(path.stat().st_size for path in written)
     if name in ("bvh", "amass"):
         assert file_digest(tmp_path / "new" / made) == file_digest(scene.folder / made)
+
+
+def test_people_go_on_the_users_smpl_body(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VIDEO2ANIM_SMPL_DIR", "")  # the option sets it for the rest of the process
+    write_human(tmp_path, "smplx")
+    smpl = ("--body", "smplx", "--smpl-dir", tmp_path)
+    answer = video2anim("export", scene.folder, "--format", "amass", "--out", tmp_path / "new", *smpl)
+    assert answer.code == 0, answer.err
+    with np.load(tmp_path / "new" / "motion_amass_smplx.npz") as data, np.load(scene.folder / "motion.npz") as own:
+        assert str(data["shape_model"]) == "smplx"
+        assert bool(data["betas_estimated"])
+        np.testing.assert_allclose(data["joints_m"][:, 0, 2], own["joints_world_m"][:, 0, 1], atol=1e-6)
+    pictures = []
+    for name, words in (("own", ()), ("smplx", smpl)):
+        answer = video2anim("view", scene.folder, "--screenshot", tmp_path / f"{name}.png", "--frame", "20", *words)
+        assert answer.code == 0, answer.err
+        pictures.append(cv2.imread(str(tmp_path / f"{name}.png")).astype(int))
+    # The made-up body is Anny's middle adult: another body, at the same place.
+    changed = np.abs(pictures[0] - pictures[1]).max(-1) > 30
+    assert 0 < changed.mean() < 0.02
 
 
 def test_screenshots_of_all_motions(scene: Scene, tmp_path: Path) -> None:

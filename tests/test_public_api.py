@@ -31,8 +31,8 @@ COMMANDS = {
     "stage": {"DIR", "STAGE", "--keep-edits", "--discard-edits", "--device"},
     "status": {"DIR"},
     "show": {"DIR", "STAGE"},
-    "export": {"DIR", "--format", "--out"},
-    "view": {"DIR", "--screenshot", "--frame", "--motion"},
+    "export": {"DIR", "--format", "--out", "--body", "--smpl-dir"},
+    "view": {"DIR", "--screenshot", "--frame", "--motion", "--body", "--smpl-dir"},
     "demo": {"--out", "--device"},
     "synth": {
         "--out", "--preset", "--count", "--seed", "--workers", "--size", "--motion", "--noncommercial",

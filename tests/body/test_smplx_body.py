@@ -397,7 +397,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
 
 def test_shapes_of_the_family_find_the_users_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(DIR_VARIABLE, raising=False)
-    with pytest.raises(UsageError, match=rf"want the folder of your SMPL files in {DIR_VARIABLE}"):
+    with pytest.raises(UsageError, match=rf"want the folder of your SMPL files as --smpl-dir or in {DIR_VARIABLE}"):
         shaped_body(BodyShape("smplx", {}))
     monkeypatch.setenv(DIR_VARIABLE, str(tmp_path))
     with pytest.raises(InputError, match=r"want SMPLX_NEUTRAL\.npz or .* or smplx/neutral/model\.npz in"):

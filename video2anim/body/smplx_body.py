@@ -2,8 +2,9 @@
 
 The files are licensed by their makers (Loper et al. 2015, Romero et al. 2017, Pavlakos et al. 2019; non-commercial
 unless bought) and are neither shipped nor fetched. `VIDEO2ANIM_SMPL_DIR` names the folder they lie in, laid out as for
-the `smplx` package: `smplx/SMPLX_NEUTRAL.npz`, `smpl/SMPL_MALE.pkl`, or flat. With it set, `shaped_body` of a shape
-whose `model` is `smpl`, `smplh` or `smplx` (neutral), or one of these with `-male` or `-female`, gives that body.
+the `smplx` package: `smplx/SMPLX_NEUTRAL.npz`, `smpl/SMPL_MALE.pkl`, or without subfolders. With it set, `shaped_body`
+of a shape whose `model` is `smpl`, `smplh` or `smplx` (neutral), or one of these with `-male` or `-female`, gives that
+body. `video2anim export` and `view` put a motion on such a body (`--body smplx`, `video2anim.body.smpl_fit`).
 
 Their rest pose is the T-pose of the project with the same axes, so bind matrices are pure translations. Fingers, jaw
 and eyes move with the wrist or the head. Pose-dependent corrections of the surface (`posedirs`) are left out: skinning
@@ -139,23 +140,28 @@ def shaped_smpl(shape: BodyShape) -> ShapedBody:
     return _shaped(model_file(shape.model), shape.model, tuple(sorted(shape.parameters.items())))
 
 
+def users_model(model: str) -> SmplModel:
+    """The user's model by its name, such as `smplx` or `smpl-male`; files are read once per process.
+
+    Raises:
+        UsageError: there is no such model, or no folder is named.
+        InputError: the folder or the file is missing, or the file cannot be used.
+    """
+    return _model(model_file(model))
+
+
 def model_file(model: str) -> Path:
     """The user's file of a model, such as `smplx` or `smpl-male`.
 
     Raises:
         UsageError: there is no such model, or no folder is named.
-        InputError: the folder has no such file.
+        InputError: there is no such folder, or it has no such file.
     """
     name, _, gender = model.partition("-")
     gender = gender or "neutral"
     if name not in _NAMES.values() or gender not in _GENDERS:
         raise UsageError(f"body model: want smpl, smplh or smplx, alone or with -male or -female, got {model!r}")
-    if not (named := os.environ.get(DIR_VARIABLE)):
-        raise UsageError(
-            f"body model {model!r}: want the folder of your SMPL files in {DIR_VARIABLE}, it is not set; "
-            "get the files from their makers and set it"
-        )
-    folder = Path(named).expanduser()
+    folder = smpl_folder()
     stem = f"{name.upper()}_{gender.upper()}"
     wanted = [*(f"{stem}{end}" for end in (".npz", ".pkl")), *(f"{name}/{stem}{end}" for end in (".npz", ".pkl"))]
     wanted.append(f"{name}/{gender}/model.npz")  # the layout of SMPL-H
@@ -165,6 +171,25 @@ def model_file(model: str) -> Path:
     raise InputError(
         f"body model {model!r}: want {' or '.join(wanted)} in {folder}, there is none; put your file there"
     )
+
+
+def smpl_folder() -> Path:
+    """The folder of the user's SMPL files: option `--smpl-dir`, or the variable `VIDEO2ANIM_SMPL_DIR`.
+
+    Raises:
+        UsageError: none is named.
+        InputError: there is no such folder.
+    """
+    named = os.environ.get(DIR_VARIABLE)
+    if not named:
+        raise UsageError(
+            f"SMPL body: want the folder of your SMPL files as --smpl-dir or in {DIR_VARIABLE}, got neither; get the "
+            "files from their makers"
+        )
+    folder = Path(named).expanduser()
+    if not folder.is_dir():
+        raise InputError(f"SMPL body: want a folder of SMPL files, found none at {folder}; correct the path")
+    return folder
 
 
 @functools.lru_cache(maxsize=4)

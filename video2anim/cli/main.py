@@ -35,6 +35,17 @@ Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 KeepEdits = Annotated[
     bool, typer.Option("--keep-edits", help="Go on with stages edited by hand as they are, where they would run again.")
 ]
+Body = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MODEL",
+        help="Put people on an SMPL body from your own file: smpl, smplh or smplx, or with -male or -female.",
+    ),
+]
+SmplDir = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Folder of your SMPL files (default: VIDEO2ANIM_SMPL_DIR); see docs/exports.md."),
+]
 DiscardEdits = Annotated[bool, typer.Option("--discard-edits", help="Make stages edited by hand anew.")]
 
 
@@ -158,11 +169,14 @@ def export_command(
     out: Annotated[
         Path | None, typer.Option(help="Folder, or a file such as my.bvh (default: in the scene folder).")
     ] = None,
+    body: Body = None,
+    smpl_dir: SmplDir = None,
 ) -> None:
-    """Write the result in one more format; FBX needs Blender (README)."""
+    """Write the result in one more format; FBX needs Blender (docs/exports.md)."""
     from video2anim.cli import results
 
-    for path in results.export_format(scene_dir, format_name, out):
+    results.use_smpl_files(smpl_dir)
+    for path in results.export_format(scene_dir, format_name, out, body):
         typer.echo(str(path))
 
 
@@ -172,11 +186,14 @@ def view_command(
     screenshot: Annotated[Path | None, typer.Option(help="Render one frame to this PNG, without a window.")] = None,
     frame: Annotated[int, typer.Option(help="Frame to start with or to render.")] = 0,
     motion: Annotated[str, typer.Option(help="raw, keyframes or refined.")] = "refined",
+    body: Body = None,
+    smpl_dir: SmplDir = None,
 ) -> None:
     """Look at the scene: play and scrub, raw / keyframes / refined, camera, objects."""
     from video2anim.cli import results
 
-    results.view(scene_dir, frame=frame, motion=motion, screenshot=screenshot)
+    results.use_smpl_files(smpl_dir)
+    results.view(scene_dir, frame=frame, motion=motion, screenshot=screenshot, body=body)
 
 
 @app.command("demo")

@@ -16,24 +16,34 @@ from video2anim.cli.report import MOTIONS, motions_of
 from video2anim.errors import ModelMissingError, UsageError
 from video2anim.pipeline.runner import Runner
 from video2anim.pipeline.scene_folder import STAGES
-from video2anim.types import RefinedMotion
+from video2anim.types import BodyMotion, RefinedMotion
 
 _DEMO_WHEEL = ("sports2d", "0.8.34", "Sports2D/Demo/demo.mp4")
 _DEMO_DIGEST = "d9a66417185647b112304b57093f0c180f37a768e6a14daca75ca541f3b78039"
 
 
-def export_format(scene_dir: Path, format_name: str, out: Path | None) -> list[Path]:
+def use_smpl_files(folder: Path | None) -> None:
+    """Take SMPL files from this folder for the rest of the process; None = from the one that the environment names."""
+    if folder is not None:
+        from video2anim.body.smplx_body import DIR_VARIABLE, smpl_folder
+
+        os.environ[DIR_VARIABLE] = str(folder)
+        smpl_folder()
+
+
+def export_format(scene_dir: Path, format_name: str, out: Path | None, body: str | None = None) -> list[Path]:
     """`video2anim export`: write one format from the refined motion.
 
     Args:
         scene_dir: The scene folder.
         format_name: One of `video2anim.export.FORMATS`.
         out: Folder, or the main file; None for the scene folder.
+        body: SMPL body that people are put on (`video2anim.body.smpl_fit`); None for the body of the run.
 
     Raises:
-        UsageError: unknown format, `out` is no name for it or the run's own, a library is missing, or the folder is
-            not finished.
-        InputError: the files cannot be written.
+        UsageError: unknown format or body, `out` is no name for it or the run's own, a library is missing, or the
+            folder is not finished.
+        InputError: the files cannot be written, or the user's SMPL file is missing or cannot be used.
     """
     from video2anim.export import FORMATS, ExportScene, write_format
     from video2anim.scene.contact_graph import scene_contacts
@@ -43,15 +53,17 @@ def export_format(scene_dir: Path, format_name: str, out: Path | None) -> list[P
         _expect_free(scene_dir, out, set(record.results) - {FORMATS[format_name].main})
     _expect_made(runner, "refine")
     refined = runner.value(RefinedMotion)
-    content = ExportScene(refined.people, refined.scene, scene_contacts(refined.people, refined.scene))
+    contacts = scene_contacts(refined.people, refined.scene)
+    content = ExportScene(_on_body(refined.people, body), refined.scene, contacts)
     return list(write_format(format_name, content, out or scene_dir))
 
 
-def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None) -> None:
+def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None, body: str | None = None) -> None:
     """`video2anim view`: the window, or one frame as PNG.
 
     Raises:
-        UsageError: unknown motion, frame out of range, or missing system libraries.
+        UsageError: unknown motion or body, frame out of range, or missing system libraries.
+        InputError: the user's SMPL file is missing or cannot be used.
     """
     from video2anim import viewer
     from video2anim.scene.contact_graph import scene_contacts
@@ -64,11 +76,18 @@ def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None) -
     _expect_made(runner, "refine")
     refined: RefinedMotion = runner.value(RefinedMotion)
     contacts = scene_contacts(refined.people, refined.scene)
-    shown = viewer.SceneView(motions=motions_of(runner), scene=refined.scene, contacts=contacts)
+    motions = {name: _on_body(people, body) for name, people in motions_of(runner).items()}
+    shown = viewer.SceneView(motions=motions, scene=refined.scene, contacts=contacts)
     if screenshot is None:
         viewer.view(shown, title=f"video2anim {scene_dir}", frame=frame, stage=motion)
     else:
         viewer.screenshot(shown, frame, screenshot, stage=motion)
+
+
+def _on_body(people: tuple[BodyMotion, ...], model: str | None) -> tuple[BodyMotion, ...]:
+    from video2anim.body.smpl_fit import on_smpl_body
+
+    return people if model is None else tuple(on_smpl_body(motion, model) for motion in people)
 
 
 def _expect_free(scene_dir: Path, out: Path, results: Collection[str] = ()) -> None:

@@ -18,19 +18,15 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.body.smplx_body import DIR_VARIABLE, MEAN_PELVIS_M, SmplModel, load_body_model, model_file
+from video2anim.body.smpl_fit import BETAS, fit_betas, named_betas
+from video2anim.body.smplx_body import DIR_VARIABLE, MEAN_PELVIS_M, load_body_model, model_file, smpl_folder
 from video2anim.errors import InputError
 from video2anim.export.frames import ZUP_FROM_YUP
 from video2anim.geometry.rotations import axis_angle_from_matrix
 from video2anim.types import BodyMotion, BodyShape
-from video2anim.types.skeleton import PARENTS
 
 AmassModel = Literal["smplh", "smplx"]
 _JOINTS: dict[AmassModel, int] = {"smplh": 52, "smplx": 55}
-BETAS = 16
-_LENGTH_SIGMA_M = 0.01
-"""How far a bone may be from its length as easily as a beta from its mean by one deviation: joints of the two bodies
-are defined apart by about that much."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,48 +101,26 @@ def _fit(motion: BodyMotion, model: AmassModel) -> _Fitted:
     if own == model:
         shape, source = motion.shape, "betas are those of the motion's own shape"
     else:
-        shape = BodyShape(model, _named(fit_betas(body, motion.rest_joints_m)))
+        shape = BodyShape(model, named_betas(fit_betas(body, motion.rest_joints_m)))
         source = f"betas are fitted to the lengths of the bones of the person's {own} body"
     betas = np.zeros(BETAS)
     for name, value in shape.parameters.items():
         if (number := int(name.removeprefix("beta_"))) < BETAS:
             betas[number] = value
     # The rest pelvis of what the file says, not of betas beyond those it holds.
-    written = BodyShape(shape.model, _named(betas[: body.shape_basis_m.shape[2]]))
+    written = BodyShape(shape.model, named_betas(betas[: body.shape_basis_m.shape[2]]))
     return _Fitted(betas, body.pelvis_m(written), gender, source, known=True)
 
 
-def fit_betas(body: SmplModel, rest_joints_m: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "betas"]:
-    """The most likely shape whose bones are as long as those of a skeleton; up to 16 betas.
-
-    Least squares over the 21 bone lengths and the betas, which are 0 +- 1 over people.
-    """
-    from scipy.optimize import least_squares
-
-    count = min(BETAS, body.shape_basis_m.shape[2])
-    template_m = body.joint_regressor @ body.template_m
-    basis_m = np.einsum("jv,vdb->jdb", body.joint_regressor, body.shape_basis_m[:, :, :count])
-    wanted_m = _bone_lengths_m(rest_joints_m)
-
-    def residuals(betas: np.ndarray) -> np.ndarray:
-        lengths_m = _bone_lengths_m(template_m + basis_m @ betas)
-        return np.concatenate([(lengths_m - wanted_m) / _LENGTH_SIGMA_M, betas])
-
-    return least_squares(residuals, np.zeros(count), method="lm").x
-
-
-def _bone_lengths_m(joints_m: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "21"]:
-    return np.linalg.norm(joints_m[1:] - joints_m[PARENTS[1:]], axis=1)
-
-
-def _named(betas: np.ndarray) -> dict[str, float]:
-    return {f"beta_{number}": float(value) for number, value in enumerate(betas)}
-
-
 def _users_file(model: str) -> Path | None:
-    """None where the user has no such file; one that is there must be usable."""
+    """The user's file, or None where there is none: AMASS files are written without betas then, and say so.
+
+    Raises:
+        InputError: the folder that is named does not exist.
+    """
     if not os.environ.get(DIR_VARIABLE):
         return None
+    smpl_folder()
     try:
         return model_file(model)
     except InputError:
