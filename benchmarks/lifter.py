@@ -24,7 +24,7 @@ from human_fit import REAL, call, column
 from main_job import accuracy
 
 from video2anim.artifacts.codec import read_value
-from video2anim.artifacts.folder import file_digest
+from video2anim.digest import file_digest
 from video2anim.networks.fetch import model_path
 from video2anim.networks.table import find_model
 from video2anim.types import VideoClip

@@ -19,8 +19,8 @@ from smpl_files import write_human
 from test_bvh import bvh_joints_cm
 from test_glb import Reread
 
-from video2anim.artifacts.folder import file_digest
 from video2anim.artifacts.motion_io import read_motion, write_motion
+from video2anim.digest import file_digest
 from video2anim.geometry.projection import transform_points
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
 

@@ -15,9 +15,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from scenemi.data.files import file_digest
 from scenemi.data.sources import attribution_of, is_free, license_of
 from scenemi.model.weights import WEIGHTS_FOLDER, load_weights
+from video2anim.digest import file_digest
 
 CARD = """# SceneMI weights `{name}`
 

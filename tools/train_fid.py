@@ -19,11 +19,11 @@ from safetensors.numpy import save_file
 
 from scenemi.data.augment import mirrored
 from scenemi.data.container import MotionArchive, read_split
-from scenemi.data.files import file_digest
 from scenemi.data.retarget import retarget
 from scenemi.evaluation.motion_autoencoder import AutoencoderConfig, MotionAutoencoder, motion_channels, to_tensors
 from scenemi.evaluation.windows import adult_body
 from scenemi.windows import WINDOW_FRAMES
+from video2anim.digest import file_digest
 
 SHORTEST_FRAMES = 61
 """Shorter clips are left out; up to a window, the last pose is held."""

@@ -33,7 +33,7 @@ import torch
 
 from scenemi import metrics
 from scenemi.data.container import MotionArchive, read_split
-from scenemi.data.files import file_digest, write_json
+from scenemi.data.files import write_json
 from scenemi.evaluation.ablation import AblatedPrior
 from scenemi.evaluation.protocol import Evaluation, evaluate, fill_batch
 from scenemi.evaluation.scenes import telling_share, with_synthetic_scenes
@@ -43,6 +43,7 @@ from scenemi.model.choice import SAMPLE_STEPS, load_prior_by_name
 from scenemi.postprocess.in_scene import WITHOUT_PICTURE, SolvedPrior, put_in_scene
 from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow, WindowMotion
 from scenemi.training.noise import PipelineErrors, told_level
+from video2anim.digest import file_digest
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types.skeleton import forward_kinematics
 

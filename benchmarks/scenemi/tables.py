@@ -29,7 +29,7 @@ import numpy as np
 import torch
 
 from scenemi.data.container import MotionArchive, read_split
-from scenemi.data.files import file_digest, write_json
+from scenemi.data.files import write_json
 from scenemi.evaluation.ablation import AblatedPrior
 from scenemi.evaluation.fid import FID_DIGEST, shipped_features
 from scenemi.evaluation.protocol import Evaluation, evaluate
@@ -38,6 +38,7 @@ from scenemi.evaluation.scores import over_seeds
 from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol, cut_windows
 from scenemi.model.choice import INTERPOLATION, load_prior_by_name
 from scenemi.prior import InbetweeningPrior
+from video2anim.digest import file_digest
 
 TABLES = ("1", "2", "3", "6", "7", "8", "9")
 CLEAN = KeyframeProtocol(60)

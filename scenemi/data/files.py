@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -104,12 +103,6 @@ def write_tensors(path: Path, tensors: Mapping[str, Any], header: Mapping[str, s
         _replace(path, lambda stream: stream.write(save(dict(tensors), dict(header))))
     except SafetensorError as error:
         raise InputError(f"{path}: cannot be written: {error}") from error
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def expect_writable(path: Path) -> None:

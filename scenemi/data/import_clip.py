@@ -14,8 +14,10 @@ from scenemi.data.joint_names import JointMap
 from scenemi.data.plain_files import MAX_FRAMES
 from scenemi.data.posture import on_smpl_joints, posture_axes, posture_problem
 from scenemi.data.source_clip import MAX_FPS, MIN_FPS, SourceClip, SourceSkeleton
+from scenemi.metrics import STANCE_SPEED_M_S
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
+from video2anim.types.clip import FPS
 from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES
 
 Up = Literal["auto", "y", "z"]
@@ -24,9 +26,9 @@ UNITS_M: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, 
 FAMILIES = ("asf", "cmu38", "cc", "daz", "bandai")
 """Conventions whose joint axes are in `scenemi.data.rest_pose`."""
 GLITCH_M_S2 = 350.0
+"""A joint that accelerates more than this is a fault of the capture."""
 _LEG_M = 0.83
 """Hip to ankle of a middle adult."""
-_SLOW_M_S = 0.3
 _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """R_world_file of a file with z up (x stays)."""
 
@@ -71,7 +73,7 @@ def upright(clip: SourceClip, up: Up = "auto") -> SourceClip:
     return replace(clip, root_position_m=clip.root_position_m @ _Z_UP.T, rotation_wxyz=rotation)
 
 
-def at_fps(clip: SourceClip, fps: float = 30.0) -> SourceClip:
+def at_fps(clip: SourceClip, fps: float = FPS) -> SourceClip:
     """The clip at a frame rate: frames are picked where the rates divide, else interpolated.
 
     Raises:
@@ -102,7 +104,7 @@ def on_floor(clip: SourceClip) -> SourceClip:
     if len(height) > 1:
         speed = np.linalg.norm(np.gradient(toes_m, axis=0), axis=-1) * clip.fps
         low = height < np.percentile(height, 50)
-        chosen = height[(speed < _SLOW_M_S) & low]
+        chosen = height[(speed < STANCE_SPEED_M_S) & low]
         height = chosen if len(chosen) else height
     shift = -float(np.percentile(height, 20))
     return replace(

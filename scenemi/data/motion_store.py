@@ -18,9 +18,11 @@ from jaxtyping import Bool, Float, Int, Shaped
 from scenemi.data.augment import resampled
 from scenemi.data.bend import MIN_WAY_M, bent, way_m
 from scenemi.data.container import MotionArchive
+from scenemi.data.import_clip import GLITCH_M_S2
 from scenemi.data.retarget import RetargetedMotion, retarget
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.shaped_body import ShapedBody
+from video2anim.digest import file_digest
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
 from video2anim.geometry.runs import runs
@@ -43,7 +45,7 @@ class StoreConfig:
     """Each clip is put on so many of the bodies, in turn."""
     min_frames: int = 30
     """Shorter pieces are dropped."""
-    glitch_m_s2: float = 350.0
+    glitch_m_s2: float = GLITCH_M_S2
     """Frames in which a joint's acceleration exceeds this are cut out, with `glitch_margin` frames at each side."""
     glitch_margin: int = 2
     uneven: bool = True
@@ -173,7 +175,7 @@ def store_digest(
     """What a store depends on, as a short digest."""
     content = {
         "version": _VERSION,
-        "archives": [_file_digest(path, path.stat().st_mtime_ns) for path in paths],
+        "archives": [_digest_at(path, path.stat().st_mtime_ns) for path in paths],
         "names": [list(group) for group in names],
         "bodies": [(shape.model, sorted(shape.parameters.items())) for shape in shapes],
         "config": asdict(config),
@@ -182,9 +184,9 @@ def store_digest(
 
 
 @functools.lru_cache(maxsize=64)
-def _file_digest(path: Path, _: int) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+def _digest_at(path: Path, _: int) -> str:
+    """Of a file at a time of change."""
+    return file_digest(path)
 
 
 def save_store(folder: Path, store: MotionStore) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from video2anim.geometry.rotations import matrix_from_quaternion
+from video2anim.types.clip import FPS
 
 MIN_FPS, MAX_FPS = 1.0, 1000.0
 """Of motion that can be read."""
@@ -47,7 +48,7 @@ class SourceClip:
     root_position_m: Float[np.ndarray, "frames 3"]
     rotation_wxyz: Float[np.ndarray, "frames joints 4"]
     """Each joint's unit rotation relative to its parent."""
-    source_fps: float = 30.0
+    source_fps: float = FPS
     floor_shift_m: float = 0.0
     """What was added to y so that the floor is y = 0."""
     glitch_frames: int = 0

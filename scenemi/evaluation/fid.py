@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scenemi.data.files import file_digest, read_tensors
+from scenemi.data.files import read_tensors
 from scenemi.evaluation.motion_autoencoder import FidFeatures, from_tensors
 from scenemi.evaluation.windows import adult_body
+from video2anim.digest import file_digest
 from video2anim.errors import ModelMissingError
 
 FID_FILE = Path(__file__).parents[1] / "weights" / "fid" / "features.safetensors"

@@ -131,7 +131,9 @@ def test_all_data_that_comes_along_is_in_the_table() -> None:
     assert {row.source.text.removeprefix("wheel:") for row in rows} == shipped
     for row in rows:
         path = networks.model_path(row)
-        assert (fetch.file_digest(path), path.stat().st_size) == (row.sha256, row.size_bytes), f"table, row {row.name}"
+        assert (fetch.weights_digest(path), path.stat().st_size) == (row.sha256, row.size_bytes), (
+            f"table, row {row.name}"
+        )
         card = path.with_suffix(".md") if path.with_suffix(".md").is_file() else path.with_name("CARD.md")
         if card.is_file() and "sha256" in card.read_text():
             assert row.sha256 in card.read_text(), card

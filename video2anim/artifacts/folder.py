@@ -12,14 +12,9 @@ from pathlib import Path
 
 from video2anim.artifacts.manifest import MANIFEST_NAME
 from video2anim.artifacts.stage_files import value_files
+from video2anim.digest import file_digest
 
 _TEMPORARY = ".unfinished-"
-
-
-def file_digest(path: Path) -> str:
-    """sha256 of a file, hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def folder_digest(folder: Path) -> str:

@@ -11,9 +11,10 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from video2anim.artifacts.folder import file_digest, folder_digest
+from video2anim.artifacts.folder import folder_digest
 from video2anim.artifacts.meshes import expect_sound
 from video2anim.artifacts.stage_files import shown
+from video2anim.digest import file_digest
 from video2anim.errors import ArtifactError, InputError
 from video2anim.types.scene import MAX_FACES, Mesh
 

@@ -26,8 +26,8 @@ from stages import (
     segment,
     track,
 )
-from video2anim.artifacts.folder import file_digest
 from video2anim.cli.report import report_html
+from video2anim.digest import file_digest
 from video2anim.errors import InputError, UsageError
 from video2anim.pipeline import results
 from video2anim.pipeline.config import PipelineConfig, expect_user_paths, known_part, load_preset, resolve

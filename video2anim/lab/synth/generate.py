@@ -19,8 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from video2anim import __version__
-from video2anim.artifacts.folder import file_digest, remove_unfinished
+from video2anim.artifacts.folder import remove_unfinished
 from video2anim.artifacts.stage_files import read_json
+from video2anim.digest import file_digest
 from video2anim.errors import ArtifactError, InputError, StageError
 from video2anim.lab.synth.presets import V2A_BENCH, ClipSpec, clip_specs
 
