@@ -21,18 +21,26 @@ from jaxtyping import Float
 
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.rotations import matrix_from_rot6d, rot6d_from_matrix
-from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, forward_kinematics
 
-TRANSLATION = slice(0, 3)
-ROTATIONS = slice(3, 135)
+WIDTHS = (3, 6, 6 * (len(JOINT_NAMES) - 1), 3 * len(JOINT_NAMES))
+"""Of the blocks of the table above; all else about the layout follows."""
+TRANSLATION, ROOT_ROTATION, BODY_ROTATIONS, JOINTS = (
+    slice(int(stop) - width, int(stop)) for width, stop in zip(WIDTHS, np.cumsum(WIDTHS), strict=True)
+)
+ROTATIONS = slice(ROOT_ROTATION.start, BODY_ROTATIONS.stop)
 """Root and body 6D rotations together: 22 x 6."""
-ROOT_ROTATION = slice(3, 9)
-BODY_ROTATIONS = slice(9, 135)
-JOINTS = slice(135, 201)
-LEVEL_X = [0, 3, 6, *range(135, 201, 3)]
-LEVEL_Z = [2, 5, 8, *range(137, 201, 3)]
-"""Columns that are the x and z of a direction or position: translation, two of root orientation, 22 joints."""
-FEATURE_COUNT = 201
+FEATURE_COUNT = sum(WIDTHS)
+
+
+def _columns_along(axis: int) -> list[int]:
+    """Columns that are a coordinate of a vector of the canonical frame: translation, root orientation, joints."""
+    vectors = (TRANSLATION, ROOT_ROTATION, JOINTS)
+    return [column for block in vectors for column in range(block.start + axis, block.stop, 3)]
+
+
+LEVEL_X, LEVEL_Z = _columns_along(0), _columns_along(2)
+"""Columns that turn with the heading."""
 BODY_LENGTHS = 7
 MIN_STD = np.where(np.arange(FEATURE_COUNT) < 3, 0.05, 0.1)
 MIN_STD[JOINTS] = 0.05

@@ -16,6 +16,7 @@ from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow,
 from scenemi.windows import OVERLAP_FRAMES, WINDOW_FRAMES, WindowSpan, plan_windows, split_long_gaps
 from video2anim.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 from video2anim.geometry.sdf import SdfGrid
+from video2anim.types.clip import FPS
 
 if TYPE_CHECKING:
     from scenemi.scene.geometry import SceneGeometry
@@ -32,7 +33,7 @@ class KeyframeMotion:
     translation_world_m: Float[np.ndarray, "frames 3"]
     is_keyframe: Bool[np.ndarray, "frames"]
     rest_joints_m: Float[np.ndarray, "22 3"]
-    fps: float = 30.0
+    fps: float = FPS
     body: ShapedBody | None = None
     """Whose skin meets the scene, for priors that look at it."""
     noise_level: float = 0.0

@@ -31,7 +31,9 @@ ROHM_TOE_HEIGHT_M = 0.10
 ROHM_SPEED_M_S = 0.10
 STANCE_SPEED_M_S = 0.3
 """A low foot slower than this stands."""
-COLLISION_TAUS_M = (0.0, 0.01)
+INSIDE_M = 0.01
+"""A joint or vertex deeper than this is inside; shallower ones are within the errors of skin and scene."""
+COLLISION_TAUS_M = (0.0, INSIDE_M)
 """Depths at which collision ratios are reported."""
 CLOSE_PROXIMITY_M = 0.08
 """Human and scene nearer than this: the close-proximity subset."""

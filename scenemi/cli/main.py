@@ -19,11 +19,15 @@ from scenemi.cli.parts import (
     sampler_options,
     say_progress,
 )
+from scenemi.data.plain_files import MAX_FRAMES
 from video2anim.errors import InputError, UsageError, expect_values, is_output_lost, last_words
 from video2anim.geometry.torch_device import device_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from scenemi.training.packing import Unpacked
+    from scenemi.training.runs import RunClips, RunFiles
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -41,8 +45,6 @@ Temperature = Annotated[
     float | None,
     typer.Option(min=0, max=1, help="1 = motions as varied as the data; less = nearer to the expected one."),
 ]
-MAX_FRAMES = 108_000
-"""An hour, see `scenemi.data.plain_files`; that module is too heavy for --help."""
 INTERPOLATION = "interpolation"
 DEFAULT_INTERVAL, DEFAULT_PART, YOUNG_STEPS = 15, "test", 2000
 """Weights of fewer steps than `YOUNG_STEPS` are worse than interpolation."""
@@ -220,20 +222,14 @@ def train_command(
     device: Device = "auto",
 ) -> None:
     """Train a model, or go on training it: a run has no end, it stops after --minutes or when it is interrupted."""
-    from scenemi.data.split import Split
-    from scenemi.training.config import TrainConfig
-    from scenemi.training.packing import pack_run, unpack_run
-    from scenemi.training.runs import RunFiles, clips_for, left_out, licenses_of, write_run_weights
+    from scenemi.training.packing import unpack_run
+    from scenemi.training.runs import RunFiles, clips_for, left_out
 
-    begins = {"--cache": cache, "--errors": errors, "--start": start}
-    goes_on = {"--minutes": minutes is not None, "--cool-steps": cool_steps}
     if pack is not None:
-        why = "with --pack, which trains nothing"
-        refuse({"--scenes": scenes, "--from-pack": from_pack, **begins, **goes_on}, why)
-        named = TrainConfig() if config is None else TrainConfig.read(config)
-        parts = None if split is None else Split.read(split)
-        run = RunFiles(named, tuple(motion or ()), parts, None, noncommercial=noncommercial)
-        typer.echo(f"{pack}: {pack_run(pack, run, out) / 2**20:.1f} MiB")
+        no_use = {"--scenes": scenes, "--from-pack": from_pack, "--cache": cache, "--errors": errors, "--start": start}
+        no_use |= {"--minutes": minutes is not None, "--cool-steps": cool_steps}
+        refuse(no_use, "with --pack, which trains nothing")
+        _pack(pack, out, motion or (), config, split, noncommercial=noncommercial)
         return
     packed = None if from_pack is None else unpack_run(from_pack, out / "pack")
     if packed is not None:
@@ -249,22 +245,7 @@ def train_command(
     if clips.watched is None:
         note("no clip is for validation (--split), so none is sampled while training")
     note(f"{sum(one.minutes for one in clips.sets):.1f} minutes of motion, {len(clips.motions.shapes)} bodies")
-    from scenemi.training.loop import cool, train
-    from scenemi.training.noise import PipelineErrors
-
-    chosen = device_of(device)
-    limit_s = None if minutes is None else 60 * minutes
-    recorded = None if errors is None else PipelineErrors.read(errors)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: the state is saved
-    state = train(
-        files.config, clips.motions, out, scenes=clips.scenes, validation=clips.watched, device=chosen, errors=recorded,
-        start=start, time_limit_s=limit_s, on_progress=say_progress,
-    )  # fmt: skip
-    if cool_steps:
-        state = cool(out, clips.motions, cool_steps, errors=recorded, device=chosen, on_progress=say_progress)
-    licenses = licenses_of(files, *clips.sets)
-    typer.echo(str(write_run_weights(out / "weights.safetensors", state, *clips.sets, licenses=licenses)))
-    _note_on_young_weights(state.step)
+    _train(files, clips, out, errors=errors, start=start, minutes=minutes, cool_steps=cool_steps, device=device)
 
 
 @app.command("data", cls=PlainCommand)
@@ -328,6 +309,44 @@ def data_command(
     if out is not None:
         write_archive(out, everything)
         typer.echo(str(out))
+
+
+def _pack(
+    pack: Path, out: Path, motion: Sequence[Path], config: str | None, split: Path | None, *, noncommercial: bool
+) -> None:
+    from scenemi.data.split import Split
+    from scenemi.training.config import TrainConfig
+    from scenemi.training.packing import pack_run
+    from scenemi.training.runs import RunFiles
+
+    named = TrainConfig() if config is None else TrainConfig.read(config)
+    parts = None if split is None else Split.read(split)
+    run = RunFiles(named, tuple(motion), parts, None, noncommercial=noncommercial)
+    typer.echo(f"{pack}: {pack_run(pack, run, out) / 2**20:.1f} MiB")
+
+
+def _train(
+    files: RunFiles, clips: RunClips, out: Path, *,
+    errors: Path | None, start: Path | None, minutes: float | None, cool_steps: int, device: str,
+) -> None:  # fmt: skip
+    """Train, and write the averaged weights."""
+    from scenemi.training.loop import cool, train
+    from scenemi.training.noise import PipelineErrors
+    from scenemi.training.runs import licenses_of, write_run_weights
+
+    chosen = device_of(device)
+    limit_s = None if minutes is None else 60 * minutes
+    recorded = None if errors is None else PipelineErrors.read(errors)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: the state is saved
+    state = train(
+        files.config, clips.motions, out, scenes=clips.scenes, validation=clips.watched, device=chosen, errors=recorded,
+        start=start, time_limit_s=limit_s, on_progress=say_progress,
+    )  # fmt: skip
+    if cool_steps:
+        state = cool(out, clips.motions, cool_steps, errors=recorded, device=chosen, on_progress=say_progress)
+    licenses = licenses_of(files, *clips.sets)
+    typer.echo(str(write_run_weights(out / "weights.safetensors", state, *clips.sets, licenses=licenses)))
+    _note_on_young_weights(state.step)
 
 
 def _refuse_with_pack(packed: Unpacked, scenes: object, start: object, of_motion: dict[str, object]) -> None:

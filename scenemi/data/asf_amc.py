@@ -19,14 +19,13 @@ from scenemi.data.import_clip import (
     with_glitches,
 )
 from scenemi.data.joint_names import map_joints
-from scenemi.data.plain_files import one_line, read_text
+from scenemi.data.plain_files import MAX_NUMBER, one_line, read_text
 from scenemi.data.source_clip import SourceClip
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
 
 _FINGERS = ("lfingers", "lthumb", "rfingers", "rthumb")
 _INCH_M = UNITS_M["inch"]
-_MAX = 1e9
 _CHANNEL = re.compile("[tr][xyz]")
 
 
@@ -171,7 +170,7 @@ def _bones(lines: list[str], unit_m: float, degrees: bool) -> list[AsfBone]:
 def _numbers(words: list[str], count: int | None = None) -> Float[np.ndarray, "words"]:
     """Words as numbers of a size that lengths and angles may have."""
     numbers = np.array([float(word) for word in words])
-    if (count is not None and len(numbers) != count) or not (np.abs(numbers) <= _MAX).all():
+    if (count is not None and len(numbers) != count) or not (np.abs(numbers) <= MAX_NUMBER).all():
         raise ValueError(f"want {count or 'finite'} numbers, got {' '.join(words)[:60]!r}")
     return numbers
 

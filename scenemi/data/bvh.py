@@ -23,7 +23,7 @@ from scenemi.data.import_clip import (
     with_glitches,
 )
 from scenemi.data.joint_names import JointMap, map_joints
-from scenemi.data.plain_files import one_line, read_text
+from scenemi.data.plain_files import MAX_NUMBER, one_line, read_text
 from scenemi.data.source_clip import SourceClip
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import continuous_quaternions
@@ -31,9 +31,6 @@ from video2anim.geometry.rotations import continuous_quaternions
 _STRETCH = 0.02
 """Bones may change their length by this share of the leg; beyond, the file cannot be a skeleton of fixed lengths."""
 _MAX_JOINTS, _MAX_CHANNELS = 2000, 6
-_MAX = 1e9
-"""Of lengths (in millimeters a thousand kilometres) and angles."""
-_AXES = dict(zip("XYZ", np.eye(3), strict=True))
 _CHANNEL = re.compile(r"^([XYZ])(position|rotation)$", re.IGNORECASE)
 
 
@@ -131,8 +128,8 @@ def parse_bvh(path: str | Path) -> BvhFile:
             f"{path}: want {frames} frames of {width} finite numbers at a frame time above 0, "
             f"got {values.size} numbers and {frame_time_s:g} s"
         )
-    if not max(np.abs(offsets).max(), np.abs(values).max()) <= _MAX:  # nor NaN
-        raise InputError(f"{path}: broken BVH file: want numbers up to {_MAX:g}, whatever the unit")
+    if not max(np.abs(offsets).max(), np.abs(values).max()) <= MAX_NUMBER:  # nor NaN
+        raise InputError(f"{path}: broken BVH file: want numbers up to {MAX_NUMBER:g}, whatever the unit")
     position, rotation = _channels(values.reshape(frames, width), offsets, channels)
     return BvhFile(tuple(names), tuple(parents), offsets, frame_time_s, position, rotation)
 
@@ -218,7 +215,7 @@ def _channels(
         if turns:
             total = Rotation.identity(len(values))
             for i, axis in turns:
-                total = total * Rotation.from_rotvec(columns[:, i, None] * _AXES[axis], degrees=True)
+                total = total * Rotation.from_rotvec(columns[:, i, None] * np.eye(3)["XYZ".index(axis)], degrees=True)
             rotation[:, joint] = np.roll(total.as_quat(), 1, axis=-1)
     return position, rotation
 

@@ -27,8 +27,8 @@ from scenemi.data.source_clip import SourceClip
 from scenemi.scene.voxel_sdf import scan_sdf
 from video2anim.errors import InputError
 from video2anim.geometry.sdf import SdfGrid
+from video2anim.types.clip import FPS
 
-_FPS = 30.0
 _VOXEL_M, _DEPTH_M = 0.03, 0.1
 _ARRAYS = ("frame", "orient", "trans", "pose_body")
 
@@ -102,7 +102,7 @@ def _sequence(folder: Path, row: dict[str, str]) -> GimoSequence:
         arrays["trans"][chosen],
         name=f"gimo_{row['scene']}_{row['sequence_path']}_{start}",
         source="gimo",
-        fps=_FPS / float(steps[0]),
+        fps=FPS / float(steps[0]),
         model="smplx",
         T_world_data=T_norm @ T_body,
     )

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from scenemi.data.plain_files import MAX_FRAMES
 from scenemi.longmotion import KeyframeMotion
+from scenemi.scene.scene_parts import MAX_SCENE_M
 from scenemi.windows import select_keyframes
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import nearest_rotation
@@ -21,7 +22,6 @@ _ROTATION_TOLERANCE = 0.02
 """Largest entry of R^T R - I that is taken for rounding and repaired; more is no rotation."""
 _BODY_HEIGHT_M = (0.3, 3.0)
 """Extent of a T-pose from top to bottom joint that a person can have."""
-_FARTHEST_M = 1000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +121,10 @@ def checked_keyframes(
             f"{where}: want at least 2 keyframes, got {len(R_parent_joint)}; give the pose at another frame too"
         )
     frames = _whole_frames(where, frame_index)
-    _expect_possible(where, frames, R_parent_joint, translation_m, rest_joints_m)
+    finite = np.isfinite(R_parent_joint).all((1, 2, 3)) & np.isfinite(translation_m).all(1)
+    if not finite.all():
+        raise InputError(f"{where}: keyframe {frames[~finite][0]} holds NaN or infinity; leave it out or repair it")
+    _expect_meters(where, translation_m, rest_joints_m)
     order = np.argsort(frames)
     return Keyframes(
         frames[order],
@@ -145,19 +148,13 @@ def _expect_shapes(
             raise InputError(f"{where}: {name} wants shape {want}, got {have}")
 
 
-def _expect_possible(
-    where: str, frames: np.ndarray, R: np.ndarray, translation_m: np.ndarray, rest_joints_m: np.ndarray
-) -> None:
-    """Finite numbers, and a body and places that meters and +Y up make possible."""
-    finite = np.isfinite(R).all((1, 2, 3)) & np.isfinite(translation_m).all(1)
-    if not finite.all():
-        raise InputError(f"{where}: keyframe {frames[~finite][0]} holds NaN or infinity; leave it out or repair it")
+def _expect_meters(where: str, translation_m: np.ndarray, rest_joints_m: np.ndarray) -> None:
     if not np.isfinite(rest_joints_m).all():
         raise InputError(f"{where}: rest_joints_m holds NaN or infinity")
     with np.errstate(over="ignore"):
         body_height_m = float(np.ptp(rest_joints_m[:, 1]))
     farthest_m = max(np.abs(a).max() for a in (translation_m, rest_joints_m))
-    if not _BODY_HEIGHT_M[0] < body_height_m < _BODY_HEIGHT_M[1] or farthest_m > _FARTHEST_M:
+    if not _BODY_HEIGHT_M[0] < body_height_m < _BODY_HEIGHT_M[1] or farthest_m > MAX_SCENE_M:
         raise InputError(
             f"{where}: want meters and +Y up, got a skeleton {body_height_m:.2f} high and roots up to "
             f"{np.abs(translation_m).max():.1f} from the origin"

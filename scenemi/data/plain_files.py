@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from datetime import timedelta
 from pathlib import Path
 from typing import IO, Annotated, Any, TypeVar
 
@@ -11,13 +12,16 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ValidationError
 
 from video2anim.errors import InputError
+from video2anim.types.clip import FPS
 
 MAX_BYTES = 4 * 2**30
 """Of all arrays that are read of one file, unpacked."""
 MAX_TEXT_BYTES = 256 * 2**20
 """Of a text file."""
-MAX_FRAMES = 108_000
-"""Of one motion: an hour at 30 fps."""
+MAX_FRAMES = round(FPS * timedelta(hours=1).total_seconds())
+"""Of one motion: an hour."""
+MAX_NUMBER = 1e9
+"""Of lengths and angles in text files, whatever the unit: a thousand kilometers in millimeters."""
 _MESSAGE_LETTERS = 200
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -94,7 +98,7 @@ def read_arrays(
         names: wanted arrays.
         what: of which the errors speak.
         needed: arrays that must be there, read too.
-        most_bytes: of all of them, unpacked.
+        max_bytes: of all of them, unpacked.
         where: name of the file in errors; None = its path.
 
     Raises:

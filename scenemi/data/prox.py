@@ -32,8 +32,8 @@ from video2anim.body.array_pickle import read_pickled_arrays
 from video2anim.errors import InputError
 from video2anim.geometry.runs import runs
 from video2anim.geometry.sdf import SdfGrid
+from video2anim.types.clip import FPS
 
-_FPS = 30.0
 _FRAME = re.compile(r"_frame_(\d+)__")
 _PARTS = ("global_orient", "body_pose", "transl")
 _FARTHEST_M = 20.0
@@ -79,7 +79,7 @@ def read_prox(folder: str | Path, *, min_frames: int = 30) -> Iterator[ProxPiece
             row = int(np.searchsorted(number, first))
             rows = slice(row, row + stop - first)
             clip = smpl_clip(
-                values[rows, :66], values[rows, 66:], name=f"prox_{recording.name}_{first}", source="prox", fps=_FPS,
+                values[rows, :66], values[rows, 66:], name=f"prox_{recording.name}_{first}", source="prox", fps=FPS,
                 model="smplx", T_world_data=T_world_camera,
             )  # fmt: skip
             yield ProxPiece(clip, scene)

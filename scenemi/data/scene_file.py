@@ -13,13 +13,12 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from scenemi.data.plain_files import Numbers, checked, expect_file, one_line, read_arrays, shaped
+from scenemi.data.plain_files import MAX_BYTES, Numbers, checked, expect_file, one_line, read_arrays, shaped
 from scenemi.scene.scene_parts import ScenePart, expect_scene
 from video2anim.errors import InputError
 from video2anim.types.scene import MAX_FACES
 
 SCENE_SUFFIXES = (".glb", ".gltf", ".ply", ".obj", ".stl", ".npz")
-_MAX_BYTES = 2 * 2**30
 _MAX_HEADER_BYTES = 64 * 1024
 _GLB_HEADER, _CHUNK_HEADER, _JSON_CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s"), b"JSON"
 _STL_HEAD_BYTES, _STL_FACE_BYTES = 84, 50
@@ -67,7 +66,7 @@ def read_meshes(path: Path) -> SceneFile:
     import trimesh
     from trimesh.resolvers import FilePathResolver
 
-    expect_file(path, "scene file", _MAX_BYTES)
+    expect_file(path, "scene file", MAX_BYTES)
     suffix = path.suffix.lower()
     try:
         data = path.read_bytes()
@@ -101,7 +100,7 @@ def _rows(found: object, name: str, kind: type) -> np.ndarray:
 
 
 def _npz(path: Path) -> SceneFile:
-    found = read_arrays(path, tuple(_SceneArrays.model_fields), "scene file", max_bytes=_MAX_BYTES)
+    found = read_arrays(path, tuple(_SceneArrays.model_fields), "scene file")
     values = checked(_SceneArrays, str(path), found)
     points_m = values.points_m if values.vertices_m is None else values.vertices_m
     if points_m is None:

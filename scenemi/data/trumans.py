@@ -21,8 +21,8 @@ from scenemi.data.source_clip import SourceClip
 from scenemi.scene.voxel_sdf import voxel_sdf
 from video2anim.errors import InputError
 from video2anim.geometry.sdf import SdfGrid
+from video2anim.types.clip import FPS
 
-_FPS = 30.0
 _LOW_M = np.array([-3.0, 0.0, -4.0])
 _VOXEL_M = 0.02
 _GRID = (300, 100, 400)
@@ -67,7 +67,7 @@ def read_trumans(folder: str | Path, *, min_frames: int = 30) -> Iterator[Truman
             shift_m[start:stop],
             name=f"trumans_{take[start]}_{start}",
             source="trumans",
-            fps=_FPS,
+            fps=FPS,
             model="smplx",
         )
         yield TrumansTake(clip, scenes[int(scene[start])])

@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from scenemi.scene.basis_points import BPS_ANCHORS
+from scenemi.scene.voxels import GRID_SHAPE, VOXEL_M
 from scenemi.windows import WINDOW_FRAMES
 
 Width = Annotated[int, Field(ge=1, le=8192)]
@@ -55,11 +57,11 @@ class PaperConfig:
     kernel: Layers = 5
     groups: Layers = 8
     embedding: Width = 512
-    bps_anchors: Width = 64
+    bps_anchors: Width = BPS_ANCHORS
     local_channels: Width = 256
     """Channels of the embedded local scene."""
-    grid: tuple[Voxels, Voxels, Voxels] = (48, 24, 48)
-    voxel_m: Annotated[float, Field(gt=0, le=1)] = 0.1
+    grid: tuple[Voxels, Voxels, Voxels] = GRID_SHAPE
+    voxel_m: Annotated[float, Field(gt=0, le=1)] = VOXEL_M
     patch: tuple[Voxels, Voxels, Voxels] = (8, 8, 8)
     """Voxels of a token of the scene encoder."""
     scene_width: Width = 512

@@ -24,11 +24,11 @@ from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
 from scenemi.model.transformer import Transformer
 from scenemi.scene.field import REACH_M
 from scenemi.windows import WINDOW_FRAMES
-from video2anim.types.skeleton import JOINT_INDEX
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES
 
 # Shapes: B windows, N frames, F = 201 features, P points of the body asked for in the scene
 
-MAX_FRAMES = 60
+MAX_FRAMES = (WINDOW_FRAMES - 1) // 2
 """Longest distance from a keyframe in a window of 121 frames."""
 SCALES = {
     "residual_std": (MAX_FRAMES + 1, FEATURE_COUNT), "noise_std": (2, FEATURE_COUNT),
@@ -42,7 +42,7 @@ LIMBS = tuple(
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 )
 """A thin post fits between the joints of these: their middles are asked too."""
-POINTS = 22 + len(LIMBS)
+POINTS = len(JOINT_NAMES) + len(LIMBS)
 _MIN_SCALE = 0.01
 """Standard deviations that are no error: at keyframes without noise."""
 _FARTHEST = 6.0

@@ -12,12 +12,22 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from scenemi.features import BODY_ROTATIONS, FEATURE_COUNT, JOINTS, LEVEL_X, LEVEL_Z, LYING, ROOT_ROTATION, TRANSLATION
+from scenemi.features import (
+    BODY_ROTATIONS,
+    FEATURE_COUNT,
+    JOINTS,
+    LEVEL_X,
+    LEVEL_Z,
+    LYING,
+    ROOT_ROTATION,
+    TRANSLATION,
+    WIDTHS,
+)
 from scenemi.model.kinematics import matrices
 from video2anim.types.clip import FPS
 
-VIEW = 274
-"""Channels of `view`: height 1, root 6, body 126, joints 66, speeds 69, turn 2, place 2, heading 2."""
+VIEW = FEATURE_COUNT + WIDTHS[0] + WIDTHS[-1] + 2 + 2
+"""Channels of `view`, 274: the features with the place last, speeds of root and joints, turn, heading."""
 
 
 def _columns(columns: list[int], value: float = 1.0) -> Tensor:

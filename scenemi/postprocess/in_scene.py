@@ -13,14 +13,12 @@ from scenemi.postprocess.motion_solve import SceneMotion, SolveConfig, solve_mot
 from scenemi.postprocess.solids import Solids
 from scenemi.prior import KeyframeWindow, WindowMotion, is_exact
 from scenemi.scene.geometry import SceneGeometry
-from scenemi.scene.grid import distance_grid
+from scenemi.scene.grid import AROUND_M, distance_grid
 from video2anim.types.skeleton import forward_kinematics
 
 if TYPE_CHECKING:
     from scenemi.model.prior import DiffusionPrior
 
-_AROUND_M = 0.5
-"""How far from the joints' box solids are looked for."""
 WITHOUT_PICTURE = SolveConfig(
     root_m=0.005, trunk_rad=0.01, limb_rad=0.5, acceleration_ratio=5.0, stance_m_s=0.05, odd_speed_m_s=2.0,
     contact_threshold=0.03, touch_m=0.015, touch_reach_m=0.25,
@@ -43,7 +41,7 @@ def put_in_scene(made: WindowMotion, given: KeyframeWindow, config: SolveConfig 
     field = given.scene
     if isinstance(field, SceneGeometry):
         around_m = joints_m.reshape(-1, 3)
-        field = distance_grid(field, around_m.min(0) - _AROUND_M, around_m.max(0) + _AROUND_M)
+        field = distance_grid(field, around_m.min(0) - AROUND_M, around_m.max(0) + AROUND_M)
     fixed = given.is_keyframe if is_exact(given) else np.arange(len(joints_m)) < given.seed_frames
     body = given.body or adult_like(given.rest_joints_m)
     for _ in range(_ROUNDS):

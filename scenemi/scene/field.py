@@ -14,13 +14,13 @@ from jaxtyping import Float, Int, Int8
 from torch import Tensor
 from torch.nn import functional
 
+from scenemi.scene.grid import REACH_M
 from video2anim.geometry.sdf import SdfGrid
 
-REACH_M = 0.6
-"""Solids farther from a point than this (an arm's length) are as good as none."""
 _ON_FLOOR_M, _BELOW_M = 0.02, 3.0
 """Boxes whose bottom is lower than this stand on the floor, and go on so far below it."""
-VOLUME_STEP_M = REACH_M / 127
+VOLUME_LEVELS = torch.iinfo(torch.int8).max
+VOLUME_STEP_M = REACH_M / VOLUME_LEVELS
 """Of distances stored as 8-bit integers."""
 
 

@@ -10,10 +10,10 @@ from scenemi.scene.geometry import SceneGeometry
 from video2anim.geometry.sdf import SdfGrid
 
 SPACING_M = 0.05
-_AROUND_M = 0.5
+AROUND_M = 0.5
 """How far from the path solids are known."""
-_REACH_M = 0.6
-"""Solids farther from a point than this are not looked for."""
+REACH_M = 0.6
+"""Solids farther from a point than this (an arm's length) count as absent."""
 
 
 def canonical_grid(
@@ -26,7 +26,7 @@ def canonical_grid(
         path_m: canonical points that the body is expected at.
         T_world_canonical: of the window.
     """
-    low_m, high_m = path_m.min(0) - _AROUND_M, path_m.max(0) + _AROUND_M
+    low_m, high_m = path_m.min(0) - AROUND_M, path_m.max(0) + AROUND_M
     if isinstance(scene, SceneGeometry):
         return distance_grid(scene.transformed(np.linalg.inv(T_world_canonical)), low_m, high_m)
     nodes = _nodes(low_m, high_m, SPACING_M)
@@ -39,10 +39,10 @@ def distance_grid(
 ) -> SdfGrid:
     """Signed distances to any scene in a box: outside exact up to 0.6 m, inside to half a spacing."""
     nodes = _nodes(low_m, high_m, spacing_m)
-    gap_m = scene.nearest_within(nodes.reshape(-1, 3), _REACH_M)[1].reshape(nodes.shape[:3])
+    gap_m = scene.nearest_within(nodes.reshape(-1, 3), REACH_M)[1].reshape(nodes.shape[:3])
     solid = gap_m <= 0
     inside = np.asarray(distance_transform_edt(solid)) - 0.5
-    return SdfGrid(np.where(solid, -spacing_m * inside, np.minimum(gap_m, _REACH_M)), low_m, spacing_m)
+    return SdfGrid(np.where(solid, -spacing_m * inside, np.minimum(gap_m, REACH_M)), low_m, spacing_m)
 
 
 def _nodes(low_m: np.ndarray, high_m: np.ndarray, spacing_m: float) -> Float[np.ndarray, "x y z 3"]:

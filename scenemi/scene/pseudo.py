@@ -22,8 +22,9 @@ from scenemi.scene.sliding import Slide, SweptBody, nearest_free, places_m
 from scenemi.scene.supports import Motion, RestConfig, supports
 from scenemi.scene.telling import telling_solids
 from scenemi.scene.voxels import DEFAULT_GRID, GridSpec
+from video2anim.types.clip import FPS
 
-_QUARTER = 0.5 * np.pi
+_QUARTER = np.pi / 2
 _BEYOND_M = 3.0
 _SNUG_M = 0.01
 """Supports are put against balls smaller by this, which end where the skin does."""
@@ -62,7 +63,7 @@ class SyntheticSceneConfig:
     rest: RestConfig = field(default_factory=RestConfig)
     noise: ScanNoise = field(default_factory=ScanNoise)
     grid: GridSpec = DEFAULT_GRID
-    fps: float = 30.0
+    fps: float = FPS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int8
 from torch import Tensor
 
 from scenemi.scene.boxes import Boxes
-from scenemi.scene.field import BoxField, VolumeField
+from scenemi.scene.field import VOLUME_LEVELS, BoxField, VolumeField
 from scenemi.scene.voxels import GridSpec
 
 _WIDE_M = 10.0
@@ -111,7 +111,7 @@ class VolumeRows:
     @property
     def filled(self) -> Bool[np.ndarray, "batch"]:
         """See `SceneRows`."""
-        return (self.values.flatten(1).amin(1) < 127).numpy()
+        return (self.values.flatten(1).amin(1) < VOLUME_LEVELS).numpy()
 
     def columns(self) -> dict[str, Tensor]:
         """See `SceneRows`."""

@@ -8,12 +8,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from scenemi.scene.geometry import SceneGeometry
+from scenemi.scene.voxel_sdf import SCANNED_FLOOR_M
+from scenemi.scene.voxels import DEFAULT_GRID
 from video2anim.errors import InputError
 
-SIGHT_M = 2.4
+SIGHT_M = DEFAULT_GRID.reach_m
 """The model sees this far from the first root of each window."""
-_FLOOR_BAND_M = 0.15
-_FARTHEST_M = 1000.0
+MAX_SCENE_M = 1000.0
+"""What is larger is in another unit than meters."""
 _INSIDE_M = 1e-6
 
 
@@ -43,7 +45,7 @@ def expect_scene(where: str, parts: tuple[ScenePart, ...]) -> tuple[ScenePart, .
         if len(part.faces) and (part.faces.min() < 0 or part.faces.max() >= len(part.vertices_m)):
             raise InputError(f"{where}: faces point at vertices that are not there")
     size_m = float(np.ptp(_all_points(kept), axis=0).max())
-    if size_m > _FARTHEST_M:
+    if size_m > MAX_SCENE_M:
         raise InputError(f"{where}: want a scene in meters, got one of {size_m:.0f} across; scale it first")
     return kept
 
@@ -72,9 +74,9 @@ def notes_on(parts: tuple[ScenePart, ...], roots_m: Float[np.ndarray, "keyframes
     points_m = _all_points(parts)
     notes = []
     low_m = float(np.percentile(points_m[:, 1], 0.5))
-    if low_m > _FLOOR_BAND_M:
+    if low_m > SCANNED_FLOOR_M:
         notes.append(f"the scene has no floor (lowest at y = {low_m:.2f} m); the plane y = 0 is taken for it")
-    elif low_m < -_FLOOR_BAND_M:
+    elif low_m < -SCANNED_FLOOR_M:
         notes.append(
             f"the scene reaches down to y = {low_m:.2f} m; the floor is taken to be y = 0, move it if that is wrong"
         )
@@ -83,7 +85,7 @@ def notes_on(parts: tuple[ScenePart, ...], roots_m: Float[np.ndarray, "keyframes
     beyond = int((gap_m > SIGHT_M).sum())
     if beyond:
         notes.append(
-            f"{beyond} of {len(roots_m)} keyframes are more than {SIGHT_M} m outside the scene, which has no "
+            f"{beyond} of {len(roots_m)} keyframes are more than {SIGHT_M:.1f} m outside the scene, which has no "
             "influence there; check that both are in meters, in one frame"
         )
     return notes

@@ -16,7 +16,8 @@ from video2anim.geometry.sdf import SdfGrid, surface_samples
 
 _LEVEL = 0.8
 """Vertical part of the unit normal of a triangle that counts as level."""
-_SCANNED_FLOOR_M = 0.15
+SCANNED_FLOOR_M = 0.15
+"""A scan's floor lies within this of y = 0."""
 FLOOR_BAND_M = 0.05
 """What a capture has below this height is its floor; ours is the plane y = 0."""
 _BELOW_M = 0.5
@@ -61,7 +62,7 @@ def scan_sdf(triangles_m: Float[np.ndarray, "faces 3 3"], voxel_m: float, depth_
         raise InputError("scan: want at least one triangle and finite corners; clean the file")
     normal = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
     unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    floor = (np.abs(unit[:, 1]) > _LEVEL) & (np.abs(triangles_m[:, :, 1].mean(1)) < _SCANNED_FLOOR_M)
+    floor = (np.abs(unit[:, 1]) > _LEVEL) & (np.abs(triangles_m[:, :, 1].mean(1)) < SCANNED_FLOOR_M)
     if normal[floor, 1].sum() < 0:
         unit = -unit
     samples_m, face = surface_samples(triangles_m, voxel_m)

@@ -24,6 +24,11 @@ class GridSpec:
     voxel_m: float = VOXEL_M
 
     @property
+    def reach_m(self) -> float:
+        """From the center to the nearest side."""
+        return self.voxel_m * self.shape[0] / 2
+
+    @property
     def within_m(self) -> float:
         """Distance from the center at which a solid point still fills the voxel: half a voxel."""
         return 0.5 * self.voxel_m + EDGE_TOLERANCE_M

@@ -17,7 +17,7 @@ from scenemi.model.kinematics import matrices, posed_joints
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
 
-_DEGREE = math.pi / 180
+_DEGREE = math.radians(1)
 _SIZES = (0.4, 1.3)
 """Recorded errors are made smaller and larger by this: other people, cameras and lenses."""
 _TOLD = 0.25

@@ -22,7 +22,7 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor
 
 from scenemi.data.container import ARRAYS, MotionArchive, write_archive
-from scenemi.data.plain_files import one_line, read_arrays, read_json
+from scenemi.data.plain_files import MAX_BYTES, one_line, read_arrays, read_json
 from scenemi.data.split import PARTS, Split
 from scenemi.data.windows import MotionSetConfig, archives_of, chosen_clips
 from scenemi.features import Statistics
@@ -30,14 +30,13 @@ from scenemi.model.build import build_denoiser
 from scenemi.model.weights import save_weights
 from scenemi.training.checkpoint import CHECKPOINT, Checkpoint, load_checkpoint
 from scenemi.training.config import TrainConfig
+from scenemi.training.pool import UNITS_PER_METER
 from scenemi.training.runs import RunFiles
 from video2anim.errors import InputError
 
 PIECE_BYTES = 16 * 2**20
-_MAX_BYTES = 2**30
-_UNITS_PER_METER = 8192.0
 _SETTINGS, _MOTION, _STATE = "run.json", "motion", "state"
-_LEVELS = 127
+_LEVELS = torch.iinfo(torch.int8).max
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +147,7 @@ def _compressed(tables: dict[str, np.ndarray]) -> bytes:
     for rows, places in _by_clip(tables):
         frames = places.stop - places.start
         turns.append(np.diff(rotation[rows].reshape(frames, -1), axis=0, prepend=np.int16(0)).T.ravel())
-        units = np.rint(root_m[places] * _UNITS_PER_METER).astype(np.int32)
+        units = np.rint(root_m[places] * UNITS_PER_METER).astype(np.int32)
         moves.append(np.diff(units, axis=0, prepend=0).T.ravel())
     stream = io.BytesIO()
     arrays = {"turns": _planes(np.concatenate(turns)), "moves": np.concatenate(moves), **tables}
@@ -159,9 +158,9 @@ def _compressed(tables: dict[str, np.ndarray]) -> bytes:
 def _decompressed(data: bytes) -> dict[str, np.ndarray]:
     names = ("turns", "moves")
     stream = lzma.LZMADecompressor()
-    whole = stream.decompress(data, _MAX_BYTES)
+    whole = stream.decompress(data, MAX_BYTES)
     if not stream.eof:
-        raise ValueError(f"motion that is cut off or unpacks to more than {_MAX_BYTES / 2**30:g} GiB")
+        raise ValueError(f"motion that is cut off or unpacks to more than {MAX_BYTES / 2**30:g} GiB")
     tables = read_arrays(io.BytesIO(whole), ARRAYS, "pack", needed=names, where="motion of the pack")
     high, low = tables.pop("turns").astype(np.uint16)
     turns, moves = (high << 8 | low).view(np.int16), tables.pop("moves")
@@ -171,7 +170,7 @@ def _decompressed(data: bytes) -> dict[str, np.ndarray]:
         columns = turns[4 * rows.start : 4 * rows.stop].reshape(-1, frames)
         rotation[rows] = np.cumsum(columns, axis=1, dtype=np.int16).T.reshape(-1, 4)
         way = np.cumsum(moves[3 * places.start : 3 * places.stop].reshape(3, frames), axis=1)
-        root_m[places] = way.T / _UNITS_PER_METER
+        root_m[places] = way.T / UNITS_PER_METER
     return {**tables, "rot": rotation, "root_pos": root_m}
 
 

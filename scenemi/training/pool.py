@@ -21,6 +21,7 @@ from jaxtyping import Bool, Float, Int, Int8, Int16, UInt8
 
 from scenemi.data.windows import MotionSet, WindowBatch
 from scenemi.features import FEATURE_COUNT, JOINTS, canonical_frame, encode, to_canonical
+from scenemi.metrics import INSIDE_M
 from scenemi.model.base import join_keyframes
 from scenemi.scene.body_spheres import BodySpheres, fit_spheres
 from scenemi.scene.boxes import Boxes
@@ -33,6 +34,7 @@ from video2anim.errors import InputError
 from video2anim.types.skeleton import forward_kinematics
 
 SHARD_WINDOWS = 1024
+_MAX_UNITS = np.iinfo(np.int16).max
 UNITS_PER_METER = 8192.0
 """Integer steps of a stored feature: windows reach 4 m, and an eighth of a millimeter is far below any noise."""
 MAX_BOXES = 16
@@ -41,7 +43,6 @@ _NEAR_M = 0.7
 """Boxes farther than this from both paths are out of the field's reach."""
 _POINT_STEP = 9
 """Of all joints in all frames so many are skipped: no factor in common with 22, so that each joint is looked at."""
-_INSIDE_M = 0.01
 _VERSION = 1
 
 
@@ -186,7 +187,7 @@ class _Drawn:
         blind = join_keyframes(
             torch.from_numpy(features[..., JOINTS].astype(np.float32)), torch.from_numpy(masks.astype(np.float32))
         )
-        units = np.clip(np.rint(features * UNITS_PER_METER), -32767, 32767).astype(np.int16)
+        units = np.clip(np.rint(features * UNITS_PER_METER), -_MAX_UNITS, _MAX_UNITS).astype(np.int16)
         assert units.shape[-1] == FEATURE_COUNT
         return cls(windows, units, joints_m, R_world, masks, blind.unflatten(-1, (22, 3)).numpy())
 
@@ -216,7 +217,7 @@ def _captured(motions: SceneMotions, rng: np.random.Generator) -> SceneShard:
     around_m = np.concatenate([drawn.joints_m, drawn.blind_m], 1).reshape(SHARD_WINDOWS, -1, 3)
     rows = motions.volumes(T, windows.clip, windows.body_index, around_m)
     field = rows.field(torch.ones(SHARD_WINDOWS))
-    collides = field.solids_m(torch.from_numpy(drawn.blind_m).float().flatten(1, 2)).amin(1) < -_INSIDE_M
+    collides = field.solids_m(torch.from_numpy(drawn.blind_m).float().flatten(1, 2)).amin(1) < -INSIDE_M
     return SceneShard(
         values=rows.values.numpy(),
         place=rows.place.numpy(),
@@ -246,7 +247,7 @@ def scene_boxes(
 def _collides(packed: Float[np.ndarray, "boxes 7"], joints_m: Float[np.ndarray, "frames 22 3"]) -> bool:
     rows = packed[packed[:, 3] > 0].astype(np.float64)
     return len(rows) > 0 and bool(
-        Boxes(rows[:, :3], rows[:, 3:6], rows[:, 6]).signed_distance(joints_m).min() < -_INSIDE_M
+        Boxes(rows[:, :3], rows[:, 3:6], rows[:, 6]).signed_distance(joints_m).min() < -INSIDE_M
     )
 
 

@@ -28,7 +28,7 @@ from scenemi.data.scene_clips import SceneClip, SceneFit, fit_scene, read_scene_
 from scenemi.data.source_clip import SourceClip
 from scenemi.data.split import Part, Split
 from scenemi.data.windows import MotionSet, MotionSetConfig
-from scenemi.scene.field import REACH_M, VOLUME_STEP_M
+from scenemi.scene.field import REACH_M, VOLUME_LEVELS, VOLUME_STEP_M
 from scenemi.scene.grid import SPACING_M
 from scenemi.scene.rows import VolumeRows
 from video2anim.errors import InputError
@@ -44,7 +44,7 @@ _AROUND_M = REACH_M
 _STEPS_M = (0.04, 0.12)
 _KEPT_M = 0.8
 """How far distances of a scene are kept: beyond the reach of a field, because small bodies make a scene smaller."""
-_SCENE_STEP_M = _KEPT_M / 127
+_SCENE_STEP_M = _KEPT_M / VOLUME_LEVELS
 _FIT_EVERY = 10
 """Of the frames that tell how a scene follows a retargeted motion."""
 _SCENE_ARRAYS = ("values", "origin_m", "spacing_m")

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from scenemi.data.windows import MotionSet
 from scenemi.features import Statistics, body_lengths, canonical_frame, encode, to_canonical
+from scenemi.metrics import INSIDE_M
 from scenemi.model.base import join_keyframes
 from scenemi.model.build import AnyDenoiser
 from scenemi.model.conditions import Conditions
@@ -25,10 +26,9 @@ from scenemi.training.scene_pool import SceneMotions
 from video2anim.types.skeleton import forward_kinematics
 
 INTERVALS = (15, 30, 60)
-SCENE_INTERVAL = 60
+SCENE_INTERVAL = INTERVALS[-1]
 _WINDOWS = 96
 _SAMPLER = SamplerConfig()
-_INSIDE_M = 0.01
 _SCENE_SEED = 77
 
 
@@ -106,7 +106,7 @@ class Validator:
         inside = float("nan")
         if shown is not None:
             depth = field.distance_m(joints.to(device).flatten(1, 2)).unflatten(1, (-1, 22)).amin(-1)
-            inside = float((depth < -_INSIDE_M).float().sum() / (len(keys) * depth.shape[1]))
+            inside = float((depth < -INSIDE_M).float().sum() / (len(keys) * depth.shape[1]))
         return Validation(
             interval,
             bool(shown),

@@ -121,7 +121,7 @@ def test_what_is_no_pack_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     with pytest.raises(InputError, match="empty folder"):
         pack_run(tmp_path / "full", RunFiles(CONFIG, (archive,), None, None), tmp_path)
     pack_run(tmp_path / "pack", RunFiles(CONFIG, (archive,), None, None), tmp_path)
-    monkeypatch.setattr(packing, "_MAX_BYTES", 1000)
+    monkeypatch.setattr(packing, "MAX_BYTES", 1000)
     with pytest.raises(InputError, match="unpacks to more than"):
         unpack_run(tmp_path / "pack", tmp_path / "out")
     monkeypatch.undo()
