@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.errors import InputError, UsageError
+from video2anim.errors import UsageError
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import PayloadFile, SourceVideo, VideoClip
@@ -23,12 +23,6 @@ from video2anim.types.clip import FPS
 if TYPE_CHECKING:
     from video2anim.video.decode import SourceHeader, Stamps
     from video2anim.video.source_scan import SourceScan
-
-_MAX_FRAMES_PER_PICTURE = 15
-"""Fewer than 2 pictures a second, on average, are no film: nearly every frame would repeat the one before."""
-_MOTION_SAMPLES = 20
-_MOTION_STEP = 8
-"""The static-camera test looks at every such frame, but at most at `_MOTION_SAMPLES` spread over the clip."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +54,7 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
     """
     from video2anim.camera.background_registration import STATIC_DRIFT_RATIO
     from video2anim.video.decode import probe
+    from video2anim.video.shot_choice import chosen_times
     from video2anim.video.source_report import source_info, source_warnings
     from video2anim.video.source_scan import scan_source
 
@@ -72,7 +67,7 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         stop_s=config.stop_s,
         on_picture=lambda done: ctx.progress(min(done, total // 2), total) if total else None,
     )
-    shot, shot_time_s, source_time_s = _chosen_times(source.path, source_scan, config)
+    shot, shot_time_s, source_time_s = chosen_times(source.path, source_scan, config.shot, min_frames=config.min_frames)
     size_px = header.upright_size_px(config.max_long_side_px)
     path = ctx.work_dir / "video.mp4"
     written = _write_clip(source.path, header, source_scan.stamps, source_time_s, size_px, path, ctx)
@@ -109,45 +104,8 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
 @dataclass(frozen=True, slots=True)
 class _Written:
     drift_ratio: float
+    """Of the background, as in `CameraMotion`."""
     missing_frames: int
-
-
-def _chosen_times(
-    path: Path, source_scan: SourceScan, config: IngestConfig
-) -> tuple[int, Float[np.ndarray, "pictures"], Float[np.ndarray, "frames"]]:
-    """Number of the shot, the times of its pictures, and of the picture that each frame of the clip shows."""
-    from video2anim.video.cfr import constant_rate_index
-
-    if len(source_scan.time_s) == 0:
-        raise InputError(
-            f"{path}: no picture between start_s={config.start_s} and stop_s={config.stop_s}; "
-            f"{source_scan.report.frames} pictures decode in all"
-        )
-    shot = _choose_shot(path, source_scan, config)
-    shot_time_s = source_scan.shot_time_s(shot)
-    source_time_s = shot_time_s[constant_rate_index(shot_time_s, FPS)]
-    if len(source_time_s) < config.min_frames:
-        raise InputError(
-            f"{path}: want at least {config.min_frames} frames at {FPS:.0f} fps "
-            f"({config.min_frames / FPS:.2f} s), got {len(source_time_s)} from {len(shot_time_s)} decoded pictures"
-        )
-    if len(source_time_s) > _MAX_FRAMES_PER_PICTURE * len(shot_time_s):
-        raise InputError(
-            f"{path}: want a film of at least {FPS / _MAX_FRAMES_PER_PICTURE:.0f} pictures a second, got "
-            f"{len(shot_time_s)} pictures in {len(source_time_s) / FPS:.0f} s; choose a denser part with "
-            "--set ingest.start_s=S --set ingest.stop_s=S, or another shot with --set ingest.shot=N "
-            f"(of {len(source_scan.shot_start)})"
-        )
-    return shot, shot_time_s, source_time_s
-
-
-def _choose_shot(path: Path, source_scan: SourceScan, config: IngestConfig) -> int:
-    spans_s = source_scan.shots_s()
-    if config.shot == "longest":
-        return int(np.argmax([end_s - start_s for start_s, end_s in spans_s]))
-    if int(config.shot) >= len(spans_s):
-        raise InputError(f"{path}: no shot {config.shot}; {len(spans_s)} found, counted from 0")
-    return int(config.shot)
 
 
 def _write_clip(
@@ -159,13 +117,12 @@ def _write_clip(
     path: Path,
     ctx: StageContext,
 ) -> _Written:
-    from video2anim.camera.background_registration import CameraMotion
+    from video2anim.camera.background_registration import CameraMotion, motion_samples
     from video2anim.video.encode import FrameWriter
     from video2anim.video.source_report import frames_at
 
     count = len(source_time_s)
-    samples = min(_MOTION_SAMPLES, max(1, count // _MOTION_STEP))
-    sampled = set(np.linspace(0, count - 1, samples + 1).round().astype(int).tolist())
+    sampled = motion_samples(count)
     motion = CameraMotion()
     missing = 0
     with FrameWriter(path, width_px=size_px[0], height_px=size_px[1], fps=round(FPS)) as writer:

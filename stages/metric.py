@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
@@ -60,9 +59,9 @@ def fit_metric(
     Raises:
         StageError: there is no body, or none in any frame.
     """
-    from video2anim.calibration.bodies import calibrated
     from video2anim.calibration.fit import calibrate
     from video2anim.calibration.gather import picture_evidence, with_objects
+    from video2anim.calibration.metric import applied
     from video2anim.geometry.masks import shrunk
 
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
@@ -81,7 +80,7 @@ def fit_metric(
         if abs(above_m) > _OTHER_GROUND_M:
             ctx.warn(f"person {body.person_id} stands {above_m:+.2f} m from the floor: a child, or on other ground")
     _record(found, ctx)
-    return _applied(depth, background, masks, evidence, found, calibrated(bodies, found), problem)
+    return applied(depth, background, masks, bodies, evidence, found, problem)
 
 
 def _problem(evidence: Evidence, found: Calibration, config: MetricConfig) -> str:
@@ -112,64 +111,6 @@ def _record(found: Calibration, ctx: StageContext) -> None:
     ctx.quality("person_over_their_depth", float(np.exp(found.person_depth_log)), "ratio")
     for kind, off in found.residuals.items():
         ctx.quality("residual_" + kind.replace("'", "").replace(" ", "_"), off, "ratio", "lower")
-
-
-def _applied(
-    depth: DepthClip,
-    background: BackgroundImage,
-    masks: InstanceMasks,
-    evidence: Evidence,
-    found: Calibration,
-    bodies: BodyTracks,
-    problem: str,
-) -> MetricDepth:
-    """Depth by the fit, each object and the people at their own distance."""
-    from video2anim.geometry.masks import shrunk
-
-    measured = bool(evidence.skin) or len(evidence.floor.value) > 0
-    shape = depth.background_value.shape
-    factor = np.ones(shape)
-    for instance, log in zip(masks.instances, found.object_depth_log, strict=True):
-        factor[shrunk(instance.mask, shape)] = np.exp(log)
-    background_m, background_valid = _meters(depth, depth.background_value, depth.background_valid, found)
-    depth_m, valid = _meters(depth, depth.value, depth.valid, found)
-    people = background.person_mask if background.person_mask.shape == depth_m.shape else np.zeros(depth_m.shape, bool)
-    own = np.where(people, np.exp(found.person_depth_log), factor)
-    return MetricDepth(
-        scale=found.scale,
-        offset_m=found.offset,
-        scale_sigma=found.scale * found.scale_log_sigma,
-        offset_sigma=found.offset_sigma,
-        chamfer_before_m=_if_measured(found.chamfer_before_m),
-        chamfer_after_m=_if_measured(found.chamfer_after_m),
-        trusted=not problem,
-        reason=problem or "fitted together with camera, floor and people",
-        frame_index=depth.frame_index,
-        depth_m=(own * depth_m).astype(np.float32),
-        valid=valid & measured,
-        background_depth_m=(factor * background_m).astype(np.float32),
-        background_valid=background_valid & measured,
-        object_sigma={
-            str(one.object_id): float(sigma)
-            for one, sigma in zip(masks.instances, found.object_depth_log_sigma, strict=True)
-        },
-        bodies=bodies,
-    )
-
-
-def _meters(
-    depth: DepthClip, value: Float[np.ndarray, "..."], valid: Bool[np.ndarray, "..."], found: Calibration
-) -> tuple[Float[np.ndarray, "..."], Bool[np.ndarray, "..."]]:
-    """Depth, with pixels that the fit sends nowhere marked invalid and held at the farthest sensible depth."""
-    from video2anim.calibration.line import metric_depth
-
-    depth_m = metric_depth(depth.kind, value, found.scale, found.offset)
-    sane = np.isfinite(depth_m)
-    return np.where(sane, depth_m, 1e3), valid & sane
-
-
-def _if_measured(value_m: float) -> float | None:
-    return float(value_m) if np.isfinite(value_m) else None
 
 
 STAGE = StageSpec("metric", fit_metric, version=16)

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from synthetic import planted_walk, true_keypoints
 
-import video2anim.video
-from stages.camera import FULL_FRAME_DIAGONAL_MM, CameraConfig, _up_seen, estimate_camera
+from stages.camera import CameraConfig, estimate_camera
 from video2anim.body.anny_body import PHENOTYPES
+from video2anim.camera import image_camera
+from video2anim.camera.focal import FULL_FRAME_DIAGONAL_MM
+from video2anim.camera.up import up_by_lifter
 from video2anim.errors import StageError
 from video2anim.geometry.perspective_field import PerspectiveField, field_of_camera
 from video2anim.geometry.projection import invert_rigid, project
@@ -183,7 +185,7 @@ def test_the_picture_is_believed_as_far_as_it_is_sure(
     filmed: Filmed, monkeypatch: pytest.MonkeyPatch, factor: float, sigma_rad: float, share: float
 ) -> None:
     """A sure field of another lens pulls the estimate most of the way to it, an unsure one leaves it alone."""
-    monkeypatch.setattr(video2anim.video, "read_frames", lambda *_: iter([np.zeros((720, 1280, 3), np.uint8)]))
+    monkeypatch.setattr(image_camera, "read_frame", lambda *_: np.zeros((720, 1280, 3), np.uint8))
     clip, tracks = as_stage_input(filmed.observed)
     up = matrix_from_axis_angle(np.array([np.radians(12.0), 0, 0])) @ [0, -1.0, 0]
     seen = SeenField(factor * FOCAL_PX, up, sigma_rad)
@@ -215,10 +217,10 @@ def test_gravity_is_seen_in_whom_the_lifter_is_sure_of(filmed: Filmed) -> None:
             np.tile(up, (frames, 1)), np.full((frames, 22), error_m), FOCAL_PX,
         )  # fmt: skip
 
-    found = _up_seen([(body(aslant, 0.06), track), (body(upright, 0.03), track)])
+    found = up_by_lifter([(body(aslant, 0.06), track), (body(upright, 0.03), track)])
     assert np.arccos(found @ upright) < 0.05
     glimpse = replace(track, valid=np.arange(frames) == 3)
-    found = _up_seen([(body(upright, 0.03), track), (body(aslant, 0.03), glimpse)])
+    found = up_by_lifter([(body(upright, 0.03), track), (body(aslant, 0.03), glimpse)])
     assert np.arccos(found @ upright) < 0.05
     assert np.linalg.norm(found) == pytest.approx(1.0)
 

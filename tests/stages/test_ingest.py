@@ -206,7 +206,7 @@ def test_pictures_too_far_apart_are_no_film(tmp_path: Path, run: Callable[..., V
     """Each hole is short enough to be held, but the clip would be frames that repeat one another."""
     stamps = [171 * i for i in range(40)]  # 1.9 s
     path = write_video(tmp_path / "slides.mkv", [gray(90)] * len(stamps), stamps)
-    with pytest.raises(InputError, match="want a film of at least 2 pictures a second, got 40 pictures in 76 s"):
+    with pytest.raises(InputError, match="want a video of at least 2 pictures a second, got 40 pictures in 76 s"):
         run(path)
     dense = [45 * i for i in range(40)]  # 0.5 s
     assert run(write_video(tmp_path / "slow.mkv", [gray(90)] * len(dense), dense)).frame_count == 600

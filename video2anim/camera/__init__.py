@@ -1,1 +1,1 @@
-"""Camera motion from the picture."""
+"""The clip's camera: whether it moves, its focal length, and the up direction."""

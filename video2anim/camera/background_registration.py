@@ -25,6 +25,15 @@ _FEWEST_INLIERS = 16
 _GRID = 4
 _FEWEST_CELLS = 4
 """Cells of a 4 x 4 grid that the inliers must reach; fewer is one object, not the background."""
+_MOTION_SAMPLES = 20
+_MOTION_STEP = 8
+"""Camera motion is measured at every such frame, but at most at `_MOTION_SAMPLES` spread over the clip."""
+
+
+def motion_samples(frame_count: int) -> frozenset[int]:
+    """Frames of a clip at which the motion of its camera is measured, the first and last among them."""
+    samples = min(_MOTION_SAMPLES, max(1, frame_count // _MOTION_STEP))
+    return frozenset(np.linspace(0, frame_count - 1, samples + 1).round().astype(int).tolist())
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,66 @@
+"""Focal length and up direction from images alone: perspective fields (supplement 8.1), corrected by line segments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import UInt8
+
+from video2anim.geometry.line_segments import camera_with_edges, detect_line_segments
+from video2anim.geometry.perspective_field import FieldCamera, PerspectiveField, fit_camera
+from video2anim.types import VideoClip
+from video2anim.video import read_frame
+
+
+class FieldModel(Protocol):
+    """A network in slot `camera`."""
+
+    def field(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> PerspectiveField:
+        """Perspective field of one image."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageCamera:
+    """What a few frames of one view say of the camera."""
+
+    camera: FieldCamera
+    """The estimate."""
+    of_fields: FieldCamera
+    """The estimate before the correction by line segments."""
+    line_segments: float | None
+    """Line segments per frame, mean; None where they were not used."""
+
+
+def image_camera(
+    clip: VideoClip,
+    model: FieldModel,
+    frames: Sequence[int],
+    *,
+    focal_px: float | None = None,
+    line_segments: bool = True,
+) -> ImageCamera:
+    """Camera that explains the perspective fields of some frames.
+
+    Args:
+        clip: The clip.
+        model: Network that gives the fields.
+        frames: Frames of the same view.
+        focal_px: Known focal length; only the up direction is estimated then.
+        line_segments: Whether line segments of the images correct the fit.
+
+    Raises:
+        InputError: the clip's video cannot be read.
+    """
+    images = [read_frame(clip, frame) for frame in frames]
+    known = None if focal_px is None else focal_px / clip.height_px
+    fields = [model.field(image) for image in images]
+    camera = fit_camera(fields, clip.width_px / clip.height_px, focal_ratio=known)
+    if not line_segments:
+        return ImageCamera(camera, camera, None)
+    segments = [detect_line_segments(image) for image in images]
+    corrected = camera_with_edges(camera, segments, focal_known=known is not None)
+    return ImageCamera(corrected, camera, float(np.mean([len(one.ends) for one in segments])))
