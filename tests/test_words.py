@@ -16,7 +16,7 @@ PROSE = ("README.md", "CONTRIBUTING.md", "docs/*.md", "video2anim/networks/weigh
 NAMES = {
     "SeenThing": "Detection", "ThingLifter": "ObjectBackprojector", "LiftedThing": "BackprojectedObject",
     "thing_pixels": "foreground_mask", "BackgroundPlate": "BackgroundImage", "plate_rgb": "background_rgb",
-    "StageSet": "PlanarSceneProxy", "stature_m": "body_height_m", "PseudoScenes": "SyntheticScenes",
+    "stature_m": "body_height_m", "PseudoScenes": "SyntheticScenes",
     "BodyBalls": "BodySpheres", "MotionLibrary": "MotionDatabase", "ActedMotion": "ProceduralMotion",
     "WindowJudge": "WindowEvaluator", "choose_prior": "load_prior_by_name", "whole_or_absent": "atomic_directory",
     "place_results": "publish_results",
@@ -32,7 +32,6 @@ WORDS = {
     r"statures?": "body height",
     r"middling": "average",
     r"pseudo-scenes?": "synthetic scene",
-    r"stage sets?": "planar scene proxy",
     r"(?:centi|milli|kilo)?metres?": "meter",
     r"colour\w*": "color",
     r"neighbour\w*": "neighbor",

@@ -55,9 +55,10 @@ def test_weights_in_the_key_follow_the_chosen_model() -> None:
         digests(model="nopose")
 
 
-def test_geometric_depth_needs_no_weights() -> None:
-    node = next(node for node in pipeline_nodes() if node.name == "depth")
-    config = resolve(pipeline_nodes(), "p", [("test", {"depth": {"provider": "geometric"}})]).stages["depth"]
+def test_geometric_segmentation_needs_no_weights_of_a_network() -> None:
+    node = next(node for node in pipeline_nodes() if node.name == "segment")
+    layers = [("test", {"segment": {"provider": "geometric", "finder": "none"}})]
+    config = resolve(pipeline_nodes(), "p", layers).stages["segment"]
     assert TableModels().digests(node.spec.models, config) == {}
 
 

@@ -90,7 +90,8 @@ def test_no_option_takes_nonsense(stage: str, name: str, option: Option) -> None
         ("export.preview_height_px=-4", "want a whole number from 16 to 4320 px, got -4"),
         ("export.formats=[glb, obj]", "want a list of glb, usd, bvh, amass"),
         ("depth.provider=nosuch", "want a model of slot depth (room-depth, "),
-        ("depth.provider=geocalib", "NAME@PATH for weights of your own) or 'geometric', got 'geocalib'"),
+        ("segment.provider=geocalib", "NAME@PATH for weights of your own) or 'geometric', got 'geocalib'"),
+        ("depth.provider=geocalib", "NAME@PATH for weights of your own), got 'geocalib'"),
         ("humans.method=none", "want 'both' or 'lifter' or 'optimizer', got 'none'"),
         ("reconstruct.model=triposr@~nosuchuser/x", "want a model of slot object-mesh (triposr; "),
         ("reconstruct.command=make {mesh}", "{image} and {mesh}"),
@@ -133,8 +134,6 @@ def test_valid_values_stay_what_they_were() -> None:
 @pytest.mark.parametrize(
     "given",
     [
-        ("depth.far_m=20",),
-        ("depth.provider=geometric", "depth.hue_shifts_rad=[0.1]"),
         ("camera.camera_model=none", "camera.field_frames=5"),
         ("humans.method=lifter", "humans.iterations=10"),
         ("humans.method=optimizer", "humans.model=lifter@x.onnx"),
@@ -151,9 +150,10 @@ def test_an_option_that_means_nothing_is_an_error(given: tuple[str, ...]) -> Non
 def test_what_is_chosen_later_may_make_an_option_of_a_preset_meaningless() -> None:
     layers = [("preset", {"camera": {"field_frames": 5}}), ("--set", {"camera": {"camera_model": "none"}})]
     assert resolve(NODES, "p", layers).stages["camera"].field_frames == 5
-    early = [("mine", {"depth": {"far_m": 20}}), ("--set", {"depth": {"provider": "geometric"}})]
-    assert resolve(NODES, "p", early).stages["depth"].far_m == 20
-    with pytest.raises(UsageError, match=r"depth\.far_m: means nothing"):
+    early = [("mine", {"humans": {"iterations": 20}}), ("--set", {"humans": {"method": "optimizer"}})]
+    assert resolve(NODES, "p", early).stages["humans"].iterations == 20
+    early[0][1]["humans"]["method"] = "lifter"
+    with pytest.raises(UsageError, match=r"humans\.iterations: means nothing"):
         resolve(NODES, "p", early[:1])
 
 
@@ -184,7 +184,7 @@ def test_a_partial_preset_changes_only_what_it_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("depth:\n  far_m: 1\ndepth:\n  provider: geometric\n", "line 3, column 1: this key is there twice"),
+        ("depth:\n  far_m: 1\ndepth:\n  provider: mine\n", "line 3, column 1: this key is there twice"),
         ("depth: {far_m: 1, far_m: 2}\n", "this key is there twice"),
         ("a: &a [1]\ndepth: *a\n", "aliases"),
         ("<<: {depth: {}}\n", ""),

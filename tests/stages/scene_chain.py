@@ -1,4 +1,4 @@
-"""Runs depth..scene on a synthetic room."""
+"""Runs segment..scene on a synthetic room of known depth."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from synthetic_room import Room
 
 from stages.complete import CompleteConfig, complete_objects
-from stages.depth import DepthConfig, estimate_depth
 from stages.metric import MetricConfig, fit_metric
 from stages.place import PlaceConfig, place_objects
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
@@ -50,9 +49,18 @@ def T_room_world(room: Room, chain: Chain) -> np.ndarray:
     return room.bodies.people[0].T_world_camera[0] @ invert_rigid(chain.metric.bodies.people[0].T_world_camera[0])
 
 
-def depth_of(room: Room, ctx: StageContext) -> DepthClip:
-    """The geometric provider never reads the clip's video."""
-    return estimate_depth(room.clip, room.background, room.bodies, room.camera, DepthConfig(provider="geometric"), ctx)
+def depth_of(room: Room) -> DepthClip:
+    """True depth in units of the median depth, of each sample with the person at the median depth of their joints."""
+    unit_m = float(np.median(room.depth_m))
+    value = np.repeat(room.depth_m[None] / unit_m, len(room.background.frame_index), axis=0)
+    for sample, frame in enumerate(room.background.frame_index):
+        joints_m = room.bodies.people[0].joints_camera_m[frame]
+        value[sample][room.background.selected_mask[sample]] = np.median(joints_m[:, 2]) / unit_m
+    known = np.repeat(room.depth_m[None] < 30, len(value), axis=0)
+    return DepthClip(
+        "depth", "truth", room.background.frame_index, value.astype(np.float32), (0.03 * value).astype(np.float32),
+        known, room.depth_m / unit_m, known[0],
+    )  # fmt: skip
 
 
 def masks_of(room: Room, depth: DepthClip, config: SegmentConfig, ctx: StageContext) -> InstanceMasks:
@@ -67,9 +75,9 @@ def unfilmed(room: Room) -> VideoClip:
 
 @functools.cache
 def run_chain(room: Room) -> Chain:
-    """All seven stages with default configuration."""
+    """All six stages with default configuration."""
     ctx = StageContext(Path())
-    depth = depth_of(room, ctx)
+    depth = depth_of(room)
     masks = masks_of(room, depth, SegmentConfig(provider="geometric", finder="none"), ctx)
     metric = fit_metric(room.clip, depth, room.background, room.bodies, masks, room.camera, MetricConfig(), ctx)
     completed = complete_objects(room.background, masks, metric, CompleteConfig(), ctx)

@@ -1,84 +1,15 @@
-"""Depth from gravity, floor and feet, against a rendered room; and the network's uncertainty."""
+"""Views in gravity's axes, layers of columns, and the uncertainty of a depth network."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
-from scene_chain import all_finite, depth_of
-from synthetic_room import BOX, FLOOR, WALL, Room, camera_pose, make_room
+from synthetic_room import camera_pose
 
-from stages.depth import DepthConfig, estimate_depth
 from video2anim.depth.hue_jitter import jittered_disparity, reliable
-from video2anim.errors import StageError
 from video2anim.geometry.column_layers import background_distance, ground_contact_distance
 from video2anim.geometry.gravity_view import GravityView
-from video2anim.pipeline.stage import StageContext
-from video2anim.types import BodyTracks, Intrinsics, View
-
-
-def _scale_free_error(room: Room, surface: int) -> float:
-    """Mean relative error of background image depth on a surface, after one scale for the whole picture."""
-    depth = depth_of(room, StageContext(Path()))
-    good = depth.background_valid
-    scale = np.median(room.depth_m[good] / depth.background_value[good])
-    chosen = good & (room.surface == surface)
-    assert chosen.sum() > 0.8 * (room.surface == surface).sum()
-    return float(np.mean(np.abs(scale * depth.background_value[chosen] / room.depth_m[chosen] - 1)))
-
-
-@pytest.mark.parametrize(("pitch_deg", "roll_deg", "height_m"), [(14.0, 0.0, 1.6), (22.0, 12.0, 1.6), (35.0, 0.0, 2.4)])
-def test_room_depth_up_to_scale(pitch_deg: float, roll_deg: float, height_m: float) -> None:
-    room = make_room(pitch_deg=pitch_deg, roll_deg=roll_deg, height_m=height_m)
-    # Bands: the floor is exact but for pixels near its edges; one row at the wall's foot is 3 % of its distance.
-    assert _scale_free_error(room, FLOOR) < 0.02
-    assert _scale_free_error(room, WALL) < 0.06
-    assert _scale_free_error(room, BOX) < 0.06
-
-
-def test_person_is_a_figure_at_the_foot_contact() -> None:
-    room = make_room()
-    depth = depth_of(room, StageContext(Path()))
-    body = room.bodies.people[0]
-    scale = np.median((room.depth_m / depth.background_value)[depth.background_valid & (room.surface == FLOOR)])
-    for sample, frame in enumerate(depth.frame_index):
-        mask = room.background.selected_mask[sample]
-        assert depth.valid[sample][mask].all()
-        found = scale * np.median(depth.value[sample][mask])
-        assert found == pytest.approx(np.median(body.joints_camera_m[frame, :, 2]), abs=0.3)
-
-
-def test_airborne_person_is_invalid_and_sigma_is_positive() -> None:
-    room = make_room()
-    body = room.bodies.people[0]
-    contact = body.contact.copy()
-    contact[20:] = 0.0
-    jumping = replace(room, bodies=BodyTracks((replace(body, contact=contact),)))
-    depth = depth_of(jumping, StageContext(Path()))
-    on_person = np.array(
-        [(depth.valid & room.background.selected_mask)[s].any() for s in range(len(depth.frame_index))]
-    )
-    assert (on_person == (depth.frame_index < 20)).all()
-    assert (depth.sigma > 0).all()
-
-
-def test_no_floor_in_the_picture_is_unknown_not_invented() -> None:
-    room = make_room(pitch_deg=-20.0)
-    ctx = StageContext(Path())
-    depth = depth_of(room, ctx)
-    assert not depth.background_valid.any()
-    assert not depth.valid.any()
-    assert any("no foot stands" in text for text in ctx.warnings)
-    assert all_finite(depth)
-
-
-def test_no_body_is_an_error() -> None:
-    room = make_room()
-    config = DepthConfig(provider="geometric")
-    with pytest.raises(StageError, match="want a fitted body with at least one valid frame"):
-        estimate_depth(None, room.background, BodyTracks((), ()), room.camera, config, StageContext(Path()))  # type: ignore[arg-type]
+from video2anim.types import Intrinsics, View
 
 
 @pytest.mark.parametrize("roll_deg", [0.0, 25.0])

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from synthetic_room import BOX, FLOOR, WALL, Room, make_room
 
-import video2anim.video
 from stages.depth import DepthConfig, estimate_depth
 from stages.metric import MetricConfig, fit_metric
 from stages.segment import SegmentConfig, segment_background
+from video2anim.depth import network_depth
 from video2anim.geometry.projection import backproject, transform_points
 from video2anim.networks.segmentation import CLASSES, SeenInstance, Segmentation
 from video2anim.pipeline.stage import StageContext
@@ -79,7 +79,7 @@ def room(monkeypatch: pytest.MonkeyPatch) -> Room:
             picture[:24, :24, 0] = samples.get(frame, 0)
             yield picture
 
-    monkeypatch.setattr(video2anim.video, "read_frames", frames)
+    monkeypatch.setattr(network_depth, "read_frames", frames)
     return made
 
 
@@ -90,7 +90,7 @@ def _context(room: Room, moody: bool = True) -> StageContext:
 
 def _depth(room: Room, ctx: StageContext) -> DepthClip:
     config = DepthConfig(provider="fake", hue_shifts_rad=(), frame_hue_shifts_rad=())
-    return estimate_depth(room.clip, room.background, room.bodies, room.camera, config, ctx)
+    return estimate_depth(room.clip, room.background, room.camera, config, ctx)
 
 
 def _stages(

@@ -75,7 +75,7 @@ def clip() -> VideoClip:
 
 def depth() -> DepthClip:
     value, known = np.full(SMALL, np.nan, np.float32), np.zeros(SMALL, bool)
-    return DepthClip("depth", "geometric", np.array([0, 2, 4]), value, value, known, value[0], known[0])
+    return DepthClip("depth", "truth", np.array([0, 2, 4]), value, value, known, value[0], known[0])
 
 
 def metric() -> MetricDepth:

@@ -29,9 +29,9 @@ from video2anim.types import BackgroundImage, BodyMotion, BodyTracks, CameraEsti
 from video2anim.types.camera import UpEvidence
 from video2anim.types.skeleton import FEET, JOINT_INDEX
 
-USUAL_OFFSET = {"room-depth": (1.25, 0.6), "geometric": (0.0, 0.02)}
-"""Offset of depth over scale times the picture's middle value, and its spread, by provider: of the shipped network in
-the rooms of V2A-Bench (geometric mean 1.22), and of depth that is in proportion to the true one by its making."""
+USUAL_OFFSET = {"room-depth": (1.25, 0.6)}
+"""Offset of depth over scale times the median absolute value, and its standard deviation, by network: of the shipped
+one in the rooms of V2A-Bench (geometric mean 1.22)."""
 _OTHER_DEPTH, _OTHER_DISPARITY = (0.0, 0.3), (0.5, 5.0)
 """Of networks of which nothing is known. The zero of disparity may lie right behind the farthest wall, and that wall
 may be the middle of the picture's values."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import UInt8
@@ -15,6 +15,7 @@ from video2anim.types import VideoClip
 from video2anim.video import read_frame
 
 
+@runtime_checkable
 class FieldModel(Protocol):
     """A network in slot `camera`."""
 

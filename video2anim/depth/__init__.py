@@ -1,1 +1,1 @@
-"""Depth of frames and background: planar proxy, people, alignment over time."""
+"""Depth by a network: uncertainty from hue jitter, and alignment over time."""

@@ -1,16 +1,67 @@
-"""Depth of a still camera's clip without flicker: every picture's answer brought to that of the empty background
-image."""
+"""Temporal alignment of the depth of a static camera: every frame's depth is fitted to that of the background image."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 _ROUNDS = 8
+"""Steps of reweighting."""
 _HUBER = 1.5
-"""Residuals beyond so many deviations weigh less."""
+"""Residuals beyond so many standard deviations weigh less."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """Depth of the sampled frames in the units of the background image."""
+
+    value: Float[np.ndarray, "samples height width"]
+    sigma: Float[np.ndarray, "samples height width"]
+    valid: Bool[np.ndarray, "samples height width"]
+    lost: int
+    """Frames that could not be aligned; their people are invalid."""
+    flicker_before: float | None
+    """As in `flicker`; None where no pixel is background in all frames."""
+    flicker_after: float | None
+
+
+def aligned_to_background(
+    value: Float[np.ndarray, "samples height width"],
+    sigma: Float[np.ndarray, "samples height width"],
+    valid: Bool[np.ndarray, "samples height width"],
+    background: tuple[
+        Float[np.ndarray, "height width"], Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"]
+    ],
+    person_mask: Bool[np.ndarray, "samples height width"],
+) -> Alignment:
+    """People keep the depth of their own frame, aligned; all else has the depth of the background image.
+
+    Args:
+        value: Depth of each frame, up to a scale and offset of its own.
+        sigma: Its standard deviation.
+        valid: Where it is valid.
+        background: Value, standard deviation and validity of the background image.
+        person_mask: Pixels that show people.
+    """
+    still = background[2] & ~person_mask.any(0)
+    aligned = Alignment(
+        value.copy(), sigma.copy(), valid.copy(), 0, flicker(value, still) if still.any() else None, None
+    )
+    lost = 0
+    for sample, people in enumerate(person_mask):
+        line = fitted_line(value[sample], background[0], background[2] & ~people)
+        if line is None:
+            lost += 1
+            aligned.valid[sample] = False
+            line = (1.0, 0.0)
+        aligned.value[sample] = np.where(people, line[0] * value[sample] + line[1], background[0])
+        aligned.sigma[sample] = np.where(people, line[0] * sigma[sample], background[1])
+        aligned.valid[sample] = np.where(people, aligned.valid[sample], background[2])
+    after = flicker(aligned.value, still) if still.any() else None
+    return replace(aligned, lost=lost, flicker_after=after)
 
 
 def fitted_line(

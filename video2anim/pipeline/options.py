@@ -1,8 +1,8 @@
 """What an option of a stage takes, said in its type; checked before anything runs.
 
 frames: Annotated[int, limits("frames", ge=1, le=100)] = 24
-provider: Annotated[str, model_of("depth", also=("geometric",))] = "room-depth"
-far_m: Annotated[float, limits("m", gt=0, le=1000), only_with("provider", "geometric")] = 30.0
+camera_model: Annotated[str, model_of("camera", also=("none",))] = "room-camera"
+field_frames: Annotated[int, limits("frames", ge=1), only_without("camera_model", "none")] = 3
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ class DepthClip(Checked):
     kind: Annotated[str, Field(pattern="^(depth|disparity)$")]
     """`depth` (metric = s * value + o) or `disparity` (1 / metric = s * value + o)."""
     provider: str
-    """`geometric` or the name of a network."""
+    """Name of the network."""
     frame_index: Annotated[Int[np.ndarray, "samples"], Holds.FRAMES]
     value: Annotated[Float[np.ndarray, "samples small_height small_width"], Holds.GAPS]
     sigma: Annotated[Float[np.ndarray, "samples small_height small_width"], Holds.GAPS]
