@@ -48,7 +48,7 @@ from video2anim.artifacts.images import write_png
 from video2anim.artifacts.motion_io import write_motion
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import LIKELY, NEAR_M, believed, posed_vertices, skin_of
-from video2anim.calibration.passed import passed_before
+from video2anim.calibration.person_coverage import person_coverage
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import project
 from video2anim.geometry.scene_mesh import world_mesh
@@ -192,7 +192,7 @@ def depth_order(metric: MetricDepth, masks: InstanceMasks, background: Backgroun
     """Share of the pixels of objects at which the main person is seen whose depth is not before the person."""
     shape = metric.background_depth_m.shape
     body = metric.bodies.main
-    passed = passed_before(
+    passed = person_coverage(
         body, background.frame_index, background.selected_mask, body.intrinsics.resized(*shape[::-1])
     )
     objects = np.any([shrunk(one.mask, shape) for one in masks.instances] or [np.zeros(shape, bool)], axis=0)

@@ -187,7 +187,7 @@ class World:
             objects=tuple(self.object_evidence(number, obj) for number, obj in enumerate(self.objects, 1)),
             usual_offset=self.offset / (self.scale * center),
             usual_offset_sigma=self.usual_offset_sigma,
-            middle_value=center,
+            median_value=center,
         )
 
 
@@ -202,5 +202,5 @@ def times(evidence: Evidence, factor: float) -> Evidence:
         floor=of(evidence.floor),
         skin=tuple(replace(one, value=factor * one.value) for one in evidence.skin),
         objects=tuple(replace(o, foot=of(o.foot), top=of(o.top), behind=of(o.behind)) for o in evidence.objects),
-        middle_value=factor * evidence.middle_value,
+        median_value=factor * evidence.median_value,
     )

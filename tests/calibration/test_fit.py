@@ -228,7 +228,7 @@ LITTLE = {
 def test_little_evidence_gives_finite_numbers(case: str) -> None:
     """Without warnings, which are errors here."""
     evidence = LITTLE[case]
-    found = calibrate(replace(evidence, middle_value=abs(evidence.middle_value)))
+    found = calibrate(replace(evidence, median_value=abs(evidence.median_value)))
     numbers = {field.name: getattr(found, field.name) for field in fields(found)}
     del numbers["residuals"], numbers["chamfer_before_m"], numbers["chamfer_after_m"]
     assert all(np.isfinite(value).all() for value in numbers.values()), numbers

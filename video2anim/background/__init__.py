@@ -1,1 +1,1 @@
-"""The background image, and which pixels are the person."""
+"""The background image and the masks of people."""

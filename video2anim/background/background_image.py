@@ -1,4 +1,4 @@
-"""A picture without its people: the temporal median of what each pixel shows when nobody covers it."""
+"""Background image: the temporal median of every pixel over the frames in which no person covers it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 _STRIP_BYTES = 32 * 2**20
-"""Samples are worked on in strips of rows of about this size."""
-_INPAINT_SIDE_PX = 384
+"""Memory for the samples that are worked on at once, in strips of rows."""
 _INPAINT_RADIUS_PX = 4.0
+"""Pixels of the reduced image, over which Telea's method averages."""
 
 
 def masked_median(
@@ -17,8 +17,8 @@ def masked_median(
 ) -> UInt8[np.ndarray, "*pixels 3"]:
     """Median over the usable samples of each pixel and channel (the lower one of two); 0 where none is usable.
 
-    Found bit by bit from the top: a bit stays set while no more samples lie below the value than may lie below the
-    median. Cheaper than a sort.
+    Found bit by bit from the highest: a bit stays set if no more samples are below the value than may be below the
+    median. Faster than a sort.
     """
     # Samples at 255 lie below nothing, so that what is not usable never counts.
     kept = np.where(usable[..., None], samples, np.uint8(255))
@@ -85,17 +85,15 @@ def updated_background(
 def inpaint_unobserved(
     background: UInt8[np.ndarray, "height width 3"], unseen: Bool[np.ndarray, "small_height small_width"]
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """The background image with its unseen pixels painted from their surroundings (Telea's method, at a reduced
-    resolution)."""
+    """The background image with its unseen pixels inpainted (Telea's method, at the resolution of `unseen`)."""
     if not unseen.any():
         return background
     height, width = background.shape[:2]
     hole = unseen[_nearest(height, unseen.shape[0])][:, _nearest(width, unseen.shape[1])]
     if hole.all():
         return background
-    scale = min(1.0, _INPAINT_SIDE_PX / max(height, width))
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    # Area averages over seen pixels only, so that the hole's black does not bleed into its rim.
+    size = (unseen.shape[1], unseen.shape[0])
+    # Averages over seen pixels only, so that the hole's black does not enter its border.
     weight = cv2.resize((~hole).astype(np.float32), size, interpolation=cv2.INTER_AREA)
     color = cv2.resize(np.where(hole[..., None], 0, background).astype(np.float32), size, interpolation=cv2.INTER_AREA)
     small = np.clip(color / np.maximum(weight, 1e-6)[..., None] + 0.5, 0, 255).astype(np.uint8)

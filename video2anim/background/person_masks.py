@@ -1,4 +1,4 @@
-"""Masks of people in the frames that the background image is made of, and what they hide of it."""
+"""Person masks of the sampled frames, and what they exclude from the background image."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class PeopleMasks:
 
 
 def mask_frames(clip: VideoClip, frame_index: Int[np.ndarray, "samples"]) -> Iterator[np.ndarray]:
-    """Pictures of the mask frames, in one decode but for the last one."""
+    """Images of the mask frames, in one pass and, if it is off the regular step, another one for the last."""
     step = int(frame_index[1]) if len(frame_index) > 1 else 1
     regular = frame_index % step == 0
     yield from read_frames(clip, 0, int(frame_index[regular][-1]) + 1, step)
@@ -52,7 +52,7 @@ def mask_frames(clip: VideoClip, frame_index: Int[np.ndarray, "samples"]) -> Ite
 def generous_masks(
     tracks: PersonTracks, frame_index: Int[np.ndarray, "samples"], raster: Raster
 ) -> Bool[np.ndarray, "samples small_height small_width"]:
-    """Everything that may be a person, with a margin."""
+    """Pixels that may be a person, with a margin."""
     masks = np.zeros((len(frame_index), raster.height_px, raster.width_px), bool)
     for row, frame in enumerate(frame_index):
         for track in tracks.people:
@@ -69,7 +69,7 @@ def grown_masks(
     frame_index: Int[np.ndarray, "samples"],
     raster: Raster,
 ) -> Bool[np.ndarray, "samples small_height small_width"]:
-    """Sharp masks, joined with the model's own, with a small margin."""
+    """Union of the refined masks and the model's own, with a small margin."""
     grown = masks.copy()
     for row, frame in enumerate(frame_index):
         for track in tracks.people:
@@ -86,14 +86,14 @@ def _margin_px(box_px: Float[np.ndarray, "4"], raster: Raster, ratio: float) -> 
 
 
 def aligned(rgb: UInt8[np.ndarray, "height width 3"], H: Float[np.ndarray, "3 3"]) -> np.ndarray:
-    """A picture as the first frame sees it, by a homography."""
+    """An image warped into the first frame by a homography."""
     return cv2.warpPerspective(rgb, H, (rgb.shape[1], rgb.shape[0]), flags=cv2.INTER_LINEAR)
 
 
 def excluded_from_median(
     person: Bool[np.ndarray, "samples small_height small_width"], samples: MedianSamples, raster: Raster
 ) -> Bool[np.ndarray, "median_samples small_height small_width"]:
-    """What the median leaves out of each of its samples: people, and what lies outside an aligned frame."""
+    """Pixels that the median excludes from each of its samples: people, and what is outside of an aligned frame."""
     excluded = person[samples.row].copy()
     for k, row in enumerate(samples.row):
         H = samples.H_reference_frame[row]
@@ -151,7 +151,7 @@ def _background_in_frame(
     H_reference_frame: Float[np.ndarray, "3 3"],
     raster: Raster,
 ) -> tuple[UInt8[np.ndarray, "small_height small_width 3"], Bool[np.ndarray, "small_height small_width"]]:
-    """The background image as this frame's camera sees it, and where it is known."""
+    """The background image warped into the frame, and where it is known."""
     if np.array_equal(H_reference_frame, np.eye(3)):
         return small_background, known
     if not np.isfinite(H_reference_frame).all():

@@ -1,7 +1,8 @@
-"""Figure and ground: which pixels show a person.
+"""Person segmentation: which pixels show a person.
 
-Two witnesses are added as log odds: the person model's own mask, coarse but knowing, and the difference from the
-background image, sharp but ignorant. Where the background image is unknown the first decides alone.
+The log odds of two sources are added: the person model's mask, which is coarse, and the difference from the background
+image, which is sharp but also shows shadows and other changes. Where the background image is unknown the mask decides
+alone.
 """
 
 from __future__ import annotations
@@ -14,22 +15,25 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from video2anim.types.people import PersonTrack
 
-_TRUST = 0.98
-"""Neither mask value is taken as more certain than this."""
-_EMPTY_MASK = 0.5
-"""A mask whose largest probability is below this holds no person; the landmark box stands in."""
-_BOX_PROBABILITY = 0.5
+_MAX_PROBABILITY = 0.98
+"""No value of the mask is taken as more certain than this."""
+_UNDECIDED = 0.5
+"""A mask whose probability stays below this everywhere holds no person; the landmark box, with this probability, takes
+its place."""
 _NEUTRAL_NOISE = 3.0
-"""Difference, in noise levels, that speaks neither for a person nor against."""
+"""Difference, in noise levels, that is evidence neither for a person nor against one."""
 _EVIDENCE_GAIN = 2.0
+"""Log odds per natural logarithm of the difference."""
 _EVIDENCE_LIMIT = 2.5
 """Largest log odds that the difference may add."""
 _NOISE_FLOOR_LAB = 1.5
+"""Least noise level of the difference, in CIE Lab."""
 _NOISE_BLUR_PX = 20.0
+"""Scale of the regions over which noise is averaged, in reduced pixels."""
 _LUMINANCE_WEIGHT = 0.5
-"""A cast shadow changes luminance most; it counts for less."""
+"""Weight of luminance in the difference: cast shadows change it most."""
 _MIN_PART = 0.03
-"""Pieces below this share of the largest one are dropped."""
+"""Connected regions below this share of the largest one are dropped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +73,14 @@ def person_probability(
 ) -> Float32[np.ndarray, "small_height small_width"]:
     """The person model's mask of one frame, on the reduced picture; 0 where the person is not tracked.
 
-    A frame whose mask is empty though the person is tracked gets an undecided landmark box.
+    Where the mask is empty although the person is tracked, the landmark box has probability 0.5.
     """
     size = (raster.width_px, raster.height_px)
     row = track.row(int(frame))
     if row is None:
         return np.zeros((raster.height_px, raster.width_px), np.float32)
     crop = track.mask_crop[row]
-    if crop.max() >= 255 * _EMPTY_MASK:
+    if crop.max() >= 255 * _UNDECIDED:
         side = crop.shape[0]
         T_crop_mask = np.array([[1 / side, 0, 0.5 / side], [0, 1 / side, 0.5 / side], [0, 0, 1]])
         T_image_crop = np.vstack([track.T_image_crop[row], [0, 0, 1]])
@@ -85,7 +89,7 @@ def person_probability(
     probability = np.zeros((raster.height_px, raster.width_px), np.float32)
     corners = np.c_[track.box_px[row].reshape(2, 2), np.ones(2)] @ raster.T_small_image.T
     (x0, y0), (x1, y1) = np.floor(corners[:, :2]).clip(0).astype(int)
-    probability[y0 : y1 + 1, x0 : x1 + 1] = _BOX_PROBABILITY
+    probability[y0 : y1 + 1, x0 : x1 + 1] = _UNDECIDED
     return probability
 
 
@@ -115,15 +119,15 @@ def refine_mask(
     Args:
         probability: Of a person, from the person model.
         difference: From the background image, as `lab_difference` gives it.
-        plate_known: Where the background image shows real background.
+        background_known: Where the background image shows real background.
         named: Where a segmentation network sees people.
     """
     if not probability.any():
         return np.zeros(probability.shape, bool)
-    bounded = np.clip(probability, 1 - _TRUST, _TRUST)
+    bounded = np.clip(probability, 1 - _MAX_PROBABILITY, _MAX_PROBABILITY)
     log_odds = np.log(bounded / (1 - bounded))
-    # Sensor noise, compression and passing light, measured on the background around.
-    ground = ((probability < 1 - _TRUST) & background_known).astype(np.float32)
+    # Noise of the sensor, of compression and of changing light, measured on the background nearby.
+    ground = ((probability < 1 - _MAX_PROBABILITY) & background_known).astype(np.float32)
     total = cv2.GaussianBlur(ground, (0, 0), _NOISE_BLUR_PX)
     usual = cv2.GaussianBlur(np.minimum(difference, 30.0) * ground, (0, 0), _NOISE_BLUR_PX)
     noise_lab = np.maximum(usual / np.maximum(total, 1e-4), _NOISE_FLOOR_LAB)
@@ -132,7 +136,7 @@ def refine_mask(
     if named is not None:
         log_odds = log_odds + NAMED_LOG_ODDS * np.where(named, 1.0, -1.0)
     mask = log_odds + np.where(background_known, evidence, 0.0) > 0
-    return _without_crumbs(mask)
+    return _without_small_regions(mask)
 
 
 def dilated(mask: Bool[np.ndarray, "height width"], radius_px: int) -> Bool[np.ndarray, "height width"]:
@@ -143,7 +147,7 @@ def dilated(mask: Bool[np.ndarray, "height width"], radius_px: int) -> Bool[np.n
     return cv2.dilate(mask.astype(np.uint8), disc).astype(bool)
 
 
-def _without_crumbs(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+def _without_small_regions(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
     closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     if count <= 1:

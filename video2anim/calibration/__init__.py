@@ -1,1 +1,1 @@
-"""One fit of camera, people's sizes, floor, depth and objects' distances."""
+"""Joint calibration of camera, body heights, floor, depth scale and object distances (docs/calibration.md)."""

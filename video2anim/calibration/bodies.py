@@ -1,4 +1,4 @@
-"""People and their camera after the fit."""
+"""Bodies and their camera under the result of the fit."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _HALVINGS = 30
 
 
 def calibrated(bodies: BodyTracks, found: Calibration) -> BodyTracks:
-    """The same people at their sizes, under the lens and above the floor of the fit (+Y up, floor at y = 0, origin
-    below the main person's first valid root). Each keeps its place and size in the picture."""
+    """People at the sizes, under the focal length and above the floor of the fit (+Y up, floor at y = 0, origin below
+    the main person's first valid root). Each keeps its position and size in the image."""
     main = bodies.main
     k = main.intrinsics
     lens = found.focal_px / k.fx_px
@@ -48,7 +48,7 @@ def calibrated(bodies: BodyTracks, found: Calibration) -> BodyTracks:
 def _moved(
     body: BodyMotion, ratio: float, lens: float, intrinsics: Intrinsics, T_world_camera: Float[np.ndarray, "frames 4 4"]
 ) -> BodyMotion:
-    """One person under another lens and of another size; a phenotype that ends before the size does limits it."""
+    """One person under another focal length and of another size, as far as the body model's range of heights goes."""
     shape, rest_joints_m, reached = resized(body.shape, body.rest_joints_m, ratio)
     T_camera_world = invert_rigid(body.T_world_camera)
     root_m = transform_points(T_camera_world, body.T_world_root[:, None, :3, 3])[:, 0]

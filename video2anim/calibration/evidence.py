@@ -1,4 +1,5 @@
-"""What the fit rests on, in the camera frame (OpenCV axes, meters) as stage humans has it, or in pixels' own values."""
+"""Evidence of the fit: points in the camera frame of stage humans (OpenCV axes, meters), pixels and their relative
+depth."""
 
 from __future__ import annotations
 
@@ -12,65 +13,65 @@ from video2anim.types.camera import UpEvidence
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonEvidence:
-    """One person. Roots are the pelvis in the same frames: the body turns about it when the lens changes."""
+    """One person. Roots are the pelvis in the same frames, about which the body turns when the focal length changes."""
 
     person_id: int
     body_height_sigma: float
-    """Standard deviation of the logarithm of the standing height before the clip is looked at."""
+    """Prior standard deviation of the logarithm of the standing height."""
     soles_m: Float[np.ndarray, "windows 3"]
-    """Lowest point of the skin in each stretch of 0.6 s: somebody who stands or walks has a foot down in it."""
+    """Lowest point of the skin in each window of 0.6 s, in which people who stand or walk have a foot on the ground."""
     soles_root_m: Float[np.ndarray, "windows 3"]
-    upright: Float[np.ndarray, "looks 3"]
-    """Unit vectors from the feet to the center of mass, three a second: a body that stands or walks is in balance."""
-    upright_root_m: Float[np.ndarray, "looks 3"]
+    upright: Float[np.ndarray, "observations 3"]
+    """Unit vectors from the feet to the center of mass while the person stands or walks (static equilibrium)."""
+    upright_root_m: Float[np.ndarray, "observations 3"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinEvidence:
-    """Skin of the main person and depth of pixels that show it (paper 8.1), or what it stands on."""
+    """Skin of the main person and pixels that show it (supplement 8.1), or soles and the pixels of their support."""
 
     root_m: Float[np.ndarray, "*vertices 3"]
-    """One for all, of one frame; or of the frame of each vertex."""
+    """Of the frame of all vertices, or of the frame of each."""
     skin_m: Float[np.ndarray, "vertices 3"]
     pixel: Float[np.ndarray, "pixels 2"]
-    """From the picture's middle, in pixels of the clip."""
+    """From the principal point, in pixels of the clip."""
     value: Float[np.ndarray, "pixels"]
     """Relative depth or disparity."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelEvidence:
-    """Pixels of one surface with relative depth."""
+    """Pixels of one surface and their relative depth."""
 
     pixel: Float[np.ndarray, "pixels 2"]
-    """From the picture's middle, in pixels of the clip."""
+    """From the principal point, in pixels of the clip."""
     value: Float[np.ndarray, "pixels"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectEvidence:
-    """One object of the picture; what is not seen of it is None."""
+    """One object of the image; evidence that is not visible is None."""
 
     object_id: int
     label: str
     foot: PixelEvidence | None
     """The pixel in which it meets the floor."""
     foot_is_cut: bool
-    """Whether the picture ends there: the object is not farther than that, but may be nearer."""
+    """Whether the image border cuts the object: it may be nearer than its lowest pixel on the floor."""
     top: PixelEvidence | None
-    """Its highest pixel, with a foot to measure from, where objects of its kind have a usual height."""
+    """Its highest pixel, if its foot is visible and its class has a usual height."""
     behind: PixelEvidence | None
-    """A pixel before which the main person was seen..."""
+    """A pixel in front of which the main person was seen."""
     behind_person_m: float
-    """...at this depth: the object is not nearer."""
+    """Depth of the person there, in meters: the object is not nearer."""
     under_feet: SkinEvidence | None = None
-    """Soles of the main person that stood on it, each with its root, and the object's depth there. Where it meets the
-    floor then tells nothing: the floor is what people stand on."""
+    """Soles of the main person that stood on it, each with its root, and the object's depth there. Its foot is no
+    evidence then: what people stand on is the floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """All of it."""
+    """All evidence of the fit."""
 
     focal_px: float
     focal_log_sigma: float
@@ -83,8 +84,8 @@ class Evidence:
     floor: PixelEvidence
     objects: tuple[ObjectEvidence, ...]
     usual_offset: float
-    """Offset of depth over scale times the picture's middle value, as the network usually has it..."""
+    """Offset over scale times `median_value`, mean of the network."""
     usual_offset_sigma: float
-    """...and its standard deviation."""
-    middle_value: float
-    """Of the sizes of the picture's values: some networks put their zero into the middle of the picture."""
+    """Its standard deviation."""
+    median_value: float
+    """Median absolute value of relative depth; absolute, because the zero of some networks is inside the range."""

@@ -1,10 +1,10 @@
-"""One robust least-squares fit over the lens, gravity, the floor, people's statures, the scale and offset of depth, and
-the distance of every object (docs/calibration.md has the factor graph).
+"""Robust least-squares fit of focal length, gravity, floor, body heights, scale and offset of depth, and the distances
+of objects (docs/calibration.md has the factor graph).
 
-A video of one camera shows a scene only up to its size; statures' prior and the usual heights of furniture fix that.
-Every residual is divided by its standard deviation (`Sigmas`). Evidence may be wrong altogether (a child, a step, what
-was taken for floor), so residuals of observations count by Cauchy's logarithm; priors count squared. The covariance is
-the inverse of J^T J.
+One camera determines a scene up to scale only, which is fixed by the prior of body heights and the usual heights of
+furniture. Every residual is divided by its standard deviation (`Sigmas`). Evidence may be gross error (a child, a step,
+a wrong floor), so residuals of observations have Cauchy's cost; priors have a squared cost. The covariance is the
+inverse of J^T J.
 """
 
 from __future__ import annotations
@@ -28,32 +28,31 @@ class Sigmas:
     """Standard deviations of the residuals."""
 
     up_limit: float = 2.0
-    """Sources of gravity count squared up to so many deviations, then by the logarithm. With 1, a person on a step
-    tilts a room whose edges are plain."""
+    """Standard deviations up to which the cost of a source of gravity is squared. With 1, a person on a step tilts a
+    room whose line segments are clear (`tests/calibration/test_fit_contradictions.py`)."""
     sole_m: float = 0.03
-    """Height of a standing sole (the floor spread of stage humans on clips with one floor)."""
+    """Height of a standing sole (the spread of floor heights of stage humans on clips with one floor)."""
     sole_distance_ratio: float = 0.03
     """Distance of a body along the line of sight from frame to frame."""
     upright_rad: float = 0.3
-    """Direction from feet to center of mass in a look (walking, reaching, bending)."""
-    looks: float = 12.0
-    """Points of one kind of evidence err together: the floor's pixels, and the soles of another person, count as no
-    more than so many. The skin points of a frame count as one."""
+    """Direction from feet to center of mass (walking, reaching, bending)."""
+    independent_points: float = 12.0
+    """Errors of points of one kind are correlated: the floor pixels, and the soles of each other person, weigh as much
+    as so many independent points. The skin points of a frame weigh as one."""
     floor_log: float = 0.08
     """Depth of a floor pixel, logarithm."""
     skin_log: float = 0.05
-    """Depth of skin against that of the nearest depth pixel, logarithm: of the distance alone, since the shape of a
-    body in a network's depth tells nothing of the lens."""
+    """Depth of skin against that of the nearest depth pixel, logarithm; also the order of object and person. Distances
+    only: the shape of a body in a network's depth is no evidence of the focal length."""
     distance_log: float = 0.12
-    """Depth of one object, or of the person, against that of another, logarithm (`benchmarks/object_errors.py`)."""
+    """Error of a network's depth of one object or person, logarithm (`benchmarks/object_errors.py`)."""
     foot_px: float = 1.5
-    """Row in which an object's mask ends."""
+    """Lowest row of an object's mask."""
     foot_log: float = 0.02
-    """Distance of the floor there for other reasons: floors are not flat, lenses distort."""
+    """Distance of the floor there, logarithm: floors are not flat, lenses distort."""
     overhang_log: float = 0.08
-    """So much nearer than its foot an object may be: its lower edge may be off the floor."""
-    behind_log: float = 0.05
-    """Order of object and person: neither depth is better known."""
+    """An object may be so much nearer than its lowest pixel on the floor, logarithm: its lower edge may be above the
+    floor."""
 
 
 USUAL_HEIGHT_M = {
@@ -63,22 +62,22 @@ USUAL_HEIGHT_M = {
 """Height of furniture and its spread: table tops 0.72 to 0.76 m and doors 1.985 and 2.11 m by the standards, seats 0.42
 to 0.48 m, backs of chairs 0.8 to 1.0 m by catalogs."""
 _ROUNDS = 4
-"""Looks for the nearest points of skin and depth."""
+"""Searches for the nearest points of skin and depth."""
 _PAIRS = 30
-"""Pairs of points a frame and side."""
+"""Pairs of points per frame and direction of the search."""
 _BOUNDED = 0.0
-"""Residuals with Geman and McClure's cost, at most 1 each: a man on a roof does not tilt the ground below him."""
+"""Marks residuals with Geman and McClure's cost, at most 1 each: people on a roof do not tilt the ground below."""
 _LOWEST_CAMERA_M = 0.05
-"""A camera below the soles starts here: the logarithm of its height is an unknown."""
+"""Least height of the camera at the start, since its logarithm is an unknown."""
 _SETTLED = 1e-3
-"""Unknowns, of order 1, that moved less since the last look are where they stay."""
+"""The search ends when no unknown (of order 1) changed by more."""
 _OTHER_RAD = np.deg2rad(5.0)
-"""Starts that are nearer than this find the same."""
+"""Starts that are nearer to another one than this are left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """The best state with standard deviations of logarithms, angles and meters."""
+    """Result of the fit, with standard deviations of logarithms, angles and meters."""
 
     focal_px: float
     focal_log_sigma: float
@@ -96,12 +95,12 @@ class Calibration:
     scale_log_sigma: float
     offset_sigma: float
     person_depth_log: float
-    """By how much the network sees the main person nearer than the floor tells; logarithm of the factor on depth."""
+    """Logarithm of the factor on the main person's depth by the network, relative to the floor."""
     object_depth_log: Float[np.ndarray, "objects"]
     """The same of every object."""
     object_depth_log_sigma: Float[np.ndarray, "objects"]
     residuals: dict[str, float]
-    """Root mean square of each kind of evidence, in standard deviations: far above 1 is a conflict."""
+    """Root mean square of each kind of evidence in standard deviations; far above 1 it contradicts the rest."""
     chamfer_before_m: float
     chamfer_after_m: float
 
@@ -109,15 +108,15 @@ class Calibration:
 def under_lens(
     root_m: Float[np.ndarray, "*bodies 3"], lens: float
 ) -> tuple[Float[np.ndarray, "*bodies 3"], Float[np.ndarray, "*bodies 3 3"]]:
-    """Where bodies are under a focal length that is `lens` times as long, at the same pixel and size, and the turn from
-    their old ray to the new one (camera frame)."""
+    """Roots under a focal length `lens` times as long, at the same pixel and body size, and the rotation from the old
+    viewing ray to the new one (camera frame)."""
     moved_m = root_m * np.array([1.0, 1.0, lens])
     old, new = (one / np.linalg.norm(one, axis=-1, keepdims=True) for one in (root_m, moved_m))
     return moved_m, np.asarray(matrix_from_axis_angle(np.cross(old, new)))
 
 
 class _State:
-    """Named parts of the vector of unknowns: every entry is 0 at the start and of order 1."""
+    """Named parts of the vector of unknowns, whose entries are 0 at the start and of order 1."""
 
     def __init__(self, x: np.ndarray, problem: _Problem) -> None:
         e, n = problem.evidence, len(problem.evidence.people)
@@ -136,19 +135,19 @@ class _State:
         return np.concatenate([pixel / self.focal_px, np.ones((*pixel.shape[:-1], 1))], -1)
 
     def body(self, points_m: np.ndarray, root_m: np.ndarray, size: float) -> np.ndarray:
-        """Points of a body of another size under another lens: it keeps its place and size in the picture, and turns
-        with its ray."""
+        """Points of a body of another size under another focal length: it keeps its position and size in the image, and
+        turns with its viewing ray."""
         moved_m, _ = under_lens(root_m, self.lens)
         return size * (moved_m + self.turned(points_m - root_m, root_m))
 
     def turned(self, vectors: np.ndarray, root_m: np.ndarray) -> np.ndarray:
-        """Vectors about roots, turned from the old ray to the new one."""
+        """Vectors relative to roots, rotated from the old viewing ray to the new one."""
         _, R = under_lens(root_m, self.lens)
         return (np.broadcast_to(R, (*vectors.shape[:-1], 3, 3)) @ vectors[..., None])[..., 0]
 
 
 class _Problem:
-    """Residuals around a start."""
+    """Residuals for one start of gravity."""
 
     def __init__(self, evidence: Evidence, sigmas: Sigmas, up: np.ndarray) -> None:
         self.evidence, self.sigmas, self.up = evidence, sigmas, up
@@ -156,20 +155,20 @@ class _Problem:
         level_m = lowest_level(soles_m)
         self.height_m = max(-float(np.median(level_m)), _LOWEST_CAMERA_M)
         self.on_floor = (soles_m >= level_m.min()) & (soles_m <= level_m.max())
-        """Soles of the main person that are on the floor that the fit starts with."""
+        """Soles of the main person on the lowest level at the start."""
         self.line = first_line(evidence, up, self.height_m)
-        self.unit = max(self.line[0] * abs(evidence.middle_value), 1e-9)
+        self.unit = max(self.line[0] * abs(evidence.median_value), 1e-9)
         self.tangent = np.linalg.svd(up[None])[2][1:].T
         self.pairs: tuple[np.ndarray, np.ndarray, PixelEvidence] | None = None
 
     def inverse_log(self, value: np.ndarray, state: _State) -> np.ndarray:
-        """Logarithm of the depth of values, smoothly bounded where the line leaves what is sensible."""
+        """Logarithm of the depth of values, smoothly bounded where the line is near 0 or below."""
         line = state.scale * value + state.offset
         line = np.logaddexp(0.0, (line - NEAREST) / (0.02 * self.unit)) * 0.02 * self.unit + NEAREST
         return np.log(line) if self.evidence.kind == "depth" else -np.log(line)
 
     def pair(self, state: _State) -> None:
-        """Nearest points between skin and lifted depth, both ways, of all frames together."""
+        """Find the nearest points of skin and backprojected depth, in both directions, in all frames."""
         skins, roots, pixels, values = [], [], [], []
         for one in self.evidence.skin:
             skin_m = state.body(one.skin_m, one.root_m, float(state.size[0]))
@@ -188,24 +187,24 @@ class _Problem:
             self.pairs = np.concatenate(skins), np.concatenate(roots), seen
 
     def lifted(self, pixel: np.ndarray, value: np.ndarray, state: _State) -> np.ndarray:
-        """Points of the main person's depth."""
+        """Backprojected depth of the main person."""
         return state.rays(pixel) * np.exp(state.person_log + self.inverse_log(value, state))[:, None]
 
     def weight(self, points: int) -> float:
-        """Root of the weight of each of so many points of one kind of evidence."""
-        return min(1.0, self.sigmas.looks / max(points, 1)) ** 0.5
+        """Square root of the weight of each of `points` correlated points."""
+        return min(1.0, self.sigmas.independent_points / max(points, 1)) ** 0.5
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         return np.concatenate([weight * _robust(r, limit) for _, r, weight, limit in self.rows(x)])
 
     def rows(self, x: np.ndarray) -> list[tuple[str, np.ndarray, float, float]]:
-        """Kind of evidence, residuals over their deviations, root of the weight, and the limit of `_robust`."""
+        """Kind of evidence, residuals in standard deviations, square root of their weight, and limit of `_robust`."""
         e, s, state = self.evidence, self.sigmas, _State(x, self)
         rows = [("lens", np.array([x[0] / e.focal_log_sigma]), 1.0, np.inf)]
         rows += [
             (f"up by {one.source}", _apart(state.up, one.up_camera) / one.sigma_rad, 1.0, s.up_limit) for one in e.up
         ]
-        own = state.offset / (state.scale * e.middle_value)
+        own = state.offset / (state.scale * e.median_value)
         rows.append(("usual offset", np.array([(own - e.usual_offset) / e.usual_offset_sigma]), 1.0, np.inf))
         depth_logs = np.concatenate([[state.person_log], state.object_log])
         rows.append(("distances", depth_logs / s.distance_log, 1.0, np.inf))
@@ -260,15 +259,15 @@ class _Problem:
             if one.behind is not None:
                 person_log = np.log(one.behind_person_m * state.lens * state.size[0])
                 nearer = person_log - log - self.inverse_log(one.behind.value, state)
-                rows.append(("objects behind the person", np.maximum(nearer, 0) / s.behind_log, 1.0, 1.0))
+                rows.append(("objects behind the person", np.maximum(nearer, 0) / s.skin_log, 1.0, 1.0))
         return rows
 
 
 def calibrate(evidence: Evidence, sigmas: Sigmas | None = None) -> Calibration:
-    """The state that explains the evidence best, from several starts of gravity.
+    """The best fit from several starts of gravity.
 
     Raises:
-        ValueError: nobody, or no source of gravity.
+        ValueError: no person was seen, or there is no source of gravity.
     """
     if not evidence.people or not len(evidence.people[0].soles_m) or not evidence.up:
         raise ValueError("calibrate: want a person who was seen and at least one source of gravity")
@@ -280,7 +279,7 @@ def calibrate(evidence: Evidence, sigmas: Sigmas | None = None) -> Calibration:
 
 
 def _starts(evidence: Evidence) -> list[np.ndarray]:
-    """Directions that differ."""
+    """Up directions of the sources, without those that nearly equal an earlier one."""
     starts: list[np.ndarray] = []
     for one in evidence.up:
         if all(np.linalg.norm(_apart(one.up_camera, other)) > _OTHER_RAD for other in starts):
@@ -355,7 +354,7 @@ def _chamfer_m(problem: _Problem, state: _State) -> float:
 
 
 def _apart(up: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Angles between directions, as vectors about which one turns into the other."""
+    """Rotation vectors (radians) from one direction to others."""
     axis = np.cross(up, directions)
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
     angle = np.arctan2(sine, (directions @ up)[..., None])
@@ -363,7 +362,8 @@ def _apart(up: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 
 def _robust(r: np.ndarray, limit: float) -> np.ndarray:
-    """Residuals whose square is the cost of the given ones: Cauchy's, logarithmic beyond the limit, or `_BOUNDED`."""
+    """Residuals whose square is the robust cost of the given ones: Cauchy's with the given scale, squared for infinity,
+    Geman and McClure's for `_BOUNDED`."""
     if limit == _BOUNDED:
         return r / np.sqrt(1 + r * r)
     return r if np.isinf(limit) else np.sign(r) * limit * np.sqrt(np.log1p((r / limit) ** 2))

@@ -1,4 +1,4 @@
-"""Evidence of the fit from what the stages before it made."""
+"""Evidence of the fit from the results of the stages before."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from video2anim.calibration.evidence import (
 )
 from video2anim.calibration.fit import USUAL_HEIGHT_M
 from video2anim.calibration.line import first_line, metric_depth
-from video2anim.calibration.passed import Passed, passed_before
+from video2anim.calibration.person_coverage import PersonCoverage, person_coverage
 from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, project, transform_points
@@ -33,39 +33,42 @@ USUAL_OFFSET = {"room-depth": (1.25, 0.6)}
 """Offset of depth over scale times the median absolute value, and its standard deviation, by network: of the shipped
 one in the rooms of V2A-Bench (geometric mean 1.22)."""
 _OTHER_DEPTH, _OTHER_DISPARITY = (0.0, 0.3), (0.5, 5.0)
-"""Of networks of which nothing is known. The zero of disparity may lie right behind the farthest wall, and that wall
-may be the middle of the picture's values."""
+"""The same of unknown networks, for depth and disparity. The zero of disparity may be right behind the farthest wall,
+which may have the median value."""
 _OBSERVATIONS_PER_S, _MAX_OBSERVATIONS = 3.0, 9
-"""Errors of neighboring frames are alike, and those of one clip have a part in common."""
+"""Errors of neighboring frames are correlated, and those of one clip have a common part."""
 _STRAIGHT_COS = 0.5
-"""Hips bent by less than 60 degrees: walkers bend them by 30, people who sit by 90."""
+"""Cosine of 60 degrees, between the hip flexion of people who walk (30) and who sit (90)."""
 _WINDOW_S = 0.6
-"""Somebody who stands, walks or runs has a foot down at least once in this time."""
+"""People who stand, walk or run have a foot on the ground at least once in this time."""
 _LENS_SIGMA = 0.03
-"""Error of the lens beside what stage camera says: surest estimates are 1 to 4 % off on clips with a known one."""
+"""Error of the focal length that is added to the one of stage camera: its most certain estimates are off by 1 to 4 %
+(`benchmarks/real_clips.py`)."""
 _MIN_UP_SIGMA_RAD = 0.002
-"""No source knows gravity better than a tenth of a degree, whatever it says."""
+"""Least error of a source of gravity, 0.1 degrees."""
 _FRAMES_AT_ONCE = 256
-"""Frames whose feet are in memory at once."""
-_SKIN_FRAMES, _SKIN_POINTS, _MIN_PIXELS = 24, 300, 40
-"""Frames with both skin and depth that enter, points of either in each, and how many there must be of either."""
-_FLOOR_PIXELS, _FARTHEST_FLOOR_M = 300, 12.0
-"""Beyond, a degree of tilt moves the floor by more than the depth of the shipped network errs."""
+"""Frames whose foot vertices are in memory at once."""
+_SKIN_FRAMES, _POINTS, _MIN_PIXELS = 24, 300, 40
+"""Frames with both skin and depth that enter, points of either in each (and of the floor), and how many there must be
+of either."""
+_FARTHEST_FLOOR_M = 12.0
+"""Farther away, a tilt of one degree moves the floor by more than the error of the shipped network's depth."""
 _FOOT_QUANTILE = 0.05
-"""Between its legs an object ends above the floor, which seems farther: the feet are the nearest of the ends."""
+"""Quantile of the distance over an object's lower ends: between the legs, the object ends above the floor, which looks
+farther away."""
 _MIN_COLUMNS, _MIN_SHARE = 6, 0.15
-"""Columns of an object that must be seen to end on the floor, and their share of all."""
+"""Least number of an object's columns that end on the floor, and their least share."""
 _MIN_STOOD = 2
-"""Soles that must have stood on an object: one may be an error of its outline."""
+"""Least number of soles that stood on an object: a single one may be an error of the mask."""
 _TOP_QUANTILE = 0.97
-"""Of the heights of an object's pixels: the very highest are those of an outline that is too large."""
+"""Quantile of the heights of an object's pixels: the highest ones are outside where the mask is too large."""
 _BEHIND_QUANTILE, _BEHIND_PIXELS, _MAX_HIDDEN = 0.9, 20, 0.2
-"""Of an object's pixels the person was near it at a few; where more of the body than a share is missing, they pass
-behind it, and masks that are a little too large touch it."""
+"""Quantile of the ratio of the person's depth to the object's, fewest pixels, and the largest share of hidden body:
+where more is hidden, the person is behind the object."""
 
 
 def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) -> PersonEvidence:
-    """Soles and balance of one person, in the first frame's camera."""
+    """Soles and balance of one person, in the camera frame of the first frame."""
     shaped = shaped_body(body.shape)
     T = invert_rigid(body.view().T_world_camera)
     frames = np.flatnonzero(body.valid)
@@ -78,15 +81,15 @@ def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) ->
         lowest_m[begin : begin + len(some)] = np.take_along_axis(feet_m, at[:, None, None], 1)[:, 0]
     windows = np.array_split(np.arange(len(frames)), max(1, round(len(frames) / max(1.0, _WINDOW_S * fps))))
     windows = [part for part in windows if len(part)]
-    # Not the very lowest, which is the worst outlier.
+    # The tenth percentile: the lowest is the worst outlier.
     low = np.array([part[np.argsort(lowest_m[part, 1])[len(part) // 10]] for part in windows], int)
     standing = frames[_standing(body.joints_world_m[frames])]
-    looks = min(len(standing), max(1, round(len(standing) / fps * _OBSERVATIONS_PER_S)), _MAX_OBSERVATIONS)
-    looks = standing[np.linspace(0, len(standing) - 1, looks).round().astype(int)]
-    joints_m = body.joints_world_m[looks]
+    count = min(len(standing), max(1, round(len(standing) / fps * _OBSERVATIONS_PER_S)), _MAX_OBSERVATIONS)
+    chosen = standing[np.linspace(0, len(standing) - 1, count).round().astype(int)]
+    joints_m = body.joints_world_m[chosen]
     upright = center_of_mass(joints_m) - joints_m[:, FEET].mean(1)
     upright /= np.linalg.norm(upright, axis=-1, keepdims=True)
-    observations_root_m = transform_points(T, joints_m[:, 0])
+    upright_root_m = transform_points(T, joints_m[:, 0])
     root_m = transform_points(T, body.joints_world_m[frames, 0])
     return PersonEvidence(
         person_id=body.person_id,
@@ -94,12 +97,12 @@ def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) ->
         soles_m=transform_points(T, lowest_m[low]),
         soles_root_m=root_m[low],
         upright=upright @ T[:3, :3].T,
-        upright_root_m=observations_root_m,
+        upright_root_m=upright_root_m,
     )
 
 
 def _standing(joints_m: Float[np.ndarray, "frames 22 3"]) -> Bool[np.ndarray, "frames"]:
-    """Frames in which both thighs go on where the trunk ends: people who stand or walk, however they lean."""
+    """Frames in which both thighs continue the direction of the trunk: people who stand or walk, leaning or not."""
     trunk = joints_m[:, JOINT_INDEX["neck"]] - joints_m[:, JOINT_INDEX["pelvis"]]
     trunk /= np.linalg.norm(trunk, axis=-1, keepdims=True)
     straight = np.ones(len(joints_m), bool)
@@ -118,7 +121,7 @@ def picture_evidence(
     fps: float,
     rng: np.random.Generator,
 ) -> Evidence:
-    """Everything but the objects; `floor` is at the size of the depth map."""
+    """All evidence except objects; `floor` has the size of the depth map."""
     main = bodies.main
     pairs = zip(bodies.people, bodies.quality, strict=True)
     people = tuple(person_evidence(body, fps, judged.body_height_sigma_m) for body, judged in pairs)
@@ -136,17 +139,18 @@ def picture_evidence(
         objects=(),
         usual_offset=usual,
         usual_offset_sigma=spread,
-        middle_value=_center(np.abs(depth.background_value)),
+        median_value=_median_size(depth.background_value),
     )
 
 
-def _center(size: Float[np.ndarray, "height width"]) -> float:
-    """Median, or the largest where most are 0; 1 where all are."""
+def _median_size(value: Float[np.ndarray, "height width"]) -> float:
+    """Median absolute value; the largest one where the median is 0, and 1 where all are 0."""
+    size = np.abs(value)
     return float(np.median(size)) or float(size.max()) or 1.0
 
 
 def _up_evidence(camera: CameraEstimate) -> tuple[UpEvidence, ...]:
-    """What the sources say; the camera's own answer where none is named."""
+    """Sources of gravity; the camera's own estimate where none is recorded."""
     own = UpEvidence(camera.up_source, camera.up_camera, camera.up_sigma_rad)
     sources = camera.up_evidence or (own,)
     return tuple(replace(one, sigma_rad=max(one.sigma_rad, _MIN_UP_SIGMA_RAD)) for one in sources)
@@ -155,21 +159,22 @@ def _up_evidence(camera: CameraEstimate) -> tuple[UpEvidence, ...]:
 def with_objects(
     evidence: Evidence, depth: DepthClip, background: BackgroundImage, main: BodyMotion, masks: InstanceMasks
 ) -> Evidence:
-    """The same with what is seen of the objects."""
+    """The evidence with that of the objects."""
     depth_m = first_depth_m(evidence, depth, main)
     floor = shrunk(masks.floor_mask, depth_m.shape)
-    passed = passed_before(
+    coverage = person_coverage(
         main, background.frame_index, background.selected_mask, main.intrinsics.resized(*depth_m.shape[::-1])
     )
-    picture = _Picture(depth.background_value, depth_m, depth.background_valid & np.isfinite(depth_m), floor, main)
+    measurer = _ObjectMeasurer(
+        depth.background_value, depth_m, depth.background_valid & np.isfinite(depth_m), floor, main
+    )
     own = [(one, shrunk(one.mask, depth_m.shape)) for one in masks.instances]
-    seen = (picture.object(one.object_id, one.label, mask, passed, evidence.people[0]) for one, mask in own)
+    seen = (measurer.object(one.object_id, one.label, mask, coverage, evidence.people[0]) for one, mask in own)
     return replace(evidence, objects=tuple(seen))
 
 
 def first_depth_m(evidence: Evidence, depth: DepthClip, main: BodyMotion) -> Float[np.ndarray, "height width"]:
-    """Depth of the background image by the line through floor and person under the camera of stage humans; NaN where
-    none."""
+    """Depth of the background image in meters by the initial line and the camera of stage humans; NaN where unknown."""
     T = main.view().T_world_camera
     line = first_line(evidence, T[1, :3], max(float(T[1, 3]), 0.05))
     return metric_depth(depth.kind, depth.background_value, *line)
@@ -178,7 +183,7 @@ def first_depth_m(evidence: Evidence, depth: DepthClip, main: BodyMotion) -> Flo
 def skin_evidence(
     depth: DepthClip, background: BackgroundImage, body: BodyMotion, rng: np.random.Generator
 ) -> tuple[SkinEvidence, ...]:
-    """Frames in which both the main person's body and enough of their reliable pixels are known."""
+    """Skin and depth in frames that have the main person's body and enough valid pixels of it."""
     reliable = background.selected_mask & depth.valid
     samples = np.flatnonzero((reliable.sum((1, 2)) >= _MIN_PIXELS) & body.valid[depth.frame_index])
     if not len(samples):
@@ -193,11 +198,11 @@ def skin_evidence(
         seen = np.flatnonzero(visible_vertices(skin_m, shaped.faces, body.intrinsics))
         if len(seen) < _MIN_PIXELS:
             continue
-        rows, columns = rng.permutation(np.argwhere(reliable[sample]))[:_SKIN_POINTS].T
+        rows, columns = rng.permutation(np.argwhere(reliable[sample]))[:_POINTS].T
         found.append(
             SkinEvidence(
                 transform_points(T, body.joints_world_m[frame, :1])[0],
-                skin_m[rng.permutation(seen)[:_SKIN_POINTS]],
+                skin_m[rng.permutation(seen)[:_POINTS]],
                 _pixels(rows, columns, body, depth.value.shape[1:]),
                 depth.value[sample, rows, columns].astype(np.float64),
             )
@@ -206,7 +211,7 @@ def skin_evidence(
 
 
 def _pixels(rows: Any, columns: Any, body: BodyMotion, shape: tuple[int, ...]) -> np.ndarray:
-    """(..., 2) from the picture's middle, in pixels of the clip."""
+    """(..., 2) from the principal point, in pixels of the clip."""
     k = body.intrinsics
     small = k.resized(shape[1], shape[0])
     across = np.stack([columns - small.cx_px, rows - small.cy_px], -1)
@@ -216,7 +221,7 @@ def _pixels(rows: Any, columns: Any, body: BodyMotion, shape: tuple[int, ...]) -
 def _floor_pixels(
     depth: DepthClip, main: BodyMotion, people: tuple[PersonEvidence, ...], floor: Bool[np.ndarray, "height width"]
 ) -> PixelEvidence:
-    """Pixels well inside of recognized floor, as many far as near, and those under feet that stood."""
+    """Pixels inside of segmented floor, evenly spread over the logarithm of distance, and those under standing feet."""
     shape = depth.background_value.shape
     k = main.intrinsics.resized(shape[1], shape[0])
     sure = cv2.erode(floor.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
@@ -230,17 +235,17 @@ def _floor_pixels(
     down = -(np.concatenate([pixel / main.intrinsics.fx_px, np.ones((len(pixel), 1))], 1) @ T[1, :3])
     reach_m = max(float(T[1, 3]), 0.05) / np.maximum(down, 1e-6)
     usable = np.flatnonzero((down > 0.02) & (reach_m < _FARTHEST_FLOOR_M))
-    if len(usable) > _FLOOR_PIXELS:
+    if len(usable) > _POINTS:
         order = usable[np.argsort(reach_m[usable])]
         log = np.log(reach_m[order])
-        wanted = np.linspace(log[0], log[-1], _FLOOR_PIXELS)
+        wanted = np.linspace(log[0], log[-1], _POINTS)
         usable = order[np.unique(np.searchsorted(log, wanted).clip(0, len(order) - 1))]
     value = depth.background_value[rows[usable], columns[usable]].astype(np.float64)
     return PixelEvidence(pixel[usable], value)
 
 
-class _Picture:
-    """Measures objects in one picture."""
+class _ObjectMeasurer:
+    """Measures objects in the background image."""
 
     def __init__(
         self, value: np.ndarray, depth_m: np.ndarray, known: np.ndarray, floor: np.ndarray, main: BodyMotion
@@ -253,19 +258,23 @@ class _Picture:
         self.rise, self.height_m = rays @ T[1, :3], float(T[1, 3])
 
     def object(
-        self, object_id: int, label: str, own: Bool[np.ndarray, "height width"], passed: Passed, main: PersonEvidence
+        self,
+        object_id: int,
+        label: str,
+        own: Bool[np.ndarray, "height width"],
+        coverage: PersonCoverage,
+        main: PersonEvidence,
     ) -> ObjectEvidence:
-        """What is seen of one object."""
+        """Evidence of one object."""
         foot, cut = self._foot(own)
         soles = self._under_feet(own, main)
         foot = foot if soles is None else None
         top = self._top(own) if foot is not None and label in USUAL_HEIGHT_M and not own[0].any() else None
-        behind, person_m = self._behind(own & self.known, passed)
+        behind, person_m = self._behind(own & self.known, coverage)
         return ObjectEvidence(object_id, label, foot, cut, top, behind, person_m, soles)
 
     def _under_feet(self, own: np.ndarray, main: PersonEvidence) -> SkinEvidence | None:
-        """Soles that stood well inside the object's outline: the background image shows the object there, not what
-        hides it."""
+        """Soles that stood inside the object's mask, where the background image shows the object."""
         inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & self.known
         small = self.main.intrinsics.resized(own.shape[1], own.shape[0])
         column, row = np.round(project(main.soles_m, small)).astype(int).T
@@ -281,7 +290,7 @@ class _Picture:
         return PixelEvidence(self.pixel[[row], [column]], self.value[[row], [column]].astype(np.float64))
 
     def _foot(self, own: np.ndarray) -> tuple[PixelEvidence | None, bool]:
-        """Where it meets the floor, and whether the picture cuts it."""
+        """Its lowest pixel on the floor, and whether the image border cuts it."""
         cut = bool(own[-1].any() or own[:, 0].any() or own[:, -1].any())
         inner = cv2.erode(own.astype(np.uint8), np.ones((2, 2), np.uint8)).astype(bool) & self.known
         columns = np.flatnonzero(own.any(0) & inner.any(0))
@@ -308,11 +317,11 @@ class _Picture:
         chosen = np.argsort(height_m)[int(_TOP_QUANTILE * len(rows))]
         return self._at(int(rows[chosen]), int(columns[chosen]))
 
-    def _behind(self, own: np.ndarray, passed: Passed) -> tuple[PixelEvidence | None, float]:
-        inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & (passed.depth_m > 0)
+    def _behind(self, own: np.ndarray, coverage: PersonCoverage) -> tuple[PixelEvidence | None, float]:
+        inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & (coverage.depth_m > 0)
         rows, columns = np.nonzero(inner)
-        if len(rows) < _BEHIND_PIXELS or passed.hidden[own].sum() > _MAX_HIDDEN * passed.seen[own].sum():
+        if len(rows) < _BEHIND_PIXELS or coverage.hidden[own].sum() > _MAX_HIDDEN * coverage.seen[own].sum():
             return None, 0.0
-        lacks = np.log(passed.depth_m[rows, columns] / self.depth_m[rows, columns])
-        chosen = np.argsort(lacks)[int(_BEHIND_QUANTILE * (len(rows) - 1))]
-        return self._at(int(rows[chosen]), int(columns[chosen])), float(passed.depth_m[rows[chosen], columns[chosen]])
+        nearer = np.log(coverage.depth_m[rows, columns] / self.depth_m[rows, columns])
+        chosen = np.argsort(nearer)[int(_BEHIND_QUANTILE * (len(rows) - 1))]
+        return self._at(int(rows[chosen]), int(columns[chosen])), float(coverage.depth_m[rows[chosen], columns[chosen]])

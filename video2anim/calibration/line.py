@@ -1,4 +1,4 @@
-"""The line that makes relative depth metric: its use, and a first guess of it."""
+"""The line (scale and offset) that makes relative depth metric, and its initial estimate."""
 
 from __future__ import annotations
 
@@ -8,37 +8,37 @@ from jaxtyping import Float
 from video2anim.calibration.evidence import Evidence
 
 NEAREST = 1e-3
-"""Lines, and cosines of rays to the vertical, are not believed below this."""
+"""Least depth or disparity of a line, and least cosine of a ray to the vertical: no division by 0."""
 
 
 def metric_depth(kind: str, value: np.ndarray, scale: float, offset: float) -> Float[np.ndarray, "..."]:
-    """Meters of relative depth or disparity; what the model sends behind the camera or beyond 1 km is NaN."""
+    """Depth in meters of relative depth or disparity; NaN where it is behind the camera or beyond 1 km."""
     line = scale * np.asarray(value, dtype=np.float64) + offset
     depth_m = line if kind == "depth" else 1.0 / np.where(line > NEAREST, line, np.nan)
     return np.where((depth_m > 0.02) & (depth_m < 1e3), depth_m, np.nan)
 
 
 def first_line(evidence: Evidence, up: np.ndarray, height_m: float) -> tuple[float, float]:
-    """Scale and offset by floor pixels and the person's medians, in the values' own domain, where they are linear:
-    ridge regression towards the network's usual offset."""
+    """Scale and offset by the floor pixels and the median of each frame's skin: robust ridge regression of depth or
+    disparity toward the network's usual offset."""
     rays = np.concatenate([evidence.floor.pixel / evidence.focal_px, np.ones((len(evidence.floor.value), 1))], 1)
     x = np.concatenate([evidence.floor.value, [np.median(one.value) for one in evidence.skin]])
     z_m = np.concatenate([
         height_m / np.maximum(-rays @ up, NEAREST), [np.median(one.skin_m[:, 2]) for one in evidence.skin],
     ])  # fmt: skip
     if not len(x):
-        # Neither floor nor reliable person: the main person's distance is that of the picture's middle.
-        x, z_m = np.array([evidence.middle_value]), evidence.people[0].soles_root_m[:1, 2]
+        # Neither floor nor skin: the main person is at the median depth.
+        x, z_m = np.array([evidence.median_value]), evidence.people[0].soles_root_m[:1, 2]
     y = z_m if evidence.kind == "depth" else 1 / z_m
-    unit = evidence.middle_value
+    unit = evidence.median_value
     x, usual = x / unit, evidence.usual_offset
-    # Networks see people at distances of their own: skin does not outvote floor.
+    # Networks see people nearer or farther than their floor, so skin weighs no more than floor in all.
     floor, skin = len(evidence.floor.value), len(evidence.skin)
     trust = np.ones(len(x))
     trust[floor:] = min(1.0, floor / skin) if floor and skin else 1.0
     weight, scale, more = trust, 0.0, 0.0
     for _ in range(10):
-        # y = scale (x + usual) + more; what is more than the usual offset is held near 0 by the spread of that.
+        # y = scale (x + usual) + more: the deviation from the usual offset has a Gaussian prior.
         A = np.stack([x + usual, np.ones(len(x))], 1)
         ridge = np.diag([0.0, weight.sum() * 0.01 / evidence.usual_offset_sigma**2])
         scale, more = np.linalg.solve((A.T * weight) @ A + ridge + 1e-12 * np.eye(2), (A.T * weight) @ y)
@@ -46,7 +46,7 @@ def first_line(evidence: Evidence, up: np.ndarray, height_m: float) -> tuple[flo
         weight = trust / (1 + (off / 0.1) ** 2) / y**2
         weight /= weight.max()
     if scale <= 0:
-        # Values that fall where they should rise: through the medians, as flat as the usual offset says.
+        # No positive scale fits: the line with the usual offset through the medians.
         scale = float(np.median(y)) / (1 + max(usual, 0.0))
         more = float(np.median(y - scale * (x + usual)))
     return float(scale / unit), float(scale * usual + more)

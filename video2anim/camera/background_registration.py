@@ -1,7 +1,7 @@
-"""Does the camera move? The background of sampled frames is registered to the first frame.
+"""Registration of the background of frames to the first frame, by which camera motion is measured.
 
-People are not known yet, so the background is whatever most of the picture agrees on: SIFT matches, a robust
-homography, and a check that its inliers spread over the picture. A small group of moving points loses the vote.
+People need not be known: the background is what most SIFT matches agree on, by a robust homography whose inliers must
+be spread over the image.
 """
 
 from __future__ import annotations
@@ -13,18 +13,21 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 STATIC_DRIFT_RATIO = 0.005
-"""A camera counts as static while the background stays within this share of the picture's width."""
+"""A camera is static if its background drifts by at most this share of the image width."""
 _WORK_SIDE_PX = 960
+"""Long side of the image in which features are detected."""
 _FEATURES = 1500
+"""Features per frame, the strongest first; bounds the time of matching."""
 _MATCH_RATIO = 0.75
-"""Lowe's ratio test."""
+"""Lowe's ratio test (Lowe 2004, section 7.1: 0.8)."""
 _INLIER_PX = (1.5, 5.0)
-"""Inlier bands at the working resolution, tried in turn; the wider one serves a camera that travels, whose background
-is no plane and has parallax."""
-_FEWEST_INLIERS = 16
+"""Inlier thresholds at the working resolution, tried in turn; the larger one is for a camera that travels, whose
+background has parallax."""
+_MIN_INLIERS = 16
+"""Four times the matches that determine a homography."""
 _GRID = 4
-_FEWEST_CELLS = 4
-"""Cells of a 4 x 4 grid that the inliers must reach; fewer is one object, not the background."""
+"""Inliers must lie in at least so many cells of a grid of so many by so many; in fewer they are one object, not the
+background."""
 _MOTION_SAMPLES = 20
 _MOTION_STEP = 8
 """Camera motion is measured at every such frame, but at most at `_MOTION_SAMPLES` spread over the clip."""
@@ -38,12 +41,12 @@ def motion_samples(frame_count: int) -> frozenset[int]:
 
 @dataclass(frozen=True, slots=True)
 class Registration:
-    """How the background of a frame lies against the reference frame."""
+    """Where the background of a frame is in the reference frame."""
 
     H_reference_frame: Float[np.ndarray, "3 3"]
-    """Homography from the frame's pixels into the reference's, both at full resolution."""
+    """Homography from the frame's pixels to those of the reference, both at full resolution."""
     background_px: Float[np.ndarray, "points 2"]
-    """Places of the frame that agree, at full resolution."""
+    """Inliers, in the frame, at full resolution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +59,8 @@ class _Features:
 class BackgroundRegistration:
     """Registers frames of one clip to its first frame.
 
-    Where a frame no longer overlaps the first one, the registration goes through the last frame that had one, so
-    frames should come in order.
+    Where a frame does not overlap the first one, it is registered through the last frame that was, so frames should
+    come in order.
     """
 
     def __init__(
@@ -65,7 +68,7 @@ class BackgroundRegistration:
         reference_rgb: UInt8[np.ndarray, "height width 3"],
         background: UInt8[np.ndarray, "height width"] | None = None,
     ) -> None:
-        """Take the first frame; `background` says where features may be taken (non-zero), everywhere by default."""
+        """Take the first frame; features are detected where `background` is not 0, everywhere by default."""
         self._height_px, self._width_px = reference_rgb.shape[:2]
         self._scale = min(1.0, _WORK_SIDE_PX / max(self._height_px, self._width_px))
         self._detector = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=0.02)
@@ -78,11 +81,11 @@ class BackgroundRegistration:
         rgb: UInt8[np.ndarray, "height width 3"],
         background: UInt8[np.ndarray, "height width"] | None = None,
     ) -> Registration | None:
-        """Registration of a frame, None where too few background features agree.
+        """Registration of a frame; None where too few background features agree.
 
         Args:
             rgb: The frame, as large as the reference.
-            background: Where features may be taken (non-zero); everywhere by default.
+            background: Features are detected where it is not 0; everywhere by default.
         """
         features = self._features(rgb, background)
         direct = self._fit(features, self._reference)
@@ -97,9 +100,10 @@ class BackgroundRegistration:
         return Registration(H_reference_frame, linked.background_px)
 
     def drift_ratio(self, registration: Registration) -> float:
-        """Mean displacement of the places that agree, as a share of the picture's width.
+        """Mean displacement of the inliers, as a share of the image width.
 
-        Not of the picture's corners: where the places lie on one side, a homography says little of the other.
+        The image corners would be no measure: where all inliers are on one side, the homography is undetermined on the
+        other.
         """
         seen_px = registration.background_px
         homogeneous = np.c_[seen_px, np.ones(len(seen_px))] @ registration.H_reference_frame.T
@@ -118,11 +122,11 @@ class BackgroundRegistration:
         return _Features(np.array([k.pt for k in keypoints]).reshape(-1, 2), descriptors)
 
     def _fit(self, frame: _Features, reference: _Features) -> Registration | None:
-        if min(len(frame.points_px), len(reference.points_px)) < _FEWEST_INLIERS:
+        if min(len(frame.points_px), len(reference.points_px)) < _MIN_INLIERS:
             return None
         pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(frame.descriptors, reference.descriptors, k=2)
         good = [best for best, second in pairs if best.distance < _MATCH_RATIO * second.distance]
-        if len(good) < _FEWEST_INLIERS:
+        if len(good) < _MIN_INLIERS:
             return None
         frame_px = frame.points_px[[m.queryIdx for m in good]]
         reference_px = reference.points_px[[m.trainIdx for m in good]]
@@ -149,13 +153,13 @@ class BackgroundRegistration:
     def _spread(self, points_px: Float[np.ndarray, "points 2"]) -> bool:
         size_px = np.array([self._width_px, self._height_px]) * self._scale
         cells = np.clip((points_px / size_px * _GRID).astype(int), 0, _GRID - 1)
-        return len(np.unique(cells @ [1, _GRID])) >= _FEWEST_CELLS
+        return len(np.unique(cells @ [1, _GRID])) >= _GRID
 
 
 def _agreeing(
     frame_px: Float[np.ndarray, "points 2"], reference_px: Float[np.ndarray, "points 2"], band_px: float
 ) -> Bool[np.ndarray, "points"] | None:
-    """Matches that share one homography (MAGSAC with a fixed seed), None where too few do."""
+    """Matches that share one homography (MAGSAC with a fixed seed); None where too few do."""
     parameters = cv2.UsacParams()
     parameters.threshold = band_px
     parameters.confidence = 0.999
@@ -165,13 +169,13 @@ def _agreeing(
     parameters.loMethod = cv2.LOCAL_OPTIM_SIGMA
     parameters.randomGeneratorState = 0
     H, inlier = cv2.findHomography(frame_px, reference_px, parameters)
-    if H is None or int(inlier.sum()) < _FEWEST_INLIERS:
+    if H is None or int(inlier.sum()) < _MIN_INLIERS:
         return None
     return inlier.ravel().astype(bool)
 
 
 class CameraMotion:
-    """Largest background drift over the sampled frames of a clip; feed frames in order."""
+    """Largest background drift over the sampled frames of a clip; add frames in order."""
 
     def __init__(self) -> None:
         self._registration: BackgroundRegistration | None = None
@@ -191,9 +195,9 @@ class CameraMotion:
 
     @property
     def drift_ratio(self) -> float:
-        """Largest drift as a share of the width.
+        """Largest drift as a share of the image width.
 
-        NaN where it cannot be told: fewer than half of the samples could be registered, and none of those moved.
+        NaN where it is unknown: fewer than half of the samples could be registered, and none of those drifted.
         """
         largest = max(self._drift_ratios, default=0.0)
         if 2 * len(self._drift_ratios) < self.sampled and largest <= STATIC_DRIFT_RATIO:

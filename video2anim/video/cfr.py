@@ -1,4 +1,4 @@
-"""Time stamps to a constant frame rate."""
+"""Conversion of time stamps to a constant frame rate."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 _TIE_S = 1e-6
+"""Times that differ by less are equal: time stamps in floating point are rounded."""
 
 
 def constant_rate_index(source_time_s: Float[np.ndarray, "pictures"], fps: float) -> Int[np.ndarray, "frames"]:
@@ -32,7 +33,6 @@ def constant_rate_index(source_time_s: Float[np.ndarray, "pictures"], fps: float
     duration_s = time_s[-1] - time_s[0] + last_period_s
     frame_count = max(1, int(np.floor(duration_s * fps + 0.5)))
     frame_s = time_s[0] + np.arange(frame_count) / fps
-    # Equal times may differ by rounding; ties must not fall now this way, now that.
     held = np.searchsorted(time_s, frame_s + _TIE_S, side="right") - 1
     following = np.minimum(held + 1, len(time_s) - 1)
     ahead_s, behind_s = time_s[following] - frame_s, frame_s - time_s[held]

@@ -1,4 +1,4 @@
-"""The one door to video files: a regular file, one container format from a list, and no other file opened by it."""
+"""Opening of video files: regular files of a list of container formats, none of which opens other files."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ concat), numbered picture sequences (image2), session descriptions and capture d
 open files or addresses that no digest of the input covers."""
 _WANTED = "want a video file such as MP4, MOV, MKV, WebM or AVI"
 _ADDRESS = re.compile(r"[a-zA-Z][a-zA-Z0-9+.-]+:/")
-"""An address such as `https:/...` (a `Path` keeps one slash); a drive has one letter."""
+"""An address such as `https:/...` (a `Path` keeps one slash); drive letters are single."""
 
 
 def expect_video_file(path: Path) -> None:
-    """See that `path` is a regular file with something in it, without opening it.
+    """Check that `path` is a regular file that is not empty, without opening it.
 
-    A FIFO would block whoever opens it, a device may never end.
+    Opening a FIFO would block, and a device may never end.
 
     Raises:
         InputError: missing, an address, a folder, empty, or no regular file.
@@ -90,7 +90,7 @@ def _open(path: Path) -> InputContainer:
 def _refused_format(path: Path) -> str:
     """FFmpeg's name of the format of a file that `_open` refuses; empty if it is refused for another reason."""
     before = av.logging.get_level(), av.logging.get_skip_repeated()
-    # FFmpeg names the format in its log only, which is off otherwise; a line said before is to be said again.
+    # FFmpeg names the format in its log only, which is off otherwise; repeated lines must not be suppressed.
     av.logging.set_level(av.logging.ERROR)
     av.logging.set_skip_repeated(False)
     try:

@@ -1,7 +1,7 @@
-"""Streaming decode of any source FFmpeg reads: upright, square pixels, RGB8, with time stamps.
+"""Streaming decode of any source that FFmpeg reads: upright, square pixels, RGB8, with time stamps.
 
-Nothing here trusts the header: frames are counted as they decode, damage is tallied in a `DecodeReport`, and memory
-does not grow with the length of the source.
+The header is not relied on: frames are counted as they decode, damage is counted in a `DecodeReport`, and memory does
+not grow with the length of the source.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from video2anim.video.metadata import focal_35mm_of
 
 _UNSPECIFIED_COLORSPACE = 2
 _MAX_SD_HEIGHT_PX = 576
-"""Untagged pictures taller than standard definition are BT.709 by the usual convention of players."""
+"""Untagged images with a larger short side than standard definition are BT.709, as in video players."""
 HDR_TRANSFERS = {int(ColorTrc.SMPTE2084): "PQ", int(ColorTrc.ARIB_STD_B67): "HLG"}
 """Transfer functions of high dynamic range, by their number in ITU-T H.273 table 3."""
 Stamps = Literal["pts", "dts"]
-"""Which time stamps of the pictures count: those of presentation or, where those go back and forth, of decoding."""
+"""Which time stamps are used: those of presentation or, where those do not increase, of decoding."""
 
 
 @dataclass(frozen=True, slots=True)
 class SourceHeader:
-    """What the container and the first picture say, before the rest is decoded."""
+    """Properties by the container and the first image, before the rest is decoded."""
 
     codec: str
     pixel_format: str
@@ -46,11 +46,11 @@ class SourceHeader:
     pixel_aspect: float
     """Width over height of a stored pixel."""
     nominal_fps: float
-    """Rate by the container's word, 0 where it is silent."""
+    """Rate by the container, 0 where it gives none."""
     claimed_frames: int
-    """Frames by the container's word, 0 where it is silent. What an edit list hides is not counted."""
+    """Frames by the container, 0 where it gives none. Frames that an edit list hides are not counted."""
     claimed_s: float
-    """Time of the end by the container's word, 0 where it is silent or names frames."""
+    """Time of the end by the container, 0 where it gives none or gives the number of frames."""
     focal_35mm: float
     """35 mm equivalent focal length from metadata, 0 where absent."""
     hdr: str = ""
@@ -63,7 +63,7 @@ class SourceHeader:
     def upright_size_px(self, max_long_side_px: int | None = None) -> tuple[int, int]:
         """Width and height of the upright picture with square pixels, shrunk to `max_long_side_px` where larger.
 
-        The stored picture is only ever stretched along its squeezed side. Sizes are as stored unless the picture is
+        Pixels that are not square are stretched along their shorter side. Sizes are as stored unless the image is
         resized; then they are even.
         """
         width, height = float(self.stored_width_px), float(self.stored_height_px)
@@ -80,7 +80,7 @@ class SourceHeader:
 
 @dataclass(slots=True)
 class DecodeReport:
-    """Tally of a decode as it goes; complete once the iterator is exhausted."""
+    """Counts of a decode; complete once the iterator is exhausted."""
 
     frames: int = 0
     damaged_packets: int = 0
@@ -93,7 +93,7 @@ class DecodeReport:
     faulty_dts: int = 0
     """Decode times that are not later than the one of the picture before."""
     stopped_by: str = ""
-    """What ended the stream before its end, empty where nothing did."""
+    """What stopped the decoder before the end of the stream; empty where nothing did."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,17 +210,17 @@ def _claimed_frames(container: InputContainer, stream: av.VideoStream) -> int:
 
 
 def _claimed_s(container: InputContainer, stream: av.VideoStream) -> float:
-    """Sound may end later than pictures: of a file with sound only what is said of the pictures counts."""
+    """Time of the end of the images. Sound may end later, so a file with sound needs a duration of its video stream."""
     if stream.frames:
         return 0.0
     hours, minutes, seconds = (["", "", "", *stream.metadata.get("DURATION", "").split(":")])[-3:]
-    with contextlib.suppress(ValueError):  # Matroska says it so
+    with contextlib.suppress(ValueError):  # Matroska's form
         return 3600 * int(hours) + 60 * int(minutes) + float(seconds)
     return (container.duration or 0) / av.time_base if len(container.streams) == 1 else 0.0
 
 
 def _video_streams(container: InputContainer, path: Path) -> list[av.VideoStream]:
-    """The video streams, the one to use first: the one that the container marks as default, else the first."""
+    """The video streams; first the one that the container marks as default, if any."""
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
     if not streams:
         kinds = sorted({s.type for s in container.streams} - {"video"})
@@ -233,7 +233,7 @@ def _video_streams(container: InputContainer, path: Path) -> list[av.VideoStream
 
 
 def _pictures(container: InputContainer, stream: av.VideoStream, report: DecodeReport) -> Iterator[av.VideoFrame]:
-    """Decoded frames of the stream; damage is counted, never raised; want of memory is no damage."""
+    """Decoded frames of the stream. Damage is counted, not raised; a lack of memory is raised."""
     packets = container.demux(stream)
     while True:
         try:

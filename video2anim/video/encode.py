@@ -1,4 +1,4 @@
-"""Writing of constant-rate H.264 files."""
+"""Writing of H.264 files of constant frame rate."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ from jaxtyping import UInt8
 
 from video2anim.errors import InputError, StageError, is_memory_shortage
 
-KEY_FRAME_EVERY = 30
-"""Frames between key frames; bounds the cost of a seek."""
 _BT709 = 1
 """Number of BT.709 in ITU-T H.273 tables 2 to 4 (primaries, transfer and matrix alike)."""
 
@@ -43,7 +41,7 @@ class FrameWriter:
         preset: str = "veryfast",
         threads: int = 1,
     ) -> None:
-        """Prepare to write `path`; its folder must exist. The file is made once there is something to write.
+        """Prepare to write `path`; its folder must exist. The file is made with the first frame.
 
         Args:
             path: File to make, `.mp4`.
@@ -52,8 +50,8 @@ class FrameWriter:
             fps: Frames per second.
             crf: x264 quality, lower is better: 14 is visually lossless, 23 suits previews.
             preset: x264 speed preset.
-            threads: Encoder threads, 0 = as many as there are cores. With several, x264 may give other bytes for the
-                same frames, which would make cached stages look edited.
+            threads: Encoder threads, 0 = as many as there are cores. With several, x264 may give different bytes for
+                the same frames, which would look like an edit of a cached stage.
         """
         self.path = path
         self.frame_count = 0
@@ -65,11 +63,12 @@ class FrameWriter:
         stream.width, stream.height, stream.pix_fmt = width_px, height_px, self._pixel_format
         stream.time_base = self._time_base
         context = stream.codec_context
-        context.gop_size, context.max_b_frames = KEY_FRAME_EVERY, 0
+        # A key frame a second bounds the cost of a seek.
+        context.gop_size, context.max_b_frames = fps, 0
         context.thread_count = threads
         context.color_primaries = context.color_trc = context.colorspace = _BT709
         context.color_range = int(ColorRange.MPEG)
-        # The macroblock tree reads memory that x264 has not set: the same frames would give other bytes now and then.
+        # With the macroblock tree, x264 reads uninitialized memory: the same frames may give different bytes.
         context.options = {"crf": str(crf), "preset": preset, "sc_threshold": "0", "x264-params": "mbtree=0"}
         self._stream = stream
 
@@ -117,7 +116,7 @@ class FrameWriter:
         if kind is None:
             self.close()
             return
-        # The first error is the one to report; the unfinished file is the caller's to remove.
+        # The first error is reported; the caller removes the unfinished file.
         try:
             self._container.close()
         except (FFmpegError, OSError) as second:
@@ -126,7 +125,7 @@ class FrameWriter:
 
 
 def write_error(path: Path, error: Exception) -> InputError | StageError | MemoryError:
-    """What to raise where a video cannot be written."""
+    """Error to raise where a video cannot be written."""
     if is_memory_shortage(error):
         return MemoryError(f"while writing {path}: {error}")
     if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):

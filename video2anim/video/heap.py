@@ -1,4 +1,4 @@
-"""Pictures kept out of the C heap."""
+"""Memory of decoded images: pages of their own instead of the C heap."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 _M_MMAP_THRESHOLD = -3
+"""Number of the parameter in glibc's malloc.h."""
 _PICTURE_BYTES = 256 * 1024
+"""Arrays of this size and more are images."""
 _USUAL_MAX_BYTES = 32 * 1024 * 1024
 """glibc raises its threshold by itself up to this value."""
 
 
 @contextmanager
 def frames_in_mapped_memory() -> Iterator[None]:
-    """Give every array the size of a picture its own memory pages, which go back when it is freed.
+    """Give every array of the size of an image memory pages of its own, which are returned when it is freed.
 
-    glibc takes arrays of several megabytes from its heap once a few have come and gone. Whoever streams pictures and
-    keeps a few small results of each then fills the holes that freed pictures leave, and the heap grows by a good part
-    of each picture. Elsewhere than on glibc nothing is done.
+    glibc raises its threshold when large arrays are freed, and then takes images from its heap. A program that streams
+    images and keeps small results of each fills the gaps of freed images with those, so the heap grows with every
+    image. On other C libraries nothing is done.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is None:

@@ -18,7 +18,7 @@ def read_frames(
 ) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
     """Yield frames `start, start + step, ...` below `stop` of the clip as RGB, frame-exact.
 
-    The video is our own (`FrameWriter`): constant rate, a key frame every 30 frames, no reordering. One frame is
+    The video is our own (`FrameWriter`): constant rate, a key frame every second, no reordering. One frame is
     held at a time.
 
     Args:

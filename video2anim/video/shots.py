@@ -1,9 +1,8 @@
-"""Cuts: hard changes from one shot to another, found while the frames stream by.
+"""Detection of cuts (hard changes from one shot to another) in a stream of frames.
 
-A boundary is judged by the pictures on both sides of it, not by one difference: every picture just before must differ
-from every picture just after. A single dark, bright or damaged picture leaves the sides alike and is no cut. A pan or
-fast motion makes neighboring pictures differ too, so the jump must stand out from the motion on both sides. Dissolves
-and fades are not found.
+Several images on both sides of a boundary are compared: every one before must differ from every one after, so a single
+dark, bright or damaged image is no cut. In a pan or fast motion neighbors differ too, so the difference across the
+boundary must exceed those on both sides. Dissolves and fades are not detected.
 """
 
 from __future__ import annotations
@@ -19,11 +18,11 @@ from jaxtyping import Float, UInt8
 THUMBNAIL_SIDE_PX = 96
 """Long side of the pictures that `ShotDetector` is given."""
 _SIDE_FRAMES = 6
-"""Pictures compared on each side of a boundary; a flash shorter than this is never a cut."""
+"""Images compared on each side of a boundary; a flash of fewer is never a cut."""
 _CUT_DISTANCE = 0.30
 """Smallest distance (0 to 1) between the sides of a cut."""
-_STANDS_OUT = 2.5
-"""How many times the usual step between neighbors the distance across a cut must be."""
+_MIN_CONTRAST = 2.5
+"""Least ratio of the distance across a cut to the median distance of neighbors."""
 _DETAIL_FLOOR = 0.01
 """Root mean square of log luminance detail below which a picture counts as blank."""
 _BINS = (8, 17, 17)
@@ -34,7 +33,7 @@ _GRID = (32, 18)
 
 @dataclass(frozen=True, slots=True)
 class Descriptor:
-    """What a picture looks like, little of which depends on exposure."""
+    """Appearance of an image, nearly independent of exposure."""
 
     structure: Float[np.ndarray, "cells"]
     """Log luminance on a coarse grid, slow shading removed, zero mean, unit norm (less for a blank picture)."""
@@ -46,14 +45,14 @@ def describe(thumbnail_rgb: UInt8[np.ndarray, "height width 3"]) -> Descriptor:
     """Descriptor of a small picture."""
     lab = cv2.cvtColor(thumbnail_rgb, cv2.COLOR_RGB2LAB)
     grid = cv2.resize(lab[..., 0], _GRID, interpolation=cv2.INTER_AREA).astype(np.float32)
-    # Differences of log luminance cancel a change of gain; the wide blur takes away glare and vignettes.
+    # Differences of log luminance do not change with gain; the wide blur removes glare and vignettes.
     log_luminance = np.log(grid + 8.0)
     detail = log_luminance - cv2.GaussianBlur(log_luminance, (0, 0), 4.0)
     detail -= detail.mean()
-    # Where there is less detail than noise, the structure fades out instead of being blown up.
+    # Where there is less detail than noise, the structure is small instead of amplified noise.
     structure = detail.ravel() / max(float(np.linalg.norm(detail)), _DETAIL_FLOOR * np.sqrt(detail.size))
     median = max(float(np.median(lab[..., 0])), 1.0)
-    # The median luminance and gray lie in the middle of their bins, where noise does not tip them over.
+    # The median luminance and gray are in the middle of their bins, where noise does not move them to another.
     relative = np.clip(lab[..., 0] / median * 64.0 + 16.0, 0, 255).astype(np.uint8)
     stacked = np.dstack([relative, lab[..., 1:]])
     histogram = cv2.calcHist([stacked], [0, 1, 2], None, list(_BINS), [0, 256, 60, 196, 60, 196])
@@ -73,16 +72,16 @@ def _softened(histogram: Float[np.ndarray, "luminance a b"], axis: int) -> Float
 
 
 def distance(a: Descriptor, b: Descriptor) -> float:
-    """How unlike two pictures are, 0 (same) to 1: mean of the structures' and the colors' difference."""
+    """Appearance distance of two images, 0 (same) to 1: mean of the distances of structure and color."""
     structure = 0.5 * float(np.sum((a.structure - b.structure) ** 2))
     colors = np.sqrt(max(0.0, 1.0 - float(a.colors @ b.colors)))
     return float(0.5 * (min(1.0, structure) + colors))
 
 
 class ShotDetector:
-    """Finds cuts in a stream of thumbnails; holds a dozen descriptors whatever the length.
+    """Finds cuts in a stream of thumbnails; keeps the last twelve descriptors.
 
-    Feed every picture with `add`, then call `finish`; `cuts` holds the index of the first picture of each new shot.
+    Add every image, then call `finish`; `cuts` holds the index of the first picture of each new shot.
     """
 
     def __init__(self) -> None:
@@ -94,19 +93,19 @@ class ShotDetector:
         """Take the next picture."""
         self._recent.append(describe(thumbnail_rgb))
         self._count += 1
-        # Boundaries are judged once their side after is full; the first ones have a short side before.
+        # A boundary is decided once the side after it is full; the first ones have a short side before.
         if self._count > _SIDE_FRAMES:
-            self._judge(len(self._recent) - _SIDE_FRAMES)
+            self._decide(len(self._recent) - _SIDE_FRAMES)
 
     def finish(self) -> list[int]:
-        """Judge the last boundaries, whose side after is short, and return the cuts."""
+        """Decide the last boundaries, whose side after is short, and return the cuts."""
         pictures = len(self._recent)
         for split in range(max(1, pictures - _SIDE_FRAMES + 1), pictures):
-            self._judge(split)
+            self._decide(split)
         return self.cuts
 
-    def _judge(self, split: int) -> None:
-        """Decide whether the picture at `split` of the recent ones opens a shot."""
+    def _decide(self, split: int) -> None:
+        """Add a cut if the image at `split` of the recent ones begins a shot."""
         recent = list(self._recent)
         before = recent[max(0, split - _SIDE_FRAMES) : split]
         after = recent[split : split + _SIDE_FRAMES]
@@ -116,5 +115,5 @@ class ShotDetector:
             return
         steps = [distance(a, b) for side in (before, after) for a, b in pairwise(side)]
         usual = float(np.median(steps)) if steps else 0.0
-        if across > _STANDS_OUT * usual:
+        if across > _MIN_CONTRAST * usual:
             self.cuts.append(index)

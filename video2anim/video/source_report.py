@@ -1,4 +1,4 @@
-"""Frames of a source at wanted times, and what is wrong with the source."""
+"""Frames of a source at given times, and warnings about the source."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ from video2anim.video.decode import DecodeReport, SourceHeader, Stamps, decode
 from video2anim.video.source_scan import SourceScan
 
 _LOW_FPS = 20.0
+"""Below this rate fast motion is lost."""
 _SMALL_SIDE_PX = 240
-_LONG_HOLE_S = 0.25
+"""Below this short side people are detected less reliably."""
+_LONG_GAP_S = 0.25
+"""Longer gaps of the time stamps, in which an image is held, are visible."""
 _CUT_OFF_S = 0.5
-"""Seconds by which the header may be wrong about the end."""
+"""Seconds by which a header may be wrong about the end of an intact file."""
 
 
 def frames_at(
@@ -28,9 +31,10 @@ def frames_at(
     wanted_s: Float[np.ndarray, "frames"],
     size_px: tuple[int, int],
 ) -> Iterator[tuple[np.ndarray, bool]]:
-    """One RGB picture per wanted time stamp, and whether it is the right one.
+    """One RGB image per wanted time stamp, and whether it is the image of that time.
 
-    Where the decoder, on damaged input, does not return a picture that it returned before, the last one is held.
+    Where the decoder, on damaged input, does not return an image that it returned on the first pass, the last one is
+    held.
 
     Raises:
         StageError: no picture decodes at all.
@@ -64,8 +68,7 @@ def source_warnings(
     shot_time_s: Float[np.ndarray, "shot_pictures"],
     size_px: tuple[int, int],
 ) -> list[str]:
-    """One line for everything in the source that may make results worse than expected."""
-
+    """One line for each property of the source that may make results worse."""
     texts = []
     shots_s, report = source_scan.shots_s(), source_scan.report
     if len(shots_s) > 1:
@@ -81,11 +84,11 @@ def source_warnings(
         )
     if header.hdr:
         texts.append(
-            f"high dynamic range ({header.hdr}), shown as it is: dark and pale to detectors and in textures; "
-            "convert the video to standard range (BT.709) before for true colors"
+            f"high dynamic range ({header.hdr}) is not tone mapped: images are dark and pale; "
+            "convert the video to standard range (BT.709) first"
         )
     if source_scan.stamps == "dts":
-        texts.append("the file's presentation times go back and forth; decode order and decode times are used")
+        texts.append("the file's presentation times do not increase; decode times are used")
     if source_scan.reached_end and header.claimed_frames > report.frames:
         texts.append(
             f"the header claims {header.claimed_frames} frames, {report.frames} decode: the file is cut off or damaged"
@@ -108,8 +111,8 @@ def source_warnings(
         fps = 1.0 / float(np.median(np.diff(shot_time_s)))
         if fps < _LOW_FPS:
             texts.append(f"low frame rate: {fps:.1f} fps (want {_LOW_FPS:.0f} or more); fast motion will be lost")
-        elif max_gap_s(shot_time_s) > _LONG_HOLE_S:
-            texts.append(f"the source shows nothing new for {max_gap_s(shot_time_s):.2f} s; the picture is held")
+        elif max_gap_s(shot_time_s) > _LONG_GAP_S:
+            texts.append(f"the source has a gap of {max_gap_s(shot_time_s):.2f} s; the image before is held")
     if min(size_px) < _SMALL_SIDE_PX:
         texts.append(
             f"small picture: {size_px[0]}x{size_px[1]} px (want a short side of {_SMALL_SIDE_PX} or more); "
@@ -119,7 +122,7 @@ def source_warnings(
 
 
 def source_info(header: SourceHeader, source_scan: SourceScan) -> SourceInfo:
-    """What the container and the decoder say of the source."""
+    """Properties of the source by container and decoder."""
     time_s = source_scan.time_s
     span_s = float(time_s[-1] - time_s[0])
     return SourceInfo(

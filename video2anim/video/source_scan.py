@@ -1,4 +1,4 @@
-"""First pass over a source: when its pictures are shown, where its shots begin, and what is broken."""
+"""First pass over a source: time stamps, shots, and damage."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from video2anim.video.decode import DecodeReport, SourceHeader, Stamps, decode
 from video2anim.video.shots import THUMBNAIL_SIDE_PX, ShotDetector
 
 MAX_GAP_S = 2.0
-"""A hole in the time stamps longer than this ends a shot: holding a picture over it would invent footage."""
+"""A longer gap in the time stamps ends a shot: an image held over it would be invented footage."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,15 +61,15 @@ def scan_source(
     stop_s: float | None = None,
     on_picture: Callable[[int], None] | None = None,
 ) -> SourceScan:
-    """Decode the source, keeping nothing of its pictures but a few thumbnails at a time.
+    """Decode the source, keeping only a few thumbnails at a time.
 
     Decoders return pictures in the order in which they are shown. Where presentation times contradict that order
     more often than decode times do (an AVI has no presentation times, and FFmpeg's guesses may be wrong), the source
-    is decoded once more by its decode times: FFmpeg's rule of best effort, applied to the whole source at once.
+    is decoded once more by its decode times: FFmpeg does the same for single frames ("best effort time stamp").
 
     Args:
         path: The source.
-        header: What `probe` said of it.
+        header: Its header, by `probe`.
         start_s: Pictures earlier than this after the first one are left out.
         stop_s: Pictures this late or later after the first one are left out; None for none.
         on_picture: Called with the number of pictures decoded so far.
@@ -77,13 +77,13 @@ def scan_source(
     Raises:
         InputError: the file cannot be opened.
     """
-    found = _survey(path, header, "pts", start_s, stop_s, on_picture)
+    found = _scan_pass(path, header, "pts", start_s, stop_s, on_picture)
     if found.report.faulty_pts > found.report.faulty_dts:
-        found = _survey(path, header, "dts", start_s, stop_s, on_picture)
+        found = _scan_pass(path, header, "dts", start_s, stop_s, on_picture)
     return found
 
 
-def _survey(
+def _scan_pass(
     path: Path,
     header: SourceHeader,
     stamps: Stamps,
@@ -95,7 +95,7 @@ def _survey(
     detector = ShotDetector()
     size_px = header.upright_size_px(THUMBNAIL_SIDE_PX)
     stamps_s = array("d")
-    hole_starts: list[int] = []
+    gap_ends: list[int] = []
     first_s: float | None = None
     reached_end = True
     for picture in decode(path, header, report, stamps):
@@ -106,11 +106,11 @@ def _survey(
         if picture.time_s - first_s < start_s:
             continue
         if stamps_s and picture.time_s - stamps_s[-1] > MAX_GAP_S:
-            hole_starts.append(len(stamps_s))
+            gap_ends.append(len(stamps_s))
         stamps_s.append(picture.time_s)
         detector.add(picture.rgb(*size_px))
         if on_picture is not None:
             on_picture(report.frames)
     cuts = detector.finish()
-    starts = sorted({0, *cuts, *hole_starts}) if stamps_s else []
+    starts = sorted({0, *cuts, *gap_ends}) if stamps_s else []
     return SourceScan(np.array(stamps_s, dtype=np.float64), tuple(starts), report, reached_end, stamps)

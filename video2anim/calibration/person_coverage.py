@@ -1,8 +1,8 @@
-"""What a person is seen in front of is farther away than the person.
+"""Occlusion order of a person and objects: what the person is seen in front of is farther away than the person.
 
-An object's depth comes from a network, a person's from their size and feet: where the two disagree on who hides whom,
-the picture decides. The other way round (an object that hides somebody is nearer) would be as good if masks of people
-had all their limbs.
+The depth of an object comes from a network, that of a person from body size and feet; where they contradict the
+occlusion, the image decides. The opposite evidence (an object that occludes a person is nearer) is not used, because
+person masks often lack limbs.
 """
 
 from __future__ import annotations
@@ -21,37 +21,38 @@ from video2anim.types.camera import Intrinsics
 from video2anim.types.motion import BodyMotion
 
 _MAX_FRAMES = 60
+"""Frames that are used, spread over the clip; bounds the time."""
 _VOTES = 3
-"""Frames that must agree on a pixel."""
+"""Frames that must agree on the depth at a pixel: one or two may have a wrong mask or pose."""
 _MOVED_M = 0.02
-"""A camera that went farther sees other objects at the same pixels."""
+"""A camera that moved farther sees other objects at the same pixels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Passed:
-    """Where a person was seen, and where not although they were there; pixels."""
+class PersonCoverage:
+    """Pixels that a person covered during the clip."""
 
     depth_m: Float[np.ndarray, "height width"]
-    """How far away they were, at most; 0 where they were not seen."""
+    """Largest depth of the person where they were seen; 0 elsewhere."""
     seen: Int[np.ndarray, "height width"]
-    """Frames in which the body covers the pixel and is seen there."""
+    """Frames in which the body covers the pixel and the mask has it."""
     hidden: Int[np.ndarray, "height width"]
-    """Frames in which it covers the pixel and something else is seen."""
+    """Frames in which the body covers the pixel and the mask does not have it."""
 
 
-def passed_before(
+def person_coverage(
     body: BodyMotion,
     frames: np.ndarray,
     masks: Bool[np.ndarray, "frames height width"],
     intrinsics: Intrinsics,
-) -> Passed:
-    """What a person covered; nothing for cameras that move.
+) -> PersonCoverage:
+    """Pixels that a person covered; none if the camera moves.
 
-    The distance is the greatest that `_VOTES` frames have.
+    The depth of a pixel is the largest one that `_VOTES` frames reach.
 
     Args:
         body: The person.
-        frames: Which frames of the clip the masks are of.
+        frames: Frame numbers of the masks.
         masks: Pixels that show the person.
         intrinsics: At the size of the masks.
     """
@@ -61,7 +62,7 @@ def passed_before(
     still = np.abs(body.T_world_camera[frames] - first).max(initial=0.0) < _MOVED_M
     chosen = np.flatnonzero(body.valid[frames]) if still else np.zeros(0, np.int64)
     if len(chosen) < _VOTES:
-        return Passed(farthest_m[0], seen, hidden)
+        return PersonCoverage(farthest_m[0], seen, hidden)
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _MAX_FRAMES).round().astype(int))]
     at = frames[chosen]
     shaped = shaped_body(body.shape)
@@ -74,20 +75,20 @@ def passed_before(
         inner = cv2.erode((there_m > 0).astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
         seen += inner & mask
         hidden += inner & ~cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-        # The votes are kept in order, the nearest first: a farther one takes its place.
+        # The largest depths in ascending order; the smallest of them is replaced.
         farthest_m[0] = np.maximum(farthest_m[0], own_m)
         farthest_m.sort(axis=0)
-    return Passed(farthest_m[0], seen, hidden)
+    return PersonCoverage(farthest_m[0], seen, hidden)
 
 
 def _depth_of(camera_m: np.ndarray, faces: np.ndarray, intrinsics: Intrinsics) -> Float[np.ndarray, "height width"]:
-    """Depth of a body's near side in the picture, 0 beside it."""
+    """Depth of the visible side of a body per pixel, 0 beside it."""
     height, width = intrinsics.height_px, intrinsics.width_px
     points_m = surface_points(camera_m, faces)
     column, row = np.floor(project(points_m, intrinsics) + 0.5).astype(np.int64).T
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     nearest_m = np.full((height, width), np.inf, np.float32)
     np.minimum.at(nearest_m, (row[inside], column[inside]), points_m[inside, 2])
-    # Skin points are sparse on people near by: a pixel takes the nearest of its neighbors.
+    # Surface points of near people are sparse in pixels: each pixel takes the least depth of its neighbors.
     nearest_m = cv2.erode(np.where(np.isfinite(nearest_m), nearest_m, 1e6), np.ones((3, 3)))
     return np.where(nearest_m < 1e6, nearest_m, 0.0)
