@@ -1,7 +1,7 @@
-"""Stage background: the picture without its people, and where the people are.
+"""Stage background: the image without people, and the masks of people.
 
-The background image is a temporal median that leaves out tracked people. A first background image, made with the person
-model's generous masks, sharpens the masks by figure and ground; the sharper masks make the final background image.
+The background image is a temporal median that excludes tracked people. A first one, made with the enlarged masks of the
+person model, refines the masks by difference from the background; the refined masks make the final one.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from jaxtyping import Bool, Int
 
-from video2anim.pipeline.options import limits, model_of
-from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
+from video2anim.pipeline.options import limits
+from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import BackgroundImage, PersonTracks, VideoClip
 
 if TYPE_CHECKING:
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 _SAMPLE_BYTES = 256 * 2**20
 """Memory for full-size samples of the background image."""
-_FEWEST_SAMPLES = 9
+_MIN_SAMPLES = 9
+"""Fewest samples, whatever their memory: a median of fewer shows people who stand."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +30,11 @@ class BackgroundConfig:
     """How the background image is sampled."""
 
     frame_step: Annotated[int, limits("frames", ge=1, le=100_000)] = 5
-    """Masks are made for every such frame and the last one."""
+    """Masks are made of every such frame and of the last one."""
     max_samples: Annotated[int, limits(ge=1, le=255)] = 60
-    """Most frames that the median takes; fewer where they would need too much memory."""
+    """Most frames of the median; fewer where they would need too much memory."""
     long_side_px: Annotated[int, limits("px", ge=16, le=16_384)] = 384
     """Working resolution of masks, and of all depth that follows."""
-    segment_model: Annotated[str, model_of("segment", also=(NO_MODEL,))] = "none"
-    """Model of slot `segment` that sees people beside the person model; `none` leaves masks to the latter."""
 
 
 def make_background(
@@ -61,11 +60,10 @@ def make_background(
     excluded = excluded_from_median(generous, samples, raster)
     median = median_background(samples.rgb, excluded)
     unseen = np.all(excluded, axis=0)
-    model = None if config.segment_model == NO_MODEL else ctx.model(config.segment_model)
     known = (inpaint_unobserved(median, unseen), ~unseen)
     done = len(frame_index)
     people = people_masks(
-        clip, tracks, frame_index, samples, known, raster, model, lambda row: ctx.progress(done + row + 1, 2 * done)
+        clip, tracks, frame_index, samples, known, raster, lambda row: ctx.progress(done + row + 1, 2 * done)
     )
 
     sharper = excluded_from_median(grown_masks(people.any_person, tracks, frame_index, raster), samples, raster)
@@ -96,7 +94,7 @@ def _collect(
     from video2anim.camera.background_registration import BackgroundRegistration
 
     count = len(frame_index)
-    affordable = max(_FEWEST_SAMPLES, _SAMPLE_BYTES // (3 * clip.width_px * clip.height_px))
+    affordable = max(_MIN_SAMPLES, _SAMPLE_BYTES // (3 * clip.width_px * clip.height_px))
     wanted = np.unique(np.linspace(0, count - 1, min(count, config.max_samples, affordable)).round().astype(int))
     H_reference_frame = np.tile(np.eye(3), (count, 1, 1))
     rgb = np.zeros((len(wanted), clip.height_px, clip.width_px, 3), np.uint8)
@@ -138,8 +136,8 @@ def _report(
     if unseen.mean() > 0.02:
         ctx.warn(
             f"{100 * unseen.mean():.0f} % of the background is never seen (people cover it throughout); "
-            "the background image is painted there"
+            "the background image is inpainted there"
         )
 
 
-STAGE = StageSpec("background", make_background, version=3, models=("segment",))
+STAGE = StageSpec("background", make_background, version=3)

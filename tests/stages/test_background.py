@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from stages.background import BackgroundConfig, make_background
-from video2anim.background.person_segmentation import refine_mask
 from video2anim.cli.compose import pipeline_nodes
 from video2anim.errors import UsageError
-from video2anim.networks.segmentation import Segmentation
 from video2anim.pipeline.config import resolve
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
@@ -203,34 +201,3 @@ def test_work_is_done_at_reduced_size_and_in_few_samples(tmp_path: Path) -> None
 def test_config_is_checked(options: dict[str, int]) -> None:
     with pytest.raises(UsageError, match=r"background\.\w+: want"):
         resolve(pipeline_nodes(), "p", [("test", {"background": options})])
-
-
-def test_a_networks_word_decides_where_nothing_else_does() -> None:
-    """Without a background image to compare with, an undecided figure ends where a network sees people end."""
-    undecided = np.full((40, 60), 0.01, np.float32)
-    undecided[10:30, 10:50] = 0.5
-    named = np.zeros((40, 60), bool)
-    named[:, :30] = True
-    nothing, unknown = np.zeros((40, 60), np.float32), np.zeros((40, 60), bool)
-    mask = refine_mask(undecided, nothing, unknown, named)
-    assert mask[12:28, 12:28].all()
-    assert not mask[:, 32:].any()
-    sure = np.where(undecided > 0.1, np.float32(0.95), np.float32(0.01))
-    assert refine_mask(sure, nothing, unknown, ~named)[12:28, 12:48].all()
-
-
-def test_the_network_is_asked_about_every_mask_frame(tmp_path: Path) -> None:
-    asked = []
-
-    class Nobody:
-        def segment(self, image_rgb: np.ndarray) -> Segmentation:
-            asked.append(image_rgb.shape)
-            return Segmentation(np.zeros(image_rgb.shape[:2], np.uint8), ())
-
-    lefts = walk(10, 270)
-    clip, truth = make_clip(tmp_path / "clip.mp4", textured(1, WIDTH, HEIGHT), [lefts])
-    tracks = PersonTracks((track_of(lefts, 1),), (1,))
-    ctx = StageContext(tmp_path, load_model=lambda name: {"mine": Nobody()}[name])
-    found = make_background(clip, tracks, BackgroundConfig(segment_model="mine"), ctx)
-    assert len(asked) == len(found.frame_index)
-    assert iou(found.person_mask, truth[0][found.frame_index]) > MASK_IOU - 0.05

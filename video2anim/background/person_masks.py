@@ -16,7 +16,6 @@ from video2anim.background.person_segmentation import (
     person_probability,
     refine_mask,
 )
-from video2anim.networks.segmentation import CLASSES, SegmentModel
 from video2anim.types import PersonTracks, VideoClip
 from video2anim.video import read_frames
 
@@ -113,10 +112,9 @@ def people_masks(
     samples: MedianSamples,
     background_known: tuple[UInt8[np.ndarray, "height width 3"], Bool[np.ndarray, "small_height small_width"]],
     raster: Raster,
-    model: SegmentModel | None,
     on_row: Callable[[int], None],
 ) -> PeopleMasks:
-    """Masks by figure and ground, and by what a network sees."""
+    """Masks by the person model and the difference from the background."""
     shape = (len(frame_index), raster.height_px, raster.width_px)
     people = PeopleMasks(np.zeros(shape, bool), np.zeros(shape, bool))
     small_background, known = raster.reduce(background_known[0]), background_known[1]
@@ -129,20 +127,10 @@ def people_masks(
         others = np.max([nobody, *by_id.values()], axis=0)
         ground, ground_known = _background_in_frame(small_background, known, samples.H_reference_frame[row], raster)
         difference = lab_difference(raster.reduce(picture), ground)
-        named = None if model is None else _named_people(model, picture, raster)
-        people.any_person[row] = refine_mask(np.maximum(main, others), difference, ground_known, named)
-        people.selected[row] = refine_mask(main, difference, ground_known, named) & (main >= others)
+        people.any_person[row] = refine_mask(np.maximum(main, others), difference, ground_known)
+        people.selected[row] = refine_mask(main, difference, ground_known) & (main >= others)
         people.any_person[row] |= people.selected[row]
     return people
-
-
-def _named_people(
-    model: SegmentModel, picture: UInt8[np.ndarray, "height width 3"], raster: Raster
-) -> Bool[np.ndarray, "small_height small_width"]:
-    """Where the network sees people, on the reduced picture."""
-    semantic = model.segment(raster.reduce(picture)).semantic
-    size = (raster.width_px, raster.height_px)
-    return cv2.resize(semantic, size, interpolation=cv2.INTER_NEAREST) == CLASSES.index("person")
 
 
 def _background_in_frame(

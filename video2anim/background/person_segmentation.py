@@ -104,15 +104,10 @@ def lab_difference(
     return np.linalg.norm(delta, axis=-1)
 
 
-NAMED_LOG_ODDS = 0.3
-"""What the word of a segmentation network counts, for a person or against one."""
-
-
 def refine_mask(
     probability: Float32[np.ndarray, "small_height small_width"],
     difference: Float32[np.ndarray, "small_height small_width"],
     background_known: Bool[np.ndarray, "small_height small_width"],
-    named: Bool[np.ndarray, "small_height small_width"] | None = None,
 ) -> Bool[np.ndarray, "small_height small_width"]:
     """Pixels that show a person.
 
@@ -120,7 +115,6 @@ def refine_mask(
         probability: Of a person, from the person model.
         difference: From the background image, as `lab_difference` gives it.
         background_known: Where the background image shows real background.
-        named: Where a segmentation network sees people.
     """
     if not probability.any():
         return np.zeros(probability.shape, bool)
@@ -133,8 +127,6 @@ def refine_mask(
     noise_lab = np.maximum(usual / np.maximum(total, 1e-4), _NOISE_FLOOR_LAB)
     evidence = _EVIDENCE_GAIN * np.log(np.maximum(difference, 1e-3) / (_NEUTRAL_NOISE * noise_lab))
     evidence = np.clip(evidence, -_EVIDENCE_LIMIT, _EVIDENCE_LIMIT)
-    if named is not None:
-        log_odds = log_odds + NAMED_LOG_ODDS * np.where(named, 1.0, -1.0)
     mask = log_odds + np.where(background_known, evidence, 0.0) > 0
     return _without_small_regions(mask)
 
