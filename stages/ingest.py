@@ -146,4 +146,4 @@ def _record_quality(
     ctx.quality("camera_drift", drift_ratio, "ratio")
 
 
-STAGE = StageSpec("ingest", ingest, version=3)
+STAGE = StageSpec("ingest", ingest, version=4)

@@ -29,14 +29,12 @@ _GRID = 4
 """Inliers must lie in at least so many cells of a grid of so many by so many; in fewer they are one object, not the
 background."""
 _MOTION_SAMPLES = 20
-_MOTION_STEP = 8
-"""Camera motion is measured at every such frame, but at most at `_MOTION_SAMPLES` spread over the clip."""
+"""Frames, spread over the clip, at which camera motion is measured."""
 
 
 def motion_samples(frame_count: int) -> frozenset[int]:
     """Frames of a clip at which the motion of its camera is measured, the first and last among them."""
-    samples = min(_MOTION_SAMPLES, max(1, frame_count // _MOTION_STEP))
-    return frozenset(np.linspace(0, frame_count - 1, samples + 1).round().astype(int).tolist())
+    return frozenset(np.linspace(0, frame_count - 1, _MOTION_SAMPLES + 1).round().astype(int).tolist())
 
 
 @dataclass(frozen=True, slots=True)
