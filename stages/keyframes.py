@@ -1,10 +1,10 @@
-"""Keyframe optimization (paper 8.2): move the root of every fifth frame so that body and scene agree.
+"""Keyframe optimization (SceneMI, supplement section 8.2): moves roots so that body and scene agree.
 
 Five losses over the displacements of the keyframes, all in square meters so that weights carry no unit: regularization
-(small displacements), contact (touching parts meet the surface), penetration (other vertices stay out), temporal
-smoothness, and the Chamfer distance between visible skin and metric depth. A root goes along its line of sight only,
-which one camera knows least: so the body stays where the picture shows it. Poses are not touched; between keyframes the
-displacement, not the motion, is interpolated, so the raw motion keeps its detail and nothing pops.
+(small displacements), contact (touching parts meet the surface), penetration (skin stays outside of solids), temporal
+smoothness, and the Chamfer distance between visible skin and metric depth. Roots move along their lines of sight only,
+the direction in which one camera is least certain, so the body keeps its place in the image. Poses do not change.
+Between keyframes the displacement is interpolated, not the motion, which keeps its detail.
 """
 
 from __future__ import annotations
@@ -22,30 +22,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class KeyframesConfig:
-    """Which frames are optimized, and by what."""
+    """Keyframes, samples, weights and steps of the optimization."""
 
     keyframe_interval_frames: Annotated[int, limits("frames", ge=1, le=100_000)] = 5
-    """Every such frame is a keyframe, besides the first and the last valid one (paper: 5)."""
+    """Step between keyframes (paper: 5); the first and last frame of every valid run are keyframes too."""
     sampled_vertices: Annotated[int, limits(ge=1, le=100_000)] = 500
     """Skin vertices tested for penetration, spread by farthest-point sampling."""
-    vertices_per_contact_part: Annotated[int, limits(ge=1, le=100_000)] = 100
-    """Skin vertices of each part that may touch."""
     contact_points: Annotated[int, limits(ge=1, le=100_000)] = 5
     """Nearest vertices of a part whose mean distance is brought to zero."""
     weight_regularization: Annotated[float, limits(ge=0, le=1_000_000)] = 40.0
-    """On the mean squared displacement (m^2). A tenth lets roots follow errors of the scene: on clips with motion
-    capture the root's path was then up to 12 mm worse than before the stage, with this it is within 3 mm of it."""
+    """On the mean squared displacement (m^2). With a tenth of it roots follow errors of the scene: on clips with motion
+    capture the root's path became up to 12 mm worse by this stage; with this value it changes by less than 3 mm."""
     weight_contact: Annotated[float, limits(ge=0, le=1_000_000)] = 17.0
     """On the mean Huber cost of the contact distance (m^2)."""
-    penetration_reach_m: Annotated[float, limits("m", ge=0, le=100)] = 0.2
-    """Vertices that start farther from every surface are not tested for penetration."""
     weight_penetration: Annotated[float, limits(ge=0, le=1_000_000)] = 100.0
     """On the mean squared depth of penetrating vertices (m^2), over all frames: between keyframes too."""
     weight_displacement_change: Annotated[float, limits(ge=0, le=1_000_000)] = 2.0
     """On the squared difference of consecutive displacements (m^2); the paper's smoothness, taken on the displacement
     so that walking is not slowed."""
-    weight_acceleration: Annotated[float, limits(ge=0, le=1_000_000)] = 0.1
-    """On the squared second difference of consecutive roots (m^2), at the keyframe interval."""
     weight_depth: Annotated[float, limits(ge=0, le=1_000_000)] = 15.0
     """On the robust Chamfer cost (m^2)."""
     depth_points: Annotated[int, limits(ge=1, le=100_000)] = 800
@@ -107,24 +101,20 @@ def _depth_is_usable(depth: MetricDepth, background: BackgroundImage, ctx: Stage
 
 def _fit_config(config: KeyframesConfig) -> RootFitConfig:
     from video2anim.motion.keyframe_fit import RootFitConfig
-    from video2anim.motion.keyframe_problem import KeyframeReach
     from video2anim.motion.keyframe_roots import RootWeights
 
-    reach = KeyframeReach(config.contact_points, config.penetration_reach_m)
     weights = RootWeights(
         regularization=config.weight_regularization,
         contact=config.weight_contact,
         penetration=config.weight_penetration,
         displacement_change=config.weight_displacement_change,
-        acceleration=config.weight_acceleration,
         depth=config.weight_depth,
         huber_m=config.huber_m,
         contact_points=config.contact_points,
     )
     return RootFitConfig(
-        config.sampled_vertices, config.vertices_per_contact_part, config.depth_points, reach, weights,
-        config.iterations, config.learning_rate_m,
-    )  # fmt: skip
+        config.sampled_vertices, config.depth_points, weights, config.iterations, config.learning_rate_m
+    )
 
 
-STAGE = StageSpec("keyframes", optimize_keyframes, version=12)
+STAGE = StageSpec("keyframes", optimize_keyframes, version=13)

@@ -13,7 +13,7 @@ from video2anim.geometry.chamfer import chamfer_m
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.motion.keyframe_depth import depth_targets
 from video2anim.motion.keyframe_points import SkinPoints, SkinSample
-from video2anim.motion.keyframe_problem import KeyframeReach, between_keyframes, root_problem
+from video2anim.motion.keyframe_problem import between_keyframes, root_problem
 from video2anim.motion.keyframe_roots import RootProblem, RootWeights, contact_distance_m, solve_along
 from video2anim.objects.path import holding
 from video2anim.types import BackgroundImage, BodyMotion, MetricDepth, PlacedObject
@@ -26,10 +26,8 @@ class RootFitConfig:
 
     sampled_vertices: int
     """Skin vertices tested for penetration."""
-    vertices_per_contact_part: int
     depth_points: int
     """Depth points, and as many visible vertices, per sampled frame."""
-    reach: KeyframeReach
     weights: RootWeights
     iterations: int
     learning_rate_m: float
@@ -71,11 +69,11 @@ def fit_roots(
         rng: draws the depth points.
     """
     body = shaped_body(motion.shape)
-    sample = SkinSample(body, spread=config.sampled_vertices, per_part=config.vertices_per_contact_part)
+    sample = SkinSample(body, config.sampled_vertices)
     before = sample.on(motion)
     targets = depth_targets(motion, body, *seen, points=config.depth_points, rng=rng) if seen else ()
     free = replace(motion, contact=np.where(holding(objects, motion), 0.0, motion.contact))
-    problem = root_problem(free, keyframes, before, grid, targets, config.reach)
+    problem = root_problem(free, keyframes, before, grid, targets, config.weights.contact_points)
     along_m = solve_along(problem, config.weights, iterations=config.iterations, learning_rate_m=config.learning_rate_m)
     displacement_m = between_keyframes(keyframes, along_m[:, None] * problem.direction, motion.frame_count)
     moved = motion.with_pose(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from video2anim.body.contact import skin_of
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.sampling import farthest_points
 from video2anim.types import BodyMotion
@@ -32,14 +33,11 @@ class SkinPoints:
 class SkinSample:
     """Sampled vertices of a body."""
 
-    def __init__(self, body: ShapedBody, *, spread: int, per_part: int) -> None:
-        """Choose `spread` vertices of the whole body and up to `per_part` of each part that may touch."""
+    def __init__(self, body: ShapedBody, spread: int) -> None:
+        """Choose `spread` vertices of the whole body, and the skin of the parts that may touch."""
         self._body = body
         self._spread = farthest_points(body.rest_vertices_m, spread)
-        self._parts: dict[int, np.ndarray] = {}
-        for joint in (joint for joints in TOUCHING for joint in joints):
-            members = np.flatnonzero(body.vertex_part == joint)
-            self._parts[joint] = members[farthest_points(body.rest_vertices_m[members], per_part)]
+        self._parts = {joint: skin_of(body, (joint,)) for joints in TOUCHING for joint in joints}
 
     def on(self, motion: BodyMotion) -> SkinPoints:
         """The chosen vertices of a motion's every frame."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.interpolate import PchipInterpolator
@@ -15,16 +13,6 @@ from video2anim.motion.keyframe_depth import DepthTarget
 from video2anim.motion.keyframe_points import TOUCHING, SkinPoints
 from video2anim.motion.keyframe_roots import ContactPart, RootProblem, contact_distance_m
 from video2anim.types import BodyMotion
-
-
-@dataclass(frozen=True, slots=True)
-class KeyframeReach:
-    """Which skin takes part in the contact and penetration losses."""
-
-    contact_points: int
-    """Nearest vertices of a part whose mean distance counts."""
-    penetration_m: float
-    """Vertices that start farther from every surface have no penetration loss."""
 
 
 def choose_keyframes(valid: Bool[np.ndarray, "frames"], interval: int) -> Int[np.ndarray, "keyframes"]:
@@ -52,9 +40,12 @@ def root_problem(
     points: SkinPoints,
     grid: SdfGrid,
     targets: tuple[DepthTarget, ...],
-    reach: KeyframeReach,
+    contact_points: int,
 ) -> RootProblem:
-    """World-frame arrays at the keyframes; contacts without a surface within `REACH_M` are left out."""
+    """World-frame arrays at the keyframes; contacts and skin without a surface within `REACH_M` are left out.
+
+    `contact_points` as in `RootWeights`.
+    """
     contacts: list[ContactPart] = []
     for joints in TOUCHING:
         part_m = points.touching_m(joints)
@@ -63,13 +54,13 @@ def root_problem(
         if len(rows) == 0 or part_m.shape[1] == 0:
             continue
         skin_m = part_m[keyframes[rows]]
-        near = np.abs(contact_distance_m(skin_m, grid, reach.contact_points)) <= REACH_M
+        near = np.abs(contact_distance_m(skin_m, grid, contact_points)) <= REACH_M
         if near.any():
             contacts.append(ContactPart(joints, rows[near], skin_m[near], probability[rows][near]))
     valid = np.flatnonzero(motion.valid)
     skin_m = points.spread_m[valid]
-    row, vertex = np.nonzero(grid.sample(skin_m) < reach.penetration_m)
+    row, vertex = np.nonzero(grid.sample(skin_m) < REACH_M)
     root_m = motion.T_world_root[:, :3, 3]
     away_m = root_m[keyframes] - motion.T_world_camera[keyframes, :3, 3]
     direction = away_m / np.maximum(np.linalg.norm(away_m, axis=1, keepdims=True), 1e-6)
-    return RootProblem(keyframes, root_m, direction, skin_m[row, vertex], valid[row], tuple(contacts), targets, grid)
+    return RootProblem(keyframes, direction, skin_m[row, vertex], valid[row], tuple(contacts), targets, grid)

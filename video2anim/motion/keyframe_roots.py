@@ -22,7 +22,6 @@ class RootWeights:
     contact: float
     penetration: float
     displacement_change: float
-    acceleration: float
     depth: float
     huber_m: float
     contact_points: int
@@ -44,8 +43,6 @@ class RootProblem:
     """One person's keyframes, world frame."""
 
     frame: Int[np.ndarray, "keyframes"]
-    frame_root_m: Float[np.ndarray, "frames 3"]
-    """Root of every frame of the clip."""
     direction: Float[np.ndarray, "keyframes 3"]
     """Unit vectors from the camera to the keyframes' roots."""
     skin_m: Float[np.ndarray, "points 3"]
@@ -88,7 +85,7 @@ class _Losses:
     def __init__(self, problem: RootProblem, weights: RootWeights) -> None:
         self.weights, self.problem = weights, problem
         self.direction = _tensor(problem.direction)
-        self.root_m, self.skin_m = _tensor(problem.frame_root_m[problem.frame]), _tensor(problem.skin_m)
+        self.skin_m = _tensor(problem.skin_m)
         frames, rows = np.unique(problem.skin_frame, return_inverse=True)
         self.frames, self.skin_row = max(len(frames), 1), torch.as_tensor(rows)
         self.skin_place = _between(problem.frame, problem.skin_frame)
@@ -112,8 +109,6 @@ class _Losses:
             total = total + w.contact * self._contact(displacement_m)
         if len(displacement_m) > 1:
             total = total + w.displacement_change * self._change(displacement_m)
-        if len(displacement_m) > 2:
-            total = total + w.acceleration * self._acceleration(displacement_m)
         if self.depth:
             total = total + w.depth * self.depth(self.visible_m + _at(displacement_m, self.visible_place))
         return total
@@ -140,12 +135,6 @@ class _Losses:
     def _change(self, move_m: torch.Tensor) -> torch.Tensor:
         """Mean squared difference of consecutive displacements, per usual keyframe step."""
         return ((move_m.diff(dim=0) / self.step[:, None]) ** 2).sum(-1).mean()
-
-    def _acceleration(self, displacement_m: torch.Tensor) -> torch.Tensor:
-        """Mean squared second difference of the displaced roots, in meters per usual keyframe step squared."""
-        velocity = (self.root_m + displacement_m).diff(dim=0) / self.step[:, None]
-        span = 0.5 * (self.step[1:] + self.step[:-1])
-        return ((velocity.diff(dim=0) / span[:, None]) ** 2).sum(-1).mean()
 
 
 _Place = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
