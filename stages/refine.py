@@ -45,10 +45,6 @@ class RefineConfig:
     """Whether objects may move along their lines of sight, within the uncertainty of their distance."""
     object_across_ratio: Annotated[float, limits(gt=0, le=10)] = 0.01
     """Standard deviation of an object's position across the horizontal line of sight, over its distance."""
-    object_top_m: Annotated[float, limits("m", gt=0, le=10)] = 0.05
-    """Standard deviation of an object's height."""
-    support_m: Annotated[float, limits("m", gt=0, le=10)] = 0.05
-    """Standard deviation of an inferred support's position, in each direction: its only evidence is the body on it."""
 
 
 def refine_motion(
@@ -82,7 +78,7 @@ def refine_motion(
         scene,
         prior if prior.name == "scenemi" else None,
         PriorConfig(config.keyframe_interval_frames, (config.keyframe_noise_deg, config.keyframe_noise_cm)),
-        PlaceUncertainty(config.objects_move, config.object_across_ratio, config.object_top_m, config.support_m),
+        PlaceUncertainty(config.objects_move, config.object_across_ratio),
     )
     for number, frames in found.gaps.items():
         if len(frames):
@@ -115,4 +111,4 @@ def _report(ctx: StageContext, stages: Sequence[tuple[str, BodyMotion, SdfGrid]]
             ctx.quality(f"{key}_{when}", value, unit, "lower", person_id=person_id)
 
 
-STAGE = StageSpec("refine", refine_motion, version=12, models=("prior",))
+STAGE = StageSpec("refine", refine_motion, version=13, models=("prior",))

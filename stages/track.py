@@ -146,4 +146,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=6, models=("pose",))
+STAGE = StageSpec("track", track_people, version=7, models=("pose",))

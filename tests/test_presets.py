@@ -47,8 +47,8 @@ def test_default_needs_only_package_sources() -> None:
 
 
 def test_preset_file_of_the_users_own(tmp_path: Path) -> None:
-    (tmp_path / "mine.yaml").write_text("refine:\n  object_top_m: 0.04\n")
+    (tmp_path / "mine.yaml").write_text("refine:\n  object_across_ratio: 0.04\n")
     config = resolve(pipeline_nodes(), "mine", [("mine", load_preset(str(tmp_path / "mine.yaml")))])
-    assert config.stages["refine"].object_top_m == 0.04
+    assert config.stages["refine"].object_across_ratio == 0.04
     (tmp_path / "empty.yaml").write_text("# nothing\n")
     assert load_preset(str(tmp_path / "empty.yaml")) == {}

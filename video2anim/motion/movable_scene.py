@@ -10,18 +10,17 @@ from jaxtyping import Float
 
 from scenemi.postprocess.solids import MovableSolid, Solids
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.contact import touches
+from video2anim.body.contact import REACH_M, touches
 from video2anim.geometry.moving_field import MovingField
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.objects.path import holding, settled
+from video2anim.objects.rest import TOP_SIGMA_M
 from video2anim.scene.supports import SUPPORT
 from video2anim.types import BodyMotion, PlacedObject, SceneModel
 
-_MOVED_M = 0.001
-"""Smaller displacements are not applied."""
-_FAR_M = 0.5
-"""Range of the distance fields: contacts reach 0.25 m, and normals need one more spacing."""
+_FAR_M = 2 * REACH_M
+"""Range of the distance fields: contacts reach half of it, and normals need one more spacing."""
 _SLAB_SPACING_M = 0.02
 """Spacing of the field of an inferred support: a slab of 5 cm is thinner than the spacing of the scene's field."""
 
@@ -34,10 +33,6 @@ class PlaceUncertainty:
     """False: the scene is fixed."""
     across_ratio: float
     """Standard deviation across the horizontal line of sight, over the distance."""
-    top_m: float
-    """Standard deviation of the height."""
-    support_m: float
-    """Standard deviation of an inferred support's place, each way."""
 
 
 def scene_field(scene: SceneModel) -> SdfGrid:
@@ -66,14 +61,14 @@ def movable_solids(scene: SceneModel, camera_m: Float[np.ndarray, "3"], uncertai
         field = build_sdf_grid([solid], bounds_m, spacing_m, floor_y_m=None, reach_m=_FAR_M)
         along = item.distance_sigma**2 * np.outer(away_m, away_m)
         across = uncertainty.across_ratio**2 * (away_m @ away_m) * np.diag([1.0, 0.0, 1.0])
-        covariance_m2 = along + across + np.diag([0.0, uncertainty.top_m**2, 0.0])
-        movable.append(MovableSolid(field, uncertainty.support_m**2 * np.eye(3) if inferred else covariance_m2))
+        covariance_m2 = along + across + np.diag([0.0, TOP_SIGMA_M**2, 0.0])
+        movable.append(MovableSolid(field, TOP_SIGMA_M**2 * np.eye(3) if inferred else covariance_m2))
     return Solids(None, tuple(movable))
 
 
 def moved_scene(scene: SceneModel, solids: Solids, moved_m: Float[np.ndarray, "solids 3"]) -> SceneModel:
-    """The scene with its objects at the solved places; the same scene where none moved by a millimeter."""
-    if not (np.abs(moved_m) > _MOVED_M).any():
+    """The scene with its objects at the solved places; the same scene where none moved."""
+    if not moved_m.any():
         return scene
     objects, ways_m = [], iter(moved_m)
     for item in scene.objects:

@@ -18,7 +18,7 @@ from video2anim.types import InstanceMasks, PlacedObject, View
 
 _HAND_SIGMA_M = 0.15
 """Standard deviation of a hand's distance from the camera."""
-_FLOOR_SIGMA_M, _TOP_SIGMA_M = 0.02, 0.06
+_FLOOR_SIGMA_M, TOP_SIGMA_M = 0.02, 0.06
 """Standard deviations of the heights of the floor and of objects' tops (`benchmarks/v2a_bench.py`)."""
 _SAME_OBJECT = 0.3
 """Minimum share of the smaller outline inside the other for both to be of one object..."""
@@ -90,7 +90,7 @@ class SceneAtRest:
         support_m = self._support_m(front_m)
         if support_m is not None and low[1] < 0:
             # The intersection of ray and support is less certain at flat angles.
-            sigma_m = _FLOOR_SIGMA_M if support_m == 0 else _TOP_SIGMA_M
+            sigma_m = _FLOOR_SIGMA_M if support_m == 0 else TOP_SIGMA_M
             weight = (low[1] * _HAND_SIGMA_M / sigma_m) ** 2
             front_m = origin_m + low * (depth_m + weight * (support_m - origin_m[1]) / low[1]) / (1 + weight)
             front_m[1] = support_m
@@ -119,8 +119,8 @@ class SceneAtRest:
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             level = normal[:, 1] > 0.9 * np.maximum(np.linalg.norm(normal, axis=-1), 1e-12)
             low, high = (
-                corners[level][..., [0, 2]].min(1) - _TOP_SIGMA_M,
-                corners[level][..., [0, 2]].max(1) + _TOP_SIGMA_M,
+                corners[level][..., [0, 2]].min(1) - TOP_SIGMA_M,
+                corners[level][..., [0, 2]].max(1) + TOP_SIGMA_M,
             )
             over = ((low <= bottom_m[[0, 2]]) & (bottom_m[[0, 2]] <= high)).all(1)
             heights += corners[level][over].mean(1)[:, 1].tolist()

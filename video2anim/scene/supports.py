@@ -40,9 +40,12 @@ _LEVEL = ("seat", "feet")
 """Parts that rest on level surfaces whatever direction their skin faces."""
 MIN_FRAMES = 8
 """Minimum duration of a rest (0.27 s)."""
+_SAME_M = 0.1
+"""Uncertainty of heights by one camera: rests this low are on the floor, and a part whose distance from a surface
+differs from that of its rest by less may rest there without a contact."""
 _LINK_M = 0.8
 """Rests within a stride of each other share a support..."""
-_LINK_LEVEL_M = 0.2
+_LINK_LEVEL_M = 2 * _SAME_M
 """...if their heights (along the normal of the surface) differ by less than the uncertainty of one camera."""
 _MARGIN_M = 0.1
 """Margin of a support around the skin on it: a hand's width."""
@@ -53,8 +56,6 @@ _CROSSED_RATIO = 1.0
 _CROSSED_M, _CROSSED_SHARE = 0.01, 0.002
 """A body passes through where this share of its skin (a hand's width of a calf) is this deep inside."""
 
-_ABOVE_FLOOR_M = 0.1
-"""Lower rests are on the floor, within the uncertainty of one camera."""
 _INNER = tuple(
     JOINT_INDEX[name] for name in (
         "pelvis", "left_hip", "right_hip", "left_knee", "right_knee", "spine1", "spine2", "spine3", "neck", "head",
@@ -63,8 +64,6 @@ _INNER = tuple(
 """Joints of trunk, hips, knees and head; hands and feet touch objects."""
 _EVERY = 5
 """Step between the frames in which inner joints are sampled."""
-_SAME_M = 0.1
-"""A part whose distance from the surface differs from that of its rest by less may rest, without a contact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +147,7 @@ def rested_and_inner_m(
 ) -> tuple[Float[np.ndarray, "rests 3"], Float[np.ndarray, "inner 3"]]:
     """Skin of all people where it rested above the floor, and joints inside their bodies, where no object can be."""
     rested = [
-        place.nearest_m[place.nearest_m[:, 1] > _ABOVE_FLOOR_M]
+        place.nearest_m[place.nearest_m[:, 1] > _SAME_M]
         for motion in bodies.people
         for place in rested_places(motion, shaped_body(motion.shape))
     ]
