@@ -10,7 +10,6 @@ from pydantic import BaseModel, ConfigDict
 
 from scenemi.data.keyframes import FPS, JOINTS, Keyframes, checked_keyframes
 from scenemi.data.plain_files import (
-    MAX_BYTES,
     Numbers,
     OneNumber,
     Text,
@@ -27,6 +26,8 @@ from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types.motion import BodyShape
 
 KEYFRAME_SUFFIXES = (".npz", ".json", ".bvh")
+_MAX_BYTES = 512 * 2**20
+"""A `motion.npz` of an hour has 330 MB."""
 
 
 class KeyframeValues(BaseModel):
@@ -76,13 +77,13 @@ def read_keyframes(path: Path, *, interval: int = 15, length: int | None = None)
     suffix = path.suffix.lower()
     if suffix not in KEYFRAME_SUFFIXES:
         raise InputError(f"{path}: want keyframes as {', '.join(KEYFRAME_SUFFIXES)}")
-    expect_file(path, "keyframe file", MAX_BYTES)
+    expect_file(path, "keyframe file", _MAX_BYTES)
     if suffix == ".bvh":
         return _from_bvh(path).every(interval, length)
     found: dict[str, Any] = (
         read_json(path, "keyframe file")
         if suffix == ".json"
-        else {**read_arrays(path, tuple(KeyframeValues.model_fields), "keyframe file")}
+        else {**read_arrays(path, tuple(KeyframeValues.model_fields), "keyframe file", max_bytes=_MAX_BYTES)}
     )
     values = checked(KeyframeValues, str(path), found)
     keyframes = _keyframes(str(path), values, 1 if values.whole_motion else interval)
