@@ -229,7 +229,11 @@ def surface_samples(
 def point_triangle_distance(
     points_m: Float[np.ndarray, "pairs 3"], triangles_m: Float[np.ndarray, "pairs 3 3"]
 ) -> Float[np.ndarray, "pairs"]:
-    """Exact distance of each point to its own triangle, degenerate triangles included."""
+    """Exact distance of each point to its own triangle, degenerate triangles included.
+
+    Exactly 0 on axis-aligned faces, where `trimesh.triangles.closest_point` leaves 1e-17: nodes on a face must not fall
+    on either side of it by rounding.
+    """
     corners = [triangles_m[:, k] for k in range(3)]
     edge_distances = [_point_segment_distance(points_m, corners[k], corners[(k + 1) % 3]) for k in range(3)]
     best = np.minimum.reduce(edge_distances)

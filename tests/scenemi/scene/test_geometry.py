@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from trimesh.triangles import closest_point
 
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.geometry import SceneGeometry
-from scenemi.scene.mesh_surface import nearest_on_triangles
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
@@ -22,7 +22,7 @@ def points_around(count: int, seed: int = 1) -> np.ndarray:
 def brute_force_m(points_m: np.ndarray, triangles_m: np.ndarray) -> np.ndarray:
     best_m = np.full(len(points_m), np.inf)
     for triangle in triangles_m:
-        found = nearest_on_triangles(points_m, np.broadcast_to(triangle, (len(points_m), 3, 3)))
+        found = closest_point(np.broadcast_to(triangle, (len(points_m), 3, 3)), points_m)
         best_m = np.minimum(best_m, np.linalg.norm(found - points_m, axis=1))
     return best_m
 
@@ -31,7 +31,7 @@ def test_nearest_on_a_triangle_is_nearer_than_any_point_of_it() -> None:
     rng = np.random.default_rng(0)
     points, triangles = rng.normal(size=(300, 3)), rng.normal(size=(300, 3, 3))
     triangles[:20, 2] = triangles[:20, 1]  # degenerate
-    found = nearest_on_triangles(points, triangles)
+    found = closest_point(triangles, points)
     weights = rng.dirichlet(np.ones(3) * 0.5, 4000)
     sampled = np.einsum("sk,nkd->nsd", weights, triangles)
     best = np.linalg.norm(sampled - points[:, None], axis=-1).min(1)
@@ -39,7 +39,7 @@ def test_nearest_on_a_triangle_is_nearer_than_any_point_of_it() -> None:
     assert (gap <= best + 1e-9).all()
     assert (best - gap).max() < 0.1
     # The found point lies in the triangle: its distance to it is zero.
-    np.testing.assert_allclose(nearest_on_triangles(found, triangles), found, atol=1e-7)
+    np.testing.assert_allclose(closest_point(triangles, found), found, atol=1e-7)
 
 
 def test_mesh_surface_against_all_triangles(furnished_room: trimesh.Trimesh) -> None:
