@@ -1,7 +1,6 @@
-"""Stage ingest: any video file becomes one shot at 30 fps, upright, with square pixels.
+"""Stage ingest: one shot of any video file, at 30 fps, upright, with square pixels.
 
-Two streaming passes: the first notes time stamps and cuts, the second writes the chosen shot. Memory does not grow
-with the length of the source.
+Two streaming passes, whose memory does not grow with the source: time stamps and cuts, then the chosen shot.
 """
 
 from __future__ import annotations
@@ -74,13 +73,15 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
     drift = written.drift_ratio
     warnings = source_warnings(header, source_scan, shot, shot_time_s, size_px)
     if written.missing_frames:
-        warnings.append(f"{written.missing_frames} pictures did not decode a second time; the ones before are held")
+        warnings.append(f"{written.missing_frames} images did not decode on the second pass; the ones before are held")
     if math.isnan(drift):
-        warnings.append("cannot tell whether the camera moves: too little background texture; taken as static")
+        warnings.append(
+            "camera motion is unknown (too little background texture); the camera is taken as static"
+        )
     elif drift > STATIC_DRIFT_RATIO:
         warnings.append(
-            f"the camera moves: the background drifts by {100 * drift:.1f} % of the picture's width "
-            f"(static means below {100 * STATIC_DRIFT_RATIO:.1f} %); scene and motion will be less accurate"
+            f"the camera moves: the background drifts by {100 * drift:.1f} % of the image width "
+            f"(static: below {100 * STATIC_DRIFT_RATIO:.1f} %); scene and motion will be less accurate"
         )
     for text in warnings:
         ctx.warn(text)

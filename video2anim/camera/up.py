@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.geometry.perspective_field import FieldCamera
-from video2anim.humans.ground import UpEstimate, up_from_static_equilibrium
+from video2anim.humans.ground import LEVEL_CAMERA_SIGMA_RAD, UpEstimate, up_from_static_equilibrium
 from video2anim.humans.lifter_input import LiftedBody
 from video2anim.types import PersonTrack
 from video2anim.types.camera import UpEvidence
@@ -18,8 +18,6 @@ from video2anim.types.clip import FPS
 
 _LIFTER_SIGMA_RAD = 0.1
 """Error of the lifter's up direction."""
-_LEVEL_SIGMA_RAD = 0.35
-"""Cameras are held level to about 20 degrees."""
 
 
 def up_by_lifter(people: Sequence[tuple[LiftedBody, PersonTrack]]) -> Float[np.ndarray, "3"]:
@@ -63,7 +61,7 @@ def up_evidence(by_lifter: Float[np.ndarray, "3"], image: FieldCamera | None) ->
     """Every source of the up direction on its own, the most certain first."""
     sources = [] if image is None else [UpEvidence("picture", image.up_camera, image.up_sigma_rad)]
     sources.append(UpEvidence("lifter", by_lifter, _LIFTER_SIGMA_RAD))
-    sources.append(UpEvidence("level camera", np.array([0.0, -1.0, 0.0]), _LEVEL_SIGMA_RAD))
+    sources.append(UpEvidence("level camera", np.array([0.0, -1.0, 0.0]), LEVEL_CAMERA_SIGMA_RAD))
     return tuple(sources)
 
 

@@ -1,4 +1,4 @@
-"""Uncertainty of a depth network: how much its answer changes when the colors of the picture do (paper 8.1)."""
+"""Uncertainty of a depth network: the deviation of its output over hue shifts of the image (supplement 8.1)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ def jittered_disparity(
     image_rgb: UInt8[np.ndarray, "h w 3"],
     hue_shifts_rad: Sequence[float],
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """Mean of the picture's and its hue-shifted copies' disparity, and the standard deviation over them.
+    """Mean of the disparity of an image and of its hue-shifted copies, and their standard deviation.
 
-    A network's disparity is free up to scale and offset, so each copy's answer is first fitted to the original's.
-    Pixels that any answer leaves out (NaN) stay out.
+    Disparity is determined up to scale and offset only, so that of each copy is first fitted to that of the image.
+    Pixels that are NaN in any of them are NaN.
     """
     reference = np.asarray(predict(image_rgb), dtype=np.float64)
     answers = [reference]
@@ -38,7 +38,7 @@ def jittered_disparity(
 def reliable(
     value: Float[np.ndarray, "h w"], sigma: Float[np.ndarray, "h w"], limit_ratio: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels whose deviation is below a share of the picture's range of values."""
+    """Pixels whose standard deviation is below a share of the range of values."""
     if not np.isfinite(value).any():
         return np.zeros(value.shape, dtype=bool)
     low, high = np.nanpercentile(value, [2, 98])

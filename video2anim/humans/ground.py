@@ -17,7 +17,14 @@ _SEGMENTS = (
     ("left_knee", "left_ankle", 0.061), ("right_knee", "right_ankle", 0.061),
 )  # fmt: skip
 """Mass share of body segments (Winter 2009, table 4.1), each at the middle of its joints."""
-_OBSERVATIONS_PER_S = 3.0
+OBSERVATIONS_PER_S = 3.0
+"""Independent observations of a body's balance: errors of neighboring frames are correlated."""
+SUPPORT_WINDOW_S = 0.6
+"""People who stand, walk or run have a foot on the ground at least once in this time."""
+LEVEL_GAP_M = 0.25
+"""Heights with a larger gap between them are different levels of ground."""
+LEVEL_CAMERA_SIGMA_RAD = 0.35
+"""Cameras are held level to about 20 degrees."""
 _LEVEL_SIGMA_M = 0.07
 """Heights of one level have a smaller standard deviation."""
 _FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
@@ -46,7 +53,7 @@ def up_from_static_equilibrium(
     duration_s: float,
     *,
     prior_up: Float[np.ndarray, "3"] | None = None,
-    prior_sigma_rad: float = 0.35,
+    prior_sigma_rad: float = LEVEL_CAMERA_SIGMA_RAD,
     frame_sigma_rad: float = 0.3,
 ) -> UpEstimate:
     """Direction against gravity: a body that stands or walks has, on average, its center of mass over its feet.
@@ -59,7 +66,7 @@ def up_from_static_equilibrium(
     direction = center_of_mass(joints_camera_m) - feet
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     level = np.array([0.0, -1.0, 0.0]) if prior_up is None else prior_up
-    looks = max(1.0, duration_s * _OBSERVATIONS_PER_S)
+    looks = max(1.0, duration_s * OBSERVATIONS_PER_S)
     share = min(1.0, looks / len(joints_camera_m)) / frame_sigma_rad**2
     up = np.median(direction, axis=0)
     up /= np.linalg.norm(up)
@@ -92,7 +99,7 @@ def level_frame(up_camera: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 
 def floor_height(
-    sole_height_m: Float[np.ndarray, "frames feet"], fps: float, *, window_s: float = 0.6
+    sole_height_m: Float[np.ndarray, "frames feet"], fps: float, *, window_s: float = SUPPORT_WINDOW_S
 ) -> tuple[float, float]:
     """Height of the lowest level that carries the body in several windows, and the spread of that level.
 
@@ -109,7 +116,7 @@ def floor_height(
 
 
 def lowest_level(
-    supports_m: Float[np.ndarray, "windows"], *, level_gap_m: float = 0.25
+    supports_m: Float[np.ndarray, "windows"], *, level_gap_m: float = LEVEL_GAP_M
 ) -> Float[np.ndarray, "some_windows"]:
     """Heights of the floor among those at which a body stood, sorted.
 
