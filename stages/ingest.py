@@ -75,9 +75,7 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
     if written.missing_frames:
         warnings.append(f"{written.missing_frames} images did not decode on the second pass; the ones before are held")
     if math.isnan(drift):
-        warnings.append(
-            "camera motion is unknown (too little background texture); the camera is taken as static"
-        )
+        warnings.append("camera motion is unknown (too little background texture); the camera is taken as static")
     elif drift > STATIC_DRIFT_RATIO:
         warnings.append(
             f"the camera moves: the background drifts by {100 * drift:.1f} % of the image width "

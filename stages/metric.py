@@ -25,21 +25,17 @@ if TYPE_CHECKING:
     from video2anim.calibration.evidence import Evidence
     from video2anim.calibration.fit import Calibration
 
-_OTHER_GROUND_M = 0.25
-"""Lower steps are within what a body height of two standard deviations explains at the height of a camera."""
-_CONFLICT = 3.0
-"""Evidence that is off by more than so many standard deviations (root mean square) contradicts the rest."""
-
 
 @dataclass(frozen=True)
 class MetricConfig:
-    """What is believed of the fit."""
+    """When the result of the fit is not trusted."""
 
+    conflict_sigmas: Annotated[float, limits(gt=0, le=1000)] = 3.0
+    """Evidence that is off by more than so many standard deviations (root mean square) contradicts the rest. The scale
+    of depth is not trusted if 0 is within so many standard deviations of it."""
     max_chamfer_ratio: Annotated[float, limits(ge=0, le=10)] = 0.2
-    """Body and depth that stay farther apart than this share of the distance: the depth's scale is not trusted. It is
-    0.03 to 0.12 on real clips where the network's depth is what the picture shows."""
-    max_sigma_ratio: Annotated[float, limits(gt=0, le=10)] = 0.3
-    """Nor is one whose standard deviation is a larger share of it."""
+    """Nor is it if body and depth stay farther apart than this share of the distance. It is 0.03 to 0.12 on real clips
+    where the network's depth is that of the image."""
 
 
 def fit_metric(
@@ -63,6 +59,7 @@ def fit_metric(
     from video2anim.calibration.gather import picture_evidence, with_objects
     from video2anim.calibration.metric import applied
     from video2anim.geometry.masks import shrunk
+    from video2anim.humans.ground import LEVEL_GAP_M
 
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
     evidence = with_objects(
@@ -73,26 +70,30 @@ def fit_metric(
     problem = _problem(evidence, found, config)
     if problem:
         ctx.warn(f"depth scale is not trusted: {problem}")
-    conflicts = [kind for kind, off in found.residuals.items() if off > _CONFLICT and kind != "soles on other levels"]
+    conflicts = [
+        kind
+        for kind, off in found.residuals.items()
+        if off > config.conflict_sigmas and kind != "soles on other levels"
+    ]
     if conflicts:
-        ctx.warn(f"evidence that contradicts the rest, and counts little: {', '.join(conflicts)}")
+        ctx.warn(f"evidence that contradicts the rest and has little weight: {', '.join(conflicts)}")
     for body, above_m in zip(bodies.people[1:], found.above_floor_m[1:], strict=True):
-        if abs(above_m) > _OTHER_GROUND_M:
+        if abs(above_m) > LEVEL_GAP_M:
             ctx.warn(f"person {body.person_id} stands {above_m:+.2f} m from the floor: a child, or on other ground")
     _record(found, ctx)
     return applied(depth, background, masks, bodies, evidence, found, problem)
 
 
 def _problem(evidence: Evidence, found: Calibration, config: MetricConfig) -> str:
-    """Why the scale of depth is not to be trusted; empty if it is."""
+    """Why the scale of depth is not trusted; empty if it is."""
     if not evidence.skin and not len(evidence.floor.value):
-        return "neither the person nor floor shows reliable depth: no depth is metric"
+        return "neither the person nor floor has valid depth: no depth is metric"
     if evidence.skin:
         distance_m = float(np.median([one.root_m[2] for one in evidence.skin]))
         if found.chamfer_after_m > config.max_chamfer_ratio * distance_m:
             return f"body and depth stay {found.chamfer_after_m:.2f} m apart at a distance of {distance_m:.1f} m"
-    if found.scale_log_sigma > config.max_sigma_ratio:
-        return f"it is known to {found.scale_log_sigma:.0%} only (limit {config.max_sigma_ratio:.0%})"
+    if found.scale_log_sigma * config.conflict_sigmas > 1:
+        return f"it is known to {found.scale_log_sigma:.0%} only (limit {1 / config.conflict_sigmas:.0%})"
     return ""
 
 
@@ -113,4 +114,4 @@ def _record(found: Calibration, ctx: StageContext) -> None:
         ctx.quality("residual_" + kind.replace("'", "").replace(" ", "_"), off, "ratio", "lower")
 
 
-STAGE = StageSpec("metric", fit_metric, version=16)
+STAGE = StageSpec("metric", fit_metric, version=17)

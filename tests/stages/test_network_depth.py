@@ -225,7 +225,7 @@ def test_what_only_seems_a_floor_does_not_outweigh_the_body(room: Room) -> None:
 
 
 @pytest.mark.parametrize(("limit", "words"), [
-    ({"max_chamfer_ratio": 0.001}, "body and depth stay"), ({"max_sigma_ratio": 0.001}, "known to"),
+    ({"max_chamfer_ratio": 0.001}, "body and depth stay"), ({"conflict_sigmas": 500.0}, "known to"),
 ])  # fmt: skip
 def test_beyond_its_limits_the_scale_is_not_trusted(room: Room, limit: dict[str, float], words: str) -> None:
     ctx = _context(room)

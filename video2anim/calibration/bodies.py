@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.optimize import root_scalar
 
 from video2anim.body.anny_body import anny_model
 from video2anim.calibration.fit import Calibration, under_lens
@@ -14,8 +15,6 @@ from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.humans.ground import level_frame
 from video2anim.types import BodyMotion, BodyTracks, Intrinsics
 from video2anim.types.motion import BodyShape, main_person
-
-_HALVINGS = 30
 
 
 def calibrated(bodies: BodyTracks, found: Calibration) -> BodyTracks:
@@ -76,10 +75,8 @@ def resized(
     if shape.model != "anny" or abs(ratio - 1) < 1e-3:
         return shape, rest_joints_m, 1.0
     now_m, _ = skeleton(parameters["height"])
-    low, high = 0.0, 1.0
-    for _ in range(_HALVINGS):
-        center = 0.5 * (low + high)
-        low, high = (center, high) if skeleton(center)[0] < ratio * now_m else (low, center)
-    height = 0.5 * (low + high)
+    low_m, high_m = skeleton(0.0)[0], skeleton(1.0)[0]
+    wanted_m = float(np.clip(ratio * now_m, low_m, high_m))
+    height = root_scalar(lambda height: skeleton(height)[0] - wanted_m, bracket=(0.0, 1.0)).root
     reached_m, joints_m = skeleton(height)
     return replace(shape, parameters=parameters | {"height": height}), joints_m, reached_m / now_m

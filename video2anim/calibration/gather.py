@@ -18,13 +18,13 @@ from video2anim.calibration.evidence import (
     PixelEvidence,
     SkinEvidence,
 )
-from video2anim.calibration.fit import USUAL_HEIGHT_M
+from video2anim.calibration.fit import MIN_CAMERA_M, USUAL_HEIGHT_M
 from video2anim.calibration.line import first_line, metric_depth
 from video2anim.calibration.person_coverage import PersonCoverage, person_coverage
 from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, project, transform_points
-from video2anim.humans.ground import center_of_mass
+from video2anim.humans.ground import OBSERVATIONS_PER_S, SUPPORT_WINDOW_S, center_of_mass
 from video2anim.types import BackgroundImage, BodyMotion, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
 from video2anim.types.camera import UpEvidence
 from video2anim.types.skeleton import FEET, JOINT_INDEX
@@ -35,36 +35,23 @@ one in the rooms of V2A-Bench (geometric mean 1.22)."""
 _OTHER_DEPTH, _OTHER_DISPARITY = (0.0, 0.3), (0.5, 5.0)
 """The same of unknown networks, for depth and disparity. The zero of disparity may be right behind the farthest wall,
 which may have the median value."""
-_OBSERVATIONS_PER_S, _MAX_OBSERVATIONS = 3.0, 9
-"""Errors of neighboring frames are correlated, and those of one clip have a common part."""
 _STRAIGHT_COS = 0.5
 """Cosine of 60 degrees, between the hip flexion of people who walk (30) and who sit (90)."""
-_WINDOW_S = 0.6
-"""People who stand, walk or run have a foot on the ground at least once in this time."""
 _LENS_SIGMA = 0.03
 """Error of the focal length that is added to the one of stage camera: its most certain estimates are off by 1 to 4 %
 (`benchmarks/real_clips.py`)."""
-_MIN_UP_SIGMA_RAD = 0.002
-"""Least error of a source of gravity, 0.1 degrees."""
-_FRAMES_AT_ONCE = 256
-"""Frames whose foot vertices are in memory at once."""
 _SKIN_FRAMES, _POINTS, _MIN_PIXELS = 24, 300, 40
 """Frames with both skin and depth that enter, points of either in each (and of the floor), and how many there must be
 of either."""
-_FARTHEST_FLOOR_M = 12.0
-"""Farther away, a tilt of one degree moves the floor by more than the error of the shipped network's depth."""
-_FOOT_QUANTILE = 0.05
-"""Quantile of the distance over an object's lower ends: between the legs, the object ends above the floor, which looks
-farther away."""
+_OUTLIER_RATIO = 0.05
+"""Share of an object's pixels that are outliers of its mask, and are left out before an extreme is taken: of its lower
+ends, which are above the floor between the legs, of its heights, and of the depths that the person had before it."""
 _MIN_COLUMNS, _MIN_SHARE = 6, 0.15
 """Least number of an object's columns that end on the floor, and their least share."""
 _MIN_STOOD = 2
 """Least number of soles that stood on an object: a single one may be an error of the mask."""
-_TOP_QUANTILE = 0.97
-"""Quantile of the heights of an object's pixels: the highest ones are outside where the mask is too large."""
-_BEHIND_QUANTILE, _BEHIND_PIXELS, _MAX_HIDDEN = 0.9, 20, 0.2
-"""Quantile of the ratio of the person's depth to the object's, fewest pixels, and the largest share of hidden body:
-where more is hidden, the person is behind the object."""
+_MAX_HIDDEN = 0.2
+"""Largest share of the body that an object hides: where more is hidden, the person is behind the object."""
 
 
 def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) -> PersonEvidence:
@@ -73,29 +60,26 @@ def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) ->
     T = invert_rigid(body.view().T_world_camera)
     frames = np.flatnonzero(body.valid)
     skin = np.flatnonzero(np.isin(shaped.vertex_part, FEET))
-    lowest_m = np.empty((len(frames), 3))
-    for begin in range(0, len(frames), _FRAMES_AT_ONCE):
-        some = frames[begin : begin + _FRAMES_AT_ONCE]
+    windows = np.array_split(frames, max(1, round(len(frames) / max(1.0, SUPPORT_WINDOW_S * fps))))
+    soles_m, sole_frames = np.empty((0, 3)), np.empty(0, int)
+    for some in windows if len(frames) else []:
         feet_m = posed_vertices(body, shaped, skin, some)
-        at = feet_m[..., 1].argmin(1)
-        lowest_m[begin : begin + len(some)] = np.take_along_axis(feet_m, at[:, None, None], 1)[:, 0]
-    windows = np.array_split(np.arange(len(frames)), max(1, round(len(frames) / max(1.0, _WINDOW_S * fps))))
-    windows = [part for part in windows if len(part)]
-    # The tenth percentile: the lowest is the worst outlier.
-    low = np.array([part[np.argsort(lowest_m[part, 1])[len(part) // 10]] for part in windows], int)
+        lowest_m = np.take_along_axis(feet_m, feet_m[..., 1].argmin(1)[:, None, None], 1)[:, 0]
+        # The tenth percentile: the lowest is the worst outlier.
+        low = np.argsort(lowest_m[:, 1])[len(some) // 10]
+        soles_m, sole_frames = np.r_[soles_m, lowest_m[[low]]], np.r_[sole_frames, some[low]]
     standing = frames[_standing(body.joints_world_m[frames])]
-    count = min(len(standing), max(1, round(len(standing) / fps * _OBSERVATIONS_PER_S)), _MAX_OBSERVATIONS)
+    count = min(len(standing), max(1, round(len(standing) / fps * OBSERVATIONS_PER_S)))
     chosen = standing[np.linspace(0, len(standing) - 1, count).round().astype(int)]
     joints_m = body.joints_world_m[chosen]
     upright = center_of_mass(joints_m) - joints_m[:, FEET].mean(1)
     upright /= np.linalg.norm(upright, axis=-1, keepdims=True)
     upright_root_m = transform_points(T, joints_m[:, 0])
-    root_m = transform_points(T, body.joints_world_m[frames, 0])
     return PersonEvidence(
         person_id=body.person_id,
         body_height_sigma=body_height_sigma_m / float(np.ptp(shaped.rest_vertices_m[:, 1])),
-        soles_m=transform_points(T, lowest_m[low]),
-        soles_root_m=root_m[low],
+        soles_m=transform_points(T, soles_m),
+        soles_root_m=transform_points(T, body.joints_world_m[sole_frames, 0]),
         upright=upright @ T[:3, :3].T,
         upright_root_m=upright_root_m,
     )
@@ -150,10 +134,11 @@ def _median_size(value: Float[np.ndarray, "height width"]) -> float:
 
 
 def _up_evidence(camera: CameraEstimate) -> tuple[UpEvidence, ...]:
-    """Sources of gravity; the camera's own estimate where none is recorded."""
+    """Sources of gravity; the camera's own estimate where none is recorded. None is better than a pixel at the focal
+    length."""
     own = UpEvidence(camera.up_source, camera.up_camera, camera.up_sigma_rad)
     sources = camera.up_evidence or (own,)
-    return tuple(replace(one, sigma_rad=max(one.sigma_rad, _MIN_UP_SIGMA_RAD)) for one in sources)
+    return tuple(replace(one, sigma_rad=max(one.sigma_rad, 1 / camera.intrinsics.fx_px)) for one in sources)
 
 
 def with_objects(
@@ -176,7 +161,7 @@ def with_objects(
 def first_depth_m(evidence: Evidence, depth: DepthClip, main: BodyMotion) -> Float[np.ndarray, "height width"]:
     """Depth of the background image in meters by the initial line and the camera of stage humans; NaN where unknown."""
     T = main.view().T_world_camera
-    line = first_line(evidence, T[1, :3], max(float(T[1, 3]), 0.05))
+    line = first_line(evidence, T[1, :3], max(float(T[1, 3]), MIN_CAMERA_M))
     return metric_depth(depth.kind, depth.background_value, *line)
 
 
@@ -233,8 +218,8 @@ def _floor_pixels(
     pixel = _pixels(rows, columns, main, shape)
     T = main.view().T_world_camera
     down = -(np.concatenate([pixel / main.intrinsics.fx_px, np.ones((len(pixel), 1))], 1) @ T[1, :3])
-    reach_m = max(float(T[1, 3]), 0.05) / np.maximum(down, 1e-6)
-    usable = np.flatnonzero((down > 0.02) & (reach_m < _FARTHEST_FLOOR_M))
+    reach_m = max(float(T[1, 3]), MIN_CAMERA_M) / np.maximum(down, 1e-6)
+    usable = np.flatnonzero(down > 0.02)
     if len(usable) > _POINTS:
         order = usable[np.argsort(reach_m[usable])]
         log = np.log(reach_m[order])
@@ -305,23 +290,23 @@ class _ObjectMeasurer:
         if len(stands) < max(_MIN_COLUMNS, _MIN_SHARE * len(columns)):
             return None, cut
         ratio = np.log(self.height_m / -rise[stands] / self.depth_m[inside[stands], columns[stands]])
-        chosen = stands[np.argsort(ratio)[int(_FOOT_QUANTILE * len(stands))]]
+        chosen = stands[np.argsort(ratio)[int(_OUTLIER_RATIO * len(stands))]]
         at = self._at(int(inside[chosen]), int(columns[chosen]))
         return PixelEvidence(self.pixel[[lowest[chosen]], [columns[chosen]]], at.value), cut
 
     def _top(self, own: np.ndarray) -> PixelEvidence | None:
         rows, columns = np.nonzero(own & self.known)
-        if len(rows) < _BEHIND_PIXELS:
+        if len(rows) < _MIN_PIXELS:
             return None
         height_m = self.height_m + self.depth_m[rows, columns] * self.rise[rows, columns]
-        chosen = np.argsort(height_m)[int(_TOP_QUANTILE * len(rows))]
+        chosen = np.argsort(height_m)[int((1 - _OUTLIER_RATIO) * len(rows))]
         return self._at(int(rows[chosen]), int(columns[chosen]))
 
     def _behind(self, own: np.ndarray, coverage: PersonCoverage) -> tuple[PixelEvidence | None, float]:
         inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & (coverage.depth_m > 0)
         rows, columns = np.nonzero(inner)
-        if len(rows) < _BEHIND_PIXELS or coverage.hidden[own].sum() > _MAX_HIDDEN * coverage.seen[own].sum():
+        if len(rows) < _MIN_PIXELS or coverage.hidden[own].sum() > _MAX_HIDDEN * coverage.seen[own].sum():
             return None, 0.0
         nearer = np.log(coverage.depth_m[rows, columns] / self.depth_m[rows, columns])
-        chosen = np.argsort(nearer)[int(_BEHIND_QUANTILE * (len(rows) - 1))]
+        chosen = np.argsort(nearer)[int((1 - _OUTLIER_RATIO) * (len(rows) - 1))]
         return self._at(int(rows[chosen]), int(columns[chosen])), float(coverage.depth_m[rows[chosen], columns[chosen]])

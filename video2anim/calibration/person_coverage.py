@@ -24,8 +24,6 @@ _MAX_FRAMES = 60
 """Frames that are used, spread over the clip; bounds the time."""
 _VOTES = 3
 """Frames that must agree on the depth at a pixel: one or two may have a wrong mask or pose."""
-_MOVED_M = 0.02
-"""A camera that moved farther sees other objects at the same pixels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +57,7 @@ def person_coverage(
     farthest_m = np.zeros((_VOTES, *masks.shape[1:]), np.float32)
     seen, hidden = np.zeros(masks.shape[1:], np.int32), np.zeros(masks.shape[1:], np.int32)
     first = body.view().T_world_camera
-    still = np.abs(body.T_world_camera[frames] - first).max(initial=0.0) < _MOVED_M
+    still = np.allclose(body.T_world_camera[frames], first)
     chosen = np.flatnonzero(body.valid[frames]) if still else np.zeros(0, np.int64)
     if len(chosen) < _VOTES:
         return PersonCoverage(farthest_m[0], seen, hidden)
