@@ -121,4 +121,4 @@ def _detected(
     return found
 
 
-STAGE = StageSpec("segment", segment_background, version=8, models=("segment", "finder"))
+STAGE = StageSpec("segment", segment_background, version=9, models=("segment", "finder"))
