@@ -331,10 +331,10 @@ def test_later_layers_win() -> None:
 
 
 def test_a_record_of_another_version_is_read_without_what_this_one_has_not() -> None:
-    recorded = {"seed": 3, "gone": {"a": 1}, "seeds": {"count": 4, "least": 2}, "odd": 3}
+    recorded = {"seed": 3, "gone": {"a": 1}, "seeds": {"count": 4, "least": 2, "noise": "no such"}, "odd": 3}
     known, unknown = known_part(nodes(), recorded)
     assert known == {"seed": 3, "seeds": {"count": 4}}
-    assert unknown == ["gone", "seeds.least", "odd"]
+    assert unknown == ["gone", "seeds.least", "seeds.noise", "odd"]
     assert resolve(nodes(), "p", [("run.json", known)]).seed == 3
 
 

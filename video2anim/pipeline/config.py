@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from video2anim.artifacts.user_files import content_digest
 from video2anim.errors import UsageError
 from video2anim.pipeline.graph import Node
-from video2anim.pipeline.options import limits, option_of, options_of, short
+from video2anim.pipeline.options import Option, limits, option_of, options_of, short
 from video2anim.pipeline.plain_yaml import MAX_CHARACTERS, PlainYamlError, read_yaml
 
 RUN_KEYS = ("seed",)
@@ -176,19 +176,28 @@ def resolve(nodes: Sequence[Node], preset: str, layers: Sequence[tuple[str, Mapp
 
 
 def known_part(nodes: Sequence[Node], config: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Split a recorded configuration, maybe of another version, into what this version knows and the other keys."""
+    """Split a recorded configuration, maybe of another version, into what this version accepts and the other options."""
     types = {node.name: options_of(node.config_type) for node in nodes}
     known: dict[str, Any] = {}
-    unknown = []
+    other = []
     for key, value in config.items():
         if key not in types and key not in RUN_KEYS:
-            unknown.append(key)
+            other.append(key)
         elif key in types and isinstance(value, Mapping):
-            known[key] = {name: one for name, one in value.items() if name in types[key]}
-            unknown += [f"{key}.{name}" for name in value if name not in types[key]]
+            known[key] = {name: one for name, one in value.items() if _is_accepted(types[key].get(name), one)}
+            other += [f"{key}.{name}" for name in value if name not in known[key]]
         else:
             known[key] = value
-    return known, unknown
+    return known, other
+
+
+def _is_accepted(option: Option | None, value: Any) -> bool:
+    try:
+        if option is not None:
+            option.checked(value, "")
+    except UsageError:
+        return False
+    return option is not None
 
 
 def _expect_known(key: Any, known: Collection[str], source: str, prefix: str = "") -> None:
