@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-from jaxtyping import UInt8
 from pydantic import Field
 
 from video2anim.errors import InputError, StageError
@@ -24,11 +22,9 @@ from video2anim.types import (
     CompletedObject,
     CompletedObjects,
     InstanceMasks,
-    Mesh,
     MetricDepth,
     ObjectMesh,
     ObjectMeshes,
-    View,
 )
 
 if TYPE_CHECKING:
@@ -37,8 +33,6 @@ if TYPE_CHECKING:
 SLOT = "object-mesh"
 FINEST = 256
 """Most samples of a network's field along a side: what TripoSR's own program takes."""
-
-
 _COMMAND = r"(?s)^$|\{image\}.*\{mesh\}|\{mesh\}.*\{image\}"
 
 
@@ -87,18 +81,22 @@ def reconstruct_objects(
         UsageError: `model` names one of another slot, or an option is out of range.
         ModelMissingError: the network's weights are absent, or no network of its contract.
     """
+    from video2anim.artifacts.user_files import mesh_files
     from video2anim.geometry.masks import never_seen
     from video2anim.objects.evidence import ObjectViews, PeopleEvidence
+    from video2anim.objects.object_mesh import fitted
     from video2anim.scene.heading import room_heading
     from video2anim.scene.supports import rested_and_inner_m
 
     unseen = never_seen(background.seen_ratio, depth.background_depth_m.shape)
     people = PeopleEvidence(*rested_and_inner_m(depth.bodies))
-    heading_rad = room_heading(background.background_rgb, _background_view(depth, background))
+    height_px, width_px = background.background_rgb.shape[:2]
+    view = depth.bodies.main_view.resized(width_px, height_px)
+    heading_rad = room_heading(background.background_rgb, view)
     # A yaw turns z towards x, a heading x towards z.
     room_yaw_rad = None if heading_rad is None else -heading_rad
     views = ObjectViews(masks, depth, unseen, people, config.depth_error_ratio, room_yaw_rad)
-    foreign = _user_meshes(config)
+    foreign = mesh_files(Path(config.meshes)) if config.meshes else {}
     numbers = {found.object_id for found in completed.objects}
     if unused := sorted(foreign.keys() - numbers):
         names = ", ".join(foreign[number].name for number in unused)
@@ -109,42 +107,13 @@ def reconstruct_objects(
         if seen is None or len(seen.points_m) < config.min_points:
             ctx.warn(f"object {found.object_id} has too little reliable depth and is dropped")
         else:
-            mesh = _foreign(found, seen, foreign, config, ctx) or _fitted(found, seen, background, depth)
-            meshes.append(mesh)
+            mesh = _foreign(found, seen, foreign, config, ctx)
+            meshes.append(mesh or fitted(found, seen, background.background_rgb, view))
         ctx.progress(done + 1, len(completed.objects))
     ctx.quality("meshes", len(meshes), "count")
     ctx.quality("dropped", len(completed.objects) - len(meshes), "count", "lower")
     ctx.quality("max_faces", max((len(m.mesh.faces) for m in meshes), default=0), "count")
     return ObjectMeshes(tuple(meshes))
-
-
-def _fitted(found: CompletedObject, seen: SeenObject, background: BackgroundImage, depth: MetricDepth) -> ObjectMesh:
-    """The form with the most evidence."""
-    from video2anim.objects.meshing import ObjectPicture, form_mesh, outline_iou
-    from video2anim.objects.recognize import log_prior, recognized
-
-    best = recognized(seen, log_prior(found.label))[0]
-    view = _background_view(depth, background)
-    picture = ObjectPicture(_completed_picture(found, background), found.amodal_mask, view)
-    mesh, parts, texture = form_mesh(best, picture)
-    label = best.form.name if found.label in ("object", "furniture") else found.label
-    sigma = best.sigma
-    return ObjectMesh(
-        found.object_id, label, f"form: {best.form.name}{' ' * bool(best.form.variant)}{best.form.variant}", mesh,
-        best.T_world_object, parts, (texture,), best.chamfer_m, float(np.hypot(*sigma[:2])), float(sigma[2]),
-        float(np.sqrt(np.mean(sigma[6:] ** 2))), outline_iou(best, seen.evidence, seen.own),
-    )  # fmt: skip
-
-
-def _background_view(depth: MetricDepth, background: BackgroundImage) -> View:
-    height_px, width_px = background.background_rgb.shape[:2]
-    return depth.bodies.main_view.resized(width_px, height_px)
-
-
-def _user_meshes(config: ReconstructConfig) -> dict[int, Path]:
-    from video2anim.artifacts.user_files import mesh_files
-
-    return mesh_files(Path(config.meshes)) if config.meshes else {}
 
 
 def _foreign(
@@ -153,14 +122,15 @@ def _foreign(
     """The user's mesh of the object, that of the network or that of the user's program; None if there is none."""
     from video2anim.artifacts.user_files import read_mesh_file
     from video2anim.networks.external_mesh import mesh_by_program
+    from video2anim.objects.object_mesh import adopted
 
     if found.object_id in files:
-        return _adopted(found, seen, read_mesh_file(files[found.object_id]), "user mesh")
+        return adopted(found, seen, read_mesh_file(files[found.object_id]), "user mesh")
     if config.model != NO_MODEL:
         network = ctx.model(config.model)
         try:
             mesh = network.mesh(found.image_rgb, max_faces=config.max_faces, resolution=config.model_resolution)
-            return _adopted(found, seen, mesh, network.name, in_metres=False)
+            return adopted(found, seen, mesh, network.name, in_meters=False)
         except StageError as error:
             instead = "by the program" if config.command else "of what is seen"
             ctx.warn(f"object {found.object_id} is made {instead} instead: {error}")
@@ -168,57 +138,13 @@ def _foreign(
         return None
     try:
         with mesh_by_program(config.command, found.image_rgb, config.command_timeout_s) as file:
-            return _adopted(found, seen, read_mesh_file(file), "program")
+            return adopted(found, seen, read_mesh_file(file), "program")
     except (StageError, InputError) as error:
         ctx.warn(
             f"object {found.object_id} is made of what is seen instead: {error}; once that is mended, "
             "run with --from reconstruct (a changed program file is noticed)"
         )
         return None
-
-
-def _adopted(
-    found: CompletedObject, seen: SeenObject, mesh: Mesh, method: str, *, in_metres: bool = True
-) -> ObjectMesh:
-    """A mesh of any unit in the place of what was seen: as high as that.
-
-    It keeps its own size where that is near and may be in meters.
-    """
-    low, high = mesh.vertices_m.min(0), mesh.vertices_m.max(0)
-    base = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
-    box = seen.box()
-    # By height; what lies flat has none to go by.
-    tall = high[1] - low[1] > 0.1 * (high - low).max()
-    ratio = float(box.size_m[1] / (high[1] - low[1]) if tall else box.size_m.max() / max((high - low).max(), 1e-6))
-    scale = 1.0 if in_metres and 0.75 < ratio < 1.33 else ratio
-    T_world_object = np.eye(4)
-    T_world_object[:3, :3] = box.R_world_box
-    T_world_object[:3, 3] = box.R_world_box @ np.array([box.center_m[0], box.low_m[1], box.center_m[2]])
-    own = Mesh((scale * (mesh.vertices_m - base)).astype(np.float32), mesh.faces, mesh.vertex_rgb)
-    return ObjectMesh(found.object_id, found.label, method, own, T_world_object)
-
-
-def _completed_picture(found: CompletedObject, background: BackgroundImage) -> UInt8[np.ndarray, "height width 3"]:
-    """The background image with the object's hidden parts inpainted; its outline's colors, which mix, are those further
-    in."""
-    import cv2
-
-    picture = background.background_rgb.copy()
-    (x, y), (h, w) = found.crop_xy_px, found.image_rgb.shape[:2]
-    mask = found.amodal_mask[y : y + h, x : x + w]
-    around = np.pad(mask.astype(np.uint8), 2)
-    inner = cv2.erode(around, np.ones((5, 5), np.uint8))[2:-2, 2:-2].astype(bool)
-    if not inner.any():
-        inner = mask
-    labels = np.asarray(
-        cv2.distanceTransformWithLabels(
-            (~inner).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-        )[1], np.int64,
-    )  # fmt: skip
-    color_of = np.zeros((int(labels.max()) + 1, 3), np.uint8)
-    color_of[labels[inner]] = found.image_rgb[inner]
-    picture[y : y + h, x : x + w][mask] = color_of[labels][mask]
-    return picture
 
 
 STAGE = StageSpec("reconstruct", reconstruct_objects, version=11, models=(SLOT,))
