@@ -1,4 +1,5 @@
-"""Upright boxes on a floor as one pinhole camera sees them: exact depth, normals, and which box a pixel shows."""
+"""Upright boxes and closed meshes on a floor as one pinhole camera sees them: exact depth, normals, and what a pixel
+shows."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 
 from video2anim.geometry.projection import pixel_rays
 from video2anim.objects.upright_box import UprightBox
@@ -46,6 +48,17 @@ class Block:
 
 
 @dataclass(frozen=True, eq=False)
+class Piece:
+    """A closed mesh."""
+
+    mesh: trimesh.Trimesh
+
+    @property
+    def center_m(self) -> np.ndarray:
+        return np.asarray(self.mesh.bounds.mean(0))
+
+
+@dataclass(frozen=True, eq=False)
 class Shot:
     """What the camera sees. Depth of the sky is 0."""
 
@@ -72,7 +85,7 @@ def looking(eye_m: tuple[float, float, float], target_m: tuple[float, float, flo
     return T_world_camera
 
 
-def shoot(blocks: Sequence[Block], T_world_camera: np.ndarray) -> Shot:
+def shoot(blocks: Sequence[Block | Piece], T_world_camera: np.ndarray) -> Shot:
     """Rays through all pixels meet blocks and the floor y = 0."""
     ray = pixel_rays(LENS) @ T_world_camera[:3, :3].T
     eye_m = T_world_camera[:3, 3]
@@ -81,6 +94,12 @@ def shoot(blocks: Sequence[Block], T_world_camera: np.ndarray) -> Shot:
     shown = np.where(np.isfinite(depth_m), FLOOR, SKY)
     normal = np.tile([0.0, 1.0, 0.0], (*shown.shape, 1))
     for number, block in enumerate(blocks):
+        if isinstance(block, Piece):
+            near, side = _first_face(block.mesh, eye_m, ray)
+            hit = near < depth_m
+            depth_m, shown = np.where(hit, near, depth_m), np.where(hit, number, shown)
+            normal = np.where(hit[..., None], side, normal)
+            continue
         R = block.R_world_block
         start, along = (eye_m - block.center_m) @ R, ray @ R
         along = np.where(np.abs(along) < 1e-12, 1e-12, along)
@@ -94,6 +113,26 @@ def shoot(blocks: Sequence[Block], T_world_camera: np.ndarray) -> Shot:
         normal = np.where(hit[..., None], side, normal)
     depth_m = np.where(shown == SKY, 0.0, depth_m)
     return Shot(depth_m, shown, eye_m + ray * depth_m[..., None], normal, T_world_camera)
+
+
+def _first_face(mesh: trimesh.Trimesh, eye_m: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays first meet a face (in their lengths), and its normal (Moeller and Trumbore 1997)."""
+    nearest, normal = np.full(ray.shape[:-1], np.inf), np.zeros(ray.shape)
+    # Only rays that meet the sphere around the mesh.
+    middle = mesh.bounds.mean(0) - eye_m
+    beside = np.linalg.norm(np.cross(ray, middle), axis=-1) / np.linalg.norm(ray, axis=-1)
+    rows, columns = np.nonzero(beside < np.linalg.norm(mesh.vertices - mesh.bounds.mean(0), axis=-1).max())
+    some = ray[rows, columns]
+    for (a, b, c), side in zip(mesh.triangles, mesh.face_normals, strict=True):
+        across = np.cross(some, c - a)
+        volume = across @ (b - a)
+        volume = np.where(np.abs(volume) < 1e-12, np.inf, volume)
+        u = across @ (eye_m - a) / volume
+        other = np.cross(eye_m - a, b - a)
+        v, at = some @ other / volume, (c - a) @ other / volume
+        hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (at > 0) & (at < nearest[rows, columns])
+        nearest[rows[hit], columns[hit]], normal[rows[hit], columns[hit]] = at[hit], side
+    return nearest, normal
 
 
 def yaw_error_rad(box: UprightBox, yaw_rad: float) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from seen_boxes import FLOOR, LENS, SKY, Block, Shot, about_y, looking, shoot
+from seen_boxes import FLOOR, LENS, SKY, Block, Piece, Shot, about_y, looking, shoot
 from synthetic import planted_walk
 
 from video2anim.objects.evidence import ObjectViews, PeopleEvidence, SeenObject
@@ -65,7 +65,7 @@ class Furnished:
 
 
 def furnished(
-    obj: Sequence[Block],
+    obj: Sequence[Block | Piece],
     others: Sequence[Block] = (),
     *,
     eye_m: tuple[float, float, float] = EYE_M,

@@ -7,11 +7,12 @@ import pytest
 from furnished import bed, chair, furnished, moved, shelf, yaw_of
 from seen_boxes import Block, table
 
+from video2anim.objects.extrusion import OUTLINE
 from video2anim.objects.furniture import FORMS
 from video2anim.objects.meshing import outline_iou
 from video2anim.objects.recognize import log_prior, recognized
 
-CLASSES = {form.name for form in FORMS}
+CLASSES = {form.name for form in FORMS} | {OUTLINE}
 
 THINGS = {
     "chair": moved(chair(), (0.2, -2.8), 0.5),

@@ -1,4 +1,4 @@
-"""Boxes and cylinders against trimesh, and the meshes of all forms."""
+"""Boxes, cylinders and prisms against trimesh, all shapes against what is inside them, and the meshes of all forms."""
 
 from __future__ import annotations
 
@@ -7,27 +7,38 @@ import pytest
 import trimesh
 
 from video2anim.objects.furniture import FORMS, Form
+from video2anim.objects.shapes import BALL, CUBE, CYLINDER, DOME, WEDGE, Prism, Shape
 from video2anim.objects.solids import Solids
 
 TURN_UP = trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0])
 """Takes a cylinder of trimesh, along z, to an upright one."""
 
 
+ARROW = np.array([[-1, -0.4], [0.2, -0.4], [0.2, -1], [1, 0.1], [0.2, 1], [0.2, 0.4], [-1, 0.4]])
+SHAPES = (CUBE, CUBE, CUBE, CYLINDER, CYLINDER)
+
+
 def some_solids(seed: int) -> Solids:
-    """Two sets of a box, a leaning box, a background image and two cylinders, one of them flat."""
+    """Two sets of a box, a leaning box, a plate, two cylinders, one of them flat, and an arrow cut out of a board."""
     rng = np.random.default_rng(seed)
-    half = rng.uniform(0.05, 0.5, (2, 5, 3))
+    half = rng.uniform(0.05, 0.5, (2, 6, 3))
     half[:, 2, 1] = half[:, 4, 1] = 0.015
-    tilt = np.zeros((2, 5))
+    half[:, 3:5, 2] = half[:, 3:5, 0]
+    tilt = np.zeros((2, 6))
     tilt[:, 1] = rng.uniform(-0.6, 0.6, 2)
-    round_ = np.array([False, False, False, True, True])
-    return Solids(rng.uniform(-0.4, 0.4, (2, 5, 3)), half, tilt, round_)
+    arrows = Prism(np.stack([ARROW, ARROW[:, ::-1][::-1]]))
+    return Solids(rng.uniform(-0.4, 0.4, (2, 6, 3)), half, tilt, (*SHAPES, arrows))
 
 
 def as_mesh(solids: Solids, number: int, part: int) -> trimesh.Trimesh:
     """The same solid by trimesh."""
     half = solids.half_m[number, part]
-    if solids.round[part]:
+    form = solids.shapes[part]
+    if isinstance(form, Prism):
+        corners = form.corners[number] * half[:2]
+        shape = trimesh.creation.extrude_triangulation(corners, form.triangles, 2 * half[2])
+        shape.apply_translation([0, 0, -half[2]])
+    elif form is CYLINDER:
         shape = trimesh.creation.cylinder(half[0], 2 * half[1], sections=512)
         shape.apply_transform(TURN_UP)
     else:
@@ -48,7 +59,7 @@ def first_hit_of(shape: trimesh.Trimesh, origin_m: np.ndarray, ray: np.ndarray) 
 
 def test_a_positive_tilt_leans_back() -> None:
     """Backs of chairs lean away from the front, which is +z."""
-    back = Solids(np.zeros((1, 1, 3)), np.array([[[0.2, 0.5, 0.01]]]), np.full((1, 1), 0.3), np.array([False]))
+    back = Solids(np.zeros((1, 1, 3)), np.array([[[0.2, 0.5, 0.01]]]), np.full((1, 1), 0.3), (CUBE,))
     (vertices_m, _), *_ = back.meshes()
     upper = vertices_m[:, 1] > 0
     assert vertices_m[upper][:, 2].mean() < -0.1 < 0.1 < vertices_m[~upper][:, 2].mean()
@@ -59,9 +70,9 @@ def test_signed_distance_is_that_of_trimesh(seed: int) -> None:
     solids = some_solids(seed)
     points_m = np.random.default_rng(seed).uniform(-1, 1, (2, 150, 3))
     found = solids.distance_m(points_m)
-    assert found.shape == (2, 5, 150)
+    assert found.shape == (2, 6, 150)
     for number in range(2):
-        for part in range(5):
+        for part in range(6):
             truth = -trimesh.proximity.signed_distance(as_mesh(solids, number, part), points_m[number])
             np.testing.assert_allclose(found[number, part], truth, atol=1e-3)
     assert (found < 0).any()
@@ -80,7 +91,7 @@ def test_rays_hit_first_what_they_hit_first_by_trimesh(seed: int) -> None:
     origin_m, ray = rays_of(solids, seed)
     found, missed = solids.first_hit(origin_m, ray), solids.miss_m(origin_m, ray)
     for number in range(2):
-        shapes = [as_mesh(solids, number, part) for part in range(5)]
+        shapes = [as_mesh(solids, number, part) for part in range(6)]
         truth = np.min([first_hit_of(shape, origin_m[number], ray[number]) for shape in shapes], axis=0)
         hits = np.isfinite(truth)
         assert 0.1 < hits.mean() < 0.95
@@ -91,34 +102,73 @@ def test_rays_hit_first_what_they_hit_first_by_trimesh(seed: int) -> None:
         np.testing.assert_array_equal(missed[number] == 0, np.isfinite(found[number]))
 
 
-@pytest.mark.parametrize("round_", [False, True])
-def test_a_ray_passes_by_how_far_it_passes(round_: bool) -> None:
-    """A background image 1 m wide; rays straight down beside it, and level ones above it."""
-    background = Solids(np.zeros((1, 1, 3)), np.array([[[0.5, 0.02, 0.5]]]), np.zeros((1, 1)), np.array([round_]))
+@pytest.mark.parametrize("shape", [CUBE, CYLINDER], ids=["cube", "cylinder"])
+def test_a_ray_passes_by_how_far_it_passes(shape: Shape) -> None:
+    """A plate 1 m wide; rays straight down beside it, and level ones above it."""
+    plate = Solids(np.zeros((1, 1, 3)), np.array([[[0.5, 0.02, 0.5]]]), np.zeros((1, 1)), (shape,))
     down = np.array([[0.0, -1.0, 0.0]])
     for aside_m in (0.45, 0.55, 0.8):
-        (missed,) = background.miss_m(np.array([[aside_m, 2.0, 0.0]]), down[None])[0]
+        (missed,) = plate.miss_m(np.array([[aside_m, 2.0, 0.0]]), down[None])[0]
         assert missed == pytest.approx(max(aside_m - 0.5, 0), abs=1e-6)
-    (over,) = background.miss_m(np.array([[-3.0, 0.12, 0.0]]), np.array([[[1.0, 0.0, 0.0]]]))[0]
+    (over,) = plate.miss_m(np.array([[-3.0, 0.12, 0.0]]), np.array([[[1.0, 0.0, 0.0]]]))[0]
     assert over == pytest.approx(0.1, abs=1e-6)
 
 
 def test_surface_points_lie_on_all_sides() -> None:
     solids = some_solids(3)
     points_m = solids.surface_points_m(5)
-    assert points_m.shape[:2] == (2, 5 * (5**3 - 3**3)), "the outside of a lattice of 5 x 5 x 5"
-    own = points_m.reshape(2, 5, -1, 3)
-    for part in range(5):
+    assert points_m.shape[:2] == (2, 6 * (5**3 - 3**3)), "the outside of a lattice of 5 x 5 x 5"
+    own = points_m.reshape(2, 6, -1, 3)
+    for part in range(6):
         np.testing.assert_allclose(solids.distance_m(own[:, part])[:, part], 0, atol=1e-9)
         size = np.ptp(own[:, part], axis=1)
-        if part != 1:
-            half = solids.half_m[:, part]
-            np.testing.assert_allclose(size, 2 * (half[:, [0, 1, 0]] if solids.round[part] else half), atol=1e-9)
+        if part not in (1, 5):
+            np.testing.assert_allclose(size, 2 * solids.half_m[:, part], rtol=1e-9)
+
+
+def inside(shape: Shape, points: np.ndarray) -> np.ndarray:
+    """Points within the shape, in the cube from -1 to 1."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    if shape is WEDGE:
+        return (np.abs(points) < 1).all(-1) & (x + y < 0)
+    if isinstance(shape, Prism):
+        head = (x > 0.2) & (y > -1 + 1.1 * (x - 0.2) / 0.8) & (y < 1 - 0.9 * (x - 0.2) / 0.8)
+        return (np.abs(z) < 1) & (head | ((np.abs(y) < 0.4) & (x > -1) & (x <= 0.2)))
+    return (x**2 + y**2 + z**2 < 1) & ((y > 0) | (shape is BALL))
+
+
+@pytest.mark.parametrize("shape", [BALL, DOME, WEDGE, Prism(ARROW[None])], ids=["ball", "dome", "wedge", "arrow"])
+def test_rays_distances_and_surface_agree_with_what_is_inside(shape: Shape) -> None:
+    half, at = np.array([[[0.5, 0.3, 0.2]]]), np.array([[[0.1, 0.4, -0.2]]])
+    solids, rng = Solids(at, half, np.zeros((1, 1)), (shape,)), np.random.default_rng(0)
+    points_m = at[0] + rng.uniform(-0.6, 0.6, (4000, 3))
+    signed = solids.distance_m(points_m[None])[0, 0]
+    within = inside(shape, (points_m - at[0]) / half[0])
+    assert 0.02 < within.mean() < 0.98
+    np.testing.assert_array_equal(signed < 0, within)
+    on_m = solids.surface_points_m(9)[0]
+    np.testing.assert_allclose(solids.distance_m(on_m[None]), 0, atol=1e-9)
+    # A point is no farther from the surface than from any point on it.
+    nearest_m = np.linalg.norm(points_m[:, None] - on_m, axis=-1).min(1)
+    assert (np.abs(signed) <= nearest_m + 1e-9)[~within].all()
+    origin_m = np.array([[0.3, 1.0, 2.0]])
+    ray = points_m - origin_m
+    first, missed = solids.first_hit(origin_m, ray[None])[0], solids.miss_m(origin_m, ray[None])[0]
+    along = np.linspace(0.3, 2.0, 1500)
+    hit = inside(shape, (origin_m + along[:, None, None] * ray - at[0]) / half[0])
+    np.testing.assert_array_equal(missed == 0, np.isfinite(first))
+    some = hit.any(0)
+    assert (some == np.isfinite(first)).mean() > 0.99, "but for rays that graze it"
+    both = some & np.isfinite(first)
+    assert 0.1 < both.mean() < 0.9
+    # A ray may cut a corner between two steps.
+    assert (np.abs(along[hit.argmax(0)] - first)[both] < 0.003).mean() > 0.98
 
 
 def volume_m3(solids: Solids, part: int) -> float:
-    half = solids.half_m[0, part]
-    return float(2 * np.pi * half[0] ** 2 * half[1] if solids.round[part] else 8 * half.prod())
+    half, shape = solids.half_m[0, part], solids.shapes[part]
+    filled = {CUBE: 8, CYLINDER: 2 * np.pi, BALL: 4 / 3 * np.pi, DOME: 2 / 3 * np.pi, WEDGE: 4}[shape]
+    return float(filled * half.prod())
 
 
 def some_sizes(form: Form) -> np.ndarray:
@@ -139,8 +189,9 @@ def test_every_part_of_every_form_is_a_closed_surface(form: Form) -> None:
             assert mesh.is_winding_consistent
             assert mesh.body_count == 1
             assert mesh.euler_number == 2
-            # Round ones are polygons of two dozen sides or so.
-            assert mesh.volume == pytest.approx(volume_m3(solids, part), rel=0.02 if solids.round[part] else 1e-6)
+            # Round ones are polygons of two dozen sides or so, from top to bottom of seven or more.
+            off = {CYLINDER: 0.02, BALL: 0.07, DOME: 0.07}.get(solids.shapes[part], 1e-6)
+            assert mesh.volume == pytest.approx(volume_m3(solids, part), rel=off)
             np.testing.assert_allclose(solids.distance_m(vertices_m[None])[0, part], 0, atol=1e-9)
             assert len(np.unique(faces)) == len(vertices_m)
 
@@ -151,7 +202,9 @@ def test_every_form_rests_on_the_floor_in_one_piece(form: Form) -> None:
     sizes_m = some_sizes(form)
     names, solids = form.build(sizes_m)
     points_m = solids.surface_points_m(4)
-    np.testing.assert_allclose(points_m[..., 1].min(1), 0, atol=1e-9)
+    for one in sizes_m:
+        lowest_m = min(vertices_m[:, 1].min() for vertices_m, _ in form.build(one[None])[1].meshes())
+        assert lowest_m == pytest.approx(0, abs=1e-9)
     near_m = solids.distance_m(points_m).reshape(len(sizes_m), len(names), len(names), -1).min(-1)
     gap_m = np.minimum(near_m, near_m.transpose(0, 2, 1)) + np.where(np.eye(len(names), dtype=bool), np.inf, 0)
     if len(names) > 1 and "top cabinet" not in names:

@@ -18,7 +18,6 @@ from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
 
 _POINTS = 160
 """Pixels of an object that are looked at; the time of a fit grows with them."""
-_MIN_POINTS = 3
 _RAISED_M = 0.15
 """What ends so far above the floor, where the picture goes on below it, stands on something else."""
 _STEP, _STEP_M = 0.1, 0.02
@@ -53,6 +52,8 @@ class SeenObject:
     """Of those points."""
     own: Bool[np.ndarray, "height width"]
     """Its visible pixels."""
+    outline: Bool[np.ndarray, "height width"]
+    """Those and the hidden ones that were completed."""
 
     def box(self) -> UprightBox:
         """The box around them, down to the floor if it stands there; +z of its frame faces the camera."""
@@ -90,13 +91,14 @@ class ObjectViews:
         self._normals = surface_normals(self._world_m)
 
     def object(self, found: CompletedObject, rng: np.random.Generator) -> SeenObject | None:
-        """None if hardly any of its pixels has reliable depth."""
+        """None if none of its pixels has reliable depth."""
         obj, lifter = self._lifted[found.object_id], self._lifter
         own, known = obj.own, lifter.known
-        if obj.shows.sum() < _MIN_POINTS:
+        if not obj.shows.any():
             return None
         nearer = self._nearer(found.object_id)
-        outside, k = self._outside_px(found, obj, self._unseen | nearer), lifter.view.intrinsics
+        outline, k = self._outline(found, obj), lifter.view.intrinsics
+        outside = _outside_px(outline | self._unseen | nearer)
         chosen = np.flatnonzero(own & (obj.shows | ~known))
         row, column = np.unravel_index(chosen[rng.permutation(len(chosen))[:_POINTS]], own.shape)
         local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones(len(row))], -1)
@@ -122,7 +124,7 @@ class ObjectViews:
             others_m=self._others_m(own, points_m, rng),
             room_yaw_rad=self._room_yaw_rad,
         )
-        return SeenObject(evidence, points_m, self._normals[obj.shows], own)
+        return SeenObject(evidence, points_m, self._normals[obj.shows], own, outline)
 
     def _others_m(
         self, own: np.ndarray, points_m: np.ndarray, rng: np.random.Generator
@@ -134,15 +136,11 @@ class ObjectViews:
         some = self._world_m[near]
         return some[rng.permutation(len(some))[:_POINTS]]
 
-    def _outside_px(
-        self, found: CompletedObject, obj: BackprojectedObject, hidden: np.ndarray
-    ) -> Float[np.ndarray, "h w"]:
-        """Distance of pixels from where the object may be."""
+    def _outline(self, found: CompletedObject, obj: BackprojectedObject) -> Bool[np.ndarray, "h w"]:
+        """Where the object is, hidden or not."""
         allowed = shrunk(found.amodal_mask, obj.own.shape) | obj.own
         # Between a mask's pixels, what is seen to be background does not belong to the object.
-        allowed &= ~(obj.own & self._lifter.known & ~obj.shows) | self._foot(obj)
-        closed = cv2.morphologyEx((allowed | hidden).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-        return cv2.distanceTransform(1 - closed, cv2.DIST_L2, 5).astype(np.float64)
+        return allowed & (~(obj.own & self._lifter.known & ~obj.shows) | self._foot(obj))
 
     def _foot(self, obj: BackprojectedObject) -> Bool[np.ndarray, "height width"]:
         """What is too low to be told from the floor by depth, right below what shows the object."""
@@ -173,3 +171,9 @@ class ObjectViews:
         carries = (depth_m[at] > (1 - _STEP) * depth_m[end]) & (up_m[at] < up_m[end] + _STEP_M)
         hidden = self._unseen[at] | (nearer[at] & ~carries)
         return bool((inside & ~hidden & ~self._lifter.floor[at]).mean() > 0.5)
+
+
+def _outside_px(allowed: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Distance of pixels from where the object may be."""
+    closed = cv2.morphologyEx(allowed.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    return cv2.distanceTransform(1 - closed, cv2.DIST_L2, 5).astype(np.float64)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from video2anim.objects.shapes import BALL, CUBE, CYLINDER, DOME, WEDGE, Shape
 from video2anim.objects.solids import Solids
 
 Sizes = Float[np.ndarray, "batch sizes"]
@@ -69,16 +70,26 @@ class Form:
 
 
 def _solids(
-    rows: _Rows, batch: int, *, tilted: tuple[str, ...] = (), tilt_rad: float = 0.0, round_: tuple[str, ...] = ()
+    rows: _Rows,
+    batch: int,
+    *,
+    tilted: tuple[str, ...] = (),
+    tilt_rad: float | np.ndarray = 0.0,
+    shapes: dict[str, Shape] | None = None,
 ) -> _Built:
+    """Parts that `shapes` does not name are boxes."""
     names = tuple(name for name, _, _ in rows)
     shape = (batch, len(rows), 3)
     center, half = np.empty(shape), np.empty(shape)
     for k, (_, middle, size) in enumerate(rows):
         for axis in range(3):
             center[:, k, axis], half[:, k, axis] = middle[axis], 0.5 * np.asarray(size[axis])
-    tilt = np.broadcast_to([tilt_rad if name in tilted else 0.0 for name in names], (batch, len(rows)))
-    return names, Solids(center, np.maximum(half, 1e-3), tilt, np.array([name in round_ for name in names]))
+    tilt = np.isin(names, tilted) * np.broadcast_to(tilt_rad, batch)[:, None]
+    return names, Solids(center, np.maximum(half, 1e-3), tilt, tuple((shapes or {}).get(name, CUBE) for name in names))
+
+
+def _round(*names: str) -> dict[str, Shape]:
+    return dict.fromkeys(names, CYLINDER)
 
 
 def _legs(w: np.ndarray, d: np.ndarray, top: np.ndarray) -> _Rows:
@@ -114,10 +125,14 @@ def _stool(s: Sizes) -> _Built:
     return _solids([("seat", [0, h - 0.5 * thick, 0], [w, thick, d]), *_legs(0.9 * w, 0.9 * d, h - thick)], len(s))
 
 
+def _table_rows(w: np.ndarray, d: np.ndarray, h: np.ndarray) -> _Rows:
+    top = ("top", [0, h - 0.5 * _BOARD_M, 0], [w, _BOARD_M, d])
+    return [top, *_legs(w - 0.06, d - 0.06, h - _BOARD_M)]
+
+
 def _table(s: Sizes) -> _Built:
     w, d, h = s.T
-    top = ("top", [0, h - 0.5 * _BOARD_M, 0], [w, _BOARD_M, d])
-    return _solids([top, *_legs(w - 0.06, d - 0.06, h - _BOARD_M)], len(s))
+    return _solids(_table_rows(w, d, h), len(s))
 
 
 def _panel_table(s: Sizes) -> _Built:
@@ -131,15 +146,9 @@ def _panel_table(s: Sizes) -> _Built:
 def _desk(side: int) -> Callable[[Sizes], _Built]:
     def build(s: Sizes) -> _Built:
         w, d, h = s.T
-        names, table = _table(s)
         top = h - _BOARD_M
-        rows: _Rows = [("drawers", [side * (0.5 * w - 0.26), 0.5 * top + 0.02, 0], [0.4, top - 0.06, d - 0.12])]
-        more, drawers = _solids(rows, len(s))
-        joined = Solids(
-            np.concatenate([table.center_m, drawers.center_m], 1), np.concatenate([table.half_m, drawers.half_m], 1),
-            np.concatenate([table.tilt_rad, drawers.tilt_rad], 1), np.concatenate([table.round, drawers.round]),
-        )  # fmt: skip
-        return names + more, joined
+        drawers = ("drawers", [side * (0.5 * w - 0.26), 0.5 * top + 0.02, 0], [0.4, top - 0.06, d - 0.12])
+        return _solids([*_table_rows(w, d, h), drawers], len(s))
 
     return build
 
@@ -152,13 +161,13 @@ def _round_table(s: Sizes) -> _Built:
         ("leg", [0, 0.5 * top, 0], [0.08, top, 0.08]),
         ("base", [0, 0.015, 0], [foot, 0.03, foot]),
     ]
-    return _solids(rows, len(s), round_=("top", "leg", "base"))
+    return _solids(rows, len(s), shapes=_round("top", "leg", "base"))
 
 
 def _round_table_on_legs(s: Sizes) -> _Built:
     across, h = s.T
     rows = [("top", [0, h - 0.015, 0], [across, 0.03, across]), *_legs(0.62 * across, 0.62 * across, h - 0.03)]
-    return _solids(rows, len(s), round_=("top",))
+    return _solids(rows, len(s), shapes=_round("top"))
 
 
 def _swivel_chair(s: Sizes) -> _Built:
@@ -169,7 +178,7 @@ def _swivel_chair(s: Sizes) -> _Built:
         ("leg", [0, 0.5 * (h - 0.07), 0], [0.07, h - 0.07, 0.07]),
         ("base", [0, 0.05, 0], [0.55, 0.06, 0.55]),
     ]
-    return _solids(rows, len(s), tilted=("back",), tilt_rad=_TILT_RAD, round_=("leg", "base"))
+    return _solids(rows, len(s), tilted=("back",), tilt_rad=_TILT_RAD, shapes=_round("leg", "base"))
 
 
 def _kitchen(s: Sizes) -> _Built:
@@ -225,7 +234,7 @@ def _lamp(s: Sizes) -> _Built:
         ("pole", [0, 0.5 * (h - tall), 0], [0.025, h - tall, 0.025]),
         ("shade", [0, h - 0.5 * tall, 0], [shade, tall, shade]),
     ]
-    return _solids(rows, len(s), round_=("base", "pole", "shade"))
+    return _solids(rows, len(s), shapes=_round("base", "pole", "shade"))
 
 
 def _plant(s: Sizes) -> _Built:
@@ -234,7 +243,7 @@ def _plant(s: Sizes) -> _Built:
         ("pot", [0, 0.5 * pot_h, 0], [pot, pot_h, pot]),
         ("leaves", [0, 0.5 * (h + pot_h), 0], [leaves, h - pot_h, leaves]),
     ]
-    return _solids(rows, len(s), round_=("pot", "leaves"))
+    return _solids(rows, len(s), shapes=_round("pot", "leaves"))
 
 
 def _steps(s: Sizes) -> _Built:
@@ -246,13 +255,51 @@ def _steps(s: Sizes) -> _Built:
     return _solids(rows, len(s))
 
 
+def _stack(s: Sizes) -> _Built:
+    w, d, h, lower, w_upper, d_upper, aside, back = s.T
+    upper = [0.5 * np.log(aside) * (w - w_upper), 0.5 * (lower + h), 0.5 * np.log(back) * (d - d_upper)]
+    rows = [("lower", [0, 0.5 * lower, 0], [w, lower, d]), ("upper", upper, [w_upper, h - lower, d_upper])]
+    return _solids(rows, len(s))
+
+
+def _slope(s: Sizes) -> _Built:
+    w, d, h = s.T
+    return _solids([("slope", [0, 0.5 * h, 0], [w, h, d])], len(s), shapes={"slope": WEDGE})
+
+
+def _leaning_board(s: Sizes) -> _Built:
+    w, d, h, thick = s.T
+    lean_rad, length = np.arctan2(d, h), np.hypot(d, h)
+    center_y = 0.5 * (h + thick * np.sin(lean_rad))
+    return _solids([("board", [0, center_y, 0], [w, length, thick])], len(s), tilted=("board",), tilt_rad=lean_rad)
+
+
+def _ball(s: Sizes) -> _Built:
+    across, h = s.T
+    return _solids([("body", [0, 0.5 * h, 0], [across, h, across])], len(s), shapes={"body": BALL})
+
+
+def _dome(s: Sizes) -> _Built:
+    w, d, h = s.T
+    return _solids([("body", [0, 0, 0], [w, 2 * h, d])], len(s), shapes={"body": DOME})
+
+
 def _drum(s: Sizes) -> _Built:
     across, h = s.T
-    return _solids([("body", [0, 0.5 * h, 0], [across, h, across])], len(s), round_=("body",))
+    return _solids([("body", [0, 0.5 * h, 0], [across, h, across])], len(s), shapes=_round("body"))
 
 
 def _size(name: str, usual_m: float, spread: float) -> Size:
     return Size(name, usual_m, spread)
+
+
+def place(name: str) -> Size:
+    """What may be anywhere from -1 to 1: the logarithm of this size."""
+    return Size(name, 1.0, float(np.sqrt(1 / 3)))
+
+
+_ANY = (_size("width", 0.6, 0.8), _size("depth", 0.6, 0.8), _size("height", 0.6, 0.8))
+"""Things of no known kind."""
 
 
 FORMS: tuple[Form, ...] = (
@@ -297,10 +344,18 @@ FORMS: tuple[Form, ...] = (
     Form("plant", (_size("width", 0.5, 0.4), _size("pot height", 0.3, 0.3), _size("height", 1.1, 0.35),
                    _size("pot", 0.3, 0.3)), _plant, turns=1, stands=False, share=0.05),
     Form("steps", (_size("width", 0.6, 0.4), _size("depth", 0.55, 0.3), _size("height", 0.36, 0.3)), _steps, share=0.1),
-    Form("box", (_size("width", 0.6, 0.8), _size("depth", 0.6, 0.8), _size("height", 0.6, 0.8)), _box,
-         turns=2, stands=False),
+    Form("slope", (_size("width", 1.5, 0.6), _size("depth", 1.2, 0.6), _size("height", 0.5, 0.6)), _slope, share=0.1),
+    Form("board", (_size("width", 0.8, 0.6), _size("depth", 0.5, 0.8), _size("height", 1.2, 0.6),
+                   _size("thickness", 0.04, 0.4)), _leaning_board, "leaning", share=0.1),
+    Form("ellipsoid", (_size("width", 0.6, 0.6), _size("height", 0.6, 0.6)), _ball, turns=1, stands=False, share=0.1),
+    Form("ellipsoid", _ANY, _dome, "half", 1, share=0.1),
+    Form("stack", (*_ANY, _size("lower height", 0.3, 0.8), _size("upper width", 0.4, 0.8),
+                   _size("upper depth", 0.4, 0.8), place("upper x"), place("upper z")), _stack, turns=2, stands=False,
+         share=0.1),
+    Form("box", _ANY, _box, turns=2, stands=False),
     Form("drum", (_size("width", 0.4, 0.6), _size("height", 0.5, 0.6)), _drum, turns=1, stands=False, share=0.01),
 )  # fmt: skip
-"""All that is tried. `box` and `drum` are what is left for objects of no known kind."""
+"""All that is tried, with the object's own outline (`extrusion`). Those from `slope` on are for objects of no known
+kind."""
 
 BOX = next(form for form in FORMS if form.name == "box")

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.objects.evidence import SeenObject
+from video2anim.objects.extrusion import OUTLINE, outline_form
 from video2anim.objects.form_fit import FitSigmas, FormFit, FormProblem
 from video2anim.objects.furniture import FORMS, Form
 from video2anim.objects.upright_box import UprightBox
@@ -15,8 +16,10 @@ from video2anim.objects.upright_box import UprightBox
 _SCREEN_SAMPLES, _SAMPLES = 3, 7
 """Surface samples along a side of a solid, while forms are compared and at the end."""
 _SCREEN_ROUNDS = 6
+_PLAIN = ("box", "cabinet", "ellipsoid", "stack", OUTLINE)
+"""Forms that mostly stand on the floor but may stand on something else."""
 _RAISED = 0.05
-"""Prior probability that a box or a cabinet stands on something other than the floor."""
+"""Prior probability that one of them stands on something other than the floor."""
 _KEPT = 4
 """Forms that are fitted at full resolution."""
 
@@ -24,7 +27,7 @@ _KEPT = 4
 def recognized(
     seen: SeenObject,
     log_prior: Mapping[str, float],
-    forms: Sequence[Form] = FORMS,
+    forms: Sequence[Form] | None = None,
     sigmas: FitSigmas | None = None,
 ) -> list[FormFit]:
     """The forms fitted at full resolution, best first.
@@ -32,17 +35,23 @@ def recognized(
     Args:
         log_prior: Logarithm of the odds of each class of form before the object was measured; classes that are not
             named are not tried.
+        forms: Those that are tried; by default all, and the object's outline with a thickness.
     """
     sigmas = FitSigmas() if sigmas is None else sigmas
     evidence, box = seen.evidence, seen.box()
     lowest_m = max(float(np.percentile(seen.points_m[:, 1], 2)), 0.0) if evidence.raised else 0.0
+    tries = [
+        (form, _starts(form, box, 0.0 if form.stands else lowest_m))
+        for form in (FORMS if forms is None else forms)
+        if form.name in log_prior
+    ]
+    if forms is None and OUTLINE in log_prior and (own := outline_form(seen, box, lowest_m, sigmas)) is not None:
+        tries.append((own[0], [own[1]]))
     screened = []
-    for form in forms:
-        if form.name not in log_prior:
-            continue
+    for form, starts in tries:
         base_m = 0.0 if form.stands else lowest_m
         problem = FormProblem(form, evidence, base_m, sigmas, _SCREEN_SAMPLES)
-        tried = [problem.fitted(start, _SCREEN_ROUNDS) for start in _starts(form, box, base_m)]
+        tried = [problem.fitted(start, _SCREEN_ROUNDS) for start in starts]
         prior = _prior(form, base_m, log_prior)
         scores = [problem.laplace(values) + prior for values in tried]
         screened.append((max(scores), form, tried[int(np.argmax(scores))]))
@@ -57,7 +66,7 @@ def recognized(
 
 def _prior(form: Form, base_m: float, log_prior: Mapping[str, float]) -> float:
     """Log odds of a form before it is fitted."""
-    raised = _RAISED if base_m > 0 and form.name in ("box", "cabinet") else 1.0
+    raised = _RAISED if base_m > 0 and form.name in _PLAIN else 1.0
     return log_prior[form.name] + float(np.log(form.share * raised))
 
 
@@ -104,7 +113,7 @@ def log_prior(label: str) -> dict[str, float]:
 
     Labels without a form give equal odds for all classes.
     """
-    classes = sorted({form.name for form in FORMS})
+    classes = sorted({form.name for form in FORMS} | {OUTLINE})
     name = _SYNONYMS.get(label, label)
     if name not in classes:
         return dict.fromkeys(classes, 0.0)

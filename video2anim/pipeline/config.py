@@ -176,7 +176,7 @@ def resolve(nodes: Sequence[Node], preset: str, layers: Sequence[tuple[str, Mapp
 
 
 def known_part(nodes: Sequence[Node], config: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Split a recorded configuration, maybe of another version, into what this version accepts and the other options."""
+    """Split a recorded configuration into what this version accepts and the names of the other options."""
     types = {node.name: options_of(node.config_type) for node in nodes}
     known: dict[str, Any] = {}
     other = []
