@@ -13,11 +13,13 @@ from jaxtyping import Bool, Float
 
 from scenemi.data.keyframes import FPS, Keyframes
 from video2anim.errors import InputError
-from video2anim.types.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
+from video2anim.types import BodyMotion, Intrinsics
+from video2anim.types.motion_arrays import motion_arrays
+from video2anim.types.skeleton import forward_kinematics
 
 _NOMINAL_CAMERA_M = (0.0, 1.2, -4.0)
-"""Where the camera of a motion without one is said to stand; it looks along +Z."""
-_NOMINAL_INTRINSICS = (600.0, 600.0, 319.5, 239.5, 640.0, 480.0)
+"""Place of the camera that is written for a motion without one; it looks along +Z."""
+_NOMINAL_INTRINSICS = Intrinsics.centered(600.0, 640, 480)
 
 
 def write_motion(
@@ -39,32 +41,14 @@ def write_motion(
     T_world_root[:, :3, :3], T_world_root[:, :3, 3] = R_parent_joint[:, 0], translation_m
     T_world_camera = np.diag([-1.0, -1.0, 1.0, 1.0])
     T_world_camera[:3, 3] = _NOMINAL_CAMERA_M
-    parameters = keyframes.shape.parameters
-    _replace(
-        path,
-        lambda stream: np.savez(
-            stream,
-            allow_pickle=False,
-            joint_names=np.array(JOINT_NAMES),
-            parents=PARENTS,
-            frame_time_s=np.arange(frames) / FPS,
-            valid=np.ones(frames, bool),
-            T_world_root=T_world_root,
-            R_parent_joint=R_parent_joint,
-            joints_world_m=joints_m,
-            joints_camera_m=(joints_m - T_world_camera[:3, 3]) @ T_world_camera[:3, :3],
-            T_world_camera=np.tile(T_world_camera, (frames, 1, 1)),
-            intrinsics=np.array(_NOMINAL_INTRINSICS),
-            camera_is_nominal=np.array(True),
-            contact=contact,
-            is_keyframe=is_keyframe,
-            shape_model=np.array(keyframes.shape.model),
-            shape_names=np.array(list(parameters)),
-            shape_values=np.array(list(parameters.values()), np.float64),
-            rest_joints_m=keyframes.rest_joints_m,
-            person_id=np.array(0),
-        ),
-    )
+    motion = BodyMotion(
+        person_id=0, frame_time_s=np.arange(frames) / FPS, valid=np.ones(frames, bool), T_world_root=T_world_root,
+        R_parent_joint=R_parent_joint, T_world_camera=np.tile(T_world_camera, (frames, 1, 1)),
+        intrinsics=_NOMINAL_INTRINSICS, contact=contact, shape=keyframes.shape, rest_joints_m=keyframes.rest_joints_m,
+        joints_world_m=joints_m,
+    )  # fmt: skip
+    arrays = motion_arrays(motion) | {"camera_is_nominal": np.array(True), "is_keyframe": is_keyframe}
+    _replace(path, lambda stream: np.savez(stream, allow_pickle=False, **arrays))
 
 
 def write_json(path: Path, values: Any) -> None:

@@ -17,8 +17,7 @@ from scenemi.scene.mesh_surface import MeshSurface
 from scenemi.scene.sdf_surface import SdfSolid
 from video2anim.errors import InputError
 from video2anim.geometry.sdf import SdfGrid
-
-_ORTHONORMAL_TOLERANCE = 1e-4
+from video2anim.types.checks import ROTATION_TOLERANCE
 
 
 class Solid(Protocol):
@@ -105,7 +104,7 @@ class SceneGeometry:
             ValueError: not a rigid motion.
         """
         rotation = T_target_world[:3, :3]
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ORTHONORMAL_TOLERANCE or np.linalg.det(rotation) < 0:
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
             raise ValueError("SceneGeometry.transformed: want a rotation and a shift, distances must not change")
         return SceneGeometry(tuple((T_target_world @ T_world_solid, solid) for T_world_solid, solid in self.parts))
 

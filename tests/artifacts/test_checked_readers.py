@@ -24,7 +24,7 @@ from video2anim.artifacts.folder import folder_digest, value_digest
 from video2anim.artifacts.images import read_png
 from video2anim.artifacts.manifest import Manifest, read_manifest
 from video2anim.artifacts.meshes import read_ply, write_ply
-from video2anim.artifacts.motion_io import motion_arrays, read_motion, write_motion
+from video2anim.artifacts.motion_io import read_motion, write_motion
 from video2anim.errors import ArtifactError
 from video2anim.types import (
     BodyTracks,
@@ -42,6 +42,7 @@ from video2anim.types import (
     SourceInfo,
     VideoClip,
 )
+from video2anim.types.motion_arrays import motion_arrays
 from video2anim.types.quality import Quality
 
 FRAMES, HEIGHT, WIDTH = 6, 9, 12

@@ -27,7 +27,7 @@ from video2anim.artifacts.codec import read_value, write_value
 from video2anim.artifacts.folder import value_digest
 from video2anim.artifacts.images import read_picture
 from video2anim.artifacts.manifest import Manifest, read_manifest
-from video2anim.artifacts.motion_io import motion_arrays, read_motion
+from video2anim.artifacts.motion_io import read_motion
 from video2anim.artifacts.user_files import MESH_SUFFIXES, content_digest, read_mesh_file
 from video2anim.errors import ArtifactError, InputError
 from video2anim.types import (
@@ -38,6 +38,7 @@ from video2anim.types import (
     PersonQuality,
     SceneModel,
 )
+from video2anim.types.motion_arrays import motion_arrays
 from video2anim.types.quality import Quality
 
 EXAMPLES = int(os.environ.get("VIDEO2ANIM_FUZZ_EXAMPLES", "15"))

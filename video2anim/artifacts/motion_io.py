@@ -14,8 +14,9 @@ from video2anim.artifacts.arrays import Axes, opened_archive
 from video2anim.artifacts.stage_files import first_fault
 from video2anim.errors import ArtifactError
 from video2anim.types.camera import Intrinsics
-from video2anim.types.checks import is_array
+from video2anim.types.checks import ROTATION_TOLERANCE, is_array
 from video2anim.types.motion import BodyMotion, BodyShape
+from video2anim.types.motion_arrays import motion_arrays
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.types.storage import Holds
 
@@ -31,7 +32,6 @@ _KEYS: dict[str, Any] = _SCHEMA | {
 }
 """What is read, and what it must be. `joints_camera_m` follows from the rest and is not read."""
 _LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "width_px", "height_px")
-_ROOT_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -44,33 +44,9 @@ class _Scalars:
 _SCALARS = TypeAdapter(_Scalars)
 
 
-def motion_arrays(motion: BodyMotion) -> dict[str, np.ndarray]:
-    """The arrays of a `motion.npz` (keys: docs/scene_folder.md)."""
-    k = motion.intrinsics
-    return {
-        "joint_names": np.array(JOINT_NAMES),
-        "parents": PARENTS,
-        "frame_time_s": motion.frame_time_s,
-        "valid": motion.valid,
-        "T_world_root": motion.T_world_root,
-        "R_parent_joint": motion.R_parent_joint,
-        "joints_world_m": motion.joints_world_m,
-        "joints_camera_m": motion.joints_camera_m,
-        "T_world_camera": motion.T_world_camera,
-        "intrinsics": np.array([k.fx_px, k.fy_px, k.cx_px, k.cy_px, k.width_px, k.height_px]),
-        "contact": motion.contact,
-        "shape_model": np.array(motion.shape.model),
-        "shape_names": np.array(list(motion.shape.parameters)),
-        "shape_values": np.array(list(motion.shape.parameters.values()), dtype=np.float64),
-        "rest_joints_m": motion.rest_joints_m,
-        "person_id": np.array(motion.person_id),
-    }
-
-
 def write_motion(path: Path, motion: BodyMotion) -> None:
     """Write a motion as `.npz`. Never pickled."""
-    arrays = motion_arrays(motion)
-    np.savez(path, allow_pickle=False, **arrays)
+    np.savez(path, allow_pickle=False, **motion_arrays(motion))
 
 
 def read_motion(path: Path, axes: Axes | None = None) -> BodyMotion:
@@ -93,7 +69,7 @@ def read_motion(path: Path, axes: Axes | None = None) -> BodyMotion:
     if tuple(arrays["joint_names"].tolist()) != JOINT_NAMES or not np.array_equal(arrays["parents"], PARENTS):
         raise ArtifactError(f"joint_names, parents: want the 22 joints in SMPL order, got others in {path}")
     off = np.abs(arrays["T_world_root"][:, :3, :3] - arrays["R_parent_joint"][:, 0]).max((1, 2))
-    if off.max() > _ROOT_TOLERANCE:
+    if off.max() > ROTATION_TOLERANCE:
         raise ArtifactError(
             f"T_world_root: want the rotation of R_parent_joint[:, 0], got another at [{off.argmax()}] in {path}; "
             "turn a body in both"

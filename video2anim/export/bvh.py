@@ -1,6 +1,6 @@
 """BVH: the skeleton and its motion for animation tools.
 
-Centimetres (what the field's retargeting tools expect of BVH), +Y up, 30 fps. OFFSETs are the T-pose; the root has six
+Centimeters (what the field's retargeting tools expect of BVH), +Y up, 30 fps. OFFSETs are the T-pose; the root has six
 channels, the others three. Rotation channels are `Zrotation Yrotation Xrotation`: R = Rz Ry Rx, in degrees. BVH has
 no place for missing measurements: such frames hold the held or interpolated pose of the motion.
 """
@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.export.character import Character
+from video2anim.export.frames import CENTIMETERS_PER_METER
 from video2anim.types import BodyMotion
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
-CENTIMETERS_PER_METER = 100.0
 _GIMBAL_COSINE = 1e-6
 
 

@@ -12,6 +12,7 @@ OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 _SAME = 1e-9
 """From one frame to the next; a thousandth of what counts for a whole clip, so that slow motion is not lost."""
+CENTIMETERS_PER_METER = 100.0
 ZUP_FROM_YUP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """R_zup_yup: +Y up to +Z up by a quarter turn about +X, as Blender's glTF import does."""
 

@@ -29,6 +29,7 @@ from video2anim.export.frames import (
     vertical_fov_rad,
 )
 from video2anim.export.gltf_buffer import GltfBuffer
+from video2anim.geometry.projection import NEAR_M
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
 from video2anim.geometry.vertex_normals import vertex_normals
 from video2anim.types import BodyMotion, Contact, Hold, Mesh, PlacedObject, RoomPiece, Texture
@@ -47,7 +48,7 @@ class SceneMeshes(Protocol):
 
 
 SKIN_RGB = (205, 163, 138)
-NEAR_M, FAR_M = 0.05, 1000.0
+FAR_M = 1000.0
 """Clipping range of cameras."""
 _UNLIT = "KHR_materials_unlit"
 

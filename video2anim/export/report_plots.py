@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from scenemi.metrics import GMD_SPEED_M_S
+from video2anim.export.frames import CENTIMETERS_PER_METER
 from video2anim.export.quality import MotionQuality
 from video2anim.types import BodyMotion, Contact, SceneModel
 from video2anim.viewer.contacts import touched_name, touched_rgb
@@ -25,7 +26,6 @@ _BAR = 0.8
 """Share of its row that a bar, or bars of one time together, fill."""
 _LETTER = 0.011
 """Width of a small letter as a share of the plot's: a bar names its surface where there is room."""
-_CENTIMETERS_PER_METER = 100.0
 
 
 def data_uri(content: bytes, media_type: str) -> str:
@@ -49,7 +49,7 @@ def clearance_plot(qualities: Mapping[str, MotionQuality]) -> str:
     axes.axhline(0, color="#c0392b", lw=0.8)
     lows, highs = [0.0], [0.0]
     for stage, quality in qualities.items():
-        clearance_cm = quality.clearance_m * _CENTIMETERS_PER_METER
+        clearance_cm = quality.clearance_m * CENTIMETERS_PER_METER
         axes.plot(quality.time_s, clearance_cm, color=STAGE_COLORS[stage], lw=1.2, label=stage)
         finite = clearance_cm[np.isfinite(clearance_cm)]
         lows += finite.tolist()

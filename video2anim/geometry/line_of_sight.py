@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from video2anim.geometry.projection import project
+from video2anim.geometry.projection import NEAR_M, project
 from video2anim.geometry.vertex_normals import vertex_normals
 from video2anim.types.camera import Intrinsics
-
-_NEAR_M = 0.05
 
 
 def visible_vertices(
@@ -28,7 +26,7 @@ def visible_vertices(
     normals = vertex_normals(vertices_camera_m, faces, undefined=(0.0, 0.0, 0.0))
     facing = np.einsum("ij,ij->i", normals, vertices_camera_m) < 0
     seen = np.zeros(len(z), dtype=bool)
-    candidate = np.flatnonzero((z > _NEAR_M) & facing)
+    candidate = np.flatnonzero((z > NEAR_M) & facing)
     if not len(candidate):
         return seen
     pixels = project(vertices_camera_m[candidate], intrinsics)
@@ -55,6 +53,6 @@ def surface_points(
 ) -> Float[np.ndarray, "points 3"]:
     """Corners, middles of the edges and centroids of the triangles that lie before the camera."""
     corners = vertices_camera_m[faces]
-    corners = corners[(corners[..., 2] > _NEAR_M).all(-1)]
+    corners = corners[(corners[..., 2] > NEAR_M).all(-1)]
     middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
     return np.concatenate([corners.reshape(-1, 3), middles.reshape(-1, 3), corners.mean(1)])

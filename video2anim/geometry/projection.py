@@ -9,6 +9,9 @@ from jaxtyping import Float
 
 from video2anim.types.camera import Intrinsics
 
+NEAR_M = 0.05
+"""Near plane: what is nearer to a camera than this is not drawn and counts as unseen."""
+
 
 def project(points_camera_m: Any, intrinsics: Intrinsics) -> Any:
     """Pixels (..., 2) of points (..., 3) in front of the camera. numpy or torch.

@@ -20,7 +20,8 @@ from video2anim.types.storage import Holds, IdsOf, OnePer
 
 MAX_M = 1e4
 """Places farther away than 10 km are in the wrong unit."""
-_ROTATION_TOLERANCE = 1e-3
+ROTATION_TOLERANCE = 1e-3
+"""Largest entry by which a rotation may differ from an exact one: files hold it in single precision or as text."""
 
 
 class Checked:
@@ -183,7 +184,7 @@ def _ids_of(mark: IdsOf, value: Any, ids: Any, _: MutableMapping[str, int]) -> s
 def _no_rotation(R: np.ndarray, _: Mapping[str, int]) -> _Rows:
     R = np.clip(R, -2.0, 2.0)  # a product of huge numbers overflows; these are no rotation either
     off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max((-1, -2))
-    return (off > _ROTATION_TOLERANCE) | (np.linalg.det(R) < 0)
+    return (off > ROTATION_TOLERANCE) | (np.linalg.det(R) < 0)
 
 
 def _not_rigid(T: np.ndarray, axes: Mapping[str, int]) -> _Rows:
@@ -202,7 +203,7 @@ def _no_frames(rows: np.ndarray, axes: Mapping[str, int]) -> _Rows:
 _FAULTS: dict[Any, Callable[[np.ndarray, Mapping[str, int]], _Rows]] = {
     Holds.ROTATION: _no_rotation,
     Holds.RIGID: _not_rigid,
-    Holds.DIRECTION: lambda vector, _: np.abs(np.square(np.clip(vector, -2, 2)).sum(-1) - 1.0) > _ROTATION_TOLERANCE,
+    Holds.DIRECTION: lambda vector, _: np.abs(np.square(np.clip(vector, -2, 2)).sum(-1) - 1.0) > ROTATION_TOLERANCE,
     Holds.RISING: _not_rising,
     Holds.FRAMES: _no_frames,
     Holds.SHARES: lambda share, _: (share < -1e-6) | (share > 1 + 1e-6),

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.shaped_body import ShapedBody
+from video2anim.body.shaped_body import CHUNK_FRAMES, ShapedBody
 from video2anim.scene.contact_graph import BODY_PARTS
 from video2anim.types import BodyMotion, Contact
 from video2anim.types.skeleton import forward_kinematics
@@ -22,7 +22,6 @@ UNMEASURED_RGB = (160, 160, 160)
 """Bodies at frames without a measurement are gray."""
 CONTACT_RGB = (205, 48, 38)
 """Parts of the body in contact (probability 1)."""
-_CHUNK_FRAMES = 30
 
 
 class PosedBodies:
@@ -35,8 +34,8 @@ class PosedBodies:
 
     def frames(self, start: int, stop: int) -> Iterator[tuple[Float[np.ndarray, "vertices 3"], ...]]:
         """World vertices of every person at frames start..stop-1."""
-        for first in range(start, stop, _CHUNK_FRAMES):
-            chunk = slice(first, min(first + _CHUNK_FRAMES, stop))
+        for first in range(start, stop, CHUNK_FRAMES):
+            chunk = slice(first, min(first + CHUNK_FRAMES, stop))
             meshes = []
             for motion, body in zip(self.people, self.bodies, strict=True):
                 joints_m, R_world_joint = forward_kinematics(

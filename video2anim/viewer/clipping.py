@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-NEAR_M = 0.05
+from video2anim.geometry.projection import NEAR_M
 
 
 def clip_triangles_near(

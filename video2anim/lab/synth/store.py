@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 
 from video2anim.artifacts.folder import atomic_directory
 from video2anim.artifacts.images import write_png
-from video2anim.artifacts.motion_io import motion_arrays, write_motion
+from video2anim.artifacts.motion_io import write_motion
 from video2anim.export.character import character_of
 from video2anim.export.glb import write_object_glb, write_scene_glb
 from video2anim.geometry.scene_mesh import empty_mesh
@@ -21,6 +21,7 @@ from video2anim.lab.synth.render import PERSON_ID, Picture, Renderer, Sensor
 from video2anim.lab.synth.render.texture import material_rgb, unrolled
 from video2anim.lab.synth.world import FURNITURE_LABELS, LABELS, STRUCTURE_LABELS, Part, SceneObject, Shot
 from video2anim.types import Mesh, PlacedObject, RoomPiece
+from video2anim.types.motion_arrays import motion_arrays
 from video2anim.video import FrameWriter
 
 FORMAT_VERSION = 1
