@@ -42,7 +42,7 @@ from scenemi.evaluation.windows import FPS, EvaluationWindow, KeyframeProtocol, 
 from scenemi.model.choice import SAMPLE_STEPS, load_prior_by_name
 from scenemi.postprocess.in_scene import WITHOUT_PICTURE, SolvedPrior, put_in_scene
 from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow, WindowMotion
-from scenemi.training.noise import PipelineErrors, told_level
+from scenemi.training.noise import PipelineErrors, reported_level
 from video2anim.digest import file_digest
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types.skeleton import forward_kinematics
@@ -187,7 +187,7 @@ def pipeline(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow], erro
     for window in windows:
         turn_rad, shift_m = errors.draw(rng, len(window.translation_m))
         R = window.R_parent_joint @ matrix_from_axis_angle(turn_rad.astype(np.float64))
-        level = told_level(np.random.default_rng(0), turn_rad, shift_m)
+        level = reported_level(np.random.default_rng(0), turn_rad, shift_m)
         every = np.ones(len(R), bool)
         noise = np.tile(level, (len(R), 1))
         shifted_m, rest_m = window.translation_m + shift_m, window.body.rest_joints_m

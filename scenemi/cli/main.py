@@ -72,9 +72,9 @@ def sample_command(
     interval: Annotated[
         int, typer.Option(min=1, max=MAX_FRAMES, help="Frames between keyframes, where the file does not say it.")
     ] = DEFAULT_INTERVAL,
-    noisy: Annotated[bool, typer.Option("--noisy", help="Keyframes are inexact (1 degree, 1 cm): clean them.")] = False,
+    noisy: Annotated[bool, typer.Option("--noisy", help="Keyframes are noisy (1 degree, 1 cm): denoise them.")] = False,
     noise: Annotated[
-        float | None, typer.Option(help="In place of --noisy: how inexact they are, degrees and cm.")
+        float | None, typer.Option(help="In place of --noisy: noise of the keyframes, degrees and cm.")
     ] = None,
     steps: Steps = None,
     temperature: Temperature = None,
@@ -212,16 +212,16 @@ def train_command(
         Path | None, typer.Option(help="Errors of the video pipeline (.npz of training/pipeline_errors.py).")
     ] = None,
     start: Annotated[
-        Path | None, typer.Option(help="Weights to begin from where --out has no checkpoint and they are alike.")
+        Path | None, typer.Option(help="Weights of the same model to start from, if --out has no checkpoint.")
     ] = None,
     pack: Annotated[
         Path | None,
-        typer.Option(help="Train nothing: write the run in --out, and --motion if given, to this folder to carry."),
+        typer.Option(help="Do not train: write the run of --out, and --motion, to this folder, for another machine."),
     ] = None,
     from_pack: Annotated[Path | None, typer.Option(help="Folder of --pack in place of --motion and --start.")] = None,
     device: Device = "auto",
 ) -> None:
-    """Train a model, or go on training it: a run has no end, it stops after --minutes or when it is interrupted."""
+    """Train a model, or continue a run; it goes on until --minutes have passed or it is interrupted."""
     from scenemi.training.packing import unpack_run
     from scenemi.training.runs import RunFiles, clips_for, left_out
 
@@ -350,7 +350,7 @@ def _train(
 
 
 def _refuse_with_pack(packed: Unpacked, scenes: object, start: object, of_motion: dict[str, object]) -> None:
-    """A pack of motion has its settings, one of a run that has begun what it goes on from."""
+    """A pack with motion holds its own settings; a pack of a started run holds the weights it continues from."""
     why = "with --from-pack, which has the run's own; give one of both"
     refuse({"--scenes": scenes, "--start": start if packed.start is not None else None}, why)
     if packed.files is not None:
@@ -358,7 +358,7 @@ def _refuse_with_pack(packed: Unpacked, scenes: object, start: object, of_motion
 
 
 def _expect_places(out: Path, start: Path | None) -> None:
-    """Before the work: weights to begin from, and a folder to write to."""
+    """Check before the work that the weights exist, and make the output folder."""
     if start is not None and not start.is_file():
         raise InputError(f"--start: want a file of weights, found none at {start}")
     out.mkdir(parents=True, exist_ok=True)
@@ -367,8 +367,8 @@ def _expect_places(out: Path, start: Path | None) -> None:
 def _note_on_young_weights(steps: int) -> None:
     if steps < YOUNG_STEPS:
         note(
-            f"these weights have seen {steps} steps and are of no use yet; what ships has some thousands, and "
-            "the same command goes on from here"
+            f"weights of {steps} steps are not usable yet (the shipped ones have several thousand); run the same "
+            "command again to continue"
         )
 
 

@@ -1,4 +1,4 @@
-"""How often each clip is drawn: kinds and sources evened out, short clips not repeated without end."""
+"""How often each clip is drawn: kinds and sources balanced, repeats of short clips limited."""
 
 from __future__ import annotations
 

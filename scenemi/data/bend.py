@@ -20,7 +20,7 @@ _SHARPEST_PER_M = 0.7
 _WAVES_M = (1.5, 8.0)
 """Length of a bend to one side and back."""
 _SMOOTHING_S = 0.4
-"""Standard deviation over which the way is smoothed: swaying from step to step is no way."""
+"""Standard deviation over which the path is smoothed: sway from step to step is not part of it."""
 
 
 def way_m(clip: SourceClip) -> float:

@@ -1,4 +1,4 @@
-"""What retargeting needs to know of a body, worked out once."""
+"""Measures of a body for retargeting, computed once."""
 
 from __future__ import annotations
 

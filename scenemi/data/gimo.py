@@ -47,8 +47,8 @@ class GimoSequence:
 def read_gimo_sdf(mesh: Path, T_world_mesh: Float[np.ndarray, "4 4"]) -> SdfGrid:
     """Signed distances to what stands on the floor of a room, in the clip's world: solid to 10 cm behind the scan.
 
-    A scan shows the front of objects only. That deep a body that has gone into something is told so; what lies farther
-    behind (under a table, say) was not seen and counts as free.
+    A scan shows the front of objects only. Penetration is measured up to that depth; what lies farther behind (under a
+    table, say) was not seen and counts as free.
 
     Raises:
         InputError: the mesh is missing or broken.

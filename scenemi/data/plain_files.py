@@ -1,4 +1,4 @@
-"""Files that others wrote, read with suspicion: known keys only, sizes within limits, one line for what is wrong."""
+"""Reading of untrusted files: known keys only, sizes within limits, errors of one line."""
 
 from __future__ import annotations
 

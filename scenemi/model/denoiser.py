@@ -2,8 +2,8 @@
 
 The diffusion process runs over what the joined keyframes miss: in the heading of each frame of theirs, in units of the
 error that they make at that distance from a keyframe, with noise that is correlated over time as that error is. Noise
-and signal are alike then, so every step t has something to decide. Of the scene the network
-sees, in every frame, how near solids are to the joints of the current estimate and which way leads out.
+and signal then have the same covariance, so no step t is trivial. The scene enters in every frame as the distance of
+solids from the joints of the current estimate and the direction out of them.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ LIMBS = tuple(
 """A thin post fits between the joints of these: their middles are asked too."""
 POINTS = len(JOINT_NAMES) + len(LIMBS)
 _MIN_SCALE = 0.01
-"""Standard deviations that are no error: at keyframes without noise."""
-_FARTHEST = 6.0
-"""Deviations of an input: larger ones look the same to the network."""
+"""Least scale of a residual, in standard deviations: at exact keyframes there is none."""
+_MAX_INPUT = 6.0
+"""Inputs are clipped to this many standard deviations."""
 _MIN_DEVIATION = 0.03
-"""Of an input: high frequencies of what hardly changes are not blown up."""
+"""Least standard deviation of an input: high frequencies of what hardly changes are not amplified."""
 _STEP_CHANNELS = 128
 
 
@@ -126,7 +126,7 @@ class Denoiser(nn.Module):
         embedding = self.step(step_embedding(t, _STEP_CHANNELS).to(x)) + self.body(given.body)
         tokens = (self._tokens(linear, given, estimate, prepared) - self.token_mean) / self.token_std
         with torch.autocast(x.device.type, torch.bfloat16, enabled=self.half_precision):
-            found = self.network(tokens.clamp(-_FARTHEST, _FARTHEST).flatten(2), embedding).float()
+            found = self.network(tokens.clamp(-_MAX_INPUT, _MAX_INPUT).flatten(2), embedding).float()
         out = linear + (1 - self.alpha_bar[t][:, None, None]).sqrt() * self._frames(found, x.shape[1])
         return given.base + from_heading(prepared.scale * out, prepared.heading)
 

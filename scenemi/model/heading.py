@@ -1,4 +1,4 @@
-"""Motion as the moving body sees it: directions turned into the heading of each frame.
+"""Local frame features: directions of a motion turned into the heading of each frame.
 
 Where in the room a person walks, and which way, does not change how; with positions and directions in the frame of a
 window's first pose a network has to learn that from data. So what it reads of the interpolated keyframes is relative to

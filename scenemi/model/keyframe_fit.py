@@ -1,4 +1,4 @@
-"""Keyframes made exact without a pop: what is missing at them is spread over their neighbors in time.
+"""Keyframes met exactly and smoothly: the residual at them is spread over the neighboring frames.
 
 The differences between the wanted and the made pose (rotations in the tangent space of the made one, translation in
 meters) are joined by a Gaussian process in time with a Matérn-7/2 kernel, and its mean is added to every frame. That

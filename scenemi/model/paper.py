@@ -1,4 +1,4 @@
-"""The paper's denoiser, in its own words (3.1, 3.2, Table 5): a U-Net over frames, an occupancy grid around the first
+"""The paper's denoiser as published (3.1, 3.2, Table 5): a U-Net over frames, an occupancy grid around the first
 frame, offsets to the scene at keyframes, body shape; it predicts the clean window itself."""
 
 from __future__ import annotations

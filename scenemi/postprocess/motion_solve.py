@@ -54,8 +54,8 @@ class SolveConfig:
     limb_rad: float = 0.08
     """Of the rotation of a limb's joint about the reference."""
     trunk_rad: float = 0.05
-    """Of the rotation of the root, spine, neck and head about the reference: what trunk and scene disagree in is the
-    scene's fault."""
+    """Of the rotation of the root, spine, neck and head about the reference: where trunk and scene disagree, the
+    scene gives way."""
     root_m: float = 0.2
     """Of the root about the reference."""
     acceleration_ratio: float = 0.3

@@ -1,4 +1,4 @@
-"""The body's volume as balls carried by the joints: fast to keep clear of boxes, close to the true skin."""
+"""The body's volume as spheres carried by the joints: fast to keep clear of boxes, close to the true skin."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from video2anim.types.skeleton import JOINT_INDEX
 
 _SKIN_SAMPLES = 1500
 _SLACK_M = 0.013
-"""Skin farther outside of a ball than this is not covered by it."""
+"""Skin farther outside of a sphere than this is not covered by it."""
 _GROWTH_M = 0.006
-"""Balls are larger by this than those that fit inside the skin."""
-_MAX_BALL_M = 0.12
+"""Spheres are larger by this than those that fit inside the skin."""
+_MAX_RADIUS_M = 0.12
 _HEAD_SKIN_M = 0.02
 """The head's skin lies this near its convex hull."""
 _SEED = 0
@@ -27,15 +27,15 @@ _SEED = 0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodySpheres:
-    """Balls fixed in the T-pose frames of joints."""
+    """Spheres fixed in the T-pose frames of joints."""
 
     joint: Int[np.ndarray, "spheres"]
-    center_joint_m: Float[np.ndarray, "balls 3"]
+    center_joint_m: Float[np.ndarray, "spheres 3"]
     radius_m: Float[np.ndarray, "spheres"]
 
     def placed(
         self, joints_m: Float[np.ndarray, "frames 22 3"], R_world_joint: Float[np.ndarray, "frames 22 3 3"]
-    ) -> Float[np.ndarray, "3 frames balls"]:
+    ) -> Float[np.ndarray, "3 frames spheres"]:
         """Centers in the frame of the joints, coordinates first, float32."""
         rotation = np.asarray(R_world_joint, np.float32)[:, self.joint]
         offset = (rotation @ self.center_joint_m[:, :, None])[..., 0]
@@ -43,9 +43,10 @@ class BodySpheres:
 
 
 def fit_spheres(body: ShapedBody) -> BodySpheres:
-    """Balls inside the T-posed skin, each touching it twice, as few as come within 13 mm of all of it; then 6 mm more.
+    """Spheres inside the T-posed skin, each touching it twice, as few as come within 13 mm of all of it; then 6 mm
+    larger.
 
-    In captured clips of the same body 1 % of the skin lies more than 13 mm outside of all balls, the farthest 2.6 cm
+    In captured clips of the same body 1 % of the skin lies more than 13 mm outside of all spheres, the farthest 2.6 cm
     (in front of the shoulders, where linear blending folds); bodies of other shapes differ by up to 7 cm.
     """
     skin_m, part, normal = _outer_skin(body)
@@ -67,12 +68,12 @@ def fit_spheres(body: ShapedBody) -> BodySpheres:
 
 @functools.lru_cache(maxsize=1)
 def adult_spheres() -> BodySpheres:
-    """Balls of the middle adult."""
+    """Spheres of the middle adult."""
     return fit_spheres(shaped_body(BodyShape("anny", dict(ADULT))))
 
 
 def _kin(part: Int[np.ndarray, "points"]) -> np.ndarray:
-    """Whether two points belong to the same joint: a ball covers only skin that moves with it."""
+    """Whether two points belong to the same joint: a sphere covers only skin that moves with it."""
     return part[:, None] == part[None]
 
 
@@ -94,9 +95,9 @@ def _outer_skin(body: ShapedBody) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _inscribed_radius(points_m: np.ndarray, normal: np.ndarray) -> Float[np.ndarray, "points"]:
-    """Radius of the largest ball that touches the skin at each point from inside and holds no other point."""
+    """Radius of the largest sphere that touches the skin at each point from inside and holds no other point."""
     toward = points_m[None] - points_m[:, None]
     depth = -np.einsum("pqd,pd->pq", toward, normal)
     gap2 = np.einsum("pqd,pqd->pq", toward, toward)
     radius = np.where(depth > 1e-6, gap2 / np.maximum(2 * depth, 1e-12), np.inf)
-    return np.clip(radius.min(axis=1), 0.0, _MAX_BALL_M)
+    return np.clip(radius.min(axis=1), 0.0, _MAX_RADIUS_M)

@@ -27,9 +27,9 @@ from video2anim.types.clip import FPS
 _QUARTER = np.pi / 2
 _BEYOND_M = 3.0
 _SNUG_M = 0.01
-"""Supports are put against balls smaller by this, which end where the skin does."""
+"""Supports are put against spheres smaller by this, which end where the skin does."""
 _THIN_M = 0.012
-"""Anchors may lie this far outside of the balls before these are made larger."""
+"""Anchors may lie this far outside of the spheres before these are made larger."""
 _THICKEST_M = 0.1
 
 
@@ -138,7 +138,7 @@ class SyntheticScenes:
             R_world_joint: orientations in the canonical frame.
             anchors_m: anchors of the posed skin.
             contact: joints known to rest on something; still joints are found without it too.
-            balls: volume of this body (`fit_spheres`); else the mean adult's, thickened until it holds the anchors.
+            spheres: volume of this body (`fit_spheres`); else the mean adult's, thickened until it holds the anchors.
             blind_m: joints of a filling of the same keyframes that sees no scene: solids are put where it goes and the
                 body does not (`scenemi.scene.telling`).
         """
@@ -258,7 +258,7 @@ def _add(named: list[tuple[str, Boxes]], found: tuple[str, Boxes] | None) -> Non
 def _sweep(
     joints_m: np.ndarray, R_world_joint: np.ndarray, anchors_m: np.ndarray | None, spheres: BodySpheres | None
 ) -> tuple[SweptBody, BodySpheres]:
-    """The swept balls; without a body of its own, the adult's, thickened until the skin's anchors are inside."""
+    """The swept spheres; without a body of its own, the adult's, thickened until the skin's anchors are inside."""
     known = spheres is not None
     spheres = spheres if spheres is not None else adult_spheres()
     center_m, radius_m = spheres.placed(joints_m, R_world_joint), spheres.radius_m

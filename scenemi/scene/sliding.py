@@ -1,8 +1,8 @@
 """Where furniture can stand so that nothing of a moving body is in it: free places along a line, by interval.
 
-A piece keeps its turn and its sideways place and slides along its own z axis. Each ball of the swept body blocks an
-interval of that line for each box of the piece; what no interval covers is free. This is exact for balls and boxes and
-needs no rejection: a piece is pushed to the place that leaves the clearance asked for.
+A piece keeps its turn and its sideways place and slides along its own z axis. Each sphere of the swept body blocks an
+interval of that line for each box of the piece; what no interval covers is free. This is exact for spheres and boxes
+and needs no rejection: a piece is pushed to the place that leaves the clearance asked for.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _PIECES_APART_M = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SweptBody:
-    """Balls of all frames in the canonical frame."""
+    """Spheres of all frames in the canonical frame."""
 
-    center_m: Float[np.ndarray, "3 frames balls"]
+    center_m: Float[np.ndarray, "3 frames spheres"]
     radius_m: Float[np.ndarray, "spheres"]
 
     def bottom_m(self, spheres: Bool[np.ndarray, "spheres"]) -> Float[np.ndarray, "frames"]:
-        """Lowest point of some balls in each frame."""
+        """Lowest point of some spheres in each frame."""
         return (self.center_m[1][:, spheres] - self.radius_m[spheres]).min(axis=1)
 
 

@@ -23,7 +23,7 @@ _WRISTS = (JOINT_INDEX["left_wrist"], JOINT_INDEX["right_wrist"])
 _BACK = JOINT_INDEX["spine3"]
 _PELVIS, _HEAD = JOINT_INDEX["pelvis"], JOINT_INDEX["head"]
 _TOUCH_M = 0.002
-"""Supports end this far below the lowest ball, so that balls do not block them."""
+"""Supports end this far below the lowest sphere, so that spheres do not block them."""
 _CARRIED_M = 0.05
 """A part with a support this near needs no other."""
 
@@ -64,7 +64,7 @@ class Motion:
 
 
 def supports(rng: np.random.Generator, motion: Motion, config: RestConfig) -> list[tuple[str, Boxes]]:
-    """Named supports, none with a ball of the body in it."""
+    """Named supports, none with a sphere of the body in it."""
     speed = np.linalg.norm(np.diff(motion.joints_m, axis=0, prepend=motion.joints_m[:1]), axis=-1) * motion.fps
     still = speed < config.slowest_m_s
     found: list[tuple[str, Boxes]] = []
@@ -109,7 +109,7 @@ def _behind_back(rng: np.random.Generator, motion: Motion, frame: int, top_m: fl
 def _bottom_m(
     motion: Motion, spheres: np.ndarray, start: int, stop: int, around_m: np.ndarray, within_m: float
 ) -> float:
-    """Lowest point of balls near a place in some frames."""
+    """Lowest point of spheres near a place in some frames."""
     center_m, radius_m = motion.body.center_m[:, start:stop][:, :, spheres], motion.body.radius_m[spheres]
     beside2 = (center_m[0] - around_m[0]) ** 2 + (center_m[2] - around_m[2]) ** 2
     bottom_m = np.where(beside2 < within_m**2, center_m[1] - radius_m, np.inf)

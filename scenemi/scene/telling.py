@@ -18,7 +18,7 @@ _MIN_GAP_M = 0.03
 _FRAME_STEP = 2
 """Of the blind path every so many frames are candidates."""
 _NEIGHBORS = 8
-"""Ball centers looked at for the distance to the sweep: balls differ in size, the nearest center is not enough."""
+"""Sphere centers looked at for the distance to the sweep: spheres differ in size, the nearest center is not enough."""
 _TRIES = 18
 _CLEARANCE_M = (0.01, 0.06)
 _FORMS: tuple[tuple[str, float, tuple[float, float]], ...] = (
@@ -37,12 +37,12 @@ class TrueSweep:
         self._tree = KDTree(self.center_m.T, balanced_tree=False, compact_nodes=False)
 
     def gap_m(self, points_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points"]:
-        """Distance to the sweep, negative inside; too large where a far big ball is nearer than eight small ones."""
-        distance_m, ball = self._tree.query(points_m, k=min(_NEIGHBORS, len(self.radius_m)))
-        return (distance_m - self.radius_m[ball]).min(-1)
+        """Distance to the sweep, negative inside; too large where a far big sphere is nearer than eight small ones."""
+        distance_m, sphere = self._tree.query(points_m, k=min(_NEIGHBORS, len(self.radius_m)))
+        return (distance_m - self.radius_m[sphere]).min(-1)
 
     def clear_of(self, box: Boxes, clearance_m: float) -> bool:
-        """Whether no ball comes nearer to a box than the clearance."""
+        """Whether no sphere comes nearer to a box than the clearance."""
         x, y, z = (self.center_m[a] - np.float32(box.center_m[0, a]) for a in range(3))
         cos, sin = np.float32(np.cos(box.yaw_rad[0])), np.float32(np.sin(box.yaw_rad[0]))
         half, reach = box.half_m[0].astype(np.float32), self.radius_m + np.float32(clearance_m)
@@ -59,7 +59,7 @@ def telling_solids(
 
     Args:
         rng: source of everything random.
-        body: the true body's balls, canonical frame, floor at y = 0.
+        body: the true body's spheres, canonical frame, floor at y = 0.
         blind_m: joints of the scene-blind filling.
         count: how many are tried.
     """

@@ -1,4 +1,4 @@
-"""Batches by step: all that is random about one comes from (seed, step) and the pool, so runs can be cut anywhere."""
+"""Batches by step: all random choices follow from (seed, step) and the pool, so a run can stop and resume anywhere."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from scenemi.model.diffusion import STEPS
 from scenemi.scene.rows import BoxRows, SceneRows, VolumeRows
 from scenemi.training.config import TrainConfig
 from scenemi.training.keyframe_masks import draw_mask, draw_observed_mask
-from scenemi.training.noise import PipelineErrors, gaussian, told_level
+from scenemi.training.noise import PipelineErrors, gaussian, reported_level
 from scenemi.training.pool import UNITS_PER_METER, AnyShard, SceneShard, stored_scenes
 from video2anim.body.shaped_body import ShapedBody
 
@@ -43,7 +43,7 @@ class Batch:
     local_known: Float[Tensor, "batch"]
     """The same of the paper's local part."""
     noise: Float[Tensor, "batch frames 2"]
-    """Noise of the keyframes as the model is told: degrees and centimeters."""
+    """Noise level of the keyframes that the model gets: degrees and centimeters."""
     step: Int[Tensor, "batch"]
     """Diffusion step."""
     looked_at: Int[Tensor, "batch"]
@@ -135,18 +135,18 @@ class PoolBatches:
     def _noise(
         self, rng: np.random.Generator, noisy: np.ndarray, piped: np.ndarray, frames: int, count: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Told noise of all windows (B, N, 2), and turns and shifts of the noisy ones."""
-        told = np.zeros((count, frames, 2), np.float32)
+        """Reported noise of all windows (B, N, 2), and turns and shifts of the noisy ones."""
+        reported = np.zeros((count, frames, 2), np.float32)
         turn_rad = np.zeros((len(noisy), frames, 22, 3), np.float32)
         shift_m = np.zeros((len(noisy), frames, 3), np.float32)
         for row, i in enumerate(noisy):
             if piped[i] and self.errors is not None:
                 turn_rad[row], shift_m[row] = self.errors.draw(rng, frames)
-                told[i] = told_level(rng, turn_rad[row], shift_m[row])
+                reported[i] = reported_level(rng, turn_rad[row], shift_m[row])
             else:
-                told[i] = level = rng.random()
+                reported[i] = level = rng.random()
                 turn_rad[row], shift_m[row] = gaussian(rng, frames, level)
-        return told, turn_rad, shift_m
+        return reported, turn_rad, shift_m
 
     def of_step(self, step: int) -> tuple[Batch, ...]:
         """The batches of a step."""

@@ -37,7 +37,7 @@ class Helpers:
             StageError: a helper has died.
         """
         for (pipe, _), batch in zip(self._helpers, batches[1:], strict=True):
-            with contextlib.suppress(OSError):  # told below
+            with contextlib.suppress(OSError):  # reported below
                 pipe.send(batch)
         with one_thread():
             found = [gradients(self.loss, batches[0])]

@@ -20,8 +20,8 @@ from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_mat
 _DEGREE = math.radians(1)
 _SIZES = (0.4, 1.3)
 """Recorded errors are made smaller and larger by this: other people, cameras and lenses."""
-_TOLD = 0.25
-"""Standard deviation of the logarithm of told over true noise: an estimator does not know its own error exactly."""
+_REPORTED_SPREAD = 0.25
+"""Standard deviation of the logarithm of reported over true noise: an estimator does not know its own error exactly."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,12 +79,12 @@ def gaussian(
     return turn * np.float32(level * _DEGREE), shift * np.float32(0.01 * level)
 
 
-def told_level(
+def reported_level(
     rng: np.random.Generator, turn_rad: Float[np.ndarray, "frames 22 3"], shift_m: Float[np.ndarray, "frames 3"]
 ) -> tuple[float, float]:
-    """What a model is told of a window's noise: about its root mean square, in degrees and centimeters."""
+    """Noise level that the model gets for a window: about its root mean square, in degrees and centimeters."""
     true = np.array([np.sqrt(np.square(turn_rad).mean()) / _DEGREE, 100 * np.sqrt(np.square(shift_m).mean())])
-    degrees, centimeters = true * np.exp(rng.normal(0.0, _TOLD, 2))
+    degrees, centimeters = true * np.exp(rng.normal(0.0, _REPORTED_SPREAD, 2))
     return float(degrees), float(centimeters)
 
 

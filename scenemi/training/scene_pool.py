@@ -1,9 +1,9 @@
 """Captured clips with their scenes, made ready for training: converted once, then a volume of distances per window.
 
-`prepare_scenes` reads a data set once and leaves a folder of our own: the clips as a motion archive and each scene as
-distances in 8 bits. From these the usual machinery retargets, draws and augments, but for what would part a motion from
-its scene: no arms of other clips, no bent paths; mirroring reflects the volume too, backward in time and other speeds
-change nothing of where the body is.
+`prepare_scenes` reads a data set once and writes a folder in this package's formats: the clips as a motion archive and
+each scene as distances in 8 bits. From these the motion set retargets, draws and augments, except by what would
+separate a motion from its scene: no limbs of other clips, no bent paths. Mirroring reflects the volume too; reversed
+time and other speeds do not change where the body is.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a run is watched by: sampled in-betweening on fixed windows of the validation part, without and with scenes."""
+"""Validation during training: in-betweening of fixed windows of the validation part, without and with scenes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Validation:
 
     interval: int
     scene: bool
-    """Whether the denoiser was shown the scenes; they are there in either case where `inside` is told."""
+    """Whether the scenes were inputs of the denoiser; `inside` is measured against them in either case."""
     mjpe_ratio: float
     """Mean joint error over that of the joined keyframes."""
     jerk_ratio: float

@@ -412,7 +412,7 @@ def test_train_writes_weights_that_sample_and_can_go_on(
         done = scenemi(*words, "--out", tmp_path / "run", "--minutes", "0.02", "--device", "cpu")
         assert done.code == 0, done.err
         steps.append(load_weights(weights).card["steps"])
-        assert f"these weights have seen {steps[-1]} steps and are of no use yet" in done.err
+        assert f"weights of {steps[-1]} steps are not usable yet" in done.err
         assert load_weights(weights).card["licenses"] == {"synthetic": "own"}
     assert 0 < steps[0] < steps[1], "the second call goes on from the first"
     for more, frames in (((), 61), (("--noisy", "--temperature", "0.5"), 61), (("--length", "690"), 690)):

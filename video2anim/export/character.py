@@ -20,11 +20,11 @@ INFLUENCES = 4
 _REST_TOLERANCE_M = 1e-3
 
 
-_GOES_ON = {"pelvis": "spine1", "spine3": "neck"}
-"""Where the limb goes on at joints of several children."""
+_MAIN_CHILD = {"pelvis": "spine1", "spine3": "neck"}
+"""Child that the frame of a joint with several children points to."""
 _FORWARD, _UP = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
 _POINTS_FORWARD = 0.7
-"""Cosine to the forward axis from which on it is no good for the other axes of a frame; feet are beyond."""
+"""Cosine to the forward axis above which a bone (the foot) takes the up axis as reference of its frame instead."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +118,7 @@ class Character:
         for joint, name in enumerate(JOINT_NAMES):
             children = np.flatnonzero(joint == PARENTS).tolist()
             if children:
-                onward = JOINT_INDEX[_GOES_ON[name]] if len(children) > 1 else children[0]
+                onward = JOINT_INDEX[_MAIN_CHILD[name]] if len(children) > 1 else children[0]
                 along = rest_m[onward] - rest_m[joint]
             elif tips_m[joint].any():
                 along = tips_m[joint]

@@ -22,12 +22,12 @@ from video2anim.viewer.software import framed_points
 from video2anim.viewer.viewpoint import Viewpoint, fit_viewpoint, looking
 
 _BODY_OPACITY = 0.8
-_CLEAR_SIGHT = ((1, 0.25), (-1, 0.25), (1, 0.7), (-1, 0.7), (1, 1.2))
-"""Sides and elevations of a side view, in radians, in the order they are tried."""
-_LOOKED_AT = 40
-"""Frames whose bodies are asked whether they are hidden."""
+_SIDE_VIEWS = ((1, 0.25), (-1, 0.25), (1, 0.7), (-1, 0.7), (1, 1.2))
+"""Candidates of the side view in order of preference: side (+1 or -1) and elevation in radians."""
+_CHECKED_FRAMES = 40
+"""Frames in which it is tested whether objects hide the bodies."""
 _HIDDEN_SHARE = 0.15
-"""More of the joints than this may not be hidden."""
+"""A view that hides more of the joints than this is not taken, if another hides fewer."""
 _SIGHT_STEPS = 60
 _TEXT_RGB = (40, 44, 52)
 _AROUND_M = tuple(np.array([x, 0.0, z]) for x in (-0.4, 0.4) for z in (-0.4, 0.4))
@@ -142,25 +142,27 @@ def side_viewpoint(people: tuple[BodyMotion, ...], scene: SceneModel, width_px: 
     """A camera at right angles to the filming one that sees all bodies and the objects near them. Where objects would
     hide the bodies from there, it looks from the other side, or from higher up."""
     joints_m = [body.joints_world_m[body.valid] for body in people]
-    asked_m = [own[:: max(1, len(own) // _LOOKED_AT)].reshape(-1, 3) for own in joints_m]
+    checked_m = [own[:: max(1, len(own) // _CHECKED_FRAMES)].reshape(-1, 3) for own in joints_m]
     sideways = np.cross([0.0, 1.0, 0.0], main_person(people).view().forward)
-    return _clear_viewpoint(framed_points(people, scene), np.concatenate(asked_m), sideways, scene, width_px, height_px)
+    return _clear_viewpoint(
+        framed_points(people, scene), np.concatenate(checked_m), sideways, scene, width_px, height_px
+    )
 
 
 def _clear_viewpoint(
     points_m: Float[np.ndarray, "points 3"],
-    asked_m: Float[np.ndarray, "asked 3"],
+    checked_m: Float[np.ndarray, "checked 3"],
     sideways: Float[np.ndarray, "3"],
     scene: SceneModel,
     width_px: int,
     height_px: int,
 ) -> Viewpoint:
-    """The first that hides few of the points asked about, else the one that hides the fewest."""
+    """The first candidate that hides few of the checked points, else the one that hides the fewest."""
     found = []
-    for side, elevation_rad in _CLEAR_SIGHT:
+    for side, elevation_rad in _SIDE_VIEWS:
         R_world_camera = looking(side * sideways, elevation_rad)
         viewpoint = fit_viewpoint(points_m, R_world_camera, width_px=width_px, height_px=height_px)
-        found.append((hidden_share(asked_m, viewpoint, scene), viewpoint))
+        found.append((hidden_share(checked_m, viewpoint, scene), viewpoint))
         if found[-1][0] <= _HIDDEN_SHARE:
             return viewpoint
     return min(found, key=lambda one: one[0])[1]
@@ -171,7 +173,7 @@ def hidden_share(points_m: Float[np.ndarray, "points 3"], viewpoint: Viewpoint, 
     if not len(points_m):
         return 0.0
     grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
-    # Not the last bit: what a body sits in does not hide it.
+    # Without the last 5 %: the seat of a body does not hide it.
     along = np.linspace(0.0, 0.95, _SIGHT_STEPS)[:, None]
     camera_m = viewpoint.T_world_camera[:3, 3]
     sights_m = camera_m + along * (points_m[:, None] - camera_m)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from scenemi import metrics
 from video2anim.body.anny_body import shaped_body
+from video2anim.body.shaped_body import CHUNK_FRAMES
 from video2anim.geometry.sdf import sample_sdf
 from video2anim.types import BodyMotion, SceneModel
 from video2anim.types.quality import Quality, Unit
@@ -16,8 +17,8 @@ from video2anim.types.skeleton import forward_kinematics
 
 VERTEX_STRIDE = 8
 """Every such vertex of the body is tested against the scene."""
-_CHUNK_FRAMES = 60
-_WORTH_A_LOOK_M = 0.01
+_PICTURED_DEPTH_M = metrics.INSIDE_M
+"""Shallower penetrations get no picture."""
 _SHORTEST_SPAN = 4
 """Frames below which a third difference does not exist."""
 
@@ -76,7 +77,7 @@ def worst_moments(quality: MotionQuality, span: slice) -> tuple[Moment, ...]:
     """The deepest penetration, the fastest skating and the strongest jerk, where there is any."""
     found = []
     curves: tuple[tuple[str, np.ndarray, float, float, Unit], ...] = (
-        ("penetration_max", quality.clearance_m, _WORTH_A_LOOK_M, -1.0, "m"),
+        ("penetration_max", quality.clearance_m, _PICTURED_DEPTH_M, -1.0, "m"),
         ("skating_max", quality.skating_m_s, metrics.KIMODO_SPEED_M_S, 1.0, "m/s"),
         ("jerk_max", quality.jerk_m_s3, 0.0, 1.0, "m/s^3"),
     )
@@ -100,8 +101,8 @@ def scene_distance_m(motion: BodyMotion, scene: SceneModel, span: slice) -> Floa
     body = shaped_body(motion.shape)
     index = np.arange(0, len(body.rest_vertices_m), VERTEX_STRIDE)
     distances = []
-    for first in range(span.start, span.stop, _CHUNK_FRAMES):
-        chunk = slice(first, min(first + _CHUNK_FRAMES, span.stop))
+    for first in range(span.start, span.stop, CHUNK_FRAMES):
+        chunk = slice(first, min(first + CHUNK_FRAMES, span.stop))
         joints_m, R_world_joint = forward_kinematics(
             motion.R_parent_joint[chunk], motion.T_world_root[chunk, :3, 3], motion.rest_joints_m
         )

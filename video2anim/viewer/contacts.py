@@ -1,4 +1,4 @@
-"""Colors and lines that tell who touches what, alike in the viewer and the report."""
+"""Colors and labels of contacts, the same in the viewer and the report."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ OBJECT_RGB = (
     (31, 111, 178), (217, 130, 43), (26, 127, 75), (140, 86, 175), (120, 72, 30), (23, 154, 165), (190, 150, 20),
     (214, 93, 150),
 )  # fmt: skip
-"""By the object's number, over and over: hues that are told apart on white, and
-from the red of contacts with what is not known."""
+"""By object id, repeated: distinct on white, and from the red of contacts with unknown objects."""
 _JITTER_S = 1e-6
-"""Times are compared within what their decimals leave."""
+"""Times of contacts are rounded to fewer decimals than those of frames."""
 
 
 def touched_rgb(object_id: int | None) -> tuple[int, int, int]:

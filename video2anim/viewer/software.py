@@ -21,8 +21,8 @@ TURN_RAD = 0.6
 """Of the usual view against the filming camera's."""
 _SUPERSAMPLING = 2
 _HEADROOM_M = 0.25
-_LOOKED_AT_FRAMES = 15
-"""Of an object that moves, the place in every such frame and the last is kept in the picture."""
+_FRAMED_EVERY = 15
+"""Frames: a moving object is kept in the picture where it is in every such frame and in the last."""
 _WHITE = (255, 255, 255)
 _LINE_PX = 20
 """Height of a line of text."""
@@ -93,7 +93,7 @@ def framed_points(
     center_m = np.median(paths_m, axis=0)
     for placed in scene.objects if scene is not None else ():
         count = len(placed.path[0].T_world_object) if placed.path else 1
-        frames = sorted({*range(0, count, _LOOKED_AT_FRAMES), count - 1})
+        frames = sorted({*range(0, count, _FRAMED_EVERY), count - 1})
         places = [world_vertices(placed, frame) for frame in frames]
         points += [
             vertices_m

@@ -17,7 +17,7 @@ from scenemi.data.windows import MotionSet
 from scenemi.features import JOINTS, ROTATIONS, encode
 from scenemi.scene.field import BoxField
 from scenemi.training.batches import LOOKED_AT, Batch, PoolBatches, mirrored
-from scenemi.training.noise import PipelineErrors, gaussian, told_level
+from scenemi.training.noise import PipelineErrors, gaussian, reported_level
 from scenemi.training.pool import UNITS_PER_METER, Shard
 from video2anim.errors import InputError
 
@@ -253,7 +253,7 @@ def test_a_short_run_goes_back_and_forth(errors: PipelineErrors) -> None:
 def test_told_noise_is_about_the_true_one() -> None:
     rng = np.random.default_rng(0)
     turn_rad, shift_m = gaussian(rng, 200, 0.8)
-    told = np.array([told_level(rng, turn_rad, shift_m) for _ in range(300)])
+    told = np.array([reported_level(rng, turn_rad, shift_m) for _ in range(300)])
     np.testing.assert_allclose(np.exp(np.log(told).mean(0)), 0.8, rtol=0.12)
     assert (np.log(told).std(0) > 0.15).all()
 
