@@ -82,7 +82,8 @@ def evaluated(scene: Path, truth: Path, work: Path) -> dict[str, float | None]:
     target = work / "eval.json"
     call("eval", str(scene), "--truth", str(truth), "--json", str(target))
     groups = {group["key"]: group for group in json.loads(target.read_text())["groups"]}
-    found = {row["key"]: row["values"][0] for name in ("motion", "track", "camera") for row in groups[name]["rows"]}
+    first = [row["qualities"][0] for name in ("motion", "track", "camera") for row in groups[name]["rows"]]
+    found = {quality["key"]: quality["value"] for quality in first}
     body = read_value(BodyTracks, scene / "stages" / "04_humans").people[0]
     limbs_m = np.where(body.valid[:, None, None], body.joints_camera_m[:, JOINTS], np.nan)
     own = {key: found[key] for key in (*EVAL_ROWS, "id_switches", "focal_error", "gravity_error")}

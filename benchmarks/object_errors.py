@@ -127,8 +127,9 @@ def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
     }
     for name, some in moved.items():
         for row in compared_objects(some, furniture, pairs, T):
-            if int(row["object_id"]) in rows:
-                rows[int(row["object_id"])][name] = [row["chamfer"], row["center_error"]]
+            if row[0].object_id in rows:
+                value = {quality.key: quality.value for quality in row}
+                rows[row[0].object_id][name] = [value["chamfer"], value["center_error"]]
     return [row for row in rows.values() if "as it is" in row]
 
 

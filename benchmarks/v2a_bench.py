@@ -21,6 +21,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -138,9 +139,11 @@ def objects(truth: Path, results: Path, names: list[str]) -> dict[str, Any]:
     rows = []
     for name in names:
         found = scene_objects(SceneResult(results / name), read_truth(truth / name))
-        rows += [{"clip": name, **row} for row in found]
-    medians = {key: statistics.median(row[key] for row in rows) for key in OBJECT_MEDIANS} if rows else {}
-    return {"count": len(rows), "medians": medians, "rows": rows}
+        rows += [(name, row) for row in found]
+    values = [{quality.key: quality.value for quality in row} for _, row in rows]
+    medians = {key: statistics.median(value[key] for value in values) for key in OBJECT_MEDIANS} if rows else {}
+    written = [{"clip": name, "qualities": [asdict(quality) for quality in row]} for name, row in rows]
+    return {"count": len(rows), "medians": medians, "rows": written}
 
 
 def prior_at_work(truth: Path, results: Path, names: list[str]) -> dict[str, Any]:
@@ -296,7 +299,7 @@ def pooled(found: dict[str, Any]) -> str:
 
 def row_of(group: dict[str, Any], key: str) -> dict[str, Any]:
     """A row of a group by its key."""
-    return next(row for row in group["rows"] if row["key"] == key)
+    return next(row for row in group["rows"] if row["qualities"][0]["key"] == key)
 
 
 def cell(statistic: dict[str, Any] | None, factor: float) -> str:

@@ -23,7 +23,9 @@ class Judged:
 
     @property
     def groups(self) -> dict[str, dict[str, Any]]:
-        return {group["key"]: {row["key"]: row for row in group["rows"]} for group in self.found["groups"]}
+        return {
+            group["key"]: {row["qualities"][0]["key"]: row for row in group["rows"]} for group in self.found["groups"]
+        }
 
     def mean(self, group: str, key: str, column: int = -1) -> float:
         return self.groups[group][key]["statistics"][column]["mean"]

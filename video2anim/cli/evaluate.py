@@ -89,7 +89,7 @@ def _clip_table(group: Group) -> tuple[list[str], list[list[str]]]:
     for row in group.rows:
         true = [format_number(row.truth) if row.truth is not None else ""] if has_truth else []
         values = [format_number(value) for value in row.values]
-        lines.append([row.name, *values, *true, row.unit, better_text(row.better)])
+        lines.append([row.label, *values, *true, row.unit, better_text(row.better)])
     return heads, lines
 
 
@@ -123,7 +123,7 @@ def _set_table(group: SetGroup) -> tuple[list[str], list[list[str]]]:
             cells.append(f"{mean} [{low}, {high}] {median}")
         counts = "/".join(dict.fromkeys(str(found.count if found else 0) for found in row.statistics))
         true = [format_number(row.truth_mean) if row.truth_mean is not None else ""] if has_truth else []
-        lines.append([row.name, *cells, counts, *true, row.unit, better_text(row.better)])
+        lines.append([row.label, *cells, counts, *true, row.unit, better_text(row.better)])
     return heads, lines
 
 

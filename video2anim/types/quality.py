@@ -6,8 +6,11 @@ import re
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-Better = Literal["lower", "higher", "none"]
-Unit = Literal["m", "m/s", "m/s^3", "px", "deg", "ratio", "%", "count", "MB"]
+Better = Literal["lower", "higher", "near_1", "near_truth", "none"]
+"""Direction; `near_truth`: the nearer to the same measure of the ground truth the better; `none`: a fact."""
+Unit = Literal[
+    "m", "m/s", "m/s^2", "m/s^3", "px", "deg", "ratio", "%", "count", "MB", "Hz", "dB", "/255",
+]  # fmt: skip
 _KEY = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 

@@ -240,9 +240,8 @@ def test_every_other_stage_spoilt(scene: Path, truth_dir: Path, tmp_path: Path) 
     answer = video2anim("eval", scene, "--truth", truth_dir, "--json", tmp_path / "all.json")
     assert (answer.code, answer.err) == (0, "")
     groups = json.loads((tmp_path / "all.json").read_text())["groups"]
-    assert all(
-        v is None for group in groups if group["key"] != "ingest" for row in group["rows"] for v in row["values"]
-    )
+    rows = [row for group in groups if group["key"] != "ingest" for row in group["rows"]]
+    assert all(quality["value"] is None for row in rows for quality in row["qualities"])
     assert answer.out.count("is unreadable") >= len(STAGES) - 1
 
 

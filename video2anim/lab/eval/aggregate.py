@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -92,12 +94,18 @@ def summarize(
             same = [evaluation.groups[i].rows[j] for _, evaluation in evaluated]
             values = tuple(tuple(item.values[column] for item in same) for column in range(len(first.columns)))
             true = [item.truth for item in same]
+            statistics = tuple(statistic(column, seed=seed) for column in values)
             rows.append(
                 SetRow(
-                    row.key, row.name, row.unit, row.better,
-                    tuple(statistic(column, seed=seed) for column in values), _mean(true), values,
+                    tuple(
+                        replace(quality, value=math.nan if found is None else found.mean)
+                        for quality, found in zip(row.qualities, statistics, strict=True)
+                    ),
+                    statistics,
+                    _mean(true),
+                    values,
                 )
-            )  # fmt: skip
+            )
         groups.append(SetGroup(first.key, first.title, first.columns, tuple(rows)))
     return SetEvaluation(
         clips=tuple(name for name, _ in evaluated),

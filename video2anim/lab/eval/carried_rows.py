@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,24 +12,28 @@ from scipy.optimize import linear_sum_assignment
 
 from video2anim.geometry.projection import transform_points
 from video2anim.lab.eval.alignment import FrameMatch
-from video2anim.lab.eval.model import Group, Spec, make_group
+from video2anim.lab.eval.model import Group, make_group
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.true_scene import read_glb
 from video2anim.lab.eval.truth import TrueObject, Truth
 from video2anim.types import PlacedObject, SceneModel
+from video2anim.types.quality import Quality
 
 SAME_PATH_M = 1.0
 """A path farther than this from a true one, on average, is not that object's."""
 MOVES_M = 1e-3
 """An object moves in a frame where a corner of its box goes farther than this from the frame before."""
-_NOTHING_MOVES = "nothing is moved in the clip"
-_NO_PATH = "no path was matched to an object that is moved"
 _OLD = "the truth was made before it told how objects move; make the clip again"
 CARRIED = (
-    Spec("carried_found", "share of the moved objects that have a path", "", "higher", _NOTHING_MOVES),
-    Spec("carried_path_m", "error of the middle while it is moved", "m", "lower", _NO_PATH),
-    Spec("carried_false", "paths of objects that nobody moves", "", "lower"),
+    Quality("carried_found", math.nan, "ratio", "higher"),
+    Quality("carried_path_m", math.nan, "m", "lower"),
+    Quality("carried_false", math.nan, "count", "lower"),
 )
+
+_UNDEFINED = {
+    "carried_found": "nothing is moved in the clip",
+    "carried_path_m": "no path was matched to an object that is moved",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +71,9 @@ def carried_group(
     if any(item.is_moving and item.T_world_object_frames is None for item in truth.objects):
         return make_group("carried", title, CARRIED, {"value": _OLD})
     found = moved_objects(scene.objects, truth, frames, T_true_estimate)
-    return make_group("carried", title, CARRIED, {"value": carried_numbers(found)}, note=_note(found))
+    return make_group(
+        "carried", title, CARRIED, {"value": carried_numbers(found)}, undefined=_UNDEFINED, note=_note(found)
+    )
 
 
 def carried_numbers(found: MovedObjects) -> dict[str, float]:

@@ -9,10 +9,11 @@ from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from video2anim.lab.eval.alignment import FrameMatch
-from video2anim.lab.eval.model import Group, Spec, make_group
+from video2anim.lab.eval.model import Group, make_group
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.truth import Truth
 from video2anim.types import BodyTracks, CameraEstimate, Intrinsics, PersonTracks
+from video2anim.types.quality import Quality
 
 MATCH_IOU = 0.3
 """Least overlap of a landmark box with the box of visible pixels to be the same person: one spans joints also where
@@ -20,28 +21,32 @@ they are hidden, the other skin and clothes where they are not."""
 
 
 INGEST = (
-    Spec("frames", "frames", "", "none"),
-    Spec("fps", "frame rate", "Hz", "none"),
-    Spec("kept", "share of the clip's time that was kept", "", "one"),
-    Spec("static", "fixed or moving camera told right", "", "higher"),
+    Quality("frames", math.nan, "count", "none"),
+    Quality("fps", math.nan, "Hz", "none"),
+    Quality("kept", math.nan, "ratio", "near_1"),
+    Quality("static", math.nan, "ratio", "higher"),
 )
-_UNSEEN = "no person is seen in the truth"
 TRACK = (
-    Spec("recall", "person frames found", "", "higher", _UNSEEN),
-    Spec("main_recall", "frames of the main person found", "", "higher", _UNSEEN),
-    Spec("precision", "found person frames that are right", "", "higher", "nobody was found"),
-    Spec("box_iou", "box overlap (IoU) where found", "", "higher", "nobody was found"),
-    Spec("id_switches", "identity switches", "", "lower"),
+    Quality("recall", math.nan, "ratio", "higher"),
+    Quality("main_recall", math.nan, "ratio", "higher"),
+    Quality("precision", math.nan, "ratio", "higher"),
+    Quality("box_iou", math.nan, "ratio", "higher"),
+    Quality("id_switches", math.nan, "count", "lower"),
 )
-_UNCLAIMED = "no standard deviation was claimed"
 CAMERA = (
-    Spec("focal_error", "focal length error", "%", "lower"),
-    Spec("fov_error", "vertical field of view error", "°", "lower"),
-    Spec("gravity_error", "gravity error", "°", "lower"),
-    Spec("height_error", "camera height error", "m", "lower"),
-    Spec("focal_sigmas", "focal length error over its claimed deviation", "σ", "none", _UNCLAIMED),
-    Spec("gravity_sigmas", "gravity error over its claimed deviation", "σ", "none", _UNCLAIMED),
+    Quality("focal_error", math.nan, "%", "lower"),
+    Quality("fov_error", math.nan, "deg", "lower"),
+    Quality("gravity_error", math.nan, "deg", "lower"),
+    Quality("height_error", math.nan, "m", "lower"),
+    Quality("focal_sigmas", math.nan, "ratio", "none"),
+    Quality("gravity_sigmas", math.nan, "ratio", "none"),
 )
+
+_UNDEFINED = {
+    **dict.fromkeys(("recall", "main_recall"), "no person is seen in the truth"),
+    **dict.fromkeys(("precision", "box_iou"), "nobody was found"),
+    **dict.fromkeys(("focal_sigmas", "gravity_sigmas"), "no standard deviation was predicted"),
+}
 
 
 def ingest_group(result: SceneResult, truth: Truth) -> Group:
@@ -77,7 +82,7 @@ def track_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
         "id_switches": found.switches,
     }
     note = f"{len(tracks.people)} tracks against {len(truth.people)} persons."
-    return make_group("track", "Tracking people", TRACK, {"value": numbers}, note=note)
+    return make_group("track", "Tracking people", TRACK, {"value": numbers}, undefined=_UNDEFINED, note=note)
 
 
 def camera_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
@@ -85,7 +90,7 @@ def camera_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group
     camera, bodies = result.get(CameraEstimate), result.bodies
     true_size = truth.intrinsics
     true_first, first = _first_known(frames)
-    numbers: dict[str, float | str] = {spec.key: result.why(CameraEstimate) for spec in CAMERA}
+    numbers: dict[str, float | str] = {measure.key: result.why(CameraEstimate) for measure in CAMERA}
     note = ""
     if camera is not None:
         lens = camera.intrinsics.resized(true_size.width_px, true_size.height_px)
@@ -104,7 +109,7 @@ def camera_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group
     if bodies is not None and bodies.people:
         true_height_m = truth.main.T_world_camera[true_first, 1, 3]
         numbers["height_error"] = abs(float(bodies.people[0].T_world_camera[first, 1, 3] - true_height_m))
-    return make_group("camera", "Camera", CAMERA, {"value": numbers}, note=note)
+    return make_group("camera", "Camera", CAMERA, {"value": numbers}, undefined=_UNDEFINED, note=note)
 
 
 class BoxMatch:

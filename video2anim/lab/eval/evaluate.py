@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +92,7 @@ class _People:
             person_id=number,
             true_person_id=true_person.person_id,
             distance_px=match.distance_px,
-            groups=(motion_group(stages, true_person, common, T, fps), *bodies.groups()),
+            groups=(motion_group(stages, true_person, common, T, fps, number), *bodies.groups(number)),
             curves=(*motion_curves(there, true_person, common, T, fps), *bodies.curves()),
             plan=plan_of(there, true_person, common, T, self._truth, scene),
         )
@@ -109,7 +110,7 @@ class _People:
             return tuple(mean_group([p.groups[i] for p in evaluated]) for i in range(len(evaluated[0].groups)))
         why = self._result.why(BodyTracks) or "no estimated person was matched to a true one"
         kinds = [("motion", "Motion", MOTION), *((key, title, BODY_IN_SCENE) for key, title in BODY_GROUPS.items())]
-        return tuple(make_group(key, title, specs, dict.fromkeys(MOTION_STAGES, why)) for key, title, specs in kinds)
+        return tuple(make_group(key, title, rows, dict.fromkeys(MOTION_STAGES, why)) for key, title, rows in kinds)
 
     def notes(self) -> list[str]:
         """Persons that have no partner."""
@@ -131,19 +132,14 @@ def mean_group(groups: Sequence[Group]) -> Group:
     """Mean over persons of every number, over those who have it."""
     rows = []
     for same in zip(*(group.rows for group in groups), strict=True):
-        values, reasons = [], []
-        for column in range(len(groups[0].columns)):
+        qualities, reasons = [], []
+        for column, quality in enumerate(same[0].qualities):
             there = [value for row in same if (value := row.values[column]) is not None]
-            values.append(float(np.mean(there)) if there else None)
+            mean = float(np.mean(there)) if there else np.nan
+            qualities.append(replace(quality, value=mean, person_id=None))
             reasons.append("" if there else same[0].reasons[column])
         true = [row.truth for row in same if row.truth is not None]
-        first = same[0]
-        rows.append(
-            Row(
-                first.key, first.name, first.unit, first.better, tuple(values),
-                float(np.mean(true)) if true else None, tuple(reasons),
-            )
-        )  # fmt: skip
+        rows.append(Row(tuple(qualities), float(np.mean(true)) if true else None, tuple(reasons)))
     note = "" if len(groups) == 1 else f"Mean of {len(groups)} persons."
     return Group(groups[0].key, groups[0].title, groups[0].columns, tuple(rows), note)
 

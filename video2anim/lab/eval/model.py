@@ -1,37 +1,58 @@
-"""What an evaluation is made of: rows of numbers in groups, curves, and a plan. Plain values throughout."""
+"""Data of an evaluation: rows of `Quality` in groups, curves, and a plan of the clip from above."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any
 
-Better = Literal["lower", "higher", "one", "truth", "none"]
-"""Direction of a number; `one`: the nearer to 1 the better; `truth`: the nearer to the truth's own number the better;
-`none`: a fact, not a grade."""
+from video2anim.types.quality import Better, Quality, Unit
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Of the JSON form."""
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One number at each column of its group. A value is None where it could not be had; `reasons` says why."""
+class _OneMeasure:
+    """What the numbers of a row have in common."""
 
-    key: str
-    """Stable name, unique in the group."""
-    name: str
-    unit: str
-    """Symbol, or empty for a ratio or count."""
-    better: Better
-    values: tuple[float | None, ...]
-    """One per column of the group; never NaN."""
+    __slots__ = ()
+    qualities: tuple[Quality, ...]
+
+    @property
+    def key(self) -> str:
+        """Unique in the group."""
+        return self.qualities[0].key
+
+    @property
+    def label(self) -> str:
+        return self.qualities[0].label
+
+    @property
+    def unit(self) -> Unit:
+        return self.qualities[0].unit
+
+    @property
+    def better(self) -> Better:
+        return self.qualities[0].better
+
+
+@dataclass(frozen=True, slots=True)
+class Row(_OneMeasure):
+    """One measure at each column of its group."""
+
+    qualities: tuple[Quality, ...]
+    """One per column; NaN where the value is not available."""
     truth: float | None = None
-    """The same number of the truth itself, where it means something (jerk, skating, frame count)."""
+    """The same measure of the ground truth, where it means something (jerk, skating, frame count)."""
     reasons: tuple[str, ...] = ()
-    """One per column, empty where there is a value."""
+    """Why a value is not available; one per column, empty where there is a value."""
+
+    @property
+    def values(self) -> tuple[float | None, ...]:
+        """One per column; None where the value is not available."""
+        return tuple(plain(quality.value) for quality in self.qualities)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,13 +131,11 @@ class Statistic:
 
 
 @dataclass(frozen=True, slots=True)
-class SetRow:
-    """One number over clips, at each column of its group; None where no clip has it."""
+class SetRow(_OneMeasure):
+    """One measure over clips, at each column of its group."""
 
-    key: str
-    name: str
-    unit: str
-    better: Better
+    qualities: tuple[Quality, ...]
+    """Means over clips, one per column; NaN where no clip has the value."""
     statistics: tuple[Statistic | None, ...]
     truth_mean: float | None
     """Mean of the truth's own number over the clips that have it."""
@@ -157,18 +176,6 @@ def plain(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-@dataclass(frozen=True, slots=True)
-class Spec:
-    """A row before it has values."""
-
-    key: str
-    name: str
-    unit: str
-    better: Better
-    undefined: str = "not defined for this clip"
-    """Why the number may be NaN."""
-
-
 Numbers = Mapping[str, float | str]
 """Values by row key; a text is the reason why there is none."""
 
@@ -176,27 +183,40 @@ Numbers = Mapping[str, float | str]
 def make_group(
     key: str,
     title: str,
-    specs: Sequence[Spec],
+    measures: Sequence[Quality],
     columns: Mapping[str, Numbers | str],
     *,
+    undefined: Mapping[str, str] | None = None,
     truth: Mapping[str, float] | None = None,
     note: str = "",
+    person_id: int | None = None,
 ) -> Group:
-    """Rows from the numbers of each column; a text in place of a column is the reason why it has none.
+    """Rows from the numbers of each column; a text in place of a column or number is the reason why there is none.
+
+    Args:
+        key: of the group.
+        title: for people.
+        measures: key, unit and direction of every row, without a value.
+        columns: numbers by measure, by column.
+        undefined: why a number may be NaN, by measure.
+        truth: numbers of the ground truth, by measure.
+        note: what the reader has to know.
+        person_id: whom the numbers describe.
 
     Raises:
         KeyError: a column with numbers lacks a row.
     """
     rows = []
-    for spec in specs:
-        given = [column if isinstance(column, str) else column[spec.key] for column in columns.values()]
-        values = tuple(None if isinstance(value, str) else plain(value) for value in given)
+    for measure in measures:
+        given = [column if isinstance(column, str) else column[measure.key] for column in columns.values()]
+        numbers = [math.nan if isinstance(value, str) else float(value) for value in given]
+        why = (undefined or {}).get(measure.key, "not defined for this clip")
         reasons = tuple(
-            value if isinstance(value, str) else ("" if number is not None else spec.undefined)
-            for value, number in zip(given, values, strict=True)
+            value if isinstance(value, str) else ("" if math.isfinite(number) else why)
+            for value, number in zip(given, numbers, strict=True)
         )
-        true_value = plain((truth or {}).get(spec.key))
-        rows.append(Row(spec.key, spec.name, spec.unit, spec.better, values, true_value, reasons))
+        qualities = tuple(replace(measure, value=number, person_id=person_id) for number in numbers)
+        rows.append(Row(qualities, plain((truth or {}).get(measure.key)), reasons))
     return Group(key, title, tuple(columns), tuple(rows), note)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -11,33 +12,44 @@ from jaxtyping import Bool, Float, Int
 from scenemi import metrics
 from video2anim.geometry.projection import transform_points
 from video2anim.lab.eval.alignment import FrameMatch
-from video2anim.lab.eval.model import Curve, Group, Spec, make_group
+from video2anim.lab.eval.model import Curve, Group, make_group
 from video2anim.types import BodyMotion
+from video2anim.types.quality import Quality
 from video2anim.types.skeleton import FEET
 
 CONTACT_PROBABILITY = 0.5
 _SHORT = "too few common frames"
 MOTION = (
-    Spec("covered", "share of the true frames that were measured", "", "higher"),
-    Spec("mpjpe", "MPJPE, root-relative", "m", "lower", _SHORT),
-    Spec("pa_mpjpe", "PA-MPJPE", "m", "lower", _SHORT),
-    Spec("w_mpjpe", "W-MPJPE", "m", "lower", _SHORT),
-    Spec("wa_mpjpe", "WA-MPJPE", "m", "lower", _SHORT),
-    Spec("rte", "RTE", "%", "lower", "the true root does not move"),
-    Spec("root_error", "root error, absolute", "m", "lower", _SHORT),
-    Spec("root_depth_bias", "root depth, estimate over truth", "", "one", _SHORT),
-    Spec("bridged_mpjpe", "MPJPE of bridged frames, root-relative", "m", "lower", "no frame is bridged"),
-    Spec("acceleration_error", "acceleration error", "m/s²", "lower", _SHORT),
-    Spec("jerk", "jerk", "m/s³", "truth", _SHORT),
-    Spec("skating_gmd", "foot skating (gmd)", "", "lower", _SHORT),
-    Spec("skating_kimodo", "foot skating (kimodo)", "", "lower", "no toe is on the floor"),
-    Spec("skating_rohm", "foot skating (rohm)", "", "lower", _SHORT),
-    Spec("contact_precision", "foot contact precision", "", "higher", "no contact was claimed"),
-    Spec("contact_recall", "foot contact recall", "", "higher", "the feet never touch"),
-    Spec("contact_f1", "foot contact F1", "", "higher", "no contact in truth or estimate"),
-    Spec("contact_f1_motion", "foot contact F1 of the motion itself", "", "higher", "no foot stands in either"),
-    Spec("contact_ratio", "share of foot contacts", "", "truth", _SHORT),
+    Quality("covered", math.nan, "ratio", "higher"),
+    Quality("mpjpe", math.nan, "m", "lower"),
+    Quality("pa_mpjpe", math.nan, "m", "lower"),
+    Quality("w_mpjpe", math.nan, "m", "lower"),
+    Quality("wa_mpjpe", math.nan, "m", "lower"),
+    Quality("rte", math.nan, "%", "lower"),
+    Quality("root_error", math.nan, "m", "lower"),
+    Quality("root_depth_bias", math.nan, "ratio", "near_1"),
+    Quality("bridged_mpjpe", math.nan, "m", "lower"),
+    Quality("acceleration_error", math.nan, "m/s^2", "lower"),
+    Quality("jerk", math.nan, "m/s^3", "near_truth"),
+    Quality("skating_gmd", math.nan, "ratio", "lower"),
+    Quality("skating_kimodo", math.nan, "ratio", "lower"),
+    Quality("skating_rohm", math.nan, "ratio", "lower"),
+    Quality("contact_precision", math.nan, "ratio", "higher"),
+    Quality("contact_recall", math.nan, "ratio", "higher"),
+    Quality("contact_f1", math.nan, "ratio", "higher"),
+    Quality("contact_f1_motion", math.nan, "ratio", "higher"),
+    Quality("contact_ratio", math.nan, "ratio", "near_truth"),
 )
+
+_UNDEFINED = dict.fromkeys((measure.key for measure in MOTION), _SHORT) | {
+    "rte": "the true root does not move",
+    "bridged_mpjpe": "every frame of the span was measured",
+    "skating_kimodo": "no toe is on the floor",
+    "contact_precision": "no contact was predicted",
+    "contact_recall": "the feet never touch",
+    "contact_f1": "no contact in ground truth or estimate",
+    "contact_f1_motion": "no foot stands in either",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,13 +85,15 @@ def motion_group(
     common: CommonFrames,
     T_true_estimate: Float[np.ndarray, "4 4"],
     fps: float,
+    person_id: int,
 ) -> Group:
     """Accuracy, smoothness and contact of each stage; a text in place of a motion says why it is absent."""
     columns = {
         name: motion if isinstance(motion, str) else _numbers(motion, truth, common, T_true_estimate, fps)
         for name, motion in stages.items()
     }
-    return make_group("motion", "Motion", MOTION, columns, truth=_true_numbers(truth, common, fps))
+    true = _true_numbers(truth, common, fps)
+    return make_group("motion", "Motion", MOTION, columns, undefined=_UNDEFINED, truth=true, person_id=person_id)
 
 
 def _numbers(
@@ -88,7 +102,7 @@ def _numbers(
     true_rows = common.true_index[common.measured]
     estimate_m, true_m = motion.joints_world_m[common.measured], truth.joints_world_m[true_rows]
     if len(estimate_m) < 2:
-        return {spec.key: _SHORT for spec in MOTION} | {"covered": len(estimate_m) / max(1, common.true_frames)}
+        return {measure.key: _SHORT for measure in MOTION} | {"covered": len(estimate_m) / max(1, common.true_frames)}
     # Through the shared camera: a wrong up direction of the estimated world turns nothing here.
     in_truth_m = transform_points(T_true_estimate, estimate_m)
     root = metrics.ROOT

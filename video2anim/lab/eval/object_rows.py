@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from video2anim.geometry.projection import transform_points
 from video2anim.lab.eval.alignment import match_frames, resample_nearest, truth_from_estimate
 from video2anim.lab.eval.boxes import OrientedBox, box_iou_3d, box_of, chamfer_m, rest_height_m, surface_points
-from video2anim.lab.eval.model import Group, Spec, make_group
+from video2anim.lab.eval.model import Group, make_group
 from video2anim.lab.eval.picture_rows import mask_iou
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.true_scene import read_glb, world_mesh
@@ -26,6 +27,7 @@ from video2anim.types import (
     PlacedObjects,
     SceneModel,
 )
+from video2anim.types.quality import Quality
 
 MIN_VISIBLE_PX = 2000
 """Pixels of the clip that must be seen of a piece of furniture for it to count."""
@@ -37,27 +39,31 @@ SAME_PLACE_M = 0.5
 """Largest distance of the middles of two objects that no mask ties together."""
 _IGNORED_SHARE = 0.5
 """A surplus instance with this share of its pixels on objects that do not count is neither right nor wrong."""
-_NO_FURNITURE = "no furniture is seen well enough"
 SEGMENT = (
-    Spec("floor_iou", "floor IoU", "", "higher", "no floor is seen"),
-    Spec("precision", "furniture precision at IoU 0.5", "", "higher", "no instance was found"),
-    Spec("recall", "furniture recall at IoU 0.5", "", "higher", _NO_FURNITURE),
-    Spec("f1", "furniture F1 at IoU 0.5", "", "higher", _NO_FURNITURE),
-    Spec("best_iou", "mean best IoU of the furniture", "", "higher", _NO_FURNITURE),
+    Quality("floor_iou", math.nan, "ratio", "higher"),
+    Quality("precision", math.nan, "ratio", "higher"),
+    Quality("recall", math.nan, "ratio", "higher"),
+    Quality("f1", math.nan, "ratio", "higher"),
+    Quality("best_iou", math.nan, "ratio", "higher"),
 )
-_UNMATCHED = "no object was matched"
 COMPLETE = (
-    Spec("amodal_iou", "whole outline (amodal) IoU", "", "higher", _UNMATCHED),
-    Spec("visible_iou", "the same with the visible mask instead", "", "none", _UNMATCHED),
+    Quality("amodal_iou", math.nan, "ratio", "higher"),
+    Quality("visible_iou", math.nan, "ratio", "none"),
 )
-OBJECTS = (
-    Spec("reconstructed", "share of the furniture that has a shape", "", "higher", _NO_FURNITURE),
-    Spec("chamfer", "Chamfer distance", "m", "lower", _UNMATCHED),
-    Spec("center_error", "error of the middle", "m", "lower", _UNMATCHED),
-    Spec("box_iou", "3D box IoU", "", "higher", _UNMATCHED),
-    Spec("height_error", "error of the height of seat or top", "m", "lower", _UNMATCHED),
-    Spec("size_ratio", "box diagonal, estimate over truth", "", "one", _UNMATCHED),
+PER_OBJECT = (
+    Quality("chamfer", math.nan, "m", "lower"),
+    Quality("center_error", math.nan, "m", "lower"),
+    Quality("box_iou", math.nan, "ratio", "higher"),
+    Quality("height_error", math.nan, "m", "lower"),
+    Quality("size_ratio", math.nan, "ratio", "near_1"),
 )
+OBJECTS = (Quality("reconstructed", math.nan, "ratio", "higher"), *PER_OBJECT)
+_UNDEFINED = {
+    "floor_iou": "no floor is seen",
+    "precision": "no instance was found",
+    **dict.fromkeys(("recall", "f1", "best_iou", "reconstructed"), "no furniture is seen well enough"),
+    **dict.fromkeys((measure.key for measure in (*COMPLETE, *PER_OBJECT)), "no object was matched"),
+}
 _SEED = 0
 """Of the points drawn on surfaces: every evaluation draws the same."""
 
@@ -106,7 +112,7 @@ def segment_group(result: SceneResult, truth: Truth) -> Group:
         "best_iou": _best_iou(match, furniture),
     }
     note = f"{found.provider}: {len(found.instances)} instances, {len(furniture)} pieces of furniture count."
-    return make_group("segment", title, SEGMENT, {"value": numbers}, note=note)
+    return make_group("segment", title, SEGMENT, {"value": numbers}, undefined=_UNDEFINED, note=note)
 
 
 def instance_scores(match: MaskMatch, furniture: Sequence[TrueObject], truth: Truth) -> dict[str, float]:
@@ -151,7 +157,7 @@ def complete_group(result: SceneResult, truth: Truth) -> Group:
             numbers["visible_iou"].append(mask_iou(match.masks[number], true))
     means = {key: float(np.mean(values)) if values else np.nan for key, values in numbers.items()}
     note = f"{len(numbers['amodal_iou'])} of {len(furniture)} pieces of furniture matched."
-    return make_group("complete", title, COMPLETE, {"value": means}, note=note)
+    return make_group("complete", title, COMPLETE, {"value": means}, undefined=_UNDEFINED, note=note)
 
 
 def pairs_by_mask(match: MaskMatch) -> dict[int, int]:
@@ -175,7 +181,9 @@ def objects_group(result: SceneResult, truth: Truth, T_true_estimate: Float[np.n
             continue
         columns[name] = _means(compared_objects(value.objects, furniture, by_mask, T_true_estimate), furniture)
         notes.append(f"{name}: {len(value.objects)} objects")
-    return make_group("objects", "Objects in space", OBJECTS, columns, note="; ".join(notes) + ".")
+    return make_group(
+        "objects", "Objects in space", OBJECTS, columns, undefined=_UNDEFINED, note="; ".join(notes) + "."
+    )
 
 
 def compared_objects(
@@ -183,8 +191,8 @@ def compared_objects(
     furniture: Sequence[TrueObject],
     by_mask: dict[int, int],
     T_true_estimate: Float[np.ndarray, "4 4"],
-) -> list[dict[str, float]]:
-    """A row for every matched piece of furniture: its number, Chamfer distance, error of the middle, box IoU, size."""
+) -> list[tuple[Quality, ...]]:
+    """The measures `PER_OBJECT` of every matched piece of furniture, whose number in the ground truth they bear."""
     shapes = {obj.object_id: _own_box(obj, T_true_estimate) for obj in objects if len(obj.mesh.faces)}
     true_boxes = [box_of(read_glb(item.file).vertices_m, item.T_world_object) for item in furniture]
     pairs = match_objects({number: shape[0] for number, shape in shapes.items()}, true_boxes, by_mask)
@@ -195,18 +203,21 @@ def compared_objects(
         mesh = Mesh(vertices_m, obj.mesh.faces, obj.mesh.vertex_rgb)
         mine_m = surface_points(mesh, np.random.default_rng(_SEED))
         true_m = surface_points(world_mesh(furniture[j]), np.random.default_rng(_SEED))
-        rows.append({
-            "object_id": furniture[j].object_id,
-            "chamfer": chamfer_m(mine_m, true_m),
-            "center_error": float(np.linalg.norm(box.center_m - true_boxes[j].center_m)),
-            "box_iou": box_iou_3d(box, true_boxes[j]),
-            "height_error": abs(rest_height_m(mesh) - rest_height_m(world_mesh(furniture[j]))),
-            "size_ratio": float(np.linalg.norm(box.half_m) / np.linalg.norm(true_boxes[j].half_m)),
-        })  # fmt: skip
+        values = (
+            chamfer_m(mine_m, true_m),
+            float(np.linalg.norm(box.center_m - true_boxes[j].center_m)),
+            box_iou_3d(box, true_boxes[j]),
+            abs(rest_height_m(mesh) - rest_height_m(world_mesh(furniture[j]))),
+            float(np.linalg.norm(box.half_m) / np.linalg.norm(true_boxes[j].half_m)),
+        )
+        object_id = furniture[j].object_id
+        rows.append(
+            tuple(replace(m, value=value, object_id=object_id) for m, value in zip(PER_OBJECT, values, strict=True))
+        )
     return rows
 
 
-def scene_objects(result: SceneResult, truth: Truth) -> list[dict[str, float]]:
+def scene_objects(result: SceneResult, truth: Truth) -> list[tuple[Quality, ...]]:
     """`compared_objects` of the finished scene by the main person's camera; none where a stage is missing."""
     scene, bodies, instances = result.scene, result.bodies, result.get(InstanceMasks)
     if scene is None or bodies is None:
@@ -217,10 +228,12 @@ def scene_objects(result: SceneResult, truth: Truth) -> list[dict[str, float]]:
     return compared_objects(scene.objects, furniture, by_mask, T)
 
 
-def _means(rows: Sequence[dict[str, float]], furniture: Sequence[TrueObject]) -> dict[str, float]:
+def _means(rows: Sequence[tuple[Quality, ...]], furniture: Sequence[TrueObject]) -> dict[str, float]:
     """Means over matched pieces of furniture."""
-    names = ("chamfer", "center_error", "box_iou", "height_error", "size_ratio")
-    means = {key: float(np.mean([row[key] for row in rows])) if rows else np.nan for key in names}
+    means = {
+        measure.key: float(np.mean([row[i].value for row in rows])) if rows else np.nan
+        for i, measure in enumerate(PER_OBJECT)
+    }
     return {"reconstructed": len(rows) / len(furniture) if furniture else np.nan, **means}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -10,30 +11,36 @@ from jaxtyping import Bool, Float, UInt8
 
 from video2anim.errors import ArtifactError
 from video2anim.lab.eval.alignment import FrameMatch, common_maps, resample_nearest
-from video2anim.lab.eval.model import Group, Spec, make_group
+from video2anim.lab.eval.model import Group, make_group
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.truth import Truth
 from video2anim.types import BackgroundImage, DepthClip, MetricDepth
+from video2anim.types.quality import Quality
 
-_HIDDEN = "nobody stands before the background in a labeled frame"
-_NO_MAPS = "no sampled frame has true maps"
 BACKGROUND = (
-    Spec("psnr", "background image PSNR", "dB", "higher", "the background image equals the truth"),
-    Spec("error", "background image error", "/255", "lower"),
-    Spec("error_behind", "background image error where people passed", "/255", "lower", _HIDDEN),
-    Spec("mask_iou", "person mask IoU", "", "higher", _NO_MAPS),
+    Quality("psnr", math.nan, "dB", "higher"),
+    Quality("error", math.nan, "/255", "lower"),
+    Quality("error_behind", math.nan, "/255", "lower"),
+    Quality("mask_iou", math.nan, "ratio", "higher"),
 )
-_NO_VALID = "no valid pixel"
 DEPTH = (
-    Spec("abs_rel", "AbsRel, background", "", "lower", _NO_VALID),
-    Spec("delta1", "δ < 1.25, background", "", "higher", _NO_VALID),
-    Spec("abs_rel_person", "AbsRel, people", "", "lower", _NO_VALID),
-    Spec("delta1_person", "δ < 1.25, people", "", "higher", _NO_VALID),
-    Spec("covered", "share of background pixels with depth", "", "higher"),
-    Spec("covered_person", "share of people's pixels with depth", "", "higher", _NO_MAPS),
-    Spec("scale_ratio", "scale, estimate over truth", "", "one", _NO_VALID),
-    Spec("scale_error", "scale error", "%", "lower", _NO_VALID),
+    Quality("abs_rel", math.nan, "ratio", "lower"),
+    Quality("delta1", math.nan, "ratio", "higher"),
+    Quality("abs_rel_person", math.nan, "ratio", "lower"),
+    Quality("delta1_person", math.nan, "ratio", "higher"),
+    Quality("covered", math.nan, "ratio", "higher"),
+    Quality("covered_person", math.nan, "ratio", "higher"),
+    Quality("scale_ratio", math.nan, "ratio", "near_1"),
+    Quality("scale_error", math.nan, "%", "lower"),
 )
+_UNDEFINED = {
+    "psnr": "the background image equals the truth",
+    "error_behind": "nobody stands before the background in a labeled frame",
+    **dict.fromkeys(("mask_iou", "covered_person"), "no sampled frame has true maps"),
+    **dict.fromkeys(
+        ("abs_rel", "delta1", "abs_rel_person", "delta1_person", "scale_ratio", "scale_error"), "no valid pixel"
+    ),
+}
 _MIN_DISPARITY = 1e-3
 """1/m; a fitted disparity below this is 1 km away and counts as that."""
 _DELTA = 1.25
@@ -57,7 +64,7 @@ def background_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> G
         }
     except ArtifactError as lacking:
         numbers |= dict.fromkeys(("psnr", "error", "error_behind"), str(lacking))
-    return make_group("background", title, BACKGROUND, {"value": numbers})
+    return make_group("background", title, BACKGROUND, {"value": numbers}, undefined=_UNDEFINED)
 
 
 def background_error(
@@ -122,7 +129,7 @@ def depth_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
         )  # fmt: skip
         columns["metric"] = _depth_numbers(pairs, fitted=False)
         note += "" if metric.trusted else f" Metric depth is not trusted: {metric.reason}."
-    return make_group("depth", "Depth", DEPTH, columns, note=note.strip())
+    return make_group("depth", "Depth", DEPTH, columns, undefined=_UNDEFINED, note=note.strip())
 
 
 def _pairs(

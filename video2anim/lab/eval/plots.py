@@ -62,7 +62,7 @@ def stages_plot(group: SetGroup, rows: Sequence[SetRow]) -> str:
     places = np.arange(len(group.columns))
     for i, row in enumerate(rows):
         axes = _axes(figure.add_subplot(down, _PANELS_ACROSS, i + 1), "", "")
-        axes.set_title(f"{row.name} ({row.unit})" if row.unit else row.name, fontsize=9)
+        axes.set_title(f"{row.label} ({row.unit})", fontsize=9)
         clips = np.array([[np.nan if v is None else v for v in column] for column in row.values]).T
         for line in clips:
             axes.plot(places, line, color="#8a8f98", lw=0.7, alpha=0.6, marker=".", ms=3)

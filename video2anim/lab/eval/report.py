@@ -13,7 +13,6 @@ from video2anim.export.report import format_number
 from video2anim.lab.eval import plots
 from video2anim.lab.eval.model import (
     FORMAT_VERSION,
-    Better,
     Evaluation,
     Group,
     Row,
@@ -22,6 +21,7 @@ from video2anim.lab.eval.model import (
     SetRow,
     to_plain,
 )
+from video2anim.types.quality import Better
 
 STAGED = ("motion", "true_scene", "true_scene_laid", "own_scene")
 """Groups whose columns are the motion stages, in which the last is judged against the first."""
@@ -67,7 +67,7 @@ def render_html(evaluation: Evaluation | SetEvaluation) -> str:
 
 def verdict(better: Better, first: float | None, last: float | None, truth: float | None) -> str:
     """Whether the last stage is better than the first: `better`, `worse`, `same`, or empty where it cannot be told."""
-    if first is None or last is None or better == "none" or (better == "truth" and truth is None):
+    if first is None or last is None or better == "none" or (better == "near_truth" and truth is None):
         return ""
     before, after = _badness(better, first, truth), _badness(better, last, truth)
     if abs(before - after) <= _SAME * max(1.0, abs(before), abs(after)):
@@ -77,16 +77,16 @@ def verdict(better: Better, first: float | None, last: float | None, truth: floa
 
 def _badness(better: Better, value: float, truth: float | None) -> float:
     """Less is better."""
-    if better == "one":
+    if better == "near_1":
         return abs(math.log(max(value, 1e-9)))
-    if better == "truth" and truth is not None:
+    if better == "near_truth" and truth is not None:
         return abs(value - truth)
     return -value if better == "higher" else value
 
 
 def better_text(better: Better) -> str:
     """The direction in words."""
-    return {"lower": "lower", "higher": "higher", "one": "near 1", "truth": "near truth", "none": ""}[better]
+    return "" if better == "none" else better.replace("_", " ")
 
 
 def _clip_page(evaluation: Evaluation) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def _group(group: Group) -> dict[str, Any]:
 
 def _row(row: Row, staged: bool) -> dict[str, Any]:
     return {
-        "name": row.name,
+        "label": row.label,
         "unit": row.unit,
         "better": better_text(row.better),
         "cells": list(zip(row.values, row.reasons, strict=True)),
@@ -143,7 +143,7 @@ def missing_reasons(group: Group) -> list[str]:
         by_reason: dict[str, list[str]] = {}
         for row in group.rows:
             if row.values[i] is None:
-                by_reason.setdefault(row.reasons[i], []).append(row.name)
+                by_reason.setdefault(row.reasons[i], []).append(row.label)
         for reason, names in by_reason.items():
             what = "nothing" if len(names) == len(group.rows) else f"no {', '.join(names)}"
             lacking.setdefault((what, reason), []).append(column)
@@ -186,7 +186,7 @@ def _set_group(group: SetGroup) -> dict[str, Any]:
 def _set_row(row: SetRow, staged: bool) -> dict[str, Any]:
     first, last = row.statistics[0], row.statistics[-1]
     return {
-        "name": row.name,
+        "label": row.label,
         "unit": row.unit,
         "better": better_text(row.better),
         "cells": row.statistics,
@@ -203,8 +203,7 @@ def _per_clip(evaluation: SetEvaluation, groups: dict[str, SetGroup]) -> dict[st
         row = next((row for row in group.rows if row.key == row_key), None) if group else None
         if group is None or row is None:
             continue
-        unit = f" ({row.unit})" if row.unit else ""
-        heads.append(f"{row.name}{unit}" + (f", {column}" if len(group.columns) > 1 else ""))
+        heads.append(f"{row.label} ({row.unit})" + (f", {column}" if len(group.columns) > 1 else ""))
         columns.append(row.values[group.columns.index(column)])
     lines = [(name, [column[i] for column in columns]) for i, name in enumerate(evaluation.clips)]
     return {"heads": heads, "lines": lines}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,10 +12,11 @@ from scenemi import metrics
 from video2anim.body.anny_body import shaped_body
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.geometry.sdf import SdfGrid, sample_sdf
-from video2anim.lab.eval.model import Curve, Group, Spec, make_group
+from video2anim.lab.eval.model import Curve, Group, make_group
 from video2anim.lab.eval.motion_rows import CommonFrames
 from video2anim.lab.eval.truth import Truth
 from video2anim.types import BodyMotion, SceneModel
+from video2anim.types.quality import Quality
 from video2anim.types.skeleton import forward_kinematics
 
 VERTEX_STRIDE = 8
@@ -25,20 +27,25 @@ BODY_GROUPS = {
     "own_scene": "Body in the estimated scene",
 }
 BODY_IN_SCENE = (
-    Spec("collision_frames", "frames in collision", "", "lower"),
-    Spec("collision_frames_1cm", "frames in collision, over 1 cm", "", "lower"),
-    Spec("collision_vertices", "vertices in collision", "", "lower"),
-    Spec("penetration_max", "deepest penetration", "m", "lower"),
-    Spec("floating", "floating", "m", "lower"),
+    Quality("collision_frames", math.nan, "ratio", "lower"),
+    Quality("collision_frames_1cm", math.nan, "ratio", "lower"),
+    Quality("collision_vertices", math.nan, "ratio", "lower"),
+    Quality("penetration_max", math.nan, "m", "lower"),
+    Quality("floating", math.nan, "m", "lower"),
 )
-_NOTHING = "nothing stands near the path and in the picture"
 SPACE = (
-    Spec("occupancy_iou", "occupancy IoU near the path", "", "higher", _NOTHING),
-    Spec("occupied_recall", "share of the true solids that is solid", "", "higher", _NOTHING),
-    Spec("occupied_precision", "share of the solids that is right", "", "higher", "nothing solid was estimated there"),
-    Spec("free_recall", "share of the true free space that is free", "", "higher", "no free space in the picture"),
-    Spec("sdf_error", "distance field error", "m", "lower", "no point in the picture"),
+    Quality("occupancy_iou", math.nan, "ratio", "higher"),
+    Quality("occupied_recall", math.nan, "ratio", "higher"),
+    Quality("occupied_precision", math.nan, "ratio", "higher"),
+    Quality("free_recall", math.nan, "ratio", "higher"),
+    Quality("sdf_error", math.nan, "m", "lower"),
 )
+_UNDEFINED = {
+    **dict.fromkeys(("occupancy_iou", "occupied_recall"), "nothing stands near the path and in the image"),
+    "occupied_precision": "nothing solid was estimated there",
+    "free_recall": "no free space in the image",
+    "sdf_error": "no point in the image",
+}
 STEP_M = 0.1
 """Grid on which the scenes are compared."""
 REACH_M = 1.5
@@ -90,12 +97,17 @@ class BodyInScenes:
             self._distances["own_scene"][name] = scene if isinstance(scene, str) else _sampled(scene, points_m)
         self._truth = true_field.sample(body_points(truth, true_rows).astype(np.float64)) if len(rows) else None
 
-    def groups(self) -> tuple[Group, ...]:
+    def groups(self, person_id: int) -> tuple[Group, ...]:
         """The body in the true scene, in two ways, and in the estimated one."""
         true = None if self._truth is None else _collisions(self._truth)
         return tuple(
             make_group(
-                key, title, BODY_IN_SCENE, _columns(self._distances[key]), truth=None if key == "own_scene" else true
+                key,
+                title,
+                BODY_IN_SCENE,
+                _columns(self._distances[key]),
+                truth=None if key == "own_scene" else true,
+                person_id=person_id,
             )
             for key, title in BODY_GROUPS.items()
         )
@@ -159,7 +171,7 @@ def space_group(
     own_m = _sampled(scene, transform_points(invert_rigid(T_true_estimate), points_m))
     numbers = space_numbers(own_m, true_m)
     note = f"{len(points_m)} points, {int((true_m < 0).sum())} of them in true solids."
-    return make_group("space", "Scene near the path", SPACE, {"value": numbers}, note=note)
+    return make_group("space", "Scene near the path", SPACE, {"value": numbers}, undefined=_UNDEFINED, note=note)
 
 
 def space_numbers(own_m: Float[np.ndarray, "points"], true_m: Float[np.ndarray, "points"]) -> dict[str, float]:
