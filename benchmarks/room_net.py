@@ -26,10 +26,10 @@ from video2anim.artifacts.images import read_picture
 from video2anim.depth.hue_jitter import jittered_disparity
 from video2anim.geometry.line_segments import camera_with_edges, detect_line_segments
 from video2anim.geometry.perspective_field import FieldCamera, fit_camera
-from video2anim.lab.scene_network.samples import CLASS_TABLE, MIN_RATIO
+from video2anim.lab.scene_network.samples import CLASS_TABLE
 from video2anim.networks import find_model, model_path
 from video2anim.networks.room_net import RoomCamera, RoomDepth, RoomSegment, SceneNetwork
-from video2anim.networks.segmentation import CLASSES
+from video2anim.networks.segmentation import CLASSES, MIN_INSTANCE_RATIO
 
 NEAREST_INVERSE = 1 / 50
 """Inverse depths are held above this: 50 m."""
@@ -142,7 +142,7 @@ def plane_numbers(truth: np.ndarray) -> dict[str, float]:
 def cameras_of(net: SceneNetwork, pictures: list[np.ndarray]) -> tuple[FieldCamera, FieldCamera]:
     """Camera of some pictures of one view by the network's fields alone, and with straight edges."""
     height, width = pictures[0].shape[:2]
-    camera = fit_camera([net.see(picture).field for picture in pictures], width / height)
+    camera = fit_camera([net.predict(picture).field for picture in pictures], width / height)
     return camera, camera_with_edges(camera, [detect_line_segments(picture) for picture in pictures])
 
 
@@ -175,7 +175,7 @@ def true_pieces(instance: np.ndarray, label: np.ndarray) -> list[np.ndarray]:
     """Masks of furniture instances."""
     furniture = label == CLASSES.index("furniture")
     true = [furniture & (instance == number) for number in np.unique(instance[furniture])]
-    return [mask for mask in true if mask.mean() >= MIN_RATIO]
+    return [mask for mask in true if mask.mean() >= MIN_INSTANCE_RATIO]
 
 
 def pieces_off(disparity: np.ndarray, truth: np.ndarray, true: list[np.ndarray]) -> list[float]:
@@ -269,7 +269,7 @@ def picture_of(video: cv2.VideoCapture, share: float) -> np.ndarray:
 
 
 def seconds(path: Path, folder: Path) -> dict[str, float]:
-    """Median time of one picture of 384 px in each slot, with all its looks."""
+    """Median time of one picture of 384 px in each slot, with all its views."""
     depth, camera, segment = RoomDepth(path), RoomCamera(path), RoomSegment(path)
     rgb = cv2.resize(read_picture(sorted(folder.glob("color_*.jpg"))[0]), (384, 288), interpolation=cv2.INTER_AREA)
     found = {}

@@ -53,7 +53,11 @@ def write_motion(
 
 def write_json(path: Path, values: Any) -> None:
     """Numbers as JSON; NaN becomes null. Written aside and renamed."""
-    text = json.dumps(_plain(values), indent=1, allow_nan=False) + "\n"
+    write_text(path, json.dumps(_plain(values), indent=1, allow_nan=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """A text file, written aside and renamed."""
     _replace(path, lambda stream: stream.write(text.encode()))
 
 

@@ -11,12 +11,12 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from scenemi.data.files import write_tensors
 from scenemi.data.plain_files import one_line
 from scenemi.features import Statistics
 from scenemi.model.build import build_denoiser
 from scenemi.model.weights import statistics_from
 from scenemi.training.config import TrainConfig
+from scenemi.training.loop_parts import named_part, optimizer_moments, optimizer_tensors, write_training
 from video2anim.errors import InputError
 
 CHECKPOINT = "checkpoint.safetensors"
@@ -42,15 +42,14 @@ class Checkpoint:
 def save_checkpoint(path: Path, state: Checkpoint) -> None:
     """Write aside and move into place: a broken run leaves the last whole checkpoint."""
     tensors = {f"model.{k}": v for k, v in state.model.items()} | {f"ema.{k}": v for k, v in state.ema.items()}
-    for number, values in state.optimizer["state"].items():
-        tensors |= {f"optimizer.{number}.{k}": torch.as_tensor(v) for k, v in values.items()}
+    tensors |= optimizer_tensors(state.optimizer["state"])
     for item in fields(Statistics):
         tensors[f"statistics.{item.name}"] = torch.from_numpy(getattr(state.statistics, item.name).copy())
     header = {
         "format": FORMAT, "step": str(state.step), "seconds": repr(state.seconds),
         "config": json.dumps(state.config.to_json()), "groups": json.dumps(state.optimizer["param_groups"]),
     }  # fmt: skip
-    write_tensors(path, {key: value.detach().cpu().contiguous().clone() for key, value in tensors.items()}, header)
+    write_training(path, tensors, header)
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -75,24 +74,16 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
 
 def _restored(header: dict[str, str], tensors: dict[str, Tensor]) -> Checkpoint:
-    state: dict[int, dict[str, Tensor]] = {}
-    for key, value in tensors.items():
-        if key.startswith("optimizer."):
-            _, number, name = key.split(".", 2)
-            state.setdefault(int(number), {})[name] = value
     config = TrainConfig.from_json(json.loads(header["config"]))
-    weights = {
-        part: {key.removeprefix(part): value for key, value in tensors.items() if key.startswith(part)}
-        for part in ("model.", "ema.")
-    }
+    weights = {part: named_part(tensors, part) for part in ("model", "ema")}
     for values in weights.values():
         build_denoiser(config.model).load_state_dict(values)  # complains of what does not fit
     return Checkpoint(
         step=int(header["step"]),
         config=config,
         statistics=statistics_from(tensors),
-        model=weights["model."],
-        ema=weights["ema."],
-        optimizer={"state": state, "param_groups": json.loads(header["groups"])},
+        model=weights["model"],
+        ema=weights["ema"],
+        optimizer={"state": optimizer_moments(tensors), "param_groups": json.loads(header["groups"])},
         seconds=float(header["seconds"]),
     )

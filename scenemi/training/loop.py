@@ -77,8 +77,7 @@ def train(
     try:
         for batches in data.ahead(range(run.step, stop_at if stop_at is not None else 2**62), config.workers):
             watch.took(*run.advance(batches))
-            late = time_limit_s is not None and run.elapsed_s > time_limit_s
-            if late or run.step == stop_at:
+            if run.stopwatch.is_over(time_limit_s) or run.step == stop_at:
                 break
             if run.step % config.save_every == 0:
                 watch.save()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +16,7 @@ from scenemi.training.batches import Batch, PoolBatches, statistics_of
 from scenemi.training.checkpoint import Checkpoint
 from scenemi.training.config import TrainConfig
 from scenemi.training.helpers import Helpers, gradients, learned
+from scenemi.training.loop_parts import Stopwatch, bfloat16_is_quicker, set_rate, update_average, warmup
 from scenemi.training.losses import Losses, TrainingLoss
 from scenemi.training.pool import AnyShard
 from scenemi.training.scales import measure_scales
@@ -62,7 +61,7 @@ class Run:
         rest = torch.from_numpy(np.stack([body.rest_joints_m for body in bodies]).astype(np.float32))
         self.model: AnyDenoiser = build_denoiser(config.model).to(self.device)
         self.step, self._seconds = held.step if held else 0, held.seconds if held else 0.0
-        self._begun = time.perf_counter()
+        self.stopwatch = Stopwatch()
         self.loss = TrainingLoss(self.model, self.statistics, bodies, config).to(self.device)
         if held is not None:
             self.model.load_state_dict(held.model)
@@ -94,8 +93,7 @@ class Run:
             StageError: too many such steps in a row.
         """
         config = self.config
-        for group in self.optimizer.param_groups:
-            group["lr"] = config.learning_rate * rate * min(1.0, (self.step + 1) / max(1, config.warmup))
+        set_rate(self.optimizer, config.learning_rate * rate * warmup(self.step, config.warmup))
         found = self._gradients(batches)
         for number, parameter in enumerate(learned(self.loss)):
             told = [grad for _, grads in found if (grad := grads[number]) is not None]
@@ -105,10 +103,7 @@ class Run:
         self._expect_some_finite(norm)
         if np.isfinite(norm):
             self.optimizer.step()
-            keep = (1 - 1 / self.step) ** (self._power + 1)
-            now = self.model.state_dict()
-            average = [self.average[name] for name in now]
-            torch._foreach_lerp_(average, list(now.values()), 1 - keep)  # pyright: ignore[reportPrivateImportUsage]
+            update_average(self.average, self.model.state_dict(), (1 - 1 / self.step) ** (self._power + 1))
         means = (torch.stack([getattr(losses, name) for losses, _ in found]).mean() for name in Losses.__slots__)
         return Losses(*means), norm
 
@@ -135,40 +130,17 @@ class Run:
         model.load_state_dict(self.average)
         return model.eval()
 
-    @property
-    def elapsed_s(self) -> float:
-        """Since this start of the run."""
-        return time.perf_counter() - self._begun
-
     def state(self) -> Checkpoint:
         """For a checkpoint."""
         return Checkpoint(
             self.step, self.config, self.statistics, self.model.state_dict(), self.average,
-            self.optimizer.state_dict(), self._seconds + self.elapsed_s,
+            self.optimizer.state_dict(), self._seconds + self.stopwatch.seconds,
         )  # fmt: skip
 
     def progress(self, total: float, speed: float = 0.0, rows: tuple[Validation, ...] = ()) -> Progress:
         """Where the run is."""
-        hours = (self._seconds + self.elapsed_s) / 3600
+        hours = (self._seconds + self.stopwatch.seconds) / 3600
         return Progress(self.step, self.step * self.config.step_windows, hours, total, speed, rows, self.skipped)
-
-
-@functools.cache
-def bfloat16_is_quicker(device: torch.device) -> bool:
-    """Whether matrix products of the size of the network's are: on GPUs, and on processors that have them (AVX-512
-    BF16, AMX); on others they take many times as long."""
-    if device.type != "cpu":
-        return True
-    took = []
-    for dtype in (torch.float32, torch.bfloat16):
-        a, b = torch.ones(512, 512, dtype=dtype), torch.ones(512, 512, dtype=dtype)
-        times = []
-        for _ in range(5):
-            begun = time.perf_counter()
-            torch.matmul(a, b)
-            times.append(time.perf_counter() - begun)
-        took.append(min(times))
-    return took[1] < 0.8 * took[0]
 
 
 def _ema_power(width: float) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
-import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -17,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from scenemi.data.files import write_text
 from scenemi.training.checkpoint import CHECKPOINT, save_checkpoint
 from scenemi.training.losses import Losses
 from scenemi.training.run import Progress, Run
@@ -76,9 +76,7 @@ def _write_progress(path: Path, now: Progress, rows: tuple[Validation, ...]) -> 
             key = f"mjpe_ratio r={row.interval}{' scene' if row.scene else ''}"
             if row.mjpe_ratio < told["best"].get(key, {"value": np.inf})["value"]:
                 told["best"][key] = {"value": row.mjpe_ratio, "step": now.step}
-    aside = path.with_suffix(".part")
-    aside.write_text(json.dumps(told, indent=1))
-    os.replace(aside, path)
+    write_text(path, json.dumps(told, indent=1))
 
 
 class _Log:

@@ -111,6 +111,7 @@ class _SpotNet:
     """Stands for the detector: a chair of a tenth of the input where the picture is brightest."""
 
     output_shapes = ((1, 1917, 4), (1, 1917, 24))
+    input_size_px = 300
 
     def __init__(self, path: Path) -> None:
         self.anchors = objectron.anchor_boxes()

@@ -13,8 +13,8 @@ from tiny_graphs import constant_graph, save
 
 from video2anim.errors import ModelMissingError
 from video2anim.networks.room_net import (
-    DEPTH_VIEWS,
     OUTPUTS,
+    VIEWS,
     RoomCamera,
     RoomDepth,
     RoomSegment,
@@ -129,7 +129,7 @@ def test_what_mirrors_as_colours_do_is_kept_and_what_turns_round_cancels(tmp_pat
         camera=[{RED: 1.0}, {GREEN: -1.0}, {BLUE: 0.01}, {ONE: -3.0}, {ONE: -2.0}],
     )
     image = slanted()
-    view = SceneNetwork(picture_graph(tmp_path / "t.onnx", every)).see(image)
+    view = SceneNetwork(picture_graph(tmp_path / "t.onnx", every)).predict(image)
     mean, coarse = cell_means(image, 2), cell_means(image, 8)
     np.testing.assert_allclose(view.disparity, mean[..., 0], rtol=1e-5)
     np.testing.assert_allclose(view.class_logits[..., :3], mean, rtol=1e-5)
@@ -137,10 +137,10 @@ def test_what_mirrors_as_colours_do_is_kept_and_what_turns_round_cancels(tmp_pat
     yz = mean[..., 1:] / np.linalg.norm(mean[..., 1:], axis=-1, keepdims=True)
     np.testing.assert_allclose(view.normal_camera[..., 0], 0.0, atol=1e-5)
     np.testing.assert_allclose(view.normal_camera[..., 1:], yz, rtol=1e-5)
-    np.testing.assert_allclose(view.cues.center, 1 / (1 + np.exp(-0.01 * mean[..., 0])), rtol=1e-5)
-    np.testing.assert_allclose(view.cues.boundary, 1 / (1 + np.exp(-0.01 * mean[..., 2])), rtol=1e-5)
-    np.testing.assert_allclose(view.cues.offset[..., 0], 0.0, atol=1e-5)
-    np.testing.assert_allclose(view.cues.offset[..., 1], 0.01 * mean[..., 1], rtol=1e-5)
+    np.testing.assert_allclose(view.instances.center, 1 / (1 + np.exp(-0.01 * mean[..., 0])), rtol=1e-5)
+    np.testing.assert_allclose(view.instances.boundary, 1 / (1 + np.exp(-0.01 * mean[..., 2])), rtol=1e-5)
+    np.testing.assert_allclose(view.instances.offset[..., 0], 0.0, atol=1e-5)
+    np.testing.assert_allclose(view.instances.offset[..., 1], 0.01 * mean[..., 1], rtol=1e-5)
     np.testing.assert_allclose(view.field.up, np.broadcast_to([0.0, -1.0], view.field.up.shape), atol=1e-6)
     np.testing.assert_allclose(view.field.latitude_rad, 0.01 * coarse[..., 2], rtol=1e-5)
     np.testing.assert_allclose(view.field.up_sigma_rad, math.exp(-3.0), rtol=1e-5)
@@ -156,14 +156,14 @@ def test_what_turns_round_in_a_mirror_is_turned_back(tmp_path: Path) -> None:
         camera=[{SLOPE: 0.1}, {ONE: -1.0}, {}, {}, {}],
     )
     image = slanted()
-    view = SceneNetwork(picture_graph(tmp_path / "t.onnx", every)).see(image)
+    view = SceneNetwork(picture_graph(tmp_path / "t.onnx", every)).predict(image)
     for mean, step in ((cell_means(image, 2), 2), (cell_means(image, 8), 8)):
         inner = np.s_[:, 1:-1]
         slope = 0.5 * (mean[:, 2:, 0] - mean[:, :-2, 0])
         assert np.abs(slope - 0.5 * step).max() < 0.6, "red rises by half a gray level a pixel"
         if step == 2:
             np.testing.assert_allclose(view.disparity[inner], mean[inner][..., 0], rtol=1e-5)
-            np.testing.assert_allclose(view.cues.offset[inner][..., 0], 0.1 * slope, atol=1e-5)
+            np.testing.assert_allclose(view.instances.offset[inner][..., 0], 0.1 * slope, atol=1e-5)
             normal = np.stack([0.5 * slope, 0 * slope, -np.ones_like(slope)], -1)
             normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
             np.testing.assert_allclose(view.normal_camera[inner], normal, atol=1e-5)
@@ -175,7 +175,7 @@ def test_what_turns_round_in_a_mirror_is_turned_back(tmp_path: Path) -> None:
 
 def test_a_network_that_ignores_the_picture_answers_the_mean_with_its_mirror(tmp_path: Path) -> None:
     ramp = np.broadcast_to(np.arange(COLUMNS), (1, 1, ROWS, COLUMNS)).astype(float)
-    view = SceneNetwork(constant(tmp_path, outputs(disparity=ramp))).see(slanted())
+    view = SceneNetwork(constant(tmp_path, outputs(disparity=ramp))).predict(slanted())
     np.testing.assert_allclose(view.disparity, (COLUMNS - 1) / 2, rtol=1e-6)
 
 
@@ -196,17 +196,17 @@ def test_depth_is_the_mean_of_its_looks(tmp_path: Path, monkeypatch: pytest.Monk
     disparity = net.disparity(image)
     assert disparity.shape == (480, 640)
     ramp = np.linspace(0, 1, 640)
-    wanted = [k * (1 - ramp if turned else ramp) for k, (_, turned) in enumerate(DEPTH_VIEWS, 1)]
+    wanted = [k * (1 - ramp if turned else ramp) for k, (_, turned) in enumerate(VIEWS["depth"], 1)]
     np.testing.assert_allclose(disparity[240], np.mean(wanted, axis=0), atol=0.03)
-    for shown, (area_px, turned) in zip(seen, DEPTH_VIEWS, strict=True):
+    for shown, (area_px, turned) in zip(seen, VIEWS["depth"], strict=True):
         assert shown.shape[2:] == input_size(480, 640, area_px)
         assert (shown[0, 0, 0, 0] < 150) == turned
 
 
 def test_looks_of_several_sizes_are_averaged_in_cells_of_the_first(tmp_path: Path) -> None:
     net = SceneNetwork(picture_graph(tmp_path / "t.onnx", answers(disparity=[{RED: 1.0}])))
-    one = net.see(slanted(), ((ROWS * COLUMNS * 4, False),))
-    two = net.see(slanted(), ((ROWS * COLUMNS * 4, False), (ROWS * COLUMNS * 16, True)))
+    one = net.predict(slanted(), ((ROWS * COLUMNS * 4, False),))
+    two = net.predict(slanted(), ((ROWS * COLUMNS * 4, False), (ROWS * COLUMNS * 16, True)))
     assert two.disparity.shape == one.disparity.shape
     np.testing.assert_allclose(two.disparity[:, 2:-2], one.disparity[:, 2:-2], rtol=0.05)
 
@@ -215,26 +215,26 @@ def test_the_network_is_shown_rgb_from_0_to_255_and_whole(tmp_path: Path) -> Non
     """A picture twice as large; its means are those of the small one."""
     large = np.repeat(np.repeat(slanted(), 2, axis=0), 2, axis=1)
     net = SceneNetwork(picture_graph(tmp_path / "t.onnx", answers(disparity=[{RED: 1.0}])))
-    np.testing.assert_allclose(net.see(large).disparity, cell_means(slanted(), 2)[..., 0], atol=0.01)
+    np.testing.assert_allclose(net.predict(large).disparity, cell_means(slanted(), 2)[..., 0], atol=0.01)
     blue = np.zeros((60, 80, 3), np.uint8)
     blue[..., 2] = 255
     net = SceneNetwork(picture_graph(tmp_path / "b.onnx", answers(disparity=[{RED: 1.0, BLUE: 10.0}])))
-    np.testing.assert_allclose(net.see(blue).disparity, 2550.0, rtol=1e-6)
+    np.testing.assert_allclose(net.predict(blue).disparity, 2550.0, rtol=1e-6)
 
 
 def test_expected_errors_stay_within_reason(tmp_path: Path) -> None:
     """Logs of -50 and 50 would weigh a cell by nothing or all."""
     for log, wanted in ((-50.0, 0.005), (50.0, 1.5)):
         wild = answers(camera=[{}, {ONE: -1.0}, {}, {ONE: log}, {ONE: log}])
-        field = SceneNetwork(picture_graph(tmp_path / "t.onnx", wild)).see(slanted()).field
+        field = SceneNetwork(picture_graph(tmp_path / "t.onnx", wild)).predict(slanted()).field
         np.testing.assert_allclose(field.up_sigma_rad, wanted, rtol=1e-6)
         np.testing.assert_allclose(field.latitude_sigma_rad, wanted, rtol=1e-6)
 
 
 def test_answers_are_finite_where_the_network_says_nothing(tmp_path: Path) -> None:
     """Normals and directions of length zero."""
-    view = SceneNetwork(constant(tmp_path, {name: 0 * value for name, value in outputs().items()})).see(slanted())
-    for values in (view.normal_camera, view.field.up, view.cues.center):
+    view = SceneNetwork(constant(tmp_path, {name: 0 * value for name, value in outputs().items()})).predict(slanted())
+    for values in (view.normal_camera, view.field.up, view.instances.center):
         assert np.isfinite(values).all()
 
 
@@ -345,7 +345,7 @@ def test_wrong_shapes_are_refused(tmp_path: Path, name: str) -> None:
     for wrong in ((1, shape[1] + 1, *shape[2:]), (*shape[:3], shape[3] - 1), shape[1:]):
         net = SceneNetwork(constant(tmp_path, outputs() | {name: np.ones(wrong)}))
         with pytest.raises(ModelMissingError, match=rf"want {name} \(1, ") as caught:
-            net.see(slanted())
+            net.predict(slanted())
         assert "\n" not in str(caught.value)
 
 

@@ -19,20 +19,21 @@ from jaxtyping import Float, UInt8
 
 from video2anim.errors import ModelMissingError
 from video2anim.networks.blazepose_detector import BlazePoseDetector, Detections
+from video2anim.networks.network import sigmoid
 from video2anim.networks.roi import SquareRoi
 from video2anim.networks.tflite import TfliteNet
 
 LANDMARKS = 33
 _ALL = 39
-_CENTER, _RIM = 33, 34
-_MASK_SIZE = 64
+"""With the points of the next crop."""
+_CENTER, _RIM = LANDMARKS, LANDMARKS + 1
 _HEATMAP_KERNEL = 7
 _HEATMAP_MIN = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEstimate:
-    """What the network says of one crop."""
+    """Output of the network for one crop."""
 
     presence: float
     """Probability that the crop shows a person."""
@@ -45,7 +46,7 @@ class PoseEstimate:
     mask_crop: UInt8[np.ndarray, "64 64"]
     """Person probability x 255 in the crop."""
     roi: SquareRoi
-    """The crop looked at."""
+    """The crop."""
     next_roi: SquareRoi
     """The crop that fits the person found."""
 
@@ -55,7 +56,7 @@ class PoseEstimate:
 
 
 class BlazePose:
-    """Detector and landmark network together."""
+    """Person detector and landmark network."""
 
     def __init__(self, path: Path, detector_path: Path) -> None:
         """Load the weights of the landmark network and of the detector.
@@ -77,7 +78,7 @@ class BlazePose:
         self._detector = BlazePoseDetector(detector_path)
 
     def detect(self, image: UInt8[np.ndarray, "height width 3"], *, min_score: float = 0.5) -> Detections:
-        """People who fill a good part of the picture."""
+        """People who fill a large part of the image."""
         return self._detector.detect(image, min_score=min_score)
 
     def estimate(self, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate:
@@ -88,7 +89,7 @@ class BlazePose:
         points_crop, visibility = decode_landmarks(points[0], side)
         points_crop = refine_by_heatmap(points_crop, heatmaps[0])
         points_px = roi.to_pixels(points_crop)
-        mask = cv2.resize(_sigmoid(mask_logit[0, :, :, 0]), (_MASK_SIZE, _MASK_SIZE), interpolation=cv2.INTER_AREA)
+        mask = cv2.resize(sigmoid(mask_logit[0, :, :, 0]), heatmaps.shape[1:3], interpolation=cv2.INTER_AREA)
         return PoseEstimate(
             presence=float(presence[0, 0]),
             landmarks_px=points_px[:LANDMARKS],
@@ -110,13 +111,13 @@ def decode_landmarks(
 ) -> tuple[Float[np.ndarray, "39 2"], Float[np.ndarray, "39"]]:
     """Landmarks in crop coordinates [0, 1] and their visibility (hidden or outside the picture = 0)."""
     rows = values.astype(np.float64).reshape(_ALL, 5)
-    return rows[:, :2] / input_size, _sigmoid(rows[:, 3])
+    return rows[:, :2] / input_size, sigmoid(rows[:, 3])
 
 
 def refine_by_heatmap(
     points_crop: Float[np.ndarray, "39 2"], heatmap_logits: Float[np.ndarray, "rows columns 39"]
 ) -> Float[np.ndarray, "39 2"]:
-    """Move each landmark to the center of mass of its heat map nearby, where the map is sure of one."""
+    """Move each landmark to the center of mass of its heat map nearby, where the map is confident."""
     rows, columns, _ = heatmap_logits.shape
     refined = points_crop.copy()
     reach = _HEATMAP_KERNEL // 2
@@ -126,7 +127,7 @@ def refine_by_heatmap(
             continue
         r0, r1 = max(0, row - reach), min(rows, row + reach + 1)
         c0, c1 = max(0, column - reach), min(columns, column + reach + 1)
-        weight = _sigmoid(heatmap_logits[r0:r1, c0:c1, k].astype(np.float64))
+        weight = sigmoid(heatmap_logits[r0:r1, c0:c1, k].astype(np.float64))
         if weight.max() < _HEATMAP_MIN:
             continue
         total = weight.sum()
@@ -140,7 +141,3 @@ def turn_world(landmarks_crop_m: Float[np.ndarray, "n 3"], rotation_rad: float) 
     cos, sin = math.cos(rotation_rad), math.sin(rotation_rad)
     R_image_crop = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return landmarks_crop_m.astype(np.float64) @ R_image_crop.T
-
-
-def _sigmoid(logit: np.ndarray) -> np.ndarray:
-    return 1.0 / (1.0 + np.exp(-np.clip(logit, -60.0, 60.0)))

@@ -14,13 +14,13 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from video2anim.errors import ModelMissingError
+from video2anim.networks.network import sigmoid
 from video2anim.networks.tflite import TfliteNet
 
 _GRIDS = ((28, 2), (14, 2), (7, 6))
 """Cells per side and anchors per cell: strides 8, 16 and three layers of 32, two anchors a layer."""
 _ANCHORS = sum(cells * cells * copies for cells, copies in _GRIDS)
 _VALUES = 12
-_LOGIT_LIMIT = 100.0
 _NMS_IOU = 0.3
 
 
@@ -71,7 +71,7 @@ def decode(
     min_score: float,
 ) -> Detections:
     """Network outputs to detections in input pixels (edge to edge), before suppression."""
-    score = 1.0 / (1.0 + np.exp(-np.clip(logits.astype(np.float64), -_LOGIT_LIMIT, _LOGIT_LIMIT)))
+    score = sigmoid(logits.astype(np.float64))
     keep = np.flatnonzero(score >= min_score)
     keep = keep[np.argsort(-score[keep], kind="stable")]
     points = values[keep].astype(np.float64).reshape(-1, 6, 2)
@@ -111,7 +111,7 @@ def box_iou(box: Float[np.ndarray, "4"], boxes: Float[np.ndarray, "n 4"]) -> Flo
 
 
 class BlazePoseDetector:
-    """Finds people who fill a good part of a picture (head at least about 1/20 of its longer side)."""
+    """Finds people who fill a large part of an image (head at least about 1/20 of its longer side)."""
 
     def __init__(self, path: Path) -> None:
         """Load the weights.

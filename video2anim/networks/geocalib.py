@@ -30,7 +30,6 @@ CELL_PX = 16
 SURE_SIGMA_RAD = 0.01
 """Error at confidence 1. The confidences are weights of squared errors without a unit; this is the error from which
 GeoCalib's own fit trusts a residual less (`up_loss_fn_scale`, `lat_loss_fn_scale`)."""
-_MIN_CONFIDENCE = 1e-6
 _OUTPUTS = {"up_field": 2, "up_confidence": 1, "latitude_field": 1, "latitude_confidence": 1}
 
 
@@ -103,7 +102,7 @@ def _cells(
 ) -> tuple[Float[np.ndarray, "rows columns channels"], Float[np.ndarray, "rows columns"]]:
     """Means over cells weighted by confidence, and their errors; what was not shown has no weight."""
     good = np.isfinite(values).all(axis=0) & np.isfinite(confidence)
-    weight = np.pad(np.where(good, np.clip(confidence.astype(np.float64), _MIN_CONFIDENCE, 1.0), 0.0), margins)
+    weight = np.pad(np.where(good, np.clip(confidence.astype(np.float64), 0.0, 1.0), 0.0), margins)
     faint = np.maximum(weight, 1e-12)  # so that cells of the margin get their neighbors' values
     height, width = weight.shape
     size = (max(1, round(width / CELL_PX)), max(1, round(height / CELL_PX)))

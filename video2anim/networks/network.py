@@ -82,4 +82,4 @@ def to_unit_values(image: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarr
 
 def sigmoid(logits: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Logistic function that never overflows."""
-    return 0.5 * (1.0 + np.tanh(0.5 * logits))
+    return 1.0 / (1.0 + np.exp(-np.clip(logits, -60.0, 60.0)))

@@ -19,6 +19,7 @@ from jaxtyping import Float, Int, UInt8
 
 from video2anim.errors import ModelMissingError
 from video2anim.networks.blazepose_detector import box_iou
+from video2anim.networks.network import sigmoid
 from video2anim.networks.objectron_chair import ChairBox, ChairBoxes
 from video2anim.networks.tflite import TfliteNet
 from video2anim.networks.tiles import square_tiles
@@ -29,17 +30,14 @@ WORDS = (
 )  # fmt: skip
 """Our word for each class. Boots, high heels and footwear are shoes, a mug and a coffee cup are cups."""
 _KINDS = {"desk": "table", "car": "vehicle"}
-"""Words that the network cannot tell apart: of one object that has both, the likelier one stays."""
-_SIZE, _ANCHORS = 300, 1917
+"""Labels that the network confuses: of one object that has both, the likelier one stays."""
 _STRIDES = (16, 32, 64, 128, 256, 512)
 _SCALES = (0.2, 0.35, 0.5, 0.65, 0.8, 0.95, 1.0)
-"""Share of the picture that an anchor of each layer covers, and of the one beyond the last."""
+"""Share of the image that an anchor of each layer covers; the last value serves to interpolate in the last layer."""
 _CENTER_SCALE, _SIZE_SCALE = 10.0, 5.0
 _SAME_IOU = 0.4
-_MIN_TILE_PX = 150
-"""Below half the input a tile only magnifies blur."""
 _CUT_RATIO = 0.03
-"""What comes so near to a tile's edge inside the picture reaches beyond it, or is the tile's own outline."""
+"""A box this near (share of the tile's side) to an edge of its tile inside the image is cut by it and left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,19 +62,20 @@ class ObjectFinder:
             ModelMissingError: a file is not that network.
         """
         self._net = TfliteNet(path)
-        wanted = ((1, _ANCHORS, 4), (1, _ANCHORS, len(WORDS)))
+        self._anchors = anchor_boxes(self._net.input_size_px)
+        wanted = ((1, len(self._anchors), 4), (1, len(self._anchors), len(WORDS)))
         if self._net.output_shapes != wanted:
             raise ModelMissingError(f"{path}: want outputs {wanted}, got {self._net.output_shapes}")
-        self._anchors = anchor_boxes()
         self._chairs = ChairBoxes(chair_path)
 
     def find(self, image: UInt8[np.ndarray, "height width 3"], *, min_score: float = 0.3) -> tuple[FoundObject, ...]:
         """Objects in an RGB picture of any shape, best first: in the whole picture, and in square tiles."""
         height, width = image.shape[:2]
-        found = self._look(image, min_score)
-        for x0, y0, side in square_tiles(width, height, min_px=_MIN_TILE_PX):
+        found = self._detect(image, min_score)
+        # A smaller tile would only magnify blur.
+        for x0, y0, side in square_tiles(width, height, min_px=self._net.input_size_px // 2):
             inside = np.array([x0, y0, x0 + side, y0 + side])
-            tile = self._look(image[y0 : y0 + side, x0 : x0 + side], min_score)
+            tile = self._detect(image[y0 : y0 + side, x0 : x0 + side], min_score)
             moved = [FoundObject(item.label, item.score, item.box_px + inside[[0, 1, 0, 1]]) for item in tile]
             found += [item for item in moved if not is_cut(item.box_px, inside, width, height)]
         return distinct(found)
@@ -84,13 +83,14 @@ class ObjectFinder:
     def chair_box(
         self, image: UInt8[np.ndarray, "height width 3"], box_px: Float[np.ndarray, "4"], *, min_confidence: float = 0.5
     ) -> ChairBox | None:
-        """The 3D box of a chair that was found at `box_px`; None where the chair network does not see one."""
+        """The 3D box of a chair that was found at `box_px`; None where the chair network finds none."""
         return self._chairs.fit(image, box_px, min_confidence=min_confidence)
 
-    def _look(self, image: UInt8[np.ndarray, "height width 3"], min_score: float) -> list[FoundObject]:
+    def _detect(self, image: UInt8[np.ndarray, "height width 3"], min_score: float) -> list[FoundObject]:
         height, width = image.shape[:2]
-        interpolation = cv2.INTER_AREA if max(height, width) > _SIZE else cv2.INTER_LINEAR
-        small = cv2.resize(image, (_SIZE, _SIZE), interpolation=interpolation)
+        side = self._net.input_size_px
+        interpolation = cv2.INTER_AREA if max(height, width) > side else cv2.INTER_LINEAR
+        small = cv2.resize(image, (side, side), interpolation=interpolation)
         codes, logits = self._net(small.astype(np.float32) / 127.5 - 1.0)
         boxes, scores, classes = decode(codes[0], logits[0], self._anchors, min_score)
         # Edges of the picture are at -0.5 px where pixel (0, 0) is a center.
@@ -101,8 +101,8 @@ class ObjectFinder:
         ]
 
 
-def anchor_boxes() -> Float[np.ndarray, "1917 4"]:
-    """y, x of the middle, height and width of every anchor, as shares of the picture, in the network's order."""
+def anchor_boxes(input_px: int = 300) -> Float[np.ndarray, "anchors 4"]:
+    """y, x of the center, height and width of every anchor, as shares of the image, in the network's order."""
     layers = []
     for k, stride in enumerate(_STRIDES):
         scale, between = _SCALES[k], math.sqrt(_SCALES[k] * _SCALES[k + 1])
@@ -110,7 +110,7 @@ def anchor_boxes() -> Float[np.ndarray, "1917 4"]:
             shapes = [(0.1, 1.0), (scale, 2.0), (scale, 0.5)]
         else:
             shapes = [*((scale, aspect) for aspect in (1.0, 2.0, 0.5, 3.0, 1 / 3)), (between, 1.0)]
-        cells = math.ceil(_SIZE / stride)
+        cells = math.ceil(input_px / stride)
         center = (np.arange(cells) + 0.5) / cells
         y, x = np.meshgrid(center, center, indexing="ij")
         sizes = np.array([(side / math.sqrt(aspect), side * math.sqrt(aspect)) for side, aspect in shapes])
@@ -126,7 +126,7 @@ def decode(
     min_score: float,
 ) -> tuple[Float[np.ndarray, "found 4"], Float[np.ndarray, "found"], Int[np.ndarray, "found"]]:
     """x0, y0, x1, y1 as shares of the picture, score and class number of all that is likely enough."""
-    scores = 1.0 / (1.0 + np.exp(-np.clip(logits.astype(np.float64), -60.0, 60.0)))
+    scores = sigmoid(logits.astype(np.float64))
     scores[:, 0] = 0.0
     rows, classes = np.nonzero(scores >= min_score)
     code, anchor = codes[rows].astype(np.float64), anchors[rows]

@@ -21,8 +21,8 @@ from video2anim.networks.tflite import TfliteNet
 CORNERS = np.array([(0, 0, 0), *((x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1))], np.float64)
 """The points of a chair's box in units of half its size: center, then corners; x to the left of who sits in it, y up,
 z to where the sitter looks."""
-_LOOKS = (1.3, 1.45, 1.6)
-"""Sides of the crops that the chair network looks at, over the longer side of the detected box."""
+_CROP_RATIOS = (1.3, 1.45, 1.6)
+"""Sides of the crops that the chair network is applied to, over the longer side of the detected box."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +41,7 @@ class ChairBox:
 class ChairBoxes:
     """The upright 3D box of a chair from a crop around it.
 
-    It believes in hair, bags and some shelves too, so a detection must come first.
+    It also responds to hair, bags and some shelves, so a detection must come first.
     """
 
     def __init__(self, path: Path) -> None:
@@ -59,14 +59,14 @@ class ChairBoxes:
         self, image: UInt8[np.ndarray, "height width 3"], box_px: Float[np.ndarray, "4"], *, min_confidence: float = 0.5
     ) -> ChairBox | None:
         """The likeliest box of several crops around `box_px`; None where none is likely."""
-        looks = [self._look(image, _square_around(box_px, ratio)) for ratio in _LOOKS]
-        confidence, points_px = max(looks, key=lambda look: look[0])
+        views = [self._predict(image, _square_around(box_px, ratio)) for ratio in _CROP_RATIOS]
+        confidence, points_px = max(views, key=lambda view: view[0])
         if confidence < min_confidence:
             return None
-        gaps_px = [np.linalg.norm(other - points_px, axis=1) for _, other in looks if other is not points_px]
+        gaps_px = [np.linalg.norm(other - points_px, axis=1) for _, other in views if other is not points_px]
         return ChairBox(confidence, points_px, float(np.sqrt(np.mean(np.square(gaps_px)))))
 
-    def _look(
+    def _predict(
         self, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi
     ) -> tuple[float, Float[np.ndarray, "9 2"]]:
         side = self._net.input_size_px

@@ -1,4 +1,4 @@
-"""What networks of slot `segment` answer: a class for each pixel, and instances."""
+"""Output of networks of slot `segment`: a class for each pixel, and instances."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 CLASSES = ("other", "floor", "wall", "ceiling", "furniture", "person")
-"""Classes that matter to a scene; a pixel's class number is the index in this tuple."""
+"""Scene classes; a pixel's class number is the index in this tuple."""
+
+
+MIN_INSTANCE_RATIO = 0.003
+"""Smallest share of the image that a person or a piece of furniture covers: as the scene network was trained."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

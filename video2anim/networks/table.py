@@ -25,8 +25,6 @@ PRIOR_CHOICES = ("auto", "interpolation")
 _PRIOR_SUFFIX = ".safetensors"
 _MEDIAPIPE = "0.10.21"
 _OBJECTRON = ("@mediapipe/objectron", "0.4.1675468480")
-_OBJECTRON_BYTES = 9_987_728
-"""Size of its detector, which lies behind a list of labels in one file."""
 _BRANCH = "main"
 """Revision of a hub repository whose commit could not be found: its maker publishes digests, and no commit. The digest
 holds the file; should the branch move on, fetching fails and says so."""
@@ -140,11 +138,9 @@ MODELS: tuple[ModelEntry, ...] = (
         slot="finder",
         name="objectron",
         runtime="tflite",
-        source=NpmSource(
-            *_OBJECTRON, "objectron_solution_packed_assets.data", first_byte=184, end_byte=184 + _OBJECTRON_BYTES
-        ),
+        source=NpmSource(*_OBJECTRON, "objectron_solution_packed_assets.data", first_byte=184, end_byte=9_987_912),
         sha256="d0a5255bf8c4f5a0bc4240741a76c41d5e939f7655078f945f50ab53a9375da6",
-        size_bytes=_OBJECTRON_BYTES,
+        size_bytes=9_987_728,
         license="Apache-2.0",
         verified="weights",
         adapter="video2anim.networks.objectron:ObjectFinder",

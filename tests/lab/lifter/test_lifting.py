@@ -7,6 +7,7 @@ import json
 import runpy
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -272,7 +273,7 @@ def test_frozen_and_swapped_limbs(residuals: ResidualLibrary, monkeypatch: pytes
 
 def test_training_learns_and_goes_on(motions: LiftingMotions, residuals: ResidualLibrary, tmp_path: Path) -> None:
     sampler = LiftingSampler(motions, residuals, seed=0, frames=24, varied=False)
-    config = LiftingConfig(batch=4, warmup=2, save_minutes=0.0, bfloat16=False)
+    config = LiftingConfig(batch=4, warmup=2, save_minutes=0.0)
     lines: list[str] = []
     train(sampler, sampler, config, tmp_path, minutes=0.05, on_line=lines.append)
     assert len(lines) >= 2
@@ -281,7 +282,7 @@ def test_training_learns_and_goes_on(motions: LiftingMotions, residuals: Residua
     assert first.windows == 4 * first.steps
     assert first.hours > 0
     assert f"{first.steps} steps" in lines[-1]
-    whole = train(sampler, sampler, config, tmp_path, minutes=0.05)
+    whole = train(sampler, sampler, replace(config, save_minutes=1.0), tmp_path, minutes=0.3)
     second = read_progress(tmp_path)
     assert second.steps > first.steps
     assert second.hours > first.hours
@@ -306,7 +307,7 @@ def test_a_lost_checkpoint_starts_from_given_weights(
     export_onnx(start, tmp_path / "lifter.onnx")
     again = read_onnx(tmp_path / "lifter.onnx")
     assert again is not None
-    config = LiftingConfig(bfloat16=False)
+    config = LiftingConfig()
     begun = train(sampler, sampler, config, tmp_path / "run", minutes=-1.0, start=again)
     for name, value in start.state_dict().items():
         torch.testing.assert_close(begun.state_dict()[name], value, msg=name)
@@ -359,12 +360,12 @@ def test_motions_are_gathered_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     made: list[int] = []
     monkeypatch.setattr(
         "video2anim.lab.lifter.motions.gather",
-        lambda *given, **named: (made.append(1), gather([], None, acted=1, seed=0))[1],
+        lambda *given, **named: (made.append(1), gather([], None, procedural=1, seed=0))[1],
     )
     for _ in range(2):
-        kept_motions(tmp_path / "store", [], split, "train", acted=1, seed=0)
+        kept_motions(tmp_path / "store", [], split, "train", procedural=1, seed=0)
     assert len(made) == 1
-    kept_motions(tmp_path / "store", [], split, "train", acted=2, seed=0)
+    kept_motions(tmp_path / "store", [], split, "train", procedural=2, seed=0)
     assert len(made) == 2
 
 
@@ -390,7 +391,7 @@ def test_a_lifter_of_other_widths_is_refused(tmp_path: Path, monkeypatch: pytest
 
 
 def test_acted_motion_knows_all_contacts() -> None:
-    found = gather([], None, acted=2, seed=5)
+    found = gather([], None, procedural=2, seed=5)
     assert len(found.start) == 3
     assert found.start[-1] == len(found.translation_m)
     assert found.contact_known.all()

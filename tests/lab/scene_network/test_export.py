@@ -82,13 +82,13 @@ def test_the_file_is_one_of_half_precision(
 def test_the_adapter_takes_the_file(exported: tuple[Path, dict[tuple[int, int], RoomAnswer], int]) -> None:
     """Names, shapes and ranges are those of the contract; one of the two views is the network's own answer."""
     image = picture(192, 256)[0].numpy().transpose(1, 2, 0).astype(np.uint8)
-    view = SceneNetwork(exported[0]).see(image)
+    view = SceneNetwork(exported[0]).predict(image)
     assert view.disparity.shape == (96, 128)
     assert view.class_logits.shape == (96, 128, 6)
     assert view.field.latitude_rad.shape == (24, 32)
-    tall = SceneNetwork(exported[0]).see(np.ascontiguousarray(image.transpose(1, 0, 2)))
+    tall = SceneNetwork(exported[0]).predict(np.ascontiguousarray(image.transpose(1, 0, 2)))
     assert tall.disparity.shape == (128, 96)
-    for values in (view.disparity, view.normal_camera, view.field.up, view.cues.offset):
+    for values in (view.disparity, view.normal_camera, view.field.up, view.instances.offset):
         assert np.isfinite(values).all()
 
 

@@ -14,18 +14,16 @@ from test_samples import write_shards
 
 from video2anim.lab.scene_network import train as training
 from video2anim.lab.scene_network.network import RoomAnswer, RoomNetwork
-from video2anim.lab.scene_network.samples import PictureBatch, PictureShards
-from video2anim.lab.scene_network.train import (
-    PerceptionConfig,
+from video2anim.lab.scene_network.objective import (
     aligned,
     disparity_loss,
     losses,
     measures,
     overlap_loss,
-    read_average,
     relative_loss,
-    train,
 )
+from video2anim.lab.scene_network.samples import PictureBatch, PictureShards
+from video2anim.lab.scene_network.train import PerceptionConfig, read_average, train
 
 HEADS = ("disparity", "normal", "classes", "middle", "offset", "boundary", "up", "latitude")
 
@@ -60,14 +58,14 @@ def truth(batch: PictureBatch) -> RoomAnswer:
     median = disparity.flatten(1).median(1).values[:, None, None]
     spread = (disparity - median).abs().mean((1, 2), keepdim=True)
     classes = torch.nn.functional.one_hot(batch.classes, 6).permute(0, 3, 1, 2).float()
-    cues = torch.cat([torch.logit(batch.heat, 1e-6)[:, None], batch.offset, 40 * batch.boundary[:, None] - 20], 1)
+    instance = torch.cat([torch.logit(batch.heat, 1e-6)[:, None], batch.offset, 40 * batch.boundary[:, None] - 20], 1)
     camera = torch.cat([batch.up, batch.latitude[:, None], torch.full_like(batch.up, -4.0)], 1)
-    return RoomAnswer(((disparity - median) / spread)[:, None], batch.normal, 40 * classes, cues, camera)
+    return RoomAnswer(((disparity - median) / spread)[:, None], batch.normal, 40 * classes, instance, camera)
 
 
 def other_way(answer: RoomAnswer, head: str) -> RoomAnswer:
     """The same answer with one head wrong."""
-    cues, camera = answer.cues.clone(), answer.camera.clone()
+    instance, camera = answer.instance.clone(), answer.camera.clone()
     match head:
         case "disparity":
             return answer._replace(disparity=-answer.disparity)
@@ -76,16 +74,16 @@ def other_way(answer: RoomAnswer, head: str) -> RoomAnswer:
         case "classes":
             return answer._replace(classes=answer.classes.roll(1, dims=1))
         case "middle":
-            cues[:, 0] = cues[:, 0].roll(12, dims=-1)
+            instance[:, 0] = instance[:, 0].roll(12, dims=-1)
         case "offset":
-            cues[:, 1:3] *= -1
+            instance[:, 1:3] *= -1
         case "boundary":
-            cues[:, 3] *= -1
+            instance[:, 3] *= -1
         case "up":
             camera[:, :2] = camera[:, :2].flip(1)
         case "latitude":
             camera[:, 2] += 0.2
-    return answer._replace(cues=cues, camera=camera)
+    return answer._replace(instance=instance, camera=camera)
 
 
 def test_the_true_answer_costs_almost_nothing(batch: PictureBatch) -> None:

@@ -1,4 +1,4 @@
-"""Motion that the lifter learns from: captured and acted clips, made once and memory-mapped afterwards."""
+"""Motion that the lifter learns from: captured and procedural clips, made once and memory-mapped afterwards."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import rot6d_from_matrix
 from video2anim.humans.lifter_input import CONTACT_INDEX
+from video2anim.lab.lifter.contacts import PARTS
 from video2anim.lab.lifter.store import keep, kept, mapped
 from video2anim.lab.synth.acting import act
 from video2anim.lab.synth.compose import draw_shape
-from video2anim.lab.synth.presets import ACTED
+from video2anim.lab.synth.presets import PROCEDURAL
 from video2anim.types import BodyShape
 
 FEET = 4
@@ -45,11 +46,11 @@ def gather(
     archives: Sequence[Path],
     names: Sequence[str] | None,
     *,
-    acted: int,
+    procedural: int,
     seed: int,
     on_clip: Callable[[int], None] = lambda count: None,
 ) -> LiftingMotions:
-    """Captured clips (of these names) on a average adult, and acted ones, whose contacts are all known.
+    """Captured clips (of these names) on an average adult, and procedural ones, whose contacts are all known.
 
     Clips whose license forbids to ship what was learnt from them are left out, and clips on skeletons that
     `scenemi.data` cannot read.
@@ -70,13 +71,13 @@ def gather(
             except InputError:
                 continue
             known = np.zeros((len(moved.contact), len(CONTACT_INDEX)), bool)
-            known[:, :FEET] = not clip.uneven
+            known[:, PARTS["feet"]] = not clip.uneven
             rot6d = rot6d_from_matrix(moved.R_parent_joint)
             parts.append((rot6d, moved.translation_m, moved.contact[:, CONTACT_INDEX], known))
             on_clip(len(parts))
-    for number in range(acted):
+    for number in range(procedural):
         rng = np.random.default_rng([seed, 0x11F7, number])
-        motion = act(ACTED[number % len(ACTED)], shaped_body(draw_shape(rng)), rng)
+        motion = act(PROCEDURAL[number % len(PROCEDURAL)], shaped_body(draw_shape(rng)), rng)
         contact = motion.contact[:, CONTACT_INDEX]
         rot6d = rot6d_from_matrix(motion.R_parent_joint)
         parts.append((rot6d, motion.translation_m, contact, np.ones_like(contact)))
@@ -87,7 +88,7 @@ def gather(
 
 
 def kept_motions(
-    folder: Path, archives: Sequence[Path], split: Path, part: str, *, acted: int, seed: int
+    folder: Path, archives: Sequence[Path], split: Path, part: str, *, procedural: int, seed: int
 ) -> LiftingMotions:
     """The clips of a part of the split, from the folder if it holds just these, else gathered and put there.
 
@@ -96,7 +97,7 @@ def kept_motions(
     digest = hashlib.sha256(Path(rest_pose.__file__).read_bytes() + split.read_bytes())
     for path in archives:
         digest.update(f"{path.name} {path.stat().st_size}".encode())
-    key = {"part": part, "acted": acted, "seed": seed, "sources": digest.hexdigest()}
+    key = {"part": part, "acted": procedural, "seed": seed, "sources": digest.hexdigest()}
     if not kept(folder, key):
-        keep(gather(archives, json.loads(split.read_text())[part], acted=acted, seed=seed), folder, key)
+        keep(gather(archives, json.loads(split.read_text())[part], procedural=procedural, seed=seed), folder, key)
     return mapped(LiftingMotions, folder)

@@ -6,7 +6,6 @@ sees farther.
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import torch
@@ -14,13 +13,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from video2anim.humans.lifter_input import FEATURES, OUTPUTS
+from video2anim.lab.onnx_export import write_onnx
 
 FOLD = 4
 """Frames that the network works on as one."""
 DILATIONS = (1, 3, 9, 1, 3)
 """Each of a convolution over 3 folds."""
 WIDTH = 384
-ONNX_OPSET = 17
 
 
 class _Block(nn.Module):
@@ -67,16 +66,9 @@ class LifterNetwork(nn.Module):
 
 def export_onnx(network: LifterNetwork, path: Path) -> None:
     """Write the network with free numbers of clips and frames."""
-    network = network.eval()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with warnings.catch_warnings():
-        # The exporter over TorchScript is deprecated, but its successor needs packages that nothing else here does.
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            network, (torch.zeros(1, 60, FEATURES),), str(path), input_names=["features"], output_names=["body"],
-            dynamic_axes={"features": {0: "batch", 1: "frames"}, "body": {0: "batch", 1: "frames"}},
-            opset_version=ONNX_OPSET, dynamo=False,
-        )  # fmt: skip
+    names = ("features", ("body",))
+    free = {name: {0: "batch", 1: "frames"} for name in ("features", "body")}
+    write_onnx(network.eval(), torch.zeros(1, 60, FEATURES), path, names=names, free=free)
 
 
 def read_onnx(path: Path) -> LifterNetwork | None:

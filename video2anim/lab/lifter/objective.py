@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from video2anim.humans.lifter_input import CONTACT_OUTPUTS, ERROR_OUTPUTS, LOG_ERROR_RANGE
+from video2anim.lab.lifter.contacts import PARTS
 from video2anim.lab.lifter.kinematics import planes_from_rot6d, posed
 from video2anim.lab.lifter.samples import LiftingBatch
 from video2anim.types.skeleton import JOINT_INDEX, PARENTS
@@ -18,7 +19,6 @@ _LIMBS = [
     for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
     for side in ("left", "right")
 ]
-_CONTACTS = (("feet", slice(0, 4)), ("hands", slice(4, 6)), ("seat", slice(6, 7)), ("back", slice(7, 8)))
 
 
 def losses(output: Float[Tensor, "batch frames outputs"], batch: LiftingBatch) -> dict[str, Tensor]:
@@ -81,7 +81,7 @@ def measures(output: Float[Tensor, "batch frames outputs"], batch: LiftingBatch)
     angle = torch.arccos((up * batch.up).sum(-1).clamp(-1, 1)).rad2deg()
     touch, known, truth = output[..., CONTACT_OUTPUTS] > 0, batch.contact_known > 0, batch.contact > 0.5
     scores = {}
-    for name, part in _CONTACTS:
+    for name, part in PARTS.items():
         both = (touch & truth & known)[..., part].sum()
         either = (touch & known)[..., part].sum() + (truth & known)[..., part].sum()
         scores[f"f1_{name}"] = float(2 * both / either.clamp_min(1))

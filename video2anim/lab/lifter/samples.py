@@ -15,6 +15,7 @@ from video2anim.humans.initial import landmark_rotation, ray_rotation
 from video2anim.humans.landmarks import KEYPOINT_INDEX
 from video2anim.humans.lifter_input import ray_features
 from video2anim.lab.lifter.bodies import draw_bodies
+from video2anim.lab.lifter.contacts import MIRRORED
 from video2anim.lab.lifter.kinematics import planes, posed
 from video2anim.lab.lifter.motions import LiftingMotions
 from video2anim.lab.lifter.residuals import ResidualLibrary
@@ -25,7 +26,6 @@ from video2anim.types import Intrinsics
 
 WINDOW_FRAMES = 96
 _HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
-_MIRRORED_CONTACTS = [1, 0, 3, 2, 5, 4, 6, 7]
 _MIRROR_ROT6D = torch.tensor([1.0, -1.0, -1.0, -1.0, 1.0, 1.0])
 """Signs of the first two columns of a rotation in the mirror x -> -x."""
 _SLOWER_OR_FASTER, _SLOWEST, _FASTEST = 0.4, 0.7, 1.6
@@ -164,7 +164,7 @@ class LiftingSampler:
         mirrored = torch.from_numpy(rng.random(size) < 0.5)
         rot6d[mirrored] = rot6d[mirrored][:, :, MIRROR_JOINT] * _MIRROR_ROT6D
         translation[mirrored] *= torch.tensor([-1.0, 1.0, 1.0])
-        contact[mirrored], known[mirrored] = (part[mirrored][..., _MIRRORED_CONTACTS] for part in (contact, known))
+        contact[mirrored], known[mirrored] = (part[mirrored][..., MIRRORED] for part in (contact, known))
         R = matrix_from_rot6d(rot6d)
         yaw = np.stack([np.zeros(size), rng.uniform(-np.pi, np.pi, size), np.zeros(size)], -1)
         turn = torch.from_numpy(matrix_from_axis_angle(yaw)).float()[:, None]

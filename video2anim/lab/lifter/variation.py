@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.lab.lifter.contacts import PARTS
 from video2anim.types.clip import FPS
 from video2anim.types.skeleton import JOINT_INDEX
 
@@ -19,15 +20,10 @@ def _both(*parts: str) -> list[int]:
 _ARMS, _LEGS = _both("collar", "shoulder", "elbow", "wrist"), _both("hip", "knee", "ankle")
 _TRUNK = [JOINT_INDEX[name] for name in ("spine1", "spine2", "spine3", "neck", "head")]
 _WIDE = _both("shoulder", "hip")
-_NOT_HANDS = torch.tensor([True, True, True, True, False, False, True, True])
-_NOT_HANDS_OR_BACK = _NOT_HANDS & torch.tensor([True] * 7 + [False])
-_NOT_FEET = torch.tensor([False, False, False, False, True, True, False, False])
-_NONE = torch.zeros(8, dtype=torch.bool)
+_HANDS, _BACK = (torch.from_numpy(PARTS[name]) for name in ("hands", "back"))
 _OTHER_ARMS, _OTHER_LEGS, _OTHER_TRUNK, _SWUNG, _LEANING, _TURNED = 0.25, 0.15, 0.1, 0.35, 0.15, 0.3
 """Shares of the windows."""
-_FROM_OTHERS = (
-    (_OTHER_ARMS, _ARMS, _NOT_HANDS), (_OTHER_LEGS, _LEGS, _NOT_FEET), (_OTHER_TRUNK, _TRUNK, _NOT_HANDS_OR_BACK),
-)  # fmt: skip
+_FROM_OTHERS = ((_OTHER_ARMS, _ARMS, ~_HANDS), (_OTHER_LEGS, _LEGS, _HANDS), (_OTHER_TRUNK, _TRUNK, ~(_HANDS | _BACK)))
 """Share of windows, joints that come from another one, contacts that stay known."""
 _SWING_RAD, _SWING_HZ, _LEAN_RAD = 0.5, (0.1, 1.2), 0.2
 _TURN_SHARE = 0.35
@@ -47,10 +43,7 @@ def varied(
     batch, frames = R.shape[:2]
     R, known = R.clone(), known.clone()
     original = R.clone()
-    for number, (share, joints, kept) in enumerate(
-        ((_OTHER_ARMS, _ARMS, _NOT_HANDS), (_OTHER_LEGS, _LEGS, _NOT_FEET), (_OTHER_TRUNK, _TRUNK, _NOT_HANDS_OR_BACK)),
-        1,
-    ):
+    for number, (share, joints, kept) in enumerate(_FROM_OTHERS, 1):
         chosen = _some(rng, batch, share)
         donor = (chosen + number) % batch
         R[chosen[:, None], :, torch.tensor(joints)] = original[donor[:, None], :, torch.tensor(joints)]
@@ -66,7 +59,7 @@ def varied(
     offset = rng.normal(0, 1, (len(turned), 1, 22, 3)) * _TURN_RAD * (rng.random((len(turned), 1, 22, 1)) < _TURN_SHARE)
     R[turned] = R[turned] @ _rotations(offset)
     for chosen in (swung, leaning, turned):
-        known[chosen] &= _NONE
+        known[chosen] = False
     return R, known
 
 

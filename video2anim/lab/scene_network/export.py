@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,10 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
+from video2anim.lab.onnx_export import write_onnx
 from video2anim.lab.scene_network.network import RoomNetwork, normalised_convolutions
 from video2anim.networks.room_net import INPUT, OUTPUTS
 
-ONNX_OPSET = 17
 _MIN_VALUES = 256
 """Smaller tensors stay in single precision."""
 
@@ -23,15 +22,8 @@ _MIN_VALUES = 256
 def export_onnx(network: RoomNetwork, path: Path) -> None:
     """Write the network with a free picture size. Weights are stored in half precision and computed with in single."""
     network = _folded(copy.deepcopy(network).cpu().eval())
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with warnings.catch_warnings():
-        # The exporter over TorchScript is deprecated, but its successor needs packages that nothing else here does.
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            network, (torch.zeros(1, 3, 96, 128),), str(path), input_names=[INPUT], output_names=list(OUTPUTS),
-            dynamic_axes={name: {2: f"{name}_rows", 3: f"{name}_columns"} for name in (INPUT, *OUTPUTS)},
-            opset_version=ONNX_OPSET, dynamo=False,
-        )  # fmt: skip
+    free = {name: {2: f"{name}_rows", 3: f"{name}_columns"} for name in (INPUT, *OUTPUTS)}
+    write_onnx(network, torch.zeros(1, 3, 96, 128), path, names=(INPUT, tuple(OUTPUTS)), free=free)
     onnx.save(halved(onnx.load(str(path))), str(path))
 
 

@@ -14,12 +14,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from video2anim.lab.scene_network.encoder import MEAN_RGB, STD_RGB, WIDTHS, Encoder
+from video2anim.networks.room_net import OUTPUTS
 
 DECODED = (48, 80, 128)
 """Channels of the decoder at a 4th, 8th and 16th."""
 TOP = 256
 """Channels of the cells that attention works on."""
-PIXEL_CHANNELS = 14
+PIXEL_CHANNELS = sum(OUTPUTS.values()) - OUTPUTS["camera"]
 ATTENTION_LAYERS, HEADS = 3, 8
 
 
@@ -32,8 +33,8 @@ class RoomAnswer(NamedTuple):
     """Surface normal in the camera frame, not normalized."""
     classes: Float[Tensor, "batch 6 rows columns"]
     """Logits of `CLASSES`."""
-    cues: Float[Tensor, "batch 4 rows columns"]
-    """Instance cues: logit of an object's middle, offset to it (x, y in picture heights), logit of a boundary."""
+    instance: Float[Tensor, "batch 4 rows columns"]
+    """Logit of an object's center, offset to it (x, y in image heights), logit of a boundary."""
     camera: Float[Tensor, "batch 5 coarse_rows coarse_columns"]
     """Up (x, y), latitude in radians, log of the expected errors of up and latitude in radians."""
 

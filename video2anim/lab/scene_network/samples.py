@@ -15,7 +15,7 @@ from torch import Tensor
 from video2anim.errors import InputError
 from video2anim.lab.synth.render.lens import pixel_directions
 from video2anim.lab.synth.world import FURNITURE_LABELS, LABELS
-from video2anim.networks.segmentation import CLASSES
+from video2anim.networks.segmentation import CLASSES, MIN_INSTANCE_RATIO
 from video2anim.types import Intrinsics
 
 CLASS_OF_LABEL: dict[str, str] = {
@@ -25,8 +25,6 @@ CLASS_OF_LABEL: dict[str, str] = {
 }  # fmt: skip
 """Classes of the synthetic world's labels; all others are `other`."""
 CLASS_TABLE = np.array([CLASSES.index(CLASS_OF_LABEL.get(label, "other")) for label in LABELS], np.uint8)
-MIN_RATIO = 0.003
-"""Instances that cover less of the picture are not asked for."""
 _HEAT_SIGMA = 0.03
 """Width of the blob that marks an object's middle, in picture heights."""
 
@@ -181,7 +179,7 @@ def instance_targets(instance: np.ndarray, classes: np.ndarray) -> dict[str, np.
     offset = np.zeros((2, rows, columns), np.float32)
     for number in np.unique(instance[furniture]):
         mask = furniture & (instance == number)
-        if mask.sum() < MIN_RATIO * mask.size:
+        if mask.sum() < MIN_INSTANCE_RATIO * mask.size:
             continue
         center_x, center_y = float(x[mask].mean()), float(y[mask].mean())
         far2 = (x - center_x) ** 2 + (y - center_y) ** 2
