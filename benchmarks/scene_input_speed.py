@@ -82,7 +82,7 @@ def room_mesh() -> trimesh.Trimesh:
 
 
 def walking_window() -> dict[str, Any]:
-    """An acted walk of 121 frames, its anchors and its body."""
+    """A procedural walk of 121 frames, its anchors and its body."""
     body = shaped_body(BodyShape("anny", dict(ADULT)))
     motion = act("walk", body, np.random.default_rng(SEED))
     joints_m, R_world = forward_kinematics(

@@ -35,7 +35,7 @@ from video2anim.types import PersonTracks
 
 ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
 """Free for commercial use but for a source in `deepmimic.npz`, which is left out."""
-ACTED, VALIDATION_ACTED = 210, 14
+PROCEDURAL, VALIDATION_PROCEDURAL = 210, 14
 VALIDATION_SEED = 900
 CLIPS = 13
 CLIP_WORDS = ("--preset", "random", "--seed", "7201", "--size", "480x848", "--longest", "1.6")
@@ -84,9 +84,9 @@ def samplers(options: argparse.Namespace) -> tuple[LiftingSampler, LiftingSample
     cache, archives = options.cache, [options.motion / name for name in ARCHIVES]
     split = options.motion / "split.json"
     libraries = residuals(cache, options.motion, options.clips)
-    motions = kept_motions(cache / "motions", archives, split, "train", acted=ACTED, seed=0)
+    motions = kept_motions(cache / "motions", archives, split, "train", procedural=PROCEDURAL, seed=0)
     unseen = kept_motions(
-        cache / "held_out_motions", archives, split, "val", acted=VALIDATION_ACTED, seed=VALIDATION_SEED
+        cache / "held_out_motions", archives, split, "val", procedural=VALIDATION_PROCEDURAL, seed=VALIDATION_SEED
     )
     return (
         LiftingSampler(motions, libraries[0].mirrored_too(), seed=0),

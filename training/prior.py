@@ -8,7 +8,7 @@
 
 The prior (`scenemi train`) and the temporal lifter (`training/lifter.py run`) take turns, two parts to one, until the
 lifter has stopped improving. State lies in the user's cache, written whole or not at all. Motion is the free part of
-`DIR` (`split.json`, `*.npz`) and acted clips.
+`DIR` (`split.json`, `*.npz`) and procedural clips (`acted.npz` in the cache).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from typing import IO
 from video2anim.networks.fetch import cache_dir
 
 ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
-ACTED, ACTED_SEED = 600, 50
+PROCEDURAL, PROCEDURAL_SEED = 600, 50
 PRIOR_MINUTES, LIFTER_MINUTES = 20.0, 10.0
 ERROR_WINDOWS = 100
 """In which the pipeline's errors are made, after the prior's first turn, about 5 s each beside the lifter's clips."""
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> None:
     os.nice(10)
     until = time.monotonic() + 60 * (options.minutes or 1e9)
     if not (cache() / "acted.npz").is_file():
-        words = ["synth", "--motion-only", "--count", str(ACTED), "--seed", str(ACTED_SEED)]
+        words = ["synth", "--motion-only", "--count", str(PROCEDURAL), "--seed", str(PROCEDURAL_SEED)]
         command = [sys.executable, "-m", "video2anim.cli.main", *words, "--out", str(cache() / "acted.npz")]
         turn(command, options)
     while (left := (until - time.monotonic()) / 60) > 0.05:
@@ -118,7 +118,7 @@ def turn(command: list[str], options: argparse.Namespace) -> None:
 
 
 def prior_command(options: argparse.Namespace, *words: str) -> list[str]:
-    """`scenemi train` on the free archives and the acted clips."""
+    """`scenemi train` on the free archives and the procedural clips."""
     command = [sys.executable, "-m", "scenemi.cli.main", "train", "--split", str(options.motion / "split.json")]
     for path in (*(options.motion / name for name in ARCHIVES), cache() / "acted.npz"):
         command += ["--motion", str(path)]

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.lab.synth.looks import make_looks
+from video2anim.lab.synth.appearance import make_appearance
 from video2anim.lab.synth.world import Actor, Light, Material, Part, Room, SceneObject, SensorModel, Shot
 from video2anim.types import BodyMotion, BodyShape, Intrinsics
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
@@ -134,7 +134,7 @@ def standing(
         body.rest_joints_m,
         joints,
     )
-    face_material, materials = make_looks(body, np.random.default_rng(seed))
+    face_material, materials = make_appearance(body, np.random.default_rng(seed))
     return Actor(motion, face_material, materials)
 
 

@@ -22,16 +22,16 @@ MOTION = Path(__file__).parents[4] / "shared" / "motion"
 @pytest.mark.parametrize("kind", ["sit", "pick_up", "walk"])
 def test_acted_after_acted_walk(kind: str) -> None:
     body = adult(0.45)
-    walk, acted = act("walk", body, np.random.default_rng(1)), act(kind, body, np.random.default_rng(2))
+    walk, procedural = act("walk", body, np.random.default_rng(1)), act(kind, body, np.random.default_rng(2))
     count = 60
-    both = joined(walk.translation_m[:count], walk.R_parent_joint[:count], walk.contact[:count], acted, body)
+    both = joined(walk.translation_m[:count], walk.R_parent_joint[:count], walk.contact[:count], procedural, body)
     np.testing.assert_array_equal(both.translation_m[: count - 1], walk.translation_m[: count - 1])
     _smooth(both, body, count, slide_m=0.0016)
-    assert len(both.props) == len(acted.props)
-    for moved, prop in zip(both.props, acted.props, strict=True):
+    assert len(both.props) == len(procedural.props)
+    for moved, prop in zip(both.props, procedural.props, strict=True):
         assert moved.position_m[1] == prop.position_m[1]
         frame = moved.frames[0]
-        before = np.linalg.norm(acted.translation_m[prop.frames[0]] - np.array(prop.position_m))
+        before = np.linalg.norm(procedural.translation_m[prop.frames[0]] - np.array(prop.position_m))
         after = np.linalg.norm(both.translation_m[frame] - np.array(moved.position_m))
         assert after == pytest.approx(before, abs=1e-6)
 
@@ -42,9 +42,9 @@ def test_acted_after_captured_walk(name: str) -> None:
     body = adult(0.45)
     captured = retarget(MotionArchive.read(MOTION / "cmu.npz").clip(name), body)
     count = min(70, len(captured.translation_m) - 6)
-    acted = act("sit", body, np.random.default_rng(3))
+    procedural = act("sit", body, np.random.default_rng(3))
     both = joined(
-        captured.translation_m[:count], captured.R_parent_joint[:count], captured.contact[:count], acted, body
+        captured.translation_m[:count], captured.R_parent_joint[:count], captured.contact[:count], procedural, body
     )
     _smooth(both, body, count, slide_m=0.005)
 
@@ -61,6 +61,6 @@ def _smooth(both: ProceduralMotion, body: ShapedBody, count: int, slide_m: float
 
 def test_too_short_a_capture_is_refused() -> None:
     body = adult(0.45)
-    acted = act("walk", body, np.random.default_rng(1))
+    procedural = act("walk", body, np.random.default_rng(1))
     with pytest.raises(UsageError, match="at least 3 captured frames"):
-        joined(acted.translation_m[:2], acted.R_parent_joint[:2], acted.contact[:2], acted, body)
+        joined(procedural.translation_m[:2], procedural.R_parent_joint[:2], procedural.contact[:2], procedural, body)

@@ -15,7 +15,7 @@ from video2anim.lab.synth.acting import CARRIES, act_carry
 from video2anim.lab.synth.acting.grip import Grip, fingers, side_grip
 from video2anim.lab.synth.acting.measure import measure
 from video2anim.lab.synth.compose import ComposeOptions, compose
-from video2anim.lab.synth.presets import ACTED, clip_specs, hiding_of
+from video2anim.lab.synth.presets import PROCEDURAL, clip_specs, hiding_of
 from video2anim.lab.synth.rooms.clearance import penetration_m
 from video2anim.lab.synth.showing import box_points, swept_points
 from video2anim.lab.synth.world import ProceduralMotion
@@ -173,7 +173,7 @@ def test_preset_carried() -> None:
     assert specs[0].name == "00_pick_up_from_floor"
     assert all(hiding_of(spec) is None and not spec.handheld for spec in specs)
     # The draws of `random` hang on how many kinds there are.
-    assert not set(CARRIES) & set(ACTED)
+    assert not set(CARRIES) & set(PROCEDURAL)
 
 
 def test_a_shot_shows_the_thing() -> None:

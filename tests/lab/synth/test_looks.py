@@ -7,7 +7,7 @@ import pytest
 
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.shaped_body import ShapedBody
-from video2anim.lab.synth.looks import make_looks
+from video2anim.lab.synth.appearance import make_appearance
 from video2anim.lab.synth.render.garments import borders_of, material_at, spanning
 from video2anim.lab.synth.render.texture import KINDS
 from video2anim.lab.synth.wardrobe import BAREFOOT, draw_outfit
@@ -33,7 +33,7 @@ def rest_joint(body: ShapedBody, name: str) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(6))
 def test_every_part_of_the_body_wears_what_belongs_there(number: int, seed: int) -> None:
     body = body_of(number)
-    face, materials = make_looks(body, np.random.default_rng(seed))
+    face, materials = make_appearance(body, np.random.default_rng(seed))
     outfit = draw_outfit(body.shape.parameters["gender"], np.random.default_rng(seed))
     names = list(outfit.materials)
     assert face.shape == (len(body.faces),)
@@ -61,7 +61,7 @@ def test_every_part_of_the_body_wears_what_belongs_there(number: int, seed: int)
 
 def test_looks_are_about_symmetric() -> None:
     body = body_of(0)
-    face, _ = make_looks(body, np.random.default_rng(3))
+    face, _ = make_appearance(body, np.random.default_rng(3))
     area = np.linalg.norm(
         np.cross(*(body.rest_vertices_m[body.faces[:, k]] - body.rest_vertices_m[body.faces[:, 0]] for k in (1, 2))),
         axis=1,
@@ -74,10 +74,10 @@ def test_looks_are_about_symmetric() -> None:
 
 def test_same_generator_same_looks_and_others_differ() -> None:
     body = body_of(0)
-    first, again = (make_looks(body, np.random.default_rng(8)) for _ in range(2))
+    first, again = (make_appearance(body, np.random.default_rng(8)) for _ in range(2))
     assert np.array_equal(first[0], again[0])
     assert first[1] == again[1]
-    wardrobe = {make_looks(body, np.random.default_rng(seed))[1] for seed in range(20)}
+    wardrobe = {make_appearance(body, np.random.default_rng(seed))[1] for seed in range(20)}
     assert len(wardrobe) == 20
 
 
@@ -90,7 +90,7 @@ def test_materials_can_be_drawn() -> None:
 
 def test_borders_are_cut_between_the_materials_of_their_corners() -> None:
     body = body_of(0)
-    face, materials = make_looks(body, np.random.default_rng(1))
+    face, materials = make_appearance(body, np.random.default_rng(1))
     borders = borders_of(body.faces, face, materials, len(body.rest_vertices_m))
     split = np.flatnonzero(borders.row >= 0)
     assert 0.02 < len(split) / len(face) < 0.5
@@ -106,7 +106,7 @@ def test_borders_are_cut_between_the_materials_of_their_corners() -> None:
 
 def test_cloth_spans_and_skin_does_not() -> None:
     body = body_of(0)
-    face, materials = make_looks(body, np.random.default_rng(1))
+    face, materials = make_appearance(body, np.random.default_rng(1))
     matrix = spanning(body.faces, face, materials, len(body.rest_vertices_m))
     assert np.asarray(matrix.sum(1)).ravel() == pytest.approx(1, abs=1e-4)
     skin = np.unique(body.faces[np.array([m.kind == "skin" for m in materials])[face]])

@@ -12,9 +12,9 @@ from render_room import HALF_M, look_at, make_room, make_shot, standing
 from video2anim.body.anny_body import shaped_body
 from video2anim.errors import UsageError
 from video2anim.geometry.projection import project
-from video2anim.lab.synth.render import PERSON_ID, Picture, Renderer
+from video2anim.lab.synth.render import Picture, Renderer
 from video2anim.lab.synth.render.lens import pixel_directions
-from video2anim.lab.synth.world import Material, MovingObject, Part, SceneObject, SensorModel, Shot
+from video2anim.lab.synth.world import PERSON_ID, Material, MovingObject, Part, SceneObject, SensorModel, Shot
 from video2anim.types import Intrinsics
 from video2anim.types.skeleton import forward_kinematics
 

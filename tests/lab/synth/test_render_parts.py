@@ -92,7 +92,7 @@ def test_soft_shadow_is_the_visible_share_of_the_lamp(edge: float, share: float)
 
 def test_sun_comes_from_against_its_direction() -> None:
     start, normal, tile = tilted()
-    down = Light((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), direction=(0.0, -1.0, 0.0))
+    down = Light((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0.1, direction=(0.0, -1.0, 0.0))
     assert lamp_reach(start, normal, down, tile, [wall(-1.0, 3.0)], 4).max() == 0
     assert lamp_reach(start, normal, down, tile, [wall(1.0, 3.0)], 4).min() == 1
 

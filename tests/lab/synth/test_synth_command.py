@@ -86,7 +86,7 @@ def test_an_output_that_cannot_be_written_is_one_line(tmp_path: Path, words: tup
 def test_a_motion_archive_that_cannot_be_written_is_found_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("video2anim.lab.synth.motions.act", lambda *parts: pytest.fail("acted for nothing"))
+    monkeypatch.setattr("video2anim.lab.synth.motions.act", lambda *parts: pytest.fail("procedural for nothing"))
     answer = video2anim("synth", "--motion-only", "--count", "1", "--out", tmp_path)
     assert answer.code == 3
     assert "is a directory" in answer.err
@@ -187,9 +187,9 @@ def test_unreadable_meshes(tmp_path: Path) -> None:
 
 
 def test_motion_that_cannot_be_used(tmp_path: Path) -> None:
-    acted = tmp_path / "acted.npz"
-    assert video2anim("synth", "--motion-only", "--count", "1", "--out", acted).code == 0
-    with np.load(acted, allow_pickle=False) as archive:
+    procedural = tmp_path / "acted.npz"
+    assert video2anim("synth", "--motion-only", "--count", "1", "--out", procedural).code == 0
+    with np.load(procedural, allow_pickle=False) as archive:
         arrays = dict(archive)
     empty = {key: value[:0] if key.startswith("clip_") and key not in ("clip_start", "clip_rot_start") else value
              for key, value in arrays.items()}  # fmt: skip

@@ -12,13 +12,13 @@ from scipy.optimize import linear_sum_assignment
 from video2anim.errors import InputError
 from video2anim.geometry.projection import invert_rigid, project
 from video2anim.lab.eval.truth import Truth
+from video2anim.lab.synth.world import NEAR_M
 from video2anim.types import BodyMotion, Intrinsics, VideoClip
 
 DURATION_TOLERANCE = 0.10
 """Largest relative difference of duration or picture shape between a clip and its truth."""
 _PERSON_REACH = 0.5
 """Persons farther apart than this share of the true person's height in the picture are not the same."""
-_NEAR_M = 0.05
 _MATCH_STEP_FRAMES = 3
 
 
@@ -121,7 +121,7 @@ def _picture_distance(estimate: BodyMotion, person: BodyMotion, frames: FrameMat
 
 
 def _pixels(points_camera_m: np.ndarray, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    ahead = points_camera_m[..., 2] > _NEAR_M
+    ahead = points_camera_m[..., 2] > NEAR_M
     safe = np.where(ahead[..., None], points_camera_m, [0.0, 0.0, 1.0])
     return project(safe, intrinsics), ahead
 

@@ -9,13 +9,13 @@ from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import posed_vertices
 from video2anim.geometry.projection import project
 from video2anim.lab.eval.truth import Truth
+from video2anim.lab.synth.world import NEAR_M
 
 HIDDEN_RATIO = 0.25
 """Hidden: the box of the visible pixels has less than this share of the area of the whole body's box."""
 SHORTEST_S = 0.3
 """Shorter stretches are steps behind a table leg, not gaps."""
 _SKIN_STRIDE = 20
-_NEAR_M = 0.05
 
 
 def hidden_frames(truth: Truth) -> Bool[np.ndarray, "frames"]:
@@ -44,7 +44,7 @@ def _whole_box_px(truth: Truth) -> Float[np.ndarray, "frames 4"]:
     skin_m = posed_vertices(motion, body, index, np.arange(motion.frame_count))
     R, camera_m = motion.T_world_camera[:, :3, :3], motion.T_world_camera[:, None, :3, 3]
     skin_camera_m = (skin_m - camera_m) @ R
-    ahead = skin_camera_m[..., 2].min(1) > _NEAR_M
+    ahead = skin_camera_m[..., 2].min(1) > NEAR_M
     pixel = project(np.where(ahead[:, None, None], skin_camera_m, [0.0, 0.0, 1.0]), motion.intrinsics)
     box_px = np.concatenate([pixel.min(1), pixel.max(1)], -1)
     return np.where(ahead[:, None], box_px, np.nan)

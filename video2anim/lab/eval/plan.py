@@ -12,13 +12,13 @@ from video2anim.errors import ArtifactError
 from video2anim.geometry.projection import transform_points
 from video2anim.lab.eval.model import Plan
 from video2anim.lab.eval.motion_rows import CommonFrames
+from video2anim.lab.eval.scene_rows import REACH_M
 from video2anim.lab.eval.true_scene import world_mesh
 from video2anim.lab.eval.truth import Truth
 from video2anim.types import BodyMotion, SceneModel
 
 Outline = tuple[tuple[float, float], ...]
 _PATH_STEP_FRAMES = 2
-_REACH_M = 1.5
 
 
 def plan_of(
@@ -44,8 +44,8 @@ def plan_of(
                 continue
             if (
                 len(near)
-                and (corners.max(0) > near.min(0) - _REACH_M).all()
-                and (corners.min(0) < near.max(0) + _REACH_M).all()
+                and (corners.max(0) > near.min(0) - REACH_M).all()
+                and (corners.min(0) < near.max(0) + REACH_M).all()
             ):
                 true_outlines.append((item.label, outline(corners)))
     mine = []

@@ -25,8 +25,6 @@ from video2anim.types.quality import Better
 
 STAGED = ("motion", "true_scene", "true_scene_laid", "own_scene")
 """Groups whose columns are the motion stages, in which the last is judged against the first."""
-_SAME = 1e-9
-"""Differences up to this are rounding."""
 HEADLINES = {
     "motion": ("mpjpe", "pa_mpjpe", "wa_mpjpe", "root_error", "acceleration_error", "jerk", "skating_gmd",
                "skating_kimodo", "contact_f1"),
@@ -70,7 +68,7 @@ def verdict(better: Better, first: float | None, last: float | None, truth: floa
     if first is None or last is None or better == "none" or (better == "near_truth" and truth is None):
         return ""
     before, after = _badness(better, first, truth), _badness(better, last, truth)
-    if abs(before - after) <= _SAME * max(1.0, abs(before), abs(after)):
+    if math.isclose(before, after, abs_tol=1e-9):
         return "same"
     return "better" if after < before else "worse"
 

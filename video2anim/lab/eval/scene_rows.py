@@ -15,6 +15,7 @@ from video2anim.geometry.sdf import SdfGrid, sample_sdf
 from video2anim.lab.eval.model import Curve, Group, make_group
 from video2anim.lab.eval.motion_rows import CommonFrames
 from video2anim.lab.eval.truth import Truth
+from video2anim.lab.synth.world import NEAR_M
 from video2anim.types import BodyMotion, SceneModel
 from video2anim.types.quality import Quality
 from video2anim.types.skeleton import forward_kinematics
@@ -205,7 +206,7 @@ def space_points(truth: Truth) -> Float[np.ndarray, "points 3"]:
     lens = truth.intrinsics
     for T_world_camera in truth.main.T_world_camera[::step]:
         camera_m = transform_points(invert_rigid(T_world_camera), grid_m)
-        ahead = camera_m[:, 2] > 0.05
+        ahead = camera_m[:, 2] > NEAR_M
         camera_m[~ahead] = (0.0, 0.0, 1.0)
         pixel = project(camera_m, lens)
         seen |= ahead & (pixel > -0.5).all(-1) & (pixel < [lens.width_px - 0.5, lens.height_px - 0.5]).all(-1)

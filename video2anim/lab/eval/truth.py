@@ -16,11 +16,11 @@ from video2anim.artifacts.images import read_png
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.artifacts.stage_files import member, read_json
 from video2anim.errors import ArtifactError, InputError
+from video2anim.lab.synth.world import PERSON_ID
 from video2anim.types import BodyMotion, Intrinsics
 from video2anim.types.checks import MAX_M
 from video2anim.types.storage import Holds
 
-_FIRST_PERSON_VALUE = 1000
 """Pixels of person p hold 1000 + p."""
 _FLOOR_LABELS = ("floor", "rug")
 _ARRAYS: dict[str, Any] = {
@@ -156,7 +156,7 @@ class Truth:
 
     @property
     def person_pixels(self) -> Bool[np.ndarray, "maps height width"]:
-        return self.instance >= _FIRST_PERSON_VALUE
+        return self.instance >= PERSON_ID
 
     @property
     def floor_mask(self) -> Bool[np.ndarray, "height width"]:

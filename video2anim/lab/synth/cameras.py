@@ -11,7 +11,7 @@ from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.lab.synth.render.caster import Caster
 from video2anim.lab.synth.render.surfaces import of_objects
-from video2anim.lab.synth.world import Room
+from video2anim.lab.synth.world import PICTURE_SIZE_PX, Room
 from video2anim.types import Intrinsics
 
 NEVER_HIDES = ("ceiling", "floor", "rug", "picture", "skirting")
@@ -32,8 +32,8 @@ _FOV_SPREAD = 0.3
 class CameraRequest:
     """Ranges a camera is drawn from."""
 
-    width_px: int = 640
-    height_px: int = 480
+    width_px: int = PICTURE_SIZE_PX[0]
+    height_px: int = PICTURE_SIZE_PX[1]
     fov_y_rad: tuple[float, float] = (np.deg2rad(35.0), np.deg2rad(90.0))
     height_m: tuple[float, float] = (0.8, 2.6)
     pitch_rad: tuple[float, float] = (-0.6, 0.15)

@@ -12,15 +12,24 @@ from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.lab.synth.acting import ACTS, CARRIES, act, act_carry, joined
 from video2anim.lab.synth.acting.curves import turned
+from video2anim.lab.synth.appearance import make_appearance
 from video2anim.lab.synth.cameras import CameraRequest, place_camera
 from video2anim.lab.synth.hiding import hidden_view
 from video2anim.lab.synth.library import MotionDatabase
-from video2anim.lab.synth.looks import make_looks
 from video2anim.lab.synth.presets import ClipSpec, hiding_of
 from video2anim.lab.synth.render.lens import covers_picture
 from video2anim.lab.synth.rooms import build_room, penetration_m, split_items
 from video2anim.lab.synth.showing import showing_view, swept_points
-from video2anim.lab.synth.world import Actor, MovingObject, ProceduralMotion, Room, SceneObject, SensorModel, Shot
+from video2anim.lab.synth.world import (
+    PICTURE_SIZE_PX,
+    Actor,
+    MovingObject,
+    ProceduralMotion,
+    Room,
+    SceneObject,
+    SensorModel,
+    Shot,
+)
 from video2anim.types import BodyMotion, BodyShape, Intrinsics
 from video2anim.types.clip import FPS
 from video2anim.types.skeleton import forward_kinematics
@@ -40,8 +49,8 @@ _APART_M = 0.3
 class ComposeOptions:
     """What the user may fix for all clips."""
 
-    width_px: int = 640
-    height_px: int = 480
+    width_px: int = PICTURE_SIZE_PX[0]
+    height_px: int = PICTURE_SIZE_PX[1]
     room_size_m: tuple[float, float] | None = None
     meshes: tuple[SceneObject, ...] = ()
     library: MotionDatabase | None = None
@@ -56,7 +65,7 @@ class Performance:
     """One person's motion on one body, with skinned vertices."""
 
     body: ShapedBody
-    acted: ProceduralMotion
+    procedural: ProceduralMotion
     joints_m: Float[np.ndarray, "frames 22 3"]
     vertices_m: Float[np.ndarray, "frames vertices 3"]
 
@@ -87,8 +96,10 @@ def compose(spec: ClipSpec, options: ComposeOptions) -> Shot:
 def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
     people = _performances(spec, options, attempt)
     rng = spec.rng("room", attempt)
-    props = tuple(prop for person in people for prop in person.acted.props)
-    swept = np.concatenate([_skin(people, options.skin_stride), *(swept_points(p.acted, _SPACING_M) for p in people)])
+    props = tuple(prop for person in people for prop in person.procedural.props)
+    swept = np.concatenate(
+        [_skin(people, options.skin_stride), *(swept_points(p.procedural, _SPACING_M) for p in people)]
+    )
     furnished = build_room(
         rng, swept_m=swept, props=props, room_size_m=options.room_size_m,
         clutter=float(rng.uniform(0.2, 0.9)), meshes=options.meshes, prop_depth_m=0.8 * DEEPEST_M,
@@ -104,7 +115,7 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
     if spec.preset == "carried":
         first = people[0]
         lens, T_world_camera = showing_view(
-            camera_rng, room, first.acted, joints[0], first.vertices_m, first.body.faces, request
+            camera_rng, room, first.procedural, joints[0], first.vertices_m, first.body.faces, request
         )
     elif hiding is None:
         lens, T_world_camera = place_camera(camera_rng, room, joints, request)
@@ -114,9 +125,9 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
         )
     actors = []
     for number, person in enumerate(people):
-        face_material, materials = make_looks(person.body, spec.rng(f"looks {number}", attempt))
-        motion, acted = _body_motion(number, person, T_world_camera, lens), person.acted
-        actors.append(Actor(motion, face_material, materials, acted.kind, acted.source, acted.name))
+        face_material, materials = make_appearance(person.body, spec.rng(f"looks {number}", attempt))
+        motion, procedural = _body_motion(number, person, T_world_camera, lens), person.procedural
+        actors.append(Actor(motion, face_material, materials, procedural.kind, procedural.source, procedural.name))
     facts: dict[str, str | float | int] = {"attempt": attempt, "kind": "+".join(spec.kinds)}
     return Shot(
         spec.name, room, tuple(actors), lens, T_world_camera, not spec.handheld,
@@ -144,18 +155,18 @@ def _performances(spec: ClipSpec, options: ComposeOptions, attempt: int) -> list
         rng = spec.rng(f"motion {number}", attempt)
         body = shaped_body(draw_shape(rng))
         people.append((body, _motion(kind, body, rng, spec, options.library)))
-    frames = min(len(acted.translation_m) for _, acted in people)
+    frames = min(len(procedural.translation_m) for _, procedural in people)
     if frames < spec.duration_s[0] * FPS * 0.75:
         raise _Unsuitable(f"motion of {frames / FPS:.1f} s is too short")
     if options.longest_s is not None:
         frames = min(frames, max(int(options.longest_s * FPS), 2))
-    performed = [_perform(body, _cut(acted, frames)) for body, acted in people]
+    performed = [_perform(body, _cut(procedural, frames)) for body, procedural in people]
     for person in performed:
         lowest_m = float(person.vertices_m[::2, :, 1].min())
         if lowest_m < -DEEPEST_M:
             raise _Unsuitable(f"the body is {-100 * lowest_m:.1f} cm under the floor")
-    R = _facing_walls(performed[0].acted)
-    shift = -(R @ performed[0].acted.translation_m[0]) * (1.0, 0.0, 1.0)
+    R = _facing_walls(performed[0].procedural)
+    shift = -(R @ performed[0].procedural.translation_m[0]) * (1.0, 0.0, 1.0)
     placed = [_moved(performed[0], R, shift)]
     for number, other in enumerate(performed[1:], 1):
         placed.append(_beside(placed, other, spec.rng(f"place {number}", attempt)))
@@ -165,7 +176,7 @@ def _performances(spec: ClipSpec, options: ComposeOptions, attempt: int) -> list
 def _motion(
     kind: str, body: ShapedBody, rng: np.random.Generator, spec: ClipSpec, library: MotionDatabase | None
 ) -> ProceduralMotion:
-    """Captured where the library has the kind, acted otherwise; acted kinds may begin with a captured walk."""
+    """Captured where the database has the kind, else procedural; a procedural one may begin with a captured walk."""
     if kind in CARRIES:
         return act_carry(kind, body, rng)
     low, high = spec.duration_s
@@ -186,47 +197,47 @@ def _motion(
         return act(kind, body, rng, duration_s=spec.duration_s)
     length = min(len(walk.translation_m), int(3.0 * FPS))
     rest = max(low - length / FPS, 4.0 if kind == "walk" else 5.5)
-    acted = act(kind, body, rng, duration_s=(rest, max(rest + 0.5, high - length / FPS)))
-    start = joined(walk.translation_m[:length], walk.R_parent_joint[:length], walk.contact[:length], acted, body)
-    return replace(start, name=f"{walk.name} > {acted.name}", source=f"{walk.source} > synthetic")
+    procedural = act(kind, body, rng, duration_s=(rest, max(rest + 0.5, high - length / FPS)))
+    start = joined(walk.translation_m[:length], walk.R_parent_joint[:length], walk.contact[:length], procedural, body)
+    return replace(start, name=f"{walk.name} > {procedural.name}", source=f"{walk.source} > synthetic")
 
 
-def _cut(acted: ProceduralMotion, frames: int) -> ProceduralMotion:
-    pose = acted.item_pose[:frames] if acted.item_pose is not None else None
-    held = acted.item_held[:frames] if acted.item_held is not None else None
+def _cut(procedural: ProceduralMotion, frames: int) -> ProceduralMotion:
+    pose = procedural.item_pose[:frames] if procedural.item_pose is not None else None
+    held = procedural.item_held[:frames] if procedural.item_held is not None else None
     return replace(
-        acted, translation_m=acted.translation_m[:frames], R_parent_joint=acted.R_parent_joint[:frames],
-        contact=acted.contact[:frames], item_pose=pose, item_held=held,
+        procedural, translation_m=procedural.translation_m[:frames], R_parent_joint=procedural.R_parent_joint[:frames],
+        contact=procedural.contact[:frames], item_pose=pose, item_held=held,
     )  # fmt: skip
 
 
-def _perform(body: ShapedBody, acted: ProceduralMotion) -> Performance:
-    joints, R_world = forward_kinematics(acted.R_parent_joint, acted.translation_m, body.rest_joints_m)
-    return Performance(body, acted, joints, body.vertices(R_world, joints))
+def _perform(body: ShapedBody, procedural: ProceduralMotion) -> Performance:
+    joints, R_world = forward_kinematics(procedural.R_parent_joint, procedural.translation_m, body.rest_joints_m)
+    return Performance(body, procedural, joints, body.vertices(R_world, joints))
 
 
 def _moved(person: Performance, R: np.ndarray, shift: np.ndarray) -> Performance:
     """The whole performance with its props, turned about the vertical axis and then shifted."""
-    acted, yaw = person.acted, float(np.arctan2(R[0, 2], R[2, 2]))
-    rotations = acted.R_parent_joint.copy()
+    procedural, yaw = person.procedural, float(np.arctan2(R[0, 2], R[2, 2]))
+    rotations = procedural.R_parent_joint.copy()
     rotations[:, 0] = R @ rotations[:, 0]
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, shift
     props = tuple(
         replace(prop, position_m=tuple(float(x) for x in R @ prop.position_m + shift), yaw_rad=prop.yaw_rad + yaw)
-        for prop in acted.props
+        for prop in procedural.props
     )
     moved = replace(
-        acted, translation_m=acted.translation_m @ R.T + shift, R_parent_joint=rotations, props=props,
-        item_pose=None if acted.item_pose is None else T @ acted.item_pose,
+        procedural, translation_m=procedural.translation_m @ R.T + shift, R_parent_joint=rotations, props=props,
+        item_pose=None if procedural.item_pose is None else T @ procedural.item_pose,
     )  # fmt: skip
     vertices = (person.vertices_m @ R.T.astype(np.float32) + shift.astype(np.float32)).astype(np.float32)
     return Performance(person.body, moved, person.joints_m @ R.T + shift, vertices)
 
 
-def _facing_walls(acted: ProceduralMotion) -> Float[np.ndarray, "3 3"]:
+def _facing_walls(procedural: ProceduralMotion) -> Float[np.ndarray, "3 3"]:
     """Turn about the vertical that makes a wall the motion leans on parallel to the room's walls."""
-    yaw = next((-prop.yaw_rad for prop in acted.props if prop.kind == "wall"), 0.0)
+    yaw = next((-prop.yaw_rad for prop in procedural.props if prop.kind == "wall"), 0.0)
     return turned(yaw)
 
 
@@ -251,10 +262,10 @@ def _apart(a_m: np.ndarray, b_m: np.ndarray) -> bool:
 
 def _props_apart(placed: list[Performance], person: Performance, R: np.ndarray, shift: np.ndarray) -> bool:
     """Props of one lie outside the path of the others, and apart from theirs."""
-    mine = np.array([R @ prop.position_m + shift for prop in person.acted.props]).reshape(-1, 3)[:, [0, 2]]
+    mine = np.array([R @ prop.position_m + shift for prop in person.procedural.props]).reshape(-1, 3)[:, [0, 2]]
     path = (person.joints_m[:, 0] @ R.T + shift)[:, [0, 2]]
     for other in placed:
-        theirs = np.array([prop.position_m for prop in other.acted.props]).reshape(-1, 3)[:, [0, 2]]
+        theirs = np.array([prop.position_m for prop in other.procedural.props]).reshape(-1, 3)[:, [0, 2]]
         walked = other.joints_m[:, 0][:, [0, 2]]
         for points, others in ((mine, walked), (theirs, path), (mine, theirs)):
             if len(points) and len(others):
@@ -268,14 +279,14 @@ def _carried(people: list[Performance], items: dict[int, SceneObject], room: Roo
     """Objects that are moved, with their poses; `items` of the room are numbered by their prop among all props."""
     moving, first, unused = [], 0, max(obj.object_id for obj in (*room.objects, *items.values())) + 1
     for person in people:
-        acted = person.acted
-        if acted.item_pose is not None and acted.item_held is not None:
-            mine = [obj for number, obj in items.items() if first <= number < first + len(acted.props)]
-            if acted.item is not None:
-                mine.append(acted.item.moved(acted.item_pose[0], unused))
+        procedural = person.procedural
+        if procedural.item_pose is not None and procedural.item_held is not None:
+            mine = [obj for number, obj in items.items() if first <= number < first + len(procedural.props)]
+            if procedural.item is not None:
+                mine.append(procedural.item.moved(procedural.item_pose[0], unused))
                 unused += 1
-            moving += [MovingObject(obj, acted.item_pose, acted.item_held) for obj in mine]
-        first += len(acted.props)
+            moving += [MovingObject(obj, procedural.item_pose, procedural.item_held) for obj in mine]
+        first += len(procedural.props)
     return tuple(moving)
 
 
@@ -307,14 +318,14 @@ def _without_offenders(points: Float[np.ndarray, "points 3"], room: Room) -> Roo
 
 
 def _body_motion(number: int, person: Performance, T_world_camera: np.ndarray, lens: Intrinsics) -> BodyMotion:
-    acted = person.acted
-    frames = len(acted.translation_m)
+    procedural = person.procedural
+    frames = len(procedural.translation_m)
     T_world_root = np.tile(np.eye(4), (frames, 1, 1))
-    T_world_root[:, :3, :3], T_world_root[:, :3, 3] = acted.R_parent_joint[:, 0], acted.translation_m
+    T_world_root[:, :3, :3], T_world_root[:, :3, 3] = procedural.R_parent_joint[:, 0], procedural.translation_m
     return BodyMotion(
         person_id=number, frame_time_s=np.arange(frames) / FPS, valid=np.ones(frames, bool),
-        T_world_root=T_world_root, R_parent_joint=acted.R_parent_joint, T_world_camera=T_world_camera,
-        intrinsics=lens, contact=acted.contact.astype(np.float64), shape=person.body.shape,
+        T_world_root=T_world_root, R_parent_joint=procedural.R_parent_joint, T_world_camera=T_world_camera,
+        intrinsics=lens, contact=procedural.contact.astype(np.float64), shape=person.body.shape,
         rest_joints_m=person.body.rest_joints_m, joints_world_m=person.joints_m,
     )  # fmt: skip
 

@@ -27,9 +27,10 @@ from video2anim.lab.synth.generate import (
 from video2anim.lab.synth.presets import ClipSpec, clip_specs, expect_count_and_seed
 from video2anim.lab.synth.world import LABELS
 
-PER_ROOM = 32
-"""Pictures made of one room, each from another camera and at another moment."""
 SHARD_SIZE = 64
+"""Images of a folder."""
+PER_ROOM = SHARD_SIZE // 2
+"""Images of one room, each from another camera and at another moment."""
 MOST = 1_000_000
 """Pictures of one call."""
 ARRAYS = {

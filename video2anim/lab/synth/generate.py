@@ -24,6 +24,7 @@ from video2anim.artifacts.stage_files import read_json
 from video2anim.digest import file_digest
 from video2anim.errors import ArtifactError, InputError, StageError
 from video2anim.lab.synth.presets import V2A_BENCH, ClipSpec, clip_specs
+from video2anim.lab.synth.world import LABEL_STRIDE_FRAMES, PICTURE_SIZE_PX
 
 if TYPE_CHECKING:
     from video2anim.lab.synth.compose import ComposeOptions
@@ -45,15 +46,14 @@ class SynthConfig:
     preset: str = "bench"
     count: int | None = None
     seed: int = 0
-    width_px: int = 640
-    height_px: int = 480
+    width_px: int = PICTURE_SIZE_PX[0]
+    height_px: int = PICTURE_SIZE_PX[1]
     motion: tuple[Path, ...] = ()
     """Archives of captured motion or folders of such; without them walking comes from the gait model."""
     noncommercial: bool = False
     meshes: Path | None = None
     """Folder of external meshes to mix in."""
     room_size_m: tuple[float, float] | None = None
-    label_stride: int = 5
     longest_s: float | None = None
     """Clips are cut to this length."""
 
@@ -186,7 +186,7 @@ def _make(spec: ClipSpec, config: SynthConfig, sources: dict[str, str], out: Pat
         "name": spec.name, "preset": spec.preset, "seed": spec.seed, "index": spec.index,
         "key": clip_key(spec, config, sources), "generator": f"video2anim {__version__}",
     }  # fmt: skip
-    write_clip(shot, out / spec.name, facts, spec.rng("noise"), label_stride=config.label_stride)
+    write_clip(shot, out / spec.name, facts, spec.rng("noise"))
     return ClipDone(spec.name, False, _digests(out / spec.name))
 
 
@@ -227,7 +227,7 @@ def clip_key(spec: ClipSpec, config: SynthConfig, sources: dict[str, str]) -> st
     """Digest of everything that decides what a clip looks like."""
     facts: dict[str, Any] = {
         "version": GENERATOR_VERSION, "spec": asdict(spec), "size": (config.width_px, config.height_px),
-        "room": config.room_size_m, "stride": config.label_stride, "sources": sources,
+        "room": config.room_size_m, "stride": LABEL_STRIDE_FRAMES, "sources": sources,
         "noncommercial": config.noncommercial, "longest_s": config.longest_s,
     }  # fmt: skip
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]

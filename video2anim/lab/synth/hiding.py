@@ -17,7 +17,7 @@ from video2anim.lab.synth.rooms import make_furniture
 from video2anim.lab.synth.rooms.clearance import SweepIndex
 from video2anim.lab.synth.rooms.making import pose
 from video2anim.lab.synth.rooms.placing import Boxes, Plan
-from video2anim.lab.synth.world import Room, SceneObject
+from video2anim.lab.synth.world import NEAR_M, Room, SceneObject
 from video2anim.types import Intrinsics
 from video2anim.types.clip import FPS
 
@@ -35,7 +35,6 @@ _PLACES = 60
 _CLEAR_M = 0.06
 """Distance of the object from the people's way."""
 _FROM_CAMERA_M = 0.7
-_AHEAD_M = 0.05
 _NEAREST_M = 1.0
 """Nobody who leaves the picture passes the lens nearer than this."""
 
@@ -152,7 +151,7 @@ def in_picture(
 ) -> tuple[Float[np.ndarray, "*points 2"], Bool[np.ndarray, "*points"]]:
     """Where points are in the picture's plane, and whether they are inside it."""
     camera_m = transform_points(invert_rigid(T_world_camera), points_m)
-    ahead = camera_m[..., 2] > _AHEAD_M
+    ahead = camera_m[..., 2] > NEAR_M
     pixel = project(np.where(ahead[..., None], camera_m, [0.0, 0.0, 1.0]), lens)
     inside = (pixel > -0.5) & (pixel < np.array([lens.width_px, lens.height_px]) - 0.5)
     return pixel, ahead & inside.all(-1)

@@ -13,7 +13,7 @@ from video2anim.body.anny_body import shaped_body
 from video2anim.lab.synth.acting import act, to_source_clip
 from video2anim.lab.synth.compose import draw_shape
 from video2anim.lab.synth.generate import writing
-from video2anim.lab.synth.presets import ACTED, expect_count_and_seed
+from video2anim.lab.synth.presets import PROCEDURAL, expect_count_and_seed
 
 MOST = 100_000
 """Motions of an archive, which is put together in memory."""
@@ -41,7 +41,9 @@ def write_procedural(path: Path, *, count: int, seed: int) -> int:
         rng = np.random.default_rng([seed, number])
         body = shaped_body(draw_shape(rng))
         clips.append(
-            to_source_clip(act(ACTED[number % len(ACTED)], body, rng), body, name=f"synthetic_{seed}_{number:05d}")
+            to_source_clip(
+                act(PROCEDURAL[number % len(PROCEDURAL)], body, rng), body, name=f"synthetic_{seed}_{number:05d}"
+            )
         )
     with writing(path):
         write_archive(path, clips)

@@ -17,18 +17,17 @@ from video2anim.errors import InputError
 from video2anim.lab.synth.cameras import look
 from video2anim.lab.synth.compose import ComposeOptions, compose, draw_sensor
 from video2anim.lab.synth.presets import ClipSpec
-from video2anim.lab.synth.render import PERSON_ID, Sensor, tone
+from video2anim.lab.synth.render import Sensor, tone
 from video2anim.lab.synth.render.caster import Caster
 from video2anim.lab.synth.render.moving import draw_moving
 from video2anim.lab.synth.render.people import Cast
+from video2anim.lab.synth.render.renderer import MOVING_RAYS
 from video2anim.lab.synth.render.surfaces import Surfaces, of_objects
 from video2anim.lab.synth.render.view import Eye, Lamps, room_components, sheet_of
 from video2anim.lab.synth.store import depth_code, normal_code
-from video2anim.lab.synth.world import LABELS, Light, Material, Room, Shot
+from video2anim.lab.synth.world import LABELS, PERSON_ID, Light, Material, Room, Shot
 from video2anim.types import Intrinsics
 
-RAYS = (2, 4)
-"""Rays per pixel for each light and for the hemisphere."""
 _PAINTS = ("plain", "plaster", "wood", "planks", "tiles", "carpet", "fabric", "stripes", "checks", "leather", "metal",
            "brick", "picture", "paper")  # fmt: skip
 _MOMENT_S = (2.0, 4.0)
@@ -179,7 +178,7 @@ def _lamps(room: Room, rng: np.random.Generator) -> Lamps:
             lights.append(
                 Light(place, (float(power[0]), float(power[1]), float(power[2])), float(rng.uniform(0.03, 0.5)))
             )
-    return Lamps(tuple(lights), (float(ambient[0]), float(ambient[1]), float(ambient[2])), RAYS)
+    return Lamps(tuple(lights), (float(ambient[0]), float(ambient[1]), float(ambient[2])), MOVING_RAYS)
 
 
 def _scaled(rgb: tuple[float, float, float], factor: float) -> tuple[float, float, float]:

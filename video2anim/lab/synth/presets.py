@@ -17,10 +17,10 @@ _BENCH: tuple[tuple[str, ...], ...] = (
     ("sit",), ("step_up",), ("pick_up",), ("walk", "walk"), ("turn",), ("reach",), ("sit",), ("walk",),
     ("lean",), ("step_up",), ("pick_up", "walk"), ("walk",), ("lie",), ("turn",), ("sit", "reach"), ("walk",),
 )  # fmt: skip
-ACTED = ("walk", "sit", "lie", "step_up", "pick_up", "lean", "reach")
+PROCEDURAL = ("walk", "sit", "lie", "step_up", "pick_up", "lean", "reach")
 CAPTURED = ("walk", "walk_turn", "chore", "gesture", "pickup", "dance", "sport", "arms")
 PRESETS = ("bench", "random", "hidden", "carried")
-MAX_SEED = 2**63 - 1
+MAX_SEED = int(np.iinfo(np.int64).max)
 """What every reader of `set.json` and `meta.json` can hold."""
 
 
@@ -71,7 +71,7 @@ class ClipSpec:
     seed: int
     index: int
     kinds: tuple[str, ...]
-    """One per person: an acted kind, `turn` (captured walk with turns), or a captured kind."""
+    """One per person: a procedural kind, `turn` (captured walk with turns), or a captured kind."""
     duration_s: tuple[float, float]
     handheld: bool = False
     harsh: bool = False
@@ -134,6 +134,6 @@ def _carried(seed: int, index: int) -> ClipSpec:
 def _random(seed: int, index: int) -> ClipSpec:
     rng = np.random.default_rng([seed, index, zlib.crc32(b"random")])
     people = 2 if rng.random() < 0.2 else 1
-    kinds = tuple(str(rng.choice((*ACTED, *CAPTURED))) for _ in range(people))
+    kinds = tuple(str(rng.choice((*PROCEDURAL, *CAPTURED))) for _ in range(people))
     name = f"{index:05d}_{'_and_'.join(kinds)}"
     return ClipSpec(name, "random", seed, index, kinds, (4.0, 12.0), bool(rng.random() < 0.2), bool(rng.random() < 0.5))

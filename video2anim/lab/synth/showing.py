@@ -22,29 +22,29 @@ third of the clip: before, while and after it is carried."""
 _INSET_M = 0.003
 
 
-def box_points(acted: ProceduralMotion, spacing_m: float) -> Float[np.ndarray, "points 3"]:
+def box_points(procedural: ProceduralMotion, spacing_m: float) -> Float[np.ndarray, "points 3"]:
     """Points on the box around an object, in its frame; a little inside, for the object rests on others."""
-    if acted.item is None:
+    if procedural.item is None:
         return np.zeros((0, 3))
-    corners = np.concatenate([part.vertices_m for part in acted.item.parts])
+    corners = np.concatenate([part.vertices_m for part in procedural.item.parts])
     low, high = corners.min(0) + _INSET_M, corners.max(0) - _INSET_M
     axes = [np.linspace(a, b, max(2, int((b - a) / spacing_m) + 1)) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     return grid[((grid == low) | (grid == high)).any(1)]
 
 
-def swept_points(acted: ProceduralMotion, spacing_m: float) -> Float[np.ndarray, "points 3"]:
+def swept_points(procedural: ProceduralMotion, spacing_m: float) -> Float[np.ndarray, "points 3"]:
     """The same in the world, in every second frame: furniture stays clear of its way."""
-    if acted.item_pose is None:
+    if procedural.item_pose is None:
         return np.zeros((0, 3))
-    T = acted.item_pose[::2]
-    return (box_points(acted, spacing_m) @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]).reshape(-1, 3)
+    T = procedural.item_pose[::2]
+    return (box_points(procedural, spacing_m) @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]).reshape(-1, 3)
 
 
 def showing_view(
     rng: np.random.Generator,
     room: Room,
-    acted: ProceduralMotion,
+    procedural: ProceduralMotion,
     joints_m: Float[np.ndarray, "frames 22 3"],
     skin_m: Float[np.ndarray, "frames vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
@@ -55,9 +55,9 @@ def showing_view(
     Raises:
         InputError: no camera sees the motion, or each has the object hidden for most of the time.
     """
-    assert acted.item_pose is not None
+    assert procedural.item_pose is not None
     frames = np.linspace(0, len(joints_m) - 1, _FRAMES).round().astype(int)
-    points = box_points(acted, 0.15)
+    points = box_points(procedural, 0.15)
     room_caster = of_objects(obj for obj in room.objects if obj.label not in NEVER_HIDES).caster()
     bodies = [Caster(skin_m[frame], faces) for frame in frames]
     best, most = None, -1.0
@@ -65,7 +65,7 @@ def showing_view(
         lens, T_world_camera = place_camera(rng, room, joints_m[None], request)
         eye = T_world_camera[0, :3, 3]
         seen = []
-        for body, T in zip(bodies, acted.item_pose[frames], strict=True):
+        for body, T in zip(bodies, procedural.item_pose[frames], strict=True):
             world_m = points @ T[:3, :3].T + T[:3, 3]
             ray = world_m - eye
             start = np.broadcast_to(eye, ray.shape)

@@ -17,9 +17,18 @@ from video2anim.export.character import character_of
 from video2anim.export.glb import write_object_glb, write_scene_glb
 from video2anim.geometry.scene_mesh import empty_mesh
 from video2anim.geometry.vertex_normals import vertex_normals
-from video2anim.lab.synth.render import PERSON_ID, Picture, Renderer, Sensor
+from video2anim.lab.synth.render import Picture, Renderer, Sensor
 from video2anim.lab.synth.render.texture import material_rgb, unrolled
-from video2anim.lab.synth.world import FURNITURE_LABELS, LABELS, STRUCTURE_LABELS, Part, SceneObject, Shot
+from video2anim.lab.synth.world import (
+    FURNITURE_LABELS,
+    LABEL_STRIDE_FRAMES,
+    LABELS,
+    PERSON_ID,
+    STRUCTURE_LABELS,
+    Part,
+    SceneObject,
+    Shot,
+)
 from video2anim.types import Mesh, PlacedObject, RoomPiece
 from video2anim.types.motion_arrays import motion_arrays
 from video2anim.video import FrameWriter
@@ -41,8 +50,6 @@ def write_clip(
     folder: Path,
     facts: dict[str, Any],
     rng: np.random.Generator,
-    *,
-    label_stride: int = 5,
 ) -> None:
     """Draw a shot and write its folder; an older folder of that name is replaced by one rename at the end.
 
@@ -51,11 +58,10 @@ def write_clip(
         folder: Folder to make.
         facts: Entries of `meta.json` known to the caller (name, preset, seed, index).
         rng: Randomness of the sensor.
-        label_stride: Depth, normals and instances are kept for every such frame.
     """
     with atomic_directory(folder) as work:
         renderer, sensor = Renderer(shot), Sensor(shot.sensor, rng)
-        labels = _Labels(shot, renderer, label_stride)
+        labels = _Labels(shot, renderer)
         width_px, height_px = shot.intrinsics.width_px, shot.intrinsics.height_px
         with FrameWriter(
             work / "video.mp4", width_px=width_px, height_px=height_px, crf=shot.sensor.crf, threads=1
@@ -73,9 +79,9 @@ def write_clip(
 class _Labels:
     """Maps gathered while the clip is drawn."""
 
-    def __init__(self, shot: Shot, renderer: Renderer, stride: int) -> None:
+    def __init__(self, shot: Shot, renderer: Renderer) -> None:
         self.shot, self.renderer = shot, renderer
-        self.index = np.arange(0, shot.frame_count, stride)
+        self.index = np.arange(0, shot.frame_count, LABEL_STRIDE_FRAMES)
         self._wanted = frozenset(self.index.tolist())
         self.depth, self.normal, self.instance = [], [], []
         self.bare_depth, self.bare_normal, self.bare_instance = [], [], []

@@ -7,28 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from video2anim.lab.synth.colors import COLORS, Rgb
 from video2anim.lab.synth.world import Material
 
-Rgb = tuple[float, float, float]
-
-SKINS: tuple[Rgb, ...] = (
-    (0.91, 0.75, 0.66), (0.87, 0.69, 0.58), (0.80, 0.61, 0.49), (0.73, 0.54, 0.42), (0.62, 0.44, 0.33),
-    (0.50, 0.34, 0.25), (0.39, 0.26, 0.19), (0.29, 0.19, 0.15),
-)  # fmt: skip
-HAIRS: tuple[Rgb, ...] = (
-    (0.07, 0.06, 0.06), (0.12, 0.08, 0.06), (0.22, 0.14, 0.09), (0.33, 0.21, 0.12), (0.55, 0.41, 0.24),
-    (0.45, 0.22, 0.11), (0.52, 0.51, 0.50),
-)  # fmt: skip
-TROUSERS: tuple[Rgb, ...] = (
-    (0.16, 0.21, 0.33), (0.28, 0.36, 0.48), (0.10, 0.10, 0.11), (0.22, 0.22, 0.24), (0.52, 0.45, 0.35),
-    (0.40, 0.41, 0.42), (0.30, 0.26, 0.20), (0.22, 0.27, 0.22),
-)  # fmt: skip
-SHOES: tuple[Rgb, ...] = (
-    (0.07, 0.07, 0.07), (0.88, 0.88, 0.86), (0.32, 0.20, 0.12), (0.45, 0.45, 0.47), (0.15, 0.18, 0.30),
-)  # fmt: skip
+SKINS: tuple[Rgb, ...] = COLORS["skin"]
+HAIRS: tuple[Rgb, ...] = COLORS["hair"]
+TROUSERS: tuple[Rgb, ...] = COLORS["trousers"]
+SHOES: tuple[Rgb, ...] = COLORS["shoe"]
 
 
-BAREFOOT = 9.0
+BAREFOOT = float("inf")
 """Beyond every limb coordinate."""
 
 

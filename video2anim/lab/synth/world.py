@@ -9,6 +9,14 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from video2anim.types import BodyMotion, Intrinsics
 
+PICTURE_SIZE_PX = (640, 480)
+"""Width and height of clips unless the user gives another size."""
+LABEL_STRIDE_FRAMES = 5
+"""Depth, normals and instances are kept for every such frame."""
+PERSON_ID = 1000
+"""A person's number in maps of instances is this plus `person_id`; below are objects."""
+NEAR_M = 0.05
+"""Points nearer than this to the camera's plane, or behind it, are not projected."""
 FURNITURE_LABELS = (
     "chair", "armchair", "sofa", "bed", "table", "desk", "shelf", "cabinet", "stool", "plant", "lamp", "box", "step",
 )  # fmt: skip
@@ -103,7 +111,7 @@ class Light:
     position_m: tuple[float, float, float]
     rgb: tuple[float, float, float]
     """Linear radiant intensity per channel; irradiance at distance d is rgb * cos / d^2 (for a sun: rgb * cos)."""
-    radius_m: float = 0.1
+    radius_m: float
     direction: tuple[float, float, float] | None = None
     """Unit vector of travel, for a sun."""
 
@@ -183,7 +191,7 @@ class ProceduralMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Actor:
-    """A body with its motion and its looks."""
+    """A body with its motion and its materials."""
 
     motion: BodyMotion
     """Truth in the clip's own world; `contact` holds 0 or 1; camera fields are those of the clip."""

@@ -27,7 +27,7 @@ def to_source_clip(motion: ProceduralMotion, body: ShapedBody, name: str | None 
         name=motion.name if name is None else name,
         source="synthetic",
         kind=motion.kind,
-        description=f"acted {motion.kind.replace('_', ' ')}, made by video2anim",
+        description=f"procedural {motion.kind.replace('_', ' ')}, made by video2anim",
         origin="",
         fps=FPS,
         uneven=motion.kind in _UNEVEN,

@@ -50,12 +50,9 @@ def hermite(u: np.ndarray, start: tuple, stop: tuple, span_s: float) -> np.ndarr
     return np.asarray(a) * (1 - s) + np.asarray(b) * s + span_s * (np.asarray(va) * first + np.asarray(vb) * last)
 
 
-_FOUR: Any = [0, 1, 2, 3]
-_THREE: Any = [-1, 0, 1]
-
-
 def _third_difference(count: int) -> sparse.dia_array:
-    return sparse.diags_array([-1.0, 3.0, -3.0, 1.0], offsets=_FOUR, shape=(count - 3, count))
+    offsets: Any = range(4)  # the stubs know one diagonal only
+    return sparse.diags_array([-1.0, 3.0, -3.0, 1.0], offsets=offsets, shape=(count - 3, count))
 
 
 def smooth_track(
@@ -115,7 +112,8 @@ def balance(
     """
     count = len(pressure_m)
     gain = height_m / GRAVITY_M_S2 * FPS**2
-    pendulum = sparse.diags_array([-gain, 1.0 + 2.0 * gain, -gain], offsets=_THREE, shape=(count, count)).tolil()
+    offsets: Any = (-1, 0, 1)
+    pendulum = sparse.diags_array([-gain, 1.0 + 2.0 * gain, -gain], offsets=offsets, shape=(count, count)).tolil()
     pendulum[0, :] = pendulum[-1, :] = 0.0
     pendulum = pendulum.tocsr()
     weights = sparse.diags_array(pressure_weight)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from jaxtyping import Bool, Float
 from video2anim.lab.synth.acting.curves import axis_rotation, ease, hermite, turned
 from video2anim.lab.synth.acting.measure import SINK_ANGLES_RAD, BodyMeasure
 
-FOREVER = 1e9
+FOREVER = math.inf
 _EPSILON_S = 1e-3
 _MAX_TOE_RAD = 0.85
 _SINK_ALLOWED_M = 0.004

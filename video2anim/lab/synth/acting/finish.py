@@ -13,7 +13,7 @@ from video2anim.lab.synth.acting.perform import Performed
 from video2anim.lab.synth.world import ProceduralMotion, Prop
 from video2anim.types.clip import FPS
 
-SEAT_GAP_M = 0.002
+GAP_M = 0.002
 """A surface lies this far under the lowest vertex that rests on it."""
 _REGION_DEPTH_M = 0.25
 
@@ -46,7 +46,7 @@ def motion_of(
 ) -> ProceduralMotion:
     """The procedural motion of a solved script, its whole length."""
     return ProceduralMotion(
-        f"acted_{kind}", kind, "synthetic", done.translation_m, done.R_parent_joint, done.contact, props, item_pose
+        f"procedural_{kind}", kind, "synthetic", done.translation_m, done.R_parent_joint, done.contact, props, item_pose
     )
 
 

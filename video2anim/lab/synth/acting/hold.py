@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.lab.synth.acting.curves import turned
-from video2anim.lab.synth.acting.finish import motion_of, probes
+from video2anim.lab.synth.acting.finish import GAP_M, motion_of, probes
 from video2anim.lab.synth.acting.perform import Performed, perform
 from video2anim.lab.synth.acting.script import HandGoal, PelvisHold, Script
 from video2anim.lab.synth.acting.sit import approach, leave, palm_down
@@ -138,7 +138,7 @@ def _lean_on_table(script: Script) -> ProceduralMotion:
     height = float(rng.uniform(0.72, 0.92)) * size.scale
     ahead = rng.uniform(0.33, 0.41) * size.scale
     hand = script.center_m + turned(yaw) @ np.array([out * 0.24 * size.scale, 0.0, ahead])
-    hand[1] = height + size.hand_below_m + SURFACE_GAP_M
+    hand[1] = height + size.hand_below_m + GAP_M
     start = script.now_s - 0.2
     stay = rng.uniform(2.2, 3.2)
     R = turned(yaw) @ palm_down(side, rng.uniform(-0.2, 0.5))
@@ -156,13 +156,10 @@ def _lean_on_table(script: Script) -> ProceduralMotion:
     frames = (int(np.ceil((start + 0.95) * FPS)), int((start + stay) * FPS))
     points = probes(done, size, slice(*frames))
     at_hand = size.probe_part == 20 + side
-    top = float(points[:, at_hand, 1].min()) - 0.002
+    top = float(points[:, at_hand, 1].min()) - GAP_M
     place = hand + turned(yaw)[:, 2] * (0.13 + 0.025 * size.scale)
     prop = Prop("table", (float(place[0]), top, float(place[2])), float(yaw + np.pi), (0.4, 0.26), frames)
     return motion_of("lean", done, (prop,))
-
-
-SURFACE_GAP_M = 0.002
 
 
 def _turn_away(script: Script) -> None:
@@ -225,7 +222,7 @@ def _lean_on_wall(script: Script) -> ProceduralMotion:
     done = perform(script)
     near = slice(max(0, int((begin - 0.2) * FPS)), int(ahead.end_s * FPS))
     points = probes(done, size, near)
-    plane = float((points @ forward).min()) - 0.002
+    plane = float((points @ forward).min()) - GAP_M
     rest = slice(int(np.ceil(hold.settle_s * FPS)), int(hold.leave_s * FPS))
     touch = at + forward * (plane - at @ forward)
     touch[1] = float(done.joints_m[rest, 9, 1].mean())
@@ -271,7 +268,7 @@ def act_reach(script: Script) -> ProceduralMotion:
     done = perform(script)
     frames = (int(np.ceil(touch * FPS)), int(end * FPS))
     points = probes(done, size, slice(*frames))
-    top = float(points[:, size.probe_part == 20 + side, 1].min()) - 0.002
+    top = float(points[:, size.probe_part == 20 + side, 1].min()) - GAP_M
     depth = 0.2 if high else 0.26  # fingers only lie on a high shelf
     place = hand + turned(yaw)[:, 2] * (0.5 * depth + (0.115 if high else 0.025) * size.scale)
     prop = Prop("table", (float(place[0]), top, float(place[2])), float(yaw + np.pi), (0.4, depth), frames)

@@ -20,7 +20,7 @@ from video2anim.types.skeleton import forward_kinematics
 
 BLEND_S = 0.8
 _SETTLE_S = 0.25
-"""A foot that stands at the seam takes the acted foot's tilt in this time."""
+"""A foot that stands at the seam takes the procedural foot's tilt in this time."""
 _STILL_M = 0.0015
 """A joint that moves farther per frame touches nothing."""
 _REACH = 0.998
@@ -32,10 +32,10 @@ def joined(
     translation_m: Float[np.ndarray, "captured 3"],
     R_parent_joint: Float[np.ndarray, "captured 22 3 3"],
     contact: Bool[np.ndarray, "captured 22"],
-    acted: ProceduralMotion,
+    procedural: ProceduralMotion,
     body: ShapedBody,
 ) -> ProceduralMotion:
-    """The captured motion followed by the acted one, which starts where its pose is most like the captured end.
+    """The captured motion followed by the procedural one, which starts where its pose is most like the captured end.
 
     The procedural motion with its props is moved on the ground plane; what still differs in pose and speed fades out in
     `BLEND_S`. A foot that stands at the seam stays where it was captured until the procedural motion lifts it.
@@ -47,20 +47,20 @@ def joined(
         raise UsageError(f"joining motions: want at least 3 captured frames, got {len(translation_m)}")
     rest = body.rest_joints_m
     captured_joints, captured_world = forward_kinematics(R_parent_joint[-3:], translation_m[-3:], rest)
-    first = _best_frame(captured_joints, captured_world, contact[-1], acted, rest)
-    acted = cut(acted, first, len(acted.translation_m))
-    acted = _moved_to(acted, captured_joints[-1], captured_world[-1], rest)
-    R, translation = _faded_pose(translation_m, R_parent_joint, acted)
-    R, translation = _stand(R, translation, captured_joints, captured_world[-1], acted, rest)
-    down = acted.contact & _still(R, translation, rest)
+    first = _best_frame(captured_joints, captured_world, contact[-1], procedural, rest)
+    procedural = cut(procedural, first, len(procedural.translation_m))
+    procedural = _moved_to(procedural, captured_joints[-1], captured_world[-1], rest)
+    R, translation = _faded_pose(translation_m, R_parent_joint, procedural)
+    R, translation = _stand(R, translation, captured_joints, captured_world[-1], procedural, rest)
+    down = procedural.contact & _still(R, translation, rest)
     count = len(translation_m) - 1
-    item, held = acted.item_pose, acted.item_held
+    item, held = procedural.item_pose, procedural.item_held
     return replace(
-        acted,
+        procedural,
         translation_m=np.concatenate([translation_m[:-1], translation]),
         R_parent_joint=np.concatenate([R_parent_joint[:-1], R]),
         contact=np.concatenate([contact[:-1], down]).astype(bool),
-        props=tuple(replace(p, frames=(p.frames[0] + count, p.frames[1] + count)) for p in acted.props),
+        props=tuple(replace(p, frames=(p.frames[0] + count, p.frames[1] + count)) for p in procedural.props),
         item_pose=None if item is None else np.concatenate([np.repeat(item[:1], count, 0), item]),
         item_held=None if held is None else np.concatenate([np.repeat(held[:1], count, 0), held]),
     )
@@ -87,82 +87,92 @@ def _local(joints_m: np.ndarray, R_world: np.ndarray) -> Float[np.ndarray, "fram
 
 
 def _best_frame(
-    captured_m: np.ndarray, captured_R: np.ndarray, contact: np.ndarray, acted: ProceduralMotion, rest: np.ndarray
+    captured_m: np.ndarray, captured_R: np.ndarray, contact: np.ndarray, procedural: ProceduralMotion, rest: np.ndarray
 ) -> int:
     """Frame of the procedural motion, before its props are near, that is most like the captured end."""
-    used = min((p.frames[0] for p in acted.props), default=len(acted.translation_m))
-    limit = int(np.clip(_last_with_steps(acted, used), 2, 0.5 * len(acted.translation_m)))
-    joints, R_world = forward_kinematics(acted.R_parent_joint[: limit + 1], acted.translation_m[: limit + 1], rest)
+    used = min((p.frames[0] for p in procedural.props), default=len(procedural.translation_m))
+    limit = int(np.clip(_last_with_steps(procedural, used), 2, 0.5 * len(procedural.translation_m)))
+    joints, R_world = forward_kinematics(
+        procedural.R_parent_joint[: limit + 1], procedural.translation_m[: limit + 1], rest
+    )
     places, speeds = _local(joints, R_world), np.diff(joints, axis=0) @ turned(_heading(R_world[:-1, 0])) * FPS
     goal = _local(captured_m[-1:], captured_R[-1:])[0]
     goal_speed = (captured_m[-1] - captured_m[-2]) @ turned(_heading(captured_R[-1, 0])) * FPS
     cost = np.linalg.norm(places[:-1] - goal, axis=-1).mean(1)
     cost = cost + _SPEED_COST_S * np.linalg.norm(speeds - goal_speed, axis=-1).mean(1)
     feet = [7, 8, 10, 11]
-    cost = cost + _CONTACT_COST * (acted.contact[:limit, feet] != contact[feet]).mean(1)
+    cost = cost + _CONTACT_COST * (procedural.contact[:limit, feet] != contact[feet]).mean(1)
     return int(cost.argmin())
 
 
-def _last_with_steps(acted: ProceduralMotion, used: int) -> int:
+def _last_with_steps(procedural: ProceduralMotion, used: int) -> int:
     """Last frame after which both feet still step before the first use of a prop."""
     last = used
     for heel, ball in ((7, 10), (8, 11)):
-        up = np.flatnonzero(~(acted.contact[:used, heel] | acted.contact[:used, ball]))
+        up = np.flatnonzero(~(procedural.contact[:used, heel] | procedural.contact[:used, ball]))
         last = min(last, int(up[-1]) - 8 if len(up) else 0)
     return last
 
 
-def _moved_to(acted: ProceduralMotion, joints_m: np.ndarray, R_world: np.ndarray, rest: np.ndarray) -> ProceduralMotion:
+def _moved_to(
+    procedural: ProceduralMotion, joints_m: np.ndarray, R_world: np.ndarray, rest: np.ndarray
+) -> ProceduralMotion:
     """The procedural motion and its props turned and shifted so that its first pelvis meets the captured one."""
-    yaw = float(_heading(R_world[0]) - _heading(acted.R_parent_joint[0, 0]))
+    yaw = float(_heading(R_world[0]) - _heading(procedural.R_parent_joint[0, 0]))
     R = turned(yaw)
-    shift = (joints_m[0] - R @ (acted.translation_m[0] + rest[0])) * np.array([1.0, 0.0, 1.0])
+    shift = (joints_m[0] - R @ (procedural.translation_m[0] + rest[0])) * np.array([1.0, 0.0, 1.0])
 
     def prop(p: Prop) -> Prop:
         x, y, z = (float(c) for c in R @ np.array(p.position_m) + shift)
         return replace(p, position_m=(x, y, z), yaw_rad=float((p.yaw_rad + yaw + np.pi) % (2 * np.pi) - np.pi))
 
-    rotations = acted.R_parent_joint.copy()
+    rotations = procedural.R_parent_joint.copy()
     rotations[:, 0] = R @ rotations[:, 0]
-    item = acted.item_pose
+    item = procedural.item_pose
     if item is not None:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R, shift
         item = T @ item
     return replace(
-        acted,
-        translation_m=acted.translation_m @ R.T + shift,
+        procedural,
+        translation_m=procedural.translation_m @ R.T + shift,
         R_parent_joint=rotations,
-        props=tuple(prop(p) for p in acted.props),
+        props=tuple(prop(p) for p in procedural.props),
         item_pose=item,
     )
 
 
 def _faded_pose(
-    translation_m: np.ndarray, R_parent_joint: np.ndarray, acted: ProceduralMotion
+    translation_m: np.ndarray, R_parent_joint: np.ndarray, procedural: ProceduralMotion
 ) -> tuple[Float[np.ndarray, "frames 22 3 3"], Float[np.ndarray, "frames 3"]]:
-    """Acted pose plus the captured end's difference in pose and speed, which fades."""
-    u = np.minimum(np.arange(len(acted.translation_m)) / FPS / BLEND_S, 1.0)
-    gap = translation_m[-1] - acted.translation_m[0]
-    rate = ((translation_m[-1] - translation_m[-2]) - (acted.translation_m[1] - acted.translation_m[0])) * FPS
-    translation = acted.translation_m + hermite(u, (gap, rate), (np.zeros(3), np.zeros(3)), BLEND_S)
-    ended, began = R_parent_joint[-2:], acted.R_parent_joint[:2]
+    """Procedural pose plus the captured end's difference in pose and speed, which fades."""
+    u = np.minimum(np.arange(len(procedural.translation_m)) / FPS / BLEND_S, 1.0)
+    gap = translation_m[-1] - procedural.translation_m[0]
+    rate = ((translation_m[-1] - translation_m[-2]) - (procedural.translation_m[1] - procedural.translation_m[0])) * FPS
+    translation = procedural.translation_m + hermite(u, (gap, rate), (np.zeros(3), np.zeros(3)), BLEND_S)
+    ended, began = R_parent_joint[-2:], procedural.R_parent_joint[:2]
     turn = axis_angle_from_matrix(ended[1] @ np.swapaxes(began[0], -1, -2))
     before = axis_angle_from_matrix(ended[0] @ np.swapaxes(began[0] @ np.swapaxes(began[1], -1, -2) @ began[0], -1, -2))
     spin = np.clip((turn - before) * FPS, -4.0, 4.0)
     faded = hermite(u, (turn.ravel(), spin.ravel()), (np.zeros(66), np.zeros(66)), BLEND_S).reshape(-1, 22, 3)
-    return matrix_from_axis_angle(faded) @ acted.R_parent_joint, translation
+    return matrix_from_axis_angle(faded) @ procedural.R_parent_joint, translation
 
 
 def _stand(
-    R: np.ndarray, translation: np.ndarray, joints_m: np.ndarray, R_world: np.ndarray, acted: ProceduralMotion,
+    R: np.ndarray, translation: np.ndarray, joints_m: np.ndarray, R_world: np.ndarray, procedural: ProceduralMotion,
     rest: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Feet back on their places by the legs; the pelvis sinks where a leg is too short."""
-    acted_joints, acted_world = forward_kinematics(acted.R_parent_joint, acted.translation_m, rest)
+    procedural_joints, procedural_world = forward_kinematics(procedural.R_parent_joint, procedural.translation_m, rest)
     targets = [
         _foot_targets(
-            side, acted_joints, acted_world, joints_m[-1], joints_m[-1] - joints_m[-2], R_world, acted.contact
+            side,
+            procedural_joints,
+            procedural_world,
+            joints_m[-1],
+            joints_m[-1] - joints_m[-2],
+            R_world,
+            procedural.contact,
         )
         for side in (0, 1)
     ]
@@ -192,8 +202,8 @@ def _stand(
 
 def _foot_targets(
     side: int,
-    acted_m: np.ndarray,
-    acted_R: np.ndarray,
+    procedural_m: np.ndarray,
+    procedural_R: np.ndarray,
     ended_m: np.ndarray,
     ended_step_m: np.ndarray,
     ended_R: np.ndarray,
@@ -206,25 +216,25 @@ def _foot_targets(
     lift = int(np.argmin(down)) if down[0] and not down.all() else (count - 1 if down[0] else 0)
     later = np.flatnonzero(down[lift + 1 :]) if lift + 1 < count else np.zeros(0, int)
     land = int(later[0]) + lift + 1 if len(later) else count - 1
-    full = ended_R[ankle] @ acted_R[0, ankle].T
+    full = ended_R[ankle] @ procedural_R[0, ankle].T
     frames = np.arange(count)
     weight = 1.0 - ease((frames - lift) / max(1, land - lift))
     if not down[0]:
         span = max(1, land) / FPS
         gap, speed = (
-            ended_m[ankle] - acted_m[0, ankle],
-            (ended_step_m[ankle] - acted_m[1, ankle] + acted_m[0, ankle]) * FPS,
+            ended_m[ankle] - procedural_m[0, ankle],
+            (ended_step_m[ankle] - procedural_m[1, ankle] + procedural_m[0, ankle]) * FPS,
         )
         fade = hermite(np.minimum(frames / FPS / span, 1.0), (gap, speed), (np.zeros(3), np.zeros(3)), span)
         R_off = matrix_from_axis_angle(weight[:, None] * axis_angle_from_matrix(full))
-        return acted_m[:, ankle] + fade, R_off @ acted_R[:, ankle]
+        return procedural_m[:, ankle] + fade, R_off @ procedural_R[:, ankle]
     ahead = full @ np.array([0.0, 0.0, 1.0])
     yaw = float(np.arctan2(ahead[0], ahead[2]))
     soon = 1.0 - ease(frames / (_SETTLE_S * FPS))
     tilt = matrix_from_axis_angle(soon[:, None] * axis_angle_from_matrix(full @ turned(yaw).T))
-    arm = (acted_m[:, ankle] - acted_m[0, ball]) @ turned(yaw).T
+    arm = (procedural_m[:, ankle] - procedural_m[0, ball]) @ turned(yaw).T
     still = ended_m[ball] + (tilt @ arm[..., None])[..., 0]
-    still[:, 1] += (1.0 - soon) * (acted_m[0, ball, 1] - ended_m[ball, 1])
-    gap = (still - acted_m[:, ankle])[np.minimum(frames, lift)]
+    still[:, 1] += (1.0 - soon) * (procedural_m[0, ball, 1] - ended_m[ball, 1])
+    gap = (still - procedural_m[:, ankle])[np.minimum(frames, lift)]
     R_off = tilt @ turned(weight * yaw)
-    return acted_m[:, ankle] + weight[:, None] * gap, R_off @ acted_R[:, ankle]
+    return procedural_m[:, ankle] + weight[:, None] * gap, R_off @ procedural_R[:, ankle]

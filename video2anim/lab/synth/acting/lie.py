@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from video2anim.lab.synth.acting.curves import axis_rotation, smooth_lift, turned
-from video2anim.lab.synth.acting.finish import SEAT_GAP_M, at_height, motion_of, over, probes
+from video2anim.lab.synth.acting.finish import GAP_M, at_height, motion_of, over, probes
 from video2anim.lab.synth.acting.measure import BodyMeasure
 from video2anim.lab.synth.acting.perform import Performed, perform
 from video2anim.lab.synth.acting.script import FootHold, HandGoal, PelvisHold, Script
@@ -127,19 +127,19 @@ def _settled(
         if attempt < 2:
             for hold in holds:
                 rest = low[int(np.ceil(hold.settle_s * FPS)) : int(hold.leave_s * FPS)]
-                hold.position_m = hold.position_m + np.array([0.0, height + SEAT_GAP_M - float(rest.min()), 0.0])
+                hold.position_m = hold.position_m + np.array([0.0, height + GAP_M - float(rest.min()), 0.0])
             legs = np.isin(size.probe_part, (4, 5, 7, 8, 10, 11))
             still = slice(int(np.ceil(lie.settle_s * FPS)), int(lie.leave_s * FPS))
             low_leg = np.where(legs, points[still, :, 1], np.inf).min()
             for foot in script.feet:
-                foot.ankle_m = foot.ankle_m + np.array([0.0, height + SEAT_GAP_M - float(low_leg), 0.0])
+                foot.ankle_m = foot.ankle_m + np.array([0.0, height + GAP_M - float(low_leg), 0.0])
             done = perform(script)
             continue
         for side in (0, 1):
             hand = np.where(over(points, prop) & (size.probe_part == 20 + side), points[..., 1], np.inf).min(1)
-            more = smooth_lift(np.where(hand < height - 1e-3, height + SEAT_GAP_M - hand, 0.0), 0.3)
+            more = smooth_lift(np.where(hand < height - 1e-3, height + GAP_M - hand, 0.0), 0.3)
             script.hand_lift_m[side] = script.hand_lift_m.get(side, 0.0) + more
-        deficit = np.where(np.isfinite(low), height + SEAT_GAP_M - low, 0.0)
+        deficit = np.where(np.isfinite(low), height + GAP_M - low, 0.0)
         more = smooth_lift(np.where(deficit > 1e-4, deficit, 0.0))
         for hold in holds:
             more[(done.t >= hold.settle_s) & (done.t <= hold.leave_s)] *= 0.0

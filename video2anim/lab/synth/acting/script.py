@@ -1,7 +1,8 @@
-"""The plan of an acted clip: foot plants, keyed posture, pelvis holds and hand goals on one time line."""
+"""The plan of a procedural clip: foot plants, keyed posture, pelvis holds and hand goals on one time line."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -34,7 +35,7 @@ class PelvisHold:
     R_world: Float[np.ndarray, "3 3"] | None = None
     """Orientation while held; None = upright with the keyed posture."""
     contact: bool = True
-    back_after_s: float = 1e9
+    back_after_s: float = math.inf
     """The back rests from so long after `settle_s` until half a second before `leave_s`."""
 
 

@@ -6,15 +6,16 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.lab.synth.acting.curves import turned
-from video2anim.lab.synth.acting.finish import SEAT_GAP_M, at_height, motion_of, over, probes
+from video2anim.lab.synth.acting.finish import GAP_M, at_height, motion_of, over, probes
 from video2anim.lab.synth.acting.perform import Performed, perform
 from video2anim.lab.synth.acting.script import HandGoal, PelvisHold, Script
 from video2anim.lab.synth.acting.walking import bezier, random_pace, turn, walk
 from video2anim.lab.synth.world import ProceduralMotion, Prop
 from video2anim.types.clip import FPS
+from video2anim.types.skeleton import JOINT_INDEX
 
-_ON_SEAT = (0, 1, 2, 3)
-"""Parts that may rest on a seat: pelvis, thighs, loins."""
+_ON_SEAT = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip", "spine1")]
+"""Body parts that may rest on a seat: pelvis, thighs, lower back."""
 
 
 def approach(script: Script, distance_m: float) -> None:
@@ -132,7 +133,7 @@ def seat_prop(script: Script, done: Performed, hold: PelvisHold, width_m: float 
     while True:
         center = hold.position_m + forward * 0.5 * (front - half_back)
         prop = Prop("seat", (float(center[0]), 0.0, float(center[2])), yaw, (width_m, half_back + front), frames)
-        height = np.where(over(resting, prop), resting[..., 1], np.inf).min() - SEAT_GAP_M
+        height = np.where(over(resting, prop), resting[..., 1], np.inf).min() - GAP_M
         prop = at_height(prop, height)
         below = over(points, prop, 0.01) & (points[..., 1] < height) & legs
         if not below.any() or front < 0.1 * size.scale:

@@ -1,8 +1,8 @@
 """The renderer of synthetic shots: ray casting, procedural textures, soft shadows, a camera's lens and sensor."""
 
 from video2anim.lab.synth.render.lens import distort, undistort
-from video2anim.lab.synth.render.picture import PERSON_ID, Picture
+from video2anim.lab.synth.render.picture import Picture
 from video2anim.lab.synth.render.renderer import Renderer
 from video2anim.lab.synth.render.sensor import Sensor
 
-__all__ = ["PERSON_ID", "Picture", "Renderer", "Sensor", "distort", "undistort"]
+__all__ = ["Picture", "Renderer", "Sensor", "distort", "undistort"]

@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from video2anim.lab.synth.render.lens import project_distorted
 from video2anim.lab.synth.render.view import Eye
+from video2anim.lab.synth.world import NEAR_M
 
 _STEPS = 5
 _STILL_PX = 0.4
-_NEAR_M = 0.05
 
 
 def shutter_shifts(shutter_frames: float, steps: int = _STEPS) -> list[float]:
@@ -60,5 +60,5 @@ def camera_blur(
 
 def _seen_at(position_m: np.ndarray, eye: Eye) -> Float[np.ndarray, "height width 2"]:
     camera = (position_m - eye.T_world_camera[:3, 3]) @ eye.T_world_camera[:3, :3]
-    camera[..., 2] = np.maximum(camera[..., 2], _NEAR_M)
+    camera[..., 2] = np.maximum(camera[..., 2], NEAR_M)
     return project_distorted(camera, eye.intrinsics, eye.k1, eye.k2).astype(np.float32)

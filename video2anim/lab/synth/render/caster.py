@@ -14,8 +14,6 @@ from embreex.rtcore import EmbreeDevice
 from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Int
 
-_FAR = np.float32(1e9)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits:
@@ -55,7 +53,7 @@ class Caster:
         self,
         origins_m: Float[np.ndarray, "rays 3"],
         directions: Float[np.ndarray, "rays 3"],
-        reach: float | Float[np.ndarray, "rays"] = float(_FAR),
+        reach: float | Float[np.ndarray, "rays"] = np.inf,
     ) -> Bool[np.ndarray, "rays"]:
         """Whether anything lies on a ray within `reach` lengths of its direction."""
         if self._scene is None or not len(directions):

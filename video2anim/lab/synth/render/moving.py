@@ -34,13 +34,12 @@ from video2anim.lab.synth.render.view import (
     sheet_reach,
     subpixel_points,
 )
-from video2anim.lab.synth.world import Light
+from video2anim.lab.synth.world import NEAR_M, Light
 
 _COARSE = 4
 """Shadow regions are found on every fourth pixel."""
 _STRIDE = 2
 """Shadows are looked for on every second pixel, and sampled fully near their borders."""
-_NEAR_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +94,7 @@ def rectangle_of(surfaces: Surfaces, eye: Eye) -> tuple[slice, slice]:
     height, width = eye.intrinsics.height_px, eye.intrinsics.width_px
     R, origin = eye.T_world_camera[:3, :3], eye.T_world_camera[:3, 3]
     camera = (surfaces.vertices_m - origin) @ R
-    if (camera[:, 2] < _NEAR_M).any():
+    if (camera[:, 2] < NEAR_M).any():
         return slice(0, height), slice(0, width)
     pixels = project_distorted(camera, eye.intrinsics, eye.k1, eye.k2)
     low = np.clip(np.floor(pixels.min(0)).astype(int) - 2, 0, [width - 1, height - 1])

@@ -6,9 +6,8 @@ import numpy as np
 
 from video2anim.body.anny_body import shaped_body
 from video2anim.lab.synth.render.garments import borders_of, spanning
-from video2anim.lab.synth.render.picture import PERSON_ID
 from video2anim.lab.synth.render.surfaces import Surfaces, join, of_mesh, of_object
-from video2anim.lab.synth.world import Actor, Shot
+from video2anim.lab.synth.world import PERSON_ID, Actor, Shot
 from video2anim.types.skeleton import forward_kinematics
 
 

@@ -7,9 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
-PERSON_ID = 1000
-"""A person's number in `Picture.instance` is this plus `person_id`."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:

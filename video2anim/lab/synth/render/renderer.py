@@ -17,10 +17,10 @@ from video2anim.lab.synth.render.blur import camera_blur, shutter_shifts, steps_
 from video2anim.lab.synth.render.caster import Caster
 from video2anim.lab.synth.render.moving import MovingLayer, draw_moving
 from video2anim.lab.synth.render.people import Cast
-from video2anim.lab.synth.render.picture import PERSON_ID, Picture
+from video2anim.lab.synth.render.picture import Picture
 from video2anim.lab.synth.render.surfaces import Surfaces, of_object, of_objects
 from video2anim.lab.synth.render.view import Components, Eye, Lamps, Sheet, room_components, sheet_of
-from video2anim.lab.synth.world import Shot
+from video2anim.lab.synth.world import PERSON_ID, Shot
 from video2anim.types.clip import FPS
 
 STILL_RAYS = (8, 12)

@@ -10,10 +10,9 @@ from jaxtyping import Float
 
 from video2anim.export.frames import linear_light
 from video2anim.lab.synth.render.noise import cell_values, fractal, noise, seen
-from video2anim.lab.synth.render.picture import PERSON_ID
 from video2anim.lab.synth.render.surfaces import SEEN_BAKED, Points
 from video2anim.lab.synth.render.vectors import dot
-from video2anim.lab.synth.world import Material
+from video2anim.lab.synth.world import PERSON_ID, Material
 
 
 @dataclass(frozen=True, slots=True, eq=False)

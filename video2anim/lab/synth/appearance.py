@@ -1,4 +1,4 @@
-"""Looks of people: skin, hair, face, clothes and shoes as materials of the faces of a body.
+"""Appearance of people: skin, hair, face, clothes and shoes as materials of the faces of a body.
 
 Regions are cut on the rest mesh, by the body part that moves a face and by where along its limb the face lies, so they
 fit every shape. Textures are evaluated on the rest mesh as well, so patterns move with the body. The renderer draws
@@ -23,11 +23,13 @@ from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES
 
 _HAND = 2.05
 """Where the hand begins along the arm (shoulder 0, elbow 1, wrist 2)."""
-_OFF = -9.0
+_OFF = -np.inf
 """Limb coordinate of faces that are not on the limb."""
 
 
-def make_looks(body: ShapedBody, rng: np.random.Generator) -> tuple[Int[np.ndarray, "faces"], tuple[Material, ...]]:
+def make_appearance(
+    body: ShapedBody, rng: np.random.Generator
+) -> tuple[Int[np.ndarray, "faces"], tuple[Material, ...]]:
     """A dressed person: a material number for each face, and the materials."""
     outfit = draw_outfit(body.shape.parameters.get("gender", 0.5), rng)
     places = _places(body)
