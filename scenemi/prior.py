@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 WEIGHTS_FOLDER = Path(__file__).parent / "weights"
 DEFAULT_STOP_STEP = 20
 """T*: noisy keyframes steer the sampling only above this diffusion step (paper 3.2.1, Table 3)."""
+SAMPLE_STEPS = 20
+"""Of motions that differ by their seeds; the expected motion takes one step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

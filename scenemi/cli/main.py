@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -199,6 +200,7 @@ def train_command(
             help="Settings: a JSON file, or tiny, gpu, paper ... (docs/scenemi.md). Default: small.", metavar="NAME"
         ),
     ] = None,
+    method: Method = None,
     noncommercial: Annotated[
         bool, typer.Option("--noncommercial", help="Also use clips that are not known to be free for commercial use.")
     ] = False,
@@ -229,14 +231,16 @@ def train_command(
         no_use = {"--scenes": scenes, "--from-pack": from_pack, "--cache": cache, "--errors": errors, "--start": start}
         no_use |= {"--minutes": minutes is not None, "--cool-steps": cool_steps}
         refuse(no_use, "with --pack, which trains nothing")
-        _pack(pack, out, motion or (), config, split, noncommercial=noncommercial)
+        _pack(pack, out, motion or (), config, method, split, noncommercial=noncommercial)
         return
     packed = None if from_pack is None else unpack_run(from_pack, out / "pack")
     if packed is not None:
-        of_motion = {"--motion": motion, "--config": config, "--split": split, "--cache": cache}
+        of_motion = {"--motion": motion, "--config": config, "--split": split, "--cache": cache, "--method": method}
         _refuse_with_pack(packed, scenes, start, {**of_motion, "--noncommercial": noncommercial})
     files = None if packed is None else packed.files
     files = files or RunFiles.of(config, motion or (), split, cache, scenes or (), noncommercial=noncommercial)
+    if method is not None:
+        files = replace(files, config=files.config.of_method(method))
     start = packed.start if packed is not None and packed.start is not None else start
     _expect_places(out, start)
     for text in left_out(files):
@@ -312,7 +316,14 @@ def data_command(
 
 
 def _pack(
-    pack: Path, out: Path, motion: Sequence[Path], config: str | None, split: Path | None, *, noncommercial: bool
+    pack: Path,
+    out: Path,
+    motion: Sequence[Path],
+    config: str | None,
+    method: str | None,
+    split: Path | None,
+    *,
+    noncommercial: bool,
 ) -> None:
     from scenemi.data.split import Split
     from scenemi.training.config import TrainConfig
@@ -320,6 +331,7 @@ def _pack(
     from scenemi.training.runs import RunFiles
 
     named = TrainConfig() if config is None else TrainConfig.read(config)
+    named = named if method is None else named.of_method(method)
     parts = None if split is None else Split.read(split)
     run = RunFiles(named, tuple(motion), parts, None, noncommercial=noncommercial)
     typer.echo(f"{pack}: {pack_run(pack, run, out) / 2**20:.1f} MiB")

@@ -5,14 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from scenemi.prior import WEIGHTS_FOLDER, InbetweeningPrior, InterpolationPrior
+from scenemi.prior import SAMPLE_STEPS, InbetweeningPrior, InterpolationPrior
 from video2anim.errors import ModelMissingError, UsageError
 
 INTERPOLATION = "interpolation"
-
-
-SAMPLE_STEPS = 20
-"""Of motions that differ by their seeds; the expected motion takes one step."""
 
 
 def load_prior_by_name(
@@ -24,13 +20,13 @@ def load_prior_by_name(
     seed: int = 0,
     **sampler: Any,
 ) -> InbetweeningPrior:
-    """The diffusion prior with weights `small` or a file, or `interpolation`.
+    """The prior with weights `small` or a file (of the shipped model, or of a baseline), or `interpolation`.
 
     Args:
         weights: name or path of the weights.
         device: cpu or cuda.
-        steps: of the sampler; None = one, the expected motion, or 20 where a temperature is given. Its whole schedule
-            (1000) is sampled by DDPM, as in the paper.
+        steps: of the sampler; None = one, the expected motion, or 20 where a temperature is given, and for baselines.
+            Its whole schedule (1000) is sampled by DDPM, as in the paper.
         temperature: of the sampler; None = its default.
         seed: of `fill`.
         sampler: other fields of `SamplerConfig`.
@@ -41,12 +37,17 @@ def load_prior_by_name(
     """
     if weights == INTERPOLATION:
         return InterpolationPrior()
+    from scenemi.model.baselines.build import build_any
+    from scenemi.model.baselines.prior import prior_of, sampler_of
     from scenemi.model.diffusion import STEPS
-    from scenemi.model.prior import load_diffusion_prior
-    from scenemi.model.sampling import SamplerConfig
+    from scenemi.model.weights import load_weights
 
     try:
-        config = SamplerConfig(**sampler)
+        model = load_weights(weights, build=build_any)
+    except ModelMissingError as error:
+        raise ModelMissingError(f"{error}; --weights {INTERPOLATION} needs none") from error
+    try:
+        config = replace(sampler_of(model.denoiser), **sampler)
         if temperature is not None:
             config, steps = replace(config, temperature=temperature), steps or SAMPLE_STEPS
         if steps is not None:
@@ -54,9 +55,4 @@ def load_prior_by_name(
             config = replace(config, steps=steps, method=method)
     except ValueError as error:
         raise UsageError(f"sampler: {error}") from error
-    try:
-        prior = load_diffusion_prior(WEIGHTS_FOLDER, device=device, weights=weights, sampler=config)
-    except ModelMissingError as error:
-        raise ModelMissingError(f"{error}; --weights {INTERPOLATION} needs none") from error
-    prior.seed = seed
-    return prior
+    return prior_of(model, config, device=device, seed=seed)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from scenemi.scene.field import SceneField
+
+KeyframeInput = Literal["imputed", "given", "hidden"]
+"""How a denoiser learns of keyframes: they replace rows of the noisy window; as conditions alone; not at all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +51,15 @@ class Conditions:
         if hidden is not None:
             hidden = replace(hidden, global_known=torch.zeros_like(hidden.global_known))
         return replace(self, field=None, descriptors=hidden)
+
+    def with_keyframes(self, way: KeyframeInput) -> Conditions:
+        """The same for a denoiser that learns of keyframes in this way."""
+        if way == "imputed":
+            return self
+        none = torch.zeros_like(self.mask)
+        if way == "given":
+            return replace(self, imputed=none)
+        return replace(self, mask=none, imputed=none, base=torch.zeros_like(self.base))
 
     @property
     def has_scene(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -83,6 +83,36 @@ class PaperConfig:
         return {"form": "paper", **asdict(self)}
 
 
+Method = Literal["mdm", "stablemofusion", "scenediffuser", "wang2021", "omnicontrol", "condmdi"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaselineConfig(PaperConfig):
+    """A method that the paper compares with (`scenemi.model.baselines`). All see the scene through the paper's encoder
+    of the global scene, none the local scene at keyframes."""
+
+    method: Method
+    channels: Width
+    """Of a frame in transformers and recurrent networks; U-Nets have `width`."""
+    layers: Layers
+    heads: Layers
+
+    @classmethod
+    def like(cls, method: Method, size: ModelConfig) -> BaselineConfig:
+        """About as many parameters as the shipped denoiser of this size."""
+        encoder = SIZES["paper-narrow"]
+        assert isinstance(encoder, PaperConfig)
+        return cls(
+            method=method, channels=size.width, layers=size.layers, heads=size.heads, embedding=size.embedding,
+            width=size.width // 4, local_channels=1, use_local=False, scene_width=encoder.scene_width,
+            scene_layers=encoder.scene_layers, scene_heads=encoder.scene_heads, window_frames=size.window_frames,
+        )  # fmt: skip
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values for a file's metadata."""
+        return {"form": "baseline", **asdict(self)}
+
+
 AnyConfig = ModelConfig | PaperConfig
 
 
@@ -93,19 +123,21 @@ def config_from_json(values: dict[str, Any]) -> AnyConfig:
         ValueError: unknown keys or impossible values.
     """
     rest = dict(values)
-    kind = PaperConfig if rest.pop("form", None) == "paper" else ModelConfig
+    kind = {"paper": PaperConfig, "baseline": BaselineConfig}.get(str(rest.pop("form", None)), ModelConfig)
     unknown = set(rest) - {item.name for item in fields(kind)}
     if unknown:
         raise ValueError(f"{kind.__name__}: unknown {', '.join(sorted(repr(str(name))[1:-1] for name in unknown))}")
     try:
-        return (_PAPER if kind is PaperConfig else _MODEL).validate_python(rest)
+        return _CHECKED[kind].validate_python(rest)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         raise ValueError(f"{kind.__name__}: {where} {first['msg']}, got {repr(first['input'])[:80]}") from error
 
 
-_MODEL, _PAPER = TypeAdapter(ModelConfig), TypeAdapter(PaperConfig)
+_CHECKED: dict[type, TypeAdapter[Any]] = {
+    kind: TypeAdapter(kind) for kind in (ModelConfig, PaperConfig, BaselineConfig)
+}
 
 
 SIZES: dict[str, AnyConfig] = {

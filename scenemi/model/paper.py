@@ -3,13 +3,15 @@ frame, offsets to the scene at keyframes, body shape; it predicts the clean wind
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
 from scenemi.features import BODY_LENGTHS, FEATURE_COUNT
-from scenemi.model.conditions import Conditions, Descriptors
+from scenemi.model.conditions import Conditions, Descriptors, KeyframeInput
 from scenemi.model.config import PaperConfig
 from scenemi.model.denoiser import step_embedding
 from scenemi.model.scene_encoder import SceneEncoder
@@ -19,19 +21,46 @@ _TOKENS = 2
 """Body shape and global scene are two more frames in time ("concatenated along the temporal dimension")."""
 
 
-class PaperDenoiser(nn.Module):
-    """Predicts x_0 (paper eq. 1)."""
+class SceneDenoiser(nn.Module):
+    """What denoisers share that see the scene as one vector and predict the window itself, with white noise."""
+
+    keyframes: ClassVar[KeyframeInput] = "imputed"
 
     def __init__(self, config: PaperConfig) -> None:
         super().__init__()
         self.config = config
         self.half_precision = False
-        """Whether convolutions are in bfloat16 (in training, where that is quicker)."""
-        embedding, channels = config.embedding, FEATURE_COUNT + 1 + config.local_channels
+        """Whether matrix products are in bfloat16 (in training, where that is quicker)."""
         self.scene = SceneEncoder(
-            config.grid, config.patch, config.scene_width, config.scene_layers, config.scene_heads, embedding
+            config.grid, config.patch, config.scene_width, config.scene_layers, config.scene_heads, config.embedding
         )
-        self.no_scene = nn.Parameter(torch.zeros(embedding))
+        self.no_scene = nn.Parameter(torch.zeros(config.embedding))
+
+    def center(self, given: Conditions) -> Tensor:
+        """The paper's forward process is about zero."""
+        return torch.zeros_like(given.base)
+
+    def noise(self, white: Float[Tensor, "batch frames 201"], prepared: object) -> Tensor:
+        """White noise."""
+        return white
+
+    def prepare(self, given: Conditions) -> Tensor:
+        """The global scene vector c_g (B, embedding), encoded once for a window; the learned one of no scene where none
+        is known."""
+        none = self.no_scene.expand(len(given.mask), -1)
+        seen: Descriptors | None = given.descriptors
+        if seen is None or not self.config.use_global:
+            return none
+        known = seen.global_known[:, None]
+        return known * self.scene(seen.occupancy) + (1 - known) * none
+
+
+class PaperDenoiser(SceneDenoiser):
+    """Predicts x_0 (paper eq. 1)."""
+
+    def __init__(self, config: PaperConfig) -> None:
+        super().__init__(config)
+        embedding, channels = config.embedding, FEATURE_COUNT + 1 + config.local_channels
         self.local = nn.Sequential(
             nn.Linear(3 * config.bps_anchors, config.local_channels), nn.SiLU(),
             nn.Linear(config.local_channels, config.local_channels),
@@ -68,20 +97,3 @@ class PaperDenoiser(nn.Module):
         with torch.autocast(wide.device.type, torch.bfloat16, enabled=self.half_precision):
             out = self.unet(functional.pad(wide, (0, missing)), embedding).float()
         return out[..., _TOKENS : _TOKENS + frames].transpose(1, 2)
-
-    def center(self, given: Conditions) -> Tensor:
-        """The paper's forward process is about zero."""
-        return torch.zeros_like(given.base)
-
-    def noise(self, white: Float[Tensor, "batch frames 201"], prepared: object) -> Tensor:
-        """White noise."""
-        return white
-
-    def prepare(self, given: Conditions) -> Float[Tensor, "batch embedding"]:
-        """The global scene vector c_g, encoded once for a window; the learned one of no scene where none is known."""
-        none = self.no_scene.expand(len(given.mask), -1)
-        seen: Descriptors | None = given.descriptors
-        if seen is None or not self.config.use_global:
-            return none
-        known = seen.global_known[:, None]
-        return known * self.scene(seen.occupancy) + (1 - known) * none

@@ -88,9 +88,8 @@ class DiffusionPrior:
         longer = [padded(window, self.model.config.window_frames) for window in windows]
         frames = np.stack([_canonical(window) for window in longer])
         x_keys, conditions = self._conditions(longer, frames)
-        stop_step = self.sampler.stop_for(noisy)
         generators = [torch.Generator().manual_seed(seed) for seed in seeds]
-        x0 = sample(self._denoiser, self.schedule, x_keys, conditions, self.sampler, generators, stop_step=stop_step)
+        x0 = self._sampled(longer, x_keys, conditions, generators, noisy)
         features = self.model.statistics.denormalize(x0.cpu().double())
         local, moved = decode(features.numpy())
         R_parent_joint, translation_m = to_world(local, moved, frames)
@@ -100,6 +99,18 @@ class DiffusionPrior:
             made = WindowMotion(nearest_rotation(rotations[:count]), positions[:count])
             results.append(fit_keyframes(made, _given(window), self._exact(window)))
         return results
+
+    def _sampled(
+        self,
+        windows: list[KeyframeWindow],
+        x_keys: Tensor,
+        conditions: Conditions,
+        generators: list[torch.Generator],
+        noisy: bool,
+    ) -> Tensor:
+        """Normalized features (B, N, 201) of padded windows."""
+        stop_step = self.sampler.stop_for(noisy)
+        return sample(self._denoiser, self.schedule, x_keys, conditions, self.sampler, generators, stop_step=stop_step)
 
     def _exact(self, window: KeyframeWindow) -> Bool[np.ndarray, "frames"]:
         """Frames that are met: the seed, and all keyframes where they carry no noise."""

@@ -45,6 +45,8 @@ class Denoise(Protocol):
         ...
 
 
+Steer = Callable[[Tensor, int], Tensor]
+"""Changes the estimate of the clean window at one step."""
 Predict = Callable[[Tensor, int], Tensor]
 """Estimate of the clean window at one step."""
 
@@ -126,17 +128,19 @@ def sample(
     generators: Sequence[torch.Generator],
     *,
     stop_step: int = 0,
+    steer: Steer | None = None,
 ) -> Float[Tensor, "batch frames features"]:
     """Windows from noise.
 
     Args:
         denoiser: predicts clean windows.
         schedule: forward process it was trained with.
-        x_keys: normalized features; rows with `conditions.mask` = 1 are the keyframes, others are not read.
+        x_keys: normalized features; rows with `conditions.imputed` = 1 are the keyframes, others are not read.
         conditions: of the batch.
         config: method and steps.
         generators: one per window, so that a window's result does not depend on its neighbors in the batch.
         stop_step: T*.
+        steer: applied to every estimate after the guidance.
     """
     center, prepared = denoiser.center(conditions), denoiser.prepare(conditions)
 
@@ -146,7 +150,7 @@ def sample(
 
     steps = time_steps(schedule.steps, config.steps, stop_step=stop_step, spacing=config.spacing)
     with torch.no_grad():
-        clean = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, prepared)
+        clean = guided(denoiser, x_keys, conditions, config.guidance_weight, stop_step, prepared, steer)
 
         def predict(residual: Tensor, t: int) -> Tensor:
             return clean(center + residual, t) - center
@@ -164,6 +168,7 @@ def guided(
     weight: float,
     stop_step: int,
     prepared: Any = None,
+    steer: Steer | None = None,
 ) -> Predict:
     """The clean estimate as a function of x_t and t alone: imputation, guidance.
 
@@ -180,7 +185,7 @@ def guided(
 
     def predict(x: Tensor, t: int) -> Tensor:
         nonlocal estimate
-        imputed = conditions.mask if t > stop_step else torch.zeros_like(conditions.mask)
+        imputed = conditions.imputed if t > stop_step else torch.zeros_like(conditions.mask)
         seen, steps = impute(x, x_keys, imputed), torch.full((batch,), t, device=x.device)
         # There is no estimate yet at the first step: it is taken twice.
         for _ in range(2 if estimate is None else 1):
@@ -189,7 +194,7 @@ def guided(
             )
             if without:
                 x0 = weight * x0 + (1 - weight) * without[0]
-            estimate = x0
+            estimate = x0 if steer is None else steer(x0, t)
         assert estimate is not None
         return estimate
 

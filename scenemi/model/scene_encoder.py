@@ -28,8 +28,11 @@ class SceneEncoder(nn.Module):
 
     def forward(self, occupancy: Float[Tensor, "batch x y z"]) -> Float[Tensor, "batch out"]:
         """The scene vector; occupancy is 0 or 1."""
+        return self.out(self.tokens(occupancy).mean(1))
+
+    def tokens(self, occupancy: Float[Tensor, "batch x y z"]) -> Float[Tensor, "batch tokens width"]:
+        """One vector for each block of voxels."""
         batch = occupancy.shape[0]
         (a, b, c), (p, q, r) = self.cells, self.patch
         blocks = occupancy.reshape(batch, a, p, b, q, c, r).permute(0, 1, 3, 5, 2, 4, 6).reshape(batch, a * b * c, -1)
-        tokens = self.layers(self.embed(blocks) + self.position)
-        return self.out(self.norm(tokens).mean(1))
+        return self.norm(self.layers(self.embed(blocks) + self.position))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -53,8 +53,10 @@ def save_weights(
     write_tensors(Path(path), tensors, header)
 
 
-def load_weights(name: str | Path = "small", *, device: str = "cpu") -> LoadedModel:
-    """Weights by name (a file in `scenemi/weights`) or path.
+def load_weights(
+    name: str | Path = "small", *, device: str = "cpu", build: Callable[[AnyConfig], AnyDenoiser] = build_denoiser
+) -> LoadedModel:
+    """Weights by name (a file in `scenemi/weights`) or path; `build` makes the denoiser of their configuration.
 
     Raises:
         ModelMissingError: no such file.
@@ -74,7 +76,7 @@ def load_weights(name: str | Path = "small", *, device: str = "cpu") -> LoadedMo
         raise InputError(f"scenemi weights: want format {FORMAT} in {path}, got {str(header.get('format'))[:40]}")
     try:
         config, card = config_from_json(dict(json.loads(header["config"]))), dict(json.loads(header["card"]))
-        denoiser = build_denoiser(config).to(device)
+        denoiser = build(config).to(device)
         denoiser.load_state_dict({
             key.removeprefix("model."): value.float() for key, value in tensors.items() if key.startswith("model.")
         })  # fmt: skip

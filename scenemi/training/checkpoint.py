@@ -13,7 +13,7 @@ from torch import Tensor
 
 from scenemi.data.plain_files import one_line
 from scenemi.features import Statistics
-from scenemi.model.build import build_denoiser
+from scenemi.model.baselines.build import build_any
 from scenemi.model.weights import statistics_from
 from scenemi.training.config import TrainConfig
 from scenemi.training.loop_parts import named_part, optimizer_moments, optimizer_tensors, write_training
@@ -77,7 +77,7 @@ def _restored(header: dict[str, str], tensors: dict[str, Tensor]) -> Checkpoint:
     config = TrainConfig.from_json(json.loads(header["config"]))
     weights = {part: named_part(tensors, part) for part in ("model", "ema")}
     for values in weights.values():
-        build_denoiser(config.model).load_state_dict(values)  # complains of what does not fit
+        build_any(config.model).load_state_dict(values)  # complains of what does not fit
     return Checkpoint(
         step=int(header["step"]),
         config=config,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, TypeAdapter, ValidationError
 
 from scenemi.data.plain_files import read_json
-from scenemi.model.config import SIZES, AnyConfig, config_from_json
+from scenemi.model.config import SIZES, AnyConfig, BaselineConfig, Method, ModelConfig, config_from_json
 from video2anim.errors import InputError, UsageError
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -93,6 +93,21 @@ class TrainConfig:
         """Windows of a step."""
         return self.batch * self.parts
 
+    def of_method(self, method: str) -> TrainConfig:
+        """The same run of a baseline about as large as the model: windows, steps and rate stay as they are; the
+        objective is the paper's, at evenly drawn steps of the diffusion, and keyframes are exact.
+
+        Raises:
+            UsageError: an unknown method, or a model that is not of the shipped form.
+        """
+        if method not in METHODS:
+            raise UsageError(f"method: want {', '.join(METHODS)}, got {method[:40]}")
+        if not isinstance(self.model, ModelConfig):
+            raise UsageError(f"method: want a configuration of the shipped form for the size of {method}")
+        model = BaselineConfig.like(next(name for name in METHODS if name == method), self.model)
+        paper = TrainConfig.read("paper")
+        return replace(self, model=model, noisy_share=0.0, **{name: getattr(paper, name) for name in OBJECTIVE})
+
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         return {**asdict(self), "model": self.model.to_json()}
@@ -164,5 +179,12 @@ def _model(given: Any) -> AnyConfig:
 
 
 _CHECKED = TypeAdapter(TrainConfig)
+METHODS: tuple[Method, ...] = get_args(Method)
+"""Baselines of `scenemi train --method`."""
+OBJECTIVE = (
+    "relative", "joints_weight", "velocity_weight", "acceleration_weight", "inside_weight", "first_step_share",
+    "pipeline_share",
+)  # fmt: skip
+"""Settings of `paper.json` that make the paper's objective."""
 FREE = ("workers", "log_every", "save_every", "grow_every", "validate_every", "pool_windows")
 """Settings in which a resumed run may differ."""

@@ -38,6 +38,8 @@ def descriptors_of(
     local_m = np.zeros((*batch.mask.shape, config.bps_anchors, 3), np.float32)
     for i in shown:
         occupancy[i] = batch.scene.occupancy(i, grid)
+        if not config.use_local:
+            continue
         given, body = (batch.mask[i] > 0).cpu().numpy(), bodies[int(batch.body[i])]
         R, translation_m = decode(keys[i].cpu().double().numpy()[given])
         joints_m, R_world = forward_kinematics(R, translation_m, body.rest_joints_m)

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from scenemi.data.windows import MotionSet
+from scenemi.model.baselines.build import build_any
+from scenemi.model.config import BaselineConfig
 from scenemi.model.weights import load_weights
 from scenemi.training.batches import PoolBatches
 from scenemi.training.checkpoint import CHECKPOINT, Checkpoint, load_checkpoint
@@ -45,7 +47,7 @@ def train(
         motions: clips on bodies, from which the pool in `out/pool` is made; in made-up scenes, or captured ones.
         out: folder of the pool, the checkpoint, `log.csv` and `progress.json`.
         scenes: clips in captured scenes on the same bodies, beside others in `motions`; half of the batches are theirs.
-        validation: windows that sampled numbers are made of.
+        validation: windows that sampled numbers are made of; baselines, which are sampled in other ways, have none.
         device: of torch.
         errors: of the video pipeline, for noisy keyframes.
         start: weights to begin from where `out` has no checkpoint or one with fewer steps, if they are of the same
@@ -71,7 +73,8 @@ def train(
     _grow(out, pools, min(config.pool_windows, _FIRST_SHARDS * SHARD_WINDOWS), config.seed)
     shards = _shards(out)
     run = Run(config, motions.bodies(), shards, device, held)
-    check = None if validation is None else Validator(validation, run.statistics)
+    watched = None if isinstance(config.model, BaselineConfig) else validation
+    check = None if watched is None else Validator(watched, run.statistics)
     watch = Watch(run, out, check, on_progress)
     data = PoolBatches(shards, config, errors)
     try:
@@ -121,7 +124,7 @@ def _from_weights(path: Path | None, config: TrainConfig) -> Checkpoint | None:
     if path is None or not path.is_file():
         return None
     try:
-        found = load_weights(path)
+        found = load_weights(path, build=build_any)
     except InputError:
         return None  # of an older format
     if found.config != config.model:

@@ -120,7 +120,8 @@ class TrainingLoss(nn.Module):
         if isinstance(self.denoiser, Denoiser):
             return given
         raw = keys * self.std + self.mean
-        return replace(given, descriptors=descriptors_of(batch, raw, self.bodies, self.denoiser.config))
+        found = descriptors_of(batch, raw, self.bodies, self.denoiser.config)
+        return replace(given, descriptors=found).with_keyframes(self.denoiser.keyframes)
 
     def _keyframes(self, batch: Batch, x0: Tensor) -> Tensor:
         """Normalized features with the noise of the keyframes; most windows have none."""

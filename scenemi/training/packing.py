@@ -26,7 +26,7 @@ from scenemi.data.plain_files import MAX_BYTES, one_line, read_arrays, read_json
 from scenemi.data.split import PARTS, Split
 from scenemi.data.windows import MotionSetConfig, archives_of, chosen_clips
 from scenemi.features import Statistics
-from scenemi.model.build import build_denoiser
+from scenemi.model.baselines.build import build_any
 from scenemi.model.weights import save_weights
 from scenemi.training.checkpoint import CHECKPOINT, Checkpoint, load_checkpoint
 from scenemi.training.config import TrainConfig
@@ -189,7 +189,7 @@ def _planes(values: Int16[np.ndarray, "many"]) -> UInt8[np.ndarray, "2 many"]:
 def _state(state: Checkpoint) -> bytes:
     """Averaged weights with a byte for each entry of a matrix."""
     tensors: dict[str, Tensor] = {}
-    learned = {name for name, _ in build_denoiser(state.config.model).named_parameters()}
+    learned = {name for name, _ in build_any(state.config.model).named_parameters()}
     for name, value in state.ema.items():
         if name in learned and value.ndim > 1:
             step = value.flatten(1).abs().amax(1).clamp(min=1e-12) / _LEVELS
@@ -204,7 +204,7 @@ def _state(state: Checkpoint) -> bytes:
 def _weights(data: bytes, settings: dict[str, Any], path: Path) -> Path:
     """Inverse of `_state`: a file of weights."""
     tensors = load_tensors(data)
-    denoiser = build_denoiser(TrainConfig.from_json(settings["config"]).model)
+    denoiser = build_any(TrainConfig.from_json(settings["config"]).model)
     state = {name.removeprefix("plain."): value for name, value in tensors.items() if name.startswith("plain.")}
     for name, value in tensors.items():
         if name.startswith("bytes."):

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from scenemi.features import Statistics
-from scenemi.model.build import AnyDenoiser, build_denoiser
+from scenemi.model.baselines.build import build_any
+from scenemi.model.build import AnyDenoiser
 from scenemi.model.denoiser import Denoiser
 from scenemi.training.batches import Batch, PoolBatches, statistics_of
 from scenemi.training.checkpoint import Checkpoint
@@ -59,7 +60,7 @@ class Run:
         self.config, self.device = config, torch.device(device)
         self.statistics: Statistics = held.statistics if held else statistics_of(shards, bodies)
         rest = torch.from_numpy(np.stack([body.rest_joints_m for body in bodies]).astype(np.float32))
-        self.model: AnyDenoiser = build_denoiser(config.model).to(self.device)
+        self.model: AnyDenoiser = build_any(config.model).to(self.device)
         self.step, self._seconds = held.step if held else 0, held.seconds if held else 0.0
         self.stopwatch = Stopwatch()
         self.loss = TrainingLoss(self.model, self.statistics, bodies, config).to(self.device)
@@ -126,7 +127,7 @@ class Run:
 
     def averaged(self) -> AnyDenoiser:
         """The model with averaged weights."""
-        model = build_denoiser(self.config.model).to(self.device)
+        model = build_any(self.config.model).to(self.device)
         model.load_state_dict(self.average)
         return model.eval()
 

@@ -13,7 +13,7 @@ from scenemi.data.scene_clips import scene_folders
 from scenemi.data.sources import is_free, license_of
 from scenemi.data.split import Split
 from scenemi.data.windows import MotionSet, MotionSetConfig, archives_of, barred_clips
-from scenemi.model.build import build_denoiser
+from scenemi.model.baselines.build import build_any
 from scenemi.model.weights import save_weights
 from scenemi.training.checkpoint import Checkpoint
 from scenemi.training.config import TrainConfig
@@ -163,7 +163,7 @@ def write_run_weights(
     """The averaged weights of a run (fp16) with what they were trained on; licenses of sources by `licenses_of`, or as
     the sources are known by their names."""
     sources = sorted({str(source) for one in motions for source in one.store.clip_source})
-    model = build_denoiser(state.config.model)
+    model = build_any(state.config.model)
     model.load_state_dict({name: value.cpu() for name, value in state.ema.items()})
     card = {
         "steps": state.step, "hours": round(state.seconds / 3600, 2),
