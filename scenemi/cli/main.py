@@ -46,6 +46,19 @@ Temperature = Annotated[
     float | None,
     typer.Option(min=0, max=1, help="1 = motions as varied as the data; less = nearer to the expected one."),
 ]
+Settings = Annotated[
+    str | None,
+    typer.Option(
+        help="Settings: a JSON file, or tiny, gpu, paper ... (docs/scenemi.md). Default: small.", metavar="NAME"
+    ),
+]
+Method = Annotated[
+    str | None,
+    typer.Option(
+        help="A method that the paper compares with, as large as --config: mdm, condmdi ... (docs/scenemi.md).",
+        metavar="NAME",
+    ),
+]
 INTERPOLATION = "interpolation"
 DEFAULT_INTERVAL, DEFAULT_PART, YOUNG_STEPS = 15, "test", 2000
 """Weights of fewer steps than `YOUNG_STEPS` are worse than interpolation."""
@@ -194,12 +207,7 @@ def train_command(
         list[Path] | None, typer.Option(help="Motion archive (.npz) or folder of them, repeatable.", metavar="PATH")
     ] = None,
     scenes: Annotated[list[str] | None, typer.Option(help=f"{CAPTURED}.", metavar="SOURCE=DIR")] = None,
-    config: Annotated[
-        str | None,
-        typer.Option(
-            help="Settings: a JSON file, or tiny, gpu, paper ... (docs/scenemi.md). Default: small.", metavar="NAME"
-        ),
-    ] = None,
+    config: Settings = None,
     method: Method = None,
     noncommercial: Annotated[
         bool, typer.Option("--noncommercial", help="Also use clips that are not known to be free for commercial use.")

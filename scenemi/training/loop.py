@@ -60,15 +60,7 @@ def train(
         InputError: the checkpoint in `out` is of another configuration.
         StageError: training met no finite gradient any more.
     """
-    held = load_checkpoint(out / CHECKPOINT) if (out / CHECKPOINT).is_file() else None
-    begun = _from_weights(start, config)
-    if begun is not None and (held is None or begun.step > held.step):
-        held = begun
-    if held is not None and (differing := _differing(held.config, config)):
-        raise InputError(
-            f"training: {out / CHECKPOINT} was trained with other {', '.join(differing)}; give another folder, or the "
-            "configuration it was begun with"
-        )
+    held = _begun(out, config, start)
     pools = {POOL: motions} if scenes is None else {POOL: motions, SCENE_POOL: scenes}
     _grow(out, pools, min(config.pool_windows, _FIRST_SHARDS * SHARD_WINDOWS), config.seed)
     shards = _shards(out)
@@ -89,6 +81,20 @@ def train(
     finally:  # interrupted, too
         watch.save()
     return run.state()
+
+
+def _begun(out: Path, config: TrainConfig, start: Path | None) -> Checkpoint | None:
+    """The state to go on from, of the folder or of given weights, whichever has more steps."""
+    held = load_checkpoint(out / CHECKPOINT) if (out / CHECKPOINT).is_file() else None
+    begun = _from_weights(start, config)
+    if begun is not None and (held is None or begun.step > held.step):
+        held = begun
+    if held is not None and (differing := _differing(held.config, config)):
+        raise InputError(
+            f"training: {out / CHECKPOINT} was trained with other {', '.join(differing)}; give another folder, or the "
+            "configuration it was begun with"
+        )
+    return held
 
 
 def cool(
