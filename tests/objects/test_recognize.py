@@ -10,7 +10,7 @@ from seen_boxes import Block, table
 from video2anim.objects.extrusion import OUTLINE
 from video2anim.objects.furniture import FORMS
 from video2anim.objects.meshing import outline_iou
-from video2anim.objects.recognize import log_prior, recognized
+from video2anim.objects.recognize import labeled_form, log_prior, recognized
 
 CLASSES = {form.name for form in FORMS} | {OUTLINE}
 
@@ -51,6 +51,19 @@ def test_a_wrong_word_gives_a_form_that_suits_the_outline_and_the_depth_worse() 
     overlap, whole = (outline_iou(fit, seen.evidence, seen.own) for fit in (wrong, right))
     assert overlap < 0.8 * whole
     assert wrong.chamfer_m > 3 * right.chamfer_m
+
+
+def test_a_label_with_impossible_sizes_is_rejected() -> None:
+    """A screen 2.6 m high is no chair; a chair is one."""
+    screen = furnished([Block((0.2, 1.3, -3.6), (1.8, 2.6, 0.1), 0.2)]).seen
+    chair_fit = recognized(screen, log_prior("chair"))[0]
+    assert chair_fit.size_probability < 1e-4
+    fit, label = labeled_form(screen, "chair")
+    assert label == fit.form.name
+    assert label not in ("chair", "armchair", "stool", "sofa")
+    assert fit.log_evidence > chair_fit.log_evidence + 10
+    fit, label = labeled_form(furnished(THINGS["chair"]).seen, "swivel chair")
+    assert (fit.form.name, label) == ("chair", "swivel chair")
 
 
 def test_a_chair_is_not_turned_around() -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.stats import chi2
 
 from video2anim.objects.furniture import Form
 from video2anim.objects.solids import Solids
@@ -118,6 +119,15 @@ class FormFit:
     @property
     def sizes_m(self) -> Float[np.ndarray, "sizes"]:
         return np.exp(self.values[len(POSE) :])
+
+    @property
+    def size_probability(self) -> float:
+        """Probability that sizes of this form are as unusual as these or more (chi-square of their logarithms)."""
+        usual_m, spread = (
+            np.array([getattr(size, name) for size in self.form.sizes]) for name in ("usual_m", "spread")
+        )
+        deviation = (self.values[len(POSE) :] - np.log(usual_m)) / spread
+        return float(chi2.sf(deviation @ deviation, len(deviation)))
 
     def solids(self) -> tuple[tuple[str, ...], Solids]:
         """Names of the parts, and the solids in the object's frame."""

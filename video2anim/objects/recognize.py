@@ -118,3 +118,22 @@ def log_prior(label: str) -> dict[str, float]:
     if name not in classes:
         return dict.fromkeys(classes, 0.0)
     return {name: 0.0, **{other: float(np.log(share)) for other, share in _BROAD.get(name, {}).items()}}
+
+
+_UNNAMED = ("object", "furniture")
+"""Labels of segmentation that name no class."""
+_IMPOSSIBLE_SIZE = 0.001
+"""Probability: the label of one object in a thousand is rejected wrongly. In `ocv_walk` a network calls a red screen a
+chair; the best form of that class is a stool 2.8 m high (probability 1e-17)."""
+
+
+def labeled_form(seen: SeenObject, label: str) -> tuple[FormFit, str]:
+    """The form with the most evidence, and the object's label: the form's class where the given one names none.
+
+    A label is rejected if the sizes of its best form are impossible for that class. All classes are then tried.
+    """
+    best = recognized(seen, log_prior(label))[0]
+    if label not in _UNNAMED and best.size_probability < _IMPOSSIBLE_SIZE:
+        label = _UNNAMED[0]
+        best = recognized(seen, log_prior(label))[0]
+    return best, best.form.name if label in _UNNAMED else label
