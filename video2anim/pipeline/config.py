@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from video2anim.artifacts.user_files import content_digest
 from video2anim.errors import UsageError
@@ -115,7 +115,7 @@ def load_preset(name: str) -> dict[str, Any]:
         raise UsageError(f"{where}: want YAML, got {error}") from error
     if not isinstance(data, dict | None):
         raise UsageError(f"{where}: want a mapping of stages to options, got {short(data)}")
-    return data or {}
+    return cast("dict[str, Any] | None", data) or {}
 
 
 def parse_set(assignments: Iterable[str]) -> dict[str, Any]:
@@ -134,15 +134,15 @@ def parse_set(assignments: Iterable[str]) -> dict[str, Any]:
             parsed = read_yaml(value)
         except PlainYamlError as error:
             raise UsageError(f"--set: want STAGE.OPTION=VALUE in YAML, got {short(text)} ({error})") from error
-        options = {parts[1]: parsed} if len(parts) == 2 else parsed
+        options: Any = {parts[1]: parsed} if len(parts) == 2 else parsed
         before = overrides.get(parts[0])
         if isinstance(before, dict) and isinstance(options, dict):
-            options = before | options
+            options = cast("dict[str, Any]", before) | cast("dict[str, Any]", options)
         overrides[parts[0]] = options
     return overrides
 
 
-def resolve(nodes: Sequence[Node], preset: str, layers: Sequence[tuple[str, Mapping[str, Any]]]) -> PipelineConfig:
+def resolve(nodes: Sequence[Node], preset: str, layers: Sequence[tuple[str, Any]]) -> PipelineConfig:
     """Merge layers (source name, overrides), later ones winning, into typed stage configs.
 
     Raises:
@@ -157,14 +157,14 @@ def resolve(nodes: Sequence[Node], preset: str, layers: Sequence[tuple[str, Mapp
     for number, (source, overrides) in enumerate(layers):
         if not isinstance(overrides, Mapping):
             raise UsageError(f"{source}: want a mapping of stages to options, got {short(overrides)}")
-        for key, given in overrides.items():
+        for key, given in cast("Mapping[Any, Any]", overrides).items():
             if key == "seed":
                 seed = _SEED.checked(given, f"{source}: seed")
                 continue
             _expect_known(key, [*types, *RUN_KEYS], source)
             if not isinstance(given, Mapping):
                 raise UsageError(f"{source}: '{key}' wants a mapping of options, got {short(given)}")
-            options = options_of(types[key])
+            options, given = options_of(types[key]), cast("Mapping[Any, Any]", given)
             for name, value in given.items():
                 _expect_known(name, options, source, prefix=f"{key}.")
                 values[key][name] = options[name].checked(value, f"{source}: {key}.{name}")
@@ -179,13 +179,14 @@ def known_part(nodes: Sequence[Node], config: Mapping[str, Any]) -> tuple[dict[s
     """Split a recorded configuration into what this version accepts and the names of the other options."""
     types = {node.name: options_of(node.config_type) for node in nodes}
     known: dict[str, Any] = {}
-    other = []
+    other: list[str] = []
     for key, value in config.items():
         if key not in types and key not in RUN_KEYS:
             other.append(key)
         elif key in types and isinstance(value, Mapping):
-            known[key] = {name: one for name, one in value.items() if _is_accepted(types[key].get(name), one)}
-            other += [f"{key}.{name}" for name in value if name not in known[key]]
+            options = cast("Mapping[str, Any]", value)
+            known[key] = {name: one for name, one in options.items() if _is_accepted(types[key].get(name), one)}
+            other += [f"{key}.{name}" for name in options if name not in known[key]]
         else:
             known[key] = value
     return known, other
@@ -209,7 +210,7 @@ def _expect_known(key: Any, known: Collection[str], source: str, prefix: str = "
     raise UsageError(f"{source}: unknown key {name} ({advice})")
 
 
-def _expect_applicable(stage: str, config: Any, chosen: Mapping[str, int]) -> None:
+def _expect_applicable(stage: str, config: object, chosen: Mapping[str, int]) -> None:
     """An option that another one makes meaningless is a mistake, unless that other one was chosen over it later."""
     for name, option in options_of(type(config)).items():
         for condition in option.conditions:

@@ -42,7 +42,7 @@ def build_graph(specs: Sequence[StageSpec], given: Sequence[type]) -> tuple[Node
         GraphError: two makers of one type, a missing maker, or a malformed signature.
     """
     makers: dict[type, str] = {kind: "the input" for kind in given}
-    nodes = []
+    nodes: list[Node] = []
     for number, spec in enumerate(specs, start=1):
         node = _node(spec, number)
         for parameter, kind in node.inputs:

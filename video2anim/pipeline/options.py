@@ -12,11 +12,11 @@ import functools
 import os
 import reprlib
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, cast, get_args, get_origin
 
 import pydantic
 from pydantic.fields import FieldInfo
@@ -123,7 +123,7 @@ def only_without(option: str, *values: Any) -> OnlyWhere:
 def options_of(kind: type) -> Mapping[str, Option]:
     """The options of a stage's config dataclass, by name."""
     hints = typing.get_type_hints(kind, include_extras=True)
-    found = {}
+    found: dict[str, Option] = {}
     for field in dataclasses.fields(kind):
         hint = hints[field.name]
         if field.metadata.get("user_path"):
@@ -174,7 +174,9 @@ def _absolute(path: Any) -> Any:
 
 def _no_truth_value(value: Any) -> Any:
     """For Python `true` is the number 1; for a person it is a slip."""
-    items = value if isinstance(value, list | tuple) else [value]
-    if any(isinstance(item, bool) for item in items):
+    items: Any = value
+    if not isinstance(items, list | tuple):
+        items = [items]
+    if any(isinstance(item, bool) for item in cast("Sequence[Any]", items)):
         raise PydanticCustomError("truth_value", "no truth value")
     return value

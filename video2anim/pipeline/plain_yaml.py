@@ -7,7 +7,7 @@ to fill the memory, or to lose an option without a word.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any
+from typing import Any, cast
 
 import yaml
 
@@ -37,7 +37,7 @@ def read_yaml(text: str) -> Any:
         try:
             return loader.get_single_data()
         finally:
-            loader.dispose()
+            loader.dispose()  # pyright: ignore[reportUnknownMemberType] - untyped
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
@@ -59,7 +59,7 @@ class _Loader(yaml.SafeLoader):
         self._level = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event = self.peek_event()
+        event = cast("yaml.Event", self.peek_event())  # pyright: ignore[reportUnknownMemberType] - untyped
         if isinstance(event, yaml.AliasEvent):
             raise _refused("aliases (*name) are not read, write the value out", event)
         if getattr(event, "tag", None) is not None:

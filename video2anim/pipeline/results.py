@@ -20,7 +20,7 @@ REPORT = "report.html"
 
 def edited_results(scene_dir: Path, record: RunRecord) -> list[str]:
     """Results that are there and no longer as the run wrote them."""
-    found = []
+    found: list[str] = []
     for name, digest in record.results.items():
         path = scene_dir / name
         if path.is_file() and file_digest(path) != digest:
@@ -70,7 +70,7 @@ def publish_results(
             that no result has.
     """
     changed = set(edited_results(scene_dir, record))
-    kept = changed if edits == "keep" else set()
+    kept = changed if edits == "keep" else set[str]()
     placed: dict[str, str] = {}
     for name, source in exported.items():
         digest, target = file_digest(source), scene_dir / name

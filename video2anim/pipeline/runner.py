@@ -176,7 +176,7 @@ class Runner:
         if edits == "refuse":
             self._expect_no_edits(start, until, only)
         remove_unfinished(self._scene_dir / STAGES)
-        rows, forced = [], False
+        rows, forced = list[StageStatus](), False
         for node in self._nodes:
             forced = forced or node.name == start
             row = self._check(node)

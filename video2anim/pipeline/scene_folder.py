@@ -8,7 +8,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, field
 from pathlib import Path
@@ -58,12 +58,12 @@ class RunRecord:
     config: dict[str, Any]
     """Every option of every stage."""
     versions: dict[str, str]
-    settings: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict[str, Any])
     """Options that differ from the preset because the user said so; later runs keep them."""
-    stages: list[StageRow] = field(default_factory=list)
-    results: dict[ResultName, str] = field(default_factory=dict)
+    stages: list[StageRow] = field(default_factory=list[StageRow])
+    results: dict[ResultName, str] = field(default_factory=dict[ResultName, str])
     """Files outside of `stages/` that the run wrote: path relative to the folder, and sha256."""
-    contacts: list[Contact] = field(default_factory=list)
+    contacts: list[Contact] = field(default_factory=list[Contact])
     """Which part of whose body touches which surface of which object, and when, in the results."""
 
     def with_rows(self, rows: Mapping[str, StageRow]) -> list[StageRow]:
@@ -150,7 +150,7 @@ def expect_no_link(path: Path) -> None:
 
 
 @contextmanager
-def locked(scene_dir: Path) -> Iterator[None]:
+def locked(scene_dir: Path) -> Generator[None]:
     """Hold the folder for one process; released by the system even after SIGKILL.
 
     Raises:

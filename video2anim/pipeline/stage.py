@@ -28,8 +28,8 @@ class StageContext:
     load_model: Callable[[str], Any] | None = None
     """Loads the model that fills a slot."""
     on_progress: Callable[[int, int], None] | None = None
-    qualities: list[Quality] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
+    qualities: list[Quality] = field(default_factory=list[Quality])
+    warnings: list[str] = field(default_factory=list[str])
 
     def rng(self, label: str) -> np.random.Generator:
         """Generator that depends on the run's seed and the label alone."""

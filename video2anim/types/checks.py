@@ -11,7 +11,7 @@ import functools
 import types
 import typing
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -37,7 +37,7 @@ class Checked:
         expect_sound(self)
 
 
-def expect_sound(value: Any) -> None:
+def expect_sound(value: object) -> None:
     """Hold the fields of a dataclass against their annotations.
 
     Raises:
@@ -149,8 +149,9 @@ def _array(hint: Any, _: Any, array: Any, axes: MutableMapping[str, int]) -> str
     kind, marks = annotation(hint)
     if not isinstance(array, np.ndarray):
         return f"want an array, got {type(array).__name__}"
-    fault = None if kind is np.ndarray else shape_fault(array.shape, kind, axes)
-    return fault or content_fault(array, marks, axes)
+    values = cast("np.ndarray[tuple[int, ...], Any]", array)
+    fault = None if kind is np.ndarray else shape_fault(values.shape, kind, axes)
+    return fault or content_fault(values, marks, axes)
 
 
 def _arrays(hint: Any, value: Any, arrays: Any, _: MutableMapping[str, int]) -> str | None:
@@ -173,7 +174,7 @@ def _scalar(validated: Callable[[Any], Any], _: Any, value: Any, axes: MutableMa
     return None
 
 
-def _one_per(name: str, mark: OnePer, value: Any, items: Any, _: MutableMapping[str, int]) -> str | None:
+def _one_per(name: str, mark: OnePer, value: object, items: Any, _: MutableMapping[str, int]) -> str | None:
     return count_fault(type(value), name, mark, len(items), len(getattr(value, mark.field)))
 
 
@@ -181,8 +182,8 @@ def _ids_of(mark: IdsOf, value: Any, ids: Any, _: MutableMapping[str, int]) -> s
     return ids_fault(getattr(value, mark.field), ids)
 
 
-def _no_rotation(R: np.ndarray, _: Mapping[str, int]) -> _Rows:
-    R = np.clip(R, -2.0, 2.0)  # a product of huge numbers overflows; these are no rotation either
+def _no_rotation(given: np.ndarray, _: Mapping[str, int]) -> _Rows:
+    R = np.clip(given, -2.0, 2.0)  # a product of huge numbers overflows; these are no rotation either
     off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max((-1, -2))
     return (off > ROTATION_TOLERANCE) | (np.linalg.det(R) < 0)
 
