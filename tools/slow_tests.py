@@ -1,25 +1,101 @@
-"""Which tests `make fast` leaves out, from the durations that pytest prints.
+"""Which tests `make fast` leaves out: those whose CPU time, with their share of the fixtures they use, is long.
 
-python -m pytest -q -n 2 --dist loadfile --durations=2000 --durations-min=0.3 | python tools/slow_tests.py
+A plugin, because wall time on a busy machine says little:
+
+    PYTHONPATH=. python -m pytest -q -n 2 --dist loadfile -p tools.slow_tests
+
+writes `tests/slow_tests.txt` anew. With `--fast` only the tests that are not listed run, and slow ones are added.
 """
 
 from __future__ import annotations
 
-import re
-import sys
+import os
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 LISTED = Path(__file__).resolve().parents[1] / "tests" / "slow_tests.txt"
-SLOW_S = 0.3
-"""Of a test with all its cases; about 4,000 faster ones make a run of four minutes on two cores."""
+SLOW_S = 0.15
+"""Of a test with all its cases. What is faster makes a run of two minutes on two cores."""
 
-if __name__ == "__main__":
-    seconds: dict[str, float] = defaultdict(float)
-    for line in sys.stdin:
-        found = re.match(r" *([0-9.]+)s (?:call|setup|teardown) +([^\s\[]+)", line)
-        if found:
-            seconds[found[2]] += float(found[1])
-    head = [line for line in LISTED.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
-    slow = sorted(name for name, taken in seconds.items() if taken >= SLOW_S)
-    LISTED.write_text("\n".join([*head, *slow]) + "\n", encoding="utf-8")
+
+def cpu_s() -> float:
+    """CPU time of this process and of those it has waited for."""
+    return sum(os.times()[:4])
+
+
+class Worker:
+    """Measures what each test and each shared fixture takes."""
+
+    def __init__(self) -> None:
+        self.since_s, self.fixtures_s = cpu_s(), dict[str, float]()
+
+    def pytest_runtest_logstart(self) -> None:
+        self.since_s = cpu_s()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: Any) -> Iterator[None]:
+        before_s = cpu_s()
+        try:
+            return (yield)
+        finally:
+            if fixturedef.scope != "function":
+                took_s = cpu_s() - before_s
+                self.since_s += took_s
+                self.fixtures_s[f"{fixturedef.baseid}::{fixturedef.argname}"] = took_s
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self, item: Any) -> Iterator[None]:
+        report: Any = yield
+        now_s = cpu_s()
+        own_s, self.since_s = now_s - self.since_s, now_s
+        known = [fixtures[-1] for fixtures in item._fixtureinfo.name2fixturedefs.values() if fixtures]
+        shared = [f"{fixture.baseid}::{fixture.argname}" for fixture in known if fixture.scope != "function"]
+        report.user_properties = [("cpu", [own_s, shared, self.fixtures_s])]
+        self.fixtures_s = {}
+        return report
+
+
+class Collector:
+    """Adds up what the workers report, and writes the list."""
+
+    def __init__(self, *, keep: bool) -> None:
+        self.keep = keep
+        self.tests_s, self.fixtures_s = defaultdict[str, float](float), defaultdict[str, float](float)
+        self.uses: dict[str, dict[str, None]] = {}
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        for own_s, shared, fixtures_s in (value for key, value in report.user_properties if key == "cpu"):
+            self.tests_s[report.nodeid] += own_s
+            self.uses[report.nodeid] = dict.fromkeys(shared)
+            for name, took_s in fixtures_s.items():
+                self.fixtures_s[name] += took_s
+
+    def pytest_sessionfinish(self) -> None:
+        users = defaultdict[str, int](int)
+        for used in self.uses.values():
+            for name in used:
+                users[name] += 1
+        whole_s = defaultdict[str, float](float)
+        for test, own_s in self.tests_s.items():
+            shares_s = sum(self.fixtures_s[name] / users[name] for name in self.uses[test])
+            whole_s[test.split("[")[0]] += own_s + shares_s
+        lines = LISTED.read_text(encoding="utf-8").splitlines()
+        slow = {name for name, took_s in whole_s.items() if took_s >= SLOW_S}
+        slow |= {line for line in lines if self.keep and not line.startswith("#")}
+        head = [line for line in lines if line.startswith("#")]
+        LISTED.write_text("\n".join([*head, *sorted(slow)]) + "\n", encoding="utf-8")
+        for name, took_s in sorted(whole_s.items(), key=lambda one: -one[1]):
+            print(f"{took_s:8.2f} s  {name}")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Workers of pytest-xdist measure, the process that starts them collects; without xdist one does both."""
+    worker = hasattr(config, "workerinput")
+    if worker or not config.getoption("numprocesses", 0):
+        config.pluginmanager.register(Worker())
+    if not worker:
+        config.pluginmanager.register(Collector(keep=config.getoption("--fast")))
