@@ -38,6 +38,14 @@ def shared_media() -> Path:
 
 
 @pytest.fixture(scope="session")
+def demo_video() -> Path:
+    """The real clip of `video2anim demo`, fetched once from its package: also a clone without the media has it."""
+    from video2anim.cli.results import demo_clip
+
+    return demo_clip(print)
+
+
+@pytest.fixture(scope="session")
 def bench_clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first four clips of preset `bench` at 320 x 240, walking from the gait model."""
     out = tmp_path_factory.mktemp("synth") / "set"

@@ -17,6 +17,7 @@ import pytest
 from command import Answer, command_line, payload_digests, process, video2anim
 
 from video2anim.artifacts.codec import read_value
+from video2anim.artifacts.folder import file_digest
 from video2anim.types import VideoClip
 
 USAGE, INPUT, MODEL, STAGE = 2, 3, 4, 5
@@ -495,6 +496,10 @@ def test_wrong_digest(shared_media: Path, tmp_path: Path, monkeypatch: pytest.Mo
     answer = video2anim("run", video, "--out", tmp_path / "out", *SMALL, "--until", "track")
     assert_one_line(answer, MODEL, "digest", str(cache), "video2anim models pull")
     assert [path.name for path in (tmp_path / "out" / "stages").iterdir()] == ["01_ingest"]
+    record = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert [(row["stage"], row["state"]) for row in record["stages"]] == [("ingest", "ran")], "a failed run is recorded"
+    assert record["settings"]["ingest"] == {"max_long_side_px": 320}
+    assert record["input_digest"] == file_digest(video)
     assert_one_line(video2anim("models", "verify"), MODEL, "blazepose", "video2anim models pull")
 
 

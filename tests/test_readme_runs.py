@@ -19,11 +19,11 @@ CRF = "18"
 
 
 @pytest.fixture(scope="module")
-def folder(shared_media: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(demo_video: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with `input.mp4`, in which a man lands from a flip, and `photo.jpg`."""
     made = tmp_path_factory.mktemp("readme")
     with (
-        av.open(str(shared_media / "videos" / "sports2d_demo.mp4")) as source,
+        av.open(str(demo_video)) as source,
         av.open(str(made / "input.mp4"), "w") as target,
     ):
         stream = source.streams.video[0]

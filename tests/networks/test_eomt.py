@@ -173,7 +173,9 @@ def test_other_networks_are_refused(tmp_path: Path) -> None:
 def test_table_loads_the_users_file(tmp_path: Path) -> None:
     inputs = {"pixel_values": [1, 3, SIDE, SIDE]}
     path = constant_graph(tmp_path / "e.onnx", inputs=inputs, outputs=outputs(COCO_PANOPTIC, ROOM))
-    assert isinstance(networks.load_model(f"eomt-small-coco@{path}"), Eomt)
+    image = np.zeros((48, 64, 3), np.uint8)
+    found = networks.load_model(f"eomt-small-coco@{path}").segment(image)
+    np.testing.assert_array_equal(found.semantic, Eomt(path).segment(image).semantic)
 
 
 def test_the_vocabulary_has_the_published_numbers() -> None:

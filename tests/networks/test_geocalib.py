@@ -13,7 +13,10 @@ from tiny_graphs import constant_graph, save
 from video2anim import networks
 from video2anim.errors import ModelMissingError
 from video2anim.geometry.perspective_field import field_of_camera, fit_camera
-from video2anim.networks.geocalib import SURE_SIGMA_RAD, GeoCalib, placement
+from video2anim.networks.geocalib import GeoCalib, placement
+
+SURE_SIGMA_RAD = 0.01
+"""`up_loss_fn_scale` and `lat_loss_fn_scale` of GeoCalib."""
 
 
 def outputs(height: int = 64, width: int = 96, **changed: np.ndarray) -> dict[str, np.ndarray]:
@@ -170,4 +173,5 @@ def test_other_networks_are_refused_in_one_line(tmp_path: Path) -> None:
 
 def test_table_loads_the_users_file(tmp_path: Path) -> None:
     path = constant_graph(tmp_path / "g.onnx", inputs={"image": [1, 3, 64, 96]}, outputs=outputs())
-    assert isinstance(networks.load_model(f"geocalib@{path}"), GeoCalib)
+    field = networks.load_model(f"geocalib@{path}").field(image(64, 96))
+    np.testing.assert_array_equal(field.latitude_rad, GeoCalib(path).field(image(64, 96)).latitude_rad)

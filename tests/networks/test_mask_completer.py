@@ -159,7 +159,8 @@ def test_other_shapes_and_tensors_are_refused(tmp_path: Path) -> None:
 
 def test_table_loads_the_users_file(tmp_path: Path) -> None:
     path = completer_file(tmp_path / "mine.onnx", YES, GREEN)
-    assert isinstance(networks.load_model(f"completer@{path}"), MaskCompleter)
+    found = networks.load_model(f"completer@{path}").complete(PICTURE, SEEN, HIDDEN)
+    np.testing.assert_array_equal(found.amodal, MaskCompleter(path).complete(PICTURE, SEEN, HIDDEN).amodal)
     assert list(networks.weight_digests(f"completer@{path}")) == ["completer"]
     assert networks.find_model("completer").slot == "completer"
     with pytest.raises(ModelMissingError, match="there is none; correct the path"):

@@ -220,4 +220,5 @@ def test_other_tensors_are_refused(tmp_path: Path) -> None:
 
 def test_table_loads_the_users_file(tmp_path: Path) -> None:
     path = constant_graph(tmp_path / "m.onnx", inputs={"image": [1, 3, HEIGHT, WIDTH]}, outputs=outputs())
-    assert isinstance(networks.load_model(f"moge-2-small@{path}"), Moge)
+    found = networks.load_model(f"moge-2-small@{path}").infer(IMAGE)
+    np.testing.assert_array_equal(found, Moge(path).infer(IMAGE))

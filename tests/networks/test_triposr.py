@@ -167,8 +167,10 @@ def test_other_tensors_are_refused(tmp_path: Path) -> None:
 
 def test_the_table_takes_the_folder_or_the_encoder(tmp_path: Path) -> None:
     folder = triposr_folder(tmp_path / "mine")
+    known = mesh_of(folder, max_faces=MOST, resolution=20)
     for name in (f"triposr@{folder}", f"triposr@{folder / 'encoder.onnx'}"):
-        assert isinstance(networks.load_model(name), TripoSR)
+        made = networks.load_model(name).mesh(RED, max_faces=MOST, resolution=20)
+        np.testing.assert_array_equal(made.vertices_m, known.vertices_m)
         assert networks.ensure(name) == folder / "encoder.onnx"
     row = networks.find_model("object-mesh")
     assert (row.name, row.license, row.verified) == ("triposr", "MIT", "contract")

@@ -15,7 +15,7 @@ from video2anim.cli.compose import pipeline_nodes
 from video2anim.errors import UsageError
 from video2anim.pipeline.config import PipelineConfig, expect_user_paths, load_preset, parse_set, resolve
 from video2anim.pipeline.options import Option, options_of
-from video2anim.pipeline.plain_yaml import MAX_CHARACTERS, PlainYamlError, read_yaml
+from video2anim.pipeline.plain_yaml import PlainYamlError, read_yaml
 
 NODES = pipeline_nodes()
 OPTIONS = [(node.name, name, option) for node in NODES for name, option in options_of(node.config_type).items()]
@@ -200,7 +200,7 @@ def test_a_partial_preset_changes_only_what_it_names(tmp_path: Path) -> None:
         ("- " * 5000, "nested more than"),
         (f"camera: {{frames: {'9' * 5000}}}\n", "number"),
         (f"camera: {{frames: 1{':1' * 400}.0}}\n", "number"),
-        (f"camera: {{frames: {'x' * MAX_CHARACTERS}}}\n", "more than 32768 characters"),
+        (f"camera: {{frames: {'x' * 32_768}}}\n", "more than 32768 characters"),
         (b"x" * 10**6, "more than"),
         ("camera: {model: \x07}\n", "a character that YAML text cannot hold"),
         ("camera: {}\n--- \ndepth: {}\n", "line"),

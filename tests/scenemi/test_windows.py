@@ -7,7 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from scenemi.windows import OVERLAP_FRAMES, WINDOW_FRAMES, plan_windows, select_keyframes, split_long_gaps
+from scenemi.windows import plan_windows, select_keyframes, split_long_gaps
+
+WINDOW_FRAMES, OVERLAP_FRAMES = 121, 60
+"""Of the paper, section 4 and supplement 8.2."""
 
 
 @pytest.mark.parametrize(("frames", "interval"), [(1, 15), (2, 15), (16, 15), (17, 15), (121, 15), (122, 60), (690, 7)])

@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -20,6 +21,7 @@ from stages.scene import SceneConfig, build_scene
 from video2anim.errors import InputError, StageError, UsageError
 from video2anim.geometry.projection import transform_points
 from video2anim.networks.amodal import object_picture
+from video2anim.networks.external_mesh import object_square
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
     BodyTracks,
@@ -183,7 +185,10 @@ def test_a_program_makes_the_meshes_that_the_user_did_not_bring(tmp_path: Path) 
     brought, made = reconstruct(config, ctx, objects=2)
     assert (brought.method, made.method) == ("user mesh", "program")
     assert (tmp_path / "calls").read_text().count("object.png") == 1
-    assert (tmp_path / "seen.png").stat().st_size > 1000
+    room = make_room()
+    mask = true_masks(room, 1).instances[0].mask
+    crop, _ = object_picture(room.background.background_rgb, mask, mask)
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "seen.png"))[..., ::-1], object_square(crop))
     expect_own_frame(made)
     np.testing.assert_allclose(extents(made), BOX_SIZE_M[1], rtol=0.02)
     np.testing.assert_allclose(made.T_world_object, brought.T_world_object, atol=1e-9)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from video2anim.camera.background_registration import STATIC_DRIFT_RATIO, BackgroundRegistration, CameraMotion
+from video2anim.camera.background_registration import BackgroundRegistration, CameraMotion
 
 WIDTH, HEIGHT = 480, 300
 
@@ -41,7 +41,7 @@ def test_static_camera_with_a_moving_person(wall: np.ndarray) -> None:
     motion = CameraMotion()
     for i in range(8):
         motion.add(seen(wall, (0, 0), person_x=20 + 40 * i))
-    assert motion.drift_ratio < 0.1 * STATIC_DRIFT_RATIO
+    assert motion.drift_ratio < 0.0005
 
 
 def test_drift_is_measured(wall: np.ndarray) -> None:

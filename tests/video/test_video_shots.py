@@ -86,6 +86,6 @@ def cuts_of_file(path: Path) -> list[int]:
     return cuts_of(picture.rgb(*size) for picture in decode(path, header, DecodeReport()))
 
 
-def test_real_cut_and_real_flare(shared_media: Path) -> None:
+def test_real_cut_and_real_flare(shared_media: Path, demo_video: Path) -> None:
     assert cuts_of_file(shared_media / "bad" / "scene_cut.mp4") == [60]
-    assert cuts_of_file(shared_media / "videos" / "sports2d_demo.mp4") == []
+    assert cuts_of_file(demo_video) == []

@@ -10,9 +10,11 @@ from synthetic import planted_walk
 from video2anim.types import Contact
 from video2anim.types.skeleton import JOINT_INDEX
 from video2anim.viewer import SceneView
-from video2anim.viewer.bodies import CONTACT_RGB, PERSON_RGB, UNMEASURED_RGB, PosedBodies
+from video2anim.viewer.bodies import PosedBodies
 from video2anim.viewer.contacts import contact_line, contacts_at, touched_rgb
 from video2anim.viewer.software import render_software
+
+SKIN_RGB, CONTACT_RGB, UNMEASURED_RGB = (214, 164, 134), (205, 48, 38), (160, 160, 160)
 
 
 def test_parts_in_contact_are_red_and_others_the_persons_own() -> None:
@@ -24,10 +26,10 @@ def test_parts_in_contact_are_red_and_others_the_persons_own() -> None:
     part = posed.bodies[0].vertex_part
     colors = posed.colors(0, 2)
     assert (colors[part == JOINT_INDEX["left_wrist"]] == CONTACT_RGB).all()
-    half = 0.5 * np.array(PERSON_RGB[0]) + 0.5 * np.array(CONTACT_RGB)
+    half = 0.5 * np.array(SKIN_RGB) + 0.5 * np.array(CONTACT_RGB)
     assert np.abs(colors[part == JOINT_INDEX["pelvis"]] - half).max() <= 1
-    assert (colors[part == JOINT_INDEX["head"]] == PERSON_RGB[0]).all()
-    assert (posed.colors(0, 1) == PERSON_RGB[0]).all()
+    assert (colors[part == JOINT_INDEX["head"]] == SKIN_RGB).all()
+    assert (posed.colors(0, 1) == SKIN_RGB).all()
     assert (posed.colors(0, 3) == UNMEASURED_RGB).all()
 
 
@@ -45,8 +47,8 @@ def test_known_contacts_have_the_color_of_what_is_touched() -> None:
     assert (colors[part == JOINT_INDEX["left_wrist"]] == touched_rgb(2)).all()
     assert (colors[part == JOINT_INDEX["left_ankle"]] == touched_rgb(None)).all()
     assert (colors[part == JOINT_INDEX["right_wrist"]] == CONTACT_RGB).all(), "what it touches is not known"
-    assert (colors[part == JOINT_INDEX["head"]] == PERSON_RGB[0]).all(), "the contact is another person's"
-    assert (posed.colors(0, 3)[part == JOINT_INDEX["left_wrist"]] == PERSON_RGB[0]).all(), "over by then"
+    assert (colors[part == JOINT_INDEX["head"]] == SKIN_RGB).all(), "the contact is another person's"
+    assert (posed.colors(0, 3)[part == JOINT_INDEX["left_wrist"]] == SKIN_RGB).all(), "over by then"
     assert [contact_line(one) for one in contacts_at(posed.contacts, walk.person_id, times_s[1])] == [
         "left hand: table 2, top", "left foot: floor",
     ]  # fmt: skip

@@ -7,9 +7,11 @@ import pytest
 
 from video2anim.geometry.projection import pixel_rays, project
 from video2anim.types import Intrinsics
-from video2anim.viewer.clipping import NEAR_M, clip_segments_near, clip_triangles_near
+from video2anim.viewer.clipping import clip_segments_near, clip_triangles_near
 from video2anim.viewer.raster import Canvas, draw_lines, draw_mesh
 from video2anim.viewer.viewpoint import fit_viewpoint, looking
+
+NEAR_M = 0.05
 
 LENS = Intrinsics.centered(100.0, 80, 60)
 

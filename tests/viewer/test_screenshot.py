@@ -36,18 +36,26 @@ def scene_view() -> SceneView:
     return SceneView({"raw": (moved,), "refined": (motion,)}, room())
 
 
-def skin_share(picture_bgr: np.ndarray) -> float:
-    picture = picture_bgr.astype(int)
-    return float((picture[..., 2] - picture[..., 0] > 35).mean())
-
-
 def test_software_picture_shows_body_and_box(scene_view: SceneView, tmp_path: Path) -> None:
     screenshot(scene_view, 4, tmp_path / "shot.png", width_px=480, height_px=270)
     picture = cv2.imread(str(tmp_path / "shot.png"))
     assert picture.shape == (270, 480, 3)
-    assert skin_share(picture) > 0.005
-    blue = picture[..., 0].astype(int) - picture[..., 2] > 60
-    assert blue.mean() > 0.005
+    motion = scene_view.motions["refined"][0]
+    viewpoint = oblique_viewpoint((motion,), scene_view.scene, 480, 270)
+    joints_px = project(viewpoint.to_camera(motion.joints_world_m[4]), viewpoint.intrinsics)
+    column, row = np.rint(joints_px).astype(int).T
+    empty = Canvas.blank(480, 270)
+    draw_static(empty, viewpoint, scene_view.scene, background=True, objects=True, frame=4)
+    changed = np.abs(picture[..., ::-1].astype(int) - empty.rgb).max(-1) > 20
+    _, part = cv2.connectedComponents(changed.astype(np.uint8))
+    body = changed & (part == part[row[0], column[0]])
+    assert body[row, column].mean() > 0.9, "the body is drawn over its joints"
+    rows, columns = np.nonzero(body)
+    assert np.ptp(rows) == pytest.approx(np.ptp(joints_px[:, 1]), rel=0.3), "and is not larger"
+    assert np.ptp(columns) < np.ptp(rows)
+    (placed,) = scene_view.scene.objects
+    center_px = project(viewpoint.to_camera(world_vertices(placed, 4).mean(0)[None]), viewpoint.intrinsics)[0, ::-1]
+    np.testing.assert_allclose(blue_pixels(picture).mean(0), center_px, atol=8)
 
 
 def blue_pixels(picture_bgr: np.ndarray) -> np.ndarray:

@@ -16,7 +16,6 @@ import numpy as np
 import trimesh
 from synthetic import planted_walk
 
-from scenemi.data.smpl_clip import PELVIS_M, R_Y_UP_Z_UP
 from scenemi.data.source_clip import SourceClip, SourceSkeleton
 from video2anim.geometry.rotations import (
     axis_angle_from_matrix,
@@ -25,6 +24,11 @@ from video2anim.geometry.rotations import (
     quaternion_from_matrix,
 )
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS
+
+PELVIS_SMPLX_M = np.array([0.003, -0.351, 0.012])
+"""Of the mean shape, in the model's own frame."""
+R_Y_UP_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""Z of the data is Y here."""
 
 FRAMES = 150
 START_Z_M = -1.6
@@ -53,7 +57,7 @@ def parameters(T_data_world: np.ndarray, clip: SourceClip) -> tuple[np.ndarray, 
     R = matrix_from_quaternion(clip.rotation_wxyz)
     R[:, 0] = T_data_world[:3, :3] @ R[:, 0]
     root_m = clip.root_position_m @ T_data_world[:3, :3].T + T_data_world[:3, 3]
-    return axis_angle_from_matrix(R).reshape(-1, 66), root_m - PELVIS_M["smplx"]
+    return axis_angle_from_matrix(R).reshape(-1, 66), root_m - PELVIS_SMPLX_M
 
 
 def box_distance(points_m: np.ndarray, box_m: np.ndarray) -> np.ndarray:

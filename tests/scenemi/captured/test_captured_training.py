@@ -133,7 +133,7 @@ def shards(motions: SceneMotions, tmp_path_factory: pytest.TempPathFactory) -> l
 
 def test_mirrored_windows_keep_their_distances(shards: list[SceneShard]) -> None:
     """Of every window drawn the distances of its joints are those of the stored window, sides exchanged or not."""
-    stored = torch.cat([torch.from_numpy(shard.features / pool.UNITS_PER_METER) for shard in shards]).float()
+    stored = torch.cat([torch.from_numpy(shard.features / 8192.0) for shard in shards]).float()
     scene = pool.stored_scenes([(shard, row) for shard in shards for row in range(SHARD)])
     true_m = scene.field(torch.ones(2 * SHARD)).distance_m(stored[..., JOINTS].unflatten(-1, (22, 3)).flatten(1, 2))
     true_m = true_m.unflatten(1, (-1, 22))
@@ -154,7 +154,7 @@ def test_mirrored_windows_keep_their_distances(shards: list[SceneShard]) -> None
 
 
 def test_both_kinds_of_scenes_take_turns(shards: list[SceneShard], motions: SceneMotions) -> None:
-    boxes = np.zeros((SHARD, pool.MAX_BOXES, 7), np.float32)
+    boxes = np.zeros((SHARD, 16, 7), np.float32)
     boxes[:, 0] = [0.5, 0.4, 1.0, 0.2, 0.4, 0.2, 0.3]
     made_up = Shard(
         *(getattr(shards[0], name) for name in ("features", "valid_frames", "body")), boxes,

@@ -8,9 +8,14 @@ import torch
 
 from scenemi.model.config import PaperConfig
 from scenemi.scene.boxes import Boxes
-from scenemi.scene.field import REACH_M, VOLUME_STEP_M, VolumeField
+from scenemi.scene.field import VolumeField
 from scenemi.scene.rows import BoxRows, VolumeRows
 from scenemi.scene.voxels import GridSpec
+
+REACH_M = 0.6
+"""An arm's length, at which the field ends."""
+VOLUME_STEP_M = REACH_M / 127
+"""Signed 8-bit steps, as stored pools have them."""
 
 LOW_M, STEP_M, NODES = (-1.6, 0.0, -1.4), (0.05, 0.06, 0.07), (64, 32, 48)
 BOX = [[0.4, 0.5, 0.3, 0.3, 0.5, 0.2, 0.4], [-0.6, 1.2, -0.2, 0.4, 0.1, 0.3, 0.0]]

@@ -13,7 +13,7 @@ from scenemi.data.container import MotionArchive, write_archive
 from scenemi.data.gimo import read_gimo
 from scenemi.data.readers import read_clips
 from scenemi.data.retarget import retarget
-from scenemi.data.smpl_clip import PELVIS_M, R_Y_UP_Z_UP, SmplModel
+from scenemi.data.smpl_clip import SmplModel
 from scenemi.data.source_clip import SourceClip
 from scenemi.data.trumans import read_trumans
 from video2anim.body.anny_body import ADULT, shaped_body
@@ -21,6 +21,15 @@ from video2anim.errors import InputError
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_quaternion
 from video2anim.types import BodyShape
 from video2anim.types.skeleton import forward_kinematics
+
+PELVIS_M = {
+    "smpl": np.array([-0.002, -0.223, 0.028]),
+    "smplh": np.array([-0.002, -0.23, 0.028]),
+    "smplx": np.array([0.003, -0.351, 0.012]),
+}
+"""Of the models' mean shapes."""
+R_Y_UP_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""Z of the data is Y here."""
 
 
 def parameters(clip: SourceClip, model: SmplModel, R_data_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,9 +18,12 @@ from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.heading import VIEW, from_heading, headings, to_heading, view
 from scenemi.model.kinematics import joints_of, matrices, posed_joints
 from scenemi.model.weights import FORMAT, load_weights, save_weights
-from scenemi.scene.field import REACH_M, BoxField
+from scenemi.scene.field import BoxField
 from video2anim.errors import InputError, ModelMissingError
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
+
+REACH_M = 0.6
+"""An arm's length, at which the field ends."""
 
 TINY = SIZES["tiny"]
 assert isinstance(TINY, ModelConfig)

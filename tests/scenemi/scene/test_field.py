@@ -7,12 +7,17 @@ import pytest
 import torch
 
 from scenemi.scene.boxes import Boxes
-from scenemi.scene.field import REACH_M, VOLUME_STEP_M, BoxField, GridField
+from scenemi.scene.field import BoxField, GridField
 from scenemi.scene.geometry import HalfSpace, SceneGeometry
-from scenemi.scene.grid import SPACING_M, canonical_grid
+from scenemi.scene.grid import canonical_grid
 from scenemi.scene.rows import BoxRows, VolumeRows
 from scenemi.scene.voxels import GridSpec, occupancy
 from video2anim.geometry.sdf import SdfGrid
+
+REACH_M = 0.6
+"""An arm's length, at which the field ends."""
+VOLUME_STEP_M = REACH_M / 127
+SPACING_M = 0.05
 
 STEP_M = 1e-3
 

@@ -18,7 +18,7 @@ from scenemi.features import JOINTS, ROTATIONS, encode
 from scenemi.scene.field import BoxField
 from scenemi.training.batches import LOOKED_AT, Batch, PoolBatches, mirrored
 from scenemi.training.noise import PipelineErrors, gaussian, reported_level
-from scenemi.training.pool import UNITS_PER_METER, Shard
+from scenemi.training.pool import Shard
 from video2anim.errors import InputError
 
 WIDE = replace(CONFIG, batch=400, scene_share=1.0)
@@ -30,7 +30,7 @@ def same(a: Batch, b: Batch) -> bool:
 
 def stored(shards: list[Shard]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Features, boxes and telling keyframes of the whole pool."""
-    features = np.concatenate([shard.features for shard in shards]) / np.float32(UNITS_PER_METER)
+    features = np.concatenate([shard.features for shard in shards]) / np.float32(8192.0)
     masks = np.concatenate([np.unpackbits(shard.mask, axis=1)[:, : features.shape[1]] for shard in shards])
     boxes = np.concatenate([shard.boxes for shard in shards])
     return torch.from_numpy(features).float(), torch.from_numpy(boxes), torch.from_numpy(masks).float()

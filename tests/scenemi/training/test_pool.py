@@ -17,9 +17,12 @@ from scenemi.model.base import join_keyframes
 from scenemi.scene.body_spheres import adult_spheres
 from scenemi.scene.boxes import Boxes
 from scenemi.training import pool
-from scenemi.training.pool import MAX_BOXES, UNITS_PER_METER, Shard, grow_pool, open_pool, scene_boxes, telling_share
+from scenemi.training.pool import Shard, grow_pool, open_pool, scene_boxes, telling_share
 from video2anim.errors import InputError
 from video2anim.types.skeleton import JOINT_INDEX
+
+UNITS_PER_METER = 8192.0
+"""Of a stored pool's integers."""
 
 FEW = 6
 
@@ -165,7 +168,7 @@ def test_rows_of_boxes_come_before_rows_of_zeros(shards: list[Shard]) -> None:
         filled = shard.boxes[..., 3] > 0
         assert (filled[:, :-1] >= filled[:, 1:]).all()
         assert not shard.boxes[~filled].any()
-        assert shard.boxes.shape == (SHARD, MAX_BOXES, 7)
+        assert shard.boxes.shape == (SHARD, 16, 7)
 
 
 def test_a_scene_tells_more_than_a_third_of_acted_walks_what_their_keyframes_do_not(tmp_path: Path) -> None:
@@ -201,7 +204,7 @@ def test_the_nearest_boxes_are_kept_whichever_joint_they_are_near(motions: Motio
         Furnished(np.array([*others, touching]), 0.01), np.random.default_rng(0), still_m,  # type: ignore[arg-type]
         np.broadcast_to(np.eye(3), (121, 22, 3, 3)), np.zeros((121, 22), bool), adult_spheres(), still_m,
     )  # fmt: skip
-    assert made.shape == (MAX_BOXES, 7)
+    assert made.shape == (16, 7)
     assert (made[:, 3] > 0).all()
     assert np.linalg.norm(made[:, :3] - touching, axis=1).min() < 1e-6
 
