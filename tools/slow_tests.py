@@ -19,7 +19,7 @@ import pytest
 
 LISTED = Path(__file__).resolve().parents[1] / "tests" / "slow_tests.txt"
 SLOW_S = 0.3
-"""Of a test with all its cases. In 20 test files of 220 drawn at random, the slower ones took 20 of 27 s (2026-11-25)."""
+"""Of a test with all its cases. In 20 of 220 test files, drawn at random, slower ones took 20 of 27 s (2026-11-25)."""
 
 
 def cpu_s() -> float:
