@@ -83,7 +83,7 @@ def test_unusable_file(shared_media: Path, tmp_path: Path, name: str, said: str)
         ("corrupted_payload", (540, 960), (8, 50), "damaged data"),
         ("rotation_metadata_90", (540, 960), None, ""),
         ("anamorphic_sar_2_1", (960, 540), None, "the camera moves"),
-        ("variable_frame_rate", None, (119, 122), "the picture is held"),
+        ("variable_frame_rate", None, (119, 122), "the image before is held"),
         ("hevc_10bit", (540, 960), None, ""),
         ("odd_641x363_vp9", (641, 363), None, ""),
         ("odd_641x363_yuv444", (641, 363), None, ""),
