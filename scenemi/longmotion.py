@@ -38,8 +38,12 @@ class KeyframeMotion:
     """Whose skin meets the scene, for priors that look at it."""
     noise_level: float = 0.0
     """Paper's l of the keyframes (`KeyframeWindow.noise_level`)."""
-    noise: tuple[float, float] | None = None
-    """How far keyframes are off, degrees and centimeters, where that is not one l for both."""
+    noise: tuple[float, float] | Float[np.ndarray, "frames 2"] | None = None
+    """How far keyframes are off, degrees and centimeters, where that is not one l for both; of each, or of all."""
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.is_keyframe)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +135,7 @@ def _window(span: WindowSpan, motion: KeyframeMotion, done: WindowMotion, scene:
     return KeyframeWindow(
         R_parent_joint, translation_m, is_keyframe, motion.rest_joints_m, motion.fps, scene,
         seed_frames=seed, body=motion.body, noise_level=motion.noise_level,
-        noise=None if motion.noise is None else np.tile(motion.noise, (len(is_keyframe), 1)),
+        noise=None if motion.noise is None else np.broadcast_to(motion.noise, (motion.frame_count, 2))[frames].copy(),
     )  # fmt: skip
 
 

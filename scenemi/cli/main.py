@@ -80,9 +80,11 @@ def _root(
 
 @app.command("sample", cls=PlainCommand)
 def sample_command(
-    keyframes: Annotated[Path, typer.Option(help="Keyframes: .npz, .json, .bvh, or a motion.npz.")],
+    keyframes: Annotated[Path, typer.Option(help="Keyframes: .npz, .json, .bvh, .glb, or a motion.npz.")],
     out: Annotated[Path, typer.Option(help="Motion to write (.npz).")],
-    scene: Annotated[Path | None, typer.Option(help="Room: .glb, .ply, .obj, .npz. Default: a bare floor.")] = None,
+    scene: Annotated[
+        Path | None, typer.Option(help="Room: .glb, .ply, .obj, .npz, or a scene folder. Default: a bare floor.")
+    ] = None,
     interval: Annotated[
         int, typer.Option(min=1, max=MAX_FRAMES, help="Frames between keyframes, where the file does not say it.")
     ] = DEFAULT_INTERVAL,
@@ -101,12 +103,10 @@ def sample_command(
     device: Device = "auto",
 ) -> None:
     """Make a motion that goes through keyframes, in a scene."""
+    from scenemi.cli.read_request import read_request
     from scenemi.cli.sample_motion import expect_noise, sample_motion
     from scenemi.data.files import expect_writable, write_motion
-    from scenemi.data.keyframe_file import read_keyframes
-    from scenemi.data.scene_file import read_scene
     from scenemi.model.choice import SAMPLE_STEPS, load_prior_by_name
-    from scenemi.scene.scene_parts import geometry_of, notes_on
 
     if noisy and noise is not None:
         raise UsageError("--noisy: does not apply with --noise, which says how inexact the keyframes are")
@@ -120,10 +120,8 @@ def sample_command(
         raise UsageError(f"--out: want a .npz file, got {out}")
     for target in targets:
         expect_writable(target)
-    given = read_keyframes(keyframes, interval=interval, length=length)
-    found = None if scene is None else read_scene(scene)
-    notes = [] if found is None else [*found.notes, *notes_on(found.parts, given.translation_m)]
-    solids = geometry_of(() if found is None else found.parts, given.translation_m)
+    asked = read_request(keyframes, scene, interval=interval, length=length, exact=not level)
+    given, notes = asked.keyframes, asked.notes
     prior_device = device_of(device)
     if weights != INTERPOLATION and (samples > 1 or first_seed != 0):
         steps = steps or SAMPLE_STEPS
@@ -131,10 +129,10 @@ def sample_command(
         prior = load_prior_by_name(
             weights, device=prior_device, steps=steps, seed=first_seed + number, temperature=temperature
         )
-        made = sample_motion(given, prior, scene=solids, length=length, noise=level)
+        made = sample_motion(given, prior, scene=asked.scene, length=length, noise=level, partial=asked.partial)
         for text in (*notes, *made.notes):
             note(text)
-        notes = []
+        notes = ()
         write_motion(
             target, made.motion.R_parent_joint, made.motion.translation_world_m, made.is_keyframe, made.contact, given
         )

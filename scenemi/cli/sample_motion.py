@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from scenemi.animation.partial_motion import meet, missed
 from scenemi.data.keyframes import FPS, Keyframes
 from scenemi.longmotion import LongMotion, inbetween
 from scenemi.metrics import standing_feet
 from scenemi.postprocess.in_scene import put_in_scene
+from scenemi.postprocess.partial import PartialKeyframes
 from scenemi.prior import InbetweeningPrior, KeyframeWindow, WindowMotion
 from scenemi.scene.geometry import SceneGeometry
 from video2anim.body.anny_body import shaped_body
@@ -39,6 +41,7 @@ def sample_motion(
     scene: SceneGeometry | None = None,
     length: int | None = None,
     noise: float = 0.0,
+    partial: PartialKeyframes | None = None,
 ) -> SampledMotion:
     """Fill keyframes to a motion.
 
@@ -48,6 +51,7 @@ def sample_motion(
         scene: in the world frame, floor included.
         length: frames of the result; after the last keyframe its pose is held.
         noise: paper's l, how inexact the keyframes are; 0 = they are met.
+        partial: what else is asked of the motion, over `keyframes.frame_count` frames or more.
 
     Raises:
         InputError: a length that leaves keyframes out.
@@ -64,14 +68,18 @@ def sample_motion(
         notes.append(f"frames 0 to {first - 1} hold the first keyframe's pose")
     if last + 1 < len(given.is_keyframe):
         notes.append(f"frames {last + 1} to {len(given.is_keyframe) - 1} hold the last keyframe's pose")
-    if prior.name == "scenemi":
+    if prior.name == "scenemi" or partial is not None:
         made = WindowMotion(filled.R_parent_joint, filled.translation_world_m)
         held = np.arange(len(given.is_keyframe))
         whole = KeyframeWindow(
             made.R_parent_joint, made.translation_world_m, given.is_keyframe | (held <= first) | (held >= last),
             given.rest_joints_m, given.fps, scene, body=given.body, noise_level=given.noise_level,
         )  # fmt: skip
-        made = put_in_scene(made, whole)
+        if partial is None:
+            made = put_in_scene(made, whole)
+        else:
+            made = meet(made, given, whole, prior, partial.over(len(held)))
+            notes += missed(made, given, partial)
         filled = replace(filled, R_parent_joint=made.R_parent_joint, translation_world_m=made.translation_world_m)
     joints_m, _ = forward_kinematics(filled.R_parent_joint, filled.translation_world_m, keyframes.rest_joints_m)
     return SampledMotion(filled, given.is_keyframe, standing_feet(joints_m, FPS), tuple(notes))

@@ -28,7 +28,7 @@ from scenemi.data.source_clip import SourceClip
 from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import continuous_quaternions
 
-_STRETCH = 0.02
+STRETCH = 0.02
 """Bones may change their length by this share of the leg; beyond, the file cannot be a skeleton of fixed lengths."""
 _MAX_JOINTS, _MAX_CHANNELS = 2000, 6
 _CHANNEL = re.compile(r"^([XYZ])(position|rotation)$", re.IGNORECASE)
@@ -248,7 +248,7 @@ def _from_pelvis(file: BvhFile, joints: JointMap, where: str) -> BvhFile:
     used = [part.names.index(name) for name in joints.position.values() if name != joints.position["pelvis"]]
     stretch = np.linalg.norm(position[:, used] - offsets[used], axis=-1)
     worst = int(stretch.max(0).argmax())
-    if stretch[:, worst].max() > _STRETCH * _leg_length(part, joints):
+    if stretch[:, worst].max() > STRETCH * _leg_length(part, joints):
         raise InputError(
             f"{where}: the bone to {part.names[used[worst]]!r} changes its length in time; export rotations only"
         )

@@ -1,9 +1,9 @@
-"""Keyframes from files: `.npz` and `.json` by one model, and BVH."""
+"""Keyframes from files: `.npz` and `.json` by one model, BVH and GLB."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -25,7 +25,11 @@ from video2anim.errors import InputError, UsageError
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types.motion import BodyShape
 
-KEYFRAME_SUFFIXES = (".npz", ".json", ".bvh")
+if TYPE_CHECKING:
+    from scenemi.data.source_clip import SourceClip
+    from video2anim.body.shaped_body import ShapedBody
+
+KEYFRAME_SUFFIXES = (".npz", ".json", ".bvh", ".glb")
 _MAX_BYTES = 512 * 2**20
 """A `motion.npz` of an hour has 330 MB."""
 
@@ -64,7 +68,8 @@ def read_keyframes(path: Path, *, interval: int = 15, length: int | None = None)
     """Keyframes from `.npz` or `.json` (docs/scenemi.md), or taken at an interval from a whole motion.
 
     A file with `frame_index` says itself where its poses stand. A `motion.npz` and a `.bvh` hold a pose for every
-    frame, of which every `interval`-th is taken. Poses without `frame_index` are `interval` frames apart.
+    frame, of which every `interval`-th is taken. So does a `.glb`, unless its animation has keys only at some times:
+    then those are the keyframes, counted from the first. Poses without `frame_index` are `interval` frames apart.
 
     Args:
         path: the file.
@@ -80,6 +85,8 @@ def read_keyframes(path: Path, *, interval: int = 15, length: int | None = None)
     expect_file(path, "keyframe file", _MAX_BYTES)
     if suffix == ".bvh":
         return _from_bvh(path).every(interval, length)
+    if suffix == ".glb":
+        return _from_glb(path, interval, length)
     found: dict[str, Any] = (
         read_json(path, "keyframe file")
         if suffix == ".json"
@@ -88,6 +95,15 @@ def read_keyframes(path: Path, *, interval: int = 15, length: int | None = None)
     values = checked(KeyframeValues, str(path), found)
     keyframes = _keyframes(str(path), values, 1 if values.whole_motion else interval)
     return keyframes.every(interval, length) if values.whole_motion else keyframes
+
+
+def shape_in(path: Path) -> BodyShape:
+    """The body that a `.json` file names; the average adult where it names none.
+
+    Raises:
+        InputError: one line about what is wrong with the file.
+    """
+    return _shape(str(path), checked(KeyframeValues, str(path), read_json(path, "keyframe file")))
 
 
 def _keyframes(where: str, values: KeyframeValues, interval: int) -> Keyframes:
@@ -133,14 +149,27 @@ def _rest_joints_m(where: str, shape: BodyShape) -> np.ndarray:
 
 def _from_bvh(path: Path) -> Keyframes:
     from scenemi.data.bvh import read_bvh
+
+    # The file's floor is kept: the scene is in the same world.
+    return _retargeted(path, read_bvh(path, keep_floor=True), shaped_body(BodyShape("anny", dict(ADULT))))
+
+
+def _from_glb(path: Path, interval: int, length: int | None) -> Keyframes:
+    from scenemi.data.gltf_motion import read_gltf_motion
+
+    found = read_gltf_motion(path)
+    motion = _retargeted(path, found.clip, found.body)
+    return motion.at(found.key_frames) if len(found.key_frames) else motion.every(interval, length)
+
+
+def _retargeted(path: Path, clip: SourceClip, body: ShapedBody) -> Keyframes:
+    """A pose for every frame."""
     from scenemi.data.retarget import retarget
 
-    shape = BodyShape("anny", dict(ADULT))
-    body = shaped_body(shape)
-    # The file's floor is kept: the scene is in the same world.
-    motion = retarget(read_bvh(path, keep_floor=True), body)
+    motion = retarget(clip, body)
     frames = np.arange(len(motion.translation_m))
-    return checked_keyframes(str(path), frames, motion.R_parent_joint, motion.translation_m, body.rest_joints_m, shape)
+    shape, rest_m = body.shape, body.rest_joints_m
+    return checked_keyframes(str(path), frames, motion.R_parent_joint, motion.translation_m, rest_m, shape)
 
 
 def read_mapping(path: Path) -> dict[str, str]:

@@ -74,9 +74,13 @@ class Keyframes:
         frames = self.frame_index[kept]
         usable = np.zeros(int(frames[-1]) + 1, bool)
         usable[frames] = True
-        chosen = np.searchsorted(frames, select_keyframes(len(usable), interval, usable=usable))
+        return self.at(select_keyframes(len(usable), interval, usable=usable))
+
+    def at(self, frames: Int[np.ndarray, "chosen"]) -> Keyframes:
+        """Only those at some of its frames."""
+        chosen = np.searchsorted(self.frame_index, frames)
         return Keyframes(
-            frames[chosen], self.R_parent_joint[chosen], self.translation_m[chosen], self.rest_joints_m, self.shape
+            frames, self.R_parent_joint[chosen], self.translation_m[chosen], self.rest_joints_m, self.shape
         )
 
 

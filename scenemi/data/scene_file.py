@@ -40,14 +40,28 @@ class _SceneArrays(BaseModel):
     faces: Annotated[Numbers, shaped(None, 3, letters="F")] | None = None
 
 
+def mesh_path(path: Path) -> Path:
+    """The file of a scene: of a folder of `video2anim run` its `scene.glb`.
+
+    Raises:
+        InputError: a folder without one.
+    """
+    if path.is_dir() and not (path / "scene.glb").is_file():
+        raise InputError(
+            f"{path}: want a scene folder with scene.glb; `video2anim export {path} --format glb` makes it"
+        )
+    return path / "scene.glb" if path.is_dir() else path
+
+
 def read_scene(path: Path) -> SceneFile:
     """A scene in the world frame (+Y up, meters): all meshes and points of a file but people, which are skinned meshes.
 
-    An `.npz` holds `vertices_m` and `faces`, or `points_m`.
+    An `.npz` holds `vertices_m` and `faces`, or `points_m`. A folder is one of `video2anim run`.
 
     Raises:
         InputError: the file is missing, cannot be read, is too large, or has no geometry.
     """
+    path = mesh_path(path)
     if path.suffix.lower() not in SCENE_SUFFIXES:
         raise InputError(f"{path}: want a scene as {', '.join(SCENE_SUFFIXES)}")
     found = _npz(path) if path.suffix.lower() == ".npz" else read_meshes(path)

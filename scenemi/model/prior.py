@@ -113,10 +113,10 @@ class DiffusionPrior:
         return sample(self._denoiser, self.schedule, x_keys, conditions, self.sampler, generators, stop_step=stop_step)
 
     def _exact(self, window: KeyframeWindow) -> Bool[np.ndarray, "frames"]:
-        """Frames that are met: the seed, and all keyframes where they carry no noise."""
+        """Frames that are met: the seed, and keyframes that carry no noise."""
         exact = np.arange(len(window.is_keyframe)) < window.seed_frames
-        if is_exact(window) and self.sampler.hard_keyframes:
-            exact |= window.is_keyframe
+        if self.sampler.hard_keyframes:
+            exact |= window.is_keyframe & ~noise_of(window).any(1)
         return exact
 
     def _conditions(

@@ -8,6 +8,7 @@ standard deviation (`SolveConfig`):
 - reference: w and d are small; their second differences over time are small against the accelerations of the reference,
   so that a correction adds no jerk that the prior did not have;
 - picture: joints project to where the estimator saw them;
+- targets: joints are where somebody wants them;
 - stance: touching feet do not move; touching parts lie on a surface;
 - solids: skin that is inside comes out; feet that swing stay a little above. A solid whose place is uncertain gives
   way: its displacement is unknown too.
@@ -98,6 +99,19 @@ class PictureTarget:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class JointTargets:
+    """Where joints are wanted (world, m), axis by axis."""
+
+    position_m: Float[np.ndarray, "frames 22 3"]
+    sigma_m: Float[np.ndarray, "frames 22 3"]
+    """Standard deviation from it; infinite where the place does not matter."""
+
+    def __post_init__(self) -> None:
+        if not (self.sigma_m > 0).all() or not np.isfinite(self.position_m).all():
+            raise ValueError("JointTargets: want standard deviations above 0 and finite positions")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SceneMotion:
     """What the solve starts from: a motion (world frame, +Y up, meters) and what is known of it."""
 
@@ -113,6 +127,7 @@ class SceneMotion:
     """Frames that stay as they are."""
     picture: PictureTarget | None = None
     """None where there is no video."""
+    targets: JointTargets | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +181,9 @@ class _Person:
         self.hold = np.concatenate([np.full(3, config.root_m), np.repeat(turn_rad, 3)]) ** -2.0
 
     def move(self, step: Float[np.ndarray, "frames 69"]) -> None:
-        """Go on by a step of the unknowns."""
+        """Go on by a step of the unknowns; towards targets, which may be far away, by no more than `MAX_TURN_RAD`."""
+        if self.given.targets is not None:
+            step = step * min(1.0, MAX_TURN_RAD / max(float(np.abs(step[:, 3:]).max()), MAX_TURN_RAD))
         self.shift_m = self.shift_m + step[:, :3]
         turned = matrix_from_axis_angle(self.turn_rad + step[:, 3:].reshape(-1, JOINTS, 3))
         self.R_parent_joint = self.given.R_parent_joint @ turned
@@ -186,6 +203,8 @@ class _Person:
         self._stance(band, joints_m, R_world_joint)
         for start in range(0, len(joints_m), _CHUNK_FRAMES):
             frames = slice(start, start + _CHUNK_FRAMES)
+            if self.given.targets is not None:
+                self._targets(band, self.given.targets, frames, joints_m[frames], R_world_joint[frames])
             if self.given.picture is not None:
                 self._picture(band, self.given.picture, frames, joints_m[frames], R_world_joint[frames])
             if self.solids.known:
@@ -213,6 +232,17 @@ class _Person:
         points_m, joint = np.repeat(joints_m, 2, 1), np.repeat(np.arange(JOINTS), 2)
         rows = rows_along(joints_m, R_world_joint, points_m, joint, directions)
         _add(band, frames, rows, off_px.reshape(len(D), -1), np.repeat(weight, 2, axis=1))
+
+    def _targets(
+        self, band: BlockBand, wanted: JointTargets, frames: slice, joints_m: np.ndarray, R_world_joint: np.ndarray
+    ) -> None:
+        weight = wanted.sigma_m[frames] ** -2.0
+        joint = np.flatnonzero(weight.any((0, 2)))
+        every, shape = np.repeat(joint, 3), (len(weight), 3 * len(joint))
+        along = np.broadcast_to(np.tile(np.eye(3), (len(joint), 1)), (*shape, 3))
+        rows = rows_along(joints_m, R_world_joint, joints_m[:, every], every, along)
+        off_m = (wanted.position_m[frames] - joints_m)[:, joint].reshape(shape)
+        _add(band, frames, rows, off_m, weight[:, joint].reshape(shape))
 
     def _stance(self, band: BlockBand, joints_m: np.ndarray, R_world_joint: np.ndarray) -> None:
         config, fps = self.config, self.given.fps
@@ -279,6 +309,9 @@ class _Person:
         return [index[:, at_work], way_m[:, at_work], weight[:, at_work]]
 
 
+MAX_TURN_RAD = 0.5
+"""Largest turn of a joint in an iteration: beyond, the linear model is off by more than an eighth. Without it the solve
+may run away where hands are to be at the knees while both feet are pinned (`gallery/hands.json`)."""
 _CHUNK_FRAMES = 128
 """Frames whose rows are held at once: more are not faster, and their memory stays below 50 MB."""
 _PART_M = 0.1

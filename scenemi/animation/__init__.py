@@ -1,0 +1,1 @@
+"""What animators ask for: partial keyframes, postures at objects."""
