@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from scenemi.cli.options import Device, Method, Settings, Steps, Temperature, Weights
 from scenemi.cli.parts import (
     PlainCommand,
     note,
@@ -37,28 +38,6 @@ app = typer.Typer(
     help="Fill the motion between keyframes of a person in a 3D scene.",
     epilog="Exit codes: 0 fine, 2 usage or configuration, 3 bad input, 4 model missing, 5 no usable result.",
 )
-Weights = Annotated[str, typer.Option(help="small, a .safetensors file, or interpolation.", metavar="NAME")]
-Device = Annotated[str, typer.Option(help="auto, cpu or cuda.", metavar="NAME")]
-Steps = Annotated[
-    int | None, typer.Option(min=1, max=1000, help="1 = the expected motion, 20 = a sample, 1000 = the paper's.")
-]
-Temperature = Annotated[
-    float | None,
-    typer.Option(min=0, max=1, help="1 = motions as varied as the data; less = nearer to the expected one."),
-]
-Settings = Annotated[
-    str | None,
-    typer.Option(
-        help="Settings: a JSON file, or tiny, gpu, paper ... (docs/scenemi.md). Default: small.", metavar="NAME"
-    ),
-]
-Method = Annotated[
-    str | None,
-    typer.Option(
-        help="A method that the paper compares with, as large as --config: mdm, condmdi ... (docs/scenemi.md).",
-        metavar="NAME",
-    ),
-]
 INTERPOLATION = "interpolation"
 DEFAULT_INTERVAL, DEFAULT_PART, YOUNG_STEPS = 15, "test", 2000
 """Weights of fewer steps than `YOUNG_STEPS` are worse than interpolation."""
