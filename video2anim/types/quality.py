@@ -11,6 +11,12 @@ Better = Literal["lower", "higher", "near_1", "near_truth", "none"]
 Unit = Literal[
     "m", "m/s", "m/s^2", "m/s^3", "px", "deg", "ratio", "%", "count", "MB", "Hz", "dB", "/255",
 ]  # fmt: skip
+_WRITTEN = {
+    "pa_mpjpe": "PA-MPJPE", "wa_mpjpe": "WA-MPJPE", "w_mpjpe": "W-MPJPE", "mpjpe": "MPJPE", "iou": "IoU", "psnr": "PSNR",
+    "f1": "F1", "rte": "RTE", "gmd": "GMD", "sdf": "SDF", "fid": "FID",
+}  # fmt: skip
+"""How the field writes words of keys."""
+_WORDS = re.compile("|".join(rf"(?<![a-z0-9]){word}(?![a-z0-9])" for word in _WRITTEN))
 _KEY = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
@@ -42,4 +48,5 @@ class Quality:
         """For people: the key's words, and of whom or what it speaks."""
         of = [f"{word} {number}" for word, number in (("person", self.person_id), ("object", self.object_id))
               if number is not None]  # fmt: skip
-        return self.key.replace("_", " ") + (f" ({', '.join(of)})" if of else "")
+        words = _WORDS.sub(lambda found: _WRITTEN[found[0]], self.key).replace("_", " ")
+        return words + (f" ({', '.join(of)})" if of else "")

@@ -225,7 +225,7 @@ def test_eval_command(tmp_path: Path, scene_dir: Path, truth_dir: Path) -> None:
     words = ["eval", str(scene_dir), "--truth", str(truth_dir), "--json", str(json_file), "--html", str(html_file)]
     done = runner.invoke(app, words, catch_exceptions=False)
     assert done.exit_code == 0
-    assert re.search(r"pa mpjpe +\S+ +\S+ +\S+ +m +lower", done.output)
+    assert re.search(r"PA-MPJPE +\S+ +\S+ +\S+ +m +lower", done.output)
     assert "…" not in done.output
     assert json.loads(json_file.read_text())["kind"] == "clip"
     assert html_file.read_text().startswith("<!DOCTYPE html>")
