@@ -12,8 +12,8 @@ Unit = Literal[
     "m", "m/s", "m/s^2", "m/s^3", "px", "deg", "ratio", "%", "count", "MB", "Hz", "dB", "/255",
 ]  # fmt: skip
 _WRITTEN = {
-    "pa_mpjpe": "PA-MPJPE", "wa_mpjpe": "WA-MPJPE", "w_mpjpe": "W-MPJPE", "mpjpe": "MPJPE", "iou": "IoU", "psnr": "PSNR",
-    "f1": "F1", "rte": "RTE", "gmd": "GMD", "sdf": "SDF", "fid": "FID",
+    "pa_mpjpe": "PA-MPJPE", "wa_mpjpe": "WA-MPJPE", "w_mpjpe": "W-MPJPE", "mpjpe": "MPJPE", "iou": "IoU",
+    "psnr": "PSNR", "f1": "F1", "rte": "RTE", "gmd": "GMD", "sdf": "SDF", "fid": "FID",
 }  # fmt: skip
 """How the field writes words of keys."""
 _WORDS = re.compile("|".join(rf"(?<![a-z0-9]){word}(?![a-z0-9])" for word in _WRITTEN))
