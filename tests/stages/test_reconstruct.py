@@ -146,9 +146,11 @@ def test_a_fitted_form_says_how_well_it_fits() -> None:
 def test_names_of_networks_are_kept_and_unknown_things_get_that_of_their_form() -> None:
     room = make_room()
     mask = room.surface_full == BOX
-    (kept,), (named,) = (reconstruct(room, [mask], label=label).objects for label in ("ottoman", "object"))
-    assert kept.label == "ottoman"
+    labels = ("chest of drawers", "object", "ottoman")
+    (kept,), (named,), (rejected,) = (reconstruct(room, [mask], label=label).objects for label in labels)
+    assert kept.label == "chest of drawers"
     assert named.label != "object"
+    assert rejected.label == named.label, "no ottoman is as large as the box"
     assert named.method.startswith(f"form: {named.label}")
 
 
