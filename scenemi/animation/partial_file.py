@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, 
 from scipy.interpolate import Akima1DInterpolator
 
 from scenemi.data.plain_files import MAX_FRAMES
-from scenemi.postprocess.partial import LEVEL, PartialKeyframes, PinnedFoot
+from scenemi.postprocess.partial import LEVEL, MISS_M, PartialKeyframes, PinnedFoot
 from video2anim.errors import InputError
 from video2anim.types.clip import FPS
 from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES
@@ -192,16 +192,12 @@ def expect_no_contradiction(where: str, partial: PartialKeyframes, roots_m: Any,
         exact: whether they are met.
 
     Raises:
-        InputError: the path is more than `MISS_M` from such a pose.
+        InputError: the path is more than `MISS_M["path"]` from such a pose.
     """
     off_m = np.linalg.norm(partial.path_m[frames] - np.asarray(roots_m)[:, LEVEL], axis=1)
     worst = int(np.nan_to_num(off_m, nan=-1.0).argmax())
-    if exact and off_m[worst] > MISS_M:
+    if exact and off_m[worst] > MISS_M["path"]:
         raise InputError(
             f"{where}: root_path passes the pose at frame {frames[worst]} at a distance of {off_m[worst]:.2f} m; "
             "move one of both"
         )
-
-
-MISS_M = 0.05
-"""What a root may be off its path (it sways by 2 to 3 cm in walking)."""

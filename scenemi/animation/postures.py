@@ -21,10 +21,10 @@ from scenemi.animation.partial_file import PostureWish
 from scenemi.data.hinge_limb import LegBones, bend_leg
 from scenemi.postprocess.in_scene import OBSERVED
 from scenemi.postprocess.motion_solve import SceneMotion, solve_motions
-from scenemi.postprocess.partial import PartialKeyframes
+from scenemi.postprocess.partial import MISS_M, PartialKeyframes
 from scenemi.postprocess.solids import Solids
 from scenemi.scene.geometry import SceneGeometry
-from scenemi.scene.grid import distance_grid
+from scenemi.scene.grid import AROUND_M, distance_grid
 from video2anim.body.legs import LEGS
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
@@ -46,8 +46,6 @@ _WRIST_M = 0.03
 _BENDS = replace(OBSERVED, trunk_rad=0.15, iterations=60)
 """A posture of the library stands upright; whoever puts a hand on a table bends. With 0.05 rad, the hand stays 4 to 6
 cm from a table of 0.74 m, with this 6 mm after 16 iterations and less than 1 mm after 60."""
-_AROUND_M, _MISS_M = 0.5, 0.02
-"""How far around a posture solids are looked for, and what a hand may miss its place by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +102,7 @@ def settled(posture: Posture, body: ShapedBody, scene: SceneGeometry, where: str
         InputError: a hand does not reach its place.
     """
     joints_m, _ = forward_kinematics(posture.R_parent_joint, posture.translation_m, body.rest_joints_m)
-    field = distance_grid(scene, joints_m.min(0) - _AROUND_M, joints_m.max(0) + _AROUND_M)
+    field = distance_grid(scene, joints_m.min(0) - AROUND_M, joints_m.max(0) + AROUND_M)
     free = np.zeros(1, bool)
     partial = PartialKeyframes(posture.place_m[None], np.full((1, 2), np.nan))
     start = SceneMotion(
@@ -115,7 +113,7 @@ def settled(posture: Posture, body: ShapedBody, scene: SceneGeometry, where: str
     R, translation_m = solved.R_parent_joint[0][0], solved.translation_world_m[0][0]
     joints_m, _ = forward_kinematics(R, translation_m, body.rest_joints_m)
     off_m = np.nan_to_num(np.linalg.norm(joints_m - posture.place_m, axis=-1)).max()
-    if off_m > _MISS_M:
+    if off_m > MISS_M["joint"]:
         raise InputError(f"{where}: the hand stays {off_m:.2f} m from its place, which is out of reach")
     return Posture(R, translation_m, posture.contact, posture.place_m)
 

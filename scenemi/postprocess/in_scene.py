@@ -33,7 +33,7 @@ windows (`--part val --every 4 --choose-solve`, CMU and two more data sets, r = 
 with this, the error 66.5 and 64.8 mm; a root held by 2 mm or by 2 cm changes neither by more than 0.001 and 0.1 mm."""
 OBSERVED = replace(WITHOUT_PICTURE, root_m=0.05, trunk_rad=0.05, acceleration_ratio=1.0, iterations=16)
 """With partial keyframes, which say where root and trunk are, so that these give way too, smoothly. Pinned feet slide
-by 6 mm with this and by 14 mm after 8 iterations; with 0.2 m for the root the solve may not converge
+by 5 mm with this and by 14 mm after 8 iterations; with 0.2 m for the root the solve may not converge
 (`benchmarks/scenemi/partial.py`)."""
 _ROUNDS = 2
 """Solves: standing feet are found more reliably in a motion in which they have been held once."""

@@ -16,6 +16,9 @@ EXACT_M = 0.001
 """Standard deviation of what is to be met: against the other terms of the solve this is exact."""
 PATH_M = 0.02
 """Standard deviation of the pelvis from its path: hips sway by this from step to step."""
+MISS_M = {"joint": 0.02, "path": 0.05, "foot": 0.01}
+"""What is reported or refused: a joint beside its place, hips that leave the path by more than their sway, a foot that
+slides."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,6 +66,14 @@ def test_a_label_with_impossible_sizes_is_rejected() -> None:
     assert (fit.form.name, label) == ("chair", "swivel chair")
 
 
+def test_a_label_without_a_form_is_kept_whatever_the_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It names no class whose sizes could be impossible."""
+    monkeypatch.setattr("video2anim.objects.form_fit.FormFit.size_probability", 0.0)
+    seen = furnished(THINGS["box"]).seen
+    assert labeled_form(seen, "piano")[1] == "piano"
+    assert labeled_form(seen, "lamp")[1] != "lamp"
+
+
 def test_a_chair_is_not_turned_around() -> None:
     """The back of a chair seen from the front is behind it."""
     for yaw_rad in (0.4, np.pi - 0.4):

@@ -1,7 +1,7 @@
 """Refined motion: an in-betweening prior fills sparse keyframes, then one solve fits all people and the scene.
 
-The solve is made twice, with the prior and with plain interpolation of the observed motion, so that the share of frames
-that the prior changed can be told.
+With a prior, the solve is made a second time with plain interpolation of the observed motion, so that the share of
+frames that the prior changed can be told.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from video2anim.motion.observation import inlier_frames, observation
 from video2anim.objects.path import follow_hand
 from video2anim.types import BodyMotion, SceneModel
 from video2anim.types.clip import FPS
+from video2anim.types.motion import main_person
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +72,7 @@ def refine_people(
         config: of the prior.
         uncertainty: how far objects may move.
     """
-    solids = movable_solids(scene, people[0].T_world_camera[0, :3, 3], uncertainty)
+    solids = movable_solids(scene, main_person(people).view().center_m, uncertainty)
     field = scene_field(scene)
     numbers = [number for number, motion in enumerate(people) if motion.valid.any()]
     observed = [(people[number], observation(people[number], scene.objects)) for number in numbers]
@@ -83,7 +84,9 @@ def refine_people(
         made, gaps[number] = _filled(motion, one, prior or interpolation, field, config if prior else every_frame)
         filled.append(made)
     solved = solve_motions(filled, solids)
-    plain = solve_motions([_filled(*one, interpolation, field, every_frame)[0] for one in observed], solids)
+    plain = solved
+    if prior is not None:
+        plain = solve_motions([_filled(*one, interpolation, field, every_frame)[0] for one in observed], solids)
     refined, without_prior = (_posed(people, numbers, one) for one in (solved, plain))
     moved = moved_scene(scene, solids, solved.moved_m)
     ways_m = {

@@ -130,10 +130,12 @@ chair; the best form of that class is a stool 2.8 m high (probability 1e-17)."""
 def labeled_form(seen: SeenObject, label: str) -> tuple[FormFit, str]:
     """The form with the most evidence, and the object's label: the form's class where the given one names none.
 
-    A label is rejected if the sizes of its best form are impossible for that class. All classes are then tried.
+    A label is rejected if the sizes of its best form are impossible for that class. All classes are then tried. Labels
+    without a form are kept: they restrict nothing.
     """
-    best = recognized(seen, log_prior(label))[0]
-    if label not in _UNNAMED and best.size_probability < _IMPOSSIBLE_SIZE:
+    restricted, every = log_prior(label), log_prior(_UNNAMED[0])
+    best = recognized(seen, restricted)[0]
+    if restricted != every and best.size_probability < _IMPOSSIBLE_SIZE:
         label = _UNNAMED[0]
-        best = recognized(seen, log_prior(label))[0]
+        best = recognized(seen, every)[0]
     return best, best.form.name if label in _UNNAMED else label

@@ -68,10 +68,11 @@ class Cube:
         return _lattice(per_side)
 
     def mesh(self) -> UnitMesh:
-        """12 faces. Corner 4 i + 2 j + k has x, y, z high where i, j, k are 1."""
-        corners = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij"), -1).reshape(-1, 3)
-        quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
-        return corners, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+        """12 faces."""
+        import trimesh
+
+        box = trimesh.creation.box(extents=(2, 2, 2))
+        return box.vertices, box.faces
 
 
 class Cylinder:
@@ -199,13 +200,10 @@ class Prism:
 
     def mesh(self) -> UnitMesh:
         """Two faces for each triangle and for each side."""
-        count, flat = self.corners.shape[1], self.corners[:1]
-        a = np.arange(count)
-        b, c = np.roll(a, -1), a + count
-        d = np.roll(c, -1)
-        sides = [np.stack(corners, -1) for corners in ((a, d, c), (a, b, d))]
-        vertices = np.concatenate([_at_depth(flat, -1.0)[0], _at_depth(flat, 1.0)[0]])
-        return vertices, np.concatenate([self.triangles[:, ::-1], self.triangles + count, *sides])
+        import trimesh
+
+        prism = trimesh.creation.extrude_triangulation(self.corners[0], self.triangles, 2.0)
+        return prism.vertices - [0.0, 0.0, 1.0], prism.faces
 
 
 def triangulated(corners: Float[np.ndarray, "corners 2"]) -> Int[np.ndarray, "triangles 3"]:
@@ -269,19 +267,11 @@ def _spread(key: tuple[int, tuple[tuple[int, ...], ...]], per_side: int) -> tupl
 
 def _turned(rings: list[tuple[float, float]], low: float, high: float) -> UnitMesh:
     """A closed surface of rings (radius, height) around the y axis, from below, between two ends on the axis."""
-    angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
-    circle = np.stack([np.sin(angle), np.zeros(_SEGMENTS), np.cos(angle)], -1)
-    up = np.array([0.0, 1.0, 0.0])
-    vertices = np.concatenate([*(r * circle + y * up for r, y in rings), [low * up, high * up]])
-    a = np.arange(_SEGMENTS)
-    b, bottom = np.roll(a, -1), np.full_like(a, len(vertices) - 2)
-    faces = []
-    for ring in range(len(rings) - 1):
-        p, q = a + ring * _SEGMENTS, b + ring * _SEGMENTS
-        faces += [(p, q, q + _SEGMENTS), (p, q + _SEGMENTS, p + _SEGMENTS)]
-    last = (len(rings) - 1) * _SEGMENTS
-    faces += [(b, a, bottom), (a + last, b + last, bottom + 1)]
-    return vertices, np.concatenate([np.stack(corners, -1) for corners in faces])
+    import trimesh
+
+    turned = trimesh.creation.revolve(np.array([(0.0, low), *rings, (0.0, high)]), sections=_SEGMENTS)
+    # It turns about z; cyclic exchange of the axes keeps outsides outside.
+    return turned.vertices[:, [1, 2, 0]], turned.faces
 
 
 CUBE, CYLINDER, BALL, DOME = Cube(), Cylinder(), Ellipsoid(), Ellipsoid(half=True)

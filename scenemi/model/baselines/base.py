@@ -89,7 +89,30 @@ class ImputedSampling(Baseline):
         return target.imputed(estimate)
 
 
-class HiddenKeyframes(SceneDenoiser):
+class BaselineDenoiser(SceneDenoiser):
+    """A denoiser whose form is in `window`."""
+
+    def forward(
+        self,
+        x: Float[Tensor, "batch frames 201"],
+        t: Int[Tensor, "batch"],
+        given: Conditions,
+        estimate: Tensor | None = None,
+        prepared: Tensor | None = None,
+    ) -> Float[Tensor, "batch frames 201"]:
+        """Estimate of the clean window; `estimate` is not used, `prepared` is what `prepare` made of the scene."""
+        scene = self.prepare(given) if prepared is None else prepared
+        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.half_precision):
+            return self.window(x, t, given, scene).float()
+
+    def window(
+        self, x: Float[Tensor, "batch frames 201"], t: Int[Tensor, "batch"], given: Conditions, scene: Tensor
+    ) -> Float[Tensor, "batch frames 201"]:
+        """The window by the noisy one, the step, the conditions and the encoded scene."""
+        raise NotImplementedError
+
+
+class HiddenKeyframes(BaselineDenoiser):
     """A denoiser that is not told of keyframes."""
 
     keyframes = "hidden"

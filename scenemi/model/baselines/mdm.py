@@ -38,19 +38,11 @@ class Mdm(ImputedSampling, HiddenKeyframes):
         self.layers = encoder_layers(config)
         self.leave = nn.Sequential(nn.LayerNorm(config.channels), nn.Linear(config.channels, FEATURE_COUNT))
 
-    def forward(
-        self,
-        x: Float[Tensor, "batch frames 201"],
-        t: Int[Tensor, "batch"],
-        given: Conditions,
-        estimate: Tensor | None = None,
-        prepared: Float[Tensor, "batch embedding"] | None = None,
+    def window(
+        self, x: Float[Tensor, "batch frames 201"], t: Int[Tensor, "batch"], given: Conditions, scene: Tensor
     ) -> Float[Tensor, "batch frames 201"]:
-        """Estimate of the clean window; `estimate` is not used, `prepared` is the encoded scene."""
-        scene = self.prepare(given) if prepared is None else prepared
-        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.half_precision):
-            tokens = torch.cat([self.context(t, given, scene)[:, None], self.enter(x)], 1)
-            tokens = tokens + places(tokens.shape[1], tokens.shape[2], tokens)
-            for layer in self.layers:
-                tokens = layer(tokens)
-            return self.leave(tokens[:, 1:]).float()
+        tokens = torch.cat([self.context(t, given, scene)[:, None], self.enter(x)], 1)
+        tokens = tokens + places(tokens.shape[1], tokens.shape[2], tokens)
+        for layer in self.layers:
+            tokens = layer(tokens)
+        return self.leave(tokens[:, 1:])

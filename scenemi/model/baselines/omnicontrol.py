@@ -14,17 +14,16 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from scenemi.features import FEATURE_COUNT
-from scenemi.model.baselines.base import Baseline, Context, Target, places
+from scenemi.model.baselines.base import Baseline, BaselineDenoiser, Context, Target, places
 from scenemi.model.baselines.mdm import encoder_layers
 from scenemi.model.conditions import Conditions
 from scenemi.model.config import BaselineConfig
-from scenemi.model.paper import SceneDenoiser
 
 _ITERATIONS = 10
 """Steps of the spatial guidance at each step of sampling (their K_e)."""
 
 
-class OmniControl(Baseline, SceneDenoiser):
+class OmniControl(Baseline, BaselineDenoiser):
     """Predicts x_0 from x_t, the step, the scene and the poses at keyframes."""
 
     keyframes = "given"
@@ -41,28 +40,20 @@ class OmniControl(Baseline, SceneDenoiser):
             nn.init.zeros_(parameter)
         self.leave = nn.Sequential(nn.LayerNorm(channels), nn.Linear(channels, FEATURE_COUNT))
 
-    def forward(
-        self,
-        x: Float[Tensor, "batch frames 201"],
-        t: Int[Tensor, "batch"],
-        given: Conditions,
-        estimate: Tensor | None = None,
-        prepared: Float[Tensor, "batch embedding"] | None = None,
+    def window(
+        self, x: Float[Tensor, "batch frames 201"], t: Int[Tensor, "batch"], given: Conditions, scene: Tensor
     ) -> Float[Tensor, "batch frames 201"]:
-        """Estimate of the clean window; `estimate` is not used, `prepared` is the encoded scene."""
-        scene = self.prepare(given) if prepared is None else prepared
         known = given.mask[..., None]
         signal = torch.cat([known * given.base, known], -1)  # the joined keyframes are the keyframes where they are
-        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.half_precision):
-            first, frames = self.context(t, given, scene)[:, None], self.enter(x)
-            tokens = torch.cat([first, frames], 1)
-            side = torch.cat([first, frames + self.control(signal)], 1)
-            place = places(tokens.shape[1], tokens.shape[2], tokens)
-            tokens, side = tokens + place, side + place
-            for layer, beside, bridge in zip(self.layers, self.branch, self.bridges, strict=True):
-                side = beside(side)
-                tokens = layer(tokens) + bridge(side)
-            return self.leave(tokens[:, 1:]).float()
+        first, frames = self.context(t, given, scene)[:, None], self.enter(x)
+        tokens = torch.cat([first, frames], 1)
+        side = torch.cat([first, frames + self.control(signal)], 1)
+        place = places(tokens.shape[1], tokens.shape[2], tokens)
+        tokens, side = tokens + place, side + place
+        for layer, beside, bridge in zip(self.layers, self.branch, self.bridges, strict=True):
+            side = beside(side)
+            tokens = layer(tokens) + bridge(side)
+        return self.leave(tokens[:, 1:])
 
     def steer(self, estimate: Float[Tensor, "batch frames 201"], t: int, target: Target) -> Tensor:
         """Gradient descent on half the mean square distance of the joints at keyframes from the given ones, in meters

@@ -53,23 +53,15 @@ class SceneDiffuser(ImputedSampling, HiddenKeyframes):
         known = seen.global_known[:, None, None]
         return known * self.scene.out(self.scene.tokens(seen.occupancy)) + (1 - known) * none
 
-    def forward(
-        self,
-        x: Float[Tensor, "batch frames 201"],
-        t: Int[Tensor, "batch"],
-        given: Conditions,
-        estimate: Tensor | None = None,
-        prepared: Float[Tensor, "batch tokens embedding"] | None = None,
+    def window(
+        self, x: Float[Tensor, "batch frames 201"], t: Int[Tensor, "batch"], given: Conditions, scene: Tensor
     ) -> Float[Tensor, "batch frames 201"]:
-        """Estimate of the clean window; `estimate` is not used, `prepared` are the tokens of the scene."""
-        scene = self.prepare(given) if prepared is None else prepared
-        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.half_precision):
-            first = self.step(step_embedding(t, self.config.embedding).to(x)) + self.body(given.body)
-            tokens, around = torch.cat([first[:, None], self.enter(x)], 1), self.around(scene)
-            tokens = tokens + places(tokens.shape[1], tokens.shape[2], tokens)
-            for layer in self.layers:
-                tokens = layer(tokens, around)
-            return self.leave(tokens[:, 1:]).float()
+        first = self.step(step_embedding(t, self.config.embedding).to(x)) + self.body(given.body)
+        tokens, around = torch.cat([first[:, None], self.enter(x)], 1), self.around(scene)
+        tokens = tokens + places(tokens.shape[1], tokens.shape[2], tokens)
+        for layer in self.layers:
+            tokens = layer(tokens, around)
+        return self.leave(tokens[:, 1:])
 
     def steer(self, estimate: Float[Tensor, "batch frames 201"], t: int, target: Target) -> Tensor:
         """A step along the gradient that leads out of solids, smaller as the noise is (their algorithm 1, where the

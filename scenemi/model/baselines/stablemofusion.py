@@ -7,7 +7,6 @@ which the paper has for the words of a text; its removal of foot skating after s
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
@@ -31,18 +30,10 @@ class StableMoFusion(ImputedSampling, HiddenKeyframes):
         )  # fmt: skip
         self.halvings = len(config.multipliers) - 1
 
-    def forward(
-        self,
-        x: Float[Tensor, "batch frames 201"],
-        t: Int[Tensor, "batch"],
-        given: Conditions,
-        estimate: Tensor | None = None,
-        prepared: Float[Tensor, "batch embedding"] | None = None,
+    def window(
+        self, x: Float[Tensor, "batch frames 201"], t: Int[Tensor, "batch"], given: Conditions, scene: Tensor
     ) -> Float[Tensor, "batch frames 201"]:
-        """Estimate of the clean window; `estimate` is not used, `prepared` is the encoded scene."""
-        scene = self.prepare(given) if prepared is None else prepared
         frames = x.shape[1]
         wide = functional.pad(x.transpose(1, 2), (0, -frames % 2**self.halvings))
-        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.half_precision):
-            out = self.unet(wide, functional.silu(self.context(t, given, scene)))
-        return out[..., :frames].transpose(1, 2).float()
+        out = self.unet(wide, functional.silu(self.context(t, given, scene)))
+        return out[..., :frames].transpose(1, 2)

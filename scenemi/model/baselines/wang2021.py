@@ -16,11 +16,10 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from scenemi.features import BODY_LENGTHS, BODY_ROTATIONS, FEATURE_COUNT
-from scenemi.model.baselines.base import PLAIN, Baseline
+from scenemi.model.baselines.base import PLAIN, Baseline, BaselineDenoiser
 from scenemi.model.conditions import Conditions, since_and_until
 from scenemi.model.config import BaselineConfig
 from scenemi.model.denoiser import MAX_FRAMES
-from scenemi.model.paper import SceneDenoiser
 
 _ROUTE = BODY_ROTATIONS.start
 """The first features are the route: translation and orientation of the root."""
@@ -39,7 +38,7 @@ class Recurrent(nn.Module):
         return self.leave(self.lstm(x)[0])
 
 
-class Wang2021(Baseline, SceneDenoiser):
+class Wang2021(Baseline, BaselineDenoiser):
     """Predicts the window from its keyframes alone, whatever the noise; one evaluation is all there is to sample."""
 
     keyframes = "given"
@@ -52,22 +51,14 @@ class Wang2021(Baseline, SceneDenoiser):
         self.route = Recurrent(around, config.channels, _ROUTE)
         self.pose = Recurrent(around + _ROUTE, config.channels, FEATURE_COUNT - _ROUTE)
 
-    def forward(
-        self,
-        x: Float[Tensor, "batch frames 201"],
-        t: Int[Tensor, "batch"],
-        given: Conditions,
-        estimate: Tensor | None = None,
-        prepared: Float[Tensor, "batch embedding"] | None = None,
+    def window(
+        self, x: Float[Tensor, "batch frames 201"], t: Int[Tensor, "batch"], given: Conditions, scene: Tensor
     ) -> Float[Tensor, "batch frames 201"]:
-        """The window; `prepared` is the encoded scene, the other arguments are not used."""
-        scene = self.prepare(given) if prepared is None else prepared
         context = torch.cat([self.body(given.body), scene], -1)[:, None].expand(-1, x.shape[1], -1)
         known = torch.cat([ends(given), context], -1)
-        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.half_precision):
-            route = self.route(known)
-            pose = self.pose(torch.cat([known, route.detach()], -1))
-        return torch.cat([route, pose], -1).float()
+        route = self.route(known)
+        pose = self.pose(torch.cat([known, route.detach()], -1))
+        return torch.cat([route, pose], -1)
 
 
 def ends(given: Conditions) -> Float[Tensor, "batch frames 404"]:

@@ -73,12 +73,15 @@ def train(
     folder: Path,
     *,
     minutes: float | None = None,
+    stop_at: int | None = None,
     start: LifterNetwork | None = None,
     on_line: Callable[[str], None] = lambda text: None,
 ) -> LifterNetwork:
-    """Train, or go on from the folder's checkpoint, for some minutes or until interrupted; returns the average.
+    """Train, or go on from the folder's checkpoint, until a limit or an interrupt; returns the average.
 
     Args:
+        minutes: end after this time.
+        stop_at: end after this step.
         start: weights to begin with where there is no checkpoint.
     """
     torch.manual_seed(config.seed)
@@ -88,7 +91,7 @@ def train(
     whole, since_saved = Stopwatch(), Stopwatch()
     before_hours, first = progress.hours, progress.steps
     while True:
-        done = minutes is not None and whole.is_over(60 * minutes)
+        done = progress.steps == stop_at or (minutes is not None and whole.is_over(60 * minutes))
         if done or since_saved.is_over(60 * config.save_minutes):
             progress.validation = _validated(average, tests)
             progress.hours = before_hours + whole.seconds / 3600
