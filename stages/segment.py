@@ -121,4 +121,4 @@ def _detected(
     return found
 
 
-STAGE = StageSpec("segment", segment_background, version=9, models=("segment", "finder"))
+STAGE = StageSpec("segment", segment_background, version=10, models=("segment", "finder"))

@@ -160,3 +160,10 @@ def test_the_top_of_a_table_is_measured() -> None:
     T_world_camera = looking(EYE_M, (0.0, 0.5, 3.0))
     assert float(T_world_camera[1, :3] @ ray * top.value[0] + EYE_M[1]) == pytest.approx(0.82, abs=0.02)
     assert evidence_of(table(1.4, 0.82, 0.8, (0.0, 3.0), 0.3), label="object").objects[0].top is None
+
+
+def test_a_far_foot_says_less_since_a_pixel_of_its_row_is_more_floor() -> None:
+    near, far = (
+        calibrate(evidence_of([crate(distance_m)], 1.25, looks_at=(0.0, 0.5, distance_m))) for distance_m in (3.0, 9.0)
+    )
+    assert far.object_depth_log_sigma[0] > 1.12 * near.object_depth_log_sigma[0]  # 1.20; 1.07 without that

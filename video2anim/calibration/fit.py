@@ -47,9 +47,10 @@ class Sigmas:
     and chamfer distance of `ocv_sts` grow by 4 and 2 %."""
     distance_log: float = 0.12
     """Error of a network's depth of one object or person, logarithm (`benchmarks/object_errors.py`)."""
+    foot_px: float = 1.5
+    """Row in which an object's mask ends. Near the horizon a pixel is far on the floor."""
     foot_log: float = 0.02
-    """Distance of the floor at the lowest pixel of an object, logarithm: masks are a pixel too large or small, floors
-    are not flat, lenses distort."""
+    """Distance of the floor at the lowest pixel of an object, logarithm: floors are not flat, lenses distort."""
     overhang_log: float = 0.08
     """An object may be so much nearer than its lowest pixel on the floor, logarithm: its lower edge may be above the
     floor."""
@@ -245,7 +246,8 @@ class _Problem:
                 off = log + self._floor(one.foot, state)
                 nearer = 0.0 if one.foot_is_cut else np.minimum(off + s.overhang_log, 0)
                 off = np.maximum(off, 0) + nearer
-                rows.append(("objects' feet on the floor", off / s.foot_log, 1.0, 1.0))
+                row_log = s.foot_px / state.focal_px / np.maximum(-state.rays(one.foot.pixel) @ state.up, NEAREST)
+                rows.append(("objects' feet on the floor", off / np.hypot(row_log, s.foot_log), 1.0, 1.0))
             if one.top is not None and one.label in USUAL_HEIGHT_M:
                 usual_m, sigma_m = USUAL_HEIGHT_M[one.label]
                 z_m = np.exp(log + self.inverse_log(one.top.value, state))
