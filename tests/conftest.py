@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 from jaxtyping import install_import_hook
 from runtime_types import CHECKED
 
@@ -46,10 +48,18 @@ def demo_video() -> Path:
 
 
 @pytest.fixture(scope="session")
-def bench_clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first four clips of preset `bench` at 320 x 240, walking from the gait model."""
-    out = tmp_path_factory.mktemp("synth") / "set"
+def of_all_workers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that the processes of pytest-xdist share."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
+@pytest.fixture(scope="session")
+def bench_clips(of_all_workers: Path) -> Path:
+    """The first four clips of preset `bench` at 320 x 240, walking from the gait model; made by one worker."""
+    out = of_all_workers / "bench_clips"
     words = ("synth", "--preset", "bench", "--count", "4", "--size", "320x240", "--longest", "5", "--out", out)
-    done = video2anim(*words, "--workers", "2")
+    with FileLock(f"{out}.lock"):
+        done = video2anim(*words, "--workers", "2")
     assert done.code == 0, done.err
     return out
