@@ -69,7 +69,11 @@ def main() -> None:
     rows: list[ClipRow] = []
     for name in [clip["name"] for clip in json.loads((truth / "set.json").read_text())["clips"]]:
         scene_dir = options.work / ("results_told" if options.told_height else "results") / name
-        known = ("--height-m", f"1={height_m(truth / name):.3f}") if options.told_height else ()
+        known = (
+            ("--height-m", f"1={shaped_body(read_truth(truth / name).main.shape).height_m:.3f}")
+            if options.told_height
+            else ()
+        )
         video = str(truth / name / "video.mp4")
         call("run", video, "--out", str(scene_dir), "--person", "all", "--until", "refine", *known)
         rows += of_clip(scene_dir, truth / name)
@@ -106,11 +110,6 @@ def of_clip(scene_dir: Path, truth_dir: Path) -> list[ClipRow]:
             held = item.held[frames.true_index] & frames.known
             wrist_m[item.object_id] = float(gap_m[held][:, np.flatnonzero(item.hands) + _LEFT_WRIST].mean())
     return clip_rows(truth, moved_objects(scene.objects, truth, frames, T_true_estimate), wrist_m)
-
-
-def height_m(truth_dir: Path) -> float:
-    """Of the main person's body."""
-    return float(np.ptp(shaped_body(read_truth(truth_dir).main.shape).rest_vertices_m[:, 1]))
 
 
 def clip_rows(truth: Truth, found: MovedObjects, wrist_m: dict[int, float]) -> list[ClipRow]:

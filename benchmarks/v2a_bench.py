@@ -19,7 +19,6 @@ import re
 import statistics
 import subprocess
 import sys
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -28,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from scenemi import metrics
+from video2anim.body.anny_body import shaped_body
 from video2anim.geometry.projection import transform_points
 from video2anim.lab.eval.alignment import match_frames, match_people, truth_from_estimate
 from video2anim.lab.eval.motion_rows import CommonFrames, common_frames
@@ -52,14 +52,16 @@ def main() -> None:
     parser.add_argument(
         "--set", nargs="*", default=[], metavar="STAGE.OPTION=VALUE", help="an ablation; no README table then"
     )
+    parser.add_argument(
+        "--given-height", action="store_true", help="give the main person's true body height; no README table then"
+    )
     parser.add_argument("--record", action="store_true", help="write the digests of the clips beside this script")
     options = parser.parse_args()
     truth, results = options.work / "truth", options.work / "results"
     made = make(options, truth)
     with ThreadPoolExecutor(options.workers) as pool:
         jobs = [
-            pool.submit(run_pipeline, truth / clip["name"], results / clip["name"], options.set)
-            for clip in made["clips"]
+            pool.submit(run_pipeline, truth / clip["name"], results / clip["name"], options) for clip in made["clips"]
         ]
         for job in jobs:
             job.result()
@@ -75,6 +77,7 @@ def main() -> None:
         "motion_sources": made["motion_sources"],
         "clip_digests": {clip["name"]: clip["truth.npz"] for clip in made["clips"]},
         "settings": options.set,
+        "given_height": options.given_height,
         "same_clips_as_recorded": same_as_recorded(made),
         "cost": cost(results, [clip["name"] for clip in made["clips"]]),
         "objects": objects(truth, results, [clip["name"] for clip in made["clips"]]),
@@ -82,11 +85,11 @@ def main() -> None:
         "evaluation": json.loads(report_json.read_text()),
     }
     options.out.mkdir(parents=True, exist_ok=True)
-    target = options.out / f"v2a_bench-{report['date']}.json"
+    target = options.out / f"v2a_bench{'-given-height' if options.given_height else ''}-{report['date']}.json"
     target.write_text(json.dumps(report, indent=1) + "\n")
     if options.record:
         RECORDED.write_text(json.dumps({k: made[k] for k in ("benchmark", "motion_sources", "clips")}, indent=1) + "\n")
-    if not options.count and not options.set:
+    if not (options.count or options.set or options.given_height):
         put_table(Path("README.md"), tables(report))
     sys.stdout.write(f"{tables(report)}\n\n{prior_table(report['prior'])}\n{target}\n{report_html}\n")
 
@@ -102,10 +105,13 @@ def make(options: argparse.Namespace, truth: Path) -> dict[str, Any]:
     return json.loads((truth / "set.json").read_text())
 
 
-def run_pipeline(truth: Path, scene_dir: Path, settings: Sequence[str] = ()) -> None:
+def run_pipeline(truth: Path, scene_dir: Path, options: argparse.Namespace) -> None:
     """All stages that are judged, for everybody in the clip."""
-    words = ("--person", "all", "--until", "refine", "--overwrite")
-    words = (*words, *(word for setting in settings for word in ("--set", setting)))
+    words = ["--person", "all", "--until", "refine", "--overwrite"]
+    for setting in options.set:
+        words += ["--set", setting]
+    if options.given_height:
+        words += ["--height-m", f"1={shaped_body(read_truth(truth).main.shape).height_m:.3f}"]
     call("run", str(truth / "video.mp4"), "--out", str(scene_dir), *words)
 
 

@@ -29,6 +29,11 @@ class ShapedBody:
     rest_joints_m: Float[np.ndarray, "22 3"]
 
     @property
+    def height_m(self) -> float:
+        """Height of the rest mesh, sole to crown."""
+        return float(np.ptp(self.rest_vertices_m[:, 1]))
+
+    @property
     def vertex_part(self) -> Int[np.ndarray, "vertices"]:
         """Joint with the largest weight for each vertex."""
         return self.skin_weights.argmax(1)
