@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from video2anim.artifacts.codec import read_value
+from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.tracking.appearance import AppearanceDescriptor, clothing_histogram
 from video2anim.types import PersonTracks, VideoClip
 from video2anim.video import read_frames
@@ -27,8 +28,8 @@ def main() -> None:
     """Collect, compare, print."""
     people: dict[str, tuple[AppearanceDescriptor, AppearanceDescriptor]] = {}
     for scene in map(Path, sys.argv[1:]):
-        clip = read_value(VideoClip, scene / "stages" / "01_ingest")
-        tracks = read_value(PersonTracks, scene / "stages" / "02_track")
+        clip = read_value(VideoClip, stage_folder(scene, "ingest"))
+        tracks = read_value(PersonTracks, stage_folder(scene, "track"))
         thirds = {track.person_id: (AppearanceDescriptor(), AppearanceDescriptor()) for track in tracks.people}
         for frame, image in enumerate(read_frames(clip)):
             if frame % EVERY:

@@ -24,6 +24,7 @@ from main_job import JOINTS, LANDMARKS, accuracy, centered, pa_mpjpe_mm
 
 from video2anim.artifacts.codec import read_value
 from video2anim.lab.eval.truth import read_truth
+from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.types import BodyTracks, PersonTracks, VideoClip
 
 METHODS = ("optimizer", "lifter", "both")
@@ -44,7 +45,7 @@ def main() -> None:
             video = options.media / "videos" / f"{name}.mp4"
             for method in METHODS:
                 scene = fitted(video, work / name, method)
-                clip = read_value(VideoClip, scene / "stages" / "01_ingest")
+                clip = read_value(VideoClip, stage_folder(scene, "ingest"))
                 found = accuracy(scene, clip, options.media / "reference" / f"{name}_joints.npz")
                 if method == METHODS[0]:
                     rows.append({"set": "Pose2Sim", "clip": name, "method": "raw"} | column(found, "_raw"))
@@ -84,7 +85,7 @@ def evaluated(scene: Path, truth: Path, work: Path) -> dict[str, float | None]:
     groups = {group["key"]: group for group in json.loads(target.read_text())["groups"]}
     first = [row["qualities"][0] for name in ("motion", "track", "camera") for row in groups[name]["rows"]]
     found = {quality["key"]: quality["value"] for quality in first}
-    body = read_value(BodyTracks, scene / "stages" / "04_humans").people[0]
+    body = read_value(BodyTracks, stage_folder(scene, "humans")).people[0]
     limbs_m = np.where(body.valid[:, None, None], body.joints_camera_m[:, JOINTS], np.nan)
     own = {key: found[key] for key in (*EVAL_ROWS, "id_switches", "focal_error", "gravity_error")}
     return own | {"limb_jerk": limb_jerk_m_s3(limbs_m, read_truth(truth).fps)}
@@ -93,8 +94,8 @@ def evaluated(scene: Path, truth: Path, work: Path) -> dict[str, float | None]:
 def raw_and_true(scene: Path, truth: Path) -> dict[str, dict[str, float]]:
     """Raw 3D landmarks of the main person's limbs against the true joints; jerk of both."""
     known = read_truth(truth)
-    clip = read_value(VideoClip, scene / "stages" / "01_ingest")
-    track = read_value(PersonTracks, scene / "stages" / "02_track").selected()[0].whole(clip.frame_count)
+    clip = read_value(VideoClip, stage_folder(scene, "ingest"))
+    track = read_value(PersonTracks, stage_folder(scene, "track")).selected()[0].whole(clip.frame_count)
     frames = min(len(track.valid), len(known.main.valid))
     true_m = known.main.joints_camera_m[:frames, JOINTS]
     true_m[~(track.valid & known.main.valid)[:frames]] = np.nan

@@ -22,6 +22,7 @@ from video2anim.geometry.rotations import axis_angle_from_matrix, nearest_rotati
 from video2anim.humans.initial import ray_rotation
 from video2anim.lab.eval.truth import read_truth
 from video2anim.lab.lifter.residuals import track_of, true_keypoints
+from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.types import PersonTracks
 
 EVERY = 15
@@ -38,7 +39,7 @@ def main() -> None:
     options = parser.parse_args()
     rays, turns = [], []
     for folder in sorted(options.clips.iterdir()):
-        payload = options.scenes / folder.name / "stages" / "02_track"
+        payload = stage_folder(options.scenes / folder.name, "track")
         if not (folder / "meta.json").is_file() or not payload.is_dir():
             continue
         tracks = read_value(PersonTracks, payload)

@@ -27,6 +27,7 @@ from video2anim.artifacts.codec import read_value
 from video2anim.digest import file_digest
 from video2anim.networks.fetch import model_path
 from video2anim.networks.table import find_model
+from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.types import VideoClip
 
 CAPTURED = ("ocv_sts", "ocv_walk")
@@ -74,10 +75,10 @@ def fitted(video: Path, scene: Path, method: str, lifter: Path | None) -> Path:
 def scored(media: Path, name: str, scene: Path) -> dict[str, float]:
     """Millimetres and degrees of a clip."""
     if name in REAL:
-        clip = read_value(VideoClip, scene / "stages" / "01_ingest")
+        clip = read_value(VideoClip, stage_folder(scene, "ingest"))
         return column(accuracy(scene, clip, media / "reference" / f"{name}_joints.npz"), "_fit")
     target = scene / "eval_mocap.json"
-    motion = scene / "stages" / "04_humans" / "motion.npz"
+    motion = stage_folder(scene, "humans") / "motion.npz"
     program = [sys.executable, str(media / "eval_mocap.py"), str(motion), "--clip", name, "--json", str(target)]
     subprocess.run(program, check=True, capture_output=True)
     found = json.loads(target.read_text())

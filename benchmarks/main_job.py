@@ -27,6 +27,7 @@ from scenemi.metrics import align_similarity
 from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.export.quality import measured_span, motion_quality
+from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.types import BodyTracks, KeyframedMotion, PersonTracks, RefinedMotion, VideoClip
 from video2anim.types.skeleton import JOINT_INDEX
 
@@ -75,7 +76,7 @@ def measure(media: Path, name: str, scene_dir: Path) -> dict[str, object]:
     run(command)
     cached_s = time.perf_counter() - started
     stages = [json.loads(p.read_text()) for p in sorted(scene_dir.glob("stages/*/manifest.json"))]
-    clip = read_value(VideoClip, scene_dir / "stages" / "01_ingest")
+    clip = read_value(VideoClip, stage_folder(scene_dir, "ingest"))
     row: dict[str, object] = {
         "clip": name,
         "frames": clip.frame_count,
@@ -95,11 +96,10 @@ def measure(media: Path, name: str, scene_dir: Path) -> dict[str, object]:
 
 def refinement(scene_dir: Path, fps: float) -> dict[str, dict[str, float]]:
     """The main person's motion as observed, at keyframes and refined, in the scene that the same run found."""
-    folders = {path.name.partition("_")[2]: path for path in (scene_dir / "stages").iterdir()}
-    scene = read_value(RefinedMotion, folders["refine"]).scene
+    scene = read_value(RefinedMotion, stage_folder(scene_dir, "refine")).scene
     found = {}
     for stage, kind in STEPS.items():
-        motion = read_value(kind, folders[stage]).people[0]
+        motion = read_value(kind, stage_folder(scene_dir, stage)).people[0]
         span = measured_span(motion)
         if span is not None:
             numbers = motion_quality(motion, scene, span, fps).numbers
@@ -120,8 +120,8 @@ def accuracy(scene_dir: Path, clip: VideoClip, reference: Path) -> dict[str, flo
         nearest = np.abs(archive["frame_time_s"][None] - clip.frame_time_s[:, None]).argmin(1)
         truth = archive["landmarks_camera_m"][nearest][:, LANDMARKS]
     camera = json.loads(reference.with_name(reference.name.replace("_joints.npz", ".json")).read_text())
-    motion = read_motion(scene_dir / "stages" / "04_humans" / "motion.npz")
-    track = read_value(PersonTracks, scene_dir / "stages" / "02_track").selected()[0]
+    motion = read_motion(stage_folder(scene_dir, "humans") / "motion.npz")
+    track = read_value(PersonTracks, stage_folder(scene_dir, "track")).selected()[0]
     raw = track.whole(clip.frame_count).landmarks_m[:, LANDMARKS]
     fitted = motion.joints_camera_m[:, JOINTS]
     truth[~motion.valid] = np.nan

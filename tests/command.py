@@ -14,11 +14,6 @@ from pathlib import Path
 from video2anim.artifacts.folder import folder_digest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-STAGE_NAMES = (
-    "ingest", "track", "camera", "humans", "background", "depth", "segment", "metric", "complete", "reconstruct",
-    "place", "scene", "keyframes", "refine", "export",
-)  # fmt: skip
-FOLDERS = tuple(f"{number:02d}_{name}" for number, name in enumerate(STAGE_NAMES, start=1))
 
 
 @dataclass(frozen=True)
@@ -32,8 +27,7 @@ class Answer:
     @property
     def states(self) -> dict[str, str]:
         """Stage -> state, from the table that `run`, `stage` and `status` print."""
-        found = re.findall(r"^(\w+) +(cached|edited|ran|stale|missing)\b", self.out, re.MULTILINE)
-        return {name: state for name, state in found if name in STAGE_NAMES}
+        return dict(re.findall(r"^(\w+) +(cached|edited|ran|stale|missing)\b", self.out, re.MULTILINE))
 
     @property
     def errors(self) -> list[str]:

@@ -18,6 +18,7 @@ from command import Answer, command_line, payload_digests, process, video2anim
 
 from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.folder import file_digest
+from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.types import VideoClip
 
 USAGE, INPUT, MODEL, STAGE = 2, 3, 4, 5
@@ -109,7 +110,7 @@ def test_odd_file_works_and_says_what_is_odd(
     assert answer.errors == []
     assert warning in answer.err
     assert warning or "warning" not in answer.err
-    clip: VideoClip = read_value(VideoClip, tmp_path / "stages" / "01_ingest")
+    clip: VideoClip = read_value(VideoClip, stage_folder(tmp_path, "ingest"))
     assert size_px in (None, (clip.width_px, clip.height_px))
     assert clip.frame_count >= 5
     if frames is not None:
@@ -373,7 +374,7 @@ def test_unknown_person_lists_the_ids(scene: tuple[Path, Path]) -> None:
     answer = video2anim("run", video, "--out", folder, *SMALL, "--person", "99")
     assert_one_line(answer, USAGE, "--person 99")
     known = [
-        str(p["person_id"]) for p in json.loads((folder / "stages" / "02_track" / "value.json").read_text())["people"]
+        str(p["person_id"]) for p in json.loads((stage_folder(folder, "track") / "value.json").read_text())["people"]
     ]
     assert known
     assert all(person in answer.err for person in known)
@@ -431,12 +432,12 @@ def test_other_video_into_the_same_folder(scene: tuple[Path, Path], shared_media
 @pytest.mark.parametrize("name", ["arrays.npz", "masks.npz", "value.json"])
 def test_damaged_artifact(scene: tuple[Path, Path], name: str) -> None:
     video, folder = scene
-    path = folder / "stages" / "02_track" / name
+    path = stage_folder(folder, "track") / name
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     answer = video2anim("run", video, "--out", folder, *SMALL, "--until", "camera")
     assert_one_line(answer, STAGE, str(path.parent), name, "video2anim stage", "track --discard-edits")
-    assert (folder / "stages" / "01_ingest" / "manifest.json").is_file()
+    assert (stage_folder(folder, "ingest") / "manifest.json").is_file()
     repaired = video2anim("stage", folder, "track", "--discard-edits")
     assert repaired.code == 0, repaired.err
     assert path.read_bytes() == whole, "the remedy that the message names works"
@@ -444,7 +445,7 @@ def test_damaged_artifact(scene: tuple[Path, Path], name: str) -> None:
 
 def test_missing_payload_file(scene: tuple[Path, Path]) -> None:
     video, folder = scene
-    (folder / "stages" / "01_ingest" / "video.mp4").unlink()
+    (stage_folder(folder, "ingest") / "video.mp4").unlink()
     answer = video2anim("run", video, "--out", folder, *SMALL, "--from", "track", "--until", "track")
     assert_one_line(answer, STAGE, "video.mp4", "video2anim stage", "ingest --discard-edits")
 
@@ -452,7 +453,7 @@ def test_missing_payload_file(scene: tuple[Path, Path]) -> None:
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"stage": "track"}'])
 def test_damaged_manifest(scene: tuple[Path, Path], text: str) -> None:
     video, folder = scene
-    path = folder / "stages" / "02_track" / "manifest.json"
+    path = stage_folder(folder, "track") / "manifest.json"
     path.write_text(text)
     answer = video2anim("run", video, "--out", folder, *SMALL, "--until", "track")
     assert_one_line(answer, STAGE, str(path), "delete")

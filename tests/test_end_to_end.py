@@ -17,15 +17,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command import FOLDERS, STAGE_NAMES, Answer, command_line, payload_digests, process, video2anim
+from command import Answer, command_line, payload_digests, process, video2anim
 from smpl_files import write_human
 from test_bvh import bvh_joints_cm
 from test_glb import Reread
 
 from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.motion_io import read_motion, write_motion
+from video2anim.cli.compose import pipeline_nodes
 from video2anim.digest import file_digest
 from video2anim.geometry.projection import project, transform_points
+from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.types import BackgroundImage, VideoClip
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
 from video2anim.video.read import read_frames
@@ -51,6 +53,23 @@ SETTINGS = {
 }
 """Two seconds in which a man lands from a flip and a woman walks by, small enough to be quick."""
 TOLERANCE_M = 1e-3
+NODES = pipeline_nodes()
+STAGE_NAMES = [node.name for node in NODES]
+
+
+def cached_until(last: str) -> dict[str, str]:
+    """States of a command that finds everything up to this stage up to date."""
+    return dict.fromkeys(STAGE_NAMES[: STAGE_NAMES.index(last) + 1], "cached")
+
+
+def dependents(name: str) -> list[str]:
+    """Stages that take, directly or not, what a stage makes."""
+    made, found = {node.output for node in NODES if node.name == name}, []
+    for node in NODES:
+        if any(kind in made for _, kind in node.inputs):
+            made.add(node.output)
+            found.append(node.name)
+    return found
 
 
 @dataclass(frozen=True)
@@ -102,11 +121,11 @@ def copy(scene: Scene, tmp_path: Path) -> Path:
 def test_all_stages_ran_and_left_their_files(scene: Scene) -> None:
     assert scene.first.states == dict.fromkeys(STAGE_NAMES, "ran")
     assert scene.first.errors == []
-    assert sorted(path.name for path in (scene.folder / "stages").iterdir()) == sorted(FOLDERS)
+    assert sorted(path.name for path in (scene.folder / "stages").iterdir()) == [node.folder_name for node in NODES]
     for name in RESULTS:
         assert (scene.folder / name).is_file(), name
         assert name == "run.json" or str(scene.folder / name) in scene.first.out
-    placed = json.loads((scene.folder / "stages" / "12_scene" / "value.json").read_text())["objects"]
+    placed = json.loads((stage_folder(scene.folder, "scene") / "value.json").read_text())["objects"]
     assert {path.name for path in (scene.folder / "objects").iterdir()} == {f"{o['object_id']}.glb" for o in placed}
     known = {*RESULTS, "objects", "stages", ".lock"}
     assert {path.name for path in scene.folder.iterdir()} <= known
@@ -121,7 +140,7 @@ def test_second_run_is_all_cached(scene: Scene) -> None:
 
 def test_contacts_are_told_alike_in_record_stage_and_glb(scene: Scene) -> None:
     told = json.loads((scene.folder / "run.json").read_text())["contacts"]
-    assert told == json.loads((scene.folder / "stages" / "15_export" / "value.json").read_text())["contacts"]
+    assert told == json.loads((stage_folder(scene.folder, "export") / "value.json").read_text())["contacts"]
     nodes = Reread(scene.folder / "scene.glb").document.nodes
     in_glb = [row for node in nodes for row in node.extras.get("contacts", ())]
     assert [{"object_id": None} | row for row in in_glb] == [
@@ -134,17 +153,18 @@ def test_manifests_explain_every_stage(scene: Scene) -> None:
     assert record["input_digest"] == file_digest(scene.video)
     assert record["config"]["ingest"]["stop_s"] == 6.6
     assert {"numpy", "torch", "python", "video2anim"} <= set(record["versions"])
-    for name, folder in zip(STAGE_NAMES, FOLDERS, strict=True):
-        manifest = json.loads((scene.folder / "stages" / folder / "manifest.json").read_text())
+    for name in STAGE_NAMES:
+        folder = stage_folder(scene.folder, name)
+        manifest = json.loads((folder / "manifest.json").read_text())
         assert manifest["stage"] == name
         assert len(manifest["key"]) == len(manifest["output_digest"]) == 64
-        assert manifest["output_digest"] == scene.digests[folder]
+        assert manifest["output_digest"] == scene.digests[folder.name]
         assert manifest["wall_time_s"] > 0
         assert manifest["qualities"], f"{name} reports no number"
         assert manifest["inputs"]
-    track = json.loads((scene.folder / "stages" / "02_track" / "manifest.json").read_text())
+    track = json.loads((stage_folder(scene.folder, "track") / "manifest.json").read_text())
     assert {"blazepose-heavy", "blazepose-detector"} <= set(track["weights"])
-    refine = json.loads((scene.folder / "stages" / "14_refine" / "manifest.json").read_text())
+    refine = json.loads((stage_folder(scene.folder, "refine") / "manifest.json").read_text())
     shaped = {quality["key"]: quality["value"] for quality in refine["qualities"]}["frames_shaped_by_prior"]
     assert shaped > 0.5, "the shipped prior's windows are used (1.0)"
 
@@ -155,9 +175,10 @@ def test_no_value_is_a_path_of_this_machine(scene: Scene) -> None:
         assert str(scene.folder) not in path.read_text(), path
 
 
-@pytest.mark.parametrize("where", ["motion.npz", "stages/04_humans/motion.npz", "stages/13_keyframes/motion.npz"])
-def test_motion_file_keeps_its_promises(scene: Scene, where: str) -> None:
-    with np.load(scene.folder / where, allow_pickle=False) as archive:
+@pytest.mark.parametrize("stage", ["", "humans", "keyframes"])
+def test_motion_file_keeps_its_promises(scene: Scene, stage: str) -> None:
+    folder = stage_folder(scene.folder, stage) if stage else scene.folder
+    with np.load(folder / "motion.npz", allow_pickle=False) as archive:
         m = {key: archive[key] for key in archive.files}
     frames = 60
     shapes = {
@@ -186,7 +207,7 @@ def test_motion_file_keeps_its_promises(scene: Scene, where: str) -> None:
 
 
 def test_world_is_upright_and_starts_under_the_person(scene: Scene) -> None:
-    motion = read_motion(scene.folder / "stages" / "04_humans" / "motion.npz")
+    motion = read_motion(stage_folder(scene.folder, "humans") / "motion.npz")
     first = int(np.flatnonzero(motion.valid)[0])
     np.testing.assert_allclose(motion.joints_world_m[first, 0, [0, 2]], 0.0, atol=1e-6)
     up_camera = motion.T_world_camera[0, 1, :3]
@@ -200,7 +221,7 @@ def test_world_is_upright_and_starts_under_the_person(scene: Scene) -> None:
 def test_the_body_is_where_the_picture_shows_it(scene: Scene) -> None:
     """Joints lie on pixels of the person, whom a network outlined."""
     motion = read_motion(scene.folder / "motion.npz")
-    seen = read_value(BackgroundImage, scene.folder / "stages" / "05_background")
+    seen = read_value(BackgroundImage, stage_folder(scene.folder, "background"))
     height, width = seen.selected_mask.shape[1:]
     to_mask = np.array([width / motion.intrinsics.width_px, height / motion.intrinsics.height_px])
     on_person = []
@@ -251,7 +272,7 @@ def test_preview_and_report_can_be_opened(scene: Scene) -> None:
     assert preview.get(cv2.CAP_PROP_FRAME_COUNT) == 60
     ok, picture = preview.read()
     assert ok
-    frame = next(read_frames(read_value(VideoClip, scene.folder / "stages" / "01_ingest")))
+    frame = next(read_frames(read_value(VideoClip, stage_folder(scene.folder, "ingest"))))
     filmed = cv2.resize(frame[..., ::-1], (320, 180), interpolation=cv2.INTER_AREA)
     overlay = picture[:180, :320]
     changed = (np.abs(overlay.astype(int) - filmed).max(-1) > 20).mean()
@@ -264,29 +285,31 @@ def test_preview_and_report_can_be_opened(scene: Scene) -> None:
 
 
 def test_painting_a_mask_makes_exactly_what_follows_stale(scene: Scene, copy: Path) -> None:
-    mask_path = sorted((copy / "stages" / "07_segment").glob("instances.*.mask.png"))[0]
+    mask_path = sorted(stage_folder(copy, "segment").glob("instances.*.mask.png"))[0]
     mask = cv2.imread(str(mask_path), cv2.IMREAD_UNCHANGED)
     rows, _ = np.nonzero(mask)
     mask[: (rows.min() + rows.max()) // 2] = 0
     assert cv2.imwrite(str(mask_path), mask)
     painted = file_digest(mask_path)
-    before = dict.fromkeys(STAGE_NAMES[:6], "cached") | {"segment": "edited"}
-    assert video2anim("status", copy).states == before | dict.fromkeys(STAGE_NAMES[7:], "stale")
+    expected = cached_until("export") | {"segment": "edited"} | dict.fromkeys(dependents("segment"), "stale")
+    assert video2anim("status", copy).states == expected
     rerun = video2anim(*scene.words(copy), "--until", "place")
     assert rerun.code == 0, rerun.err
-    assert rerun.states == before | dict.fromkeys(STAGE_NAMES[7:11], "ran")
+    assert rerun.states == {
+        name: "ran" if expected[name] == "stale" else expected[name] for name in cached_until("place")
+    }
     assert file_digest(mask_path) == painted
     after = payload_digests(copy)
     # An object that shows neither feet nor order stays where the network has it, whatever is left of its mask.
-    changed = {name for name in FOLDERS if after[name] != scene.digests[name]}
-    assert changed - {"08_metric"} == set(FOLDERS[6:11]) - {"08_metric"}
+    changed = {name for name, digest in after.items() if digest != scene.digests[name]}
+    assert {name.partition("_")[2] for name in changed} - {"metric"} == {"segment", "complete", "reconstruct", "place"}
     states = video2anim("status", copy).states
     assert states["place"] == "cached"
     assert states["scene"] == states["export"] == "stale"
 
 
 def test_editing_a_keyframe_keeps_the_edit(scene: Scene, copy: Path) -> None:
-    path = copy / "stages" / "13_keyframes" / "motion.npz"
+    path = stage_folder(copy, "keyframes") / "motion.npz"
     motion = read_motion(path)
     raised = motion.with_pose(
         translation_world_m=motion.T_world_root[:, :3, 3] + [0.0, 0.5, 0.0], R_parent_joint=motion.R_parent_joint
@@ -295,7 +318,7 @@ def test_editing_a_keyframe_keeps_the_edit(scene: Scene, copy: Path) -> None:
     edited = file_digest(path)
     rerun = video2anim(*scene.words(copy))
     assert rerun.code == 0, rerun.err
-    expected = dict.fromkeys(STAGE_NAMES[:12], "cached") | {"keyframes": "edited", "refine": "ran", "export": "ran"}
+    expected = cached_until("export") | {"keyframes": "edited", "refine": "ran", "export": "ran"}
     assert rerun.states == expected
     assert file_digest(path) == edited
     lift_m = read_motion(copy / "motion.npz").joints_world_m - read_motion(scene.folder / "motion.npz").joints_world_m
@@ -307,7 +330,7 @@ def test_editing_a_keyframe_keeps_the_edit(scene: Scene, copy: Path) -> None:
 def test_late_option_reruns_late_stages_only(scene: Scene, copy: Path) -> None:
     changed = video2anim(*scene.words(copy, refine__keyframe_interval_frames="6"))
     assert changed.code == 0, changed.err
-    assert changed.states == dict.fromkeys(STAGE_NAMES[:13], "cached") | {"refine": "ran", "export": "ran"}
+    assert changed.states == cached_until("export") | {"refine": "ran", "export": "ran"}
     assert json.loads((copy / "run.json").read_text())["config"]["refine"]["keyframe_interval_frames"] == 6
     # `stage` and `status` use the settings the folder was made with.
     assert set(video2anim("status", copy).states.values()) == {"cached"}
@@ -316,10 +339,11 @@ def test_late_option_reruns_late_stages_only(scene: Scene, copy: Path) -> None:
 def test_from_until_and_stage(scene: Scene, copy: Path) -> None:
     rerun = video2anim(*scene.words(copy), "--from", "complete", "--until", "place")
     assert rerun.code == 0, rerun.err
-    assert rerun.states == dict.fromkeys(STAGE_NAMES[:8], "cached") | dict.fromkeys(STAGE_NAMES[8:11], "ran")
+    again = [name for name in cached_until("place") if name not in cached_until("metric")]
+    assert rerun.states == cached_until("metric") | dict.fromkeys(again, "ran")
     one = video2anim("stage", copy, "segment")
     assert one.code == 0, one.err
-    assert one.states == dict.fromkeys(STAGE_NAMES[:6], "cached") | {"segment": "ran"}
+    assert one.states == cached_until("segment") | {"segment": "ran"}
     assert payload_digests(copy) == scene.digests, "the same work gives the same bytes"
     assert set(video2anim("status", copy).states.values()) == {"cached"}
 
@@ -403,12 +427,12 @@ def test_screenshots_of_all_motions(scene: Scene, tmp_path: Path) -> None:
 
 
 MOMENTS = (
-    ".unfinished-02_track-*",
-    "03_camera",
-    ".unfinished-04_humans-*",
-    ".unfinished-12_scene-*",
-    ".unfinished-15_export-*/preview.mp4",
-    "15_export",
+    ".unfinished-*_track-*",
+    "[0-9]*_camera",
+    ".unfinished-*_humans-*",
+    ".unfinished-*_scene-*",
+    ".unfinished-*_export-*/preview.mp4",
+    "[0-9]*_export",
 )
 """While tracking, right after a rename, in two fits, in a half-written stage, and before results are placed."""
 
@@ -464,7 +488,7 @@ def test_the_folder_remembers_video_and_settings(scene: Scene, copy: Path) -> No
     assert again.states == dict.fromkeys(STAGE_NAMES, "cached")
     assert json.loads((copy / "run.json").read_text())["settings"]["ingest"]["stop_s"] == 6.6
     one = video2anim("run", "--out", copy, "--set", "export.overlay_frames=1")
-    assert one.states == dict.fromkeys(STAGE_NAMES[:14], "cached") | {"export": "ran"}
+    assert one.states == cached_until("export") | {"export": "ran"}
     assert "export.overlay_frames 4 -> 1; to run again: export" in one.err
     record = json.loads((copy / "run.json").read_text())
     assert record["settings"]["export"] == {"overlay_frames": 1, "preview_height_px": 180}
@@ -528,7 +552,7 @@ def test_changed_results_are_not_written_over(scene: Scene, copy: Path, name: st
     edited = file_digest(path)
     refused = video2anim("run", "--out", copy)
     assert refused.code == 2
-    assert "stages/14_refine" in refused.err
+    assert str(stage_folder(copy, "refine").relative_to(copy)) in refused.err
     assert path.name in refused.err
     for words in ((), ("--set", "export.overlay_frames=1")):  # nothing to do, and something that makes all results anew
         kept = video2anim("run", "--out", copy, "--keep-edits", *words)
@@ -577,7 +601,7 @@ def test_links_in_a_shared_folder_are_refused(copy: Path, tmp_path: Path) -> Non
 
 
 def test_a_kept_edit_stays_through_a_change_before_it(scene: Scene, copy: Path) -> None:
-    mask = sorted((copy / "stages" / "07_segment").glob("instances.*.mask.png"))[0]
+    mask = sorted(stage_folder(copy, "segment").glob("instances.*.mask.png"))[0]
     picture = cv2.imread(str(mask), cv2.IMREAD_UNCHANGED)
     picture[:5, :5] = 255
     assert cv2.imwrite(str(mask), picture)
@@ -585,7 +609,7 @@ def test_a_kept_edit_stays_through_a_change_before_it(scene: Scene, copy: Path) 
     words = ("run", "--out", copy, "--height-m", "1.7", "--until", "segment")
     refused = video2anim(*words)
     assert refused.code == 2
-    assert "07_segment" in refused.err
+    assert stage_folder(copy, "segment").name in refused.err
     assert "--keep-edits" in refused.err
     kept = video2anim(*words, "--keep-edits")
     assert kept.code == 0, kept.err

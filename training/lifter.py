@@ -31,6 +31,7 @@ from video2anim.lab.lifter.samples import LiftingSampler
 from video2anim.lab.lifter.store import keep, kept, mapped
 from video2anim.lab.lifter.train import LiftingConfig, cooled, describe, read_average, read_progress, train
 from video2anim.networks.fetch import cache_dir
+from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.types import PersonTracks
 
 ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
@@ -121,10 +122,10 @@ def rendered(folder: Path, motion: Path, count: int) -> list[Path]:
 
 def tracks(clip: Path, scene: Path) -> PersonTracks | None:
     """Everybody whom the pipeline finds in a clip; None where it finds nobody."""
-    stage = scene / "stages" / "02_track"
-    if not stage.is_dir():
+    if not stage_folder(scene, "track").is_dir():
         words = ["run", str(clip / "video.mp4"), "--out", str(scene), "--until", "track", "--person", "all"]
         program(words, expected=(0, 5))
+    stage = stage_folder(scene, "track")
     return read_value(PersonTracks, stage) if stage.is_dir() else None
 
 

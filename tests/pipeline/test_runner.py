@@ -17,7 +17,15 @@ from video2anim.errors import ArtifactError, InputError, StageError, UsageError
 from video2anim.pipeline.config import known_part, load_preset, parse_set, resolve
 from video2anim.pipeline.graph import GraphError, Node, build_graph
 from video2anim.pipeline.runner import Edits, Event, Runner, StageStatus
-from video2anim.pipeline.scene_folder import RunRecord, StageRow, locked, prepare, read_record, write_record
+from video2anim.pipeline.scene_folder import (
+    RunRecord,
+    StageRow,
+    locked,
+    prepare,
+    read_record,
+    stage_folder,
+    write_record,
+)
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import Contact, SourceVideo
 
@@ -34,6 +42,11 @@ class Doubled:
 
 @dataclass(frozen=True)
 class Total:
+    value: float
+
+
+@dataclass(frozen=True)
+class Loud:
     value: float
 
 
@@ -287,6 +300,27 @@ def test_unfinished_folders_are_removed(run: Callable, tmp_path: Path) -> None:
     left.mkdir(parents=True)
     run()
     assert not left.exists()
+
+
+def shout(seeds: Seeds, config: PlainConfig, ctx: StageContext) -> Loud:
+    calls.append("shout")
+    return Loud(float(seeds.values.max()))
+
+
+def test_a_stage_that_is_added_leaves_the_others_as_they_are(run: Callable, tmp_path: Path) -> None:
+    run()
+    specs = (SPECS[0], StageSpec("shout", shout, 1), *SPECS[1:])
+    assert run(specs=specs) == {"seeds": "cached", "shout": "ran", "double": "cached", "add": "cached"}
+    assert calls == ["shout"]
+    assert run(specs=specs, double={"factor": 3.0})["double"] == "ran"
+    assert run(specs=specs) == dict.fromkeys(("seeds", "shout", "double", "add"), "cached") | {
+        "double": "ran",
+        "add": "ran",
+    }
+    names = sorted(path.name for path in (tmp_path / "stages").iterdir())
+    assert names == ["01_seeds", "02_double", "02_shout", "03_add"], "each stage has one folder"
+    assert stage_folder(tmp_path, "double") == tmp_path / "stages" / "02_double"
+    assert not stage_folder(tmp_path, "subtract").exists()
 
 
 # The graph is checked before anything runs.

@@ -13,7 +13,7 @@ from typing import Any
 from video2anim.digest import file_digest
 from video2anim.errors import InputError, UsageError
 from video2anim.pipeline.runner import Edits
-from video2anim.pipeline.scene_folder import RESULT_ASIDE, RunRecord, expect_no_link, is_result_name
+from video2anim.pipeline.scene_folder import RESULT_ASIDE, RunRecord, expect_no_link, is_result_name, stage_folder
 
 REPORT = "report.html"
 
@@ -36,9 +36,10 @@ def expect_unedited(scene_dir: Path, record: RunRecord, edits: Edits) -> None:
     """
     names = edited_results(scene_dir, record) if edits == "refuse" else []
     if names:
+        instead = stage_folder(scene_dir, "refine").relative_to(scene_dir) / "motion.npz"
         raise UsageError(
             f"{', '.join(names)} in {scene_dir} changed since the run; files there are written by runs. Edit "
-            "stages/14_refine/motion.npz or another stage in place of them; --discard-edits writes them anew, "
+            f"{instead} or another stage in place of them; --discard-edits writes them anew, "
             "--keep-edits leaves them"
         )
 

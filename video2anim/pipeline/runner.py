@@ -21,7 +21,7 @@ from video2anim.errors import StageError, UsageError, Video2AnimError, is_memory
 from video2anim.pipeline import memory
 from video2anim.pipeline.config import PipelineConfig, result_config
 from video2anim.pipeline.graph import Node
-from video2anim.pipeline.scene_folder import STAGES
+from video2anim.pipeline.scene_folder import STAGES, stage_folder
 from video2anim.pipeline.stage import StageContext, slots_of
 from video2anim.types.clip import SourceVideo, VideoClip
 
@@ -108,7 +108,9 @@ class Runner:
         self._values: dict[type, Any] = {SourceVideo: source}
 
     def folder(self, node: Node) -> Path:
-        return self._scene_dir / STAGES / node.folder_name
+        """Where the stage's value lies; a folder of an earlier version, with another number, is used on."""
+        numbered, found = self._scene_dir / STAGES / node.folder_name, stage_folder(self._scene_dir, node.name)
+        return numbered if numbered.exists() or not found.exists() else found
 
     def node(self, name: str) -> Node:
         """Node of a stage.

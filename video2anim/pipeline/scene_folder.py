@@ -72,6 +72,15 @@ class RunRecord:
         return list((kept | dict(rows)).values())
 
 
+def stage_folder(scene_dir: Path, name: str) -> Path:
+    """Folder of a stage by its name, whatever its number: the numbers shift when a stage is added before it.
+
+    Where there is none, a path that does not exist.
+    """
+    found = sorted((scene_dir / STAGES).glob(f"[0-9][0-9]_{name}"))
+    return found[0] if found else scene_dir / STAGES / name
+
+
 def is_result_name(name: str) -> bool:
     """Whether a run may write a file of this name, relative to the folder."""
     return re.fullmatch(RESULTS, name) is not None

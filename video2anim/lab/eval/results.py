@@ -9,7 +9,7 @@ from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.folder import value_digest
 from video2anim.artifacts.manifest import read_manifest
 from video2anim.errors import ArtifactError, InputError
-from video2anim.pipeline.scene_folder import STAGES, read_record
+from video2anim.pipeline.scene_folder import read_record, stage_folder
 from video2anim.types import (
     BackgroundImage,
     BodyMotion,
@@ -129,7 +129,8 @@ class SceneResult:
         return value
 
     def _folder(self, kind: type) -> Path | None:
-        return next(iter(sorted((self.scene_dir / STAGES).glob(f"[0-9][0-9]_{STAGE_OF[kind]}"))), None)
+        folder = stage_folder(self.scene_dir, STAGE_OF[kind])
+        return folder if folder.exists() else None
 
     def _changed(self, name: str, digest: str) -> str | None:
         """The stage that makes what came from an input (of this type and digest) stale; None where none does.
