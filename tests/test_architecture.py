@@ -63,8 +63,13 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imported(path: Path) -> Iterator[tuple[str, int, bool]]:
+@functools.cache
+def imported(path: Path) -> tuple[tuple[str, int, bool], ...]:
     """Absolute name, line, and whether it runs at import time, of every import; typing-only ones too."""
+    return tuple(read_imports(path))
+
+
+def read_imports(path: Path) -> Iterator[tuple[str, int, bool]]:
     whole = tree(path)
     inner = {
         id(node)

@@ -14,14 +14,45 @@ from video2anim.cli.main import app
 from video2anim.types import BodyMotion
 
 TYPES = [
-    "BackgroundImage", "BodyMotion", "BodyShape", "BodyTracks", "CameraEstimate", "CompletedObject",
-    "CompletedObjects", "Contact", "DepthClip", "ExportedFiles", "Hold", "InstanceMasks", "Intrinsics",
-    "KeyframedMotion", "Mesh", "MetricDepth", "ObjectInstance", "ObjectMesh", "ObjectMeshes", "ObjectPart",
-    "ObjectPath", "PayloadFile", "PersonQuality", "PersonTrack", "PersonTracks", "PlacedObject", "PlacedObjects",
+    "BackgroundImage",
+    "BodyMotion",
+    "BodyShape",
+    "BodyTracks",
+    "CameraEstimate",
+    "CompletedObject",
+    "CompletedObjects",
+    "Contact",
+    "DepthClip",
+    "ExportedFiles",
+    "Hold",
+    "InstanceMasks",
+    "Intrinsics",
+    "KeyframedMotion",
+    "Mesh",
+    "MetricDepth",
+    "ObjectInstance",
+    "ObjectMesh",
+    "ObjectMeshes",
+    "ObjectPart",
+    "ObjectPath",
+    "PayloadFile",
+    "PersonQuality",
+    "PersonTrack",
+    "PersonTracks",
+    "PlacedObject",
+    "PlacedObjects",
     "RefinedMotion",
-    "RoomPiece", "SceneModel", "SourceInfo", "SourceVideo", "Storage", "Texture", "Thumbnail", "VideoClip", "View",
+    "RoomPiece",
+    "SceneModel",
+    "SourceInfo",
+    "SourceVideo",
+    "Storage",
+    "Texture",
+    "Thumbnail",
+    "VideoClip",
+    "View",
     "stored",
-]  # fmt: skip
+]
 COMMANDS = {
     "": {"--version", "--debug"},
     "run": {
@@ -47,11 +78,22 @@ COMMANDS = {
     "models verify": set(),
 }  # fmt: skip
 STAGES = [
-    ("ingest", "VideoClip"), ("track", "PersonTracks"), ("camera", "CameraEstimate"), ("humans", "BodyTracks"),
-    ("background", "BackgroundImage"), ("depth", "DepthClip"), ("segment", "InstanceMasks"), ("metric", "MetricDepth"),
-    ("complete", "CompletedObjects"), ("reconstruct", "ObjectMeshes"), ("place", "PlacedObjects"),
-    ("scene", "SceneModel"), ("keyframes", "KeyframedMotion"), ("refine", "RefinedMotion"), ("export", "ExportedFiles"),
-]  # fmt: skip
+    ("ingest", "VideoClip"),
+    ("track", "PersonTracks"),
+    ("camera", "CameraEstimate"),
+    ("humans", "BodyTracks"),
+    ("background", "BackgroundImage"),
+    ("depth", "DepthClip"),
+    ("segment", "InstanceMasks"),
+    ("metric", "MetricDepth"),
+    ("complete", "CompletedObjects"),
+    ("reconstruct", "ObjectMeshes"),
+    ("place", "PlacedObjects"),
+    ("scene", "SceneModel"),
+    ("keyframes", "KeyframedMotion"),
+    ("refine", "RefinedMotion"),
+    ("export", "ExportedFiles"),
+]
 
 
 def commands() -> dict[str, set[str]]:
