@@ -120,6 +120,17 @@ def test_the_background_of_a_still_camera_is_the_plates(room: Room) -> None:
     assert _quality(ctx, "flicker_after") == 0
 
 
+@pytest.mark.parametrize(("kind", "stored"), [("depth", "depth"), ("metric", "depth"), ("Depth", None)])
+def test_the_kind_of_the_network_decides_that_of_the_clip(room: Room, kind: str, stored: str | None) -> None:
+    ctx = _context(room)
+    ctx.model("fake").kind = kind
+    if stored is None:
+        with pytest.raises(KeyError):
+            _depth(room, ctx)
+    else:
+        assert _depth(room, ctx).kind == stored
+
+
 def test_people_come_from_their_own_picture_in_the_plates_units(room: Room) -> None:
     steady, moody = _depth(room, _context(room, moody=False)), _depth(room, _context(room))
     for sample, people in enumerate(room.background.person_mask):

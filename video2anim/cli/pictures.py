@@ -59,7 +59,7 @@ def models_run(
 
 
 def depth_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """`depth` (N, h, w) float32 and `kind`: metric (m) or disparity (inverse, up to scale and offset)."""
+    """`depth` (N, h, w) float32 and `kind`: metric (m), or depth or disparity up to scale and offset."""
     import numpy as np
 
     return {

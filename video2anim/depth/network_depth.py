@@ -15,13 +15,17 @@ from video2anim.depth.temporal_alignment import Alignment, aligned_to_background
 from video2anim.types import BackgroundImage, DepthClip, VideoClip
 from video2anim.video import read_frames
 
+CLIP_KINDS = {"disparity": "disparity", "depth": "depth", "metric": "depth"}
+"""`DepthModel.kind` -> `DepthClip.kind`. `disparity` (larger is nearer) and `depth` (larger is farther) are known up to
+scale and offset; `metric` is depth in meters, to which stage metric fits a scale and offset all the same."""
+
 
 @runtime_checkable
 class DepthModel(Protocol):
     """A network in slot `depth`."""
 
     kind: str
-    """`disparity` (relative, large = near) or `metric`."""
+    """A key of `CLIP_KINDS`."""
 
     def infer(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
         """Depth or disparity at the size of the image; NaN where unknown."""
@@ -104,7 +108,7 @@ def clip_depth(
 
     Args:
         provider: Name of the network.
-        kind: Of the network, as in `DepthModel`.
+        kind: Of the network, a key of `CLIP_KINDS`.
         background: Background image and person masks.
         empty: Depth of the background image.
         frames: Depth of the sampled frames.
@@ -124,7 +128,7 @@ def clip_depth(
         zero = np.float32(low - 0.05 * (high - low))
         value, background_value = value - zero, background_value - zero
     depth = DepthClip(
-        kind="disparity" if kind == "disparity" else "depth",
+        kind=CLIP_KINDS[kind],
         provider=provider,
         frame_index=background.frame_index,
         value=value,
