@@ -86,6 +86,19 @@ def test_options_and_modules_named_exist(page: Path) -> None:
             assert (REPOSITORY / path).is_file(), path
 
 
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
+def test_the_table_of_stages_lists_all_in_order(name: str) -> None:
+    table = (REPOSITORY / name).read_text().split("| stage | takes", 1)[1].split("\n\n", 1)[0]
+    assert re.findall(r"^\| (\w+) \|", table, re.MULTILINE) == [node.name for node in pipeline_nodes()]
+
+
+@pytest.mark.parametrize("page", [*PAGES, REPOSITORY / "CONTRIBUTING.md"], ids=lambda page: page.name)
+def test_folders_of_stages_are_named_without_number(page: Path) -> None:
+    """Numbers shift when a stage is added: `stages/*_refine`."""
+    names = "|".join(node.name for node in pipeline_nodes())
+    assert re.findall(rf"\b\d\d_(?:{names})\b", page.read_text()) == []
+
+
 def test_make_targets_exist() -> None:
     makefile = (REPOSITORY / "Makefile").read_text()
     for line in code_lines():
