@@ -25,7 +25,7 @@ from typing import Any
 import torch
 
 from scenemi.data.container import MotionArchive, read_split
-from scenemi.data.files import file_digest, write_json
+from scenemi.data.files import write_json
 from scenemi.data.split import Split
 from scenemi.evaluation.fid import shipped_features
 from scenemi.evaluation.protocol import evaluate
@@ -38,6 +38,7 @@ from scenemi.training.config import METHODS, TrainConfig
 from scenemi.training.loop import POOL, cool, train
 from scenemi.training.pool import grow_pool
 from scenemi.training.runs import RunFiles, motions_for, write_run_weights
+from video2anim.digest import file_digest
 
 OURS, SOLVED = "scenemi", "scenemi, solved"
 ROWS = (INTERPOLATION, *METHODS, OURS, SOLVED)
