@@ -1,10 +1,10 @@
-"""Speed and memory of the synthetic renderer on clips of V2A-Bench (with the gait model's walks).
+"""Speed and memory of the renderer of synthetic clips on clips of V2A-Bench (with walks of the gait model).
 
     python benchmarks/render_speed.py --out benchmarks/results
 
-One process for each core draws the same frames at the same time, as `synth --workers` does; `frames/s` is their sum.
+One process per core renders the same frames at the same time, like `synth --workers`; `frames/s` is their sum.
 `ray casts` compares first hits of one 640 x 480 picture by trimesh's ray interface and by the renderer's own layer over
-embree. `frames` are medians over consecutive frames, with shadows, occlusion, labels and anti-aliased edges.
+Embree. `frames` are medians over consecutive frames with shadows, occlusion, labels and anti-aliased edges.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from video2anim.lab.synth.compose import compose
 from video2anim.lab.synth.generate import SynthConfig, compose_options, start_worker
 from video2anim.lab.synth.presets import clip_specs
 from video2anim.lab.synth.render import Renderer
-from video2anim.lab.synth.render.surfaces import of_objects
+from video2anim.lab.synth.render.surfaces import surfaces_of_objects
 from video2anim.lab.synth.render.view import Eye
 from video2anim.lab.synth.world import Shot
 
@@ -44,7 +44,7 @@ CASES = (
     ("01_sit", 320, 240, True),
     ("01_sit", 640, 480, True),
 )
-"""Clip of the set, size in pixels, hand-held."""
+"""Clip of the benchmark, width and height in pixels, whether the camera is handheld."""
 
 
 def main() -> None:
@@ -69,9 +69,9 @@ def main() -> None:
 
 
 def ray_casts() -> dict[str, float]:
-    """Seconds for the first hits of a 640 x 480 picture with the points hit."""
+    """Seconds for the first hits of a 640 x 480 picture, including the hit points."""
     shot = bench_shot("01_sit", 640, 480)
-    surfaces = of_objects(shot.room.objects)
+    surfaces = surfaces_of_objects(shot.room.objects)
     eye = Eye(shot.intrinsics, shot.T_world_camera[0])
     directions = eye.directions(np.arange(640 * 480))
     origins = np.tile(eye.origin_m, (len(directions), 1))
@@ -98,14 +98,14 @@ def median(action: Callable[[], object], count: int = 7) -> float:
 
 
 def bench_shot(name: str, width_px: int, height_px: int, handheld: bool = False) -> Shot:
-    """A clip of the benchmark."""
+    """A clip of the benchmark, composed but not rendered."""
     spec = next(spec for spec in clip_specs("bench", None, SEED) if spec.name == name)
     options = compose_options(SynthConfig(width_px=width_px, height_px=height_px, seed=SEED))
     return compose(replace(spec, handheld=handheld), options)
 
 
 def together(case: tuple[str, int, int, bool], frames: int, processes: int) -> dict[str, Any]:
-    """The same measurement in several processes at once: medians, and the frames of all per second."""
+    """The same measurement in several processes at once: medians, and total frames per second."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, mp_context=context, initializer=start_worker) as pool:
         rows = [job.result() for job in [pool.submit(measure, *case, frames) for _ in range(processes)]]

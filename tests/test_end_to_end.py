@@ -138,7 +138,7 @@ def test_second_run_is_all_cached(scene: Scene) -> None:
     assert payload_digests(scene.folder) == scene.digests
 
 
-def test_contacts_are_told_alike_in_record_stage_and_glb(scene: Scene) -> None:
+def test_contacts_are_equal_in_record_stage_and_glb(scene: Scene) -> None:
     told = json.loads((scene.folder / "run.json").read_text())["contacts"]
     assert told == json.loads((stage_folder(scene.folder, "export") / "value.json").read_text())["contacts"]
     nodes = Reread(scene.folder / "scene.glb").document.nodes
@@ -394,7 +394,7 @@ def test_export_format(scene: Scene, tmp_path: Path, name: str, made: str) -> No
         assert file_digest(tmp_path / "new" / made) == file_digest(scene.folder / made)
 
 
-def test_people_go_on_the_users_smpl_body(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_people_are_put_on_the_users_smpl_body(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VIDEO2ANIM_SMPL_DIR", "")  # the option sets it for the rest of the process
     write_human(tmp_path, "smplx")
     smpl = ("--body", "smplx", "--smpl-dir", tmp_path)
@@ -537,7 +537,7 @@ def test_results_belong_to_the_run(scene: Scene, copy: Path) -> None:
     assert "scene.glb" not in fewer.out
 
 
-def test_results_of_an_earlier_run_are_not_told_as_new(scene: Scene, copy: Path) -> None:
+def test_results_of_an_earlier_run_are_not_reported_as_new(scene: Scene, copy: Path) -> None:
     partial = video2anim("run", "--out", copy, "--set", "ingest.stop_s=6.5", "--until", "ingest")
     assert partial.code == 0, partial.err
     assert str(copy / "motion.npz") not in partial.out

@@ -1,14 +1,14 @@
-"""Train the temporal lifter that ships in `video2anim/networks/weights`: one run that goes on.
+"""Trains the temporal lifter of `video2anim/networks/weights` in one run that can be continued at any time.
 
     python training/lifter.py run --motion ../shared/motion --minutes 30
     python training/lifter.py progress
     python training/lifter.py export --motion ../shared/motion --cooldown 1500 --out lifter.onnx
 
-The first run makes what is missing in the cache: clips of `video2anim synth` and BlazePose's errors on them (about a
-quarter of an hour of one core), and the store of motions (some minutes). Then it trains from the last checkpoint for
-the given time or until it is interrupted; it may be killed at any time. Without a checkpoint it starts from the shipped
-weights if they have the same architecture. `export` writes the averaged network, with `--cooldown` after so many steps
-with a falling rate, and prints the digest that `video2anim/networks/table.py` has to follow.
+The first run creates missing data in the cache: clips of `video2anim synth` and BlazePose's errors on them (about 15
+minutes on one core), and the training motions (some minutes). Then it trains from the last checkpoint for the given
+time or until it is interrupted; it may be killed at any time. Without a checkpoint it starts from the shipped weights
+if they have the same architecture. `export` writes the averaged network, with `--cooldown` after that many steps with a
+falling rate, and prints the digest for `video2anim/networks/table.py`.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ from pathlib import Path
 import torch
 
 from video2anim.artifacts.codec import read_value
-from video2anim.lab.lifter.motions import kept_motions
+from video2anim.lab.lifter.motions import cached_motions
 from video2anim.lab.lifter.network import LifterNetwork, export_onnx, read_onnx
 from video2anim.lab.lifter.residuals import ResidualLibrary, collect
 from video2anim.lab.lifter.samples import LiftingSampler
-from video2anim.lab.lifter.store import keep, kept, mapped
-from video2anim.lab.lifter.train import LiftingConfig, cooled, describe, read_average, read_progress, train
+from video2anim.lab.lifter.store import has_arrays, read_arrays, write_arrays
+from video2anim.lab.lifter.train import LiftingConfig, annealed, describe, read_average, read_progress, train
 from video2anim.networks.fetch import cache_dir
 from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.types import PersonTracks
 
 ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
-"""Free for commercial use but for a source in `deepmimic.npz`, which is left out."""
+"""Archives free for commercial use, except for one source in `deepmimic.npz`, which is left out."""
 PROCEDURAL, VALIDATION_PROCEDURAL = 210, 14
 VALIDATION_SEED = 900
 CLIPS = 13
 CLIP_WORDS = ("--preset", "random", "--seed", "7201", "--size", "480x848", "--longest", "1.6")
-"""People fill 0.28 to 0.85 of the picture's height: 240 to 720 px tall, more than the 256 px of the model's crop."""
+"""People are 0.28 to 0.85 of the picture's height, 240 to 720 px; the model's crop has 256 px."""
 CLIP_MOTION = ("cmu.npz", "deepmimic.npz")
 HELD_OUT = 6
-"""Errors of every sixth clip are for validation."""
+"""The errors of every sixth clip are used for validation."""
 SHIPPED = Path(__file__).parents[1] / "video2anim" / "networks" / "weights" / "lifter.onnx"
 
 
 def main() -> None:
-    """One of the three commands."""
+    """Run one of the three commands."""
     options = arguments()
     torch.set_num_threads(options.threads)
     if options.command == "progress":
@@ -56,7 +56,7 @@ def main() -> None:
     elif options.command == "export":
         network = read_average(options.cache)
         if options.cooldown:
-            network = cooled(samplers(options)[0], LiftingConfig(), options.cache, steps=options.cooldown)
+            network = annealed(samplers(options)[0], LiftingConfig(), options.cache, steps=options.cooldown)
         export_onnx(network, options.out)
         say(hashlib.sha256(options.out.read_bytes()).hexdigest())
     else:
@@ -70,23 +70,23 @@ def main() -> None:
 
 
 def say(text: str) -> None:
-    """A line at once."""
+    """Print a line without buffering."""
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
 
 
 def shipped() -> LifterNetwork | None:
-    """The weights of the wheel, if they are of the present architecture."""
+    """The shipped weights, if they have the current architecture."""
     return read_onnx(SHIPPED) if SHIPPED.is_file() else None
 
 
 def samplers(options: argparse.Namespace) -> tuple[LiftingSampler, LiftingSampler]:
-    """Training and validation, which share neither motion nor rendered clips. What is missing is made."""
+    """Training and validation samplers, which share neither motion nor rendered clips. Missing data is created."""
     cache, archives = options.cache, [options.motion / name for name in ARCHIVES]
     split = options.motion / "split.json"
     libraries = residuals(cache, options.motion, options.clips)
-    motions = kept_motions(cache / "motions", archives, split, "train", procedural=PROCEDURAL, seed=0)
-    unseen = kept_motions(
+    motions = cached_motions(cache / "motions", archives, split, "train", procedural=PROCEDURAL, seed=0)
+    unseen = cached_motions(
         cache / "held_out_motions", archives, split, "val", procedural=VALIDATION_PROCEDURAL, seed=VALIDATION_SEED
     )
     return (
@@ -99,7 +99,7 @@ def residuals(cache: Path, motion: Path, count: int) -> tuple[ResidualLibrary, R
     """BlazePose's errors on rendered clips, for training and for validation."""
     key = {"words": list(CLIP_WORDS), "clips": count}
     folders = cache / "residuals", cache / "held_out_residuals"
-    if not all(kept(folder, key) for folder in folders):
+    if not all(has_arrays(folder, key) for folder in folders):
         clips = rendered(cache / "clips", motion, count)
         tracked = [(clip, tracks(clip, cache / "scenes" / clip.name)) for clip in clips]
         for folder, wanted in zip(folders, (False, True), strict=True):
@@ -108,20 +108,20 @@ def residuals(cache: Path, motion: Path, count: int) -> tuple[ResidualLibrary, R
                 for number, (clip, seen) in enumerate(tracked)
                 if seen is not None and (number % HELD_OUT == HELD_OUT - 1) == wanted
             ]
-            keep(collect(found), folder, key)
-    train_library, held_out = (mapped(ResidualLibrary, folder) for folder in folders)
+            write_arrays(collect(found), folder, key)
+    train_library, held_out = (read_arrays(ResidualLibrary, folder) for folder in folders)
     return train_library, held_out
 
 
 def rendered(folder: Path, motion: Path, count: int) -> list[Path]:
-    """Clips with truth; those that are there are not made again."""
+    """Make the clips with truth; existing ones are kept."""
     words = [word for name in CLIP_MOTION for word in ("--motion", str(motion / name))]
     program([*("synth", *CLIP_WORDS, "--count", str(count), "--out", str(folder)), *words])
     return sorted(path.parent for path in folder.glob("[!.]*/meta.json"))
 
 
 def tracks(clip: Path, scene: Path) -> PersonTracks | None:
-    """Everybody whom the pipeline finds in a clip; None where it finds nobody."""
+    """Tracks of all people in a clip; None if the pipeline finds nobody."""
     if not stage_folder(scene, "track").is_dir():
         words = ["run", str(clip / "video.mp4"), "--out", str(scene), "--until", "track", "--person", "all"]
         program(words, expected=(0, 5))
@@ -130,7 +130,7 @@ def tracks(clip: Path, scene: Path) -> PersonTracks | None:
 
 
 def program(words: Sequence[str], expected: tuple[int, ...] = (0,)) -> None:
-    """Run `video2anim` to the end or show why not."""
+    """Run `video2anim`; on failure exit with its error output."""
     done = subprocess.run(
         [sys.executable, "-m", "video2anim.cli.main", *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
         text=True, check=False,
@@ -150,7 +150,7 @@ def arguments() -> argparse.Namespace:
     for name in ("run", "export"):
         of[name].add_argument("--motion", type=Path, default=Path("../shared/motion"), help="folder of the archives")
         of[name].add_argument("--clips", type=int, default=CLIPS, help="rendered clips with BlazePose's errors")
-    of["run"].add_argument("--minutes", type=float, help="stop after so long (default: when interrupted)")
+    of["run"].add_argument("--minutes", type=float, help="stop after this time (default: when interrupted)")
     of["export"].add_argument("--cooldown", type=int, default=0, help="steps with a falling rate before the export")
     of["export"].add_argument("--out", type=Path, required=True)
     return parser.parse_args()

@@ -149,7 +149,7 @@ def test_t_pose_skin_is_where_the_joints_are(body: ShapedBody) -> None:
         assert nearest < 0.2, JOINT_NAMES[joint]
 
 
-def test_stature_follows_the_shape() -> None:
+def test_body_height_follows_the_shape() -> None:
     model = anny_model()
     statures = [
         float(model.rest_skeleton({k: torch.tensor(v) for k, v in (ADULT | {"height": h}).items()}).body_height_m)

@@ -316,7 +316,7 @@ def looped_chumpy() -> bytes:
     ],
     ids=["empty", "text", "cut", "forged dtype", "list", "few keys", "text array", "objects", "expression", "loop"],
 )
-def test_damaged_pickles_are_told_in_one_line(tmp_path: Path, content: bytes, told: str) -> None:
+def test_damaged_pickles_are_reported_in_one_line(tmp_path: Path, content: bytes, told: str) -> None:
     path = tmp_path / "SMPL.pkl"
     path.write_bytes(content)
     with pytest.raises(InputError, match=told) as caught:
@@ -348,7 +348,7 @@ def test_damaged_pickles_are_told_in_one_line(tmp_path: Path, content: bytes, to
     ],
 )  # fmt: skip
 @pytest.mark.filterwarnings("error")
-def test_wrong_arrays_are_told_in_one_line(tmp_path: Path, suffix: str, changed: dict[str, Any], told: str) -> None:
+def test_wrong_arrays_are_reported_in_one_line(tmp_path: Path, suffix: str, changed: dict[str, Any], told: str) -> None:
     path = tmp_path / f"SMPL.{suffix}"
     content = arrays() | changed
     if suffix == "npz":

@@ -23,7 +23,7 @@ def test_help(name: str) -> None:
     assert "Usage" in answer.out
 
 
-def test_root_help_tells_commands_and_exit_codes() -> None:
+def test_root_help_shows_commands_and_exit_codes() -> None:
     text = " ".join(video2anim("--help").out.split())
     for name in COMMANDS:
         assert name.split(" ")[0] in text
@@ -34,7 +34,7 @@ def test_version() -> None:
     assert video2anim("--version").out.strip() == f"video2anim {__version__}"
 
 
-def test_models_list_tells_licences_and_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models_list_shows_licenses_and_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VIDEO2ANIM_CACHE", str(tmp_path))
     monkeypatch.setenv("COLUMNS", "300")
     answer = video2anim("models", "list")

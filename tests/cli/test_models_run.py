@@ -15,7 +15,7 @@ from onnx import TensorProto, helper, numpy_helper
 from video2anim.artifacts.images import write_png
 from video2anim.cli.pictures import camera_arrays
 from video2anim.geometry.perspective_field import field_of_camera
-from video2anim.lab.synth.cameras import look
+from video2anim.lab.synth.cameras import look_rotation
 from video2anim.networks.segmentation import CLASSES
 
 HEIGHT, WIDTH = 48, 64
@@ -258,7 +258,7 @@ class Turned:
     """A camera model that sees the field of a camera turned as the synthetic world turns them."""
 
     def __init__(self, pitch_rad: float, roll_rad: float) -> None:
-        self.up = look(0.3, pitch_rad, roll_rad)[1]
+        self.up = look_rotation(0.3, pitch_rad, roll_rad)[1]
 
     def field(self, image: np.ndarray) -> Any:
         from video2anim.geometry.perspective_field import PerspectiveField
@@ -276,7 +276,7 @@ def test_a_positive_pitch_looks_up(pitch_rad: float) -> None:
 
 @pytest.mark.parametrize("roll_rad", [0.15, -0.2])
 def test_a_positive_roll_turns_the_camera_clockwise(roll_rad: float) -> None:
-    """As seen from behind it: as `roll_rad` of the synthetic world's `meta.json`, whose `look` made this camera."""
+    """As seen from behind: like `roll_rad` of the synthetic `meta.json`, whose `look_rotation` made this camera."""
     found = camera_arrays(Turned(-0.3, roll_rad), [np.zeros((HEIGHT, WIDTH, 3), np.uint8)])
     np.testing.assert_allclose(found["roll_rad"], [roll_rad], atol=1e-4)
 

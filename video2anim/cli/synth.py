@@ -1,4 +1,4 @@
-"""`video2anim synth`: clips, pictures and motions with known truth."""
+"""`video2anim synth`: synthetic clips, images and motions with ground truth."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _DO_NOT_APPLY = {
     "--motion-only": ("preset", "workers", "size", "motion", "noncommercial", "meshes", "room_size", "longest"),
     "--frames-only": ("preset", "longest"),
 }
-"""Options that mean nothing for what is made."""
+"""Options that have no effect with each mode."""
 
 
 def synth_command(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(help="Folder to make or complete (a file with --motion-only).")],
+    out: Annotated[Path, typer.Option(help="Folder to create or complete (a file with --motion-only).")],
     preset: Annotated[str, typer.Option(help="bench (V2A-Bench, 24 clips), hidden, carried (6) or random.")] = "bench",
-    count: Annotated[int | None, typer.Option(help="How many clips or pictures (default: all of the preset).")] = None,
+    count: Annotated[int | None, typer.Option(help="Number of clips or images (default: all of the preset).")] = None,
     seed: Annotated[int, typer.Option(help="Same seed, same bytes; bench with seed 0 is V2A-Bench.")] = 0,
     workers: Annotated[int, typer.Option(help="Processes.")] = 1,
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "640x480",
@@ -29,13 +29,13 @@ def synth_command(
         list[Path] | None, typer.Option(help="Archive of captured motion or folder of archives, repeatable.")
     ] = None,
     noncommercial: Annotated[bool, typer.Option(help="Use sources under non-commercial licenses too.")] = False,
-    meshes: Annotated[Path | None, typer.Option(help="Folder of GLB, OBJ or PLY meshes to mix in.")] = None,
-    room_size: Annotated[str | None, typer.Option(help="Fix the room: WIDTHxDEPTH in meters.")] = None,
-    longest: Annotated[float | None, typer.Option(help="Cut clips to so many seconds.")] = None,
-    frames_only: Annotated[bool, typer.Option(help="Single labeled pictures in shards, instead of clips.")] = False,
+    meshes: Annotated[Path | None, typer.Option(help="Folder of GLB, OBJ or PLY meshes to add to rooms.")] = None,
+    room_size: Annotated[str | None, typer.Option(help="Size of the room: WIDTHxDEPTH in meters.")] = None,
+    longest: Annotated[float | None, typer.Option(help="Cut clips to this many seconds.")] = None,
+    frames_only: Annotated[bool, typer.Option(help="Single labeled images in shards, instead of clips.")] = False,
     motion_only: Annotated[bool, typer.Option(help="Procedural motions only, as one motion archive.")] = False,
 ) -> None:
-    """Make clips of people in furnished rooms with exact truth of everything."""
+    """Make synthetic clips of people in furnished rooms with exact ground truth."""
     from video2anim.cli import show
     from video2anim.lab.synth.generate import SynthConfig, generate
 
@@ -45,9 +45,7 @@ def synth_command(
         if wanted:
             _expect_applicable(context, mode)
     if noncommercial and not motion:
-        raise UsageError(
-            "--noncommercial: says which clips of --motion may be used; give --motion too, or leave it out"
-        )
+        raise UsageError("--noncommercial: selects clips of --motion; give --motion too, or leave it out")
     if workers < 1:
         raise UsageError(f"--workers: want 1 or more, got {workers}")
     width_px, height_px = (int(x) for x in _pair(size, "--size", "640x480", 64, 4096, whole=True))
@@ -80,7 +78,7 @@ def _expect_applicable(context: typer.Context, mode: str) -> None:
         if (source := context.get_parameter_source(name)) is not None and source.name == "COMMANDLINE"
     ]
     if given:
-        raise UsageError(f"{', '.join(given)}: cannot apply with {mode}; leave out what does not apply")
+        raise UsageError(f"{', '.join(given)}: cannot apply with {mode}; leave them out")
 
 
 def _pair(text: str, option: str, example: str, low: float, high: float, *, whole: bool = False) -> tuple[float, float]:

@@ -1,1 +1,1 @@
-"""The laboratory: synthetic world, evaluation, training of the networks. Never on the path of `run`."""
+"""Synthetic clips, evaluation, and training of the networks. `run` never imports it."""

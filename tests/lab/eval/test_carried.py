@@ -119,7 +119,7 @@ def test_error_counts_while_it_moves_only(tmp_path: Path, truth_dir: Path, tiny:
     assert value(found, "carried", "carried_path_m") == pytest.approx(0.2, abs=1e-6)
 
 
-def test_the_middle_is_that_of_the_box(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
+def test_the_center_is_that_of_the_box(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
     """An estimate of half the size whose origin is the same has its middle lower by a quarter of the height."""
     truth = moving_truth(tmp_path / "clip", truth_dir)
     found = judged(
@@ -136,7 +136,7 @@ def test_nothing_found(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
     assert row(found, "carried", "carried_path_m").values == (None,)
 
 
-def test_far_and_further_paths_are_false(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
+def test_paths_far_from_the_truth_are_false(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
     """The table's path is 1.2 m off and belongs to nothing; the box's own stays matched."""
     far = true_path()
     far[:, :3, 3] += np.array([0.0, 0.0, 1.2])
@@ -156,7 +156,7 @@ def test_a_path_where_nothing_moves_is_false(tmp_path: Path, truth_dir: Path, ti
     assert row(found, "carried", "carried_found").values == (None,)
 
 
-def test_means_over_things() -> None:
+def test_means_over_objects() -> None:
     near = MovedObject(1, "cup", 5, np.array([0.1, 0.3]), 2.0)
     lost = MovedObject(2, "box", None, np.zeros(0), np.nan)
     found = carried_numbers(MovedObjects((near, lost), 3))

@@ -190,7 +190,7 @@ def expect_refused(work: Callable[[], Any], code: int, *said: str) -> None:
 
 
 @pytest.mark.parametrize("spoil", SPOILS)
-def test_a_spoilt_file_of_the_truth(truth: Path, spoil: str) -> None:
+def test_a_damaged_file_of_the_truth(truth: Path, spoil: str) -> None:
     mesh = truth / "objects" / f"{TABLE_ID}.glb"
     SPOILS[spoil](mesh)
     expect_refused(lambda: read_glb(mesh), 3, str(mesh))
@@ -207,21 +207,21 @@ def test_a_wrong_value_of_the_truth(truth: Path, case: str) -> None:
 
 
 @pytest.mark.parametrize("spoil", SPOILS)
-def test_a_spoilt_plate_has_a_reason(truth: Path, spoil: str) -> None:
+def test_a_damaged_background_image_has_a_reason(truth: Path, spoil: str) -> None:
     SPOILS[spoil](truth / "plate.png")
     with pytest.raises(ArtifactError, match=r"plate\.png"):
         _ = read_truth(truth).background_rgb
 
 
 @pytest.mark.parametrize("image", [np.zeros((2, 2, 3)), np.zeros((CLIP[1], CLIP[0], 4)), np.zeros((9, 9))])
-def test_a_plate_of_another_size_or_with_holes_has_a_reason(truth: Path, image: np.ndarray) -> None:
+def test_a_background_image_of_another_size_or_with_holes_has_a_reason(truth: Path, image: np.ndarray) -> None:
     assert cv2.imwrite(str(truth / "plate.png"), image.astype(np.uint8))
     with pytest.raises(ArtifactError, match=r"plate\.png: want"):
         _ = read_truth(truth).background_rgb
 
 
 @pytest.mark.parametrize("spoil", SPOILS)
-def test_a_spoilt_scene_folder(scene: Path, spoil: str) -> None:
+def test_a_damaged_scene_folder(scene: Path, spoil: str) -> None:
     """What no number can be had without: the first stage, and the record."""
     for name in ("arrays.npz", "value.json", "manifest.json"):
         SPOILS[spoil](scene / "stages" / STAGES[VideoClip] / name)
@@ -231,7 +231,7 @@ def test_a_spoilt_scene_folder(scene: Path, spoil: str) -> None:
     expect_refused(lambda: SceneResult(scene), code, "run.json", str(scene))
 
 
-def test_every_other_stage_spoilt(scene: Path, truth_dir: Path, tmp_path: Path) -> None:
+def test_every_other_stage_damaged(scene: Path, truth_dir: Path, tmp_path: Path) -> None:
     """One eval for all: each stage in a way of its own."""
     ways = [way for way in SPOILS if way != "missing"]
     for number, kind in enumerate(kind for kind in STAGES if kind is not VideoClip):

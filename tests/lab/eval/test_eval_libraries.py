@@ -59,7 +59,7 @@ def test_box_iou_by_hand() -> None:
     assert box_iou_3d(unit, OrientedBox(T, unit.half_m)) == pytest.approx(octagon / (2 - octagon))
 
 
-def test_box_of_a_flat_thing_has_a_volume() -> None:
+def test_box_of_a_flat_object_has_a_volume() -> None:
     flat = box_of(np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1.0]]), np.eye(4))
     assert flat.volume_m3 > 0
     assert box_iou_3d(flat, flat) == pytest.approx(1, abs=1e-3)

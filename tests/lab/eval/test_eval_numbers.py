@@ -122,7 +122,7 @@ def test_a_wall_of_the_room_is_solid(tmp_path: Path, truth_dir: Path, tiny: Tiny
     assert value(found, "true_scene", "collision_frames_1cm", 0) == 0
 
 
-def test_a_body_laid_along_the_true_path(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
+def test_a_body_aligned_with_the_true_path_on_the_floor(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
     """A wrong place and heading do not count there, a wrong height does."""
     turn = matrix_from_axis_angle(np.array([0.0, 0.7, 0.0]))
 
@@ -197,7 +197,7 @@ def test_twice_as_far_and_large(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> 
     assert value(found, "motion", "wa_mpjpe") == pytest.approx(0, abs=1e-9)
 
 
-def test_bridged_frames_are_judged_apart(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
+def test_bridged_frames_are_evaluated_separately(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
     """Frames 10 to 19 were not measured and are held: they count as bridged, at every stage."""
 
     def held(person: BodyMotion) -> BodyMotion:
@@ -268,7 +268,7 @@ def test_disparity_is_fitted_as_disparity(tmp_path: Path, truth_dir: Path, tiny:
     assert value(found, "depth", "delta1_person") == 1
 
 
-def test_plate_numbers(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
+def test_background_image_numbers(tmp_path: Path, truth_dir: Path, tiny: Tiny) -> None:
     """Ten steps too bright everywhere: error 10, PSNR 20 log10(255 / 10)."""
 
     def brighter(background: BackgroundImage) -> BackgroundImage:

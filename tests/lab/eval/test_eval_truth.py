@@ -40,7 +40,7 @@ def test_furniture_counts_from_its_visible_pixels(truth_dir: Path) -> None:
     assert truth.furniture(1e9) == ()
 
 
-def test_carried_things_and_clutter_do_not_count(tmp_path: Path, truth_dir: Path) -> None:
+def test_carried_objects_and_clutter_do_not_count(tmp_path: Path, truth_dir: Path) -> None:
     folder = tmp_path / "clip"
     shutil.copytree(truth_dir, folder)
     meta = json.loads((folder / "meta.json").read_text())

@@ -29,7 +29,7 @@ def whole_boxes(truth: Truth) -> np.ndarray:
     return np.concatenate([pixel.min(1), pixel.max(1)], -1)[None]
 
 
-def test_whoever_is_seen_is_not_hidden_and_whoever_is_not_is(truth: Truth) -> None:
+def test_a_visible_person_is_not_hidden_and_an_invisible_one_is(truth: Truth) -> None:
     box_px = whole_boxes(truth)
     assert not hidden_frames(with_boxes(truth, box_px)).any()
     box_px[:, 2:4] = np.nan

@@ -20,17 +20,25 @@ from video2anim.errors import ModelMissingError
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d, rot6d_from_matrix
 from video2anim.humans.landmarks import KEYPOINT_INDEX
 from video2anim.humans.lifter_input import CONTACT_INDEX, FEATURES, OUTPUTS
-from video2anim.lab.lifter import samples, sightings, variation
+from video2anim.lab.lifter import landmark_errors, samples, variation
 from video2anim.lab.lifter.bodies import draw_bodies
 from video2anim.lab.lifter.kinematics import planes, planes_from_rot6d, posed
-from video2anim.lab.lifter.motions import LiftingMotions, gather, kept_motions
+from video2anim.lab.lifter.landmark_errors import LandmarkErrors
+from video2anim.lab.lifter.motions import LiftingMotions, cached_motions, gather
 from video2anim.lab.lifter.network import LifterNetwork, export_onnx, read_onnx
 from video2anim.lab.lifter.objective import losses, measures
 from video2anim.lab.lifter.residuals import ResidualLibrary, true_keypoints
 from video2anim.lab.lifter.samples import LiftingSampler
-from video2anim.lab.lifter.sightings import LandmarkErrors
-from video2anim.lab.lifter.store import keep, kept, mapped
-from video2anim.lab.lifter.train import CHECKPOINT, PROGRESS, LiftingConfig, cooled, read_average, read_progress, train
+from video2anim.lab.lifter.store import has_arrays, read_arrays, write_arrays
+from video2anim.lab.lifter.train import (
+    CHECKPOINT,
+    PROGRESS,
+    LiftingConfig,
+    annealed,
+    read_average,
+    read_progress,
+    train,
+)
 from video2anim.lab.lifter.views import draw_views
 from video2anim.networks.lifter import WIDTHS, Lifter
 from video2anim.types.skeleton import forward_kinematics
@@ -66,7 +74,7 @@ def test_samples_depend_on_seed_and_step_alone(motions: LiftingMotions, residual
     assert one.batch(3, 2).features.shape == (2, samples.WINDOW_FRAMES, FEATURES)
 
 
-def test_the_true_answer_costs_nothing(motions: LiftingMotions, residuals: ResidualLibrary) -> None:
+def test_losses_of_the_true_output_are_zero(motions: LiftingMotions, residuals: ResidualLibrary) -> None:
     batch = LiftingSampler(motions, residuals, seed=1, frames=40).batch(0, 4)
     logits = 40.0 * (batch.contact - 0.5)
     told = torch.full((*logits.shape[:2], 22), -4.0)
@@ -84,7 +92,7 @@ def test_the_true_answer_costs_nothing(motions: LiftingMotions, residuals: Resid
     assert measures(spoiled, batch)["depth_percent"] == pytest.approx(10.0, rel=1e-3)
 
 
-def test_each_loss_sees_its_own_fault(motions: LiftingMotions, residuals: ResidualLibrary) -> None:
+def test_each_loss_rises_with_its_own_error_only(motions: LiftingMotions, residuals: ResidualLibrary) -> None:
     """A body turned about the viewing ray is wrong in the picture; one that leans along the ray hardly is."""
     batch = LiftingSampler(motions, residuals, seed=1, frames=20).batch(0, 4)
     costs = {}
@@ -127,7 +135,7 @@ def test_noise_moves_what_is_seen_and_not_the_truth(motions: LiftingMotions, res
     torch.testing.assert_close(noisy.rest_joints_m, clean.rest_joints_m)
 
 
-def test_a_camera_held_askew_turns_what_is_seen_and_the_truth_alike(
+def test_camera_roll_rotates_landmarks_and_truth(
     motions: LiftingMotions, residuals: ResidualLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Shoulder keypoints are joints, so the line between them is known from both."""
@@ -192,7 +200,7 @@ class _Fixed:
         return np.zeros(size)
 
 
-def test_variation_keeps_hinges_and_doubts_contacts() -> None:
+def test_variation_keeps_hinges_and_marks_contacts_unknown() -> None:
     """Knees stay hinges (they bend forward, hardly sideways) and contacts that a change spoils are not known."""
     rng = np.random.default_rng(1)
     still = torch.eye(3).repeat(200, 5, 22, 1, 1)
@@ -222,7 +230,7 @@ def test_cameras_see_the_person_from_where_they_stand() -> None:
     assert float((aspect < 0.99).float().mean()) == pytest.approx(0.42, abs=0.1), "portraits"
 
 
-def test_performers_have_limbs_of_their_own() -> None:
+def test_performers_vary_in_limb_lengths() -> None:
     """Thigh over shank varies more than in Anny's adults, both sides alike; keypoints stay at their joints."""
     plain, varied = (draw_bodies(np.random.default_rng(0), 40, performers=p) for p in (False, True))
     sizes = [[torch.linalg.norm(b.rest_joints_m[:, child] - b.rest_joints_m[:, parent], dim=-1) for parent, child in
@@ -239,7 +247,7 @@ def test_performers_have_limbs_of_their_own() -> None:
             assert float(off_m.max()) < near_m, name
 
 
-def test_errors_outside_the_picture_are_large_and_told_by_visibility(residuals: ResidualLibrary) -> None:
+def test_errors_outside_the_picture_are_large_and_lower_visibility(residuals: ResidualLibrary) -> None:
     rng = np.random.default_rng(0)
     true_m = torch.from_numpy(rng.normal(0, 0.4, (40, 30, 25, 3))).float()
     inside = torch.ones(40, 30, 25, dtype=torch.bool)
@@ -255,16 +263,16 @@ def test_errors_outside_the_picture_are_large_and_told_by_visibility(residuals: 
 
 def test_frozen_and_swapped_limbs(residuals: ResidualLibrary, monkeypatch: pytest.MonkeyPatch) -> None:
     """A frozen limb is where it was; a swapped pair of limbs has left where right is."""
-    monkeypatch.setattr(sightings, "_FROZEN", 1.0)
-    monkeypatch.setattr(sightings, "_SWAPPED", 0.0)
-    frame, keypoint = sightings._faults(np.random.default_rng(0), 50, 40)
+    monkeypatch.setattr(landmark_errors, "_FROZEN", 1.0)
+    monkeypatch.setattr(landmark_errors, "_SWAPPED", 0.0)
+    frame, keypoint = landmark_errors._faults(np.random.default_rng(0), 50, 40)
     assert torch.equal(keypoint, torch.arange(25).expand(50, 40, 25))
     stuck = frame != torch.arange(40)[None, :, None]
     assert stuck.any(1).sum(1).le(5).all(), "one limb of a window"
     assert stuck.any((1, 2)).float().mean() > 0.7
-    monkeypatch.setattr(sightings, "_FROZEN", 0.0)
-    monkeypatch.setattr(sightings, "_SWAPPED", 1.0)
-    frame, keypoint = sightings._faults(np.random.default_rng(0), 50, 40)
+    monkeypatch.setattr(landmark_errors, "_FROZEN", 0.0)
+    monkeypatch.setattr(landmark_errors, "_SWAPPED", 1.0)
+    frame, keypoint = landmark_errors._faults(np.random.default_rng(0), 50, 40)
     changed = keypoint != torch.arange(25)
     for number in keypoint[changed].unique():
         assert KEYPOINT_NAMES[int(number)].split("_")[0] in ("left", "right")
@@ -298,7 +306,7 @@ def test_training_learns_and_goes_on(motions: LiftingMotions, residuals: Residua
         fresh = torch.stack(list(losses(LifterNetwork()(batch.features), batch).values())).sum()
     assert trained < 0.9 * fresh
     before = (tmp_path / CHECKPOINT).read_bytes(), (tmp_path / PROGRESS).read_bytes()
-    calm = cooled(sampler, config, tmp_path, steps=3)
+    calm = annealed(sampler, config, tmp_path, steps=3)
     assert not torch.equal(calm.enter.weight, whole.enter.weight)
     assert before == ((tmp_path / CHECKPOINT).read_bytes(), (tmp_path / PROGRESS).read_bytes()), "the run stays"
 
@@ -346,13 +354,13 @@ def test_the_training_program_goes_on_and_exports(
     assert len(hashlib.sha256(out.read_bytes()).hexdigest()) == 64
 
 
-def test_kept_arrays_are_whole_and_mapped(motions: LiftingMotions, tmp_path: Path) -> None:
+def test_stored_arrays_are_complete_and_memory_mapped(motions: LiftingMotions, tmp_path: Path) -> None:
     folder = tmp_path / "motions"
-    assert not kept(folder, {"seed": 1})
-    keep(motions, folder, {"seed": 1})
-    assert kept(folder, {"seed": 1})
-    assert not kept(folder, {"seed": 2})
-    again = mapped(LiftingMotions, folder)
+    assert not has_arrays(folder, {"seed": 1})
+    write_arrays(motions, folder, {"seed": 1})
+    assert has_arrays(folder, {"seed": 1})
+    assert not has_arrays(folder, {"seed": 2})
+    again = read_arrays(LiftingMotions, folder)
     assert isinstance(again.rot6d, np.memmap)
     np.testing.assert_array_equal(again.rot6d, motions.rot6d)
     assert [path.name for path in tmp_path.iterdir()] == ["motions"]
@@ -367,9 +375,9 @@ def test_motions_are_gathered_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         lambda *given, **named: (made.append(1), gather([], None, procedural=1, seed=0))[1],
     )
     for _ in range(2):
-        kept_motions(tmp_path / "store", [], split, "train", procedural=1, seed=0)
+        cached_motions(tmp_path / "store", [], split, "train", procedural=1, seed=0)
     assert len(made) == 1
-    kept_motions(tmp_path / "store", [], split, "train", procedural=2, seed=0)
+    cached_motions(tmp_path / "store", [], split, "train", procedural=2, seed=0)
     assert len(made) == 2
 
 
@@ -394,7 +402,7 @@ def test_a_lifter_of_other_widths_is_refused(tmp_path: Path, monkeypatch: pytest
         Lifter(tmp_path / "old.onnx")
 
 
-def test_acted_motion_knows_all_contacts() -> None:
+def test_all_contacts_of_procedural_motion_are_known() -> None:
     found = gather([], None, procedural=2, seed=5)
     assert len(found.start) == 3
     assert found.start[-1] == len(found.translation_m)

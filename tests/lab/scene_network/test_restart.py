@@ -15,7 +15,7 @@ from tests.lab.scene_network.test_export import picture, settled
 from video2anim.errors import InputError
 from video2anim.lab.scene_network.export import export_onnx
 from video2anim.lab.scene_network.network import RoomNetwork
-from video2anim.lab.scene_network.restart import averaged, read_exported, settle
+from video2anim.lab.scene_network.restart import averaged, calibrate_normalization, read_exported
 
 
 @pytest.fixture(scope="module")
@@ -50,16 +50,16 @@ def test_the_network_of_the_file_answers_as_it_did(known: RoomNetwork, file: Pat
     assert furthest(read_exported(file), known) < 1e-2
 
 
-def test_settling_keeps_every_answer(file: Path) -> None:
+def test_calibrated_normalization_keeps_all_outputs(file: Path) -> None:
     network = read_exported(file)
-    settle(network, pictures())
+    calibrate_normalization(network, pictures())
     assert furthest(network, read_exported(file)) < 1e-4
 
 
 def test_training_goes_on_where_it_was(file: Path) -> None:
     """With statistics of the batch, as training uses them: settled, answers stay; not settled, they jump."""
     settled_network, raw = read_exported(file), read_exported(file)
-    settle(settled_network, pictures())
+    calibrate_normalization(settled_network, pictures())
     settled_network.train()
     raw.train()
     assert furthest(settled_network, read_exported(file)) < 1e-3

@@ -86,7 +86,7 @@ def other_way(answer: RoomAnswer, head: str) -> RoomAnswer:
     return answer._replace(instance=instance, camera=camera)
 
 
-def test_the_true_answer_costs_almost_nothing(batch: PictureBatch) -> None:
+def test_losses_of_the_true_output_are_almost_zero(batch: PictureBatch) -> None:
     terms = losses(truth(batch), batch)
     assert tuple(terms) == HEADS
     floor = float(torch.nn.functional.binary_cross_entropy(batch.heat, batch.heat, weight=1 + 8 * batch.heat))
@@ -98,7 +98,7 @@ def test_the_true_answer_costs_almost_nothing(batch: PictureBatch) -> None:
 
 
 @pytest.mark.parametrize("head", HEADS)
-def test_a_wrong_head_costs_and_no_other(batch: PictureBatch, head: str) -> None:
+def test_a_wrong_output_raises_only_its_own_loss(batch: PictureBatch, head: str) -> None:
     right, wrong = losses(truth(batch), batch), losses(other_way(truth(batch), head), batch)
     for name in HEADS:
         if name == head:
@@ -107,7 +107,7 @@ def test_a_wrong_head_costs_and_no_other(batch: PictureBatch, head: str) -> None
             assert float(wrong[name]) == pytest.approx(float(right[name]), abs=1e-6)
 
 
-def test_an_untrained_network_costs_about_one_a_head(batch: PictureBatch) -> None:
+def test_losses_of_an_untrained_network_are_about_one(batch: PictureBatch) -> None:
     """Finite, with gradients that are finite and reach every weight."""
     torch.manual_seed(0)
     network = RoomNetwork()
@@ -121,7 +121,7 @@ def test_an_untrained_network_costs_about_one_a_head(batch: PictureBatch) -> Non
         assert weight.grad.abs().max() > 0, name
 
 
-def test_extreme_answers_cost_finitely(batch: PictureBatch) -> None:
+def test_extreme_outputs_have_finite_losses(batch: PictureBatch) -> None:
     """Zero everywhere, and a thousand everywhere, in a picture that is sky alone."""
     sky = replace(batch, disparity=0 * batch.disparity, normal=0 * batch.normal, has_offset=0 * batch.has_offset)
     for shown, value in itertools.product((batch, sky), (0.0, 1e3, -1e3)):
@@ -132,7 +132,7 @@ def test_extreme_answers_cost_finitely(batch: PictureBatch) -> None:
         assert all(part.grad is not None and torch.isfinite(part.grad).all() for part in flat)
 
 
-def test_being_sure_pays_only_for_who_is_right(batch: PictureBatch) -> None:
+def test_a_small_predicted_error_pays_only_for_small_errors(batch: PictureBatch) -> None:
     """Expected error of the camera head: the best one is about the error made."""
     for off_rad in (0.02, 0.2):
         costs = []
@@ -310,7 +310,7 @@ def test_training_learns(folder: Path, tmp_path: Path, small: None) -> None:
     assert sum(map(float, after.values())) < 0.8 * sum(map(float, before.values()))
 
 
-def test_the_answered_average_is_ready_to_be_used(folder: Path, tmp_path: Path, small: None) -> None:
+def test_the_returned_average_is_ready_to_use(folder: Path, tmp_path: Path, small: None) -> None:
     """Asked twice, of other pictures in between, it says the same: its running statistics stand still."""
     shards = FewShards([folder])
     average = train(shards, shards, PerceptionConfig(steps=1, batch=2), tmp_path / "a.ckpt")
@@ -321,7 +321,7 @@ def test_the_answered_average_is_ready_to_be_used(folder: Path, tmp_path: Path, 
         torch.testing.assert_close(average(picture).disparity, first)
 
 
-def test_far_things_count_by_their_share() -> None:
+def test_far_depth_counts_by_its_relative_error() -> None:
     """A far quarter seen at half its distance costs, though its disparity is off by a twentieth only."""
     truth = torch.full((1, 40, 40), 1.0)
     truth[:, :10], truth[:, 10:20], truth[:, 20:30] = 0.05, 0.1, 0.5

@@ -13,7 +13,7 @@ from scipy.optimize import fsolve
 from video2anim.errors import InputError
 from video2anim.geometry.perspective_field import PerspectiveField, fit_camera
 from video2anim.lab.scene_network import samples
-from video2anim.lab.scene_network.samples import CLASS_TABLE, PictureBatch, PictureShards, instance_targets, spoiled
+from video2anim.lab.scene_network.samples import CLASS_TABLE, PictureBatch, PictureShards, degraded, instance_targets
 from video2anim.lab.synth.world import LABELS
 from video2anim.networks.segmentation import CLASSES
 
@@ -93,8 +93,8 @@ def shards(tmp_path: Path) -> PictureShards:
 
 
 @pytest.fixture
-def unspoiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(samples, "spoiled", lambda rgb, rng: rgb)
+def undegraded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(samples, "degraded", lambda rgb, rng: rgb)
 
 
 def palette_class(picture: torch.Tensor) -> np.ndarray:
@@ -155,7 +155,7 @@ def test_labels_are_those_of_the_pixels_below(shards: PictureShards, number: int
     assert (batch.classes[0][sky] == CLASSES.index("other")).all()
 
 
-def test_another_size_is_a_centred_crop(shards: PictureShards) -> None:
+def test_another_size_is_a_centered_crop(shards: PictureShards) -> None:
     """64 x 64 of 64 x 96: 16 columns off each side. 32 x 48: everything at half the size."""
     whole = shards.plain([0, 1], (HEIGHT, WIDTH))
     square = shards.plain([0, 1], (64, 64))
@@ -207,7 +207,7 @@ def test_camera_targets_by_brute_force(tmp_path: Path, size: tuple[int, int], k1
 
 @pytest.mark.parametrize("size", [(64, 96), (64, 64), (96, 64)])
 def test_crops_and_flips_keep_depth_camera_and_picture_together(
-    shards: PictureShards, unspoiled: None, size: tuple[int, int]
+    shards: PictureShards, undegraded: None, size: tuple[int, int]
 ) -> None:
     """Camera targets alone predict disparity and normals of the floor; colors alone predict the classes."""
     batch = shards.batch(0, 24, size)
@@ -239,7 +239,7 @@ def test_crops_and_flips_keep_depth_camera_and_picture_together(
     assert max(longer) - min(longer) > 0.15, "some are crops"
 
 
-def test_offsets_are_of_the_flipped_picture_too(shards: PictureShards, unspoiled: None) -> None:
+def test_offsets_are_of_the_flipped_picture_too(shards: PictureShards, undegraded: None) -> None:
     """Every known pixel's offset leads to the mean of its own instance, which is the box alone."""
     batch = shards.batch(1, 12, (64, 96))
     assert len({float(heat.argmax()) for heat in batch.heat}) > 3
@@ -290,7 +290,7 @@ def test_instance_targets_by_hand() -> None:
     assert not edge[8, 3], "not where the wall meets the floor"
 
 
-def test_one_instance_on_both_sides_of_a_person_has_one_middle() -> None:
+def test_one_instance_on_both_sides_of_a_person_has_one_center() -> None:
     instance, classes = np.ones((40, 60), np.int64), np.full((40, 60), CLASSES.index("floor"))
     instance[10:20, 10:40], classes[10:20, 10:40] = 5, CLASSES.index("furniture")
     instance[5:30, 20:24], classes[5:30, 20:24] = 1000, CLASSES.index("person")
@@ -312,13 +312,13 @@ def test_a_sample_depends_on_seed_and_step_alone(tmp_path: Path) -> None:
     assert not torch.equal(first.picture, other.batch(7, 2, (64, 96)).picture)
 
 
-def test_spoiling_keeps_kind_and_size_and_mostly_what_is_seen() -> None:
+def test_degraded_images_keep_type_and_size_and_most_of_their_content() -> None:
     rgb = rendered(0)["rgb"]
-    found = [spoiled(rgb.copy(), np.random.default_rng(seed)) for seed in range(40)]
+    found = [degraded(rgb.copy(), np.random.default_rng(seed)) for seed in range(40)]
     for picture in found:
         assert picture.shape == rgb.shape
         assert picture.dtype == np.uint8
-    np.testing.assert_array_equal(found[3], spoiled(rgb.copy(), np.random.default_rng(3)))
+    np.testing.assert_array_equal(found[3], degraded(rgb.copy(), np.random.default_rng(3)))
     assert np.mean([np.abs(picture.astype(float) - rgb).mean() for picture in found]) > 10
     edges = np.abs(np.diff(rgb.astype(float).sum(-1), axis=1)) > 60
     kept = [np.abs(np.diff(picture.astype(float).sum(-1), axis=1)) for picture in found]

@@ -11,7 +11,7 @@ from acting_checks import FPS, adult, numbers
 from scenemi.data.container import MotionArchive, write_archive
 from video2anim.errors import UsageError
 from video2anim.lab.synth.acting import ACTS, act, to_source_clip
-from video2anim.lab.synth.acting.curves import turned
+from video2anim.lab.synth.acting.curves import yaw_rotation
 from video2anim.lab.synth.world import ProceduralMotion, Prop
 from video2anim.types.skeleton import forward_kinematics
 
@@ -35,7 +35,7 @@ def skin(motion: ProceduralMotion, height: float, parts: tuple[int, ...] | None 
 
 
 def over(points: np.ndarray, prop: Prop) -> np.ndarray:
-    local = (points - np.array(prop.position_m)) @ turned(prop.yaw_rad)
+    local = (points - np.array(prop.position_m)) @ yaw_rotation(prop.yaw_rad)
     return (np.abs(local[..., 0]) < 0.5 * prop.size_m[0]) & (np.abs(local[..., 2]) < 0.5 * prop.size_m[1])
 
 
@@ -112,7 +112,7 @@ def test_sitter_rests_on_the_seat_and_never_in_it(height: float, seed: int) -> N
     assert np.ptp(while_sitting) < 0.025
     assert np.median(while_sitting) - top < 0.015
     assert motion.contact[seat.frames[0] + 1 : seat.frames[1], 0].all()
-    facing = turned(seat.yaw_rad)[:, 2]
+    facing = yaw_rotation(seat.yaw_rad)[:, 2]
     pelvis = motion.R_parent_joint[(seat.frames[0] + seat.frames[1]) // 2, 0, :, 2]
     assert facing @ pelvis > 0.9
 
@@ -166,7 +166,7 @@ def test_leaning_body_touches_and_does_not_enter(seed: int) -> None:
     (prop,) = motion.props
     used = slice(prop.frames[0] + 3, prop.frames[1] - 3)
     if prop.kind == "wall":
-        normal = turned(prop.yaw_rad)[:, 2]
+        normal = yaw_rotation(prop.yaw_rad)[:, 2]
         front = (skin(motion, 0.45)[used] - np.array(prop.position_m)) @ normal
         assert -0.001 < front.min() < 0.02
         assert motion.contact[used, 9].mean() > 0.5

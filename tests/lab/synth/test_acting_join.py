@@ -20,7 +20,7 @@ MOTION = Path(__file__).parents[4] / "shared" / "motion"
 
 
 @pytest.mark.parametrize("kind", ["sit", "pick_up", "walk"])
-def test_acted_after_acted_walk(kind: str) -> None:
+def test_procedural_motion_after_a_procedural_walk(kind: str) -> None:
     body = adult(0.45)
     walk, procedural = act("walk", body, np.random.default_rng(1)), act(kind, body, np.random.default_rng(2))
     count = 60
@@ -38,7 +38,7 @@ def test_acted_after_acted_walk(kind: str) -> None:
 
 @pytest.mark.skipif(not (MOTION / "cmu.npz").exists(), reason="motion data not next to the repository")
 @pytest.mark.parametrize("name", ["cmu38_train_walking_2", "cmu38_train_walking_36"])
-def test_acted_after_captured_walk(name: str) -> None:
+def test_procedural_motion_after_a_captured_walk(name: str) -> None:
     body = adult(0.45)
     captured = retarget(MotionArchive.read(MOTION / "cmu.npz").clip(name), body)
     count = min(70, len(captured.translation_m) - 6)

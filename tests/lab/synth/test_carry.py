@@ -15,9 +15,9 @@ from video2anim.lab.synth.acting import CARRIES, act_carry
 from video2anim.lab.synth.acting.grip import Grip, fingers, side_grip
 from video2anim.lab.synth.acting.measure import measure
 from video2anim.lab.synth.compose import ComposeOptions, compose
+from video2anim.lab.synth.object_view import box_points, swept_points
 from video2anim.lab.synth.presets import PROCEDURAL, clip_specs, hiding_of
 from video2anim.lab.synth.rooms.clearance import penetration_m
-from video2anim.lab.synth.showing import box_points, swept_points
 from video2anim.lab.synth.world import ProceduralMotion
 from video2anim.types.skeleton import forward_kinematics
 
@@ -50,7 +50,7 @@ def each(*kinds: str) -> list[tuple[str, int]]:
 
 
 @pytest.mark.parametrize(("kind", "seed"), each())
-def test_the_thing_is_rigid_with_every_hand_that_holds_it(kind: str, seed: int) -> None:
+def test_the_object_is_rigid_with_every_hand_that_holds_it(kind: str, seed: int) -> None:
     motion, body = made(kind, seed)
     T, held = poses(motion)
     joints, R = forward_kinematics(motion.R_parent_joint, motion.translation_m, body.rest_joints_m)
@@ -156,7 +156,7 @@ def test_a_hand_lies_against_a_side() -> None:
         assert grip.offset_m[0] * out == pytest.approx(0.15 + 0.046 * size.scale, abs=0.03)
 
 
-def test_points_around_a_thing() -> None:
+def test_points_around_an_object() -> None:
     motion, _ = made("carry_box", 1)
     assert motion.item is not None
     corners = motion.item.merged()[0]
@@ -176,7 +176,7 @@ def test_preset_carried() -> None:
     assert not set(CARRIES) & set(PROCEDURAL)
 
 
-def test_a_shot_shows_the_thing() -> None:
+def test_the_moved_object_is_visible() -> None:
     spec = clip_specs("carried", None, 9101)[2]
     shot = compose(spec, ComposeOptions())
     (moving,) = shot.moving

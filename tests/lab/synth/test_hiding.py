@@ -35,7 +35,7 @@ def test_one_stretch_of_the_length_wanted(first: int, stop: int, accepted: bool)
     assert _is_hidden_once(*boxes(share), HIDING) == accepted
 
 
-def test_two_stretches_or_a_half_seen_person_are_refused() -> None:
+def test_two_hidden_intervals_or_a_partly_visible_person_are_rejected() -> None:
     share = np.ones(150)
     share[40:80] = share[90:92] = -0.1
     assert not _is_hidden_once(*boxes(share), HIDING)

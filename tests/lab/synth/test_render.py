@@ -74,7 +74,7 @@ def test_amodal_masks_contain_the_visible_ones(renderer: Renderer, picture: Pict
     assert table.sum() > (picture.instance == 10).sum() + 50  # the second person stands before it
 
 
-def test_labels_outside_the_people_are_those_of_the_plate(renderer: Renderer, picture: Picture) -> None:
+def test_labels_outside_the_people_are_those_of_the_background_image(renderer: Renderer, picture: Picture) -> None:
     background = renderer.background()
     room = picture.instance < PERSON_ID
     assert np.array_equal(picture.depth_m[room], background.depth_m[room])
@@ -171,7 +171,7 @@ def test_blur_of_a_moving_camera() -> None:
     assert abs(a.rgb.mean() - b.rgb.mean()) < 2
 
 
-def test_carried_things_move_and_are_not_in_the_plate() -> None:
+def test_carried_objects_move_and_are_not_in_the_background_image() -> None:
     shot = make_shot(people=1, frames=2)
     obj = make_room().furniture[-1]
     carried = SceneObject(900, "box", obj.parts, np.eye(4))

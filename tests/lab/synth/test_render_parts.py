@@ -8,10 +8,10 @@ import pytest
 import trimesh
 
 from video2anim.lab.synth.render import Sensor, distort, sampling, tone, undistort
-from video2anim.lab.synth.render.caster import Caster
+from video2anim.lab.synth.render.caster import RayCaster
 from video2anim.lab.synth.render.denoise import Links, link, smooth_tiles
 from video2anim.lab.synth.render.lens import covers_picture, pixel_directions, project_distorted
-from video2anim.lab.synth.render.lighting import AMBIENT_REACH_M, ambient_reach, lamp_reach
+from video2anim.lab.synth.render.lighting import AMBIENT_REACH_M, ambient_visibility, light_visibility
 from video2anim.lab.synth.render.texture import KINDS, Spot, groups, material_rgb
 from video2anim.lab.synth.world import Light, Material, SensorModel
 from video2anim.types import Intrinsics
@@ -51,7 +51,7 @@ def test_caster_finds_the_hits_of_a_brute_force_search() -> None:
     rng = np.random.default_rng(2)
     origins = rng.normal(size=(100, 3)) * 0.3 + [0, 0, -2]
     directions = rng.normal(size=(100, 3)) * 0.2 + [0, 0, 1]
-    hits = Caster(mesh.vertices, mesh.faces).first_hits(origins, directions)
+    hits = RayCaster(mesh.vertices, mesh.faces).first_hits(origins, directions)
     triangles = np.asarray(mesh.triangles)
     for ray in range(100):
         face, distance = brute_force(triangles, origins[ray], directions[ray])
@@ -65,7 +65,7 @@ def test_caster_finds_the_hits_of_a_brute_force_search() -> None:
 
 
 def test_caster_of_nothing() -> None:
-    empty = Caster(np.zeros((0, 3)), np.zeros((0, 3), int))
+    empty = RayCaster(np.zeros((0, 3)), np.zeros((0, 3), int))
     rays = np.ones((4, 3), np.float32)
     assert (empty.first_hits(rays, rays).face == -1).all()
     assert not empty.blocked(rays, rays).any()
@@ -76,47 +76,47 @@ def tilted(tiles: int = 16) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.zeros((tiles, 3), np.float32), np.tile(np.float32([0, 1, 0]), (tiles, 1)), np.arange(tiles)
 
 
-def wall(x0: float, y: float) -> Caster:
+def wall(x0: float, y: float) -> RayCaster:
     """A level sheet at height y from x0 to far right."""
     vertices = np.array([[x0, y, -50], [50, y, -50], [50, y, 50], [x0, y, 50]], float)
-    return Caster(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
+    return RayCaster(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
 
 
 @pytest.mark.parametrize(("edge", "share"), [(0.0, 0.5), (-1.0, 0.0), (1.0, 1.0), (0.05, 0.8045)])
 def test_soft_shadow_is_the_visible_share_of_the_lamp(edge: float, share: float) -> None:
     start, normal, tile = tilted()
     light = Light((0.0, 2.0, 0.0), (1.0, 1.0, 1.0), 0.2)  # 0.05 at half the height covers the disc from x = 0.1 on
-    seen = lamp_reach(start, normal, light, tile, [wall(edge, 1.0)], 8)
+    seen = light_visibility(start, normal, light, tile, [wall(edge, 1.0)], 8)
     assert seen.mean() == pytest.approx(share, abs=0.02)
 
 
 def test_sun_comes_from_against_its_direction() -> None:
     start, normal, tile = tilted()
     down = Light((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0.1, direction=(0.0, -1.0, 0.0))
-    assert lamp_reach(start, normal, down, tile, [wall(-1.0, 3.0)], 4).max() == 0
-    assert lamp_reach(start, normal, down, tile, [wall(1.0, 3.0)], 4).min() == 1
+    assert light_visibility(start, normal, down, tile, [wall(-1.0, 3.0)], 4).max() == 0
+    assert light_visibility(start, normal, down, tile, [wall(1.0, 3.0)], 4).min() == 1
 
 
 def test_ambient_light_is_open_under_the_sky_and_closed_under_a_lid() -> None:
     start, normal, tile = tilted()
-    assert ambient_reach(start, normal, tile, [wall(-50, -0.1)], 8).min() == 1
-    assert ambient_reach(start, normal, tile, [wall(-50, 0.001)], 8).max() == 0
-    half = ambient_reach(start, normal, tile, [wall(0, 0.001)], 8).mean()
+    assert ambient_visibility(start, normal, tile, [wall(-50, -0.1)], 8).min() == 1
+    assert ambient_visibility(start, normal, tile, [wall(-50, 0.001)], 8).max() == 0
+    half = ambient_visibility(start, normal, tile, [wall(0, 0.001)], 8).mean()
     assert half == pytest.approx(0.5, abs=0.03)
-    assert ambient_reach(start, normal, tile, [wall(-50, AMBIENT_REACH_M)], 8).min() > 0.99
+    assert ambient_visibility(start, normal, tile, [wall(-50, AMBIENT_REACH_M)], 8).min() > 0.99
 
 
 def test_pattern_is_even_over_a_tile() -> None:
     pixel = np.arange(16) // 4 * 640 + np.arange(16) % 4
     assert sorted(sampling.tile_of(pixel, 640)) == list(range(16))
-    lobe = sampling.cosine_lobe(sampling.numbers(4)).reshape(-1, 3)
+    lobe = sampling.cosine_lobe(sampling.sample_points(4)).reshape(-1, 3)
     assert np.abs(np.linalg.norm(lobe, axis=1) - 1).max() < 1e-5
     assert lobe.mean(0) == pytest.approx([0, 0, 2 / 3], abs=0.03)
 
 
 def test_denoising_averages_a_tile_and_respects_edges() -> None:
     y, x = np.mgrid[:24, :24]
-    noise = sampling.numbers(1)[sampling.tile_of(y.ravel() * 24 + x.ravel(), 24), 0, 0].reshape(24, 24)
+    noise = sampling.sample_points(1)[sampling.tile_of(y.ravel() * 24 + x.ravel(), 24), 0, 0].reshape(24, 24)
     values = np.where(x < 12, noise, 5 + noise).astype(np.float32)[..., None]
     right, down = np.ones((24, 23), bool), np.ones((23, 24), bool)
     right[:, 11] = False
@@ -143,7 +143,7 @@ def spot(footprint: float, count: int = 4000) -> Spot:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_texture_has_color_and_calms_down_far_away(kind: str) -> None:
+def test_texture_has_color_and_averages_out_at_a_distance(kind: str) -> None:
     material = Material(kind, (0.7, 0.5, 0.3), (0.2, 0.25, 0.3), 0.05, stain=0.3, seed=4)
     near, far = material_rgb(material, spot(1e-4)), material_rgb(material, spot(0.5))
     assert near.shape == (4000, 3)

@@ -46,7 +46,7 @@ def test_nobody_goes_through_anything(rooms):
         assert penetration_m(solid, swept).max() <= 0.002
 
 
-def test_things_do_not_intersect_and_stay_in_the_room(rooms):
+def test_objects_do_not_intersect_and_stay_in_the_room(rooms):
     for _, room in rooms:
         x0, x1, z0, z1 = room.bounds_m
         boxes = [Boxes.of(obj) for obj in room.furniture]
@@ -82,7 +82,7 @@ def test_rooms_leave_ground_for_a_camera(rooms):
         assert min(free) >= 0.1
 
 
-def test_some_furniture_nearly_touches_the_way(rooms):
+def test_some_furniture_is_close_to_the_path(rooms):
     near = 0
     for swept, room in rooms:
         for obj in room.furniture:
@@ -97,7 +97,7 @@ def test_some_furniture_nearly_touches_the_way(rooms):
     assert near >= 8
 
 
-def test_light_makes_grey_walls_grey(rooms):
+def test_lights_render_gray_walls_gray(rooms):
     """Irradiance on a wall, shadows aside, is near pi, which shows a matt surface in its own color."""
     for _, room in rooms:
         x0, x1, z0, z1 = room.bounds_m
@@ -134,7 +134,7 @@ def test_room_of_a_given_size():
     room = build_room(np.random.default_rng(0), swept_m=still(), room_size_m=(4.0, 3.5))
     x0, x1, z0, z1 = room.bounds_m
     assert (x1 - x0, z1 - z0) == pytest.approx((4.0, 3.5))
-    with pytest.raises(InputError, match=r"the clip needs a room of .* but 2 x 2 m were asked for") as caught:
+    with pytest.raises(InputError, match=r"the clip needs a room of .* but the size given is 2 x 2 m") as caught:
         build_room(np.random.default_rng(0), swept_m=walk(0), room_size_m=(2.0, 2.0))
     assert "\n" not in str(caught.value)
 
@@ -219,7 +219,7 @@ def test_item_on_a_table_prop_gets_no_stand_of_its_own():
     assert sum(t.note.startswith("prop ") for t in room.furniture) == 1
 
 
-def test_impossible_prop_is_said_in_one_line():
+def test_impossible_prop_is_reported_in_one_line():
     prop = Prop("seat", (0.0, 0.45, 0.0), 0.0, (0.4, 0.4), (0, 10))
     with pytest.raises(InputError, match=r"no seat of 0.40 x 0.40 m fits at .* cm deep") as caught:
         build_room(np.random.default_rng(0), swept_m=still(), props=(prop,))
@@ -228,7 +228,7 @@ def test_impossible_prop_is_said_in_one_line():
         build_room(np.random.default_rng(0), swept_m=still(2, 2), props=(Prop("rope", (0, 1, 0), 0, (1, 1), (0, 1)),))
 
 
-def test_external_things_stand_in_the_room():
+def test_external_meshes_stand_in_the_room():
     obj = make_furniture("armchair", np.random.default_rng(3))
     room = build_room(np.random.default_rng(0), swept_m=still(), meshes=(obj,), room_size_m=(7.0, 7.0))
     assert any(t.parts is obj.parts for t in room.furniture)

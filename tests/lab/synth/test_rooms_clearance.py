@@ -71,7 +71,7 @@ def test_depth_in_furniture_is_the_greatest_over_its_parts():
     assert penetration_m(objects, points) == pytest.approx(expected, abs=1e-6)
 
 
-def test_no_points_and_no_things():
+def test_no_points_and_no_objects():
     assert penetration_m([], np.zeros((0, 3))).shape == (0,)
     assert penetration_m([_thing(plain_box(1, 1, 1))], np.zeros((0, 3))).shape == (0,)
     assert penetration_m([], np.zeros((4, 3))).tolist() == [0, 0, 0, 0]

@@ -78,7 +78,7 @@ def _points(folder: Path) -> None:
         (lambda folder: (folder / "a.txt").write_text("x"), "found none"),
     ],
 )
-def test_bad_files_are_said_in_one_line(tmp_path, make, message):
+def test_bad_files_are_reported_in_one_line(tmp_path, make, message):
     make(tmp_path)
     with pytest.raises(InputError, match=message) as caught:
         load_meshes(tmp_path)

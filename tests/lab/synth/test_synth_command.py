@@ -18,7 +18,7 @@ from command import command_line, video2anim
 
 from scenemi.data.container import MotionArchive, write_archive
 from video2anim.artifacts.folder import folder_digest
-from video2anim.lab.synth.generate import SynthConfig, clip_key, kept_clip
+from video2anim.lab.synth.generate import SynthConfig, clip_key, finished_clip
 from video2anim.lab.synth.presets import clip_specs
 
 MOTION = Path(__file__).resolve().parents[4] / "shared" / "motion"
@@ -52,7 +52,7 @@ SMALL = ("--size", "96x72", "--longest", "0.3")
         (("--motion-only", "--workers", "1"), 2, "--workers: cannot apply with --motion-only"),
         (("--frames-only", "--preset", "nosuch"), 2, "--preset: cannot apply with --frames-only"),
         (("--frames-only", "--longest", "2"), 2, "--longest: cannot apply with --frames-only"),
-        (("--noncommercial",), 2, "--noncommercial: says which clips of --motion"),
+        (("--noncommercial",), 2, "--noncommercial: selects clips of --motion"),
         (("--motion", "absent.npz"), 3, "absent.npz"),
         (("--motion", "x" * 300), 3, "file name too long"),
         (("--meshes", "x" * 300), 3, "file name too long"),
@@ -60,7 +60,7 @@ SMALL = ("--size", "96x72", "--longest", "0.3")
         (("--preset", "bench", "--count", "1", "--room-size", "1x1.5"), 3, "needs a room of"),
     ],
 )
-def test_a_wrong_wish_is_one_line_and_leaves_nothing(
+def test_an_invalid_request_is_one_line_and_leaves_nothing(
     tmp_path: Path, words: tuple[str, ...], code: int, said: str
 ) -> None:
     answer = video2anim(
@@ -167,12 +167,12 @@ def test_a_damaged_clip_is_made_again(tmp_path: Path, damage: str) -> None:
     for name in ("truth.npz", "video.mp4"):
         (folder / name).write_bytes(b"as made")
     (folder / "meta.json").write_text(json.dumps({"key": key}))
-    assert kept_clip(folder, key) is not None
+    assert finished_clip(folder, key) is not None
     (folder / "video.mp4").unlink() if not damage else (folder / "meta.json").write_text(damage)
-    assert kept_clip(folder, key) is None
+    assert finished_clip(folder, key) is None
     (folder / "meta.json").unlink()
     os.mkfifo(folder / "meta.json")
-    assert kept_clip(folder, key) is None
+    assert finished_clip(folder, key) is None
 
 
 def test_unreadable_meshes(tmp_path: Path) -> None:
@@ -206,7 +206,7 @@ def test_motion_that_cannot_be_used(tmp_path: Path) -> None:
         assert not (tmp_path / "out").exists()
 
 
-def test_acted_motions_are_an_archive_marked_synthetic(tmp_path: Path) -> None:
+def test_procedural_motions_are_an_archive_of_source_synthetic(tmp_path: Path) -> None:
     path = tmp_path / "acted.npz"
     for target in (path, tmp_path / "again.npz"):
         assert video2anim("synth", "--motion-only", "--count", "7", "--seed", "5", "--out", target).code == 0

@@ -150,7 +150,7 @@ def _depth_errors(pixel: np.ndarray, depth: np.ndarray, picture_m: np.ndarray, i
     return error[seen & smooth]
 
 
-def test_depth_of_the_body_at_pixel_centres_is_that_of_its_mesh(clips: tuple[Clip, ...]) -> None:
+def test_depth_of_the_body_at_pixel_centers_is_that_of_its_mesh(clips: tuple[Clip, ...]) -> None:
     for clip in clips:
         z = clip.truth
         for k in range(0, len(z["label_frame_index"]), 12):

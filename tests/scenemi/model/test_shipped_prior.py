@@ -47,7 +47,7 @@ def long_clips() -> list[RetargetedMotion]:
 
 
 @pytest.fixture(scope="module")
-def acted() -> MotionSet:
+def procedural() -> MotionSet:
     """Twelve clips that training never saw, of kinds that it did."""
     body = adult_body()
     kinds = ("walk", "walk", "sit", "reach", "pick_up", "step_up")
@@ -79,13 +79,13 @@ Rows = dict[tuple[int, bool], Validation]
 
 
 @pytest.fixture(scope="module")
-def rows(prior: DiffusionPrior, acted: MotionSet) -> Rows:
-    validator = Validator(acted, prior.model.statistics)
+def rows(prior: DiffusionPrior, procedural: MotionSet) -> Rows:
+    validator = Validator(procedural, prior.model.statistics)
     return {(row.interval, row.scene): row for row in validator(prior.model.denoiser)}
 
 
 @pytest.mark.slow
-def test_acted_motion_is_filled_better_than_joined_keyframes_and_keeps_out_of_what_is_shown(rows: Rows) -> None:
+def test_procedural_motion_is_filled_better_than_by_interpolation_and_avoids_given_scenes(rows: Rows) -> None:
     assert all(row.mjpe_ratio < 1.0 for row in rows.values()), rows
     assert rows[60, True].inside < 0.8 * rows[60, False].inside
 
@@ -101,18 +101,20 @@ def test_a_scene_that_is_shown_does_not_lead_astray(rows: Rows) -> None:
     strict=True,
     reason="missed at 60 frames after 4.7 hours of training: procedural motion is smoother",
 )
-def test_acted_motion_shakes_as_little_as_the_truth(rows: Rows) -> None:
+def test_filled_procedural_motion_has_at_most_the_jerk_of_the_truth(rows: Rows) -> None:
     assert all(0.5 < row.jerk_ratio < 1.5 for row in rows.values()), rows
 
 
 @pytest.mark.slow
-def test_neighbors_in_a_batch_do_not_change_a_window(prior: DiffusionPrior, acted: MotionSet) -> None:
-    windows = next(acted.fixed_windows(batch=3))
+def test_neighbors_in_a_batch_do_not_change_a_window(prior: DiffusionPrior, procedural: MotionSet) -> None:
+    windows = next(procedural.fixed_windows(batch=3))
     keys = np.zeros(WINDOW_FRAMES, bool)
     keys[::30] = True
-    rest = acted.rest_joints_m[0].astype(float)
+    rest = procedural.rest_joints_m[0].astype(float)
     filled = [
-        KeyframeWindow(R.astype(float), at.astype(float), keys, rest, FPS, SceneGeometry.floor(), body=acted.body(0))
+        KeyframeWindow(
+            R.astype(float), at.astype(float), keys, rest, FPS, SceneGeometry.floor(), body=procedural.body(0)
+        )
         for R, at in zip(windows.R_parent_joint, windows.translation_m, strict=True)
     ]
     together = prior.fill_many(filled, [0, 1, 2])

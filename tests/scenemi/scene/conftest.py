@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from scene_motions import FRAMES, Window, acted, canonical
+from scene_motions import FRAMES, Window, canonical, procedural_window
 from synthetic import planted_walk
 
 from video2anim.body.anny_body import ADULT, shaped_body
@@ -26,12 +26,12 @@ def walk(adult: ShapedBody) -> Window:
 
 @pytest.fixture(scope="session")
 def sit(adult: ShapedBody) -> Window:
-    return acted("sit", adult, 0)
+    return procedural_window("sit", adult, 0)
 
 
 @pytest.fixture(scope="session")
 def step_up(adult: ShapedBody) -> Window:
-    return acted("step_up", adult, 3)
+    return procedural_window("step_up", adult, 3)
 
 
 @pytest.fixture(scope="session")

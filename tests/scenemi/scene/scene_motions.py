@@ -37,7 +37,7 @@ def canonical(body: ShapedBody, R_parent_joint: np.ndarray, translation_m: np.nd
     return Window(body, joints_m, R_world, body.vertices(R_world, joints_m, anchor_vertices(body)), contact)
 
 
-def acted(kind: str, body: ShapedBody, seed: int) -> Window:
+def procedural_window(kind: str, body: ShapedBody, seed: int) -> Window:
     """The part of a procedural motion around its first rest."""
     motion = act(kind, body, np.random.default_rng(seed))
     rests = np.flatnonzero(motion.contact[:, [0, 20, 21]].any(axis=1))

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scene_motions import Window, acted
+from scene_motions import Window, procedural_window
 
 from scenemi.scene.basis_points import bps
 from scenemi.scene.body_spheres import BodySpheres, adult_spheres, fit_spheres
@@ -44,7 +44,7 @@ def test_no_skin_is_deep_in_the_tightest_scenes(name: str, request: pytest.Fixtu
 
 def test_no_skin_of_a_heavy_body_is_deep_either() -> None:
     body = shaped_body(BodyShape("anny", {**ADULT, "weight": 0.8, "height": 0.7}))
-    window = acted("sit", body, 4)
+    window = procedural_window("sit", body, 4)
     skin_m = window.skin_m()
     for spheres in (None, fit_spheres(body)):
         for seed in range(4):

@@ -1,4 +1,4 @@
-"""Four acted clips on one body, and a pool of their windows."""
+"""Four procedural clips on one body, and a pool of their windows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four acted clips."""
+    """Four procedural clips."""
     return write_procedural(tmp_path_factory.mktemp("acted") / "acted.npz", ("walk", "sit", "reach", "pick_up"))
 
 

@@ -50,7 +50,7 @@ def shrink(patch: pytest.MonkeyPatch) -> None:
 
 
 def write_procedural(path: Path, kinds: tuple[str, ...]) -> Path:
-    """An archive of acted clips of five seconds."""
+    """An archive of procedural clips of five seconds."""
     body = shaped_body(BodyShape("anny", dict(ADULT)))
     clips = [
         to_source_clip(act(kind, body, np.random.default_rng(i), duration_s=(4.5, 5.5)), body, f"{kind}_{i}")

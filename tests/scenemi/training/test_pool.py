@@ -171,7 +171,7 @@ def test_rows_of_boxes_come_before_rows_of_zeros(shards: list[Shard]) -> None:
         assert shard.boxes.shape == (SHARD, 16, 7)
 
 
-def test_a_scene_tells_more_than_a_third_of_acted_walks_what_their_keyframes_do_not(tmp_path: Path) -> None:
+def test_scenes_block_the_interpolation_of_a_third_of_procedural_walks(tmp_path: Path) -> None:
     path = write_procedural(tmp_path / "walks.npz", ("walk",) * 3)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool, "SHARD_WINDOWS", 64)

@@ -1,4 +1,4 @@
-"""Many clips: mean, median and confidence interval of every number, and the clips that failed."""
+"""Statistics over many clips: mean, median and confidence interval of every number, and the clips that failed."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from video2anim.lab.eval.evaluate import evaluate
 from video2anim.lab.eval.model import Evaluation, SetEvaluation, SetGroup, SetRow, Statistic
 
 RESAMPLES = 2000
-"""Bootstrap draws of the confidence interval."""
+"""Number of bootstrap samples of the confidence interval."""
 _CONFIDENCE = 95
 NO_RESULT = "no result"
 
 
 def paired_folders(results_dir: Path, truth_dir: Path) -> tuple[list[tuple[Path, Path]], list[str]]:
-    """A (scene folder, truth folder) of every clip of the truth, by name, and names of results without a truth.
+    """The (scene folder, truth folder) of every clip of the truth, paired by name, and names of results without truth.
 
     Raises:
-        InputError: one of the two is no folder, or there is no truth in it.
+        InputError: one of the two is not a folder, or `truth_dir` holds no truth folder.
     """
     for path in (results_dir, truth_dir):
         if not os.path.isdir(path):  # Path.is_dir raises where a name is too long
@@ -45,13 +45,13 @@ def evaluate_set(
     workers: int = 1,
     on_clip: Callable[[int, int], None] = lambda done, total: None,
 ) -> SetEvaluation:
-    """Evaluate (scene folder, truth folder) of many clips. A clip that cannot be evaluated is a failure, not an error.
+    """Evaluate many clips. A clip that cannot be evaluated is counted as a failure and raises no error.
 
     Args:
-        pairs: folders; a clip goes by the name of its truth folder.
-        seed: of the bootstrap.
-        workers: processes.
-        on_clip: called with the number of clips done.
+        pairs: (scene folder, truth folder) of each clip; the name of the truth folder is the clip's name.
+        seed: Seed of the bootstrap.
+        workers: Number of processes.
+        on_clip: Called with the number of finished clips and the number of all clips.
     """
     evaluated: list[tuple[str, Evaluation]] = []
     failures: list[tuple[str, str]] = []
@@ -65,7 +65,7 @@ def evaluate_set(
 
 
 def _outcomes(pairs: Sequence[tuple[Path, Path]], workers: int) -> Iterator[tuple[str, Evaluation | str]]:
-    """Name and evaluation, or the reason why there is none, in the order of the pairs."""
+    """Name, and evaluation or the reason of the failure, in the order of the pairs."""
     if workers <= 1 or len(pairs) <= 1:
         yield from map(_outcome, pairs)
         return
@@ -86,7 +86,7 @@ def _outcome(pair: tuple[Path, Path]) -> tuple[str, Evaluation | str]:
 def summarize(
     evaluated: Sequence[tuple[str, Evaluation]], failures: Sequence[tuple[str, str]], *, seed: int = 0
 ) -> SetEvaluation:
-    """Statistics over evaluations, by clip name."""
+    """Statistics over named evaluations; failures are (clip name, reason)."""
     groups = []
     for i, first in enumerate(evaluated[0][1].groups if evaluated else ()):
         rows = []
@@ -117,7 +117,8 @@ def summarize(
 
 
 def statistic(values: Sequence[float | None], *, seed: int = 0) -> Statistic | None:
-    """Mean with its percentile-bootstrap interval, and median, over the clips that have the number."""
+    """Mean with its percentile-bootstrap interval, and median, over the clips that have the number; None if none
+    has."""
     there = np.array([value for value in values if value is not None], dtype=np.float64)
     if not len(there):
         return None

@@ -1,4 +1,4 @@
-"""What belongs together: frames by time, worlds by the shared camera, persons by their pictures."""
+"""Matches estimate and truth: frames by time, worlds by the shared camera, persons by their projected joints."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from video2anim.lab.synth.world import NEAR_M
 from video2anim.types import BodyMotion, Intrinsics, VideoClip
 
 DURATION_TOLERANCE = 0.10
-"""Largest relative difference of duration or picture shape between a clip and its truth."""
+"""Largest relative difference of duration or aspect ratio between a clip and its truth."""
 _PERSON_REACH = 0.5
-"""Persons farther apart than this share of the true person's height in the picture are not the same."""
+"""Largest distance of matched persons, as a share of the true person's height in the picture."""
 _MATCH_STEP_FRAMES = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameMatch:
-    """Which true frame each frame of the estimate shows."""
+    """The true frame that each frame of the estimate shows."""
 
     true_index: Int[np.ndarray, "frames"]
     known: Bool[np.ndarray, "frames"]
@@ -32,10 +32,10 @@ class FrameMatch:
 
 
 def expect_same_clip(clip: VideoClip, truth: Truth, scene_dir: str) -> None:
-    """Refuse the truth of another clip.
+    """Check that the truth belongs to the clip.
 
     Raises:
-        InputError: the durations of the source or the shapes of the picture differ by more than 10 %.
+        InputError: durations or aspect ratios differ by more than 10 %.
     """
     duration_s = clip.source.duration_s or clip.frame_count / clip.fps
     shapes = (clip.width_px / clip.height_px, truth.intrinsics.width_px / truth.intrinsics.height_px)
@@ -51,7 +51,7 @@ def expect_same_clip(clip: VideoClip, truth: Truth, scene_dir: str) -> None:
 
 
 def match_frames(clip: VideoClip, truth: Truth) -> FrameMatch:
-    """Nearest true frame of every frame of the clip, by its time in the source."""
+    """Nearest true frame of every frame of the clip, by its time in the source video."""
     true_time_s = truth.frame_time_s
     time_s = clip.source_time_s
     right = np.clip(np.searchsorted(true_time_s, time_s), 1, max(1, len(true_time_s) - 1))
@@ -66,10 +66,10 @@ def match_frames(clip: VideoClip, truth: Truth) -> FrameMatch:
 def truth_from_estimate(
     T_world_camera: Float[np.ndarray, "frames 4 4"], truth: Truth, frames: FrameMatch
 ) -> Float[np.ndarray, "4 4"]:
-    """Maps the estimated world into the true one so that the cameras of the first common frame coincide.
+    """T_true_estimate: maps the estimated world to the true one so that the cameras of the first common frame coincide.
 
-    With a fixed camera this is the shared camera's frame; with a moving one it anchors both worlds at the start, and
-    what the estimated camera drifts afterwards is error.
+    With a fixed camera this compares everything in the camera's frame. With a moving camera both worlds coincide at the
+    start, and later drift of the estimated camera counts as error.
     """
     known = np.flatnonzero(frames.known)
     first = int(known[0]) if len(known) else 0
@@ -78,7 +78,7 @@ def truth_from_estimate(
 
 @dataclass(frozen=True, slots=True)
 class PersonMatch:
-    """An estimated person and the true one it shows, as positions in their tuples."""
+    """An estimated and a true person that match, as indices into their tuples."""
 
     estimate: int
     truth: int
@@ -86,9 +86,9 @@ class PersonMatch:
 
 
 def match_people(estimates: Sequence[BodyMotion], truth: Truth, frames: FrameMatch) -> tuple[PersonMatch, ...]:
-    """Pairs with the least total distance of projected joints over common frames, in the order of the true persons.
+    """The assignment with the least total distance of projected joints over common frames, sorted by true person.
 
-    Distances are in the true picture's pixels. A pair farther apart than half the true person's height is no pair.
+    Distances are in pixels of the true picture. Pairs farther apart than half the true person's height are left out.
     """
     if not estimates:
         return ()
@@ -106,7 +106,7 @@ def match_people(estimates: Sequence[BodyMotion], truth: Truth, frames: FrameMat
 
 
 def _picture_distance(estimate: BodyMotion, person: BodyMotion, frames: FrameMatch) -> tuple[float, float]:
-    """Mean joint distance and median height of the true person, in true pixels; infinite without a common frame."""
+    """Mean joint distance, and median height of the true person, in true pixels; infinite without a common frame."""
     rows = np.flatnonzero(frames.known & estimate.valid & person.valid[frames.true_index])[::_MATCH_STEP_FRAMES]
     if not len(rows):
         return np.inf, np.nan
@@ -127,7 +127,7 @@ def _pixels(points_camera_m: np.ndarray, intrinsics: Intrinsics) -> tuple[np.nda
 
 
 def resample_nearest(image: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """A map at another size: each pixel takes the one whose area its center lies in."""
+    """Nearest-neighbor resampling to `shape` (height, width): each pixel takes the value at its center."""
     rows = ((np.arange(shape[0]) + 0.5) * image.shape[0] / shape[0]).astype(np.int64)
     columns = ((np.arange(shape[1]) + 0.5) * image.shape[1] / shape[1]).astype(np.int64)
     return image[rows[:, None], columns[None, :]]

@@ -1,4 +1,4 @@
-"""Oriented boxes and surfaces: overlap, distance."""
+"""Oriented boxes and surfaces: overlap, Chamfer distance, height of the supporting surface."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from video2anim.types import Mesh
 SURFACE_POINTS = 4000
 """Points per surface of the Chamfer distance."""
 _RAYS = 40
-"""Rays along each side of a footprint that look for its level."""
+"""Number of rays along each side of a footprint that search for its supporting surface."""
 _LEVEL_M = 0.04
-"""Cushions are level within this."""
+"""Range of height in which a surface counts as level; cushions are level within it."""
 _THINNEST_M = 1e-3
 """Extent given to a box that is flat along an axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientedBox:
-    """A box around a mesh, along the axes of the mesh's own frame."""
+    """A box around a mesh, aligned with the axes of the mesh's frame."""
 
     T_world_box: Float[np.ndarray, "4 4"]
-    """Origin in the middle."""
+    """Its origin is the center of the box."""
     half_m: Float[np.ndarray, "3"]
 
     @property
@@ -45,7 +45,7 @@ class OrientedBox:
 
 
 def box_of(vertices_m: Float[np.ndarray, "vertices 3"], T_world_object: Float[np.ndarray, "4 4"]) -> OrientedBox:
-    """Box of an object from its vertices in its own frame, in meters."""
+    """Oriented box of an object from its vertices in the object's frame."""
     low, high = vertices_m.min(0), vertices_m.max(0)
     T_world_box = np.array(T_world_object, dtype=np.float64)
     T_world_box[:3, 3] = transform_points(T_world_box, 0.5 * (low + high)[None])[0]
@@ -55,7 +55,7 @@ def box_of(vertices_m: Float[np.ndarray, "vertices 3"], T_world_object: Float[np
 def box_iou_3d(a: OrientedBox, b: OrientedBox) -> float:
     """Volume of the intersection over that of the union, exact for boxes of any orientation."""
     planes = np.concatenate([a.halfspaces(), b.halfspaces()])
-    # The point farthest inside all twelve planes; radius 0 where the boxes do not meet.
+    # The largest sphere inside all twelve planes; its radius is 0 if the boxes do not intersect.
     best = linprog(
         [0, 0, 0, -1], A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]), b_ub=-planes[:, 3],
         bounds=[(None, None)] * 3 + [(0, None)],
@@ -67,7 +67,7 @@ def box_iou_3d(a: OrientedBox, b: OrientedBox) -> float:
 
 
 def surface_points(mesh: Mesh, rng: np.random.Generator, count: int = SURFACE_POINTS) -> Float[np.ndarray, "count 3"]:
-    """Points spread evenly over the area of a mesh."""
+    """Points distributed uniformly over the area of a mesh, in its frame."""
     corners = mesh.vertices_m.astype(np.float64)[mesh.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
     total = area.sum()
@@ -88,9 +88,9 @@ def chamfer_m(a_m: Float[np.ndarray, "points 3"], b_m: Float[np.ndarray, "others
 
 
 def rest_height_m(mesh: Mesh) -> float:
-    """Height of the level on which most could be put down: of a chair's seat, of a table's top. Meters, world.
+    """Height of the largest supporting surface, such as a chair's seat or a table's top. Meters, frame of the mesh.
 
-    Rays fall onto a grid over the footprint; the 4 cm of height in which most of them land decide.
+    Vertical rays on a grid over the footprint hit the mesh; the result is from the 4 cm of height with the most hits.
     """
     import trimesh
 

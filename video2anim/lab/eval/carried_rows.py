@@ -1,4 +1,4 @@
-"""Numbers of objects that somebody moves: estimated paths against true ones."""
+"""Evaluation group `carried`: estimated paths of moved objects against true ones."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from video2anim.types import PlacedObject, SceneModel
 from video2anim.types.quality import Quality
 
 SAME_PATH_M = 1.0
-"""A path farther than this from a true one, on average, is not that object's."""
+"""Largest mean distance between an estimated path and the true path that it is matched to."""
 MOVES_M = 1e-3
-"""An object moves in a frame where a corner of its box goes farther than this from the frame before."""
-_OLD = "the truth was made before it told how objects move; make the clip again"
+"""An object moves in a frame if a corner of its box is farther than this from its place in the previous frame."""
+_OLD = "the truth folder is of an older version without motion of objects; make the clip again"
 CARRIED = (
     Quality("carried_found", math.nan, "ratio", "higher"),
     Quality("carried_path_m", math.nan, "m", "lower"),
@@ -38,15 +38,15 @@ _UNDEFINED = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovedObject:
-    """An object that is moved in truth, and the path that was matched to it."""
+    """A true moved object, and the estimated path matched to it."""
 
     object_id: int
     """In the truth."""
     label: str
     estimate_id: int | None
-    """Number of the estimated object; None where none has a path near it."""
+    """ID of the estimated object; None if no path is matched."""
     error_m: Float[np.ndarray, "frames"]
-    """Distance of the middles in each common frame from the first to the last in which it moves; empty without a
+    """Distance of the box centers in each common frame from the first to the last in which it moves; empty without a
     path."""
     hold_error_frames: float
     """Mean absolute error of the first and the last frame held; NaN without a hold."""
@@ -54,7 +54,7 @@ class MovedObject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovedObjects:
-    """All objects that are moved in truth, and how many paths are left over."""
+    """All true moved objects, and the number of estimated paths that match none."""
 
     objects: tuple[MovedObject, ...]
     false_paths: int
@@ -63,7 +63,7 @@ class MovedObjects:
 def carried_group(
     result: SceneResult, truth: Truth, frames: FrameMatch, T_true_estimate: Float[np.ndarray, "4 4"] | str
 ) -> Group:
-    """Paths of moved objects in the finished scene."""
+    """The group `carried`: paths of moved objects in the finished scene."""
     title, scene = "Moved objects", result.scene
     if scene is None or isinstance(T_true_estimate, str):
         why = result.why(SceneModel) or str(T_true_estimate)
@@ -77,7 +77,7 @@ def carried_group(
 
 
 def carried_numbers(found: MovedObjects) -> dict[str, float]:
-    """The rows of the group; every object weighs the same."""
+    """The values of the group's rows; every object has the same weight."""
     errors_m = [float(obj.error_m.mean()) for obj in found.objects if obj.estimate_id is not None]
     return {
         "carried_found": len(errors_m) / len(found.objects) if found.objects else np.nan,
@@ -87,14 +87,14 @@ def carried_numbers(found: MovedObjects) -> dict[str, float]:
 
 
 def _note(found: MovedObjects) -> str:
-    told = [f"{obj.label}: {'found' if obj.estimate_id is not None else 'not found'}" for obj in found.objects]
-    return f"{', '.join(told)}." if told else ""
+    notes = [f"{obj.label}: {'found' if obj.estimate_id is not None else 'not found'}" for obj in found.objects]
+    return f"{', '.join(notes)}." if notes else ""
 
 
 def moved_objects(
     objects: Sequence[PlacedObject], truth: Truth, frames: FrameMatch, T_true_estimate: Float[np.ndarray, "4 4"]
 ) -> MovedObjects:
-    """Estimated paths and true objects matched one to one by the least mean distance of the middles."""
+    """Estimated paths and true objects, matched one to one by the least mean distance of their box centers."""
     true = [item for item in truth.objects if item.T_world_object_frames is not None]
     mine = [obj for obj in objects if obj.path]
     spans = [_span(item, frames) for item in true]
@@ -119,7 +119,7 @@ def moved_objects(
 
 
 def hold_error(obj: PlacedObject, item: TrueObject, frames: FrameMatch) -> float:
-    """Mean absolute error of the first and of the last frame in which somebody holds it, in frames."""
+    """Mean absolute error of the first and the last frame in which somebody holds the object, in frames."""
     held = np.flatnonzero(item.held[frames.true_index] & frames.known) if item.held is not None else np.zeros(0)
     holds = obj.path[0].holds
     if not len(held) or not holds:
@@ -133,7 +133,7 @@ def _box(vertices_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _span(item: TrueObject, frames: FrameMatch) -> Int[np.ndarray, "span"]:
-    """Frames of the estimate with a true one from the first to the last in which the object moves."""
+    """Frames of the estimate that match true frames from the first to the last in which the object moves."""
     T = item.T_world_object_frames
     assert T is not None
     low, high = _box(read_glb(item.file).vertices_m)
@@ -149,7 +149,7 @@ def _span(item: TrueObject, frames: FrameMatch) -> Int[np.ndarray, "span"]:
 def _distances(
     placed: PlacedObject, item: TrueObject, span: np.ndarray, frames: FrameMatch, T_true_estimate: np.ndarray
 ) -> Float[np.ndarray, "span"]:
-    """Distance of the middles of the two boxes in each frame of a span; empty where a path cannot be compared."""
+    """Distance of the two box centers in each frame of a span, meters; empty if the path cannot be compared."""
     T_path, T_true = placed.path[0].T_world_object, item.T_world_object_frames
     assert T_true is not None
     if not len(placed.mesh.vertices_m) or len(T_path) != len(frames.true_index):

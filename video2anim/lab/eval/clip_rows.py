@@ -1,4 +1,4 @@
-"""Numbers of the clip and its camera: ingest, track, camera."""
+"""Evaluation groups of the clip and its camera: `ingest`, `track`, `camera`."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from video2anim.types import BodyTracks, CameraEstimate, Intrinsics, PersonTrack
 from video2anim.types.quality import Quality
 
 MATCH_IOU = 0.3
-"""Least overlap of a landmark box with the box of visible pixels to be the same person: one spans joints also where
-they are hidden, the other skin and clothes where they are not."""
+"""Minimum overlap of a track's box with the box of a person's visible pixels. It is low because the first spans joints,
+also hidden ones, and the second visible skin and clothes."""
 
 
 INGEST = (
@@ -63,7 +63,7 @@ def ingest_group(result: SceneResult, truth: Truth) -> Group:
 
 
 def track_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
-    """Persons found, by CLEAR MOT on boxes."""
+    """Detection and tracking of persons, by CLEAR MOT on boxes (Bernardin and Stiefelhagen 2008)."""
     tracks = result.get(PersonTracks)
     if tracks is None:
         return make_group("track", "Tracking people", TRACK, {"value": result.why(PersonTracks)})
@@ -86,7 +86,7 @@ def track_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
 
 
 def camera_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
-    """Lens, gravity and height of the camera."""
+    """Focal length, gravity and height of the camera."""
     camera, bodies = result.get(CameraEstimate), result.bodies
     true_size = truth.intrinsics
     true_first, first = _first_known(frames)
@@ -113,11 +113,11 @@ def camera_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group
 
 
 class BoxMatch:
-    """True persons against tracks over frames."""
+    """The assignment of tracks to true persons in every frame."""
 
     def __init__(self, track: Int[np.ndarray, "people frames"], iou: Float[np.ndarray, "people frames"]) -> None:
         self.track = track
-        """Track of each seen person, -1 = missed, -2 = the person is not seen."""
+        """Index of the track of each person; -1 = missed, -2 = the person is not visible."""
         self.iou = iou
         self.false_boxes = 0
         self.switches = 0
@@ -139,9 +139,9 @@ class BoxMatch:
 def match_boxes(
     true_px: Float[np.ndarray, "people frames 4"], found_px: Float[np.ndarray, "tracks frames 4"]
 ) -> BoxMatch:
-    """Match boxes frame by frame; a person keeps the track of before while it overlaps (Bernardin & Stiefelhagen 2008).
+    """Match boxes frame by frame; a person keeps its previous track while they overlap (Bernardin, Stiefelhagen 2008).
 
-    Rows of NaN are absent.
+    Boxes are x0, y0, x1, y1 in pixels; rows of NaN are absent.
     """
     people, count = true_px.shape[:2]
     match = BoxMatch(np.full((people, count), -2), np.full((people, count), np.nan))
@@ -151,7 +151,7 @@ def match_boxes(
         there = np.flatnonzero(np.isfinite(found_px[:, frame]).all(-1))
         match.track[seen, frame] = -1
         iou = box_iou(true_px[seen, frame], found_px[there, frame])
-        # Holding on to the track of before outweighs any better overlap.
+        # Keeping the previous track outweighs any better overlap.
         gain = np.where(iou >= MATCH_IOU, iou + (last[seen][:, None] == there[None]), 0.0)
         taken = 0
         for i, j in zip(*linear_sum_assignment(-gain), strict=True):
@@ -175,7 +175,7 @@ def box_iou(a: Float[np.ndarray, "rows 4"], b: Float[np.ndarray, "columns 4"]) -
 
 
 def angle_rad(a: np.ndarray, b: np.ndarray) -> float:
-    """Angle between two directions, exact also when it is tiny."""
+    """Angle between two directions in radians, exact also for tiny angles."""
     return math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b))
 
 
@@ -184,7 +184,7 @@ def _fov_y_deg(lens: Intrinsics) -> float:
 
 
 def _first_known(frames: FrameMatch) -> tuple[int, int]:
-    """First frame that both have, in the truth and in the estimate."""
+    """First common frame, as its index in the truth and in the estimate."""
     known = np.flatnonzero(frames.known)
     first = int(known[0]) if len(known) else 0
     return int(frames.true_index[first]), first

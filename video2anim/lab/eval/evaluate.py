@@ -1,4 +1,4 @@
-"""One scene folder against the truth of its clip."""
+"""Evaluates one scene folder against the truth of its clip."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from video2anim.types import BodyMotion, BodyTracks, SceneModel
 
 
 def evaluate(scene_dir: Path | str, truth_dir: Path | str) -> Evaluation:
-    """Every number of docs/evaluation.md for one clip. What a missing stage would have given is None with a reason.
+    """Every number of docs/evaluation.md for one clip. Numbers of a missing stage are NaN with a reason.
 
     Raises:
         InputError: not a scene folder, not a truth folder, or the truth of another clip.
@@ -69,17 +69,17 @@ class _People:
         self._result, self._truth, self._frames = result, truth, frames
         self._motions = result.motions()
         self._first = next(iter(self._motions.values()), ())
-        """Persons of the earliest stage that is there."""
+        """Persons of the earliest motion stage that has a value."""
         self.matches = match_people(self._first, truth, frames)
 
     def T_true_estimate(self) -> np.ndarray | str:
-        """Estimated world to true world, by the main person's camera."""
+        """T_true_estimate (4, 4) from the main person's camera, or the reason why there is none."""
         if not self._first:
             return self._result.why(BodyTracks) or "nobody was fitted, so the camera has no place"
         return truth_from_estimate(self._first[0].T_world_camera, self._truth, self._frames)
 
     def evaluate(self, match: PersonMatch, field: SdfGrid, scene: SceneModel | str) -> PersonEvaluation:
-        """Numbers, curves and plan of one person."""
+        """Numbers, curves and floor plan of one person."""
         number = self._first[match.estimate].person_id
         true_person = self._truth.people[match.truth]
         stages = {name: self._of(number, name) for name in MOTION_STAGES}
@@ -105,7 +105,7 @@ class _People:
         return found if found is not None else f"person {person_id} is not in stage {stage}"
 
     def mean_groups(self, evaluated: Sequence[PersonEvaluation]) -> tuple[Group, ...]:
-        """Groups of the persons, averaged over them."""
+        """The persons' groups, averaged over the persons."""
         if evaluated:
             return tuple(mean_group([p.groups[i] for p in evaluated]) for i in range(len(evaluated[0].groups)))
         why = self._result.why(BodyTracks) or "no estimated person was matched to a true one"
@@ -113,7 +113,7 @@ class _People:
         return tuple(make_group(key, title, rows, dict.fromkeys(MOTION_STAGES, why)) for key, title, rows in kinds)
 
     def notes(self) -> list[str]:
-        """Persons that have no partner."""
+        """Notes on persons without a match."""
         mine = {match.estimate for match in self.matches}
         true = {match.truth for match in self.matches}
         notes = [
@@ -129,7 +129,7 @@ class _People:
 
 
 def mean_group(groups: Sequence[Group]) -> Group:
-    """Mean over persons of every number, over those who have it."""
+    """Mean of every number over the persons that have it."""
     rows = []
     for same in zip(*(group.rows for group in groups), strict=True):
         qualities, reasons = [], []

@@ -1,4 +1,4 @@
-"""Frames in which the truth says that nobody can see the person."""
+"""Frames in which the main person is not visible according to the truth."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from video2anim.lab.eval.truth import Truth
 from video2anim.lab.synth.world import NEAR_M
 
 HIDDEN_RATIO = 0.25
-"""Hidden: the box of the visible pixels has less than this share of the area of the whole body's box."""
+"""Hidden: the box around the visible pixels has less than this share of the area of the body's box."""
 SHORTEST_S = 0.3
-"""Shorter stretches are steps behind a table leg, not gaps."""
+"""Shorter intervals do not count: a person passes behind a table leg."""
 _SKIN_STRIDE = 20
 
 
 def hidden_frames(truth: Truth) -> Bool[np.ndarray, "frames"]:
-    """Frames of the truth in which the main person is behind objects or outside the picture (`HIDDEN_RATIO`)."""
+    """True frames in which the main person is behind objects or outside the picture (`HIDDEN_RATIO`)."""
     seen_px = _area_px2(truth.person_box_px[0] + np.array([-0.5, -0.5, 0.5, 0.5]))
     whole_px = _area_px2(_whole_box_px(truth))
     return ~(seen_px >= HIDDEN_RATIO * whole_px)
 
 
 def hidden_stretches(hidden: Bool[np.ndarray, "frames"], fps: float) -> list[tuple[int, int]]:
-    """First and last frame of every run of `SHORTEST_S` or more that has a frame in sight before and after it."""
+    """First and last frame of every hidden interval of `SHORTEST_S` or more that has visible frames before and
+    after."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int)))
     runs = [(int(first), int(stop) - 1) for first, stop in edges.reshape(-1, 2)]
     return [
@@ -37,7 +38,7 @@ def hidden_stretches(hidden: Bool[np.ndarray, "frames"], fps: float) -> list[tup
 
 
 def _whole_box_px(truth: Truth) -> Float[np.ndarray, "frames 4"]:
-    """Box of the body's projection, in and outside the picture; NaN where a part of it is behind the lens."""
+    """Box of the projected body, also outside the picture; NaN in frames in which a part of it is behind the camera."""
     motion = truth.main
     body = shaped_body(motion.shape)
     index = np.arange(0, len(body.rest_vertices_m), _SKIN_STRIDE)

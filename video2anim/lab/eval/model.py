@@ -1,4 +1,4 @@
-"""Data of an evaluation: rows of `Quality` in groups, curves, and a plan of the clip from above."""
+"""Data of an evaluation: groups of rows of `Quality`, curves, and a floor plan of the clip."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from typing import Any
 from video2anim.types.quality import Better, Quality, Unit
 
 FORMAT_VERSION = 2
-"""Of the JSON form."""
+"""Version of the JSON format."""
 
 
 class _OneMeasure:
-    """What the numbers of a row have in common."""
+    """Key, label, unit and direction of a row, which all of its columns share."""
 
     __slots__ = ()
     qualities: tuple[Quality, ...]
 
     @property
     def key(self) -> str:
-        """Unique in the group."""
+        """Key of the measure, unique in the group."""
         return self.qualities[0].key
 
     @property
@@ -40,19 +40,19 @@ class _OneMeasure:
 
 @dataclass(frozen=True, slots=True)
 class Row(_OneMeasure):
-    """One measure at each column of its group."""
+    """One measure in each column of its group."""
 
     qualities: tuple[Quality, ...]
-    """One per column; NaN where the value is not available."""
+    """One per column; the value is NaN where it is not available."""
     truth: float | None = None
-    """The same measure of the ground truth, where it means something (jerk, skating, frame count)."""
+    """The measure of the ground truth itself, if it has one (jerk, skating, frame count)."""
     reasons: tuple[str, ...] = ()
-    """Why a value is not available; one per column, empty where there is a value."""
+    """Why a value is not available, one per column; empty where there is a value."""
 
     @property
     def values(self) -> tuple[float | None, ...]:
-        """One per column; None where the value is not available."""
-        return tuple(plain(quality.value) for quality in self.qualities)
+        """The values, one per column; None where a value is not available."""
+        return tuple(finite_or_none(quality.value) for quality in self.qualities)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +64,12 @@ class Group:
     columns: tuple[str, ...]
     rows: tuple[Row, ...]
     note: str = ""
-    """What the reader has to know: how many objects were compared, which part was not looked at."""
+    """A remark for the reader, such as the number of objects compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Numbers over the clip, one line per series; None where there is no number."""
+    """Values over time, one line per series; None where there is no value."""
 
     title: str
     unit: str
@@ -79,14 +79,14 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The clip from above in the true world (x, z in meters)."""
+    """Floor plan of the clip in the true world (x, z in meters)."""
 
     paths_m: Mapping[str, tuple[tuple[float, float], ...]]
-    """Pelvis of the truth and of each stage."""
+    """Path of the pelvis in the truth and in each stage."""
     true_outlines_m: tuple[tuple[str, tuple[tuple[float, float], ...]], ...]
     """Label and convex outline of each true piece of furniture."""
     outlines_m: tuple[tuple[str, tuple[tuple[float, float], ...]], ...]
-    """The same of the estimated objects."""
+    """Label and convex outline of each estimated object."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,20 +109,20 @@ class Evaluation:
 
     name: str
     facts: Mapping[str, str]
-    """Of the clip: kind, preset, length, persons."""
+    """Facts about the clip: kind, preset, length, persons."""
     groups: tuple[Group, ...]
-    """Over the whole clip; numbers of motion are means over the matched persons."""
+    """Numbers of the whole clip; those of motion are means over the matched persons."""
     people: tuple[PersonEvaluation, ...]
     notes: tuple[str, ...]
-    """Stages that are missing, persons without a match."""
+    """Missing stages and persons without a match."""
 
 
 @dataclass(frozen=True, slots=True)
 class Statistic:
-    """One number over clips."""
+    """Statistics of one number over clips."""
 
     count: int
-    """Clips that have the number."""
+    """Number of clips that have the number."""
     mean: float
     median: float
     low: float
@@ -132,15 +132,15 @@ class Statistic:
 
 @dataclass(frozen=True, slots=True)
 class SetRow(_OneMeasure):
-    """One measure over clips, at each column of its group."""
+    """One measure over clips, in each column of its group."""
 
     qualities: tuple[Quality, ...]
-    """Means over clips, one per column; NaN where no clip has the value."""
+    """Means over clips, one per column; NaN if no clip has the value."""
     statistics: tuple[Statistic | None, ...]
     truth_mean: float | None
-    """Mean of the truth's own number over the clips that have it."""
+    """Mean of the measure of the ground truth itself, over the clips that have it."""
     values: tuple[tuple[float | None, ...], ...]
-    """[column][clip]."""
+    """Values by [column][clip]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,16 +153,16 @@ class SetGroup:
 
 @dataclass(frozen=True, slots=True)
 class SetEvaluation:
-    """Many clips. Clips without a usable result are failures: counted and named, in no mean."""
+    """Statistics over many clips. Clips without a usable result are failures, which are not in the means."""
 
     clips: tuple[str, ...]
-    """Evaluated, in the order of `SetRow.values`."""
+    """Names of the evaluated clips, in the order of `SetRow.values`."""
     failures: tuple[tuple[str, str], ...]
-    """Clip and reason."""
+    """Clip name and reason."""
     notes: tuple[tuple[str, str], ...]
-    """Clip, and what is missing in it though it was evaluated; also results without a truth folder."""
+    """Clip name and what its result lacks; also results without a truth folder."""
     facts: tuple[Mapping[str, str], ...]
-    """Of each evaluated clip."""
+    """Facts about each evaluated clip."""
     groups: tuple[SetGroup, ...]
 
     @property
@@ -171,13 +171,13 @@ class SetEvaluation:
         return len(self.failures) / total if total else 0.0
 
 
-def plain(value: float | None) -> float | None:
-    """A number as JSON can hold it: NaN and infinity become None."""
+def finite_or_none(value: float | None) -> float | None:
+    """The number, or None for NaN and infinity, which JSON does not have."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 Numbers = Mapping[str, float | str]
-"""Values by row key; a text is the reason why there is none."""
+"""Values by row key; a text is the reason why a value is missing."""
 
 
 def make_group(
@@ -191,17 +191,17 @@ def make_group(
     note: str = "",
     person_id: int | None = None,
 ) -> Group:
-    """Rows from the numbers of each column; a text in place of a column or number is the reason why there is none.
+    """A group from the numbers of each column. A text in place of a column or a number is the reason why it is missing.
 
     Args:
-        key: of the group.
-        title: for people.
-        measures: key, unit and direction of every row, without a value.
-        columns: numbers by measure, by column.
-        undefined: why a number may be NaN, by measure.
-        truth: numbers of the ground truth, by measure.
-        note: what the reader has to know.
-        person_id: whom the numbers describe.
+        key: Key of the group.
+        title: Heading in reports.
+        measures: Key, unit and direction of every row, without a value.
+        columns: Numbers by measure, by column.
+        undefined: Why a number may be NaN, by measure.
+        truth: Numbers of the ground truth itself, by measure.
+        note: A remark for the reader.
+        person_id: Person that the numbers describe, if any.
 
     Raises:
         KeyError: a column with numbers lacks a row.
@@ -216,12 +216,12 @@ def make_group(
             for value, number in zip(given, numbers, strict=True)
         )
         qualities = tuple(replace(measure, value=number, person_id=person_id) for number in numbers)
-        rows.append(Row(qualities, plain((truth or {}).get(measure.key)), reasons))
+        rows.append(Row(qualities, finite_or_none((truth or {}).get(measure.key)), reasons))
     return Group(key, title, tuple(columns), tuple(rows), note)
 
 
 def to_plain(value: Any) -> Any:
-    """Dataclasses, tuples and mappings as JSON-able dicts and lists."""
+    """Dataclasses, tuples and mappings as dicts and lists that JSON can hold."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, Mapping):
@@ -229,5 +229,5 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [to_plain(item) for item in value]
     if isinstance(value, float):
-        return plain(value)
+        return finite_or_none(value)
     return value

@@ -1,4 +1,4 @@
-"""Numbers of one person's motion at every stage beside each other."""
+"""Evaluation group `motion`: one person's motion after each motion stage."""
 
 from __future__ import annotations
 
@@ -54,21 +54,21 @@ _UNDEFINED = dict.fromkeys((measure.key for measure in MOTION), _SHORT) | {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonFrames:
-    """Frames of one person on which all stages are compared: rows of the estimate and of the truth."""
+    """Frames of one person in which all stages are compared, as rows of the estimate and of the truth."""
 
     measured: Int[np.ndarray, "measured"]
     """Rows with a measurement in the first stage and a true pose."""
     span: Int[np.ndarray, "span"]
-    """All rows with a true frame from the first to the last measured one; differences over time are taken on these."""
+    """All rows with a true frame from the first to the last measured one, for differences over time."""
     bridged: Bool[np.ndarray, "span"]
     """Rows of the span without a measurement, but with a true pose."""
     true_index: Int[np.ndarray, "frames"]
     true_frames: int
-    """Frames in which the truth has a pose."""
+    """Number of frames in which the truth has a pose."""
 
 
 def common_frames(first: BodyMotion, truth: BodyMotion, frames: FrameMatch) -> CommonFrames:
-    """Frames to compare a person on; `first` is its earliest stage."""
+    """Frames in which a person is compared; `first` is the motion of its earliest stage."""
     true_pose = frames.known & truth.valid[frames.true_index]
     measured = np.flatnonzero(first.valid & true_pose)
     span = np.zeros(0, np.int64)
@@ -103,7 +103,7 @@ def _numbers(
     estimate_m, true_m = motion.joints_world_m[common.measured], truth.joints_world_m[true_rows]
     if len(estimate_m) < 2:
         return {measure.key: _SHORT for measure in MOTION} | {"covered": len(estimate_m) / max(1, common.true_frames)}
-    # Through the shared camera: a wrong up direction of the estimated world turns nothing here.
+    # By the shared camera, so an error of the estimated up direction does not rotate the pose.
     in_truth_m = transform_points(T_true_estimate, estimate_m)
     root = metrics.ROOT
     camera_z_m = motion.joints_camera_m[common.measured, root, 2]
@@ -139,7 +139,7 @@ def _numbers(
 
 
 def _own_numbers(joints_m: np.ndarray, fps: float) -> dict[str, float]:
-    """What needs no truth, in the motion's own world, whose floor is y = 0."""
+    """Numbers that need no truth, in the world of the motion (floor at y = 0)."""
     return {
         "jerk": metrics.jerk_m_s3(joints_m, fps),
         "skating_gmd": metrics.foot_skating_gmd(joints_m, fps),
@@ -163,7 +163,7 @@ def motion_curves(
     T_true_estimate: Float[np.ndarray, "4 4"],
     fps: float,
 ) -> tuple[Curve, ...]:
-    """Errors and jerk over the common span."""
+    """Errors and jerk over time in the common span."""
     rows = common.span
     if len(rows) < 4:
         return ()

@@ -1,4 +1,4 @@
-"""Numbers of objects: their masks in the picture, hidden parts, shapes and places."""
+"""Evaluation groups of objects: `segment` (masks), `complete` (amodal masks), `objects` (shapes and places)."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from video2anim.types import (
 from video2anim.types.quality import Quality
 
 MIN_VISIBLE_PX = 2000
-"""Pixels of the clip that must be seen of a piece of furniture for it to count."""
+"""Minimum number of visible pixels of a piece of furniture that counts."""
 FOUND_IOU = 0.5
-"""Least mask overlap of a found instance."""
+"""Minimum mask IoU of an instance that is found."""
 SAME_IOU = 0.25
-"""Least mask overlap of two objects whose shapes are compared."""
+"""Minimum mask IoU of two objects whose shapes are compared."""
 SAME_PLACE_M = 0.5
-"""Largest distance of the middles of two objects that no mask ties together."""
+"""Largest distance of the centers of two objects that are matched without a mask."""
 _IGNORED_SHARE = 0.5
-"""A surplus instance with this share of its pixels on objects that do not count is neither right nor wrong."""
+"""An unmatched instance with this share of its pixels on objects that do not count is ignored."""
 SEGMENT = (
     Quality("floor_iou", math.nan, "ratio", "higher"),
     Quality("precision", math.nan, "ratio", "higher"),
@@ -65,11 +65,11 @@ _UNDEFINED = {
     **dict.fromkeys((measure.key for measure in (*COMPLETE, *PER_OBJECT)), "no object was matched"),
 }
 _SEED = 0
-"""Of the points drawn on surfaces: every evaluation draws the same."""
+"""Seed of the points drawn on surfaces."""
 
 
 class _Object(Protocol):
-    """What the three stages with shapes have in common."""
+    """Object type of the three stages that make shapes."""
 
     @property
     def object_id(self) -> int: ...
@@ -81,15 +81,15 @@ class _Object(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaskMatch:
-    """Masks of the segment stage against true furniture, at the size of the true maps."""
+    """Overlap of the masks of stage segment with true furniture, at the size of the true maps."""
 
     masks: dict[int, Bool[np.ndarray, "height width"]]
-    """By estimated object."""
+    """Mask of each estimated object, by ID."""
     iou: Float[np.ndarray, "found furniture"]
 
 
 def match_masks(instances: InstanceMasks, furniture: Sequence[TrueObject], truth: Truth) -> MaskMatch:
-    """Overlaps of every instance with every piece of furniture that counts."""
+    """Mask IoU of every instance with every piece of furniture that counts."""
     shape = truth.background_instance.shape
     masks = {item.object_id: resample_nearest(item.mask, shape) for item in instances.instances}
     iou = [[mask_iou(mask, truth.mask(true.object_id)) for true in furniture] for mask in masks.values()]
@@ -116,7 +116,7 @@ def segment_group(result: SceneResult, truth: Truth) -> Group:
 
 
 def instance_scores(match: MaskMatch, furniture: Sequence[TrueObject], truth: Truth) -> dict[str, float]:
-    """Precision, recall and F1 of instances at IoU 0.5; what lies on objects that do not count is ignored."""
+    """Precision, recall and F1 of instances at IoU 0.5; instances on objects that do not count are ignored."""
     rows, columns = linear_sum_assignment(-match.iou)
     right = {int(i) for i, j in zip(rows, columns, strict=True) if match.iou[i, j] >= FOUND_IOU}
     counting = {item.object_id for item in furniture}
@@ -141,7 +141,7 @@ def _best_iou(match: MaskMatch, furniture: Sequence[TrueObject]) -> float:
 
 
 def complete_group(result: SceneResult, truth: Truth) -> Group:
-    """Restored outlines of the objects whose visible masks were found."""
+    """Amodal masks of the objects whose visible masks were found."""
     title = "Completion behind other objects"
     completed, found = result.get(CompletedObjects), result.get(InstanceMasks)
     if completed is None or found is None:
@@ -161,14 +161,14 @@ def complete_group(result: SceneResult, truth: Truth) -> Group:
 
 
 def pairs_by_mask(match: MaskMatch) -> dict[int, int]:
-    """Estimated object -> position of the furniture it overlaps, one to one."""
+    """One-to-one map from estimated object IDs to indices of the furniture that they overlap."""
     rows, columns = linear_sum_assignment(-match.iou)
     numbers = list(match.masks)
     return {numbers[i]: int(j) for i, j in zip(rows, columns, strict=True) if match.iou[i, j] >= SAME_IOU}
 
 
 def objects_group(result: SceneResult, truth: Truth, T_true_estimate: Float[np.ndarray, "4 4"] | str) -> Group:
-    """Shapes and places of furniture after reconstruct, place and scene."""
+    """Shapes and places of furniture after the stages reconstruct, place and scene."""
     furniture = truth.furniture(MIN_VISIBLE_PX)
     instances = result.get(InstanceMasks)
     by_mask = pairs_by_mask(match_masks(instances, furniture, truth)) if instances is not None else {}
@@ -192,7 +192,7 @@ def compared_objects(
     by_mask: dict[int, int],
     T_true_estimate: Float[np.ndarray, "4 4"],
 ) -> list[tuple[Quality, ...]]:
-    """The measures `PER_OBJECT` of every matched piece of furniture, whose number in the ground truth they bear."""
+    """The measures `PER_OBJECT` of every matched piece of furniture; `object_id` is that of the ground truth."""
     shapes = {obj.object_id: _own_box(obj, T_true_estimate) for obj in objects if len(obj.mesh.faces)}
     true_boxes = [box_of(read_glb(item.file).vertices_m, item.T_world_object) for item in furniture]
     pairs = match_objects({number: shape[0] for number, shape in shapes.items()}, true_boxes, by_mask)
@@ -218,7 +218,7 @@ def compared_objects(
 
 
 def scene_objects(result: SceneResult, truth: Truth) -> list[tuple[Quality, ...]]:
-    """`compared_objects` of the finished scene by the main person's camera; none where a stage is missing."""
+    """`compared_objects` of the finished scene, aligned by the main person's camera; empty if a stage is missing."""
     scene, bodies, instances = result.scene, result.bodies, result.get(InstanceMasks)
     if scene is None or bodies is None:
         return []
@@ -229,7 +229,7 @@ def scene_objects(result: SceneResult, truth: Truth) -> list[tuple[Quality, ...]
 
 
 def _means(rows: Sequence[tuple[Quality, ...]], furniture: Sequence[TrueObject]) -> dict[str, float]:
-    """Means over matched pieces of furniture."""
+    """Means of each measure over matched pieces of furniture."""
     means = {
         measure.key: float(np.mean([row[i].value for row in rows])) if rows else np.nan
         for i, measure in enumerate(PER_OBJECT)
@@ -247,7 +247,7 @@ def _own_box(obj: _Object, T_true_estimate: np.ndarray) -> tuple[OrientedBox, np
 def match_objects(
     boxes: dict[int, OrientedBox], true_boxes: Sequence[OrientedBox], by_mask: dict[int, int]
 ) -> dict[int, int]:
-    """Estimated object -> true one: by mask where masks overlap, of the rest by the distance of the middles."""
+    """Map from estimated to true objects: by mask where masks overlap, else by the distance of their centers."""
     pairs = {number: j for number, j in by_mask.items() if number in boxes}
     left = [number for number in boxes if number not in pairs]
     open_ = [j for j in range(len(true_boxes)) if j not in pairs.values()]

@@ -1,4 +1,4 @@
-"""Numbers of what is seen: background image, person masks, depth."""
+"""Evaluation groups of images: `background` (background image, person masks) and `depth`."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ _UNDEFINED = {
     ),
 }
 _MIN_DISPARITY = 1e-3
-"""1/m; a fitted disparity below this is 1 km away and counts as that."""
+"""Lower limit of a fitted disparity in 1/m, that is, 1 km."""
 _DELTA = 1.25
 
 
 def background_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
-    """The background image against the true empty picture, and masks of people."""
+    """The background image against the true one, and masks of people."""
     title = "Background image"
     background = result.get(BackgroundImage)
     if background is None:
@@ -70,8 +70,7 @@ def background_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> G
 def background_error(
     background_rgb: UInt8[np.ndarray, "height width 3"], true_rgb: UInt8[np.ndarray, "true_height true_width 3"]
 ) -> Float[np.ndarray, "height width"]:
-    """Root mean square over the channels of the difference, in 8-bit steps, at the size of the true background
-    image."""
+    """Per pixel, root mean square difference over the channels, in 8-bit steps, at the size of the true image."""
     height, width = true_rgb.shape[:2]
     if background_rgb.shape != true_rgb.shape:
         background_rgb = cv2.resize(background_rgb, (width, height), interpolation=cv2.INTER_AREA)
@@ -79,7 +78,7 @@ def background_error(
 
 
 def _mask_iou(background: BackgroundImage, truth: Truth, frames: FrameMatch) -> float:
-    """Mean over common frames in which somebody is seen, all people as one mask."""
+    """Mean mask IoU over common frames in which a person is visible; all people as one mask."""
     overlaps = []
     person_pixels = truth.person_pixels
     for row, true_row in common_maps(background.frame_index, truth, frames):
@@ -91,14 +90,14 @@ def _mask_iou(background: BackgroundImage, truth: Truth, frames: FrameMatch) -> 
 
 
 def mask_iou(a: Bool[np.ndarray, "height width"], b: Bool[np.ndarray, "height width"]) -> float:
-    """Intersection over union; NaN where both are empty."""
+    """Intersection over union; NaN if both are empty."""
     either = int((a | b).sum())
     return int((a & b).sum()) / either if either else float("nan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Estimate and true depth at the pixels that have both, and the shares that have an estimate."""
+    """Estimated and true depth at the pixels that have both, and the shares of pixels with an estimate."""
 
     background: tuple[np.ndarray, np.ndarray]
     person: tuple[np.ndarray, np.ndarray]
@@ -107,7 +106,7 @@ class _Pairs:
 
 
 def depth_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
-    """Depth after the best scale and offset (column `depth`), and metric depth as it is (column `metric`)."""
+    """Depth after a fit of scale and offset (column `depth`), and metric depth without a fit (column `metric`)."""
     columns: dict[str, dict[str, float | str] | str] = {}
     relative, metric = result.get(DepthClip), result.get(MetricDepth)
     note = ""
@@ -166,7 +165,7 @@ def _pairs(
 
 
 def _fitted(pairs: _Pairs, disparity: bool) -> _Pairs:
-    """Metric depth by one scale and offset, least squares over background and people alike."""
+    """Metric depth by one scale and offset, fitted over background and people by least squares."""
     value = np.concatenate([pairs.background[0], pairs.person[0]])
     true_m = np.concatenate([pairs.background[1], pairs.person[1]])
     if not len(value):
@@ -207,7 +206,7 @@ def _depth_numbers(pairs: _Pairs, *, fitted: bool) -> dict[str, float | str]:
 
 
 def depth_errors(mine_m: Float[np.ndarray, "pixels"], true_m: Float[np.ndarray, "pixels"]) -> tuple[float, float]:
-    """AbsRel, the mean of |estimate - truth| / truth, and the share of pixels off by a factor below 1.25 either way."""
+    """AbsRel, the mean of |estimate - truth| / truth, and delta1, the share of pixels within a factor of 1.25."""
     if not len(mine_m):
         return float("nan"), float("nan")
     abs_rel = float((np.abs(mine_m - true_m) / true_m).mean())

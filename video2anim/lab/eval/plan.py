@@ -1,4 +1,4 @@
-"""The clip from above: paths and outlines for the report."""
+"""The floor plan of a clip for the report: paths and outlines."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def plan_of(
 
 
 def outline(points: np.ndarray) -> Outline:
-    """Convex outline of 2D points; the points themselves where they span no area."""
+    """Convex hull of 2D points; the points themselves if they span no area."""
     try:
         corners = points[ConvexHull(points).vertices]
     except QhullError:

@@ -19,7 +19,7 @@ _PANELS_ACROSS = 3
 
 
 def curve_plot(curve: Curve) -> str:
-    """One line per series over time, as a `data:` address."""
+    """Plot with one line per series over time, as a `data:` URL."""
     figure = Figure(figsize=(_WIDTH_IN, 2.4), layout="constrained")
     axes = _axes(figure.add_subplot(), "time (s)", curve.unit)
     lows = [0.0]
@@ -36,7 +36,7 @@ def curve_plot(curve: Curve) -> str:
 
 
 def plan_plot(plan: Plan) -> str:
-    """Paths and outlines from above, as a `data:` address."""
+    """Plot of the floor plan, as a `data:` URL."""
     figure = Figure(figsize=(_WIDTH_IN, 4.2), layout="constrained")
     axes = _axes(figure.add_subplot(), "x (m)", "z (m)")
     for label, corners in plan.true_outlines_m:
@@ -56,7 +56,7 @@ def plan_plot(plan: Plan) -> str:
 
 
 def stages_plot(group: SetGroup, rows: Sequence[SetRow]) -> str:
-    """A panel per number: one thin line per clip over the stages, the mean with its interval, and the truth."""
+    """One panel per number: a thin line per clip over the stages, the mean with its interval, and the truth."""
     down = -(-len(rows) // _PANELS_ACROSS)
     figure = Figure(figsize=(_WIDTH_IN, 2.3 * down), layout="constrained")
     places = np.arange(len(group.columns))
@@ -91,7 +91,7 @@ def _axes(axes: Axes, x_label: str, y_label: str) -> Axes:
 
 
 def _legend(axes: Axes) -> None:
-    """Above the plot, where no line is."""
+    """A legend above the plot, where it covers no line."""
     axes.legend(frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=9, borderaxespad=0.1)
 
 

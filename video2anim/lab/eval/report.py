@@ -1,4 +1,4 @@
-"""An evaluation as JSON and as one self-contained page."""
+"""Writes an evaluation as JSON and as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from video2anim.lab.eval.model import (
 from video2anim.types.quality import Better
 
 STAGED = ("motion", "true_scene", "true_scene_laid", "own_scene")
-"""Groups whose columns are the motion stages, in which the last is judged against the first."""
+"""Groups whose columns are the motion stages; the last stage is compared with the first."""
 HEADLINES = {
     "motion": ("mpjpe", "pa_mpjpe", "wa_mpjpe", "root_error", "acceleration_error", "jerk", "skating_gmd",
                "skating_kimodo", "contact_f1"),
@@ -32,7 +32,7 @@ HEADLINES = {
     "true_scene_laid": ("collision_frames_1cm", "penetration_max", "floating"),
     "own_scene": ("collision_frames_1cm", "penetration_max", "floating"),
 }  # fmt: skip
-"""Numbers of the plots over clips."""
+"""Rows that are plotted over clips, by group."""
 PER_CLIP = (
     ("track", "main_recall", "value"), ("camera", "focal_error", "value"), ("camera", "gravity_error", "value"),
     ("motion", "mpjpe", "raw"), ("motion", "mpjpe", "refined"), ("motion", "root_error", "refined"),
@@ -41,11 +41,11 @@ PER_CLIP = (
     ("depth", "abs_rel", "metric"), ("segment", "f1", "value"), ("objects", "chamfer", "scene"),
     ("space", "occupancy_iou", "value"),
 )  # fmt: skip
-"""Numbers of the table with one line per clip."""
+"""Columns (group, row, column) of the table with one line per clip."""
 
 
 def to_json(evaluation: Evaluation | SetEvaluation) -> str:
-    """Everything of an evaluation; missing numbers are null."""
+    """The whole evaluation as JSON text; missing numbers are null."""
     kind = "clip" if isinstance(evaluation, Evaluation) else "set"
     head = {"format_version": FORMAT_VERSION, "kind": kind, "video2anim": __version__}
     return json.dumps(head | to_plain(evaluation), indent=1, allow_nan=False) + "\n"
@@ -64,17 +64,17 @@ def render_html(evaluation: Evaluation | SetEvaluation) -> str:
 
 
 def verdict(better: Better, first: float | None, last: float | None, truth: float | None) -> str:
-    """Whether the last stage is better than the first: `better`, `worse`, `same`, or empty where it cannot be told."""
+    """Whether the last stage is better than the first: `better`, `worse`, `same`, or empty if undecidable."""
     if first is None or last is None or better == "none" or (better == "near_truth" and truth is None):
         return ""
-    before, after = _badness(better, first, truth), _badness(better, last, truth)
+    before, after = _deviation(better, first, truth), _deviation(better, last, truth)
     if math.isclose(before, after, abs_tol=1e-9):
         return "same"
     return "better" if after < before else "worse"
 
 
-def _badness(better: Better, value: float, truth: float | None) -> float:
-    """Less is better."""
+def _deviation(better: Better, value: float, truth: float | None) -> float:
+    """Deviation of a value from the ideal; smaller is better."""
     if better == "near_1":
         return abs(math.log(max(value, 1e-9)))
     if better == "near_truth" and truth is not None:
@@ -135,7 +135,7 @@ def _row(row: Row, staged: bool) -> dict[str, Any]:
 
 
 def missing_reasons(group: Group) -> list[str]:
-    """What a group lacks and why: one line per reason, for all columns that share it."""
+    """Missing numbers of a group: one line per reason, for all columns that share it."""
     lacking: dict[tuple[str, str], list[str]] = {}
     for i, column in enumerate(group.columns):
         by_reason: dict[str, list[str]] = {}

@@ -1,4 +1,4 @@
-"""A scene folder as the evaluation reads it: each stage's value, or why there is none."""
+"""Reads a scene folder for the evaluation: the value of each stage, or why there is none."""
 
 from __future__ import annotations
 
@@ -37,15 +37,14 @@ STAGE_OF: dict[type, str] = {
 }  # fmt: skip
 """Stage that makes each value."""
 _KIND_OF = {kind.__name__: kind for kind in STAGE_OF}
-"""By the names that manifests use."""
+"""Type of each value, by the name that manifests use."""
 MOTION_STAGES: dict[str, type] = {"raw": BodyTracks, "keyframes": KeyframedMotion, "refined": RefinedMotion}
 
 
 class SceneResult:
     """Values of a scene folder, read on first use. A stage that is missing, damaged or stale gives None and a reason.
 
-    A value is stale where a value that it was made from is now another one, or is stale itself: what `get` gives
-    belongs together.
+    A value is stale if one of its inputs has changed since, or is stale itself. All values of `get` are consistent.
     """
 
     def __init__(self, scene_dir: Path | str) -> None:
@@ -59,7 +58,7 @@ class SceneResult:
         self._values: dict[type, Any] = {}
         self._reasons: dict[type, str] = {}
         self._stale: dict[type, str] = {}
-        """Which earlier stage changed."""
+        """Name of the earlier stage that changed, by value type."""
         self._digests: dict[type, str] = {}
         if self.get(VideoClip) is None:
             raise InputError(
@@ -67,13 +66,13 @@ class SceneResult:
             )
 
     def get(self, kind: type[Value]) -> Value | None:
-        """Value of a type, None where its stage is missing, damaged or stale."""
+        """Value of a type; None if its stage is missing, damaged or stale."""
         if kind not in self._values:
             self._values[kind] = self._read(kind)
         return self._values[kind]
 
     def why(self, *kinds: type) -> str:
-        """Why the first absent value of these is absent; empty where all are there."""
+        """Why the first missing value of these types is missing; empty if all exist."""
         for kind in kinds:
             if self.get(kind) is None:
                 return self._reasons[kind]
@@ -82,11 +81,11 @@ class SceneResult:
     @property
     def clip(self) -> VideoClip:
         clip = self.get(VideoClip)
-        assert clip is not None  # the constructor saw to it
+        assert clip is not None  # checked by the constructor
         return clip
 
     def motions(self) -> dict[str, tuple[BodyMotion, ...]]:
-        """People of every motion stage that is there, all in the world of the calibrated camera."""
+        """People of every motion stage that has a value, all in the world frame of the calibrated camera."""
         found = {name: self.get(kind) for name, kind in MOTION_STAGES.items()}
         people = {name: value.people for name, value in found.items() if value is not None}
         if "raw" in people and (metric := self.get(MetricDepth)) is not None:
@@ -96,18 +95,18 @@ class SceneResult:
 
     @property
     def bodies(self) -> BodyTracks | None:
-        """The observed people after calibration; as stage humans has them where it is not there."""
+        """The people after calibration (stage metric); without it, those of stage humans."""
         metric = self.get(MetricDepth)
         return self.get(BodyTracks) if metric is None else metric.bodies
 
     @property
     def scene(self) -> SceneModel | None:
-        """The scene that the last motion stage fits: objects may be moved in `refine`."""
+        """The scene of the last motion stage: stage refine may move objects."""
         scene, refined = self.get(SceneModel), self.get(RefinedMotion)
         return scene if scene is None or refined is None else refined.scene
 
     def missing(self) -> list[str]:
-        """Reasons of all stages without a value, in order."""
+        """The reasons of all stages without a value, in order of the stages."""
         return [self._reasons[kind] for kind in STAGE_OF if self.get(kind) is None]
 
     def _read(self, kind: type) -> Any:
@@ -133,9 +132,9 @@ class SceneResult:
         return folder if folder.exists() else None
 
     def _changed(self, name: str, digest: str) -> str | None:
-        """The stage that makes what came from an input (of this type and digest) stale; None where none does.
+        """The stage that makes values with this input (type name and digest) stale; None if there is none.
 
-        What is missing or cannot be read gives no value, so it cannot contradict one either.
+        A missing or unreadable stage has no value, so it makes nothing stale.
         """
         kind = _KIND_OF.get(name)
         folder = None if kind is None else self._folder(kind)

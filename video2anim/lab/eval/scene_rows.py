@@ -1,4 +1,5 @@
-"""Bodies against scenes, and the estimated scene against the true one."""
+"""Evaluation groups of bodies in scenes (collisions, floating), and `space`: the estimated scene against the true
+one."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ from video2anim.types.quality import Quality
 from video2anim.types.skeleton import forward_kinematics
 
 VERTEX_STRIDE = 8
-"""Every such vertex of the body is tested."""
+"""Every 8th vertex of the body is tested."""
 BODY_GROUPS = {
     "true_scene": "Body in the true scene, by the shared camera",
     "true_scene_laid": "Body in the true scene, laid along the true path on its own floor",
@@ -50,16 +51,16 @@ _UNDEFINED = {
 STEP_M = 0.1
 """Grid on which the scenes are compared."""
 REACH_M = 1.5
-"""Points up to this far (along the floor) from a true pelvis count as near the path."""
+"""Largest horizontal distance from a true pelvis of points that count as near the path."""
 HEIGHTS_M = (0.12, 2.0)
-"""Above the floor, and not at the even heights at which boards tend to lie."""
+"""Range of heights above the floor; it avoids round heights, at which boards often lie."""
 SDF_CAP_M = 0.5
-"""Distances beyond this are equal: far away it does not matter how far."""
+"""Signed distances are clipped to this, since differences far from surfaces do not matter."""
 _CAMERA_STEP_FRAMES = 15
 
 
 def body_points(motion: BodyMotion, rows: np.ndarray) -> Float[np.ndarray, "rows chosen 3"]:
-    """Every 8th vertex of the body at some frames, in the motion's world."""
+    """Every 8th vertex of the body in some frames, in the world frame of the motion."""
     body = shaped_body(motion.shape)
     joints_m, R_world_joint = forward_kinematics(
         motion.R_parent_joint[rows], motion.T_world_root[rows, :3, 3], motion.rest_joints_m
@@ -68,7 +69,7 @@ def body_points(motion: BodyMotion, rows: np.ndarray) -> Float[np.ndarray, "rows
 
 
 class BodyInScenes:
-    """One person at every stage, against the true and the estimated scene."""
+    """One person after every stage, against the true and the estimated scene."""
 
     def __init__(
         self,
@@ -90,7 +91,7 @@ class BodyInScenes:
                     distances[name] = why
                 continue
             points_m = body_points(motion, rows).astype(np.float64)
-            T_laid = laid_along(
+            T_laid = aligned_on_floor(
                 motion.joints_world_m[rows, metrics.ROOT], truth.joints_world_m[true_rows, metrics.ROOT]
             )
             self._distances["true_scene"][name] = true_field.sample(transform_points(T_true_estimate, points_m))
@@ -99,7 +100,7 @@ class BodyInScenes:
         self._truth = true_field.sample(body_points(truth, true_rows).astype(np.float64)) if len(rows) else None
 
     def groups(self, person_id: int) -> tuple[Group, ...]:
-        """The body in the true scene, in two ways, and in the estimated one."""
+        """The body in the true scene (aligned in two ways) and in the estimated one."""
         true = None if self._truth is None else _collisions(self._truth)
         return tuple(
             make_group(
@@ -114,7 +115,7 @@ class BodyInScenes:
         )
 
     def curves(self) -> tuple[Curve, ...]:
-        """Nearest (or deepest) vertex against the true scene over time."""
+        """Signed distance of the nearest (or deepest) vertex to the true scene over time."""
         if self._truth is None:
             return ()
         distances = {"truth": self._truth} | self._distances["true_scene"]
@@ -127,12 +128,12 @@ class BodyInScenes:
         return (Curve("Distance of the body to the true scene", "m", time_s, series),)
 
 
-def laid_along(
+def aligned_on_floor(
     path_m: Float[np.ndarray, "frames 3"], true_path_m: Float[np.ndarray, "frames 3"]
 ) -> Float[np.ndarray, "4 4"]:
-    """Turn about the vertical and shift along the floor that lay a path best on the true one; heights stay."""
+    """Rotation about +Y and horizontal shift (4, 4) that best align a path with the true one; heights stay."""
     mine_m, true_m = (p[:, metrics.HORIZONTAL] - p[:, metrics.HORIZONTAL].mean(0) for p in (path_m, true_path_m))
-    # Angle from z to x, as a rotation about +Y turns.
+    # Angle from z to x, which is the sense of a rotation about +Y.
     yaw = np.arctan2((mine_m[:, 1] * true_m[:, 0] - mine_m[:, 0] * true_m[:, 1]).sum(), (mine_m * true_m).sum())
     T = np.eye(4)
     T[:3, :3] = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
@@ -150,10 +151,10 @@ def _columns(distances: Mapping[str, np.ndarray | str]) -> dict[str, dict[str, f
 
 
 def _collisions(distance_m: Float[np.ndarray, "frames vertices"]) -> dict[str, float]:
-    none_m, centimetre_m = metrics.COLLISION_TAUS_M
+    none_m, centimeter_m = metrics.COLLISION_TAUS_M
     return {
         "collision_frames": metrics.collision_frame_ratio(distance_m, none_m),
-        "collision_frames_1cm": metrics.collision_frame_ratio(distance_m, centimetre_m),
+        "collision_frames_1cm": metrics.collision_frame_ratio(distance_m, centimeter_m),
         "collision_vertices": metrics.collision_vertex_ratio(distance_m, none_m),
         "penetration_max": metrics.penetration_max_m(distance_m),
         "floating": metrics.floating_m(distance_m),
@@ -163,7 +164,7 @@ def _collisions(distance_m: Float[np.ndarray, "frames vertices"]) -> dict[str, f
 def space_group(
     scene: SceneModel | str, truth: Truth, true_field: SdfGrid, T_true_estimate: Float[np.ndarray, "4 4"] | str
 ) -> Group:
-    """Where the two scenes are solid, at points near the path that the camera has in the picture."""
+    """Occupancy and signed distance of the two scenes, at points near the path that are in the picture."""
     if isinstance(scene, str) or isinstance(T_true_estimate, str):
         why = scene if isinstance(scene, str) else str(T_true_estimate)
         return make_group("space", "Scene near the path", SPACE, {"value": why})
@@ -176,7 +177,7 @@ def space_group(
 
 
 def space_numbers(own_m: Float[np.ndarray, "points"], true_m: Float[np.ndarray, "points"]) -> dict[str, float]:
-    """Agreement of two distance fields at the same points."""
+    """Agreement of two signed distance fields at the same points."""
     own, true = own_m < 0, true_m < 0
     scores = metrics.binary_scores(own, true)
     either = int((own | true).sum())
@@ -191,7 +192,7 @@ def space_numbers(own_m: Float[np.ndarray, "points"], true_m: Float[np.ndarray, 
 
 
 def space_points(truth: Truth) -> Float[np.ndarray, "points 3"]:
-    """Grid points within reach of a true pelvis, inside the room, that some frame's camera has in its picture."""
+    """Grid points (true world) near a true pelvis, inside the room, that are in the picture of some frame."""
     pelvis_m = np.concatenate([person.joints_world_m[:, metrics.ROOT] for person in truth.people])[:, [0, 2]]
     low, high = pelvis_m.min(0) - REACH_M, pelvis_m.max(0) + REACH_M
     low, high = np.maximum(low, truth.room_bounds_m[0::2]), np.minimum(high, truth.room_bounds_m[1::2])

@@ -1,4 +1,4 @@
-"""The true scene near the people as a distance field, and true meshes in the world."""
+"""The true scene near the people as a signed distance field, and true meshes in the world."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from video2anim.lab.eval.truth import TrueObject, Truth
 from video2anim.types import Mesh
 
 SPACING_M = 0.04
-"""Of the field's nodes; wider where it would have more than `MAX_NODES`."""
+"""Spacing of the field's nodes; larger if it would have more than `MAX_NODES`."""
 MAX_NODES = 2_500_000
 _EXACT_M = 0.3
 """Nodes nearer to a solid than this get their exact distance, the others that of a coarser field."""
 _COARSER = 3
 _MARGIN_M = 0.8
-"""Room around the true joints."""
+"""Margin of the field around the true joints."""
 _BELOW_FLOOR_M = 0.2
 _NOT_SOLID = ("floor", "wall", "ceiling", "door", "window", "picture", "rug", "skirting")
-"""Stand for themselves as the planes of the room, or are flat on them."""
+"""Labels that are represented by the planes of the room, or lie flat on them."""
 
 
 def read_glb(path: Path) -> Mesh:
-    """Triangles of a GLB in its own frame, vertices at one place merged. Unchanged files are read once.
+    """Mesh of a GLB file in the object's frame, with coincident vertices merged. Unchanged files are read once.
 
     Raises:
-        InputError: missing or no mesh.
+        InputError: the file is missing or holds no mesh.
     """
     return _read_glb(path, path.stat().st_mtime_ns if path.exists() else 0)
 
@@ -49,16 +49,16 @@ def _read_glb(path: Path, changed_ns: int) -> Mesh:
 
 
 def world_mesh(item: TrueObject) -> Mesh:
-    """A true object in the true world."""
+    """Mesh of a true object in the true world."""
     mesh = read_glb(item.file)
     return Mesh(transform_points(item.T_world_object, mesh.vertices_m), mesh.faces, mesh.vertex_rgb)
 
 
 def true_field(truth: Truth) -> SdfGrid:
-    """Distance to furniture, floor and walls of the room around the true people.
+    """Signed distance to furniture, floor and walls near the true people.
 
-    Objects are made of closed parts that run into each other, so each connected part is a solid of its own. Walls are
-    the sides of the room's box; doors and windows are closed. Carried objects are left out.
+    Objects consist of closed parts that overlap, so each connected part is a separate solid. Walls are the sides of the
+    room's box; doors and windows are closed. Carried objects are left out.
     """
     joints_m = np.concatenate([person.joints_world_m.reshape(-1, 3) for person in truth.people])
     bounds_m = np.stack([joints_m.min(0) - _MARGIN_M, joints_m.max(0) + _MARGIN_M])
@@ -76,7 +76,7 @@ def true_field(truth: Truth) -> SdfGrid:
 
 
 def _two_level_field(solids: Sequence[Mesh], bounds_m: Float[np.ndarray, "2 3"], spacing_m: float) -> SdfGrid:
-    """Exact near the solids; a distance changes slowly, so far from them a coarser field says it as well."""
+    """A field that is exact near the solids and interpolated from a coarser one elsewhere, where it is smooth."""
     grid = build_sdf_grid(solids, bounds_m, spacing_m, floor_y_m=0.0, reach_m=_EXACT_M)
     coarse = build_sdf_grid(solids, bounds_m, _COARSER * spacing_m, floor_y_m=0.0)
     far = np.nonzero(np.abs(grid.sdf_m) >= _EXACT_M)
@@ -88,7 +88,7 @@ def _two_level_field(solids: Sequence[Mesh], bounds_m: Float[np.ndarray, "2 3"],
 
 
 def connected_parts(mesh: Mesh) -> list[Mesh]:
-    """Pieces of a mesh that share no vertex."""
+    """Connected components of a mesh."""
     a, b = mesh.faces[:, [0, 1]].ravel(), mesh.faces[:, [1, 2]].ravel()
     count = len(mesh.vertices_m)
     links = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(count, count))

@@ -1,4 +1,4 @@
-"""The truth folder of a clip as the evaluation reads it (layout: docs/evaluation.md)."""
+"""Reads the truth folder of a clip (layout: docs/evaluation.md)."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ _ARRAYS: dict[str, Any] = {
     "amodal": Bool[np.ndarray, "outlines height width"],
     "person_box_px": Annotated[Float[np.ndarray, "people frames 4"], Holds.GAPS],
 }
-"""What is read of `truth.npz` besides the main person's motion, and what it must be."""
+"""Arrays of `truth.npz` that are read besides the main person's motion, with their types and checks."""
 _MOVING: dict[str, Any] = {
     "moving_object_id": Int[np.ndarray, "moving"],
     "T_world_moving": Annotated[Float[np.ndarray, "moving frames 4 4"], Holds.RIGID],
     "moving_held": Bool[np.ndarray, "moving frames"],
     "moving_hands": Bool[np.ndarray, "moving 2"],
 }
-"""The same, of objects that somebody moves; older truth has none of it."""
+"""Arrays of moved objects; older truth folders lack them."""
 _Place = Annotated[float, Field(ge=-MAX_M, le=MAX_M)]
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
@@ -72,7 +72,7 @@ class _Room:
 
 @dataclass(frozen=True)
 class _Meta:
-    """What is read of `meta.json`."""
+    """The entries of `meta.json` that are read."""
 
     format_version: Literal[1]
     name: str
@@ -92,33 +92,33 @@ class TrueObject:
     label: str
     is_furniture: bool
     is_moving: bool
-    """Carried by somebody; its pose is that of the first frame."""
+    """Whether somebody carries it; `T_world_object` is then the pose in the first frame."""
     T_world_object: Float[np.ndarray, "4 4"]
     file: Path
     visible_px: int
     """Pixels in the first background map."""
     T_world_object_frames: Float[np.ndarray, "frames 4 4"] | None = None
-    """Pose in every frame; None where it does not move, or an older truth does not tell."""
+    """Pose in every frame; None if it does not move, or if the truth folder is older."""
     held: Bool[np.ndarray, "frames"] | None = None
-    """Whether a hand holds it; None as above."""
+    """Whether a hand holds it in each frame; None as above."""
     hands: tuple[bool, bool] = (False, False)
     """Whether the left and the right hand ever hold it."""
 
     @property
     def stands(self) -> bool:
-        """Furniture proper: neither clutter nor carried."""
+        """Whether it is standing furniture: neither clutter nor carried."""
         return self.is_furniture and not self.is_moving
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Everything known of a clip. Maps may be smaller than the clip; depth is z-depth, 0 = nothing was hit."""
+    """The ground truth of a clip. Maps may be smaller than the video; depth is z-depth, 0 = no surface."""
 
     folder: Path
     name: str
     preset: str
     kinds: tuple[str, ...]
-    """What the persons do."""
+    """Kind of motion of each person."""
     fps: float
     room_bounds_m: tuple[float, float, float, float]
     """x0, x1, z0, z1."""
@@ -129,12 +129,12 @@ class Truth:
     depth_mm: UInt16[np.ndarray, "maps height width"]
     instance: UInt16[np.ndarray, "maps height width"]
     background_depth_m: Float[np.ndarray, "height width"]
-    """First frame's camera, without people and carried objects."""
+    """Depth from the first frame's camera, without people and carried objects."""
     background_instance: UInt16[np.ndarray, "height width"]
     amodal: dict[int, Bool[np.ndarray, "height width"]]
-    """Whole outline of each piece of furniture as if nothing hid it, by object."""
+    """Amodal mask of each piece of furniture, by object ID."""
     person_box_px: Float[np.ndarray, "people frames 4"]
-    """x0, y0, x1, y1 of visible pixels, NaN when unseen; the persons of `people`."""
+    """Box x0, y0, x1, y1 of the visible pixels of each person of `people`; NaN if not visible."""
     objects: tuple[TrueObject, ...]
     is_static: bool
 
@@ -160,23 +160,23 @@ class Truth:
 
     @property
     def floor_mask(self) -> Bool[np.ndarray, "height width"]:
-        """Visible floor without people; rugs lie on it and belong to it."""
+        """Visible floor without people; it includes rugs."""
         ids = [item.object_id for item in self.objects if item.label in _FLOOR_LABELS]
         return np.isin(self.background_instance, ids)
 
     @functools.cached_property
     def background_rgb(self) -> UInt8[np.ndarray, "height width 3"]:
-        """The first frame's camera without people.
+        """The image of the first frame's camera without people.
 
         Raises:
-            ArtifactError: absent, unreadable or of another size.
+            ArtifactError: the file is missing, unreadable or of another size.
         """
         size: Axes = {"height": self.intrinsics.height_px, "width": self.intrinsics.width_px}
         hint = UInt8[np.ndarray, "height width 3"]
         return read_png(self.folder / "plate.png", np.dtype(np.uint8), hint=hint, axes=size)
 
     def furniture(self, min_px: float) -> tuple[TrueObject, ...]:
-        """Standing furniture of which at least so many pixels of the clip are seen, free of people."""
+        """Standing furniture with at least `min_px` visible pixels (in pixels of the video, without people)."""
         map_px = self.background_instance.size
         share = map_px / (self.intrinsics.width_px * self.intrinsics.height_px)
         return tuple(item for item in self.objects if item.stands and item.visible_px >= min_px * share)

@@ -1,1 +1,1 @@
-"""Training of the temporal lifter: bodies in motion before random cameras, seen through real landmark errors."""
+"""Training of the temporal lifter: bodies in motion in front of random cameras, with realistic landmark errors."""

@@ -1,4 +1,5 @@
-"""Bodies that the lifter sees in training: Anny's adults with the proportions of performers."""
+"""Body shapes for training the lifter: adults of the body model (Anny) with the proportions of motion capture
+actors."""
 
 from __future__ import annotations
 
@@ -17,24 +18,25 @@ _STRETCH = {
     "thigh": (0.04, 0.05), "shank": (-0.04, 0.05), "foot": (0.0, 0.05), "hips": (-0.1, 0.1), "trunk": (0.0, 0.06),
     "shoulders": (0.04, 0.04), "upper_arm": (0.0, 0.06), "forearm": (0.06, 0.07), "neck": (0.0, 0.1),
 }  # fmt: skip
-"""Mean and deviation of the logarithm of each length over that of Anny's drawn adults, both in shares of the leg's
-length, in the skeletons of six performers (CMU's ASF files, ACCAD; without the upper arms of `accad_female1`, a fault
-of the file). Where skeletons put their joints differently (trunk, feet, neck) the mean stays; of the hips' half is
-taken, because anatomical hips are as wide apart as Anny's."""
+"""Mean and standard deviation of the logarithm of length(actor) / length(random adult of the body model), where lengths
+are relative to the leg. From the skeletons of six actors (CMU's ASF files, ACCAD; without the upper arms of
+`accad_female1`, which are wrong in the file). The mean is kept as 0 where skeletons place joints differently (trunk,
+feet, neck), and halved for the hips, whose anatomical distance is that of the body model."""
 _HEIGHT = (0.3, 0.5)
-"""Of Anny. Taller and smaller ones also get other proportions, more than adults differ (size itself is not seen)."""
+"""Range of the body model's height parameter. It is narrow because proportions change with it; size is not
+observable."""
 _BONE = {
     "hip": "hips", "knee": "thigh", "ankle": "shank", "foot": "foot", "spine1": "trunk", "spine2": "trunk",
     "spine3": "trunk", "collar": "trunk", "neck": "trunk", "shoulder": "shoulders", "elbow": "upper_arm",
     "wrist": "forearm", "head": "neck",
 }  # fmt: skip
-"""Length that the bone from the parent to a joint belongs to."""
+"""Kind of length, by the joint at the end of the bone."""
 _KEYPOINT_JOINT = {
     "nose": "head", "eye": "head", "ear": "head", "shoulder": "shoulder", "elbow": "elbow", "wrist": "wrist",
     "hip": "hip", "knee": "knee", "ankle": "ankle", "heel": "ankle", "big_toe": "foot", "index": "wrist",
     "pinky": "wrist",
 }  # fmt: skip
-"""Joint that a keypoint moves with where proportions change."""
+"""Joint that a keypoint moves with when proportions change."""
 
 
 def _side(name: str) -> tuple[str, str]:
@@ -56,7 +58,7 @@ _KEYPOINT_JOINTS = torch.tensor([_joint_of(name) for name in KEYPOINT_NAMES])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bodies:
-    """Rest geometry of several shapes (T-pose, pelvis at the origin)."""
+    """Rest geometry of several body shapes (T-pose, pelvis at the origin)."""
 
     rest_joints_m: Float[Tensor, "bodies 22 3"]
     keypoint_offsets_m: Float[Tensor, "bodies keypoints 22 3"]
@@ -80,7 +82,7 @@ class Bodies:
 
 
 def draw_bodies(rng: np.random.Generator, count: int, *, performers: bool = True) -> Bodies:
-    """Adults of varied build; with `performers`, limbs, trunk and widths also vary independently of each other."""
+    """Random adults; with `performers`, limbs, trunk and widths also vary independently, as among actors."""
     model = anny_model()
     with torch.no_grad():
         shapes = [draw_shape(rng).parameters | {"height": rng.uniform(*_HEIGHT)} for _ in range(count)]
@@ -97,7 +99,7 @@ def draw_bodies(rng: np.random.Generator, count: int, *, performers: bool = True
 
 
 def _proportioned(joints_m: Float[Tensor, "bodies 22 3"], rng: np.random.Generator) -> Float[Tensor, "bodies 22 3"]:
-    """Joints after each kind of bone is stretched, the same on both sides."""
+    """Joints after random stretching of each kind of bone, symmetric."""
     count = len(joints_m)
     stretch = {name: torch.from_numpy(np.exp(rng.normal(*log, (count, 1)))).float() for name, log in _STRETCH.items()}
     scaled = [joints_m[:, 0]]

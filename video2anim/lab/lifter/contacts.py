@@ -18,7 +18,7 @@ PARTS = {
     "seat": _joints("pelvis"),
     "back": _joints("spine3"),
 }
-"""Which contacts belong to a part."""
+"""Contacts of each body part."""
 
 
 def _mirrored(joint: str) -> str:

@@ -1,7 +1,7 @@
-"""Forward kinematics of whole batches: entries of rotations as planes, so that every step runs over long rows.
+"""Forward kinematics of whole batches. Matrix entries come first in memory ("planes"), so every step is a long row.
 
-`video2anim.types.skeleton.forward_kinematics` gives the same, one small matrix product after the other, in three times
-the time: that was a third of a training step.
+`video2anim.types.skeleton.forward_kinematics` gives the same by many small matrix products in three times the time,
+which was a third of a training step.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ _BACK = _BY_LEVEL.argsort()
 _PARENT_AMONG = [
     torch.tensor([above.index(int(PARENTS[joint])) for joint in level]) for above, level in itertools.pairwise(_LEVELS)
 ]
-"""Of each joint of a level, the place of its parent in the level above."""
+"""Index, in the level above, of the parent of each joint of a level."""
 _PARENTS = torch.from_numpy(np.maximum(PARENTS, 0))
 
 
 def planes(R: Float[Tensor, "batch frames 22 3 3"]) -> Float[Tensor, "3 3 22 batch frames"]:
-    """Rotations as planes."""
+    """Rotations with their matrix entries first, for `posed`."""
     return R.permute(3, 4, 2, 0, 1).contiguous()
 
 
 def planes_from_rot6d(rot6d: Float[Tensor, "batch frames 22 6"]) -> Float[Tensor, "3 3 22 batch frames"]:
-    """As `matrix_from_rot6d`."""
+    """Rotations as in `planes` from the 6D representation; same convention as `matrix_from_rot6d`."""
     first, second = rot6d.permute(3, 2, 0, 1).contiguous().split(3)
     first = first / _length(first)
     second = second - (first * second).sum(0) * first
@@ -54,7 +54,7 @@ def planes_from_rot6d(rot6d: Float[Tensor, "batch frames 22 6"]) -> Float[Tensor
 def posed(
     R_parent_joint: Float[Tensor, "3 3 22 batch frames"], rest_joints_m: Float[Tensor, "batch 22 3"]
 ) -> tuple[Float[Tensor, "3 22 batch frames"], Float[Tensor, "3 3 22 batch frames"]]:
-    """Joints relative to the pelvis, and orientations, in the frame that the root's orientation maps into."""
+    """Joints relative to the pelvis (meters) and joint orientations, in the frame of the root's orientation."""
     bones = (rest_joints_m - rest_joints_m[:, _PARENTS]).permute(2, 1, 0)[:, _BY_LEVEL, :, None].split(_SIZES, 1)
     local = R_parent_joint.index_select(2, _BY_LEVEL).split(_SIZES, 2)
     orientations, positions = [local[0]], [torch.zeros_like(local[0][:, 0])]

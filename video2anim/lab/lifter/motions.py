@@ -1,4 +1,4 @@
-"""Motion that the lifter learns from: captured and procedural clips, made once and memory-mapped afterwards."""
+"""Training motion of the lifter: captured and procedural clips, cached in a folder and memory-mapped."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from video2anim.errors import InputError
 from video2anim.geometry.rotations import rot6d_from_matrix
 from video2anim.humans.lifter_input import CONTACT_INDEX
 from video2anim.lab.lifter.contacts import PARTS
-from video2anim.lab.lifter.store import keep, kept, mapped
+from video2anim.lab.lifter.store import has_arrays, read_arrays, write_arrays
 from video2anim.lab.synth.acting import act
 from video2anim.lab.synth.compose import draw_shape
 from video2anim.lab.synth.presets import PROCEDURAL
 from video2anim.types import BodyShape
 
 FEET = 4
-"""Of the contacts, these come first; captured clips tell of no others."""
+"""Number of foot contacts, which come first. Captured clips have labels for these only."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiftingMotions:
-    """Clips one after the other, 30 frames a second, +Y up."""
+    """Concatenated clips at 30 fps, +Y up, meters. Clip i is rows `start[i]` to `start[i + 1]`."""
 
     rot6d: Float[np.ndarray, "frames 22 6"]
     """Local rotations; joint 0 is the root's orientation in the world."""
@@ -50,10 +50,17 @@ def gather(
     seed: int,
     on_clip: Callable[[int], None] = lambda count: None,
 ) -> LiftingMotions:
-    """Captured clips (of these names) on an average adult, and procedural ones, whose contacts are all known.
+    """Captured clips on an average adult, and procedural clips, for which all contacts are known.
 
-    Clips whose license forbids to ship what was learnt from them are left out, and clips on skeletons that
+    Clips whose license forbids distributing weights trained on them are left out, and clips whose skeleton
     `scenemi.data` cannot read.
+
+    Args:
+        archives: Archives of captured motion.
+        names: Names of the clips to take; all if None.
+        procedural: Number of procedural clips.
+        seed: Seed of the procedural clips.
+        on_clip: Called with the number of clips so far.
     """
     wanted = None if names is None else set(names)
     parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
@@ -87,17 +94,19 @@ def gather(
     return LiftingMotions(columns[0].astype(np.float32), columns[1].astype(np.float32), columns[2], columns[3], start)
 
 
-def kept_motions(
+def cached_motions(
     folder: Path, archives: Sequence[Path], split: Path, part: str, *, procedural: int, seed: int
 ) -> LiftingMotions:
-    """The clips of a part of the split, from the folder if it holds just these, else gathered and put there.
+    """`gather` for one part of the split file, cached in a folder.
 
-    What can be read depends on the skeleton families that `scenemi.data.rest_pose` knows: its text is in the key.
+    Which clips can be read depends on the skeletons that `scenemi.data.rest_pose` supports, so the key includes it.
     """
     digest = hashlib.sha256(Path(rest_pose.__file__).read_bytes() + split.read_bytes())
     for path in archives:
         digest.update(f"{path.name} {path.stat().st_size}".encode())
     key = {"part": part, "acted": procedural, "seed": seed, "sources": digest.hexdigest()}
-    if not kept(folder, key):
-        keep(gather(archives, json.loads(split.read_text())[part], procedural=procedural, seed=seed), folder, key)
-    return mapped(LiftingMotions, folder)
+    if not has_arrays(folder, key):
+        write_arrays(
+            gather(archives, json.loads(split.read_text())[part], procedural=procedural, seed=seed), folder, key
+        )
+    return read_arrays(LiftingMotions, folder)

@@ -1,7 +1,7 @@
-"""The temporal lifter: a residual network of dilated convolutions over time (Pavllo et al. 2019 lift 2D poses so).
+"""The temporal lifter: a residual network of dilated convolutions over time (after Pavllo et al. 2019).
 
-It works on frames folded together: motion changes little between neighbors, so a coarser clock costs a fraction and
-sees farther.
+It works on groups of 4 frames. Motion changes little between neighbors, so the coarser time step costs a fraction and
+has a larger receptive field.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from video2anim.humans.lifter_input import FEATURES, OUTPUTS
 from video2anim.lab.onnx_export import write_onnx
 
 FOLD = 4
-"""Frames that the network works on as one."""
+"""Number of frames that form one time step of the network."""
 DILATIONS = (1, 3, 9, 1, 3)
-"""Each of a convolution over 3 folds."""
+"""Dilation of each convolution over 3 time steps."""
 WIDTH = 384
 
 
@@ -33,7 +33,7 @@ class _Block(nn.Module):
 
 
 class LifterNetwork(nn.Module):
-    """Features of frames -> rotations, place, contacts and up of each (`video2anim.humans.lifter_input`)."""
+    """Features of frames to rotations, position, contacts and up direction (`video2anim.humans.lifter_input`)."""
 
     mean: Tensor
     deviation: Tensor
@@ -50,12 +50,12 @@ class LifterNetwork(nn.Module):
         nn.init.zeros_(self.leave.bias)  # type: ignore[arg-type]
 
     def forward(self, features: Float[Tensor, "batch frames features"]) -> Float[Tensor, "batch frames outputs"]:
-        """Answers around the middle one of the training data."""
+        """Outputs of each frame; the mean output of the training data (`base`) is added."""
         batch, frames = features.shape[:2]
         valid = features[..., -1:]
         x = ((features - self.mean) / self.deviation).clamp(-6.0, 6.0) * valid
         x = torch.cat([x[..., :-1], valid], -1)
-        # Frames that are missing at the end are like frames without a measurement.
+        # Padding at the end looks like frames without a measurement.
         x = nn.functional.pad(x, (0, 0, 0, (FOLD - frames % FOLD) % FOLD))
         x = self.enter(x.reshape(batch, -1, FOLD * FEATURES).transpose(1, 2))
         for block in self.blocks:
@@ -65,14 +65,14 @@ class LifterNetwork(nn.Module):
 
 
 def export_onnx(network: LifterNetwork, path: Path) -> None:
-    """Write the network with free numbers of clips and frames."""
+    """Write the network as ONNX with dynamic numbers of clips and frames."""
     names = ("features", ("body",))
     free = {name: {0: "batch", 1: "frames"} for name in ("features", "body")}
     write_onnx(network.eval(), torch.zeros(1, 60, FEATURES), path, names=names, free=free)
 
 
 def read_onnx(path: Path) -> LifterNetwork | None:
-    """The network of an exported file, to go on training with; None if it is of another architecture."""
+    """The network of an exported file, to continue training; None if its architecture differs."""
     import onnx
     from onnx import numpy_helper
 

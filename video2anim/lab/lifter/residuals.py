@@ -1,4 +1,4 @@
-"""Errors of the landmark model on rendered people, whose true bodies are known."""
+"""Errors of the landmark model, measured on rendered people with known bodies."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from video2anim.types.skeleton import forward_kinematics
 
 _HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
 _SAME_BODY = 0.35
-"""A track is a true person where its landmarks miss by less than this share of the person's size."""
+"""A track matches a true person if the error of its landmarks is below this share of the person's size."""
 _MIN_FRAMES = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualLibrary:
-    """Runs of neighboring frames, one after the other, in the frame of the person's viewing ray."""
+    """Concatenated runs of consecutive frames, in the frame of the person's viewing ray."""
 
     pixels: Float[np.ndarray, "frames keypoints 2"]
-    """Error of the directions in units of the true size (root mean square distance from the hips)."""
+    """Error of the image positions, relative to the true size (root mean square distance from the hips)."""
     points_m: Float[np.ndarray, "frames keypoints 3"]
-    """Error of the 3D landmarks relative to the middle of the hips."""
+    """Error of the 3D landmarks relative to the center of the hips."""
     visibility: Float[np.ndarray, "frames keypoints"]
     truth_m: Float[np.ndarray, "frames keypoints 3"]
-    """Where the keypoints truly were, relative to the middle of the hips: which pose the error belongs to."""
+    """True keypoints relative to the center of the hips: the pose to which the error belongs."""
     start: Int[np.ndarray, "runs+1"]
 
     def mirrored_too(self) -> ResidualLibrary:
-        """With every run also seen in a mirror."""
+        """The library with a mirrored copy of every run."""
         flip2, flip3 = np.array([-1.0, 1.0]), np.array([-1.0, 1.0, 1.0])
         return ResidualLibrary(
             np.concatenate([self.pixels, self.pixels[:, MIRROR_KEYPOINT] * flip2]).astype(np.float32),
@@ -49,10 +49,10 @@ class ResidualLibrary:
 
 
 def collect(clips: Sequence[tuple[Path, PersonTracks]]) -> ResidualLibrary:
-    """Residuals of everybody found in clips of `video2anim synth`.
+    """Residuals of all persons that were found in clips of `video2anim synth`.
 
     Args:
-        clips: truth folder and the tracks found in its video (every frame).
+        clips: Truth folder of each clip, and the tracks found in its video (every frame).
     """
     parts: list[tuple[np.ndarray, ...]] = []
     for folder, tracks in clips:
@@ -70,7 +70,7 @@ def collect(clips: Sequence[tuple[Path, PersonTracks]]) -> ResidualLibrary:
 
 
 def true_keypoints(person: BodyMotion) -> Float[np.ndarray, "frames keypoints 3"]:
-    """Keypoints of a body in the camera."""
+    """Keypoints of a body in the camera frame, meters."""
     model = anny_model()
     rest = model.rest_skeleton({name: torch.tensor(float(value)) for name, value in person.shape.parameters.items()})
     R_camera_world = np.swapaxes(person.T_world_camera[:, :3, :3], -1, -2)
@@ -89,7 +89,7 @@ def _projected(true_m: np.ndarray, person: BodyMotion) -> np.ndarray:
 
 
 def track_of(person: BodyMotion, true_m: np.ndarray, tracks: PersonTracks) -> PersonTrack | None:
-    """The track that follows this person closest, if one does."""
+    """The track with the smallest error for this person; None if none matches."""
     true_px = _projected(true_m, person)
     size = np.linalg.norm(np.ptp(true_px, axis=1), axis=-1)
     best: tuple[float, PersonTrack | None] = (_SAME_BODY, None)
@@ -102,7 +102,7 @@ def track_of(person: BodyMotion, true_m: np.ndarray, tracks: PersonTracks) -> Pe
 
 
 def _runs(track: PersonTrack, true_m: np.ndarray, truth: Truth) -> list[tuple[np.ndarray, ...]]:
-    """Residuals of each run of frames in which the track is on the person."""
+    """Residuals of each run of frames in which the track matches the person."""
     person = truth.main
     seen_px, k = track.landmarks_px[:, LANDMARK_ORDER], person.intrinsics
     ok = track.valid & (true_m[..., 2].min(1) > 0.2)

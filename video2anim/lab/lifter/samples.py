@@ -1,4 +1,4 @@
-"""Random bodies before random cameras, seen with the errors of a landmark model; whole batches at once."""
+"""Training batches: random bodies in front of random cameras, with the errors of a landmark model."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from video2anim.humans.lifter_input import ray_features
 from video2anim.lab.lifter.bodies import draw_bodies
 from video2anim.lab.lifter.contacts import MIRRORED
 from video2anim.lab.lifter.kinematics import planes, posed
+from video2anim.lab.lifter.landmark_errors import LandmarkErrors, SimulatedLandmarks
 from video2anim.lab.lifter.motions import LiftingMotions
 from video2anim.lab.lifter.residuals import ResidualLibrary
-from video2anim.lab.lifter.sightings import LandmarkErrors, Sightings
 from video2anim.lab.lifter.variation import varied
 from video2anim.lab.lifter.views import draw_views
 from video2anim.types import Intrinsics
@@ -29,21 +29,22 @@ _HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
 _MIRROR_ROT6D = torch.tensor([1.0, -1.0, -1.0, -1.0, 1.0, 1.0])
 """Signs of the first two columns of a rotation in the mirror x -> -x."""
 _SLOWER_OR_FASTER, _SLOWEST, _FASTEST = 0.4, 0.7, 1.6
+"""Share of the windows with another speed, and the range of the factor on the speed."""
 _BACKWARD = 0.05
-"""Shares of the windows."""
+"""Share of the windows played backward."""
 _ASKEW, _ASKEW_RAD = 0.4, 0.25
-"""Share of the windows whose camera is held askew, and by how much."""
+"""Share of the windows with a rolled camera, and the standard deviation of the roll."""
 _LONGEST_SHARE = 900
-"""Frames beyond which a clip is not drawn more often: a few long clips must not be all there is."""
+"""Number of frames above which a clip is not drawn more often, so that a few long clips do not dominate."""
 _SHAPES = 192
 _FOCAL_ERROR = 0.08
-"""Deviation of the logarithm of the assumed focal length over the true one."""
+"""Standard deviation of the logarithm of assumed over true focal length."""
 _UNIT = Intrinsics(1.0, 1.0, 0.0, 0.0, 1, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiftingBatch:
-    """Windows with their truth, in the frame of each frame's viewing ray."""
+    """Windows with their truth, in the viewing ray frame of each frame."""
 
     features: Float[Tensor, "batch frames features"]
     rot6d: Float[Tensor, "batch frames 22 6"]
@@ -51,32 +52,32 @@ class LiftingBatch:
     """Relative to the pelvis."""
     rest_joints_m: Float[Tensor, "batch 22 3"]
     log_size: Float[Tensor, "batch frames"]
-    """Logarithm of the pelvis's depth times the size that the features were divided by."""
+    """Logarithm of the pelvis's depth times the size by which the features are divided."""
     pelvis_m: Float[Tensor, "batch frames 3"]
-    """From the camera: offset from the viewing ray, and depth."""
+    """Offset from the viewing ray (x, y), and depth."""
     contact: Float[Tensor, "batch frames 8"]
     contact_known: Float[Tensor, "batch frames 8"]
     up: Float[Tensor, "batch frames 3"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
-    """One window as a landmark model would see it, in a camera with focal length 1, and its truth."""
+class SimulatedWindow:
+    """One window: simulated output of a landmark model for a camera with focal length 1, and the truth."""
 
     directions: Float[np.ndarray, "frames keypoints 2"]
     """x and y of the viewing rays at depth 1."""
     points_m: Float[np.ndarray, "frames keypoints 3"]
-    """3D landmarks as the model gives them (`landmark_rotation`)."""
+    """3D landmarks in the frame of the model's output (`landmark_rotation`)."""
     visibility: Float[np.ndarray, "frames keypoints"]
     valid: Bool[np.ndarray, "frames"]
     R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
-    """Joint 0 in the world."""
+    """Local rotations; joint 0 is the root's orientation in the world."""
     R_camera_world: Float[np.ndarray, "3 3"]
     pelvis_camera_m: Float[np.ndarray, "frames 3"]
 
 
 class LiftingSampler:
-    """Batches; everything random comes from (seed, step)."""
+    """Makes batches; all random numbers depend on (seed, step) only."""
 
     def __init__(
         self,
@@ -98,7 +99,7 @@ class LiftingSampler:
         self._share = share / share.sum()
 
     def batch(self, step: int, size: int) -> LiftingBatch:
-        """One batch of windows."""
+        """The batch of `size` windows of a training step."""
         rng = np.random.default_rng([self.seed, step])
         R, translation, contact, known = self._moved(rng, size)
         if self.varied:
@@ -125,8 +126,8 @@ class LiftingSampler:
             contact.float(), known.float(), R_ray_world[..., 1],
         )  # fmt: skip
 
-    def sight(self, rng: np.random.Generator) -> Sighting:
-        """One window of a clip as it is, with all errors of the landmark model."""
+    def simulate(self, rng: np.random.Generator) -> SimulatedWindow:
+        """One window of an unchanged clip with all errors of the landmark model."""
         R, translation, _, _ = self._moved(rng, 1)
         body = torch.from_numpy(rng.integers(0, _SHAPES, 1))
         joint_planes, R_joint = posed(planes(R), self._bodies.rest_joints_m[body])
@@ -144,14 +145,14 @@ class LiftingSampler:
         directions = (ray[..., :2] / ray[..., 2:].clamp_min(0.1))[0].numpy().astype(np.float64)
         R_landmarks = landmark_rotation(directions[:, _HIPS].mean(1), _UNIT)
         in_camera = (found.points_m @ R_true.transpose(-1, -2))[0].numpy().astype(np.float64)
-        return Sighting(
+        return SimulatedWindow(
             directions, in_camera @ R_landmarks, found.visibility[0].numpy(), found.valid[0].numpy(),
             R[0].numpy().astype(np.float64), view.R_camera_world[0].numpy().astype(np.float64),
             joints[0, :, 0].numpy().astype(np.float64),
         )  # fmt: skip
 
     def _moved(self, rng: np.random.Generator, size: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Pieces of clips, perhaps mirrored, at speeds of their own, turned about the vertical axis."""
+        """Parts of clips at random speeds, some mirrored, rotated about the vertical axis."""
         m = self.motions
         row, share = self._rows(rng, size)
         after = row + (share > 0)
@@ -174,7 +175,7 @@ class LiftingSampler:
     def _rows(
         self, rng: np.random.Generator, size: int
     ) -> tuple[Int[np.ndarray, "batch frames"], Float[np.ndarray, "batch frames"]]:
-        """Rows of the store, and how far each window's frame lies toward the next row. Clips that end stand still."""
+        """Rows of the clips, and the interpolation weight of the next row. After its end a clip stands still."""
         clip = rng.choice(self._clips, size, p=self._share)
         first, last = self.motions.start[clip], self.motions.start[clip + 1] - 1
         other = self.varied & (rng.random(size) < _SLOWER_OR_FASTER)
@@ -190,8 +191,9 @@ class LiftingSampler:
     def _seen(
         self, rng: np.random.Generator, points_m: Float[Tensor, "batch frames keypoints 3"], half: Float[Tensor, "b 2"]
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Features, sizes, ray frames, and by how much each camera was held askew: a turn about its axis, to be applied
-        to the truth. A landmark model turns its crop upright and its answer back, so its errors turn along."""
+        """Features, sizes, viewing ray frames, and the roll of each camera (a rotation to be applied to the truth).
+
+        A landmark model rotates its crop upright and its output back, so its errors rotate with the roll."""
         batch, frames = points_m.shape[:2]
         R_true = _ray_rotations(points_m)
         in_ray = points_m @ R_true
@@ -209,7 +211,7 @@ class LiftingSampler:
             focal = np.exp(rng.normal(0, _FOCAL_ERROR, (batch, 1, 1, 1)))
         else:
             seen = torch.ones(batch, frames, points_m.shape[2])
-            found, focal = Sightings(directions, relative, seen, seen[..., 0] > 0), np.ones(1)
+            found, focal = SimulatedLandmarks(directions, relative, seen, seen[..., 0] > 0), np.ones(1)
         ray = torch.cat([found.directions, torch.ones_like(found.directions[..., :1])], -1)
         ray = ray @ R_camera_ray.transpose(-1, -2)
         ray = ray[..., :2] / ray[..., 2:].clamp_min(0.1) * torch.from_numpy(focal).float()
@@ -223,6 +225,6 @@ class LiftingSampler:
 
 
 def _ray_rotations(points: Float[Tensor, "batch frames keypoints 3"]) -> Float[Tensor, "batch frames 3 3"]:
-    """`ray_rotation` of the middle of the hips in the picture."""
+    """`ray_rotation` of the center of the hips in the picture."""
     hips = (points[:, :, _HIPS, :2] / points[:, :, _HIPS, 2:].clamp_min(0.1)).mean(2)
     return torch.from_numpy(ray_rotation(hips.reshape(-1, 2).numpy(), _UNIT)).float().reshape(*hips.shape[:2], 3, 3)

@@ -1,4 +1,4 @@
-"""Dataclasses of arrays in a folder, whole or absent, memory-mapped when read."""
+"""Stores dataclasses of arrays in a folder that is complete or absent, and reads them memory-mapped."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ _KEY = "key.json"
 _Arrays = TypeVar("_Arrays")
 
 
-def keep(value: Any, folder: Path, key: dict[str, Any]) -> None:
-    """Write the arrays; a folder that is there is replaced when the new one is whole.
+def write_arrays(value: Any, folder: Path, key: dict[str, Any]) -> None:
+    """Write the arrays of a dataclass. An existing folder is replaced once the new one is complete.
 
     Args:
-        key: what the arrays were made from.
+        value: Dataclass of arrays.
+        folder: Folder to write.
+        key: What the arrays were made from.
     """
     with atomic_directory(folder) as aside:
         for field in fields(value):
@@ -27,13 +29,13 @@ def keep(value: Any, folder: Path, key: dict[str, Any]) -> None:
         (aside / _KEY).write_text(json.dumps(key) + "\n")
 
 
-def kept(folder: Path, key: dict[str, Any]) -> bool:
-    """Whether the folder holds arrays made from just this."""
+def has_arrays(folder: Path, key: dict[str, Any]) -> bool:
+    """Whether the folder holds arrays with this key."""
     path = folder / _KEY
     return path.is_file() and json.loads(path.read_text()) == key
 
 
-def mapped(kind: type[_Arrays], folder: Path) -> _Arrays:
-    """The kept arrays, memory-mapped."""
+def read_arrays(kind: type[_Arrays], folder: Path) -> _Arrays:
+    """The arrays of a folder as a dataclass of type `kind`, memory-mapped."""
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     return kind(*(np.load(folder / f"{name}.npy", mmap_mode="r", allow_pickle=False) for name in names))

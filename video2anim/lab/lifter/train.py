@@ -1,4 +1,4 @@
-"""The training loop of the lifter: without a planned end, so the rate stays constant and the average is exported."""
+"""The training loop of the lifter. It has no fixed end: the rate is constant and the averaged weights are exported."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ from video2anim.lab.lifter.samples import LiftingBatch, LiftingSampler
 CHECKPOINT, PROGRESS = "lifter.safetensors", "progress.json"
 _TYPICAL_ERROR_M = 0.05
 _CRITERION = "pa_mpjpe_mm"
-"""The measure by which a validation is better than the ones before."""
+"""The validation measure that decides which checkpoint is best."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiftingConfig:
-    """One training."""
+    """Settings of a training run."""
 
     batch: int = 32
     learning_rate: float = 1e-3
     warmup: int = 300
-    """Steps in which the rate rises, and after which the average reaches its full length."""
+    """Steps in which the learning rate rises; also the start of full averaging."""
     ema: float = 0.9995
     seed: int = 0
     save_minutes: float = 4.0
@@ -58,12 +58,12 @@ class Progress:
     windows: int = 0
     hours: float = 0.0
     windows_per_s: float = 0.0
-    """Of the time since the last start, validation included."""
+    """Mean since the last start, including validation."""
     validation: dict[str, float] = field(default_factory=dict)
     best: float = math.inf
     """Lowest validation `pa_mpjpe_mm`."""
     improved_at_hours: float = 0.0
-    """When the validation was best."""
+    """Training time at the best validation."""
 
 
 def train(
@@ -77,12 +77,17 @@ def train(
     start: LifterNetwork | None = None,
     on_line: Callable[[str], None] = lambda text: None,
 ) -> LifterNetwork:
-    """Train, or go on from the folder's checkpoint, until a limit or an interrupt; returns the average.
+    """Train, or continue from the folder's checkpoint, until a limit or an interrupt. Returns the averaged network.
 
     Args:
-        minutes: end after this time.
-        stop_at: end after this step.
-        start: weights to begin with where there is no checkpoint.
+        sampler: Training batches.
+        held_out: Validation batches.
+        config: Settings.
+        folder: Folder of the checkpoint and of `progress.json`.
+        minutes: End after this time.
+        stop_at: End after this step.
+        start: Initial weights if there is no checkpoint.
+        on_line: Called with a line of numbers at every checkpoint.
     """
     torch.manual_seed(config.seed)
     network, average, optimizer, progress = _state(folder, sampler, config, start)
@@ -111,8 +116,8 @@ def train(
         update_average(average.state_dict(), network.state_dict(), ramped_decay(progress.steps, config.ema))
 
 
-def cooled(sampler: LiftingSampler, config: LiftingConfig, folder: Path, *, steps: int) -> LifterNetwork:
-    """The network after so many more steps in which the rate falls to zero; the run itself is left as it is."""
+def annealed(sampler: LiftingSampler, config: LiftingConfig, folder: Path, *, steps: int) -> LifterNetwork:
+    """The network after `steps` more steps with a rate that falls to zero. The run in the folder does not change."""
     network, _, optimizer, progress = _state(folder, sampler, config, None)
     half = bfloat16_is_quicker(torch.device("cpu"))
     average = copy.deepcopy(network)
@@ -124,7 +129,7 @@ def cooled(sampler: LiftingSampler, config: LiftingConfig, folder: Path, *, step
 
 
 def describe(progress: Progress) -> str:
-    """One line about a run."""
+    """Steps, time, speed and validation of a run as one line."""
     return (
         f"{progress.steps} steps, {progress.windows} windows, {progress.hours:.2f} h, "
         f"{progress.windows_per_s:.0f} windows/s | {measures_text(progress.validation)} | "
@@ -148,7 +153,7 @@ def read_average(folder: Path) -> LifterNetwork:
 def _state(
     folder: Path, sampler: LiftingSampler, config: LiftingConfig, start: LifterNetwork | None
 ) -> tuple[LifterNetwork, LifterNetwork, torch.optim.Optimizer, Progress]:
-    """Network, average, optimizer and progress, as the checkpoint has them or fresh."""
+    """Network, average, optimizer and progress from the checkpoint, or new ones."""
     network, average = LifterNetwork(), LifterNetwork()
     optimizer = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=0.01)
     if (folder / CHECKPOINT).is_file():
@@ -180,7 +185,7 @@ def _validated(average: LifterNetwork, tests: list[LiftingBatch]) -> dict[str, f
 
 
 def _normalize(network: LifterNetwork, sampler: LiftingSampler) -> None:
-    """Mean and deviation of the inputs and mean of the outputs, from a first batch."""
+    """Set mean and standard deviation of the inputs and mean of the outputs from a first batch."""
     batch = sampler.batch(10**9, 128)
     flat = batch.features.flatten(0, 1)
     flat = flat[flat[:, -1] > 0]

@@ -1,4 +1,4 @@
-"""Poses that the clips lack. People in videos do what no clip shows, and there the network has to believe its eyes."""
+"""Augmentation with poses that no clip has, so that the network relies on the landmarks where priors fail."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _TRUNK = [JOINT_INDEX[name] for name in ("spine1", "spine2", "spine3", "neck", "
 _WIDE = _both("shoulder", "hip")
 _HANDS, _BACK = (torch.from_numpy(PARTS[name]) for name in ("hands", "back"))
 _OTHER_ARMS, _OTHER_LEGS, _OTHER_TRUNK, _SWUNG, _LEANING, _TURNED = 0.25, 0.15, 0.1, 0.35, 0.15, 0.3
-"""Shares of the windows."""
+"""Share of the windows with arms, legs, trunk of another window, swinging limbs, leaning body, rotated joints."""
 _FROM_OTHERS = ((_OTHER_ARMS, _ARMS, ~_HANDS), (_OTHER_LEGS, _LEGS, _HANDS), (_OTHER_TRUNK, _TRUNK, ~(_HANDS | _BACK)))
-"""Share of windows, joints that come from another one, contacts that stay known."""
+"""Share of windows, joints taken from another window, contacts that stay known."""
 _SWING_RAD, _SWING_HZ, _LEAN_RAD = 0.5, (0.1, 1.2), 0.2
 _TURN_SHARE = 0.35
-"""Of the joints."""
+"""Share of the joints that are rotated in a window with rotated joints."""
 _TURN_RAD = np.full((22, 1), 0.2)
 _TURN_RAD[_WIDE] = 0.45
 _TURN_RAD[_both("elbow", "knee")] = 0.1
@@ -38,8 +38,8 @@ _TURN_RAD[0] = 0.0
 def varied(
     rng: np.random.Generator, R: Float[Tensor, "batch frames 22 3 3"], known: Bool[Tensor, "batch frames 8"]
 ) -> tuple[Tensor, Tensor]:
-    """Arms, legs or trunk of another window, limbs that swing wide, bodies that lean, joints turned by a steady amount;
-    contacts that this puts in doubt are no longer known."""
+    """Augmented rotations and known contacts: arms, legs or trunk of another window, swinging limbs, leaning bodies,
+    joints with a constant offset. Contacts that may have become wrong are marked as unknown."""
     batch, frames = R.shape[:2]
     R, known = R.clone(), known.clone()
     original = R.clone()
@@ -72,7 +72,7 @@ def _rotations(vectors_rad: np.ndarray) -> Tensor:
 
 
 def _swings(rng: np.random.Generator, batch: int, frames: int) -> Float[Tensor, "batch 4 frames 3 3"]:
-    """Turns of hips and shoulders that rise and fall over the window; half of them stay as they are."""
+    """Rotations of hips and shoulders: a constant plus a sine over the window; the identity for half of them."""
     time_s = np.arange(frames)[:, None] / FPS
     shape = (batch, len(_WIDE), 1, 1)
     steady, swinging = rng.normal(0, _SWING_RAD, (2, batch, len(_WIDE), 1, 3)) * (rng.random(shape) < 0.5)

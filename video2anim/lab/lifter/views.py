@@ -1,4 +1,4 @@
-"""Cameras as people hold them: phones and longer lenses, upright and across, low and high, near and far."""
+"""Random cameras: phones and longer lenses, portrait and landscape, low and high, near and far."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from torch import Tensor
 from video2anim.geometry.rotations import matrix_from_axis_angle
 
 _PHONE_FOV_DEG, _LONG_FOV_DEG = (55.0, 80.0), (20.0, 55.0)
-"""Along the picture's long side: main cameras of phones (60 to 75 degrees, some crop, some are wider), and tele."""
+"""Field of view along the long side: main cameras of phones (60 to 75 degrees, cropped or wider), and telephoto."""
 _PHONES = 0.7
-"""Share of windows."""
+"""Share of windows with a phone's field of view."""
 _ASPECTS, _ASPECT_SHARES = (9 / 16, 3 / 4, 1.0), (0.6, 0.25, 0.15)
 _LOW_M, _HIGH_M, _HIGHER_M = 0.3, 2.5, 4.0
 _HIGHER = 0.12
-"""Share of cameras above the hands' reach, up to `_HIGHER_M`."""
+"""Share of cameras above `_HIGH_M`, up to `_HIGHER_M`."""
 _SMALL, _LARGE = 0.2, 1.0
-"""Height of a standing person in shares of the picture's height, log-uniform; large ones are cut by the border."""
+"""Range of a standing person's height as a share of the picture's height, log-uniform; large persons are cropped."""
 _STANDING_M = 1.7
 _NEAREST_M, _FARTHEST_M = 1.0, 14.0
 _BEFORE_LENS_M = 0.6
-"""No joint comes nearer to the lens."""
+"""Minimum distance of any joint to the lens."""
 _STEEPEST_RAD = 0.9
 _OFF_CENTER = 0.25
-"""Spread of the person about the picture's middle in shares of its half width and height."""
+"""Standard deviation of the person's offset from the picture's center, relative to its half width and height."""
 _ROLL_RAD = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
-    """Still cameras, one per window: X_camera = R X_world + t."""
+    """Static cameras, one per window: X_camera = R X_world + t."""
 
     R_camera_world: Float[Tensor, "batch 3 3"]
     t_camera_m: Float[Tensor, "batch 3"]
@@ -42,7 +42,7 @@ class Views:
 
 
 def draw_views(rng: np.random.Generator, joints_world_m: Float[Tensor, "batch frames 22 3"]) -> Views:
-    """A camera before each window's body, with the floor at y = 0."""
+    """A random camera in front of the body of each window; world with the floor at y = 0."""
     batch = len(joints_world_m)
     half = _pictures(rng, batch)
     center = joints_world_m[:, :, 0].mean(1).numpy()
@@ -58,7 +58,7 @@ def draw_views(rng: np.random.Generator, joints_world_m: Float[Tensor, "batch fr
     zero = np.zeros(batch)
     level = np.diag([1.0, -1.0, -1.0])
     R = matrix_from_axis_angle(np.stack([pitch, zero, zero], -1)) @ level
-    # Whoever comes toward the camera must not pass it.
+    # A person who walks towards the camera must not pass it.
     nearest = np.einsum("ba,btja->btj", R[:, 2], from_middle).min((1, 2))
     depth = np.maximum(depth, _BEFORE_LENS_M - nearest)
     roll = matrix_from_axis_angle(np.stack([zero, zero, rng.normal(0, _ROLL_RAD, batch)], -1))
@@ -68,7 +68,7 @@ def draw_views(rng: np.random.Generator, joints_world_m: Float[Tensor, "batch fr
 
 
 def _pictures(rng: np.random.Generator, batch: int) -> Float[np.ndarray, "batch 2"]:
-    """Half widths and heights at depth 1."""
+    """Half widths and heights of pictures at depth 1."""
     phone = rng.random(batch) < _PHONES
     fov = np.where(phone, rng.uniform(*_PHONE_FOV_DEG, batch), rng.uniform(*_LONG_FOV_DEG, batch))
     long = np.tan(0.5 * np.deg2rad(fov))

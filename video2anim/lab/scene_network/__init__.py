@@ -1,1 +1,1 @@
-"""Training of the room network: depth, normals, camera, classes and instances of a picture, in one encoder."""
+"""Training of the room network: depth, normals, camera, classes and instances of an image from one encoder."""

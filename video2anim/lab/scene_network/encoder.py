@@ -1,7 +1,7 @@
 """EfficientNet-Lite0 without its classifier (Tan and Le 2019; the Lite variants: ReLU6, no squeeze-and-excitation).
 
-Its published weights (Apache-2.0, trained on photographs) are what the room network starts from: what early layers
-know of real pictures is what renders cannot teach.
+The room network starts from its published weights (Apache-2.0, trained on photographs), because rendered images cannot
+teach the statistics of real ones to the early layers.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 MEAN_RGB, STD_RGB = 127.0, 128.0
-"""Of pictures in 0 to 255, as the published weights want them."""
+"""Normalization of images in 0 to 255 that the published weights expect."""
 STEM = 32
 STAGES = (
     (1, 16, 1, 1, 3), (6, 24, 2, 2, 3), (6, 40, 2, 2, 5), (6, 80, 3, 2, 3), (6, 112, 3, 1, 5), (6, 192, 4, 2, 5),
     (6, 320, 1, 1, 3),
 )  # fmt: skip
-"""Expansion, channels, blocks, stride, kernel."""
+"""Expansion, channels, blocks, stride, kernel size of each stage."""
 TAPS = (0, 1, 2, 4, 6)
-"""Stages after which a picture's scale is done: a 2nd, 4th, 8th, 16th and 32nd."""
+"""Last stage at each scale: 1/2, 1/4, 1/8, 1/16 and 1/32."""
 WIDTHS = tuple(STAGES[stage][1] for stage in TAPS)
 _EPSILON = 1e-3
 
 
 class _SameConv(nn.Conv2d):
-    """Convolution padded as TensorFlow does for even sizes: more after than before where the stride is two."""
+    """Convolution with TensorFlow's padding for even sizes: with stride 2, more padding after than before."""
 
     def __init__(self, inputs: int, outputs: int, size: int, stride: int = 1, groups: int = 1) -> None:
-        # Without stride both sides get the same.
+        # With stride 1 the padding is symmetric.
         super().__init__(inputs, outputs, size, stride, size // 2 if stride == 1 else 0, groups=groups, bias=False)
         self._after = size - stride - (size - stride) // 2 if stride > 1 else 0
         self._before = (size - stride) // 2 if stride > 1 else 0
@@ -61,7 +61,7 @@ class _Block(nn.Module):
 
 
 class Encoder(nn.Module):
-    """Features at five scales. Batch statistics stay those of the photographs."""
+    """Features at five scales. Batch normalization keeps the published statistics."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -77,7 +77,7 @@ class Encoder(nn.Module):
         self.train()
 
     def train(self, mode: bool = True) -> Encoder:
-        """Batch normalization never leaves evaluation."""
+        """Set the training mode; batch normalization always stays in evaluation mode."""
         super().train(mode)
         for module in self.modules():
             if isinstance(module, nn.BatchNorm2d):
@@ -85,7 +85,7 @@ class Encoder(nn.Module):
         return self
 
     def forward(self, x: Float[Tensor, "batch 3 height width"]) -> list[Tensor]:
-        """Features of `WIDTHS` channels; `x` is (RGB - `MEAN_RGB`) / `STD_RGB`."""
+        """Features with `WIDTHS` channels at scales 1/2 to 1/32; `x` is (RGB - `MEAN_RGB`) / `STD_RGB`."""
         x = self.stem(x)
         kept = []
         for number, stage in enumerate(self.stages):
@@ -95,7 +95,7 @@ class Encoder(nn.Module):
         return kept
 
     def read_published(self, weights: Mapping[str, Tensor]) -> None:
-        """Take the weights of the PyTorch conversion of EfficientNet-Lite0.
+        """Load the weights of the PyTorch conversion of EfficientNet-Lite0.
 
         Raises:
             ValueError: a tensor has another shape, or one is missing.

@@ -12,7 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 from video2anim.lab.onnx_export import write_onnx
-from video2anim.lab.scene_network.network import RoomNetwork, normalised_convolutions
+from video2anim.lab.scene_network.network import RoomNetwork, normalized_convolutions
 from video2anim.networks.room_net import INPUT, OUTPUTS
 
 _MIN_VALUES = 256
@@ -20,7 +20,7 @@ _MIN_VALUES = 256
 
 
 def export_onnx(network: RoomNetwork, path: Path) -> None:
-    """Write the network with a free picture size. Weights are stored in half precision and computed with in single."""
+    """Write the network with dynamic image size. Weights are stored in half precision; computation is in single."""
     network = _folded(copy.deepcopy(network).cpu().eval())
     free = {name: {2: f"{name}_rows", 3: f"{name}_columns"} for name in (INPUT, *OUTPUTS)}
     write_onnx(network, torch.zeros(1, 3, 96, 128), path, names=(INPUT, tuple(OUTPUTS)), free=free)
@@ -28,7 +28,7 @@ def export_onnx(network: RoomNetwork, path: Path) -> None:
 
 
 def halved(model: onnx.ModelProto) -> onnx.ModelProto:
-    """The same network with large weights as float16 and a cast before their use."""
+    """The network with large weights stored as float16 and cast to float32 before use."""
     graph, casts = model.graph, []
     for tensor in graph.initializer:
         values = numpy_helper.to_array(tensor)
@@ -44,8 +44,8 @@ def halved(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def _folded(network: RoomNetwork) -> RoomNetwork:
-    """Batch normalization taken into the convolutions before it."""
-    for _, sequence, number in normalised_convolutions(network):
+    """A copy with batch normalization folded into the preceding convolutions."""
+    for _, sequence, number in normalized_convolutions(network):
         convolution, norm = sequence[number], sequence[number + 1]
         assert isinstance(convolution, nn.Conv2d)
         assert isinstance(norm, nn.BatchNorm2d)

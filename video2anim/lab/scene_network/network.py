@@ -1,7 +1,7 @@
 """The room network: one convolutional encoder with global attention, one decoder, several heads.
 
-EfficientNet-Lite0 down to a 32nd of the picture, attention over the coarsest cells (Vaswani et al. 2017; perspective
-is a matter of the whole picture), a feature pyramid upwards (Lin et al. 2017).
+EfficientNet-Lite0 down to 1/32 of the image size, attention over the coarsest cells (Vaswani et al. 2017), because
+perspective depends on the whole image, and a feature pyramid back up (Lin et al. 2017).
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from video2anim.lab.scene_network.encoder import MEAN_RGB, STD_RGB, WIDTHS, Enco
 from video2anim.networks.room_net import OUTPUTS
 
 DECODED = (48, 80, 128)
-"""Channels of the decoder at a 4th, 8th and 16th."""
+"""Channels of the decoder at scales 1/4, 1/8 and 1/16."""
 TOP = 256
-"""Channels of the cells that attention works on."""
+"""Channels of the coarsest cells, on which attention works."""
 PIXEL_CHANNELS = sum(OUTPUTS.values()) - OUTPUTS["camera"]
 ATTENTION_LAYERS, HEADS = 3, 8
 
 
 class RoomAnswer(NamedTuple):
-    """Raw outputs; heads of pixels at half the picture's size, the camera's at an eighth."""
+    """Raw outputs; pixel heads at half the image size, the camera head at 1/8."""
 
     disparity: Float[Tensor, "batch 1 rows columns"]
     """Inverse depth up to one scale and offset per picture; larger is nearer."""
@@ -36,11 +36,11 @@ class RoomAnswer(NamedTuple):
     instance: Float[Tensor, "batch 4 rows columns"]
     """Logit of an object's center, offset to it (x, y in image heights), logit of a boundary."""
     camera: Float[Tensor, "batch 5 coarse_rows coarse_columns"]
-    """Up (x, y), latitude in radians, log of the expected errors of up and latitude in radians."""
+    """Up direction (x, y), latitude in radians, log of the expected errors of both in radians."""
 
 
 class _Attention(nn.Module):
-    """Pre-norm transformer layer over the cells, with positions from a depthwise convolution (Chu et al. 2021)."""
+    """Pre-norm transformer layer over cells; a depthwise convolution encodes positions (Chu et al. 2021)."""
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()
@@ -65,7 +65,7 @@ class _Attention(nn.Module):
 
 
 class RoomNetwork(nn.Module):
-    """Picture to `RoomAnswer`; height and width are multiples of 32."""
+    """Image to `RoomAnswer`; height and width must be multiples of 32."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -105,8 +105,8 @@ def _conv(inputs: int, outputs: int, *, stride: int = 1, size: int = 3, active: 
     return nn.Sequential(*layers, nn.ReLU()) if active else nn.Sequential(*layers)
 
 
-def normalised_convolutions(network: nn.Module) -> list[tuple[str, nn.Sequential, int]]:
-    """Every convolution that batch normalization follows: its name, the sequence that holds both, its place there."""
+def normalized_convolutions(network: nn.Module) -> list[tuple[str, nn.Sequential, int]]:
+    """Every convolution followed by batch normalization: its name, the `Sequential` of both, its index there."""
     return [
         (f"{name}.{number}", module, number)
         for name, module in network.named_modules()

@@ -10,13 +10,13 @@ from video2anim.lab.scene_network.network import RoomAnswer
 from video2anim.lab.scene_network.samples import PictureBatch
 
 LOG_SIGMA_RANGE = (-5.0, 0.5)
-"""Predicted errors of the camera head are held in this range (log radians)."""
+"""Predicted errors of the camera head are clamped to this range (log radians)."""
 NEAREST_INVERSE = 1 / 50
-"""Inverse depths are held above this: 50 m."""
+"""Lower limit of inverse depths in 1/m, that is, 50 m."""
 
 
 def losses(answer: RoomAnswer, batch: PictureBatch) -> dict[str, Tensor]:
-    """Weighted terms, each about one for an untrained network."""
+    """Weighted loss terms by name, each about 1 for an untrained network."""
     seen = (batch.normal.abs().sum(1) > 0).float()
     disparity = disparity_loss(answer.disparity[:, 0], batch.disparity)
     normal = functional.normalize(answer.normal, dim=1)
@@ -40,14 +40,14 @@ def losses(answer: RoomAnswer, batch: PictureBatch) -> dict[str, Tensor]:
         "middle": 3.0 * center,
         "offset": 2.0 * off,
         "boundary": 0.3 * edge,
-        # Laplace likelihood: the network tells how far off it expects to be.
+        # Laplace likelihood of the predicted error.
         "up": 0.15 * (turned * torch.exp(-sigma[:, 0]) + sigma[:, 0]).mean() + 4.0 * turned.mean(),
         "latitude": 0.15 * (off_latitude * torch.exp(-sigma[:, 1]) + sigma[:, 1]).mean() + 6.0 * off_latitude.mean(),
     }
 
 
 def aligned(disparity: Tensor, truth: Tensor) -> Tensor:
-    """Disparity with the scale and offset, per picture, that bring it nearest to the truth (least squares)."""
+    """Disparity after a least-squares fit of scale and offset to the truth, per image."""
     x, y = disparity.flatten(1), truth.flatten(1)
     mean_x, mean_y = x.mean(1, keepdim=True), y.mean(1, keepdim=True)
     scale = ((x - mean_x) * (y - mean_y)).mean(1, keepdim=True) / ((x - mean_x) ** 2).mean(1, keepdim=True).clamp_min(
@@ -57,10 +57,11 @@ def aligned(disparity: Tensor, truth: Tensor) -> Tensor:
 
 
 def disparity_loss(disparity: Tensor, truth: Tensor) -> Tensor:
-    """Error against the truth brought to median 0 and mean deviation 1, with matched gradients at four scales.
+    """Error against the truth normalized to median 0 and mean deviation 1, plus gradient matching at four scales.
 
-    Scale- and shift-invariant as of Ranftl et al. (2022), but the target is normalized, not the answer: aligning an
-    answer that says nothing yet has no useful gradient. A second term forgives scale and offset that are a little off.
+    The scale- and shift-invariant loss of Ranftl et al. (2022), except that the target is normalized and not the
+    output, because the alignment of an untrained output has no useful gradient. A second term, after alignment,
+    tolerates small errors of scale and offset.
     """
     median = truth.flatten(1).median(1).values[:, None, None]
     goal = (truth - median) / (truth - median).abs().mean((1, 2), keepdim=True).clamp_min(1e-3)
@@ -78,7 +79,7 @@ def disparity_loss(disparity: Tensor, truth: Tensor) -> Tensor:
 
 
 def relative_loss(disparity: Tensor, truth: Tensor) -> Tensor:
-    """Mean absolute error of log depth after alignment: far objects count by their share, as AbsRel has it."""
+    """Mean absolute error of log depth after alignment; it weights errors relative to depth, as AbsRel does."""
     seen = (truth > 0).float()
     near = aligned(disparity, truth).clamp_min(NEAREST_INVERSE)
     off = (near.log() - truth.clamp_min(NEAREST_INVERSE).log()).abs().clamp_max(1.0)
@@ -86,7 +87,7 @@ def relative_loss(disparity: Tensor, truth: Tensor) -> Tensor:
 
 
 def overlap_loss(logits: Tensor, classes: Tensor) -> Tensor:
-    """1 - Dice of each class that a picture shows (Milletari et al. 2016): small areas count as large ones do."""
+    """Mean of 1 - Dice over the classes in an image (Milletari et al. 2016); small and large areas weigh the same."""
     share = logits.softmax(1).flatten(2)
     true = functional.one_hot(classes, logits.shape[1]).permute(0, 3, 1, 2).flatten(2).float()
     dice = 2 * (share * true).sum(2) / (share.sum(2) + true.sum(2)).clamp_min(1)
@@ -96,7 +97,7 @@ def overlap_loss(logits: Tensor, classes: Tensor) -> Tensor:
 
 @torch.no_grad()
 def measures(answer: RoomAnswer, batch: PictureBatch) -> dict[str, float]:
-    """What a user would ask: AbsRel and delta of depth, degrees of normals and of the camera's fields, IoU of floor."""
+    """Validation measures by name: AbsRel and delta1 of depth, errors in degrees of normals and camera fields, IoU."""
     truth = batch.disparity
     near = aligned(answer.disparity[:, 0], truth)
     seen = truth > 0

@@ -1,4 +1,4 @@
-"""A network to train on, out of the ONNX file that an earlier training ended with."""
+"""Reads a network from the ONNX file of an earlier training, to continue training."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from onnx import numpy_helper
 from torch import Tensor, nn
 
 from video2anim.errors import InputError
-from video2anim.lab.scene_network.network import RoomNetwork, normalised_convolutions
+from video2anim.lab.scene_network.network import RoomNetwork, normalized_convolutions
 
 
 def read_exported(path: Path) -> RoomNetwork:
-    """The network of a file by `export_onnx`, in evaluation mode; it answers what the file answers.
+    """The network of a file written by `export_onnx`, in evaluation mode; its outputs are those of the file.
 
-    The file has batch normalization folded into the convolutions. Here they are apart again, the normalization adding
-    the bias only: call `settle` before training.
+    Batch normalization is folded into the convolutions in the file. Here the layers are separate again, but the
+    normalization only adds the bias: call `calibrate_normalization` before training.
 
     Raises:
-        InputError: the file is of another network.
+        InputError: the file holds another network.
     """
     graph = onnx.load(str(path)).graph
     stored = {t.name.removesuffix(".half"): numpy_helper.to_array(t).astype(np.float32) for t in graph.initializer}
-    # The exporter turns a linear layer's weight about and names it by a number; the product that uses it is named.
+    # The exporter transposes the weight of a linear layer and gives it a number as name; its MatMul node has a name.
     for node in graph.node:
         if node.op_type == "MatMul" and node.input[1] in stored:
             layer = node.output[0].removesuffix("/MatMul_output_0").rpartition("/")
             parent = layer[0].rpartition("/")[2]
             stored[f"{parent}.{layer[2]}.weight"] = stored.pop(node.input[1]).T
     network = RoomNetwork().eval()
-    for name, norm in _normalisations(network):
+    for name, norm in _normalizations(network):
         if f"{name}.bias" not in stored:
             raise InputError(f"{path}: no weights of the room network, {name}.bias is missing; export one by training")
         bias = torch.from_numpy(stored.pop(f"{name}.bias"))
@@ -52,9 +52,9 @@ def read_exported(path: Path) -> RoomNetwork:
 
 @torch.no_grad()
 def averaged(first: RoomNetwork, second: RoomNetwork, share: float) -> RoomNetwork:
-    """The mean of the weights of two exported networks, `share` of the second.
+    """Weighted mean of the weights of two exported networks: (1 - share) of the first, share of the second.
 
-    Of a training and what it began with, the mean often keeps what either is better at (Wortsman et al. 2022).
+    The mean of a fine-tuned network and its starting point often keeps the strengths of both (Wortsman et al. 2022).
 
     Raises:
         ValueError: a share outside 0 to 1.
@@ -69,11 +69,11 @@ def averaged(first: RoomNetwork, second: RoomNetwork, share: float) -> RoomNetwo
 
 
 @torch.no_grad()
-def settle(network: RoomNetwork, pictures: Float[Tensor, "batch 3 height width"]) -> None:
-    """Give batch normalization the statistics of some pictures, and the weights that keep every answer as it is.
+def calibrate_normalization(network: RoomNetwork, pictures: Float[Tensor, "batch 3 height width"]) -> None:
+    """Set the statistics of batch normalization from some images, and its weights so that no output changes.
 
-    Training normalizes by the statistics of its batches: with those of `read_exported` its first step would see another
-    network.
+    Training normalizes by the statistics of its batches. Without this call the first step after `read_exported` would
+    run a different network.
     """
     network.eval()
     handles = []
@@ -90,17 +90,17 @@ def settle(network: RoomNetwork, pictures: Float[Tensor, "batch 3 height width"]
 
         handles.append(norm.register_forward_hook(hook))
 
-    for _, norm in _normalisations(network):
+    for _, norm in _normalizations(network):
         follow(norm)
     network(pictures)
     for handle in handles:
         handle.remove()
 
 
-def _normalisations(network: nn.Module) -> list[tuple[str, nn.BatchNorm2d]]:
-    """Name of a convolution, and the batch normalization after it."""
+def _normalizations(network: nn.Module) -> list[tuple[str, nn.BatchNorm2d]]:
+    """Name of each convolution and the batch normalization after it."""
     found = []
-    for name, sequence, number in normalised_convolutions(network):
+    for name, sequence, number in normalized_convolutions(network):
         norm = sequence[number + 1]
         assert isinstance(norm, nn.BatchNorm2d)
         found.append((name, norm))

@@ -1,4 +1,4 @@
-"""Training samples from shards of labeled pictures: cropped, flipped, spoiled, with targets for every head."""
+"""Training samples from shards of labeled images: cropped, flipped, degraded, with targets for every head."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ CLASS_OF_LABEL: dict[str, str] = {
     "skirting": "wall", "ceiling": "ceiling", "person": "person", "mesh": "furniture",
     **{label: "furniture" for label in FURNITURE_LABELS if label != "lamp"},
 }  # fmt: skip
-"""Classes of the synthetic world's labels; all others are `other`."""
+"""Class of each label of the synthetic clips; all others are `other`."""
 CLASS_TABLE = np.array([CLASSES.index(CLASS_OF_LABEL.get(label, "other")) for label in LABELS], np.uint8)
 _HEAT_SIGMA = 0.03
-"""Width of the blob that marks an object's middle, in picture heights."""
+"""Standard deviation of the heat map around an object's center, in image heights."""
 
 
 @dataclass(frozen=True, slots=True)
 class PictureBatch:
-    """Pictures at one size and their targets; labels at half that size, the camera's at an eighth."""
+    """Images of one size and their targets; pixel labels at half that size, camera fields at 1/8."""
 
     picture: Float[Tensor, "batch 3 height width"]
     """RGB, 0 to 255."""
@@ -41,9 +41,9 @@ class PictureBatch:
     """Camera frame, unit; zero for the sky."""
     classes: Int[Tensor, "batch rows columns"]
     heat: Float[Tensor, "batch rows columns"]
-    """1 at the middles of furniture instances, falling off."""
+    """Heat map: 1 at the centers of furniture instances, with a Gaussian falloff."""
     offset: Float[Tensor, "batch 2 rows columns"]
-    """From furniture pixels to their instance's middle (x, y), in picture heights."""
+    """Offset from furniture pixels to the center of their instance (x, y), in image heights."""
     has_offset: Float[Tensor, "batch rows columns"]
     boundary: Float[Tensor, "batch rows columns"]
     up: Float[Tensor, "batch 2 coarse_rows coarse_columns"]
@@ -59,7 +59,7 @@ class _Shard:
 
 
 class PictureShards:
-    """Folders made by `video2anim synth --frames-only`; finished shards that come later are found by `refresh`."""
+    """Shards of `video2anim synth --frames-only`; `refresh` finds shards that are finished later."""
 
     def __init__(self, folders: Sequence[Path], *, seed: int = 0) -> None:
         self._folders, self._seed = tuple(folders), seed
@@ -73,7 +73,7 @@ class PictureShards:
         return len(self._index)
 
     def refresh(self) -> None:
-        """Take in shards that have been finished since."""
+        """Add shards that were finished since the last call."""
         for folder in self._folders:
             for meta in sorted(folder.glob("shard_*/meta.json")):
                 if meta.parent not in self._shards:
@@ -82,13 +82,13 @@ class PictureShards:
                     self._index += [(shard, row) for row in range(len(shard.intrinsics))]
 
     def batch(self, step: int, count: int, size: tuple[int, int]) -> PictureBatch:
-        """Augmented samples of a training step, (height, width) `size`."""
+        """`count` augmented samples of a training step; `size` is (height, width)."""
         rng = np.random.default_rng([self._seed, step])
         rows = [self._sample(int(rng.integers(len(self._index))), size, rng) for _ in range(count)]
         return _stacked(rows)
 
     def plain(self, numbers: Sequence[int], size: tuple[int, int]) -> PictureBatch:
-        """Samples as they are, for tests."""
+        """Samples without augmentation, for validation."""
         return _stacked([self._sample(number, size, None) for number in numbers])
 
     def _sample(self, number: int, size: tuple[int, int], rng: np.random.Generator | None) -> dict[str, np.ndarray]:
@@ -117,7 +117,7 @@ class PictureShards:
             values["normal"][0] *= -1
             values["up"][0] *= -1
         values |= instance_targets(instance, values["classes"])
-        picture = picture if rng is None else spoiled(np.ascontiguousarray(picture), rng)
+        picture = picture if rng is None else degraded(np.ascontiguousarray(picture), rng)
         return {"picture": np.ascontiguousarray(picture.transpose(2, 0, 1)), **values}
 
 
@@ -131,7 +131,7 @@ def _read_shard(folder: Path) -> _Shard:
 
 
 def _crop(have: tuple[int, int], want: tuple[int, int], zoom: float) -> tuple[float, float, float, float]:
-    """x0, y0, width, height of a centered crop of the wanted ratio; 1 = the largest."""
+    """x0, y0, width, height of a centered crop with the aspect ratio of `want`; `zoom` 1 is the largest crop."""
     ratio = want[1] / want[0]
     height = min(have[0], have[1] / ratio) * zoom
     width = height * ratio
@@ -156,7 +156,7 @@ def camera_targets(
     cells: tuple[int, int],
     have: tuple[int, int],
 ) -> dict[str, np.ndarray]:
-    """Up and latitude at the middles of cells of a crop, for the lens without its distortion: what a fit wants."""
+    """Up direction and latitude at the centers of the cells of a crop, for the lens without distortion."""
     x0, y0, width, height = crop
     x = x0 + (np.arange(cells[1]) + 0.5) * width / cells[1] - 0.5
     y = y0 + (np.arange(cells[0]) + 0.5) * height / cells[0] - 0.5
@@ -171,7 +171,7 @@ def camera_targets(
 
 
 def instance_targets(instance: np.ndarray, classes: np.ndarray) -> dict[str, np.ndarray]:
-    """Middles, offsets and boundaries of furniture (boundaries of people too)."""
+    """Heat map of centers, offsets and boundaries of furniture instances (boundaries of people too)."""
     rows, columns = instance.shape
     furniture = classes == CLASSES.index("furniture")
     y, x = np.mgrid[:rows, :columns].astype(np.float32)
@@ -197,11 +197,11 @@ def instance_targets(instance: np.ndarray, classes: np.ndarray) -> dict[str, np.
     return {"heat": heat, "offset": offset, "has_offset": known, "boundary": boundary}
 
 
-def spoiled(rgb: UInt8[np.ndarray, "height width 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "height width 3"]:
-    """Color, light, blur, noise and compression drawn at random."""
+def degraded(rgb: UInt8[np.ndarray, "height width 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "height width 3"]:
+    """The image with random color, light, blur, noise and compression."""
     value = rgb.astype(np.float32) / 255
-    grey = value.mean(-1, keepdims=True)
-    value = grey + (value - grey) * float(0.0 if rng.random() < 0.05 else rng.uniform(0.4, 1.6))
+    gray = value.mean(-1, keepdims=True)
+    value = gray + (value - gray) * float(0.0 if rng.random() < 0.05 else rng.uniform(0.4, 1.6))
     value = value * np.exp(rng.normal(0, 0.08, 3)).astype(np.float32)
     value = np.clip((value - 0.5) * float(rng.uniform(0.65, 1.35)) + 0.5 + float(rng.normal(0, 0.08)), 0, 1)
     value = value ** float(np.exp(rng.normal(0, 0.25)))

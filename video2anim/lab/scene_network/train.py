@@ -1,4 +1,4 @@
-"""The training loop of the scene network: resumable, with the same batches on every machine."""
+"""The training loop of the room network. It can be resumed; batches are the same on every machine."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ from scenemi.training.loop_parts import (
 )
 from video2anim.lab.scene_network.network import RoomNetwork
 from video2anim.lab.scene_network.objective import losses, measures
-from video2anim.lab.scene_network.restart import read_exported, settle
+from video2anim.lab.scene_network.restart import calibrate_normalization, read_exported
 from video2anim.lab.scene_network.samples import PictureBatch, PictureShards
 
 SMALL_SIZES = ((128, 192), (128, 160), (160, 160), (192, 128), (96, 192))
 LARGE_SIZES = ((192, 256), (160, 288), (192, 192), (256, 192), (224, 288))
-"""Heights and widths that batches are drawn from, at first and at last."""
+"""Image sizes (height, width) from which batches are drawn, in the first and in the last phase."""
 
 
 @dataclass(frozen=True, slots=True)
 class PerceptionConfig:
-    """One training."""
+    """Settings of a training run."""
 
     steps: int = 8000
     batch: int = 8
     learning_rate: float = 1.5e-3
     encoder_rate: float = 0.25
-    """Learning rate of the encoder beside that of the rest."""
+    """Learning rate of the encoder relative to that of the other layers."""
     frozen_stages: int = 3
-    """Stages of the encoder (with its stem) that stay as they were published."""
+    """Number of encoder stages (with the stem) that keep the published weights."""
     weight_decay: float = 0.02
     warmup: int = 200
     ema: float = 0.998
     large_share: float = 0.15
-    """Last share of the steps, at `LARGE_SIZES`."""
+    """Share of the steps, at the end, with `LARGE_SIZES`."""
     seed: int = 0
     save_every: int = 400
     minutes: float | None = None
-    """Stop (with a checkpoint) after so long, for machines with a time limit."""
+    """Stop with a checkpoint after this time, for machines with a time limit."""
 
 
 def train(
@@ -66,15 +66,15 @@ def train(
     device: str = "cpu",
     on_line: Callable[[str], None] = lambda text: None,
 ) -> RoomNetwork:
-    """Train, or go on from the checkpoint; returns the averaged network.
+    """Train, or continue from the checkpoint. Returns the averaged network.
 
     Args:
-        shards: Pictures to learn from.
-        held_out: Pictures of other rooms; the first 64 are measured.
-        config: How.
-        checkpoint: File to go on from and to write.
-        encoder: Published weights that the encoder starts from.
-        start: File of an earlier training, by `export_onnx`, that the whole network starts from instead.
+        shards: Training images.
+        held_out: Images of other rooms; the first 64 are used for validation.
+        config: Settings.
+        checkpoint: File to continue from and to write.
+        encoder: Published weights with which the encoder starts.
+        start: File written by `export_onnx` with which the whole network starts instead.
         device: `cpu` or `cuda`.
         on_line: Called with a line of numbers at every checkpoint.
     """
@@ -117,10 +117,10 @@ def _networks(
     shards: PictureShards, config: PerceptionConfig, encoder: Mapping[str, Tensor] | None, start: Path | None,
     device: str,
 ) -> tuple[RoomNetwork, RoomNetwork]:  # fmt: skip
-    """The network to train, with its initial weights, and one for the average."""
+    """The network to train, with its initial weights, and a copy for the average."""
     network, average = RoomNetwork() if start is None else read_exported(start), RoomNetwork().to(device)
     if start is not None:
-        settle(network, shards.batch(0, 4 * config.batch, LARGE_SIZES[0]).picture)
+        calibrate_normalization(network, shards.batch(0, 4 * config.batch, LARGE_SIZES[0]).picture)
     elif encoder is not None:
         network.encoder.read_published(encoder)
     network = network.to(device)
@@ -130,14 +130,14 @@ def _networks(
 
 
 def _batch(shards: PictureShards, step: int, config: PerceptionConfig) -> PictureBatch:
-    """Training samples of a step, at one of the sizes of its phase."""
+    """Training samples of a step at one of the sizes of its phase."""
     large = step >= (1 - config.large_share) * config.steps
     sizes = LARGE_SIZES if large else SMALL_SIZES
     return shards.batch(step, config.batch, sizes[step % len(sizes)])
 
 
 def _optimizer(network: RoomNetwork, config: PerceptionConfig) -> torch.optim.Optimizer:
-    """AdamW over what is not frozen."""
+    """AdamW over the weights that are not frozen."""
     network.encoder.stem.requires_grad_(config.frozen_stages == 0)
     for number, stage in enumerate(network.encoder.stages):
         stage.requires_grad_(number >= config.frozen_stages)

@@ -1,1 +1,1 @@
-"""A synthetic world with known truth: rooms, people, cameras, pictures and the labels of all of it."""
+"""Synthetic clips with ground truth: rooms, people, cameras, and images with per-pixel labels."""

@@ -1,8 +1,8 @@
 """Appearance of people: skin, hair, face, clothes and shoes as materials of the faces of a body.
 
-Regions are cut on the rest mesh, by the body part that moves a face and by where along its limb the face lies, so they
-fit every shape. Textures are evaluated on the rest mesh as well, so patterns move with the body. The renderer draws
-the borders between regions as smooth lines through the faces that they cross.
+Regions are defined on the rest mesh by the body part that moves a face and by the face's position along its limb, so
+they fit every body shape. Textures are evaluated on the rest mesh too, so patterns move with the body. The renderer
+draws borders between regions as smooth lines through the faces that they cross.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from video2anim.lab.synth.world import Material
 from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES
 
 _HAND = 2.05
-"""Where the hand begins along the arm (shoulder 0, elbow 1, wrist 2)."""
+"""Limb coordinate at which the hand begins (shoulder 0, elbow 1, wrist 2)."""
 _OFF = -np.inf
 """Limb coordinate of faces that are not on the limb."""
 
@@ -30,7 +30,7 @@ _OFF = -np.inf
 def make_appearance(
     body: ShapedBody, rng: np.random.Generator
 ) -> tuple[Int[np.ndarray, "faces"], tuple[Material, ...]]:
-    """A dressed person: a material number for each face, and the materials."""
+    """Random clothes, skin and hair for a body: an index into the materials for each face, and the materials."""
     outfit = draw_outfit(body.shape.parameters.get("gender", 0.5), rng)
     places = _places(body)
     face = np.zeros(len(body.faces), np.int64)
@@ -54,18 +54,18 @@ def make_appearance(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Places:
-    """Where each face lies on the body, in terms that hold for all shapes."""
+    """Position of each face on the body in coordinates that hold for all shapes; rest pose, meters."""
 
     center: Float[np.ndarray, "faces 3"]
     """Rest position, meters; the two triangles of a quad share it."""
     trunk: Bool[np.ndarray, "faces"]
-    """Moved by pelvis, spine or collars."""
+    """Faces that move with pelvis, spine or collars."""
     arm: Float[np.ndarray, "faces"]
     """Shoulder 0, elbow 1, wrist 2, hand beyond; `_OFF` elsewhere."""
     leg: Float[np.ndarray, "faces"]
     """Hip 0, knee 1, ankle 2, foot 3; `_OFF` elsewhere."""
     down: Float[np.ndarray, "faces"]
-    """How much the face looks down, -1 to 1."""
+    """Minus the y of the face's unit normal: 1 = faces down, -1 = faces up."""
     head: Bool[np.ndarray, "faces"]
     neck: Float[np.ndarray, "3"]
     """Neck joint."""
@@ -76,7 +76,7 @@ class _Places:
     sole: float
     """Height of the lowest point."""
     piece: Int[np.ndarray, "faces"]
-    """Number of the connected piece, largest first: 0 skin, 1 mouth, 2 and 3 eyeballs."""
+    """Index of the connected component, largest first: 0 skin, 1 mouth, 2 and 3 eyeballs."""
 
 
 def _places(body: ShapedBody) -> _Places:
@@ -108,7 +108,7 @@ def _places(body: ShapedBody) -> _Places:
 
 
 def _along(points: np.ndarray, start: np.ndarray, middle: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """0 to 1 along the first bone, 1 to 2 along the second."""
+    """Limb coordinate of points: 0 to 1 along the first bone, 1 to 2 along the second."""
     first, second = middle - start, end - middle
     one = (points - start) @ first / (first @ first)
     two = (points - middle) @ second / (second @ second)
@@ -126,7 +126,7 @@ def _landmarks(body: ShapedBody, rest: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _pieces(body: ShapedBody) -> np.ndarray:
-    """Connected piece of each face; the number rises as the piece gets smaller."""
+    """Index of the connected component of each face; 0 is the largest."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -145,7 +145,7 @@ def _band(values: np.ndarray, middle: float | np.ndarray, width: float | np.ndar
 
 
 def _top(places: _Places, outfit: Outfit) -> np.ndarray:
-    """Shirt: trunk above the hem and below the neckline, with sleeves."""
+    """Faces of the shirt: trunk above the hem and below the neckline, and sleeves."""
     x, y, z = places.center.T
     drop = 0.55 * np.maximum(z - places.neck[2], -0.03)
     if outfit.neckline == "v":
@@ -162,13 +162,13 @@ def _top(places: _Places, outfit: Outfit) -> np.ndarray:
 
 
 def _bottom(places: _Places, outfit: Outfit) -> np.ndarray:
-    """Trousers, shorts or skirt: everything below the waist down to the cuff."""
+    """Faces of trousers or shorts: from the waist down to the cuff."""
     waist = places.trunk & (places.center[:, 1] < 0.12)
     return waist | ((places.leg != _OFF) & (places.leg < outfit.cuff))
 
 
 def _paint_head(places: _Places, outfit: Outfit, paint: Callable[[np.ndarray, str], None]) -> None:
-    """Hair, brows, lips, beard and eyes."""
+    """Materials of hair, brows, lips, beard and eyes."""
     x, y, z = places.center.T
     eye = 0.5 * (places.landmarks["left_eye"] + places.landmarks["right_eye"])
     ear = 0.5 * (places.landmarks["left_ear"] + places.landmarks["right_ear"])
@@ -211,7 +211,7 @@ def _hairline(outfit: Outfit, eye: np.ndarray, ear: np.ndarray, unit: float) -> 
 
 
 def _paint_eye(places: _Places, number: int, paint: Callable[[np.ndarray, str], None]) -> None:
-    """White of the eye with an iris that looks ahead."""
+    """White of the eye with an iris that faces +Z."""
     ball = places.piece == number
     if not ball.any():
         return

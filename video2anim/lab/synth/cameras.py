@@ -1,4 +1,4 @@
-"""Where the camera stands: chosen at random among places that see the people, as a careful amateur would."""
+"""Camera placement: a random pose from which the people are in the picture and mostly unoccluded."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from jaxtyping import Float
 
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.lab.synth.render.caster import Caster
-from video2anim.lab.synth.render.surfaces import of_objects
+from video2anim.lab.synth.render.caster import RayCaster
+from video2anim.lab.synth.render.surfaces import surfaces_of_objects
 from video2anim.lab.synth.world import PICTURE_SIZE_PX, Room
 from video2anim.types import Intrinsics
 
 NEVER_HIDES = ("ceiling", "floor", "rug", "picture", "skirting")
-"""Objects that do not hide people from a camera inside the room."""
+"""Labels of objects that cannot occlude people from a camera inside the room."""
 _FRAME_STEP = 10
-"""Every how many frames the view is checked."""
+"""The view is checked in every 10th frame."""
 _FROM_OBJECT_M = 0.3
 _FROM_WALL_M = 0.2
 _CHOICES = 12
-"""Suitable places among which the best one is taken."""
+"""The best of this many suitable poses is taken."""
 _USUAL_FOV_RAD = float(np.deg2rad(55.0))
-"""Vertical field of view of a telephone's or camcorder's wide end, held level."""
+"""Vertical field of view of a phone or camcorder at its wide end, in landscape."""
 _FOV_SPREAD = 0.3
-"""Standard deviation of the logarithm of the field of view that a clip's camera is wished to have."""
+"""Standard deviation of the logarithm of the preferred field of view over clips."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraRequest:
-    """Ranges a camera is drawn from."""
+    """Ranges from which a camera is drawn."""
 
     width_px: int = PICTURE_SIZE_PX[0]
     height_px: int = PICTURE_SIZE_PX[1]
@@ -39,11 +39,11 @@ class CameraRequest:
     pitch_rad: tuple[float, float] = (-0.6, 0.15)
     roll_sigma_rad: float = 0.02
     nearest_m: float = 1.6
-    """Least distance of the lens from any joint."""
+    """Minimum distance of the lens from any joint."""
     figure_ratio: tuple[float, float] = (0.28, 0.85)
     """Median height of a person in the picture, as a share of the picture's height."""
     min_seen: float = 0.8
-    """Least share of joints that no furniture hides."""
+    """Minimum share of joints that no furniture occludes."""
     handheld: bool = False
 
 
@@ -62,10 +62,10 @@ def place_camera(
     request: CameraRequest,
     tries: int = 1200,
 ) -> tuple[Intrinsics, Float[np.ndarray, "frames 4 4"]]:
-    """Draw a camera that has all joints of all sampled frames in the picture and most of them unhidden.
+    """Draw a camera that has all joints of all sampled frames in the picture and most of them unoccluded.
 
     Returns:
-        Lens and pose of each frame (world, OpenCV camera axes).
+        Intrinsics and T_world_camera of each frame (OpenCV camera axes).
 
     Raises:
         InputError: no place in the room satisfies the request.
@@ -73,7 +73,7 @@ def place_camera(
     frames = joints_m.shape[1]
     points = joints_m[:, :: min(_FRAME_STEP, max(frames - 1, 1))].reshape(-1, 22, 3)
     boxes = _furniture_boxes(room)
-    caster = of_objects(obj for obj in room.objects if obj.label not in NEVER_HIDES).caster()
+    caster = surfaces_of_objects(obj for obj in room.objects if obj.label not in NEVER_HIDES).caster()
     wished = float(np.clip(_USUAL_FOV_RAD * np.exp(rng.normal(0.0, _FOV_SPREAD)), *request.fov_y_rad))
     found: list[_Candidate] = []
     for _ in range(tries):
@@ -90,7 +90,7 @@ def place_camera(
         raise InputError(
             f"camera: no place in the room of {x1 - x0:.1f} x {z1 - z0:.1f} m sees the whole motion; use a larger room"
         )
-    best = max(found, key=lambda candidate: _liking(candidate, wished))
+    best = max(found, key=lambda candidate: _score(candidate, wished))
     return _lens(best, request), _poses(rng, best, frames, request)
 
 
@@ -99,8 +99,8 @@ def _furniture_boxes(room: Room) -> Float[np.ndarray, "objects 2 3"]:
     return np.array(boxes).reshape(-1, 2, 3)
 
 
-def _liking(candidate: _Candidate, wished_fov_rad: float) -> float:
-    """High where the people are seen and the lens is near the wished one."""
+def _score(candidate: _Candidate, wished_fov_rad: float) -> float:
+    """Score of a pose, higher is better: joints visible, field of view near the preferred one."""
     other = abs(np.log(np.tan(0.5 * candidate.fov_y_rad) / np.tan(0.5 * wished_fov_rad)))
     return candidate.seen - 0.4 * other
 
@@ -130,7 +130,7 @@ def _draw(
     if np.ptp(yaw) > 2.2:
         return None
     aim_pitch = float(np.clip(0.5 * (pitch.min() + pitch.max()), *request.pitch_rad))
-    R = look(float(yaw0 + 0.5 * (yaw.min() + yaw.max())), aim_pitch, roll)
+    R = look_rotation(float(yaw0 + 0.5 * (yaw.min() + yaw.max())), aim_pitch, roll)
     camera = ray @ R
     if camera[:, 2].min() < 0.3:
         return None
@@ -148,9 +148,11 @@ def _draw(
     return _Candidate(position, R, float(2 * np.arctan(tangent)), 0.0)
 
 
-def look(yaw_rad: float, pitch_rad: float, roll_rad: float) -> Float[np.ndarray, "3 3"]:
-    """R_world_camera (OpenCV axes) of a camera looking along (sin yaw, tan pitch, cos yaw); pitch > 0 looks up, roll
-    turns the camera clockwise as seen from behind it."""
+def look_rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) -> Float[np.ndarray, "3 3"]:
+    """R_world_camera (OpenCV axes) of a camera that looks along (sin yaw, tan pitch, cos yaw).
+
+    Pitch > 0 looks up; roll > 0 turns the camera clockwise as seen from behind it.
+    """
     forward = np.array([np.sin(yaw_rad) * np.cos(pitch_rad), np.sin(pitch_rad), np.cos(yaw_rad) * np.cos(pitch_rad)])
     right = np.cross(forward, (0.0, 1.0, 0.0))
     right /= np.linalg.norm(right)
@@ -158,7 +160,7 @@ def look(yaw_rad: float, pitch_rad: float, roll_rad: float) -> Float[np.ndarray,
     return level @ matrix_from_axis_angle(np.array([0.0, 0.0, roll_rad]))
 
 
-def _seen_share(caster: Caster, position_m: np.ndarray, points: np.ndarray) -> float:
+def _seen_share(caster: RayCaster, position_m: np.ndarray, points: np.ndarray) -> float:
     targets = points.reshape(-1, 3)
     ray = targets - position_m
     return float(1.0 - caster.blocked(np.broadcast_to(position_m, targets.shape), ray, 0.97).mean())
@@ -182,7 +184,7 @@ def _poses(
 
 
 def _drift(rng: np.random.Generator, frames: int, amplitude: float) -> Float[np.ndarray, "frames 3"]:
-    """Sum of slow sines with random phases, as of a hand; starts anywhere, RMS = amplitude."""
+    """Drift of a handheld camera: sum of slow sines with random phases and root mean square `amplitude`."""
     seconds = np.arange(frames)[:, None, None] / 30.0
     hertz = rng.uniform(0.15, 2.2, (1, 6, 3))
     weight = 1.0 / hertz

@@ -1,7 +1,7 @@
 """Colors of interiors, clothes and people, from the table `colors.json` (sRGB, 0 to 1).
 
-They were picked from the ranges that occur in photographs of interiors. Entries of `wood` are the light and the dark
-color of the grain, those of `fabrics` a main, a second and an accent color that go together; all others are one color.
+They are chosen from ranges that occur in photographs of interiors. Entries of `wood` are the light and the dark color
+of the grain; those of `fabrics` are a main, a second and an accent color that match; all others are one color.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""From a clip specification to a shot: who moves how, in which room, seen from where."""
+"""From a clip specification to a shot: people and their motion, the room around them, and the camera."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.lab.synth.acting import ACTS, CARRIES, act, act_carry, joined
-from video2anim.lab.synth.acting.curves import turned
+from video2anim.lab.synth.acting.curves import yaw_rotation
 from video2anim.lab.synth.appearance import make_appearance
 from video2anim.lab.synth.cameras import CameraRequest, place_camera
 from video2anim.lab.synth.hiding import hidden_view
 from video2anim.lab.synth.library import MotionDatabase
+from video2anim.lab.synth.object_view import moved_object_view, swept_points
 from video2anim.lab.synth.presets import ClipSpec, hiding_of
 from video2anim.lab.synth.render.lens import covers_picture
 from video2anim.lab.synth.rooms import build_room, penetration_m, split_items
-from video2anim.lab.synth.showing import showing_view, swept_points
 from video2anim.lab.synth.world import (
     PICTURE_SIZE_PX,
     Actor,
@@ -34,20 +34,20 @@ from video2anim.types import BodyMotion, BodyShape, Intrinsics
 from video2anim.types.clip import FPS
 from video2anim.types.skeleton import forward_kinematics
 
-DEEPEST_M = 0.01
+MAX_PENETRATION_M = 0.01
 """No body vertex may lie deeper than this in any object."""
 _ATTEMPTS = 8
 _HIDING_STRIDE = 60
-"""Every how many vertices of the skin decide whether somebody is hidden."""
+"""Whether somebody is hidden is decided on every 60th vertex of the skin."""
 _SPACING_M = 0.06
-"""Of points on the box around an object that is carried."""
+"""Spacing of points on the box around a carried object."""
 _APART_M = 0.3
-"""Least distance between two people's bodies."""
+"""Minimum distance between the bodies of two people."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComposeOptions:
-    """What the user may fix for all clips."""
+    """Options that hold for all clips of a set."""
 
     width_px: int = PICTURE_SIZE_PX[0]
     height_px: int = PICTURE_SIZE_PX[1]
@@ -57,12 +57,12 @@ class ComposeOptions:
     longest_s: float | None = None
     """Clips are cut to this length."""
     skin_stride: int = 1
-    """Every how many vertices of the skin are kept clear of objects; more is quicker and less exact."""
+    """Every n-th vertex of the skin is kept clear of objects; a larger n is faster and less exact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Performance:
-    """One person's motion on one body, with skinned vertices."""
+    """The motion of one person with joints and skinned vertices in the world frame."""
 
     body: ShapedBody
     procedural: ProceduralMotion
@@ -71,14 +71,14 @@ class Performance:
 
 
 class _Unsuitable(Exception):
-    """This draw does not work out; another one may."""
+    """This random draw is rejected; another one may be accepted."""
 
 
 def compose(spec: ClipSpec, options: ComposeOptions) -> Shot:
-    """Draw a shot. Draws that do not work out (bodies that touch, furniture in the way, no view) are drawn again.
+    """Draw a shot. Rejected draws (bodies that touch, furniture in the way, no view) are repeated up to 8 times.
 
     Raises:
-        InputError: no draw works out, for example because the given room is too small for the motion.
+        InputError: all draws are rejected, for example because the given room is too small for the motion.
     """
     reason = ""
     for attempt in range(_ATTEMPTS):
@@ -102,10 +102,10 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
     )
     furnished = build_room(
         rng, swept_m=swept, props=props, room_size_m=options.room_size_m,
-        clutter=float(rng.uniform(0.2, 0.9)), meshes=options.meshes, prop_depth_m=0.8 * DEEPEST_M,
+        clutter=float(rng.uniform(0.2, 0.9)), meshes=options.meshes, prop_depth_m=0.8 * MAX_PENETRATION_M,
     )  # fmt: skip
     room, items = split_items(furnished)
-    room = _without_offenders(swept, room)
+    room = _without_obstacles(swept, room)
     request = CameraRequest(
         options.width_px, options.height_px, handheld=spec.handheld,
         height_m=(1.0, 2.2) if spec.preset in ("bench", "carried") else (0.8, 2.6),
@@ -114,7 +114,7 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
     hiding, camera_rng = hiding_of(spec), spec.rng("camera", attempt)
     if spec.preset == "carried":
         first = people[0]
-        lens, T_world_camera = showing_view(
+        lens, T_world_camera = moved_object_view(
             camera_rng, room, first.procedural, joints[0], first.vertices_m, first.body.faces, request
         )
     elif hiding is None:
@@ -163,7 +163,7 @@ def _performances(spec: ClipSpec, options: ComposeOptions, attempt: int) -> list
     performed = [_perform(body, _cut(procedural, frames)) for body, procedural in people]
     for person in performed:
         lowest_m = float(person.vertices_m[::2, :, 1].min())
-        if lowest_m < -DEEPEST_M:
+        if lowest_m < -MAX_PENETRATION_M:
             raise _Unsuitable(f"the body is {-100 * lowest_m:.1f} cm under the floor")
     R = _facing_walls(performed[0].procedural)
     shift = -(R @ performed[0].procedural.translation_m[0]) * (1.0, 0.0, 1.0)
@@ -176,7 +176,7 @@ def _performances(spec: ClipSpec, options: ComposeOptions, attempt: int) -> list
 def _motion(
     kind: str, body: ShapedBody, rng: np.random.Generator, spec: ClipSpec, library: MotionDatabase | None
 ) -> ProceduralMotion:
-    """Captured where the database has the kind, else procedural; a procedural one may begin with a captured walk."""
+    """Captured motion if the database has the kind, else procedural motion, which may begin with a captured walk."""
     if kind in CARRIES:
         return act_carry(kind, body, rng)
     low, high = spec.duration_s
@@ -217,7 +217,7 @@ def _perform(body: ShapedBody, procedural: ProceduralMotion) -> Performance:
 
 
 def _moved(person: Performance, R: np.ndarray, shift: np.ndarray) -> Performance:
-    """The whole performance with its props, turned about the vertical axis and then shifted."""
+    """The performance with its props, rotated about +Y by `R` and then moved by `shift` (meters)."""
     procedural, yaw = person.procedural, float(np.arctan2(R[0, 2], R[2, 2]))
     rotations = procedural.R_parent_joint.copy()
     rotations[:, 0] = R @ rotations[:, 0]
@@ -236,23 +236,23 @@ def _moved(person: Performance, R: np.ndarray, shift: np.ndarray) -> Performance
 
 
 def _facing_walls(procedural: ProceduralMotion) -> Float[np.ndarray, "3 3"]:
-    """Turn about the vertical that makes a wall the motion leans on parallel to the room's walls."""
+    """Rotation about +Y that makes a wall the motion leans on parallel to a wall of the room."""
     yaw = next((-prop.yaw_rad for prop in procedural.props if prop.kind == "wall"), 0.0)
-    return turned(yaw)
+    return yaw_rotation(yaw)
 
 
 def _beside(placed: list[Performance], person: Performance, rng: np.random.Generator) -> Performance:
-    """Turn and shift a person so that nobody comes closer than `_APART_M`, but all stay together."""
+    """A person moved close to the others, but nowhere closer than `_APART_M`."""
     for distance in np.linspace(0.8, 4.0, 40):
         yaw, bearing = rng.uniform(-np.pi, np.pi, 2)
-        R = turned(float(yaw))
+        R = yaw_rotation(float(yaw))
         center = np.mean([other.joints_m[:, 0].mean(0) for other in placed], 0)
         goal = center + distance * np.array([np.sin(bearing), 0, np.cos(bearing)])
         shift = (goal - R @ person.joints_m[:, 0].mean(0)) * (1.0, 0.0, 1.0)
         joints = person.joints_m @ R.T + shift
         if all(_apart(other.joints_m, joints) for other in placed) and _props_apart(placed, person, R, shift):
             return _moved(person, R, shift)
-    raise _Unsuitable("two people get in each other's way")
+    raise _Unsuitable("two people come too close")
 
 
 def _apart(a_m: np.ndarray, b_m: np.ndarray) -> bool:
@@ -261,7 +261,7 @@ def _apart(a_m: np.ndarray, b_m: np.ndarray) -> bool:
 
 
 def _props_apart(placed: list[Performance], person: Performance, R: np.ndarray, shift: np.ndarray) -> bool:
-    """Props of one lie outside the path of the others, and apart from theirs."""
+    """Whether a person's props are off the paths and the props of the others."""
     mine = np.array([R @ prop.position_m + shift for prop in person.procedural.props]).reshape(-1, 3)[:, [0, 2]]
     path = (person.joints_m[:, 0] @ R.T + shift)[:, [0, 2]]
     for other in placed:
@@ -276,7 +276,7 @@ def _props_apart(placed: list[Performance], person: Performance, R: np.ndarray, 
 
 
 def _carried(people: list[Performance], items: dict[int, SceneObject], room: Room) -> tuple[MovingObject, ...]:
-    """Objects that are moved, with their poses; `items` of the room are numbered by their prop among all props."""
+    """Objects that are moved, with their poses. `items`: objects of the room by the index of their prop."""
     moving, first, unused = [], 0, max(obj.object_id for obj in (*room.objects, *items.values())) + 1
     for person in people:
         procedural = person.procedural
@@ -291,15 +291,15 @@ def _carried(people: list[Performance], items: dict[int, SceneObject], room: Roo
 
 
 def _skin(people: list[Performance], stride: int) -> Float[np.ndarray, "points 3"]:
-    """Skin points of every second frame."""
+    """Skin points (world, meters) of every second frame."""
     return np.concatenate([person.vertices_m[::2, ::stride].reshape(-1, 3) for person in people]).astype(np.float64)
 
 
-def _without_offenders(points: Float[np.ndarray, "points 3"], room: Room) -> Room:
-    """The room without furniture that any skin point of any second frame is inside of; what the motion needs stays.
+def _without_obstacles(points: Float[np.ndarray, "points 3"], room: Room) -> Room:
+    """The room without furniture that a body enters; objects that the motion needs stay.
 
     Raises:
-        _Unsuitable: a body is deeper than `DEEPEST_M` in a wall or in an object that the motion needs.
+        _Unsuitable: a body is deeper than `MAX_PENETRATION_M` in a wall or in an object that the motion needs.
     """
     low, high = points.min(0), points.max(0)
     kept = []
@@ -309,7 +309,7 @@ def _without_offenders(points: Float[np.ndarray, "points 3"], room: Room) -> Roo
             kept.append(obj)
             continue
         depth_m = float(penetration_m([obj], points).max())
-        if depth_m <= DEEPEST_M:
+        if depth_m <= MAX_PENETRATION_M:
             kept.append(obj)
         elif obj in room.structure or obj.note.startswith("prop "):
             raise _Unsuitable(f"the body is {100 * depth_m:.1f} cm inside {obj.label} {obj.object_id}")
@@ -331,7 +331,7 @@ def _body_motion(number: int, person: Performance, T_world_camera: np.ndarray, l
 
 
 def draw_sensor(rng: np.random.Generator, spec: ClipSpec, lens: Intrinsics) -> SensorModel:
-    """A camera's faults: mild, or from mild to strong for a harsh clip. Distortion is weaker on wide lenses."""
+    """Random noise, blur, distortion and compression: mild, or mild to strong for a harsh clip."""
     tint = rng.normal(0, 0.03, 3)
     base = SensorModel(
         exposure=float(np.exp(rng.normal(0, 0.12))), noise_steps=float(rng.uniform(0.5, 2.5)),

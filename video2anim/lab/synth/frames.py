@@ -1,4 +1,4 @@
-"""Single training pictures with labels, in shards of memory-mapped arrays."""
+"""Single training images with labels, in shards of memory-mapped arrays."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from video2anim.lab.synth.generate import (
     checked_sources,
     clip_key,
     compose_options,
-    expect_ours,
+    expect_generated,
     in_processes,
-    writing,
+    reported_write_errors,
 )
 from video2anim.lab.synth.presets import ClipSpec, clip_specs, expect_count_and_seed
 from video2anim.lab.synth.world import LABELS
 
 SHARD_SIZE = 64
-"""Images of a folder."""
+"""Images per shard (a folder)."""
 PER_ROOM = SHARD_SIZE // 2
-"""Images of one room, each from another camera and at another moment."""
-MOST = 1_000_000
-"""Pictures of one call."""
+"""Images per room, each from another camera and at another time."""
+MAX_PICTURES = 1_000_000
+"""Maximum number of images per call."""
 ARRAYS = {
     "rgb": (np.uint8, (3,)),
     "depth_mm": (np.uint16, ()),
@@ -40,12 +40,12 @@ ARRAYS = {
     "instance": (np.uint16, ()),
     "label": (np.uint8, ()),
 }
-"""Per-pixel arrays of a shard: type and channels; each file is (pictures, height, width, channels)."""
+"""Per-pixel arrays of a shard: type and channels; each file is (images, height, width, channels)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShardDone:
-    """What became of one shard."""
+    """Result of making one shard."""
 
     name: str
     pictures: int
@@ -55,10 +55,10 @@ class ShardDone:
 def generate_frames(
     config: SynthConfig, out: Path, *, workers: int = 1, on_done: Callable[[ShardDone, int], None] = lambda d, n: None
 ) -> tuple[ShardDone, ...]:
-    """Make `config.count` pictures (default 64) in `out/shard_<n>/<array>.npy`; a finished shard is kept.
+    """Make `config.count` images (default 64) in `out/shard_<n>/<array>.npy`; a finished shard is kept.
 
     Besides `ARRAYS` a shard holds `intrinsics.npy` (n, 4) fx fy cx cy in pixels, `distortion.npy` (n, 2) k1 k2,
-    `up_camera.npy` (n, 3), `camera_height_m.npy` (n,), and `meta.json`.
+    `up_camera.npy` (n, 3) unit vectors in camera axes, `camera_height_m.npy` (n,), and `meta.json`.
 
     Raises:
         UsageError: count or seed is out of range.
@@ -66,7 +66,7 @@ def generate_frames(
         StageError: a worker process was killed.
     """
     count = SHARD_SIZE if config.count is None else config.count
-    expect_count_and_seed(count, config.seed, MOST)
+    expect_count_and_seed(count, config.seed, MAX_PICTURES)
     rooms = -(-count // PER_ROOM)
     specs = clip_specs("random", rooms, config.seed)
     sources = checked_sources(config)
@@ -76,7 +76,7 @@ def generate_frames(
         start = first // PER_ROOM
         jobs.append((f"shard_{shard:05d}", specs[start : start + -(-size // PER_ROOM)], size))
     results = []
-    with writing(out):
+    with reported_write_errors(out):
         out.mkdir(parents=True, exist_ok=True)
         for result in in_processes(_shard, jobs, config, sources, out, workers):
             results.append(result)
@@ -100,10 +100,10 @@ def _shard(
         whole = all((folder / f"{key}.npy").is_file() for key in ARRAYS)
         if whole and read_json(folder / "meta.json", dict[str, Any]) == meta:
             return ShardDone(name, size, True)
-    expect_ours(folder)
+    expect_generated(folder)
     with atomic_directory(folder) as work, ExitStack() as files:
         shape = (size, config.height_px, config.width_px)
-        # Written picture by picture: a memory map on a full disk would end the process by a signal.
+        # Written image by image: a memory map on a full disk would kill the process with a signal.
         maps = {
             key: files.enter_context(_begun(work / f"{key}.npy", np.dtype(kind), (*shape, *channels)))
             for key, (kind, channels) in ARRAYS.items()
@@ -127,7 +127,7 @@ def _shard(
 
 
 def _begun(path: Path, dtype: np.dtype, shape: tuple[int, ...]) -> BinaryIO:
-    """A .npy file with its header, to which the values are to be written."""
+    """A new .npy file with its header, open for writing the values."""
     stream = path.open("wb")
     header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
     np.lib.format.write_array_header_1_0(stream, header)

@@ -1,4 +1,4 @@
-"""Many clips: cached by specification, made in parallel processes, each whole or absent."""
+"""Makes many clips: cached by specification, in parallel processes; each folder is complete or absent."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ Job = TypeVar("Job")
 Made = TypeVar("Made")
 SET_NAME = "set.json"
 _DIGESTED = ("truth.npz", "video.mp4")
-_OURS = re.compile(r"meta\.json|truth(_\d+)?\.npz|video\.mp4|plate\.png|scene\.glb|objects|\w+\.npy")
-"""What clips and shards consist of."""
+_GENERATED_NAMES = re.compile(r"meta\.json|truth(_\d+)?\.npz|video\.mp4|plate\.png|scene\.glb|objects|\w+\.npy")
+"""Names of the files and folders in clips and shards."""
 GENERATOR_VERSION = 1
-"""Raised when the same specification gives another clip."""
+"""Increased when the same specification gives another clip."""
 
 
 @dataclass(frozen=True, slots=True)
 class SynthConfig:
-    """One call of `video2anim synth`."""
+    """Options of one call of `video2anim synth`."""
 
     preset: str = "bench"
     count: int | None = None
@@ -49,10 +49,10 @@ class SynthConfig:
     width_px: int = PICTURE_SIZE_PX[0]
     height_px: int = PICTURE_SIZE_PX[1]
     motion: tuple[Path, ...] = ()
-    """Archives of captured motion or folders of such; without them walking comes from the gait model."""
+    """Archives of captured motion, or folders of them. Without any, walking comes from the gait model."""
     noncommercial: bool = False
     meshes: Path | None = None
-    """Folder of external meshes to mix in."""
+    """Folder of external meshes to add to rooms."""
     room_size_m: tuple[float, float] | None = None
     longest_s: float | None = None
     """Clips are cut to this length."""
@@ -60,7 +60,7 @@ class SynthConfig:
 
 @dataclass(frozen=True, slots=True)
 class ClipDone:
-    """What became of one clip."""
+    """Result of making one clip."""
 
     name: str
     cached: bool
@@ -73,8 +73,8 @@ def generate(
 ) -> tuple[ClipDone, ...]:
     """Make the clips of a set in `out/<clip name>` and the table `out/set.json`.
 
-    A clip that is there already with the same specification, sources and generator version is kept; what a killed run
-    left unfinished is removed, so only one process may work on a folder.
+    A clip that exists with the same specification, sources and generator version is kept. Leftovers of a killed run are
+    removed, so only one process may work on a folder.
 
     Args:
         config: What to make.
@@ -84,21 +84,21 @@ def generate(
 
     Raises:
         UsageError: the preset or a count is wrong.
-        InputError: motion archives or meshes cannot be used, the output folder cannot be written or holds what is no
-            clip, or a clip has no suitable scene; clips that are finished stay.
+        InputError: motion archives or meshes cannot be used, the output folder cannot be written or holds other files,
+            or a clip has no suitable scene; finished clips stay.
         StageError: a worker process was killed.
     """
     specs = clip_specs(config.preset, config.count, config.seed)
     sources = checked_sources(config)
     done: dict[str, ClipDone] = {}
     missing: list[ClipSpec] = []
-    with writing(out):
+    with reported_write_errors(out):
         out.mkdir(parents=True, exist_ok=True)
         remove_unfinished(out)
         for spec in specs:
-            kept = kept_clip(out / spec.name, clip_key(spec, config, sources))
+            kept = finished_clip(out / spec.name, clip_key(spec, config, sources))
             if kept is None:
-                expect_ours(out / spec.name)
+                expect_generated(out / spec.name)
                 missing.append(spec)
             else:
                 done[spec.name] = kept
@@ -112,8 +112,8 @@ def generate(
 
 
 @contextmanager
-def writing(out: Path) -> Iterator[None]:
-    """What goes wrong with the output, or with the processes that make it, as one line.
+def reported_write_errors(out: Path) -> Iterator[None]:
+    """Context that turns errors of writing and of worker processes into one-line errors.
 
     Raises:
         InputError: `out` cannot be written.
@@ -123,8 +123,8 @@ def writing(out: Path) -> Iterator[None]:
         yield
     except BrokenProcessPool as error:
         raise StageError(
-            f"--workers: a process that wrote in {out} was killed, perhaps for want of memory; "
-            "give fewer, what is finished is kept"
+            f"--workers: a process that wrote to {out} was killed, perhaps for lack of memory; "
+            "use fewer; what is finished is kept"
         ) from error
     except OSError as error:
         raise InputError(
@@ -141,7 +141,7 @@ def in_processes(
     out: Path,
     workers: int,
 ) -> Iterator[Made]:
-    """What is made of every job, as it is done; the first failure cancels what has not begun."""
+    """Yields the result of every job as it finishes; the first failure cancels jobs that have not begun."""
     if workers <= 1 or len(jobs) <= 1:
         for job in jobs:
             yield make(job, config, sources, out)
@@ -161,7 +161,7 @@ def in_processes(
 
 
 def start_worker() -> None:
-    """Keep a worker to one core (threads of several only get in each other's way), and end it with its parent."""
+    """Limit a worker to one thread (threads of several workers slow each other down) and end it with its parent."""
     import cv2
     import torch
 
@@ -191,7 +191,7 @@ def _make(spec: ClipSpec, config: SynthConfig, sources: dict[str, str], out: Pat
 
 
 def checked_sources(config: SynthConfig) -> dict[str, str]:
-    """sha256 of every file that clips are made from, by name; fails before anything is made.
+    """sha256 of every file that clips are made from, by name. Fails before anything is made.
 
     Raises:
         InputError: an archive or mesh is missing or cannot be used.
@@ -213,7 +213,7 @@ def checked_sources(config: SynthConfig) -> dict[str, str]:
 
 @functools.lru_cache(maxsize=1)
 def compose_options(config: SynthConfig) -> ComposeOptions:
-    """What the configuration fixes for every clip; sources are read once in a process."""
+    """The options that hold for every clip; source files are read once per process."""
     from video2anim.lab.synth.compose import ComposeOptions
     from video2anim.lab.synth.library import MotionDatabase
     from video2anim.lab.synth.rooms import load_meshes
@@ -224,7 +224,7 @@ def compose_options(config: SynthConfig) -> ComposeOptions:
 
 
 def clip_key(spec: ClipSpec, config: SynthConfig, sources: dict[str, str]) -> str:
-    """Digest of everything that decides what a clip looks like."""
+    """Hash of everything that can change a clip."""
     facts: dict[str, Any] = {
         "version": GENERATOR_VERSION, "spec": asdict(spec), "size": (config.width_px, config.height_px),
         "room": config.room_size_m, "stride": LABEL_STRIDE_FRAMES, "sources": sources,
@@ -233,8 +233,8 @@ def clip_key(spec: ClipSpec, config: SynthConfig, sources: dict[str, str]) -> st
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def kept_clip(folder: Path, key: str) -> ClipDone | None:
-    """A finished clip of this key; None where there is none, or it is damaged."""
+def finished_clip(folder: Path, key: str) -> ClipDone | None:
+    """A finished clip with this key; None if there is none or it is damaged."""
     try:
         made = all((folder / name).is_file() for name in _DIGESTED)
         if made and read_json(folder / "meta.json", dict[str, Any])["key"] == key:
@@ -244,18 +244,18 @@ def kept_clip(folder: Path, key: str) -> ClipDone | None:
     return None
 
 
-def expect_ours(folder: Path) -> None:
-    """What is made anew replaces the whole folder of that name, so nothing else may lie in it.
+def expect_generated(folder: Path) -> None:
+    """Check that a folder holds only generated files, since the new clip or shard replaces all of it.
 
     Raises:
-        InputError: it is a file or link, or holds what is no part of a clip or shard.
+        InputError: it is a file or link, or holds other files.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise InputError(f"--out: want to make the folder {folder}, found a file or link there; move it away")
     if folder.is_dir():
         for path in folder.iterdir():
-            if not _OURS.fullmatch(path.name):
-                raise InputError(f"--out: want to make {folder} anew, found {path.name} in it; move that away")
+            if not _GENERATED_NAMES.fullmatch(path.name):
+                raise InputError(f"--out: {folder} is to be replaced, but holds {path.name}; move that away")
 
 
 def _digests(folder: Path) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Views in which the person is out of sight for a while: behind an object, or outside the picture."""
+"""Views of preset `hidden`: the person is out of sight for a while, behind an object or outside the picture."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from video2anim.errors import InputError
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.lab.synth.cameras import NEVER_HIDES, CameraRequest, place_camera
 from video2anim.lab.synth.presets import Hiding
-from video2anim.lab.synth.render.caster import Caster
-from video2anim.lab.synth.render.surfaces import of_objects
+from video2anim.lab.synth.render.caster import RayCaster
+from video2anim.lab.synth.render.surfaces import surfaces_of_objects
 from video2anim.lab.synth.rooms import make_furniture
 from video2anim.lab.synth.rooms.clearance import SweepIndex
 from video2anim.lab.synth.rooms.making import pose
@@ -22,21 +22,21 @@ from video2anim.types import Intrinsics
 from video2anim.types.clip import FPS
 
 HIDDEN_RATIO = 0.2
-"""Out of sight: the box of what is seen of the body has less than this share of the area of the whole body's box."""
+"""Out of sight: the box around the visible part of the body has less than this share of the area of the body's box."""
 _FULLY_RATIO = 0.02
-"""Most that this may be in half of the frames of the stretch."""
+"""Upper limit of that share in half of the hidden frames."""
 _AROUND_S = 1.0
-"""Least time in sight before and after."""
+"""Minimum time in sight before and after."""
 _AROUND_RATIO = 0.4
-"""Least share of the box in sight in that time, on average."""
+"""Minimum mean share of the box in sight during that time."""
 _CAMERAS = 12
 _PLACES = 60
-"""Views tried, and places of the object tried in each."""
+"""Number of views tried, and of object positions tried in each."""
 _CLEAR_M = 0.06
-"""Distance of the object from the people's way."""
+"""Minimum distance of the object from the bodies' path."""
 _FROM_CAMERA_M = 0.7
 _NEAREST_M = 1.0
-"""Nobody who leaves the picture passes the lens nearer than this."""
+"""Minimum distance to the lens of a person who leaves the picture."""
 
 
 def hidden_view(
@@ -48,14 +48,19 @@ def hidden_view(
     request: CameraRequest,
     hiding: Hiding,
 ) -> tuple[Room, Intrinsics, Float[np.ndarray, "frames 4 4"]]:
-    """A camera that loses the person for one stretch, and the room with the object that hides it.
+    """A camera from which the person is out of sight once, and the room with the object that hides the person.
 
     Args:
-        swept_m: skin points of the clip, world; the object stays clear of them.
-        joints_m, skin_m: joints and some hundred skin points of the one person, world.
+        rng: Random numbers.
+        room: The room without the object.
+        swept_m: Skin points of the whole clip (world); the object stays clear of them.
+        joints_m: Joints of the one person (world).
+        skin_m: Some hundred skin points of the person (world).
+        request: Ranges for the camera.
+        hiding: How and for how long the person is to be hidden.
 
     Raises:
-        InputError: no view and place does so.
+        InputError: no view and object position hides the person as wanted.
     """
     request = replace(request, height_m=hiding.camera_height_m)
     plan = Plan(room.bounds_m, room.height_m, SweepIndex(swept_m), _CLEAR_M)
@@ -75,7 +80,7 @@ def _behind(
     rng: np.random.Generator, room: Room, plan: Plan, joints_m: np.ndarray, skin_m: np.ndarray,
     request: CameraRequest, hiding: Hiding,
 ) -> tuple[Room, Intrinsics, np.ndarray] | None:  # fmt: skip
-    """All of the motion in the picture, with an object before a part of it."""
+    """A view with the whole motion in the picture and an object in front of a part of it; None if none is found."""
     lens, T_world_camera = place_camera(rng, room, joints_m[None], request)
     camera_m = T_world_camera[0, :3, 3]
     pixel, seen = in_picture(lens, T_world_camera[0], skin_m)
@@ -87,7 +92,7 @@ def _behind(
             continue
         if not plan.fits(boxes):
             continue
-        blocked = _blocked(of_objects([obj]).caster(), camera_m, skin_m)
+        blocked = _blocked(surfaces_of_objects([obj]).caster(), camera_m, skin_m)
         if _is_hidden_once(pixel, seen & ~blocked, hiding):
             return replace(room, furniture=(*room.furniture, obj)), lens, T_world_camera
     return None
@@ -96,7 +101,7 @@ def _behind(
 def _object_before(
     rng: np.random.Generator, room: Room, camera_m: np.ndarray, joints_m: np.ndarray, hiding: Hiding
 ) -> SceneObject:
-    """An object parallel to the walls on the line of sight to the person at some moment."""
+    """An object, parallel to the walls, on the line of sight to the person at one frame."""
     height_m = float(rng.uniform(*hiding.height_m))
     depth_m = float(rng.uniform(0.3, 0.38) if hiding.behind == "shelf" else rng.uniform(0.42, 0.6))
     obj = make_furniture(
@@ -113,7 +118,7 @@ def _object_before(
 
 
 def _moment(rng: np.random.Generator, camera_m: np.ndarray, joints_m: np.ndarray, hiding: Hiding) -> int:
-    """Frame at which the object is to be before the person."""
+    """Frame at which the object is in front of the person."""
     count = len(joints_m)
     if hiding.when == "low":
         return int(joints_m[:, :, 1].max(1).argmin())
@@ -130,7 +135,7 @@ def _leaving(
     rng: np.random.Generator, room: Room, joints_m: np.ndarray, skin_m: np.ndarray, request: CameraRequest,
     hiding: Hiding,
 ) -> tuple[Room, Intrinsics, np.ndarray] | None:  # fmt: skip
-    """A picture that holds the near part of the way only."""
+    """A view with only a part of the path in the picture; None if none is found."""
     gone_m = np.linalg.norm(joints_m[:, 0] - joints_m[0, 0], axis=-1)
     kept = gone_m < rng.uniform(0.25, 0.95) * gone_m.max()
     lens, T = place_camera(rng, room, joints_m[None, kept], request)
@@ -142,14 +147,14 @@ def _leaving(
     return (room, lens, np.tile(T[0], (len(joints_m), 1, 1))) if _is_hidden_once(pixel, seen, hiding) else None
 
 
-def _caster(room: Room) -> Caster:
-    return of_objects(obj for obj in room.objects if obj.label not in NEVER_HIDES).caster()
+def _caster(room: Room) -> RayCaster:
+    return surfaces_of_objects(obj for obj in room.objects if obj.label not in NEVER_HIDES).caster()
 
 
 def in_picture(
     lens: Intrinsics, T_world_camera: np.ndarray, points_m: Float[np.ndarray, "*points 3"]
 ) -> tuple[Float[np.ndarray, "*points 2"], Bool[np.ndarray, "*points"]]:
-    """Where points are in the picture's plane, and whether they are inside it."""
+    """Pixel coordinates of world points, and whether they are inside the picture."""
     camera_m = transform_points(invert_rigid(T_world_camera), points_m)
     ahead = camera_m[..., 2] > NEAR_M
     pixel = project(np.where(ahead[..., None], camera_m, [0.0, 0.0, 1.0]), lens)
@@ -157,7 +162,7 @@ def in_picture(
     return pixel, ahead & inside.all(-1)
 
 
-def _blocked(caster: Caster, camera_m: np.ndarray, skin_m: np.ndarray) -> Bool[np.ndarray, "frames points"]:
+def _blocked(caster: RayCaster, camera_m: np.ndarray, skin_m: np.ndarray) -> Bool[np.ndarray, "frames points"]:
     ray = skin_m.reshape(-1, 3) - camera_m
     return caster.blocked(np.broadcast_to(camera_m, ray.shape), ray, 0.97).reshape(skin_m.shape[:2])
 
@@ -165,7 +170,7 @@ def _blocked(caster: Caster, camera_m: np.ndarray, skin_m: np.ndarray) -> Bool[n
 def _is_hidden_once(
     pixel: Float[np.ndarray, "frames points 2"], seen: Bool[np.ndarray, "frames points"], hiding: Hiding
 ) -> bool:
-    """One hidden stretch of the length wanted, with enough in sight before and after."""
+    """Whether there is exactly one hidden interval, of the wanted length, with the person in sight before and after."""
     ratio = _seen_ratio(pixel, seen)
     hidden = np.flatnonzero(ratio < HIDDEN_RATIO)
     if not len(hidden) or hidden[-1] - hidden[0] + 1 != len(hidden):
@@ -179,7 +184,7 @@ def _is_hidden_once(
 
 
 def _seen_ratio(pixel: np.ndarray, seen: np.ndarray) -> Float[np.ndarray, "frames"]:
-    """Area of the box of what is seen over that of the whole body's box, per frame."""
+    """Area of the box around the visible points over that of the box around all points, per frame."""
     low = np.where(seen[..., None], pixel, np.inf).min(1)
     high = np.where(seen[..., None], pixel, -np.inf).max(1)
     box_px = np.where(np.any(seen, axis=1)[:, None], high - low, 0.0)

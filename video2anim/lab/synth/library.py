@@ -1,4 +1,4 @@
-"""Captured motion for synthetic clips, from archives in the motion container format."""
+"""Captured motion for synthetic clips, from archives in the file format of captured motion."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class MotionDatabase:
         """Open archives, or all archives of a folder.
 
         Raises:
-            InputError: a file is missing, no archive, or without clips.
+            InputError: a file is missing, is not an archive, or has no clips (that are free for commercial use).
         """
         files: list[Path] = []
         for path in paths:
@@ -53,7 +53,7 @@ class MotionDatabase:
     def draw(
         self, kind: str, body: ShapedBody, rng: np.random.Generator, *, min_s: float = 1.5
     ) -> RetargetedMotion | None:
-        """A random clip of a kind (at least `min_s` long) on a body; None where there is none."""
+        """A random clip of a kind, at least `min_s` seconds long, retargeted to a body; None if there is none."""
         names = [row for row in self.clips if row[2] == kind]
         for number in rng.permutation(len(names)):
             archive, name, _, _ = names[int(number)]

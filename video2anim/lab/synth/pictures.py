@@ -1,7 +1,7 @@
-"""Single labeled pictures of one composed room: other cameras, moments, paints and lights for each.
+"""Single labeled images of one composed room, each with its own camera, time, materials and lights.
 
-What a network learns from them must not hang on how rooms usually look, so a share of the pictures is painted and lit
-at random (domain randomisation, Tobin et al. 2017), and some rooms lose their ceiling or walls.
+A share of the images has random materials and lights (domain randomization, Tobin et al. 2017), and some rooms have no
+ceiling or walls, so that a network does not rely on the usual look of rooms.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.errors import InputError
-from video2anim.lab.synth.cameras import look
+from video2anim.lab.synth.cameras import look_rotation
 from video2anim.lab.synth.compose import ComposeOptions, compose, draw_sensor
 from video2anim.lab.synth.presets import ClipSpec
 from video2anim.lab.synth.render import Sensor, tone
-from video2anim.lab.synth.render.caster import Caster
+from video2anim.lab.synth.render.caster import RayCaster
 from video2anim.lab.synth.render.moving import draw_moving
-from video2anim.lab.synth.render.people import Cast
+from video2anim.lab.synth.render.people import MovingSurfaces
 from video2anim.lab.synth.render.renderer import MOVING_RAYS
-from video2anim.lab.synth.render.surfaces import Surfaces, of_objects
-from video2anim.lab.synth.render.view import Eye, Lamps, room_components, sheet_of
+from video2anim.lab.synth.render.surfaces import Surfaces, surfaces_of_objects
+from video2anim.lab.synth.render.view import Eye, Lamps, room_components, trace_gbuffer
 from video2anim.lab.synth.store import depth_code, normal_code
 from video2anim.lab.synth.world import LABELS, PERSON_ID, Light, Material, Room, Shot
 from video2anim.types import Intrinsics
@@ -31,50 +31,50 @@ from video2anim.types import Intrinsics
 _PAINTS = ("plain", "plaster", "wood", "planks", "tiles", "carpet", "fabric", "stripes", "checks", "leather", "metal",
            "brick", "picture", "paper")  # fmt: skip
 _MOMENT_S = (2.0, 4.0)
-"""Length of the motion of which moments are shown."""
+"""Range of the length of the motion from which frames are drawn."""
 _FOV_Y_RAD = (float(np.deg2rad(24)), float(np.deg2rad(100)))
 _TRIES = 40
 _ROOMS_TRIED = 4
 _SKIN_STRIDE = 7
 _COARSE = (12, 16)
-"""Rows and columns of the rays that judge a view."""
+"""Rows and columns of the rays by which a view is scored."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Set:
-    """A composed room, ready to be seen from anywhere."""
+class _Scene:
+    """A composed room, ready to be rendered from any camera pose."""
 
     shot: Shot
     surfaces: Surfaces
-    caster: Caster
-    opaque: Caster
-    cast: Cast
+    caster: RayCaster
+    opaque: RayCaster
+    cast: MovingSurfaces
     names: np.ndarray
-    """Label number of each object number."""
+    """Class number for each object number."""
 
 
 def room_pictures(spec: ClipSpec, options: ComposeOptions, count: int) -> Iterator[dict[str, np.ndarray]]:
-    """Pictures of one room with their labels, as the arrays of a shard (see `synth.frames`).
+    """Yields images of one room with their labels, as the arrays of a shard (see `video2anim.lab.synth.frames`).
 
     Raises:
-        InputError: no room works out for the specification.
+        InputError: no room can be composed for the specification.
     """
     rng = spec.rng("pictures")
     quick = replace(options, skin_stride=_SKIN_STRIDE)
     shot = _composed(replace(spec, duration_s=_MOMENT_S, handheld=False), quick)
     room = _opened(shot.room, rng)
-    surfaces = of_objects(room.objects)
+    surfaces = surfaces_of_objects(room.objects)
     names = np.zeros(int(surfaces.object_id.max()) + 1, np.uint8)
     for obj in room.objects:
         names[obj.object_id] = LABELS.index(obj.label)
     shot = replace(shot, room=room)
-    scene = _Set(shot, surfaces, surfaces.caster(), surfaces.caster(surfaces.opaque()), Cast(shot), names)
+    scene = _Scene(shot, surfaces, surfaces.caster(), surfaces.caster(surfaces.opaque()), MovingSurfaces(shot), names)
     for number in range(count):
         yield _picture(scene, spec.rng(f"picture {number}"), spec, options)
 
 
 def _composed(spec: ClipSpec, options: ComposeOptions) -> Shot:
-    """A shot; where a specification has no suitable room, that of another one."""
+    """A shot of the specification; if it has no suitable room, of the same one with another seed."""
     for again in range(1, _ROOMS_TRIED):
         try:
             return compose(spec, options)
@@ -83,11 +83,11 @@ def _composed(spec: ClipSpec, options: ComposeOptions) -> Shot:
     return compose(spec, options)
 
 
-def _picture(scene: _Set, rng: np.random.Generator, spec: ClipSpec, options: ComposeOptions) -> dict[str, np.ndarray]:
+def _picture(scene: _Scene, rng: np.random.Generator, spec: ClipSpec, options: ComposeOptions) -> dict[str, np.ndarray]:
     shot = scene.shot
     people = scene.cast.surfaces(int(rng.integers(0, shot.frame_count)))
     if rng.random() < 0.15:
-        people = Cast(replace(shot, actors=(), moving=())).surfaces(0)
+        people = MovingSurfaces(replace(shot, actors=(), moving=())).surfaces(0)
     lens, pose = _view(rng, scene, people, options)
     sensor = draw_sensor(rng, replace(spec, harsh=True), lens)
     wild = float(rng.choice([0.0, 0.25, 1.0], p=[0.4, 0.35, 0.25]))
@@ -95,18 +95,18 @@ def _picture(scene: _Set, rng: np.random.Generator, spec: ClipSpec, options: Com
     lamps = _lamps(shot.room, rng)
     eye = Eye(lens, pose, sensor.k1, sensor.k2)
     whole = slice(0, lens.height_px), slice(0, lens.width_px)
-    sheet = sheet_of(eye, surfaces, scene.caster, *whole)
-    components = room_components(eye, surfaces, scene.caster, scene.opaque, lamps, sheet)
+    gbuffer = trace_gbuffer(eye, surfaces, scene.caster, *whole)
+    components = room_components(eye, surfaces, scene.caster, scene.opaque, lamps, gbuffer)
     radiance = components.radiance()
-    depth, normal, instance = sheet.depth_m, sheet.normal, sheet.object_id
+    depth, normal, instance = gbuffer.depth_m, gbuffer.normal, gbuffer.object_id
     if len(people.faces):
-        layer = draw_moving(eye, sheet, components, radiance, people, scene.opaque, lamps)
-        radiance, box = layer.radiance, (layer.sheet.rows, layer.sheet.columns)
-        shown = np.isfinite(layer.sheet.depth_m)
+        layer = draw_moving(eye, gbuffer, components, radiance, people, scene.opaque, lamps)
+        radiance, box = layer.radiance, (layer.gbuffer.rows, layer.gbuffer.columns)
+        shown = np.isfinite(layer.gbuffer.depth_m)
         for whole_map, part in (
-            (depth, layer.sheet.depth_m),
-            (normal, layer.sheet.normal),
-            (instance, layer.sheet.object_id),
+            (depth, layer.gbuffer.depth_m),
+            (normal, layer.gbuffer.normal),
+            (instance, layer.gbuffer.object_id),
         ):
             whole_map[box][shown] = part[shown]
     rgb = tone.encode(radiance * np.float32(tone.auto_exposure(radiance))).reshape(*depth.shape, 3)
@@ -131,15 +131,17 @@ def _picture(scene: _Set, rng: np.random.Generator, spec: ClipSpec, options: Com
 
 
 def repainted(materials: tuple[Material, ...], share: float, rng: np.random.Generator) -> tuple[Material, ...]:
-    """The same materials, a share of them with another pattern and other colors; what glows keeps glowing."""
+    """The same materials, a share of them with another pattern and other colors; emission is kept."""
     out = []
     for material in materials:
         if rng.random() >= share:
             out.append(material)
             continue
-        first = _colour(rng)
+        first = _random_color(rng)
         second = (
-            _colour(rng) if rng.random() < 0.5 else tuple(min(0.97, c * float(rng.uniform(0.6, 1.2))) for c in first)
+            _random_color(rng)
+            if rng.random() < 0.5
+            else tuple(min(0.97, c * float(rng.uniform(0.6, 1.2))) for c in first)
         )
         keep = rng.random() < 0.3 or material.kind in ("leaf", "screen")
         out.append(
@@ -153,14 +155,14 @@ def repainted(materials: tuple[Material, ...], share: float, rng: np.random.Gene
     return tuple(out)
 
 
-def _colour(rng: np.random.Generator) -> tuple[float, float, float]:
+def _random_color(rng: np.random.Generator) -> tuple[float, float, float]:
     saturation = float(rng.beta(1.2, 3.0))
     r, g, b = colorsys.hsv_to_rgb(float(rng.random()), saturation, float(rng.uniform(0.08, 0.97)))
     return r, g, b
 
 
 def _lamps(room: Room, rng: np.random.Generator) -> Lamps:
-    """The room's own lights, made stronger and weaker, or other ones anywhere under the ceiling."""
+    """The room's own lights with other strengths, or other lights anywhere below the ceiling."""
     ambient = np.asarray(room.ambient_rgb) * np.exp(rng.normal(0, 0.5)) * np.exp(rng.normal(0, 0.08, 3))
     if rng.random() < 0.5:
         chosen = [light for light in room.lights if rng.random() < 0.8][:4]
@@ -186,7 +188,7 @@ def _scaled(rgb: tuple[float, float, float], factor: float) -> tuple[float, floa
 
 
 def _opened(room: Room, rng: np.random.Generator) -> Room:
-    """Most rooms as they are; some without ceiling, few without most of their walls (yards, halls seen from inside)."""
+    """The room, sometimes without its ceiling, rarely without most of its walls."""
     draw = rng.random()
     if draw > 0.18:
         return room
@@ -200,13 +202,13 @@ def _opened(room: Room, rng: np.random.Generator) -> Room:
 
 
 def _with_sky(rgb: np.ndarray, empty: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A vertical gradient with soft clouds where nothing was hit."""
+    """The image with a sky (vertical gradient and soft clouds) where no ray hit anything."""
     if not empty.any():
         return rgb
     import cv2
 
     height, width = empty.shape
-    top, low = (np.asarray(_colour(rng)) * 0.5 + np.array([0.25, 0.3, 0.4]) for _ in range(2))
+    top, low = (np.asarray(_random_color(rng)) * 0.5 + np.array([0.25, 0.3, 0.4]) for _ in range(2))
     share = np.linspace(0, 1, height)[:, None, None]
     clouds = cv2.resize(rng.random((4, 6)).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
     sky = (1 - share) * top + share * low + 0.15 * (clouds[..., None] - 0.5)
@@ -214,14 +216,14 @@ def _with_sky(rgb: np.ndarray, empty: np.ndarray, rng: np.random.Generator) -> n
 
 
 def _view(
-    rng: np.random.Generator, scene: _Set, people: Surfaces, options: ComposeOptions
+    rng: np.random.Generator, scene: _Scene, people: Surfaces, options: ComposeOptions
 ) -> tuple[Intrinsics, Float[np.ndarray, "4 4"]]:
-    """A camera anywhere in the room that has something to see and nothing right before it."""
+    """A camera in the room with a varied view and nothing right in front of it: the best of up to 40 draws."""
     figures = people.caster() if len(people.faces) else None
     best: tuple[float, Intrinsics, np.ndarray] | None = None
     for _ in range(_TRIES):
         lens, pose = _draw_camera(rng, scene, people, options)
-        score = _worth(lens, pose, scene, figures)
+        score = _view_score(lens, pose, scene, figures)
         if best is None or score > best[0]:
             best = (score, lens, pose)
         if score >= 1:
@@ -231,7 +233,7 @@ def _view(
 
 
 def _draw_camera(
-    rng: np.random.Generator, scene: _Set, people: Surfaces, options: ComposeOptions
+    rng: np.random.Generator, scene: _Scene, people: Surfaces, options: ComposeOptions
 ) -> tuple[Intrinsics, Float[np.ndarray, "4 4"]]:
     room = scene.shot.room
     fov_y = float(np.clip(np.exp(rng.normal(np.log(np.deg2rad(52)), 0.38)), *_FOV_Y_RAD))
@@ -249,14 +251,16 @@ def _draw_camera(
         pitch = float(rng.normal(0, np.deg2rad(4)))
     roll = float(rng.normal(0, np.deg2rad(2.5 if rng.random() < 0.75 else 10)))
     pose = np.eye(4)
-    pose[:3, :3] = look(float(np.arctan2(way[0], way[2]) + rng.normal(0, 0.2)), float(np.clip(pitch, -1.2, 0.7)), roll)
+    pose[:3, :3] = look_rotation(
+        float(np.arctan2(way[0], way[2]) + rng.normal(0, 0.2)), float(np.clip(pitch, -1.2, 0.7)), roll
+    )
     pose[:3, 3] = at
     focal = 0.5 * options.height_px / np.tan(0.5 * fov_y)
     return Intrinsics.centered(float(focal), options.width_px, options.height_px), pose
 
 
-def _worth(lens: Intrinsics, pose: np.ndarray, scene: _Set, figures: Caster | None) -> float:
-    """1 for a view with depth and several objects; less otherwise."""
+def _view_score(lens: Intrinsics, pose: np.ndarray, scene: _Scene, figures: RayCaster | None) -> float:
+    """Score of a view: 1 if it has depth and several objects, else less."""
     rows, columns = _COARSE
     y, x = np.meshgrid(
         (np.arange(rows) + 0.5) * lens.height_px / rows,

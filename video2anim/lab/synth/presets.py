@@ -1,4 +1,4 @@
-"""Which clips a preset holds."""
+"""The presets of `video2anim synth` and the clips that they consist of."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from video2anim.errors import UsageError
 
 V2A_BENCH = "V2A-Bench 1"
-"""Name and version of the frozen benchmark: preset `bench`, seed 0, 24 clips. Other clips, another number."""
+"""Name and version of the frozen benchmark: preset `bench`, seed 0, 24 clips. If a clip changes, so does the
+version."""
 _BENCH: tuple[tuple[str, ...], ...] = (
     ("walk",), ("sit",), ("step_up",), ("pick_up",), ("turn",), ("lean",), ("walk", "sit"), ("walk",),
     ("sit",), ("step_up",), ("pick_up",), ("walk", "walk"), ("turn",), ("reach",), ("sit",), ("walk",),
@@ -21,19 +22,19 @@ PROCEDURAL = ("walk", "sit", "lie", "step_up", "pick_up", "lean", "reach")
 CAPTURED = ("walk", "walk_turn", "chore", "gesture", "pickup", "dance", "sport", "arms")
 PRESETS = ("bench", "random", "hidden", "carried")
 MAX_SEED = int(np.iinfo(np.int64).max)
-"""What every reader of `set.json` and `meta.json` can hold."""
+"""Largest 64-bit integer, which every reader of `set.json` and `meta.json` can hold."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hiding:
-    """How the person of a clip of preset `hidden` gets out of sight."""
+    """How the person of a clip of preset `hidden` goes out of sight."""
 
     behind: Literal["shelf", "cabinet"] | None
     """An object between camera and person; None = the person leaves the picture."""
     hidden_s: tuple[float, float]
-    """Range of the length of the one hidden stretch."""
+    """Range of the length of the one hidden interval."""
     when: Literal["passing", "turning", "low"]
-    """The object stands before the person as it goes across the line of sight, turns round, or is lowest."""
+    """When the object is in front of the person: walking across the line of sight, turning round, or at its lowest."""
     width_m: tuple[float, float] = (0.0, 0.0)
     height_m: tuple[float, float] = (0.0, 0.0)
     camera_height_m: tuple[float, float] = (1.0, 2.2)
@@ -50,7 +51,7 @@ _HIDDEN: tuple[tuple[str, str, Hiding], ...] = (
     ("leave_and_return", "return", Hiding(None, _LONG_S, "turning")),
     ("return_behind_shelf", "return", Hiding("shelf", _LONG_S, "turning", (0.9, 1.7), _TALL)),
 )
-"""Name, what the person does, how it is hidden."""
+"""Name, kind of motion, how the person is hidden."""
 _CARRIED: tuple[tuple[str, str], ...] = (
     ("pick_up_from_floor", "carry_from_floor"),
     ("carry_and_put_down", "carry_between"),
@@ -59,12 +60,12 @@ _CARRIED: tuple[tuple[str, str], ...] = (
     ("pull_chair", "pull_chair"),
     ("walk_with_bag", "carry_bag"),
 )
-"""Name, and what the person does."""
+"""Name and kind of motion."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClipSpec:
-    """What one clip is to show; everything else is drawn from `rng()`."""
+    """The specification of one clip; everything else is drawn from `rng()`."""
 
     name: str
     preset: str
@@ -78,7 +79,7 @@ class ClipSpec:
     """Strong noise, blur, distortion and compression may occur."""
 
     def rng(self, label: str, attempt: int = 0) -> np.random.Generator:
-        """Independent stream for one purpose."""
+        """Independent random generator for one purpose (`label`) and attempt."""
         return np.random.default_rng([self.seed, self.index, zlib.crc32(f"{self.preset}/{label}".encode()), attempt])
 
 
@@ -90,28 +91,28 @@ def clip_specs(preset: str, count: int | None, seed: int) -> tuple[ClipSpec, ...
     """
     if preset not in PRESETS:
         raise UsageError(f"--preset: want one of {', '.join(PRESETS)}, got {preset!r}")
-    make, most = {
+    make, max_count = {
         "bench": (_bench, len(_BENCH)), "hidden": (_hidden, len(_HIDDEN)), "carried": (_carried, len(_CARRIED)),
         "random": (_random, 1_000_000),
     }[preset]  # fmt: skip
-    count = min(most, len(_BENCH)) if count is None else count
-    expect_count_and_seed(count, seed, most)
+    count = min(max_count, len(_BENCH)) if count is None else count
+    expect_count_and_seed(count, seed, max_count)
     return tuple(make(seed, index) for index in range(count))
 
 
 def hiding_of(spec: ClipSpec) -> Hiding | None:
-    """How the person of a clip gets out of sight; None where it stays in sight."""
+    """How the person of a clip goes out of sight; None for clips of other presets."""
     return _HIDDEN[spec.index][2] if spec.preset == "hidden" else None
 
 
-def expect_count_and_seed(count: int, seed: int, most: int) -> None:
-    """Refuse numbers that nobody can mean.
+def expect_count_and_seed(count: int, seed: int, max_count: int) -> None:
+    """Check the number of clips or images and the seed.
 
     Raises:
-        UsageError: the count is not 1 to `most`, or the seed not 0 to `MAX_SEED`.
+        UsageError: the count is not 1 to `max_count`, or the seed not 0 to `MAX_SEED`.
     """
-    if not 1 <= count <= most:
-        raise UsageError(f"--count: want 1 to {most}, got {count}")
+    if not 1 <= count <= max_count:
+        raise UsageError(f"--count: want 1 to {max_count}, got {count}")
     if not 0 <= seed <= MAX_SEED:
         raise UsageError(f"--seed: want 0 to {MAX_SEED}, got {seed}")
 

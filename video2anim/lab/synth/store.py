@@ -1,4 +1,4 @@
-"""The folder of a synthetic clip: video, truth, meshes. Format: docs/synthetic_world.md. Whole or absent."""
+"""Writes the folder of a synthetic clip: video, truth, meshes. Format: docs/synthetic_world.md."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def write_clip(
     facts: dict[str, Any],
     rng: np.random.Generator,
 ) -> None:
-    """Draw a shot and write its folder; an older folder of that name is replaced by one rename at the end.
+    """Render a shot and write its folder; an older folder of that name is replaced by one rename at the end.
 
     Args:
-        shot: What to draw.
+        shot: The clip to render.
         folder: Folder to make.
         facts: Entries of `meta.json` known to the caller (name, preset, seed, index).
-        rng: Randomness of the sensor.
+        rng: Random numbers of the sensor.
     """
     with atomic_directory(folder) as work:
         renderer, sensor = Renderer(shot), Sensor(shot.sensor, rng)
@@ -77,7 +77,7 @@ def write_clip(
 
 
 class _Labels:
-    """Maps gathered while the clip is drawn."""
+    """Label maps collected while the clip is rendered."""
 
     def __init__(self, shot: Shot, renderer: Renderer) -> None:
         self.shot, self.renderer = shot, renderer
@@ -112,7 +112,7 @@ class _Labels:
 
 
 def depth_code(depth_m: np.ndarray) -> np.ndarray:
-    """Depth as millimeters, uint16; 0 = nothing hit."""
+    """Depth in millimeters, uint16; 0 = no surface."""
     return np.rint(np.clip(depth_m / DEPTH_UNIT_M, 0, 65535)).astype(np.uint16)
 
 
@@ -122,7 +122,7 @@ def normal_code(normal: np.ndarray) -> np.ndarray:
 
 
 def up_in_camera(shot: Shot) -> Float[np.ndarray, "frames 3"]:
-    """Unit vector against gravity in the axes of each frame's camera."""
+    """Unit vector against gravity in the camera axes of each frame."""
     return shot.T_world_camera[:, 1, :3]
 
 
@@ -171,7 +171,7 @@ def _write_meshes(work: Path, shot: Shot) -> None:
 
 
 def placed_object(obj: SceneObject) -> PlacedObject:
-    """An object as the pipeline's type, colors baked to the vertices."""
+    """An object as the type of the pipeline, with colors baked into the vertices."""
     vertices, faces, colors, count = [], [], [], 0
     for part in obj.parts:
         vertices.append(np.asarray(part.vertices_m, float))
@@ -183,7 +183,7 @@ def placed_object(obj: SceneObject) -> PlacedObject:
 
 
 def _baked(part: Part) -> UInt8[np.ndarray, "vertices 3"]:
-    """The texture at the vertices, without detail finer than `_BAKED_DETAIL_M`."""
+    """sRGB colors of the texture at the vertices, without detail finer than `_BAKED_DETAIL_M`."""
     if part.vertex_rgb is not None:
         return part.vertex_rgb
     points, normal = np.asarray(part.vertices_m, np.float32), np.abs(vertex_normals(part.vertices_m, part.faces))

@@ -1,4 +1,4 @@
-"""What people may wear: colors of skin, hair and cloth, and cuts of clothes, drawn at random."""
+"""Random outfits: cuts of clothes and colors of skin, hair and cloth."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHOES: tuple[Rgb, ...] = COLORS["shoe"]
 
 
 BAREFOOT = float("inf")
-"""Beyond every limb coordinate."""
+"""Start of the shoe for a person without shoes: beyond every limb coordinate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class Outfit:
     """Cuts and materials of one person."""
 
     sleeve: float
-    """Along the arm: 0 none, 1 to the elbow, 2 to the wrist."""
+    """End of the sleeve along the arm: 0 none, 1 elbow, 2 wrist."""
     cuff: float
     """End of the trouser leg: 1 knee, 2 ankle."""
     hem: float
@@ -34,9 +34,9 @@ class Outfit:
     """`crew`, `v` or `high`."""
     belt: bool
     sock: float
-    """Along the leg where the sock begins; 0 = none to be seen."""
+    """Start of the sock along the leg (2 = ankle); 0 = not visible."""
     shoe: float
-    """Along the leg where the shoe begins; `BAREFOOT` = no shoe."""
+    """Start of the shoe along the leg; `BAREFOOT` = no shoe."""
     hair: str
     """`short`, `long`, `bald` or `cap`."""
     beard: bool
@@ -44,7 +44,8 @@ class Outfit:
 
 
 def draw_outfit(gender: float, rng: np.random.Generator) -> Outfit:
-    """Clothes for a body; `gender` is Anny's (0 male to 1 female) and moves only the odds of beards and hair."""
+    """A random outfit. `gender` is the body model's (0 male to 1 female); it changes only the odds of beards and
+    hair."""
     male = rng.random() > gender
     materials, hair = _body_materials(male, rng), _hair_style(male, rng)
     if hair == "cap":
@@ -101,7 +102,7 @@ def _body_materials(male: bool, rng: np.random.Generator) -> dict[str, Material]
 
 
 def _color(rng: np.random.Generator) -> Rgb:
-    """A cloth color: half of them muted or gray."""
+    """A random cloth color; half of them are muted or gray."""
     muted = rng.random() < 0.5
     saturation = rng.uniform(0.0, 0.25) if muted else rng.uniform(0.35, 0.8)
     return colorsys.hsv_to_rgb(rng.random(), saturation, float(rng.uniform(0.18, 0.9)))
@@ -115,7 +116,7 @@ def _cloth(color: Rgb, rng: np.random.Generator, *, patterns: bool) -> Material:
 
 
 def _other(color: Rgb, rng: np.random.Generator) -> Rgb:
-    """A color that goes with another: white, dark, or a shade of it."""
+    """A color that matches another: white, dark, or a shade of it."""
     choice = rng.integers(3)
     return ((0.90, 0.89, 0.86), (0.10, 0.10, 0.13), _scaled(color, 0.55))[choice]
 

@@ -1,4 +1,4 @@
-"""What a synthetic clip consists of, before it is drawn. World: meters, +Y up, floor at y = 0."""
+"""Types of a synthetic clip before it is rendered. World frame: meters, +Y up, floor at y = 0."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PICTURE_SIZE_PX = (640, 480)
 LABEL_STRIDE_FRAMES = 5
 """Depth, normals and instances are kept for every such frame."""
 PERSON_ID = 1000
-"""A person's number in maps of instances is this plus `person_id`; below are objects."""
+"""The number of a person in instance maps is this plus `person_id`; smaller numbers are objects."""
 NEAR_M = 0.05
 """Points nearer than this to the camera's plane, or behind it, are not projected."""
 FURNITURE_LABELS = (
@@ -63,20 +63,20 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """A horizontal rectangle objects or people can rest on, in the object's frame."""
+    """A horizontal rectangle that objects or people can rest on, in the object's frame."""
 
     kind: str
     """`seat`, `top`, `bed` or `tread`."""
     height_m: float
     center_m: tuple[float, float]
-    """x, z of the middle."""
+    """x, z of the center."""
     size_m: tuple[float, float]
     """Extent along x and z."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneObject:
-    """One object. Own frame: +Y up, resting on y = 0, origin under the middle, front towards +Z."""
+    """One object. Its frame: +Y up, resting on y = 0, origin below the center, front towards +Z."""
 
     object_id: int
     """Unique in the world, from 1; structure and furniture alike."""
@@ -86,7 +86,7 @@ class SceneObject:
     T_world_object: Float[np.ndarray, "4 4"]
     surfaces: tuple[Surface, ...] = ()
     note: str = ""
-    """Where it came from: generator variant or file name."""
+    """Origin: variant of the generator, or file name."""
 
     def moved(self, T_world_object: np.ndarray, object_id: int | None = None) -> SceneObject:
         """The same object at another pose."""
@@ -94,7 +94,7 @@ class SceneObject:
         return replace(self, T_world_object=np.asarray(T_world_object, float), object_id=number)
 
     def merged(self) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
-        """All parts as one triangle list, in the world frame."""
+        """Vertices (world, meters) and faces of all parts as one triangle list."""
         vertices, faces, count = [], [], 0
         R, t = self.T_world_object[:3, :3], self.T_world_object[:3, 3]
         for part in self.parts:
@@ -118,7 +118,7 @@ class Light:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Room:
-    """Everything that stands still but the camera. The room is the box `bounds_m` (x0, x1, z0, z1) of `height_m`."""
+    """Everything static but the camera. The room is the box `bounds_m` (x0, x1, z0, z1) with height `height_m`."""
 
     bounds_m: tuple[float, float, float, float]
     height_m: float
@@ -137,19 +137,19 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class Prop:
-    """An object a procedural motion needs, in the world frame; the furniture maker builds it to measure."""
+    """An object that a procedural motion needs, in the world frame; the room builder makes furniture that fits it."""
 
     kind: str
     """`seat`, `bed`, `table` (something to reach to or lean on at `height_m`), `step`, `wall` (to lean against),
     `item` (small object picked up; it lies at `height_m`)."""
     position_m: tuple[float, float, float]
-    """Middle of the surface the body uses (seat: under the pelvis; table: at the hand; step: under the foot;
-    wall: the point touched; item: middle of its underside), y = height of that surface."""
+    """Center of the surface that the body uses (seat: under the pelvis; table: at the hand; step: under the foot;
+    wall: the point touched; item: center of its underside); y is the height of that surface."""
     yaw_rad: float
-    """Direction in which the object faces: the +Z of its frame is (sin yaw, 0, cos yaw). For a seat the way the sitter
-    looks; for table, step and wall the side from which the person comes."""
+    """Heading of the object: +Z of its frame is (sin yaw, 0, cos yaw). A seat faces as the sitter does; table, step and
+    wall face the side from which the person comes."""
     size_m: tuple[float, float]
-    """Least width (x) and depth (z) of the surface."""
+    """Minimum width (x) and depth (z) of the surface."""
     frames: tuple[int, int]
     """First and last frame of use."""
     back: bool = False
@@ -168,7 +168,7 @@ class MovingObject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProceduralMotion:
-    """A motion of the 22 joints for one body shape with its truth about contact, in the world frame at 30 fps."""
+    """A motion of the 22 joints of one body shape with true contacts, in the world frame at 30 fps."""
 
     name: str
     kind: str
@@ -178,15 +178,15 @@ class ProceduralMotion:
     translation_m: Float[np.ndarray, "frames 3"]
     R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
     contact: Bool[np.ndarray, "frames 22"]
-    """Joint touches something and stands still: ankle = heel, foot = ball of the foot, wrist = hand, pelvis = seat,
-    spine3 = back."""
+    """Whether a part touches something and does not move: ankle = heel, foot = ball of the foot, wrist = hand,
+    pelvis = seat, spine3 = back."""
     props: tuple[Prop, ...] = ()
     item_pose: Float[np.ndarray, "frames 4 4"] | None = None
-    """World pose of the object that is moved (before and after it rests)."""
+    """World pose of the moved object in every frame, also while it rests."""
     item_held: Bool[np.ndarray, "frames 2"] | None = None
     """Whether the left and the right hand hold it."""
     item: SceneObject | None = None
-    """The object itself, where the motion is made for it; else the room has it for the `item` prop."""
+    """The moved object, if the motion is made for it; else the room builder makes it for the `item` prop."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,29 +194,29 @@ class Actor:
     """A body with its motion and its materials."""
 
     motion: BodyMotion
-    """Truth in the clip's own world; `contact` holds 0 or 1; camera fields are those of the clip."""
+    """True motion in the world frame of the clip; `contact` holds 0 or 1; camera fields are those of the clip."""
     face_material: Int[np.ndarray, "faces"]
     """Index into `materials` for each face of the body mesh. Textures are evaluated on the rest mesh."""
     materials: tuple[Material, ...]
     kind: str = ""
-    """What the motion shows."""
+    """Kind of the motion."""
     source: str = ""
-    """`synthetic`, or where the captured clip comes from."""
+    """`synthetic`, or the source of the captured clip."""
     clip: str = ""
     """Name of the motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorModel:
-    """What the camera does to the light."""
+    """Exposure, noise, blur, distortion and compression of the camera."""
 
     exposure: float = 1.0
     noise_steps: float = 0.0
-    """Read-and-shot noise level: standard deviation in 8-bit steps at mid gray; 0 = none."""
+    """Standard deviation of read and shot noise in 8-bit steps at mid gray; 0 = none."""
     blur_s: float = 0.0
     """Shutter time of motion blur; 0 = none."""
     k1: float = 0.0
-    """Radial distortion (Brown), on normalized coordinates; labels are distorted alike."""
+    """Radial distortion (Brown-Conrady) on normalized coordinates; labels have the same distortion."""
     k2: float = 0.0
     vignette: float = 0.0
     white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -227,7 +227,7 @@ class SensorModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """A whole clip, ready to be drawn."""
+    """A complete clip, ready to be rendered."""
 
     name: str
     room: Room
@@ -238,7 +238,7 @@ class Shot:
     sensor: SensorModel
     moving: tuple[MovingObject, ...] = ()
     facts: dict[str, str | float | int] = field(default_factory=dict)
-    """For `meta.json`."""
+    """Further entries of `meta.json`."""
 
     @property
     def frame_count(self) -> int:

@@ -1,4 +1,4 @@
-"""Human motion that captured data lacks, made by a seeded generator."""
+"""Procedural human motion: kinds that captured data lacks (sit, lie, carry...), made by a seeded generator."""
 
 from video2anim.lab.synth.acting.acts import ACTS, act
 from video2anim.lab.synth.acting.archive import to_source_clip

@@ -1,4 +1,4 @@
-"""The kinds of procedural motion."""
+"""The kinds of procedural motion, each a function from a fresh `Script` to a finished motion."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import UsageError
 from video2anim.lab.synth.acting.climb import act_step_up
-from video2anim.lab.synth.acting.curves import turned
+from video2anim.lab.synth.acting.curves import yaw_rotation
 from video2anim.lab.synth.acting.finish import fitted, motion_of
 from video2anim.lab.synth.acting.hold import act_lean, act_pick_up, act_reach
 from video2anim.lab.synth.acting.lie import act_lie
@@ -22,11 +22,11 @@ from video2anim.lab.synth.world import ProceduralMotion
 
 
 def act_walk(script: Script) -> ProceduralMotion:
-    """Two curved stretches with a stop between them."""
+    """Walk along two curved paths with a stop between them."""
     rng = script.rng
     for _ in range(2):
         yaw = script.yaw_rad + rng.uniform(-1.2, 1.2)
-        ahead = turned(script.yaw_rad + rng.uniform(-0.6, 0.6)) @ np.array([0.0, 0.0, rng.uniform(2.0, 3.0)])
+        ahead = yaw_rotation(script.yaw_rad + rng.uniform(-0.6, 0.6)) @ np.array([0.0, 0.0, rng.uniform(2.0, 3.0)])
         goal = script.center_m + ahead
         walk(script, bezier(script.center_m, script.yaw_rad, goal, yaw), random_pace(script))
         script.keyed.key(script.now_s - 0.3, 0.7, neck_twist=rng.uniform(-0.5, 0.5))
@@ -36,14 +36,14 @@ def act_walk(script: Script) -> ProceduralMotion:
 
 
 def act_return(script: Script) -> ProceduralMotion:
-    """Walk away, turn round in a small bow and come back."""
+    """Walk away, turn round along a small arc and come back."""
     rng, size = script.rng, script.size
     out = script.yaw_rad + rng.uniform(-0.15, 0.15)
-    far = script.center_m + turned(out) @ np.array([0.0, 0.0, rng.uniform(2.2, 3.0)])
+    far = script.center_m + yaw_rotation(out) @ np.array([0.0, 0.0, rng.uniform(2.2, 3.0)])
     aside = rng.choice([-1.0, 1.0]) * rng.uniform(0.7, 1.0) * size.scale
-    turned_round = far + turned(out) @ np.array([aside, 0.0, 0.0])
+    turned_round = far + yaw_rotation(out) @ np.array([aside, 0.0, 0.0])
     back = out + np.pi + rng.uniform(-0.15, 0.15)
-    home = turned_round + turned(back) @ np.array([0.0, 0.0, 3.0])
+    home = turned_round + yaw_rotation(back) @ np.array([0.0, 0.0, 3.0])
     legs = (
         bezier(script.center_m, script.yaw_rad, far, out),
         bezier(far, out, turned_round, out + np.pi, bend=0.7),
@@ -69,7 +69,7 @@ ACTS: dict[str, Callable[[Script], ProceduralMotion]] = {
 def act(
     kind: str, body: ShapedBody, rng: np.random.Generator, *, duration_s: tuple[float, float] = (6.0, 9.0)
 ) -> ProceduralMotion:
-    """A motion of one of the kinds `ACTS` for a body, with the props it needs, starting near the origin.
+    """A motion of one of the kinds in `ACTS` for a body, with the props it needs. It starts near the world's origin.
 
     Raises:
         UsageError: unknown kind.

@@ -1,4 +1,4 @@
-"""Procedural motions in the container format of the captured ones."""
+"""Procedural motions in the file format of captured motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hands to their goals: two-bone arms, wrist orientation, part of the wrist's twist in the forearm."""
+"""Inverse kinematics of the arms: hands reach their goals, and the forearm takes part of the wrist's twist."""
 
 from __future__ import annotations
 
@@ -12,16 +12,21 @@ from video2anim.geometry.rotations import (
     quaternion_from_matrix,
     slerp,
 )
-from video2anim.lab.synth.acting.curves import axis_rotation, smooth_lift, steady, turned, window
+from video2anim.lab.synth.acting.curves import axis_rotation, smooth_lift, steady, window, yaw_rotation
 from video2anim.lab.synth.acting.limbs import arm_rotations
 from video2anim.lab.synth.acting.measure import ARM, LEG
 from video2anim.lab.synth.acting.script import HandGoal, Script
 from video2anim.types.skeleton import forward_kinematics
 
-_STRAIGHT, _SOFT = 0.96, 0.035
-_PASSING = 0.55
-_FOLDED, _FOLD = 0.42, 0.1
+_MAX_REACH, _MAX_REACH_BAND = 0.96, 0.035
+"""Shoulder-to-wrist distance, as a share of the arm's length, above which it saturates, and how much it may still
+grow."""
+_CLEAR_REACH = 0.55
+"""A wrist nearer to the shoulder than this share of the arm's length is moved ahead of the body."""
+_MIN_REACH, _MIN_REACH_BAND = 0.42, 0.1
+"""The same two numbers for the lower limit of shoulder-to-wrist distance."""
 _FREE_WRIST_RAD, _WRIST_SLACK_RAD = 1.0, 0.45
+"""Angle above which the bend of the wrist saturates, and how much it may still grow."""
 _FOREARM_SHARE = 0.6
 """Share of the wrist's twist that the forearm takes."""
 
@@ -33,7 +38,15 @@ def place_hands(
     R_parent_joint: Float[np.ndarray, "frames 22 3 3"],
     heading_rad: Float[np.ndarray, "frames"],
 ) -> Float[np.ndarray, "frames 22 3 3"]:
-    """Local rotations with the arms at their goals; without goals nothing changes."""
+    """Local rotations with the hands at the script's goals; an arm without goals keeps its rotations.
+
+    Args:
+        script: The hand goals and the body.
+        t: Time of each frame in seconds.
+        pelvis_m: World position of the pelvis.
+        R_parent_joint: Local rotations before the arms are solved.
+        heading_rad: Heading of the pelvis about +Y.
+    """
     R, rest = R_parent_joint.copy(), script.size.rest_m
     joints, R_world = forward_kinematics(R, pelvis_m, rest)
     for side, (collar, shoulder, elbow, wrist) in enumerate(ARM):
@@ -72,19 +85,24 @@ def place_hands(
 def _around_shoulder(
     shoulder_m: np.ndarray, target_m: np.ndarray, R_pelvis: np.ndarray, side: int, arm_m: float
 ) -> Float[np.ndarray, "frames 3"]:
-    """Hands on their way past the shoulder swing out ahead of it."""
-    near = _PASSING * arm_m - np.linalg.norm(target_m - shoulder_m, axis=1)
+    """Targets (world, meters) moved ahead of the body where they come too near to the shoulder."""
+    near = _CLEAR_REACH * arm_m - np.linalg.norm(target_m - shoulder_m, axis=1)
     away = R_pelvis @ np.array([0.5 if side == 0 else -0.5, 0.0, 0.85])
     return target_m + smooth_lift(near, 0.3)[:, None] * away
 
 
 def _within_reach(shoulder_m: np.ndarray, target_m: np.ndarray, arm_m: float) -> Float[np.ndarray, "frames 3"]:
-    """Targets beyond 96 % and within 42 % of the arm's length are approached ever more slowly: elbows never snap."""
+    """Targets (world, meters) with the distance to the shoulder saturated near both limits, so that elbows never
+    snap."""
     aim = target_m - shoulder_m
     distance = np.linalg.norm(aim, axis=1, keepdims=True)
     share = distance / arm_m
-    soft = np.where(share > _STRAIGHT, _STRAIGHT + _SOFT * np.tanh((share - _STRAIGHT) / _SOFT), share)
-    soft = np.where(share < _FOLDED, _FOLDED - _FOLD * np.tanh((_FOLDED - share) / _FOLD), soft)
+    soft = np.where(
+        share > _MAX_REACH, _MAX_REACH + _MAX_REACH_BAND * np.tanh((share - _MAX_REACH) / _MAX_REACH_BAND), share
+    )
+    soft = np.where(
+        share < _MIN_REACH, _MIN_REACH - _MIN_REACH_BAND * np.tanh((_MIN_REACH - share) / _MIN_REACH_BAND), soft
+    )
     return shoulder_m + aim * (soft / share)
 
 
@@ -107,7 +125,7 @@ def _goal(
             return np.broadcast_to(goal.offset_m, (count, 3)), R
         start, end, move_m = goal.slide
         return goal.offset_m + steady((t - start) / (end - start))[:, None] * move_m, R
-    heading = turned(heading_rad)
+    heading = yaw_rotation(heading_rad)
     R = None if goal.R_hand is None else heading @ goal.R_hand
     if goal.frame == "body":
         return pelvis_m + heading @ goal.offset_m, R
@@ -121,7 +139,8 @@ def _goal(
 
 
 def _pronated(R_elbow: np.ndarray, R_wrist: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Moves part of the twist about the forearm from wrist to elbow joint; the wrist stays within 83 degrees."""
+    """Moves part of the twist about the forearm from the wrist to the elbow; the wrist then bends less than 83
+    degrees."""
     q = quaternion_from_matrix(R_wrist)
     twist = 2.0 * np.arctan2(q[:, 1], q[:, 0])
     twist = (twist + np.pi) % (2 * np.pi) - np.pi

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from video2anim.lab.synth.acting.curves import turned
+from video2anim.lab.synth.acting.curves import yaw_rotation
 from video2anim.lab.synth.acting.finish import motion_of
 from video2anim.lab.synth.acting.perform import perform
 from video2anim.lab.synth.acting.script import Script
@@ -13,11 +13,11 @@ from video2anim.lab.synth.acting.walking import turn
 from video2anim.lab.synth.world import ProceduralMotion, Prop
 
 _MIN_STAIR_SCALE = 0.8
-"""Smaller people get a single step: stairs are not made for them."""
+"""Bodies with a smaller leg length relative to an average adult get a single step instead of stairs."""
 
 
 def act_step_up(script: Script) -> ProceduralMotion:
-    """Walk up to a step or a small flight, climb it, turn on top and come down."""
+    """Walk up to a step or a small flight of stairs, climb it, turn on top and come down."""
     size, rng = script.size, script.rng
     approach(script, rng.uniform(0.5, 0.8))
     count = int(rng.choice([1, 1, 2, 3])) if size.scale > _MIN_STAIR_SCALE else 1
@@ -25,7 +25,7 @@ def act_step_up(script: Script) -> ProceduralMotion:
     rise = rng.uniform(0.15, 0.19) if count > 1 else rng.uniform(0.15, min(0.45, 0.46 * size.leg_m))
     top = 0.62 * size.scale
     yaw, begin = script.yaw_rad, script.center_m
-    forward = turned(yaw) @ np.array([0.0, 0.0, 1.0])
+    forward = yaw_rotation(yaw) @ np.array([0.0, 0.0, 1.0])
     edge = 0.32 * size.scale
     frames_from = script.now_s
     side = int(rng.integers(2))

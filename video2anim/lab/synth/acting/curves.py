@@ -13,17 +13,17 @@ from video2anim.types.clip import FPS
 
 GRAVITY_M_S2 = 9.81
 _HOLD = 1e5
-"""Weight that makes a least-squares row as good as exact."""
+"""Weight of a least-squares row that acts as an equality constraint."""
 
 
 def ease(u: np.ndarray | float) -> np.ndarray:
-    """Minimum-jerk progress: 0 at u <= 0, 1 at u >= 1, no speed and acceleration at either end (Flash, Hogan 1985)."""
+    """Minimum-jerk progress: 0 at u <= 0, 1 at u >= 1, no speed or acceleration at the ends (Flash and Hogan 1985)."""
     x = np.clip(u, 0.0, 1.0)
     return x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 
 def steady(u: np.ndarray, ramp: float = 0.2) -> np.ndarray:
-    """Progress at even speed between a speeding up and a slowing down that take the share `ramp` each."""
+    """Progress from 0 to 1 at constant speed, but for a share `ramp` of speeding up and of slowing down."""
     x = np.clip(u, 0.0, 1.0)
     y = np.minimum(x, 1.0 - x)
     half = np.where(y < ramp, 0.5 * y * y / ramp, y - 0.5 * ramp) / (1.0 - ramp)
@@ -31,13 +31,13 @@ def steady(u: np.ndarray, ramp: float = 0.2) -> np.ndarray:
 
 
 def window(t: np.ndarray, rise: float, full: float, leave: float, end: float) -> Float[np.ndarray, "frames"]:
-    """0 before `rise`, 1 from `full` to `leave`, 0 after `end`, eased between."""
+    """0 before `rise`, 1 from `full` to `leave`, 0 after `end`, with minimum-jerk ramps; all in the unit of `t`."""
     up = ease((t - rise) / max(full - rise, 1e-6))
     return up * (1.0 - ease((t - leave) / max(end - leave, 1e-6)))
 
 
 def hermite(u: np.ndarray, start: tuple, stop: tuple, span_s: float) -> np.ndarray:
-    """Quintic from (value, rate per second) to (value, rate per second) without acceleration at the ends.
+    """Quintic polynomial between two pairs (value, rate per second) without acceleration at the ends.
 
     `u` (frames,) runs from 0 to 1 in `span_s`; values may be vectors (then the result is (frames, n)).
     """
@@ -58,7 +58,8 @@ def _third_difference(count: int) -> sparse.dia_array:
 def smooth_track(
     target: Float[np.ndarray, "frames *axes"], weight: Float[np.ndarray, "frames"] | float, width_s: float
 ) -> Float[np.ndarray, "frames *axes"]:
-    """The track nearest to `target` (where weighted) whose third difference is small; details under `width_s` go."""
+    """Weighted least-squares fit to `target` with a penalty on the third difference; removes details under
+    `width_s`."""
     count = len(target)
     weights = sparse.diags_array(np.broadcast_to(np.asarray(weight, float), (count,)).copy())
     jerk = _third_difference(count)
@@ -69,7 +70,7 @@ def smooth_track(
 
 
 def smooth_lift(deficit_m: Float[np.ndarray, "frames"], width_s: float = 0.4) -> Float[np.ndarray, "frames"]:
-    """Smooth track nowhere below the deficit (where it is positive)."""
+    """A smooth track that is nowhere below the positive part of `deficit_m`."""
     need = np.maximum(deficit_m, 0.0)
     if need.max() <= 0:
         return need
@@ -79,13 +80,13 @@ def smooth_lift(deficit_m: Float[np.ndarray, "frames"], width_s: float = 0.4) ->
     return np.maximum(smooth_track(grown, 1.0, 0.7 * width_s), need)
 
 
-def below(
+def smooth_track_below(
     wanted: Float[np.ndarray, "frames"],
     weight: Float[np.ndarray, "frames"],
     ceiling: Float[np.ndarray, "frames"],
     width_s: float,
 ) -> Float[np.ndarray, "frames"]:
-    """Smooth track near `wanted` that stays under `ceiling`: frames that break it are pulled down, again and again."""
+    """Smooth track near `wanted` and below `ceiling`: targets of frames above it are lowered until none is left."""
     target, pull = np.minimum(wanted, ceiling), weight.copy()
     goal, track = target.copy(), target
     for _ in range(12):
@@ -105,10 +106,17 @@ def balance(
     hold_weight: Float[np.ndarray, "frames"],
     height_m: float,
 ) -> Float[np.ndarray, "frames 2"]:
-    """Ground-plane path of the center of mass whose inverted pendulum presses where the feet are.
+    """Ground-plane path of the center of mass as an inverted pendulum whose center of pressure is in the feet.
 
-    Least squares over the whole clip of: pressure point = x - (height / g) x'' (Kajita et al. 2003), third difference,
-    and held positions; so weight shifts, sway and starts are anticipated.
+    Least squares over the whole clip: center of pressure = x - (height / g) x'' (Kajita et al. 2003), small third
+    difference, and held positions. The fit sees the future, so weight shifts before a step.
+
+    Args:
+        pressure_m: Wanted center of pressure (world x, z).
+        pressure_weight: Weight of each frame.
+        hold_m: Positions (world x, z) where the pelvis is held, as on a seat.
+        hold_weight: 1 in held frames, 0 in free ones.
+        height_m: Height of the center of mass.
     """
     count = len(pressure_m)
     gain = height_m / GRAVITY_M_S2 * FPS**2
@@ -136,13 +144,13 @@ def slow_noise(
     return (amplitude * np.sin(2 * np.pi * frequency * t[:, None, None] + phase)).sum(1)
 
 
-def turned(yaw_rad: np.ndarray | float) -> np.ndarray:
-    """Rotations (..., 3, 3) about +Y; +Z goes to (sin yaw, 0, cos yaw)."""
+def yaw_rotation(yaw_rad: np.ndarray | float) -> np.ndarray:
+    """Rotations (..., 3, 3) about +Y; they map +Z to (sin yaw, 0, cos yaw)."""
     return axis_rotation(1, yaw_rad)
 
 
 def axis_rotation(axis: int, angle_rad: np.ndarray | float) -> np.ndarray:
-    """Rotations (..., 3, 3) about a coordinate axis."""
+    """Rotations (..., 3, 3) about a coordinate axis (0 = x, 1 = y, 2 = z)."""
     angle = np.asarray(angle_rad, float)
     c, s = np.cos(angle), np.sin(angle)
     out = np.zeros((*angle.shape, 3, 3))

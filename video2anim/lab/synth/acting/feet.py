@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from video2anim.lab.synth.acting.curves import axis_rotation, ease, hermite, turned
+from video2anim.lab.synth.acting.curves import axis_rotation, ease, hermite, yaw_rotation
 from video2anim.lab.synth.acting.measure import SINK_ANGLES_RAD, BodyMeasure
 
 FOREVER = math.inf
@@ -16,12 +16,12 @@ _EPSILON_S = 1e-3
 _MAX_TOE_RAD = 0.85
 _SINK_ALLOWED_M = 0.004
 SOLE_GAP_M = 0.001
-"""Soles stand this far above a surface, so that no vertex sinks in by rounding."""
+"""Gap between sole and surface, so that rounding puts no vertex below the surface."""
 
 
 @dataclass(slots=True)
 class Plant:
-    """A foot on the ground from touch-down to toe-off."""
+    """A foot on the ground from touch-down to toe-off. World frame; side 0 is left, 1 is right."""
 
     side: int
     start_s: float
@@ -30,21 +30,21 @@ class Plant:
     """Point of the surface under the ankle while the foot is flat."""
     yaw_rad: float
     strike_rad: float = 0.3
-    """Toes up at touch-down."""
+    """Pitch of the foot at touch-down, toes up."""
     push_rad: float = 0.6
-    """Heel up at toe-off."""
+    """Pitch of the foot at toe-off, heel up."""
     strike_s: float = 0.12
     push_s: float = 0.28
 
     @property
     def flat_s(self) -> tuple[float, float]:
-        """Time in which the whole sole rests."""
+        """Start and end of the time, in seconds, in which the whole sole rests."""
         return self.start_s + self.strike_s, self.stop_s - self.push_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FootTrack:
-    """One foot over the clip."""
+    """Motion of one foot over the clip, world frame."""
 
     ankle_m: Float[np.ndarray, "frames 3"]
     R_world_foot: Float[np.ndarray, "frames 3 3"]
@@ -57,11 +57,11 @@ class FootTrack:
     load: Float[np.ndarray, "frames"]
     """1 on the ground, 0 in the air."""
     pressure_m: Float[np.ndarray, "frames 3"]
-    """Where the foot presses: from heel to ball during a plant."""
+    """Center of pressure under the foot: moves from heel to ball during a plant."""
 
 
 def foot_track(plants: list[Plant], t: Float[np.ndarray, "frames"], size: BodyMeasure) -> FootTrack:
-    """The foot's motion through its plants (in order of time, the last one open)."""
+    """The foot's motion through its plants (in order of time; the last one has no end). `t` in seconds."""
     count = len(t)
     ankle, pitch, toe, yaw = np.zeros((count, 3)), np.zeros(count), np.zeros(count), np.zeros(count)
     heel_down, ball_down, load = np.zeros(count, bool), np.zeros(count, bool), np.zeros(count)
@@ -77,16 +77,17 @@ def foot_track(plants: list[Plant], t: Float[np.ndarray, "frames"], size: BodyMe
             off = (t > plant.stop_s) & (t < after.start_s)
             if off.any():
                 ankle[off], pitch[off], toe[off], yaw[off] = _swing(plant, after, t[off], size)
-    R = turned(yaw) @ axis_rotation(0, pitch)
+    R = yaw_rotation(yaw) @ axis_rotation(0, pitch)
     return FootTrack(ankle, R, toe, yaw, heel_down, ball_down, load, _pressure(plants, t, size))
 
 
 def _stance(plant: Plant, t: np.ndarray, size: BodyMeasure) -> tuple[np.ndarray, np.ndarray]:
-    """Ankle and pitch (positive = heel up): rolls over the heel at first, over the ball at last."""
+    """Ankle (world, meters) and pitch (positive = heel up) during a plant: the foot rolls over the heel, then the
+    ball."""
     strike = plant.strike_rad * np.clip(1.0 - (t - plant.start_s) / plant.strike_s, 0.0, None) ** 2
     push = plant.push_rad * np.clip(1.0 - (plant.stop_s - t) / plant.push_s, 0.0, None) ** 2
     flat = plant.position_m + np.array([0.0, size.ankle_height_m + SOLE_GAP_M, 0.0])
-    R = turned(plant.yaw_rad)
+    R = yaw_rotation(plant.yaw_rad)
     about_heel = (np.eye(3) - axis_rotation(0, -strike)) @ size.heel_m
     about_ball = (np.eye(3) - axis_rotation(0, push)) @ size.ball_m[plant.side]
     ankle = flat + (about_heel + about_ball) @ R.T
@@ -97,7 +98,7 @@ def _stance(plant: Plant, t: np.ndarray, size: BodyMeasure) -> tuple[np.ndarray,
 def _swing(
     before: Plant, after: Plant, t: np.ndarray, size: BodyMeasure
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Ankle, pitch, toe bend and yaw between two plants, the sole clear of both surfaces."""
+    """Ankle, pitch, toe bend and yaw between two plants; the sole stays above both surfaces."""
     span = after.start_s - before.stop_s
     u = (t - before.stop_s) / span
     ends = []
@@ -132,7 +133,7 @@ def _swing(
 
 
 def _stair_shift(u: np.ndarray, p0: np.ndarray, p1: np.ndarray, rise: float) -> np.ndarray:
-    """Going up, the foot rises before it goes ahead; going down, it goes ahead before it sinks."""
+    """Horizontal progress of the swing on stairs: late when it goes up, early when it goes down."""
     begin = 0.42 if rise > 0 else 0.12
     early, late = ease(u / 0.58) - ease(u), ease((u - begin) / (1.0 - begin)) - ease(u)
     shift = np.outer(late if rise > 0 else early, p1 - p0)

@@ -1,4 +1,4 @@
-"""From solved scripts to procedural motions: surfaces measured on the mesh, cut to length."""
+"""From solved scripts to procedural motions: heights of props measured on the mesh, and cutting to length."""
 
 from __future__ import annotations
 
@@ -7,30 +7,32 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.lab.synth.acting.curves import turned
+from video2anim.lab.synth.acting.curves import yaw_rotation
 from video2anim.lab.synth.acting.measure import BodyMeasure
-from video2anim.lab.synth.acting.perform import Performed
+from video2anim.lab.synth.acting.perform import SolvedMotion
 from video2anim.lab.synth.world import ProceduralMotion, Prop
 from video2anim.types.clip import FPS
 
 GAP_M = 0.002
-"""A surface lies this far under the lowest vertex that rests on it."""
+"""Gap between a surface and the lowest vertex that rests on it."""
 _REGION_DEPTH_M = 0.25
 
 
-def probes(done: Performed, size: BodyMeasure, frames: slice | np.ndarray = slice(None)) -> Float[np.ndarray, "f p 3"]:
-    """Positions of the probe vertices."""
+def probes(
+    done: SolvedMotion, size: BodyMeasure, frames: slice | np.ndarray = slice(None)
+) -> Float[np.ndarray, "f p 3"]:
+    """World positions of the probe vertices (`BodyMeasure.probe`) in some frames, meters."""
     return size.body.vertices(done.R_world_joint[frames], done.joints_m[frames], size.probe).astype(float)
 
 
 def local_xz(points_m: np.ndarray, prop: Prop) -> tuple[np.ndarray, np.ndarray]:
-    """x and z of points in the prop's frame."""
-    local = (points_m - np.array(prop.position_m)) @ turned(prop.yaw_rad)
+    """x and z of world points in the prop's frame, meters."""
+    local = (points_m - np.array(prop.position_m)) @ yaw_rotation(prop.yaw_rad)
     return local[..., 0], local[..., 2]
 
 
 def over(points_m: np.ndarray, prop: Prop, margin_m: float = 0.0) -> np.ndarray:
-    """Which points lie over (or under) the prop's surface."""
+    """Which world points are within the prop's rectangle, seen from above, grown by a margin."""
     x, z = local_xz(points_m, prop)
     return (np.abs(x) < 0.5 * prop.size_m[0] + margin_m) & (np.abs(z) < 0.5 * prop.size_m[1] + margin_m)
 
@@ -42,7 +44,10 @@ def at_height(prop: Prop, height_m: float) -> Prop:
 
 
 def motion_of(
-    kind: str, done: Performed, props: tuple[Prop, ...] = (), item_pose: Float[np.ndarray, "frames 4 4"] | None = None
+    kind: str,
+    done: SolvedMotion,
+    props: tuple[Prop, ...] = (),
+    item_pose: Float[np.ndarray, "frames 4 4"] | None = None,
 ) -> ProceduralMotion:
     """The procedural motion of a solved script, its whole length."""
     return ProceduralMotion(
@@ -51,7 +56,7 @@ def motion_of(
 
 
 def cut(motion: ProceduralMotion, first: int, stop: int) -> ProceduralMotion:
-    """Frames [first, stop) of a motion; props are renumbered, those out of use in it keep their nearest frame."""
+    """Frames [first, stop) of a motion. The frames of its props are shifted and clipped to the range."""
     props = tuple(
         replace(p, frames=tuple(int(np.clip(f - first, 0, stop - first - 1)) for f in p.frames))  # pyright: ignore[reportArgumentType]
         for p in motion.props
@@ -70,14 +75,17 @@ def cut(motion: ProceduralMotion, first: int, stop: int) -> ProceduralMotion:
 
 
 LEAD_S = {"sit": 2.6, "lie": 2.6}
-"""Time that is kept before the first use of a prop: the turn, and sitting down."""
+"""Time kept before the first use of a prop, by kind: for turning and sitting down."""
 _OTHER_LEAD_S = 0.9
 _TAIL_S = 0.8
 
 
 def fitted(motion: ProceduralMotion, rng: np.random.Generator, duration_s: tuple[float, float]) -> ProceduralMotion:
-    """Cut to a length within `duration_s`: what is too much goes from the walking before the first use of a prop and
-    after its last one, then from the end; a motion that is too short stays as it is."""
+    """The motion cut to a random length within `duration_s` (minimum, maximum).
+
+    Frames are cut from the walking before the first and after the last use of a prop, then from the end. A motion that
+    is too short stays as it is.
+    """
     count = len(motion.translation_m)
     low, high = (round(s * FPS) for s in duration_s)
     wanted = min(count, int(rng.integers(low, high + 1)))

@@ -14,7 +14,7 @@ from video2anim.lab.synth.acting.script import NEUTRAL, Script, Stride
 _NOMINAL_STRIDE_M = 1.2
 _TABLE = Path(__file__).with_name("gait.npz")
 _MEAN_SHARE = {"l_elbow": 1.0, "r_elbow": 1.0, "l_flex": 0.5, "r_flex": 0.5}
-"""How much of a captured mean is taken; the others depend on the captured skeleton's joint places."""
+"""Share of the captured mean that each channel takes. Other means depend on the captured skeleton and are left out."""
 _SWING_SHARE = {"pelvis_roll": 0.6, "spine_side": 0.6}
 
 
@@ -32,7 +32,8 @@ def styles() -> tuple[tuple[str, ...], Float[np.ndarray, "styles channels coeffi
 def gait_phase(
     strides: list[Stride], t: Float[np.ndarray, "frames"], leg_m: float
 ) -> tuple[Float[np.ndarray, "frames"], Float[np.ndarray, "frames"]]:
-    """Phase in radians (left touch-down at multiples of 2 pi) and strength (1 = brisk walking) at each time."""
+    """Phase in radians (left touch-down at multiples of 2 pi) and strength (1 = brisk walking) at times `t` in
+    seconds."""
     if not strides:
         return np.zeros(len(t)), np.zeros(len(t))
     times, phases = [], []
@@ -56,7 +57,7 @@ def gait_phase(
 
 
 def gait_channels(script: Script, t: Float[np.ndarray, "frames"]) -> dict[str, Float[np.ndarray, "frames"]]:
-    """What walking adds to the keyed channels."""
+    """Offsets that walking adds to the keyed channels, by channel; radians. `t` in seconds."""
     phase, strength = gait_phase(script.strides, t, script.size.leg_m)
     names, table = styles()
     rng = script.noise()
@@ -70,7 +71,7 @@ def gait_channels(script: Script, t: Float[np.ndarray, "frames"]) -> dict[str, F
 
 
 def series(coefficients: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """Mean, then cosine and sine of each harmonic."""
+    """Fourier series at a phase (radians): coefficients are the mean, then cosine and sine of each harmonic."""
     out = np.full(len(phase), coefficients[0])
     for k in range(1, (len(coefficients) + 1) // 2):
         out = out + coefficients[2 * k - 1] * np.cos(k * phase) + coefficients[2 * k] * np.sin(k * phase)

@@ -1,4 +1,4 @@
-"""How a hand holds an object, and the hands' way to it, with it and from it."""
+"""How a hand holds an object, and the goals that bring hands to it, move with it and leave it."""
 
 from __future__ import annotations
 
@@ -8,37 +8,37 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.errors import InputError
-from video2anim.lab.synth.acting.curves import turned
+from video2anim.lab.synth.acting.curves import yaw_rotation
 from video2anim.lab.synth.acting.finish import probes
 from video2anim.lab.synth.acting.measure import BodyMeasure
-from video2anim.lab.synth.acting.perform import Performed
+from video2anim.lab.synth.acting.perform import SolvedMotion
 from video2anim.lab.synth.acting.script import HandGoal, Script
-from video2anim.lab.synth.render.caster import Caster
+from video2anim.lab.synth.render.caster import RayCaster
 from video2anim.lab.synth.rooms import make_furniture
 from video2anim.lab.synth.rooms.clearance import penetration_m
 from video2anim.lab.synth.rooms.decor import scaled_into
 from video2anim.lab.synth.world import SceneObject
 
 _PALM_M = (0.095, 0.034, 0.012)
-"""Middle of the palm from the wrist of a middle adult: along the fingers, out of the palm, towards the thumb."""
+"""Center of an average adult's palm from the wrist: along the fingers, out of the palm, towards the thumb."""
 _FINGERS_M = 0.046
-"""So far out of the palm a flat side lies that the bent fingers rest on."""
+"""Distance from the wrist's plane, out of the palm, of a flat side that bent fingers rest on."""
 _SLIP_M, _THROUGH_M = 0.0008, 0.01
-"""Most that a second hand may move on the object, and that the body may enter it."""
+"""Largest motion of a second hand relative to the object, and largest penetration of the object by the body."""
 _SIDE_ELBOW = (0.7, -0.7, -0.4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grip:
-    """The hand against the object, in the object's frame; the object faces as the person does."""
+    """Pose of the hand in the frame of the object, whose +Z is the person's heading."""
 
     side: int
     """0 left, 1 right."""
     R_hand: Float[np.ndarray, "3 3"]
     offset_m: Float[np.ndarray, "3"]
-    """Wrist from the object's origin."""
+    """Wrist relative to the object's origin."""
     yaw_rad: float = 0.0
-    """Heading of the object against the person's while it is carried."""
+    """Heading of the object minus the person's while it is carried."""
 
     @property
     def T_hand_object(self) -> Float[np.ndarray, "4 4"]:
@@ -50,7 +50,7 @@ class Grip:
     def furniture_piece(
         rng: np.random.Generator, labels: tuple[str, ...], size_m: tuple[float, float], height_m: float | None = None
     ) -> SceneObject:
-        """Something of one of the labels with about that footprint."""
+        """An object of one of the labels with about the footprint `size_m` (width, depth)."""
         label = labels[int(rng.integers(len(labels)))]
         if label == "box":
             return make_furniture("box", rng, size_m=size_m, surface_height_m=height_m or 1.1 * size_m[0])
@@ -60,7 +60,8 @@ class Grip:
 
 
 def fingers(side: int, inward_rad: float, droop_rad: float) -> Float[np.ndarray, "3 3"]:
-    """Hand in the heading frame whose palm looks level to the other side: fingers turned inward and down."""
+    """Rotation of a hand in the heading frame; the palm faces the body's center plane, fingers turned inward and
+    down."""
     out = 1.0 - 2.0 * side
     level = np.cos(droop_rad)
     along = np.array([-out * np.sin(inward_rad) * level, -np.sin(droop_rad), np.cos(inward_rad) * level])
@@ -74,14 +75,15 @@ def side_grip(
     size: BodyMeasure, side: int, obj: SceneObject, *, inward_rad: float, droop_rad: float,
     above_m: float | None = None, flat: bool = False,
 ) -> Grip:  # fmt: skip
-    """The palm on the object's side, at 0.6 of its height or `above_m` its underside; `flat`: a large side."""
+    """The palm on a side of the object, `above_m` over its underside (0.6 of its height if None). `flat`: a large
+    side."""
     R = fingers(side, inward_rad, droop_rad)
     vertices, faces = obj.merged()
     grip_m = 0.6 * float(np.ptp(vertices[:, 1])) if above_m is None else above_m
     grip_m = min(grip_m, 0.16)  # a vase is held below its flowers
     out = R[:, 1]
     far = np.array([0.0, grip_m, 0.0]) + out
-    hit = Caster(vertices, faces).first_hits(far[None], -out[None])
+    hit = RayCaster(vertices, faces).first_hits(far[None], -out[None])
     half_m = 1.0 - float(hit.distance[0])
     along, deep, thumb = np.array(_PALM_M) * size.scale
     deep = _FINGERS_M * size.scale if flat else deep
@@ -90,7 +92,7 @@ def side_grip(
 
 
 def top_grip(size: BodyMeasure, side: int, obj: SceneObject) -> Grip:
-    """The palm down on the top of a chair's back, near its middle; the chair faces away from the person."""
+    """The palm down on the top of a chair's back, near its center; the chair faces away from the person."""
     vertices, _ = obj.merged()
     out = 1.0 - 2.0 * side
     center = vertices[np.abs(vertices[:, 0]) < 0.1]
@@ -107,31 +109,32 @@ def top_grip(size: BodyMeasure, side: int, obj: SceneObject) -> Grip:
 
 
 def bag_grip(size: BodyMeasure, side: int, obj: SceneObject) -> Grip:
-    """A bag's handle in the hanging hand; the bag's long side lies along the way."""
+    """A bag's handle in the hanging hand; the bag's long side is parallel to the heading."""
     R = fingers(side, 0.0, 1.35)
     vertices, _ = obj.merged()
     out = 1.0 - 2.0 * side
     forth, deep, thumb = np.array((_PALM_M[0] + 0.05, _FINGERS_M - 0.006, _PALM_M[2])) * size.scale
     palm = R @ np.array([out * forth, -deep, thumb])
-    quarter = turned(-np.pi / 2)
+    quarter = yaw_rotation(-np.pi / 2)
     offset = np.array([0.0, float(vertices[:, 1].max()) - 0.008, 0.0]) - palm
     return Grip(side, quarter @ R, quarter @ offset, np.pi / 2)
 
 
 class Hands:
-    """The goals of the hands that hold one object, in order of time; each takes over from the one before it."""
+    """The goals of the hands that hold one object, in order of time; each replaces the one before it. Times in
+    seconds."""
 
     def __init__(self, script: Script, grips: tuple[Grip, ...]) -> None:
         self._script, self.grips = script, grips
-        self._mine: list[HandGoal] = []
+        self._own_goals: list[HandGoal] = []
 
     @property
     def wrist_over_m(self) -> float:
-        """Wrists over the underside of the object."""
+        """Height of the wrists over the underside of the object."""
         return float(self.grips[0].offset_m[1])
 
     def at(self, T_world_object: Float[np.ndarray, "4 4"], start_s: float, full_s: float) -> None:
-        """Where they hold an object that is there."""
+        """The hands hold an object at a world pose."""
         for grip in self.grips:
             wrist = T_world_object[:3, :3] @ grip.offset_m + T_world_object[:3, 3]
             self._add(grip.side, start_s, full_s, wrist, "world", T_world_object[:3, :3] @ grip.R_hand)
@@ -140,7 +143,7 @@ class Hands:
         self, T_world_object: Float[np.ndarray, "4 4"], start_s: float, full_s: float, *, out_m: float, up_m: float,
         back_m: float = 0.0,
     ) -> None:  # fmt: skip
-        """The same, with the palm off the object, higher, and nearer to the body."""
+        """As `at`, but the palm is `out_m` off the object, `up_m` higher and `back_m` nearer to the body."""
         scale = self._script.size.scale
         for grip in self.grips:
             R = T_world_object[:3, :3] @ grip.R_hand
@@ -150,16 +153,16 @@ class Hands:
             self._add(grip.side, start_s, full_s, wrist + scale * away, "world", R)
 
     def off_shoulder(self, out: float, up: float, ahead: float, share: float) -> Float[np.ndarray, "3"]:
-        """A left wrist at the pelvis in the heading frame: from the shoulder in a direction, by a share of the arm."""
+        """Left wrist relative to the pelvis in the heading frame: `share` of the arm's length from the shoulder."""
         size = self._script.size
         aim = np.array([out, up, ahead])
         return size.rest_m[16] + share * size.arm_m * aim / np.linalg.norm(aim)
 
     def carry(self, left_wrist_m: Float[np.ndarray, "3"], start_s: float, full_s: float) -> None:
-        """Before or beside the body, turned against the heading as at rest."""
+        """The hands carry the object. `left_wrist_m`: left wrist relative to the pelvis in the heading frame."""
         for grip in self.grips:
             wrist = left_wrist_m * (1.0 - 2.0 * grip.side, 1.0, 1.0)
-            self._add(grip.side, start_s, full_s, wrist, "body", turned(grip.yaw_rad) @ grip.R_hand)
+            self._add(grip.side, start_s, full_s, wrist, "body", yaw_rotation(grip.yaw_rad) @ grip.R_hand)
 
     def hold(
         self,
@@ -168,53 +171,53 @@ class Hands:
         start_s: float,
         full_s: float,
     ) -> None:
-        """So that the object has this pose in the heading frame at the pelvis."""
+        """The hands hold the object at this pose relative to the pelvis in the heading frame."""
         for grip in self.grips:
             wrist = R_heading_object @ grip.offset_m + object_m
             self._add(grip.side, start_s, full_s, wrist, "body", R_heading_object @ grip.R_hand)
 
     def slide(self, start_s: float, end_s: float, move_m: Float[np.ndarray, "3"]) -> None:
-        """The last place moves along."""
-        for goal in self._mine[-len(self.grips) :]:
+        """The last goal moves by `move_m` (world) between two times."""
+        for goal in self._own_goals[-len(self.grips) :]:
             goal.slide = (start_s, end_s, move_m)
 
     def free(self, leave_s: float, end_s: float) -> None:
-        """The last goals fade out, and those before them, which they hide, a moment earlier."""
-        last = self._mine[-len(self.grips) :]
-        for goal in self._mine:
+        """The last goals fade out between two times; the goals before them end a moment earlier."""
+        last = self._own_goals[-len(self.grips) :]
+        for goal in self._own_goals:
             goal.leave_s, goal.end_s = (leave_s, end_s) if goal in last else (last[0].touch_s, last[0].touch_s + 0.02)
 
-    def off_m(self, done: Performed, frame: int) -> float:
-        """How far the wrists are from the goals that hold at a frame."""
+    def wrist_error_m(self, done: SolvedMotion, frame: int) -> float:
+        """Largest distance of a wrist to its goal at a frame, meters."""
         return max(
             float(np.linalg.norm(done.joints_m[frame, 20 + side] - goal)) for side, goal in self._goals(done, frame)
         )
 
-    def nearness(self, done: Performed, frame: int) -> float:
-        """Distance of the goals from the shoulders over the length of the arm."""
+    def reach_ratio(self, done: SolvedMotion, frame: int) -> float:
+        """Largest distance of a goal to its shoulder at a frame, over the length of the arm."""
         arm_m = self._script.size.arm_m
         return max(
             float(np.linalg.norm(done.joints_m[frame, 16 + side] - goal)) / arm_m
             for side, goal in self._goals(done, frame)
         )
 
-    def _goals(self, done: Performed, frame: int) -> list[tuple[int, Float[np.ndarray, "3"]]]:
-        """Side and place of the wrists that is asked for at a frame; the goals then are places in the world."""
+    def _goals(self, done: SolvedMotion, frame: int) -> list[tuple[int, Float[np.ndarray, "3"]]]:
+        """Side and world position of the last world goal of each wrist that has begun by a frame."""
         at_s, out = done.t[frame], []
         for grip in self.grips:
-            goal = [g for g in self._mine if g.side == grip.side and g.touch_s <= at_s and g.frame == "world"][-1]
+            goal = [g for g in self._own_goals if g.side == grip.side and g.touch_s <= at_s and g.frame == "world"][-1]
             moved = goal.slide is not None and at_s >= goal.slide[1]
             out.append((grip.side, goal.offset_m + goal.slide[2] if goal.slide and moved else goal.offset_m))
         return out
 
     def _add(self, side: int, start_s: float, full_s: float, wrist: np.ndarray, frame: str, R: np.ndarray) -> None:
         goal = HandGoal(side, start_s, full_s, 1e8, 1e9, wrist, frame, R, _SIDE_ELBOW)  # pyright: ignore[reportArgumentType]
-        self._mine.append(goal)
+        self._own_goals.append(goal)
         self._script.hands.append(goal)
 
 
-def object_in(done: Performed, hands: Hands, frames: slice) -> Float[np.ndarray, "frames 4 4"]:
-    """Poses of an object that is rigid with the first of the hands."""
+def object_in(done: SolvedMotion, hands: Hands, frames: slice) -> Float[np.ndarray, "frames 4 4"]:
+    """World poses of an object that is rigid with the first of the hands."""
     grip = hands.grips[0]
     wrist = 20 + grip.side
     T = np.broadcast_to(np.eye(4), (len(done.t[frames]), 4, 4)).copy()
@@ -222,25 +225,25 @@ def object_in(done: Performed, hands: Hands, frames: slice) -> Float[np.ndarray,
     return T @ grip.T_hand_object
 
 
-def expect_sane(
-    script: Script, done: Performed, hands: Hands, obj: SceneObject, pose: Float[np.ndarray, "frames 4 4"],
+def expect_plausible(
+    script: Script, done: SolvedMotion, hands: Hands, obj: SceneObject, pose: Float[np.ndarray, "frames 4 4"],
     held: range,
 ) -> None:  # fmt: skip
-    """No hand slips on the object, and it does not go through the body.
+    """Check that no hand slips on the object and that the object does not enter the body in the frames `held`.
 
     Raises:
-        InputError: it does.
+        InputError: a hand slips by more than 0.8 mm, or the object is more than 1 cm inside the body.
     """
     for grip in hands.grips[1:]:
         wrist_m = done.joints_m[held.start : held.stop, 20 + grip.side]
         own = pose[held.start : held.stop, :3, :3] @ grip.offset_m + pose[held.start : held.stop, :3, 3] - wrist_m
         slip_m = float(np.linalg.norm(own, axis=1).max())
         if slip_m > _SLIP_M:
-            raise InputError(f"a hand slips by {1000 * slip_m:.1f} mm on the {obj.label}; act the motion again")
+            raise InputError(f"a hand slips by {1000 * slip_m:.1f} mm on the {obj.label}; draw the motion again")
     frames = np.arange(0, len(pose), 4)
     body = ~np.isin(script.size.probe_part, [20 + grip.side for grip in hands.grips])
     skin = probes(done, script.size, frames)[:, body]
     local = (skin - pose[frames, None, :3, 3]) @ pose[frames, :3, :3]
     deepest_m = float(penetration_m([obj.moved(np.eye(4))], local.reshape(-1, 3)).max())
     if deepest_m > _THROUGH_M:
-        raise InputError(f"the {obj.label} goes {100 * deepest_m:.1f} cm into the body; act the motion again")
+        raise InputError(f"the {obj.label} goes {100 * deepest_m:.1f} cm into the body; draw the motion again")

@@ -1,4 +1,4 @@
-"""A captured walk that goes over into a procedural motion without sliding feet."""
+"""A captured walk followed by a procedural motion, without sliding feet."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import UsageError
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from video2anim.lab.synth.acting.curves import ease, hermite, smooth_lift, turned
+from video2anim.lab.synth.acting.curves import ease, hermite, smooth_lift, yaw_rotation
 from video2anim.lab.synth.acting.finish import cut
 from video2anim.lab.synth.acting.limbs import leg_rotations
 from video2anim.lab.synth.acting.measure import LEG
@@ -20,9 +20,9 @@ from video2anim.types.skeleton import forward_kinematics
 
 BLEND_S = 0.8
 _SETTLE_S = 0.25
-"""A foot that stands at the seam takes the procedural foot's tilt in this time."""
+"""Time in which a foot that stands at the seam takes the tilt of the procedural foot."""
 _STILL_M = 0.0015
-"""A joint that moves farther per frame touches nothing."""
+"""A joint that moves farther than this per frame has no contact."""
 _REACH = 0.998
 _CONTACT_COST = 2.0
 _SPEED_COST_S = 0.12
@@ -35,10 +35,10 @@ def joined(
     procedural: ProceduralMotion,
     body: ShapedBody,
 ) -> ProceduralMotion:
-    """The captured motion followed by the procedural one, which starts where its pose is most like the captured end.
+    """The captured motion followed by the procedural one from the frame whose pose is most like the captured end.
 
-    The procedural motion with its props is moved on the ground plane; what still differs in pose and speed fades out in
-    `BLEND_S`. A foot that stands at the seam stays where it was captured until the procedural motion lifts it.
+    The procedural motion and its props are moved on the ground plane. Remaining differences of pose and speed fade out
+    in `BLEND_S` seconds. A foot that stands at the seam stays there until the procedural motion lifts it.
 
     Raises:
         UsageError: fewer than 3 captured frames.
@@ -81,23 +81,23 @@ def _heading(R_world_pelvis: np.ndarray) -> np.ndarray:
 
 
 def _local(joints_m: np.ndarray, R_world: np.ndarray) -> Float[np.ndarray, "frames 22 3"]:
-    """Joints seen from the point under the pelvis, facing its heading."""
+    """Joints in the heading frame with its origin on the floor under the pelvis, meters."""
     root = joints_m[:, 0] * np.array([1.0, 0.0, 1.0])
-    return (joints_m - root[:, None]) @ turned(_heading(R_world[:, 0]))
+    return (joints_m - root[:, None]) @ yaw_rotation(_heading(R_world[:, 0]))
 
 
 def _best_frame(
     captured_m: np.ndarray, captured_R: np.ndarray, contact: np.ndarray, procedural: ProceduralMotion, rest: np.ndarray
 ) -> int:
-    """Frame of the procedural motion, before its props are near, that is most like the captured end."""
+    """Frame of the procedural motion, before the first use of a prop, that is most like the captured end."""
     used = min((p.frames[0] for p in procedural.props), default=len(procedural.translation_m))
     limit = int(np.clip(_last_with_steps(procedural, used), 2, 0.5 * len(procedural.translation_m)))
     joints, R_world = forward_kinematics(
         procedural.R_parent_joint[: limit + 1], procedural.translation_m[: limit + 1], rest
     )
-    places, speeds = _local(joints, R_world), np.diff(joints, axis=0) @ turned(_heading(R_world[:-1, 0])) * FPS
+    places, speeds = _local(joints, R_world), np.diff(joints, axis=0) @ yaw_rotation(_heading(R_world[:-1, 0])) * FPS
     goal = _local(captured_m[-1:], captured_R[-1:])[0]
-    goal_speed = (captured_m[-1] - captured_m[-2]) @ turned(_heading(captured_R[-1, 0])) * FPS
+    goal_speed = (captured_m[-1] - captured_m[-2]) @ yaw_rotation(_heading(captured_R[-1, 0])) * FPS
     cost = np.linalg.norm(places[:-1] - goal, axis=-1).mean(1)
     cost = cost + _SPEED_COST_S * np.linalg.norm(speeds - goal_speed, axis=-1).mean(1)
     feet = [7, 8, 10, 11]
@@ -117,9 +117,9 @@ def _last_with_steps(procedural: ProceduralMotion, used: int) -> int:
 def _moved_to(
     procedural: ProceduralMotion, joints_m: np.ndarray, R_world: np.ndarray, rest: np.ndarray
 ) -> ProceduralMotion:
-    """The procedural motion and its props turned and shifted so that its first pelvis meets the captured one."""
+    """The procedural motion and its props, turned and shifted so that the first pelvis is at the captured one."""
     yaw = float(_heading(R_world[0]) - _heading(procedural.R_parent_joint[0, 0]))
-    R = turned(yaw)
+    R = yaw_rotation(yaw)
     shift = (joints_m[0] - R @ (procedural.translation_m[0] + rest[0])) * np.array([1.0, 0.0, 1.0])
 
     def prop(p: Prop) -> Prop:
@@ -145,7 +145,8 @@ def _moved_to(
 def _faded_pose(
     translation_m: np.ndarray, R_parent_joint: np.ndarray, procedural: ProceduralMotion
 ) -> tuple[Float[np.ndarray, "frames 22 3 3"], Float[np.ndarray, "frames 3"]]:
-    """Procedural pose plus the captured end's difference in pose and speed, which fades."""
+    """Procedural rotations and translation plus the difference to the captured end in pose and speed, which fades
+    out."""
     u = np.minimum(np.arange(len(procedural.translation_m)) / FPS / BLEND_S, 1.0)
     gap = translation_m[-1] - procedural.translation_m[0]
     rate = ((translation_m[-1] - translation_m[-2]) - (procedural.translation_m[1] - procedural.translation_m[0])) * FPS
@@ -162,7 +163,7 @@ def _stand(
     R: np.ndarray, translation: np.ndarray, joints_m: np.ndarray, R_world: np.ndarray, procedural: ProceduralMotion,
     rest: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Feet back on their places by the legs; the pelvis sinks where a leg is too short."""
+    """Inverse kinematics of the legs to the foot targets; the pelvis is lowered where a leg is too short."""
     procedural_joints, procedural_world = forward_kinematics(procedural.R_parent_joint, procedural.translation_m, rest)
     targets = [
         _foot_targets(
@@ -209,7 +210,8 @@ def _foot_targets(
     ended_R: np.ndarray,
     contact: np.ndarray,
 ) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "frames 3 3"]]:
-    """Ankle and foot orientation: moved rigidly with the captured foot while it stands, fading in the next swing."""
+    """World ankle and foot orientation: offset to the captured foot while it stands; the offset fades in the next
+    swing."""
     _, _, ankle, ball = LEG[side]
     down = contact[:, ankle] | contact[:, ball]
     count = len(down)
@@ -231,10 +233,10 @@ def _foot_targets(
     ahead = full @ np.array([0.0, 0.0, 1.0])
     yaw = float(np.arctan2(ahead[0], ahead[2]))
     soon = 1.0 - ease(frames / (_SETTLE_S * FPS))
-    tilt = matrix_from_axis_angle(soon[:, None] * axis_angle_from_matrix(full @ turned(yaw).T))
-    arm = (procedural_m[:, ankle] - procedural_m[0, ball]) @ turned(yaw).T
+    tilt = matrix_from_axis_angle(soon[:, None] * axis_angle_from_matrix(full @ yaw_rotation(yaw).T))
+    arm = (procedural_m[:, ankle] - procedural_m[0, ball]) @ yaw_rotation(yaw).T
     still = ended_m[ball] + (tilt @ arm[..., None])[..., 0]
     still[:, 1] += (1.0 - soon) * (procedural_m[0, ball, 1] - ended_m[ball, 1])
     gap = (still - procedural_m[:, ankle])[np.minimum(frames, lift)]
-    R_off = tilt @ turned(weight * yaw)
+    R_off = tilt @ yaw_rotation(weight * yaw)
     return procedural_m[:, ankle] + weight[:, None] * gap, R_off @ procedural_R[:, ankle]

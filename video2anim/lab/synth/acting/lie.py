@@ -1,4 +1,4 @@
-"""Sitting on the edge of a bed, lying down, rising again."""
+"""Motion of kind `lie`: sitting on the edge of a bed, lying down, rising again."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from video2anim.lab.synth.acting.curves import axis_rotation, smooth_lift, turned
+from video2anim.lab.synth.acting.curves import axis_rotation, smooth_lift, yaw_rotation
 from video2anim.lab.synth.acting.finish import GAP_M, at_height, motion_of, over, probes
 from video2anim.lab.synth.acting.measure import BodyMeasure
-from video2anim.lab.synth.acting.perform import Performed, perform
+from video2anim.lab.synth.acting.perform import SolvedMotion, perform
 from video2anim.lab.synth.acting.script import FootHold, HandGoal, PelvisHold, Script
 from video2anim.lab.synth.acting.sit import approach, hands_on_thighs, leave, rise, take_seat
 from video2anim.lab.synth.acting.walking import turn
@@ -17,7 +17,7 @@ from video2anim.lab.synth.world import ProceduralMotion, Prop
 from video2anim.types.clip import FPS
 
 _MAX_DROP_M = 0.01
-"""The bed gives way so far where a limb still dips into it on the way."""
+"""Largest amount by which the bed is lowered where a limb still enters it in motion."""
 
 
 def act_lie(script: Script) -> ProceduralMotion:
@@ -26,7 +26,7 @@ def act_lie(script: Script) -> ProceduralMotion:
     height = float(np.clip(rng.uniform(0.82, 0.95) * size.knee_height_m, 0.33, 0.56))
     approach(script, rng.uniform(0.9, 1.3))
     yaw = script.yaw_rad + rng.choice([-1.0, 1.0]) * rng.uniform(0.5 * np.pi, 0.8 * np.pi)
-    frame = turned(yaw)
+    frame = yaw_rotation(yaw)
     turn(script, yaw, script.center_m - 0.24 * size.scale * frame[:, 2])
     sit = take_seat(script, height, 0.9 * size.thigh_m, deep_m=0.03)
     head = float(rng.choice([-1.0, 1.0]))
@@ -76,11 +76,11 @@ def _legs_up(script: Script, lie: PelvisHold, R_lie: np.ndarray, height: float) 
 
 
 def _arms(script: Script, sit: PelvisHold, lie: PelvisHold, R_lie: np.ndarray, height: float, head: float) -> None:
-    """One hand props the body while it goes down and up; then both lie beside the body or on the belly."""
+    """One hand supports the body while it goes down and up; in between both lie beside the body or on the belly."""
     size, rng = script.size, script.rng
     near = 0 if head > 0 else 1
     up, span = R_lie[:, 1], lie.settle_s - lie.start_s
-    prop_at = sit.position_m + up * 0.34 * size.scale - turned(script.yaw_rad)[:, 2] * 0.08 * size.scale
+    prop_at = sit.position_m + up * 0.34 * size.scale - yaw_rotation(script.yaw_rad)[:, 2] * 0.08 * size.scale
     prop_at[1] = height + size.hand_below_m + 0.015
     x = up if near == 0 else -up
     flat = np.stack([x, np.array([0.0, 1.0, 0.0]), np.cross(x, [0.0, 1.0, 0.0])], -1)
@@ -109,10 +109,10 @@ def _arms(script: Script, sit: PelvisHold, lie: PelvisHold, R_lie: np.ndarray, h
 
 def _settled(
     script: Script, holds: tuple[PelvisHold, PelvisHold, PelvisHold], yaw: float, height: float
-) -> tuple[Performed, Prop]:
-    """Solves until sitting and lying body rest on one height, and lifts the body where it would sink in between."""
+) -> tuple[SolvedMotion, Prop]:
+    """Solves until the sitting and the lying body rest at one height; lifts the body where it would sink in between."""
     size, (sit, lie, again) = script.size, holds
-    forward = turned(yaw)[:, 2]
+    forward = yaw_rotation(yaw)[:, 2]
     front, depth = 0.2 * size.scale, max(0.9, 0.95 * size.scale)
     center = sit.position_m + forward * (front - 0.5 * depth)
     length = max(2.0, 2.15 * size.scale)
@@ -151,8 +151,8 @@ def _settled(
     return done, at_height(prop, height - float(np.clip(sunk + 0.001, 0.0, _MAX_DROP_M)))
 
 
-def _edge_behind_legs(done: Performed, size: BodyMeasure, prop: Prop, forward: np.ndarray) -> Prop:
-    """The bed with its front edge moved back until no leg is in it."""
+def _edge_behind_legs(done: SolvedMotion, size: BodyMeasure, prop: Prop, forward: np.ndarray) -> Prop:
+    """The bed with its front edge moved back until no leg enters it."""
     x, height, z = prop.position_m
     points, legs = probes(done, size), np.isin(size.probe_part, (1, 2, 4, 5, 7, 8, 10, 11))
     moved = prop

@@ -1,4 +1,4 @@
-"""Analytic two-bone limbs: legs to ankles, arms to wrists."""
+"""Analytic inverse kinematics of two-bone limbs: legs to ankles, arms to wrists."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ def _unit(v: np.ndarray) -> np.ndarray:
 def middle_joint(
     start_m: np.ndarray, end_m: np.ndarray, pole: np.ndarray, first_m: float, second_m: float
 ) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "frames 3"]]:
-    """Knee or elbow towards `pole`, and the end as far as it can be reached."""
+    """World position of the knee or elbow, which points towards `pole`, and of the end, clamped to the limb's
+    length."""
     aim = end_m - start_m
     wanted = np.linalg.norm(aim, axis=-1)
     distance = np.clip(wanted, abs(first_m - second_m) + 0.05 * second_m, _STRAIGHTEST * (first_m + second_m))
@@ -42,7 +43,8 @@ def leg_rotations(
 def arm_rotations(
     shoulder_m: np.ndarray, wrist_m: np.ndarray, pole: np.ndarray, upper_m: float, fore_m: float, side: int
 ) -> tuple[Float[np.ndarray, "frames 3 3"], Float[np.ndarray, "frames 3 3"]]:
-    """World orientations of shoulder and elbow. The elbow is a hinge about the upper arm's y; `pole` points its way."""
+    """World orientations of shoulder and elbow. The elbow is a hinge about the upper arm's y and points towards
+    `pole`."""
     elbow, wrist = middle_joint(shoulder_m, wrist_m, pole, upper_m, fore_m)
     sign = 1.0 if side == 0 else -1.0
     ahead = _unit(wrist - shoulder_m)
@@ -57,7 +59,8 @@ def arm_rotations(
 def keyed_arm(
     flex: np.ndarray, abd: np.ndarray, twist: np.ndarray, elbow: np.ndarray, side: int
 ) -> tuple[Float[np.ndarray, "frames 3 3"], Float[np.ndarray, "frames 3 3"]]:
-    """Local rotations of shoulder (in the chest) and elbow from angles; all zero = arm hanging straight down."""
+    """Local rotations of shoulder (in the chest's frame) and elbow from angles in radians; all 0 = arm straight
+    down."""
     sign = 1.0 if side == 0 else -1.0
     down = axis_rotation(2, sign * (abd - 0.5 * np.pi))
     shoulder = axis_rotation(0, -flex) @ down @ axis_rotation(0, twist)

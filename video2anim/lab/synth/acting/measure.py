@@ -1,4 +1,4 @@
-"""What the actor needs to know of a body: lengths, soles, hands, masses, and points that feel the surface."""
+"""Measurements of a body for inverse kinematics: lengths, soles, hands, masses, and vertices that test surfaces."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _MASS = {
     "left_shoulder": 0.016, "right_shoulder": 0.016, "left_elbow": 0.02, "right_elbow": 0.02,
     "left_wrist": 0.0134, "right_wrist": 0.0134,
 }  # fmt: skip
-"""Share of the body's mass put at each joint; segment masses and centers of de Leva (1996) split between their ends."""
+"""Share of the body's mass at each joint: segment masses of de Leva (1996), split between the ends of each segment."""
 _NOMINAL_LEG_M = 0.838
-"""Thigh and shin of Anny's middle adult."""
+"""Thigh plus shin of the body model's average adult."""
 _PROBE_STRIDE = 5
 SINK_ANGLES_RAD = np.linspace(0.0, 0.85, 9)
 
@@ -41,20 +41,20 @@ class BodyMeasure:
     thigh_m: float
     shin_m: float
     ankle_height_m: float
-    """Ankle over the sole of a flat foot."""
+    """Height of the ankle above the sole of a flat foot."""
     ball_m: Float[np.ndarray, "2 3"]
-    """Foot joint (ball of the foot) seen from the ankle, foot flat and ahead."""
+    """Foot joint (ball of the foot) relative to the ankle; foot flat, pointing to +Z."""
     heel_m: Float[np.ndarray, "3"]
-    """Hindmost point of the sole from the ankle (same for both feet)."""
+    """Rear end of the sole relative to the ankle (same for both feet)."""
     toe_m: Float[np.ndarray, "3"]
-    """Tip of the toe on the sole, from the foot joint."""
+    """Tip of the toe on the sole, relative to the foot joint."""
     hand_below_m: float
-    """How far the hand's surface lies below the wrist when the palm lies flat."""
+    """Distance of the hand's surface below the wrist when the palm lies flat."""
     sink_m: Float[np.ndarray, "2 angles"]
-    """How far the skin of a foot that rolls over its ball dips below the sole, at `SINK_ANGLES_RAD`."""
+    """Depth of the skin below the sole when a foot rolls over its ball, at `SINK_ANGLES_RAD`."""
     mass: Float[np.ndarray, "22"]
     probe: Int[np.ndarray, "probes"]
-    """Vertices that feel furniture."""
+    """Vertices that are tested against furniture."""
     probe_part: Int[np.ndarray, "probes"]
 
     @property
@@ -63,17 +63,17 @@ class BodyMeasure:
 
     @property
     def scale(self) -> float:
-        """Leg length relative to a middle adult."""
+        """Leg length relative to an average adult."""
         return self.leg_m / _NOMINAL_LEG_M
 
     @property
     def hip_drop_m(self) -> float:
-        """Hips below the pelvis joint."""
+        """Distance of the hips below the pelvis joint."""
         return float(-self.rest_m[1:3, 1].mean())
 
     @property
     def stand_m(self) -> float:
-        """Pelvis over the floor with straight legs."""
+        """Height of the pelvis above the floor with straight legs."""
         return self.leg_m + self.ankle_height_m + self.hip_drop_m
 
     @property
@@ -82,7 +82,7 @@ class BodyMeasure:
 
     @property
     def arm_m(self) -> float:
-        """Shoulder to wrist."""
+        """Length from shoulder to wrist."""
         return float(np.linalg.norm(self.rest_m[20] - self.rest_m[16]))
 
 
@@ -118,7 +118,7 @@ def measure(body: ShapedBody) -> BodyMeasure:
 
 
 def _sinks(body: ShapedBody, rest: np.ndarray, sole_y: float) -> Float[np.ndarray, "2 angles"]:
-    """Dip of each foot's skin when the heel rises about the foot joint and the toes stay flat."""
+    """Depth of each foot's skin below the sole when the heel rises about the foot joint and the toes stay flat."""
     count, out = len(SINK_ANGLES_RAD), []
     for ankle, foot in ((7, 10), (8, 11)):
         R = np.broadcast_to(np.eye(3), (count, 22, 3, 3)).copy()

@@ -1,4 +1,4 @@
-"""From a plan to joint rotations: balance, heights, spine, legs and arms by inverse kinematics."""
+"""From a script to joint rotations: balance, pelvis height, spine, and inverse kinematics of legs and arms."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from video2anim.lab.synth.acting.curves import (
     FPS,
     axis_rotation,
     balance,
-    below,
     ease,
     slow_noise,
     smooth_track,
-    turned,
+    smooth_track_below,
     window,
+    yaw_rotation,
 )
 from video2anim.lab.synth.acting.feet import FootTrack, foot_track
 from video2anim.lab.synth.acting.gait import gait_channels
@@ -34,22 +34,22 @@ from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 _SPINE = tuple(JOINT_INDEX[n] for n in ("spine1", "spine2", "spine3"))
 _SPINE_SHARE = (0.3, 0.35, 0.35)
 _REACH = 0.996
-"""Legs are never asked for more than this share of their length."""
+"""Largest hip-to-ankle distance as a share of the leg's length."""
 _LEAD_S = 0.3
-"""The head looks where the body will head so much later."""
+"""The head turns to the heading that the body will have this much later."""
 _PASSES = 3
 _TREMOR = {"neck_flex": 0.005, "neck_side": 0.003, "neck_twist": 0.006, "l_flex": 0.006, "r_flex": 0.006,
            "l_elbow": 0.008, "r_elbow": 0.008, "l_abd": 0.004, "r_abd": 0.004}  # fmt: skip
 """Unsteadiness between 2.5 and 6 Hz, radians (standard deviation)."""
 _IMPACT_M, _IMPACT_HZ, _IMPACT_S = 0.0045, 5.5, 0.1
-"""The jolt of a heel strike at the pelvis: amplitude, frequency, decay."""
+"""Damped oscillation of the pelvis at a heel strike: amplitude, frequency, decay time."""
 _STILL_M = 0.0009
-"""A joint counts as touching only while it moves less than this per frame."""
+"""A joint has contact only while it moves less than this per frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Performed:
-    """The solved motion."""
+class SolvedMotion:
+    """A solved script: time in seconds, rotations, world joints, contacts and heading of every frame."""
 
     t: Float[np.ndarray, "frames"]
     translation_m: Float[np.ndarray, "frames 3"]
@@ -60,8 +60,8 @@ class Performed:
     heading_rad: Float[np.ndarray, "frames"]
 
 
-def perform(script: Script, lift_m: Float[np.ndarray, "frames"] | None = None) -> Performed:
-    """Solves the script up to its last time. `lift_m` raises the pelvis (where furniture pushed back)."""
+def perform(script: Script, lift_m: Float[np.ndarray, "frames"] | None = None) -> SolvedMotion:
+    """Solves the script up to its last time. `lift_m` raises the pelvis, to keep the body out of furniture."""
     size = script.size
     t = np.arange(round(script.now_s * FPS) + 1) / FPS
     feet = [foot_track(script.plants[side], t, size) for side in (0, 1)]
@@ -88,11 +88,11 @@ def perform(script: Script, lift_m: Float[np.ndarray, "frames"] | None = None) -
     moves[1:] |= step > _STILL_M
     moves[:-1] |= step > _STILL_M
     contact &= ~moves
-    return Performed(t, pelvis, R_local, contact, joints, R_world, heading)
+    return SolvedMotion(t, pelvis, R_local, contact, joints, R_world, heading)
 
 
 def _heading(feet: list[FootTrack]) -> Float[np.ndarray, "frames"]:
-    """Unwrapped heading of the pelvis: the mean of the feet, smoothed so that it leads and lags as hips do."""
+    """Unwrapped heading of the pelvis in radians: the smoothed mean heading of the feet."""
     left, right = np.unwrap(feet[0].yaw_rad), np.unwrap(feet[1].yaw_rad)
     right = right + 2 * np.pi * np.round((left[0] - right[0]) / (2 * np.pi))
     return smooth_track(0.5 * (left + right), 1.0, 0.5)
@@ -124,7 +124,7 @@ def _channels(script: Script, t: np.ndarray) -> dict[str, np.ndarray]:
 def _pelvis_orientation(
     script: Script, t: np.ndarray, heading: np.ndarray, channels: dict[str, np.ndarray]
 ) -> Float[np.ndarray, "frames 3 3"]:
-    upright = turned(heading + channels["pelvis_yaw"]) @ axis_rotation(0, channels["pelvis_pitch"])
+    upright = yaw_rotation(heading + channels["pelvis_yaw"]) @ axis_rotation(0, channels["pelvis_pitch"])
     quaternion = quaternion_from_matrix(upright @ axis_rotation(2, channels["pelvis_roll"]))
     for hold in script.holds:
         if hold.R_world is not None:
@@ -135,7 +135,7 @@ def _pelvis_orientation(
 
 
 def _upper_body(channels: dict[str, np.ndarray], heading: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Local rotations of everything above the pelvis; the rest identity."""
+    """Local rotations of the joints above the pelvis; all others are the identity."""
     R = np.broadcast_to(np.eye(3), (len(t), 22, 3, 3)).copy()
     for joint, share in zip(_SPINE, _SPINE_SHARE, strict=True):
         R[:, joint] = (
@@ -160,7 +160,7 @@ def _upper_body(channels: dict[str, np.ndarray], heading: np.ndarray, t: np.ndar
 
 
 def _held_foot(script: Script, side: int, track: FootTrack, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ankle and foot orientation after foot holds; a foot rises before it goes aside and sinks after it."""
+    """World ankle and foot orientation with foot holds applied; a foot rises, then moves sideways, then sinks."""
     ankle, R = track.ankle_m.copy(), track.R_world_foot
     for hold in script.feet:
         if hold.side != side:
@@ -174,7 +174,8 @@ def _held_foot(script: Script, side: int, track: FootTrack, t: np.ndarray) -> tu
 
 
 def _held_share(hold: FootHold, t: np.ndarray, start: float, stop: float) -> Float[np.ndarray, "frames"]:
-    """1 while held; moves between the shares `start` and `stop` of the way up, and mirrored on the way back."""
+    """1 while held; rises between the shares `start` and `stop` of the way there, and falls mirrored on the way
+    back."""
     up, down = hold.settle_s - hold.start_s, hold.end_s - hold.leave_s
     rise = ease((t - hold.start_s - start * up) / ((stop - start) * up))
     fall = ease((hold.end_s - start * down - t) / ((stop - start) * down))
@@ -182,7 +183,7 @@ def _held_share(hold: FootHold, t: np.ndarray, start: float, stop: float) -> Flo
 
 
 def _pressure(script: Script, feet: list[FootTrack], t: np.ndarray) -> Float[np.ndarray, "frames 2"]:
-    """Center of pressure asked for: the standing foot's, the middle of both, with a little sway."""
+    """Wanted center of pressure (world x, z): mean of the feet's, weighted by load, plus a little sway."""
     load = np.stack([track.load for track in feet], -1) + 1e-3
     share = load / load.sum(1, keepdims=True)
     point = sum(share[:, side, None] * feet[side].pressure_m[:, [0, 2]] for side in (0, 1))
@@ -222,14 +223,14 @@ def _pelvis_path(
     busy = held > 0
     wanted = np.where(busy, hold_at[:, 1], wanted)
     ceiling = np.where(busy, np.maximum(ceiling, wanted), ceiling)
-    height = below(wanted, np.where(busy, 1e5, free), ceiling, 0.2)
+    height = smooth_track_below(wanted, np.where(busy, 1e5, free), ceiling, 0.2)
     out = np.stack([path[:, 0], height, path[:, 1]], -1) + free[:, None] * _jolts(script, t)
     out[busy] = hold_at[busy]
     return out
 
 
 def _jolts(script: Script, t: np.ndarray) -> Float[np.ndarray, "frames 3"]:
-    """Damped shake of the pelvis after each heel strike, mostly vertical, a little against the walk."""
+    """Damped oscillation of the pelvis after each heel strike, mostly vertical, a little backward; meters."""
     out = np.zeros((len(t), 3))
     for stride in script.strides:
         plant = next(p for p in script.plants[stride.side] if p.start_s == stride.land_s)
@@ -245,12 +246,12 @@ def _legs(
     script: Script, pelvis: np.ndarray, R_local: np.ndarray, pose: list[tuple[np.ndarray, np.ndarray]],
     feet: list[FootTrack],
 ) -> np.ndarray:  # fmt: skip
-    """Legs to the ankles; knees between where pelvis and foot look; toes as the feet roll."""
+    """Rotations with legs solved to the ankles; knees point between pelvis and foot; toes bend as the feet roll."""
     size, R = script.size, R_local.copy()
     for side, (hip, knee, ankle, foot) in enumerate(LEG):
         ankle_m, R_foot = pose[side]
         hip_m = pelvis + R[:, 0] @ size.rest_m[hip]
-        pole = R[:, 0, :, 2] + 0.8 * (turned(feet[side].yaw_rad)[:, :, 2] if not script.feet else R_foot[:, :, 2])
+        pole = R[:, 0, :, 2] + 0.8 * (yaw_rotation(feet[side].yaw_rad)[:, :, 2] if not script.feet else R_foot[:, :, 2])
         thigh, shin, _ = leg_rotations(hip_m, ankle_m, pole, size.thigh_m, size.shin_m)
         R[:, hip] = np.swapaxes(R[:, 0], -1, -2) @ thigh
         R[:, knee] = np.swapaxes(thigh, -1, -2) @ shin

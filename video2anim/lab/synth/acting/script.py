@@ -1,4 +1,4 @@
-"""The plan of a procedural clip: foot plants, keyed posture, pelvis holds and hand goals on one time line."""
+"""The plan of a procedural motion: foot plants, keyed posture, pelvis holds and hand goals on one time line."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.lab.synth.acting.curves import ease, turned, window
+from video2anim.lab.synth.acting.curves import ease, window, yaw_rotation
 from video2anim.lab.synth.acting.feet import FOREVER, Plant
 from video2anim.lab.synth.acting.measure import BodyMeasure
 
@@ -18,14 +18,16 @@ CHANNELS: tuple[str, ...] = (
     "neck_flex", "neck_side", "neck_twist",
     "l_flex", "l_abd", "l_twist", "l_elbow", "r_flex", "r_abd", "r_twist", "r_elbow", "l_lift", "r_lift", "crouch",
 )  # fmt: skip
-"""Angles in radians: pitch/flex forward, roll/side to the right (right side down), yaw/twist to the left; arms: flex
-forward, abd outwards, twist inwards, elbow bent, lift = girdle up. `crouch`: pelvis lower, share of the leg."""
+"""Angles in radians, positive: pitch and flex forward; roll and side to the right (right side down); yaw and twist to
+the left; arms: flex forward, abd (abduction) outward, twist inward, elbow bent, lift raises the shoulder girdle.
+`crouch` lowers the pelvis, as a share of the leg's length."""
 NEUTRAL = {"l_abd": 0.14, "r_abd": 0.14, "l_elbow": 0.28, "r_elbow": 0.28, "l_flex": 0.02, "r_flex": 0.02}
 
 
 @dataclass(slots=True)
 class PelvisHold:
-    """The pelvis leaves balance at `start_s`, rests from `settle_s` to `leave_s`, is back in balance at `end_s`."""
+    """The pelvis leaves balance at `start_s`, rests from `settle_s` to `leave_s`, and balances again at `end_s`.
+    World."""
 
     start_s: float
     settle_s: float
@@ -36,12 +38,12 @@ class PelvisHold:
     """Orientation while held; None = upright with the keyed posture."""
     contact: bool = True
     back_after_s: float = math.inf
-    """The back rests from so long after `settle_s` until half a second before `leave_s`."""
+    """The back rests from this long after `settle_s` until half a second before `leave_s`."""
 
 
 @dataclass(slots=True)
 class HandGoal:
-    """A hand goes to a target between `start_s` and `touch_s` and is free again between `leave_s` and `end_s`."""
+    """A hand moves to a target from `start_s` to `touch_s`, stays until `leave_s`, and is free at `end_s`."""
 
     side: int
     start_s: float
@@ -52,19 +54,20 @@ class HandGoal:
     """Wrist: world position, or offset in the frame (thigh: along the thigh, up, outwards; body: heading at pelvis)."""
     frame: Literal["world", "thigh", "body"] = "world"
     R_hand: Float[np.ndarray, "3 3"] | None = None
-    """Orientation of the wrist in the frame (world, or heading for the others); None = along the forearm."""
+    """Orientation of the wrist in the world, or in the heading frame for `thigh` and `body`; None = along the
+    forearm."""
     elbow: tuple[float, float, float] = (0.5, -0.7, -0.5)
-    """Where the elbow points in the frame of the pelvis: outwards, up, ahead."""
+    """Direction of the elbow in the frame of the pelvis: outwards, up, ahead."""
     contact: bool = False
     still_s: tuple[float, float] | None = None
     """When the hand stands still (contact), if not all the time from touch to leave."""
     slide: tuple[float, float, Float[np.ndarray, "3"]] | None = None
-    """A place in the world that moves: start and end of the move (seconds), and how far (meters)."""
+    """For a world target that moves: start and end of the move (seconds) and the displacement (meters)."""
 
 
 @dataclass(slots=True)
 class FootHold:
-    """A foot leaves its plant at `start_s`, rests elsewhere from `settle_s` to `leave_s`, is back at `end_s`."""
+    """A foot leaves its plant at `start_s`, rests elsewhere from `settle_s` to `leave_s`, is back at `end_s`. World."""
 
     side: int
     start_s: float
@@ -77,14 +80,14 @@ class FootHold:
 
 @dataclass(slots=True)
 class Keyed:
-    """Channel values that move by eased steps; steps may overlap and then add up smoothly."""
+    """Channel values that change by eased steps. Steps that overlap add up."""
 
     value: dict[str, float]
     moves: list[tuple[float, float, str, float]] = field(default_factory=list)
-    """start, duration, channel, change."""
+    """Start (seconds), duration (seconds), channel, change (radians)."""
 
     def key(self, start_s: float, duration_s: float, **goal: float) -> None:
-        """From `start_s` on the named channels go to new values. Calls must come in order of time per channel."""
+        """The named channels move to new values from `start_s` on. Calls must be in order of time per channel."""
         for name, value in goal.items():
             change = value - self.value.get(name, 0.0)
             if change:
@@ -92,7 +95,7 @@ class Keyed:
                 self.value[name] = value
 
     def rest(self, start_s: float, duration_s: float, *names: str) -> None:
-        """The named channels go back to neutral."""
+        """The named channels return to their `NEUTRAL` values."""
         self.key(start_s, duration_s, **{name: NEUTRAL.get(name, 0.0) for name in names})
 
     def tracks(self, t: Float[np.ndarray, "frames"]) -> dict[str, Float[np.ndarray, "frames"]]:
@@ -104,7 +107,7 @@ class Keyed:
 
 @dataclass(slots=True)
 class Stride:
-    """A step as taken: for the phase of the gait."""
+    """One step, from which the phase of the gait is computed."""
 
     side: int
     lift_s: float
@@ -147,19 +150,19 @@ class Script:
         return script
 
     def spot(self, center_m: np.ndarray, yaw_rad: float, side: int, wider: float = 1.0) -> tuple[np.ndarray, float]:
-        """Place and heading of one foot of a body that stands over `center_m`."""
+        """World position and heading of one foot of a body that stands over `center_m`; `wider` scales the stance."""
         out = 1.0 if side == 0 else -1.0
-        across = turned(yaw_rad) @ np.array([out * self.half_width_m * wider, 0.0, 0.0])
+        across = yaw_rotation(yaw_rad) @ np.array([out * self.half_width_m * wider, 0.0, 0.0])
         return np.asarray(center_m, float) + across, yaw_rad + out * self.toe_out_rad
 
     @property
     def center_m(self) -> Float[np.ndarray, "3"]:
-        """Between the feet as they stand now."""
+        """World point between the feet after the last step."""
         return 0.5 * (self.plants[0][-1].position_m + self.plants[1][-1].position_m)
 
     @property
     def yaw_rad(self) -> float:
-        """Heading as the feet stand now."""
+        """Mean heading of the feet after the last step."""
         left, right = self.plants[0][-1].yaw_rad, self.plants[1][-1].yaw_rad
         return left + 0.5 * ((right - left + np.pi) % (2 * np.pi) - np.pi)
 
@@ -184,7 +187,7 @@ class Script:
         self.now_s = land
 
     def loose(self, t: Float[np.ndarray, "frames"], channel: str) -> Float[np.ndarray, "frames"]:
-        """How much an arm is free to swing: 0 while its hand has a goal."""
+        """Share of the free arm swing at times `t`: 0 while the hand has a goal, else 1."""
         out = np.ones(len(t))
         for goal in self.hands:
             if channel[:2] == ("l_", "r_")[goal.side]:
@@ -192,12 +195,12 @@ class Script:
         return out
 
     def wait(self, seconds: float) -> None:
-        """Both feet stay."""
+        """Both feet stay where they are."""
         self.now_s += seconds
 
     def lift_side(self, goal_m: np.ndarray, yaw_rad: float) -> int:
-        """The foot to step with first: the one that did not just land, the one on the side of a turn, or the one
-        farther from the goal."""
+        """The foot to step with first (0 left, 1 right): the one that did not just land; else, in a turn, the one on
+        its side; else the one farther from the goal."""
         if self.strides and self.now_s - self.strides[-1].land_s < 0.3:
             return 1 - self.strides[-1].side
         turn = (yaw_rad - self.yaw_rad + np.pi) % (2 * np.pi) - np.pi

@@ -1,13 +1,13 @@
-"""Walking up to a seat, turning, sitting down, staying, rising, walking off."""
+"""Motion of kind `sit`: walking up to a seat, turning, sitting down, staying, rising, walking off."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.lab.synth.acting.curves import turned
+from video2anim.lab.synth.acting.curves import yaw_rotation
 from video2anim.lab.synth.acting.finish import GAP_M, at_height, motion_of, over, probes
-from video2anim.lab.synth.acting.perform import Performed, perform
+from video2anim.lab.synth.acting.perform import SolvedMotion, perform
 from video2anim.lab.synth.acting.script import HandGoal, PelvisHold, Script
 from video2anim.lab.synth.acting.walking import bezier, random_pace, turn, walk
 from video2anim.lab.synth.world import ProceduralMotion, Prop
@@ -19,9 +19,9 @@ _ON_SEAT = [JOINT_INDEX[name] for name in ("pelvis", "left_hip", "right_hip", "s
 
 
 def approach(script: Script, distance_m: float) -> None:
-    """Walks to a stand about `distance_m` ahead on a gentle curve."""
+    """Walks along a gentle curve to a point about `distance_m` ahead and stops."""
     rng = script.rng
-    goal = script.center_m + turned(script.yaw_rad + rng.uniform(-0.4, 0.4)) @ np.array([0.0, 0.0, distance_m])
+    goal = script.center_m + yaw_rotation(script.yaw_rad + rng.uniform(-0.4, 0.4)) @ np.array([0.0, 0.0, distance_m])
     yaw = script.yaw_rad + rng.uniform(-0.5, 0.5)
     walk(script, bezier(script.center_m, script.yaw_rad, goal, yaw), random_pace(script))
 
@@ -30,14 +30,14 @@ def leave(script: Script, spread_rad: float = 0.7) -> None:
     """Walks off, and is still walking at the end."""
     rng = script.rng
     yaw = script.yaw_rad + rng.uniform(-spread_rad, spread_rad)
-    goal = script.center_m + turned(yaw) @ np.array([0.0, 0.0, 1.7 * script.size.scale])
+    goal = script.center_m + yaw_rotation(yaw) @ np.array([0.0, 0.0, 1.7 * script.size.scale])
     walk(script, bezier(script.center_m, script.yaw_rad, goal, yaw), random_pace(script), close=False)
 
 
 def take_seat(script: Script, height_m: float, reach_m: float, *, deep_m: float = 0.0) -> PelvisHold:
-    """Sits down behind where the body stands; `reach_m` from ankles back to pelvis. The hold is open at its end."""
+    """Sits down behind the standing feet: `reach_m` from the ankles back to the pelvis. The hold has no end yet."""
     size, rng = script.size, script.rng
-    forward = turned(script.yaw_rad) @ np.array([0.0, 0.0, 1.0])
+    forward = yaw_rotation(script.yaw_rad) @ np.array([0.0, 0.0, 1.0])
     begin = script.now_s + rng.uniform(0.05, 0.25)
     span = rng.uniform(1.3, 1.65) * size.scale**0.5
     seat = script.center_m - forward * (reach_m + deep_m)
@@ -52,7 +52,8 @@ def take_seat(script: Script, height_m: float, reach_m: float, *, deep_m: float 
 
 
 def palm_down(side: int, inward: float, droop: float = 0.0) -> Float[np.ndarray, "3 3"]:
-    """Hand in the heading frame: fingers ahead, turned `inward`, tips down by `droop`."""
+    """Rotation of a hand in the heading frame, palm down: fingers ahead, turned by `inward`, tips down by `droop`
+    (rad)."""
     out = 1.0 if side == 0 else -1.0
     fingers = np.array([-out * np.sin(inward), -np.sin(droop), np.cos(inward) * np.cos(droop)])
     fingers /= np.linalg.norm(fingers)
@@ -78,7 +79,7 @@ def hands_on_thighs(script: Script, hold: PelvisHold, until_s: float, start_s: f
 
 
 def fidget(script: Script, start_s: float, stop_s: float) -> None:
-    """Looks about and shifts the trunk a little."""
+    """Small movements between two times: turns the head and shifts the trunk."""
     rng, t = script.rng, start_s
     while t < stop_s - 0.9:
         script.keyed.key(t, rng.uniform(0.5, 0.9), neck_twist=rng.uniform(-0.6, 0.6), neck_flex=rng.uniform(-0.1, 0.25))
@@ -106,7 +107,7 @@ def act_sit(script: Script) -> ProceduralMotion:
     approach(script, rng.uniform(1.2, 1.9))
     angle = rng.choice([-1.0, 1.0]) * rng.uniform(0.58 * np.pi, 0.95 * np.pi)
     yaw = script.yaw_rad + angle
-    forward = turned(yaw) @ np.array([0.0, 0.0, 1.0])
+    forward = yaw_rotation(yaw) @ np.array([0.0, 0.0, 1.0])
     turn(script, yaw, script.center_m - 0.24 * size.scale * forward)
     hold = take_seat(script, height, rng.uniform(0.86, 1.02) * size.thigh_m)
     stay = rng.uniform(1.6, 2.6)
@@ -119,12 +120,12 @@ def act_sit(script: Script) -> ProceduralMotion:
     return motion_of("sit", done, (seat_prop(script, done, hold),))
 
 
-def seat_prop(script: Script, done: Performed, hold: PelvisHold, width_m: float = 0.44) -> Prop:
-    """The seat under a hold: as high as the lowest skin over it at any time, its front edge behind the calves."""
+def seat_prop(script: Script, done: SolvedMotion, hold: PelvisHold, width_m: float = 0.44) -> Prop:
+    """The seat under a hold: its top below the lowest skin above it at any time, its front edge behind the calves."""
     size = script.size
     frames = (int(np.ceil(hold.settle_s * FPS)), int(hold.leave_s * FPS))
     yaw = float(done.heading_rad[frames[0] : frames[1]].mean())
-    forward = turned(yaw) @ np.array([0.0, 0.0, 1.0])
+    forward = yaw_rotation(yaw) @ np.array([0.0, 0.0, 1.0])
     near = slice(max(0, int(hold.start_s * FPS) - 10), int(hold.end_s * FPS) + 5)
     skin = np.flatnonzero(np.isin(size.body.vertex_part, _ON_SEAT))
     resting = size.body.vertices(done.R_world_joint[near], done.joints_m[near], skin).astype(float)

@@ -1,4 +1,4 @@
-"""Footsteps: along a curved path to a stand, turning on the spot, onto steps."""
+"""Footsteps: along a curved path, turning on the spot, onto steps."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.lab.synth.acting.curves import turned
+from video2anim.lab.synth.acting.curves import yaw_rotation
 from video2anim.lab.synth.acting.script import Script
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How somebody walks."""
+    """Length and duration of a walker's steps."""
 
     step_m: float
     step_s: float
@@ -28,7 +28,7 @@ class Pace:
 
 
 def random_pace(script: Script, hurry: float = 1.0) -> Pace:
-    """Indoor walking: 0.75 to 1.25 m/s for a middle adult, slower cadence for longer legs."""
+    """Indoor walking: 0.75 to 1.25 m/s for an average adult, slower cadence for longer legs."""
     step = script.rng.uniform(0.46, 0.62) * hurry
     seconds = (0.30 + 0.46 * step) * script.rng.uniform(0.96, 1.08)
     return Pace(step * script.size.scale, seconds * script.size.scale**0.5)
@@ -37,16 +37,16 @@ def random_pace(script: Script, hurry: float = 1.0) -> Pace:
 def bezier(
     start_m: np.ndarray, start_yaw: float, goal_m: np.ndarray, goal_yaw: float, bend: float = 0.4
 ) -> Float[np.ndarray, "points 3"]:
-    """Points of a cubic from a place and heading to another."""
+    """Points of a cubic Bezier curve between two positions and headings (world, meters, radians)."""
     reach = bend * np.linalg.norm(goal_m - start_m)
     ahead = np.array([0.0, 0.0, reach])
-    p = [start_m, start_m + turned(start_yaw) @ ahead, goal_m - turned(goal_yaw) @ ahead, goal_m]
+    p = [start_m, start_m + yaw_rotation(start_yaw) @ ahead, goal_m - yaw_rotation(goal_yaw) @ ahead, goal_m]
     u = np.linspace(0.0, 1.0, 200)[:, None]
     return (1 - u) ** 3 * p[0] + 3 * u * (1 - u) ** 2 * p[1] + 3 * u**2 * (1 - u) * p[2] + u**3 * p[3]
 
 
 def walk(script: Script, path_m: Float[np.ndarray, "points 3"], pace: Pace, *, close: bool = True) -> None:
-    """Steps along a path that begins where the body stands; `close` sets the feet side by side at its end."""
+    """Steps along a path that begins where the body stands; with `close` the feet end side by side."""
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path_m, axis=0), axis=1))])
     tangent = np.gradient(path_m, axis=0)
     yaws = np.unwrap(np.arctan2(tangent[:, 0], tangent[:, 2]))
@@ -77,7 +77,7 @@ def walk(script: Script, path_m: Float[np.ndarray, "points 3"], pace: Pace, *, c
 
 
 def turn(script: Script, yaw_rad: float, center_m: np.ndarray | None = None, max_rad: float = 0.9) -> None:
-    """Turns on the spot by small steps until both feet stand at `center_m` with the heading."""
+    """Turns on the spot by small steps until both feet stand at `center_m` (default: here) with heading `yaw_rad`."""
     goal = script.center_m if center_m is None else np.asarray(center_m, float)
     begin_yaw, begin = script.yaw_rad, script.center_m
     change = (yaw_rad - begin_yaw + np.pi) % (2 * np.pi) - np.pi
@@ -101,7 +101,7 @@ def turn(script: Script, yaw_rad: float, center_m: np.ndarray | None = None, max
 
 
 def step_to(script: Script, side: int, center_m: np.ndarray, yaw_rad: float, *, vigor: float = 0.3) -> None:
-    """One step to the foot's place of a body standing over `center_m`."""
+    """One step of foot `side` to where it belongs if the body stands over `center_m`."""
     place, heading = script.spot(center_m, yaw_rad, side)
     seconds = script.size.scale**0.5
     script.step(side, place, heading, swing_s=0.45 * seconds, double_s=0.2 * seconds, vigor=vigor)

@@ -1,4 +1,4 @@
-"""The renderer of synthetic shots: ray casting, procedural textures, soft shadows, a camera's lens and sensor."""
+"""The renderer of synthetic shots: ray casting, procedural textures, soft shadows, camera lens and sensor."""
 
 from video2anim.lab.synth.render.lens import distort, undistort
 from video2anim.lab.synth.render.picture import Picture

@@ -1,4 +1,4 @@
-"""Motion blur of a moving camera: the picture averaged along the paths of its pixels while the shutter is open."""
+"""Motion blur of a moving camera: the image averaged along the optical flow while the shutter is open."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _STILL_PX = 0.4
 
 
 def shutter_shifts(shutter_frames: float, steps: int = _STEPS) -> list[float]:
-    """Moments within the shutter time, in frames from its middle; every part of the time counts alike."""
+    """Evenly spaced times within the shutter time, in frames from its center."""
     return [shutter_frames * ((step + 0.5) / steps - 0.5) for step in range(steps)]
 
 
 def steps_for(path_px: float) -> int:
-    """Number of moments for objects that move this far while the shutter is open; odd, 1 if it cannot be seen."""
+    """Number of samples in time for objects that move this far while the shutter is open; odd, 1 if not visible."""
     return 1 if path_px < _STILL_PX else int(min(3 + 2 * (path_px > 5), 5))
 
 
@@ -34,15 +34,15 @@ def camera_blur(
     frames_apart: float,
     shutter_frames: float,
 ) -> Float[np.ndarray, "height width 3"]:
-    """Average the picture along the flow that the camera's motion from one pose to another causes.
+    """Average the image along the optical flow caused by the camera's motion from one pose to another.
 
     Args:
-        radiance: Light before the tone curve.
-        position_m: World points seen by the pixels.
+        radiance: Linear radiance, before the tone curve.
+        position_m: World points that the pixels show.
         before: Earlier camera.
         after: Later camera.
-        frames_apart: Time between them.
-        shutter_frames: Time that the shutter is open.
+        frames_apart: Time between the two poses, in frames.
+        shutter_frames: Time that the shutter is open, in frames.
     """
     flow = (_seen_at(position_m, after) - _seen_at(position_m, before)) / max(frames_apart, 1e-9)
     path = flow * shutter_frames

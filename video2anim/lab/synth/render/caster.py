@@ -1,6 +1,6 @@
-"""Ray casting on the CPU: a thin layer over embree (through embreex). No display and no GL are needed.
+"""Ray casting on the CPU: a thin layer over Embree (through embreex). Needs no display and no OpenGL.
 
-Embree's robust mode is on: no ray slips through an edge that two triangles share, and it costs nothing measurable.
+Embree's robust mode is on, so no ray passes between two triangles that share an edge; its cost is not measurable.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ class Hits:
     face: Int[np.ndarray, "rays"]
     """Triangle, -1 where nothing was hit."""
     distance: Float[np.ndarray, "rays"]
-    """In lengths of the ray's direction; infinite where nothing was hit."""
+    """In multiples of the ray direction's length; infinite where nothing was hit."""
     barycentric: Float[np.ndarray, "rays 2"]
-    """Weights of the triangle's second and third corner."""
+    """Weights of the triangle's second and third vertex."""
 
 
-class Caster:
-    """A triangle mesh that rays can be sent into."""
+class RayCaster:
+    """Casts rays against a triangle mesh."""
 
     def __init__(self, vertices_m: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]) -> None:
         self.face_count = len(faces)
@@ -39,7 +39,7 @@ class Caster:
             TriangleMesh(self._scene, self._vertices, np.ascontiguousarray(faces, np.int32))
 
     def first_hits(self, origins_m: Float[np.ndarray, "rays 3"], directions: Float[np.ndarray, "rays 3"]) -> Hits:
-        """Nearest triangle along each ray; directions need not be unit vectors."""
+        """Nearest triangle along each ray. Directions need not be unit vectors."""
         count = len(directions)
         if self._scene is None or not count:
             nothing = np.full(count, -1, np.int32)
@@ -55,7 +55,7 @@ class Caster:
         directions: Float[np.ndarray, "rays 3"],
         reach: float | Float[np.ndarray, "rays"] = np.inf,
     ) -> Bool[np.ndarray, "rays"]:
-        """Whether anything lies on a ray within `reach` lengths of its direction."""
+        """Whether a ray hits anything within `reach` times its direction's length."""
         if self._scene is None or not len(directions):
             return np.zeros(len(directions), bool)
         reaches = np.broadcast_to(np.asarray(reach, np.float32), len(directions)).copy()

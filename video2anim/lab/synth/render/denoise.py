@@ -1,4 +1,4 @@
-"""Averaging of the sample pattern within surfaces, never across their edges."""
+"""Denoising: averages the sample pattern within surfaces, never across their edges."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from video2anim.lab.synth.render.vectors import dot
 
 _SAME_NORMAL = 0.93
 _OFF_PLANE = 0.006
-"""Two pixels belong to one surface if they are off each other's plane by less than this share of the depth."""
+"""Two pixels are on one surface if their distance to each other's plane is less than this share of the depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
-    """Which neighboring pixels lie on the same piece of surface."""
+    """Which neighboring pixels are on the same surface."""
 
     right: Bool[np.ndarray, "height width-1"]
     down: Bool[np.ndarray, "height-1 width"]
@@ -42,7 +42,7 @@ def link(
     position_m: Float[np.ndarray, "height width 3"],
     depth_m: Float[np.ndarray, "height width"],
 ) -> Links:
-    """Links by equal label, similar normal and common plane; label 0 is nothing, and linked to itself."""
+    """Links by equal label, similar normal and common plane. Label 0 (no surface) is linked to itself."""
 
     def same(a: tuple, b: tuple) -> np.ndarray:
         step = position_m[a] - position_m[b]
@@ -56,13 +56,13 @@ def link(
 
 
 def smooth_tiles(values: Float[np.ndarray, "height width channels"], links: Links) -> np.ndarray:
-    """Box over one tile of the pattern (weights 1/2 1 1 1 1/2 each way) along linked pixels."""
+    """Box filter of the size of one tile (weights 1/2 1 1 1 1/2 per axis) over linked pixels."""
     planes = np.ascontiguousarray(np.moveaxis(values, -1, 0))
     return np.moveaxis(_smooth_along(_smooth_along(planes, links.right, 2), links.down, 1), 0, -1)
 
 
 def _smooth_along(planes: np.ndarray, linked: np.ndarray, axis: int) -> np.ndarray:
-    """(channels, height, width), averaged along an axis whose neighbors are linked or not."""
+    """(channels, height, width) averaged along an axis over linked neighbors."""
 
     def part(array: np.ndarray, cut: slice) -> np.ndarray:
         return array[..., cut] if axis == 2 else array[..., cut, :]

@@ -1,4 +1,4 @@
-"""What makes painted bodies look clothed: smooth borders between materials, and cloth that spans over the body."""
+"""Clothes painted on a body: smooth borders between materials, and normals smoothed as if cloth spanned the body."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from video2anim.lab.synth.world import Material
 
 CLOTH_KINDS = frozenset({"fabric", "stripes", "checks", "leather"})
 _BORDER_PASSES = 7
-"""Steps of averaging along the mesh that straighten a garment's border."""
+"""Averaging steps over the mesh that straighten the border of a garment."""
 _SPAN_PASSES = 9
-"""Steps of averaging of normals: what lies under cloth shows only in outline."""
+"""Averaging steps of normals under cloth, which hide details of the body."""
 _CANDIDATES = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Borders:
-    """Faces that several materials share: the one with the largest interpolated weight is seen at a point."""
+    """Faces that several materials share: a point shows the material with the largest interpolated weight."""
 
     row: Int[np.ndarray, "faces"]
-    """Row in the other fields; -1 for faces of one material."""
+    """Row of the face in the other fields; -1 for faces of one material."""
     material: Int[np.ndarray, "borders 3"]
     weight: Float[np.ndarray, "borders 3 3"]
-    """Corner, candidate."""
+    """Weight by row, corner of the face, and candidate material."""
 
     def renumbered(self, material: Int[np.ndarray, "materials"], row_start: int) -> Borders:
-        """The same with new numbers for the materials, and rows counted from `row_start`."""
+        """The same borders with new material numbers, and rows counted from `row_start`."""
         return Borders(np.where(self.row < 0, -1, self.row + row_start), material[self.material], self.weight)
 
 
 def no_borders(face_count: int) -> Borders:
-    """Every face has one material."""
+    """Borders of a mesh on which every face has one material."""
     return Borders(
         np.full(face_count, -1),
         np.zeros((0, _CANDIDATES), np.int64),
@@ -45,7 +45,7 @@ def no_borders(face_count: int) -> Borders:
 def material_at(
     borders: Borders, face: Int[np.ndarray, "points"], material: np.ndarray, barycentric: Float[np.ndarray, "points 2"]
 ) -> Int[np.ndarray, "points"]:
-    """Material at points of faces; `material` is that of their faces."""
+    """Material at points on faces; `material` is that of each face."""
     row = borders.row[face]
     at = np.flatnonzero(row >= 0)
     if not len(at):
@@ -61,7 +61,7 @@ def material_at(
 def borders_of(
     faces: np.ndarray, face_material: np.ndarray, materials: tuple[Material, ...], vertex_count: int
 ) -> Borders:
-    """Borders where faces of several materials meet; those of garments run straighter than the mesh does."""
+    """Borders where faces of several materials meet; those of garments are smoothed over the mesh."""
     incidence = _incidence(faces, vertex_count)
     one_hot = np.eye(len(materials), dtype=np.float32)[face_material]
     share = (incidence @ one_hot) / np.maximum(incidence.sum(1), 1)[:, None]
@@ -86,7 +86,7 @@ def borders_of(
 def spanning(
     faces: np.ndarray, face_material: np.ndarray, materials: tuple[Material, ...], vertex_count: int
 ) -> sparse.csr_array:
-    """(V, V) matrix that smooths vertex normals inside garments and leaves the others."""
+    """(V, V) matrix that smooths vertex normals inside garments and keeps the others."""
     cloth = np.array([m.kind in CLOTH_KINDS for m in materials])[face_material]
     inside = np.ones(vertex_count, bool)
     inside[faces[~cloth]] = False
@@ -100,14 +100,14 @@ def spanning(
 
 
 def _incidence(faces: np.ndarray, vertex_count: int) -> sparse.csr_array:
-    """(V, F) 1 where a vertex is a corner of a face."""
+    """(V, F) matrix, 1 where a vertex is a corner of a face."""
     count = len(faces)
     entries = np.ones(3 * count, np.float32), (faces.ravel(), np.repeat(np.arange(count), 3))
     return sparse.csr_array(entries, (vertex_count, count))
 
 
 def _averaging(faces: np.ndarray, vertex_count: int) -> sparse.csr_array:
-    """(V, V) mean of a vertex and its neighbors."""
+    """(V, V) matrix that averages a vertex with its neighbors."""
     a = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     both = np.concatenate([a, a[:, ::-1], np.repeat(np.arange(vertex_count)[:, None], 2, 1)])
     link = sparse.csr_array((np.ones(len(both), np.float32), (both[:, 0], both[:, 1])), (vertex_count, vertex_count))

@@ -11,7 +11,7 @@ _ITERATIONS = 12
 
 
 def distort(xy: Float[np.ndarray, "... 2"], k1: float, k2: float) -> Float[np.ndarray, "... 2"]:
-    """Where the lens shows an ideal point; both on the plane z = 1 of the camera (normalized coordinates)."""
+    """Distorted position of an ideal point; both in normalized coordinates (camera plane z = 1)."""
     r2 = (xy * xy).sum(-1, keepdims=True)
     return xy * (1.0 + r2 * (k1 + k2 * r2))
 
@@ -31,7 +31,7 @@ def undistort(xy: Float[np.ndarray, "... 2"], k1: float, k2: float) -> Float[np.
 
 
 def covers_picture(intrinsics: Intrinsics, k1: float, k2: float) -> bool:
-    """Whether the lens shows something at every corner: its radial curve rises until it gets there."""
+    """Whether the distortion is invertible up to the picture's corners: the radial curve rises until there."""
     corner = np.hypot(
         max(intrinsics.cx_px, intrinsics.width_px - 1 - intrinsics.cx_px) / intrinsics.fx_px,
         max(intrinsics.cy_px, intrinsics.height_px - 1 - intrinsics.cy_px) / intrinsics.fy_px,
@@ -45,7 +45,7 @@ def covers_picture(intrinsics: Intrinsics, k1: float, k2: float) -> bool:
 def pixel_directions(
     pixels: Float[np.ndarray, "... 2"], intrinsics: Intrinsics, k1: float = 0.0, k2: float = 0.0
 ) -> Float[np.ndarray, "... 3"]:
-    """Viewing directions (camera axes, z = 1) of picture points; a hit's distance in them is its z-depth."""
+    """Ray directions (camera axes, z = 1) through pixel coordinates; the distance along such a ray is the z-depth."""
     seen = (pixels - [intrinsics.cx_px, intrinsics.cy_px]) / [intrinsics.fx_px, intrinsics.fy_px]
     ideal = undistort(np.asarray(seen, float), k1, k2)
     return np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1)
@@ -54,6 +54,6 @@ def pixel_directions(
 def project_distorted(
     points_camera_m: Float[np.ndarray, "... 3"], intrinsics: Intrinsics, k1: float = 0.0, k2: float = 0.0
 ) -> Float[np.ndarray, "... 2"]:
-    """Picture points of points in front of the camera, through the lens."""
+    """Pixel coordinates, with lens distortion, of points in front of the camera."""
     seen = distort(points_camera_m[..., :2] / points_camera_m[..., 2:], k1, k2)
     return seen * [intrinsics.fx_px, intrinsics.fy_px] + [intrinsics.cx_px, intrinsics.cy_px]

@@ -1,4 +1,4 @@
-"""How light reaches points: soft shadows of lamps and sun, ambient occlusion, and what surfaces send back."""
+"""Visibility of lights from surface points (soft shadows, ambient occlusion) and the radiance that surfaces reflect."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from video2anim.export.frames import linear_light
 from video2anim.lab.synth.render import sampling
-from video2anim.lab.synth.render.caster import Caster
+from video2anim.lab.synth.render.caster import RayCaster
 from video2anim.lab.synth.render.surfaces import Points
 from video2anim.lab.synth.render.texture import albedo
 from video2anim.lab.synth.render.vectors import dot, length, unit
@@ -19,26 +19,26 @@ from video2anim.lab.synth.world import Light, Material
 _LIFT_M = 0.003
 """Shadow rays start this far off the surface."""
 _SMOOTH_LIFT_M = 0.007
-"""The same where the shading normal differs from the triangle's, so that triangles do not show at the shadow line."""
+"""The same where shading normal and face normal differ, so that the shadow's edge does not show the triangles."""
 _SUN_REACH_M = 100.0
 _SUN_RADIUS = 0.012
 """Angular radius of the sun with its glare, radians."""
 AMBIENT_REACH_M = 1.3
-"""Objects farther than this do not darken a point's ambient light."""
+"""Objects farther away than this do not occlude ambient light."""
 _SMALL_SHARE = 0.03
-"""Lights that give a point less than this share of its direct light cast no shadow there."""
+"""No shadow rays for lights that give a point less than this share of its direct light."""
 _UP_SHARE = 0.22
-"""Ambient light from above exceeds that from the side by this share, and that from below falls short by it."""
+"""Ambient light is larger by this share from above than from the side, and smaller by it from below."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reach:
-    """What of the light reaches points."""
+class Visibility:
+    """Share of the light that reaches points."""
 
     lamp: Float[np.ndarray, "points lights"]
     """Visible share of each light."""
     ambient: Float[np.ndarray, "points"]
-    """Open share of the hemisphere."""
+    """Unoccluded share of the hemisphere."""
 
     def stacked(self) -> Float[np.ndarray, "points lights+1"]:
         return np.concatenate([self.lamp, self.ambient[:, None]], 1)
@@ -46,14 +46,14 @@ class Reach:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
-    """Radiance that points send to the viewer if nothing were in the light's way."""
+    """Radiance that points reflect or emit towards the viewer if nothing occludes the light."""
 
     lamp: Float[np.ndarray, "points lights 3"]
     ambient: Float[np.ndarray, "points 3"]
     glow: Float[np.ndarray, "points 3"]
 
     def split(self, count: int) -> tuple[Response, Response]:
-        """The first so many points, and the others."""
+        """The first `count` points, and the others."""
         first, second = slice(None, count), slice(count, None)
         return (
             Response(self.lamp[first], self.ambient[first], self.glow[first]),
@@ -61,7 +61,7 @@ class Response:
         )
 
     def lit(self, reach: Float[np.ndarray, "points lights+1"]) -> Float[np.ndarray, "points 3"]:
-        """Radiance with the light that does arrive."""
+        """Radiance with the visible share of each light (the last channel is the ambient light)."""
         total = self.glow + self.ambient * reach[:, -1:]
         for number in range(self.lamp.shape[1]):
             total += self.lamp[:, number] * reach[:, number, None]
@@ -73,25 +73,25 @@ def lifted(
     normal: Float[np.ndarray, "points 3"],
     face_normal: Float[np.ndarray, "points 3"],
 ) -> Float[np.ndarray, "points 3"]:
-    """Starts of shadow rays."""
+    """Origins of shadow rays: points lifted off the surface, meters."""
     curved = dot(normal, face_normal) < 0.9999
     return position_m + normal * np.where(curved, np.float32(_SMOOTH_LIFT_M), np.float32(_LIFT_M))[:, None]
 
 
-def lamp_reach(
+def light_visibility(
     start_m: Float[np.ndarray, "points 3"],
     normal: Float[np.ndarray, "points 3"],
     light: Light,
     tile: Int[np.ndarray, "points"],
-    casters: Sequence[Caster],
+    casters: Sequence[RayCaster],
     samples: int,
 ) -> Float[np.ndarray, "points"]:
-    """Share of a light that points see. Points that face away from it count as seeing it: they get nothing anyway."""
+    """Visible share of a light from points. It is 1 for points that face away from the light, which get none anyway."""
     toward, radius = _toward(start_m, light)
     facing = np.flatnonzero(dot(toward, normal) > 0)
     start, toward, tile = start_m[facing], toward[facing], tile[facing]
     first, second = sampling.frame_about(unit(toward))
-    spots = sampling.disc(sampling.numbers(samples)) * np.float32(radius)
+    spots = sampling.disc(sampling.sample_points(samples)) * np.float32(radius)
     seen = np.zeros(len(facing), np.float32)
     for sample in range(samples):
         spot = spots[tile, sample]
@@ -103,7 +103,7 @@ def lamp_reach(
 
 
 def _arriving(start_m: np.ndarray, normal: np.ndarray, light: Light) -> np.ndarray:
-    """Irradiance of a light, summed over colors, with nothing in its way."""
+    """Irradiance by an unoccluded light, summed over colors."""
     toward, _ = _toward(start_m, light)
     far2 = np.maximum(dot(toward, toward), 0.04)
     fall = np.maximum(dot(toward, normal), 0) / np.sqrt(far2)
@@ -111,31 +111,31 @@ def _arriving(start_m: np.ndarray, normal: np.ndarray, light: Light) -> np.ndarr
 
 
 def _toward(start_m: np.ndarray, light: Light) -> tuple[np.ndarray, float]:
-    """Vectors to the middle of a light, as long as the way, and its radius there."""
+    """Vectors from points to the center of a light, and the light's radius there (meters)."""
     if light.direction is None:
         return np.asarray(light.position_m, np.float32) - start_m, light.radius_m
     back = -np.asarray(light.direction, np.float32) * np.float32(_SUN_REACH_M)
     return np.broadcast_to(back, start_m.shape), _SUN_RADIUS * _SUN_REACH_M
 
 
-def _open(start: np.ndarray, ray: np.ndarray, reach: float | np.ndarray, casters: Sequence[Caster]) -> np.ndarray:
-    """1 for rays that meet nothing."""
+def _open(start: np.ndarray, ray: np.ndarray, reach: float | np.ndarray, casters: Sequence[RayCaster]) -> np.ndarray:
+    """1 for rays that hit nothing, else 0."""
     blocked = np.zeros(len(start), bool)
     for caster in casters:
         blocked |= caster.blocked(start, ray, reach)
     return (~blocked).astype(np.float32)
 
 
-def ambient_reach(
+def ambient_visibility(
     start_m: Float[np.ndarray, "points 3"],
     normal: Float[np.ndarray, "points 3"],
     tile: Int[np.ndarray, "points"],
-    casters: Sequence[Caster],
+    casters: Sequence[RayCaster],
     samples: int,
 ) -> Float[np.ndarray, "points"]:
-    """Open share of the hemisphere: rays of varied length, so that near objects count more than far ones."""
+    """Unoccluded share of the hemisphere. Rays have varied lengths, so that near objects count more than far ones."""
     first, second = sampling.frame_about(normal)
-    cube = sampling.numbers(samples)
+    cube = sampling.sample_points(samples)
     lobes, lengths = sampling.cosine_lobe(cube), AMBIENT_REACH_M * (0.06 + 0.94 * cube[..., 2] ** 2.2)
     open_ = np.zeros(len(start_m), np.float32)
     for sample in range(samples):
@@ -145,24 +145,24 @@ def ambient_reach(
     return open_ / samples
 
 
-def reach_of(
-    points: Points, tile: np.ndarray, lights: Sequence[Light], casters: Sequence[Caster], rays: tuple[int, int]
-) -> Reach:
-    """All light that reaches points; `rays` = rays per light, and of the hemisphere."""
+def visibility_of(
+    points: Points, tile: np.ndarray, lights: Sequence[Light], casters: Sequence[RayCaster], rays: tuple[int, int]
+) -> Visibility:
+    """Visibility of all lights and of the ambient light; `rays` = rays per light, rays for the hemisphere."""
     start = lifted(points.position_m, points.normal, points.face_normal)
     arriving = [_arriving(start, points.normal, light) for light in lights]
     enough = _SMALL_SHARE * sum(arriving, np.zeros(len(points), np.float32))
     lamp = np.ones((len(points), len(lights)), np.float32)
     for number, light in enumerate(lights):
         at = np.flatnonzero(arriving[number] > enough)
-        lamp[at, number] = lamp_reach(start[at], points.normal[at], light, tile[at], casters, rays[0])
-    return Reach(lamp, ambient_reach(start, points.normal, tile, casters, rays[1]))
+        lamp[at, number] = light_visibility(start[at], points.normal[at], light, tile[at], casters, rays[0])
+    return Visibility(lamp, ambient_visibility(start, points.normal, tile, casters, rays[1]))
 
 
 def response_of(
     points: Points, materials: tuple[Material, ...], lights: Sequence[Light], ambient_rgb: Sequence[float]
 ) -> Response:
-    """What points would send back: diffuse color, highlight of glossy materials, own glow."""
+    """Radiance of points without occlusion: diffuse reflection, highlights of glossy materials, emission."""
     diffuse = albedo(points, materials)
     gloss = np.array([*(m.gloss for m in materials), 0.0], np.float32)[points.material]
     lamp = np.zeros((len(points), len(lights), 3), np.float32)

@@ -1,4 +1,4 @@
-"""Moving objects drawn over a finished room: their own pixels, and the light that they take from the room."""
+"""Renders moving objects over a finished room: their own pixels, and their shadows on the room."""
 
 from __future__ import annotations
 
@@ -10,87 +10,94 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.lab.synth.render import sampling
-from video2anim.lab.synth.render.caster import Caster
+from video2anim.lab.synth.render.caster import RayCaster
 from video2anim.lab.synth.render.denoise import smooth_tiles
 from video2anim.lab.synth.render.lens import project_distorted
 from video2anim.lab.synth.render.lighting import (
     AMBIENT_REACH_M,
-    ambient_reach,
-    lamp_reach,
+    ambient_visibility,
     lifted,
-    reach_of,
+    light_visibility,
     response_of,
+    visibility_of,
 )
 from video2anim.lab.synth.render.surfaces import Surfaces
 from video2anim.lab.synth.render.view import (
     SUBPIXELS,
     Components,
     Eye,
+    GBuffer,
     Lamps,
-    Sheet,
-    borrowed_reach,
+    borrowed_visibility,
+    gbuffer_visibility,
     rectangle_pixels,
-    sheet_of,
-    sheet_reach,
     subpixel_points,
+    trace_gbuffer,
 )
 from video2anim.lab.synth.world import NEAR_M, Light
 
 _COARSE = 4
-"""Shadow regions are found on every fourth pixel."""
+"""Shadow regions are found on every fourth pixel per axis."""
 _STRIDE = 2
-"""Shadows are looked for on every second pixel, and sampled fully near their borders."""
+"""Shadows are sampled on every second pixel per axis, and on every pixel near their borders."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingLayer:
     """Moving objects over a room."""
 
-    sheet: Sheet
-    """Their rectangle; only pixels where they are in front of the room."""
+    gbuffer: GBuffer
+    """The rectangle around them; it shows only pixels where they are in front of the room."""
     radiance: Float[np.ndarray, "pixels 3"]
-    """The whole picture, before exposure."""
+    """Radiance of the whole picture, before exposure."""
 
 
 def draw_moving(
     eye: Eye,
-    room: Sheet,
+    room: GBuffer,
     components: Components,
     radiance: np.ndarray,
     surfaces: Surfaces,
-    room_opaque: Caster,
+    room_opaque: RayCaster,
     lamps: Lamps,
     blurred: Sequence[Surfaces] = (),
 ) -> MovingLayer:
-    """Draw moving surfaces over the room whose finished `radiance` is given.
+    """Render moving surfaces over the room.
 
-    `blurred` are the same surfaces at moments within the shutter time: the colors are the mean of their pictures,
-    while labels and shadows on the room are those of `surfaces`.
+    Args:
+        eye: The camera.
+        room: G-buffer of the room.
+        components: Light components of the room.
+        radiance: Finished radiance of the room, (pixels, 3).
+        surfaces: The moving surfaces at the frame's time; labels and shadows on the room are theirs.
+        room_opaque: Ray caster of the room's faces that cast shadows.
+        lamps: Lights of the room.
+        blurred: The moving surfaces at times within the shutter time; colors are the mean of their renderings.
     """
     caster = surfaces.caster()
     rows, columns = rectangle_of(surfaces, eye)
-    sheet = sheet_of(eye, surfaces, caster, rows, columns, nearer_than=room.depth_m[rows, columns])
+    gbuffer = trace_gbuffer(eye, surfaces, caster, rows, columns, nearer_than=room.depth_m[rows, columns])
     wanted = np.ones(room.shape, bool)
     if not blurred:
-        wanted[rows, columns] = cv2.erode(np.isfinite(sheet.depth_m).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
+        wanted[rows, columns] = cv2.erode(np.isfinite(gbuffer.depth_m).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
     empty = shadowed_room(room, components, radiance, surfaces, caster, lamps, wanted)
     if not blurred:
-        if len(sheet.seen):
-            _draw_over(empty, eye, room, sheet, surfaces, caster, room_opaque, lamps)
-        return MovingLayer(sheet, empty)
+        if len(gbuffer.seen):
+            _draw_over(empty, eye, room, gbuffer, surfaces, caster, room_opaque, lamps)
+        return MovingLayer(gbuffer, empty)
     total = np.zeros_like(empty)
     for moment in blurred:
         there, out = moment.caster(), empty.copy()
         box = rectangle_of(moment, eye)
-        part = sheet_of(eye, moment, there, *box, nearer_than=room.depth_m[box])
+        part = trace_gbuffer(eye, moment, there, *box, nearer_than=room.depth_m[box])
         if len(part.seen):
             _draw_over(out, eye, room, part, moment, there, room_opaque, lamps)
         total += out
-    return MovingLayer(sheet, total / len(blurred))
+    return MovingLayer(gbuffer, total / len(blurred))
 
 
 def rectangle_of(surfaces: Surfaces, eye: Eye) -> tuple[slice, slice]:
-    """Rows and columns that can show the surfaces; the whole picture where they come close to the camera."""
+    """Rows and columns that can show the surfaces; the whole picture if they come close to the camera."""
     height, width = eye.intrinsics.height_px, eye.intrinsics.width_px
     R, origin = eye.T_world_camera[:3, :3], eye.T_world_camera[:3, 3]
     camera = (surfaces.vertices_m - origin) @ R
@@ -103,17 +110,17 @@ def rectangle_of(surfaces: Surfaces, eye: Eye) -> tuple[slice, slice]:
 
 
 def shadowed_room(
-    room: Sheet,
+    room: GBuffer,
     components: Components,
     radiance: np.ndarray,
     surfaces: Surfaces,
-    caster: Caster,
+    caster: RayCaster,
     lamps: Lamps,
     wanted: Bool[np.ndarray, "height width"],
 ) -> Float[np.ndarray, "pixels 3"]:
-    """Radiance of the room with the shadows, and the darkening near contact, of moving objects."""
+    """Radiance of the room with shadows and ambient occlusion by moving objects."""
     low, high = surfaces.vertices_m.min(0), surfaces.vertices_m.max(0)
-    lit = _Taken(room, caster, lamps)
+    lit = _ShadowedVisibility(room, caster, lamps)
     channels = len(lamps.lights) + 1
     reach = np.ones((channels, *room.shape), np.float32)
     for channel in range(channels):
@@ -136,16 +143,16 @@ def shadowed_room(
     return out
 
 
-class _Taken:
-    """Light that moving objects leave to the room's pixels, channel by channel (the lights, then the ambient)."""
+class _ShadowedVisibility:
+    """Visibility of the lights from the room's pixels past moving objects, by channel (lights, then ambient)."""
 
-    def __init__(self, room: Sheet, caster: Caster, lamps: Lamps) -> None:
+    def __init__(self, room: GBuffer, caster: RayCaster, lamps: Lamps) -> None:
         self._room, self._caster, self._lamps = room, caster, lamps
         self._row_of = np.full(room.shape[0] * room.shape[1], -1)
         self._row_of[room.seen] = np.arange(len(room.seen))
 
     def fill(self, reach: Float[np.ndarray, "height width"], region: np.ndarray, channel: int) -> None:
-        """Write a region's reach: every second pixel first, then the pixels around which those differ."""
+        """Write the visibility in a region: every second pixel first, then the pixels around which those differ."""
         coarse = np.zeros_like(region)
         coarse[::_STRIDE, ::_STRIDE] = region[::_STRIDE, ::_STRIDE]
         self._sample(reach, coarse, channel)
@@ -166,14 +173,14 @@ class _Taken:
         start = lifted(points.position_m[rows], normal, points.face_normal[rows])
         if channel < len(lamps.lights):
             light = lamps.lights[channel]
-            found = lamp_reach(start, normal, light, tile, [self._caster], lamps.rays[0])
+            found = light_visibility(start, normal, light, tile, [self._caster], lamps.rays[0])
         else:
-            found = ambient_reach(start, normal, tile, [self._caster], lamps.rays[1])
+            found = ambient_visibility(start, normal, tile, [self._caster], lamps.rays[1])
         reach.reshape(-1)[pixel] = found
 
 
-def _shadow_region(room: Sheet, light: Light, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Pixels whose view of a light can pass through a box: slab test on a coarse grid, widened by a cell."""
+def _shadow_region(room: GBuffer, light: Light, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Pixels whose rays to a light can pass through a box: slab test on a coarse grid, dilated by a cell."""
     at = room.position_m[::_COARSE, ::_COARSE]
     margin = 0.05 + (0.02 if light.direction is not None else light.radius_m)
     if light.direction is None:
@@ -187,8 +194,8 @@ def _shadow_region(room: Sheet, light: Light, low: np.ndarray, high: np.ndarray)
     return _widened((enter <= leave) & (leave > 0) & (enter < 1), room.shape)
 
 
-def _ambient_region(room: Sheet, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Pixels near a box."""
+def _ambient_region(room: GBuffer, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Pixels near enough to a box for ambient occlusion."""
     at = room.position_m[::_COARSE, ::_COARSE]
     off = np.maximum(np.maximum(low - at, at - high), 0)
     return _widened((off * off).sum(-1) < (0.6 * AMBIENT_REACH_M) ** 2, room.shape)
@@ -207,33 +214,33 @@ def _bounds(mask: np.ndarray) -> tuple[slice, slice]:
 def _draw_over(
     out: np.ndarray,
     eye: Eye,
-    room: Sheet,
-    sheet: Sheet,
+    room: GBuffer,
+    gbuffer: GBuffer,
     surfaces: Surfaces,
-    caster: Caster,
-    room_opaque: Caster,
+    caster: RayCaster,
+    room_opaque: RayCaster,
     lamps: Lamps,
 ) -> None:
-    """Colors of moving objects into the picture; their edges are mixed with the room by coverage."""
+    """Add the radiance of moving objects to `out`; edges are blended with the room by pixel coverage."""
     width = room.shape[1]
     casters = [room_opaque, caster]
-    reach = sheet_reach(sheet, lamps, casters, width)
-    response = response_of(sheet.points, surfaces.materials, lamps.lights, lamps.ambient_rgb)
-    color = response.lit(reach.reshape(-1, reach.shape[-1])[sheet.seen])
-    pixel = rectangle_pixels(sheet.rows, sheet.columns, width)
+    reach = gbuffer_visibility(gbuffer, lamps, casters, width)
+    response = response_of(gbuffer.points, surfaces.materials, lamps.lights, lamps.ambient_rgb)
+    color = response.lit(reach.reshape(-1, reach.shape[-1])[gbuffer.seen])
+    pixel = rectangle_pixels(gbuffer.rows, gbuffer.columns, width)
     behind = out[pixel]
-    out[pixel[sheet.seen]] = color
-    shown = cv2.dilate(np.isfinite(sheet.depth_m).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    edge = np.flatnonzero(sheet.links.edges() & shown)
+    out[pixel[gbuffer.seen]] = color
+    shown = cv2.dilate(np.isfinite(gbuffer.depth_m).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    edge = np.flatnonzero(gbuffer.links.edges() & shown)
     if not len(edge):
         return
-    depth = room.depth_m[sheet.rows, sheet.columns].reshape(-1)[edge]
+    depth = room.depth_m[gbuffer.rows, gbuffer.columns].reshape(-1)[edge]
     points, ray = subpixel_points(eye, surfaces, caster, pixel[edge], depth)
-    borrowed, found = borrowed_reach(points, edge[ray % len(edge)], sheet, reach)
+    borrowed, found = borrowed_visibility(points, edge[ray % len(edge)], gbuffer, reach)
     lost = np.flatnonzero(~found)
     if len(lost):
         tile = sampling.tile_of(pixel[edge[ray[lost] % len(edge)]], width)
-        borrowed[lost] = reach_of(points.chosen(lost), tile, lamps.lights, casters, lamps.rays).stacked()
+        borrowed[lost] = visibility_of(points.chosen(lost), tile, lamps.lights, casters, lamps.rays).stacked()
     mixed = np.tile(behind[edge], (len(SUBPIXELS), 1))
     mixed[ray] = response_of(points, surfaces.materials, lamps.lights, lamps.ambient_rgb).lit(borrowed)
     out[pixel[edge]] = mixed.reshape(len(SUBPIXELS), -1, 3).mean(0)

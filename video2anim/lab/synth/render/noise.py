@@ -1,4 +1,4 @@
-"""Smooth periodic noise on the plane, looked up in a table by OpenCV: a million points take about ten milliseconds."""
+"""Smooth periodic noise on the plane, interpolated in a table by OpenCV (10 ms for a million points)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ROW = 4096
 
 @functools.lru_cache(maxsize=1)
 def _table() -> np.ndarray:
-    """(512, 512) float32 noise of 64 cells each way: a quarter of the values lie beyond 0.25 and 0.75."""
+    """(512, 512) float32 noise of 64 cells per axis; a quarter of the values are below 0.25, a quarter above 0.75."""
     lattice = np.random.default_rng(20260).standard_normal((_CELLS, _CELLS)).astype(np.float32)
     wrapped = np.pad(lattice, 4, mode="wrap")
     smooth = cv2.resize(wrapped, None, fx=8, fy=8, interpolation=cv2.INTER_CUBIC)[32:-32, 32:-32]
@@ -23,7 +23,7 @@ def _table() -> np.ndarray:
 
 
 def noise(u: Float[np.ndarray, "points"], v: Float[np.ndarray, "points"], seed: int = 0) -> Float[np.ndarray, "points"]:
-    """Values in 0 to 1, mean one half, changing over a distance of about 1. `seed` shifts the pattern."""
+    """Noise in 0 to 1 with mean 0.5 and a feature size of about 1. `seed` shifts the pattern."""
     count = len(u)
     if not count:
         return np.zeros(0, np.float32)
@@ -46,11 +46,11 @@ def fractal(
     seed: int = 0,
     octaves: int = 4,
 ) -> Float[np.ndarray, "points"]:
-    """Noise of several scales (1, 1/2, 1/4 ...), mean one half, without the scales finer than two footprints."""
+    """Fractal noise (scales 1, 1/2, 1/4...) with mean 0.5, without scales finer than two pixel footprints."""
     total = np.full(len(u), 0.5, np.float32)
     size, weight = 1.0, 0.5
     for octave in range(octaves):
-        fade = seen(footprint, size)
+        fade = detail_weight(footprint, size)
         if not fade.any():
             break
         total += weight * fade * (noise(u / size, v / size, seed + 13 * octave) - 0.5)
@@ -58,13 +58,13 @@ def fractal(
     return np.clip(total, 0, 1)
 
 
-def seen(footprint: Float[np.ndarray, "points"], size: float) -> Float[np.ndarray, "points"]:
-    """How much of a detail of this size survives averaging over a pixel: 1 for details over 4 pixels, 0 under 1.3."""
+def detail_weight(footprint: Float[np.ndarray, "points"], size: float) -> Float[np.ndarray, "points"]:
+    """Weight of a detail of this size after averaging over a pixel: 1 above 4 pixels, 0 below 1.3."""
     return np.clip(1.5 - 2.0 * footprint / size, 0, 1).astype(np.float32)
 
 
 def cell_values(index: Int[np.ndarray, "points"], seed: int = 0) -> Float[np.ndarray, "points"]:
-    """A number in 0 to 1 for every integer (tiles, planks), by an integer hash."""
+    """A pseudo-random number in 0 to 1 for every integer (of a tile or plank), by an integer hash."""
     x: UInt32[np.ndarray, "points"] = (index.astype(np.int64) + 374761393 * (seed + 1)).astype(np.uint32)
     for shift, factor in ((15, 0x2C1B3C6D), (12, 0x297A2D39)):
         x = (x ^ (x >> np.uint32(shift))) * np.uint32(factor)

@@ -1,4 +1,4 @@
-"""People and carried objects as surfaces, at any moment of a shot."""
+"""People and carried objects as surfaces, at any time of a shot."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 
 from video2anim.body.anny_body import shaped_body
 from video2anim.lab.synth.render.garments import borders_of, spanning
-from video2anim.lab.synth.render.surfaces import Surfaces, join, of_mesh, of_object
+from video2anim.lab.synth.render.surfaces import Surfaces, join_surfaces, surfaces_of_mesh, surfaces_of_object
 from video2anim.lab.synth.world import PERSON_ID, Actor, Shot
 from video2anim.types.skeleton import forward_kinematics
 
 
-class Cast:
-    """The moving objects of a shot: actors first, then carried objects."""
+class MovingSurfaces:
+    """The moving surfaces of a shot: actors first, then carried objects."""
 
     def __init__(self, shot: Shot) -> None:
         self._shot = shot
@@ -23,20 +23,20 @@ class Cast:
         self._posed: dict[tuple[int, int], np.ndarray] = {}
 
     def surfaces(self, frame: int, shift: float = 0.0) -> Surfaces:
-        """All of them at a frame, `shift` frames later (between -1 and 1; blended linearly)."""
+        """All surfaces at the time `frame + shift` (-1 <= shift <= 1), interpolated linearly between frames."""
         pieces = [self.actor_surfaces(n, frame, shift) for n in range(len(self._shot.actors)) if self._here(n, frame)]
         for moving in self._shot.moving:
             here = moving.T_world_object[self._clamped(frame)]
             other = moving.T_world_object[self._clamped(frame + int(np.sign(shift)))]
-            blended = of_object(moving.scene_object, here)
+            blended = surfaces_of_object(moving.scene_object, here)
             if shift:
-                goal = of_object(moving.scene_object, other).vertices_m
+                goal = surfaces_of_object(moving.scene_object, other).vertices_m
                 blended = blended.moved(blended.vertices_m + abs(shift) * (goal - blended.vertices_m))
             pieces.append(blended)
-        return join(pieces)
+        return join_surfaces(pieces)
 
     def actor_surfaces(self, number: int, frame: int, shift: float = 0.0) -> Surfaces:
-        """One actor."""
+        """The surfaces of one actor at the time `frame + shift`."""
         vertices = self._vertices(number, frame)
         if shift:
             other = self._vertices(number, self._clamped(frame + int(np.sign(shift))))
@@ -50,7 +50,7 @@ class Cast:
         return min(max(frame, 0), self._shot.frame_count - 1)
 
     def _vertices(self, number: int, frame: int) -> np.ndarray:
-        """(V, 3) skinned vertices in the world; the last few frames are kept."""
+        """(V, 3) skinned vertices in the world; the last few frames are cached."""
         key = (number, frame)
         if key not in self._posed:
             motion = self._shot.actors[number].motion
@@ -68,7 +68,7 @@ class Cast:
 def _rest_surfaces(actor: Actor) -> Surfaces:
     """An actor's body at rest; textures are evaluated here."""
     body = shaped_body(actor.motion.shape)
-    return of_mesh(
+    return surfaces_of_mesh(
         body.rest_vertices_m,
         body.faces,
         body.rest_vertices_m,

@@ -1,7 +1,7 @@
-"""The renderer: draws a shot frame by frame on the CPU.
+"""The renderer: renders a shot frame by frame on the CPU.
 
-A still camera's room is traced and lit once; each frame then traces only the moving objects inside their rectangle and
-the shadow that they cast on the room. A moving camera takes the whole path for every frame.
+With a static camera the room is traced and lit once; each frame then traces only the moving objects inside their
+rectangle, and their shadows on the room. With a moving camera every frame is traced and lit completely.
 """
 
 from __future__ import annotations
@@ -14,73 +14,73 @@ from jaxtyping import Bool
 from video2anim.errors import UsageError
 from video2anim.lab.synth.render import tone
 from video2anim.lab.synth.render.blur import camera_blur, shutter_shifts, steps_for
-from video2anim.lab.synth.render.caster import Caster
+from video2anim.lab.synth.render.caster import RayCaster
 from video2anim.lab.synth.render.moving import MovingLayer, draw_moving
-from video2anim.lab.synth.render.people import Cast
+from video2anim.lab.synth.render.people import MovingSurfaces
 from video2anim.lab.synth.render.picture import Picture
-from video2anim.lab.synth.render.surfaces import Surfaces, of_object, of_objects
-from video2anim.lab.synth.render.view import Components, Eye, Lamps, Sheet, room_components, sheet_of
+from video2anim.lab.synth.render.surfaces import Surfaces, surfaces_of_object, surfaces_of_objects
+from video2anim.lab.synth.render.view import Components, Eye, GBuffer, Lamps, room_components, trace_gbuffer
 from video2anim.lab.synth.world import PERSON_ID, Shot
 from video2anim.types.clip import FPS
 
 STILL_RAYS = (8, 12)
-"""Rays per pixel for each light and for the hemisphere where the room is lit once for a clip."""
+"""Rays per pixel for each light and for the hemisphere, for a room that is lit once for the clip."""
 MOVING_RAYS = (2, 4)
 """The same for every frame of a moving camera, and for moving objects."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomView:
-    """The room from one camera pose, finished."""
+    """The finished rendering of the room from one camera pose."""
 
     eye: Eye
-    sheet: Sheet
+    gbuffer: GBuffer
     components: Components
     radiance: np.ndarray
     """(pixels, 3) before exposure."""
 
 
 class Renderer:
-    """Draws one shot. Frames may be asked for in any order; the same shot gives the same bytes."""
+    """Renders one shot. Frames may be rendered in any order; the same shot gives the same bytes."""
 
     def __init__(self, shot: Shot) -> None:
         self._shot = shot
-        self._room = of_objects(shot.room.objects)
+        self._room = surfaces_of_objects(shot.room.objects)
         self._caster = self._room.caster()
         self._opaque = self._room.caster(self._room.opaque())
-        self._cast = Cast(shot)
+        self._cast = MovingSurfaces(shot)
         self._still = Lamps(shot.room.lights, shot.room.ambient_rgb, STILL_RAYS)
         self._quick = replace(self._still, rays=MOVING_RAYS)
         self._kept: tuple[int, RoomView] | None = None
         self._exposure: float | None = None
-        self._alone: dict[int, Caster] = {}
+        self._alone: dict[int, RayCaster] = {}
 
     @property
     def exposure(self) -> float:
-        """Factor from radiance to exposed light, set by the room in the first frame."""
+        """Factor from radiance to exposed light, from the room in the first frame."""
         if self._exposure is None:
             self._exposure = tone.auto_exposure(self._view(0).radiance)
         return self._exposure
 
     def background(self, t: int = 0) -> Picture:
-        """The room without people and carried objects."""
+        """The room without people and carried objects, from the camera of frame t."""
         view = self._view(t)
         return self._picture(view, self._rgb(view.radiance), None)
 
     def frame(self, t: int) -> Picture:
-        """A frame of the clip."""
+        """Frame t of the clip."""
         view = self._view(self._expect_frame(t))
         surfaces = self._cast.surfaces(t)
         if not len(surfaces.faces):
             return self._picture(view, self._rgb(self._camera_blurred(view, None, t)), None)
         moments = self._moments(view.eye, surfaces, t)
         layer = draw_moving(
-            view.eye, view.sheet, view.components, view.radiance, surfaces, self._opaque, self._quick, moments
+            view.eye, view.gbuffer, view.components, view.radiance, surfaces, self._opaque, self._quick, moments
         )
         return self._picture(view, self._rgb(self._camera_blurred(view, layer, t)), layer)
 
     def _moments(self, eye: Eye, surfaces: Surfaces, t: int) -> list[Surfaces]:
-        """The moving objects at moments within the shutter time; empty where they do not move enough to be blurred."""
+        """The moving surfaces at times within the shutter time; empty if their blur would not be visible."""
         shutter = self._shot.sensor.blur_s * FPS
         if shutter <= 0:
             return []
@@ -96,20 +96,20 @@ class Renderer:
         shutter = self._shot.sensor.blur_s * FPS
         if shutter <= 0 or self._shot.is_static:
             return radiance
-        position = view.sheet.position_m
+        position = view.gbuffer.position_m
         if layer is not None:
-            position, shown = position.copy(), np.isfinite(layer.sheet.depth_m)
-            position[layer.sheet.rows, layer.sheet.columns][shown] = layer.sheet.position_m[shown]
+            position, shown = position.copy(), np.isfinite(layer.gbuffer.depth_m)
+            position[layer.gbuffer.rows, layer.gbuffer.columns][shown] = layer.gbuffer.position_m[shown]
         before, after = max(t - 1, 0), min(t + 1, self._shot.frame_count - 1)
-        image = radiance.reshape(*view.sheet.shape, 3)
+        image = radiance.reshape(*view.gbuffer.shape, 3)
         blurred = camera_blur(image, position, self._eye(before), self._eye(after), after - before, shutter)
         return blurred.reshape(-1, 3)
 
     def amodal(self, object_id: int, t: int = 0) -> Bool[np.ndarray, "height width"]:
-        """Where an object or person (`PERSON_ID` + person_id) would be seen if it were alone.
+        """Amodal mask of an object or person (`PERSON_ID` + person_id): its pixels if nothing occluded it.
 
         Raises:
-            UsageError: nothing of that number is in the shot.
+            UsageError: the shot has no object or person with this number.
         """
         eye = self._eye(self._expect_frame(t))
         caster = self._alone.get(object_id)
@@ -126,13 +126,13 @@ class Renderer:
     def _surfaces_of(self, object_id: int, t: int) -> tuple[Surfaces, bool]:
         for obj in self._shot.room.objects:
             if obj.object_id == object_id:
-                return of_object(obj), True
+                return surfaces_of_object(obj), True
         for number, actor in enumerate(self._shot.actors):
             if PERSON_ID + actor.motion.person_id == object_id:
                 return self._cast.actor_surfaces(number, t), False
         for moving in self._shot.moving:
             if moving.scene_object.object_id == object_id:
-                return of_object(moving.scene_object, moving.T_world_object[t]), False
+                return surfaces_of_object(moving.scene_object, moving.T_world_object[t]), False
         raise UsageError(f"shot {self._shot.name!r}: no object {object_id} in it")
 
     def _expect_frame(self, t: int) -> int:
@@ -154,26 +154,26 @@ class Renderer:
     def _new_view(self, t: int) -> RoomView:
         eye = self._eye(t)
         whole = slice(0, eye.intrinsics.height_px), slice(0, eye.intrinsics.width_px)
-        sheet = sheet_of(eye, self._room, self._caster, *whole)
+        gbuffer = trace_gbuffer(eye, self._room, self._caster, *whole)
         lamps = self._still if self._shot.is_static else self._quick
-        components = room_components(eye, self._room, self._caster, self._opaque, lamps, sheet)
-        return RoomView(eye, sheet, components, components.radiance())
+        components = room_components(eye, self._room, self._caster, self._opaque, lamps, gbuffer)
+        return RoomView(eye, gbuffer, components, components.radiance())
 
     def _rgb(self, radiance: np.ndarray) -> np.ndarray:
         return tone.encode(radiance * np.float32(self.exposure))
 
     def _picture(self, view: RoomView, rgb: np.ndarray, layer: MovingLayer | None) -> Picture:
-        depth, normal, instance = view.sheet.depth_m, view.sheet.normal, view.sheet.object_id
+        depth, normal, instance = view.gbuffer.depth_m, view.gbuffer.normal, view.gbuffer.object_id
         if layer is not None:
             depth, normal, instance = depth.copy(), normal.copy(), instance.copy()
-            box = layer.sheet.rows, layer.sheet.columns
-            shown = np.isfinite(layer.sheet.depth_m)
-            depth[box][shown] = layer.sheet.depth_m[shown]
-            normal[box][shown] = layer.sheet.normal[shown]
-            instance[box][shown] = layer.sheet.object_id[shown]
+            box = layer.gbuffer.rows, layer.gbuffer.columns
+            shown = np.isfinite(layer.gbuffer.depth_m)
+            depth[box][shown] = layer.gbuffer.depth_m[shown]
+            normal[box][shown] = layer.gbuffer.normal[shown]
+            instance[box][shown] = layer.gbuffer.object_id[shown]
         R_world_camera = view.eye.T_world_camera[:3, :3].astype(np.float32)
         return Picture(
-            rgb.reshape(*view.sheet.shape, 3),
+            rgb.reshape(*view.gbuffer.shape, 3),
             np.where(np.isfinite(depth), depth, 0).astype(np.float32),
             (normal.reshape(-1, 3) @ R_world_camera).reshape(normal.shape),
             instance.astype(np.uint16),

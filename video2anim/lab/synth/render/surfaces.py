@@ -1,4 +1,4 @@
-"""All triangles that a picture may show, with what is needed to shade a point on them."""
+"""The triangles of a scene with normals, texture coordinates and materials, and surface points for shading."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from scipy import sparse
 
 from video2anim.export.frames import linear_light
 from video2anim.geometry.vertex_normals import vertex_normals
-from video2anim.lab.synth.render.caster import Caster, Hits
+from video2anim.lab.synth.render.caster import Hits, RayCaster
 from video2anim.lab.synth.render.garments import Borders, material_at, no_borders
 from video2anim.lab.synth.render.vectors import dot, length, unit
 from video2anim.lab.synth.world import Material, SceneObject
 
-SEEN_BAKED = -1
-"""Material number of faces whose color is baked into the vertices (also the last entry of material tables)."""
+BAKED_COLOR = -1
+"""Material number of faces whose color is baked into the vertices (-1, the last entry of material tables)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,31 +29,31 @@ class Surfaces:
     normals: Float[np.ndarray, "vertices 3"]
     """Vertex normals, world frame."""
     texture_m: Float[np.ndarray, "vertices 3"]
-    """Points at which textures are evaluated: the object's own frame, or the rest body."""
+    """Points at which textures are evaluated: in the object's frame, or on the rest mesh of a body."""
     texture_normal: Float[np.ndarray, "faces 3"]
-    """Face normals in that frame."""
+    """Face normals in the frame of `texture_m`."""
     face_normal: Float[np.ndarray, "faces 3"]
     smooth: Bool[np.ndarray, "faces"]
     object_id: Int[np.ndarray, "faces"]
     material: Int[np.ndarray, "faces"]
-    """Index into `materials`, or `SEEN_BAKED`."""
+    """Index into `materials`, or `BAKED_COLOR`."""
     vertex_rgb: Float[np.ndarray, "vertices 3"]
     """Baked colors, linear; zero where none are used."""
     materials: tuple[Material, ...]
     borders: Borders
 
-    def caster(self, chosen: Bool[np.ndarray, "faces"] | None = None) -> Caster:
-        """Rays against all faces, or the chosen ones."""
-        return Caster(self.vertices_m, self.faces if chosen is None else self.faces[chosen])
+    def caster(self, chosen: Bool[np.ndarray, "faces"] | None = None) -> RayCaster:
+        """A ray caster for all faces, or the chosen ones."""
+        return RayCaster(self.vertices_m, self.faces if chosen is None else self.faces[chosen])
 
     def opaque(self) -> Bool[np.ndarray, "faces"]:
-        """Faces that cast shadows: all that do not glow (a lamp's shade does not hide its own bulb, nor a window pane
-        the sun)."""
+        """Faces that cast shadows: all without emission, so that a lampshade does not occlude its own bulb, nor a
+        window pane the sun."""
         glows = np.array([*(m.emission > 0 for m in self.materials), False])
         return ~glows[self.material]
 
     def moved(self, vertices_m: np.ndarray, spanning: sparse.csr_array | None = None) -> Surfaces:
-        """The same surfaces with the vertices elsewhere; `spanning` smooths their normals (garments)."""
+        """The same surfaces with new vertices; `spanning` is a matrix that smooths vertex normals (garments)."""
         normals = _vertex_normals(vertices_m, self.faces)
         return replace(
             self,
@@ -65,13 +65,13 @@ class Surfaces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """Points on surfaces, seen from a viewpoint; one row for each ray that hit."""
+    """Surface points seen from a viewpoint, world frame; one row for each ray that hit."""
 
     position_m: Float[np.ndarray, "points 3"]
     normal: Float[np.ndarray, "points 3"]
-    """Shading normal, unit, turned to the viewer."""
+    """Shading normal, unit, facing the viewer."""
     face_normal: Float[np.ndarray, "points 3"]
-    """Normal of the triangle, turned to the viewer."""
+    """Unit normal of the triangle, facing the viewer."""
     face: Int[np.ndarray, "points"]
     object_id: Int[np.ndarray, "points"]
     material: Int[np.ndarray, "points"]
@@ -87,11 +87,11 @@ class Points:
         return len(self.position_m)
 
     def joined(self, other: Points) -> Points:
-        """These points, then others."""
+        """These points followed by others."""
         return Points(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in self.__slots__))
 
     def chosen(self, index: np.ndarray) -> Points:
-        """Some of the points, by mask or index."""
+        """The points of a mask or of an index array."""
         return Points(*(getattr(self, name)[index] for name in self.__slots__))
 
 
@@ -106,8 +106,8 @@ def _vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return vertex_normals(vertices_m, faces).astype(np.float32)
 
 
-def join(pieces: Sequence[Surfaces]) -> Surfaces:
-    """One list of several, each material listed once."""
+def join_surfaces(pieces: Sequence[Surfaces]) -> Surfaces:
+    """Several surfaces as one, with each material listed once."""
     if not pieces:
         none, nothing = np.zeros((0, 3), np.float32), np.zeros(0, np.int64)
         empty = np.zeros(0, bool)
@@ -115,7 +115,7 @@ def join(pieces: Sequence[Surfaces]) -> Surfaces:
         return Surfaces(none, faces, none, none, none, none, empty, nothing, nothing, none, (), no_borders(0))
     vertex_start = np.cumsum([0, *(len(p.vertices_m) for p in pieces)])
     known: dict[Material, int] = {}
-    numbers = [np.array([*(known.setdefault(m, len(known)) for m in p.materials), SEEN_BAKED]) for p in pieces]
+    numbers = [np.array([*(known.setdefault(m, len(known)) for m in p.materials), BAKED_COLOR]) for p in pieces]
     border_start = np.cumsum([0, *(len(p.borders.material) for p in pieces)])
     borders = [p.borders.renumbered(n, int(b)) for p, n, b in zip(pieces, numbers, border_start, strict=False)]
     together: dict[str, np.ndarray] = {}
@@ -131,7 +131,7 @@ def join(pieces: Sequence[Surfaces]) -> Surfaces:
     )
 
 
-def of_mesh(
+def surfaces_of_mesh(
     vertices_m: np.ndarray,
     faces: np.ndarray,
     texture_m: np.ndarray,
@@ -143,12 +143,12 @@ def of_mesh(
     vertex_rgb: np.ndarray | None = None,
     borders: Borders | None = None,
 ) -> Surfaces:
-    """Surfaces of one mesh. `vertex_rgb` (vertices, 3) uint8 sRGB replaces the materials' colors."""
+    """Surfaces of one mesh (world, meters). `vertex_rgb` (vertices, 3), uint8 sRGB, replaces the materials' colors."""
     count = len(faces)
     baked = np.zeros((len(vertices_m), 3), np.float32)
     if vertex_rgb is not None:
         baked = linear_light(np.asarray(vertex_rgb)[:, :3] / 255.0).astype(np.float32)
-        face_material = np.full(count, SEEN_BAKED)
+        face_material = np.full(count, BAKED_COLOR)
     faces = np.asarray(faces, np.int64)
     return Surfaces(
         vertices_m.astype(np.float32),
@@ -166,11 +166,11 @@ def of_mesh(
     )
 
 
-def of_object(obj: SceneObject, T_world_object: np.ndarray | None = None) -> Surfaces:
-    """Surfaces of a scene object, at its own or another pose."""
+def surfaces_of_object(obj: SceneObject, T_world_object: np.ndarray | None = None) -> Surfaces:
+    """Surfaces of a scene object at its own or another pose."""
     T = obj.T_world_object if T_world_object is None else T_world_object
     pieces = [
-        of_mesh(
+        surfaces_of_mesh(
             part.vertices_m @ T[:3, :3].T + T[:3, 3],
             part.faces,
             np.asarray(part.vertices_m),
@@ -182,12 +182,12 @@ def of_object(obj: SceneObject, T_world_object: np.ndarray | None = None) -> Sur
         )
         for part in obj.parts
     ]
-    return join(pieces)
+    return join_surfaces(pieces)
 
 
-def of_objects(objects: Iterable[SceneObject]) -> Surfaces:
+def surfaces_of_objects(objects: Iterable[SceneObject]) -> Surfaces:
     """Surfaces of many objects."""
-    return join([of_object(obj) for obj in objects])
+    return join_surfaces([surfaces_of_object(obj) for obj in objects])
 
 
 def points_at(
@@ -212,7 +212,7 @@ def points_at(
         normal[smooth] = _towards(mixed * facing[smooth], view[smooth])
     mix = surfaces.texture_m
     baked = np.zeros_like(position)
-    seen_baked = surfaces.material[face] == SEEN_BAKED
+    seen_baked = surfaces.material[face] == BAKED_COLOR
     if seen_baked.any():
         c, rgb = corner[seen_baked], surfaces.vertex_rgb
         baked[seen_baked] = (
@@ -234,7 +234,7 @@ def points_at(
 
 
 def _towards(normal: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """Unit normals bent, where they look away, until they just face the viewer."""
+    """Unit normals; those that face away from the viewer are bent until they just face it."""
     normal = unit(normal)
     away = np.minimum(dot(normal, view) - 0.02, 0)
     return unit(normal - view * away[:, None])

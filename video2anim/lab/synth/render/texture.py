@@ -1,4 +1,4 @@
-"""Procedural textures: the color of a material at points of an object's own frame."""
+"""Procedural textures: the color of a material at points in the object's frame."""
 
 from __future__ import annotations
 
@@ -9,43 +9,44 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.export.frames import linear_light
-from video2anim.lab.synth.render.noise import cell_values, fractal, noise, seen
-from video2anim.lab.synth.render.surfaces import SEEN_BAKED, Points
+from video2anim.lab.synth.render.noise import cell_values, detail_weight, fractal, noise
+from video2anim.lab.synth.render.surfaces import BAKED_COLOR, Points
 from video2anim.lab.synth.render.vectors import dot
 from video2anim.lab.synth.world import PERSON_ID, Material
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spot:
-    """Points of one material. `u`, `v` unroll the surface: v is up on walls, u along them; both level on floors."""
+    """Texture coordinates, in meters, of points of one material: on walls v is up and u along; on floors both are
+    level."""
 
     u: Float[np.ndarray, "points"]
     v: Float[np.ndarray, "points"]
     footprint: Float[np.ndarray, "points"]
     """Width of a pixel on the surface, meters."""
     level: Float[np.ndarray, "points"]
-    """1 on surfaces that look up or down, 0 elsewhere."""
+    """1 on surfaces that face up or down, 0 elsewhere."""
 
 
 def albedo(points: Points, materials: tuple[Material, ...]) -> Float[np.ndarray, "points 3"]:
     """Linear diffuse color of surface points."""
     out = points.baked_rgb.copy()
     for number, index in groups(points.material):
-        if number != SEEN_BAKED:
+        if number != BAKED_COLOR:
             out[index] = material_rgb(materials[number], spot_of(points, index))
     return out
 
 
 def groups(numbers: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """Rows of each number, in rising order of the number."""
+    """Pairs (number, rows with that number), in ascending order."""
     order = np.argsort(numbers, kind="stable")
     values, start = np.unique(numbers[order], return_index=True)
     return [(int(v), rows) for v, rows in zip(values, np.split(order, start[1:]), strict=True)]
 
 
 def spot_of(points: Points, index: np.ndarray) -> Spot:
-    """Surface coordinates: the object's frame seen along the axis that the surface faces most (never from above for
-    people: stripes run around shoulders)."""
+    """Texture coordinates of points, projected along the axis that the surface faces most (never the vertical for
+    people, so that stripes run around shoulders)."""
     at, facing = points.texture_m[index], np.abs(points.texture_normal[index])
     slant = np.abs(dot(points.face_normal[index], points.view[index]))
     footprint = points.footprint_m[index] / np.sqrt(np.maximum(slant, 0.05))
@@ -55,7 +56,7 @@ def spot_of(points: Points, index: np.ndarray) -> Spot:
 def unrolled(
     at_m: np.ndarray, facing: np.ndarray, footprint_m: np.ndarray, may_be_level: np.ndarray | bool = True
 ) -> Spot:
-    """Surface coordinates of points (n, 3) by the axis that their absolute normals (n, 3) are largest along."""
+    """Texture coordinates of points (n, 3), projected along the axis with the largest absolute normal (n, 3)."""
     level = (facing[:, 1] >= facing[:, 0]) & (facing[:, 1] >= facing[:, 2]) & may_be_level
     side = ~level & (facing[:, 0] > facing[:, 2])
     u = np.where(side, at_m[:, 2], at_m[:, 0])
@@ -97,24 +98,24 @@ def _plaster(material: Material, spot: Spot) -> Pattern:
 
 
 def _grain(material: Material, along: np.ndarray, across: np.ndarray, spot: Spot, width: float) -> Pattern:
-    """Wood: rings cut lengthwise, warped by stretched noise, with fine pores."""
+    """Wood grain: annual rings cut lengthwise, warped by stretched noise, with fine pores."""
     warp = fractal(along / (6 * width), across / (0.8 * width), spot.footprint / width, material.seed, 3)
     rings = 0.5 + 0.5 * np.sin(2 * np.pi * (across / (0.45 * width) + 2.2 * warp))
-    rings = 0.5 + (rings - 0.5) * seen(spot.footprint, 0.4 * width)
+    rings = 0.5 + (rings - 0.5) * detail_weight(spot.footprint, 0.4 * width)
     pores = noise(along / (0.5 * width), across / (0.03 * width), material.seed + 5) - 0.5
-    share = 0.15 + 0.55 * rings * warp + 0.25 * pores * seen(spot.footprint, 0.05 * width)
+    share = 0.15 + 0.55 * rings * warp + 0.25 * pores * detail_weight(spot.footprint, 0.05 * width)
     return np.clip(share, 0, 1), 1 + 0.12 * (warp - 0.5)
 
 
 def _wood(material: Material, spot: Spot) -> Pattern:
-    """Grain runs upwards on upright faces and along x on level ones."""
+    """Wood; the grain runs upward on vertical faces and along x on level ones."""
     level = spot.level > 0
     along, across = np.where(level, spot.u, spot.v), np.where(level, spot.v, spot.u)
     return _grain(material, along, across, spot, max(material.scale_m, 0.03))
 
 
 def _joint(offset: np.ndarray, width: float, spot: Spot) -> np.ndarray:
-    """1 in a joint of this width, by the distance to its middle line; widened and thinned out when far away."""
+    """1 inside a joint (gap) of this width, from the distance to its center line; anti-aliased by pixel footprint."""
     wide = np.maximum(width, spot.footprint)
     line = np.clip(1.5 - np.abs(offset) / (0.5 * wide), 0, 1)
     return line * np.minimum(1, 1.2 * width / wide)
@@ -133,12 +134,12 @@ def _planks(material: Material, spot: Spot) -> Pattern:
         _joint(spot.v - np.round(spot.v / width) * width, 0.003, spot),
         _joint(spot.u + shift - np.round((spot.u + shift) / length) * length, 0.003, spot),
     )
-    fade = seen(spot.footprint, width)
+    fade = detail_weight(spot.footprint, width)
     return np.clip(share + 0.5 * (one - 0.5) * fade, 0, 1), tint * (1 + 0.22 * (two - 0.5) * fade) * (1 - 0.6 * gap)
 
 
 def _parquet(material: Material, spot: Spot) -> Pattern:
-    """Basket weave: squares of five strips, turned in turn."""
+    """Basket weave: squares of five strips in alternating directions."""
     strip = max(material.scale_m, 0.02)
     square = 5 * strip
     i, j = np.floor(spot.u / square), np.floor(spot.v / square)
@@ -151,7 +152,7 @@ def _parquet(material: Material, spot: Spot) -> Pattern:
         _joint(across - np.round(across / strip) * strip, 0.002, spot),
         _joint(along - np.round(along / square) * square, 0.002, spot),
     )
-    fade = seen(spot.footprint, strip)
+    fade = detail_weight(spot.footprint, strip)
     return np.clip(share + 0.6 * (one - 0.5) * fade, 0, 1), tint * (1 + 0.16 * (one - 0.5) * fade) * (1 - 0.55 * gap)
 
 
@@ -164,7 +165,7 @@ def _tiles(material: Material, spot: Spot) -> Pattern:
         _joint(spot.v - np.round(spot.v / edge) * edge, 0.005, spot),
     )
     marble = fractal(spot.u / 0.3 + 9 * one, spot.v / 0.3 + 5 * one, spot.footprint / 0.3, material.seed, 4)
-    fade = seen(spot.footprint, edge)
+    fade = detail_weight(spot.footprint, edge)
     return grout, 1 + 0.10 * (one - 0.5) * fade + 0.10 * (marble - 0.5)
 
 
@@ -176,21 +177,21 @@ def _carpet(material: Material, spot: Spot) -> Pattern:
 
 def _fabric(material: Material, spot: Spot) -> Pattern:
     weave = noise(spot.u / 0.0015, spot.v / 0.006, material.seed) + noise(spot.u / 0.006, spot.v / 0.0015, 3)
-    weave = (weave - 1) * seen(spot.footprint, 0.003)
+    weave = (weave - 1) * detail_weight(spot.footprint, 0.003)
     soft = fractal(spot.u / 0.15, spot.v / 0.15, spot.footprint / 0.15, material.seed, 4)
     return np.clip(0.25 * (soft - 0.35) + 0.2 * weave, 0, 1), 1 + 0.10 * (soft - 0.5) + 0.15 * weave
 
 
 def _wave(position: np.ndarray, period: float, spot: Spot, duty: float = 0.5) -> np.ndarray:
-    """Bands of a period: 1 inside, soft over a pixel, their mean where they are too fine to see."""
+    """Periodic bands: 1 inside, with edges as soft as a pixel; their mean where they are finer than pixels."""
     phase = np.abs(position / period - np.round(position / period)) * period
     soft = np.maximum(spot.footprint, 0.002)
     band = np.clip(0.5 + (0.5 * duty * period - phase) / soft, 0, 1)
-    return duty + (band - duty) * seen(spot.footprint, 0.5 * period)
+    return duty + (band - duty) * detail_weight(spot.footprint, 0.5 * period)
 
 
 def _stripes(material: Material, spot: Spot) -> Pattern:
-    """Level bands for even seeds, upright ones for odd seeds."""
+    """Horizontal bands for even seeds, vertical ones for odd seeds."""
     across = spot.u if material.seed % 2 else spot.v
     duty = (0.5, 0.3, 0.18)[material.seed // 2 % 3]
     return _wave(across, material.scale_m, spot, duty), _fabric(material, spot)[1]
@@ -208,7 +209,7 @@ def _leather(material: Material, spot: Spot) -> Pattern:
 
 def _metal(material: Material, spot: Spot) -> Pattern:
     brushed = noise(spot.u / 0.002, spot.v / 0.08, material.seed) - 0.5
-    return _none(spot), 1 + 0.10 * brushed * seen(spot.footprint, 0.002)
+    return _none(spot), 1 + 0.10 * brushed * detail_weight(spot.footprint, 0.002)
 
 
 def _brick(material: Material, spot: Spot) -> Pattern:
@@ -221,7 +222,7 @@ def _brick(material: Material, spot: Spot) -> Pattern:
         _joint(spot.v - np.round(spot.v / high) * high, 0.012, spot),
         _joint(u - np.round(u / (3 * high)) * 3 * high, 0.012, spot),
     )
-    return mortar, (1 + 0.4 * (one - 0.5) * seen(spot.footprint, high)) * _mottle(material, spot, 0.05, 0.25)
+    return mortar, (1 + 0.4 * (one - 0.5) * detail_weight(spot.footprint, high)) * _mottle(material, spot, 0.05, 0.25)
 
 
 def _leaf(material: Material, spot: Spot) -> Pattern:
@@ -252,7 +253,7 @@ def _paper(material: Material, spot: Spot) -> Pattern:
 
 
 def _skin(material: Material, spot: Spot) -> Pattern:
-    """Second color = flush, in soft patches."""
+    """Skin; the second color is flush in soft patches."""
     patch = fractal(spot.u / 0.07, spot.v / 0.07, spot.footprint / 0.07, material.seed, 3)
     return 0.5 * np.clip(patch - 0.4, 0, 1), _mottle(material, spot, 0.01, 0.06, 2)
 
@@ -260,7 +261,7 @@ def _skin(material: Material, spot: Spot) -> Pattern:
 def _hair(material: Material, spot: Spot) -> Pattern:
     strand = noise(spot.u / 0.004, spot.v / 0.06, material.seed) - 0.5
     lock = fractal(spot.u / 0.02, spot.v / 0.1, spot.footprint / 0.02, material.seed + 1, 2)
-    return np.clip(lock - 0.35, 0, 1), 1 + 0.5 * (lock - 0.5) + 0.4 * strand * seen(spot.footprint, 0.004)
+    return np.clip(lock - 0.35, 0, 1), 1 + 0.5 * (lock - 0.5) + 0.4 * strand * detail_weight(spot.footprint, 0.004)
 
 
 KINDS: dict[str, Callable[[Material, Spot], Pattern]] = {

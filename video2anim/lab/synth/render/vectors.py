@@ -1,4 +1,4 @@
-"""Small vector algebra on rows of float32; several times faster than numpy's reductions over an axis of three."""
+"""Vector algebra on rows of three floats; several times faster than numpy's reductions over an axis of length 3."""
 
 from __future__ import annotations
 

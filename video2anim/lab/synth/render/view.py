@@ -1,4 +1,4 @@
-"""A set of surfaces seen from one camera pose: labels at pixel centers, light components, anti-aliased edges."""
+"""Surfaces rendered from one camera pose: G-buffer at pixel centers, light components, anti-aliased edges."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from video2anim.lab.synth.render import sampling
-from video2anim.lab.synth.render.caster import Caster, Hits
+from video2anim.lab.synth.render.caster import Hits, RayCaster
 from video2anim.lab.synth.render.denoise import Links, link, smooth_tiles
 from video2anim.lab.synth.render.lens import pixel_directions
-from video2anim.lab.synth.render.lighting import Response, reach_of, response_of
+from video2anim.lab.synth.render.lighting import Response, response_of, visibility_of
 from video2anim.lab.synth.render.surfaces import Points, Surfaces, points_at
 from video2anim.lab.synth.render.vectors import dot
 from video2anim.lab.synth.world import Light
@@ -26,7 +26,7 @@ _SMALL_SHARE = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lamps:
-    """All light of a room and how finely it is sampled."""
+    """All lights of a room, and the number of rays that sample them."""
 
     lights: tuple[Light, ...]
     ambient_rgb: tuple[float, float, float]
@@ -36,7 +36,7 @@ class Lamps:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Eye:
-    """A camera pose with its lens."""
+    """A camera: intrinsics, pose and radial distortion."""
 
     intrinsics: Intrinsics
     T_world_camera: Float[np.ndarray, "4 4"]
@@ -52,7 +52,8 @@ class Eye:
         return 1.0 / self.intrinsics.fx_px
 
     def directions(self, pixel: Int[np.ndarray, "pixels"], shift: np.ndarray | float = 0.0) -> np.ndarray:
-        """(pixels, 3) world directions through pixels given by flat index; their length makes distances z-depths."""
+        """(pixels, 3) world ray directions through pixels given by flat index, scaled so that distances are
+        z-depths."""
         width = self.intrinsics.width_px
         at = np.stack([pixel % width, pixel // width], -1) + shift
         rays = pixel_directions(at, self.intrinsics, self.k1, self.k2)
@@ -60,22 +61,22 @@ class Eye:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sheet:
-    """Labels and points at the centers of some pixels of a rectangle."""
+class GBuffer:
+    """Geometry buffer of a rectangle of the picture: labels, normals and surface points at pixel centers."""
 
     rows: slice
     columns: slice
     depth_m: Float[np.ndarray, "height width"]
-    """Infinite where nothing is seen."""
+    """z-depth; infinite = no surface."""
     object_id: Int[np.ndarray, "height width"]
     normal: Float[np.ndarray, "height width 3"]
     """World frame."""
     position_m: Float[np.ndarray, "height width 3"]
     links: Links
     seen: Int[np.ndarray, "seen"]
-    """Flat index, within the rectangle, of the pixels that show something."""
+    """Flat index, within the rectangle, of the pixels that show a surface."""
     points: Points
-    """One row for each of `seen`."""
+    """Surface points, one row for each pixel of `seen`."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -88,10 +89,10 @@ def rectangle_pixels(rows: slice, columns: slice, width: int) -> Int[np.ndarray,
     return (y * width + x).reshape(-1)
 
 
-def sheet_of(
-    eye: Eye, surfaces: Surfaces, caster: Caster, rows: slice, columns: slice, nearer_than: np.ndarray | None = None
-) -> Sheet:
-    """Cast the rays of a rectangle; hits that are not nearer than a given depth are dropped."""
+def trace_gbuffer(
+    eye: Eye, surfaces: Surfaces, caster: RayCaster, rows: slice, columns: slice, nearer_than: np.ndarray | None = None
+) -> GBuffer:
+    """Cast the rays of a rectangle; hits that are not nearer than the given depth (height, width) are dropped."""
     shape = (rows.stop - rows.start, columns.stop - columns.start)
     pixel = rectangle_pixels(rows, columns, eye.intrinsics.width_px)
     directions = eye.directions(pixel)
@@ -101,13 +102,13 @@ def sheet_of(
     if nearer_than is not None:
         hit &= hits.distance < nearer_than.reshape(-1)
     seen = np.flatnonzero(hit)
-    points = points_at(surfaces, taken(hits, seen), eye.origin_m, directions[seen], eye.pixel_angle)
+    points = points_at(surfaces, select_hits(hits, seen), eye.origin_m, directions[seen], eye.pixel_angle)
     depth = np.where(hit, hits.distance, np.float32(np.inf)).reshape(shape)
     object_id = _spread(points.object_id, seen, shape)
     normal, position = _spread(points.normal, seen, shape), _spread(points.position_m, seen, shape)
     label = object_id * 65536 + _spread(points.material + 2, seen, shape)
     near = np.where(np.isfinite(depth), depth, 0)
-    return Sheet(rows, columns, depth, object_id, normal, position, link(label, normal, position, near), seen, points)
+    return GBuffer(rows, columns, depth, object_id, normal, position, link(label, normal, position, near), seen, points)
 
 
 def _spread(values: np.ndarray, index: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -117,28 +118,36 @@ def _spread(values: np.ndarray, index: np.ndarray, shape: tuple[int, int]) -> np
     return out.reshape(*shape, *values.shape[1:])
 
 
-def taken(hits: Hits, index: np.ndarray) -> Hits:
-    """Some rays of a bundle."""
+def select_hits(hits: Hits, index: np.ndarray) -> Hits:
+    """The hits of some of the rays."""
     return Hits(hits.face[index], hits.distance[index], hits.barycentric[index])
 
 
-def sheet_reach(sheet: Sheet, lamps: Lamps, casters: Sequence[Caster], width: int) -> np.ndarray:
-    """(height, width, lights + 1) light that reaches each pixel of a sheet, without noise; last = ambient."""
-    pixel = rectangle_pixels(sheet.rows, sheet.columns, width)[sheet.seen]
-    reach = reach_of(sheet.points, sampling.tile_of(pixel, width), lamps.lights, casters, lamps.rays)
-    return smooth_tiles(_spread(reach.stacked(), sheet.seen, sheet.shape), sheet.links)
+def gbuffer_visibility(gbuffer: GBuffer, lamps: Lamps, casters: Sequence[RayCaster], width: int) -> np.ndarray:
+    """(height, width, lights + 1) denoised visibility of the lights at each pixel; the last channel is the ambient
+    light."""
+    pixel = rectangle_pixels(gbuffer.rows, gbuffer.columns, width)[gbuffer.seen]
+    reach = visibility_of(gbuffer.points, sampling.tile_of(pixel, width), lamps.lights, casters, lamps.rays)
+    return smooth_tiles(_spread(reach.stacked(), gbuffer.seen, gbuffer.shape), gbuffer.links)
 
 
-def borrowed_reach(
-    points: Points, at: Int[np.ndarray, "points"], sheet: Sheet, reach: np.ndarray
+def borrowed_visibility(
+    points: Points, at: Int[np.ndarray, "points"], gbuffer: GBuffer, reach: np.ndarray
 ) -> tuple[Float[np.ndarray, "points channels"], Bool[np.ndarray, "points"]]:
-    """Light at points inside edge pixels, from pixels around that show the same surface.
+    """Visibility at points inside edge pixels, as the mean of the neighboring pixels that show the same surface.
 
-    `at` is the flat index of the pixel within the sheet. Also says which points found such a pixel.
+    Args:
+        points: Surface points hit by subpixel rays.
+        at: Flat index of their pixel within the G-buffer.
+        gbuffer: The G-buffer of the rectangle.
+        reach: Visibility of its pixels, (height, width, channels).
+
+    Returns:
+        Visibility of each point, and whether it has such a neighbor.
     """
-    height, width = sheet.shape
-    flat_reach, ids = reach.reshape(height * width, -1), sheet.object_id.reshape(-1)
-    normals, positions = sheet.normal.reshape(-1, 3), sheet.position_m.reshape(-1, 3)
+    height, width = gbuffer.shape
+    flat_reach, ids = reach.reshape(height * width, -1), gbuffer.object_id.reshape(-1)
+    normals, positions = gbuffer.normal.reshape(-1, 3), gbuffer.position_m.reshape(-1, 3)
     total = np.zeros((len(points), reach.shape[-1]), np.float32)
     weight = np.zeros(len(points), np.float32)
     y, x = at // width, at % width
@@ -156,7 +165,7 @@ def borrowed_reach(
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """Radiance of a whole picture, split by where the light comes from, so that later shadows can be taken off."""
+    """Radiance of a whole picture, split by light source, so that shadows can be subtracted later."""
 
     lamp: Float[np.ndarray, "lights pixels 3"]
     ambient: Float[np.ndarray, "pixels 3"]
@@ -164,12 +173,12 @@ class Components:
 
     @classmethod
     def dark(cls, lights: int, count: int) -> Components:
-        """No light at all."""
+        """Components of a black picture."""
         return cls(np.zeros((lights, count, 3), np.float32), *(np.zeros((count, 3), np.float32) for _ in range(2)))
 
     @functools.cached_property
     def matters(self) -> Bool[np.ndarray, "lights pixels"]:
-        """Where a light makes a visible part of a pixel's brightness, so that its shadows are worth a look."""
+        """Where a light contributes a visible share of a pixel's brightness, so that its shadows have to be sampled."""
         bright = _SMALL_SHARE * self.radiance().sum(-1)
         return np.stack([lamp.sum(-1) > bright for lamp in self.lamp]) if len(self.lamp) else np.zeros((0, 0), bool)
 
@@ -186,7 +195,7 @@ class Components:
         )
 
     def shaded(self, pixel: Int[np.ndarray, "chosen"], reach: Float[np.ndarray, "chosen lights+1"]) -> np.ndarray:
-        """(chosen, 3) radiance of some pixels where only part of the light still arrives."""
+        """(chosen, 3) radiance of some pixels with the visible share `reach` of each light."""
         out = self.glow[pixel] + self.ambient[pixel] * reach[:, -1:]
         for number, lamp in enumerate(self.lamp):
             out += lamp[pixel] * reach[:, number, None]
@@ -194,33 +203,33 @@ class Components:
 
 
 def room_components(
-    eye: Eye, surfaces: Surfaces, caster: Caster, opaque: Caster, lamps: Lamps, sheet: Sheet
+    eye: Eye, surfaces: Surfaces, caster: RayCaster, opaque: RayCaster, lamps: Lamps, gbuffer: GBuffer
 ) -> Components:
-    """Light components of a picture of still objects; pixels at edges are the mean of four rays."""
-    count = sheet.shape[0] * sheet.shape[1]
-    reach = sheet_reach(sheet, lamps, [opaque], eye.intrinsics.width_px)
-    edge = np.flatnonzero(sheet.links.edges())
+    """Light components of a picture of static objects; pixels at edges are the mean of four rays."""
+    count = gbuffer.shape[0] * gbuffer.shape[1]
+    reach = gbuffer_visibility(gbuffer, lamps, [opaque], eye.intrinsics.width_px)
+    edge = np.flatnonzero(gbuffer.links.edges())
     points, ray = subpixel_points(eye, surfaces, caster, edge)
-    every = response_of(sheet.points.joined(points), surfaces.materials, lamps.lights, lamps.ambient_rgb)
-    response, fine = every.split(len(sheet.points))
+    every = response_of(gbuffer.points.joined(points), surfaces.materials, lamps.lights, lamps.ambient_rgb)
+    response, fine = every.split(len(gbuffer.points))
     out = Components.dark(len(lamps.lights), count)
-    _put(out, sheet.seen, response, reach.reshape(count, -1)[sheet.seen])
+    _add_light(out, gbuffer.seen, response, reach.reshape(count, -1)[gbuffer.seen])
     if not len(edge):
         return out
-    borrowed, found = borrowed_reach(points, edge[ray % len(edge)], sheet, reach)
+    borrowed, found = borrowed_visibility(points, edge[ray % len(edge)], gbuffer, reach)
     lost = np.flatnonzero(~found)
     if len(lost):
         tile = sampling.tile_of(edge[ray[lost] % len(edge)], eye.intrinsics.width_px)
-        borrowed[lost] = reach_of(points.chosen(lost), tile, lamps.lights, [opaque], lamps.rays).stacked()
+        borrowed[lost] = visibility_of(points.chosen(lost), tile, lamps.lights, [opaque], lamps.rays).stacked()
     rays = Components.dark(len(lamps.lights), len(SUBPIXELS) * len(edge))
-    _put(rays, ray, fine, borrowed)
+    _add_light(rays, ray, fine, borrowed)
     mean = rays.pixel_means(len(SUBPIXELS))
     out.lamp[:, edge], out.ambient[edge], out.glow[edge] = mean.lamp, mean.ambient, mean.glow
     return out
 
 
-def _put(out: Components, index: np.ndarray, response: Response, reach: np.ndarray) -> None:
-    """Write points' light into the components of their pixels."""
+def _add_light(out: Components, index: np.ndarray, response: Response, reach: np.ndarray) -> None:
+    """Write the radiance of points into the components of their pixels."""
     for number in range(len(out.lamp)):
         out.lamp[number, index] = response.lamp[:, number] * reach[:, number, None]
     out.ambient[index] = response.ambient * reach[:, -1:]
@@ -228,9 +237,9 @@ def _put(out: Components, index: np.ndarray, response: Response, reach: np.ndarr
 
 
 def subpixel_points(
-    eye: Eye, surfaces: Surfaces, caster: Caster, pixel: np.ndarray, depth_m: np.ndarray | None = None
+    eye: Eye, surfaces: Surfaces, caster: RayCaster, pixel: np.ndarray, depth_m: np.ndarray | None = None
 ) -> tuple[Points, Int[np.ndarray, "points"]]:
-    """What the `SUBPIXELS` rays of pixels hit (nearer than `depth_m`, if given), and which rays did.
+    """Surface points hit by the `SUBPIXELS` rays of pixels (nearer than `depth_m`, if given), and the rays' indices.
 
     Ray r belongs to pixel r % len(pixel).
     """
@@ -241,4 +250,4 @@ def subpixel_points(
     if depth_m is not None:
         hit &= hits.distance < np.tile(depth_m, every)
     ray = np.flatnonzero(hit)
-    return points_at(surfaces, taken(hits, ray), eye.origin_m, directions[ray], eye.pixel_angle), ray
+    return points_at(surfaces, select_hits(hits, ray), eye.origin_m, directions[ray], eye.pixel_angle), ray

@@ -1,4 +1,4 @@
-"""Furnished rooms around given motion: solids, materials, furniture, structure, layout and clearance."""
+"""Random furnished rooms around a given motion: solids, materials, furniture, structure, layout and clearance."""
 
 from video2anim.lab.synth.rooms.build import ITEM_NOTE, STYLES, build_room, split_items
 from video2anim.lab.synth.rooms.clearance import clearance_ok, penetration_m

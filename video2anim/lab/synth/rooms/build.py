@@ -14,27 +14,27 @@ from video2anim.lab.synth.rooms.groups import ARRANGE, STYLES, Furnisher, extras
 from video2anim.lab.synth.rooms.lighting import make_lights
 from video2anim.lab.synth.rooms.materials import draw_palette
 from video2anim.lab.synth.rooms.placing import Bounds, Plan, wall_frame
-from video2anim.lab.synth.rooms.props import DEEPEST_M, ITEM_NOTE, Site, build_props, prop_pose, serving_wall
+from video2anim.lab.synth.rooms.props import ITEM_NOTE, MAX_PENETRATION_M, Site, build_props, prop_pose, serving_wall
 from video2anim.lab.synth.rooms.structure import Opening, draw_openings, make_shell
 from video2anim.lab.synth.world import Prop, Room, SceneObject
 
 WALL_GAP_M = 0.12
-"""Least distance of the people's way from a wall (but one they lean on)."""
+"""Minimum distance of bodies from walls, except from a wall that they lean on."""
 CAMERA_M = 2.0
-"""Free ground on one side of the people's way, for a camera."""
+"""Depth of the floor area kept free for a camera on one side of the bodies' path."""
 _BEHIND_M = {"seat": 0.5, "bed": 0.2, "table": 0.1, "step": 0.05, "wall": 0.7}
-"""Ground an object takes behind the surface that a prop asks for."""
+"""Depth of the floor area that an object needs behind the surface of its prop, by kind of prop."""
 _NEAR_LABELS = ("chair", "chair", "stool", "table", "box", "armchair", "plant")
 
 
 @dataclass(frozen=True, slots=True)
 class _Ground:
-    """Rectangle the room must hold, and walls that are given."""
+    """Floor rectangle that the room must contain, and walls with a given position."""
 
     low: np.ndarray
     high: np.ndarray
     walls: dict[int, float]
-    """Side -> coordinate of the wall a `wall` prop asks for."""
+    """Side (0 = -Z, 1 = +X, 2 = +Z, 3 = -X) to the x or z of the wall that a `wall` prop needs."""
 
 
 def build_room(
@@ -47,28 +47,29 @@ def build_room(
     near_miss_m: float = 0.05,
     meshes: tuple[SceneObject, ...] = (),
     style: str | None = None,
-    prop_depth_m: float = DEEPEST_M,
+    prop_depth_m: float = MAX_PENETRATION_M,
 ) -> Room:
-    """A room in which the given people can move as they do.
+    """A furnished room in which the given motion is possible.
 
     Args:
-        swept_m: body points of all people over the whole clip (spaced at most a few centimeters).
-        props: objects the motion needs, built exactly there. An object that is picked up has a note that starts with
-            `ITEM_NOTE` (see `split_items`).
-        room_size_m: width (x) and depth (z); drawn and grown as needed where None.
-        clutter: 0 (tidy) to 1.
-        near_miss_m: furniture put near the way on purpose keeps 0.6 to 2 times this distance.
-        meshes: external objects to stand in the room.
-        style: one of `STYLES`; drawn where None.
-        prop_depth_m: how deep people may be in an object built for a prop, where no design stays free of them; all
-            else is never entered deeper than `DEEPEST_M`.
+        rng: Random numbers.
+        swept_m: Body points (world) of all people over the whole clip, at most a few centimeters apart.
+        props: Objects that the motion needs, which are built exactly there. The note of an object that is picked up
+            starts with `ITEM_NOTE` (see `split_items`).
+        room_size_m: Width (x) and depth (z); drawn at random, as large as needed, if None.
+        clutter: Amount of small objects, 0 (tidy) to 1.
+        near_miss_m: Furniture placed near the path on purpose keeps 0.6 to 2 times this distance.
+        meshes: External objects to place in the room.
+        style: One of `STYLES`; drawn at random if None.
+        prop_depth_m: Allowed depth of body points in an object built for a prop, if no design is free of them. The
+            limit for all other objects is `MAX_PENETRATION_M`.
 
     Raises:
-        InputError: the clip does not fit the size asked for, or a prop cannot be built.
+        InputError: the clip does not fit in `room_size_m`, a prop cannot be built, or an argument is invalid.
     """
     swept = np.asarray(swept_m, float).reshape(-1, 3)
     if len(swept) == 0 or not np.isfinite(swept).all():
-        raise InputError("a room needs finite body points of the clip; got none or not-a-number")
+        raise InputError("build_room: want finite body points of the clip, got none or not-a-number")
     if style is not None and style not in STYLES:
         raise InputError(f"unknown room style {style!r}; known are {', '.join(STYLES)}")
     style = STYLES[int(rng.integers(len(STYLES)))] if style is None else style
@@ -88,12 +89,12 @@ def build_room(
     stretches = tuple((o.side, o.x0, o.x1) for o in openings)
     pictures = hang_pictures(rng, palette, plan, stretches + leaned, int(rng.integers(1, 5)))
     structure = [*make_shell(rng, palette, bounds, height, openings, leaned), *lay_rugs(rng, palette, plan), *pictures]
-    furniture = _without_offenders([t for t in plan.placed if t.label != "picture"], points, given)
+    furniture = _without_obstacles([t for t in plan.placed if t.label != "picture"], points, given)
     return _numbered(bounds, height, structure, furniture, lights, ambient)
 
 
 def split_items(room: Room) -> tuple[Room, dict[int, SceneObject]]:
-    """The room without the objects that are picked up, and these by the number of their prop."""
+    """The room without the objects that are picked up, and those objects by the index of their prop."""
     items = {int(t.note[len(ITEM_NOTE) :].split(":")[0]): t for t in room.furniture if t.note.startswith(ITEM_NOTE)}
     return replace(room, furniture=tuple(t for t in room.furniture if not t.note.startswith(ITEM_NOTE))), items
 
@@ -122,23 +123,23 @@ def _ground(rng: np.random.Generator, swept: np.ndarray, props: tuple[Prop, ...]
 
 
 def _wall_side(prop: Prop, swept: np.ndarray) -> int | None:
-    """Wall of the room that could serve a `wall` prop: along an axis, and everybody on its inner side."""
+    """Side of the room whose wall can serve a `wall` prop (parallel to an axis, all body points inside), if any."""
     facing = np.array([np.sin(prop.yaw_rad), 0.0, np.cos(prop.yaw_rad)])
     for side, normal in enumerate(((0, 1), (-1, 0), (0, -1), (1, 0))):
         if facing[[0, 2]] @ normal > 1 - 1e-9:
             depth = (swept - prop.position_m) @ facing
-            return side if depth.min() > -DEEPEST_M else None
+            return side if depth.min() > -MAX_PENETRATION_M else None
     return None
 
 
 def _bounds(
     rng: np.random.Generator, ground: _Ground, room_size_m: tuple[float, float] | None, style: str
 ) -> tuple[Bounds, int]:
-    """The room's rectangle, and the side on which ground is kept free for a camera."""
+    """The room's rectangle, and the side on which floor is kept free for a camera."""
     extent = ground.high - ground.low
     open_sides = [side for side in range(4) if side not in ground.walls]
     if not open_sides:
-        raise InputError("a motion that leans on all four walls leaves no place for a camera; act it again")
+        raise InputError("a motion that leans on all four walls leaves no place for a camera; draw the motion again")
     order = [open_sides[int(k)] for k in rng.permutation(len(open_sides))]
     if room_size_m is not None:
         size = np.asarray(room_size_m, float)
@@ -149,8 +150,8 @@ def _bounds(
         more, given = extent + CAMERA_M, f"{size[0]:g} x {size[1]:g} m"
         needed = f"{more[0]:.1f} x {extent[1]:.1f} m or {extent[0]:.1f} x {more[1]:.1f} m"
         raise InputError(
-            f"the clip needs a room of {needed} (its way, the objects it uses and {CAMERA_M:g} m for the camera), "
-            f"but {given} were asked for; ask for more or leave the size out"
+            f"the clip needs a room of {needed} (its path, the objects it uses and {CAMERA_M:g} m for the camera), "
+            f"but the size given is {given}; give a larger size or none"
         )
     side = order[0]
     smallest, largest = {
@@ -168,7 +169,7 @@ def _bounds(
 
 
 def _spread(rng: np.random.Generator, ground: _Ground, spare: np.ndarray, camera_side: int) -> Bounds:
-    """Share the spare ground among the sides; the camera's side gets at least its due."""
+    """Distribute the spare floor among the sides; the camera's side gets at least `CAMERA_M`."""
     low, high = ground.low.copy(), ground.high.copy()
     for axis, (below, above) in enumerate(((3, 1), (0, 2))):
         if below in ground.walls and above in ground.walls:
@@ -186,7 +187,7 @@ def _spread(rng: np.random.Generator, ground: _Ground, spare: np.ndarray, camera
 
 
 def _leaned_stretches(props: tuple[Prop, ...], bounds: Bounds) -> tuple[tuple[int, float, float], ...]:
-    """Parts of walls that people lean on: nothing hangs there."""
+    """Parts of walls (side, start, end) that people lean on, where nothing hangs."""
     out = []
     for prop in props:
         side = serving_wall(prop, bounds) if prop.kind == "wall" else None
@@ -198,7 +199,7 @@ def _leaned_stretches(props: tuple[Prop, ...], bounds: Bounds) -> tuple[tuple[in
 
 
 def _keep_free(plan: Plan, openings: tuple[Opening, ...], camera_side: int) -> None:
-    """Ground before the door, air before windows, and a strip from the people to the camera's wall."""
+    """Keep free: floor in front of the door, space in front of windows, and a strip from the people to the camera."""
     for o in openings:
         frame = wall_frame(plan.bounds_m, o.side)
         if o.kind == "door":
@@ -223,7 +224,7 @@ def _keep_free(plan: Plan, openings: tuple[Opening, ...], camera_side: int) -> N
 def _furnish(
     f: Furnisher, style: str, meshes: tuple[SceneObject, ...], near_miss_m: float, given: int
 ) -> list[SceneObject]:
-    """Groups of the style, near misses, external meshes, odds and ends, small objects. Returns the lamps."""
+    """Place the style's groups, near misses, external meshes, extras and small objects. Returns the lamps."""
     x0, x1, z0, z1 = f.plan.bounds_m
     area = (x1 - x0) * (z1 - z0)
     ARRANGE[style](f)
@@ -241,18 +242,18 @@ def _furnish(
     return [obj for obj in f.plan.placed if obj.label == "lamp"]
 
 
-def _without_offenders(objects: list[SceneObject], points: PointSet, given: int) -> list[SceneObject]:
-    """Drop what people would go through (objects to pick up excepted: a hand holds them)."""
+def _without_obstacles(objects: list[SceneObject], points: PointSet, given: int) -> list[SceneObject]:
+    """The objects without those that bodies enter. Objects that are picked up stay: a hand holds them."""
     kept = []
     for number, obj in enumerate(objects):
         exempt = obj.note.startswith(ITEM_NOTE) or number < given
-        if exempt or points.deepest_m(obj) <= DEEPEST_M:
+        if exempt or points.max_depth_m(obj) <= MAX_PENETRATION_M:
             kept.append(obj)
     return kept
 
 
 def _numbered(bounds: Bounds, height: float, structure: list, furniture: list, lights: tuple, ambient: tuple) -> Room:
-    """All objects with numbers from 1."""
+    """The room with its objects numbered from 1."""
     everything = [replace(obj, object_id=k + 1) for k, obj in enumerate([*structure, *furniture])]
     count = len(structure)
     return Room(bounds, height, tuple(everything[:count]), tuple(everything[count:]), lights, ambient)

@@ -1,4 +1,4 @@
-"""How deep points lie inside objects, and which of a clip's body points are near a place."""
+"""Penetration depth of points in objects, and fast selection of a clip's body points near a place."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _CHUNK = 2_000_000
 
 
 def penetration_m(objects: Sequence[SceneObject], points_m: Points) -> Float[np.ndarray, "points"]:
-    """Depth of each world point inside objects: distance to the nearest face of the solid it is in; 0 outside.
+    """Depth of each world point inside objects, meters: distance to the nearest face of the solid; 0 outside.
 
-    Where solids overlap, the greatest of the depths counts. Exact for closed outward solids; of an open surface (some
-    external meshes) a point is inside where the winding number exceeds one half.
+    Where solids overlap, the largest depth counts. Exact for closed solids with outward faces. A point is inside an
+    open surface (some external meshes) if its winding number exceeds 0.5.
     """
     points = PointSet(points_m)
     depth = np.zeros(len(points))
@@ -30,7 +30,7 @@ def penetration_m(objects: Sequence[SceneObject], points_m: Points) -> Float[np.
 
 
 class PointSet:
-    """World points sorted along x once, so that those inside an object's box are found fast."""
+    """World points, sorted along x so that those inside an object's bounding box are found fast."""
 
     def __init__(self, points_m: Points) -> None:
         points = np.asarray(points_m, float).reshape(-1, 3)
@@ -42,13 +42,13 @@ class PointSet:
         return len(self._x)
 
     def near(self, center_m: Float[np.ndarray, "3"], reach_m: float) -> Points:
-        """Points in a square around a place on the ground."""
+        """Points whose x and z are within `reach_m` of a center."""
         first, last = np.searchsorted(self._x, [center_m[0] - reach_m, center_m[0] + reach_m])
         some = self._ordered[first:last]
         return some[np.abs(some[:, 2] - center_m[2]) < reach_m]
 
     def depth_m(self, obj: SceneObject) -> tuple[Int[np.ndarray, "inside"], Float[np.ndarray, "inside"]]:
-        """Numbers of the points in the object's box, and their depths in it."""
+        """Indices of the points in the object's bounding box, and their depths in the object."""
         R, t = obj.T_world_object[:3, :3], obj.T_world_object[:3, 3]
         low, high = world_box(obj)
         first, last = np.searchsorted(self._x, [low[0], high[0]])
@@ -63,24 +63,24 @@ class PointSet:
                 depth[near] = np.maximum(depth[near], part_depth_m(part, local[near]))
         return self._order[first + rows], depth
 
-    def deepest_m(self, obj: SceneObject) -> float:
-        """Depth of the deepest point."""
+    def max_depth_m(self, obj: SceneObject) -> float:
+        """Depth of the deepest point in the object; 0 if none is inside."""
         return float(self.depth_m(obj)[1].max(initial=0.0))
 
 
 def clearance_ok(objects: Sequence[SceneObject], points_m: Points, tolerance_m: float = 0.002) -> bool:
-    """No point deeper than the tolerance in any of the objects."""
+    """Whether no point is deeper than the tolerance in any of the objects."""
     return bool(penetration_m(objects, points_m).max(initial=0.0) <= tolerance_m)
 
 
 def world_box(obj: SceneObject) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Lowest and highest corner in the world."""
+    """Minimum and maximum corner of the object's bounding box in the world."""
     corners = obj.merged()[0]
     return corners.min(0), corners.max(0)
 
 
 def part_depth_m(part: Part, points_m: Points) -> Float[np.ndarray, "points"]:
-    """Depth inside one part, points in the object's frame."""
+    """Depth of points inside one part; points in the object's frame."""
     depth = np.zeros(len(points_m))
     for vertices, faces in solids_of(part):
         near = np.flatnonzero(((points_m > vertices.min(0)) & (points_m < vertices.max(0))).all(1))
@@ -100,7 +100,7 @@ def part_depth_m(part: Part, points_m: Points) -> Float[np.ndarray, "points"]:
 
 
 def solids_of(part: Part) -> Iterator[tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]]:
-    """The connected surfaces of a part."""
+    """The connected components of a part, each as vertices and faces."""
     faces, count = np.asarray(part.faces, np.int64), len(part.vertices_m)
     pairs = np.concatenate([faces[:, :2], faces[:, 1:]])
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (count, count))
@@ -116,7 +116,7 @@ def solids_of(part: Part) -> Iterator[tuple[Float[np.ndarray, "vertices 3"], Int
 
 
 def _planes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Outward normals and offsets of the faces that have an area."""
+    """Distinct outward normals and offsets of the faces with a positive area."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
     area = np.linalg.norm(cross, axis=1)
@@ -128,7 +128,7 @@ def _planes(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _general_depth(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Depth in any solid: winding number, then the distance to the nearest triangle."""
+    """Depth in a non-convex solid: winding number, then distance to the nearest triangle."""
     depth = np.zeros(len(points))
     inside = np.flatnonzero(_winding(points, vertices, faces) > 0.5)
     if len(inside):
@@ -145,7 +145,8 @@ def _winding(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.
 
 
 def _triangle_distance2(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Squared distance of each point to the nearest triangle: to the plane where it falls inside, else to an edge."""
+    """Squared distance of each point to the nearest triangle: to its plane if the projection is inside, else to an
+    edge."""
     corner = [vertices[faces[:, k]] for k in range(3)]
     cross = np.cross(corner[1] - corner[0], corner[2] - corner[0])
     area2 = np.maximum((cross**2).sum(1), 1e-24)
@@ -162,7 +163,7 @@ def _triangle_distance2(points: np.ndarray, vertices: np.ndarray, faces: np.ndar
 
 
 class SweepIndex:
-    """Body points of a whole clip, thinned to a fine grid and sorted so that those near a place are found at once."""
+    """Body points of a whole clip, thinned to a grid and sorted by cell so that those near a place are found fast."""
 
     def __init__(self, points_m: Points, grid_m: float = 0.02, cell_m: float = 0.25) -> None:
         points = np.asarray(points_m, float).reshape(-1, 3)
@@ -179,7 +180,7 @@ class SweepIndex:
         self.points, self._number = kept[order], number[order]
 
     def near(self, low_xz: np.ndarray, high_xz: np.ndarray) -> Points:
-        """Points of the cells that a rectangle on the ground touches (and so a few more than those above it)."""
+        """Points of the grid cells that a floor rectangle (x, z) touches; these include some outside it."""
         first = np.floor((low_xz - self.low[[0, 2]]) / self._cell_m).astype(np.int64)
         last = np.floor((high_xz - self.low[[0, 2]]) / self._cell_m).astype(np.int64)
         z0, z1 = max(int(first[1]), 0), min(int(last[1]), self._columns - 1)

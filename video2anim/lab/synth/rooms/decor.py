@@ -1,4 +1,4 @@
-"""Plants, lamps and the small objects that lie about."""
+"""Plants, lamps and small objects."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from video2anim.lab.synth.rooms.primitives import (
 from video2anim.lab.synth.world import Material, SceneObject
 
 ITEM_LABELS = ("book", "cup", "toy", "bag", "box", "vase")
-"""What people pick up."""
+"""Labels of objects that people pick up."""
 
 
 def make_plant(rng: np.random.Generator, height_m: float | None = None) -> SceneObject:
-    """Pot plant 0.25-1.8 m high: a tuft of long leaves or branches with broad ones. Leaves are thin closed solids."""
+    """Pot plant 0.25-1.8 m high, with long leaves or with branches of broad leaves. Leaves are thin closed solids."""
     m = Maker(rng)
     tall = height_m or m.uniform(0.5, 1.7)
     pot_r = float(np.clip(0.14 * tall + m.uniform(0.02, 0.06), 0.05, 0.2))
@@ -128,7 +128,7 @@ def make_lamp(rng: np.random.Generator, palette: Palette, height_m: float | None
 def make_clutter(
     label: str, rng: np.random.Generator, palette: Palette, *, size_m: tuple[float, float] | None = None
 ) -> SceneObject:
-    """A book pile, cup, vase, toy, cushion, monitor or bag; `size_m` is the least footprint it should keep within."""
+    """A pile of books, cup, vase, toy, cushion, monitor or bag that fits the footprint `size_m` (width, depth)."""
     m = Maker(rng)
     note = {
         "book": _books,
@@ -144,7 +144,7 @@ def make_clutter(
 
 
 def scaled_into(obj: SceneObject, size_m: tuple[float, float]) -> SceneObject:
-    """The same object, shrunk where its footprint is wider than `size_m`."""
+    """The object, shrunk if its footprint is larger than `size_m`."""
     points = np.concatenate([part.vertices_m for part in obj.parts])
     extent = np.ptp(points, axis=0)
     factor = min(1.0, size_m[0] / extent[0], size_m[1] / extent[2])
@@ -261,7 +261,7 @@ def _cushion(m: Maker, palette: Palette) -> str:
 
 
 def _monitor(m: Maker, palette: Palette) -> str:
-    """Screen of 0.5-0.65 m (desk) facing +Z."""
+    """Desktop screen 0.5-0.65 m wide, facing +Z."""
     w = m.uniform(0.5, 0.65)
     h = 0.58 * w
     dark = plain(m.rng, (0.08, 0.08, 0.09), 0.3)
@@ -275,7 +275,7 @@ def _monitor(m: Maker, palette: Palette) -> str:
 
 
 def make_television(rng: np.random.Generator) -> SceneObject:
-    """Flat screen 0.9-1.3 m wide on feet, facing +Z."""
+    """Television 0.9-1.3 m wide on feet, facing +Z."""
     m = Maker(rng)
     w = m.uniform(0.9, 1.3)
     h = 0.57 * w
@@ -306,7 +306,7 @@ def _bag(m: Maker, palette: Palette) -> str:
 
 
 def curtain(m: Maker, x0: float, x1: float, top: float, bottom: float, z: float, material: Material) -> None:
-    """Hanging cloth in folds between x0 and x1."""
+    """Adds hanging cloth in folds between x0 and x1."""
     count = max(9, int((x1 - x0) / 0.025))
     x = np.linspace(x0, x1, count)
     wave = 0.028 * np.sin(np.linspace(0, count * 0.9, count) + m.uniform(0, 6.28))

@@ -23,7 +23,7 @@ _ON_TOP = {
 
 
 def dress(f: Furnisher) -> None:
-    """Objects on tops, cushions on seats, some on the floor. `clutter` (0 to 1) says how many."""
+    """Place objects on table tops, cushions on seats, some objects on the floor; more for a larger `clutter`."""
     for base in list(f.plan.placed):
         if base.label in _ON_TOP and "prop" not in base.note and _height(base) < 1.7:
             _on_surface(f, base, _ON_TOP[base.label])
@@ -53,7 +53,7 @@ def _on_surface(f: Furnisher, base: SceneObject, labels: tuple[str, ...]) -> Non
 
 
 def _cushions(f: Furnisher, base: SceneObject) -> None:
-    """Cushions leaning on the back of the seat (on a bed: lying)."""
+    """Cushions that lean on the back of a seat, or lie on a bed."""
     s = base.surfaces[0]
     for _ in range(f.rng.poisson(2.0 * f.clutter * min(1.5, s.size_m[0]))):
         cushion = make_clutter("cushion", f.rng, f.palette)
@@ -70,7 +70,7 @@ def _cushions(f: Furnisher, base: SceneObject) -> None:
 
 
 def _stood(obj: SceneObject, lean_rad: float) -> SceneObject:
-    """Set up on edge, leaning back."""
+    """The cushion standing on its edge, leaning back."""
     m = Maker(np.random.default_rng(0))
     for part in obj.parts:
         m.add(moved((part.vertices_m, part.faces), pitch=lean_rad), part.material, part.smooth)
@@ -80,7 +80,7 @@ def _stood(obj: SceneObject, lean_rad: float) -> SceneObject:
 def hang_pictures(
     rng: np.random.Generator, palette: Palette, plan: Plan, avoid: tuple[tuple[int, float, float], ...], count: int
 ) -> list[SceneObject]:
-    """Pictures on free stretches of wall, at eye height."""
+    """Up to `count` pictures at eye height on free parts of the walls."""
     out: list[SceneObject] = []
     for _ in range(4 * count):
         if len(out) >= count:
@@ -104,7 +104,7 @@ def hang_pictures(
 
 
 def lay_rugs(rng: np.random.Generator, palette: Palette, plan: Plan) -> list[SceneObject]:
-    """A rug before the sofa, under the dining table or beside the bed; else in the middle now and then."""
+    """A rug in front of the sofa, under the dining table or beside the bed; else sometimes in the room's center."""
     x0, x1, z0, z1 = plan.bounds_m
     anchors = [obj for obj in plan.placed if obj.label in ("sofa", "bed", "table") and "prop" not in obj.note]
     size = (float(rng.uniform(1.6, 2.6)), float(rng.uniform(1.2, 1.9)))

@@ -16,20 +16,20 @@ from video2anim.lab.synth.world import CLUTTER_LABELS, FURNITURE_LABELS, Materia
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
 MIN_M = 0.02
 MAX_M = 4.0
-"""An object with a greatest extent outside this range is not in meters, or no object of a room."""
+"""Range of the largest extent of an object; others are not in meters, or are not objects of a room."""
 _FLATTEST_M = 0.002
 _NO_COLOR = (0.62, 0.60, 0.57)
 
 
 def load_meshes(folder: Path) -> tuple[SceneObject, ...]:
-    """All meshes of a folder, by name: meters, +Y up, put on y = 0 with the origin under the middle.
+    """All meshes of a folder, sorted by name: meters, +Y up, moved to y = 0 with the origin below the center.
 
-    Vertex colors are kept; a texture or face colors are baked into the vertices. The label is the first class named
-    at the start of the file's name (`chair_oak.glb` is a chair), else `mesh`.
+    Vertex colors are kept; textures and face colors are baked into the vertices. The label is the class at the start
+    of the file name (`chair_oak.glb` is a chair), else `mesh`.
 
     Raises:
-        InputError: no such folder, none of its files is a mesh, or one is unreadable, empty, flat or of a size that is
-            not an object's in meters.
+        InputError: there is no such folder, it holds no mesh, or a mesh is unreadable, empty, flat or too small or
+            large for an object in meters.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -41,11 +41,11 @@ def load_meshes(folder: Path) -> tuple[SceneObject, ...]:
 
 
 def load_mesh(path: Path) -> SceneObject:
-    """One file; see `load_meshes`."""
+    """The mesh of one file as an object; see `load_meshes`, also for errors."""
     meshes = _read(path)
     points = np.concatenate([np.asarray(mesh.vertices, float)[np.unique(mesh.faces)] for mesh in meshes])
     if not np.isfinite(points).all():
-        raise InputError(f"{path}: mesh has coordinates that are no numbers; export it again")
+        raise InputError(f"{path}: mesh has coordinates that are not finite; export it again")
     low, high = points.min(0), points.max(0)
     extent = high - low
     if extent.max() > MAX_M or extent.max() < MIN_M:
@@ -67,7 +67,7 @@ def _read(path: Path) -> list[trimesh.Trimesh]:
     """Meshes of a file, in its scene's frame."""
     logger = logging.getLogger("trimesh")
     level = logger.level
-    logger.setLevel(logging.CRITICAL)  # what is wrong is said once, by the error below
+    logger.setLevel(logging.CRITICAL)  # the error below reports it once
     try:
         scene = trimesh.load_scene(path)
         meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]

@@ -1,4 +1,4 @@
-"""`make_furniture`: one piece of a class, random within real sizes or to measure."""
+"""`make_furniture`: one piece of furniture, random within real sizes or of a given size."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ def make_furniture(
     surface_height_m: float | None = None,
     palette: Palette | None = None,
 ) -> SceneObject:
-    """One piece in its own frame (front +Z, resting on y = 0, origin under the middle of its box).
+    """One piece in its own frame (front +Z, resting on y = 0, origin below the center of its bounding box).
 
     Args:
-        label: one of `FURNITURE_LABELS`, or a clutter label but `clutter` itself.
-        size_m: width (x) and depth (z) of its surface; drawn from real ranges (see each maker) where None.
-        surface_height_m: height of its seat, top or tread (shelf, lamp, plant: of the whole).
-        palette: materials that suit the room; drawn where None.
+        label: One of `FURNITURE_LABELS`, or of `CLUTTER_LABELS` except `clutter`.
+        rng: Random numbers.
+        size_m: Width (x) and depth (z) of its surface; drawn from real ranges (see each maker) if None.
+        surface_height_m: Height of its seat, top or tread; total height of a shelf, lamp or plant.
+        palette: Materials of the room; drawn at random if None.
 
     Raises:
-        InputError: no such class.
+        InputError: unknown label.
     """
     palette = draw_palette(rng) if palette is None else palette
     if label in ("chair", "armchair", "sofa", "stool"):
@@ -54,4 +55,4 @@ def make_furniture(
         return makers[label](rng, palette, size_m, surface_height_m)
     if label in CLUTTER_LABELS and label != "clutter":
         return make_clutter(label, rng, palette, size_m=size_m)
-    raise InputError(f"no furniture class {label!r}; known are {', '.join(FURNITURE_LABELS)}")
+    raise InputError(f"furniture: want one of {', '.join(FURNITURE_LABELS)}, got {label!r}")

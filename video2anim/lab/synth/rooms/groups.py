@@ -1,4 +1,4 @@
-"""Groups of furniture as people arrange them. Each piece is placed only where it fits."""
+"""Usual arrangements of furniture. Each piece is placed only where it fits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STYLES = ("living", "bedroom", "dining", "office", "studio")
 
 @dataclass(slots=True)
 class Furnisher:
-    """Places pieces of one room."""
+    """Makes and places the furniture of one room."""
 
     plan: Plan
     rng: np.random.Generator
@@ -34,7 +34,7 @@ class Furnisher:
     def beside(
         self, anchor: SceneObject | None, obj: SceneObject, x: float, z: float, yaw: float = 0.0, **rules
     ) -> SceneObject | None:
-        """At (x, z) of the anchor's frame."""
+        """Place an object at (x, z) of the anchor's frame if it fits; None if not, or if there is no anchor."""
         if anchor is None:
             return None
         return self.plan.try_at(obj, anchor.T_world_object @ pose(x, z, yaw), **rules)
@@ -42,7 +42,7 @@ class Furnisher:
     def on_top(
         self, base: SceneObject | None, obj: SceneObject, x: float = 0.0, z: float = 0.0, yaw: float = 0.0
     ) -> None:
-        """On the first surface of another object, at (x, z) from its middle."""
+        """Place an object on the first surface of another, at (x, z) from the surface's center."""
         if base is None or not base.surfaces:
             return
         s = base.surfaces[0]
@@ -63,7 +63,7 @@ def _size(obj: SceneObject) -> tuple[float, float, float]:
 
 
 def living(f: Furnisher) -> None:
-    """Sofa, coffee table, armchair, lamp; television board; shelves."""
+    """Living room: sofa, coffee table, armchair, lamp; media board with television; shelves."""
     sofa = f.plan.against_wall(f.make("sofa"), f.rng, tries=40)
     if sofa is None:
         small = make_furniture("sofa", f.rng, size_m=(1.25, 0.55), palette=f.palette)
@@ -92,7 +92,7 @@ def living(f: Furnisher) -> None:
 
 
 def bedroom(f: Furnisher) -> None:
-    """Bed between night tables, wardrobe, chest or desk, armchair."""
+    """Bedroom: bed with night tables, wardrobe, chest or desk, armchair."""
     bed = f.plan.against_wall(f.make("bed"), f.rng, tries=60)
     for width in (1.4, 0.9):
         for turn in (0.0, np.pi / 2, -np.pi / 2):
@@ -116,7 +116,7 @@ def bedroom(f: Furnisher) -> None:
 
 
 def dining(f: Furnisher) -> None:
-    """Kitchen row and a table with chairs around it."""
+    """Dining room: kitchen row, and a table with chairs."""
     f.plan.against_wall(make_cabinet(f.rng, f.palette, None, None, kind="kitchen"), f.rng, tries=24)
     table = make_table(f.rng, f.palette, None, f.u(0.72, 0.77))
     placed = f.plan.anywhere(table, f.rng, yaw=float(f.rng.choice([0, np.pi / 2])), tries=40, apart_m=0.6)
@@ -129,7 +129,7 @@ def dining(f: Furnisher) -> None:
 
 
 def chairs_around(f: Furnisher, table: SceneObject) -> None:
-    """Alike chairs, pushed in or pulled out a little."""
+    """Equal chairs around a table, pushed in or pulled out a little."""
     w, _, d = _size(table)
     spots = []
     if "round" in table.note:
@@ -159,7 +159,7 @@ def chairs_around(f: Furnisher, table: SceneObject) -> None:
 
 
 def _desk_group(f: Furnisher) -> None:
-    """Desk with screen, chair before it."""
+    """Desk with a screen, and a chair in front of it."""
     desk = f.plan.against_wall(make_desk(f.rng, f.palette, None, None), f.rng, tries=24)
     if desk is None:
         return
@@ -172,7 +172,7 @@ def _desk_group(f: Furnisher) -> None:
 
 
 def office(f: Furnisher) -> None:
-    """Desks, shelves, a cabinet."""
+    """Office: desks, shelves, a cabinet."""
     area = (f.plan.bounds_m[1] - f.plan.bounds_m[0]) * (f.plan.bounds_m[3] - f.plan.bounds_m[2])
     for _ in range(1 + int(area > 20) + int(area > 34)):
         _desk_group(f)
@@ -185,7 +185,7 @@ def office(f: Furnisher) -> None:
 
 
 def studio(f: Furnisher) -> None:
-    """Hall with little in it: chairs along a wall, stools, boxes, a platform."""
+    """Sparsely furnished hall: chairs along a wall, stools, boxes, a platform."""
     chairs = int(f.rng.integers(1, 4))
     number = int(f.rng.integers(2**31))
     for _ in range(chairs):
@@ -207,7 +207,7 @@ ARRANGE: dict[str, Callable[[Furnisher], None]] = {
 
 
 def extras(f: Furnisher, least: int) -> None:
-    """Plants and odds and ends; more until there are `least` pieces besides what the plan began with."""
+    """Plants and small furniture; more until there are `least` pieces besides those that the plan began with."""
     if f.chance(0.75):
         f.plan.against_wall(make_plant(f.rng), f.rng)
     if f.chance(0.3):

@@ -1,4 +1,4 @@
-"""Lamps, windows and sun, balanced so that a gray wall comes out gray."""
+"""Lamps, windows and sun, scaled so that a gray wall renders gray."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from video2anim.lab.synth.rooms.structure import Opening
 from video2anim.lab.synth.world import Light, SceneObject
 
 _SKY_AWAY_M = 1.1
-"""A window's light stands this far outside, so that it falls in as from the sky (glowing panes cast no shadow)."""
+"""Distance of a window's light outside the pane, so that light enters as from the sky (panes cast no shadow)."""
 _TARGET_IRRADIANCE = np.pi * 0.95
-"""A matt surface of albedo a sends back radiance a E / pi: at E = pi it renders as bright as its own color."""
+"""Target irradiance E. A matte surface of albedo a reflects a E / pi: at E = pi it is as bright as its color."""
 
 
 def _unit_rgb(rgb: tuple[float, float, float]) -> np.ndarray:
-    """Tint of brightness one."""
+    """The color scaled to brightness 1."""
     tint = np.asarray(rgb)
     return tint / (tint @ [0.2126, 0.7152, 0.0722])
 
@@ -26,7 +26,7 @@ def _unit_rgb(rgb: tuple[float, float, float]) -> np.ndarray:
 def make_lights(
     rng: np.random.Generator, palette: Palette, plan: Plan, openings: tuple[Opening, ...], lamps: list[SceneObject]
 ) -> tuple[tuple[Light, ...], tuple[float, float, float], list[SceneObject]]:
-    """Lights, ambient irradiance and the ceiling lamps that some of the light comes from."""
+    """Lights, ambient irradiance (linear RGB) and the objects of the ceiling lamps."""
     warm = _unit_rgb(pick(rng, ((1.0, 0.86, 0.68), (1.0, 0.91, 0.78), (1.0, 0.96, 0.90))))
     day = _unit_rgb(pick(rng, ((0.86, 0.93, 1.0), (0.95, 0.97, 1.0), (1.0, 0.97, 0.92))))
     daylight = float(rng.uniform(0.25, 0.75))
@@ -60,7 +60,7 @@ def _light(position: np.ndarray, rgb: np.ndarray, radius: float) -> Light:
 
 
 def _mean_reach(bounds_m: Bounds, place: np.ndarray, windows: list[Opening]) -> float:
-    """Mean of cos / d^2 over the floor and the walls at 1.2 m; one outside reaches what it sees through a window."""
+    """Mean of cos / d^2 over the floor and the walls at 1.2 m height. A light outside shines only through windows."""
     x0, x1, z0, z1 = bounds_m
     x, z = np.meshgrid(np.linspace(x0 + 0.3, x1 - 0.3, 7), np.linspace(z0 + 0.3, z1 - 0.3, 7))
     spots = [(np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], 1), np.array([0.0, 1.0, 0.0]))]
@@ -78,7 +78,7 @@ def _mean_reach(bounds_m: Bounds, place: np.ndarray, windows: list[Opening]) -> 
 
 
 def _seen_through(bounds_m: Bounds, place: np.ndarray, points: np.ndarray, windows: list[Opening]) -> np.ndarray:
-    """1 where the light is in the room, or seen through its window."""
+    """1 for points that a light inside the room, or outside one of the windows, reaches; else 0."""
     for o in windows:
         T_wall = np.linalg.inv(wall_frame(bounds_m, o.side))
         light, local = T_wall[:3, :3] @ place + T_wall[:3, 3], points @ T_wall[:3, :3].T + T_wall[:3, 3]
@@ -90,7 +90,7 @@ def _seen_through(bounds_m: Bounds, place: np.ndarray, points: np.ndarray, windo
 
 
 def _sun(rng: np.random.Generator, bounds_m: Bounds, window: Opening) -> Light:
-    """Parallel light that comes in through one of the windows."""
+    """Parallel sunlight through one of the windows."""
     frame = wall_frame(bounds_m, window.side)
     height, aside = float(rng.uniform(0.45, 0.95)), float(rng.uniform(-0.7, 0.7))
     local = np.array([np.cos(height) * np.sin(aside), -np.sin(height), np.cos(height) * np.cos(aside)])
@@ -103,7 +103,7 @@ def _sun(rng: np.random.Generator, bounds_m: Bounds, window: Opening) -> Light:
 def _ceiling_lamps(
     rng: np.random.Generator, palette: Palette, plan: Plan
 ) -> tuple[list[SceneObject], list[np.ndarray]]:
-    """One lamp, or a grid of them in large rooms; hanging where nobody reaches it, else flush."""
+    """One ceiling lamp, or a grid of them in large rooms: pendants if the ceiling is high enough, else flush."""
     x0, x1, z0, z1 = plan.bounds_m
     nx, nz = max(1, round((x1 - x0) / 4.5)), max(1, round((z1 - z0) / 4.5))
     drop = float(rng.uniform(0.35, 0.7)) if rng.random() < 0.45 else 0.0
@@ -126,7 +126,7 @@ def _ceiling_lamps(
 
 
 def _pendant(rng: np.random.Generator, palette: Palette, drop: float, r: float) -> SceneObject:
-    """Lamp below y = 0: a flush bowl, or a shade on a cord."""
+    """Ceiling lamp below y = 0: a flush bowl, or a shade on a cord."""
     m = Maker(rng)
     if drop == 0.0:
         bowl = [(0.4 * r, -0.085), (0.85 * r, -0.065), (r, -0.03), (r, -0.012)]

@@ -1,4 +1,4 @@
-"""Collecting solids into a `SceneObject`."""
+"""`Maker`: collects solids and surfaces of a `SceneObject`, and poses about the vertical."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Maker:
         return bool(self.rng.random() < share)
 
     def done(self, label: str, note: str) -> SceneObject:
-        """The object with the origin under the middle of its box.
+        """The object, moved so that its origin is below the center of its bounding box.
 
-        An object with surfaces keeps their heights: what dips below the floor (the slanted end of a leg) is pressed
-        flat. Any other object is shifted to rest on y = 0.
+        An object with surfaces keeps their heights; vertices below the floor (slanted ends of legs) are clamped to
+        y = 0. Any other object is shifted to rest on y = 0.
         """
         meshes = [part.vertices_m for part in self.parts]
         if self.surfaces:
@@ -54,7 +54,7 @@ class Maker:
 
 
 def pose(x: float, z: float, yaw: float, y: float = 0.0) -> np.ndarray:
-    """T_world_object of an object whose front looks along (sin yaw, 0, cos yaw)."""
+    """T_world_object of an object whose front faces (sin yaw, 0, cos yaw); meters, radians."""
     T = np.eye(4)
     T[:3, :3] = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
     T[:3, 3] = x, y, z
@@ -62,5 +62,5 @@ def pose(x: float, z: float, yaw: float, y: float = 0.0) -> np.ndarray:
 
 
 def yaw_of(T_world_object: np.ndarray) -> float:
-    """Heading of an upright object."""
+    """Heading of an upright object, radians."""
     return float(np.arctan2(T_world_object[0, 2], T_world_object[2, 2]))

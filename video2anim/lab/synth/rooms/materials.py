@@ -1,4 +1,4 @@
-"""Palettes: paints, woods, fabrics and floors that go together, drawn from ranges seen in real interiors (sRGB)."""
+"""Palettes: paints, woods, fabrics and floors that match, drawn from the ranges of real interiors (sRGB)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LEAF_RGB: tuple[Rgb, ...] = COLORS["leaf"]
 
 @dataclass(frozen=True, slots=True)
 class Palette:
-    """The few materials a room is furnished in."""
+    """The materials of the furniture and structure of a room."""
 
     wall: Material
     accent_wall: Material
@@ -51,7 +51,7 @@ def _number(rng: np.random.Generator) -> int:
 
 
 def pick(rng: np.random.Generator, choices: tuple[Choice, ...]) -> Choice:
-    """One of them."""
+    """A random choice."""
     return choices[int(rng.integers(len(choices)))]
 
 
@@ -69,7 +69,7 @@ def shaded(rgb: Rgb, factor: float) -> Rgb:
 
 
 def wood(rng: np.random.Generator, pair: tuple[Rgb, Rgb] | None = None, gloss: float | None = None) -> Material:
-    """Planed board with grain."""
+    """Wood with grain from a (light, dark) pair of colors."""
     light, dark = pick(rng, WOODS) if pair is None else pair
     gloss = float(rng.uniform(0.05, 0.25)) if gloss is None else gloss
     return Material(
@@ -78,7 +78,7 @@ def wood(rng: np.random.Generator, pair: tuple[Rgb, Rgb] | None = None, gloss: f
 
 
 def plain(rng: np.random.Generator, rgb: Rgb, gloss: float = 0.1, amount: float = 0.015) -> Material:
-    """Paint, plastic or lacquer."""
+    """A plain material with a slightly varied color: paint, plastic or lacquer."""
     return Material("plain", varied(rng, rgb, amount), shaded(rgb, 0.8), 0.1, gloss, 0.0, 0.0, _number(rng))
 
 
@@ -99,7 +99,7 @@ def fabric(rng: np.random.Generator, rgb: Rgb, rgb2: Rgb | None = None, patterne
 
 
 def leather(rng: np.random.Generator) -> Material:
-    """Leather of a color."""
+    """Leather of a random color."""
     rgb = pick(rng, LEATHERS)
     return Material("leather", varied(rng, rgb), shaded(rgb, 0.75), 0.01, 0.3, 0.0, 0.1, _number(rng))
 
@@ -110,12 +110,12 @@ def paper(rng: np.random.Generator, rgb: Rgb) -> Material:
 
 
 def glowing(rgb: Rgb, emission: float) -> Material:
-    """Lamp shade, window pane."""
+    """A light-emitting material: lampshade, window pane."""
     return Material("plain", rgb, rgb, 0.1, 0.0, emission)
 
 
 def draw_palette(rng: np.random.Generator, style: str = "living") -> Palette:
-    """Materials of one room; the floor suits the style."""
+    """Random materials of one room; the floor depends on the style."""
     main, second, accent = pick(rng, FABRIC_SETS)
     pair = pick(rng, WOODS)
     wall = Material(

@@ -1,4 +1,4 @@
-"""The ground plan of a room while it is being furnished: what stands where, and what may still stand."""
+"""The floor plan of a room while it is furnished: placed objects, and tests where another one fits."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from video2anim.lab.synth.world import SceneObject
 
 Bounds = tuple[float, float, float, float]
 _TOUCH_M = 0.001
-"""Objects may touch within this."""
+"""Objects may overlap by this much."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boxes:
-    """Boxes in one frame that is turned about the vertical."""
+    """Axis-aligned boxes in one frame that is rotated about the vertical."""
 
     low_m: Float[np.ndarray, "boxes 3"]
     high_m: Float[np.ndarray, "boxes 3"]
@@ -34,18 +34,18 @@ class Boxes:
         return Boxes(self.low_m, self.high_m, T_world_frame)
 
     def whole(self) -> Boxes:
-        """The one box around all."""
+        """The one box around all boxes."""
         return Boxes(self.low_m.min(0)[None], self.high_m.max(0)[None], self.T_world_frame)
 
     def corners_xz(self) -> Float[np.ndarray, "4 2"]:
-        """Of the box around all, in the world."""
+        """World x, z of the corners of the box around all boxes."""
         (x0, _, z0), (x1, _, z1) = self.low_m.min(0), self.high_m.max(0)
         local = np.array([[x0, 0, z0], [x1, 0, z0], [x1, 0, z1], [x0, 0, z1]])
         return (local @ self.T_world_frame[:3, :3].T + self.T_world_frame[:3, 3])[:, [0, 2]]
 
 
 def overlap(a: Boxes, b: Boxes, margin_m: float = 0.0) -> bool:
-    """Whether any box of one meets any of the other, less than `margin_m` apart (on the ground) counting as meeting."""
+    """Whether any box of `a` overlaps one of `b`, or is horizontally less than `margin_m` away from it."""
     yaw_a, yaw_b = yaw_of(a.T_world_frame), yaw_of(b.T_world_frame)
     level = [
         (boxes.low_m[:, 1] + boxes.T_world_frame[1, 3], boxes.high_m[:, 1] + boxes.T_world_frame[1, 3])
@@ -74,17 +74,17 @@ def overlap(a: Boxes, b: Boxes, margin_m: float = 0.0) -> bool:
 
 @dataclass(slots=True, eq=False)
 class Plan:
-    """Bounds, the people's way and what has been placed."""
+    """Bounds of the room, body points of the people, and the objects placed so far."""
 
     bounds_m: Bounds
     height_m: float
     sweep: SweepIndex
     clear_m: float
-    """Least distance of furniture from the people's way."""
+    """Minimum distance of furniture from body points."""
     placed: list[SceneObject] = field(default_factory=list)
     boxes: list[Boxes] = field(default_factory=list)
     kept_free: list[Boxes] = field(default_factory=list)
-    """Before doors and windows, and where a camera shall stand."""
+    """Spaces in front of doors and windows, and for the camera."""
 
     def keep_free(
         self, low: tuple[float, float, float], high: tuple[float, float, float], T: np.ndarray | None = None
@@ -105,9 +105,14 @@ class Plan:
         ignore_free: bool = False,
         whole: bool = False,
     ) -> bool:
-        """Whether an object may stand there: in the room, off the kept-free places, other objects and the people's way.
+        """Whether an object fits: inside the room, off kept-free spaces, other objects and people.
 
-        With `whole` it keeps `apart_m` from others as one box (no tucking under); else part by part.
+        Args:
+            boxes: Bounding boxes of its parts.
+            apart_m: Minimum distance from other objects.
+            clear_m: Minimum distance from body points; `self.clear_m` if None.
+            ignore_free: Allow it in kept-free spaces.
+            whole: Compare its one bounding box with other objects, so that nothing is tucked under another.
         """
         corners = boxes.corners_xz()
         x0, x1, z0, z1 = self.bounds_m
@@ -124,7 +129,7 @@ class Plan:
         return self.clear_of_people(boxes, self.clear_m if clear_m is None else clear_m)
 
     def clear_of_people(self, boxes: Boxes, clear_m: float) -> bool:
-        """No body point within `clear_m` of any of the boxes."""
+        """Whether no body point is within `clear_m` of any of the boxes."""
         corners = boxes.corners_xz()
         points = self.sweep.near(corners.min(0) - clear_m, corners.max(0) + clear_m)
         if len(points) == 0:
@@ -141,17 +146,18 @@ class Plan:
     # --- ways to find a place -------------------------------------------------------------------------------------
 
     def try_at(self, obj: SceneObject, T: np.ndarray, **rules) -> SceneObject | None:
-        """Put it there if it fits."""
+        """Place an object at a pose if it fits; None if not. `rules`: arguments of `fits`."""
         return self.add(obj.moved(T)) if self.fits(Boxes.of(obj).at(T), **rules) else None
 
     def wall_pose(self, side: int, along_m: float, off_m: float) -> np.ndarray:
-        """Pose facing into the room, `along_m` from the middle of wall `side` (0 = -Z, 1 = +X, 2 = +Z, 3 = -X)."""
+        """Pose facing into the room, `along_m` from the center of wall `side` (0 = -Z, 1 = +X, 2 = +Z, 3 = -X)."""
         return wall_frame(self.bounds_m, side) @ pose(along_m, off_m, 0.0)
 
     def against_wall(
         self, obj: SceneObject, rng: np.random.Generator, *, tries: int = 16, turn: float = 0.0, **rules
     ) -> SceneObject | None:
-        """Somewhere with its back to a wall, or with its side when turned by a quarter; corners are liked."""
+        """Place an object at a random spot with its back to a wall (its side if `turn` is pi / 2), often in a
+        corner."""
         boxes = Boxes.of(obj)
         extent = boxes.high_m.max(0) - boxes.low_m.min(0)
         if abs(np.sin(turn)) > 0.5:
@@ -180,7 +186,7 @@ class Plan:
         loose_rad: float = 0.1,
         **rules,
     ) -> SceneObject | None:
-        """As near to the people's way as `clear_m` allows: moved in from outside along a random line."""
+        """Place an object as near to the people as `clear_m` allows, moved towards them along a random line."""
         boxes = Boxes.of(obj)
         radius = float(np.linalg.norm((boxes.high_m.max(0) - boxes.low_m.min(0))[[0, 2]]) / 2)
         for _ in range(tries):
@@ -200,7 +206,7 @@ class Plan:
     def anywhere(
         self, obj: SceneObject, rng: np.random.Generator, *, tries: int = 16, yaw: float | None = None, **rules
     ) -> SceneObject | None:
-        """Somewhere on the floor."""
+        """Place an object at a random spot on the floor."""
         x0, x1, z0, z1 = self.bounds_m
         boxes = Boxes.of(obj)
         for _ in range(tries):
@@ -212,7 +218,7 @@ class Plan:
 
 
 def wall_frame(bounds_m: Bounds, side: int) -> Float[np.ndarray, "4 4"]:
-    """Origin at the foot of the middle of a wall's inner face, +X along it, +Z into the room."""
+    """T_world_wall: origin at the center of the inner face's lower edge, +X along the wall, +Z into the room."""
     x0, x1, z0, z1 = bounds_m
     cx, cz = (x0 + x1) / 2, (z0 + z1) / 2
     x, z, yaw = ((cx, z0, 0.0), (x1, cz, -np.pi / 2), (cx, z1, np.pi), (x0, cz, np.pi / 2))[side]

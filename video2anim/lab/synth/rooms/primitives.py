@@ -1,7 +1,7 @@
-"""Closed, outward-oriented solids that furniture is put together from. Meters, +Y up.
+"""Closed, outward-oriented solids of which furniture is composed. Meters, radians, +Y up.
 
 A solid is a pair (vertices (V, 3), faces (F, 3)), counter-clockwise seen from outside. `y` is always the height of the
-lower end, `x` and `z` the middle.
+lower end, `x` and `z` are the center.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ Mesh = tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]
 
 
 def loft(rings: Float[np.ndarray, "rings points 3"], closed_loop: bool = False) -> Mesh:
-    """Skin over rings of equally many points, each counter-clockwise seen from the end; flat lids unless a loop."""
+    """Surface through rings of equally many points, counter-clockwise seen from the last ring; flat caps unless a
+    loop."""
     count, points = rings.shape[:2]
     vertices = rings.reshape(-1, 3)
     i = np.arange(points)
@@ -75,7 +76,7 @@ def soft_box(
 def block(
     width: float, height: float, depth: float, *, x: float = 0.0, y: float = 0.0, z: float = 0.0, edge: float = 0.004
 ) -> Mesh:
-    """Board or leg: a box with slightly broken edges."""
+    """Board or leg: a box with slightly beveled edges."""
     return soft_box(width, height, depth, min(edge, 0.2 * min(width, height, depth)), x=x, y=y, z=z, steps=1)
 
 
@@ -99,7 +100,8 @@ def taper(
     z: float = 0.0,
     lean: tuple[float, float] = (0.0, 0.0),
 ) -> Mesh:
-    """Square leg of other size (x, z) at the bottom than at the top; the foot is `lean` away from under the top."""
+    """Tapered square leg with sizes (x, z) at bottom and top; its foot is offset by `lean` (x, z) from below the
+    top."""
     ring = np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]]) / 2
     rings = []
     for share in np.linspace(0, 1, 4):
@@ -139,7 +141,7 @@ def cylinder(
     sides: int = 20,
     top: float | None = None,
 ) -> Mesh:
-    """Round leg, pot or column; `top` is the radius at the upper end. Edges a little broken."""
+    """Round leg, pot or column with slightly beveled edges; `top` is the radius at the upper end."""
     top = radius if top is None else top
     edge = min(0.003, 0.2 * height, 0.3 * radius, 0.3 * top)
     profile = [(radius - edge, 0), (radius, edge), (top, height - edge), (top - edge, height)]
@@ -147,7 +149,7 @@ def cylinder(
 
 
 def tube(points: Float[np.ndarray, "points 3"], radius: float | Sequence[float] | np.ndarray, sides: int = 10) -> Mesh:
-    """Round bar along a bent line with flat ends."""
+    """Round bar along a curve, with flat ends."""
     points = np.asarray(points, float)
     radii = np.broadcast_to(np.asarray(radius, float), (len(points),))
     along = np.gradient(points, axis=0)
@@ -169,7 +171,7 @@ def bar(start: Sequence[float] | np.ndarray, end: Sequence[float] | np.ndarray, 
 
 
 def ribbon(line_xz: Float[np.ndarray, "points 2"], thickness: float, height: float, y: float = 0.0) -> Mesh:
-    """Upright sheet of some thickness along a bent line on the ground: bent back rests, curtains."""
+    """Vertical sheet along a curve in the xz plane, for curved backrests and curtains."""
     line = np.asarray(line_xz, float)
     along = np.gradient(line, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -184,7 +186,7 @@ def ribbon(line_xz: Float[np.ndarray, "points 2"], thickness: float, height: flo
 def pillow(
     width: float, height: float, depth: float, *, x: float = 0.0, y: float = 0.0, z: float = 0.0, power: float = 0.45
 ) -> Mesh:
-    """Stuffed cushion: a squashed ball with four corners, lying flat."""
+    """Stuffed cushion lying flat: a superellipsoid with four corners."""
     across = np.arange(24) / 24 * 2 * np.pi
     up = np.linspace(-np.pi / 2, np.pi / 2, 9)[1:-1]
     root = lambda v, p: np.sign(v) * np.abs(v) ** p  # noqa: E731
@@ -212,7 +214,7 @@ def leaf(length: float, width: float, droop: float, thickness: float = 0.002) ->
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
-    """Several solids as one list of faces."""
+    """Several solids as one mesh."""
     starts = np.cumsum([0, *[len(v) for v, _ in meshes]])
     faces = [f + start for (_, f), start in zip(meshes, starts, strict=False)]
     return np.concatenate([v for v, _ in meshes]), np.concatenate(faces)
@@ -228,7 +230,7 @@ def moved(
     pitch: float = 0.0,
     roll: float = 0.0,
 ) -> Mesh:
-    """Turned about Z (roll), X (pitch), Y (yaw), in this order, then shifted."""
+    """The solid rotated about Z (roll), X (pitch), Y (yaw), in this order, then shifted."""
     vertices, faces = mesh
     return vertices @ rotation(yaw, pitch, roll).T + np.array([x, y, z]), faces
 
@@ -249,5 +251,5 @@ def volume_m3(mesh: Mesh) -> float:
 
 
 def oriented(mesh: Mesh) -> Mesh:
-    """The same solid with its faces outwards."""
+    """The solid with its faces oriented outward."""
     return mesh if volume_m3(mesh) >= 0 else (mesh[0], mesh[1][:, ::-1].copy())

@@ -1,4 +1,4 @@
-"""Objects that a procedural motion needs, built to measure at the exact place."""
+"""Builds the objects that a procedural motion needs, with the size and place that it needs."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from video2anim.lab.synth.rooms.storage import make_cabinet, make_shelf
 from video2anim.lab.synth.rooms.tables import make_bed, make_box, make_desk, make_step, make_table
 from video2anim.lab.synth.world import Prop, SceneObject
 
-DEEPEST_M = 0.002
-"""No body point of the clip may be deeper in an object than this."""
+MAX_PENETRATION_M = 0.002
+"""Largest allowed depth of a body point in an object."""
 _SCREENED = 150_000
-"""About so many points decide which designs are looked at closely."""
+"""Approximate number of body points for a first test of a design."""
 ITEM_NOTE = "item of prop "
-"""Start of the note of an object that is picked up (the number of the prop follows)."""
+"""Start of the note of an object that is picked up; the index of its prop follows."""
 
 
 def prop_pose(prop: Prop) -> Float[np.ndarray, "4 4"]:
@@ -36,21 +36,22 @@ def prop_pose(prop: Prop) -> Float[np.ndarray, "4 4"]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Site:
-    """Where props are built, and whom they must not enter."""
+    """Room and body points that limit how props are built."""
 
     palette: Palette
     points: PointSet
     bounds_m: Bounds
-    allowed_m: float = DEEPEST_M
-    """How deep people may be in the least bad design where none is free of them."""
+    allowed_m: float = MAX_PENETRATION_M
+    """Allowed depth of body points in the best design, if no design is free of them."""
 
 
 def build_props(props: tuple[Prop, ...], rng: np.random.Generator, site: Site) -> list[SceneObject]:
-    """One object per prop (none for a wall prop that a wall of the room serves), each in a design the people do not
-    go through, none into another.
+    """One object per prop, in a design that no body and no other object enters.
+
+    There is none for a `wall` prop that is a wall of the room.
 
     Raises:
-        InputError: nothing that serves a prop fits beside the people's way.
+        InputError: no design for a prop fits.
     """
     made: list[SceneObject] = []
     alike = int(rng.integers(2**31))  # steps of a flight
@@ -66,7 +67,7 @@ def build_props(props: tuple[Prop, ...], rng: np.random.Generator, site: Site) -
 
 
 def serving_wall(prop: Prop, bounds_m: Bounds) -> int | None:
-    """The wall of the room that a `wall` prop lies on (0 = -Z, 1 = +X, 2 = +Z, 3 = -X), if any."""
+    """Side of the room's wall on which a `wall` prop lies (0 = -Z, 1 = +X, 2 = +Z, 3 = -X); None if there is none."""
     facing = np.array([np.sin(prop.yaw_rad), np.cos(prop.yaw_rad)])
     for side, (axis, sign, edge) in enumerate(((1, 1, 2), (0, -1, 1), (1, -1, 3), (0, 1, 0))):
         at = prop.position_m[2] if axis else prop.position_m[0]
@@ -78,7 +79,7 @@ def serving_wall(prop: Prop, bounds_m: Bounds) -> int | None:
 def _first_clear(
     number: int, prop: Prop, rng: np.random.Generator, site: Site, others: list[SceneObject]
 ) -> SceneObject:
-    """The first design that nobody goes through."""
+    """The first design that no body enters, else the best one within `site.allowed_m`."""
     T = prop_pose(prop)
     near = site.points.near(np.array(prop.position_m), 2.6)
     local = (near - T[:3, 3]) @ T[:3, :3]
@@ -86,28 +87,28 @@ def _first_clear(
     best, min_bad = np.inf, None
     for candidate in _candidates(prop, rng, site.palette, local):
         placed = candidate.moved(T @ candidate.T_world_object)
-        deepest = some.deepest_m(placed)
-        if deepest <= DEEPEST_M:
-            deepest = site.points.deepest_m(placed)
+        deepest = some.max_depth_m(placed)
+        if deepest <= MAX_PENETRATION_M:
+            deepest = site.points.max_depth_m(placed)
         boxes = Boxes.of(placed)
         corners = boxes.corners_xz()
         x0, x1, z0, z1 = site.bounds_m
         inside = corners[:, 0].min() >= x0 and corners[:, 0].max() <= x1 and corners[:, 1].min() >= z0
         inside = inside and corners[:, 1].max() <= z1
         apart = prop.kind == "step" or not any(overlap(boxes, Boxes.of(other)) for other in others)
-        if deepest <= DEEPEST_M and inside and apart:
+        if deepest <= MAX_PENETRATION_M and inside and apart:
             return replace(placed, note=f"prop {number} {prop.kind}: {placed.note}")
         if inside and apart and deepest < best:
             best, min_bad = deepest, placed
-    if min_bad is not None and site.points.deepest_m(min_bad) <= site.allowed_m:
+    if min_bad is not None and site.points.max_depth_m(min_bad) <= site.allowed_m:
         return replace(min_bad, note=f"prop {number} {prop.kind}: {min_bad.note}")
     size = f"{prop.size_m[0]:.2f} x {prop.size_m[1]:.2f} m"
     why = (
-        f"people go at least {100 * best:.1f} cm deep into every design"
+        f"bodies are at least {100 * best:.1f} cm deep in every design"
         if best < np.inf
-        else "it stands in a wall or prop"
+        else "every design overlaps a wall or another prop"
     )
-    raise InputError(f"no {prop.kind} of {size} fits at {_place(prop)}: {why}; act the motion again")
+    raise InputError(f"no {prop.kind} of {size} fits at {_place(prop)}: {why}; draw the motion again")
 
 
 def _place(prop: Prop) -> str:
@@ -115,13 +116,13 @@ def _place(prop: Prop) -> str:
 
 
 def _onto(obj: SceneObject, x: float, z: float, index: int = 0) -> SceneObject:
-    """The object with the middle of one of its surfaces above (x, z) of the prop's frame."""
+    """The object with the center of one of its surfaces above (x, z) of the prop's frame."""
     cx, cz = obj.surfaces[index].center_m
     return obj.moved(pose(x - cx, z - cz, 0.0))
 
 
 def _candidates(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.ndarray) -> Iterator[SceneObject]:
-    """Designs in the prop's frame, the most usual first, the barest last."""
+    """Designs in the prop's frame, from the most usual to the simplest."""
     makers = {"seat": _seats, "bed": _beds, "table": _tables, "step": _steps, "wall": _walls}
     if prop.kind not in makers:
         raise InputError(f"unknown kind of prop {prop.kind!r}; known are {', '.join((*makers, 'item'))}")
@@ -163,7 +164,7 @@ def _seats(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.nda
 def _fitted_back(
     prop: Prop, back: Back | None, local: np.ndarray, rng: np.random.Generator
 ) -> tuple[Back, float] | None:
-    """A rest whose plane just touches the sitter's back (`prop.back`) or stays clear of it, and where it starts (z)."""
+    """A backrest that touches the sitter's back (if `prop.back`) or stays clear of it, and the z at which it starts."""
     if back is None:
         return None
     h = prop.position_m[1]
@@ -186,7 +187,7 @@ def _fitted_back(
 
 
 def _beds(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.ndarray) -> Iterator[SceneObject]:
-    """The edge one sits on (+Z) stays; the bed grows away from it. Its head is at the end where the heads lie."""
+    """Beds with their +Z edge at the prop's, where people sit; they extend away from it. Heads lie at the head end."""
     (w, d), h = prop.size_m, prop.position_m[1]
     across = w > d
     first = np.pi if _heads_up(prop, local, 0 if across else 2) else 0.0
@@ -206,7 +207,7 @@ def _beds(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.ndar
 
 
 def _heads_up(prop: Prop, local: np.ndarray, axis: int) -> bool:
-    """Whether lying people's heads are towards the positive end: trunk, head and arms have more points than legs."""
+    """Whether the heads of lying people are at the positive end: the half with more body points (trunk, head, arms)."""
     (w, d), h = prop.size_m, prop.position_m[1]
     over = (np.abs(local[:, 0]) < w / 2) & (np.abs(local[:, 2]) < d / 2)
     over &= (local[:, 1] > h - 0.03) & (local[:, 1] < h + 0.3)
@@ -217,7 +218,7 @@ def _heads_up(prop: Prop, local: np.ndarray, axis: int) -> bool:
 
 
 def _tables(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.ndarray) -> Iterator[SceneObject]:
-    """The near edge stays where the prop ends; the table grows sideways and away from the person."""
+    """Tables with their near edge at the prop's; they extend sideways and away from the person."""
     (w, d), h = prop.size_m, prop.position_m[1]
     if h < 0.62:
         labels = ("table", "cabinet", "box")
@@ -265,7 +266,8 @@ def _steps(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.nda
 
 
 def _walls(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.ndarray) -> Iterator[SceneObject]:
-    """Its front plane is the prop's: the back of a wardrobe, a pillar or a free-standing wall."""
+    """Vertical surfaces with their front in the prop's plane: the back of a wardrobe, a pillar or a free-standing
+    wall."""
     w = max(prop.size_m[0], 0.4)
     for share in (1.0, 0.4, 0.0):
         wide = w + share * float(rng.uniform(0.2, 0.8))
@@ -292,7 +294,7 @@ def _walls(prop: Prop, rng: np.random.Generator, palette: Palette, local: np.nda
 def _item(
     number: int, prop: Prop, rng: np.random.Generator, site: Site, others: list[SceneObject]
 ) -> list[SceneObject]:
-    """The small object, and a stand below it where nothing carries it. The hand may hold it, so it may touch people."""
+    """The small object, and a stand below it if nothing supports it. It may touch people: a hand holds it."""
     label = pick(rng, ITEM_LABELS)
     size = (min(prop.size_m[0], 0.25), min(prop.size_m[1], 0.25))
     if label == "box":

@@ -1,4 +1,4 @@
-"""Chairs, stools, armchairs and sofas. The top of the seat is flat and lies exactly at the height asked for."""
+"""Chairs, stools, armchairs and sofas. The top of the seat is flat and exactly at the given height."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from video2anim.lab.synth.world import Material, SceneObject
 
 @dataclass(frozen=True, slots=True)
 class Back:
-    """A rest whose front starts at the rear edge of the seat."""
+    """A backrest whose front starts at the rear edge of the seat."""
 
     tilt_rad: float
     height_m: float
-    """Above the seat."""
+    """Height of the top above the seat."""
 
 
 @dataclass(frozen=True, slots=True)
 class Seat:
-    """What the seat must be: the flat rectangle one sits on, and what rises beside and behind it."""
+    """Sizes of a seat: the flat rectangle to sit on, backrest and armrests."""
 
     width_m: float
     depth_m: float
@@ -44,7 +44,7 @@ class Seat:
 
 
 def draw_seat(label: str, rng: np.random.Generator, size_m: tuple[float, float] | None = None) -> Seat:
-    """Usual sizes (meters).
+    """Random usual sizes (meters). `size_m`: width and depth, if they are given.
 
     chair: seat 0.40-0.50 wide, 0.40-0.46 deep, 0.43-0.48 high; stool 0.30-0.42, 0.42-0.50 or 0.62-0.75 (bar) high;
     armchair 0.52-0.62, 0.50-0.58, 0.38-0.45; sofa 1.25-2.0, 0.52-0.62, 0.38-0.46.
@@ -68,7 +68,7 @@ def draw_seat(label: str, rng: np.random.Generator, size_m: tuple[float, float] 
 
 
 def make_seat(label: str, seat: Seat, rng: np.random.Generator, palette: Palette) -> SceneObject:
-    """Build one in a random design."""
+    """A seat of given sizes in a random design."""
     m = Maker(rng)
     m.surface("seat", seat.height_m, (seat.width_m, seat.depth_m))
     if label == "stool":
@@ -81,7 +81,7 @@ def make_seat(label: str, seat: Seat, rng: np.random.Generator, palette: Palette
 
 
 def _leaned(mesh: Mesh, seat: Seat) -> Mesh:
-    """From the frame of the back (origin at the middle of its lower front edge) to that of the seat."""
+    """A solid moved from the frame of the back (origin at the center of its lower front edge) to that of the seat."""
     assert seat.back is not None
     return moved(mesh, y=seat.height_m, z=-seat.depth_m / 2, pitch=-seat.back.tilt_rad)
 
@@ -242,7 +242,7 @@ def _chair_arms(m: Maker, seat: Seat, frame: Material) -> None:
 
 
 def _upholstered(m: Maker, p: Palette, seat: Seat, label: str) -> str:
-    """Armchair or sofa: base, seat cushions, back cushions, side rests."""
+    """Armchair or sofa: base, seat cushions, back cushions, armrests."""
     cover = pick(m.rng, (p.fabric, p.fabric, p.fabric2, p.leather))
     w, d, h = seat.width_m, seat.depth_m, seat.height_m
     back_m, arm_m = m.uniform(0.12, 0.2), m.uniform(0.09, 0.2)
@@ -287,7 +287,7 @@ def _upholstered(m: Maker, p: Palette, seat: Seat, label: str) -> str:
 
 
 def seat_pad(seat: Seat, rng: np.random.Generator, palette: Palette) -> SceneObject:
-    """The least object to sit on: an upholstered cube with nothing beside or behind."""
+    """The simplest seat: an upholstered cube without backrest and armrests."""
     m = Maker(rng)
     m.surface("seat", seat.height_m, (seat.width_m, seat.depth_m))
     cover = pick(rng, (palette.fabric, palette.accent, palette.leather))

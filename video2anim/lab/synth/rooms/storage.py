@@ -35,8 +35,12 @@ def make_shelf(
     """Open shelf 0.6-1.2 x 0.26-0.38 m, 0.8-2.1 m high, with books and boxes.
 
     Args:
-        height_m: height of the whole.
-        board_m: a board has its top exactly here and stays free of objects, with open room of 0.35 m above.
+        rng: Random numbers.
+        palette: Materials of the room.
+        size_m: Width and depth; random if None.
+        height_m: Total height; random if None.
+        board_m: Height of the top of a board that stays empty, with 0.35 m of space above it; None = no such board.
+        fill: Probability that another board is filled.
     """
     m = Maker(rng)
     w, d = size_m or (m.uniform(0.6, 1.2), m.uniform(0.26, 0.38))
@@ -80,7 +84,7 @@ def _board_levels(m: Maker, height_m: float | None, board_m: float | None) -> li
 
 
 def _fill_board(m: Maker, level: float, width: float, depth: float, clear: float) -> None:
-    """A row of books, some lying, now and then a storage box; merged by color."""
+    """Fill a board with books, some of them lying, and sometimes a storage box; solids are merged by color."""
     x, end = -width / 2 + 0.004, width / 2 - 0.004
     rows: dict[int, list[Mesh]] = {}
     if m.chance(0.2) and clear > 0.16:
@@ -176,7 +180,7 @@ def _kind_for(height_m: float) -> str:
 
 
 def _fronts(m: Maker, p: Palette, kind: str, front: Material, w: float, h: float, low: float, z: float) -> None:
-    """Doors and drawers with handles before the body."""
+    """Doors and drawers with handles in front of the body."""
     knob = m.chance(0.5)
     columns = max(1, round(w / (0.5 if kind != "chest" else 0.95)))
     each = (w - 0.012) / columns

@@ -1,4 +1,4 @@
-"""What belongs to the room itself: floor, walls with windows and a door, ceiling, skirting, rugs, pictures."""
+"""Structure of a room: floor, walls with windows and a door, ceiling, skirting, rugs, pictures."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from video2anim.lab.synth.world import Material, SceneObject
 
 WALL_M = 0.16
 RUG_M = 0.004
-"""Thickness of rugs; feet press into them."""
+"""Thickness of rugs. Feet sink into them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A window or door in a wall, along the wall (x) and up (y)."""
+    """A window or door in a wall: its range along the wall (x) and up (y), in the frame of `wall_frame`."""
 
     kind: str
     side: int
@@ -38,7 +38,7 @@ def draw_openings(
     style: str,
     avoid: tuple[tuple[int, float, float], ...] = (),
 ) -> tuple[Opening, ...]:
-    """One door and one to three windows; none within the (side, x0, x1) stretches to avoid."""
+    """One door and one to three windows, none of them within the parts of walls (side, x0, x1) in `avoid`."""
     sides = [int(s) for s in rng.permutation(4)]
     found: list[Opening] = []
     width = float(rng.uniform(0.82, 0.95))
@@ -75,7 +75,7 @@ def make_shell(
     openings: tuple[Opening, ...],
     bare: tuple[tuple[int, float, float], ...] = (),
 ) -> list[SceneObject]:
-    """Floor, ceiling, four walls, skirting (none within the (side, x0, x1) stretches `bare`), doors and windows."""
+    """Floor, ceiling, four walls, skirting (but not on the parts of walls (side, x0, x1) in `bare`), doors, windows."""
     x0, x1, z0, z1 = bounds_m
     cx, cz = (x0 + x1) / 2, (z0 + z1) / 2
     wide, deep = x1 - x0 + 2 * WALL_M, z1 - z0 + 2 * WALL_M
@@ -112,7 +112,7 @@ def _wall(
     holes: tuple[Opening, ...],
     material: Material,
 ) -> SceneObject:
-    """Solid boxes around the holes; walls on the Z sides reach around the corners."""
+    """A wall as solid boxes around its holes. Walls on the Z sides include the corners."""
     m = Maker(rng)
     end = length / 2 + WALL_M - 0.002
     x = -end
@@ -150,7 +150,7 @@ def _skirting(
 
 
 def _door(rng: np.random.Generator, palette: Palette, frame: np.ndarray, o: Opening) -> SceneObject:
-    """Leaf with two panels, casing and handle; set a little back in the wall."""
+    """Door leaf with two panels, casing and handle, set back a little in the wall."""
     m = Maker(rng)
     w, h, cx = o.x1 - o.x0, o.y1, (o.x0 + o.x1) / 2
     leaf = pick(rng, (palette.trim, palette.wood, plain(rng, (0.88, 0.87, 0.85), 0.2)))
@@ -170,7 +170,7 @@ def _door(rng: np.random.Generator, palette: Palette, frame: np.ndarray, o: Open
 
 
 def _window(rng: np.random.Generator, palette: Palette, frame: np.ndarray, o: Opening) -> SceneObject:
-    """Casement with a bright pane, sill, and curtains on a rod where wanted."""
+    """Window with a bright pane and a sill, and curtains on a rod if `o.curtains`."""
     m = Maker(rng)
     w, h, cx, z = o.x1 - o.x0, o.y1 - o.y0, (o.x0 + o.x1) / 2, -0.1
     sky = varied(rng, pick(rng, ((0.80, 0.88, 0.97), (0.93, 0.94, 0.95), (0.74, 0.84, 0.95))), 0.02)
@@ -200,7 +200,7 @@ def _window(rng: np.random.Generator, palette: Palette, frame: np.ndarray, o: Op
 def make_rug(
     rng: np.random.Generator, palette: Palette, size_m: tuple[float, float], x: float, z: float, yaw: float
 ) -> SceneObject:
-    """Thin carpet under everything; round now and then."""
+    """Rug at (x, z) on the floor, sometimes round."""
     m = Maker(rng)
     if rng.random() < 0.2:
         r = min(size_m) / 2
@@ -211,7 +211,7 @@ def make_rug(
 
 
 def make_picture(rng: np.random.Generator, palette: Palette, size_m: tuple[float, float]) -> SceneObject:
-    """Framed picture; origin at the middle of its lower edge, back on z = 0."""
+    """Framed picture; origin at the center of its lower edge, back on z = 0."""
     m = Maker(rng)
     w, h = size_m
     edge = float(rng.uniform(0.015, 0.04))

@@ -1,4 +1,4 @@
-"""Tables, desks and beds: flat tops exactly at the height asked for."""
+"""Tables, desks, beds, steps and boxes. Their tops are flat and exactly at the given height."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def legs_under(m: Maker, style: str, material: Material, w: float, d: float, top
 
 
 def make_desk(rng: np.random.Generator, palette: Palette, size_m: Size | None, height_m: float | None) -> SceneObject:
-    """Writing desk 1.0-1.7 x 0.55-0.8 x 0.70-0.76 m; one sits on its +Z side. Often with a pedestal of drawers."""
+    """Writing desk 1.0-1.7 x 0.55-0.8 x 0.70-0.76 m, to sit at on its +Z side, often with drawers."""
     m = Maker(rng)
     w, d = size_m or (m.uniform(1.0, 1.7), m.uniform(0.55, 0.8))
     h = height_m or m.uniform(0.70, 0.76)
@@ -126,9 +126,9 @@ def make_desk(rng: np.random.Generator, palette: Palette, size_m: Size | None, h
 def make_bed(
     rng: np.random.Generator, palette: Palette, size_m: Size | None, height_m: float | None, *, flat: bool = False
 ) -> SceneObject:
-    """Bed 0.9-1.8 x 1.95-2.1 m, lying height 0.40-0.60 m; head towards -Z.
+    """Bed 0.9-1.8 x 1.95-2.1 m, surface at 0.40-0.60 m, head towards -Z.
 
-    With `flat` nothing rises above the lying surface but the headboard beyond its end (for people who lie on it).
+    With `flat` there is no bedding: only the headboard, beyond the end, is higher than the surface.
     """
     m = Maker(rng)
     w, length = size_m or (pick(rng, (0.9, 1.2, 1.4, 1.6, 1.8)), m.uniform(1.95, 2.1))

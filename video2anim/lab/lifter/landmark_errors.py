@@ -1,4 +1,4 @@
-"""What the landmark model makes of bodies: errors of rendered people on other motions, a border, limbs that stick."""
+"""Simulated output of the landmark model: measured errors on other motions, errors at the border, frozen limbs."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from video2anim.humans.landmarks import MIRROR_KEYPOINT
 from video2anim.lab.lifter.residuals import ResidualLibrary
 
 _SEGMENT, _BLENDED = 32, 8
-"""Frames that the errors of one run last, and over which they go over into the next run's."""
+"""Number of frames that take the errors of one run, and number of frames of the transition to the next run."""
 _CANDIDATES = 24
-"""Of so many runs of residuals the one is taken whose pose is nearest."""
+"""Of this many random runs of residuals, the one with the nearest pose is taken."""
 _SCALE_2D, _SCALE_3D = (0.2, 1.1), (0.2, 1.2)
-"""Range of the factor by which a window's errors differ from those of rendered people, near the shipped weights' one.
-In the one run that was made with small ones (median 0.33) the network was better on simulated windows and worse on real
-clips; other objects had changed as well, so the cause is not known."""
+"""Range of the factor on a window's measured errors. The shipped weights were trained with nearly this range. In a
+single run with smaller factors (median 0.33) the network was better on simulated windows and worse on real clips; other
+settings had changed too, so the cause is not known."""
 _LIMB_SCALE = 0.3
-"""Deviation of the logarithm for each limb."""
+"""Standard deviation of the logarithm of a further factor for each limb."""
 _DEPTH_SCALE, _SIZE_SCALE, _TILT_RAD = 0.07, 0.04, 0.05
-"""Deviations of the window's errors that all 3D landmarks share: stretch in depth (log), size (log), tilt."""
+"""Standard deviations of errors that all 3D landmarks of a window share: depth scale (log), size (log), tilt."""
 _BIAS_M, _JITTER_M = 0.012, 0.006
 _BORDER_2D, _BORDER_M, _BORDER_FRAMES = 0.25, 0.12, 8
-"""Errors of keypoints outside the picture, in sizes of the person and meters, and in how many frames they change."""
+"""Errors of keypoints outside the picture, relative to the person's size and in meters; frames between changes."""
 _FROZEN, _SWAPPED, _MISSING, _LONG_MISSING = 0.1, 0.06, 0.12, 0.05
-"""Shares of the windows."""
+"""Share of the windows with frozen limbs, swapped limbs, missing frames, long gaps."""
 _FAULT_FRAMES, _MISSING_FRAMES, _LONG_FRAMES = (3, 20), (1, 12), (12, 45)
 _LIMBS = ("left_arm", "right_arm", "left_leg", "right_leg")
 _ARM = ("elbow", "wrist", "index", "pinky")
@@ -37,7 +37,7 @@ _LEG = ("knee", "ankle", "heel", "big_toe")
 
 
 def _limb_masks() -> Bool[Tensor, "5 keypoints"]:
-    """Keypoints of the four limbs, and the rest."""
+    """Masks of the keypoints of the four limbs, and of all others."""
     rows = [
         [
             name.startswith(limb.split("_")[0]) and name.split("_", 1)[1] in (_ARM if "arm" in limb else _LEG)
@@ -55,8 +55,8 @@ _MIRROR = torch.from_numpy(MIRROR_KEYPOINT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sightings:
-    """Landmarks as the model would give them, in the frame of the true viewing ray."""
+class SimulatedLandmarks:
+    """Simulated landmarks in the frame of the true viewing ray."""
 
     directions: Float[Tensor, "batch frames keypoints 2"]
     points_m: Float[Tensor, "batch frames keypoints 3"]
@@ -80,14 +80,17 @@ class LandmarkErrors:
         directions: Float[Tensor, "batch frames keypoints 2"],
         relative_m: Float[Tensor, "batch frames keypoints 3"],
         inside: Bool[Tensor, "batch frames keypoints"],
-    ) -> Sightings:
-        """Errors on true directions and points about the middle of the hips.
+    ) -> SimulatedLandmarks:
+        """Landmarks with random errors.
 
         Args:
-            inside: keypoints within the picture's border.
+            rng: Random numbers.
+            directions: True x, y of the viewing rays at depth 1, in the frame of the viewing ray.
+            relative_m: True keypoints relative to the center of the hips.
+            inside: Whether a keypoint is inside the picture.
         """
         batch, frames = directions.shape[:2]
-        # The viewing ray goes through the hips: directions are about their middle already, as sizes are meant to be.
+        # The viewing ray goes through the center of the hips, so directions are already relative to it, as sizes need.
         size = directions.square().sum(-1).mean(-1).sqrt()[..., None, None]
         error, error_m, visibility = self._residuals(rng, relative_m)
         bias = _normal(rng, (batch, 1, len(_MIRROR), 3), _BIAS_M) + _normal(rng, error_m.shape, _JITTER_M)
@@ -102,14 +105,14 @@ class LandmarkErrors:
         frames_of, keypoints_of = _faults(rng, batch, frames)
         window = torch.arange(batch)[:, None, None]
         valid = _present(rng, batch, frames) & (inside.float().mean(-1) > 0.35)
-        return Sightings(
+        return SimulatedLandmarks(
             seen[window, frames_of, keypoints_of], seen_m[window, frames_of, keypoints_of], visibility, valid
         )
 
     def _residuals(
         self, rng: np.random.Generator, relative_m: Float[Tensor, "batch frames keypoints 3"]
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Errors of runs that were in much the same pose, one after the other until all frames have one."""
+        """Errors from runs with a similar pose, one after the other until all frames have errors."""
         batch, frames = relative_m.shape[:2]
         phase = rng.integers(0, _SEGMENT, (batch, 1))
         segments = (frames + _SEGMENT - 1) // _SEGMENT + 2
@@ -126,7 +129,7 @@ class LandmarkErrors:
         rows = []
         for segment in (here, here + 1):
             chosen, first = (np.take_along_axis(part, segment, -1) for part in (run, offset))
-            # A run that ends is gone through backward.
+            # At its end a run is continued backward.
             last = np.maximum(self._length[chosen] - 1, 1)
             step = np.abs((first + place - segment * _SEGMENT + 2 * last) % (2 * last))
             rows.append(torch.from_numpy(self._start[chosen] + np.minimum(step, 2 * last - step)))
@@ -139,7 +142,7 @@ class LandmarkErrors:
 
 
 def _warped(rng: np.random.Generator, relative_m: Tensor) -> Tensor:
-    """3D landmarks that are too flat or deep, too large or small, and tilted, as a whole."""
+    """3D landmarks with a random common depth scale, size and tilt."""
     batch = len(relative_m)
     size = _log_normal(rng, (batch, 1, 1, 1), 0.0, _SIZE_SCALE).repeat(1, 1, 1, 3)
     size[..., 2] *= _log_normal(rng, (batch, 1, 1), 0.0, _DEPTH_SCALE)
@@ -151,7 +154,7 @@ def _warped(rng: np.random.Generator, relative_m: Tensor) -> Tensor:
 
 
 def _faults(rng: np.random.Generator, batch: int, frames: int) -> tuple[Int[Tensor, "b f k"], Int[Tensor, "b f k"]]:
-    """Frame and keypoint that each keypoint is taken from: limbs that stick where they were, arms or legs swapped."""
+    """Source frame and keypoint of each keypoint: some limbs are frozen, some arms or legs are swapped."""
     frame = torch.arange(frames)[None, :, None].repeat(batch, 1, len(_MIRROR))
     keypoint = torch.arange(len(_MIRROR))[None, None].repeat(batch, frames, 1)
     for window in np.flatnonzero(rng.random(batch) < _FROZEN):
@@ -182,7 +185,7 @@ def _span(rng: np.random.Generator, frames: int, lengths: tuple[int, int]) -> tu
 
 
 def _slow(rng: np.random.Generator, shape: tuple[int, ...], deviation: float) -> Tensor:
-    """Noise over (batch, frames, ...) on straight lines between draws `_BORDER_FRAMES` apart."""
+    """Noise over (batch, frames, ...), linear between random values every `_BORDER_FRAMES` frames."""
     frames = shape[1]
     knots = _normal(rng, (shape[0], frames // _BORDER_FRAMES + 2, *shape[2:]), deviation)
     place = torch.arange(frames) / _BORDER_FRAMES
