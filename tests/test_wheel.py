@@ -127,7 +127,7 @@ def test_installed_wheel_works_elsewhere(wheel: Path, tmp_path: Path) -> None:
         assert answer.returncode == 0, answer.stderr
         return answer.stdout
 
-    assert "Exit codes: 0 fine" in " ".join(run("-m", "video2anim.cli.main", "--help").split())
+    assert "Exit codes: 0 success" in " ".join(run("-m", "video2anim.cli.main", "--help").split())
     probe = (
         "from video2anim.pipeline.config import preset_names, presets_dir; import stages, scenemi\n"
         "from video2anim.cli.compose import pipeline_nodes\n"

@@ -1,1 +1,1 @@
-"""The human body: SMPL-order skeleton and the body models that give it bones and a surface."""
+"""The human body: models that give the 22-joint skeleton bone lengths and a surface, and contact of body parts."""

@@ -1,8 +1,8 @@
 """Anny (Bregier et al. 2025, Apache-2.0, CC0 data) as a 22-joint body in the SMPL rest convention.
 
-Anny's mixamo rig rests in an A-pose with its own bone frames. Here each joint gets the rotation that takes the
-A-pose to the T-pose (arms along x, legs along -y, everything else as it is); all joint frames are then parallel to
-the body frame (x to the body's left, y up, z forward), as in SMPL.
+Anny's Mixamo rig has an A-pose as its rest pose, and its own bone frames. Here each joint gets the rotation from the
+A-pose to the T-pose (arms along x, legs along -y, all else unchanged). All joint frames are then parallel to the body
+frame (x to the body's left, y up, z forward), as in SMPL.
 """
 
 from __future__ import annotations
@@ -26,20 +26,21 @@ from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
 
 PHENOTYPES: tuple[str, ...] = ("gender", "age", "muscle", "weight", "height", "proportions")
 ADULT = {"gender": 0.5, "age": 0.67, "muscle": 0.5, "weight": 0.5, "height": 0.4, "proportions": 0.5}
-"""Middle of the adult range; `height` 0.4 stands 1.73 m tall."""
+"""Center of the adult range; `height` 0.4 is 1.73 m."""
 LENGTHS: dict[str, str] = {
     "upper_leg": "measure-upperleg-height-incr", "lower_leg": "measure-lowerleg-height-incr",
     "upper_arm": "measure-upperarm-length-incr", "lower_arm": "measure-lowerarm-length-incr",
     "shoulders": "measure-shoulder-dist-incr", "trunk": "measure-napetowaist-dist-incr",
 }  # fmt: skip
-"""Lengths that change by themselves, in [-1, 1] and 0 where a shape does not name them, by Anny's names of the changes:
-the phenotypes hardly change what share of the body height the limbs have."""
+"""Parameters of single lengths in [-1, 1] (default 0), and Anny's names for them. They exist because the phenotypes
+hardly change the ratio of limb length to body height."""
 PEOPLES_LENGTHS = {
     "upper_leg": (0.15, 0.22), "lower_leg": (-0.30, 0.31), "upper_arm": (0.0, 0.27), "lower_arm": (0.23, 0.31),
     "shoulders": (0.24, 0.3), "trunk": (0.0, 0.5),
 }  # fmt: skip
-"""Their mean and deviation over people: those of `video2anim.lab.lifter.bodies` (six performers), over what a unit
-changes of the average adult (thigh 90 mm, shank 70, upper arm 59, forearm 55, shoulders 38, trunk 60)."""
+"""Mean and standard deviation of `LENGTHS` over people: those of `video2anim.lab.lifter.bodies` (six actors), divided
+by the change of length per unit for the average adult (thigh 90 mm, shank 70, upper arm 59, forearm 55, shoulders 38,
+trunk 60)."""
 
 _MIXAMO_BODY = dict(
     zip(
@@ -58,9 +59,9 @@ _STRAIGHT = {
     "left_shoulder": ("left_elbow", (1.0, 0.0, 0.0)), "right_shoulder": ("right_elbow", (-1.0, 0.0, 0.0)),
     "left_elbow": ("left_wrist", (1.0, 0.0, 0.0)), "right_elbow": ("right_wrist", (-1.0, 0.0, 0.0)),
 }  # fmt: skip
-"""Bones that the T-pose straightens: joint -> (child, direction)."""
+"""Bones with a given direction in the T-pose: joint to (child, direction)."""
 _FOLLOWS = {"left_wrist": "left_elbow", "right_wrist": "right_elbow"}
-"""Joints whose A-to-T rotation is their parent's."""
+"""Joints that take the A-to-T rotation of their parent."""
 
 KEYPOINT_NAMES: tuple[str, ...] = (
     "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder",
@@ -68,7 +69,7 @@ KEYPOINT_NAMES: tuple[str, ...] = (
     "right_knee", "left_ankle", "right_ankle", "left_big_toe", "right_big_toe", "left_heel", "right_heel",
     "left_index", "right_index", "left_pinky", "right_pinky",
 )  # fmt: skip
-"""Surface and knuckle points that picture landmarks are compared with."""
+"""Keypoints (surface and knuckle points) that are compared with image landmarks."""
 _JOINT_KEYPOINTS = ("left_shoulder", "right_shoulder")
 """Keypoints that are joint centers: BlazePose's shoulders come from GHUM's joints, not from a skin point."""
 _KNUCKLES = {
@@ -78,7 +79,7 @@ _KNUCKLES = {
 
 
 def _y_up(points: torch.Tensor) -> torch.Tensor:
-    """Anny's z-up, facing -y axes to y-up, facing +z."""
+    """Points from Anny's axes (z up, facing -y) to ours (y up, facing +z)."""
     return torch.stack([points[..., 0], points[..., 2], -points[..., 1]], -1)
 
 
@@ -91,9 +92,9 @@ class RestSkeleton:
     keypoint_offsets_m: torch.Tensor
     """(keypoints, 22, 3) rest position of each keypoint in each joint's T-pose frame."""
     keypoint_weights: torch.Tensor
-    """(keypoints, 22) share that each joint has in a keypoint's motion."""
+    """(keypoints, 22) weight of each joint in the motion of a keypoint."""
     body_height_m: torch.Tensor
-    """() standing height, crown to sole."""
+    """Scalar: standing height from sole to crown."""
 
     def keypoints_m(self, joints_m: torch.Tensor, R_frame_joint: torch.Tensor) -> torch.Tensor:
         """(T, keypoints, 3) keypoints of the posed body.
@@ -160,14 +161,14 @@ class AnnyModel:
         return weights / weights.sum(1, keepdim=True)
 
     def coefficients(self, phenotype: dict[str, torch.Tensor]) -> torch.Tensor:
-        """(blendshapes,) coefficients of scalar phenotypes in [0, 1] and `LENGTHS`; differentiable."""
+        """(blendshapes,) coefficients from scalar phenotypes in [0, 1] and `LENGTHS`; differentiable."""
         values = {k: v.reshape(1).to(self._source.dtype) for k, v in phenotype.items()}
         lengths = {LENGTHS[k]: v for k, v in values.items() if k in LENGTHS}
         phenotypes = {k: v for k, v in values.items() if k not in LENGTHS}
         return self._source.get_phenotype_blendshape_coefficients(**phenotypes, local_changes=lengths)[0].float()
 
     def rest_skeleton(self, phenotype: dict[str, torch.Tensor]) -> RestSkeleton:
-        """T-pose joints and keypoints of a shape; differentiable with respect to its parameters."""
+        """T-pose joints and keypoints of a shape, differentiable with respect to its parameters."""
         coefficients = self.coefficients(phenotype)
         heads = self._heads + torch.einsum("b,bjd->jd", coefficients, self._head_blend)
         points = self._points + torch.einsum("b,bkd->kd", coefficients, self._point_blend)
@@ -227,7 +228,7 @@ def _smallest_rotation(start: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
 
 
 def _tpose_joints(heads: torch.Tensor, rotations: torch.Tensor) -> torch.Tensor:
-    """(22, 3) joints after each bone is turned by its parent joint's rotation; pelvis at the origin."""
+    """(22, 3) joints after each bone is rotated by its parent joint's rotation; pelvis at the origin."""
     joints = [torch.zeros(3)]
     for joint in range(1, 22):
         parent = int(PARENTS[joint])
@@ -236,7 +237,7 @@ def _tpose_joints(heads: torch.Tensor, rotations: torch.Tensor) -> torch.Tensor:
 
 
 def _quiet_anny() -> Any:
-    """The Anny model without the banners of its skinning backend."""
+    """The Anny model, loaded without the start-up messages of its skinning backend."""
     logging.getLogger("anny").setLevel(logging.ERROR)
     with contextlib.redirect_stdout(io.StringIO()), _native_stderr_closed():
         import warp
@@ -249,7 +250,7 @@ def _quiet_anny() -> Any:
 
 @contextlib.contextmanager
 def _native_stderr_closed() -> Iterator[None]:
-    """Send file descriptor 2 to nowhere: the backend's native code warns there about a missing GPU."""
+    """Redirect file descriptor 2 to the null device: the backend's native code warns there about a missing GPU."""
     kept = os.dup(2)
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), 2)
@@ -282,7 +283,7 @@ def anny_model() -> AnnyModel:
 
 
 def shaped_body(shape: BodyShape) -> ShapedBody:
-    """Body of a shape: Anny, or SMPL, SMPL-H or SMPL-X from a file of the user's own (`smplx_body`).
+    """Body of a shape: Anny, or SMPL, SMPL-H or SMPL-X from the user's own file (`smplx_body`).
 
     Raises:
         UsageError: unknown model or parameters, or no folder of SMPL files is named.

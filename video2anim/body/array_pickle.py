@@ -1,9 +1,9 @@
-"""Arrays out of pickles, read without running anything in them.
+"""Reads arrays from pickle files without executing anything in them.
 
-A pickle is a program. Here its names are looked up in a short list, and every name of the list leads to an inert
-holder that only keeps what the file says: numpy arrays, dtypes and scalars, scipy sparse matrices, and the chumpy
-arrays of old SMPL files, whose numbers lie under `x`. numpy itself reads no pickled state either: a forged dtype could
-make it take raw bytes for object pointers. Arrays are built from plain number bytes after the file is closed.
+A pickle is a program. This reader admits a short list of names, and each leads to an inert holder that only stores its
+arguments: numpy arrays, dtypes and scalars, scipy sparse matrices, and the chumpy arrays of old SMPL files (numbers
+under `x`). numpy reads no pickled state either, because a forged dtype could make it treat raw bytes as object
+pointers. Arrays are built from plain number bytes after the file is closed.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ import numpy as np
 from video2anim.errors import InputError
 
 MALFORMED = (ValueError, TypeError, LookupError, AttributeError, OverflowError, MemoryError, RecursionError)
-"""What a damaged or forged pickle leads to."""
+"""Exceptions that a damaged or forged pickle can raise."""
 _NUMBERS = re.compile(r"[fiub][1248]")
 
 
 def read_pickled_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Some arrays of a pickled table. Nothing in the file is executed.
+    """The named arrays of a pickled dictionary. Nothing in the file is executed.
 
     Raises:
-        InputError: the file is missing or damaged, asks for anything but numbers, or lacks an array.
+        InputError: the file is missing or damaged, contains anything but numbers, or lacks an array.
     """
     try:
         content = load_held(path)
@@ -41,10 +41,10 @@ def read_pickled_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarra
 
 
 def load_held(path: Path) -> Any:
-    """What a pickle describes, with holders in place of its objects; `numbers` makes arrays of them.
+    """The content of a pickle, with holders in place of its objects; `numbers` turns holders into arrays.
 
     Raises:
-        ValueError: no pickle, or one that asks for a name that is not on the list; the message says which.
+        ValueError: not a pickle, or it uses a name that is not admitted; the message says which.
     """
     try:
         with path.open("rb") as stream:
@@ -56,16 +56,16 @@ def load_held(path: Path) -> Any:
 
 
 def line(error: Exception) -> str:
-    """An error's text in one line."""
+    """The text of an error in one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 class _Refused(pickle.UnpicklingError):
-    """The file names something that is not on the list."""
+    """The file uses a name that is not admitted."""
 
 
 class _Held:
-    """Stands in for an object the file describes: keeps arguments and state, does nothing."""
+    """Placeholder for an object of the file: stores arguments and state, does nothing."""
 
     args: tuple[Any, ...]
     state: Any
@@ -148,7 +148,7 @@ _ADMITTED: dict[tuple[str, str], type[_Held]] = {
 
 
 class _Unpickler(pickle.Unpickler):
-    """Gives holders for the admitted names and imports nothing."""
+    """Returns holders for the admitted names and imports nothing."""
 
     def find_class(self, module_name: str, global_name: str, /) -> Any:
         if module_name.split(".")[0] == "chumpy":
@@ -163,7 +163,7 @@ def numbers(value: Any) -> np.ndarray:
     """The array that a holder describes.
 
     Raises:
-        ValueError: no holder of numbers, or a damaged one (any of `MALFORMED`).
+        ValueError: not a holder of numbers. A damaged one can raise any of `MALFORMED`.
     """
     match value:
         case _Array():
@@ -196,7 +196,7 @@ def _from_bytes(raw: Any, dtype: Any, shape: Any, order: Any) -> np.ndarray:
 
 
 def _dense(held: _Held) -> np.ndarray:
-    """A sparse matrix written out; entries of one place add up, as in scipy."""
+    """A sparse matrix as a dense array; duplicate entries add up, as in scipy."""
     state = held.state
     rows, columns = (int(n) for n in state.get("_shape", state.get("shape")))
     data = numbers(state["data"])

@@ -1,4 +1,4 @@
-"""Parts of the body that touch: their skin, how far it is from surfaces, and where a motion touches its scene."""
+"""Contact of body parts: skin vertices of a part, speed of joints, and which parts touch the scene or the own body."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from video2anim.types.motion import BodyMotion
 from video2anim.types.skeleton import FEET, JOINT_INDEX, TOUCHING_PARTS, forward_kinematics
 
 LIKELY = 0.5
-"""Contact probability from which a part is taken to touch."""
+"""Contact probability above which a part counts as in contact."""
 NEAR_M = 0.03
-"""Skin this near a surface touches it: what a body fitted to a video is off by at best."""
+"""Skin this near to a surface touches it. It is the error of a body fitted to a video at best."""
 REACH_M = 0.25
-"""A part that is in contact farther from every surface touches something that the scene lacks."""
+"""A part in contact that is farther than this from every surface touches something that the scene lacks."""
 SLOW_M_S = 0.4
-"""What touches hardly moves. A foot that stands is below 0.1 m/s after the solve, one that swings above 1."""
+"""A part in contact is slower than this. After the solve a standing foot is below 0.1 m/s, a swinging one above 1."""
 _SLOW_SEEN_M_S = 0.6
-"""The same of a motion straight from the picture: landmarks of a part at rest still move by 0.2 to 0.5 m/s."""
+"""The same limit for a motion before the solve: landmarks of a resting part still move by 0.2 to 0.5 m/s."""
 _ALONG = 0.25
-"""There, motion along the line of sight counts so much: one camera sees it badly, and its jitter would hide rest."""
+"""Weight of motion along the line of sight before the solve, which a single camera measures badly."""
 _FOOT_SPEED_M_S, _FOOT_HEIGHT_M = (0.35, 0.1), (0.12, 0.03)
 """Limit and softness of the speed of a foot in contact, and of its height above the other foot."""
 _WINDOW_FRAMES = 2
-"""Speed is taken over so many frames before and after (0.13 s in all): single steps hold the estimate's jitter, and a
-longer time takes feet for flying that have just landed."""
+"""Speed is measured over this many frames before and after (0.13 s in total). Single steps contain the jitter of the
+estimate; over a longer time feet that have just landed would count as moving."""
 _OWN_BODY_M = 0.05
-"""A hand this near the skin of the rest of the body rests on it."""
+"""A hand this near to the skin of the rest of the body rests on it."""
 _STRIDE = 3
-"""Every third vertex of a part is looked at: 1 to 2 cm apart."""
+"""Every third vertex of a part is tested; they are 1 to 2 cm apart."""
 
 
 def posed_vertices(
     motion: BodyMotion, body: ShapedBody, index: Int[np.ndarray, "chosen"] | None, frames: Int[np.ndarray, "some"]
 ) -> Float[np.ndarray, "some chosen 3"]:
-    """World positions of chosen vertices (None: all) at chosen frames."""
+    """World positions of some vertices (None: all) in some frames, meters."""
     joints_m, R_world_joint = forward_kinematics(
         motion.R_parent_joint[frames], motion.T_world_root[frames, :3, 3], motion.rest_joints_m
     )
@@ -48,15 +48,17 @@ def posed_vertices(
 
 
 def skin_of(body: ShapedBody, joints: tuple[int, ...]) -> Int[np.ndarray, "vertices"]:
-    """Vertices of a part, thinned out."""
+    """Every third vertex of the skin that moves with the given joints."""
     return np.flatnonzero(np.isin(body.vertex_part, joints))[::_STRIDE]
 
 
 def speed_m_s(motion: BodyMotion, joint: int, *, along: float = 1.0) -> Float[np.ndarray, "frames"]:
-    """Speed of a joint over 0.13 s around each frame.
+    """Speed of a joint over 0.13 s around each frame, m/s.
 
     Args:
-        along: what motion along the line of sight counts; one camera sees it badly.
+        motion: The motion.
+        joint: Index of the joint.
+        along: Weight of motion along the line of sight, which a single camera measures badly.
     """
     path_m = motion.joints_world_m[:, joint].astype(np.float64)
     frame = np.arange(len(path_m))
@@ -69,7 +71,7 @@ def speed_m_s(motion: BodyMotion, joint: int, *, along: float = 1.0) -> Float[np
 def _across_sight(
     way_m: Float[np.ndarray, "*n 3"], sight_m: Float[np.ndarray, "*n 3"], along: float
 ) -> Float[np.ndarray, "*n 3"]:
-    """Displacements whose part along the line of sight is scaled by `along`."""
+    """Displacements with their component along the line of sight scaled by `along`."""
     sight = sight_m / np.maximum(np.linalg.norm(sight_m, axis=-1, keepdims=True), 1e-9)
     return way_m - (1 - along) * (way_m * sight).sum(-1, keepdims=True) * sight
 
@@ -80,10 +82,9 @@ def foot_contact(
     fps: float,
     camera_world_m: Float[np.ndarray, "frames 3"],
 ) -> Float[np.ndarray, "frames 22"]:
-    """Contact probability of the feet by their motion alone, for bodies without the lifter's contacts; others are 0.
+    """Contact probability of the feet from motion alone, for bodies without the lifter's contacts; 0 for other joints.
 
-    A foot joint is in contact while it is slow and not much higher than the same joint of the other foot: a planted
-    foot carries the body, so it is the lower one, or both rest.
+    A foot joint is in contact while it is slow and not much higher than the same joint of the other foot.
     """
     contact = np.zeros(joints_world_m.shape[:2])
     if len(joints_world_m) < 3:
@@ -104,8 +105,7 @@ def _below(value: np.ndarray, limit: float, softness: float) -> np.ndarray:
 
 
 def believed(motion: BodyMotion, body: ShapedBody) -> Float[np.ndarray, "frames 22"]:
-    """Contact probability of an observed motion, without what cannot be touch of the scene: parts that fly, and
-    hands on the own body."""
+    """Contact probability of an observed motion, set to 0 for parts that move fast and hands on the own body."""
     contact = np.where(motion.valid[:, None], motion.contact, 0.0)
     for name, joints in TOUCHING_PARTS.items():
         flies = speed_m_s(motion, joints[0], along=_ALONG) > _SLOW_SEEN_M_S
@@ -119,10 +119,13 @@ def believed(motion: BodyMotion, body: ShapedBody) -> Float[np.ndarray, "frames 
 def on_own_body(
     motion: BodyMotion, body: ShapedBody, joint: int, frames: Int[np.ndarray, "some"]
 ) -> Bool[np.ndarray, "some"]:
-    """Frames in which a hand lies on the rest of the body: legs, trunk, or the other arm and hand.
+    """Whether a hand rests on the body (legs, trunk, or the other arm and hand) in each of some frames.
 
     Args:
-        joint: `left_wrist` or `right_wrist`.
+        motion: The motion.
+        body: Its body.
+        joint: Index of `left_wrist` or `right_wrist`.
+        frames: Frames to test.
     """
     side = "left" if joint == JOINT_INDEX["left_wrist"] else "right"
     arm = [JOINT_INDEX[f"{side}_{name}"] for name in ("collar", "shoulder", "elbow", "wrist")]
@@ -140,16 +143,18 @@ def touches(
     likely: Float[np.ndarray, "frames 22"],
     moving: Sequence[MovingField] = (),
 ) -> Float[np.ndarray, "frames 22"]:
-    """Where a motion touches its scene: 1 where a part is within 3 cm of a surface and slow, else 0.
+    """Contact of a motion with its scene: 1 where a part is within 3 cm of a surface and slow, else 0.
 
-    Against the true contacts of feet in synthetic clips this is as good as the picture alone (F1 0.94 to 0.97), the
-    scene alone is worse (0.86 to 0.93): it counts feet that are about to land.
+    For feet in synthetic clips this is as good as the image alone (F1 0.94 to 0.97). The scene alone is worse (0.86 to
+    0.93), because it counts feet that are about to land.
 
     Args:
-        motion: in the scene; every frame is looked at.
-        likely: contact probability from the picture. Seen parts touch only where it says so, per joint: heel and toes
-            touch one after the other. In frames without a picture, feet that are near and slow stand.
-        moving: what somebody moves, which the field of the scene does not hold.
+        motion: The motion in the world of the scene.
+        body: Its body.
+        scene: Signed distance field of the scene.
+        likely: Contact probability from the image. In measured frames a joint (heel and toes separately) touches only
+            where it is likely. In other frames feet that are near and slow touch.
+        moving: Fields of objects that somebody moves, which the field of the scene does not contain.
     """
     frames = np.arange(motion.frame_count)
     contact = np.zeros(likely.shape)

@@ -1,4 +1,4 @@
-"""Joints of the legs."""
+"""Joint indices of the legs."""
 
 from __future__ import annotations
 

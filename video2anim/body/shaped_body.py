@@ -1,4 +1,4 @@
-"""A body of one shape, of whatever model, ready to be posed."""
+"""A body of one shape, independent of the body model, ready to be posed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from video2anim.types.motion import BodyShape
 
 CHUNK_FRAMES = 30
-"""Frames skinned at once: 10 MB a person; more are not faster."""
+"""Frames skinned at once: 10 MB per person; more are not faster."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +25,7 @@ class ShapedBody:
     faces: Int[np.ndarray, "faces 3"]
     skin_weights: Float[np.ndarray, "vertices 22"]
     inverse_bind: Float[np.ndarray, "22 4 4"]
-    """Takes the rest mesh into each joint's T-pose frame."""
+    """Transforms from the rest mesh to the T-pose frame of each joint."""
     rest_joints_m: Float[np.ndarray, "22 3"]
 
     @property
@@ -44,7 +44,7 @@ class ShapedBody:
         joints_m: Float[np.ndarray, "frames 22 3"],
         index: Int[np.ndarray, "chosen"] | None = None,
     ) -> Float[np.ndarray, "frames chosen 3"]:
-        """Skinned vertices (all, or the chosen ones) by linear blending, in the frame of the joints."""
+        """Vertices (all, or those of `index`) by linear blend skinning, in the frame of the joints, meters."""
         weights = self.skin_weights if index is None else self.skin_weights[index]
         rest = self.rest_vertices_m if index is None else self.rest_vertices_m[index]
         rotation = R_world_joint @ self.inverse_bind[:, :3, :3]

@@ -1,4 +1,4 @@
-"""Model files of SMPL, SMPL-H and SMPL-X as their makers ship them, read without running anything in them.
+"""Reads model files of SMPL, SMPL-H and SMPL-X as distributed, without executing anything in them.
 
 Pickles are read by `array_pickle`: numpy arrays, scipy sparse matrices, and the chumpy arrays of old files.
 """
@@ -24,17 +24,17 @@ _AXES: dict[str, tuple[str | int, ...]] = {
     "kintree_table": (2, "joints"),
     "f": ("faces", 3),
 }
-"""Arrays that are read, by the files' own names."""
-_AS_SHIPPED = "use the model file as its makers ship it"
+"""Axes of the arrays that are read, by their names in the files."""
+_AS_SHIPPED = "use the model file as distributed by its makers"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmplFile:
-    """What the loader takes from a model file. Meters, +Y up, facing +Z, in the model's own frame."""
+    """The arrays read from a model file. Meters, +Y up, facing +Z, in the model's own frame."""
 
     template_m: Float[np.ndarray, "vertices 3"]
     shape_basis_m: Float[np.ndarray, "vertices 3 shapes"]
-    """Vertex offsets of each shape coefficient; SMPL-X has its expressions behind them."""
+    """Vertex offsets of each shape coefficient; in SMPL-X files the expressions follow."""
     weights: Float[np.ndarray, "vertices joints"]
     joint_regressor: Float[np.ndarray, "joints vertices"]
     parents: Int[np.ndarray, "joints"]
@@ -46,7 +46,7 @@ def read_smpl_file(path: Path) -> SmplFile:
     """Read a `.npz` or `.pkl` model file. Nothing in it is executed.
 
     Raises:
-        InputError: the file is missing, damaged, asks for anything but numbers, lacks an array, or has one of a wrong
+        InputError: the file is missing or damaged, contains anything but numbers, or an array is missing or has a wrong
             shape.
     """
     if not path.is_file():
@@ -92,7 +92,7 @@ def _check_shapes(path: Path, found: dict[str, np.ndarray]) -> None:
 
 
 def _whole(path: Path, key: str, found: np.ndarray) -> np.ndarray:
-    """Numbers that are indices, int64."""
+    """An array of indices as int64."""
     if not (np.isfinite(found).all() and (found == np.round(found)).all() and (np.abs(found) < 2**53).all()):
         raise InputError(f"SMPL file: {key}: want whole numbers, got others in {path}; {_AS_SHIPPED}")
     return found.astype(np.int64)
@@ -106,7 +106,7 @@ def _absent(path: Path, keys: list[str]) -> InputError:
 
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
     try:
-        # Opened here: where the archive is damaged, `np.load` would leave its own handle open.
+        # Opened here, because `np.load` would leave its own handle open for a damaged archive.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             if not set(_AXES) <= set(archive.files):
                 raise _absent(path, archive.files)

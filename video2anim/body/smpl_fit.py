@@ -1,4 +1,4 @@
-"""A motion on a body of the SMPL family, from the user's model file: betas from the lengths of the bones."""
+"""Puts a motion on a body of the SMPL family from the user's model file; betas are fitted to the bone lengths."""
 
 from __future__ import annotations
 
@@ -12,23 +12,22 @@ from video2anim.types import BodyMotion, BodyShape
 from video2anim.types.skeleton import PARENTS
 
 BETAS = 16
-"""Shape coefficients of AMASS files; more say nothing about the lengths of 21 bones."""
+"""Number of shape coefficients, as in AMASS files; 21 bone lengths do not determine more."""
 _LENGTH_SIGMA_M = 0.01
-"""Residual of a bone's length that weighs as much as one standard deviation of a beta: joints of two body models are
-defined apart by about that much."""
+"""Standard deviation of a bone length: joints of two body models differ by about this much."""
 
 
 def on_smpl_body(motion: BodyMotion, model: str) -> BodyMotion:
-    """The same joint rotations and pelvis path on the user's SMPL body whose bones are as long as the motion's.
+    """The same joint rotations and pelvis path on the user's SMPL body with the bone lengths of the motion.
 
-    A motion whose shape is already of that model is returned as it is.
+    A motion that is already on that model is returned unchanged.
 
     Args:
-        motion: on any body model.
+        motion: A motion on any body model.
         model: `smpl`, `smplh` or `smplx` (neutral), or one of these with `-male` or `-female`.
 
     Raises:
-        UsageError: no such model, or no folder of SMPL files is named.
+        UsageError: unknown model, or no folder of SMPL files is given.
         InputError: the folder or the file is missing, or the file cannot be used.
     """
     if motion.shape.model == model:
@@ -41,9 +40,9 @@ def on_smpl_body(motion: BodyMotion, model: str) -> BodyMotion:
 
 
 def fit_betas(body: SmplModel, rest_joints_m: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "betas"]:
-    """The most likely shape whose bones are as long as those of a skeleton; up to 16 betas.
+    """The most likely betas (up to 16) for the bone lengths of a skeleton.
 
-    Least squares over the 21 bone lengths and the betas, which are 0 +- 1 over people.
+    Least squares over the 21 bone lengths and the betas, whose prior is a standard normal distribution.
     """
     from scipy.optimize import least_squares
 
@@ -60,7 +59,7 @@ def fit_betas(body: SmplModel, rest_joints_m: Float[np.ndarray, "22 3"]) -> Floa
 
 
 def named_betas(betas: Float[np.ndarray, "betas"]) -> dict[str, float]:
-    """Parameters of a `BodyShape`."""
+    """Betas as the parameters of a `BodyShape`."""
     return {f"beta_{number}": float(value) for number, value in enumerate(betas)}
 
 

@@ -1,14 +1,14 @@
-"""SMPL, SMPL-H and SMPL-X bodies from model files of the user's own.
+"""SMPL, SMPL-H and SMPL-X bodies from the user's own model files.
 
 The files are licensed by their makers (Loper et al. 2015, Romero et al. 2017, Pavlakos et al. 2019; non-commercial
-unless bought) and are neither shipped nor fetched. `VIDEO2ANIM_SMPL_DIR` names the folder they lie in, laid out as for
-the `smplx` package: `smplx/SMPLX_NEUTRAL.npz`, `smpl/SMPL_MALE.pkl`, or without subfolders. With it set, `shaped_body`
-of a shape whose `model` is `smpl`, `smplh` or `smplx` (neutral), or one of these with `-male` or `-female`, gives that
-body. `video2anim export` and `view` put a motion on such a body (`--body smplx`, `video2anim.body.smpl_fit`).
+unless bought) and are neither shipped nor downloaded. `VIDEO2ANIM_SMPL_DIR` is the folder with the files, laid out as
+for the `smplx` package: `smplx/SMPLX_NEUTRAL.npz`, `smpl/SMPL_MALE.pkl`, or without subfolders. `shaped_body` then
+accepts shapes with `model` `smpl`, `smplh` or `smplx` (neutral), or one of these with `-male` or `-female`.
+`video2anim export` and `view` put a motion on such a body (`--body smplx`, `video2anim.body.smpl_fit`).
 
-Their rest pose is the T-pose of the project with the same axes, so bind matrices are pure translations. Fingers, jaw
-and eyes move with the wrist or the head. Pose-dependent corrections of the surface (`posedirs`) are left out: skinning
-is linear, as for every body here.
+Their rest pose is the T-pose of this project with the same axes, so bind matrices are pure translations. Fingers, jaw
+and eyes move with the wrist or the head. Pose-dependent corrections of the surface (`posedirs`) are left out, since
+skinning is linear for all bodies here.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ MEAN_PELVIS_M: dict[str, Float[np.ndarray, "3"]] = {
     "smplh": np.array([-0.002, -0.23, 0.028]),
     "smplx": np.array([0.003, -0.351, 0.012]),
 }
-"""Pelvis joint of the mean shape in the model's own frame, for those who lack the files."""
+"""Pelvis joint of the mean shape in the model's own frame, for use without the files."""
 _NAMES = {24: "smpl", 52: "smplh", 55: "smplx"}
-"""Model by its number of joints; in all three the first 22 are the project's."""
+"""Model by its number of joints; the first 22 of each are those of this project."""
 _GENDERS = ("neutral", "male", "female")
 _BODY = len(PARENTS)
 _SMPLX_SHAPES = 300
-"""Shape coefficients in SMPL-X files of 400; in those of 20 the first 10. The rest are expressions."""
+"""Number of shape coefficients in SMPL-X files with 400 in total (10 in files with 20); the rest are expressions."""
 _BETA = re.compile(r"beta_(0|[1-9][0-9]*)")
 
 
@@ -57,13 +57,13 @@ class SmplModel:
     faces: Int[np.ndarray, "faces 3"]
 
     def shaped(self, shape: BodyShape) -> ShapedBody:
-        """The body of a shape, T-pose, pelvis at the origin.
+        """The body of a shape in the T-pose, pelvis at the origin.
 
         Args:
-            shape: parameters `beta_0`, `beta_1`, ...; those not named are 0.
+            shape: Parameters `beta_0`, `beta_1`, ...; missing ones are 0.
 
         Raises:
-            UsageError: the shape is of another model or names a parameter this file does not have.
+            UsageError: the shape is of another model or has a parameter that the file lacks.
         """
         vertices, joints = self._rest(shape)
         inverse_bind = np.tile(np.eye(4), (_BODY, 1, 1))
@@ -73,10 +73,10 @@ class SmplModel:
     def pelvis_m(self, shape: BodyShape) -> Float[np.ndarray, "3"]:
         """Pelvis joint of a shape in the model's own frame.
 
-        SMPL's translation parameter moves the origin of that frame, so the pelvis lies at `transl + pelvis_m`.
+        SMPL's translation parameter moves the origin of that frame, so the pelvis is at `transl + pelvis_m`.
 
         Raises:
-            UsageError: as `shaped`.
+            UsageError: as for `shaped`.
         """
         return self._rest(shape)[1][0]
 
@@ -134,14 +134,14 @@ def shaped_smpl(shape: BodyShape) -> ShapedBody:
     """Body of a shape from the user's file in the folder `VIDEO2ANIM_SMPL_DIR`; files are read once per process.
 
     Raises:
-        UsageError: there is no such model, no folder is named, or the shape has unknown parameters.
+        UsageError: unknown model or parameters, or no folder of SMPL files is given.
         InputError: the folder has no such file, or the file cannot be used.
     """
     return _shaped(model_file(shape.model), shape.model, tuple(sorted(shape.parameters.items())))
 
 
 def users_model(model: str) -> SmplModel:
-    """The user's model by its name, such as `smplx` or `smpl-male`; files are read once per process.
+    """The user's model by name, such as `smplx` or `smpl-male`; files are read once per process.
 
     Raises:
         UsageError: there is no such model, or no folder is named.
@@ -203,13 +203,13 @@ def _shaped(path: Path, model: str, parameters: tuple[tuple[str, float], ...]) -
 
 
 def _ordered(parents: np.ndarray) -> bool:
-    """Whether every parent but the root's is a joint that came before."""
+    """Whether every joint but the root comes after its parent."""
     later = parents[1:]
     return bool((later >= 0).all() and (later < np.arange(1, len(parents))).all())
 
 
 def _body_weights(file: SmplFile, path: Path) -> np.ndarray:
-    """(V, 22) skinning weights that sum to 1; joints outside the 22 give theirs to the nearest body ancestor."""
+    """(V, 22) skinning weights that sum to 1; weights of other joints go to the nearest ancestor among the 22."""
     target = np.arange(len(file.parents))
     for joint in range(_BODY, len(target)):
         target[joint] = target[file.parents[joint]]

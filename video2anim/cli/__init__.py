@@ -1,1 +1,1 @@
-"""The command line: the only place that prints, and the only one that knows all stages."""
+"""The command line. Only this package prints, and only it imports all stages."""

@@ -1,4 +1,4 @@
-"""Puts stages, models and a scene folder together."""
+"""Runs the stages on a scene folder: graph, models, configuration, results."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ MODULES = (
 )  # fmt: skip
 DEFAULT_PRESET = "embedded"
 NO_NETWORK = ("geometric", "interpolation", NO_MODEL)
-"""Names of stages' models, providers and priors that use no network."""
+"""Names of models, providers and priors that use no network."""
 
 
 def pipeline_nodes() -> tuple[Node, ...]:
@@ -64,7 +64,7 @@ def pipeline_nodes() -> tuple[Node, ...]:
 
 
 class TableModels:
-    """Models by the table of `video2anim.networks`.
+    """Loads the models of slots by the table of `video2anim.networks`.
 
     A stage's config names the model of a slot as `<slot>_model` or `<slot>`, else as `model` or `provider`.
     """
@@ -102,10 +102,10 @@ class TableModels:
 
 
 def source_video(path: Path) -> SourceVideo:
-    """The input file with its digest.
+    """The input file with its sha256 digest.
 
     Raises:
-        InputError: missing, an address, a folder, no regular file, empty, or not readable.
+        InputError: the path is missing, a URL, a folder, not a regular file, empty, or not readable.
     """
     from video2anim.video.container import expect_video_file
 
@@ -118,15 +118,15 @@ def source_video(path: Path) -> SourceVideo:
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What a command line asks of a scene folder."""
+    """Options of `video2anim run`."""
 
     scene_dir: Path
     video: Path | None = None
-    """None = the one the folder remembers."""
+    """None = the video recorded in the folder."""
     preset: str | None = None
-    """None = as the folder has it, else `embedded`."""
+    """None = the preset recorded in the folder, else `embedded`."""
     options: Sequence[tuple[str, Mapping[str, Any]]] = ()
-    """Changed options by the source that names them, later ones winning."""
+    """Changed options, each with the source that sets them; later ones override earlier ones."""
     start: str | None = None
     until: str | None = None
     overwrite: bool = False
@@ -137,13 +137,13 @@ class RunRequest:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """A scene folder after a command."""
+    """State of a scene folder after a command."""
 
     rows: list[StageStatus]
     results: list[Path]
-    """Files for the user that belong to the present stages."""
+    """Result files made by the current stages."""
     stale: list[Path]
-    """Those that an earlier run made and this one did not remake."""
+    """Result files of an earlier run that were not made again."""
 
 
 def run_video(
@@ -155,12 +155,12 @@ def run_video(
     """`video2anim run`: bring a scene folder up to date.
 
     Args:
-        request: folder and changes.
-        confirm: asked before people who have motions are dropped.
-        on_event: told of what goes on.
+        request: Scene folder and options.
+        confirm: Called with a question before people who have motions are dropped.
+        on_event: Called with events of the run.
 
     Raises:
-        Video2AnimError: bad input, configuration or stage; nothing that was there is lost.
+        Video2AnimError: bad input or configuration, or a failed stage; existing results are kept.
     """
     scene_dir, nodes = request.scene_dir, pipeline_nodes()
     fresh = request.overwrite or not has_record(scene_dir)
@@ -195,7 +195,7 @@ def run_video(
 def open_scene(
     scene_dir: Path, *, device: str = "cpu", on_event: Callable[[Event], None] = lambda event: None
 ) -> tuple[Runner, RunRecord]:
-    """Runner of an existing scene folder with the configuration it was made with; the video need not be there.
+    """Runner of an existing scene folder with its recorded configuration. The video may be missing.
 
     Raises:
         InputError: not a scene folder.
@@ -214,11 +214,11 @@ def open_scene(
 def rerun_stage(
     scene_dir: Path, name: str, *, edits: Edits = "refuse", device: str, on_event: Callable[[Event], None]
 ) -> Outcome:
-    """`video2anim stage DIR STAGE`: one stage again, from cached inputs.
+    """`video2anim stage DIR STAGE`: run one stage again from cached inputs.
 
     Raises:
-        UsageError: no such stage, edits in the way, or the folder's configuration names a program: who runs one says so
-            themselves.
+        UsageError: unknown stage, the stage was edited by hand, or the folder's configuration runs a program (which
+            the user has to give explicitly, since a scene folder may come from somebody else).
     """
     runner, record = open_scene(scene_dir, device=device, on_event=on_event)
     runner.node(name)
@@ -240,7 +240,7 @@ def rerun_stage(
 def finish(
     scene_dir: Path, runner: Runner, record: RunRecord, rows: Sequence[StageStatus], edits: Edits = "refuse"
 ) -> Outcome:
-    """Write `run.json`; once everything is made, bring the results to the top of the folder."""
+    """Write `run.json`; if all stages are up to date, place the results at the top of the folder."""
     rows = list(rows)
     if rows[-1].name == MODULES[-1].STAGE.name:
         folder, exported = runner.folder(runner.node(rows[-1].name)), runner.value(ExportedFiles)
@@ -256,15 +256,15 @@ def finish(
 
 
 def scene_outcome(scene_dir: Path, runner: Runner, record: RunRecord, rows: list[StageStatus]) -> Outcome:
-    """The files at the top of a folder, parted into those of the present stages and older ones."""
+    """The files at the top of a folder, split into those of the current stages and older ones."""
     files = [scene_dir / name for name in record.results if (scene_dir / name).is_file()]
     current = rows if rows[-1].name == MODULES[-1].STAGE.name else runner.status()
     return Outcome(rows, files, []) if current[-1].state in CURRENT else Outcome(rows, [], files)
 
 
 class _Step:
-    """Writes `run.json` after each stage that ran: from then on the folder holds what it says. A command that fails
-    before leaves the record, and what it tells, as it was."""
+    """Updates `run.json` after each stage that ran, so that it always matches the folder. A command that fails earlier
+    does not change it."""
 
     def __init__(self, scene_dir: Path, record: RunRecord) -> None:
         self._scene_dir, self.record = scene_dir, record
@@ -284,7 +284,7 @@ class _Step:
 def _settled(
     nodes: Sequence[Node], remembered: RunRecord | None, request: RunRequest
 ) -> tuple[PipelineConfig, dict[str, Any]]:
-    """The configuration of a run, and the settings in it that the user gave, now or before."""
+    """The configuration of a run, and the settings given by the user, now or in earlier runs."""
     settings: dict[str, Any] = {} if remembered is None else dict(remembered.settings)
     for _, options in request.options:
         for key, value in options.items():
@@ -305,7 +305,7 @@ def _source(scene_dir: Path, given: SourceVideo | None, remembered: RunRecord | 
     """The video of a run.
 
     Raises:
-        UsageError: the folder is of another video, or the video is a file that a run writes.
+        UsageError: the folder holds another video's results, or the video is a file that a run writes.
     """
     if given is None:
         assert remembered is not None
@@ -324,7 +324,7 @@ def _source(scene_dir: Path, given: SourceVideo | None, remembered: RunRecord | 
 
 
 def _tell_changes(runner: Runner, before: RunRecord, now: RunRecord, on_event: Callable[[Event], None]) -> None:
-    """Say which settings are other than those the folder was made with, and what runs again for them."""
+    """Report settings that differ from those of the folder, and the stages that run again for them."""
     changed = []
     for stage, options in now.config.items():
         old = before.config.get(stage)
@@ -343,7 +343,7 @@ def _expect_consent(scene_dir: Path, before: RunRecord, now: RunRecord, confirm:
     """Ask before people who have motions are dropped.
 
     Raises:
-        UsageError: not wanted.
+        UsageError: the user declined.
     """
     old, new = (record.config.get("track", {}).get("person") for record in (before, now))
     if old == new or new == "all" or not before.results:
@@ -354,12 +354,12 @@ def _expect_consent(scene_dir: Path, before: RunRecord, now: RunRecord, confirm:
 
 
 def plain(value: Any) -> Any:
-    """As JSON gives it back."""
+    """The value after a round trip through JSON."""
     return json.loads(json.dumps(value))
 
 
 def preset_models(name: str) -> list[str]:
-    """Models of a preset, or the one model of that name."""
+    """Names of the models of a preset, or the model of that name."""
     from video2anim.networks import find_model
     from video2anim.pipeline.config import preset_names
 

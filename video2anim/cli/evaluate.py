@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from video2anim.lab.eval.model import Evaluation, Group, SetEvaluation, SetGroup
 
 _WIDE = 200
-"""Columns where the output is no terminal, so that tables in files and pipes are not cut."""
+"""Width in columns if the output is not a terminal, so that tables in files and pipes are not cut."""
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write everything to this JSON file.", metavar="FILE")]
 HtmlFile = Annotated[
     Path | None, typer.Option("--html", help="Write a self-contained page with plots to this file.", metavar="FILE")
@@ -158,11 +158,11 @@ def _say(text: str) -> None:
 
 
 def _expect_writable(*paths: Path | None) -> None:
-    """Refuse before the work what could not be written after it.
+    """Check before the work that the output files can be written after it.
 
     Raises:
-        UsageError: one file for two objects.
-        InputError: the folder is absent or may not be written, or the path is a folder, link, pipe or device.
+        UsageError: the same file is given twice.
+        InputError: the folder is missing or not writable, or the path is a folder, link, pipe or device.
     """
     given = [path.absolute() for path in paths if path is not None]
     if len(given) != len(set(given)):

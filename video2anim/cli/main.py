@@ -1,4 +1,4 @@
-"""Commands, options and exit codes."""
+"""The commands of `video2anim`, their options and exit codes."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="Turn a video of a person among objects into a metric 3D scene with a skinned, animated human.",
-    epilog="Exit codes: 0 fine, 2 usage or configuration, 3 bad input, 4 model missing, 5 stage failed.",
+    epilog="Exit codes: 0 success, 2 usage or configuration, 3 bad input, 4 model missing, 5 stage failed.",
 )
-models_app = typer.Typer(no_args_is_help=True, help="Models: what there is, fetch it, check it.")
+models_app = typer.Typer(no_args_is_help=True, help="List, download and verify models.")
 app.add_typer(models_app, name="models")
 
 SceneDir = Annotated[Path, typer.Argument(help="Scene folder made by `run`.", metavar="DIR")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 KeepEdits = Annotated[
-    bool, typer.Option("--keep-edits", help="Go on with stages edited by hand as they are, where they would run again.")
+    bool, typer.Option("--keep-edits", help="Keep stages edited by hand instead of running them again.")
 ]
 Body = Annotated[
     str | None,
@@ -46,7 +46,7 @@ SmplDir = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Folder of your SMPL files (default: VIDEO2ANIM_SMPL_DIR); see docs/exports.md."),
 ]
-DiscardEdits = Annotated[bool, typer.Option("--discard-edits", help="Make stages edited by hand anew.")]
+DiscardEdits = Annotated[bool, typer.Option("--discard-edits", help="Run stages edited by hand again; edits are lost.")]
 
 
 @app.callback(invoke_without_command=True)
@@ -64,7 +64,7 @@ def run_command(
     *,
     out: Annotated[Path, typer.Option(help="Scene folder to make or bring up to date.", metavar="DIR")],
     video: Annotated[
-        Path | None, typer.Argument(help="Input video; not needed where the folder has one.", metavar="VIDEO")
+        Path | None, typer.Argument(help="Input video; not needed if the folder has one.", metavar="VIDEO")
     ] = None,
     preset: Annotated[
         str | None, typer.Option(help="Shipped preset, or a YAML file; default: the folder's, else embedded.")
@@ -85,16 +85,14 @@ def run_command(
         ),
     ] = None,
     device: Device = "auto",
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Start anew: forget the folder's video and settings.")
-    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the folder's video and settings.")] = False,
     keep_edits: KeepEdits = False,
     discard_edits: DiscardEdits = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Drop people whose motions are there without asking.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Drop people who have motions without asking.")] = False,
 ) -> None:
-    """Bring the scene folder of a video up to date; what is cached is not run again.
+    """Run the pipeline on a video; stages that are up to date do not run again.
 
-    The folder remembers its video and settings: an option given changes that one setting.
+    The folder records its video and settings; an option changes only its own setting.
     """
     from video2anim.cli import compose, show
     from video2anim.humans.body_height import parse_heights
@@ -137,7 +135,7 @@ def stage_command(
 
 @app.command("status")
 def status_command(scene_dir: SceneDir) -> None:
-    """Which stages are up to date, edited by hand, or stale."""
+    """Show which stages are up to date, edited by hand, or stale."""
     from video2anim.cli import compose, show
 
     with show.progress() as on_event:
@@ -147,7 +145,7 @@ def status_command(scene_dir: SceneDir) -> None:
 
 @app.command("show")
 def show_command(scene_dir: SceneDir, stage: Annotated[str, typer.Argument(help="Stage.", metavar="STAGE")]) -> None:
-    """Everything known of one stage: inputs, configuration, weights, quality."""
+    """Show the manifest of a stage: inputs, configuration, weights, quality."""
     from video2anim.artifacts.manifest import read_manifest
     from video2anim.cli import compose, show
     from video2anim.errors import InputError
@@ -172,7 +170,7 @@ def export_command(
     body: Body = None,
     smpl_dir: SmplDir = None,
 ) -> None:
-    """Write the result in one more format; FBX needs Blender (docs/exports.md)."""
+    """Export the result to another format; FBX needs Blender (docs/exports.md)."""
     from video2anim.cli import results
 
     results.use_smpl_files(smpl_dir)
@@ -189,7 +187,7 @@ def view_command(
     body: Body = None,
     smpl_dir: SmplDir = None,
 ) -> None:
-    """Look at the scene: play and scrub, raw / keyframes / refined, camera, objects."""
+    """View the scene in a window: playback, raw / keyframes / refined motion, camera, objects."""
     from video2anim.cli import results
 
     results.use_smpl_files(smpl_dir)
@@ -201,7 +199,7 @@ def demo_command(
     out: Annotated[Path, typer.Option(help="Scene folder.")] = Path("demo_out"),
     device: Device = "auto",
 ) -> None:
-    """Fetch a small real clip (BSD-3, from the Sports2D wheel) and run the whole pipeline on it."""
+    """Download a small real clip (BSD-3, from the Sports2D wheel) and run the whole pipeline on it."""
     from video2anim.cli import results
 
     clip = results.demo_clip(lambda text: typer.echo(text, err=True))
@@ -215,7 +213,7 @@ app.command("eval-set")(eval_set_command)
 
 @models_app.command("list")
 def models_list() -> None:
-    """All models with slot, runtime, size, license, and whether the weights are here."""
+    """List all models with slot, runtime, size, license, and whether the weights are installed."""
     from video2anim.cli import show
     from video2anim.networks import verify
 
@@ -226,7 +224,7 @@ def models_list() -> None:
 def models_pull(
     name: Annotated[str, typer.Argument(help="Model, or preset: embedded, standard.")] = "embedded",
 ) -> None:
-    """Fetch a model, or all models of a preset, and check their digests."""
+    """Download a model, or all models of a preset, and verify their digests."""
     from video2anim.cli import show
 
     show.pull(name)
@@ -234,7 +232,7 @@ def models_pull(
 
 @models_app.command("verify")
 def models_verify() -> None:
-    """Check the digest of every model that is here."""
+    """Verify the digest of every installed model."""
     from video2anim.cli import show
     from video2anim.networks import verify
 
@@ -255,10 +253,10 @@ def _edits(keep: bool, discard: bool) -> Edits:
 
 
 def run() -> None:
-    """Entry point: expected failures become one line and an exit code."""
-    # Idle OpenMP workers otherwise spin and slow down whatever shares the machine. Read when torch is loaded.
+    """Entry point: expected errors become one line and an exit code."""
+    # Idle OpenMP workers would otherwise spin and slow down other processes. Read when torch is loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    debug = "--debug" in sys.argv  # wherever it stands
+    debug = "--debug" in sys.argv  # at any position
     sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: SIM115
     try:
         expect_values(sys.argv[1:])

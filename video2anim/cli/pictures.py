@@ -1,4 +1,4 @@
-"""`video2anim models run`: one model on single pictures, for anyone who wants just that."""
+"""`video2anim models run`: runs one model on single images."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 def models_run(
     slot: Annotated[Literal["depth", "camera", "segment"], typer.Argument(help="depth, camera or segment.")],
-    images: Annotated[list[Path], typer.Argument(help="Pictures of one size.", metavar="IMAGE...")],
+    images: Annotated[list[Path], typer.Argument(help="Images of equal size.", metavar="IMAGE...")],
     out: Annotated[Path, typer.Option(help="File to write, .npz.")],
     model: Annotated[str | None, typer.Option(help="Model of the slot, or NAME@PATH (default: the first).")] = None,
 ) -> None:
-    """Run the model of a slot on pictures and write what it says as arrays."""
+    """Run the model of a slot on images and write its outputs as arrays."""
     import numpy as np
 
     from video2anim.artifacts.images import read_picture
@@ -39,14 +39,16 @@ def models_run(
     for path, picture in zip(images, pictures, strict=True):
         if picture.shape != pictures[0].shape:
             have, want = (f"{shape[1]}x{shape[0]}" for shape in (picture.shape, pictures[0].shape))
-            raise InputError(f"pictures: want one size, {want} as {images[0]}, got {have} at {path}; run them apart")
+            raise InputError(
+                f"pictures: want one size, {want} as {images[0]}, got {have} at {path}; run them separately"
+            )
     aside = out.with_name(f".{out.name}.part")
     if out.is_dir() or not out.parent.is_dir():
-        raise InputError(f"--out: cannot write {out}: want a file in a folder that is there; choose another")
+        raise InputError(f"--out: cannot write {out}: want a file in an existing folder; choose another")
     try:
         answer = ANSWERS[slot](load_model(model or slot), pictures)
     except ValueError as error:
-        raise StageError(f"{entry.name}: its answer cannot be used: {error}") from error
+        raise StageError(f"{entry.name}: its output cannot be used: {error}") from error
     arrays: dict[str, Any] = {"frames": np.array(names), "model": np.array(entry.name), **answer}
     try:
         with aside.open("wb") as file:
@@ -69,12 +71,12 @@ def depth_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.nda
 
 
 def camera_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Focal length, and for models with perspective fields gravity, both with uncertainty, and the fields themselves.
+    """Focal length; for models with perspective fields also gravity, uncertainties, and the fields.
 
-    Fields are fitted by a camera, which straight edges of the picture then correct, as in stage camera.
-    `focal_px` (N,), `fov_y_rad` (N,); `focal_log_sigma` (N,), `up_camera` (N, 3) unit, OpenCV axes, `pitch_rad` and
-    `roll_rad` (N,), positive looks up and turns clockwise, `up_sigma_rad` (N,), `up_field` (N, rows, columns, 2),
-    `latitude_rad` (N, rows, columns).
+    A camera is fitted to the fields and corrected by line segments of the image, as in stage camera.
+    `focal_px` (N,), `fov_y_rad` (N,); `focal_log_sigma` (N,), `up_camera` (N, 3) unit vectors in OpenCV axes,
+    `pitch_rad` (N,) positive = looks up, `roll_rad` (N,) positive = clockwise, `up_sigma_rad` (N,), `up_field`
+    (N, rows, columns, 2), `latitude_rad` (N, rows, columns).
     """
     import numpy as np
 
@@ -105,7 +107,7 @@ def camera_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.nd
 
 
 def segment_arrays(model: Any, pictures: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """`semantic` (N, h, w) uint8 into `classes`, and instances, best first within a picture.
+    """`semantic` (N, h, w), uint8 index into `classes`, and instances, best first within an image.
 
     Instances: `masks` (M, h, w) bool with `mask_frame` (M,) into `frames`, `mask_label`, `mask_kind`, `mask_score`.
     """

@@ -1,4 +1,4 @@
-"""The report of a run, from what its stages say."""
+"""Builds the HTML report of a run from the values and manifests of its stages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from video2anim.export.report import FoundPerson
 
 MOTIONS = {"raw": BodyTracks, "keyframes": KeyframedMotion, "refined": RefinedMotion}
-"""Motions of a run by the name that users give them."""
+"""Motions of a run by the name used in options."""
 
 
 def report_html(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], exported: ExportedFiles) -> str:
@@ -79,14 +79,14 @@ def report_html(runner: Runner, record: RunRecord, rows: Sequence[StageStatus], 
 
 
 def motions_of(runner: Runner) -> dict[str, tuple[BodyMotion, ...]]:
-    """People of every motion stage, all in the world of the scene."""
+    """People of every motion stage, all in the world frame of the scene."""
     motions = {name: runner.value(kind).people for name, kind in MOTIONS.items()}
     T_world_camera = motions["refined"][0].T_world_camera
     return motions | {"raw": tuple(motion.in_world(T_world_camera) for motion in motions["raw"])}
 
 
 def found_people(tracks: PersonTracks, bodies: BodyTracks, frame_count: int) -> tuple[FoundPerson, ...]:
-    """Everybody tracked, with a picture and the verdict on those who were fitted."""
+    """All tracked people with a thumbnail, and for fitted ones whether they are trusted."""
     from video2anim.artifacts.images import png_bytes
     from video2anim.export.report import FoundPerson
 

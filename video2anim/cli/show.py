@@ -1,4 +1,4 @@
-"""What the command line prints: progress, tables, model states."""
+"""Output of the command line: progress, tables, model states."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from video2anim.types import InstanceMasks
 
 _WIDE = 200
-"""Columns where the output is no terminal, so that tables in files and pipes are not cut."""
+"""Width in columns if the output is not a terminal, so that tables in files and pipes are not cut."""
 _out = Console(width=None if sys.stdout.isatty() else _WIDE)
 _err = Console(stderr=True)
 
 
 @contextmanager
 def progress() -> Iterator[Callable[[Event], None]]:
-    """Shows events as they come: a bar on a terminal, one line per stage elsewhere."""
+    """Shows events of a run: a progress bar on a terminal, else one line per stage."""
     columns = (TextColumn("{task.description:<12}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
     with Progress(*columns, TimeRemainingColumn(), console=_err, transient=True, disable=not _err.is_terminal) as bar:
         task = bar.add_task("", total=None)
@@ -60,7 +60,7 @@ def _warn(stage: str, text: str) -> None:
 
 
 def stage_table(rows: Sequence[StageStatus]) -> None:
-    """Stages with state, time, memory, key and their first quality numbers."""
+    """Print the stages with state, time, memory, key and their first quality numbers."""
     table = Table("stage", "state", "time", "peak", "key", "quality", box=None, pad_edge=False)
     for row in rows:
         m = row.manifest
@@ -75,7 +75,7 @@ def stage_table(rows: Sequence[StageStatus]) -> None:
 
 
 def outcome(found: Outcome) -> None:
-    """The stages, and where to look."""
+    """Print the stages and the result files."""
     stage_table(found.rows)
     for path in found.results:
         _out.print(str(path), soft_wrap=True, highlight=False, markup=False)
@@ -85,7 +85,7 @@ def outcome(found: Outcome) -> None:
 
 
 def confirmed(text: str) -> bool:
-    """The answer of whoever sits at the terminal; no where nobody does."""
+    """Ask the user at the terminal; False if there is no terminal."""
     return sys.stdin.isatty() and typer.confirm(text, err=True)
 
 
@@ -94,7 +94,7 @@ def _quality(row: QualityRow) -> Quality:
 
 
 def manifest(folder: Path, found: Manifest) -> None:
-    """Everything a stage's manifest says, and its files."""
+    """Print the manifest of a stage, and its files."""
     data = asdict(found)
     qualities, warnings = data.pop("qualities"), data.pop("warnings")
     for key, value in data.items():
@@ -110,7 +110,7 @@ def manifest(folder: Path, found: Manifest) -> None:
 
 
 def objects(found: InstanceMasks) -> None:
-    """Numbers of the objects, by which `reconstruct.meshes` names its files, with their masks."""
+    """Print the IDs of the objects, which `reconstruct.meshes` uses, with their mask files."""
     for index, item in enumerate(found.instances):
         x0, y0, x1, y1 = item.box_px.round().astype(int)
         line = f"object {item.object_id}: {item.label}, score {item.score:.2f}, x {x0} to {x1}, y {y0} to {y1} px"
@@ -118,7 +118,7 @@ def objects(found: InstanceMasks) -> None:
 
 
 def models_table(states: Sequence[ModelState]) -> None:
-    """The model table with what lies in the cache."""
+    """Print the model table with the state of the cache."""
     table = Table("slot", "model", "runtime", "size", "license", "verified", "here", "source", box=None, pad_edge=False)
     for state in states:
         e = state.entry
@@ -128,7 +128,7 @@ def models_table(states: Sequence[ModelState]) -> None:
 
 
 def fail_on_damage(states: Sequence[ModelState]) -> None:
-    """Raise for the first model whose file is not the one the table names."""
+    """Raise `ModelMissingError` for the first model with a wrong digest."""
     from video2anim.networks import ensure
 
     for state in states:
@@ -137,7 +137,7 @@ def fail_on_damage(states: Sequence[ModelState]) -> None:
 
 
 def pull(name: str) -> None:
-    """Fetch a model or all models of a preset."""
+    """Download a model or all models of a preset, and print their paths."""
     from video2anim.cli.compose import preset_models
     from video2anim.networks import pull as fetch
 
@@ -160,7 +160,7 @@ def _number(value: float) -> str:
 
 @contextmanager
 def counted(unit: str) -> Iterator[Callable[[Any, int], None]]:
-    """Shows finished objects of a set: a bar on a terminal, one line each elsewhere."""
+    """Shows finished items of a set: a progress bar on a terminal, else one line per item."""
     columns = (TextColumn(unit), BarColumn(), TextColumn("{task.completed}/{task.total}"))
     with Progress(*columns, TimeRemainingColumn(), console=_err, transient=True, disable=not _err.is_terminal) as bar:
         task = bar.add_task("", total=None)

@@ -1,6 +1,6 @@
-"""The typed values that stages hand to each other. Conventions: docs/conventions.md.
+"""The typed values that stages pass to each other. Conventions: docs/conventions.md.
 
-Every value is a frozen dataclass of numpy arrays and plain values. `stored()` marks how a field lies on disk.
+Every value is a frozen dataclass of numpy arrays and plain values. `stored()` gives the file format of a field.
 """
 
 from video2anim.types.camera import CameraEstimate, Intrinsics, View

@@ -1,4 +1,4 @@
-"""Cameras: pinhole intrinsics and what is known of the clip's camera."""
+"""Cameras: pinhole intrinsics, views, and the estimated camera of the clip."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class Intrinsics(Checked):
 
     @classmethod
     def centered(cls, focal_px: float, width_px: int, height_px: int) -> Intrinsics:
-        """Square pixels, principal point in the middle of the picture."""
+        """Intrinsics with square pixels and the principal point at the center of the picture."""
         return cls(focal_px, focal_px, 0.5 * (width_px - 1), 0.5 * (height_px - 1), width_px, height_px)
 
     def matrix(self) -> Float[np.ndarray, "3 3"]:
         return np.array([[self.fx_px, 0, self.cx_px], [0, self.fy_px, self.cy_px], [0, 0, 1.0]])
 
     def resized(self, width_px: int, height_px: int) -> Intrinsics:
-        """Intrinsics of the same picture at another size; pixel centers, not corners, keep their meaning."""
+        """Intrinsics of the same picture at another size, with pixel (0, 0) still the center of the top-left pixel."""
         sx, sy = width_px / self.width_px, height_px / self.height_px
         cx_px, cy_px = (self.cx_px + 0.5) * sx - 0.5, (self.cy_px + 0.5) * sy - 0.5
         return Intrinsics(self.fx_px * sx, self.fy_px * sy, cx_px, cy_px, width_px, height_px)
@@ -41,29 +41,29 @@ class Intrinsics(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View(Checked):
-    """A camera in one frame: where it is and its lens."""
+    """A camera in one frame: pose and intrinsics."""
 
     T_world_camera: Annotated[Float[np.ndarray, "4 4"], Holds.RIGID]
     intrinsics: Intrinsics
 
     @property
     def center_m(self) -> Float[np.ndarray, "3"]:
-        """Where the camera is, in the world."""
+        """Position of the camera in the world."""
         return self.T_world_camera[:3, 3]
 
     @property
     def forward(self) -> Float[np.ndarray, "3"]:
-        """Unit vector along the view axis, in the world."""
+        """Unit vector along the optical axis, in the world."""
         return self.T_world_camera[:3, 2]
 
     def resized(self, width_px: int, height_px: int) -> View:
-        """The same view as a picture of another size."""
+        """The same view for a picture of another size."""
         return View(self.T_world_camera, self.intrinsics.resized(width_px, height_px))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UpEvidence(Checked):
-    """What one source says of gravity, on its own."""
+    """Estimate of gravity from one source alone."""
 
     source: str
     """`picture` (perspective fields and straight edges), `lifter` (people's poses) or `level camera`."""
@@ -74,23 +74,23 @@ class UpEvidence(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraEstimate(Checked):
-    """Lens and gravity of the clip's camera."""
+    """Intrinsics and gravity of the clip's camera."""
 
     intrinsics: Intrinsics
     focal_source: str
-    """`user`, `metadata`, `picture` (the room's perspective together with the person's geometry) or `human` (the
-    person's geometry under a lens prior)."""
+    """`user`, `metadata`, `picture` (perspective of the room and geometry of the person) or `human` (geometry of the
+    person with a prior on the focal length)."""
     focal_sigma_ratio: NonNegativeFloat
-    """Standard deviation of the focal length as a share of it."""
+    """Standard deviation of the focal length divided by the focal length."""
     up_camera: Annotated[Float[np.ndarray, "3"], Holds.DIRECTION]
     """Unit vector against gravity in camera axes, first frame."""
     up_source: str
-    """`user`, `picture` (perspective and the person's balance), `human` or `level` (taken as level: nothing spoke
-    against it)."""
+    """`user`, `picture` (perspective and balance of the person), `human`, or `level` (assumed to be level, without
+    evidence to the contrary)."""
     up_sigma_rad: NonNegativeFloat
     is_static: bool
     R_first_camera: Annotated[Float[np.ndarray, "frames 3 3"], Holds.ROTATION]
-    """Rotation of each frame's camera against the first one's. Identity means fixed; where `is_static` is False it is
-    an assumption, not an estimate."""
+    """Rotation of each frame's camera relative to the first. All identity = fixed; if `is_static` is False that is an
+    assumption, not an estimate."""
     up_evidence: tuple[UpEvidence, ...] = ()
-    """The single sources, for the fit of stage metric."""
+    """The estimates of the single sources, for the fit of stage metric."""

@@ -1,7 +1,7 @@
-"""Values that are sound when they are made: shapes that fit each other, finite numbers, units in range.
+"""Checks of values at construction: consistent shapes, finite numbers, units in range.
 
-What is wanted stands in a field's annotation alone: its shape, its limits, and what it `Holds`. Readers of files hold
-arrays against the same annotations (`video2anim.artifacts.arrays`).
+The annotation of a field defines its checks: shape, limits, and what it `Holds`. Readers of files check arrays against
+the same annotations (`video2anim.artifacts.arrays`).
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from pydantic import TypeAdapter, ValidationError
 from video2anim.types.storage import Holds, IdsOf, OnePer
 
 MAX_M = 1e4
-"""Places farther away than 10 km are in the wrong unit."""
+"""Largest coordinate: positions beyond 10 km are in a wrong unit."""
 ROTATION_TOLERANCE = 1e-3
-"""Largest entry by which a rotation may differ from an exact one: files hold it in single precision or as text."""
+"""Tolerance of the entries of R R^T - I: files hold rotations in single precision or as text."""
 
 
 class Checked:
-    """Base of the values that stages hand to each other.
+    """Base class of the values that stages pass to each other. It checks the fields at construction.
 
     Raises:
-        ValueError: a field is not what its annotation says; one line with the type and the field.
+        ValueError: a field does not match its annotation; the message names the type and the field.
     """
 
     __slots__ = ()
@@ -38,10 +38,10 @@ class Checked:
 
 
 def expect_sound(value: object) -> None:
-    """Hold the fields of a dataclass against their annotations.
+    """Check the fields of a dataclass against their annotations.
 
     Raises:
-        ValueError: one does not fit.
+        ValueError: a field does not match.
     """
     axes: dict[str, int] = {}
     for name, expect in _checks(type(value)):
@@ -51,7 +51,7 @@ def expect_sound(value: object) -> None:
 
 
 def expect_equal_lengths(value: Any, field: str, lengths: Sequence[int]) -> None:
-    """Items of one field that go over the same frames.
+    """Check that the items of a field have equal numbers of frames.
 
     Raises:
         ValueError: they do not.
@@ -61,18 +61,18 @@ def expect_equal_lengths(value: Any, field: str, lengths: Sequence[int]) -> None
 
 
 def annotation(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    """A type and what `Annotated` says of it."""
+    """A type and its `Annotated` metadata."""
     return (hint.__origin__, hint.__metadata__) if typing.get_origin(hint) is typing.Annotated else (hint, ())
 
 
 def is_array(hint: Any) -> bool:
-    """Whether a type is an array: plain, or with a kind and shape by jaxtyping."""
+    """Whether a type is an array, plain or with dtype and shape by jaxtyping."""
     kind = annotation(hint)[0]
     return kind is np.ndarray or getattr(kind, "array_type", None) is np.ndarray
 
 
 def shape_fault(shape: tuple[int, ...], kind: Any, axes: MutableMapping[str, int]) -> str | None:
-    """What is wrong with a shape, by a jaxtyping type; lengths of axes not met before are entered."""
+    """What is wrong with a shape according to a jaxtyping type, or None. Lengths of new axes are added to `axes`."""
     words = [int(word) if word.isdigit() else word for word in kind.dim_str.split()]
     wanted = [axes.get(word, word) if isinstance(word, str) else word for word in words]
     pairs = list(zip(wanted, shape, strict=False))
@@ -83,7 +83,7 @@ def shape_fault(shape: tuple[int, ...], kind: Any, axes: MutableMapping[str, int
 
 
 def content_fault(array: np.ndarray, marks: tuple[Any, ...], axes: Mapping[str, int]) -> str | None:
-    """What is wrong with the numbers of an array, by the marks of its annotation; names the first row."""
+    """What is wrong with the values of an array according to its annotation, with the first bad row; or None."""
     if array.dtype.kind in "fc" and Holds.GAPS not in marks and not np.isfinite(array).all():
         return "want finite numbers, got NaN or infinity"
     for mark in marks:
@@ -95,7 +95,7 @@ def content_fault(array: np.ndarray, marks: tuple[Any, ...], axes: Mapping[str, 
 
 
 def count_fault(kind: type, name: str, mark: OnePer, count: int, wanted: int) -> str | None:
-    """What is wrong with the length of a tuple that has one item for each of another field's."""
+    """What is wrong with the length of a tuple that needs one item for each item of another field, or None."""
     optional = next(f for f in dataclasses.fields(kind) if f.name == name).default is not dataclasses.MISSING
     if count == wanted or (optional and count == 0):
         return None
@@ -103,13 +103,13 @@ def count_fault(kind: type, name: str, mark: OnePer, count: int, wanted: int) ->
 
 
 def ids_fault(items: Sequence[Any], ids: Sequence[int]) -> str | None:
-    """What is wrong with numbers that must be those of other items."""
+    """What is wrong with IDs that must be IDs of other items, or None."""
     there = [item.person_id for item in items]
     return None if set(ids) <= set(there) else f"want numbers among {there}, got {tuple(ids)}"
 
 
 _Rows = np.ndarray | np.bool
-"""Whether each row is wrong; of single items one answer."""
+"""Whether each row is wrong; for single items one value."""
 _Check = Callable[[Any, Any, MutableMapping[str, int]], str | None]
 
 
@@ -138,7 +138,7 @@ def _checks(kind: type) -> tuple[tuple[str, _Check], ...]:
 
 
 def _has_limits(hint: Any) -> bool:
-    """Whether a type of numbers or text has limits somewhere in it."""
+    """Whether a type of numbers or text contains limits."""
     plain, marks = annotation(hint)
     if typing.get_origin(plain) in (tuple, dict, typing.Union, types.UnionType):
         return any(_has_limits(part) for part in typing.get_args(plain))
@@ -183,7 +183,7 @@ def _ids_of(mark: IdsOf, value: Any, ids: Any, _: MutableMapping[str, int]) -> s
 
 
 def _no_rotation(given: np.ndarray, _: Mapping[str, int]) -> _Rows:
-    R = np.clip(given, -2.0, 2.0)  # a product of huge numbers overflows; these are no rotation either
+    R = np.clip(given, -2.0, 2.0)  # products of huge numbers would overflow
     off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max((-1, -2))
     return (off > ROTATION_TOLERANCE) | (np.linalg.det(R) < 0)
 
@@ -211,4 +211,4 @@ _FAULTS: dict[Any, Callable[[np.ndarray, Mapping[str, int]], _Rows]] = {
     Holds.FROM_ORIGIN: lambda points, _: np.abs(points) > np.append(1e-6, np.full(len(points) - 1, MAX_M))[:, None],
     Holds.SOMETHING: lambda picture, _: np.asarray(not picture.any()),
 }
-"""Rows that do not hold what is said."""
+"""Tests for each mark: which rows violate it."""

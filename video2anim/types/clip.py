@@ -1,4 +1,4 @@
-"""The video: as it came, and as the pipeline sees it (30 fps, upright, square pixels)."""
+"""The video: the input file, and the clip of the pipeline (30 fps, upright, square pixels)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from video2anim.types.checks import Checked
 from video2anim.types.storage import Holds, PayloadFile
 
 FPS = 30.0
-"""Frame rate of every clip and motion after ingest; the networks are trained at it."""
+"""Frame rate in Hz of every clip and motion after ingest; the networks are trained at it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class SourceVideo:
 
 @dataclass(frozen=True, slots=True)
 class SourceInfo(Checked):
-    """What the container and decoder said of the input."""
+    """Properties of the input by its container and decoder."""
 
     codec: str
     pixel_format: str
@@ -41,10 +41,10 @@ class SourceInfo(Checked):
     average_fps: NonNegativeFloat
     decoded_frames: NonNegativeInt
     claimed_frames: NonNegativeInt
-    """Frames promised by the header, 0 where it is silent."""
+    """Number of frames by the header; 0 if the header has none."""
     duration_s: NonNegativeFloat
     focal_35mm: NonNegativeFloat
-    """35 mm equivalent focal length from metadata, 0 where absent."""
+    """35 mm equivalent focal length in mm from metadata; 0 if missing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,15 +59,15 @@ class VideoClip(Checked):
     frame_time_s: Annotated[Float[np.ndarray, "frames"], Holds.RISING]
     """Time in the clip, starting at 0."""
     source_time_s: Float[np.ndarray, "frames"]
-    """Time stamp in the source of the picture shown at this frame."""
+    """Time stamp, in the source, of the picture in this frame."""
     source: SourceInfo
     shots_s: tuple[tuple[FiniteFloat, FiniteFloat], ...]
     """Start and end in source time of every shot found; the clip is one of them."""
     shot_index: NonNegativeInt
     camera_is_static: bool
     camera_drift_ratio: float
-    """Largest background displacement against the first frame, as a share of the image width; NaN where the
-    background had too few features to tell."""
+    """Largest background displacement relative to the first frame, as a share of the image width; NaN if the
+    background has too few features."""
     warnings: tuple[str, ...]
 
     @property

@@ -1,4 +1,4 @@
-"""Who touches what."""
+"""Contacts between body parts and surfaces."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FLOOR = "floor"
 
 @dataclass(frozen=True, slots=True)
 class Contact(Checked):
-    """A part of a body on one surface for a while: an edge of the contact graph."""
+    """Contact of a body part with one surface over a range of frames: an edge of the contact graph."""
 
     __pydantic_config__ = ConfigDict(strict=True, extra="forbid")
 
@@ -24,16 +24,16 @@ class Contact(Checked):
     object_id: NonNegativeInt | None
     """None for the floor."""
     label: str
-    """Of the object, or `floor`."""
+    """Label of the object, or `floor`."""
     surface: str
-    """`seat`, `back`, `arm side`...: the part of the object, with `top`, `side` or `underside` where that does not go
-    without saying; `top`, `side` or `underside` alone of objects without parts; `floor`."""
+    """The part of the object, followed by `top`, `side` or `underside` unless it is the usual one (`seat`, `back`, `arm
+    side`...); only `top`, `side` or `underside` for objects without parts; or `floor`."""
     start_s: FiniteFloat
     """Time of the first frame."""
     end_s: FiniteFloat
     """Time of the last frame."""
     mean_distance_m: FiniteFloat
-    """Mean over the frames of the skin's distance from the surface where it is nearest or deepest: a gap is positive, a
-    depth negative."""
+    """Mean over the frames of the signed distance of the nearest (or deepest) skin to the surface: gaps are positive,
+    penetrations negative."""
     largest_distance_m: FiniteFloat
-    """That of the frame in which it is farthest from 0."""
+    """This signed distance in the frame in which its absolute value is largest."""

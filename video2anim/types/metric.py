@@ -1,6 +1,6 @@
-"""The clip in meters: what the fit of stage metric gives."""
+"""Metric depth and bodies: the result of stage metric."""
 
-# `stored()` marks how a field lies on disk; it is no default, though it stands where one would.
+# `stored()` gives the file format of a field. It is not a default value, although it has the place of one.
 # pyright: reportGeneralTypeIssues=false
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from video2anim.types.storage import Holds
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MetricDepth(Checked):
-    """Scale and offset that make a `DepthClip` metric (paper 8.1), the depth they give, every object and the people at
-    their own distance, and the people and camera that were fitted with them."""
+    """Scale and offset that make a `DepthClip` metric (paper 8.1), the metric depth (with a distance of its own for
+    every object and person), and the people and the camera of the same fit."""
 
     scale: PositiveFloat
     offset_m: FiniteFloat
@@ -28,10 +28,10 @@ class MetricDepth(Checked):
     scale_sigma: float
     offset_sigma: float
     chamfer_before_m: NonNegativeFloat | None
-    """None where no fit was possible."""
+    """None if no fit was possible."""
     chamfer_after_m: NonNegativeFloat | None
     trusted: bool
-    """False where the person covers too little to fix the scale."""
+    """False if the person covers too few pixels to determine the scale."""
     reason: str
     frame_index: Annotated[Int[np.ndarray, "samples"], Holds.FRAMES]
     depth_m: Annotated[Float[np.ndarray, "samples small_height small_width"], Holds.GAPS]
@@ -39,6 +39,6 @@ class MetricDepth(Checked):
     background_depth_m: Annotated[Float[np.ndarray, "small_height small_width"], Holds.GAPS]
     background_valid: Bool[np.ndarray, "small_height small_width"]
     object_sigma: dict[str, NonNegativeFloat]
-    """Standard deviation of the logarithm of each object's depth, by its number."""
+    """Standard deviation of the logarithm of each object's depth, by object ID."""
     bodies: BodyTracks
-    """People and camera as the same fit has them: the bodies that later stages work on."""
+    """People and camera of the same fit; later stages use these bodies."""

@@ -1,4 +1,4 @@
-"""Motion of a body: the content of `motion.npz`, in every stage that makes one."""
+"""Motion of bodies: the content of `motion.npz` in every stage that makes one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from video2anim.types.storage import Holds, OnePer
 
 @dataclass(frozen=True, slots=True)
 class BodyShape(Checked):
-    """Parameters that a body model turns into a rest body."""
+    """Shape parameters of a body model."""
 
     model: str
     """`anny`, or `smpl`, `smplh`, `smplx` (neutral; with `-male` or `-female` the others)."""
@@ -39,7 +39,7 @@ class BodyMotion(Checked):
     frame_time_s: Annotated[Float[np.ndarray, "frames"], Holds.RISING]
     valid: Bool[np.ndarray, "frames"]
     T_world_root: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
-    """Root transform; its translation is that of the pelvis, since `rest_joints_m[0]` is the origin."""
+    """Root transform; its translation is the pelvis, since `rest_joints_m[0]` is the origin."""
     R_parent_joint: Annotated[Float[np.ndarray, "frames 22 3 3"], Holds.ROTATION]
     """Local joint rotations in SMPL order and rest convention; joint 0 is the root orientation in the world."""
     T_world_camera: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
@@ -57,22 +57,22 @@ class BodyMotion(Checked):
 
     @property
     def joints_camera_m(self) -> Float[np.ndarray, "frames 22 3"]:
-        """Joints in each frame's camera (OpenCV axes)."""
+        """Joints in the camera frame of each frame (OpenCV axes)."""
         R_world_camera, t = self.T_world_camera[:, :3, :3], self.T_world_camera[:, :3, 3]
         return np.einsum("tji,tkj->tki", R_world_camera, self.joints_world_m - t[:, None])
 
     @property
     def measured_joints_m(self) -> Float[np.ndarray, "span 22 3"]:
-        """World joints from the first to the last valid frame: where differences over time mean something."""
+        """World joints from the first to the last valid frame, for differences over time."""
         rows = np.flatnonzero(self.valid)
         return self.joints_world_m[rows[0] : rows[-1] + 1] if len(rows) else self.joints_world_m[:0]
 
     def view(self, frame: int = 0) -> View:
-        """The clip's camera in a frame; that of the first one sees the background image."""
+        """The clip's camera in a frame; frame 0 is the view of the background image."""
         return View(self.T_world_camera[frame], self.intrinsics)
 
     def in_world(self, T_world_camera: Float[np.ndarray, "frames 4 4"]) -> BodyMotion:
-        """The same motion before the same cameras, in a world in which these stand elsewhere."""
+        """The same motion relative to the cameras, in a world in which the cameras have the given poses."""
         T_camera_own = np.linalg.inv(self.T_world_camera)
         T_world_root = T_world_camera @ T_camera_own @ self.T_world_root
         R = self.R_parent_joint.copy()
@@ -81,7 +81,7 @@ class BodyMotion(Checked):
         return replace(moved, T_world_camera=T_world_camera)
 
     def with_pose(self, *, translation_world_m: np.ndarray, R_parent_joint: np.ndarray) -> BodyMotion:
-        """The same person in another motion; joints by forward kinematics."""
+        """The same person with another pose sequence; joints by forward kinematics."""
         from video2anim.types.skeleton import forward_kinematics
 
         joints_world_m, _ = forward_kinematics(R_parent_joint, translation_world_m, self.rest_joints_m)
@@ -93,27 +93,27 @@ class BodyMotion(Checked):
 
 @dataclass(frozen=True, slots=True)
 class PersonQuality(Checked):
-    """What speaks for and against one fitted person; everything is known without truth."""
+    """Quality of one fitted person, computed without ground truth."""
 
     reprojection_px: float
-    """Median 2D error of the seen landmarks."""
+    """Median 2D error of the visible landmarks."""
     reprojection_ratio: float
-    """The same as a share of the person's size in the picture."""
+    """The same error divided by the person's size in the picture."""
     jerk_m_s3: float
     skating_gmd: float
-    """Share of skating frames (design section 9); NaN for fewer than 4 frames."""
+    """Share of frames with foot skating (definition: docs/evaluation.md); NaN for fewer than 4 frames."""
     bone_spread: float
-    """Relative spread over time of the limbs' lengths in the 3D landmarks; NaN where they are hardly seen."""
+    """Relative standard deviation over time of limb lengths in the 3D landmarks; NaN if they are hardly visible."""
     valid_share: float
     """Share of the clip's frames with a measurement."""
     body_height_m: float
     """From the highest to the lowest joint of the T-pose."""
     fast_share: float
-    """Share of the frames in which the root moves faster than anybody can."""
+    """Share of the frames in which the root moves faster than humanly possible."""
     doubts: tuple[str, ...] = ()
-    """Reasons not to trust the person's motion; empty: none found."""
+    """Reasons not to trust the person's motion; empty if there are none."""
     body_height_sigma_m: float = 0.09
-    """Standard deviation of the standing height before the clip is looked at: of adults, or of what the user gave."""
+    """Standard deviation of the prior on standing height: of adults, or of the height given by the user."""
 
     @property
     def trusted(self) -> bool:
@@ -127,7 +127,7 @@ def main_person(people: Sequence[BodyMotion]) -> BodyMotion:
     """The main person, who comes first.
 
     Raises:
-        StageError: there is nobody.
+        StageError: there is no person.
     """
     if not people:
         raise StageError(_NOBODY)
@@ -137,7 +137,7 @@ def main_person(people: Sequence[BodyMotion]) -> BodyMotion:
 @dataclass(frozen=True, slots=True, eq=False)
 class _People(Checked):
     people: tuple[BodyMotion, ...]
-    """Main person first; all over the same frames of the same camera."""
+    """Main person first; all have the same frames and the same camera."""
 
     def __post_init__(self) -> None:
         expect_sound(self)
@@ -148,7 +148,7 @@ class _People(Checked):
         """The main person.
 
         Raises:
-            StageError: there is nobody.
+            StageError: there is no person.
         """
         return main_person(self.people)
 
@@ -157,24 +157,24 @@ class _People(Checked):
         """The view of the background image: the clip's camera in the first frame.
 
         Raises:
-            StageError: there is nobody.
+            StageError: there is no person.
         """
         return self.main.view()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyTracks(_People):
-    """Bodies as fitted to the video, before any prior repairs them ("raw" in reports)."""
+    """Bodies fitted to the video, before any motion prior ("raw" in reports)."""
 
     quality: Annotated[tuple[PersonQuality, ...], OnePer("people")] = ()
-    """Of each person."""
+    """Quality of each person."""
 
     @property
     def main(self) -> BodyMotion:
         """The main person.
 
         Raises:
-            StageError: there is nobody, or the main person is seen in no frame.
+            StageError: there is no person, or the main person is valid in no frame.
         """
         main = main_person(self.people)
         if not main.valid.any():
@@ -192,14 +192,14 @@ class KeyframedMotion(_People):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RefinedMotion(_People):
-    """Final motion."""
+    """Final motion (stage refine)."""
 
     prior: Annotated[tuple[str, ...], OnePer("people")]
-    """In-betweening prior behind the motion of each person: `scenemi`, or `none` for the observed motion."""
+    """In-betweening prior of each person's motion: `scenemi`, or `none` for the observed motion."""
     prior_share: Annotated[tuple[float, ...], OnePer("people")]
-    """Share of each person's measured frames in which a joint is turned by more than 3 degrees against the same solve
+    """Share of each person's measured frames in which a joint differs by more than 3 degrees from the same solve
     without the prior."""
     without_prior: tuple[BodyMotion, ...]
-    """The same solve from the observed motion: what is left of the result without the prior."""
+    """The same solve without the prior, from the observed motion."""
     scene: SceneModel
     """The scene that the motion fits: objects moved along their lines of sight."""

@@ -1,4 +1,4 @@
-"""The arrays of a `motion.npz` (keys: docs/scene_folder.md), for every writer of such files."""
+"""The arrays of `motion.npz` (keys: docs/scene_folder.md), for all writers of such files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from video2anim.types.skeleton import JOINT_NAMES, PARENTS
 
 
 def motion_arrays(motion: BodyMotion) -> dict[str, Any]:
-    """Arrays by key; `joints_camera_m` follows from the others."""
+    """Arrays by key. `joints_camera_m` is derived from the others."""
     k = motion.intrinsics
     return {
         "joint_names": np.array(JOINT_NAMES),

@@ -15,8 +15,7 @@ from video2anim.types.storage import Holds, IdsOf, OnePer, Storage, stored
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonTrack(Checked):
-    """One person from the first frame to the last that shows them. Where `valid` is False the other rows are NaN
-    (masks 0)."""
+    """One tracked person; rows are frames from `first_frame` on. Rows with `valid` False are NaN (masks 0)."""
 
     person_id: NonNegativeInt
     valid: Bool[np.ndarray, "rows"]
@@ -29,24 +28,24 @@ class PersonTrack(Checked):
     landmarks_m: Annotated[Float[np.ndarray, "rows 33 3"], Holds.GAPS]
     """BlazePose world landmarks in meters, origin between the hips, OpenCV axes (x right, y down, z away)."""
     visibility: Annotated[Float[np.ndarray, "rows 33"], Holds.GAPS]
-    """Probability that the landmark is in the picture and not hidden."""
+    """Probability that the landmark is in the picture and not occluded."""
     mask_crop: UInt8[np.ndarray, "rows 64 64"]
     """Person probability x 255 in the square crop."""
     T_image_crop: Annotated[Float[np.ndarray, "rows 2 3"], Holds.GAPS]
     """Affine map from crop coordinates in [0, 1] x [0, 1] to pixels."""
     first_frame: NonNegativeInt = 0
-    """The clip's frame that the first row belongs to."""
+    """Frame of the clip of the first row."""
 
     def row(self, frame: int) -> int | None:
-        """The row of a frame of the clip; None where the person is not tracked."""
+        """The row of a frame of the clip; None if the track has no row for it."""
         row = frame - self.first_frame
         return row if 0 <= row < len(self.valid) and self.valid[row] else None
 
     def whole(self, frame_count: int) -> PersonTrack:
-        """With a row for every frame of the clip; masks and crops, the larger part by far, are left behind (0, NaN).
+        """The track with a row for every frame of the clip. Masks and crops, which are large, are dropped (0, NaN).
 
         Args:
-            frame_count: of the clip.
+            frame_count: Number of frames of the clip.
         """
         rows = slice(self.first_frame, self.first_frame + len(self.valid))
 
@@ -65,7 +64,7 @@ class PersonTrack(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thumbnail(Checked):
-    """A person as seen in the frame that shows most of them."""
+    """Picture of a person from the frame in which most of the body is visible."""
 
     person_id: NonNegativeInt
     frame: NonNegativeInt
@@ -78,9 +77,9 @@ class PersonTracks(Checked):
 
     people: tuple[PersonTrack, ...]
     selected_ids: Annotated[tuple[int, ...], IdsOf("people")]
-    """Persons the later stages work on (`--person`)."""
+    """Persons that later stages process (`--person`)."""
     thumbnails: Annotated[tuple[Thumbnail, ...], OnePer("people")] = ()
-    """One of each person, in the order of `people`."""
+    """One for each person, in the order of `people`."""
 
     def selected(self) -> tuple[PersonTrack, ...]:
         """Tracks of the selected persons, main person first, each over its own frames."""

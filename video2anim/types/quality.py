@@ -1,4 +1,4 @@
-"""One schema for numbers that say how well something was done: in run.json, the report, `show` and the benchmarks."""
+"""The schema of quality numbers in run.json, the report, `show` and the benchmarks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 Better = Literal["lower", "higher", "near_1", "near_truth", "none"]
-"""Direction; `near_truth`: the nearer to the same measure of the ground truth the better; `none`: a fact."""
+"""Which values are better; `near_truth`: near to the same measure of the ground truth; `none`: only a fact."""
 Unit = Literal[
     "m", "m/s", "m/s^2", "m/s^3", "px", "deg", "ratio", "%", "count", "MB", "Hz", "dB", "/255",
 ]  # fmt: skip
@@ -15,26 +15,26 @@ _WRITTEN = {
     "pa_mpjpe": "PA-MPJPE", "wa_mpjpe": "WA-MPJPE", "w_mpjpe": "W-MPJPE", "mpjpe": "MPJPE", "iou": "IoU",
     "psnr": "PSNR", "f1": "F1", "rte": "RTE", "gmd": "GMD", "sdf": "SDF", "fid": "FID",
 }  # fmt: skip
-"""How the field writes words of keys."""
+"""Usual spelling of abbreviations in keys."""
 _WORDS = re.compile("|".join(rf"(?<![a-z0-9]){word}(?![a-z0-9])" for word in _WRITTEN))
 _KEY = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """One number.
+    """One quality number.
 
     Raises:
-        ValueError: the key is not words of lower case joined by underscores, or the unit is none of `Unit`.
+        ValueError: the key is not lower-case words joined by underscores, or the unit is not in `Unit`.
     """
 
     key: str
     value: float
-    """NaN where it could not be measured."""
+    """NaN if it could not be measured."""
     unit: Unit
     better: Better = "none"
     person_id: int | None = None
-    """Of whom it speaks; None: of the main person, or of no person."""
+    """Person that it describes; None = the main person, or no person."""
     object_id: int | None = None
 
     def __post_init__(self) -> None:
@@ -45,7 +45,7 @@ class Quality:
 
     @property
     def label(self) -> str:
-        """For people: the key's words, and of whom or what it speaks."""
+        """Text for tables: the words of the key, and the person or object."""
         of = [f"{word} {number}" for word, number in (("person", self.person_id), ("object", self.object_id))
               if number is not None]  # fmt: skip
         words = _WORDS.sub(lambda found: _WRITTEN[found[0]], self.key).replace("_", " ")

@@ -1,4 +1,4 @@
-"""What the export stage leaves for the user."""
+"""Result files of stage export."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from video2anim.types.storage import PayloadFile
 
 @dataclass(frozen=True, slots=True)
 class ExportedFiles:
-    """Result files; the runner also places them at the top of the scene folder."""
+    """Result files, which the runner also places at the top of the scene folder."""
 
     files: tuple[PayloadFile, ...]
     contacts: tuple[Contact, ...] = ()
-    """What every person of the result touches; `run.json` holds them too."""
+    """Contacts of all persons of the result; they are also in `run.json`."""

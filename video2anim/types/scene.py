@@ -1,6 +1,6 @@
 """The scene: background image, depth, object masks and meshes, floor and walls."""
 
-# `stored()` marks how a field lies on disk; it is no default, though it stands where one would.
+# `stored()` gives the file format of a field. It is not a default value, although it has the place of one.
 # pyright: reportGeneralTypeIssues=false
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from video2anim.types.checks import Checked, expect_sound
 from video2anim.types.storage import Holds, Storage, stored
 
 MAX_FACES = 3_000_000
-"""Of a user's scan. More take minutes and several GiB of memory; distances to a scan are no better for it."""
+"""Maximum number of faces of a user's scan. More take minutes and several GiB, without better distances."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh(Checked):
-    """Triangles with a color per vertex. Stored as PLY."""
+    """Triangle mesh with vertex colors (sRGB). Stored as PLY."""
 
     vertices_m: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
@@ -38,12 +38,12 @@ class Mesh(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BackgroundImage(Checked):
-    """The picture without its people (temporal median), and where people are in sampled frames."""
+    """The image without people (temporal median), and masks of people in sampled frames."""
 
     background_rgb: UInt8[np.ndarray, "height width 3"] = stored(Storage.IMAGE)
     seen_ratio: Float[np.ndarray, "small_height small_width"]
-    """Share of sampled frames in which no person covers the pixel; 0 = never seen, the background image is inpainted
-    there."""
+    """Share of sampled frames in which no person covers the pixel; where it is 0, the background image is
+    inpainted."""
     frame_index: Annotated[Int[np.ndarray, "samples"], Holds.FRAMES]
     """Sampled frames of the clip."""
     person_mask: Bool[np.ndarray, "samples small_height small_width"]
@@ -77,7 +77,7 @@ class ObjectInstance(Checked):
 
     object_id: NonNegativeInt
     label: str
-    """Semantic class, or `object` where the provider does not know."""
+    """Semantic class, or `object` if unknown."""
     score: FiniteFloat
     box_px: Float[np.ndarray, "4"]
     mask: Annotated[Bool[np.ndarray, "height width"], Holds.SOMETHING] = stored(Storage.IMAGE)
@@ -93,7 +93,7 @@ class InstanceMasks(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompletedObject(Checked):
-    """An object with its hidden parts restored (amodal)."""
+    """An object with its occluded parts restored (amodal)."""
 
     object_id: NonNegativeInt
     label: str
@@ -113,16 +113,16 @@ class CompletedObjects:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Texture(Checked):
-    """A picture on the faces of a mesh."""
+    """Texture image of a mesh."""
 
     image_rgb: UInt8[np.ndarray, "rows columns 3"] = stored(Storage.IMAGE)
     corner_uv: Float[np.ndarray, "faces 3 2"]
-    """Place of every corner of every face in the picture: 0..1, (0, 0) its upper left, as glTF has it."""
+    """Texture coordinates of every corner of every face: 0..1, (0, 0) at the upper left, as in glTF."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectPart(Checked):
-    """A run of faces of an object's mesh that a body touches as one: a closed surface of its own."""
+    """A named part of an object's mesh: consecutive faces that form a closed surface."""
 
     name: str
     """`seat`, `back`, `arm`, `leg`, `top`, `base`, `board`, `body`..."""
@@ -132,29 +132,29 @@ class ObjectPart(Checked):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectMesh(Checked):
-    """A reconstructed object in its own frame: +Y up, front towards +Z, resting on y = 0, its seat, top or body over
+    """A reconstructed object in its own frame: +Y up, front towards +Z, resting on y = 0, its seat, top or body above
     the origin."""
 
     object_id: NonNegativeInt
     label: str
     method: str
-    """How it was made: `form: NAME` of a fitted form, `user mesh`, `triposr`, `program`."""
+    """Origin: `form: NAME` for a fitted form, `user mesh`, `triposr`, `program`."""
     mesh: Annotated[Mesh, Holds.SOMETHING]
     T_world_object: Annotated[Float[np.ndarray, "4 4"], Holds.RIGID]
-    """First guess of the pose; of a fitted form its pose."""
+    """Initial pose; for a fitted form, its pose."""
     parts: tuple[ObjectPart, ...] = ()
     """None where the shape has no known parts."""
     textures: tuple[Texture, ...] = ()
     """One, or none where the colors of the vertices are all there is."""
     chamfer_m: NonNegativeFloat | None = None
-    """Mean distance of the object's depth points from a fitted form; None for other meshes, which stage place fits."""
+    """Mean distance of the object's depth points to a fitted form; None for other meshes, which stage place fits."""
     position_sigma_m: NonNegativeFloat | None = None
-    """Standard deviation of a fitted form's horizontal place; likewise the next two."""
+    """Standard deviation of a fitted form's horizontal position. The next two are also of fitted forms only."""
     yaw_sigma_rad: NonNegativeFloat | None = None
     size_sigma: NonNegativeFloat | None = None
-    """Of the logarithm of its sizes."""
+    """Standard deviation of the logarithm of its sizes."""
     outline_iou: NonNegativeFloat | None = None
-    """Overlap of a fitted form's outline with the object's, where nothing hides it."""
+    """Mask IoU of a fitted form with the object, where nothing occludes it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,14 +164,14 @@ class ObjectMeshes:
 
 @dataclass(frozen=True, slots=True)
 class Hold(Checked):
-    """A stretch of frames in which somebody has an object in hand."""
+    """A range of frames in which somebody holds an object."""
 
     person_id: NonNegativeInt
     hand: str
     """`left hand`, `right hand` or `both hands`."""
     first_frame: NonNegativeInt
     last_frame: NonNegativeInt
-    """The last one held."""
+    """Last frame in which it is held (inclusive)."""
 
     def __post_init__(self) -> None:
         expect_sound(self)
@@ -185,7 +185,7 @@ class ObjectPath(Checked):
 
     T_world_object: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
     holds: tuple[Hold, ...]
-    """In order of time."""
+    """Sorted by time."""
 
     def __post_init__(self) -> None:
         expect_sound(self)
@@ -204,23 +204,23 @@ class PlacedObject(Checked):
     scale: PositiveFloat
     T_world_object: Annotated[Float[np.ndarray, "4 4"], Holds.RIGID]
     chamfer_before_m: NonNegativeFloat | None
-    """None where no fit was possible or needed."""
+    """None if no fit was possible or needed."""
     chamfer_after_m: NonNegativeFloat | None
     trusted: bool
     reason: str
     position_sigma_m: NonNegativeFloat | None = None
-    """Standard deviation of the horizontal place; None where nothing was fitted."""
+    """Standard deviation of the horizontal position; None without a fit."""
     yaw_sigma_rad: NonNegativeFloat | None = None
     scale_sigma: NonNegativeFloat | None = None
     distance_sigma: NonNegativeFloat = 0.12
-    """Standard deviation of the logarithm of its distance from the camera, by the fit of stage metric; by default that
-    of a network's depth from object to object."""
+    """Standard deviation of the logarithm of its distance from the camera, from the fit of stage metric; the default is
+    that of a depth network between objects."""
     parts: tuple[ObjectPart, ...] = ()
     """None where the shape has no known parts."""
     textures: tuple[Texture, ...] = ()
     """One, or none where the colors of the vertices are all there is."""
     path: tuple[ObjectPath, ...] = ()
-    """One where somebody moves it; `T_world_object` is then its pose in the first frame."""
+    """One item if somebody moves it (`T_world_object` is then its pose in the first frame), else empty."""
 
     def pose(self, frame: int) -> Float[np.ndarray, "4 4"]:
         """`T_world_object` in a frame of the clip."""
@@ -228,7 +228,7 @@ class PlacedObject(Checked):
 
     @property
     def holds(self) -> tuple[Hold, ...]:
-        """When somebody has it in hand, in order of time."""
+        """When somebody holds it, sorted by time."""
         return self.path[0].holds if self.path else ()
 
 
@@ -239,27 +239,27 @@ class PlacedObjects:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomPiece(Checked):
-    """A part of what is around people and objects, in the world. Flat, but for a user's scan."""
+    """A part of the surroundings of people and objects, in the world. Flat, except for a user's scan."""
 
     name: str
-    """`floor`, `wall 1`, `ceiling`, `card 2` (upright, for what is no plane), `backdrop` (far objects), `scan`."""
+    """`floor`, `wall 1`, `ceiling`, `card 2` (upright, for non-planar regions), `backdrop` (far objects), `scan`."""
     mesh: Mesh
-    """Triangles face the camera, those of the floor up."""
+    """Triangles face the camera; those of the floor face up."""
     textures: tuple[Texture, ...] = ()
     """One, or none where the colors of the vertices are all there is."""
     openings: tuple[Float[np.ndarray, "4 3"], ...] = ()
-    """Corners (world, m) of rectangles cut out of it because something farther is seen there: windows and doors."""
+    """Corners (world, m) of rectangular holes through which something farther is visible: windows and doors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneModel(Checked):
-    """Everything the body can touch, in the world frame."""
+    """Everything that a body can touch, in the world frame."""
 
     objects: tuple[PlacedObject, ...]
     floor: RoomPiece
-    """Patch of y = 0 under the scene."""
+    """Part of the plane y = 0 below the scene."""
     background: tuple[RoomPiece, ...]
-    """Walls, ceiling, upright cards and a backdrop of what is seen behind objects; or a user's scan."""
+    """Walls, ceiling, upright cards and a backdrop behind the objects; or a user's scan."""
     sdf_m: Float[np.ndarray, "x y z"]
     """Signed distance to the nearest solid at grid nodes, positive in free space."""
     sdf_origin_m: Float[np.ndarray, "3"]

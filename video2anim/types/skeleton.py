@@ -31,8 +31,8 @@ TOUCHING_PARTS: dict[str, tuple[int, ...]] = {
         "right foot": ("right_ankle", "right_foot"),
     }.items()
 }
-"""Joints whose skin touches as one: were heel and toe pulled to a surface apart, a foot whose pitch is a little wrong
-would be pressed into it."""
+"""Joints of each part that touches as one. If heel and toe were pulled to a surface separately, a foot with a slightly
+wrong pitch would be pressed into it."""
 
 
 def forward_kinematics(R_parent_joint: Any, translation_m: Any, rest_joints_m: Any) -> tuple[Any, Any]:
@@ -40,7 +40,7 @@ def forward_kinematics(R_parent_joint: Any, translation_m: Any, rest_joints_m: A
 
     Args:
         R_parent_joint: (..., 22, 3, 3) local rotations; joint 0 holds the root orientation in the world.
-        translation_m: (..., 3) of the root transform: joint 0 lies at translation + rest_joints_m[0].
+        translation_m: (..., 3) translation of the root: joint 0 is at translation_m + rest_joints_m[0].
         rest_joints_m: (22, 3) or (..., 22, 3) T-pose joints.
     """
     orientations = [R_parent_joint[..., 0, :, :]]

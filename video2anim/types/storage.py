@@ -1,4 +1,4 @@
-"""How the fields of a typed value lie on disk, said beside the field."""
+"""File formats of the fields of a typed value, and marks for their checks."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any
 
 
 class Storage(StrEnum):
-    """Form of a field inside a stage folder, other than arrays in the value's `.npz`."""
+    """File format of a field in a stage folder, if it is not an array in the value's `.npz`."""
 
     IMAGE = "image"
     """Its own PNG: uint8 RGB (H, W, 3), uint8 gray (H, W) or bool mask (H, W) as 0/255."""
 
 
 class Holds(StrEnum):
-    """What an array or mesh holds beyond its shape, said in its annotation: `Annotated[Float[...], Holds.RIGID]`.
+    """Constraint on the values of an array or mesh, as a mark in its annotation: `Annotated[Float[...], Holds.RIGID]`.
 
-    Readers refuse a file that does not. Numbers are finite unless `GAPS` is said.
+    Readers reject files that violate it. Numbers are finite unless the mark is `GAPS`.
     """
 
     GAPS = "numbers, NaN where nothing is known"
@@ -35,26 +35,26 @@ class Holds(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class OnePer:
-    """Mark of a tuple: as many items as another field of the same value; none where it has a default."""
+    """Mark of a tuple: as many items as another field of the same value; it may be empty if it has a default."""
 
     field: str
 
 
 @dataclass(frozen=True, slots=True)
 class IdsOf:
-    """Mark of a tuple of numbers: each is the `person_id` of an item of another field."""
+    """Mark of a tuple of IDs: each is the `person_id` of an item of another field."""
 
     field: str
 
 
 def stored(storage: Storage) -> Any:
-    """Dataclass field that is stored in the given form."""
+    """Dataclass field that is stored in the given format."""
     return field(metadata={"storage": storage})
 
 
 @dataclass(frozen=True, slots=True)
 class PayloadFile:
-    """A file that belongs to a stage folder as it is (a video, a GLB)."""
+    """A file that is part of a stage folder, such as a video or a GLB."""
 
     path: Path
-    """Absolute once read or made; stored by name, relative to the stage folder."""
+    """Absolute path in memory; stored as a name relative to the stage folder."""
