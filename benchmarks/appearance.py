@@ -1,10 +1,10 @@
-"""How far apart the clothes of one person are over time, and those of different people.
+"""Distances of appearance descriptors: of one person over time, and between different people.
 
     python benchmarks/appearance.py SCENE...
 
-Scenes are folders of `video2anim run` (stage track at least). Every track is cut in three, and first and last third are
-compared by `AppearanceDescriptor.distance`: of the same track, and of different tracks of any scenes. The thresholds in
-`video2anim/tracking/tracker.py` are taken from this.
+Scenes are folders of `video2anim run` (stage track at least). The first and the last third of tracks are compared by
+`AppearanceDescriptor.distance`: within one track, and between different tracks of all scenes. The thresholds in
+`video2anim/tracking/tracker.py` come from this script.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ EVERY = 5
 
 
 def main() -> None:
-    """Collect, compare, print."""
+    """Read the tracks, compare descriptors, print quantiles."""
     people: dict[str, tuple[AppearanceDescriptor, AppearanceDescriptor]] = {}
     for scene in map(Path, sys.argv[1:]):
         clip = read_value(VideoClip, stage_folder(scene, "ingest"))

@@ -1,12 +1,12 @@
-"""The fit of stage metric against truth, and what each kind of evidence gives it.
+"""Errors of the fit of stage metric against truth, with each kind of evidence left out in turn.
 
     video2anim synth --preset bench --count 5 --seed 9001 --motion cmu.npz --out dev_work/truth
     python benchmarks/calibration.py --truth dev_work/truth --work dev_work/scenes [--sigma sole_m=0.05]
 
-Each clip is run to stage metric (what is cached stays); then the fit is made again with one kind of evidence left out.
-Depth is the background image's against the true one, share of it (median and mean over reliable pixels); height is the
-camera's over the floor; chamfer is that of the person. `--sigma NAME=VALUE` changes a standard deviation. Writes
-Markdown and JSON. Choose constants on seeds from 9001 on; V2A-Bench (seed 0) is for reporting.
+Each clip is run to stage metric (cached stages stay); then the fit is repeated with one kind of evidence left out.
+Columns: relative error of the background depth (median and mean over reliable pixels), height of the camera above the
+floor, Chamfer distance of the person. `--sigma NAME=VALUE` changes a standard deviation. Writes Markdown and JSON.
+Choose constants on seeds from 9001 on; V2A-Bench (seed 0) is for reporting.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def compared(scene: Path, truth: Path, sigmas: Sigmas) -> list[dict[str, float |
 def errors(
     found: Calibration, depth: DepthClip, masks: InstanceMasks, meta: dict, arrays: np.lib.npyio.NpzFile
 ) -> dict[str, float]:
-    """Of one fit."""
+    """Errors of one fit."""
     shape = depth.background_value.shape
     true_m = cv2.resize(arrays["background_depth_mm"][0] / 1000.0, shape[::-1], interpolation=cv2.INTER_NEAREST)
     factor = np.ones(shape)

@@ -1,13 +1,13 @@
-"""How well objects that somebody moves are followed: six synthetic clips, true paths against estimated ones.
+"""Errors of the paths of moved objects on six synthetic clips.
 
     python benchmarks/carried.py --work carried_work [--told-height]
 
 Makes the clips of `video2anim synth --preset carried --seed 0` in `<work>/truth`, runs the pipeline into
-`<work>/results` (what is finished is kept), and compares the path of every object that is moved in truth with the
-estimated path nearest to it, in the true world by the shared camera (docs/evaluation.md, `carried`). Writes
-`benchmarks/results/carried-<date>.json` and the table beside it as `.md`. Beside each path stands how far the wrist of
-the hand that holds it in truth is off in the same frames: one camera does not know how large, and so how far, somebody
-is. `--told-height` tells the pipeline the main person's true height.
+`<work>/results` (finished results are kept), and compares the path of every moved object of the truth with the nearest
+estimated path, in the true world aligned by the shared camera (docs/evaluation.md, `carried`). Writes
+`benchmarks/results/carried-<date>.json` and the table as `.md`. For comparison, each row has the error of the holding
+wrist in the same frames, because one camera cannot observe the size, and so the distance, of a person. `--told-height`
+gives the pipeline the true height of the main person.
 """
 
 from __future__ import annotations
@@ -36,33 +36,33 @@ from video2anim.types import BodyTracks, RefinedMotion, SceneModel
 from video2anim.types.skeleton import JOINT_INDEX
 
 SEED = 0
-HEADS = ("clip", "thing", "found", "middle off, mean, m", "95 %, m", "wrist off, m", "hold off, frames", "false paths")
+HEADS = ("clip", "object", "found", "error, mean, m", "95 %, m", "wrist error, m", "hold error, frames", "false paths")
 
 
 @dataclass(frozen=True, slots=True)
 class ClipRow:
-    """One clip; errors are None where the object has no path."""
+    """One moved object of a clip; errors are None if no path is matched."""
 
     clip: str
     label: str
-    """Label of the object that is moved in truth."""
+    """Label of the true moved object."""
     found: bool
     path_mean_m: float | None
     path_p95_m: float | None
     wrist_mean_m: float | None
-    """Of the holding hand, while the object is held in truth."""
+    """Error of the holding wrist in the frames in which the object is held in truth."""
     hold_error_frames: float | None
-    """Mean absolute error of the first and the last frame held; None where no hold is told."""
+    """Mean absolute error of the first and the last held frame; None without an estimated hold."""
     false_paths: int
 
 
 def main() -> None:
-    """Make, run, measure, report."""
+    """Make the clips, run the pipeline, compare, write the report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, default=Path("carried_work"), help="clips and scene folders, kept")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
-    parser.add_argument("--seed", type=int, default=SEED, help="of the clips; the published table has 0")
-    parser.add_argument("--told-height", action="store_true", help="tell the main person's true height")
+    parser.add_argument("--seed", type=int, default=SEED, help="seed of the clips; the published table has 0")
+    parser.add_argument("--told-height", action="store_true", help="give the pipeline the main person's true height")
     options = parser.parse_args()
     truth = options.work / "truth"
     call("synth", "--preset", "carried", "--seed", str(options.seed), "--out", str(truth))
@@ -93,7 +93,7 @@ def main() -> None:
 
 
 def of_clip(scene_dir: Path, truth_dir: Path) -> list[ClipRow]:
-    """A row for each object that is moved in a clip."""
+    """A row for each moved object of a clip."""
     result, truth = SceneResult(scene_dir), read_truth(truth_dir)
     scene, bodies = result.scene, result.bodies
     if scene is None or bodies is None or not bodies.people:
@@ -113,7 +113,7 @@ def of_clip(scene_dir: Path, truth_dir: Path) -> list[ClipRow]:
 
 
 def clip_rows(truth: Truth, found: MovedObjects, wrist_m: dict[int, float]) -> list[ClipRow]:
-    """Rows from what was matched; false paths stand with the first object of the clip."""
+    """Rows of the matched objects; the clip's false paths are in the row of its first object."""
     rows = []
     for place, obj in enumerate(found.objects):
         there = obj.estimate_id is not None
@@ -142,11 +142,11 @@ def means(rows: list[ClipRow]) -> dict[str, Any]:
 
 _AVERAGED = ("path_mean_m", "path_p95_m", "wrist_mean_m", "hold_error_frames")
 _LEFT_WRIST = JOINT_INDEX["left_wrist"]
-"""The right one is next."""
+"""The right wrist is the next joint."""
 
 
 def table(rows: list[ClipRow]) -> str:
-    """Markdown: a row a clip, then the means."""
+    """Markdown: one row per object, then the means."""
     lines = ["| " + " | ".join(HEADS) + " |", "|---" * len(HEADS) + "|"]
     for row in rows:
         cells = [_cell(getattr(row, key)) for key in _AVERAGED]

@@ -1,9 +1,9 @@
-"""Time and memory of track, camera and humans against the length of the clip.
+"""Time and memory of the stages track, camera and humans as a function of the clip's length.
 
     python benchmarks/clip_length.py --video ../shared/media/videos/sports2d_demo.mp4 --seconds 10 60 300
 
-The video is played forward and backward until it is long enough, so that the person never jumps. Every length runs in
-fresh processes; time and peak memory are those of the stages' manifests.
+The video is repeated forward and backward until it is long enough, so that motion is continuous. Every length runs in
+new processes; time and peak memory are from the stages' manifests.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def main() -> None:
 
 
 def there_and_back(video: Path, out: Path, length_s: float, width: int) -> int:
-    """Write the video forward and backward until `length_s`; answers the number of frames."""
+    """Write the video forward and backward up to `length_s` seconds. Returns the number of frames."""
     with av.open(str(video)) as source:
         stream = source.streams.video[0]
         fps = stream.average_rate or Fraction(30)
@@ -72,7 +72,7 @@ def there_and_back(video: Path, out: Path, length_s: float, width: int) -> int:
 
 
 def run(clip: Path, scene: Path, options: argparse.Namespace) -> dict[str, object]:
-    """Each stage in a process of its own, so that peaks of memory are its own."""
+    """Run each stage in its own process, so that its peak memory can be measured."""
     for stage in STAGES:
         command = [sys.executable, "-m", "video2anim.cli.main", "run", str(clip), "--out", str(scene)]
         command += ["--until", stage, "--set", f"track.model={options.model}"]

@@ -1,4 +1,4 @@
-"""One frame of every clip of a synthetic set as one PNG, for looking at.
+"""Writes one frame of every clip of a synthetic set into one PNG.
 
 python benchmarks/contact_sheet.py bench_work/truth docs/synthetic_clips.png
 """

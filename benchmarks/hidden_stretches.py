@@ -1,18 +1,19 @@
-"""What the prior makes of stretches in which the person is hidden: six synthetic clips, errors on hidden frames only.
+"""Errors of the motion in intervals in which the person is hidden, on six synthetic clips, with and without the prior.
 
     python benchmarks/hidden_stretches.py --work hidden_work
 
 Makes the clips of `video2anim synth --preset hidden --seed 0` in `<work>/truth`, runs the pipeline into
-`<work>/results` (what is finished is kept), and compares on every hidden stretch of 0.3 s and more:
+`<work>/results` (finished results are kept), and compares on every hidden interval of 0.3 s and more:
 
-- refined: the result; without prior: the same solve from the observed motion with its gaps bridged;
-- interpolation: joint rotations (slerp) and root (linear) between the last frame in sight before the stretch and the
-  first one after it, as stage humans has them.
+- refined: the result;
+- without prior: the same solve without the prior, from the observed motion with bridged gaps;
+- interpolation: joint rotations (slerp) and root (linear) of stage humans between the last visible frame before the
+  interval and the first one after it.
 
-W-MPJPE is aligned (similarity) by the last two frames in sight before the stretch, PA-MPJPE in every frame. Stretches
-of 1 s and more stand apart. Where the tracker gives the person another ID after a stretch (column `IDs`), the pipeline
-fills nothing; then the two are joined, as the truth knows them, and refine runs on that. A person who is not found at
-all after a stretch is in no mean. Writes `benchmarks/results/hidden_stretches-<date>.json`.
+W-MPJPE is aligned (similarity) by the last two visible frames before the interval, PA-MPJPE in every frame. Intervals
+of 1 s and more are reported separately. If the tracker gives the person another ID after an interval (column `IDs`),
+the pipeline fills nothing; the two tracks are then joined by the truth, and refine runs on the result. Intervals after
+which the person is not found again are in no mean. Writes `benchmarks/results/hidden_stretches-<date>.json`.
 """
 
 from __future__ import annotations
@@ -43,33 +44,33 @@ from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, MetricDept
 SEED = 0
 LONG_S = 1.0
 BAR = 0.6
-"""Most that W-MPJPE of the result may be of interpolation's, on stretches of `LONG_S` and more."""
+"""Target: largest ratio of W-MPJPE of the result to that of interpolation, on intervals of `LONG_S` and more."""
 METHODS = ("refined", "without prior", "interpolation")
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """One hidden stretch of one clip; errors in mm by method, none where the person is not found again."""
+    """One hidden interval of one clip; errors in mm by method, empty if the person is not found again."""
 
     clip: str
     first_frame: int
     last_frame: int
     seconds: float
     measured: float
-    """Share of its frames in which the tracker claims a person nevertheless."""
+    """Share of its frames in which the tracker reports a person."""
     ids: int
-    """How many persons the tracker made of the one."""
+    """Number of track IDs of the person."""
     prior: str
     w_mpjpe_mm: dict[str, float]
     pa_mpjpe_mm: dict[str, float]
 
 
 def main() -> None:
-    """Make, run, measure, report."""
+    """Make the clips, run the pipeline, compare, write the report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, default=Path("hidden_work"), help="clips and scene folders, kept")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
-    parser.add_argument("--seed", type=int, default=SEED, help="of the clips; the published table has 0")
+    parser.add_argument("--seed", type=int, default=SEED, help="seed of the clips; the published table has 0")
     options = parser.parse_args()
     truth = options.work / "truth"
     call("synth", "--preset", "hidden", "--seed", str(options.seed), "--out", str(truth))
@@ -93,7 +94,7 @@ def main() -> None:
 
 
 def of_clip(scene_dir: Path, truth_dir: Path) -> list[Stretch]:
-    """The hidden stretches of one clip."""
+    """The hidden intervals of one clip."""
     result, truth = SceneResult(scene_dir), read_truth(truth_dir)
     bodies, keyframed = result.get(BodyTracks), result.get(KeyframedMotion)
     scene, refined = result.get(SceneModel), result.get(RefinedMotion)
@@ -123,7 +124,7 @@ def of_clip(scene_dir: Path, truth_dir: Path) -> list[Stretch]:
 
 
 def joined(people: list[BodyMotion]) -> BodyMotion:
-    """One person under several IDs as one motion, in the shape of the first; later ones where they are measured."""
+    """One motion from several tracks of one person, with the body shape of the first; later tracks where measured."""
     first = people[0]
     R, root_m = first.R_parent_joint.copy(), first.T_world_root[:, :3, 3].copy()
     contact, valid = first.contact.copy(), first.valid.copy()
@@ -142,7 +143,7 @@ def errors(
     truth: Truth, frames: FrameMatch, hidden: np.ndarray, span: tuple[int, int], raw: BodyMotion,
     motions: dict[str, BodyMotion],
 ) -> tuple[dict[str, float], dict[str, float]]:  # fmt: skip
-    """W-MPJPE and PA-MPJPE of each method on one stretch, in mm; empty where the person is not measured around it."""
+    """W-MPJPE and PA-MPJPE of each method on one interval, in mm; empty if the person is not measured around it."""
     first, last = span
     in_sight = raw.valid & ~hidden
     before, after = np.flatnonzero(in_sight[:first])[-2:], last + 1 + np.flatnonzero(in_sight[last + 1 :])[:1]
@@ -158,14 +159,14 @@ def errors(
 
 
 def w_mpjpe_after(estimate_m: np.ndarray, true_m: np.ndarray) -> float:
-    """Mean error in meters of all frames but the first two, by which the estimate is aligned as W-MPJPE is."""
+    """Mean error in meters of all frames but the first two, by which the estimate is aligned (W-MPJPE)."""
     head = slice(0, metrics.W_ALIGN_FRAMES)
     align = metrics.align_similarity(estimate_m[head].reshape(-1, 3), true_m[head].reshape(-1, 3))
     return metrics.mpjpe(align(estimate_m[metrics.W_ALIGN_FRAMES :]), true_m[metrics.W_ALIGN_FRAMES :])
 
 
 def interpolated(motion: BodyMotion, first: int, last: int) -> BodyMotion:
-    """The motion with all between two frames replaced: rotations by slerp, root along a line at even speed."""
+    """The motion with the frames between two others interpolated: slerp of rotations, linear root."""
     R, root_m = motion.R_parent_joint.copy(), motion.T_world_root[:, :3, 3].copy()
     share = np.linspace(0.0, 1.0, last - first + 1)
     ends = quaternion_from_matrix(R[[first, last]])
@@ -175,7 +176,7 @@ def interpolated(motion: BodyMotion, first: int, last: int) -> BodyMotion:
 
 
 def means(stretches: list[Stretch], *, long: bool) -> dict[str, Any]:
-    """Means over the stretches of 1 s and more, or over the shorter ones, and the ratio of the bar."""
+    """Means over the intervals of 1 s and more, or over the shorter ones, and the ratio for `BAR`."""
     chosen = [one for one in stretches if (one.seconds >= LONG_S) == long and one.w_mpjpe_mm]
     if not chosen:
         return {"stretches": 0}
@@ -186,7 +187,7 @@ def means(stretches: list[Stretch], *, long: bool) -> dict[str, Any]:
 
 
 def table(stretches: list[Stretch]) -> str:
-    """Markdown: a row a stretch, then the means."""
+    """Markdown: one row per interval, then the means."""
     heads = [
         "clip",
         "hidden, s",

@@ -1,4 +1,4 @@
-"""Raw landmarks, the optimizer, the lifter, and both together, on the same tracks and cameras.
+"""Compares raw landmarks, the optimizer, the lifter, and both together on the same tracks and cameras.
 
     python benchmarks/human_fit.py --media ../shared/media --truth bench_work/truth
 
@@ -36,7 +36,7 @@ TRUE_ROWS = (*EVAL_ROWS, "limb_jerk")
 
 
 def main() -> None:
-    """Run, compare, write."""
+    """Run the methods, compare, write the report."""
     options = arguments()
     rows: list[dict[str, object]] = []
     with tempfile.TemporaryDirectory(prefix="human_fit-") as folder:
@@ -72,14 +72,14 @@ def main() -> None:
 
 
 def fitted(video: Path, scene: Path, method: str) -> Path:
-    """The scene folder with the humans stage by this method."""
+    """The scene folder with stage humans run by this method."""
     words = ["run", str(video), "--out", str(scene), "--until", "humans", "--set", f"humans.method={method}"]
     call(*words)
     return scene
 
 
 def evaluated(scene: Path, truth: Path, work: Path) -> dict[str, float | None]:
-    """Rows of the evaluation for the humans stage, and switches of identity."""
+    """Evaluation rows of stage humans, and identity switches."""
     target = work / "eval.json"
     call("eval", str(scene), "--truth", str(truth), "--json", str(target))
     groups = {group["key"]: group for group in json.loads(target.read_text())["groups"]}
@@ -110,13 +110,13 @@ def raw_and_true(scene: Path, truth: Path) -> dict[str, dict[str, float]]:
 
 
 def limb_jerk_m_s3(limbs_m: np.ndarray, fps: float) -> float:
-    """Mean norm of the third derivative of limbs against the hips, which raw landmarks have too; frames with a missing
-    joint are left out."""
+    """Mean norm of the third derivative of limb joints relative to the hips. Frames with a missing joint are left
+    out."""
     return float(np.nanmean(np.linalg.norm(np.diff(centered(limbs_m), n=3, axis=0), axis=-1)) * fps**3)
 
 
 def column(found: dict[str, float], ending: str) -> dict[str, float]:
-    """The numbers of one column of `accuracy`; raw landmarks have no place and no lens."""
+    """The numbers of one column of `accuracy`. Raw landmarks have no position and no focal length."""
     own = {key.removesuffix(ending): value for key, value in found.items() if key.endswith(ending)}
     shared = (
         {} if ending == "_raw" else {key: found[key] for key in ("root_error_m", "focal_error_percent", "up_error_deg")}
@@ -125,7 +125,7 @@ def column(found: dict[str, float], ending: str) -> dict[str, float]:
 
 
 def table(rows: list[dict[str, object]]) -> str:
-    """Means over clips, a line per set and method."""
+    """Means over clips, one line per set and method."""
     lines: list[str] = []
     for title, keys in (("Pose2Sim", REAL_ROWS), ("V2A-Bench", TRUE_ROWS)):
         own = [row for row in rows if row["set"] == title]
@@ -149,7 +149,7 @@ def mean(rows: list[dict[str, object]], key: str) -> str:
 
 
 def call(*words: str) -> None:
-    """Run a command to the end or show why not."""
+    """Run a command; on failure exit with its error output."""
     command = [sys.executable, "-m", "video2anim.cli.main", *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:

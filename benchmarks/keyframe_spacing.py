@@ -1,11 +1,11 @@
-"""How sparse and how noisy the prior's keyframes are: stage refine on scene folders, one setting after another.
+"""Spacing and noise level of the prior's keyframes: stage refine on scene folders with several settings.
 
     video2anim synth --preset bench --count 5 --seed 9001 --motion cmu.npz --out dev_work/truth
     python benchmarks/keyframe_spacing.py --truth dev_work/truth --work dev_work/scenes
     python benchmarks/keyframe_spacing.py --media ../shared/media --work real_work --clips ocv_sts ocv_walk
 
-Scene folders must be finished up to stage keyframes (with --truth they are run). The main person against the truth:
-W-MPJPE (`--media`: root path after rigid alignment over the clip), PA-MPJPE, acceleration error, jerk over the truth's
+Scene folders must be finished up to stage keyframes (with --truth they are run). Errors of the main person: W-MPJPE
+(`--media`: root path after rigid alignment over the clip), PA-MPJPE, acceleration error, ratio of jerk to true jerk
 (`--media`: jerk). Writes Markdown and JSON.
 """
 
@@ -42,7 +42,7 @@ COLUMNS = ("path_mm", "pa_mm", "acceleration", "jerk")
 
 
 def main() -> None:
-    """Refine, compare, write."""
+    """Run stage refine with each setting, compare, write the report."""
     options = arguments()
     if options.truth is None:
         clips = {options.work / name: None for name in options.clips}
@@ -83,7 +83,7 @@ def finished(scene: Path, truth: Path) -> Path:
 
 
 def against_clip(motion: BodyMotion, truth: Path) -> tuple[float, ...]:
-    """Against a synthetic clip, from the first to the last frame that both have."""
+    """Errors against a synthetic clip, from the first to the last common frame."""
     true = read_motion(truth / "truth.npz")
     both = np.flatnonzero(motion.valid & true.valid[: motion.frame_count])
     span = slice(both[0], both[-1] + 1)
@@ -96,7 +96,7 @@ def against_clip(motion: BodyMotion, truth: Path) -> tuple[float, ...]:
 
 
 def against_media(clip: str, motion: BodyMotion, media: Path) -> tuple[float, ...]:
-    """Against motion capture or triangulation."""
+    """Errors against motion capture or triangulation."""
     pa_mm, _, root_mm, acceleration, _, _ = against_truth(clip, motion, media)
     return root_mm, pa_mm, acceleration, metrics.jerk_m_s3(motion.measured_joints_m, 30.0)
 

@@ -1,11 +1,11 @@
-"""In which axes the landmark model answers: those of the camera, or those of the person's viewing ray?
+"""Tests whether 3D landmarks are in camera axes or in the axes of the person's viewing ray.
 
     python benchmarks/landmark_axes.py --clips clips --scenes scenes
 
-Clips are those of `video2anim synth`, scenes their folders of the same names, run until `track`. For every 15th frame
-the rotation that turns the 3D landmarks onto the true joints is set against the rotation of the viewing ray: slope 1
-would mean that landmarks come in the ray's axes, 0 that they come in the camera's. `video2anim.humans.initial` holds
-the result.
+Clips are those of `video2anim synth`; scenes are scene folders of the same names, run until `track`. In every 15th
+frame the rotation from the 3D landmarks to the true joints is compared with the rotation of the viewing ray by linear
+regression. Slope 1 means that landmarks are in the axes of the ray, 0 in those of the camera. The result is used in
+`video2anim.humans.initial`.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from video2anim.types import PersonTracks
 
 EVERY = 15
 FARTHEST_DEG = 25.0
-"""Larger turns are wrong landmarks, not axes."""
+"""Larger rotations are errors of the landmarks and are left out."""
 HIPS = [23, 24]
 
 
 def main() -> None:
-    """Collect, fit, print."""
+    """Collect rotations, fit the slopes, print them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--clips", type=Path, required=True)
     parser.add_argument("--scenes", type=Path, required=True)
@@ -70,7 +70,7 @@ def main() -> None:
 
 
 def turn(points_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:
-    """Rotation vector that turns points onto others about their middles."""
+    """Rotation vector of the best rotation from points to others, both relative to their centroids."""
     a, b = points_m - points_m.mean(0), goal_m - goal_m.mean(0)
     return axis_angle_from_matrix(nearest_rotation((b.T @ a)[None]))[0]
 

@@ -1,11 +1,11 @@
-"""A lifter on real clips: the humans stage against marker-based motion capture (`ocv_*`) and four views (Pose2Sim).
+"""A lifter on real clips: stage humans against marker-based capture (`ocv_*`) and four-view triangulation (Pose2Sim).
 
     python benchmarks/lifter.py --media ../shared/media --work lifter_work
     python benchmarks/lifter.py --media ../shared/media --work lifter_work --lifter lifter.onnx --label longer
 
-`lifter` is the network's answer as it is, `both` the fit that starts from it. Ingest and track are made once in the
-work folder; camera and humans stages use the lifter in question. The table has a line per clip and method, and the mean
-over all clips: choose nothing on one. Writes JSON.
+`lifter` is the raw output of the network, `both` the fit that starts from it. Ingest and track run once in the work
+folder; the stages camera and humans use the given lifter. The table has one line per clip and method, and the mean over
+all clips. Base decisions on the mean only. Writes JSON.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ROWS = ("pa_mpjpe_mm", "root_relative_mpjpe_mm", "knee_flexion_error_deg", "hip_
 
 
 def main() -> None:
-    """Run, compare, write."""
+    """Run the methods, compare, write the report."""
     options = arguments()
     rows = []
     for name in (*CAPTURED, *REAL):
@@ -63,7 +63,7 @@ def main() -> None:
 
 
 def fitted(video: Path, scene: Path, method: str, lifter: Path | None) -> Path:
-    """The scene folder with the humans stage by this method and these weights."""
+    """The scene folder with stage humans run by this method and these weights."""
     settings = {"humans.method": method}
     if lifter is not None:
         settings |= dict.fromkeys(("humans.model", "camera.model"), f"lifter@{lifter.resolve()}")
@@ -73,7 +73,7 @@ def fitted(video: Path, scene: Path, method: str, lifter: Path | None) -> Path:
 
 
 def scored(media: Path, name: str, scene: Path) -> dict[str, float]:
-    """Millimetres and degrees of a clip."""
+    """Errors of a clip in millimeters and degrees."""
     if name in REAL:
         clip = read_value(VideoClip, stage_folder(scene, "ingest"))
         return column(accuracy(scene, clip, media / "reference" / f"{name}_joints.npz"), "_fit")
@@ -87,17 +87,17 @@ def scored(media: Path, name: str, scene: Path) -> dict[str, float]:
 
 
 def mean(rows: list[dict[str, float]]) -> dict[str, float]:
-    """Over the clips that have the number."""
+    """Mean over the clips that have the number."""
     return {key: float(np.mean([row[key] for row in rows if key in row])) for key in ROWS}
 
 
 def head() -> str:
-    """First lines of the table."""
+    """Header of the Markdown table."""
     return "| clip | method | " + " | ".join(ROWS) + " |\n" + "|---" * (2 + len(ROWS)) + "|"
 
 
 def line(row: dict[str, float]) -> str:
-    """A line of the table."""
+    """One line of the Markdown table."""
     numbers = " | ".join(f"{row[key]:.1f}" if key in row else "" for key in ROWS)
     return f"| {row['clip']} | {row['method']} | {numbers} |"
 

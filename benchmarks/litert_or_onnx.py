@@ -1,10 +1,10 @@
-"""BlazePose through LiteRT against the same network converted to ONNX: outputs and speed, on frames of a clip.
+"""Compares BlazePose in LiteRT with the same network converted to ONNX: outputs and speed on frames of a clip.
 
     pip install tensorflow-cpu tf2onnx   # in an environment of its own
     python -m tf2onnx.convert --tflite blazepose-heavy.tflite --output heavy.onnx --opset 18
     python benchmarks/litert_or_onnx.py --tflite blazepose-heavy.tflite --onnx heavy.onnx --video clip.mp4
 
-Outputs are paired by shape. Speed is the median of runs that take turns, so that both see the same load.
+Outputs are paired by shape. Speed is the median of alternating runs, so that both have the same system load.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def pictures(video: Path, count: int, width: int, height: int) -> list[np.ndarra
 
 
 def timed(seconds: list[float], run: Any) -> dict[str, np.ndarray]:
-    """The result of `run`; its time is noted."""
+    """The result of `run`; its time is appended to `seconds`."""
     start = time.perf_counter()
     result: dict[str, np.ndarray] = run()
     seconds.append(time.perf_counter() - start)

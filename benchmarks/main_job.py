@@ -1,11 +1,11 @@
-"""The main job on real clips: time, memory, the motion before and after its refinement (the numbers of the paper's
-table 4, which need no truth), and, where a reference exists, the accuracy of the humans stage.
+"""The whole pipeline on real clips: time, memory, motion before and after refinement (numbers of the paper's table 4,
+which need no truth), and the accuracy of stage humans for clips with a reference.
 
     python benchmarks/main_job.py --media ../shared/media --out benchmarks/results
 
-Every clip runs in a fresh process and a fresh scene folder with the embedded preset. Pose numbers are against the
-triangulated reference of the Pose2Sim clips: 12 limb joints, millimeters, mean over frames; raw BlazePose world
-landmarks of the same run stand beside them.
+Every clip runs in a new process and a new scene folder with the embedded preset. Pose errors are against the
+triangulated reference of the Pose2Sim clips: 12 limb joints, millimeters, mean over frames. The errors of the raw
+BlazePose world landmarks of the same run are given for comparison.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ JOINTS = [JOINT_INDEX[f"{side}_{part}"] for part in LIMBS for side in ("left", "
 LANDMARKS = [11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28]
 HIPS = slice(6, 8)
 STEPS = {"humans": BodyTracks, "keyframes": KeyframedMotion, "refine": RefinedMotion}
-"""Stages whose motions are compared, and what they make."""
+"""Stages whose motions are compared, and the types of their values."""
 REFINEMENT = (
     "frames in collision, over 1 cm", "deepest penetration", "foot skating (gmd)", "foot skating (kimodo)", "jerk",
 )  # fmt: skip
@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("--media", type=Path, default=Path("../shared/media"))
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--clips", nargs="*", default=CLIPS)
-    parser.add_argument("--work", type=Path, help="empty folder for the scene folders, to look at them")
+    parser.add_argument("--work", type=Path, help="empty folder for the scene folders, which are then kept")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="main_job-") as work:
         rows = [measure(options.media, name, (options.work or Path(work)) / name) for name in options.clips]
@@ -95,7 +95,7 @@ def measure(media: Path, name: str, scene_dir: Path) -> dict[str, object]:
 
 
 def refinement(scene_dir: Path, fps: float) -> dict[str, dict[str, float]]:
-    """The main person's motion as observed, at keyframes and refined, in the scene that the same run found."""
+    """Numbers of the main person's motion after humans, keyframes and refine, in the reconstructed scene."""
     scene = read_value(RefinedMotion, stage_folder(scene_dir, "refine")).scene
     found = {}
     for stage, kind in STEPS.items():
@@ -108,14 +108,14 @@ def refinement(scene_dir: Path, fps: float) -> dict[str, dict[str, float]]:
 
 
 def run(command: list[str]) -> None:
-    """Run to the end or show why not."""
+    """Run a command; on failure exit with its error output."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         sys.exit(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
 
 
 def accuracy(scene_dir: Path, clip: VideoClip, reference: Path) -> dict[str, float]:
-    """Humans stage and raw landmarks against the reference, at the reference frames nearest in time."""
+    """Errors of stage humans and of raw landmarks against the reference frames nearest in time."""
     with np.load(reference, allow_pickle=False) as archive:
         nearest = np.abs(archive["frame_time_s"][None] - clip.frame_time_s[:, None]).argmin(1)
         truth = archive["landmarks_camera_m"][nearest][:, LANDMARKS]
@@ -155,7 +155,7 @@ def pa_mpjpe_mm(joints_m: np.ndarray, truth_m: np.ndarray) -> float:
 
 
 def centered(joints_m: np.ndarray) -> np.ndarray:
-    """Joints against the middle of the hips."""
+    """Joints relative to the center of the hips."""
     return joints_m - joints_m[:, HIPS].mean(1, keepdims=True)
 
 

@@ -1,10 +1,11 @@
-"""What the errors of objects are made of: the clip's scale, each object's distance beside it, and the rest.
+"""Splits the errors of objects into the clip's scale, each object's own distance, and the rest.
 
     python benchmarks/object_errors.py --work bench_work
 
-Reads what `benchmarks/v2a_bench.py` left: `truth/CLIP` and `results/CLIP`. A clip's scale is the camera's height over
-the floor against the true one; an object's distance is the median depth of its pixels against the true one, beside that
-scale. Objects are then moved along the line of sight and scaled by what is wrong with one, and with both. Writes JSON.
+Reads the output of `benchmarks/v2a_bench.py`: `truth/CLIP` and `results/CLIP`. The scale of a clip is the ratio of
+estimated to true camera height above the floor; the distance of an object is the ratio of estimated to true median
+depth of its pixels, relative to that scale. Objects are then corrected along the line of sight for the distance, and
+for both, and compared again. Writes JSON.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from video2anim.types import (
 )  # fmt: skip
 
 FAR_OFF = 0.12
-"""An object that is this share of its distance too far is counted."""
+"""Relative error of distance above which an object counts as too far."""
 MIN_PIXELS = 5
 
 
@@ -50,7 +51,7 @@ class Clip:
     truth: Truth
 
     def get(self, kind: type) -> Any:
-        """An artifact that must be there."""
+        """A value that must exist."""
         found = self.result.get(kind)
         if found is None:
             sys.exit(f"{self.name}: {self.result.why(kind)}; run benchmarks/v2a_bench.py first")
@@ -58,7 +59,7 @@ class Clip:
 
 
 def main() -> None:
-    """Measure and write."""
+    """Measure all clips and write the report."""
     options = arguments()
     clips, pieces = [], []
     for folder in sorted((options.work / "results").iterdir()):
@@ -80,7 +81,7 @@ def main() -> None:
 
 
 def of_clip(clip: Clip) -> dict[str, Any]:
-    """Logs of scale and body height against the truth; AbsRel of the background image's depth."""
+    """Logarithms of scale and body height over their true values, and AbsRel of the background depth."""
     body, true = clip.get(MetricDepth).bodies.main, clip.truth.main
     depth, value = clip.get(MetricDepth).background_depth_m, clip.get(DepthClip).background_value
     true_m = resample_nearest(clip.truth.background_depth_m, depth.shape)
@@ -99,7 +100,7 @@ def of_clip(clip: Clip) -> dict[str, Any]:
 
 
 def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
-    """Each matched piece of furniture."""
+    """A row for each matched piece of furniture."""
     depth, masks = clip.get(MetricDepth), clip.get(InstanceMasks)
     body, lifter = depth.bodies.main, ObjectBackprojector(masks, depth)
     furniture = clip.truth.furniture(MIN_VISIBLE_PX)
@@ -134,7 +135,7 @@ def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
 
 
 def distances_m(lifter: ObjectBackprojector, number: int, true_number: int, truth: Truth) -> tuple[float, float] | None:
-    """An object's lifted and true depth, where both masks show it; None if they hardly do."""
+    """Median estimated and true depth of an object where its masks overlap; None for fewer than `MIN_PIXELS` pixels."""
     obj = lifter.lift(number)
     true_m = resample_nearest(truth.background_depth_m, obj.shows.shape)
     both = obj.shows & shrunk(truth.mask(true_number), obj.shows.shape) & (true_m > 0)
@@ -145,7 +146,7 @@ def distances_m(lifter: ObjectBackprojector, number: int, true_number: int, trut
 
 
 def nearer(item: PlacedObject, by_log: float, camera_m: np.ndarray) -> PlacedObject:
-    """The object as its picture would have it if all distances were smaller by a factor."""
+    """The object with the same image, but with its distance to the camera smaller by a factor exp(by_log)."""
     factor = float(np.exp(-by_log))
     T = item.T_world_object.copy()
     T[:3, 3] = camera_m + factor * (T[:3, 3] - camera_m)
@@ -153,7 +154,7 @@ def nearer(item: PlacedObject, by_log: float, camera_m: np.ndarray) -> PlacedObj
 
 
 def summary(clips: Sequence[dict[str, Any]], pieces: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Medians, of sizes where signs differ."""
+    """Medians over clips and objects, of absolute values for signed numbers."""
     distance = np.array([piece["distance_log"] for piece in pieces])
     far = [piece for piece in pieces if piece["distance_log"] > np.log1p(FAR_OFF)]
     found: dict[str, Any] = {

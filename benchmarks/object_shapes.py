@@ -1,13 +1,14 @@
-"""How good shapes and places of furniture are when depth, masks and camera are true: stages complete to place alone.
+"""Errors of shapes and places of furniture with true depth, masks and camera: the stages complete to place alone.
 
     video2anim synth --preset bench --seed 0 --motion cmu.npz --motion deepmimic.npz --out bench_work/truth
     python benchmarks/object_shapes.py --truth bench_work/truth [--clips 24] [--pictures DIR]
     python benchmarks/object_shapes.py --truth dev_work/truth --sigma looks=15
 
-Furniture counts when at least 2,000 of its pixels are seen. Chamfer distance: mean of both directions over 4,000 points
-of each surface; middle: of the box in the object's axes; class: of the form, against the piece's. `--sigma NAME=VALUE`
-changes a standard deviation of the fit (`FitSigmas`) or `depth`, that of depth within an object (1 % here, since depth
-is true); choose them on seeds from 9001 on. Writes JSON; `--pictures` writes the meshes over the picture.
+Furniture counts if at least 2,000 of its pixels are visible. Chamfer distance: mean of both directions over 4,000
+points of each surface; center: of the box in the object's axes; class: whether that of the form is right. `--sigma
+NAME=VALUE` changes a standard deviation of the fit (`FitSigmas`) or `depth`, that of depth within an object (1 % here,
+since depth is true); choose them on seeds from 9001 on. Writes JSON; `--pictures` writes images of the meshes over the
+picture.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ MEDIANS = ("chamfer_m", "chamfer_first_m", "center_m", "height_m")
 
 
 def main() -> None:
-    """Run, compare, write."""
+    """Run the stages, compare, write the report."""
     options = arguments()
     rows, depth_sigma = [], 0.01
     if options.sigma:
@@ -126,14 +127,14 @@ def of_clip(truth: Truth, pictures: Path | None, depth_sigma: float, *, named: b
 
 
 def in_world(item: ObjectMeshes | PlacedObjects):
-    """Mesh in the world, and the box around it."""
+    """Mesh of an object in the world, and the box around it."""
     own_m = getattr(item, "scale", 1.0) * item.mesh.vertices_m.astype(np.float64)
     world = Mesh(transform_points(item.T_world_object, own_m), item.mesh.faces, item.mesh.vertex_rgb)
     return world, box_of(own_m, item.T_world_object)
 
 
 def true_inputs(truth: Truth, *, named: bool) -> tuple[InstanceMasks, BackgroundImage, MetricDepth]:
-    """What the stages before would hand over if they made no error."""
+    """The inputs of stage complete without errors, from the truth."""
     height, width = truth.background_depth_m.shape
     instances = []
     for item in truth.furniture(MIN_VISIBLE_PX):
@@ -156,7 +157,7 @@ def true_inputs(truth: Truth, *, named: bool) -> tuple[InstanceMasks, Background
 
 
 def picture(truth: Truth, placed: PlacedObjects, path: Path) -> None:
-    """The background image, the meshes seen by its camera, and from a place to the side of it."""
+    """Write the background image and renderings of the meshes from its camera and from the side."""
     import cv2
     import trimesh
 
@@ -178,7 +179,7 @@ def picture(truth: Truth, placed: PlacedObjects, path: Path) -> None:
 
 
 def seen_by(mesh, T_world_camera: np.ndarray, lens, shape: tuple[int, ...]) -> np.ndarray:
-    """Shaded picture of a mesh."""
+    """Shaded rendering of a mesh."""
     from video2anim.geometry.projection import pixel_rays
 
     rays = pixel_rays(lens.resized(shape[1], shape[0])).reshape(-1, 3) @ T_world_camera[:3, :3].T
@@ -197,7 +198,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--clips", type=int)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--pictures", type=Path)
-    parser.add_argument("--named", action="store_true", help="tell the fit each piece's class")
+    parser.add_argument("--named", action="store_true", help="give the fit the true class of each object")
     parser.add_argument("--sigma", metavar="NAME=VALUE", help="change one standard deviation")
     return parser.parse_args()
 

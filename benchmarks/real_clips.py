@@ -1,26 +1,26 @@
-"""Real clips, stage by stage: numbers that need no truth, and marker-based or triangulated truth where there is some.
+"""Real clips after each motion stage: numbers without truth, and errors against marker-based or triangulated truth.
 
     python benchmarks/real_clips.py --media ../shared/media --work real_work [--clips ocv_sts ocv_walk]
 
-Each clip is run (what is cached stays) into `--work`, and its main person is measured as stage humans, keyframes and
-refine have it, and as the same solve without the prior has it. In every row:
+Each clip is run into `--work` (cached stages stay). Its main person is measured after the stages humans, keyframes and
+refine, and after the solve of refine without the prior. Columns of each row:
 
-- picture: distance of the joints from where stage humans has them, % of the standing body's height in the picture,
-  median and 95 % over the valid frames;
-- misses: distance of the 12 limb joints from their BlazePose landmarks (visibility over 0.5) over that of stage humans,
-  median over the frames;
-- tilt: angle of pelvis to neck against up in frames in which a foot or more touches and the legs are straight, median;
-- contacts of stage humans (parts with a probability over 0.5, in every row the same ones): share that is within 3 cm
-  of what was observed of the stage's own scene (objects, floor), of inferred supports alone, and share that touches
-  nothing of the scene in fact: parts that fly, hands on the own body;
-- inside: share of frames with skin more than 1 cm inside of it; skating (`gmd`), jerk;
-- where there is truth: PA-MPJPE and root-relative MPJPE (12 limb joints), root path after rigid alignment over the
-  whole clip, acceleration error, knee and hip flexion (the `ocv` clips by `eval_mocap.py` of the media).
+- displacement: image distance of the joints from those of stage humans, in % of the standing body's height in the
+  picture, median and 95th percentile over the valid frames;
+- reprojection: image distance of the 12 limb joints from their BlazePose landmarks (visibility over 0.5), relative to
+  that of stage humans, median over the frames;
+- tilt: angle of pelvis to neck against up in frames with a foot in contact and straight legs, median;
+- contacts of stage humans (parts with a probability over 0.5, the same in every row): share within 3 cm of observed
+  surfaces of the scene (objects, floor), share on inferred supports, and share that is no contact with the scene (parts
+  that move fast, hands on the own body);
+- inside: share of frames with skin more than 1 cm inside the scene; skating (`gmd`); jerk;
+- with truth: PA-MPJPE and root-relative MPJPE (12 limb joints), root path after rigid alignment over the whole clip,
+  acceleration error, knee and hip flexion (the `ocv` clips by `eval_mocap.py` of the media).
 
-Beside: share of frames that the prior shaped, seconds of refine per window of 121 frames; order: share of the pixels at
-which the person is seen before an object whose depth is behind theirs; lens (%) and gravity (degrees) off where known.
-Writes Markdown and JSON, and one contact sheet of previews to `--work` (`sheet.png`; the footage may not be
-published).
+Per clip: share of frames that the prior changed; seconds of refine per window of 121 frames; order: share of the pixels
+showing the person in front of an object at which the object's depth is larger than the person's; errors of focal length
+(%) and gravity (degrees) if known. Writes Markdown and JSON, and a contact sheet of previews to `--work` (`sheet.png`;
+the footage may not be published).
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ STRAIGHT_DEG = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One stage of one clip; NaN where a number does not exist."""
+    """One stage of one clip; NaN if a number does not exist."""
 
     clip: str
     stage: str
@@ -109,14 +109,14 @@ class Row:
 
 
 HEADS = (
-    "clip", "stage", "picture, %", "95 %", "misses", "tilt, deg", "contacts", "on supports", "no touch",
+    "clip", "stage", "displacement, %", "95 %", "reprojection", "tilt, deg", "contacts", "on supports", "no touch",
     "inside", "skating", "jerk, m/s3", "PA, mm",
     "root-relative, mm", "root path, mm", "acceleration, m/s2", "knee, deg", "hip, deg",
 )  # fmt: skip
 
 
 def main() -> None:
-    """Run, measure, write."""
+    """Run the clips, measure, write the report."""
     options = arguments()
     rows: list[Row] = []
     clips: dict[str, Any] = {}
@@ -142,7 +142,7 @@ def main() -> None:
 
 
 def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
-    """Rows of the main person, and what the run says of itself."""
+    """Rows of the main person, and numbers of the whole clip."""
     result = SceneResult(folder)
     bodies, keyframed = result.get(BodyTracks), result.get(KeyframedMotion)
     scene, refined = result.get(SceneModel), result.get(RefinedMotion)
@@ -176,8 +176,8 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
 
 
 def right_class(clip: str, contacts: Sequence[Contact]) -> dict[str, float | None]:
-    """Of the time in which a part touches something other than the floor, the share with objects of the class that it
-    touches in the clip, by `real_contacts.json`; None where it touches nothing else."""
+    """Per body part, the share of its contact time (without the floor) on objects of the right class according to
+    `real_contacts.json`; None if it touches nothing but the floor."""
     wanted = json.loads(Path(__file__).with_name("real_contacts.json").read_text()).get(clip, {})
     shares: dict[str, float | None] = {}
     for part, classes in wanted.items():
@@ -189,7 +189,8 @@ def right_class(clip: str, contacts: Sequence[Contact]) -> dict[str, float | Non
 
 
 def depth_order(metric: MetricDepth, masks: InstanceMasks, background: BackgroundImage) -> float:
-    """Share of the pixels of objects at which the main person is seen whose depth is not before the person."""
+    """Share of the pixels of the person in front of an object at which the object's depth is larger than the
+    person's."""
     shape = metric.background_depth_m.shape
     body = metric.bodies.main
     passed = person_coverage(
@@ -201,7 +202,7 @@ def depth_order(metric: MetricDepth, masks: InstanceMasks, background: Backgroun
 
 
 def camera_off(clip: str, body: BodyMotion, media: Path) -> dict[str, float]:
-    """Focal length in % and gravity in degrees off the media's; for `ocv` these are themselves good to 2 degrees."""
+    """Errors of focal length (%) and gravity (degrees). For `ocv` the reference itself has an error of 2 degrees."""
     path = media / "reference" / f"{clip}.json"
     if not path.is_file():
         return {}
@@ -210,13 +211,13 @@ def camera_off(clip: str, body: BodyMotion, media: Path) -> dict[str, float]:
     off = {"lens off, %": 100 * (body.intrinsics.fx_px / camera["fx"] - 1)}
     if "R_camera_world" not in camera:
         return off
-    # The laboratory of `ocv` has y up, that of `pose2sim` z.
+    # The world of `ocv` has y up, that of `pose2sim` z up.
     up = np.array(camera["R_camera_world"])[:, 2 if "up_in_camera" in known else 1]
     return off | {"gravity off, deg": float(np.degrees(np.arccos(np.clip(up @ body.T_world_camera[0, 1, :3], -1, 1))))}
 
 
 def misses_px(motion: BodyMotion, track: PersonTrack) -> np.ndarray:
-    """Mean distance of the limb joints from their landmarks, per frame; NaN where none is seen."""
+    """Mean image distance of the limb joints from their landmarks, per frame; NaN if none is visible."""
     joints_px = project(motion.joints_camera_m[:, LIMBS], motion.intrinsics)
     off_px = np.linalg.norm(joints_px - track.landmarks_px[:, LANDMARKS], axis=-1)
     seen = (track.valid & motion.valid)[:, None] & (np.nan_to_num(track.visibility[:, LANDMARKS]) > 0.5)
@@ -226,7 +227,7 @@ def misses_px(motion: BodyMotion, track: PersonTrack) -> np.ndarray:
 def row(
     clip: str, stage: str, motion: BodyMotion, raw: BodyMotion, track: PersonTrack, scene: SceneModel, media: Path
 ) -> Row:
-    """One stage's numbers."""
+    """The row of one stage."""
     off = 100 * image_distance_ratio(motion, raw)
     body, field = shaped_body(motion.shape), SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
     valid = np.flatnonzero(motion.valid)
@@ -242,7 +243,7 @@ def row(
 
 
 def contact_shares(motion: BodyMotion, raw: BodyMotion, scene: SceneModel) -> tuple[float, float, float]:
-    """Shares of the contacts of stage humans: on what was observed, on inferred supports, and no touch in fact."""
+    """Shares of the contacts of stage humans: on observed surfaces, on inferred supports, and no contact in fact."""
     body, field = shaped_body(motion.shape), SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
     supports = [world_mesh(o.mesh, o.T_world_object, o.scale) for o in scene.objects if o.label == SUPPORT]
     inferred = None
@@ -266,7 +267,7 @@ def contact_shares(motion: BodyMotion, raw: BodyMotion, scene: SceneModel) -> tu
 
 
 def tilt_deg(motion: BodyMotion) -> float:
-    """Angle of pelvis to neck against up, median over frames of straight legs with a foot that touches."""
+    """Angle of pelvis to neck against up, median over frames with straight legs and a foot in contact."""
     touches = motion.valid & (motion.contact[:, list(FEET)].max(1) > 0.5)
     bend = [
         np.rad2deg(np.arccos(np.clip((np.trace(motion.R_parent_joint[:, JOINT_INDEX[name]], axis1=1, axis2=2) - 1) / 2,
@@ -329,12 +330,12 @@ def table(rows: list[Row]) -> str:
 
 
 def cell(value: float) -> str:
-    """Three significant digits; nothing for NaN."""
+    """Three significant digits; empty for NaN."""
     return "" if np.isnan(value) else f"{value:.3g}"
 
 
 def sheet(previews: list[Path], frames: int = 3, width_px: int = 900) -> np.ndarray:
-    """Frames of each preview side by side, a clip a row."""
+    """Frames of each preview side by side, one row per clip."""
     import cv2
 
     rows = []

@@ -1,12 +1,12 @@
-"""Seconds of stage refine per window of 121 frames, by parts, and its memory with long clips.
+"""Time of stage refine per window of 121 frames, by parts, and its memory for long clips.
 
     python benchmarks/refine_time.py --scenes real_work/ocv_sts real_work/gvhmr_tennis [--repeats 5]
     python benchmarks/refine_time.py --scenes real_work/ocv_sts --frames 4500 --repeats 1
 
-The stage runs on what the stages before it left in scene folders, in this process, with the threads that the user would
-have (`OMP_NUM_THREADS` and the like as set). A first run that loads models and imports is not counted. Wall and
-processor seconds are medians over the repeats; parts are wall seconds of the run of median length. `--frames` plays the
-motion forward and backward until it is so long. Peak memory is that of the process, scene read and models loaded.
+The stage runs in this process on its inputs in scene folders, with the threads of the environment (`OMP_NUM_THREADS`
+and the like). A first run, which loads models and imports, is not counted. Wall and processor seconds are medians over
+the repeats; parts are wall seconds of the median run. `--frames` repeats the motion forward and backward up to that
+length. Peak memory is that of the process, including the scene and the models.
 """
 
 from __future__ import annotations
@@ -42,10 +42,12 @@ PARTS = {
 
 
 def main() -> None:
-    """Measure, print the table, write the JSON."""
+    """Time the stage on each scene, print the table, write the JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="scene folders, done up to keyframes")
-    parser.add_argument("--frames", type=int, help="length to play the motions to; theirs if not given")
+    parser.add_argument(
+        "--scenes", type=Path, nargs="+", required=True, help="scene folders, finished up to stage keyframes"
+    )
+    parser.add_argument("--frames", type=int, help="length of the motions in frames; their own by default")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     options = parser.parse_args()
@@ -63,7 +65,7 @@ def main() -> None:
 
 
 def watch() -> dict[str, float]:
-    """Put a clock on every part; answers seconds spent, which the clocks add to."""
+    """Wrap every part with a timer. Returns the seconds per part, which the timers update."""
     spent = dict.fromkeys(PARTS, 0.0)
 
     def clocked(part: str, work: Callable[..., Any]) -> Callable[..., Any]:
@@ -82,7 +84,7 @@ def watch() -> dict[str, float]:
 
 
 def of_scene(folder: Path, options: argparse.Namespace, spent: dict[str, float]) -> dict[str, Any]:
-    """One scene's row."""
+    """The row of one scene."""
     result = SceneResult(folder)
     bodies, keyframed, scene = result.get(BodyTracks), result.get(KeyframedMotion), result.get(SceneModel)
     depth = result.get(MetricDepth)
@@ -112,7 +114,7 @@ def of_scene(folder: Path, options: argparse.Namespace, spent: dict[str, float])
 
 
 def longer(motion: BodyMotion, frames: int) -> BodyMotion:
-    """A motion played forward and backward until it is so long."""
+    """A motion repeated forward and backward up to `frames` frames."""
     own = motion.frame_count
     there_and_back = np.r_[0:own, own - 2 : 0 : -1]
     order = there_and_back[np.arange(frames) % len(there_and_back)]

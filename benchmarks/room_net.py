@@ -1,11 +1,11 @@
-"""What the room network knows: held-out renders, photographs with known depth or camera, and its time.
+"""Errors of the room network on held-out renderings and on photographs with known depth or camera, and its time.
 
     video2anim synth --frames-only --count 256 --size 256x192 --seed 900 --motion cmu.npz \
         --motion deepmimic.npz --out shards/900
     python benchmarks/room_net.py --held-out shards/900 --media ../shared/media [--model FILE.onnx]
 
-Depth is compared after the one scale and offset in inverse depth that fit best (least squares), for the network and for
-the plane (inverse depth linear in the pixel) alike. Writes JSON.
+Depth is compared after a least-squares fit of one scale and offset in inverse depth, for the network and for
+a baseline, a plane (inverse depth linear in the pixel). Writes JSON.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from video2anim.networks.room_net import RoomCamera, RoomDepth, RoomSegment, Sce
 from video2anim.networks.segmentation import CLASSES, MIN_INSTANCE_RATIO
 
 NEAREST_INVERSE = 1 / 50
-"""Inverse depths are held above this: 50 m."""
+"""Lower limit of inverse depths in 1/m, that is, 50 m."""
 HUE_SHIFTS_RAD = (-0.6, -0.3, 0.3, 0.6)
 MIN_AREA_RATIO = 0.01
-"""Instances that a user would miss: this share of the picture and more."""
+"""Minimum area of instances that count, as a share of the picture."""
 JITTERED = 48
 TIMED = 12
 
 
 def main() -> None:
-    """Measure and write."""
+    """Measure the network and write the report."""
     options = arguments()
     path = options.model or model_path(find_model("room-depth"))
     report: dict[str, Any] = {
@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def renders(path: Path, folders: list[Path]) -> dict[str, float]:
-    """Means and medians over held-out pictures."""
+    """Means and medians over held-out renderings."""
     net, segment, depth = SceneNetwork(path), RoomSegment(path), RoomDepth(path)
     rows: list[dict[str, float]] = []
     matched, floor = np.zeros(3), np.zeros(2)
@@ -105,33 +105,33 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
 
 
 def inverse_depth(depth_mm: np.ndarray) -> np.ndarray:
-    """1 / meters; NaN where nothing was measured."""
+    """Inverse depth in 1/m; NaN where there is no measurement."""
     depth_m = depth_mm.astype(np.float64) / 1000
     return np.where(depth_m > 0, 1 / np.maximum(depth_m, 1e-3), np.nan)
 
 
 def compared(disparity: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """AbsRel and delta of depth after the best scale and offset in inverse depth."""
+    """AbsRel and delta1 of depth after a fit of scale and offset in inverse depth."""
     known = np.isfinite(truth)
     fitted = nearest_line(disparity[known], truth[known])
     return scores(fitted, truth[known])
 
 
 def nearest_line(value: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Values with the scale and offset that bring them nearest to the truth (least squares)."""
+    """Values after a least-squares fit of scale and offset to the truth."""
     design = np.stack([value, np.ones(len(value))], 1)
     return design @ np.linalg.lstsq(design, truth, rcond=None)[0]
 
 
 def scores(inverse: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """AbsRel and share of ratios below 1.25."""
+    """AbsRel, and share of pixels with a ratio below 1.25 (delta1)."""
     depth, true_depth = 1 / np.maximum(inverse, NEAREST_INVERSE), 1 / truth
     ratio = np.maximum(depth / true_depth, true_depth / depth)
     return {"absrel": float(np.mean(np.abs(depth / true_depth - 1))), "delta1": float((ratio < 1.25).mean())}
 
 
 def plane_numbers(truth: np.ndarray) -> dict[str, float]:
-    """The same for the plane that fits best."""
+    """The same scores for the best plane."""
     known = np.isfinite(truth)
     y, x = np.nonzero(known)
     design = np.stack([x, y, np.ones(len(x))], 1).astype(np.float64)
@@ -140,14 +140,14 @@ def plane_numbers(truth: np.ndarray) -> dict[str, float]:
 
 
 def cameras_of(net: SceneNetwork, pictures: list[np.ndarray]) -> tuple[FieldCamera, FieldCamera]:
-    """Camera of some pictures of one view by the network's fields alone, and with straight edges."""
+    """Camera from images of one view by the network's fields alone, and with line segments."""
     height, width = pictures[0].shape[:2]
     camera = fit_camera([net.predict(picture).field for picture in pictures], width / height)
     return camera, camera_with_edges(camera, [detect_line_segments(picture) for picture in pictures])
 
 
 def camera_numbers(camera: FieldCamera, maps: dict[str, np.ndarray], row: int) -> dict[str, float]:
-    """Errors of field of view and gravity, and what the fit expects of its focal length."""
+    """Errors of field of view and gravity, and the predicted error of the focal length."""
     height = maps["rgb"].shape[1]
     focal_ratio = float(maps["intrinsics"][row][1]) / height
     true_fov = 2 * np.arctan(0.5 / focal_ratio)
@@ -162,7 +162,7 @@ def camera_numbers(camera: FieldCamera, maps: dict[str, np.ndarray], row: int) -
 
 
 def class_numbers(semantic: np.ndarray, label: np.ndarray) -> dict[str, float]:
-    """IoU of each class that the picture shows."""
+    """IoU of each class in the image."""
     found = {}
     for number, name in enumerate(CLASSES):
         mine, theirs = semantic == number, label == number
@@ -172,14 +172,14 @@ def class_numbers(semantic: np.ndarray, label: np.ndarray) -> dict[str, float]:
 
 
 def true_pieces(instance: np.ndarray, label: np.ndarray) -> list[np.ndarray]:
-    """Masks of furniture instances."""
+    """Masks of the true furniture instances."""
     furniture = label == CLASSES.index("furniture")
     true = [furniture & (instance == number) for number in np.unique(instance[furniture])]
     return [mask for mask in true if mask.mean() >= MIN_INSTANCE_RATIO]
 
 
 def pieces_off(disparity: np.ndarray, truth: np.ndarray, true: list[np.ndarray]) -> list[float]:
-    """By how much the mean log depth of each piece of a size that matters is too large, after the best alignment."""
+    """Error of the mean log depth of each instance above `MIN_AREA_RATIO`, after alignment; positive = too far."""
     known = np.isfinite(truth)
     off = np.full(truth.shape, np.nan)
     fitted = nearest_line(disparity[known], truth[known])
@@ -188,7 +188,7 @@ def pieces_off(disparity: np.ndarray, truth: np.ndarray, true: list[np.ndarray])
 
 
 def matches(masks: list[np.ndarray], true: list[np.ndarray]) -> np.ndarray:
-    """True positives, predicted, true: furniture instances of a size that matters, matched at IoU 0.5."""
+    """Numbers of matched (IoU 0.5), predicted and true furniture instances above `MIN_AREA_RATIO`."""
     large = [mask for mask in true if mask.mean() >= MIN_AREA_RATIO]
     hits, claimed = 0, 0
     for mask in masks:
@@ -203,7 +203,7 @@ def matches(masks: list[np.ndarray], true: list[np.ndarray]) -> np.ndarray:
 
 
 def kept_and_dropped(depth: RoomDepth, rgb: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
-    """AbsRel of the fifth of pixels whose disparity hangs most on the hue, and of the others."""
+    """AbsRel of the 80 % of the pixels with the smallest hue jitter, and of the others."""
     value, sigma = jittered_disparity(depth.infer, rgb, HUE_SHIFTS_RAD)
     known = np.isfinite(truth)
     fitted = nearest_line(value[known], truth[known])
@@ -213,7 +213,7 @@ def kept_and_dropped(depth: RoomDepth, rgb: np.ndarray, truth: np.ndarray) -> tu
 
 
 def rgbd(path: Path, folder: Path) -> dict[str, float]:
-    """Pictures of a rendered living room that is not ours, with depth; and the lens."""
+    """Errors on renderings of a living room by others, with known depth and focal length."""
     net = SceneNetwork(path)
     lens = json.loads((folder / "intrinsics_and_poses.json").read_text())
     rows, cameras = [], []
@@ -234,7 +234,7 @@ def rgbd(path: Path, folder: Path) -> dict[str, float]:
 
 
 def pose2sim(path: Path, media: Path) -> dict[str, dict[str, float]]:
-    """Lens and gravity of the calibrated cameras by pictures alone, nobody looked at: three frames together."""
+    """Errors of focal length and gravity of calibrated cameras from three frames each, without using people."""
     net, found = SceneNetwork(path), {}
     for name in ("pose2sim_single_cam01", "pose2sim_single_cam02"):
         truth = json.loads((media / "reference" / f"{name}.json").read_text())
@@ -251,7 +251,7 @@ def pose2sim(path: Path, media: Path) -> dict[str, dict[str, float]]:
 
 
 def camera_errors(camera: FieldCamera, height_px: int, true_fy_px: float, true_up: np.ndarray) -> dict[str, float]:
-    """Against a calibration."""
+    """Errors of a camera against a calibration."""
     focal_ratio = camera.focal_ratio * height_px / true_fy_px
     return {
         "focal error percent": float(100 * abs(focal_ratio - 1)),
@@ -269,7 +269,7 @@ def picture_of(video: cv2.VideoCapture, share: float) -> np.ndarray:
 
 
 def seconds(path: Path, folder: Path) -> dict[str, float]:
-    """Median time of one picture of 384 px in each slot, with all its views."""
+    """Median time in seconds of one image of 384 px in each slot, with all views that the slot uses."""
     depth, camera, segment = RoomDepth(path), RoomCamera(path), RoomSegment(path)
     rgb = cv2.resize(read_picture(sorted(folder.glob("color_*.jpg"))[0]), (384, 288), interpolation=cv2.INTER_AREA)
     found = {}
@@ -286,7 +286,7 @@ def seconds(path: Path, folder: Path) -> dict[str, float]:
 def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--held-out", type=Path, nargs="*", help="folders of shards that were not trained on")
+    parser.add_argument("--held-out", type=Path, nargs="*", help="folders of shards not used for training")
     parser.add_argument("--media", type=Path, help="test media")
     parser.add_argument("--model", type=Path, help="another file of the same contract")
     parser.add_argument("--out", type=Path, help="JSON to write")

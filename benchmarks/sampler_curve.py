@@ -1,4 +1,4 @@
-"""Quality of fast samplers against the paper's 1000 steps, on one set of test windows with the same seeds.
+"""Quality of fast samplers compared with the paper's 1000 steps, on the same test windows and seeds.
 
     python benchmarks/sampler_curve.py --clips cmu.npz --split split.json --weights small --interval 30
 
@@ -33,7 +33,7 @@ SAMPLERS: tuple[tuple[str, int, float], ...] = (
     *(("dpm-solver++", steps, spacing) for steps in (5, 10, 20, 50) for spacing in (1.0, 1.5, 2.0)),
     *(("ddpm", steps, 1.5) for steps in (20, 50)),
 )
-"""Method, steps, spacing; the first is what the others are compared with."""
+"""Method, steps, spacing; the first is the reference."""
 
 
 def main() -> None:
@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("--weights", default="small")
     parser.add_argument("--interval", type=int, default=30)
     parser.add_argument("--noise", type=float, default=0.0)
-    parser.add_argument("--windows", type=int, default=32, help="at most so many, spread over all")
+    parser.add_argument("--windows", type=int, default=32, help="maximum number of windows, spread over all clips")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))

@@ -1,11 +1,10 @@
-"""Speed of the scene inputs: voxels, basis points and synthetic scenes, beside scipy's KD-tree and Open3D.
+"""Speed of the scene inputs (voxels, basis points, synthetic scenes), compared with scipy's KD-tree and Open3D.
 
     python benchmarks/scene_input_speed.py --out benchmarks/results
 
-One room of boxes, balls and a floor as a mesh; 48 x 24 x 48 voxels around its middle and 121 frames of 64 anchors of a
-walking body. `scipy_kdtree` answers from surface samples alone (as dense as ours), `open3d` from the triangles; `wrong`
-and `error_m` compare each with Open3D. Building the search structure is timed apart. Open3D is left out where it is not
-installed.
+The scene is a mesh of boxes, balls and a floor, with 48 x 24 x 48 voxels around its center and 121 frames of 64 anchors
+of a walking body. `scipy_kdtree` uses surface samples (as dense as ours), `open3d` the triangles; `wrong` and `error_m`
+are differences to Open3D. Building the search structure is timed separately. Open3D is skipped if not installed.
 """
 
 from __future__ import annotations
@@ -93,7 +92,7 @@ def walking_window() -> dict[str, Any]:
 
 
 def methods(mesh: trimesh.Trimesh, centers_m: np.ndarray, anchors_m: np.ndarray, repeats: int) -> dict[str, Any]:
-    """Build, voxel and offset times of each way, and how far each is from Open3D."""
+    """Times for building, voxels and offsets of each method, and its differences to Open3D."""
     vertices_m, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     scene = SceneGeometry.from_mesh(vertices_m, faces)
     voxels, offsets_m = occupancy(scene, np.eye(4)), bps(scene, anchors_m, np.eye(3))
@@ -129,7 +128,7 @@ def methods(mesh: trimesh.Trimesh, centers_m: np.ndarray, anchors_m: np.ndarray,
 def open3d_rows(
     vertices_m: np.ndarray, faces: np.ndarray, centers_m: np.ndarray, points_m: np.ndarray, repeats: int
 ) -> tuple[dict[str, float], np.ndarray, np.ndarray] | None:
-    """Times of Open3D's ray-casting scene and its distances; None where it is not installed."""
+    """Times and distances of Open3D's ray-casting scene; None if it is not installed."""
     try:
         import open3d
     except (ImportError, OSError):
@@ -152,7 +151,7 @@ def open3d_rows(
 
 
 def synthetic_scenes(window: dict[str, Any], count: int) -> dict[str, float]:
-    """Windows per second of one process: with the offsets of all frames, and of nine keyframes."""
+    """Synthetic scenes per second in one process, with offsets of all frames or of nine keyframes."""
     scenes, spheres = SyntheticScenes(), fit_spheres(window["body"])
     args = (window["joints_m"], window["R_world_joint"], window["anchors_m"])
     keyframes = np.zeros(FRAMES, bool)

@@ -1,9 +1,9 @@
-"""Signed distances and Chamfer distances on the CPU: the project's way beside open3d, scipy and torch, with errors.
+"""Signed distances and Chamfer distances on the CPU: time and error of this project, Open3D, scipy and torch.
 
     python benchmarks/scene_queries.py --truth bench_work/truth/00_walk [--out FILE.json]
 
-A field is built once a scene and read many times; open3d answers exactly, query by query. Needs the `viewer` extra
-(open3d). Medians of three; Chamfer at the sizes that stage place uses. Writes JSON.
+The project builds a grid once per scene and interpolates it; Open3D computes every distance exactly. Times are medians
+of three; Chamfer distances have the sizes that stage place uses. Writes JSON.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from video2anim.types import Mesh
 
 QUERIES = 1_000_000
 SPACING_M = 0.06
-"""Of the pipeline's field."""
+"""Grid spacing of the pipeline's field."""
 
 
 def main() -> None:
-    """Measure, write."""
+    """Measure and write the report."""
     options = arguments()
     truth = read_truth(options.truth)
     solids = [part for item in truth.furniture(0) for part in connected_parts(world_mesh(item))]
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def signed_distances(solids: list[Mesh]) -> dict[str, Any]:
-    """A million points around the furniture, from the grid and from open3d."""
+    """Signed distances of a million points near the furniture, from the grid and from Open3D."""
     import open3d as o3d
 
     rng = np.random.default_rng(0)
@@ -68,7 +68,7 @@ def signed_distances(solids: list[Mesh]) -> dict[str, Any]:
     query = o3d.core.Tensor(points_m.astype(np.float32))
 
     def exact() -> np.ndarray:
-        # Parts that run into each other: the union's distance is the least of theirs.
+        # Parts overlap: the distance to the union is the smallest of theirs.
         return np.min([scene.compute_signed_distance(query).numpy() for scene in scenes], axis=0)
 
     exact_s, exact_m = timed(exact, 1)
@@ -85,7 +85,7 @@ def signed_distances(solids: list[Mesh]) -> dict[str, Any]:
 
 
 def chamfers() -> list[dict[str, float]]:
-    """Both directions between two sets of one size."""
+    """Chamfer distances (both directions) between two sets of equal size."""
     import open3d as o3d
 
     rows = []
@@ -118,7 +118,7 @@ def chamfers() -> list[dict[str, float]]:
 
 
 def timed(call: Callable[[], Any], times: int) -> tuple[float, Any]:
-    """Median seconds, and the answer."""
+    """Median time in seconds, and the result."""
     seconds, answer = [], None
     for _ in range(times):
         start = time.perf_counter()

@@ -1,5 +1,4 @@
-"""Pictures of finished scenes for people: an input frame beside two views of the scene, a row for each; or all objects
-from four sides.
+"""One picture of finished scenes: for each scene an input frame and two views, or four views of its objects.
 
     make demo
     video2anim synth --preset bench --count 2 --seed 9001 --motion cmu.npz --out truth
@@ -7,7 +6,7 @@ from four sides.
     python benchmarks/scene_sheet.py demo_out scenes/00_walk scenes/01_sit --out docs/scene.jpg
     python benchmarks/scene_sheet.py scenes/* --views 4 --out sheet.png
 
-The frame is the one in which most of the body is seen, at 60 % of the clip (`--at`).
+The frame is at 60 % of the clip (`--at`).
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ TURNS = {2: (0.6, -0.6), 4: (0.0, np.pi / 2, np.pi, -np.pi / 2)}
 
 
 def main() -> None:
-    """Draw every scene and write the sheet."""
+    """Render every scene and write the picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path, nargs="+")
     parser.add_argument("--out", type=Path, required=True)
@@ -40,7 +39,7 @@ def main() -> None:
 
 
 def row(folder: Path, at: float, turns: tuple[float, ...]) -> list[np.ndarray]:
-    """Input frame and views."""
+    """Input frame and views of one scene."""
     result = SceneResult(folder)
     people = result.motions()["refined"]
     valid = np.flatnonzero(people[0].valid)
@@ -58,7 +57,7 @@ def input_frame(result: SceneResult, number: int) -> np.ndarray:
 
 
 def fitted(picture: np.ndarray) -> np.ndarray:
-    """The picture on white, as large as fits."""
+    """The picture scaled to fit a white tile of `SIZE_PX`."""
     scale = min(SIZE_PX[0] / picture.shape[1], SIZE_PX[1] / picture.shape[0])
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     canvas = np.full((SIZE_PX[1], SIZE_PX[0], 3), 255, np.uint8)

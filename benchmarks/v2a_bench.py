@@ -1,11 +1,11 @@
-"""V2A-Bench: make the clips (or take them from the cache), run the pipeline on each, compare with the truth.
+"""V2A-Bench: makes the clips (or reuses them), runs the pipeline on each, and compares the results with the truth.
 
     python benchmarks/v2a_bench.py --motion ../shared/motion/cmu.npz ../shared/motion/deepmimic.npz
 
 Writes `benchmarks/results/v2a_bench-<date>.json` and puts the table between the marks in README.md. Clips are those of
-`video2anim synth --preset bench --seed 0`; without --motion captured walks are replaced by the gait model, which makes
-another set, and the report says so. A run that was broken off goes on where it stopped: clips and scene folders are
-cached in --work.
+`video2anim synth --preset bench --seed 0`. Without --motion, captured walks are replaced by the gait model; this is
+another set of clips, and the report says so. Clips and scene folders are cached in --work, so an interrupted run
+continues where it stopped.
 """
 
 from __future__ import annotations
@@ -47,8 +47,10 @@ def main() -> None:
     parser.add_argument("--motion", type=Path, nargs="*", default=[])
     parser.add_argument("--work", type=Path, default=Path("bench_work"))
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
-    parser.add_argument("--count", type=int, help="only the first so many clips; no README table then")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="clips made, run and judged at a time")
+    parser.add_argument("--count", type=int, help="use only the first COUNT clips; no README table then")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, help="number of clips processed in parallel"
+    )
     parser.add_argument(
         "--set", nargs="*", default=[], metavar="STAGE.OPTION=VALUE", help="an ablation; no README table then"
     )
@@ -95,7 +97,7 @@ def main() -> None:
 
 
 def make(options: argparse.Namespace, truth: Path) -> dict[str, Any]:
-    """The clips of the benchmark; what is there is kept."""
+    """Make the clips of the benchmark; existing ones are kept."""
     words = ["synth", "--preset", "bench", "--seed", str(SEED), "--out", str(truth), "--workers", str(options.workers)]
     for path in options.motion:
         words += ["--motion", str(path)]
@@ -106,7 +108,7 @@ def make(options: argparse.Namespace, truth: Path) -> dict[str, Any]:
 
 
 def run_pipeline(truth: Path, scene_dir: Path, options: argparse.Namespace) -> None:
-    """All stages that are judged, for everybody in the clip."""
+    """Run the stages up to refine for all persons of the clip."""
     words = ["--person", "all", "--until", "refine", "--overwrite"]
     for setting in options.set:
         words += ["--set", setting]
@@ -116,14 +118,14 @@ def run_pipeline(truth: Path, scene_dir: Path, options: argparse.Namespace) -> N
 
 
 def call(*words: str) -> None:
-    """One command of video2anim, to the end."""
+    """Run one command of video2anim; on failure exit with its error output."""
     done = subprocess.run([sys.executable, "-m", "video2anim.cli.main", *words], check=False)
     if done.returncode:
         sys.exit(f"video2anim {' '.join(words)} ended with {done.returncode}")
 
 
 def same_as_recorded(made: dict[str, Any]) -> bool | None:
-    """Whether the clips are byte for byte those of the recorded table; None where none is recorded."""
+    """Whether the clips are byte for byte those of the recorded digests; None if there are none."""
     if not RECORDED.is_file():
         return None
     recorded = {clip["name"]: clip["truth.npz"] for clip in json.loads(RECORDED.read_text())["clips"]}
@@ -131,7 +133,7 @@ def same_as_recorded(made: dict[str, Any]) -> bool | None:
 
 
 def cost(results: Path, names: list[str]) -> dict[str, float]:
-    """Median time and greatest memory of the runs, from the stage manifests."""
+    """Median time and maximum memory of the runs, from the stage manifests."""
     walls, peaks = [], []
     for name in names:
         stages = [json.loads(path.read_text()) for path in sorted((results / name).glob("stages/*/manifest.json"))]
@@ -141,7 +143,7 @@ def cost(results: Path, names: list[str]) -> dict[str, float]:
 
 
 def objects(truth: Path, results: Path, names: list[str]) -> dict[str, Any]:
-    """Medians over all pieces of furniture of all clips, and a row for each."""
+    """Medians over all objects of all clips, and a row for each object."""
     rows = []
     for name in names:
         found = scene_objects(SceneResult(results / name), read_truth(truth / name))
@@ -153,7 +155,7 @@ def objects(truth: Path, results: Path, names: list[str]) -> dict[str, Any]:
 
 
 def prior_at_work(truth: Path, results: Path, names: list[str]) -> dict[str, Any]:
-    """What the prior did to the main person of each clip: share of frames that it shaped, errors with and without it,
+    """Effect of the prior on the main person of each clip: share of frames that it changed, errors with and without it,
     and the mean difference (with minus without) with its paired bootstrap interval over clips."""
     rows = [row for name in names if (row := _with_and_without(truth / name, results / name)) is not None]
     differences = {
@@ -164,7 +166,7 @@ def prior_at_work(truth: Path, results: Path, names: list[str]) -> dict[str, Any
 
 
 def _with_and_without(truth_dir: Path, scene_dir: Path) -> dict[str, Any] | None:
-    """One clip's row; None where no person was matched to the main one of the truth, or was measured in 3 frames."""
+    """The row of a clip; None if no person matches the true main person, or too few frames are measured."""
     result, truth = SceneResult(scene_dir), read_truth(truth_dir)
     bodies, refined = result.get(BodyTracks), result.get(RefinedMotion)
     if bodies is None or refined is None:
@@ -203,7 +205,7 @@ def errors(
 
 
 def paired_interval(differences: list[float]) -> dict[str, float]:
-    """Mean of the clips' differences with its 95 % percentile-bootstrap interval."""
+    """Mean difference over clips with its 95 % percentile-bootstrap interval."""
     values = np.array(differences)
     drawn = np.random.default_rng(SEED).integers(0, len(values), (RESAMPLES, len(values)))
     low, high = np.percentile(values[drawn].mean(1), [2.5, 97.5])
@@ -211,12 +213,12 @@ def paired_interval(differences: list[float]) -> dict[str, float]:
 
 
 RESAMPLES = 10_000
-"""Bootstrap draws of the paired intervals."""
+"""Number of bootstrap samples of the paired intervals."""
 PAIRED = {
     "w_mpjpe": ("W-MPJPE, mm", 1000), "acceleration_error": ("acceleration error, m/s²", 1),
     "pa_mpjpe": ("PA-MPJPE, mm", 1000),
 }  # fmt: skip
-"""Title and factor of what is compared with and without the prior."""
+"""Title and factor of the numbers compared with and without the prior."""
 OBJECT_MEDIANS = {"chamfer": "Chamfer", "center_error": "center"}
 MOTION_ROWS = (
     ("motion", "mpjpe", "root-relative MPJPE, mm", 1000), ("motion", "pa_mpjpe", "PA-MPJPE, mm", 1000),
@@ -237,7 +239,7 @@ STAGE_ROWS = (
     ("objects", "chamfer", "object Chamfer, m"), ("objects", "center_error", "object center, error in m"),
 )  # fmt: skip
 STAGE_COLUMN = {"depth": "metric", "objects": "placed"}
-"""Column of groups with several; the last one otherwise."""
+"""Column used for groups with several columns; the last one by default."""
 
 
 def tables(report: dict[str, Any]) -> str:
@@ -270,7 +272,7 @@ def tables(report: dict[str, Any]) -> str:
 
 
 def prior_sentence(found: dict[str, Any]) -> str:
-    """Mean share of frames that the prior shaped, and the mean differences, with it minus without it."""
+    """Sentence with the mean share of frames that the prior changed, and the mean differences (with minus without)."""
     if not found["rows"]:
         return "The prior: no main person was measured."
     share = statistics.mean(row["share"] for row in found["rows"])
@@ -282,7 +284,7 @@ def prior_sentence(found: dict[str, Any]) -> str:
 
 
 def prior_table(found: dict[str, Any]) -> str:
-    """Markdown: per clip the share of frames that the prior shaped, and errors with / without it."""
+    """Markdown: per clip, the share of frames that the prior changed, and errors with / without it."""
     titles = [title for title, _ in PAIRED.values()]
     lines = [
         f"| clip | frames shaped | {' | '.join(titles)} |",
@@ -298,7 +300,7 @@ def prior_table(found: dict[str, Any]) -> str:
 
 
 def pooled(found: dict[str, Any]) -> str:
-    """Medians over all pieces of furniture, as a sentence."""
+    """Sentence with the medians over all objects."""
     told = [f"{title} {number(found['medians'][key])} m" for key, title in OBJECT_MEDIANS.items() if found["medians"]]
     return f"Medians over all {found['count']} matched pieces of furniture: {', '.join(told) or '-'}."
 
@@ -317,12 +319,12 @@ def cell(statistic: dict[str, Any] | None, factor: float) -> str:
 
 
 def number(value: float) -> str:
-    """Three digits that mean something."""
+    """Three significant digits."""
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def put_table(readme: Path, table: str) -> None:
-    """Replace what stands between the marks."""
+    """Replace the text between `MARKS` in the README."""
     text = readme.read_text()
     pattern = re.compile(re.escape(MARKS[0]) + ".*?" + re.escape(MARKS[1]), re.DOTALL)
     readme.write_text(pattern.sub(lambda _: f"{MARKS[0]}\n{table}\n{MARKS[1]}", text))

@@ -1,10 +1,10 @@
-"""The size of the code: lines, importers, constants, import circles.
+"""Measures the size of the code: lines, importers, tuned constants, import cycles.
 
     python tools/code_size.py
 
 Lines on the path of `run` are those of every module that a stage imports, directly or not, anywhere in its file. A
-tuned number is an assignment at module or class level whose value has a number other than 0, 1 and 2: constants,
-tables and fields of configurations. Networks' adapters and the laboratory (`video2anim.lab`) count like all else.
+tuned number is an assignment at module or class level whose value contains a number other than 0, 1 and 2: constants,
+tables and configuration fields. Adapters of networks and `video2anim.lab` count too.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ PACKAGES = ("video2anim", "scenemi", "stages")
 
 @dataclass(frozen=True, slots=True)
 class Package:
-    """What is counted of a package."""
+    """Counts of one package."""
 
     files: int
     lines: int
     importers: int
-    """Modules outside of it that import it."""
+    """Number of modules outside the package that import it."""
     tuned_numbers: int
 
 
 @dataclass(frozen=True, slots=True)
 class CodeSize:
-    """What is counted of the whole."""
+    """Counts of all packages together."""
 
     lines: int
     run_lines: int
-    """On the path of `run`."""
+    """Lines on the path of `run`."""
     run_tuned_numbers: int
     tuned_numbers: int
     stage_lines: dict[str, int]
@@ -89,7 +89,7 @@ def _statements(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def reached(graph: dict[str, set[str]], starts: Iterable[str]) -> set[str]:
-    """Modules that the starts import, directly or not, and the starts."""
+    """The start modules and all modules that they import, directly or not."""
     found, front = set(starts), list(starts)
     while front:
         for other in graph[front.pop()] - found:
@@ -99,7 +99,7 @@ def reached(graph: dict[str, set[str]], starts: Iterable[str]) -> set[str]:
 
 
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
-    """Groups of nodes that import each other in a circle."""
+    """Strongly connected groups of modules: those that import each other in a cycle."""
     names = sorted(graph)
     edges = np.array([[other in graph[name] for other in names] for name in names], bool)
     count, group = connected_components(csr_matrix(edges), connection="strong")
@@ -108,7 +108,7 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
 
 
 def package_of(name: str) -> str:
-    """`video2anim.geometry` of `video2anim.geometry.sdf`; files beside the packages count as their parent's."""
+    """Package of a module, such as `video2anim.geometry` for `video2anim.geometry.sdf`."""
     parts = name.split(".")
     return ".".join(parts[:2]) if parts[0] != "stages" and len(parts) > 2 else parts[0]
 
@@ -148,7 +148,7 @@ def measure(root: Path = ROOT) -> CodeSize:
     between: dict[str, set[str]] = defaultdict(set)
     for name, targets in graph.items():
         by_package[package_of(name)].append(name)
-        # The package's own face (__init__) imports its parts for users; it is no layer.
+        # `__init__` imports its own parts for users; that is not a dependency between packages.
         if known[name].name != "__init__.py":
             between[package_of(name)] |= {package_of(other) for other in targets} - {package_of(name)}
     packages = {

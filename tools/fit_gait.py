@@ -1,7 +1,7 @@
 """Fits the walking styles of `video2anim/lab/synth/acting/gait.npz`.
 
-From walks of the CMU Graphics Lab motion capture database in the training split: pelvis, spine and arm angles as
-Fourier series over the phase of the gait (0 = left heel strike, pi = right). Only coefficients are kept.
+Input: walks of the CMU Graphics Lab motion capture database in the training split. Output: pelvis, spine and arm angles
+as Fourier series over the phase of the gait (0 = left heel strike, pi = right). Only coefficients are stored.
 
 The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from
 NSF EIA-0196217. It is free for research and commercial use.

@@ -1,9 +1,9 @@
-"""Lines of stages and of what only they import.
+"""Counts the lines of stages and of the modules that only they import.
 
     python tools/lines_of_stages.py metric keyframes refine
 
-A module counts if every module of the repository's packages that imports it (anywhere in the file, tests, benchmarks
-and tools left out) counts too. The prior (`scenemi.model`, its data and weights) does not.
+A module counts if every module that imports it (anywhere in the file) counts too; tests, benchmarks and tools are
+ignored. The prior (`scenemi.model`, its data and weights) does not count.
 """
 
 from __future__ import annotations

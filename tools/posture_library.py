@@ -2,9 +2,9 @@
 
     python tools/posture_library.py --motion more.npz [--out scenemi/animation/postures.json]
 
-A posture is a real frame on the average adult, turned to face +Z: of the frames of some clips in which the body is
-still, and sits or stands, that one whose joints are nearest to those of all the others (the medoid). The clips are of
-the CMU Graphics Lab Motion Capture Database (free for any use) and of ACCAD's Open Motion Project (CC BY 3.0).
+A posture is a captured frame on the average adult, rotated to face +Z. It is the medoid (the frame whose joints are
+nearest to those of all others) of the frames of some clips in which the body is still and sits or stands. The clips are
+from the CMU Graphics Lab Motion Capture Database (free for any use) and ACCAD's Open Motion Project (CC BY 3.0).
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ CLIPS = {
     "sit": ("cmudaz_14_28", "cmudaz_14_29"),
     "stand": ("accad_female1_A01_Stand", "accad_male1_A01_Stand", "accad_male2_A01_Stand"),
 }
-"""People who sit on a stool and rise; people who stand."""
+"""Clips of people who sit on a stool and rise, and of people who stand."""
 STILL_M_S = 0.1
-"""Mean speed of all joints; those who sit or stand sway by 0.03 to 0.08 m/s."""
+"""Largest mean speed of all joints; people who sit or stand sway with 0.03 to 0.08 m/s."""
 LEGS_DEG = {"sit": ((60, 105), (60, 115)), "stand": ((0, 15), (0, 20))}
-"""Between thighs and the vertical, and bend of the knees."""
+"""Ranges of the angle of the thighs from straight down, and of the knee flexion."""
 
 
 def main() -> None:
-    """Choose and write."""
+    """Choose the postures and write them."""
     options = argparse.ArgumentParser()
     options.add_argument("--motion", type=Path, required=True)
     options.add_argument("--out", type=Path, default=Path("scenemi/animation/postures.json"))
@@ -88,7 +88,7 @@ def legs_deg(
 def facing(
     R_parent_joint: Float[np.ndarray, "frames 22 3 3"], joints_m: Float[np.ndarray, "frames 22 3"]
 ) -> tuple[Float[np.ndarray, "frames 22 3 3"], Float[np.ndarray, "frames 22 3"]]:
-    """Poses turned to face +Z, and their joints about the pelvis."""
+    """Poses rotated to face +Z, and their joints relative to the pelvis."""
     faced, posed_m = R_parent_joint.copy(), joints_m - joints_m[:, :1]
     for frame, R in enumerate(R_parent_joint[:, 0]):
         R_canonical_world = canonical_frame(R, np.zeros(3))[:3, :3].T
@@ -98,7 +98,7 @@ def facing(
 
 
 def medoid(joints_m: Float[np.ndarray, "frames 22 3"], among: Bool[np.ndarray, "frames"]) -> int:
-    """The frame that is nearest to all the others of some."""
+    """Index of the frame among those of the mask that is nearest to all the others."""
     rows = np.flatnonzero(among)
     rows = rows[:: max(1, len(rows) // 500)]
     apart = np.linalg.norm(joints_m[rows, None] - joints_m[None, rows], axis=-1).mean((1, 2))

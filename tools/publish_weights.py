@@ -1,9 +1,9 @@
-"""Put the averaged weights of a training run into the package, with their model card.
+"""Copies the averaged weights of a training run into the package, with a model card.
 
     python tools/publish_weights.py run/weights.safetensors --numbers benchmarks/scenemi/results/reach.json
 
 Writes `scenemi/weights/<name>.safetensors` (fp16) and `<name>.md`. Weights trained on clips that are not free for
-commercial use, or whose license is not confirmed, are refused.
+commercial use, or whose license is not confirmed, are rejected.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from video2anim.digest import file_digest
 CARD = """# SceneMI weights `{name}`
 
 Denoiser of scene-aware motion in-betweening: 121 frames at 30 per second, 22 joints, keyframes exact or noisy, with or
-without a scene around. Trained by `scenemi train` with the configuration below.
+without a scene. Trained by `scenemi train` with the configuration below.
 
 | | |
 |---|---|
@@ -35,7 +35,8 @@ without a scene around. Trained by `scenemi train` with the configuration below.
 | sha256 | `{digest}` |
 
 Use: filling motion between keyframes of adults walking, turning, sitting, picking up, reaching, stepping up.
-How far it takes out noise of keyframes and of motion estimated from video, the numbers say. It has seen little running,
+The tables show how far it removes noise of keyframes and of motion estimated from video. \
+Its training data has little running,
 dancing and sport, no children, no slopes, and rooms of boxes only. Its motions are samples: plausible, not measured.
 
 {numbers}
@@ -47,27 +48,29 @@ dancing and sport, no children, no slopes, and rooms of boxes only. Its motions 
 
 
 def barred_sources(card: dict[str, Any]) -> dict[str, str]:
-    """Sources of a run's card, with licenses, that are not known to be free for commercial use. Cards of older runs
-    name sources only."""
-    told = card.get("licenses", {})
-    licenses = {source: told.get(source, license_of(source)) for source in card["sources"]}
+    """License by source, for the sources of a card that are not known to be free for commercial use.
+
+    Cards of older runs have no licenses; those of the sources are then looked up.
+    """
+    known = card.get("licenses", {})
+    licenses = {source: known.get(source, license_of(source)) for source in card["sources"]}
     return {source: license_name for source, license_name in licenses.items() if not is_free(license_name)}
 
 
 def main() -> None:
-    """Read the run's weights, write the package's and their card."""
+    """Check the sources of the weights, copy the weights, write their card."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("weights", type=Path, help="as `scenemi train` writes them")
+    parser.add_argument("weights", type=Path, help="weights written by `scenemi train`")
     parser.add_argument("--name", default="small")
     parser.add_argument("--machine", default="2 CPU cores shared with other work")
-    parser.add_argument("--numbers", type=Path, help="Markdown of the numbers")
+    parser.add_argument("--numbers", type=Path, help="Markdown file with the tables of the card")
     options = parser.parse_args()
     model = load_weights(options.weights)
     barred = barred_sources(model.card)
     if barred:
-        told = ", ".join(f"{source} ({license_name})" for source, license_name in barred.items())
+        listed = ", ".join(f"{source} ({license_name})" for source, license_name in barred.items())
         raise SystemExit(
-            f"publish_weights: {options.weights} was trained on {told}, not known to be free: not to be shipped"
+            f"publish_weights: {options.weights} was trained on {listed}, not known to be free: not to be shipped"
         )
     target = WEIGHTS_FOLDER / f"{options.name}.safetensors"
     shutil.copyfile(options.weights, target)

@@ -1,10 +1,10 @@
-"""Which tests `make fast` leaves out: those whose CPU time, with their share of the fixtures they use, is long.
+"""Finds the tests that `make fast` leaves out: those with a long CPU time, including their share of fixtures.
 
-A plugin, because wall time on a busy machine says little:
+This is a pytest plugin that measures CPU time, because wall time on a busy machine is unreliable:
 
     PYTHONPATH=. python -m pytest -q -n 2 --dist loadfile -p tools.slow_tests
 
-writes `tests/slow_tests.txt` anew. With `--fast` only the tests that are not listed run, and slow ones are added.
+The command writes `tests/slow_tests.txt` anew. With `--fast` only unlisted tests run, and slow ones are added.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ import pytest
 
 LISTED = Path(__file__).resolve().parents[1] / "tests" / "slow_tests.txt"
 SLOW_S = 0.3
-"""Of a test with all its cases. In 20 of 220 test files, drawn at random, slower ones took 20 of 27 s (2026-11-25)."""
+"""Limit for a test with all its cases. In 20 of 220 random test files, slower tests took 20 of 27 s (2026-11-25)."""
 
 
 def cpu_s() -> float:
-    """CPU time of this process and of those it has waited for."""
+    """CPU time of this process and of its finished child processes, seconds."""
     return sum(os.times()[:4])
 
 
 class Worker:
-    """Measures what each test and each shared fixture takes."""
+    """Measures the CPU time of each test and each shared fixture."""
 
     def __init__(self) -> None:
         self.since_s, self.fixtures_s = cpu_s(), dict[str, float]()
@@ -60,7 +60,7 @@ class Worker:
 
 
 class Collector:
-    """Adds up what the workers report, and writes the list."""
+    """Sums the times that the workers report, and writes the list."""
 
     def __init__(self, *, keep: bool) -> None:
         self.keep = keep
@@ -93,7 +93,7 @@ class Collector:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Workers of pytest-xdist measure, the process that starts them collects; without xdist one does both."""
+    """Workers of pytest-xdist measure and their parent process collects; without xdist one process does both."""
     worker = hasattr(config, "workerinput")
     if worker or not config.getoption("numprocesses", 0):
         config.pluginmanager.register(Worker())

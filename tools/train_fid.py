@@ -1,4 +1,4 @@
-"""Train the motion features of the FID (scenemi/evaluation/motion_autoencoder.py) on clips free for commercial use.
+"""Trains the motion features of the FID (scenemi/evaluation/motion_autoencoder.py) on clips free for commercial use.
 
     python tools/train_fid.py --motion cmu.npz deepmimic.npz --split split.json --out scenemi/weights/fid
 
@@ -26,7 +26,7 @@ from scenemi.windows import WINDOW_FRAMES
 from video2anim.digest import file_digest
 
 SHORTEST_FRAMES = 61
-"""Shorter clips are left out; up to a window, the last pose is held."""
+"""Minimum length of clips. Clips shorter than a window are padded with their last pose."""
 STRIDE_FRAMES = 10
 CARD = """# Motion features of the FID
 
@@ -49,7 +49,7 @@ EIA-0196217. DeepMimic: MIT, (c) 2018 Xue Bin Peng; arpspoof/Jump: MIT, (c) 2021
 
 
 def main() -> None:
-    """Read clips, train, write."""
+    """Read the clips, train the network, write weights and card."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--motion", type=Path, nargs="+", required=True)
     parser.add_argument("--split", type=Path, required=True)
@@ -80,8 +80,8 @@ def main() -> None:
 
 
 def windows_of(archives: list[MotionArchive], names: tuple[str, ...]) -> tuple[torch.Tensor, int, int]:
-    """Overlapping windows (n, channels, frames) of the free clips of one part and their mirror images, on the adult;
-    clips and frames used."""
+    """Overlapping windows (n, channels, frames) of the free clips of one part and their mirror images, on the average
+    adult; number of clips and of frames."""
     body, wanted = adult_body(), set(names)
     found, clips, frames = [], 0, 0
     for archive in archives:
@@ -102,7 +102,8 @@ def windows_of(archives: list[MotionArchive], names: tuple[str, ...]) -> tuple[t
 def fit(
     model: MotionAutoencoder, train: torch.Tensor, val: torch.Tensor, steps: int, batch: int, seed: int
 ) -> tuple[float, float]:
-    """Adam with a falling rate; the losses of the last tenth of the steps and of the validation windows."""
+    """Train with Adam and a falling rate. Returns the mean loss of the last tenth of the steps, and the validation
+    loss."""
     optimizer = torch.optim.AdamW(model.parameters(), lr=1e-3, weight_decay=1e-2)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, max_lr=2e-3, total_steps=steps)
     generator = torch.Generator().manual_seed(seed)

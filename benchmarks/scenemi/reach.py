@@ -1,19 +1,19 @@
-"""What the in-betweening prior has to reach, on all test windows.
+"""Numbers of the in-betweening prior on all test windows (those of its model card).
 
     python benchmarks/scenemi/reach.py --motion cmu.npz --split split.json --weights small [--blind FILE] \
         [--errors pipeline_errors.npz] [--out benchmarks/scenemi/results/reach.json]
     python benchmarks/scenemi/reach.py --motion cmu.npz --split split.json --part val --every 8 --choose-solve
 
-- exact keyframes every 15, 30, 60 frames without scenes: error over that of interpolation (one sample; at 60 the
-  mean of eight samples, and the best of eight), jerk over the truth's raw and low-passed at 8 Hz, skating, contact F1;
-  the network's own motion, and after the solve that `scenemi sample` ends with;
-- scenes that tell (`scenemi.evaluation.scenes`), r = 60, before anything is cleared after sampling: close frames more
-  than 1 cm inside, with the scene shown, not shown, and by a model trained without it (`--blind`);
-- errors of the video pipeline on every frame, and with a second missing (`--errors`, of test clips);
-- 20 steps against 1000, seconds a window.
+- exact keyframes every 15, 30, 60 frames without scenes: error relative to that of interpolation (one sample; at 60 the
+  mean of eight samples, and the best of eight), jerk relative to the truth's, raw and low-passed at 8 Hz, skating,
+  contact F1; of the network's output, and after the final solve of `scenemi sample`;
+- blocking scenes (`scenemi.evaluation.scenes`), r = 60, without postprocessing: share of close frames more than 1 cm
+  inside, with the scene given, not given, and by a model trained without scenes (`--blind`);
+- errors of the video pipeline on every frame, and with one second missing (`--errors`, of test clips);
+- 20 steps compared with 1000; seconds per window.
 Intervals are 95 % over clips.
 
-`--choose-solve` compares settings of the solve without a picture (`WITHOUT_PICTURE`) instead, one changed at a time,
+`--choose-solve` instead compares settings of the solve without an image (`WITHOUT_PICTURE`), changing one at a time,
 and prints error and skating; choose on `--part val`.
 """
 
@@ -48,17 +48,17 @@ from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types.skeleton import forward_kinematics
 
 SAMPLES = 8
-"""Of a window, each of `SAMPLE_STEPS` steps; all else is the expected motion, one step."""
+"""Samples per window, each with `SAMPLE_STEPS` steps; all other rows are the expected motion (one step)."""
 MISSING_FRAMES = 30
 SOLVES: dict[str, tuple[float, ...]] = {
     "root_m": (0.002, 0.02), "trunk_rad": (0.005, 0.03), "limb_rad": (0.3, 0.8), "acceleration_ratio": (2.0, 10.0),
     "stance_m_s": (0.02, 0.1), "odd_speed_m_s": (1.0, 4.0), "contact_threshold": (0.01, 0.1, 0.3),
 }  # fmt: skip
-"""Other values than those of `WITHOUT_PICTURE`."""
+"""Alternatives to the values of `WITHOUT_PICTURE`."""
 
 
 def main() -> None:
-    """Measure and write."""
+    """Measure the prior and write the report."""
     options = arguments()
     names = read_split(options.split)[options.part]
     windows = cut_windows([MotionArchive.read(path) for path in options.motion], names)[:: options.every]
@@ -86,7 +86,7 @@ def main() -> None:
 def inbetweening(
     prior: InbetweeningPrior, windows: Sequence[EvaluationWindow], interval: int, *, samples: bool = True
 ) -> dict[str, Any]:
-    """One row."""
+    """The row of one keyframe interval."""
     found = evaluate(windows, prior, KeyframeProtocol(interval))
     several = load_prior_by_name(str(prior.model.path), device="cpu", steps=SAMPLE_STEPS)  # type: ignore[attr-defined]
     joints = [_samples(several, window, interval) for window in windows] if samples and interval >= 60 else []
@@ -115,7 +115,7 @@ def inbetweening(
 
 
 def choice_of_solve(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow]) -> str:
-    """Error and skating at r = 30 and 60 without the solve and with every candidate."""
+    """Error and skating at r = 30 and 60, without the solve and with every alternative setting."""
     candidates = {"none": None, "present": WITHOUT_PICTURE} | {
         f"{name} {value:g}": replace(WITHOUT_PICTURE, **{name: value})
         for name, values in SOLVES.items()
@@ -143,7 +143,7 @@ def choice_of_solve(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow
 
 
 def _samples(prior: InbetweeningPrior, window: EvaluationWindow, interval: int) -> np.ndarray:
-    """Joints of eight samples of a window."""
+    """Joints (samples, frames, 22, 3) of eight samples of a window."""
     given = give_keyframes(window, KeyframeProtocol(interval)).keyframes
     made = fill_batch(prior, [given] * SAMPLES, [window_seed(window.name, s) % 2**31 for s in range(SAMPLES)])
     return np.stack([_joints(motion, window) for motion in made])
@@ -154,7 +154,7 @@ def _joints(motion: WindowMotion, window: EvaluationWindow) -> np.ndarray:
 
 
 def scenes(prior: Any, windows: Sequence[EvaluationWindow], options: argparse.Namespace) -> dict[str, Any]:
-    """Collisions at r = 60 before clearing."""
+    """Collisions at r = 60 without postprocessing."""
     placed = with_synthetic_scenes(windows)
     rows: dict[str, InbetweeningPrior] = {
         "scene shown": prior,
@@ -181,7 +181,7 @@ def scenes(prior: Any, windows: Sequence[EvaluationWindow], options: argparse.Na
 
 
 def pipeline(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow], errors: PipelineErrors) -> dict[str, Any]:
-    """Every frame with the pipeline's errors; the same with a second missing."""
+    """Errors with the pipeline's errors on every frame, and with one second missing."""
     rng = np.random.default_rng(5)
     given, truths = [], []
     for window in windows:
@@ -228,7 +228,7 @@ def _low(joints_m: np.ndarray, cutoff_hz: float) -> np.ndarray:
 
 
 def _against(truths: Sequence[np.ndarray], made: dict[str, Sequence[np.ndarray]]) -> dict[str, Any]:
-    """Root-aligned joint error and acceleration error, means over windows."""
+    """Root-aligned joint error, joint error and acceleration error, means over windows."""
     measures: dict[str, Callable[[np.ndarray, np.ndarray], float]] = {
         "mjpe_root_aligned_m": metrics.root_relative_mpjpe,
         "mjpe_m": metrics.mpjpe,
@@ -241,7 +241,7 @@ def _against(truths: Sequence[np.ndarray], made: dict[str, Sequence[np.ndarray]]
 
 
 def steps(options: argparse.Namespace, windows: Sequence[EvaluationWindow]) -> dict[str, Any]:
-    """The paper's sampler against few steps, on every eighth window."""
+    """The paper's 1000 steps and a sampler with few steps, on every eighth window."""
     some = windows[::8]
     few, many = (
         evaluate(some, load_prior_by_name(options.weights, device="cpu", steps=n), KeyframeProtocol(30)).mean(
@@ -258,7 +258,7 @@ def _interval(found: Evaluation, name: str) -> dict[str, float]:
 
 
 def markdown(report: dict[str, Any]) -> str:
-    """The report in short."""
+    """The report as Markdown."""
     lines = [
         "| r | ratio | mean of 8 | best of 8 | jerk / truth | jerk / truth 8 Hz | skating (truth) |",
         "|---|---|---|---|---|---|---|",
@@ -294,7 +294,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--split", type=Path, required=True)
     parser.add_argument("--part", default="test")
     parser.add_argument("--weights", default="small")
-    parser.add_argument("--blind", type=Path, help="weights of a model trained alike without the scene")
+    parser.add_argument("--blind", type=Path, help="weights of a model trained alike, but without scenes")
     parser.add_argument("--errors", type=Path)
     parser.add_argument("--steps", type=int, default=1)
     parser.add_argument("--every", type=int, default=1)

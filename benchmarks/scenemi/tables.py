@@ -1,15 +1,14 @@
-"""The paper's tables on the test split of the CMU clips, each one command.
+"""The paper's tables on the test split of the CMU clips.
 
     python benchmarks/scenemi/tables.py 1 2 --motion cmu.npz --split split.json
     python benchmarks/scenemi/tables.py 1 2 --weights small FILE ...
 
 Tables: 1 (clean keyframes every 60 frames, scene ablations), 2 (the same, frames close to the scene), 3 (noisy
 keyframes every 3 frames, T*), 6 (keyframe selection), 7 (time), 8 (one row for each weights file given with
-`--variant NAME=FILE`), 9 (20 seeds), `reach` (keyframes every 15, 30, 60 frames, and noisy ones, against the baseline).
-Writes JSON and Markdown. Tables of one command share what they have in common.
+`--variant NAME=FILE`), 9 (20 seeds). Writes JSON and Markdown. Tables of one command share common evaluations.
 
 `at sampling` marks rows in which a trained model is sampled without a condition; rows of `--variant` are other models.
-Every number is the mean over windows; FID is this package's own (not comparable with other papers').
+Every number is the mean over windows. FID uses this package's own features, so it is not comparable with other papers.
 """
 
 from __future__ import annotations
@@ -61,25 +60,25 @@ SELECTIONS = {
 
 @dataclass
 class Table:
-    """Rows that grow while a table is made."""
+    """A table with its rows so far."""
 
     title: str
     columns: tuple[str, ...]
     rows: list[dict[str, Any]] = field(default_factory=list)
 
     def add(self, name: str, found: Evaluation, **more: Any) -> None:
-        """One row, all its numbers and intervals kept."""
+        """Add a row with all numbers and intervals of an evaluation."""
         self.rows.append({"row": name, **found.details(), **more})
         sys.stderr.write(f"{self.title}: {name} done\n")
 
 
 def label(weights: str) -> str:
-    """Short name of weights: a file's stem, never its folder."""
+    """Short name of weights: the stem of the file."""
     return Path(weights).stem if weights.endswith(".safetensors") else weights
 
 
 class Bench:
-    """What all tables share: windows, features, how priors are made."""
+    """Windows, features and evaluations that all tables share."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
@@ -90,7 +89,7 @@ class Bench:
         self._found: dict[tuple[object, ...], Evaluation] = {}
 
     def prior(self, weights: str, **sampler: Any) -> InbetweeningPrior:
-        """A prior by its weights, with this run's steps unless others are asked for."""
+        """A prior by its weights, with the steps of the command line unless `sampler` sets others."""
         return load_prior_by_name(weights, device=self.options.device, **{"steps": self.options.steps} | sampler)
 
     def run(
@@ -102,7 +101,7 @@ class Bench:
         without: dict[str, bool] | None = None,
         **sampler: Any,
     ) -> Evaluation:
-        """Evaluate on all windows, or give what was found before; `without` is for `AblatedPrior`."""
+        """The evaluation on all windows, cached by arguments; `without`: arguments of `AblatedPrior`."""
         sampling_seed: int = self.options.seed if seed is None else seed
         key = (weights, protocol, sampling_seed, *sorted((without or {}).items()), *sorted(sampler.items()))
         if key not in self._found:
@@ -118,7 +117,7 @@ class Bench:
 
 
 def ablations(bench: Bench, title: str, columns: tuple[str, ...]) -> Table:
-    """Tables 1 and 2: the full model, without parts of the scene, models trained without them, interpolation."""
+    """Tables 1 and 2: the full model, without the scene at sampling, models trained without it, interpolation."""
     table = Table(title, columns)
     for weights in bench.trained():
         table.add(label(weights), bench.run(weights, CLEAN))
@@ -141,7 +140,7 @@ def table_2(bench: Bench) -> Table:
 
 
 def table_3(bench: Bench) -> Table:
-    """Noisy keyframes every 3 frames; where imputation stops."""
+    """Noisy keyframes every 3 frames, for several imputation end steps T*."""
     table = Table("Table 3: noisy keyframes, r = 3, l = 1", QUALITY)
     for weights in bench.trained():
         for stop_step in (0, 10, 20, 40, 60):
@@ -153,7 +152,7 @@ def table_3(bench: Bench) -> Table:
 
 
 def table_6(bench: Bench) -> Table:
-    """Which frames are keyframes."""
+    """Selection of keyframes: uniform and random."""
     table = Table("Table 6: keyframe selection, l = 1", ("fid", "jerk_m_s3", "mjpe_all_m"))
     for weights in (*bench.trained(), INTERPOLATION):
         for name, protocol in SELECTIONS.items():
@@ -162,7 +161,7 @@ def table_6(bench: Bench) -> Table:
 
 
 def table_7(bench: Bench) -> Table:
-    """Seconds for one window alone, median of five, scene encoding included; quality of the same sampler."""
+    """Seconds for a single window (median of five, with scene encoding), and quality of the same sampler."""
     table = Table("Table 7: time for one window", ("median_s", "mjpe_all_m", "jerk_m_s3"))
     from scenemi.evaluation.windows import give_keyframes
 
@@ -182,7 +181,7 @@ def table_7(bench: Bench) -> Table:
 
 
 def table_8(bench: Bench) -> Table:
-    """Other sizes of the conditions, each a model of its own."""
+    """Models with other sizes of the conditions."""
     table = Table("Table 8: configurations, r = 60", QUALITY)
     for weights in bench.trained():
         table.add(label(weights), bench.run(weights, CLEAN))
@@ -194,7 +193,7 @@ def table_8(bench: Bench) -> Table:
 
 
 def table_9(bench: Bench) -> Table:
-    """Repeated with other seeds of the sampling: mean and 95 % interval of the mean."""
+    """Repetitions with other sampling seeds: mean and 95 % interval of the mean."""
     names = ("fid", "jerk_m_s3", "mjpe_all_m", "collision_frame_ratio")
     table = Table("Table 9: over seeds", names)
     for weights in bench.trained():

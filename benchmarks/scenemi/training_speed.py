@@ -1,9 +1,9 @@
-"""Windows a second of a training step, and where its time goes. Run it on an idle machine (`make train-stop` first).
+"""Training speed in windows per second, and the time of its parts. Run it on an idle machine (`make train-stop` first).
 
     python benchmarks/scenemi/training_speed.py --run ~/.cache/video2anim/training/prior [--config FILE] [--threads 1 2]
 
-Takes the pool of a run that was begun, trains a model of its own for some steps and keeps nothing. Median of several
-pieces of ten steps, after ten to warm up.
+Uses the window pool of an existing run, trains a separate model for some steps and saves nothing. Numbers are medians
+of several groups of ten steps, after ten steps to warm up.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def main() -> None:
 def measured(
     config: TrainConfig, shards: Any, bodies: Any, threads: int, options: argparse.Namespace
 ) -> dict[str, Any]:
-    """One number of threads: windows a second, and milliseconds a window of each part."""
+    """The row of a number of threads: windows per second, and milliseconds per window of each part."""
     torch.set_num_threads(threads)
     run = Run(config, bodies, shards, options.device, None)
     data = PoolBatches(shards, config)
