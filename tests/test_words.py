@@ -20,6 +20,10 @@ NAMES = {
     "BodyBalls": "BodySpheres", "MotionLibrary": "MotionDatabase", "ActedMotion": "ProceduralMotion",
     "WindowJudge": "WindowEvaluator", "choose_prior": "load_prior_by_name", "whole_or_absent": "atomic_directory",
     "place_results": "publish_results",
+    "Performed": "SolvedMotion", "Caster": "RayCaster", "sheet_of": "trace_gbuffer", "lamp_reach": "light_visibility",
+    "Sighting": "SimulatedWindow", "Sightings": "SimulatedLandmarks", "kept_motions": "cached_motions",
+    "kept_clip": "finished_clip", "DEEPEST_M": "MAX_PENETRATION_M", "showing_view": "moved_object_view",
+    "laid_along": "aligned_on_floor", "normalised_convolutions": "normalized_convolutions",
 }  # fmt: skip
 """Replaced identifier -> the present one."""
 EXTREMES = {"least": "min", "smallest": "min", "most": "max", "largest": "max"}
@@ -32,6 +36,14 @@ WORDS = {
     r"statures?": "body height",
     r"middling": "average",
     r"pseudo-scenes?": "synthetic scene",
+    r"acted": "procedural",
+    r"askew": "rolled",
+    r"middles?": "center",
+    r"rivals?": "baseline",
+    r"sightings?": "simulated landmarks",
+    r"spoil(?:t|ed|ing|s)?": "damaged or degraded",
+    r"things?": "object",
+    r"told": "reported",
     r"(?:centi|milli|kilo)?metres?": "meter",
     r"colour\w*": "color",
     r"neighbour\w*": "neighbor",
