@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
+from scenemi.metrics import GMD_SPEED_M_S, KIMODO_SPEED_M_S
 from video2anim.geometry.runs import runs, without_short_runs
 
 
@@ -19,9 +20,9 @@ from video2anim.geometry.runs import runs, without_short_runs
 class ContactConfig:
     """What counts as standing still on the ground."""
 
-    speed_m_s: tuple[float, float] = (0.20, 0.50)
-    """Least and largest speed below which a contact begins; between them it is `speed_factor` times the clip's own
-    stance speed."""
+    speed_m_s: tuple[float, float] = (KIMODO_SPEED_M_S, GMD_SPEED_M_S)
+    """Least and largest speed below which a contact begins, the two above which a foot is said to skate; between them
+    it is `speed_factor` times the clip's own stance speed."""
     speed_factor: float = 2.5
     release: float = 1.4
     """A contact ends where speed or height exceeds its limit this many times."""

@@ -41,7 +41,13 @@ def _columns_along(axis: int) -> list[int]:
 
 LEVEL_X, LEVEL_Z = _columns_along(0), _columns_along(2)
 """Columns that turn with the heading."""
-BODY_LENGTHS = 7
+_SPANS = (
+    ("pelvis", "head"), ("left_shoulder", "right_shoulder"), ("left_shoulder", "left_wrist"), ("left_hip", "right_hip"),
+    ("pelvis", "left_foot"),
+)  # fmt: skip
+_DEPTHS = (("spine3", "left_collar", "right_collar"), ("pelvis",))
+"""Parts of the skin that are measured from front to back."""
+BODY_LENGTHS = len(_SPANS) + len(_DEPTHS)
 MIN_STD = np.where(np.arange(FEATURE_COUNT) < 3, 0.05, 0.1)
 MIN_STD[JOINTS] = 0.05
 """Columns that hardly vary in most clips (collars, say) are not blown up where they do: meters, and 6D entries (0.1 is
@@ -173,7 +179,7 @@ def body_lengths(body: ShapedBody) -> Float[np.ndarray, "7"]:
     to foot, and the thickness of chest and hips from front to back."""
     vertices, lengths = body.rest_vertices_m, list(lengths_of_skeleton(body.rest_joints_m))
     part = body.vertex_part
-    for names in (("spine3", "left_collar", "right_collar"), ("pelvis",)):
+    for names in _DEPTHS:
         depth = vertices[np.isin(part, [JOINT_INDEX[name] for name in names]), 2]
         lengths.append(np.ptp(depth))
     return np.array(lengths)
@@ -182,8 +188,4 @@ def body_lengths(body: ShapedBody) -> Float[np.ndarray, "7"]:
 def lengths_of_skeleton(rest_joints_m: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "5"]:
     """The five lengths that need no skin."""
     joint = {name: rest_joints_m[index] for name, index in JOINT_INDEX.items()}
-    spans = (
-        ("pelvis", "head"), ("left_shoulder", "right_shoulder"), ("left_shoulder", "left_wrist"),
-        ("left_hip", "right_hip"), ("pelvis", "left_foot"),
-    )  # fmt: skip
-    return np.array([np.linalg.norm(joint[a] - joint[b]) for a, b in spans])
+    return np.array([np.linalg.norm(joint[a] - joint[b]) for a, b in _SPANS])

@@ -21,10 +21,10 @@ HORIZONTAL = [0, 2]
 """Axes of the ground plane."""
 UP = 1
 
-GMD_TOE_HEIGHT_M = 0.05
+TOE_CONTACT_M = 0.05
+"""A toe below this touches the floor (`gmd` and `kimodo`)."""
 GMD_SPEED_M_S = 0.50
 GMD_WINDOW_FRAMES = 5
-KIMODO_TOE_HEIGHT_M = 0.05
 KIMODO_SPEED_M_S = 0.20
 ROHM_ANKLE_HEIGHT_M = 0.15
 ROHM_TOE_HEIGHT_M = 0.10
@@ -78,7 +78,7 @@ def foot_skating_gmd(joints_m: Float[np.ndarray, "frames 22 3"], fps: float) -> 
     toes = joints_m[:, TOES]
     speed = np.linalg.norm(np.diff(toes[..., HORIZONTAL], axis=0), axis=-1) * fps
     mean_speed = uniform_filter1d(speed, size=GMD_WINDOW_FRAMES, axis=0, mode="constant")
-    low = toes[..., UP] < GMD_TOE_HEIGHT_M
+    low = toes[..., UP] < TOE_CONTACT_M
     skates = low[:-1] & low[1:] & (speed > GMD_SPEED_M_S) & (mean_speed > GMD_SPEED_M_S)
     return float(skates.any(axis=1).mean())
 
@@ -90,7 +90,7 @@ def foot_skating_kimodo(joints_m: Float[np.ndarray, "frames 22 3"], fps: float) 
     """
     toes = expect_joints(joints_m)[:, TOES]
     speed = np.linalg.norm(np.diff(toes, axis=0), axis=-1) * fps
-    low = toes[..., UP] < KIMODO_TOE_HEIGHT_M
+    low = toes[..., UP] < TOE_CONTACT_M
     contact = low[:-1] & low[1:]
     return float((speed[contact] > KIMODO_SPEED_M_S).mean()) if contact.any() else float("nan")
 

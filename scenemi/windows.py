@@ -10,8 +10,11 @@ from jaxtyping import Bool, Int
 
 WINDOW_FRAMES = 121
 """Length N of one synthesis (paper section 4)."""
-OVERLAP_FRAMES = 60
-"""Last frames v of a window that seed the next (paper 8.2)."""
+OVERLAP_FRAMES = WINDOW_FRAMES // 2
+"""Last frames v of a window that seed the next: half of it (paper 8.2)."""
+KEYFRAME_INTERVALS = (15, 30, 60)
+"""Frames between keyframes at which models are compared (paper Table 2 and 8.2: 15 and 60); the first is the default of
+`scenemi sample`, the last, half a window, that of `scenemi evaluate`."""
 
 
 @dataclass(frozen=True, slots=True)

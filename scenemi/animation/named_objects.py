@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from jaxtyping import Float
 from pydantic import BaseModel, NonNegativeInt
 
 from scenemi.data.gltf_nodes import GltfFile, read_gltf
-from scenemi.data.plain_files import checked
+from scenemi.data.plain_files import MESSAGE_LETTERS, checked
 from video2anim.errors import InputError
 
 SEATS = ("seat", "bed")
@@ -21,11 +22,8 @@ SEATS = ("seat", "bed")
 SEAT_M, TOP_M = (0.2, 0.8), (0.4, 1.4)
 """Heights above the floor of what people sit on (a step to a bar stool), and of what a standing adult puts a hand on (a
 low table to the shoulder)."""
-_LEVEL = np.cos(np.radians(45))
-"""As in the contact graph: a face that looks up within 45 degrees carries."""
 _SAME_M = 0.03
 """Faces within this of one height are one surface."""
-_TOLD_NAMES = 20
 
 
 class _Part(BaseModel):
@@ -112,7 +110,7 @@ def object_by_name(objects: Sequence[NamedObject], name: str, where: str) -> Nam
     ]
     if len(found) == 1:
         return found[0]
-    names = ", ".join(one.name for one in objects[:_TOLD_NAMES]) or "none"
+    names = textwrap.shorten(", ".join(one.name for one in objects) or "none", MESSAGE_LETTERS, placeholder=" ...")
     raise InputError(f"{where}: {'no' if not found else 'more than one'} object {name!r} in the scene; it has {names}")
 
 
@@ -134,7 +132,8 @@ def _level(meshes: Sequence[np.ndarray], height_m: tuple[float, float]) -> np.nd
     normal = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
     double_m2 = np.linalg.norm(normal, axis=-1)
     y_m = triangles_m[..., 1].mean(1)
-    carries = (normal[:, 1] > _LEVEL * double_m2) & (y_m >= height_m[0]) & (y_m <= height_m[1])
+    # As in the contact graph: what looks up more than aside carries.
+    carries = (normal[:, 1] > np.hypot(normal[:, 0], normal[:, 2])) & (y_m >= height_m[0]) & (y_m <= height_m[1])
     if not carries.any():
         return None
     order = np.flatnonzero(carries)[np.argsort(y_m[carries])]

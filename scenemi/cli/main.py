@@ -22,6 +22,7 @@ from scenemi.cli.parts import (
     say_progress,
 )
 from scenemi.data.plain_files import MAX_FRAMES
+from scenemi.windows import KEYFRAME_INTERVALS
 from video2anim.errors import InputError, UsageError, expect_values, is_output_lost, last_words
 from video2anim.geometry.torch_device import device_of
 
@@ -39,8 +40,9 @@ app = typer.Typer(
     epilog="Exit codes: 0 fine, 2 usage or configuration, 3 bad input, 4 model missing, 5 no usable result.",
 )
 INTERPOLATION = "interpolation"
-DEFAULT_INTERVAL, DEFAULT_PART, YOUNG_STEPS = 15, "test", 2000
-"""Weights of fewer steps than `YOUNG_STEPS` are worse than interpolation."""
+DEFAULT_PART = "test"
+YOUNG_STEPS = 2000
+"""Weights of fewer steps than this are worse than interpolation."""
 CAPTURED = "Data set with scenes, trumans=DIR, gimo=DIR or prox=DIR, repeatable"
 UNITS = "m, cm, mm, inch, cmu (of the CMU database, 0.0564 m)"
 
@@ -66,7 +68,7 @@ def sample_command(
     ] = None,
     interval: Annotated[
         int, typer.Option(min=1, max=MAX_FRAMES, help="Frames between keyframes, where the file does not say it.")
-    ] = DEFAULT_INTERVAL,
+    ] = KEYFRAME_INTERVALS[0],
     noisy: Annotated[bool, typer.Option("--noisy", help="Keyframes are noisy (1 degree, 1 cm): denoise them.")] = False,
     noise: Annotated[
         float | None, typer.Option(help="In place of --noisy: noise of the keyframes, degrees and cm.")
@@ -157,7 +159,9 @@ def evaluate_command(
     for path in (json_file, details):
         if path is not None:
             expect_writable(path)
-    protocol = KeyframeProtocol(60 if interval is None and probability is None else interval, probability, noise)
+    protocol = KeyframeProtocol(
+        KEYFRAME_INTERVALS[-1] if interval is None and probability is None else interval, probability, noise
+    )
     prior: Any = load_prior_by_name(weights, device=device_of(device), steps=steps, temperature=temperature)
     if prior.name == "scenemi":
         prior = SolvedPrior(prior)

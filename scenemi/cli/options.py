@@ -8,9 +8,7 @@ import typer
 
 Weights = Annotated[str, typer.Option(help="small, a .safetensors file, or interpolation.", metavar="NAME")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.", metavar="NAME")]
-Steps = Annotated[
-    int | None, typer.Option(min=1, max=1000, help="1 = the expected motion, 20 = a sample, 1000 = the paper's.")
-]
+Steps = Annotated[int | None, typer.Option(min=1, help="1 = the expected motion, 20 = a sample, 1000 = the paper's.")]
 Temperature = Annotated[
     float | None,
     typer.Option(min=0, max=1, help="1 = motions as varied as the data; less = nearer to the expected one."),

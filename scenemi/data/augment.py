@@ -33,7 +33,7 @@ class WarpConfig:
     """A smooth random speed."""
 
     slowest: float = 0.8
-    fastest: float = 1.25
+    fastest: float = 1 / slowest
     longest_wave_frames: float = 600.0
     shortest_wave_frames: float = 120.0
     """Period of the change of speed."""

@@ -22,6 +22,7 @@ from scenemi.data.joint_names import JointMap, map_joints
 from scenemi.data.plain_files import MAX_FRAMES, checked
 from scenemi.data.posture import body_axes, posture_problem
 from scenemi.data.source_clip import SourceClip
+from scenemi.metrics import UP
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.legs import LEGS
 from video2anim.body.shaped_body import ShapedBody
@@ -33,7 +34,6 @@ from video2anim.types.skeleton import JOINT_NAMES
 
 _BAKED_S = 0.1
 """Keys nearer than this (in the median) are every frame of a motion, not poses that somebody set."""
-_UPRIGHT = np.cos(np.radians(45))
 _HEIGHTS = np.linspace(0.0, 1.0, 5)
 """Anny's heights of adults, between which the length of the legs is nearly linear (to 2 mm)."""
 
@@ -149,7 +149,7 @@ def _clip(path: Path, figure: _Figure, posed: Posed) -> SourceClip:
     if (unit := guess_unit(leg_m, where)) != "m":
         raise InputError(f"{where}: legs of {leg_m:.3g} m, as if in {unit}; apply the scale, glTF is in meters")
     named_m = _named_m(figure)
-    if _is_posture(figure) and body_axes(named_m)[1, 1] < _UPRIGHT:
+    if _is_posture(figure) and body_axes(named_m)[:, 1].argmax() != UP:
         raise InputError(f"{where}: the rest pose does not stand along +Y, which is up in glTF; export with +Y up")
     R_world = posed.R_world @ rest.R_world.swapaxes(-1, -2)
     R_local = R_world.copy()

@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from scenemi.data.plain_files import expect_file, one_line
+from scenemi.data.plain_files import MAX_BYTES, expect_file, one_line
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_quaternion, nearest_rotation, quaternion_from_matrix, slerp
 
-_MAX_BYTES = 2 * 2**30
-_MAX_NODES = 20_000
-_KINDS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_TRIANGLES = 4
-"""glTF's number of this kind of mesh."""
-_PATHS = {"translation": 3, "rotation": 4, "scale": 3}
+"""Numbers in a row of an accessor."""
+_STILL = {
+    "translation": np.array([0.0, 0.0, 0.0]),
+    "rotation": np.array([0.0, 0.0, 0.0, 1.0]),
+    "scale": np.array([1.0, 1.0, 1.0]),
+}
+"""What can be animated, and its value where a node says nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,8 +114,8 @@ class GltfFile:
         T_world: dict[int, np.ndarray] = {-1: np.tile(np.eye(4), (len(time_s), 1, 1))}
         of = {(channel.node, channel.path): channel for channel in channels}
         for node in (*ahead, *nodes):
-            part = {path: np.tile(self.still[path][node], (len(time_s), 1)) for path in _PATHS}
-            part |= {path: of[node, path].at(time_s) for path in _PATHS if (node, path) in of}
+            part = {path: np.tile(self.still[path][node], (len(time_s), 1)) for path in _STILL}
+            part |= {path: of[node, path].at(time_s) for path in _STILL if (node, path) in of}
             T = np.tile(np.eye(4), (len(time_s), 1, 1))
             T[:, :3, :3] = matrix_from_quaternion(np.roll(part["rotation"], 1, -1)) * part["scale"][:, None]
             T[:, :3, 3] = part["translation"]
@@ -141,7 +142,7 @@ def read_gltf(path: Path) -> GltfFile:
     """
     import pygltflib
 
-    expect_file(path, "glTF file", _MAX_BYTES)
+    expect_file(path, "glTF file", MAX_BYTES)
     try:
         document = pygltflib.GLTF2.load_from_bytes(path.read_bytes())
         if document is None:
@@ -153,8 +154,6 @@ def read_gltf(path: Path) -> GltfFile:
 
 def _read(document: Any) -> GltfFile:
     nodes = document.nodes or []
-    if len(nodes) > _MAX_NODES:
-        raise ValueError(f"more than {_MAX_NODES:,} nodes")
     parents = [-1] * len(nodes)
     for number, node in enumerate(nodes):
         for child in node.children or ():
@@ -166,10 +165,10 @@ def _read(document: Any) -> GltfFile:
         below += nodes[number].children or []
     if len(below) < len(nodes):
         raise ValueError("nodes hang from each other in a circle")
-    still = {name: np.stack([_still(node)[name] for node in nodes]) for name in _PATHS} if nodes else {}
+    still = {name: np.stack([_still(node)[name] for node in nodes]) for name in _STILL} if nodes else {}
     skins = tuple(_skin(document, skin) for skin in document.skins or ())
     animations = tuple(
-        tuple(_channel(document, one, channel) for channel in one.channels if channel.target.path in _PATHS)
+        tuple(_channel(document, one, channel) for channel in one.channels if channel.target.path in _STILL)
         for one in document.animations or ()
     )
     names = tuple(str(node.name or f"node_{number}") for number, node in enumerate(nodes))
@@ -184,9 +183,11 @@ def _read(document: Any) -> GltfFile:
 
 def _triangles(document: Any, mesh: Any) -> np.ndarray:
     """Corners of the faces of all its parts, in the order of the file."""
+    from pygltflib import TRIANGLES
+
     found = [np.zeros((0, 3, 3))]
     for part in mesh.primitives:
-        if part.mode in (None, _TRIANGLES) and part.attributes.POSITION is not None:
+        if part.mode in (None, TRIANGLES) and part.attributes.POSITION is not None:
             corners = _accessor(document, part.attributes.POSITION)
             order = np.arange(len(corners)) if part.indices is None else _accessor(document, part.indices)[:, 0]
             found.append(corners[order.astype(np.int64)].reshape(-1, 3, 3))
@@ -200,8 +201,7 @@ def _still(node: Any) -> dict[str, np.ndarray]:
         xyzw = np.roll(quaternion_from_matrix(nearest_rotation(T[:3, :3] / scale)[None])[0], -1)
         return {"translation": T[:3, 3], "rotation": xyzw, "scale": scale}
     given = {"translation": node.translation, "rotation": node.rotation, "scale": node.scale}
-    usual = {"translation": np.zeros(3), "rotation": np.array([0.0, 0.0, 0.0, 1.0]), "scale": np.ones(3)}
-    return {name: usual[name] if value is None else _sized(value, _PATHS[name]) for name, value in given.items()}
+    return {name: _STILL[name] if value is None else _sized(value, len(_STILL[name])) for name, value in given.items()}
 
 
 def _sized(value: Any, size: int) -> np.ndarray:
@@ -222,7 +222,7 @@ def _skin(document: Any, skin: Any) -> Skin:
 def _channel(document: Any, animation: Any, channel: Any) -> Channel:
     sampler = animation.samplers[channel.sampler]
     time_s = _accessor(document, sampler.input).reshape(-1)
-    mode, size = sampler.interpolation or "LINEAR", _PATHS[channel.target.path]
+    mode, size = sampler.interpolation or "LINEAR", len(_STILL[channel.target.path])
     parts = 3 if mode == "CUBICSPLINE" else 1
     values = _accessor(document, sampler.output).reshape(len(time_s), parts, size)
     if not len(time_s) or (np.diff(time_s) <= 0).any():
@@ -232,13 +232,19 @@ def _channel(document: Any, animation: Any, channel: Any) -> Channel:
 
 def _accessor(document: Any, number: int) -> np.ndarray:
     """Numbers of an accessor, (count, width); integers that stand for fractions become those."""
+    from pygltflib import BYTE, FLOAT, SHORT, UNSIGNED_BYTE, UNSIGNED_INT, UNSIGNED_SHORT
+
+    kinds = {
+        BYTE: np.int8, UNSIGNED_BYTE: np.uint8, SHORT: np.int16, UNSIGNED_SHORT: np.uint16, UNSIGNED_INT: np.uint32,
+        FLOAT: np.float32,
+    }  # fmt: skip
     accessor = document.accessors[number]
     if accessor.sparse is not None or accessor.bufferView is None:
         raise ValueError("sparse numbers are not read; export again without")
     view = document.bufferViews[accessor.bufferView]
     if document.buffers[view.buffer].uri is not None:
         raise ValueError("its numbers are in another file; export as one .glb")
-    kind, width = np.dtype(_KINDS[accessor.componentType]), _WIDTHS[accessor.type]
+    kind, width = np.dtype(kinds[accessor.componentType]), _WIDTHS[accessor.type]
     data = document.binary_blob()
     start = (view.byteOffset or 0) + (accessor.byteOffset or 0)
     stride = view.byteStride or width * kind.itemsize

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict
 
 from scenemi.data.keyframes import FPS, JOINTS, Keyframes, checked_keyframes
 from scenemi.data.plain_files import (
+    MAX_BYTES,
     Numbers,
     OneNumber,
     Text,
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
     from video2anim.body.shaped_body import ShapedBody
 
 KEYFRAME_SUFFIXES = (".npz", ".json", ".bvh", ".glb")
-_MAX_BYTES = 512 * 2**20
-"""A `motion.npz` of an hour has 330 MB."""
 
 
 class KeyframeValues(BaseModel):
@@ -82,7 +81,7 @@ def read_keyframes(path: Path, *, interval: int = 15, length: int | None = None)
     suffix = path.suffix.lower()
     if suffix not in KEYFRAME_SUFFIXES:
         raise InputError(f"{path}: want keyframes as {', '.join(KEYFRAME_SUFFIXES)}")
-    expect_file(path, "keyframe file", _MAX_BYTES)
+    expect_file(path, "keyframe file", MAX_BYTES)
     if suffix == ".bvh":
         return _from_bvh(path).every(interval, length)
     if suffix == ".glb":
@@ -90,7 +89,7 @@ def read_keyframes(path: Path, *, interval: int = 15, length: int | None = None)
     found: dict[str, Any] = (
         read_json(path, "keyframe file")
         if suffix == ".json"
-        else {**read_arrays(path, tuple(KeyframeValues.model_fields), "keyframe file", max_bytes=_MAX_BYTES)}
+        else {**read_arrays(path, tuple(KeyframeValues.model_fields), "keyframe file")}
     )
     values = checked(KeyframeValues, str(path), found)
     keyframes = _keyframes(str(path), values, 1 if values.whole_motion else interval)

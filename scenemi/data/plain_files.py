@@ -22,7 +22,8 @@ MAX_FRAMES = round(FPS * timedelta(hours=1).total_seconds())
 """Of one motion: an hour."""
 MAX_NUMBER = 1e9
 """Of lengths and angles in text files, whatever the unit: a thousand kilometers in millimeters."""
-_MESSAGE_LETTERS = 200
+MESSAGE_LETTERS = 200
+"""Of what an error quotes: two lines of a terminal, more is not read (not measured)."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -166,7 +167,7 @@ def read_array(path: Path, what: str, *, mapped: bool = False) -> np.ndarray:
 def one_line(error: Exception) -> str:
     """What an error says, in one short line."""
     text = "not enough memory" if isinstance(error, MemoryError) else " ".join(str(error).split())
-    return text[:_MESSAGE_LETTERS] or type(error).__name__
+    return text[:MESSAGE_LETTERS] or type(error).__name__
 
 
 def checked(model: type[Model], where: str, values: dict[str, Any]) -> Model:
@@ -181,7 +182,7 @@ def checked(model: type[Model], where: str, values: dict[str, Any]) -> Model:
         first = error.errors(include_input=False, include_url=False)[0]
         name = ".".join(str(part) for part in first["loc"]) or "file"
         text = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{where}: {name} {text}"[: 2 * _MESSAGE_LETTERS]) from error
+        raise InputError(f"{where}: {name} {text}"[: 2 * MESSAGE_LETTERS]) from error
 
 
 def _numbers(value: Any) -> np.ndarray:

@@ -46,8 +46,8 @@ class RetargetConfig:
     """Time in which a correction of a foot fades before and after it stands."""
     height_smoothing_s: float = 0.17
     """Standard deviation of the smoothing of the hips' height correction."""
-    settle_s: float = 0.27
-    """Reach of the smoothing where hips must go down for a leg to reach, or up for the body to clear the floor."""
+    settle_s: float = blend_s
+    """The same where hips must go down for a leg to reach, or up for the body to clear the floor."""
     still_m: float = 0.005
     """A contact is dropped where the planted joint still moves more than this in a frame, or its sole is off the floor
     by more (leg out of reach)."""

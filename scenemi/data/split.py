@@ -11,6 +11,8 @@ from scenemi.data.container import read_split
 
 Part = Literal["train", "val", "test"]
 PARTS: tuple[Part, ...] = ("train", "val", "test")
+HELD_OUT = 0.05
+"""Share of the clips that goes to `val`, and to `test`: a twentieth of the 200 minutes here are 10 (not measured)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,9 +20,6 @@ class Split:
     """Parts by clip name."""
 
     named: dict[str, Part] = field(default_factory=dict)
-    val_share: float = 0.05
-    """Share of the clips not in `named` that goes to `val`; likewise `test_share`."""
-    test_share: float = 0.05
 
     @classmethod
     def read(cls, path: str | Path) -> Split:
@@ -37,6 +36,6 @@ class Split:
         if name in self.named:
             return self.named[name]
         share = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") / 2**64
-        if share < self.test_share:
+        if share < HELD_OUT:
             return "test"
-        return "val" if share < self.test_share + self.val_share else "train"
+        return "val" if share < 2 * HELD_OUT else "train"

@@ -24,8 +24,8 @@ from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.clip import FPS
 
 _LOW_M = np.array([-3.0, 0.0, -4.0])
-_VOXEL_M = 0.02
 _GRID = (300, 100, 400)
+_VOXEL_M = -2 * float(_LOW_M[0]) / _GRID[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,13 +15,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from scenemi.features import JOINTS, MIN_STD, encode
+from scenemi.features import FEATURE_COUNT, JOINTS, MIN_STD, WIDTHS, encode
 from scenemi.prior import WindowMotion
 from scenemi.windows import WINDOW_FRAMES
 from video2anim.errors import InputError
 
 FORMAT = "scenemi-fid-1"
-CHANNELS = 201 + 66
+CHANNELS = FEATURE_COUNT + WIDTHS[-1]
 _BATCH = 64
 _MIN_STEP_M = 0.005
 """Steps of joints that hardly move in the training windows are not blown up."""

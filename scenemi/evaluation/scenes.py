@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol, give_keyframes, window_seed
+from scenemi.metrics import INSIDE_M
 from scenemi.prior import InterpolationPrior
 from scenemi.scene.basis_points import anchor_vertices
 from scenemi.scene.boxes import Boxes
@@ -16,7 +17,6 @@ from scenemi.scene.pseudo import SyntheticSceneConfig, SyntheticScenes
 from video2anim.types.skeleton import forward_kinematics
 
 SCENE_SEED = 20_251
-BLIND_INTERVAL = 60
 EVALUATION_SCENES = SyntheticSceneConfig(empty_share=0.0)
 """Scenes of training, but never empty: a window without anything to hit tells nothing of collisions."""
 
@@ -71,7 +71,7 @@ def with_synthetic_scenes(
 
 def blind_joints(window: EvaluationWindow) -> Float[np.ndarray, "frames 22 3"]:
     """Joints of the interpolation that sees no scene."""
-    filled = InterpolationPrior().fill(give_keyframes(window, KeyframeProtocol(BLIND_INTERVAL)).keyframes)
+    filled = InterpolationPrior().fill(give_keyframes(window, KeyframeProtocol()).keyframes)
     joints_m, _ = forward_kinematics(filled.R_parent_joint, filled.translation_world_m, window.body.rest_joints_m)
     return joints_m
 
@@ -79,7 +79,7 @@ def blind_joints(window: EvaluationWindow) -> Float[np.ndarray, "frames 22 3"]:
 def telling_share(windows: Sequence[EvaluationWindow]) -> float:
     """Share of the windows with solids in which that interpolation has a joint more than 1 cm inside."""
     inside = [
-        float(window.obstacles.signed_distance(blind_joints(window)).min()) < -0.01
+        float(window.obstacles.signed_distance(blind_joints(window)).min()) < -INSIDE_M
         for window in windows
         if window.obstacles is not None
     ]

@@ -20,7 +20,7 @@ from scenemi.data.source_clip import SourceClip
 from scenemi.features import to_canonical
 from scenemi.prior import KeyframeWindow
 from scenemi.scene.geometry import SceneGeometry
-from scenemi.windows import WINDOW_FRAMES, select_keyframes
+from scenemi.windows import KEYFRAME_INTERVALS, WINDOW_FRAMES, select_keyframes
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError, UsageError
@@ -62,7 +62,7 @@ class EvaluationWindow:
 class KeyframeProtocol:
     """Which frames of a window are given, and how exactly."""
 
-    interval: int | None = 60
+    interval: int | None = KEYFRAME_INTERVALS[-1]
     """Every so many frames, and the last; None = by `probability`."""
     probability: float | None = None
     """Chance of each inner frame; first and last are always keyframes."""

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from scenemi.model.conditions import Conditions, impute
-from scenemi.model.diffusion import CosineSchedule
+from scenemi.model.diffusion import STEPS, CosineSchedule
 from scenemi.prior import DEFAULT_STOP_STEP
 
 Method = Literal["ddpm", "ddim", "dpm-solver++"]
@@ -63,8 +63,6 @@ class SamplerConfig:
     """w of classifier-free guidance on the scene (paper: 2.5); 1 = none, at half the cost."""
     stop_step: int | None = None
     """T*: keyframes are imputed while t > T*. None = 20 for noisy keyframes, 0 for exact ones."""
-    eta: float = 0.0
-    """Noise of `ddim`: 0 = deterministic, 1 = DDPM."""
     temperature: float = 0.3
     """Size of the noise that sampling starts from (and adds); 1 = as varied as the data (the paper). Less gives motions
     nearer to the expected one: smaller error, less detail, samples that differ less. Chosen on validation clips."""
@@ -76,10 +74,9 @@ class SamplerConfig:
     def __post_init__(self) -> None:
         if self.method not in ("ddpm", "ddim", "dpm-solver++"):
             raise ValueError(f"SamplerConfig: want ddpm, ddim or dpm-solver++, got {self.method!r}")
-        if self.steps < 1 or not 0 <= self.eta <= 1 or self.spacing < 1:
+        if not 1 <= self.steps <= STEPS or self.spacing < 1:
             raise ValueError(
-                "SamplerConfig: want steps >= 1, 0 <= eta <= 1, spacing >= 1, "
-                f"got {self.steps}, {self.eta}, {self.spacing}"
+                f"SamplerConfig: want 1 to {STEPS} steps and spacing >= 1, got {self.steps} and {self.spacing}"
             )
         if not 0 <= self.temperature <= 1:
             raise ValueError(f"SamplerConfig: want temperature from 0 to 1, got {self.temperature}")
@@ -157,7 +154,7 @@ def sample(
 
         if config.method == "dpm-solver++":
             return center + _dpm_solver(predict, noise(), schedule.alpha_bar, steps, stop_step)
-        eta = 1.0 if config.method == "ddpm" else config.eta
+        eta = 1.0 if config.method == "ddpm" else 0.0
         return center + _ancestral(predict, noise, schedule.alpha_bar, steps, eta)
 
 

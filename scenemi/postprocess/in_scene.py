@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from scenemi.metrics import ANKLES, GMD_SPEED_M_S, GMD_TOE_HEIGHT_M, ROHM_ANKLE_HEIGHT_M, TOES
+from scenemi.metrics import ANKLES, GMD_SPEED_M_S, ROHM_ANKLE_HEIGHT_M, TOE_CONTACT_M, TOES
 from scenemi.postprocess.motion_solve import SceneMotion, SolveConfig, solve_motions
 from scenemi.postprocess.solids import Solids
 from scenemi.prior import KeyframeWindow, WindowMotion, is_exact
@@ -76,7 +76,7 @@ def slow_feet(joints_m: Float[np.ndarray, "frames 22 3"], fps: float) -> Float[n
     if len(joints_m) < 2:
         return contact
     feet = [*ANKLES, *TOES]
-    limit_m = np.array([ROHM_ANKLE_HEIGHT_M] * len(ANKLES) + [GMD_TOE_HEIGHT_M] * len(TOES))
+    limit_m = np.array([ROHM_ANKLE_HEIGHT_M] * len(ANKLES) + [TOE_CONTACT_M] * len(TOES))
     speed_m_s = fps * np.linalg.norm(np.gradient(joints_m[:, feet], axis=0), axis=-1)
     low = joints_m[:, feet, 1] < limit_m
     contact[:, feet] = low * np.exp(-((speed_m_s / GMD_SPEED_M_S) ** 2))

@@ -14,8 +14,6 @@ from scenemi.scene.boxes import Boxes
 from scenemi.scene.field import VOLUME_LEVELS, BoxField, VolumeField
 from scenemi.scene.voxels import GridSpec
 
-_WIDE_M = 10.0
-"""Half the extent of a floor that fills every grid."""
 _MIRRORED_BOX = torch.tensor([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0])
 
 
@@ -82,7 +80,8 @@ class BoxRows:
 
     def occupancy(self, row: int, grid: GridSpec) -> Bool[np.ndarray, "x y z"]:
         """See `SceneRows`."""
-        floor = Boxes(np.array([[0.0, -1.0, 0.0]]), np.array([[_WIDE_M, 1.0, _WIDE_M]]), np.zeros(1))
+        wide_m = grid.voxel_m * max(grid.shape)
+        floor = Boxes(np.array([[0.0, -1.0, 0.0]]), np.array([[wide_m, 1.0, wide_m]]), np.zeros(1))
         return Boxes.joined([self._boxes(row), floor]).occupancy(grid)
 
     def offsets(self, row: int, points_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:

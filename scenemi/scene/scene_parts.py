@@ -16,7 +16,6 @@ SIGHT_M = DEFAULT_GRID.reach_m
 """The model sees this far from the first root of each window."""
 MAX_SCENE_M = 1000.0
 """What is larger is in another unit than meters."""
-_INSIDE_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +64,7 @@ def _solid(part: ScenePart, roots_m: np.ndarray) -> SceneGeometry:
     if len(part.faces) == 0:
         return SceneGeometry.from_points(part.vertices_m)
     filled = SceneGeometry.from_mesh(part.vertices_m, part.faces, fill=True)
-    inside = filled.nearest_within(roots_m, _INSIDE_M)[1] == 0
+    inside = filled.nearest_within(roots_m, 0.0)[1] == 0
     return SceneGeometry.from_mesh(part.vertices_m, part.faces) if inside.mean() > 0.5 else filled
 
 

@@ -34,9 +34,9 @@ class RestConfig:
 
     slowest_m_s: float = 0.15
     pelvis_frames: int = 12
-    """Shortest rest of the hips."""
+    """Shortest rest of the hips, and `foot_frames` and `hand_frames` of feet and hands."""
     foot_frames: int = 6
-    hand_frames: int = 12
+    hand_frames: int = pelvis_frames
     low_hips: float = 0.8
     """Hips lower than this share of the leg's length are carried by something."""
     lying_head_m: float = 0.35

@@ -14,8 +14,6 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 from video2anim.errors import InputError
 from video2anim.geometry.sdf import SdfGrid, surface_samples
 
-_LEVEL = 0.8
-"""Vertical part of the unit normal of a triangle that counts as level."""
 SCANNED_FLOOR_M = 0.15
 """A scan's floor lies within this of y = 0."""
 FLOOR_BAND_M = 0.05
@@ -62,7 +60,8 @@ def scan_sdf(triangles_m: Float[np.ndarray, "faces 3 3"], voxel_m: float, depth_
         raise InputError("scan: want at least one triangle and finite corners; clean the file")
     normal = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
     unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    floor = (np.abs(unit[:, 1]) > _LEVEL) & (np.abs(triangles_m[:, :, 1].mean(1)) < SCANNED_FLOOR_M)
+    level = np.abs(normal[:, 1]) > np.hypot(normal[:, 0], normal[:, 2])
+    floor = level & (np.abs(triangles_m[:, :, 1].mean(1)) < SCANNED_FLOOR_M)
     if normal[floor, 1].sum() < 0:
         unit = -unit
     samples_m, face = surface_samples(triangles_m, voxel_m)

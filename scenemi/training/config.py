@@ -10,6 +10,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from scenemi.data.plain_files import read_json
 from scenemi.model.config import SIZES, AnyConfig, BaselineConfig, Method, ModelConfig, config_from_json
+from scenemi.prior import DEFAULT_STOP_STEP
 from video2anim.errors import InputError, UsageError
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -61,13 +62,13 @@ class TrainConfig:
     first_step_share: Share = 0.8
     """Share of windows at t = T, where nothing of the answer is seen. It takes most of the training: what is left to
     learn at the other steps (drawn evenly, paper: all) is soon learnt, and the default sampler takes this one alone."""
-    stop_step: Annotated[int, Field(ge=0, le=1000)] = 20
+    stop_step: Annotated[int, Field(ge=0, le=1000)] = DEFAULT_STOP_STEP
     """T*: noisy keyframes are imputed above this step only."""
     scene_share: Share = 0.6
     """Share of windows that are shown their scene; the others have none, as many uses have none."""
     drop_global: Share = 0.1
     """Share of the scenes of which only the local part is given, `drop_local` only the global part (paper's form)."""
-    drop_local: Share = 0.1
+    drop_local: Share = drop_global
     joints_weight: Weight = 2.0
     velocity_weight: Weight = 0.02
     """Paper's form: 2 and 10, on squared meters."""

@@ -23,10 +23,10 @@ from scenemi.scene.pseudo import SyntheticScenes
 from scenemi.scene.rows import BoxRows, SceneRows
 from scenemi.training.pool import scene_boxes
 from scenemi.training.scene_pool import SceneMotions
+from scenemi.windows import KEYFRAME_INTERVALS
 from video2anim.types.skeleton import forward_kinematics
 
-INTERVALS = (15, 30, 60)
-SCENE_INTERVAL = INTERVALS[-1]
+SCENE_INTERVAL = KEYFRAME_INTERVALS[-1]
 _WINDOWS = 96
 _SAMPLER = SamplerConfig()
 _SCENE_SEED = 77
@@ -83,7 +83,7 @@ class Validator:
         """Rows for each interval without scenes, then for 60 frames in scenes that are not shown, and shown."""
         was_training = denoiser.training
         denoiser.eval()
-        blind = [self.row(denoiser, interval) for interval in INTERVALS[:-1]]
+        blind = [self.row(denoiser, interval) for interval in KEYFRAME_INTERVALS[:-1]]
         last = [self.row(denoiser, SCENE_INTERVAL, shown=shown) for shown in (False, True)]
         denoiser.train(was_training)
         return (*blind, *last)

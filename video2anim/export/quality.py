@@ -119,7 +119,7 @@ def _jerk_curve(joints_m: np.ndarray, fps: float) -> np.ndarray:
 
 def _skating_curve(joints_m: np.ndarray, fps: float) -> np.ndarray:
     toes = joints_m[:, metrics.TOES]
-    low = toes[..., metrics.UP] < metrics.GMD_TOE_HEIGHT_M
+    low = toes[..., metrics.UP] < metrics.TOE_CONTACT_M
     speed = np.linalg.norm(np.diff(toes[..., metrics.HORIZONTAL], axis=0), axis=-1) * fps
     speed = np.where(low[1:] & low[:-1], speed, -1.0).max(1, initial=-1.0)
     return np.concatenate([[np.nan], np.where(speed < 0, np.nan, speed)])[: len(joints_m)]

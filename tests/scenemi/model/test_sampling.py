@@ -98,20 +98,18 @@ def truth(keys: bool, values: Tensor) -> tuple[Tensor, Tensor]:
     return MEAN + gain @ (values[KEYS] - MEAN[KEYS]), S - gain @ S[KEYS]
 
 
-METHODS: list[tuple[Method, int, float]] = [
-    ("ddpm", 1000, 0.0), ("ddpm", 250, 0.0), ("ddim", 250, 0.0), ("ddim", 250, 0.5), ("dpm-solver++", 50, 0.0),
-]  # fmt: skip
+METHODS: list[tuple[Method, int]] = [("ddpm", 1000), ("ddpm", 250), ("ddim", 250), ("dpm-solver++", 50)]
 
 
 @pytest.mark.parametrize("keys", [False, True])
-@pytest.mark.parametrize(("method", "steps", "eta"), METHODS)
-def test_samples_have_the_mean_and_covariance_of_the_data(method: Method, steps: int, eta: float, keys: bool) -> None:
+@pytest.mark.parametrize(("method", "steps"), METHODS)
+def test_samples_have_the_mean_and_covariance_of_the_data(method: Method, steps: int, keys: bool) -> None:
     count = 400 if steps == 1000 else 1500
     values = MEAN + torch.linalg.cholesky(covariance()) @ torch.randn(
         FRAMES, FEATURES, generator=torch.Generator().manual_seed(3), dtype=torch.float64
     )
     x_keys = values.float().expand(count, -1, -1)
-    config = sampler(method, steps, guidance_weight=1.0, eta=eta)
+    config = sampler(method, steps, guidance_weight=1.0)
     made = sample(oracle, SCHEDULE, x_keys, conditions(count, keys), config, generators(count)).double()
     mean, spread = truth(keys, values)
     centered = made - mean
