@@ -8,11 +8,18 @@ from __future__ import annotations
 import errno
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 
 _OUTPUT_LOST = (errno.ENOSPC, errno.EPIPE, errno.EBADF, errno.EIO)
 """Writing to the standard output fails so: a full disk, or a pipe that nobody reads."""
 _SHORTAGE_TEXTS = ("Insufficient memory", "can't allocate memory", "failed to map segment")
 """How OpenCV, PyTorch and the loader of libraries say it; they have no error class of their own for it."""
+
+
+MAX_BYTES = 4 * 2**30
+"""Of one file, and of all arrays in one archive once unpacked: twelve hours of one person's motion."""
+MESSAGE_LETTERS = 200
+"""Of what an error quotes: two lines of a terminal (not measured)."""
 
 
 def printable(text: str) -> str:
@@ -86,6 +93,29 @@ def last_words(error: Exception) -> tuple[str, int] | None:
 def is_output_lost(error: Exception) -> bool:
     """Whether what a command prints finds no reader or no room."""
     return isinstance(error, OSError) and error.filename is None and error.errno in _OUTPUT_LOST
+
+
+def one_line(error: Exception) -> str:
+    """What an error says, in one short line."""
+    text = "not enough memory" if isinstance(error, MemoryError) else " ".join(str(error).split())
+    return text[:MESSAGE_LETTERS] or type(error).__name__
+
+
+def expect_file(path: Path, what: str, max_bytes: int = MAX_BYTES) -> None:
+    """Refuse what is no file of a size that can be read.
+
+    Raises:
+        InputError: nothing is there, a folder, a pipe or a device, or more bytes than that.
+    """
+    try:
+        if not path.is_file():
+            problem = f"no such {what}{' (not a plain file)' if path.exists() else ''}"
+            raise InputError(f"{path}: cannot read: {problem}")
+        size = path.stat().st_size
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        raise InputError(f"{path}: cannot read the {what}: {one_line(error)}") from error
+    if size > max_bytes:
+        raise InputError(f"{path}: want a {what} of at most {max_bytes / 2**20:,.0f} MiB, got {size / 2**20:,.0f} MiB")
 
 
 def expect_values(words: Sequence[str]) -> None:

@@ -14,8 +14,8 @@ from jaxtyping import Float
 from pydantic import BaseModel, NonNegativeInt
 
 from scenemi.data.gltf_nodes import GltfFile, read_gltf
-from scenemi.data.plain_files import MESSAGE_LETTERS, checked
-from video2anim.errors import InputError
+from scenemi.data.plain_files import checked
+from video2anim.errors import MESSAGE_LETTERS, InputError
 
 SEATS = ("seat", "bed")
 """Parts of objects that are made for sitting; objects without them are sat on where they are level."""

@@ -19,9 +19,9 @@ from scenemi.data.import_clip import (
     with_glitches,
 )
 from scenemi.data.joint_names import map_joints
-from scenemi.data.plain_files import MAX_NUMBER, one_line, read_text
+from scenemi.data.plain_files import MAX_NUMBER, read_text
 from scenemi.data.source_clip import SourceClip
-from video2anim.errors import InputError
+from video2anim.errors import InputError, one_line
 from video2anim.geometry.rotations import continuous_quaternions, quaternion_from_matrix
 
 _FINGERS = ("lfingers", "lthumb", "rfingers", "rthumb")

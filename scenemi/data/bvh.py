@@ -23,9 +23,9 @@ from scenemi.data.import_clip import (
     with_glitches,
 )
 from scenemi.data.joint_names import JointMap, map_joints
-from scenemi.data.plain_files import MAX_NUMBER, one_line, read_text
+from scenemi.data.plain_files import MAX_NUMBER, read_text
 from scenemi.data.source_clip import SourceClip
-from video2anim.errors import InputError, UsageError
+from video2anim.errors import InputError, UsageError, one_line
 from video2anim.geometry.rotations import continuous_quaternions
 
 STRETCH = 0.02

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from scenemi.data.plain_files import MAX_BYTES, expect_file, one_line
-from video2anim.errors import InputError
+from video2anim.errors import InputError, expect_file, one_line
 from video2anim.geometry.rotations import matrix_from_quaternion, nearest_rotation, quaternion_from_matrix, slerp
 
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -142,7 +141,7 @@ def read_gltf(path: Path) -> GltfFile:
     """
     import pygltflib
 
-    expect_file(path, "glTF file", MAX_BYTES)
+    expect_file(path, "glTF file")
     try:
         document = pygltflib.GLTF2.load_from_bytes(path.read_bytes())
         if document is None:

@@ -9,20 +9,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from scenemi.data.keyframes import FPS, JOINTS, Keyframes, checked_keyframes
-from scenemi.data.plain_files import (
-    MAX_BYTES,
-    Numbers,
-    OneNumber,
-    Text,
-    Texts,
-    checked,
-    expect_file,
-    read_arrays,
-    read_json,
-    shaped,
-)
+from scenemi.data.plain_files import Numbers, OneNumber, Text, Texts, checked, read_arrays, read_json, shaped
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.errors import InputError, UsageError
+from video2anim.errors import InputError, UsageError, expect_file
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.types.motion import BodyShape
 
@@ -81,7 +70,7 @@ def read_keyframes(path: Path, *, interval: int = 15, length: int | None = None)
     suffix = path.suffix.lower()
     if suffix not in KEYFRAME_SUFFIXES:
         raise InputError(f"{path}: want keyframes as {', '.join(KEYFRAME_SUFFIXES)}")
-    expect_file(path, "keyframe file", MAX_BYTES)
+    expect_file(path, "keyframe file")
     if suffix == ".bvh":
         return _from_bvh(path).every(interval, length)
     if suffix == ".glb":

@@ -11,38 +11,17 @@ from typing import IO, Annotated, Any, TypeVar
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ValidationError
 
-from video2anim.errors import InputError
+from video2anim.errors import MAX_BYTES, MESSAGE_LETTERS, InputError, expect_file, one_line
 from video2anim.types.clip import FPS
 
-MAX_BYTES = 4 * 2**30
-"""Of all arrays that are read of one file, unpacked."""
 MAX_TEXT_BYTES = 256 * 2**20
 """Of a text file."""
 MAX_FRAMES = round(FPS * timedelta(hours=1).total_seconds())
 """Of one motion: an hour."""
 MAX_NUMBER = 1e9
 """Of lengths and angles in text files, whatever the unit: a thousand kilometers in millimeters."""
-MESSAGE_LETTERS = 200
-"""Of what an error quotes: two lines of a terminal, more is not read (not measured)."""
 
 Model = TypeVar("Model", bound=BaseModel)
-
-
-def expect_file(path: Path, what: str, max_bytes: int = MAX_TEXT_BYTES) -> None:
-    """Refuse what is no file of a size that can be read.
-
-    Raises:
-        InputError: nothing is there, a folder, a pipe or a device, or more bytes than that.
-    """
-    try:
-        if not path.is_file():
-            problem = f"no such {what}{' (not a plain file)' if path.exists() else ''}"
-            raise InputError(f"{path}: cannot read: {problem}")
-        size = path.stat().st_size
-    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        raise InputError(f"{path}: cannot read the {what}: {one_line(error)}") from error
-    if size > max_bytes:
-        raise InputError(f"{path}: want a {what} of at most {max_bytes / 2**20:,.0f} MiB, got {size / 2**20:,.0f} MiB")
 
 
 def read_text(path: Path, what: str) -> str:
@@ -51,7 +30,7 @@ def read_text(path: Path, what: str) -> str:
     Raises:
         InputError: missing, too large, or not to be read.
     """
-    expect_file(path, what)
+    expect_file(path, what, MAX_TEXT_BYTES)
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
@@ -76,7 +55,7 @@ def read_json_value(path: Path, what: str) -> Any:
     Raises:
         InputError: missing, too large, or no JSON.
     """
-    expect_file(path, what)
+    expect_file(path, what, MAX_TEXT_BYTES)
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
@@ -136,7 +115,7 @@ def read_arrays(
 
 
 def _opened(path: Path, what: str) -> IO[bytes]:
-    expect_file(path, what, MAX_BYTES)
+    expect_file(path, what)
     try:
         return path.open("rb")
     except OSError as error:
@@ -154,7 +133,7 @@ def read_array(path: Path, what: str, *, mapped: bool = False) -> np.ndarray:
     Raises:
         InputError: the file is missing, damaged or too large, or holds objects.
     """
-    expect_file(path, what, MAX_BYTES)
+    expect_file(path, what)
     try:
         found = np.load(path, mmap_mode="r" if mapped else None, allow_pickle=False)
     except Exception as error:  # numpy's parser of headers raises classes of many kinds
@@ -162,12 +141,6 @@ def read_array(path: Path, what: str, *, mapped: bool = False) -> np.ndarray:
     if not isinstance(found, np.ndarray) or found.dtype.kind not in "biufU":
         raise InputError(f"{path}: want numbers or text as {what}")
     return found
-
-
-def one_line(error: Exception) -> str:
-    """What an error says, in one short line."""
-    text = "not enough memory" if isinstance(error, MemoryError) else " ".join(str(error).split())
-    return text[:MESSAGE_LETTERS] or type(error).__name__
 
 
 def checked(model: type[Model], where: str, values: dict[str, Any]) -> Model:

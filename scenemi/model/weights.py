@@ -14,12 +14,11 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from scenemi.data.files import write_tensors
-from scenemi.data.plain_files import one_line
 from scenemi.features import Statistics
 from scenemi.model.build import AnyDenoiser, build_denoiser
 from scenemi.model.config import AnyConfig, config_from_json
 from scenemi.prior import WEIGHTS_FOLDER
-from video2anim.errors import InputError, ModelMissingError
+from video2anim.errors import InputError, ModelMissingError, one_line
 
 FORMAT = "scenemi-weights-2"
 

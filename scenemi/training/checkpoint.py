@@ -11,13 +11,12 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from scenemi.data.plain_files import one_line
 from scenemi.features import Statistics
 from scenemi.model.baselines.build import build_any
 from scenemi.model.weights import statistics_from
 from scenemi.training.config import TrainConfig
 from scenemi.training.loop_parts import named_part, optimizer_moments, optimizer_tensors, write_training
-from video2anim.errors import InputError
+from video2anim.errors import InputError, one_line
 
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file in a run's folder."""

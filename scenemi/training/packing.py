@@ -22,7 +22,7 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor
 
 from scenemi.data.container import ARRAYS, MotionArchive, write_archive
-from scenemi.data.plain_files import MAX_BYTES, one_line, read_arrays, read_json
+from scenemi.data.plain_files import read_arrays, read_json
 from scenemi.data.split import PARTS, Split
 from scenemi.data.windows import MotionSetConfig, archives_of, chosen_clips
 from scenemi.features import Statistics
@@ -32,7 +32,7 @@ from scenemi.training.checkpoint import CHECKPOINT, Checkpoint, load_checkpoint
 from scenemi.training.config import TrainConfig
 from scenemi.training.pool import UNITS_PER_METER
 from scenemi.training.runs import RunFiles
-from video2anim.errors import InputError
+from video2anim.errors import MAX_BYTES, InputError, one_line
 
 PIECE_BYTES = 16 * 2**20
 _SETTINGS, _MOTION, _STATE = "run.json", "motion", "state"

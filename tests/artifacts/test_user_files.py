@@ -15,9 +15,10 @@ from trimesh.exchange.gltf import export_gltf
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from video2anim.artifacts import user_files
-from video2anim.artifacts.user_files import MESH_SUFFIXES, content_digest, mesh_files, read_mesh_file
+from video2anim.artifacts.user_files import content_digest, mesh_files, read_mesh_file
 from video2anim.errors import InputError
+from video2anim.geometry import mesh_file
+from video2anim.geometry.mesh_file import MESH_SUFFIXES
 
 RED, GREEN, ORANGE = (200, 30, 40), (10, 200, 30), (255, 128, 0)
 GRAY = 160
@@ -126,14 +127,15 @@ def test_damaged_files_are_refused_in_one_line(tmp_path: Path, suffix: str, cont
     """Empty, no mesh at all, and a mesh that ends after 300 bytes."""
     path = tmp_path / f"bad{suffix}"
     path.write_bytes(export(red_box(), tmp_path / f"good{suffix}").read_bytes()[:300] if content is None else content)
-    assert "want a mesh" in refused(path)
+    assert "cannot be read as a mesh" in refused(path) or "want a mesh with triangles" in refused(path)
 
 
 def test_what_is_no_mesh_file_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("v 0 0 0\n")
     (tmp_path / "folder.glb").mkdir()
-    for name in ("missing.glb", "notes.txt", "folder.glb"):
-        assert "want a mesh file (.glb, .gltf, .obj, .ply, .stl)" in refused(tmp_path / name)
+    assert "want a mesh file (.glb, .gltf, .obj, .ply, .stl)" in refused(tmp_path / "notes.txt")
+    assert "no such mesh file" in refused(tmp_path / "missing.glb")
+    assert "no such mesh file (not a plain file)" in refused(tmp_path / "folder.glb")
 
 
 def test_points_without_triangles_and_places_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
@@ -161,7 +163,7 @@ def test_what_no_room_has_is_refused(tmp_path: Path, places: str, corners: str, 
 
 
 def test_too_many_faces_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(user_files, "MAX_FACES", 11)
+    monkeypatch.setattr(mesh_file, "MAX_FACES", 11)
     assert "want a mesh of at most 11 faces, got 12" in refused(export(red_box(), tmp_path / "box.ply"))
 
 
@@ -236,7 +238,7 @@ def test_a_picture_cut_off_inside_a_mesh_is_refused(tmp_path: Path) -> None:
     data = path.read_bytes()
     start = data.index(b"IDAT") + 2000
     path.write_bytes(data[:start] + bytes(4000) + data[start + 4000 :])
-    assert "want a" in refused(path)
+    assert "cannot be read as a mesh" in refused(path)
 
 
 def test_colors_that_do_not_fit_the_vertices_are_no_gray_mesh(tmp_path: Path) -> None:

@@ -281,7 +281,7 @@ def test_bad_scene_files_end_in_one_line(name: str, tmp_path: Path) -> None:
 def test_large_scans_are_refused_before_they_take_the_memory(tmp_path: Path) -> None:
     faces = np.tile(np.array([[0, 1, 2]], np.int32), (3_000_001, 1))
     np.savez(tmp_path / "scan.npz", vertices_m=EYE, faces=faces)
-    with pytest.raises(InputError, match="want at most 3,000,000 faces, got 3,000,001; simplify"):
+    with pytest.raises(InputError, match="want a scene of at most 3,000,000 faces, got 3,000,001; simplify"):
         read_scene(tmp_path / "scan.npz")
 
 

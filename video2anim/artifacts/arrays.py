@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from video2anim.artifacts.stage_files import MAX_BYTES, opened, shown
-from video2anim.errors import ArtifactError
+from video2anim.artifacts.stage_files import opened, shown
+from video2anim.errors import MAX_BYTES, ArtifactError
 from video2anim.types.checks import annotation, content_fault, shape_fault
 from video2anim.types.storage import Holds
 

@@ -12,12 +12,10 @@ from typing import Any, BinaryIO
 
 from pydantic import TypeAdapter, ValidationError
 
-from video2anim.errors import ArtifactError
+from video2anim.errors import MAX_BYTES, ArtifactError
 
 VALUE_JSON, ARRAYS_NPZ, MASKS_NPZ = "value.json", "arrays.npz", "masks.npz"
 
-MAX_BYTES = 4 << 30
-"""Of one file, and of all arrays in one archive once unpacked: twelve hours of one person's motion."""
 MAX_TEXT_BYTES = 64 << 20
 """Of one JSON file."""
 _SHOWN = 60

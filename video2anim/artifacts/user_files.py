@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,12 +15,11 @@ from video2anim.artifacts.meshes import expect_sound
 from video2anim.artifacts.stage_files import shown
 from video2anim.digest import file_digest
 from video2anim.errors import ArtifactError, InputError
-from video2anim.types.scene import MAX_FACES, Mesh
+from video2anim.geometry.mesh_file import MESH_SUFFIXES, read_mesh_parts
+from video2anim.types.scene import Mesh
 
 if TYPE_CHECKING:
     import trimesh
-
-MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 
 
 def content_digest(path: Path) -> str:
@@ -105,23 +103,12 @@ def read_mesh_file(path: Path) -> Mesh:
         InputError: missing, unreadable, of more than `MAX_FACES` triangles, or not sound (`expect_sound`).
     """
     import trimesh
-    from trimesh.resolvers import FilePathResolver
 
-    if path.suffix.lower() not in MESH_SUFFIXES or not path.is_file():
-        raise InputError(f"want a mesh file ({', '.join(MESH_SUFFIXES)}), got {path}")
-    try:
-        # From memory, where a false length in the file asks for no more than there is.
-        whole, beside = io.BytesIO(path.read_bytes()), FilePathResolver(str(path))
-        scene = trimesh.load_scene(whole, file_type=path.suffix.lower()[1:], resolver=beside)
-        parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
-    except Exception as error:  # the loaders raise what their parsers raise
-        raise InputError(f"want a mesh, got {type(error).__name__} at {path}") from error
-    parts = [part for part in parts if len(part.faces)]
+    parts = read_mesh_parts(path, "mesh", colored=True).parts
+    parts = [part for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     sound = (part.vertices.shape[1:] == (3,) and np.isfinite(part.vertices).all() for part in parts)
     if not parts or not all(sound):
         raise InputError(f"want a mesh with triangles and finite vertices (x, y, z), got {len(parts)} parts at {path}")
-    if (faces := sum(len(part.faces) for part in parts)) > MAX_FACES:
-        raise InputError(f"want a mesh of at most {MAX_FACES:,} faces, got {faces:,} at {path}; simplify it first")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     vertices_m = np.concatenate([np.asarray(part.vertices, np.float64) for part in parts])
     triangles = [np.asarray(part.faces, np.int64) + start for part, start in zip(parts, starts, strict=True)]

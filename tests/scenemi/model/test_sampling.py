@@ -318,7 +318,7 @@ def test_bad_settings_are_refused() -> None:
     for bad in (
         {"method": "euler"},
         {"steps": 0},
-        {"eta": 1.5},
+        {"steps": 1001},
         {"stop_step": -1},
         {"spacing": 0.5},
         {"temperature": 2},

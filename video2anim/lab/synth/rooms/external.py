@@ -1,8 +1,7 @@
-"""External meshes (GLB, OBJ, PLY) as objects of a room."""
+"""External meshes (`MESH_SUFFIXES`) as objects of a room."""
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,9 @@ from jaxtyping import UInt8
 from trimesh.visual import ColorVisuals, TextureVisuals
 
 from video2anim.errors import InputError
+from video2anim.geometry.mesh_file import MESH_SUFFIXES, read_mesh_parts
 from video2anim.lab.synth.world import CLUTTER_LABELS, FURNITURE_LABELS, Material, Part, SceneObject, Surface
 
-SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
 MIN_M = 0.02
 MAX_M = 4.0
 """Range of the largest extent of an object; others are not in meters, or are not objects of a room."""
@@ -33,10 +32,10 @@ def load_meshes(folder: Path) -> tuple[SceneObject, ...]:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise InputError(f"{folder}: wanted a folder with GLB, OBJ or PLY meshes, but there is none; check the path")
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+        raise InputError(f"{folder}: wanted a folder with meshes, but there is none; check the path")
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
     if not paths:
-        raise InputError(f"{folder}: wanted GLB, OBJ or PLY meshes, found none in the folder")
+        raise InputError(f"{folder}: wanted meshes ({', '.join(MESH_SUFFIXES)}), found none in the folder")
     return tuple(load_mesh(path) for path in paths)
 
 
@@ -65,17 +64,8 @@ def load_mesh(path: Path) -> SceneObject:
 
 def _read(path: Path) -> list[trimesh.Trimesh]:
     """Meshes of a file, in its scene's frame."""
-    logger = logging.getLogger("trimesh")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)  # the error below reports it once
-    try:
-        scene = trimesh.load_scene(path)
-        meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
-    except Exception as error:  # readers of broken files raise anything
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise InputError(f"{path}: cannot be read as a mesh ({reason}); export it again as GLB, OBJ or PLY") from error
-    finally:
-        logger.setLevel(level)
+    parts = read_mesh_parts(path, "mesh", colored=True).parts
+    meshes = [mesh for mesh in parts if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not meshes:
         raise InputError(f"{path}: holds no triangles; export the mesh again")
     return meshes
