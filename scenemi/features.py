@@ -48,8 +48,7 @@ _SPANS = (
 _DEPTHS = (("spine3", "left_collar", "right_collar"), ("pelvis",))
 """Parts of the skin that are measured from front to back."""
 BODY_LENGTHS = len(_SPANS) + len(_DEPTHS)
-MIN_STD = np.where(np.arange(FEATURE_COUNT) < 3, 0.05, 0.1)
-MIN_STD[JOINTS] = 0.05
+MIN_STD = np.where(np.isin(np.arange(FEATURE_COUNT), np.r_[ROTATIONS]), 0.1, 0.05)
 """Columns that hardly vary in most clips (collars, say) are not blown up where they do: meters, and 6D entries (0.1 is
 6 degrees)."""
 _MIN_BODY_STD = 0.01

@@ -18,13 +18,14 @@ from scenemi.postprocess.in_scene import OBSERVED, put_in_scene
 from scenemi.postprocess.partial import LEVEL, MISS_M, ROOT, PartialKeyframes
 from scenemi.prior import InbetweeningPrior, KeyframeWindow, WindowMotion
 from video2anim.body.legs import LEGS
+from video2anim.types.clip import FPS
 from video2anim.types.skeleton import JOINT_NAMES, forward_kinematics
 
 SOLVED_NOISE = (5.0, 2.0)
 """Degrees and centimeters that solved poses are said to be off, as keyframes of the prior. Less is no better; with 10
 and 5 the jerk is a quarter larger (`benchmarks/scenemi/partial.py`)."""
-PATH_FRAMES = 30
-"""From keyframe to keyframe along a path: denser ones would hold the gait of the first estimate."""
+PATH_FRAMES = round(FPS)
+"""From keyframe to keyframe along a path, a second: denser ones would hold the gait of the first estimate."""
 
 
 def meet(

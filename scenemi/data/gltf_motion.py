@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import BaseModel, FiniteFloat
 
+from scenemi.data.adults import adult_with
 from scenemi.data.bvh import STRETCH
 from scenemi.data.gltf_nodes import GltfFile, Posed, read_gltf
 from scenemi.data.import_clip import guess_unit, retargetable, skeleton_of
@@ -23,7 +24,7 @@ from scenemi.data.plain_files import MAX_FRAMES, checked
 from scenemi.data.posture import body_axes, posture_problem
 from scenemi.data.source_clip import SourceClip
 from scenemi.metrics import UP
-from video2anim.body.anny_body import ADULT, shaped_body
+from video2anim.body.anny_body import shaped_body
 from video2anim.body.legs import LEGS
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError, UsageError
@@ -34,8 +35,6 @@ from video2anim.types.skeleton import JOINT_NAMES
 
 _BAKED_S = 0.1
 """Keys nearer than this (in the median) are every frame of a motion, not poses that somebody set."""
-_HEIGHTS = np.linspace(0.0, 1.0, 5)
-"""Anny's heights of adults, between which the length of the legs is nearly linear (to 2 mm)."""
 
 
 class _Shape(BaseModel):
@@ -94,7 +93,7 @@ def read_gltf_motion(path: Path, mapping: Mapping[str, str] | None = None) -> Gl
     time_s = key_s[0] + np.arange(key_frames[-1] + 1) / FPS
     clip = _clip(path, figure, file.posed(figure.nodes, channels, time_s))
     baked = len(key_s) > 1 and float(np.median(np.diff(key_s))) < _BAKED_S
-    body = _own_body(file, figure, str(path)) or _adult_with_legs(_leg_m(figure))
+    body = _own_body(file, figure, str(path)) or adult_with(_length_m, _leg_m(figure))
     return GltfMotion(clip, key_frames[:0] if baked else key_frames, body)
 
 
@@ -183,12 +182,3 @@ def _own_body(file: GltfFile, figure: _Figure, where: str) -> ShapedBody | None:
             except UsageError as error:
                 raise InputError(f"{where}: {error}") from error
     return None
-
-
-def _adult_with_legs(leg_m: float) -> ShapedBody:
-    """The average adult whose thigh and shin are together as long as that, within what adults have."""
-    lengths_m = [
-        _length_m(shaped_body(BodyShape("anny", {**ADULT, "height": float(one)})).rest_joints_m) for one in _HEIGHTS
-    ]
-    height = float(np.interp(leg_m, lengths_m, _HEIGHTS))
-    return shaped_body(BodyShape("anny", {**ADULT, "height": round(height, 3)}))

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from scenemi.evaluation.windows import EvaluationWindow, KeyframeProtocol, give_keyframes, window_seed
-from scenemi.metrics import INSIDE_M
+from scenemi.metrics import CLOSE_PROXIMITY_M, INSIDE_M
 from scenemi.prior import InterpolationPrior
 from scenemi.scene.basis_points import anchor_vertices
 from scenemi.scene.boxes import Boxes
@@ -21,10 +21,6 @@ EVALUATION_SCENES = SyntheticSceneConfig(empty_share=0.0)
 """Scenes of training, but never empty: a window without anything to hit tells nothing of collisions."""
 
 
-REACH_M = 0.3
-"""Solids farther from a body than this are not looked at."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Obstacles:
     """A random scene without its floor."""
@@ -32,9 +28,9 @@ class Obstacles:
     boxes: Boxes
 
     def signed_distance(self, points_m: Float[np.ndarray, "frames skin 3"]) -> Float[np.ndarray, "frames skin"]:
-        """See `ObstacleField`; at most 0.3 m."""
-        distance_m = np.full(points_m.shape[:2], REACH_M)
-        low_m, high_m = points_m.min(axis=1) - REACH_M, points_m.max(axis=1) + REACH_M
+        """See `ObstacleField`; at most `CLOSE_PROXIMITY_M`."""
+        distance_m = np.full(points_m.shape[:2], CLOSE_PROXIMITY_M)
+        low_m, high_m = points_m.min(axis=1) - CLOSE_PROXIMITY_M, points_m.max(axis=1) + CLOSE_PROXIMITY_M
         for number in range(len(self.boxes)):
             center_m, half_m = self.boxes.center_m[number], self.boxes.half_m[number]
             # Bounds that hold for any turn about the vertical.

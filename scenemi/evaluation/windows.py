@@ -35,7 +35,7 @@ class ObstacleField(Protocol):
     """Solids around a motion, without the floor."""
 
     def signed_distance(self, points_m: Float[np.ndarray, "frames skin 3"]) -> Float[np.ndarray, "frames skin"]:
-        """Distance to the nearest solid, negative inside; meters, exact below 0.3."""
+        """Distance to the nearest solid, negative inside; meters, exact below `scenemi.metrics.CLOSE_PROXIMITY_M`."""
         ...
 
 

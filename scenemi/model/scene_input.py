@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from scenemi.data.adults import adult_with
 from scenemi.features import body_lengths, lengths_of_skeleton
 from scenemi.model.config import PaperConfig
 from scenemi.prior import KeyframeWindow
 from scenemi.scene.basis_points import anchor_vertices, bps
 from scenemi.scene.geometry import SceneGeometry
 from scenemi.scene.voxels import GridSpec, occupancy
-from video2anim.body.anny_body import ADULT, anny_model, shaped_body
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.sdf import SdfGrid
-from video2anim.types.motion import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
-
-_HEIGHTS = np.linspace(0.0, 1.0, 6)
-"""Values of Anny's `height` tried for a skeleton without a body."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,15 +73,7 @@ def lengths_of(window: KeyframeWindow) -> Float[np.ndarray, "7"]:
 
 def adult_like(rest_joints_m: Float[np.ndarray, "22 3"]) -> ShapedBody:
     """The average adult build whose skeleton is about as tall as this one."""
-    span_m = _span_m(rest_joints_m)
-    height = float(np.interp(span_m, [_span_of(float(h)) for h in _HEIGHTS], _HEIGHTS))
-    return shaped_body(BodyShape("anny", {**ADULT, "height": round(height, 2)}))
-
-
-@functools.cache
-def _span_of(height: float) -> float:
-    shape = BodyShape("anny", {**ADULT, "height": height})
-    return _span_m(anny_model().shaped(shape).rest_joints_m)
+    return adult_with(_span_m, _span_m(rest_joints_m))
 
 
 def _span_m(rest_joints_m: Float[np.ndarray, "22 3"]) -> float:

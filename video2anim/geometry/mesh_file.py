@@ -98,9 +98,10 @@ def _quiet() -> Iterator[None]:
 
 def _glb_parts(data: bytes) -> tuple[bytes, bytes]:
     """Text of a binary glTF, and what follows it."""
-    magic, _, length = _GLB_HEADER.unpack_from(data)
-    text_bytes, kind = _CHUNK_HEADER.unpack_from(data, _GLB_HEADER.size)
     start = _GLB_HEADER.size + _CHUNK_HEADER.size
+    head = data[:start].ljust(start, b"\0")
+    magic, _, length = _GLB_HEADER.unpack_from(head)
+    text_bytes, kind = _CHUNK_HEADER.unpack_from(head, _GLB_HEADER.size)
     if magic != b"glTF" or kind != _JSON_CHUNK or start + text_bytes > len(data):
         raise ValueError("no binary glTF 2.0, or cut off")
     if length != len(data):
