@@ -15,8 +15,6 @@ class BalanceConfig:
 
     power: float = 0.5
     """A group of n seconds weighs n^power: 1 draws every second alike, 0 every group alike."""
-    source_weight: Mapping[str, float] = field(default_factory=dict)
-    """Factors for sources; others have 1."""
     source_share: Mapping[str, float] = field(default_factory=dict)
     """Share of all draws that a source shall have (where caps allow it); the others divide the rest."""
     repeat_cap: float = 4.0
@@ -32,7 +30,7 @@ def clip_probabilities(
     """Probability of each clip; inside a group proportional to its length. Sums to 1.
 
     Raises:
-        ValueError: no clips, lengths of different number or not positive, or every weight zero.
+        ValueError: no clips, or lengths of different number or not positive.
     """
     config = config or BalanceConfig()
     if not len(kinds) == len(sources) == len(seconds) or len(kinds) == 0:
@@ -44,9 +42,6 @@ def clip_probabilities(
     _, group = np.unique(groups, return_inverse=True)
     total = np.bincount(group, length)
     weight = length * total[group] ** (config.power - 1.0)
-    weight = weight * [config.source_weight.get(source, 1.0) for source in sources]
-    if not weight.sum() > 0:
-        raise ValueError("clip_probabilities: every clip has weight 0; raise source_weight")
     weight = _with_shares(weight, np.asarray(sources), config.source_share)
     return _capped(weight, config.repeat_cap * length / length.sum())
 

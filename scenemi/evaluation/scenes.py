@@ -13,6 +13,7 @@ from scenemi.metrics import CLOSE_PROXIMITY_M, INSIDE_M
 from scenemi.prior import InterpolationPrior
 from scenemi.scene.basis_points import anchor_vertices
 from scenemi.scene.boxes import Boxes
+from scenemi.scene.geometry import HalfSpace, SceneGeometry
 from scenemi.scene.pseudo import SyntheticSceneConfig, SyntheticScenes
 from video2anim.types.skeleton import forward_kinematics
 
@@ -60,8 +61,9 @@ def with_synthetic_scenes(
         anchors_m = window.body.vertices(R_world_joint, joints_m, anchor_vertices(window.body))
         rng = np.random.default_rng(window_seed(window.name, seed))
         blind_m = blind_joints(window)
-        scene = scenes.draw(rng, joints_m, R_world_joint, anchors_m, window.contact, blind_m=blind_m)
-        found.append(replace(window, obstacles=Obstacles(scene.boxes), scene=scene.geometry()))
+        named = scenes.solids(rng, joints_m, R_world_joint, anchors_m, window.contact, blind_m=blind_m)
+        boxes = Boxes.joined(box for _, box in named)
+        found.append(replace(window, obstacles=Obstacles(boxes), scene=SceneGeometry.of(boxes, HalfSpace(0.0))))
     return tuple(found)
 
 

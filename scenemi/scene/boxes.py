@@ -76,8 +76,8 @@ class Boxes:
             np.minimum(best, outside + np.minimum(over.max(0), 0.0), out=best)
         return best.reshape(points_m.shape[:-1])
 
-    def occupancy(self, grid: GridSpec = DEFAULT_GRID, *, hollow: bool = False) -> Bool[np.ndarray, "x y z"]:
-        """Voxels of the boxes' own frame with a solid point within half a voxel; `hollow`: with a point of a face."""
+    def occupancy(self, grid: GridSpec = DEFAULT_GRID) -> Bool[np.ndarray, "x y z"]:
+        """Voxels of the boxes' own frame with a solid point within half a voxel."""
         occupied = np.zeros(grid.shape, bool)
         axes_m, within_m = grid.axes_m(), grid.within_m
         for center_m, half_m, yaw in zip(self.center_m, self.half_m, self.yaw_rad, strict=True):
@@ -95,8 +95,6 @@ class Boxes:
             over_y = np.abs(y) - half_m[1]
             gap2 = np.maximum(over_u, 0.0) ** 2 + np.maximum(over_w, 0.0) ** 2
             near = gap2[:, None] + np.maximum(over_y, 0.0)[None, :, None] ** 2 <= within_m**2
-            if hollow:
-                near &= np.maximum(np.maximum(over_u, over_w)[:, None], over_y[None, :, None]) >= -within_m
             occupied[tuple(cut)] |= near
         return occupied
 

@@ -2,7 +2,7 @@
 
 Free space is what the clip's own body sweeps (the idea of Liu et al. 2023, "Revisit human-scene interaction via space
 occupancy"). There is a floor, supports under resting body parts, and furniture and walls pushed up to a chosen
-clearance beside the path. Everything is upright boxes, so voxels, offsets and distances are exact and fast.
+clearance beside the path. Everything is upright boxes, so distances are exact and fast.
 """
 
 from __future__ import annotations
@@ -12,16 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from scenemi.scene.basis_points import shortened
 from scenemi.scene.body_spheres import BodySpheres, adult_spheres
 from scenemi.scene.boxes import Boxes
 from scenemi.scene.furniture import FURNITURE, Piece, doorway, wall
-from scenemi.scene.geometry import HalfSpace, SceneGeometry
-from scenemi.scene.scan_noise import ScanNoise, scanned
 from scenemi.scene.sliding import Slide, SweptBody, nearest_free, places_m
 from scenemi.scene.supports import Motion, RestConfig, supports
 from scenemi.scene.telling import telling_solids
-from scenemi.scene.voxels import DEFAULT_GRID, GridSpec
 from video2anim.types.clip import FPS
 
 _QUARTER = np.pi / 2
@@ -58,35 +54,7 @@ class SyntheticSceneConfig:
     """Half of the walls stand up to this much farther off, so that furniture fits before them."""
     tries: int = 3
     """How many places are tried for a piece."""
-    hollow_share: float = 0.5
-    """Share of scenes whose voxels show surfaces only, as meshes do."""
     rest: RestConfig = field(default_factory=RestConfig)
-    noise: ScanNoise = field(default_factory=ScanNoise)
-    grid: GridSpec = DEFAULT_GRID
-    fps: float = FPS
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SyntheticScene:
-    """A scene around one window, in its canonical frame."""
-
-    occupancy: Bool[np.ndarray, "x y z"]
-    """As a scan would show it, noise included."""
-    bps: Float[np.ndarray, "frames anchors 3"]
-    """Offsets to the nearest solid, at most 1 m long, float32; zero in frames that were not asked for."""
-    boxes: Boxes
-    kinds: tuple[str, ...]
-    """What stands there."""
-    floor_y_m: float = 0.0
-
-    def geometry(self) -> SceneGeometry:
-        """The scene as solids, without noise."""
-        return SceneGeometry.of(self.boxes, HalfSpace(self.floor_y_m))
-
-    def signed_distance(self, points_m: Float[np.ndarray, "... 3"], *, floor: bool = True) -> np.ndarray:
-        """Distance (...,) to the nearest solid, negative inside: there the depth in the deepest one."""
-        distance_m = self.boxes.signed_distance(points_m)
-        return np.minimum(distance_m, points_m[..., 1] - self.floor_y_m) if floor else distance_m
 
 
 class SyntheticScenes:
@@ -94,30 +62,6 @@ class SyntheticScenes:
 
     def __init__(self, config: SyntheticSceneConfig | None = None) -> None:
         self.config = config or SyntheticSceneConfig()
-
-    def draw(
-        self,
-        rng: np.random.Generator,
-        joints_m: Float[np.ndarray, "frames 22 3"],
-        R_world_joint: Float[np.ndarray, "frames 22 3 3"],
-        anchors_m: Float[np.ndarray, "frames anchors 3"],
-        contact: Bool[np.ndarray, "frames 22"] | None = None,
-        *,
-        spheres: BodySpheres | None = None,
-        bps_frames: Bool[np.ndarray, "frames"] | None = None,
-        blind_m: Float[np.ndarray, "frames 22 3"] | None = None,
-    ) -> SyntheticScene:
-        """A scene around a motion, with what a scan shows of it.
-
-        Args:
-            bps_frames: frames whose offsets are wanted, all by default.
-            The others as of `solids`.
-        """
-        named = self.solids(rng, joints_m, R_world_joint, anchors_m, contact, spheres=spheres, blind_m=blind_m)
-        boxes = Boxes.joined(b for _, b in named)
-        hollow = rng.random() < self.config.hollow_share
-        voxels, offsets_m = scanned(rng, self.config.noise, boxes, anchors_m, bps_frames, self.config.grid, hollow)
-        return SyntheticScene(voxels, shortened(offsets_m), boxes, tuple(kind for kind, _ in named))
 
     def solids(
         self,
@@ -147,7 +91,7 @@ class SyntheticScenes:
         named: list[tuple[str, Boxes]] = []
         if rng.random() >= self.config.empty_share:
             snug = replace(body, radius_m=body.radius_m - np.float32(_SNUG_M))
-            motion = Motion(joints_m, R_world_joint, known, spheres, snug, self.config.fps)
+            motion = Motion(joints_m, R_world_joint, known, spheres, snug, FPS)
             named = supports(rng, motion, self.config.rest)
             if blind_m is not None:
                 count = int(rng.integers(self.config.telling[0], self.config.telling[1] + 1))

@@ -92,7 +92,6 @@ def grow_pool(
     windows: int,
     *,
     seed: int = 0,
-    config: SyntheticSceneConfig | None = None,
     on_shard: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Make the shards that are missing until the pool has `windows` windows.
@@ -102,18 +101,17 @@ def grow_pool(
         motions: clips on bodies.
         windows: wanted in all, rounded up to whole shards.
         seed: of everything random.
-        config: of the scenes.
         on_shard: called with shards there are and wanted.
 
     Raises:
         InputError: the shards that are there were made of other motion, or by other rules.
     """
-    made_of = _digest(motions, seed, config or SyntheticSceneConfig())
+    scenes = SyntheticScenes()
+    made_of = _digest(motions, seed, scenes.config)
     for path in sorted(folder.glob("shard_????")):
         if _meta(path).get("made_of") != made_of:
             raise InputError(f"{folder}: training windows of other motion or of an older version; delete the folder")
     wanted = -(-windows // SHARD_WINDOWS)
-    scenes = SyntheticScenes(config)
     spheres: list[BodySpheres] = []
     for number in range(wanted):
         path = folder / f"shard_{number:04d}"

@@ -123,7 +123,3 @@ def test_sources_get_their_share_and_weight() -> None:
     kinds, sources, seconds = ["walk"] * 4, ["a", "a", "b", "c"], np.ones(4)
     share = clip_probabilities(kinds, sources, seconds, BalanceConfig(source_share={"c": 0.1}))
     np.testing.assert_allclose(share[3], 0.1)
-    none = clip_probabilities(kinds, sources, seconds, BalanceConfig(source_weight={"b": 0.0}))
-    assert none[2] == 0.0
-    with pytest.raises(ValueError, match="weight 0"):
-        clip_probabilities(["walk"], ["a"], np.ones(1), BalanceConfig(source_weight={"a": 0.0}))

@@ -126,5 +126,5 @@ def test_near_distances_are_those_to_all_boxes(windows: Windows) -> None:
     window = with_synthetic_scenes(windows[:1])[0]
     points_m = window.joints_m + np.random.default_rng(0).normal(0, 0.3, window.joints_m.shape)
     exact_m = window.obstacles.boxes.signed_distance(points_m)
-    np.testing.assert_allclose(window.obstacles.signed_distance(points_m), np.minimum(exact_m, 0.3), atol=1e-9)
-    assert (exact_m < 0.3).any()
+    np.testing.assert_allclose(window.obstacles.signed_distance(points_m), np.minimum(exact_m, 0.08), atol=1e-9)
+    assert (exact_m < 0.08).any()

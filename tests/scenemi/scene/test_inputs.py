@@ -66,15 +66,6 @@ def test_voxels_of_boxes_agree_with_the_general_way(grid: GridSpec) -> None:
     np.testing.assert_array_equal(boxes.occupancy(grid), occupancy(SceneGeometry.of(boxes), np.eye(4), grid))
 
 
-def test_hollow_boxes_are_their_mesh() -> None:
-    boxes = Boxes(np.array([[0.1, 0.9, -0.4]]), np.array([[0.5, 0.4, 0.3]]), np.array([0.6]))
-    mesh = trimesh.creation.box(2 * boxes.half_m[0])
-    mesh.apply_transform(trimesh.transformations.rotation_matrix(0.6, [0, 1, 0])).apply_translation(boxes.center_m[0])
-    surface = occupancy(SceneGeometry.from_mesh(mesh.vertices, mesh.faces), np.eye(4))
-    np.testing.assert_array_equal(boxes.occupancy(hollow=True), surface)
-    assert boxes.occupancy().sum() > surface.sum()
-
-
 def test_box_distances_against_their_surface() -> None:
     rng = np.random.default_rng(5)
     boxes = Boxes(rng.uniform(-1, 1, (4, 3)), rng.uniform(0.1, 0.5, (4, 3)), rng.uniform(-3, 3, 4))

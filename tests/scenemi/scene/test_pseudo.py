@@ -4,40 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from scene_motions import Window, procedural_window
 
-from scenemi.scene.basis_points import bps
 from scenemi.scene.body_spheres import BodySpheres, adult_spheres, fit_spheres
+from scenemi.scene.boxes import Boxes
 from scenemi.scene.furniture import FURNITURE, Piece, doorway, wall
-from scenemi.scene.pseudo import SyntheticScene, SyntheticSceneConfig, SyntheticScenes
-from scenemi.scene.scan_noise import ScanNoise
-from scenemi.scene.voxels import occupancy
+from scenemi.scene.pseudo import SyntheticSceneConfig, SyntheticScenes
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.motion import BodyShape
 
-CLEAN = SyntheticSceneConfig(empty_share=0.0, hollow_share=0.0, noise=ScanNoise.none())
-TIGHT = replace(CLEAN, clearance_m=((1.0, 0.0, 0.0),), wall_room_m=0.0, loose_share=0.0, furniture=(5, 8))
+FULL = SyntheticSceneConfig(empty_share=0.0)
+TIGHT = replace(FULL, clearance_m=((1.0, 0.0, 0.0),), wall_room_m=0.0, loose_share=0.0, furniture=(5, 8))
 DEEPEST_M = 0.02
 
 
-def draw(
-    window: Window, seed: int, config: SyntheticSceneConfig = CLEAN, spheres: BodySpheres | None = None
-) -> SyntheticScene:
+class Scene(NamedTuple):
+    kinds: tuple[str, ...]
+    boxes: Boxes
+
+
+def draw(window: Window, seed: int, config: SyntheticSceneConfig = FULL, spheres: BodySpheres | None = None) -> Scene:
     rng = np.random.default_rng(seed)
-    return SyntheticScenes(config).draw(
+    named = SyntheticScenes(config).solids(
         rng, window.joints_m, window.R_world_joint, window.anchors_m, window.contact, spheres=spheres
     )
+    return Scene(tuple(kind for kind, _ in named), Boxes.joined(boxes for _, boxes in named))
 
 
 @pytest.mark.parametrize("name", ["walk", "sit", "step_up"])
 def test_no_skin_is_deep_in_the_tightest_scenes(name: str, request: pytest.FixtureRequest) -> None:
     window: Window = request.getfixturevalue(name)
     skin_m = window.skin_m()
-    nearest_m = [float(draw(window, seed, TIGHT).signed_distance(skin_m, floor=False).min()) for seed in range(8)]
+    nearest_m = [float(draw(window, seed, TIGHT).boxes.signed_distance(skin_m).min()) for seed in range(8)]
     assert min(nearest_m) > -DEEPEST_M
     assert np.median(nearest_m) < 0.03, "tight scenes touch the body"
 
@@ -48,58 +51,43 @@ def test_no_skin_of_a_heavy_body_is_deep_either() -> None:
     skin_m = window.skin_m()
     for spheres in (None, fit_spheres(body)):
         for seed in range(4):
-            assert draw(window, seed, TIGHT, spheres).signed_distance(skin_m, floor=False).min() > -DEEPEST_M
+            assert draw(window, seed, TIGHT, spheres).boxes.signed_distance(skin_m).min() > -DEEPEST_M
 
 
 def test_scenes_constrain_the_path(walk: Window) -> None:
     skin_m = walk.skin_m()
-    nearest_m = np.array([draw(walk, seed).signed_distance(skin_m, floor=False).min() for seed in range(20)])
+    nearest_m = np.array([draw(walk, seed).boxes.signed_distance(skin_m).min() for seed in range(20)])
     assert (nearest_m < 0.08).mean() > 0.3
     assert (nearest_m > 0.2).any()
-
-
-def test_voxels_and_offsets_are_those_of_the_geometry(sit: Window) -> None:
-    for seed in range(3):
-        scene = draw(sit, seed)
-        np.testing.assert_array_equal(scene.occupancy, occupancy(scene.geometry(), np.eye(4)))
-        frames = [0, 60, 120]
-        expected = bps(scene.geometry(), sit.anchors_m[frames].astype(np.float64), np.eye(3))
-        error_m = np.linalg.norm(scene.bps[frames] - expected, axis=-1)
-        # Two solids equally near may be told apart by rounding.
-        assert np.quantile(error_m, 0.99) < 1e-4
-        np.testing.assert_allclose(
-            np.linalg.norm(scene.bps[frames], axis=-1), np.linalg.norm(expected, axis=-1), atol=1e-4
-        )
-        assert scene.bps.dtype == np.float32
 
 
 def test_one_seed_one_scene(walk: Window) -> None:
     config = SyntheticSceneConfig()
     first, again, other = (draw(walk, seed, config) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(first.occupancy, again.occupancy)
-    np.testing.assert_array_equal(first.bps, again.bps)
+    np.testing.assert_array_equal(first.boxes.center_m, again.boxes.center_m)
+    np.testing.assert_array_equal(first.boxes.half_m, again.boxes.half_m)
     assert first.kinds == again.kinds
-    assert first.kinds != other.kinds or not np.array_equal(first.occupancy, other.occupancy)
+    assert not np.array_equal(first.boxes.center_m, other.boxes.center_m)
 
 
 def test_who_sits_gets_a_seat(sit: Window) -> None:
     bottom_m = (adult_spheres().placed(sit.joints_m, sit.R_world_joint)[1] - adult_spheres().radius_m)[90].min()
     for seed in range(6):
-        scene = draw(sit, seed, replace(CLEAN, rest=replace(CLEAN.rest, hip_share=1.0)), adult_spheres())
+        scene = draw(sit, seed, replace(FULL, rest=replace(FULL.rest, hip_share=1.0)), adult_spheres())
         assert "seat" in scene.kinds
         hips_m = sit.body.vertices(sit.R_world_joint[90:91], sit.joints_m[90:91])[0]
         hips_m = hips_m[np.isin(sit.body.vertex_part, (0, 1, 2))]
-        assert -DEEPEST_M < scene.signed_distance(hips_m, floor=False).min() < 0.02
+        assert -DEEPEST_M < scene.boxes.signed_distance(hips_m).min() < 0.02
     assert bottom_m < 0.1, "the feet stand on the floor"
 
 
 def test_raised_feet_get_a_step(step_up: Window) -> None:
     high = int(step_up.joints_m[:, 10, 1].argmax())
     assert step_up.joints_m[high, 10, 1] > 0.15
-    scene = draw(step_up, 0, CLEAN, adult_spheres())
+    scene = draw(step_up, 0, FULL, adult_spheres())
     assert "step" in scene.kinds
     soles_m = step_up.skin_m(3)[:, np.isin(step_up.body.vertex_part, (7, 8, 10, 11))]
-    assert -DEEPEST_M < scene.signed_distance(soles_m, floor=False).min() < 0.02
+    assert -DEEPEST_M < scene.boxes.signed_distance(soles_m).min() < 0.02
 
 
 def test_walking_gets_no_supports(walk: Window) -> None:
@@ -108,32 +96,8 @@ def test_walking_gets_no_supports(walk: Window) -> None:
     assert kinds
 
 
-def test_empty_scenes_have_a_floor(walk: Window) -> None:
-    scene = draw(walk, 0, replace(CLEAN, empty_share=1.0))
-    assert len(scene.boxes) == 0
-    assert scene.occupancy[:, 0].all()
-    assert not scene.occupancy[:, 1:].any()
-    high_m = np.minimum(np.maximum(walk.anchors_m[..., 1], 0.0), 1.0)
-    np.testing.assert_allclose(-scene.bps[..., 1], high_m, atol=1e-5)
-
-
-def test_only_frames_asked_for_have_offsets(walk: Window) -> None:
-    wanted = np.zeros(len(walk.joints_m), bool)
-    wanted[[0, 50, 120]] = True
-    args = (walk.joints_m, walk.R_world_joint, walk.anchors_m)
-    some = SyntheticScenes(CLEAN).draw(np.random.default_rng(1), *args, bps_frames=wanted)
-    every = SyntheticScenes(CLEAN).draw(np.random.default_rng(1), *args)
-    np.testing.assert_array_equal(some.bps[wanted], every.bps[wanted])
-    assert not some.bps[~wanted].any()
-
-
-def test_scan_noise_tears_and_specks(walk: Window) -> None:
-    noise = replace(ScanNoise(), share=1.0)
-    for seed in range(3):
-        clean, noisy = (draw(walk, seed, replace(CLEAN, noise=n)) for n in (ScanNoise.none(), noise))
-        assert clean.kinds == noisy.kinds
-        changed = clean.occupancy != noisy.occupancy
-        assert 0 < changed[:, 1:].mean() < 0.3
+def test_empty_scenes_hold_nothing(walk: Window) -> None:
+    assert not draw(walk, 0, replace(FULL, empty_share=1.0)).kinds
 
 
 def test_balls_stay_near_the_skin(adult: ShapedBody, walk: Window) -> None:
