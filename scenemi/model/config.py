@@ -56,13 +56,13 @@ class PaperConfig:
     groups: Size = 8
     embedding: Size = 512
     bps_anchors: Size = BPS_ANCHORS
-    local_channels: Size = 256
+    local_channels: Size = width
     """Channels of the embedded local scene."""
     grid: tuple[Size, Size, Size] = GRID_SHAPE
     voxel_m: Annotated[float, Field(gt=0, le=1)] = VOXEL_M
     patch: tuple[Size, Size, Size] = (8, 8, 8)
     """Size of a token of the scene encoder."""
-    scene_width: Size = 512
+    scene_width: Size = embedding
     scene_layers: Size = 12
     scene_heads: Size = 8
     use_body: bool = True

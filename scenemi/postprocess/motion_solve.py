@@ -29,6 +29,7 @@ from jaxtyping import Bool, Float, Int
 from scenemi.postprocess.block_band import BlockBand, solve_together
 from scenemi.postprocess.skin import PARTS, skin_of
 from scenemi.postprocess.solids import Solids
+from scenemi.windows import WINDOW_FRAMES
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from video2anim.types.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 
@@ -37,13 +38,6 @@ if TYPE_CHECKING:
 
 JOINTS = len(PARENTS)
 UNKNOWNS = 3 + 3 * JOINTS
-TURNED_BY = np.zeros((JOINTS, 3 * JOINTS))
-"""[j, 3 a + axis]: 1 where turning joint a moves points of joint j: a is j or one of its ancestors."""
-for _joint in range(JOINTS):
-    _at = _joint
-    while _at >= 0:
-        TURNED_BY[_joint, 3 * _at : 3 * _at + 3] = 1.0
-        _at = int(PARENTS[_at])
 STANDING = tuple(JOINT_INDEX[name] for name in ("left_ankle", "right_ankle", "left_foot", "right_foot"))
 TRUNK = tuple(JOINT_INDEX[name] for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head"))
 
@@ -163,7 +157,7 @@ class _Person:
 
     def __init__(self, given: SceneMotion, solids: Solids, config: SolveConfig) -> None:
         self.given, self.config = given, config
-        self.solids = replace(solids, reach_m=config.touch_reach_m + _PART_M)
+        self.solids = replace(solids, reach_m=2 * config.touch_reach_m)  # of one part some points are farther
         self.rest_m = given.rest_joints_m
         self.shift_m = np.zeros_like(given.translation_world_m)
         self.turn_rad = np.zeros((len(self.shift_m), JOINTS, 3))
@@ -201,8 +195,9 @@ class _Person:
         band.right -= self.hold * now
         band.add_second_difference(now, self.stiffness)
         self._stance(band, joints_m, R_world_joint)
-        for start in range(0, len(joints_m), _CHUNK_FRAMES):
-            frames = slice(start, start + _CHUNK_FRAMES)
+        for start in range(0, len(joints_m), WINDOW_FRAMES):
+            # More at once are not faster, and the memory of their rows stays below 50 MB.
+            frames = slice(start, start + WINDOW_FRAMES)
             if self.given.targets is not None:
                 self._targets(band, self.given.targets, frames, joints_m[frames], R_world_joint[frames])
             if self.given.picture is not None:
@@ -312,14 +307,22 @@ class _Person:
 MAX_TURN_RAD = 0.5
 """Largest turn of a joint in an iteration: beyond, the linear model is off by more than an eighth. Without it the solve
 may run away where hands are to be at the knees while both feet are pinned (`gallery/hands.json`)."""
-_CHUNK_FRAMES = 128
-"""Frames whose rows are held at once: more are not faster, and their memory stays below 50 MB."""
-_PART_M = 0.1
-"""The nearest skin points of a touching part differ in distance by less."""
 TOUCHING_POINTS = 5
 """Nearest skin points of a touching part that are brought to the surface."""
 DEEPEST_POINTS = 12
 """Skin points of a frame that are brought out of solids."""
+
+
+def _turned_by() -> Float[np.ndarray, "22 66"]:
+    """[j, 3 a + axis]: 1 where turning joint a moves points of joint j: a is j or one of its ancestors."""
+    turned = np.eye(JOINTS)
+    for joint, parent in enumerate(PARENTS):  # parents come first
+        if parent >= 0:
+            turned[joint] += turned[parent]
+    return np.repeat(turned, 3, axis=1)
+
+
+TURNED_BY = _turned_by()
 
 
 def rows_along(
