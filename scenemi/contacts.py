@@ -24,6 +24,7 @@ class ContactConfig:
     """Least and largest speed below which a contact begins, the two above which a foot is said to skate; between them
     it is `speed_factor` times the clip's own stance speed."""
     speed_factor: float = 2.5
+    """A foot in stance is slower than so many times its usual (30th percentile) speed (not measured)."""
     release: float = 1.4
     """A contact ends where speed or height exceeds its limit this many times."""
     toe_height_m: float = 0.035
@@ -33,6 +34,7 @@ class ContactConfig:
     floor_band_m: tuple[float, float] = (-0.04, 0.15)
     """How far the local floor may wander from the clip's (sources float and sink)."""
     floor_window_s: float = 1.5
+    """Seconds in which the floor's height is sought: a foot stands at least once (not measured)."""
     shortest_s: float = 0.08
     """Shorter contacts are dropped, shorter gaps closed."""
     drift_m: float = 0.08

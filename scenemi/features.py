@@ -52,6 +52,7 @@ MIN_STD = np.where(np.isin(np.arange(FEATURE_COUNT), np.r_[ROTATIONS]), 0.1, 0.0
 """Columns that hardly vary in most clips (collars, say) are not blown up where they do: meters, and 6D entries (0.1 is
 6 degrees)."""
 _MIN_BODY_STD = 0.01
+"""Meters: one body alone has no deviation."""
 LYING = 0.1
 """A root that faces up or down within this (sine) also counts by where its head points."""
 

@@ -24,11 +24,17 @@ UP = 1
 TOE_CONTACT_M = 0.05
 """A toe below this touches the floor (`gmd` and `kimodo`)."""
 GMD_SPEED_M_S = 0.50
+"""Karunratanakul et al. 2023, as `GMD_WINDOW_FRAMES`."""
 GMD_WINDOW_FRAMES = 5
+"""Frames over which the speed is averaged."""
 KIMODO_SPEED_M_S = 0.20
+"""As in kimodo's metric."""
 ROHM_ANKLE_HEIGHT_M = 0.15
+"""RoHM (Zhang et al. 2024), with the two below."""
 ROHM_TOE_HEIGHT_M = 0.10
+"""See above."""
 ROHM_SPEED_M_S = 0.10
+"""See above."""
 STANCE_SPEED_M_S = 0.3
 """A low foot slower than this stands."""
 INSIDE_M = 0.01

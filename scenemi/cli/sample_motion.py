@@ -21,6 +21,7 @@ from video2anim.errors import UsageError
 from video2anim.types.skeleton import forward_kinematics
 
 _BODY_TOLERANCE_M = 1e-3
+"""Joints as near as this to those of a shape are its own: files hold them in single precision (not measured)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

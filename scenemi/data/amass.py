@@ -18,6 +18,7 @@ from video2anim.errors import InputError
 
 _NAMES = ("poses", "root_orient", "pose_body", "trans", "mocap_framerate", "mocap_frame_rate")
 _MODELS: dict[int, SmplModel] = {72: "smpl", 156: "smplh", 165: "smplx"}
+"""By how many pose parameters the files have."""
 
 
 def read_amass(path: str | Path, *, kind: str = "unknown") -> SourceClip:

@@ -33,6 +33,7 @@ class WarpConfig:
     """A smooth random speed."""
 
     slowest: float = 0.8
+    """Of the speed, and `fastest` the inverse: people walk at 0.8 to 1.25 times their usual speed (not measured)."""
     fastest: float = 1 / slowest
     longest_wave_frames: float = 600.0
     shortest_wave_frames: float = 120.0

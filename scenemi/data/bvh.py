@@ -31,6 +31,7 @@ from video2anim.geometry.rotations import continuous_quaternions
 STRETCH = 0.02
 """Bones may change their length by this share of the leg; beyond, the file cannot be a skeleton of fixed lengths."""
 _MAX_JOINTS, _MAX_CHANNELS = 2000, 6
+"""Of one file and of one joint: far more than bodies with hands and faces have; six is all that BVH has."""
 _CHANNEL = re.compile(r"^([XYZ])(position|rotation)$", re.IGNORECASE)
 
 

@@ -30,6 +30,7 @@ _WHAT = "motion archive"
 SPLIT_PARTS = ("train", "val", "test")
 _UNIT = float(np.iinfo(np.int16).max)
 _ROUNDING_PASSES = 10
+"""Without a limit a rotation between two steps could go back and forth (not measured)."""
 _ROTATION, _ROOT, _LICENSE = "rot", "root_pos", "clip_license"
 _TEXTS = ("clip_name", "clip_source", "clip_kind", "clip_desc", "clip_origin", "skel_name", "skel_joint")
 _NUMBERS = (

@@ -20,6 +20,7 @@ from video2anim.types.skeleton import forward_kinematics
 _NOMINAL_CAMERA_M = (0.0, 1.2, -4.0)
 """Place of the camera that is written for a motion without one; it looks along +Z."""
 _NOMINAL_INTRINSICS = Intrinsics.centered(600.0, 640, 480)
+"""A usual lens, in pixels."""
 
 
 def write_motion(

@@ -18,16 +18,21 @@ from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_ax
 from video2anim.geometry.runs import runs
 
 _MAX_ROLL_RAD = 0.7
+"""Sideways, 40 degrees: beyond, a foot lies on its edge (not measured)."""
 _PITCH_RAD = (-0.9, 1.4)
 """Attitudes in which a foot can stand at all; toes down is positive. A lying foot is left alone."""
 _FLAT_PITCH_RAD = 0.10
 """Beyond this a foot whose ball is down has its heel up, and one whose heel is down its toes."""
 _PITCH_FADE_FRAMES = 5
+"""Frames beside flat ones in which the pitch fades, a sixth of a second (not measured)."""
 _TOE_BEND = 1.5
 """Toe bend for each radian the heel rises: the mesh's toes follow the toe joint by half."""
 _MAX_TOE_BEND_RAD = 0.95
+"""Toes bend by 55 degrees at most (not measured)."""
 _SLACK = 0.01
+"""Share of the leg: so short of straight a leg counts half as much as a straight one (not measured)."""
 _LIFT_FRAMES = 4
+"""Frames in which a foot is lifted ahead of where the floor asks for it (not measured)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,6 +30,7 @@ from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.clip import FPS
 
 _VOXEL_M, _DEPTH_M = 0.03, 0.1
+"""Edge of a voxel, and depth that is solid behind a scan (not measured)."""
 _ARRAYS = ("frame", "orient", "trans", "pose_body")
 
 

@@ -115,6 +115,7 @@ CONVENTIONS: tuple[Convention, ...] = (
         ("{}Hip", "{}Knee", "{}Ankle", "{}Toe", "{}Collar", "{}Shoulder", "{}Elbow", "{}Wrist"),
     ),
 )  # fmt: skip
+"""Names of joints by program; numbers are parts of names."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,13 +22,16 @@ from video2anim.geometry.rotations import (
 from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
 
 _MAX_LEG_RAD = np.radians(30)
+"""Thigh and shin of an upright rest pose from straight down (not measured)."""
 _MAX_ELBOW_RAD = np.radians(45)
+"""Bend of the elbows in a rest pose (not measured)."""
 _SNAP_RAD = np.radians(20)
 """A trunk so near to an axis of the file counts as upright along it."""
 _BONES = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 _SPINE = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")
 _SIDES = ("left", "right")
 _HEAD_SHARE, _COLLAR_SHARE = 0.2, 0.35
+"""Of the trunk for head above neck, of the way from chest to shoulder for the collar (not measured)."""
 
 
 def body_axes(named_m: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "3 3"]:

@@ -39,6 +39,7 @@ _PARTS = ("global_orient", "body_pose", "transl")
 _FARTHEST_M = 20.0
 """Fits that went wrong lie far off."""
 _BIN_M = 0.02
+"""Of the histogram of floor heights: about the step of the distance grid."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

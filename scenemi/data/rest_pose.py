@@ -58,6 +58,7 @@ def _turned(x: float, y: float = 0.0, z: float = 0.0) -> Float[np.ndarray, "3 3"
 
 
 _SAME = np.eye(3)
+"""Axes as those of our body."""
 _BANDAI_SPINE = _columns((0, 0, 1), (1, 0, 0), (0, 1, 0))
 _FAMILIES = (
     Family(
@@ -154,6 +155,7 @@ _FAMILIES = (
         ((0.0, 1.0, 0.0), (0.0, 1.0, 0.0)),
     ),
 )
+"""Directions of joint axes, from the files of each family at rest."""
 
 
 def rest_axes(skeleton: SourceSkeleton) -> Float[np.ndarray, "22 3 3"]:

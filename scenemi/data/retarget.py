@@ -29,6 +29,7 @@ from video2anim.types.skeleton import JOINT_INDEX, PARENTS
 _CHAINS = (("pelvis", "spine1", "spine2", "spine3"), ("spine3", "neck", "head"))
 """Joints without a source between joints with one turn in equal shares."""
 _FLAT_FRAMES = 5
+"""With so many flat frames half of the tilt is believed: few frames may be a step on an edge (not measured)."""
 _FLOOR_TOE_M = 0.10
 """Toe joints of feet on the capture floor are at most this high (measured: 0.02 to 0.045 m); mats begin at 0.21 m."""
 _SAME_LEVEL_M = 0.06

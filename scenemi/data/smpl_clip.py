@@ -27,8 +27,11 @@ PELVIS_M = MEAN_PELVIS_M
 """The translation parameter moves the origin of the model's own frame, so the pelvis lies here off it."""
 R_Y_UP_Z_UP: np.ndarray = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 _SCALES = (0.85, 1.15)
+"""Sizes of people over the middle adult's: 1.45 to 1.95 m."""
 _TOE_CLEARANCE_M = 0.02
+"""Toe joint above the sole (0.02 to 0.045 m in captured clips)."""
 _SLOW_M_S = 0.15
+"""A toe slower than this may stand (not measured)."""
 
 
 def smpl_clip(

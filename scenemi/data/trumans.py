@@ -24,7 +24,9 @@ from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.clip import FPS
 
 _LOW_M = np.array([-3.0, 0.0, -4.0])
+"""Lowest corner of the grids, which lie about x = z = 0."""
 _GRID = (300, 100, 400)
+"""Voxels along x, y, z."""
 _VOXEL_M = -2 * float(_LOW_M[0]) / _GRID[0]
 
 

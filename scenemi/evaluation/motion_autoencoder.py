@@ -23,6 +23,7 @@ from video2anim.errors import InputError
 FORMAT = "scenemi-fid-1"
 CHANNELS = FEATURE_COUNT + WIDTHS[-1]
 _BATCH = 64
+"""Windows at once (not measured)."""
 _MIN_STEP_M = 0.005
 """Steps of joints that hardly move in the training windows are not blown up."""
 
@@ -32,7 +33,9 @@ class AutoencoderConfig:
     """Sizes."""
 
     width: int = 64
+    """Channels of the first layer."""
     kernel: int = 5
+    """Frames."""
     code: int = 32
     """Number of features. The covariance of fewer windows than this is singular, so it is small."""
     frames: int = WINDOW_FRAMES

@@ -18,6 +18,7 @@ from scenemi.scene.pseudo import SyntheticSceneConfig, SyntheticScenes
 from video2anim.types.skeleton import forward_kinematics
 
 SCENE_SEED = 20_251
+"""Any number: another one makes other scenes, and numbers that do not compare with those published."""
 EVALUATION_SCENES = SyntheticSceneConfig(empty_share=0.0)
 """Scenes of training, but never empty: a window without anything to hit tells nothing of collisions."""
 

@@ -18,8 +18,10 @@ from video2anim.types.skeleton import forward_kinematics
 SKIN_VERTICES = 1500
 """About how many vertices of the skin are tested against the scene (every k-th one)."""
 BOOTSTRAP_DRAWS = 1000
+"""As many as intervals want (Efron and Tibshirani 1993)."""
 FEET = [*metrics.ANKLES, *metrics.TOES]
 _CUTOFF_HZ = 8.0
+"""Cutoffs for gait are 4 to 8 Hz (Winter 2009)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,9 @@ class ModelConfig:
     width: Size = 320
     """Channels of a token."""
     layers: Size = 6
+    """Of the transformer."""
     heads: Size = 10
+    """Of its attention."""
     fold: Size = 8
     """Frames of a token: 8 frames are a quarter of a second, which the keyframes' curve tells well already."""
     embedding: Size = 256
@@ -53,8 +55,11 @@ class PaperConfig:
     multipliers: Annotated[tuple[Size, ...], Field(min_length=1, max_length=8)] = (2, 2, 2, 2)
     """Channels of each level in units of `width`; each level below the first halves the frame rate."""
     kernel: Size = 5
+    """Frames of a convolution."""
     groups: Size = 8
+    """Of the normalization."""
     embedding: Size = 512
+    """Channels that carry diffusion step, body and scene."""
     bps_anchors: Size = BPS_ANCHORS
     local_channels: Size = width
     """Channels of the embedded local scene."""
@@ -64,7 +69,9 @@ class PaperConfig:
     """Size of a token of the scene encoder."""
     scene_width: Size = embedding
     scene_layers: Size = 12
+    """Of the scene's encoder."""
     scene_heads: Size = 8
+    """Of its attention."""
     use_body: bool = True
     use_global: bool = True
     use_local: bool = True

@@ -10,8 +10,11 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 STEPS = 1000
+"""T of the paper."""
 _OFFSET = 0.008
+"""Nichol and Dhariwal 2021, section 3.2, as `_MAX_BETA`."""
 _MAX_BETA = 0.999
+"""Largest share of noise in a step."""
 
 
 class CosineSchedule:

@@ -24,6 +24,7 @@ def _levels() -> tuple[tuple[list[int], list[int]], ...]:
 LEVELS = _levels()
 """Joints below the root by depth, with their parents."""
 _MIN_NORM = 1e-6
+"""Of a 6D column, so that zeros make no NaN."""
 
 
 def matrices(rot6d: Float[Tensor, "... 6"]) -> Float[Tensor, "... 3 3"]:

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 JOINTS = len(PARENTS)
 UNKNOWNS = 3 + 3 * JOINTS
+"""Of a frame: way of the root, turns of the joints."""
 STANDING = tuple(JOINT_INDEX[name] for name in ("left_ankle", "right_ankle", "left_foot", "right_foot"))
 TRUNK = tuple(JOINT_INDEX[name] for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head"))
 
@@ -78,6 +79,7 @@ class SolveConfig:
     contact_threshold: float = 0.5
     """Probability from which a part touches; it weighs the residual too."""
     iterations: int = 8
+    """Of Gauss-Newton; 16 with partial keyframes (`scenemi.postprocess.in_scene.OBSERVED`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

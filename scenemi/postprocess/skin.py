@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 PARTS = tuple(TOUCHING_PARTS.values())
 _SPREAD_POINTS, _PART_POINTS = 500, 100
+"""Of the whole skin, and of each part that touches: about 6 cm and 2 cm apart."""
 
 
 @lru_cache(maxsize=8)

@@ -13,6 +13,7 @@ from video2anim.body.shaped_body import ShapedBody
 from video2anim.types.motion import BodyShape
 
 BPS_ANCHORS = 64
+"""Of the paper (3.1)."""
 BPS_REACH_M = 1.0
 """Longer offsets are shortened to this."""
 

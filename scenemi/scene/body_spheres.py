@@ -15,11 +15,13 @@ from video2anim.types.motion import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX
 
 _SKIN_SAMPLES = 1500
+"""Points of the skin that are covered, some 3 cm apart."""
 _SLACK_M = 0.013
 """Skin farther outside of a sphere than this is not covered by it."""
 _GROWTH_M = 0.006
 """Spheres are larger by this than those that fit inside the skin."""
 _MAX_RADIUS_M = 0.12
+"""Half the depth of a trunk."""
 _HEAD_SKIN_M = 0.02
 """The head's skin lies this near its convex hull."""
 _SEED = 0

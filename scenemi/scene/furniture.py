@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 _LEG_HALF_M = 0.025
+"""Half the thickness of a leg of furniture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

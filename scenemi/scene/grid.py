@@ -7,9 +7,11 @@ from jaxtyping import Float
 from scipy.ndimage import distance_transform_edt
 
 from scenemi.scene.geometry import SceneGeometry
+from scenemi.scene.voxels import VOXEL_M
 from video2anim.geometry.sdf import SdfGrid
 
-SPACING_M = 0.05
+SPACING_M = VOXEL_M / 2
+"""Of nodes."""
 AROUND_M = 0.5
 """How far from the path solids are known."""
 REACH_M = 0.6

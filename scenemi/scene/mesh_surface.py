@@ -14,8 +14,11 @@ if TYPE_CHECKING:
     import trimesh
 
 _SAMPLE_STEP_M = 0.08
+"""Longest edge of a piece; see the numbers of `MeshSurface`."""
 _MAX_SAMPLES = 400_000
+"""Of one mesh: bounds memory and search (not measured)."""
 _FEW_SAMPLES, _MANY_SAMPLES = 8, 48
+"""Nearest samples whose triangles are tried, first and where those may not do; see `MeshSurface`."""
 _RADIUS_PER_STEP = 2 / 3
 """A centroid is at most this share of the longest edge away from any point of its triangle."""
 _WELD_DIGITS = 5

@@ -22,11 +22,13 @@ from video2anim.types.clip import FPS
 
 _QUARTER = np.pi / 2
 _BEYOND_M = 3.0
+"""Depth behind a wall in which nothing stands: more than the model sees (2.4 m)."""
 _SNUG_M = 0.01
 """Supports are put against spheres smaller by this, which end where the skin does."""
 _THIN_M = 0.012
 """Anchors may lie this far outside of the spheres before these are made larger."""
 _THICKEST_M = 0.1
+"""By which spheres are made larger at most: bodies of other shapes differ by up to 7 cm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,7 @@ class SyntheticSceneConfig:
     loose_share: float = 0.3
     """Share of scenes in which all gaps are larger, by up to `loosest_m`."""
     loosest_m: float = 0.5
+    """See above (not measured)."""
     enclosed_share: float = 0.25
     """Share of pieces put at any free place of their line, such as inside a curve of the path, not at the nearest."""
     wall_room_m: float = 1.0

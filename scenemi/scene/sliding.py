@@ -16,9 +16,12 @@ from scenemi.scene.boxes import Boxes
 from scenemi.scene.furniture import Piece
 
 _STEP_M = 0.01
+"""From place to place on a line."""
 _REACH_M = 5.0
+"""Of a line to each side: walks of a window are shorter."""
 _BINS = round(2 * _REACH_M / _STEP_M)
-_PIECES_APART_M = 0.02
+_PIECES_APART_M = 2 * _STEP_M
+"""Between pieces of furniture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +99,7 @@ def places_m() -> Float[np.ndarray, "places"]:
 
 
 _PLACES_M = _STEP_M * (np.arange(_BINS) + 0.5) - _REACH_M
+"""Middles of the steps."""
 
 
 def _block(change: np.ndarray, start_m: np.ndarray, stop_m: np.ndarray) -> None:

@@ -33,6 +33,7 @@ class RestConfig:
     """What counts as resting."""
 
     slowest_m_s: float = 0.15
+    """A joint slower than this rests (not measured)."""
     pelvis_frames: int = 12
     """Shortest rest of the hips, and `foot_frames` and `hand_frames` of feet and hands."""
     foot_frames: int = 6
@@ -44,6 +45,7 @@ class RestConfig:
     raised_m: float = 0.07
     """Feet higher than this stand on a step; hips and trunks are carried by furniture above twice this."""
     hand_height_m: tuple[float, float] = (0.4, 1.2)
+    """Of tables and counters, from low to a bar."""
     hand_share: float = 0.5
     """Share of still hands that get a table."""
     hip_share: float = 0.9

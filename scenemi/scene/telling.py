@@ -20,7 +20,9 @@ _FRAME_STEP = 2
 _NEIGHBORS = 8
 """Sphere centers looked at for the distance to the sweep: spheres differ in size, the nearest center is not enough."""
 _TRIES = 18
+"""Places tried for a solid; it shrinks after every four."""
 _CLEARANCE_M = (0.01, 0.06)
+"""Least gap to the body, from and to: from touching to the thickness of clothes (not measured)."""
 _FORMS: tuple[tuple[str, float, tuple[float, float]], ...] = (
     ("post", 0.3, (0.03, 0.15)), ("cabinet", 0.3, (0.15, 0.45)), ("carton", 0.2, (0.08, 0.3)),
     ("board", 0.2, (0.05, 0.35)),

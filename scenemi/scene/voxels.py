@@ -12,6 +12,7 @@ from scenemi.scene.geometry import SceneGeometry
 GRID_SHAPE = (48, 24, 48)
 """Voxels along x, y, z of the canonical frame."""
 VOXEL_M = 0.1
+"""Edge (paper 3.1)."""
 EDGE_TOLERANCE_M = 1e-4
 """So that a floor at y = 0, exactly this far below the lowest centers, fills the lowest layer."""
 

@@ -25,6 +25,7 @@ class TrainConfig:
 
     model: AnyConfig = field(default_factory=lambda: SIZES["small"])
     batch: Annotated[int, Field(ge=1, le=65_536)] = 32
+    """Windows whose gradients are taken at once (not measured)."""
     parts: Annotated[int, Field(ge=1, le=1024)] = 2
     """Batches of a step, whose gradients are averaged. On a CPU with more threads than one each batch has a process of
     its own: 66 windows/s on one core, 115 on two (`benchmarks/scenemi/training_speed.py`)."""
@@ -32,7 +33,9 @@ class TrainConfig:
     """Rises over `warmup` steps and stays (paper: 1e-4 at batch 256): the end of a run is not known. The average of
     weights that ships needs no fall; `cool` makes one on demand."""
     warmup: Count = 150
+    """Steps (not measured)."""
     weight_decay: Weight = 1e-2
+    """Of the paper."""
     ema: Annotated[float, Field(gt=0, le=0.25)] = 0.1
     """Width of the weights' moving average as a share of the steps so far (Karras et al. 2024); the paper's constant
     decay 0.9999 suits one length of run only."""
@@ -84,10 +87,13 @@ class TrainConfig:
     workers: Annotated[int, Field(ge=0, le=1024)] = 1
     """Threads that make batches ahead."""
     log_every: Some = 50
+    """Steps from line to line of `log.csv`: a minute and a half at 36 windows/s."""
     save_every: Some = 300
+    """Steps between two checkpoints: nine minutes at 36 windows/s."""
     grow_every: Some = 500
     """Steps between two shards of the pool, until it has all its windows."""
     validate_every: Some = 1000
+    """Steps between two validations (not measured)."""
 
     @property
     def step_windows(self) -> int:

@@ -35,6 +35,7 @@ from scenemi.training.runs import RunFiles
 from video2anim.errors import MAX_BYTES, InputError, one_line
 
 PIECE_BYTES = 16 * 2**20
+"""Of a file of a pack: what can be sent as an attachment."""
 _SETTINGS, _MOTION, _STATE = "run.json", "motion", "state"
 _LEVELS = torch.iinfo(torch.int8).max
 

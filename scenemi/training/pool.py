@@ -34,6 +34,7 @@ from video2anim.errors import InputError
 from video2anim.types.skeleton import forward_kinematics
 
 SHARD_WINDOWS = 1024
+"""Made at once: 50 MB of features."""
 _MAX_UNITS = np.iinfo(np.int16).max
 UNITS_PER_METER = 8192.0
 """Integer steps of a stored feature: windows reach 4 m, and an eighth of a millimeter is far below any noise."""

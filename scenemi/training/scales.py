@@ -19,6 +19,7 @@ from scenemi.training.batches import Batch
 from scenemi.training.noise import noisy_features
 
 _MIN_VIEW = 0.1
+"""Least deviation of an input, as `scenemi.features.MIN_STD` of 6D entries."""
 _SMOOTHING = 3
 """Distances averaged over: far ones are rare."""
 

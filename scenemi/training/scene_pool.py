@@ -42,6 +42,7 @@ nodes are 4 cm apart for who sits or reaches and some 10 cm for who crosses a ro
 _AROUND_M = REACH_M
 """How far the box reaches around the joints."""
 _STEPS_M = (0.04, 0.12)
+"""Least and largest step of the nodes."""
 _KEPT_M = 0.8
 """How far distances of a scene are kept: beyond the reach of a field, because small bodies make a scene smaller."""
 _SCENE_STEP_M = _KEPT_M / VOLUME_LEVELS

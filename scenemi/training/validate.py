@@ -28,8 +28,10 @@ from video2anim.types.skeleton import forward_kinematics
 
 SCENE_INTERVAL = KEYFRAME_INTERVALS[-1]
 _WINDOWS = 96
+"""Of the validation clips (not measured)."""
 _SAMPLER = SamplerConfig()
 _SCENE_SEED = 77
+"""Any number."""
 
 
 @dataclass(frozen=True, slots=True)
