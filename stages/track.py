@@ -17,12 +17,8 @@ if TYPE_CHECKING:
     from video2anim.networks.blazepose import PoseEstimate
     from video2anim.tracking.tracker import Track
 
-LANDMARKS = 33
-MASK_SIZE = 64
-_MIN_MEAN_SCORE = 0.7
 _MIN_MEAN_VISIBILITY = 0.5
-_MIN_MEAN_VISIBILITY_SHORT = 0.7
-"""For tracks of less than a second, which may be a mixture of two bodies at an occlusion."""
+"""Mean probability that a landmark is seen, over a track of somebody. Not measured."""
 _PERSON = r"^(largest|all|\s*[0-9]{1,9}\s*)$"
 
 
@@ -91,12 +87,14 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
 
 
 def _is_person(track: Track, min_frames: int, sure_frames: int) -> bool:
-    """Whether a track is long and convincing enough; a short appearance has to be the more convincing one."""
+    """Whether a track is long and convincing enough; one of less than a second, which may be a mixture of two bodies at
+    an occlusion, has to be as convincing as somebody new."""
+    from video2anim.tracking.person_detection import MIN_VISIBILITY_NEW
+
     estimates = track.estimates.values()
-    mean_score = float(np.mean([found.presence for found in estimates]))
     mean_visibility = float(np.mean([found.visibility.mean() for found in estimates]))
-    min_visibility = _MIN_MEAN_VISIBILITY if len(estimates) >= sure_frames else _MIN_MEAN_VISIBILITY_SHORT
-    return len(estimates) >= min_frames and mean_score >= _MIN_MEAN_SCORE and mean_visibility >= min_visibility
+    min_visibility = _MIN_MEAN_VISIBILITY if len(estimates) >= sure_frames else MIN_VISIBILITY_NEW
+    return len(estimates) >= min_frames and mean_visibility >= min_visibility
 
 
 def _ranked(tracks: list[Track]) -> list[Track]:
@@ -112,14 +110,15 @@ def _area(found: PoseEstimate) -> float:
 def _to_arrays(track: Track, person_id: int) -> PersonTrack:
     """Rows from the first frame to the last that shows the person."""
     first = min(track.estimates)
+    one = track.estimates[first]
     count = max(track.estimates) - first + 1
     valid = np.zeros(count, bool)
     score = np.full(count, np.nan)
     box_px = np.full((count, 4), np.nan)
-    landmarks_px = np.full((count, LANDMARKS, 2), np.nan)
-    landmarks_m = np.full((count, LANDMARKS, 3), np.nan)
-    visibility = np.full((count, LANDMARKS), np.nan)
-    mask_crop = np.zeros((count, MASK_SIZE, MASK_SIZE), np.uint8)
+    landmarks_px = np.full((count, *one.landmarks_px.shape), np.nan)
+    landmarks_m = np.full((count, *one.landmarks_m.shape), np.nan)
+    visibility = np.full((count, *one.visibility.shape), np.nan)
+    mask_crop = np.zeros((count, *one.mask_crop.shape), np.uint8)
     T_image_crop = np.full((count, 2, 3), np.nan)
     for frame, found in track.estimates.items():
         row = frame - first
@@ -146,4 +145,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=7, models=("pose",))
+STAGE = StageSpec("track", track_people, version=8, models=("pose",))

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from synthetic import planted_walk
 
-from video2anim.humans.landmarks import BLAZEPOSE_OF_KEYPOINT, LANDMARK_ORDER
+from video2anim.humans.landmarks import LANDMARK_ORDER
 from video2anim.humans.problem import FittedBody, Observations
 from video2anim.humans.quality import bone_spread, person_quality
+from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT
 from video2anim.types import BodyMotion, Intrinsics, PersonQuality, PersonTrack
 
 FRAMES, FPS = 60, 30.0

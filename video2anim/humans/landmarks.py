@@ -1,20 +1,11 @@
-"""Which BlazePose landmark is which point of the body."""
+"""BlazePose landmarks in the order of the body's keypoints."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from video2anim.body.anny_body import KEYPOINT_NAMES
-
-BLAZEPOSE_OF_KEYPOINT: dict[str, int] = {
-    "nose": 0, "left_eye": 2, "right_eye": 5, "left_ear": 7, "right_ear": 8,
-    "left_shoulder": 11, "right_shoulder": 12, "left_elbow": 13, "right_elbow": 14,
-    "left_wrist": 15, "right_wrist": 16, "left_pinky": 17, "right_pinky": 18,
-    "left_index": 19, "right_index": 20, "left_hip": 23, "right_hip": 24,
-    "left_knee": 25, "right_knee": 26, "left_ankle": 27, "right_ankle": 28,
-    "left_heel": 29, "right_heel": 30, "left_big_toe": 31, "right_big_toe": 32,
-}  # fmt: skip
-"""BlazePose GHUM landmark numbers (model card of BlazePose GHUM 3D)."""
+from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT
 
 LANDMARK_ORDER: np.ndarray = np.array([BLAZEPOSE_OF_KEYPOINT[name] for name in KEYPOINT_NAMES])
 """Picks, from 33 landmarks, those of the body's keypoints in their order."""

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from scenemi import metrics
-from video2anim.humans.landmarks import BLAZEPOSE_OF_KEYPOINT
 from video2anim.humans.problem import FittedBody, Observations
+from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT
 from video2anim.types.motion import BodyMotion, PersonQuality
 from video2anim.types.people import PersonTrack
 
@@ -17,13 +17,17 @@ _BONES = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "
 _MAX_REPROJECTION = 0.04
 """Maximum share of the person's size (landmarks err by about 0.01)."""
 _MIN_VALID = 0.5
+"""Share of the clip's frames in which somebody is to be seen. Not measured."""
 _MAX_BONE_SPREAD = 0.2
 """Bones have fixed lengths: at this relative spread the detector confuses people or guesses."""
 _FASTEST_M_S = 13.0
 """Maximum speed of a root; the fastest sprint measured is 12.4 m/s."""
 _MAX_FAST = 0.02
+"""Share of steps that may be as fast: single frames jump. Not measured."""
 _BODY_HEIGHTS_M = (0.7, 2.2)
+"""Of skeletons from a small child to the tallest adults; the top of the head is not in them."""
 _SURE_FRAMES = 15
+"""Half a second: fewer say nothing about a body. Not measured."""
 
 
 def person_quality(

@@ -19,11 +19,11 @@ from jaxtyping import Float, UInt8
 
 from video2anim.errors import ModelMissingError
 from video2anim.networks.blazepose_detector import BlazePoseDetector, Detections
+from video2anim.networks.landmarks import LANDMARKS
 from video2anim.networks.network import sigmoid
 from video2anim.networks.roi import SquareRoi
 from video2anim.networks.tflite import TfliteNet
 
-LANDMARKS = 33
 _ALL = 39
 """With the points of the next crop."""
 _CENTER, _RIM = LANDMARKS, LANDMARKS + 1

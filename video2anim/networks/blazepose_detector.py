@@ -17,6 +17,7 @@ from video2anim.errors import ModelMissingError
 from video2anim.networks.network import sigmoid
 from video2anim.networks.tflite import TfliteNet
 
+INPUT_PX = 224
 _GRIDS = ((28, 2), (14, 2), (7, 6))
 """Cells per side and anchors per cell: strides 8, 16 and three layers of 32, two anchors a layer."""
 _ANCHORS = sum(cells * cells * copies for cells, copies in _GRIDS)
@@ -54,7 +55,7 @@ def concatenate(parts: list[Detections]) -> Detections:
     )
 
 
-def anchor_centers(input_size: int = 224) -> Float[np.ndarray, "anchors 2"]:
+def anchor_centers(input_size: int = INPUT_PX) -> Float[np.ndarray, "anchors 2"]:
     """x, y of every anchor in input pixels, in the network's order."""
     layers = []
     for cells, copies in _GRIDS:

@@ -8,13 +8,24 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT
+
 _MAX_PX = 64
-_PARTS = ((11, 12, 24, 23), (23, 24, 26, 25))
+"""Longer side of a part's picture, whose pixels are counted. Not measured, like the limits below."""
+_PARTS = tuple(
+    [BLAZEPOSE_OF_KEYPOINT[f"{side}_{joint}"] for side, joint in corners]
+    for corners in (
+        (("left", "shoulder"), ("right", "shoulder"), ("right", "hip"), ("left", "hip")),
+        (("left", "hip"), ("right", "hip"), ("right", "knee"), ("left", "knee")),
+    )
+)
 """Corners of the trunk and of the thighs among the landmarks."""
 _WIDER = 0.15
 """Margin of the clothes beyond the joints, as a share of the body's width."""
 _SEEN = 0.5
+"""Visibility of a part's corners from which it is seen."""
 _MIN_PIXELS = 40
+"""A part with fewer pixels has no histogram."""
 _BINS = (6, 12, 12)
 """Of lightness, and of the two color axes of CIE Lab."""
 _RANGES = [0.0, 256.0, 68.0, 188.0, 68.0, 188.0]
@@ -39,9 +50,9 @@ def clothing_histogram(
     histograms = np.zeros((PARTS, int(np.prod(_BINS))))
     height, width = image.shape[:2]
     for number, corners in enumerate(_PARTS):
-        if visibility[list(corners)].min() < _SEEN:
+        if visibility[corners].min() < _SEEN:
             continue
-        quad = landmarks_px[list(corners)]
+        quad = landmarks_px[corners]
         across = 0.5 * ((quad[0] - quad[1]) + (quad[3] - quad[2]))
         quad = quad + _WIDER * np.stack([across, -across, -across, across])
         x0, y0 = (max(int(v), 0) for v in np.floor(quad.min(0)))

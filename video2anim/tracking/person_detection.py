@@ -13,27 +13,34 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from video2anim.networks.blazepose import BlazePose, PoseEstimate, roi_of_detection
-from video2anim.networks.blazepose_detector import Detections, concatenate
+from video2anim.networks.blazepose_detector import INPUT_PX, Detections, concatenate
+from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT
 from video2anim.networks.roi import SquareRoi
 from video2anim.networks.tiles import square_tiles
 
 MIN_PRESENCE_NEW = 0.9
+"""Probability that a crop shows a person, for somebody who is not tracked yet. Not measured, nor are the limits below
+that name no measurement."""
 MIN_PRESENCE_KEPT = 0.5
+"""The same for somebody who was there in the frame before: more likely there than not."""
 MIN_VISIBILITY_NEW = 0.65
+"""Mean probability that a landmark is seen, for somebody who is not tracked yet."""
 MIN_VISIBILITY_KEPT = 0.35
-_HEAD_DOWN_RAD = math.radians(100.0)
+"""The same for somebody who was there in the frame before and may be half hidden."""
 _MAX_FITS = 4
-_SETTLED_SHIFT = 0.06
-_SETTLED_SCALE = 0.1
-_SETTLED_TURN_RAD = 0.12
-_MIN_TILE_PX = 112
-"""Half of the detector's input; smaller tiles would only be magnified."""
+"""Most fits of a crop until it stays."""
+_SETTLED = 0.1
+"""A crop stays if its shift and growth (shares of its side) and its turn (radians) are all below this."""
+_MIN_TILE_PX = INPUT_PX // 2
+"""Smaller tiles would only be magnified."""
 _SAME_DISTANCE = 0.25
+"""Distance of two torsos, in body radii, below which they are of one body."""
 _SAME_MASK_SHARE = 0.6
-_MASK_ON = 127
-_TORSO = (11, 12, 23, 24)
-_TORSO_CROSSED = (12, 11, 24, 23)
-_HIPS = (23, 24)
+"""Share of a mask that lies in another's from which both are of one body."""
+_MASK_ON = np.iinfo(np.uint8).max // 2
+"""Mask values above are more likely of the person than not."""
+_HIPS = [BLAZEPOSE_OF_KEYPOINT[name] for name in ("left_hip", "right_hip")]
+_TORSO = [BLAZEPOSE_OF_KEYPOINT[name] for name in ("left_shoulder", "right_shoulder")] + _HIPS
 
 
 def scan(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], *, min_score: float) -> list[SquareRoi]:
@@ -94,7 +101,7 @@ def head_up(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], found: 
 
 def _is_head_down(found: PoseEstimate) -> bool:
     turn = found.next_roi.rotation_rad
-    return bool(abs(np.arctan2(np.sin(turn), np.cos(turn))) > _HEAD_DOWN_RAD)
+    return bool(abs(np.arctan2(np.sin(turn), np.cos(turn))) > math.pi / 2)
 
 
 def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:
@@ -112,9 +119,10 @@ def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:
 
 def torso_distance(first: PoseEstimate, second: PoseEstimate) -> float:
     """Median distance of shoulders and hips, left and right exchangeable, as a share of the smaller body's radius."""
-    torso, crossed = list(_TORSO), list(_TORSO_CROSSED)
-    gap_px = np.linalg.norm(first.landmarks_px[torso] - second.landmarks_px[torso], axis=1)
-    crossed_px = np.linalg.norm(first.landmarks_px[torso] - second.landmarks_px[crossed], axis=1)
+    mine, theirs = first.landmarks_px[_TORSO], second.landmarks_px[_TORSO]
+    gap_px = np.linalg.norm(mine - theirs, axis=1)
+    # Each row of the other body, shoulders and hips, with its sides exchanged.
+    crossed_px = np.linalg.norm(mine - theirs[[1, 0, 3, 2]], axis=1)
     radius_px = min(first.next_roi.radius_px, second.next_roi.radius_px)
     return float(min(np.median(gap_px), np.median(crossed_px)) / radius_px)
 
@@ -133,7 +141,7 @@ def mask_share(inner: PoseEstimate, outer: PoseEstimate) -> float:
 
 def hips_px(found: PoseEstimate) -> Float[np.ndarray, "2"]:
     """Middle of the hips in pixels."""
-    return found.landmarks_px[list(_HIPS)].mean(axis=0)
+    return found.landmarks_px[_HIPS].mean(axis=0)
 
 
 def _distinct(found: Detections) -> list[SquareRoi]:
@@ -160,7 +168,7 @@ def boxes_meet(box: Float[np.ndarray, "4"], other: Float[np.ndarray, "4"]) -> bo
 
 def _settled(roi: SquareRoi, fitted: SquareRoi) -> bool:
     shift, scale, turn = _change(roi, fitted)
-    return shift < _SETTLED_SHIFT and scale < _SETTLED_SCALE and turn < _SETTLED_TURN_RAD
+    return max(shift, scale, turn) < _SETTLED
 
 
 def _continuous(roi: SquareRoi, fitted: SquareRoi) -> bool:

@@ -15,16 +15,15 @@ from video2anim.tracking import person_detection as finder
 from video2anim.tracking.appearance import AppearanceDescriptor, clothing_histogram
 
 _BETTER_VISIBILITY = 0.1
+"""A second estimate of a tracked body replaces the first if its mean visibility is higher by this: a crop has slid off.
+Without the margin every search of the whole picture would add jitter."""
 _HELD_FRAMES = 5
-"""Frames for which a lost person is searched in the last crop."""
-_LOCAL_SCAN_EVERY = 3
+"""Frames for which a lost person is searched in the last crop. Not measured."""
 THUMBNAIL_PX = 128
-_LOOKS_EVERY = 5
-"""Frames between samples of the appearance."""
+"""Side of the pictures of people in the report."""
 _OTHER_CLOTHING, _SAME_CLOTHING, _DISTINCT = 0.7, 0.3, 0.1
 """Appearance distances (`benchmarks/appearance.py`). Above the first, a person is not the same after a short loss.
 Below the second, it may be after a long one, unless another person is within the third of that distance."""
-_NO_PICTURE = np.zeros((THUMBNAIL_PX, THUMBNAIL_PX, 3), np.uint8)
 
 
 @dataclass(slots=True, eq=False)
@@ -32,8 +31,8 @@ class Track:
     """A person's estimates by frame, while tracking."""
 
     estimates: dict[int, PoseEstimate] = field(default_factory=dict)
-    best: tuple[float, int, np.ndarray] = (0.0, 0, _NO_PICTURE)
-    """Score of the best view of the person, its frame, and the crop."""
+    best: tuple[float, int, np.ndarray] = (0.0, 0, np.zeros(0, np.uint8))
+    """Score of the best view of the person, its frame, and the crop; empty before the first."""
     last_frame: int = -1
     looks: AppearanceDescriptor | None = None
     """Colors of the clothes, None before the first was seen."""
@@ -112,7 +111,7 @@ class Tracker:
         here = [track for track in self.tracks if frame in track.estimates]
         for track in here:
             track.look_at(frame, image)
-            if frame % _LOOKS_EVERY == 0 and not any(_near(track, other, frame) for other in here if other != track):
+            if not any(_near(track, other, frame) for other in here if other != track):
                 track.see_clothing(frame, image)
         self._recent.append((frame, image))
 
@@ -129,8 +128,6 @@ class Tracker:
             if found is not None:
                 track.put(frame, finder.head_up(self._pose, image, found))
                 return
-        if lost % _LOCAL_SCAN_EVERY:
-            return
         rois = finder.scan_near(self._pose, image, track.last.next_roi, min_score=self._min_detection_score)
         self._admit(frame, image, rois)
 

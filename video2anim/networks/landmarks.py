@@ -1,0 +1,15 @@
+"""Which BlazePose landmark is which point of the body."""
+
+from __future__ import annotations
+
+BLAZEPOSE_OF_KEYPOINT: dict[str, int] = {
+    "nose": 0, "left_eye": 2, "right_eye": 5, "left_ear": 7, "right_ear": 8,
+    "left_shoulder": 11, "right_shoulder": 12, "left_elbow": 13, "right_elbow": 14,
+    "left_wrist": 15, "right_wrist": 16, "left_pinky": 17, "right_pinky": 18,
+    "left_index": 19, "right_index": 20, "left_hip": 23, "right_hip": 24,
+    "left_knee": 25, "right_knee": 26, "left_ankle": 27, "right_ankle": 28,
+    "left_heel": 29, "right_heel": 30, "left_big_toe": 31, "right_big_toe": 32,
+}  # fmt: skip
+"""BlazePose GHUM landmark numbers (model card of BlazePose GHUM 3D)."""
+LANDMARKS = 1 + max(BLAZEPOSE_OF_KEYPOINT.values())
+"""Landmarks of a person."""
