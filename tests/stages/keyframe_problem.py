@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import trimesh
@@ -12,6 +13,7 @@ from synthetic import body_vertices
 from stages.keyframes import KeyframesConfig, optimize_keyframes
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.geometry.sdf import build_sdf_grid
+from video2anim.motion import keyframe_roots
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
     BackgroundImage,
@@ -66,13 +68,14 @@ def depth_of(motion: BodyMotion, frames: np.ndarray, *, trusted: bool = True) ->
 
 
 def optimize(
-    raw: BodyMotion, where: SceneModel, depth: tuple[MetricDepth, BackgroundImage] | None = None, **options: float
+    raw: BodyMotion, where: SceneModel, depth: tuple[MetricDepth, BackgroundImage] | None = None, **weights: float
 ) -> tuple[KeyframedMotion, StageContext]:
-    """The stage on one person, with options of its configuration."""
+    """The stage on one person, with weights of `keyframe_roots`."""
     ctx = StageContext(Path())
-    config = replace(KeyframesConfig(iterations=120), **options)
     metric, background = depth or no_depth(raw)
-    return optimize_keyframes(where, replace(metric, bodies=BodyTracks((raw,))), background, config, ctx), ctx
+    bodies = replace(metric, bodies=BodyTracks((raw,)))
+    with patch.dict(vars(keyframe_roots), weights):
+        return optimize_keyframes(where, bodies, background, KeyframesConfig(), ctx), ctx
 
 
 def quality(ctx: StageContext, name: str) -> float:

@@ -44,7 +44,7 @@ def off_m(found: BodyMotion, truth: BodyMotion) -> np.ndarray:
 def test_a_body_sunk_into_the_floor_is_put_on_it() -> None:
     truth = walk()
     sunk = along_sight(truth, 0.10 + 0.02 * np.sin(0.1 * np.arange(FRAMES)))
-    done, ctx = optimize(sunk, scene(), weight_regularization=4.0)
+    done, ctx = optimize(sunk, scene(), REGULARIZATION=0.2)
     assert off_m(done.people[0], truth).mean() < 0.02
     assert quality(ctx, "penetration_max_after") < 0.25 * quality(ctx, "penetration_max_before")
     assert quality(ctx, "contact_distance_after") < 0.2 * quality(ctx, "contact_distance_before")
@@ -52,7 +52,7 @@ def test_a_body_sunk_into_the_floor_is_put_on_it() -> None:
 
 def test_a_floating_body_comes_down_by_its_contacts() -> None:
     truth = walk()
-    done, _ = optimize(along_sight(truth, -0.10), scene(), weight_regularization=1.0)
+    done, _ = optimize(along_sight(truth, -0.10), scene(), REGULARIZATION=0.05)
     assert off_m(done.people[0], truth).max() < 0.04
 
 
@@ -60,7 +60,7 @@ def test_the_body_stays_where_the_picture_shows_it() -> None:
     """Whatever the scene says, roots go along their lines of sight."""
     truth = walk()
     raw = with_root_shift(truth, np.tile([0.0, -0.06, 0.03], (FRAMES, 1)))
-    done, _ = optimize(raw, scene(box_at_m=(0.52, 0.45, 1.2)), weight_penetration=1e5)
+    done, _ = optimize(raw, scene(box_at_m=(0.52, 0.45, 1.2)), PENETRATION=5e3)
     keys = done.keyframe_index[0]
     shift_m = (root_m(done.people[0]) - root_m(raw))[keys]
     away_m = root_m(raw)[keys] - CAMERA_M
@@ -76,7 +76,7 @@ def test_a_good_body_is_left_where_it_is() -> None:
 
 def test_a_body_is_pushed_out_of_an_object() -> None:
     truth = walk()
-    _, ctx = optimize(truth, scene(box_at_m=(-0.52, 0.45, 1.2)), weight_regularization=1.0)
+    _, ctx = optimize(truth, scene(box_at_m=(-0.52, 0.45, 1.2)), REGULARIZATION=0.05)
     assert quality(ctx, "penetration_max_before") > 0.05
     assert quality(ctx, "penetration_max_after") < 0.5 * quality(ctx, "penetration_max_before")
 
@@ -86,7 +86,7 @@ def test_depth_pulls_the_body_along_the_camera_axis() -> None:
     depth, background = depth_of(truth, np.arange(0, FRAMES, 6))
     contact = np.zeros_like(truth.contact)
     raw = replace(along_sight(truth, -0.10), contact=contact)
-    done, ctx = optimize(raw, scene(), (depth, background), weight_regularization=1.0)
+    done, ctx = optimize(raw, scene(), (depth, background), REGULARIZATION=0.05)
     assert off_m(done.people[0], truth).mean() < 0.04
     assert quality(ctx, "depth_chamfer_after") < quality(ctx, "depth_chamfer_before")
 

@@ -8,6 +8,7 @@ from scenemi import metrics
 from video2anim.body.anny_body import shaped_body
 from video2anim.geometry.rotations import axis_angle_from_matrix
 from video2anim.geometry.sdf import SdfGrid
+from video2anim.motion.keyframe_points import POINTS
 from video2anim.motion.observation import image_distance_ratio
 from video2anim.types import BodyMotion
 from video2anim.types.clip import FPS
@@ -16,8 +17,6 @@ from video2anim.types.skeleton import forward_kinematics
 
 _DIFFERENT_RAD = np.deg2rad(3.0)
 """Rotations of a joint that differ by less count as equal."""
-_VERTICES = 500
-"""Skin vertices that penetration is measured with."""
 
 
 def shaped_by_prior(refined: BodyMotion, without: BodyMotion) -> float:
@@ -37,7 +36,7 @@ def assess(motion: BodyMotion, observed: BodyMotion, field: SdfGrid) -> tuple[tu
     measured = np.flatnonzero(motion.valid)
     span = slice(int(measured[0]), int(measured[-1]) + 1)
     body = shaped_body(motion.shape)
-    index = np.arange(0, len(body.rest_vertices_m), max(1, len(body.rest_vertices_m) // _VERTICES))
+    index = np.arange(0, len(body.rest_vertices_m), max(1, len(body.rest_vertices_m) // POINTS))
     joints_m, R_world_joint = forward_kinematics(
         motion.R_parent_joint[span], motion.T_world_root[span, :3, 3], motion.rest_joints_m
     )

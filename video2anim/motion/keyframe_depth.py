@@ -13,6 +13,7 @@ from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.projection import backproject, invert_rigid, transform_points
 from video2anim.geometry.robust import huber_of_square
+from video2anim.motion.keyframe_points import POINTS
 from video2anim.types import BackgroundImage, BodyMotion, MetricDepth
 from video2anim.types.skeleton import forward_kinematics
 
@@ -38,13 +39,11 @@ def depth_targets(
     body: ShapedBody,
     depth: MetricDepth,
     background: BackgroundImage,
-    *,
-    points: int,
     rng: np.random.Generator,
 ) -> tuple[DepthTarget, ...]:
     """Frames that have both depth and a mask of the person, with enough valid pixels in it; the masks fit the depth.
 
-    Of either set up to `points` are drawn.
+    Of either set up to `POINTS` are drawn.
     """
     height, width = depth.depth_m.shape[1:]
     intrinsics = motion.intrinsics.resized(width, height)
@@ -64,7 +63,7 @@ def depth_targets(
         visible_m = skin_m[visible_vertices(skin_camera_m, body.faces, intrinsics)]
         if len(visible_m) < _MIN_POINTS:
             continue
-        chosen = [rng.choice(len(array), min(len(array), points), replace=False) for array in (visible_m, points_m)]
+        chosen = [rng.choice(len(array), min(len(array), POINTS), replace=False) for array in (visible_m, points_m)]
         targets.append(DepthTarget(int(frame), visible_m[chosen[0]], points_m[chosen[1]]))
     return tuple(targets)
 
@@ -83,7 +82,7 @@ class DepthLoss:
         counts = [len(target.visible_m) for target in targets]
         self._start = np.cumsum([0, *counts])
         self._looked_up_m = np.full((sum(counts), 3), np.inf)
-        self._of_frame: list[_Pairs] = [_NO_PAIRS] * len(targets)
+        self._of_frame: dict[int, _Pairs] = {}
         self._skin, self._near_m, self._weight = torch.zeros(0), torch.zeros(0), torch.zeros(0)
 
     def __call__(self, skin_m: torch.Tensor) -> torch.Tensor:
@@ -100,7 +99,7 @@ class DepthLoss:
             self._looked_up_m[rows] = skin_m[rows]
             self._of_frame[frame] = self._pairs(frame, skin_m[rows])
         if len(stale):
-            skin, near_m, weight = zip(*self._of_frame, strict=True)
+            skin, near_m, weight = zip(*(self._of_frame[frame] for frame in range(len(self._trees))), strict=True)
             self._skin = torch.as_tensor(np.concatenate(skin))
             self._near_m = torch.as_tensor(np.concatenate(near_m), dtype=torch.float32)
             self._weight = torch.as_tensor(np.concatenate(weight), dtype=torch.float32)
@@ -120,7 +119,6 @@ class DepthLoss:
 
 _Pairs = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Rows of skin (P,), the depth points beside them (P, 3), and weights (P,)."""
-_NO_PAIRS: _Pairs = (np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0))
 
 
 def _nearest(distance_m: np.ndarray) -> np.ndarray:

@@ -14,23 +14,10 @@ from video2anim.geometry.sdf import SdfGrid
 from video2anim.motion.keyframe_depth import depth_targets
 from video2anim.motion.keyframe_points import SkinPoints, SkinSample
 from video2anim.motion.keyframe_problem import between_keyframes, root_problem
-from video2anim.motion.keyframe_roots import RootProblem, RootWeights, contact_distance_m, solve_along
+from video2anim.motion.keyframe_roots import RootProblem, contact_distance_m, solve_along
 from video2anim.objects.path import holding
 from video2anim.types import BackgroundImage, BodyMotion, MetricDepth, PlacedObject
 from video2anim.types.quality import Unit
-
-
-@dataclass(frozen=True, slots=True)
-class RootFitConfig:
-    """Samples, losses and steps of the optimization."""
-
-    sampled_vertices: int
-    """Skin vertices tested for penetration."""
-    depth_points: int
-    """Depth points, and as many visible vertices, per sampled frame."""
-    weights: RootWeights
-    iterations: int
-    learning_rate_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +42,6 @@ def fit_roots(
     keyframes: Int[np.ndarray, "keyframes"],
     grid: SdfGrid,
     seen: tuple[MetricDepth, BackgroundImage] | None,
-    config: RootFitConfig,
     rng: np.random.Generator,
 ) -> RootFit:
     """Move the roots of a person's keyframes, and the frames between them.
@@ -69,12 +55,12 @@ def fit_roots(
         rng: draws the depth points.
     """
     body = shaped_body(motion.shape)
-    sample = SkinSample(body, config.sampled_vertices)
+    sample = SkinSample(body)
     before = sample.on(motion)
-    targets = depth_targets(motion, body, *seen, points=config.depth_points, rng=rng) if seen else ()
+    targets = depth_targets(motion, body, *seen, rng) if seen else ()
     free = replace(motion, contact=np.where(holding(objects, motion), 0.0, motion.contact))
-    problem = root_problem(free, keyframes, before, grid, targets, config.weights.contact_points)
-    along_m = solve_along(problem, config.weights, iterations=config.iterations, learning_rate_m=config.learning_rate_m)
+    problem = root_problem(free, keyframes, before, grid, targets)
+    along_m = solve_along(problem)
     displacement_m = between_keyframes(keyframes, along_m[:, None] * problem.direction, motion.frame_count)
     moved = motion.with_pose(
         translation_world_m=motion.T_world_root[:, :3, 3] + displacement_m, R_parent_joint=motion.R_parent_joint
@@ -82,7 +68,7 @@ def fit_roots(
     return RootFit(moved, displacement_m, problem, before, sample.on(moved))
 
 
-def root_fit_quality(fit: RootFit, contact_points: int) -> Iterator[tuple[str, float, Unit]]:
+def root_fit_quality(fit: RootFit) -> Iterator[tuple[str, float, Unit]]:
     """Key, value and unit of the quality numbers, all the lower the better.
 
     Penetration is over all valid frames, contact distance and depth over the keyframes and depth maps of the problem.
@@ -102,7 +88,7 @@ def root_fit_quality(fit: RootFit, contact_points: int) -> Iterator[tuple[str, f
     }
     for when, skins_m in touching.items():
         if skins_m:
-            gaps_m = [contact_distance_m(skin_m, problem.scene, contact_points) for skin_m in skins_m]
+            gaps_m = [contact_distance_m(skin_m, problem.scene) for skin_m in skins_m]
             yield f"contact_distance_{when}", float(np.abs(np.concatenate(gaps_m)).mean()), "m"
         if visible[when]:
             pairs = zip(visible[when], problem.depth, strict=True)

@@ -15,6 +15,9 @@ from video2anim.types.skeleton import TOUCHING_PARTS, forward_kinematics
 
 TOUCHING = tuple(TOUCHING_PARTS.values())
 """Joints of the parts that may touch."""
+POINTS = 500
+"""Points per frame: vertices of the skin, spread by farthest-point sampling, that are tested for penetration, and depth
+points and visible vertices that are compared. They are about 6 cm apart on the body."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,10 +36,10 @@ class SkinPoints:
 class SkinSample:
     """Sampled vertices of a body."""
 
-    def __init__(self, body: ShapedBody, spread: int) -> None:
-        """Choose `spread` vertices of the whole body, and the skin of the parts that may touch."""
+    def __init__(self, body: ShapedBody) -> None:
+        """Choose `POINTS` vertices of the whole body, and the skin of the parts that may touch."""
         self._body = body
-        self._spread = farthest_points(body.rest_vertices_m, spread)
+        self._spread = farthest_points(body.rest_vertices_m, POINTS)
         self._parts = {joint: skin_of(body, (joint,)) for joints in TOUCHING for joint in joints}
 
     def on(self, motion: BodyMotion) -> SkinPoints:

@@ -40,12 +40,8 @@ def root_problem(
     points: SkinPoints,
     grid: SdfGrid,
     targets: tuple[DepthTarget, ...],
-    contact_points: int,
 ) -> RootProblem:
-    """World-frame arrays at the keyframes; contacts and skin without a surface within `REACH_M` are left out.
-
-    `contact_points` as in `RootWeights`.
-    """
+    """World-frame arrays at the keyframes; contacts and skin without a surface within `REACH_M` are left out."""
     contacts: list[ContactPart] = []
     for joints in TOUCHING:
         part_m = points.touching_m(joints)
@@ -54,7 +50,7 @@ def root_problem(
         if len(rows) == 0 or part_m.shape[1] == 0:
             continue
         skin_m = part_m[keyframes[rows]]
-        near = np.abs(contact_distance_m(skin_m, grid, contact_points)) <= REACH_M
+        near = np.abs(contact_distance_m(skin_m, grid)) <= REACH_M
         if near.any():
             contacts.append(ContactPart(joints, rows[near], skin_m[near], probability[rows][near]))
     valid = np.flatnonzero(motion.valid)
