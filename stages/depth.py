@@ -7,6 +7,7 @@ of their own frame, aligned to it, so that nothing flickers.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,7 +20,7 @@ from video2anim.types import BackgroundImage, CameraEstimate, DepthClip, VideoCl
 if TYPE_CHECKING:
     from video2anim.depth.temporal_alignment import Alignment
 
-_HueShift = Annotated[float, limits("rad", ge=-3.1416, le=3.1416)]
+_HueShift = Annotated[float, limits("rad", ge=-math.pi, le=math.pi)]
 
 
 @dataclass(frozen=True)

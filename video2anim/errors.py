@@ -57,13 +57,9 @@ class ModelMissingError(Video2AnimError):
 class StageError(Video2AnimError):
     """A stage could not do its work on this input (exit code 5)."""
 
-    exit_code = 5
-
 
 class ArtifactError(Video2AnimError):
     """A stage folder is unreadable or incomplete (exit code 5)."""
-
-    exit_code = 5
 
 
 def is_memory_shortage(error: BaseException) -> bool:

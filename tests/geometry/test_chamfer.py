@@ -42,7 +42,7 @@ def test_trimming_leaves_the_farthest_out() -> None:
     source_m[9] += [0, 50.0, 0]
     assert chamfer_m(source_m, target_m, sides="source", trim_ratio=0.1) == 0.0
     assert chamfer_m(source_m, target_m, sides="source") == pytest.approx(5.0)
-    trimmed = ChamferLoss(target_m, ChamferConfig(sides="source", trim_ratio=0.1))(torch.as_tensor(source_m))
+    trimmed = ChamferLoss(target_m, ChamferConfig(0.05, sides="source", trim_ratio=0.1))(torch.as_tensor(source_m))
     assert float(trimmed) == 0.0
 
 
@@ -64,9 +64,9 @@ def test_minimizing_finds_a_translation_in_spite_of_outliers() -> None:
 @pytest.mark.parametrize("bad", [np.zeros((0, 3)), np.full((4, 3), np.nan)])
 def test_points_that_are_none_are_refused(bad: np.ndarray) -> None:
     with pytest.raises(ValueError, match="chamfer target_m"):
-        ChamferLoss(bad)
+        ChamferLoss(bad, ChamferConfig(0.05))
 
 
 def test_impossible_settings_are_refused() -> None:
     with pytest.raises(ValueError, match="trim_ratio"):
-        ChamferConfig(trim_ratio=1.0)
+        ChamferConfig(0.05, trim_ratio=1.0)

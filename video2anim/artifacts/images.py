@@ -16,6 +16,7 @@ from video2anim.types.checks import annotation
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _MAX_PIXELS = 1 << 27
+"""Larger pictures (11,585 px square) are refused before they are unpacked."""
 
 
 def write_png(path: Path, image: np.ndarray) -> None:

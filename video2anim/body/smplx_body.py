@@ -35,7 +35,7 @@ MEAN_PELVIS_M: dict[str, Float[np.ndarray, "3"]] = {
     "smplx": np.array([0.003, -0.351, 0.012]),
 }
 """Pelvis joint of the mean shape in the model's own frame, for use without the files."""
-_NAMES = {24: "smpl", 52: "smplh", 55: "smplx"}
+MODEL_OF_JOINTS = {24: "smpl", 52: "smplh", 55: "smplx"}
 """Model by its number of joints; the first 22 of each are those of this project."""
 _GENDERS = ("neutral", "male", "female")
 _BODY = len(PARENTS)
@@ -111,12 +111,12 @@ def load_body_model(path: Path) -> SmplModel:
     """
     file = read_smpl_file(path)
     joints = len(file.parents)
-    if joints not in _NAMES:
-        known = ", ".join(f"{count} ({name})" for count, name in _NAMES.items())
+    if joints not in MODEL_OF_JOINTS:
+        known = ", ".join(f"{count} ({name})" for count, name in MODEL_OF_JOINTS.items())
         raise InputError(f"SMPL file: want {known} joints, got {joints} in {path}; use the full body model")
     if not np.array_equal(file.parents[:_BODY], PARENTS) or not _ordered(file.parents):
         raise InputError(f"SMPL file: kintree_table: want SMPL's joint order, got another tree in {path}")
-    name = _NAMES[joints]
+    name = MODEL_OF_JOINTS[joints]
     shapes = file.shape_basis_m.shape[2]
     if name == "smplx":
         shapes = _SMPLX_SHAPES if shapes > _SMPLX_SHAPES else min(shapes, 10)
@@ -159,7 +159,7 @@ def model_file(model: str) -> Path:
     """
     name, _, gender = model.partition("-")
     gender = gender or "neutral"
-    if name not in _NAMES.values() or gender not in _GENDERS:
+    if name not in MODEL_OF_JOINTS.values() or gender not in _GENDERS:
         raise UsageError(f"body model: want smpl, smplh or smplx, alone or with -male or -female, got {model!r}")
     folder = smpl_folder()
     stem = f"{name.upper()}_{gender.upper()}"

@@ -19,14 +19,20 @@ import numpy as np
 from jaxtyping import Float
 
 from video2anim.body.smpl_fit import BETAS, fit_betas, named_betas
-from video2anim.body.smplx_body import DIR_VARIABLE, MEAN_PELVIS_M, load_body_model, model_file, smpl_folder
+from video2anim.body.smplx_body import (
+    DIR_VARIABLE,
+    MEAN_PELVIS_M,
+    MODEL_OF_JOINTS,
+    load_body_model,
+    model_file,
+    smpl_folder,
+)
 from video2anim.errors import InputError
 from video2anim.export.frames import ZUP_FROM_YUP
 from video2anim.geometry.rotations import axis_angle_from_matrix
 from video2anim.types import BodyMotion, BodyShape
 
 AmassModel = Literal["smplh", "smplx"]
-_JOINTS: dict[AmassModel, int] = {"smplh": 52, "smplx": 55}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +60,8 @@ def write_amass(path: Path, motion: BodyMotion, model: AmassModel) -> None:
     """
     fitted = _fit(motion, model)
     body = axis_angle_from_matrix(motion.R_parent_joint[:, 1:]).reshape(motion.frame_count, -1)
-    poses = np.zeros((motion.frame_count, 3 * _JOINTS[model]))
+    joints = next(count for count, name in MODEL_OF_JOINTS.items() if name == model)
+    poses = np.zeros((motion.frame_count, 3 * joints))
     poses[:, :3] = axis_angle_from_matrix(ZUP_FROM_YUP @ motion.R_parent_joint[:, 0])
     poses[:, 3 : 3 + body.shape[1]] = body
     pelvis_m = motion.T_world_root[:, :3, 3] + motion.rest_joints_m[0]

@@ -23,10 +23,10 @@ Sides = Literal["both", "source", "target"]
 class ChamferConfig:
     """How distances are weighed."""
 
+    huber_m: float
+    """Distances above this count linearly, below quadratically. Infinite = plain squared distance."""
     sides: Sides = "both"
     """`source`: each source point to its nearest target point; `target`: the reverse; `both`: mean of the two."""
-    huber_m: float = 0.05
-    """Distances above this count linearly, below quadratically. Infinite = plain squared distance."""
     trim_ratio: float = 0.0
     """Share of the largest distances on each side that is left out, in [0, 1)."""
     requery_every: int = 5
@@ -40,8 +40,8 @@ class ChamferConfig:
 class ChamferLoss:
     """Robust Chamfer loss against a fixed target; the source moves. Keeps the last neighbors between calls."""
 
-    def __init__(self, target_m: Float[np.ndarray, "targets 3"], config: ChamferConfig | None = None) -> None:
-        self.config = config or ChamferConfig()
+    def __init__(self, target_m: Float[np.ndarray, "targets 3"], config: ChamferConfig) -> None:
+        self.config = config
         self._target_m = _expect_points(np.asarray(target_m, dtype=np.float64), "target_m")
         self._tree = KDTree(self._target_m)
         self._step = 0
