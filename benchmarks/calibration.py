@@ -100,9 +100,9 @@ def errors(
     factor = np.ones(shape)
     for instance, log in zip(masks.instances, found.object_depth_log, strict=True):
         factor[shrunk(instance.mask, shape)] = np.exp(log)
-    mine_m = factor * metric_depth(depth.kind, depth.background_value, found.scale, found.offset)
-    known = depth.background_valid & (true_m > 0) & np.isfinite(mine_m)
-    off = np.abs(mine_m / true_m - 1)[known]
+    estimated_m = factor * metric_depth(depth.kind, depth.background_value, found.scale, found.offset)
+    known = depth.background_valid & (true_m > 0) & np.isfinite(estimated_m)
+    off = np.abs(estimated_m / true_m - 1)[known]
     up = arrays["up_camera"][0]
     return {
         "lens": found.focal_px / meta["camera"]["focal_px"] - 1,

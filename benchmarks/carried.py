@@ -116,12 +116,12 @@ def clip_rows(truth: Truth, found: MovedObjects, wrist_m: dict[int, float]) -> l
     """Rows of the matched objects; the clip's false paths are in the row of its first object."""
     rows = []
     for place, obj in enumerate(found.objects):
-        there = obj.estimate_id is not None
+        present = obj.estimate_id is not None
         rows.append(
             ClipRow(
-                truth.name, obj.label, there,
-                float(obj.error_m.mean()) if there else None,
-                float(np.percentile(obj.error_m, 95)) if there else None,
+                truth.name, obj.label, present,
+                float(obj.error_m.mean()) if present else None,
+                float(np.percentile(obj.error_m, 95)) if present else None,
                 wrist_m.get(obj.object_id),
                 obj.hold_error_frames if math.isfinite(obj.hold_error_frames) else None,
                 0 if place else found.false_paths,
@@ -132,10 +132,10 @@ def clip_rows(truth: Truth, found: MovedObjects, wrist_m: dict[int, float]) -> l
 
 def means(rows: list[ClipRow]) -> dict[str, Any]:
     """Share found, means over the rows that have the number, sum of false paths."""
-    told = {key: [getattr(row, key) for row in rows if getattr(row, key) is not None] for key in _AVERAGED}
+    values_by_key = {key: [getattr(row, key) for row in rows if getattr(row, key) is not None] for key in _AVERAGED}
     return {
         "found": float(np.mean([row.found for row in rows])) if rows else None,
-        **{key: float(np.mean(values)) if values else None for key, values in told.items()},
+        **{key: float(np.mean(values)) if values else None for key, values in values_by_key.items()},
         "false_paths": sum(row.false_paths for row in rows),
     }
 

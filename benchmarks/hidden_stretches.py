@@ -199,8 +199,8 @@ def table(stretches: list[Stretch]) -> str:
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for one in stretches:
         cells = [number(part[name]) for part in (one.w_mpjpe_mm, one.pa_mpjpe_mm) for name in METHODS if part]
-        told = cells or ["not found again"]
-        lines.append(f"| {one.clip} | {one.seconds:.2f} | {one.measured:.2f} | {one.ids} | " + " | ".join(told) + " |")
+        texts = cells or ["not found again"]
+        lines.append(f"| {one.clip} | {one.seconds:.2f} | {one.measured:.2f} | {one.ids} | " + " | ".join(texts) + " |")
     for long, title in ((True, "1 s and more"), (False, "shorter")):
         mean = means(stretches, long=long)
         if mean["stretches"]:

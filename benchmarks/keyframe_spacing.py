@@ -87,11 +87,11 @@ def against_clip(motion: BodyMotion, truth: Path) -> tuple[float, ...]:
     true = read_motion(truth / "truth.npz")
     both = np.flatnonzero(motion.valid & true.valid[: motion.frame_count])
     span = slice(both[0], both[-1] + 1)
-    mine_m, true_m = motion.joints_world_m[span], true.joints_world_m[span]
+    estimated_m, true_m = motion.joints_world_m[span], true.joints_world_m[span]
     return (
-        1000 * metrics.w_mpjpe(mine_m, true_m), 1000 * metrics.pa_mpjpe(mine_m, true_m),
-        metrics.acceleration_error_m_s2(mine_m, true_m, 30.0),
-        metrics.jerk_m_s3(mine_m, 30.0) / metrics.jerk_m_s3(true_m, 30.0),
+        1000 * metrics.w_mpjpe(estimated_m, true_m), 1000 * metrics.pa_mpjpe(estimated_m, true_m),
+        metrics.acceleration_error_m_s2(estimated_m, true_m, 30.0),
+        metrics.jerk_m_s3(estimated_m, 30.0) / metrics.jerk_m_s3(true_m, 30.0),
     )  # fmt: skip
 
 

@@ -300,15 +300,15 @@ def against_truth(clip: str, motion: BodyMotion, media: Path) -> tuple[float, ..
         true_m, time_s = truth["landmarks_camera_m"][:, LANDMARKS], truth["frame_time_s"]
     pa, relative, roots = [], [], []
     for frame in np.flatnonzero(motion.valid):
-        there = int(np.abs(time_s - motion.frame_time_s[frame]).argmin())
-        known = np.isfinite(true_m[there]).all(1)
-        if abs(time_s[there] - motion.frame_time_s[frame]) > 0.5 / 60 or known.sum() < 8 or not known[HIPS].all():
+        nearest = int(np.abs(time_s - motion.frame_time_s[frame]).argmin())
+        known = np.isfinite(true_m[nearest]).all(1)
+        if abs(time_s[nearest] - motion.frame_time_s[frame]) > 0.5 / 60 or known.sum() < 8 or not known[HIPS].all():
             continue
-        mine, theirs = motion.joints_camera_m[frame, LIMBS], true_m[there]
-        center, their_center = mine[HIPS].mean(0), theirs[HIPS].mean(0)
-        fit = align_similarity(mine[known], theirs[known])
-        pa.append(np.linalg.norm(fit(mine[known]) - theirs[known], axis=1).mean())
-        relative.append(np.linalg.norm(mine[known] - center - theirs[known] + their_center, axis=1).mean())
+        estimated, true_part = motion.joints_camera_m[frame, LIMBS], true_m[nearest]
+        center, their_center = estimated[HIPS].mean(0), true_part[HIPS].mean(0)
+        fit = align_similarity(estimated[known], true_part[known])
+        pa.append(np.linalg.norm(fit(estimated[known]) - true_part[known], axis=1).mean())
+        relative.append(np.linalg.norm(estimated[known] - center - true_part[known] + their_center, axis=1).mean())
         roots.append((center, their_center))
     path_m, true_path_m = np.array(roots).transpose(1, 0, 2)
     aligned = align_similarity(path_m, true_path_m, with_scale=False)(path_m)

@@ -80,8 +80,8 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
                 found = segment.segment(rgb)
                 label = CLASS_TABLE[maps["label"][row]]
                 rows[-1] |= class_numbers(found.semantic, label)
-                mine, theirs = found.semantic == CLASSES.index("floor"), label == CLASSES.index("floor")
-                floor += (mine & theirs).sum(), (mine | theirs).sum()
+                estimated, true_part = found.semantic == CLASSES.index("floor"), label == CLASSES.index("floor")
+                floor += (estimated & true_part).sum(), (estimated | true_part).sum()
                 masks = [i.mask for i in found.instances if i.kind == "furniture"]
                 true = true_pieces(np.asarray(maps["instance"][row]), label)
                 matched += matches(masks, true)
@@ -92,7 +92,7 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
     named = ("fov_y_deg", "gravity_deg", "fov_y_deg of fields alone", "gravity_deg of fields alone", "absrel")
     medians = {f"median {n}": float(np.median([r[n] for r in rows])) for n in named}
     kept, dropped = np.nanmean(kept_dropped, axis=0)[:2]
-    told = [abs(r["focal_log"]) / r["focal_log_sigma"] for r in rows]
+    ratios = [abs(r["focal_log"]) / r["focal_log_sigma"] for r in rows]
     return {
         "pictures": len(rows), **means, **medians,
         "IoU floor over all pixels": float(floor[0] / floor[1]),
@@ -100,7 +100,7 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
         "absrel of pixels kept by hue jitter": float(kept), "absrel of pixels dropped": float(dropped),
         "pieces of furniture, log depth off: mean": float(np.mean(pieces)),
         "pieces of furniture, log depth off: median of sizes": float(np.median(np.abs(pieces))),
-        "median focal error over its sigma": float(np.median(told)),
+        "median focal error over its sigma": float(np.median(ratios)),
     }  # fmt: skip
 
 
@@ -165,9 +165,11 @@ def class_numbers(semantic: np.ndarray, label: np.ndarray) -> dict[str, float]:
     """IoU of each class in the image."""
     found = {}
     for number, name in enumerate(CLASSES):
-        mine, theirs = semantic == number, label == number
-        seen = theirs.mean() > 0.005 or mine.mean() > 0.005
-        found[f"IoU {name}"] = float((mine & theirs).sum() / (mine | theirs).sum()) if seen else float("nan")
+        estimated, true_part = semantic == number, label == number
+        seen = true_part.mean() > 0.005 or estimated.mean() > 0.005
+        found[f"IoU {name}"] = (
+            float((estimated & true_part).sum() / (estimated | true_part).sum()) if seen else float("nan")
+        )
     return found
 
 

@@ -100,11 +100,11 @@ def chamfers() -> list[dict[str, float]]:
             return float(0.5 * (far.min(1).values.mean() + far.min(0).values.mean()))
 
         def by_open3d(clouds: list = clouds) -> float:
-            there, back = (
+            forth, back = (
                 clouds[0].compute_point_cloud_distance(clouds[1]),
                 clouds[1].compute_point_cloud_distance(clouds[0]),
             )
-            return float(0.5 * (np.mean(there) + np.mean(back)))
+            return float(0.5 * (np.mean(forth) + np.mean(back)))
 
         def by_scipy(a: np.ndarray = a, b: np.ndarray = b) -> float:
             return float(0.5 * (KDTree(b).query(a)[0].mean() + KDTree(a).query(b)[0].mean()))

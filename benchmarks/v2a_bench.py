@@ -195,12 +195,12 @@ def errors(
     motion: BodyMotion, true: BodyMotion, common: CommonFrames, T_true_estimate: np.ndarray, fps: float
 ) -> dict[str, float]:
     """W-MPJPE and PA-MPJPE in meters over measured frames, acceleration error in m/s2 over the span, as in `eval`."""
-    mine_m, true_m = motion.joints_world_m, true.joints_world_m[common.true_index]
-    span_m = transform_points(T_true_estimate, mine_m[common.span])
+    estimated_m, true_m = motion.joints_world_m, true.joints_world_m[common.true_index]
+    span_m = transform_points(T_true_estimate, estimated_m[common.span])
     return {
-        "w_mpjpe": metrics.w_mpjpe(mine_m[common.measured], true_m[common.measured]),
+        "w_mpjpe": metrics.w_mpjpe(estimated_m[common.measured], true_m[common.measured]),
         "acceleration_error": metrics.acceleration_error_m_s2(span_m, true_m[common.span], fps),
-        "pa_mpjpe": metrics.pa_mpjpe(mine_m[common.measured], true_m[common.measured]),
+        "pa_mpjpe": metrics.pa_mpjpe(estimated_m[common.measured], true_m[common.measured]),
     }
 
 
@@ -276,10 +276,10 @@ def prior_sentence(found: dict[str, Any]) -> str:
     if not found["rows"]:
         return "The prior: no main person was measured."
     share = statistics.mean(row["share"] for row in found["rows"])
-    told = [f"{title} {cell(found['differences'][key], factor)}" for key, (title, factor) in PAIRED.items()]
+    texts = [f"{title} {cell(found['differences'][key], factor)}" for key, (title, factor) in PAIRED.items()]
     return (
         f"The prior shaped {share:.2f} of the main persons' frames. With it minus without it, means with paired 95 % "
-        f"intervals over {len(found['rows'])} clips ({found['resamples']} resamples): {'; '.join(told)}."
+        f"intervals over {len(found['rows'])} clips ({found['resamples']} resamples): {'; '.join(texts)}."
     )
 
 
@@ -301,8 +301,8 @@ def prior_table(found: dict[str, Any]) -> str:
 
 def pooled(found: dict[str, Any]) -> str:
     """Sentence with the medians over all objects."""
-    told = [f"{title} {number(found['medians'][key])} m" for key, title in OBJECT_MEDIANS.items() if found["medians"]]
-    return f"Medians over all {found['count']} matched pieces of furniture: {', '.join(told) or '-'}."
+    texts = [f"{title} {number(found['medians'][key])} m" for key, title in OBJECT_MEDIANS.items() if found["medians"]]
+    return f"Medians over all {found['count']} matched pieces of furniture: {', '.join(texts) or '-'}."
 
 
 def row_of(group: dict[str, Any], key: str) -> dict[str, Any]:

@@ -138,8 +138,8 @@ def environment(options: argparse.Namespace) -> dict[str, str]:
 def lifter_improves() -> bool:
     """Whether the validation of the lifter still improves."""
     try:
-        told = json.loads((cache() / "lifter" / "progress.json").read_text())
-        return told["hours"] - told["improved_at_hours"] < LIFTER_PATIENCE_HOURS
+        state = json.loads((cache() / "lifter" / "progress.json").read_text())
+        return state["hours"] - state["improved_at_hours"] < LIFTER_PATIENCE_HOURS
     except (OSError, ValueError, KeyError):
         return True
 
@@ -172,11 +172,11 @@ def progress() -> str:
     lines = []
     for name in ("prior", "lifter"):
         try:
-            told = json.loads((cache() / name / "progress.json").read_text())
+            state = json.loads((cache() / name / "progress.json").read_text())
         except (OSError, ValueError):
             lines.append(f"{name}: not begun")
             continue
-        rows = told.get("validation", {})
+        rows = state.get("validation", {})
         if isinstance(rows, list):
             rows = {
                 f"r{row['interval']}{'s' if row['scene'] else ''}": f"{row['mjpe_ratio']:.3f}"
@@ -184,7 +184,9 @@ def progress() -> str:
                 for row in rows
             }
         rest = ", ".join(f"{key} {value}" for key, value in rows.items())
-        lines.append(f"{name}: {told.get('windows', 0)} windows, {told['hours']:.2f} h, {told.get('date', '')}; {rest}")
+        lines.append(
+            f"{name}: {state.get('windows', 0)} windows, {state['hours']:.2f} h, {state.get('date', '')}; {rest}"
+        )
     return "\n".join(lines)
 
 

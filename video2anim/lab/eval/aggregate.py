@@ -119,15 +119,15 @@ def summarize(
 def statistic(values: Sequence[float | None], *, seed: int = 0) -> Statistic | None:
     """Mean with its percentile-bootstrap interval, and median, over the clips that have the number; None if none
     has."""
-    there = np.array([value for value in values if value is not None], dtype=np.float64)
-    if not len(there):
+    present = np.array([value for value in values if value is not None], dtype=np.float64)
+    if not len(present):
         return None
-    drawn = np.random.default_rng(seed).integers(0, len(there), (RESAMPLES, len(there)))
+    drawn = np.random.default_rng(seed).integers(0, len(present), (RESAMPLES, len(present)))
     tail = (100 - _CONFIDENCE) / 2
-    low, high = np.percentile(there[drawn].mean(1), [tail, 100 - tail])
-    return Statistic(len(there), float(there.mean()), float(np.median(there)), float(low), float(high))
+    low, high = np.percentile(present[drawn].mean(1), [tail, 100 - tail])
+    return Statistic(len(present), float(present.mean()), float(np.median(present)), float(low), float(high))
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    there = [value for value in values if value is not None]
-    return float(np.mean(there)) if there else None
+    present = [value for value in values if value is not None]
+    return float(np.mean(present)) if present else None

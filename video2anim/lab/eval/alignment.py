@@ -39,13 +39,13 @@ def expect_same_clip(clip: VideoClip, truth: Truth, scene_dir: str) -> None:
     """
     duration_s = clip.source.duration_s or clip.frame_count / clip.fps
     shapes = (clip.width_px / clip.height_px, truth.intrinsics.width_px / truth.intrinsics.height_px)
-    for name, mine, true, unit in (
+    for name, estimated, true, unit in (
         ("duration", duration_s, truth.duration_s, " s"),
         ("width / height", *shapes, ""),
     ):
-        if abs(mine - true) > DURATION_TOLERANCE * true:
+        if abs(estimated - true) > DURATION_TOLERANCE * true:
             raise InputError(
-                f"truth of another clip: {name} is {mine:.2f}{unit} in {scene_dir} and {true:.2f}{unit} in "
+                f"truth of another clip: {name} is {estimated:.2f}{unit} in {scene_dir} and {true:.2f}{unit} in "
                 f"{truth.folder}; give the truth folder of the video that was run"
             )
 
@@ -111,13 +111,15 @@ def _picture_distance(estimate: BodyMotion, person: BodyMotion, frames: FrameMat
     if not len(rows):
         return np.inf, np.nan
     size = person.intrinsics
-    mine, seen = _pixels(estimate.joints_camera_m[rows], estimate.intrinsics.resized(size.width_px, size.height_px))
+    estimated, seen = _pixels(
+        estimate.joints_camera_m[rows], estimate.intrinsics.resized(size.width_px, size.height_px)
+    )
     true, truly_seen = _pixels(person.joints_camera_m[frames.true_index[rows]], size)
     both = seen & truly_seen
     if not both.any():
         return np.inf, np.nan
     height_px = float(np.median(np.ptp(true[..., 1], axis=1)[truly_seen.all(1)])) if truly_seen.all(1).any() else np.nan
-    return float(np.linalg.norm(mine - true, axis=-1)[both].mean()), height_px
+    return float(np.linalg.norm(estimated - true, axis=-1)[both].mean()), height_px
 
 
 def _pixels(points_camera_m: np.ndarray, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:

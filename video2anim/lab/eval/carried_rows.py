@@ -96,26 +96,28 @@ def moved_objects(
 ) -> MovedObjects:
     """Estimated paths and true objects, matched one to one by the least mean distance of their box centers."""
     true = [item for item in truth.objects if item.T_world_object_frames is not None]
-    mine = [obj for obj in objects if obj.path]
+    estimated = [obj for obj in objects if obj.path]
     spans = [_span(item, frames) for item in true]
     error_m = [
         [_distances(obj, item, span, frames, T_true_estimate) for item, span in zip(true, spans, strict=True)]
-        for obj in mine
+        for obj in estimated
     ]
-    mean_m = np.array([[e.mean() if len(e) else np.inf for e in row] for row in error_m]).reshape(len(mine), len(true))
+    mean_m = np.array([[e.mean() if len(e) else np.inf for e in row] for row in error_m]).reshape(
+        len(estimated), len(true)
+    )
     near = mean_m <= SAME_PATH_M
     rows, columns = linear_sum_assignment(np.where(near, mean_m, 1e6))
     pairs = {int(j): int(i) for i, j in zip(rows, columns, strict=True) if near[i, j]}
     matched = [
         MovedObject(
-            item.object_id, item.label, mine[pairs[j]].object_id, error_m[pairs[j]][j],
-            hold_error(mine[pairs[j]], item, frames),
+            item.object_id, item.label, estimated[pairs[j]].object_id, error_m[pairs[j]][j],
+            hold_error(estimated[pairs[j]], item, frames),
         )
         if j in pairs
         else MovedObject(item.object_id, item.label, None, np.zeros(0), np.nan)
         for j, item in enumerate(true)
     ]  # fmt: skip
-    return MovedObjects(tuple(matched), len(mine) - len(pairs))
+    return MovedObjects(tuple(matched), len(estimated) - len(pairs))
 
 
 def hold_error(obj: PlacedObject, item: TrueObject, frames: FrameMatch) -> float:
@@ -154,8 +156,8 @@ def _distances(
     assert T_true is not None
     if not len(placed.mesh.vertices_m) or len(T_path) != len(frames.true_index):
         return np.zeros(0)
-    mine = placed.scale * 0.5 * sum(_box(placed.mesh.vertices_m))
+    estimated = placed.scale * 0.5 * sum(_box(placed.mesh.vertices_m))
     true = 0.5 * sum(_box(read_glb(item.file).vertices_m))
-    mine_m = transform_points(T_true_estimate, T_path[span, :3, :3] @ mine + T_path[span, :3, 3])
+    estimated_m = transform_points(T_true_estimate, T_path[span, :3, :3] @ estimated + T_path[span, :3, 3])
     T_same = T_true[frames.true_index[span]]
-    return np.linalg.norm(mine_m - (T_same[:, :3, :3] @ true + T_same[:, :3, 3]), axis=-1)
+    return np.linalg.norm(estimated_m - (T_same[:, :3, :3] @ true + T_same[:, :3, 3]), axis=-1)

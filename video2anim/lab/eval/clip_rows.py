@@ -148,20 +148,20 @@ def match_boxes(
     last = np.full(people, -1)
     for frame in range(count):
         seen = np.flatnonzero(np.isfinite(true_px[:, frame]).all(-1))
-        there = np.flatnonzero(np.isfinite(found_px[:, frame]).all(-1))
+        present = np.flatnonzero(np.isfinite(found_px[:, frame]).all(-1))
         match.track[seen, frame] = -1
-        iou = box_iou(true_px[seen, frame], found_px[there, frame])
+        iou = box_iou(true_px[seen, frame], found_px[present, frame])
         # Keeping the previous track outweighs any better overlap.
-        gain = np.where(iou >= MATCH_IOU, iou + (last[seen][:, None] == there[None]), 0.0)
+        gain = np.where(iou >= MATCH_IOU, iou + (last[seen][:, None] == present[None]), 0.0)
         taken = 0
         for i, j in zip(*linear_sum_assignment(-gain), strict=True):
             if iou[i, j] < MATCH_IOU:
                 continue
-            person, track = seen[i], there[j]
+            person, track = seen[i], present[j]
             match.switches += int(last[person] not in (-1, track))
             match.track[person, frame], match.iou[person, frame], last[person] = track, iou[i, j], track
             taken += 1
-        match.false_boxes += len(there) - taken
+        match.false_boxes += len(present) - taken
     return match
 
 

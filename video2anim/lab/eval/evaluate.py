@@ -83,7 +83,7 @@ class _People:
         number = self._first[match.estimate].person_id
         true_person = self._truth.people[match.truth]
         stages = {name: self._of(number, name) for name in MOTION_STAGES}
-        there = {name: motion for name, motion in stages.items() if not isinstance(motion, str)}
+        present = {name: motion for name, motion in stages.items() if not isinstance(motion, str)}
         common = common_frames(self._first[match.estimate], true_person, self._frames)
         T = truth_from_estimate(self._first[match.estimate].T_world_camera, self._truth, self._frames)
         fps = self._truth.fps
@@ -93,8 +93,8 @@ class _People:
             true_person_id=true_person.person_id,
             distance_px=match.distance_px,
             groups=(motion_group(stages, true_person, common, T, fps, number), *bodies.groups(number)),
-            curves=(*motion_curves(there, true_person, common, T, fps), *bodies.curves()),
-            plan=plan_of(there, true_person, common, T, self._truth, scene),
+            curves=(*motion_curves(present, true_person, common, T, fps), *bodies.curves()),
+            plan=plan_of(present, true_person, common, T, self._truth, scene),
         )
 
     def _of(self, person_id: int, stage: str) -> BodyMotion | str:
@@ -114,12 +114,12 @@ class _People:
 
     def notes(self) -> list[str]:
         """Notes on persons without a match."""
-        mine = {match.estimate for match in self.matches}
+        estimated = {match.estimate for match in self.matches}
         true = {match.truth for match in self.matches}
         notes = [
             f"estimated person {person.person_id} was matched to nobody"
             for i, person in enumerate(self._first)
-            if i not in mine
+            if i not in estimated
         ]
         return notes + [
             f"true person {person.person_id} has no estimated motion"
@@ -134,10 +134,10 @@ def mean_group(groups: Sequence[Group]) -> Group:
     for same in zip(*(group.rows for group in groups), strict=True):
         qualities, reasons = [], []
         for column, quality in enumerate(same[0].qualities):
-            there = [value for row in same if (value := row.values[column]) is not None]
-            mean = float(np.mean(there)) if there else np.nan
+            present = [value for row in same if (value := row.values[column]) is not None]
+            mean = float(np.mean(present)) if present else np.nan
             qualities.append(replace(quality, value=mean, person_id=None))
-            reasons.append("" if there else same[0].reasons[column])
+            reasons.append("" if present else same[0].reasons[column])
         true = [row.truth for row in same if row.truth is not None]
         rows.append(Row(tuple(qualities), float(np.mean(true)) if true else None, tuple(reasons)))
     note = "" if len(groups) == 1 else f"Mean of {len(groups)} persons."

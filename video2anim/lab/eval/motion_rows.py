@@ -174,8 +174,8 @@ def motion_curves(
     place: dict[str, np.ndarray] = {}
     jerk: dict[str, np.ndarray] = {"truth": _jerk_curve(true_m, fps)}
     for name, motion in stages.items():
-        mine_m = transform_points(T_true_estimate, motion.joints_world_m[rows])
-        offset_m = mine_m - true_m
+        estimated_m = transform_points(T_true_estimate, motion.joints_world_m[rows])
+        offset_m = estimated_m - true_m
         local[name] = np.linalg.norm(offset_m - offset_m[:, [root]], axis=-1).mean(1)
         place[name] = np.linalg.norm(offset_m[:, root], axis=-1)
         jerk[name] = _jerk_curve(motion.joints_world_m[rows], fps)

@@ -201,10 +201,10 @@ def compared_objects(
         box, vertices_m = shapes[number]
         obj = next(obj for obj in objects if obj.object_id == number)
         mesh = Mesh(vertices_m, obj.mesh.faces, obj.mesh.vertex_rgb)
-        mine_m = surface_points(mesh, np.random.default_rng(_SEED))
+        estimated_m = surface_points(mesh, np.random.default_rng(_SEED))
         true_m = surface_points(world_mesh(furniture[j]), np.random.default_rng(_SEED))
         values = (
-            chamfer_m(mine_m, true_m),
+            chamfer_m(estimated_m, true_m),
             float(np.linalg.norm(box.center_m - true_boxes[j].center_m)),
             box_iou_3d(box, true_boxes[j]),
             abs(rest_height_m(mesh) - rest_height_m(world_mesh(furniture[j]))),

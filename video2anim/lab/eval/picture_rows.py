@@ -84,8 +84,8 @@ def _mask_iou(background: BackgroundImage, truth: Truth, frames: FrameMatch) -> 
     for row, true_row in common_maps(background.frame_index, truth, frames):
         true = person_pixels[true_row]
         if true.any():
-            mine = resample_nearest(background.person_mask[row], true.shape)
-            overlaps.append(mask_iou(mine, true))
+            estimated = resample_nearest(background.person_mask[row], true.shape)
+            overlaps.append(mask_iou(estimated, true))
     return float(np.mean(overlaps)) if overlaps else np.nan
 
 
@@ -144,19 +144,19 @@ def _pairs(
     true_m = truth.background_depth_m
     known = true_m > 0
     kept = known & resample_nearest(background_valid, shape)
-    mine, true, covered, all_px = [], [], 0, 0
+    estimated, true, covered, all_px = [], [], 0, 0
     person_pixels = truth.person_pixels
     for row, true_row in common_maps(frame_index, truth, frames):
         person = person_pixels[true_row] & (truth.depth_mm[true_row] > 0)
         seen = person & resample_nearest(valid[row], shape)
-        mine.append(resample_nearest(value[row], shape)[seen])
+        estimated.append(resample_nearest(value[row], shape)[seen])
         true.append(truth.depth_mm[true_row][seen] / 1000)
         covered, all_px = covered + int(seen.sum()), all_px + int(person.sum())
     empty = np.zeros(0)
     return _Pairs(
         background=(resample_nearest(background, shape)[kept].astype(np.float64), true_m[kept].astype(np.float64)),
         person=(
-            np.concatenate([empty, *mine]).astype(np.float64),
+            np.concatenate([empty, *estimated]).astype(np.float64),
             np.concatenate([empty, *true]).astype(np.float64),
         ),
         covered=float(kept.sum() / max(1, known.sum())),
@@ -200,14 +200,14 @@ def _depth_numbers(pairs: _Pairs, *, fitted: bool) -> dict[str, float | str]:
     }
     if fitted:
         return numbers | dict.fromkeys(("scale_ratio", "scale_error"), "the scale was fitted to the truth")
-    mine, true = (np.concatenate([a, b]) for a, b in zip(pairs.background, pairs.person, strict=True))
-    ratio = float(np.median(mine / true)) if len(mine) else np.nan
+    estimated, true = (np.concatenate([a, b]) for a, b in zip(pairs.background, pairs.person, strict=True))
+    ratio = float(np.median(estimated / true)) if len(estimated) else np.nan
     return numbers | {"scale_ratio": ratio, "scale_error": 100 * abs(ratio - 1)}
 
 
-def depth_errors(mine_m: Float[np.ndarray, "pixels"], true_m: Float[np.ndarray, "pixels"]) -> tuple[float, float]:
+def depth_errors(estimated_m: Float[np.ndarray, "pixels"], true_m: Float[np.ndarray, "pixels"]) -> tuple[float, float]:
     """AbsRel, the mean of |estimate - truth| / truth, and delta1, the share of pixels within a factor of 1.25."""
-    if not len(mine_m):
+    if not len(estimated_m):
         return float("nan"), float("nan")
-    abs_rel = float((np.abs(mine_m - true_m) / true_m).mean())
-    return abs_rel, float(((mine_m < _DELTA * true_m) & (true_m < _DELTA * mine_m)).mean())
+    abs_rel = float((np.abs(estimated_m - true_m) / true_m).mean())
+    return abs_rel, float(((estimated_m < _DELTA * true_m) & (true_m < _DELTA * estimated_m)).mean())

@@ -48,13 +48,13 @@ def plan_of(
                 and (corners.min(0) < near.max(0) + REACH_M).all()
             ):
                 true_outlines.append((item.label, outline(corners)))
-    mine = []
+    estimated = []
     for obj in () if isinstance(scene, str) else scene.objects:
         if len(obj.mesh.vertices_m):
             vertices_m = obj.scale * obj.mesh.vertices_m.astype(np.float64)
             points_m = transform_points(T_true_estimate @ obj.T_world_object, vertices_m)
-            mine.append((obj.label, outline(points_m[:, [0, 2]])))
-    return Plan(paths, tuple(true_outlines), tuple(mine))
+            estimated.append((obj.label, outline(points_m[:, [0, 2]])))
+    return Plan(paths, tuple(true_outlines), tuple(estimated))
 
 
 def outline(points: np.ndarray) -> Outline:

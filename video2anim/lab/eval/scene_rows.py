@@ -132,9 +132,11 @@ def aligned_on_floor(
     path_m: Float[np.ndarray, "frames 3"], true_path_m: Float[np.ndarray, "frames 3"]
 ) -> Float[np.ndarray, "4 4"]:
     """Rotation about +Y and horizontal shift (4, 4) that best align a path with the true one; heights stay."""
-    mine_m, true_m = (p[:, metrics.HORIZONTAL] - p[:, metrics.HORIZONTAL].mean(0) for p in (path_m, true_path_m))
+    estimated_m, true_m = (p[:, metrics.HORIZONTAL] - p[:, metrics.HORIZONTAL].mean(0) for p in (path_m, true_path_m))
     # Angle from z to x, which is the sense of a rotation about +Y.
-    yaw = np.arctan2((mine_m[:, 1] * true_m[:, 0] - mine_m[:, 0] * true_m[:, 1]).sum(), (mine_m * true_m).sum())
+    yaw = np.arctan2(
+        (estimated_m[:, 1] * true_m[:, 0] - estimated_m[:, 0] * true_m[:, 1]).sum(), (estimated_m * true_m).sum()
+    )
     T = np.eye(4)
     T[:3, :3] = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
     offset_m = true_path_m.mean(0) - T[:3, :3] @ path_m.mean(0)
