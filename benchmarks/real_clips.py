@@ -136,6 +136,7 @@ def main() -> None:
         "seed": 0, "clips": clips, "rows": [asdict(row) for row in rows],
     }  # fmt: skip
     target = options.out / f"real_clips-{report['date']}.json"
+    options.out.mkdir(parents=True, exist_ok=True)
     target.write_text(json.dumps(report, indent=1) + "\n")
     sys.stdout.write(table(rows) + "\n")
     write_png(options.work / "sheet.png", sheet([options.work / clip / "preview.mp4" for clip in options.clips]))
