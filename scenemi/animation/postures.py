@@ -35,6 +35,12 @@ from video2anim.types.skeleton import FEET, JOINT_INDEX, PARENTS, forward_kinema
 _LIBRARY = Path(__file__).with_name("postures.json")
 _PELVIS = JOINT_INDEX["pelvis"]
 _SITS_ON = (_PELVIS, *(leg.hip for leg in LEGS))
+_CALF_M = 0.06
+"""Behind the knee joint: so far before the edge of a seat a shin hangs free."""
+_INSIDE_M = 0.06
+"""Wrist from the edge of what the hand lies on: the palm, 0.1 m before it, lies well inside."""
+_WRIST_M = 0.03
+"""Wrist joint above what the hand lies on."""
 _BENDS = replace(OBSERVED, trunk_rad=0.15, iterations=60)
 """A posture of the library stands upright; whoever puts a hand on a table bends. With 0.05 rad, the hand stays 4 to 6
 cm from a table of 0.74 m, with this 6 mm after 16 iterations and less than 1 mm after 60."""
@@ -111,7 +117,7 @@ def settled(posture: Posture, body: ShapedBody, scene: SceneGeometry, where: str
 
 
 def _sitting(seat_of: NamedObject, heading_deg: float | None, body: ShapedBody) -> Posture:
-    """The calves are just before the front edge of the seat; on a seat that is less deep, the buttocks are at its
+    """The hollows of the knees are at the front edge of the seat; on a seat that is less deep, the buttocks are at its
     rear."""
     heading = seat_of.front if heading_deg is None else _heading(heading_deg)
     forward, left = _axes(heading)
@@ -123,8 +129,7 @@ def _sitting(seat_of: NamedObject, heading_deg: float | None, body: ShapedBody) 
     behind_m = -float((skin_m[part == _PELVIS] @ forward).min())
     front_m, rear_m = (seat_m @ forward).max(), (seat_m @ forward).min()
     across_m = 0.5 * float((seat_m @ left).max() + (seat_m @ left).min())
-    calf_m = -float(_skin_about(body, LEGS[0].knee)[:, 2].min())
-    along_m = max(front_m + calf_m - knees_m, rear_m + behind_m)
+    along_m = max(front_m + _CALF_M - knees_m, rear_m + behind_m)
     root_m = along_m * forward + across_m * left
     root_m[1] = seat_m[:, 1].max() - skin_m[np.isin(part, _SITS_ON), 1].min()
     R_world = _feet_down(R_world, joints_m + root_m, heading, body)
@@ -134,7 +139,7 @@ def _sitting(seat_of: NamedObject, heading_deg: float | None, body: ShapedBody) 
 
 
 def _standing_before(other: NamedObject, wish: PostureWish, body: ShapedBody) -> Posture:
-    """Facing an object's front, or along a heading, just before it; with a whole hand on it, if wished."""
+    """Facing an object's front, or along a heading, just before it; with a hand on it, if wished."""
     heading = -other.front if wish.heading_deg is None else _heading(wish.heading_deg)
     forward, left = _axes(heading)
     surface_m = (other.triangles_m if wish.hand_on is None else other.top()).reshape(-1, 3)
@@ -147,11 +152,10 @@ def _standing_before(other: NamedObject, wish: PostureWish, body: ShapedBody) ->
         return posture
     wrist, shoulder = (JOINT_INDEX[f"{wish.hand}_{name}"] for name in ("wrist", "shoulder"))
     joints_m, _ = forward_kinematics(posture.R_parent_joint, posture.translation_m, body.rest_joints_m)
-    hand_m = _skin_about(body, JOINT_INDEX["left_wrist"])  # stretched to the left, palm down
     posture.place_m[wrist] = (
         float(joints_m[shoulder] @ left) * left
-        + (edge_m - float(hand_m[:, 0].min())) * forward
-        + (float(surface_m[:, 1].max()) - float(hand_m[:, 1].min())) * np.array([0.0, 1.0, 0.0])
+        + (edge_m + _INSIDE_M) * forward
+        + (float(surface_m[:, 1].max()) + _WRIST_M) * np.array([0.0, 1.0, 0.0])
     )
     posture.contact[wrist] = 1.0
     return posture
@@ -180,11 +184,6 @@ def _feet_down(
         R_world[leg.hip], R_world[leg.knee] = hip[0], knee[0]
         R_world[[leg.ankle, leg.toe]] = matrix_from_axis_angle(np.array([0.0, np.arctan2(*heading), 0.0]))
     return R_world
-
-
-def _skin_about(body: ShapedBody, joint: int) -> Float[np.ndarray, "vertices 3"]:
-    """The skin that follows a joint, from that joint, in the T-pose: x to the left, y up, z to the front."""
-    return body.rest_vertices_m[body.vertex_part == joint] - body.rest_joints_m[joint]
 
 
 def _skin(body: ShapedBody, joints_m: np.ndarray, R_world: np.ndarray) -> Float[np.ndarray, "vertices 3"]:
