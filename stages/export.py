@@ -94,16 +94,18 @@ def _write_pictures(
     ctx: StageContext,
 ) -> list[Path]:
     from video2anim.artifacts.images import write_png
-    from video2anim.export.preview import PreviewConfig, overlay_frame, write_preview
+    from video2anim.export.preview import overlay_frame, write_preview
 
     written: list[Path] = []
     if config.preview:
         written.append(ctx.work_dir / "preview.mp4")
-        size = PreviewConfig(panel_height_px=config.preview_height_px)
         sound_from = source.path if source.path.is_file() else None
         if sound_from is None:
             ctx.warn(f"the preview has no sound: the video is no longer at {source.path}")
-        write_preview(written[-1], clip, refined.people, refined.scene, size, ctx.progress, sound_from=sound_from)
+        write_preview(
+            written[-1], clip, refined.people, refined.scene, config.preview_height_px, ctx.progress,
+            sound_from=sound_from,
+        )  # fmt: skip
     for frame in _spread(refined.main.valid.nonzero()[0].tolist(), config.overlay_frames):
         written.append(ctx.work_dir / f"overlay_{frame:05d}.png")
         write_png(written[-1], overlay_frame(clip, refined.people, frame))
@@ -136,4 +138,4 @@ def _spread(frames: list[int], count: int) -> list[int]:
     return sorted({frames[int(share * len(frames))] for share in steps})
 
 
-STAGE = StageSpec("export", export_scene, version=8)
+STAGE = StageSpec("export", export_scene, version=9)

@@ -140,7 +140,7 @@ def test_preview_has_the_sound_of_its_pictures_and_plays_while_it_loads(
     clip = replace(gray_clip, source_time_s=gray_clip.frame_time_s + start_s)
     made = [tmp_path / "preview.mp4", tmp_path / "again.mp4"]
     for path in made:
-        write_preview(path, clip, (walk(FRAMES),), room(), sound_from=source_with_sound)
+        write_preview(path, clip, (walk(FRAMES),), room(), 360, sound_from=source_with_sound)
     with av.open(str(made[0])) as container:
         pieces = [piece.to_ndarray() for piece in container.decode(audio=0)]
         rate_hz = container.streams.audio[0].rate
@@ -168,12 +168,12 @@ def test_a_source_that_is_gone_is_told(gray_clip: VideoClip, tmp_path: Path) -> 
 
 
 def test_preview_has_every_frame_and_both_panels(gray_clip: VideoClip, tmp_path: Path) -> None:
-    write_preview(tmp_path / "preview.mp4", gray_clip, (walk(FRAMES),), room())
+    write_preview(tmp_path / "preview.mp4", gray_clip, (walk(FRAMES),), room(), 360)
     with av.open(str(tmp_path / "preview.mp4")) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
         assert container.streams.video[0].average_rate == 30
     assert len(frames) == FRAMES
-    assert frames[0].shape == (360, 640 + 560, 3)
+    assert frames[0].shape == (360, 2 * 640, 3)
     side = frames[3][:, 640:].astype(int)
     blue = (side[..., 2] - side[..., 0] > 60).mean()
     skin = (side[..., 0] - side[..., 2] > 35).mean()
@@ -183,8 +183,8 @@ def test_preview_has_every_frame_and_both_panels(gray_clip: VideoClip, tmp_path:
 
 def test_preview_and_moments_show_a_carried_box_where_it_is(gray_clip: VideoClip, tmp_path: Path) -> None:
     people, scene = (walk(FRAMES),), room_with_carried_box(FRAMES)
-    write_preview(tmp_path / "preview.mp4", gray_clip, people, scene)
-    viewpoint, (placed,) = side_viewpoint(people, scene, 560, 360), scene.objects
+    write_preview(tmp_path / "preview.mp4", gray_clip, people, scene, 360)
+    viewpoint, (placed,) = side_viewpoint(people, scene, 640, 360), scene.objects
     with av.open(str(tmp_path / "preview.mp4")) as container:
         pictures = [frame.to_ndarray(format="rgb24")[:, 640:].astype(int) for frame in container.decode(video=0)]
     at_px = []

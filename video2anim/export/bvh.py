@@ -7,17 +7,17 @@ no place for missing measurements: such frames hold the held or interpolated pos
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from video2anim.export.character import Character
 from video2anim.export.frames import CENTIMETERS_PER_METER
 from video2anim.types import BodyMotion
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS
-
-_GIMBAL_COSINE = 1e-6
 
 
 def write_bvh(path: Path, character: Character) -> None:
@@ -46,16 +46,10 @@ def continuous_euler_zyx(
 
     Every rotation has two such triples, each up to full turns; at a gimbal lock (y = +-90 degrees) x is 0.
     """
-    cosine = np.hypot(R_a_b[..., 0, 0], R_a_b[..., 1, 0])
-    y = np.arctan2(-R_a_b[..., 2, 0], cosine)
-    locked = cosine < _GIMBAL_COSINE
-    z = np.where(
-        locked,
-        np.arctan2(-R_a_b[..., 0, 1], R_a_b[..., 1, 1]),
-        np.arctan2(R_a_b[..., 1, 0], R_a_b[..., 0, 0]),
-    )
-    x = np.where(locked, 0.0, np.arctan2(R_a_b[..., 2, 1], R_a_b[..., 2, 2]))
-    angles = np.stack([z, y, x], -1)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Gimbal lock")
+        angles = Rotation.from_matrix(R_a_b.reshape(-1, 3, 3)).as_euler("ZYX").reshape(R_a_b.shape[:-1])
+    z, y, x = np.moveaxis(angles, -1, 0)
     turned = np.stack([z + np.pi, np.pi - y, x + np.pi], -1)
     for frame in range(1, len(angles)):
         before = angles[frame - 1]

@@ -18,6 +18,7 @@ from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, PARENTS
 INFLUENCES = 4
 """Joints per vertex in the files; game engines and glTF viewers read no more."""
 _REST_TOLERANCE_M = 1e-3
+"""Joints of a shape that differ by more are of another one: files hold them in single precision."""
 
 
 _MAIN_CHILD = {"pelvis": "spine1", "spine3": "neck"}

@@ -34,6 +34,7 @@ from video2anim.geometry.rotations import continuous_quaternions, quaternion_fro
 from video2anim.geometry.vertex_normals import vertex_normals
 from video2anim.types import BodyMotion, Contact, Hold, Mesh, PlacedObject, RoomPiece, Texture
 from video2anim.types.skeleton import JOINT_NAMES, PARENTS
+from video2anim.viewer.bodies import PERSON_RGB
 
 
 class SceneMeshes(Protocol):
@@ -47,7 +48,7 @@ class SceneMeshes(Protocol):
     def background(self) -> tuple[RoomPiece, ...]: ...
 
 
-SKIN_RGB = (205, 163, 138)
+SKIN_RGB = PERSON_RGB[0]
 FAR_M = 1000.0
 """Clipping range of cameras."""
 _UNLIT = "KHR_materials_unlit"

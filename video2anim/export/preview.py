@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -18,30 +18,15 @@ from video2anim.video import FrameWriter, read_frame, read_frames
 from video2anim.viewer.bodies import PosedBodies
 from video2anim.viewer.drawing import draw_frustum, draw_static, objects_stay
 from video2anim.viewer.raster import Canvas
-from video2anim.viewer.software import framed_points
+from video2anim.viewer.software import ELEVATION_RAD, FRAMED_EVERY, ROOM_M, framed_points
 from video2anim.viewer.viewpoint import Viewpoint, fit_viewpoint, looking
 
 _BODY_OPACITY = 0.8
-_SIDE_VIEWS = ((1, 0.25), (-1, 0.25), (1, 0.7), (-1, 0.7), (1, 1.2))
-"""Candidates of the side view in order of preference: side (+1 or -1) and elevation in radians."""
-_CHECKED_FRAMES = 40
-"""Frames in which it is tested whether objects hide the bodies."""
-_HIDDEN_SHARE = 0.15
-"""A view that hides more of the joints than this is not taken, if another hides fewer."""
-_SIGHT_STEPS = 60
-_TEXT_RGB = (40, 44, 52)
-_AROUND_M = tuple(np.array([x, 0.0, z]) for x in (-0.4, 0.4) for z in (-0.4, 0.4))
+"""Of bodies over the input."""
+_SIDE_VIEWS = (*((side, times * ELEVATION_RAD) for times in (1, 2) for side in (1, -1)), (1, math.pi / 2))
+"""Candidates of the side view in order of preference: side (+1 or -1) and elevation in radians, at last from above."""
+_AROUND_M = tuple(np.array([x, 0.0, z]) for x in (-ROOM_M, ROOM_M) for z in (-ROOM_M, ROOM_M))
 """Room left around a body in a close view."""
-
-
-@dataclass(frozen=True, slots=True)
-class PreviewConfig:
-    """Size of the preview."""
-
-    panel_height_px: int = 360
-    """Height of both panels; the left one keeps the shape of the video."""
-    side_width_px: int = 560
-    """Width of the side view."""
 
 
 def write_preview(
@@ -49,7 +34,7 @@ def write_preview(
     clip: VideoClip,
     people: tuple[BodyMotion, ...],
     scene: SceneModel,
-    config: PreviewConfig | None = None,
+    height_px: int,
     on_progress: Callable[[int, int], None] | None = None,
     *,
     sound_from: Path | None = None,
@@ -61,7 +46,7 @@ def write_preview(
         clip: The input; its pictures are the left panel.
         people: Motions to show, main person first.
         scene: Floor and objects of the side view.
-        config: Panel sizes.
+        height_px: Height of both panels; the left one keeps the shape of the video, the right one is as wide or square.
         on_progress: Called with frames done and in all.
         sound_from: The file that the clip was made from, whose sound is added where it has any.
 
@@ -69,16 +54,16 @@ def write_preview(
         InputError: the clip cannot be read or the disk is full.
         StageError: the file cannot be written.
     """
-    size = config or PreviewConfig()
     bodies = PosedBodies(people)
-    width_px, height_px = _panel_size(clip, size.panel_height_px)
+    width_px, height_px = _panel_size(clip, height_px)
+    side_width_px = max(width_px, height_px)
     main = main_person(people)
-    side = side_viewpoint(people, scene, size.side_width_px, height_px)
+    side = side_viewpoint(people, scene, side_width_px, height_px)
     side_empty = _empty_scene(scene, side, 0)
     total = min(clip.frame_count, main.frame_count)
     silent = path.with_name(f".silent-{path.name}")
     with FrameWriter(
-        silent, width_px=width_px + size.side_width_px, height_px=height_px, fps=round(clip.fps), crf=20
+        silent, width_px=width_px + side_width_px, height_px=height_px, fps=round(clip.fps), crf=20
     ) as writer:
         for frame, (picture, meshes) in enumerate(
             zip(read_frames(clip, 0, total), bodies.frames(0, total), strict=True)
@@ -92,7 +77,7 @@ def write_preview(
             bodies.draw(right, side, meshes, frame)
             both = np.concatenate([left, right.rgb], axis=1)
             label = f"{frame}  {clip.frame_time_s[frame]:.2f} s"
-            cv2.putText(both, label, (width_px + 10, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _TEXT_RGB, 1, cv2.LINE_AA)
+            cv2.putText(both, label, (width_px + 10, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
             writer.write(both)
             if on_progress is not None:
                 on_progress(frame + 1, total)
@@ -142,7 +127,7 @@ def side_viewpoint(people: tuple[BodyMotion, ...], scene: SceneModel, width_px: 
     """A camera at right angles to the filming one that sees all bodies and the objects near them. Where objects would
     hide the bodies from there, it looks from the other side, or from higher up."""
     joints_m = [body.joints_world_m[body.valid] for body in people]
-    checked_m = [own[:: max(1, len(own) // _CHECKED_FRAMES)].reshape(-1, 3) for own in joints_m]
+    checked_m = [own[::FRAMED_EVERY].reshape(-1, 3) for own in joints_m]
     sideways = np.cross([0.0, 1.0, 0.0], main_person(people).view().forward)
     return _clear_viewpoint(
         framed_points(people, scene), np.concatenate(checked_m), sideways, scene, width_px, height_px
@@ -157,15 +142,12 @@ def _clear_viewpoint(
     width_px: int,
     height_px: int,
 ) -> Viewpoint:
-    """The first candidate that hides few of the checked points, else the one that hides the fewest."""
-    found = []
-    for side, elevation_rad in _SIDE_VIEWS:
-        R_world_camera = looking(side * sideways, elevation_rad)
-        viewpoint = fit_viewpoint(points_m, R_world_camera, width_px=width_px, height_px=height_px)
-        found.append((hidden_share(checked_m, viewpoint, scene), viewpoint))
-        if found[-1][0] <= _HIDDEN_SHARE:
-            return viewpoint
-    return min(found, key=lambda one: one[0])[1]
+    """The candidate that hides the fewest of the checked points, of equal ones the first."""
+    views = [
+        fit_viewpoint(points_m, looking(side * sideways, elevation_rad), width_px=width_px, height_px=height_px)
+        for side, elevation_rad in _SIDE_VIEWS
+    ]
+    return min(views, key=lambda viewpoint: hidden_share(checked_m, viewpoint, scene))
 
 
 def hidden_share(points_m: Float[np.ndarray, "points 3"], viewpoint: Viewpoint, scene: SceneModel) -> float:
@@ -174,8 +156,9 @@ def hidden_share(points_m: Float[np.ndarray, "points 3"], viewpoint: Viewpoint, 
         return 0.0
     grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
     # Without the last 5 %: the seat of a body does not hide it.
-    along = np.linspace(0.0, 0.95, _SIGHT_STEPS)[:, None]
     camera_m = viewpoint.T_world_camera[:3, 3]
+    longest_m = np.linalg.norm(points_m - camera_m, axis=1).max()
+    along = np.linspace(0.0, 0.95, 1 + int(np.ceil(longest_m / scene.sdf_spacing_m)))[:, None]
     sights_m = camera_m + along * (points_m[:, None] - camera_m)
     return float((grid.sample(sights_m) < 0).any(1).mean())
 

@@ -19,7 +19,9 @@ from video2anim.viewer.clipping import clip_segments_near, clip_triangles_near
 _LIGHT = np.array([-0.35, -0.65, -0.67])
 """Unit direction towards the light in camera axes: over the viewer's left shoulder."""
 _AMBIENT = 0.42
+"""Brightness of a surface that the light only grazes, chosen by eye."""
 _BATCH_PIXELS = 1 << 19
+"""Pixels tested at once, which bounds memory."""
 _TILE_PX = 256
 """Pixel boxes of larger triangles are split, which bounds memory."""
 

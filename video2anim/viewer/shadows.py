@@ -11,9 +11,11 @@ from jaxtyping import Float, UInt8
 from video2anim.types import Mesh
 
 _CELL_M = 0.03
+"""Resolution of the shadow, chosen by eye like the rest."""
 _REACH_M = 0.35
 """What is higher casts no contact shadow: light comes from all sides."""
 _SOFT_M = 0.07
+"""Standard deviation of the blur."""
 _DARKEST = 0.6
 """Share of the light that is taken away right under an object."""
 _MAX_CELLS = 2000

@@ -16,13 +16,15 @@ from video2anim.viewer.drawing import draw_frustum, draw_static, world_vertices
 from video2anim.viewer.raster import Canvas
 from video2anim.viewer.viewpoint import Viewpoint, fit_viewpoint, looking
 
-_ELEVATION_RAD = 0.35
+ELEVATION_RAD = 0.35
+"""Of the usual view."""
 TURN_RAD = 0.6
 """Of the usual view against the filming camera's."""
 _SUPERSAMPLING = 2
-_HEADROOM_M = 0.25
-_FRAMED_EVERY = 15
-"""Frames: a moving object is kept in the picture where it is in every such frame and in the last."""
+ROOM_M = 0.25
+"""Room left around bodies."""
+FRAMED_EVERY = 15
+"""Frames: what moves is kept in the picture where it is in every such frame, twice a second, and in the last."""
 _WHITE = (255, 255, 255)
 _LINE_PX = 20
 """Height of a line of text."""
@@ -78,7 +80,7 @@ def oblique_viewpoint(
     forward = main_person(people).view().forward
     c, s = np.cos(turn_rad), np.sin(turn_rad)
     turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-    return fit_viewpoint(points_m, looking(turn @ forward, _ELEVATION_RAD), width_px=width_px, height_px=height_px)
+    return fit_viewpoint(points_m, looking(turn @ forward, ELEVATION_RAD), width_px=width_px, height_px=height_px)
 
 
 def framed_points(
@@ -89,11 +91,11 @@ def framed_points(
     paths_m = np.concatenate(measured)
     if len(paths_m) == 0:
         paths_m = np.concatenate([motion.joints_world_m.reshape(-1, 3) for motion in people])
-    points = [paths_m + np.array([0.0, _HEADROOM_M, 0.0]), paths_m * [1.0, 0.0, 1.0]]
+    points = [paths_m + np.array([0.0, ROOM_M, 0.0]), paths_m * [1.0, 0.0, 1.0]]
     center_m = np.median(paths_m, axis=0)
     for placed in scene.objects if scene is not None else ():
         count = len(placed.path[0].T_world_object) if placed.path else 1
-        frames = sorted({*range(0, count, _FRAMED_EVERY), count - 1})
+        frames = sorted({*range(0, count, FRAMED_EVERY), count - 1})
         places = [world_vertices(placed, frame) for frame in frames]
         points += [
             vertices_m

@@ -13,6 +13,7 @@ from video2anim.types import Intrinsics
 _MARGIN = 0.9
 """Share of the half picture that the points may fill."""
 _MIN_DISTANCE_M = 0.5
+"""From the middle of the points, which may be one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
