@@ -27,7 +27,7 @@ _LOW_M = np.array([-3.0, 0.0, -4.0])
 """Lowest corner of the grids, which lie about x = z = 0."""
 _GRID = (300, 100, 400)
 """Voxels along x, y, z."""
-_VOXEL_M = -2 * float(_LOW_M[0]) / _GRID[0]
+_VOXEL_M = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)

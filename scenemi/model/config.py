@@ -11,27 +11,30 @@ from scenemi.scene.basis_points import BPS_ANCHORS
 from scenemi.scene.voxels import GRID_SHAPE, VOXEL_M
 from scenemi.windows import WINDOW_FRAMES
 
-Size = Annotated[int, Field(ge=1, le=8192)]
-"""Four times the widest layer of published motion models (2048): more is a damaged header."""
+Width = Annotated[int, Field(ge=1, le=8192)]
+Layers = Annotated[int, Field(ge=1, le=64)]
+Voxels = Annotated[int, Field(ge=1, le=256)]
+Frames = Annotated[int, Field(ge=2, le=1024)]
+"""Limits of what a file's header may ask for: several times the largest published motion models. More is damage."""
 
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
     """The shipped denoiser (`scenemi.model.denoiser`)."""
 
-    width: Size = 320
+    width: Width = 320
     """Channels of a token."""
-    layers: Size = 6
+    layers: Layers = 6
     """Of the transformer."""
-    heads: Size = 10
+    heads: Layers = 10
     """Of its attention."""
-    fold: Size = 8
+    fold: Layers = 8
     """Frames of a token: 8 frames are a quarter of a second, which the keyframes' curve tells well already."""
-    embedding: Size = 256
+    embedding: Width = 256
     """Channels that carry diffusion step and body shape."""
     scene: bool = True
     """Signed distance and the way out at the joints of the current estimate are inputs of every frame."""
-    window_frames: Size = WINDOW_FRAMES
+    window_frames: Frames = WINDOW_FRAMES
 
     def __post_init__(self) -> None:
         if self.width % self.heads:
@@ -50,32 +53,32 @@ class ModelConfig:
 class PaperConfig:
     """The paper's denoiser (`scenemi.model.paper`, Table 5)."""
 
-    width: Size = 256
+    width: Width = 256
     """Base channels of the U-Net."""
-    multipliers: Annotated[tuple[Size, ...], Field(min_length=1, max_length=8)] = (2, 2, 2, 2)
+    multipliers: Annotated[tuple[Layers, ...], Field(min_length=1, max_length=8)] = (2, 2, 2, 2)
     """Channels of each level in units of `width`; each level below the first halves the frame rate."""
-    kernel: Size = 5
+    kernel: Layers = 5
     """Frames of a convolution."""
-    groups: Size = 8
+    groups: Layers = 8
     """Of the normalization."""
-    embedding: Size = 512
+    embedding: Width = 512
     """Channels that carry diffusion step, body and scene."""
-    bps_anchors: Size = BPS_ANCHORS
-    local_channels: Size = width
+    bps_anchors: Width = BPS_ANCHORS
+    local_channels: Width = 256
     """Channels of the embedded local scene."""
-    grid: tuple[Size, Size, Size] = GRID_SHAPE
+    grid: tuple[Voxels, Voxels, Voxels] = GRID_SHAPE
     voxel_m: Annotated[float, Field(gt=0, le=1)] = VOXEL_M
-    patch: tuple[Size, Size, Size] = (8, 8, 8)
-    """Size of a token of the scene encoder."""
-    scene_width: Size = embedding
-    scene_layers: Size = 12
+    patch: tuple[Voxels, Voxels, Voxels] = (8, 8, 8)
+    """Voxels of a token of the scene encoder."""
+    scene_width: Width = 512
+    scene_layers: Layers = 12
     """Of the scene's encoder."""
-    scene_heads: Size = 8
+    scene_heads: Layers = 8
     """Of its attention."""
     use_body: bool = True
     use_global: bool = True
     use_local: bool = True
-    window_frames: Size = WINDOW_FRAMES
+    window_frames: Frames = WINDOW_FRAMES
 
     def __post_init__(self) -> None:
         if any(size % patch for size, patch in zip(self.grid, self.patch, strict=True)):
@@ -97,10 +100,10 @@ class BaselineConfig(PaperConfig):
     of the global scene, none the local scene at keyframes."""
 
     method: Method
-    channels: Size
+    channels: Width
     """Of a frame in transformers and recurrent networks; U-Nets have `width`."""
-    layers: Size
-    heads: Size
+    layers: Layers
+    heads: Layers
 
     @classmethod
     def like(cls, method: Method, size: ModelConfig) -> BaselineConfig:
