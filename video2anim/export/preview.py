@@ -18,13 +18,17 @@ from video2anim.video import FrameWriter, read_frame, read_frames
 from video2anim.viewer.bodies import PosedBodies
 from video2anim.viewer.drawing import draw_frustum, draw_static, objects_stay
 from video2anim.viewer.raster import Canvas
-from video2anim.viewer.software import ELEVATION_RAD, FRAMED_EVERY, ROOM_M, framed_points
+from video2anim.viewer.software import ELEVATION_RAD, ROOM_M, framed_points
 from video2anim.viewer.viewpoint import Viewpoint, fit_viewpoint, looking
 
 _BODY_OPACITY = 0.8
 """Of bodies over the input."""
 _SIDE_VIEWS = (*((side, times * ELEVATION_RAD) for times in (1, 2) for side in (1, -1)), (1, math.pi / 2))
 """Candidates of the side view in order of preference: side (+1 or -1) and elevation in radians, at last from above."""
+_HIDDEN_SHARE = 0.15
+"""A view from the side shows motion best: it is taken while it hides at most this share of the joints. Not measured."""
+_CHECKED_FRAMES = 40
+"""Frames in which it is tested whether objects hide the bodies; so few bound the memory of long clips."""
 _AROUND_M = tuple(np.array([x, 0.0, z]) for x in (-ROOM_M, ROOM_M) for z in (-ROOM_M, ROOM_M))
 """Room left around a body in a close view."""
 
@@ -127,7 +131,7 @@ def side_viewpoint(people: tuple[BodyMotion, ...], scene: SceneModel, width_px: 
     """A camera at right angles to the filming one that sees all bodies and the objects near them. Where objects would
     hide the bodies from there, it looks from the other side, or from higher up."""
     joints_m = [body.joints_world_m[body.valid] for body in people]
-    checked_m = [own[::FRAMED_EVERY].reshape(-1, 3) for own in joints_m]
+    checked_m = [own[:: max(1, len(own) // _CHECKED_FRAMES)].reshape(-1, 3) for own in joints_m]
     sideways = np.cross([0.0, 1.0, 0.0], main_person(people).view().forward)
     return _clear_viewpoint(
         framed_points(people, scene), np.concatenate(checked_m), sideways, scene, width_px, height_px
@@ -142,12 +146,15 @@ def _clear_viewpoint(
     width_px: int,
     height_px: int,
 ) -> Viewpoint:
-    """The candidate that hides the fewest of the checked points, of equal ones the first."""
-    views = [
-        fit_viewpoint(points_m, looking(side * sideways, elevation_rad), width_px=width_px, height_px=height_px)
-        for side, elevation_rad in _SIDE_VIEWS
-    ]
-    return min(views, key=lambda viewpoint: hidden_share(checked_m, viewpoint, scene))
+    """The first candidate that hides few of the checked points, else the one that hides the fewest."""
+    found = []
+    for side, elevation_rad in _SIDE_VIEWS:
+        R_world_camera = looking(side * sideways, elevation_rad)
+        viewpoint = fit_viewpoint(points_m, R_world_camera, width_px=width_px, height_px=height_px)
+        found.append((hidden_share(checked_m, viewpoint, scene), viewpoint))
+        if found[-1][0] <= _HIDDEN_SHARE:
+            return viewpoint
+    return min(found, key=lambda one: one[0])[1]
 
 
 def hidden_share(points_m: Float[np.ndarray, "points 3"], viewpoint: Viewpoint, scene: SceneModel) -> float:

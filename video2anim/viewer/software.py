@@ -23,7 +23,7 @@ TURN_RAD = 0.6
 _SUPERSAMPLING = 2
 ROOM_M = 0.25
 """Room left around bodies."""
-FRAMED_EVERY = 15
+_FRAMED_EVERY = 15
 """Frames: what moves is kept in the picture where it is in every such frame, twice a second, and in the last."""
 _WHITE = (255, 255, 255)
 _LINE_PX = 20
@@ -95,7 +95,7 @@ def framed_points(
     center_m = np.median(paths_m, axis=0)
     for placed in scene.objects if scene is not None else ():
         count = len(placed.path[0].T_world_object) if placed.path else 1
-        frames = sorted({*range(0, count, FRAMED_EVERY), count - 1})
+        frames = sorted({*range(0, count, _FRAMED_EVERY), count - 1})
         places = [world_vertices(placed, frame) for frame in frames]
         points += [
             vertices_m
