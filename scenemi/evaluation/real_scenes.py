@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 from scenemi.data.scene_clips import SceneFit, fit_scene, read_scene_clips
 from scenemi.data.split import Part
-from scenemi.evaluation.scenes import REACH_M
 from scenemi.evaluation.windows import EvaluationWindow, adult_body, windows_of
 from scenemi.features import canonical_frame
+from scenemi.metrics import CLOSE_PROXIMITY_M
 from scenemi.scene.grid import SPACING_M
 from scenemi.windows import WINDOW_FRAMES
 from video2anim.body.shaped_body import ShapedBody
@@ -38,7 +38,7 @@ class PlacedSolids:
         """See `ObstacleField`; at most 0.3 m."""
         T = self.T_world_canonical
         world_m = points_m @ T[:3, :3].T + T[:3, 3]
-        return np.minimum(self.fit.scale * self.solids.sample(self.fit.scene_points(world_m)), REACH_M)
+        return np.minimum(self.fit.scale * self.solids.sample(self.fit.scene_points(world_m)), CLOSE_PROXIMITY_M)
 
     def with_floor(self, around_m: Float[np.ndarray, "points 3"]) -> SdfGrid:
         """The solids and the floor as a grid in the canonical frame, around points."""
