@@ -1,9 +1,8 @@
 """Keyframe optimization (SceneMI, supplement section 8.2): moves roots so that body and scene agree.
 
-Four losses over the displacements of the keyframes, all in square meters so that weights carry no unit: regularization
-(small displacements), contact (touching parts meet the surface), penetration (skin stays outside of solids), and the
-Chamfer distance between visible skin and metric depth. The paper's temporal smoothness is left out: without it the
-root's path on clips with motion capture is the same to 0.1 mm. Roots move along their lines of sight only,
+Five losses over the displacements of the keyframes, all in square meters so that weights carry no unit: regularization
+(small displacements), contact (touching parts meet the surface), penetration (skin stays outside of solids), temporal
+smoothness, and the Chamfer distance between visible skin and metric depth. Roots move along their lines of sight only,
 the direction in which one camera is least certain, so the body keeps its place in the image. Poses do not change.
 Between keyframes the displacement is interpolated, not the motion, which keeps its detail.
 """
