@@ -19,6 +19,11 @@ from video2anim.types import BackgroundImage, PersonTracks, VideoClip
 if TYPE_CHECKING:
     from video2anim.background.person_masks import MedianSamples, PeopleMasks
 
+_SAMPLE_BYTES = 256 * 2**20
+"""Memory for full-size samples of the background image."""
+_MIN_SAMPLES = 9
+"""Fewest samples, whatever their memory: a median of fewer shows people who stand."""
+
 
 @dataclass(frozen=True)
 class BackgroundConfig:
@@ -26,8 +31,8 @@ class BackgroundConfig:
 
     frame_step: Annotated[int, limits("frames", ge=1, le=100_000)] = 5
     """Masks are made of every such frame and of the last one."""
-    max_samples: Annotated[int, limits(ge=1, le=255)] = 40
-    """Most frames of the median, which are in memory together: 250 MB at 1920 x 1080."""
+    max_samples: Annotated[int, limits(ge=1, le=255)] = 60
+    """Most frames of the median; fewer where they would need too much memory."""
     long_side_px: Annotated[int, limits("px", ge=16, le=16_384)] = 384
     """Working resolution of masks, and of all depth that follows."""
 
@@ -89,7 +94,8 @@ def _collect(
     from video2anim.camera.background_registration import BackgroundRegistration
 
     count = len(frame_index)
-    wanted = np.unique(np.linspace(0, count - 1, min(count, config.max_samples)).round().astype(int))
+    affordable = max(_MIN_SAMPLES, _SAMPLE_BYTES // (3 * clip.width_px * clip.height_px))
+    wanted = np.unique(np.linspace(0, count - 1, min(count, config.max_samples, affordable)).round().astype(int))
     H_reference_frame = np.tile(np.eye(3), (count, 1, 1))
     rgb = np.zeros((len(wanted), clip.height_px, clip.width_px, 3), np.uint8)
     rows: list[int] = []
@@ -134,4 +140,4 @@ def _report(
         )
 
 
-STAGE = StageSpec("background", make_background, version=4)
+STAGE = StageSpec("background", make_background, version=3)

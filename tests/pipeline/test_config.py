@@ -92,14 +92,14 @@ def test_no_option_takes_nonsense(stage: str, name: str, option: Option) -> None
         ("depth.provider=nosuch", "want a model of slot depth (room-depth, "),
         ("segment.provider=geocalib", "NAME@PATH for weights of your own) or 'geometric', got 'geocalib'"),
         ("depth.provider=geocalib", "NAME@PATH for weights of your own), got 'geocalib'"),
-        ("refine.prior=none", "want 'auto' or 'interpolation' or 'scenemi', got 'none'"),
+        ("humans.method=none", "want 'both' or 'lifter' or 'optimizer', got 'none'"),
         ("reconstruct.model=triposr@~nosuchuser/x", "want a model of slot object-mesh (triposr; "),
         ("reconstruct.command=make {mesh}", "{image} and {mesh}"),
         ("track.person=somebody", "'largest', 'all' or a person's ID, got 'somebody'"),
         ("ingest.start_s=.nan", "want a number from 0 to 1000000 s, got nan"),
         ("camera.frames=yes", "want a whole number from 1 to 10000, got True"),
         ("camera.frames=2.5", "want a whole number from 1 to 10000, got 2.5"),
-        ("depth.hue_shifts_rad=[0.1, 7]", "a list, each a number from -3.14159"),
+        ("depth.hue_shifts_rad=[0.1, 7]", "a list, each a number from -3.1416 to 3.1416 rad"),
         ("scene.scan_shift_m=[1, 2]", "a list of 3, each a number"),
         ("refine.keyframe_noise_deg=-1", "want a number from 0 to 100 degrees, got -1"),
         ("seed=-1", "seed: want a whole number from 0 to 4294967295, got -1"),
@@ -135,6 +135,8 @@ def test_valid_values_stay_what_they_were() -> None:
     "given",
     [
         ("camera.camera_model=none", "camera.field_frames=5"),
+        ("humans.method=lifter", "humans.iterations=10"),
+        ("humans.method=optimizer", "humans.model=lifter@x.onnx"),
         ("export.preview=false", "export.preview_height_px=100"),
         ("scene.scan_up=z",),
         ("scene.scan=room.ply", "scene.walked_m=2"),
@@ -148,9 +150,11 @@ def test_an_option_that_means_nothing_is_an_error(given: tuple[str, ...]) -> Non
 def test_what_is_chosen_later_may_make_an_option_of_a_preset_meaningless() -> None:
     layers = [("preset", {"camera": {"field_frames": 5}}), ("--set", {"camera": {"camera_model": "none"}})]
     assert resolve(NODES, "p", layers).stages["camera"].field_frames == 5
-    layers[0][1]["camera"]["camera_model"] = "none"
-    with pytest.raises(UsageError, match=r"camera\.field_frames: means nothing"):
-        resolve(NODES, "p", layers[:1])
+    early = [("mine", {"humans": {"iterations": 20}}), ("--set", {"humans": {"method": "optimizer"}})]
+    assert resolve(NODES, "p", early).stages["humans"].iterations == 20
+    early[0][1]["humans"]["method"] = "lifter"
+    with pytest.raises(UsageError, match=r"humans\.iterations: means nothing"):
+        resolve(NODES, "p", early[:1])
 
 
 def test_a_record_of_a_run_is_taken_as_it_is() -> None:

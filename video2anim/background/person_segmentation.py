@@ -15,6 +15,8 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from video2anim.types.people import PersonTrack
 
+_MAX_PROBABILITY = 0.98
+"""No value of the mask is taken as more certain than this."""
 _UNDECIDED = 0.5
 """A mask whose probability stays below this everywhere holds no person; the landmark box, with this probability, takes
 its place."""
@@ -116,11 +118,10 @@ def refine_mask(
     """
     if not probability.any():
         return np.zeros(probability.shape, bool)
-    smallest = np.finfo(np.float32).eps
-    bounded = np.clip(probability, smallest, 1 - smallest)
+    bounded = np.clip(probability, 1 - _MAX_PROBABILITY, _MAX_PROBABILITY)
     log_odds = np.log(bounded / (1 - bounded))
-    # Noise of the sensor, of compression and of changing light, measured nearby on what no evidence makes a person.
-    ground = ((log_odds < -_EVIDENCE_LIMIT) & background_known).astype(np.float32)
+    # Noise of the sensor, of compression and of changing light, measured on the background nearby.
+    ground = ((probability < 1 - _MAX_PROBABILITY) & background_known).astype(np.float32)
     total = cv2.GaussianBlur(ground, (0, 0), _NOISE_BLUR_PX)
     usual = cv2.GaussianBlur(np.minimum(difference, 30.0) * ground, (0, 0), _NOISE_BLUR_PX)
     noise_lab = np.maximum(usual / np.maximum(total, 1e-4), _NOISE_FLOOR_LAB)

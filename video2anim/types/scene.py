@@ -16,9 +16,7 @@ from video2anim.types.checks import Checked, expect_sound
 from video2anim.types.storage import Holds, Storage, stored
 
 MAX_FACES = 3_000_000
-"""Of a user's scan. More take minutes and several GiB of memory; distances to a scan are no better for it."""
-DEPTH_LOG_SIGMA = 0.12
-"""Error of a network's depth of one object or person, logarithm (`benchmarks/object_errors.py`)."""
+"""Maximum number of faces of a user's scan. More take minutes and several GiB, without better distances."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,8 +212,9 @@ class PlacedObject(Checked):
     """Standard deviation of the horizontal position; None without a fit."""
     yaw_sigma_rad: NonNegativeFloat | None = None
     scale_sigma: NonNegativeFloat | None = None
-    distance_sigma: NonNegativeFloat = DEPTH_LOG_SIGMA
-    """Standard deviation of the logarithm of its distance from the camera, by the fit of stage metric."""
+    distance_sigma: NonNegativeFloat = 0.12
+    """Standard deviation of the logarithm of its distance from the camera, from the fit of stage metric; the default is
+    that of a depth network between objects."""
     parts: tuple[ObjectPart, ...] = ()
     """None where the shape has no known parts."""
     textures: tuple[Texture, ...] = ()
