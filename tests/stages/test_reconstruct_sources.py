@@ -201,7 +201,7 @@ def test_a_program_makes_the_meshes_that_the_user_did_not_bring(tmp_path: Path) 
     [
         ("print('no memory', file=sys.stderr); sys.exit(7)", "exit code 7: no memory"),
         ("pass", "found none"),
-        ("open(mesh, 'w').write('junk')", "want a mesh"),
+        ("open(mesh, 'w').write('junk')", "cannot be read as a mesh"),
     ],
 )
 def test_a_failing_program_leaves_a_warning_and_the_own_shape(tmp_path: Path, code: str, told: str) -> None:

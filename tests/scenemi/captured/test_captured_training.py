@@ -25,6 +25,7 @@ from scenemi.evaluation.protocol import evaluate
 from scenemi.evaluation.real_scenes import windows_in_real_scenes
 from scenemi.evaluation.windows import KeyframeProtocol
 from scenemi.features import JOINTS, canonical_frame, to_canonical
+from scenemi.metrics import CLOSE_PROXIMITY_M
 from scenemi.model.config import SIZES, PaperConfig
 from scenemi.model.denoiser import Denoiser
 from scenemi.model.weights import load_weights
@@ -226,8 +227,9 @@ def test_a_window_is_evaluated_in_its_own_scene(source: str, written: dict[str, 
     probe = np.array([[[0.0, 1.0, wall_m - 0.25], [0.0, 1.0, wall_m + 0.04]], [[0.0, 0.01, 0.3], [0.0, 0.0, 0.0]]])
     found = window.obstacles.signed_distance(probe)
     assert found.shape == (2, 2)
-    np.testing.assert_allclose(found[0], [0.25, -0.04], atol=0.04)
-    assert (found[1] == 0.3).all(), "the floor is none of the obstacles"
+    assert found[0, 0] == CLOSE_PROXIMITY_M, "what is farther is not close"
+    assert found[0, 1] == pytest.approx(-0.04, abs=0.04)
+    assert (found[1] == CLOSE_PROXIMITY_M).all(), "the floor is none of the obstacles"
     assert float(window.scene.sample(np.array([[0.0, 0.3, 0.5]]))[0]) == pytest.approx(0.3, abs=0.02)
     result = evaluate([window], InterpolationPrior(), KeyframeProtocol(60))
     assert result.truth[0].collision_frame_ratio_1cm == 0
