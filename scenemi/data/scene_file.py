@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 from scenemi.data.plain_files import Numbers, checked, read_arrays, shaped
 from scenemi.scene.scene_parts import ScenePart, expect_scene
 from video2anim.errors import MESSAGE_LETTERS, InputError, one_line
-from video2anim.geometry.mesh_file import MESH_SUFFIXES, expect_few_faces, read_mesh_parts
+from video2anim.mesh_file import MESH_SUFFIXES, expect_few_faces, read_mesh_parts
 
 SCENE_SUFFIXES = (*MESH_SUFFIXES, ".npz")
 

@@ -30,7 +30,7 @@ from video2anim.artifacts.manifest import Manifest, read_manifest
 from video2anim.artifacts.motion_io import read_motion
 from video2anim.artifacts.user_files import content_digest, read_mesh_file
 from video2anim.errors import ArtifactError, InputError
-from video2anim.geometry.mesh_file import MESH_SUFFIXES
+from video2anim.mesh_file import MESH_SUFFIXES
 from video2anim.types import (
     BodyTracks,
     InstanceMasks,

@@ -15,10 +15,10 @@ from trimesh.exchange.gltf import export_gltf
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
+from video2anim import mesh_file
 from video2anim.artifacts.user_files import content_digest, mesh_files, read_mesh_file
 from video2anim.errors import InputError
-from video2anim.geometry import mesh_file
-from video2anim.geometry.mesh_file import MESH_SUFFIXES
+from video2anim.mesh_file import MESH_SUFFIXES
 
 RED, GREEN, ORANGE = (200, 30, 40), (10, 200, 30), (255, 128, 0)
 GRAY = 160

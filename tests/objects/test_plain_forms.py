@@ -126,7 +126,7 @@ def test_each_form_is_found_among_all_and_nearer_than_a_box(name: str) -> None:
     assert best.log_evidence > plain.log_evidence + 3
     if name != "board: curtain":
         # Of what is thin and far, the error of distance is all.
-        assert chamfer_m(best, parts) < 0.9 * chamfer_m(plain, parts)
+        assert chamfer_m(best, parts) < 0.8 * chamfer_m(plain, parts)
     expect_closed(best, room)
 
 

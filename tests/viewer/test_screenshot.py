@@ -110,6 +110,18 @@ def test_the_shadow_goes_with_the_carried_box() -> None:
     assert light[0][1] == light[1][0] == 200, "there is none where the box is not"
 
 
+def test_the_grid_of_a_huge_floor_fits_in_memory() -> None:
+    """A path that drifts: a line every meter of 100 km would be cut into 10^11 pieces."""
+    people, scene = (walk(24),), room_with_carried_box(24)
+    x, z = np.meshgrid(np.linspace(-5e4, 5e4, 61), np.linspace(-5e4, 5e4, 61))
+    corners_m = np.stack([x, 0 * x, z], -1).reshape(-1, 3)
+    floor = RoomPiece("floor", Mesh(corners_m, grid_faces(61, 61), np.full(corners_m.shape, 200, np.uint8)))
+    canvas = Canvas.blank(480, 270)
+    viewpoint = oblique_viewpoint(people, scene, 480, 270)
+    draw_static(canvas, viewpoint, replace(scene, floor=floor), background=False, objects=False)
+    assert (canvas.rgb == 200).all(-1).any()
+
+
 def test_the_window_moves_the_carried_box(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a stand-in for open3d, which needs a display."""
 

@@ -15,7 +15,7 @@ from video2anim.artifacts.meshes import expect_sound
 from video2anim.artifacts.stage_files import shown
 from video2anim.digest import file_digest
 from video2anim.errors import ArtifactError, InputError
-from video2anim.geometry.mesh_file import MESH_SUFFIXES, read_mesh_parts
+from video2anim.mesh_file import MESH_SUFFIXES, read_mesh_parts
 from video2anim.types.scene import Mesh
 
 if TYPE_CHECKING:

@@ -347,7 +347,7 @@ FORMS: tuple[Form, ...] = (
     Form("slope", (_size("width", 1.5, 0.6), _size("depth", 1.2, 0.6), _size("height", 0.5, 0.6)), _slope, share=0.01),
     Form("board", (_size("width", 0.8, 0.6), _size("depth", 0.5, 0.8), _size("height", 1.2, 0.6),
                    _size("thickness", 0.04, 0.4)), _leaning_board, "leaning", share=0.01),
-    Form("ellipsoid", (_size("width", 0.6, 0.35), _size("height", 0.6, 0.35)), _ball, turns=1, share=0.01),
+    Form("ellipsoid", (_size("width", 0.6, 0.6), _size("height", 0.6, 0.6)), _ball, turns=1, share=0.01),
     Form("ellipsoid", _ANY, _dome, "half", 1, share=0.1),
     Form("stack", (*_ANY, _size("lower height", 0.3, 0.8), _size("upper width", 0.4, 0.8),
                    _size("upper depth", 0.4, 0.8), place("upper x"), place("upper z")), _stack, turns=2, stands=False,

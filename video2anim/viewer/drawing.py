@@ -20,6 +20,8 @@ _FRUSTUM_RGB = (40, 70, 160)
 _GRID_STEP_M = 1.0
 _GRID_PIECES = 5
 """Pieces of a line between two others: it ends to one piece where the floor ends."""
+_GRID_LIMIT = 60
+"""Lines per direction at most; the step grows for larger floors. The number of pieces grows with its square."""
 
 
 def world_vertices(placed: PlacedObject, frame: int = 0) -> Float[np.ndarray, "vertices 3"]:
@@ -109,15 +111,16 @@ def _draw(
 
 
 def _draw_grid(canvas: Canvas, viewpoint: Viewpoint, floor_m: np.ndarray) -> None:
-    """Lines every meter where there is floor."""
+    """Lines every meter, or wider on large floors, where there is floor."""
     from scipy.spatial import KDTree
 
     flat_m = floor_m[:, [0, 2]]
     low, high = flat_m.min(0), flat_m.max(0)
-    piece_m = _GRID_STEP_M / _GRID_PIECES
+    step_m = _GRID_STEP_M * max(1.0, np.ceil((high - low).max() / _GRID_LIMIT))
+    piece_m = step_m / _GRID_PIECES
     starts, ends = [], []
     for axis in (0, 1):
-        at = np.arange(np.ceil(low[axis] / _GRID_STEP_M), np.floor(high[axis] / _GRID_STEP_M) + 1) * _GRID_STEP_M
+        at = np.arange(np.ceil(low[axis] / step_m), np.floor(high[axis] / step_m) + 1) * step_m
         along = np.arange(low[1 - axis], high[1 - axis], piece_m)
         line, begin = (field.ravel() for field in np.meshgrid(at, along, indexing="ij"))
         for side, store in ((begin, starts), (np.minimum(begin + piece_m, high[1 - axis]), ends)):

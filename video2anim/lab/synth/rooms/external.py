@@ -10,8 +10,8 @@ from jaxtyping import UInt8
 from trimesh.visual import ColorVisuals, TextureVisuals
 
 from video2anim.errors import InputError
-from video2anim.geometry.mesh_file import MESH_SUFFIXES, read_mesh_parts
 from video2anim.lab.synth.world import CLUTTER_LABELS, FURNITURE_LABELS, Material, Part, SceneObject, Surface
+from video2anim.mesh_file import MESH_SUFFIXES, read_mesh_parts
 
 MIN_M = 0.02
 MAX_M = 4.0
