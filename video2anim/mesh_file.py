@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from video2anim.errors import InputError, expect_file, one_line
-from video2anim.types.scene import MAX_FACES
 
 if TYPE_CHECKING:
     from trimesh.parent import Geometry
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+MAX_FACES = 3_000_000
+"""Maximum number of faces of a user's scan. More take minutes and several GiB, without better distances."""
 _HEADER_BYTES = 64 * 1024
 """A PLY's header and the beginning of a text STL are sought in so many: more than any of them has (not measured)."""
 _GLB_HEADER, _CHUNK_HEADER, _JSON_CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s"), b"JSON"

@@ -82,7 +82,7 @@ def limits(
 ) -> Any:
     """Range of a number, in `unit`."""
     words = (("from", ge), ("above", gt), ("to", le), ("to below", lt))
-    said = " ".join(f"{word} {bound}" for word, bound in words if bound is not None)
+    said = " ".join(f"{word} {round(bound, 4)}" for word, bound in words if bound is not None)
     return pydantic.Field(ge=ge, gt=gt, le=le, lt=lt, description=f"{said} {unit}".strip())
 
 

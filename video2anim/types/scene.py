@@ -15,9 +15,6 @@ from pydantic import Field, FiniteFloat, NonNegativeFloat, NonNegativeInt, Posit
 from video2anim.types.checks import Checked, expect_sound
 from video2anim.types.storage import Holds, Storage, stored
 
-MAX_FACES = 3_000_000
-"""Maximum number of faces of a user's scan. More take minutes and several GiB, without better distances."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh(Checked):
