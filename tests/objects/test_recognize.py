@@ -10,7 +10,7 @@ from seen_boxes import Block, table
 from video2anim.objects.extrusion import OUTLINE
 from video2anim.objects.furniture import FORMS
 from video2anim.objects.meshing import outline_iou
-from video2anim.objects.recognize import labeled_form, log_prior, recognized
+from video2anim.objects.recognize import labeled_fits, log_prior, recognized
 
 CLASSES = {form.name for form in FORMS} | {OUTLINE}
 
@@ -43,35 +43,37 @@ def test_a_shelf_full_of_books_is_told_from_a_cabinet_by_its_name_alone() -> Non
     np.testing.assert_allclose(fit.sizes_m, (0.9, 0.3, 1.8), atol=0.06)
 
 
-def test_a_wrong_word_gives_a_form_that_suits_the_outline_and_the_depth_worse() -> None:
-    """Only what a word may mean is tried."""
+def test_a_wrong_word_is_outvoted_by_the_outline_and_the_depth() -> None:
+    """A chair that a network calls a lamp stays a chair, and is called one."""
     seen = furnished(THINGS["chair"]).seen
-    wrong, right = (recognized(seen, log_prior(word))[0] for word in ("lamp", "chair"))
-    assert (wrong.form.name, right.form.name) == ("lamp", "chair")
-    overlap, whole = (outline_iou(fit, seen.evidence, seen.own) for fit in (wrong, right))
+    (fit, *_), label = labeled_fits(seen, "lamp")
+    assert (fit.form.name, label) == ("chair", "chair")
+    lamp = recognized(seen, {"lamp": 0.0})[0]
+    overlap, whole = (outline_iou(one, seen.evidence, seen.own) for one in (lamp, fit))
     assert overlap < 0.8 * whole
-    assert wrong.chamfer_m > 3 * right.chamfer_m
 
 
 def test_a_label_with_impossible_sizes_is_rejected() -> None:
     """A screen 2.6 m high is no chair; a chair is one."""
     screen = furnished([Block((0.2, 1.3, -3.6), (1.8, 2.6, 0.1), 0.2)]).seen
-    chair_fit = recognized(screen, log_prior("chair"))[0]
-    assert chair_fit.size_probability < 1e-4
-    fit, label = labeled_form(screen, "chair")
+    (fit, *_), label = labeled_fits(screen, "chair")
     assert label == fit.form.name
     assert label not in ("chair", "armchair", "stool", "sofa")
-    assert fit.log_evidence > chair_fit.log_evidence + 10
-    fit, label = labeled_form(furnished(THINGS["chair"]).seen, "swivel chair")
+    (fit, *_), label = labeled_fits(furnished(THINGS["chair"]).seen, "swivel chair")
     assert (fit.form.name, label) == ("chair", "swivel chair")
 
 
-def test_a_label_without_a_form_is_kept_whatever_the_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It names no class whose sizes could be impossible."""
-    monkeypatch.setattr("video2anim.objects.form_fit.FormFit.size_probability", 0.0)
+def test_a_label_decides_between_forms_that_look_alike() -> None:
+    """A cabinet and a plain box are the same solid."""
     seen = furnished(THINGS["box"]).seen
-    assert labeled_form(seen, "piano")[1] == "piano"
-    assert labeled_form(seen, "lamp")[1] != "lamp"
+    for word in ("box", "wardrobe"):
+        (fit, *_), label = labeled_fits(seen, word)
+        assert (fit.form.name, label) == ({"wardrobe": "cabinet"}.get(word, word), word)
+
+
+def test_a_label_without_a_form_is_kept() -> None:
+    """It says nothing about the form."""
+    assert labeled_fits(furnished(THINGS["box"]).seen, "piano")[1] == "piano"
 
 
 def test_a_chair_is_not_turned_around() -> None:
@@ -108,7 +110,7 @@ def test_a_thing_on_another_rests_where_it_is_seen() -> None:
 @pytest.mark.parametrize("word", sorted(CLASSES))
 def test_a_word_names_its_own_class_most(word: str) -> None:
     odds = log_prior(word)
-    assert odds.keys() <= CLASSES
+    assert odds.keys() == CLASSES
     assert max(odds, key=odds.__getitem__) == word
     assert all(value < 0 for other, value in odds.items() if other != word)
 
@@ -124,10 +126,8 @@ def test_words_of_networks_are_known(word: str, means: str) -> None:
 
 def test_a_chair_may_be_an_armchair_rather_than_a_lamp() -> None:
     odds = log_prior("chair")
-    assert odds["chair"] > odds["armchair"]
-    assert "lamp" not in odds
-    assert "desk" in log_prior("table")
-    assert "bed" not in log_prior("table")
+    assert odds["chair"] > odds["armchair"] > odds["lamp"] + 2
+    assert log_prior("table")["desk"] > log_prior("table")["bed"] + 2
 
 
 @pytest.mark.parametrize("word", ["object", "furniture", "zebra", ""])

@@ -8,12 +8,11 @@ between object and depth are those of the paper, 8.1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import chi2
 
 from video2anim.objects.furniture import Form
 from video2anim.objects.solids import Solids
@@ -29,6 +28,10 @@ LEANED_ON = ("back", "headboard")
 _BEHIND_M = 0.3
 """Deeper than skin is behind a front by error."""
 _ROUNDS = 25
+_DAMPINGS = np.array([1.0, 10.0, 100.0])
+"""Tried at once, times the damping of each start."""
+_LEAST_GAIN, _MOST_DAMPED = 1e-3, 1e4
+"""A start has arrived when its cost falls by less, or its step is damped by more."""
 _STEP = np.array([2e-3, 2e-3, 4e-3, 2e-3, 2e-3, 1e-2])
 _SIZE_STEP = 4e-3
 """Steps of the numerical derivative: well below what a pixel shows, well above rounding."""
@@ -54,7 +57,7 @@ class FitSigmas:
     rest_m: float = 0.03
     """Skin that rests on a surface is so near to it."""
     body_m: float = 0.05
-    """Bodies are so deep in objects by their own error, beside that of the object's distance from them."""
+    """Bodies are so deep in objects by their own error; that of the object's distance is fitted."""
     square_rad: float = 0.05
     """Furniture that stands square in its room is so by this (3 degrees)..."""
     square_observations: float = 2.0
@@ -62,7 +65,8 @@ class FitSigmas:
     base_m: float = 0.005
     """Height of the feet of what stands on the floor."""
     noise_observations: float = 15.0
-    """How well all these are known for one object: as from so many looks. They share an unknown factor."""
+    """How well those of mask and depth are known for one object: as from so many looks. They share an unknown
+    factor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,11 +94,55 @@ class ObjectEvidence:
     rested_m: Float[np.ndarray, "rests 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Skin that rested on it."""
     body_m: Float[np.ndarray, "inner 3"] = field(default_factory=lambda: np.zeros((0, 3)))
-    """Points where bodies were."""
+    """Points where bodies were; independent of each other."""
     others_m: Float[np.ndarray, "others 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Seen points of walls and other objects, which are not inside it."""
     room_yaw_rad: float | None = None
     """Of the room's walls, modulo a right angle; None where the picture does not tell it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """Deviations of a batch of values from what is known, in units of their standard deviations."""
+
+    loose: Float[np.ndarray, "batch loose"]
+    """Those with outliers, which count by Cauchy's logarithm: of depth and of skin."""
+    firm: Float[np.ndarray, "batch firm"]
+    """Those that count by their size when they are large: of the outline and of bodies."""
+    prior: Float[np.ndarray, "batch prior"]
+    """Those of usual sizes and places, squared."""
+    of_picture: tuple[int, int]
+    """The first so many of `loose` and of `firm` are of mask and depth."""
+    noise_observations: float
+    """Of `FitSigmas`."""
+
+    def picture_cost(self) -> Float[np.ndarray, "batch"]:
+        """That of mask and depth, were their noise known."""
+        loose, firm = self.of_picture
+        return (0.5 * np.log1p(self.loose**2))[:, :loose].sum(1) + (np.sqrt(1 + self.firm**2) - 1)[:, :firm].sum(1)
+
+    def cost(self) -> Float[np.ndarray, "batch"]:
+        """Negative logarithm of likelihood and prior.
+
+        All deviations of mask and depth share a factor that is not known: integrated over, their cost counts like this.
+        """
+        loose, firm = self.of_picture
+        apart = (0.5 * np.log1p(self.loose**2))[:, loose:].sum(1) + (np.sqrt(1 + self.firm**2) - 1)[:, firm:].sum(1)
+        known = self.noise_observations
+        return known * np.log1p(self.picture_cost() / known) + apart + 0.5 * (self.prior**2).sum(1)
+
+    def weights(self) -> Float[np.ndarray, "batch residuals"]:
+        """Of the squares of `joined`: those whose sum has the cost's slope."""
+        loose, firm = self.of_picture
+        shared = 1 / (1 + self.picture_cost()[:, None] / self.noise_observations)
+        by_logarithm, by_size = 1 / (1 + self.loose**2), 1 / np.sqrt(1 + self.firm**2)
+        by_logarithm[:, :loose] *= shared
+        by_size[:, :firm] *= shared
+        return np.concatenate([by_logarithm, by_size, np.ones(self.prior.shape)], 1)
+
+    def joined(self) -> Float[np.ndarray, "batch residuals"]:
+        """All of them."""
+        return np.concatenate([self.loose, self.firm, self.prior], 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,15 +168,6 @@ class FormFit:
     def sizes_m(self) -> Float[np.ndarray, "sizes"]:
         return np.exp(self.values[len(POSE) :])
 
-    @property
-    def size_probability(self) -> float:
-        """Probability that sizes of this form are as unusual as these or more (chi-square of their logarithms)."""
-        usual_m, spread = (
-            np.array([getattr(size, name) for size in self.form.sizes]) for name in ("usual_m", "spread")
-        )
-        deviation = (self.values[len(POSE) :] - np.log(usual_m)) / spread
-        return float(chi2.sf(deviation @ deviation, len(deviation)))
-
     def solids(self) -> tuple[tuple[str, ...], Solids]:
         """Names of the parts, and the solids in the object's frame."""
         return self.form.build(self.sizes_m[None])
@@ -151,6 +190,10 @@ class FormProblem:
         share = known.sum() / max(len(known), 1)
         self.point_weight = np.sqrt(sigmas.looks * share / max(known.sum(), 1))
         self.ray_weight = np.sqrt(sigmas.looks / max(len(known), 1))
+        self.others_m = np.concatenate([evidence.others_m, evidence.body_m])
+        other_m = np.linalg.norm(evidence.others_m - evidence.camera_m, axis=-1)
+        other_noise_m = np.hypot(np.hypot(evidence.depth_sigma, evidence.distance_sigma) * other_m, sigmas.form_m)
+        self.others_weight = _weight(sigmas.looks, len(other_m)) / other_noise_m
         self.steps = np.concatenate([_STEP, np.full(len(form.sizes), _SIZE_STEP)])
         self.prior_sigma = np.concatenate([
             [np.inf, np.inf, np.inf, 0.15 if base_m > 0 else sigmas.base_m, evidence.distance_sigma,
@@ -158,76 +201,61 @@ class FormProblem:
         ])  # fmt: skip
         self.prior_mean = np.concatenate([[0, 0, 0, base_m, 0, 0], np.log(form.usual_m)])
 
-    def residuals(self, values: Float[np.ndarray, "batch values"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Those of depth and skin, which have outliers and count by Cauchy's logarithm; those of the outline and of
-        bodies, which count by their size when they are large; those of priors, squared."""
-        evidence, sigmas = self.evidence, self.sigmas
+    def residuals(self, values: Float[np.ndarray, "batch values"]) -> Residuals:
+        """Those of mask, depth, people, room and priors."""
+        evidence, sigmas, batch = self.evidence, self.sigmas, len(values)
         _, solids = self.form.build(np.exp(values[:, len(POSE) :]))
-        batch = len(values)
-        to_surface = self.points_to_surface_m(values, solids)
+        others = np.broadcast_to(self.others_m, (batch, *self.others_m.shape))
+        points_m = np.concatenate([self._depth_points_m(values), others], 1)
+        away_m = solids.distance_m(self._own(values, points_m)).min(1)
+        seen, of_others = len(self.point_m), len(self.point_m) + len(evidence.others_m)
         noise_m = np.hypot(evidence.depth_sigma * self.point_m, self.outline_m)
         origin = self._own(values, np.broadcast_to(evidence.camera_m, (batch, 1, 3)))[:, 0]
         rays = self._turned(values, np.broadcast_to(evidence.rays, (batch, *evidence.rays.shape)))
         missed = self.ray_weight * solids.miss_m(origin, rays) / self.outline_m
         outside, before = self._intrusion(values, solids)
-        loose, firm = [self.point_weight * to_surface / noise_m, before], [missed, outside]
+        loose = [self.point_weight * np.abs(away_m[:, :seen]) / noise_m, before]
+        firm = [missed, outside, self.others_weight * np.maximum(-away_m[:, seen:of_others], 0)]
+        of_picture = (sum(part.shape[1] for part in loose), sum(part.shape[1] for part in firm))
         if len(evidence.rested_m):
-            carrying = _carrying(self.part_names, solids)
-            loose.append(self._to_solids_m(values, carrying, evidence.rested_m, np.abs) / sigmas.rest_m)
+            own_m = self._own(values, np.broadcast_to(evidence.rested_m, (batch, *evidence.rested_m.shape)))
+            gap_m = np.abs(_carrying(self.part_names, solids).distance_m(own_m).min(1))
+            loose.append(_weight(sigmas.looks, len(evidence.rested_m)) * gap_m / sigmas.rest_m)
         if evidence.room_yaw_rad is not None:
             turn = 4 * (values[:, 2] - evidence.room_yaw_rad)
             off = np.arctan2(np.sin(turn), np.cos(turn)) / 4 / sigmas.square_rad
             loose.append(np.sqrt(np.expm1(sigmas.square_observations * np.log1p(off**2)))[:, None])
-        if len(evidence.body_m):
-            away_m = np.linalg.norm(evidence.body_m - evidence.camera_m, axis=-1)
-            noise_m = np.hypot(evidence.distance_sigma * away_m, sigmas.body_m)
-            firm.append(self._to_solids_m(values, solids, evidence.body_m, _depth_inside) / noise_m)
-        if len(evidence.others_m):
-            away_m = np.linalg.norm(evidence.others_m - evidence.camera_m, axis=-1)
-            noise_m = np.hypot(np.hypot(evidence.depth_sigma, evidence.distance_sigma) * away_m, sigmas.form_m)
-            firm.append(self._to_solids_m(values, solids, evidence.others_m, _depth_inside) / noise_m)
+        firm.append(np.maximum(-away_m[:, of_others:], 0) / sigmas.body_m)
         prior = (values - self.prior_mean)[:, 3:] / self.prior_sigma[3:]
-        return np.concatenate(loose, 1), np.concatenate(firm, 1), prior
+        return Residuals(
+            np.concatenate(loose, 1), np.concatenate(firm, 1), prior, of_picture, sigmas.noise_observations
+        )  # fmt: skip
 
-    def points_to_surface_m(self, values: np.ndarray, solids: Solids) -> Float[np.ndarray, "batch points"]:
-        """Distance of the object's depth points, corrected, from the nearest surface."""
+    def _depth_points_m(self, values: np.ndarray) -> Float[np.ndarray, "batch points 3"]:
+        """The object's depth points in the world, corrected."""
         depth_m = np.exp(values[:, 4:5] + values[:, 5:6] * (self.log_depth - self.center)) * self.point_m
-        points = self.evidence.camera_m + self.point_rays * depth_m[..., None]
-        return np.abs(solids.distance_m(self._own(values, points)).min(1))
+        return self.evidence.camera_m + self.point_rays * depth_m[..., None]
 
     def result(self, values: Float[np.ndarray, "values"], log_prior: float) -> FormFit:
         """The fit from a start on, followed to the end."""
-        values = self.fitted(values, _ROUNDS)
-        _, solids = self.form.build(np.exp(values[None, len(POSE) :]))
-        gap_m = self.points_to_surface_m(values[None], solids)
+        values = self.fitted(values[None], _ROUNDS)
+        _, solids = self.form.build(np.exp(values[:, len(POSE) :]))
+        gap_m = np.abs(solids.distance_m(self._own(values, self._depth_points_m(values))).min(1))
+        variance = np.diag(np.linalg.pinv(self._information(values)[0]))
         return FormFit(
-            self.form, values, self.laplace(values) + log_prior, self._sigma(values),
+            self.form, values[0], float(self.laplace(values)[0]) + log_prior, np.sqrt(np.maximum(variance, 0)),
             float(gap_m.mean()) if gap_m.size else float("inf"),
         )  # fmt: skip
 
-    def _information(self, values: Float[np.ndarray, "values"]) -> Float[np.ndarray, "values values"]:
+    def _information(self, values: Float[np.ndarray, "batch values"]) -> Float[np.ndarray, "batch values values"]:
         """Curvature of the cost, over steps as wide as errors are."""
-        wide = _WIDE * np.diag(self.steps)
-        loose, firm, prior = self.residuals(np.concatenate([values[None], values + wide, values - wide]))
-        weight = np.concatenate([1 / (1 + loose[0] ** 2), 1 / np.sqrt(1 + firm[0] ** 2), np.ones(prior.shape[1])])
-        found = np.concatenate([loose, firm, prior], 1)[1:]
-        slope = (found[: len(values)] - found[len(values) :]) / (2 * _WIDE * self.steps[:, None])
-        return (slope * weight) @ slope.T + 1e-9 * np.eye(len(values))
-
-    def _sigma(self, values: Float[np.ndarray, "values"]) -> Float[np.ndarray, "values"]:
-        """Standard deviations of the fitted values."""
-        variance = np.diag(np.linalg.pinv(self._information(values)))
-        # The shared factor of all deviations, as in `laplace`.
-        misfit, _ = self._costs(values[None])
-        return np.sqrt(np.maximum(variance, 0) * (1 + float(misfit[0]) / self.sigmas.noise_observations))
-
-    def _to_solids_m(
-        self, values: np.ndarray, solids: Solids, points_m: np.ndarray, of: Callable[[np.ndarray], np.ndarray]
-    ) -> np.ndarray:
-        """Distances of world points, weighted as so many looks."""
-        own_m = self._own(values, np.broadcast_to(points_m, (len(values), *points_m.shape)))
-        weight = np.sqrt(min(self.sigmas.looks, len(points_m)) / len(points_m))
-        return weight * of(solids.distance_m(own_m).min(1))
+        wide, count = _WIDE * np.diag(self.steps), len(self.steps)
+        around = np.concatenate([np.zeros((1, count)), wide, -wide])
+        residuals = self.residuals((values[:, None] + around).reshape(-1, count))
+        found = residuals.joined().reshape(len(values), len(around), -1)[:, 1:]
+        slope = (found[:, :count] - found[:, count:]) / (2 * _WIDE * self.steps[:, None])
+        weight = residuals.weights()[:: len(around), None]
+        return (slope * weight) @ slope.swapaxes(1, 2) + 1e-9 * np.eye(count)
 
     def _intrusion(self, values: np.ndarray, solids: Solids) -> tuple[np.ndarray, np.ndarray]:
         """How far surface samples are outside the outline, and before what the camera sees."""
@@ -260,54 +288,45 @@ class FormProblem:
         place = np.stack([values[:, 0], values[:, 3], values[:, 1]], -1)
         return self._turned(values, points_m - place[:, None])
 
-    def cost(self, values: Float[np.ndarray, "batch values"]) -> Float[np.ndarray, "batch"]:
-        """Negative logarithm of likelihood and prior, up to a constant of the evidence."""
-        misfit, unusual = self._costs(values)
-        return misfit + unusual
-
-    def _costs(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Those of likelihood and prior."""
-        loose, firm, prior = self.residuals(values)
-        return 0.5 * np.log1p(loose**2).sum(1) + (np.sqrt(1 + firm**2) - 1).sum(1), 0.5 * (prior**2).sum(1)
-
-    def fitted(self, start: Float[np.ndarray, "values"], rounds: int) -> Float[np.ndarray, "values"]:
-        """Levenberg-Marquardt from one start."""
-        values, damping = start.copy(), 1e-2
-        best = float(self.cost(values[None])[0])
+    def fitted(self, starts: Float[np.ndarray, "batch values"], rounds: int) -> Float[np.ndarray, "batch values"]:
+        """Levenberg-Marquardt from every start."""
+        values, damping, count = starts.copy(), np.full(len(starts), 1e-2), len(self.steps)
+        best, active = self.residuals(values).cost(), np.arange(len(starts))
+        around = np.concatenate([np.zeros((1, count)), np.diag(self.steps)])
         for _ in range(rounds):
-            moved = values + np.concatenate([np.zeros((1, len(values))), np.diag(self.steps)])
-            loose, firm, prior = self.residuals(moved)
-            found = np.concatenate([loose, firm, prior], 1)
-            weight = np.concatenate([1 / (1 + loose[0] ** 2), 1 / np.sqrt(1 + firm[0] ** 2), np.ones(prior.shape[1])])
-            slope = (found[1:] - found[0]) / self.steps[:, None]
-            curvature, down = (slope * weight) @ slope.T, slope @ (weight * found[0])
-            scale = np.diag(curvature) + 1e-6
-            tried = np.stack([
-                values - np.linalg.solve(curvature + np.diag(lam * scale), down)
-                for lam in (damping, 10 * damping, 100 * damping)
-            ])  # fmt: skip
-            tried[:, len(POSE) :] = np.clip(tried[:, len(POSE) :], np.log(0.01), np.log(20.0))
-            costs = self.cost(tried)
-            k = int(np.argmin(costs))
-            if not costs[k] < best:
-                damping *= 100
-                if damping > 1e4:
-                    break
-                continue
-            gain, best, values = best - float(costs[k]), float(costs[k]), tried[k]
-            damping = max(1e-4, damping * (0.1, 1.0, 10.0)[k])
-            if gain < 1e-3:
+            residuals = self.residuals((values[active, None] + around).reshape(-1, count))
+            found = residuals.joined().reshape(len(active), count + 1, -1)
+            weight = residuals.weights()[:: count + 1, None]
+            slope = (found[:, 1:] - found[:, :1]) / self.steps[:, None]
+            curvature = (slope * weight) @ slope.swapaxes(1, 2)
+            down = slope @ (weight * found[:, :1]).swapaxes(1, 2)
+            scale = np.einsum("bii->bi", curvature) + 1e-6
+            damped = damping[active, None, None] * _DAMPINGS[:, None] * scale[:, None]
+            tried = values[active, None] - np.linalg.solve(
+                curvature[:, None] + damped[..., None] * np.eye(count), down[:, None]
+            )[..., 0]  # fmt: skip
+            tried[..., len(POSE) :] = np.clip(tried[..., len(POSE) :], np.log(0.01), np.log(20.0))
+            costs = self.residuals(tried.reshape(-1, count)).cost().reshape(len(active), -1)
+            k, rows = costs.argmin(1), np.arange(len(active))
+            gain = best[active] - costs[rows, k]
+            better = gain > 0
+            values[active[better]], best[active[better]] = tried[rows, k][better], costs[rows, k][better]
+            damping[active] *= np.where(better, 0.1 * _DAMPINGS[k], 100.0)
+            damping = np.maximum(damping, 1e-4)
+            active = active[np.where(better, gain >= _LEAST_GAIN, damping[active] <= _MOST_DAMPED)]
+            if not len(active):
                 break
         return values
 
-    def laplace(self, values: Float[np.ndarray, "values"]) -> float:
+    def laplace(self, values: Float[np.ndarray, "batch values"]) -> Float[np.ndarray, "batch"]:
         """Logarithm of the evidence, up to a constant that all forms share."""
         _, determinant = np.linalg.slogdet(self._information(values))
-        misfit, unusual = (float(part[0]) for part in self._costs(values[None]))
-        known = self.sigmas.noise_observations
-        # All deviations of an object share a factor that is not known: integrated over, the misfit counts like that.
-        fit = -known * float(np.log1p(misfit / known)) - unusual
-        return fit - float(np.log(self.form.spread).sum()) - 0.5 * float(determinant)
+        return -self.residuals(values).cost() - float(np.log(self.form.spread).sum()) - 0.5 * determinant
+
+
+def _weight(looks: float, count: int) -> float:
+    """Of each of so many points that err together."""
+    return float(np.sqrt(min(looks, count) / count)) if count else 0.0
 
 
 def _carrying(names: Sequence[str], solids: Solids) -> Solids:
@@ -320,10 +339,6 @@ def _carrying(names: Sequence[str], solids: Solids) -> Solids:
     center_m[:, leaning] = (solids.center_m - 0.5 * _BEHIND_M * away)[:, leaning]
     half_m[:, leaning] = solids.half_m[:, leaning] + [0.0, 0.0, 0.5 * _BEHIND_M]
     return replace(solids, center_m=center_m, half_m=half_m)
-
-
-def _depth_inside(distance_m: np.ndarray) -> np.ndarray:
-    return np.maximum(-distance_m, 0)
 
 
 def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

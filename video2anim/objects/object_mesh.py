@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 
 from video2anim.objects.evidence import SeenObject
 from video2anim.objects.meshing import ObjectPicture, form_mesh, outline_iou
-from video2anim.objects.recognize import labeled_form
+from video2anim.objects.recognize import labeled_fits
 from video2anim.types import CompletedObject, Mesh, ObjectMesh, View
 
 
@@ -16,7 +16,7 @@ def fitted(
     found: CompletedObject, seen: SeenObject, background_rgb: UInt8[np.ndarray, "height width 3"], view: View
 ) -> ObjectMesh:
     """The form with the most evidence, painted with the picture."""
-    best, label = labeled_form(seen, found.label)
+    (best, *_), label = labeled_fits(seen, found.label)
     picture = ObjectPicture(_completed_picture(found, background_rgb), found.amodal_mask, view)
     mesh, parts, texture = form_mesh(best, picture)
     sigma = best.sigma

@@ -51,10 +51,10 @@ def recognized(
     for form, starts in tries:
         base_m = 0.0 if form.stands else lowest_m
         problem = FormProblem(form, evidence, base_m, sigmas, _SCREEN_SAMPLES)
-        tried = [problem.fitted(start, _SCREEN_ROUNDS) for start in starts]
+        tried = problem.fitted(np.stack(starts), _SCREEN_ROUNDS)
         prior = _prior(form, base_m, log_prior)
-        scores = [problem.laplace(values) + prior for values in tried]
-        screened.append((max(scores), form, tried[int(np.argmax(scores))]))
+        scores = problem.laplace(tried) + prior
+        screened.append((float(scores.max()), form, tried[int(scores.argmax())]))
     screened.sort(key=lambda one: -one[0])
     found = []
     for _, form, values in screened[:_KEPT]:
@@ -108,34 +108,33 @@ _BROAD = {
 """Other classes that a label may mean, with their odds against the class itself."""
 
 
+_CLASSES = tuple(sorted({form.name for form in FORMS} | {OUTLINE}))
+_UNNAMED = ("object", "furniture")
+"""Labels of segmentation that name no class."""
+_MISLABELED = 0.05
+"""Share of objects that a network gives the label of another class: a judgment. All classes share it."""
+
+
 def log_prior(label: str) -> dict[str, float]:
-    """Log odds of the classes of forms that a network's label may mean, against the class itself.
+    """Log odds of the classes of forms for an object that a network has labeled, against the class of that name.
 
     Labels without a form give equal odds for all classes.
     """
-    classes = sorted({form.name for form in FORMS} | {OUTLINE})
+    if (meant := _meant(label)) is None:
+        return dict.fromkeys(_CLASSES, 0.0)
+    other = float(np.log(_MISLABELED / len(_CLASSES)))
+    return dict.fromkeys(_CLASSES, other) | {name: float(np.log(odds)) for name, odds in meant.items()}
+
+
+def _meant(label: str) -> dict[str, float] | None:
+    """Odds of the classes that a label may mean; None if no form has that name."""
     name = _SYNONYMS.get(label, label)
-    if name not in classes:
-        return dict.fromkeys(classes, 0.0)
-    return {name: 0.0, **{other: float(np.log(share)) for other, share in _BROAD.get(name, {}).items()}}
+    return {name: 1.0, **_BROAD.get(name, {})} if name in _CLASSES else None
 
 
-_UNNAMED = ("object", "furniture")
-"""Labels of segmentation that name no class."""
-_IMPOSSIBLE_SIZE = 0.001
-"""Probability: the label of one object in a thousand is rejected wrongly. In `ocv_walk` a network calls a red screen a
-chair; the best form of that class is a stool 2.8 m high (probability 1e-17)."""
-
-
-def labeled_form(seen: SeenObject, label: str) -> tuple[FormFit, str]:
-    """The form with the most evidence, and the object's label: the form's class where the given one names none.
-
-    A label is rejected if the sizes of its best form are impossible for that class. All classes are then tried. Labels
-    without a form are kept: they restrict nothing.
-    """
-    restricted, every = log_prior(label), log_prior(_UNNAMED[0])
-    best = recognized(seen, restricted)[0]
-    if restricted != every and best.size_probability < _IMPOSSIBLE_SIZE:
-        label = _UNNAMED[0]
-        best = recognized(seen, every)[0]
-    return best, best.form.name if label in _UNNAMED else label
+def labeled_fits(seen: SeenObject, label: str) -> tuple[list[FormFit], str]:
+    """The forms, best first, and the object's label: the best form's class where the given one names none, or another
+    class."""
+    fits, meant = recognized(seen, log_prior(label)), _meant(label)
+    kept = label not in _UNNAMED if meant is None else fits[0].form.name in meant
+    return fits, label if kept else fits[0].form.name

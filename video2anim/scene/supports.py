@@ -56,14 +56,11 @@ _CROSSED_RATIO = 1.0
 _CROSSED_M, _CROSSED_SHARE = 0.01, 0.002
 """A body passes through where this share of its skin (a hand's width of a calf) is this deep inside."""
 
-_INNER = tuple(
-    JOINT_INDEX[name] for name in (
-        "pelvis", "left_hip", "right_hip", "left_knee", "right_knee", "spine1", "spine2", "spine3", "neck", "head",
-    )
-)  # fmt: skip
-"""Joints of trunk, hips, knees and head; hands and feet touch objects."""
-_EVERY = 5
-"""Step between the frames in which inner joints are sampled."""
+_TOUCHING = ("left_wrist", "right_wrist", "left_foot", "right_foot")
+_INNER = tuple(k for name, k in JOINT_INDEX.items() if name not in _TOUCHING)
+"""Joints that are inside the body wherever it rests; wrists and balls of the feet are as near to objects as skin."""
+_LIMB_M = 0.25
+"""Joints in one cell of a grid of this width (a trunk's) count as one place of a body: they err together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,14 +142,16 @@ def rested_places(motion: BodyMotion, body: ShapedBody) -> list[Support]:
 def rested_and_inner_m(
     bodies: BodyTracks,
 ) -> tuple[Float[np.ndarray, "rests 3"], Float[np.ndarray, "inner 3"]]:
-    """Skin of all people where it rested above the floor, and joints inside their bodies, where no object can be."""
+    """Skin of all people where it rested above the floor, and places inside their bodies, where no object can be."""
     rested = [
         place.nearest_m[place.nearest_m[:, 1] > _SAME_M]
         for motion in bodies.people
         for place in rested_places(motion, shaped_body(motion.shape))
     ]
-    inner = [motion.joints_world_m[motion.valid][::_EVERY][:, list(_INNER)].reshape(-1, 3) for motion in bodies.people]
-    return np.concatenate([np.zeros((0, 3)), *rested]), np.concatenate([np.zeros((0, 3)), *inner])
+    inner = [motion.joints_world_m[motion.valid][:, list(_INNER)].reshape(-1, 3) for motion in bodies.people]
+    joints_m = np.concatenate([np.zeros((0, 3)), *inner])
+    _, first = np.unique(np.floor(joints_m / _LIMB_M), axis=0, return_index=True)
+    return np.concatenate([np.zeros((0, 3)), *rested]), joints_m[first]
 
 
 def standing_solid(
