@@ -94,8 +94,8 @@ def of_object(fits: list[tuple[SeenObject, list[FormFit]]]) -> dict:
     tops_m = [highest_m(ranked[0]) for _, ranked in fits]
     leads = [ranked[0].log_evidence - ranked[1].log_evidence for _, ranked in fits if len(ranked) > 1]
     return {
-        "forms": dict(forms.most_common()),
-        "share": forms.most_common(1)[0][1] / len(fits),
+        "forms": dict(sorted(forms.items(), key=lambda one: -one[1])),
+        "share": max(forms.values()) / len(fits),
         "height_spread_m": round(float(np.std(tops_m)), 3),
         "lead": round(float(np.median(leads)), 1) if leads else None,
         "inside": round(float(np.mean([inside(seen, ranked[0]) for seen, ranked in fits])), 3),

@@ -30,7 +30,7 @@ _BEHIND_M = 0.3
 _ROUNDS = 25
 _DAMPINGS = np.array([1.0, 10.0, 100.0])
 """Tried at once, times the damping of each start."""
-_LEAST_GAIN, _MOST_DAMPED = 1e-3, 1e4
+_MIN_GAIN, _MAX_DAMPING = 1e-3, 1e4
 """A start has arrived when its cost falls by less, or its step is damped by more."""
 _STEP = np.array([2e-3, 2e-3, 4e-3, 2e-3, 2e-3, 1e-2])
 _SIZE_STEP = 4e-3
@@ -313,7 +313,7 @@ class FormProblem:
             values[active[better]], best[active[better]] = tried[rows, k][better], costs[rows, k][better]
             damping[active] *= np.where(better, 0.1 * _DAMPINGS[k], 100.0)
             damping = np.maximum(damping, 1e-4)
-            active = active[np.where(better, gain >= _LEAST_GAIN, damping[active] <= _MOST_DAMPED)]
+            active = active[np.where(better, gain >= _MIN_GAIN, damping[active] <= _MAX_DAMPING)]
             if not len(active):
                 break
         return values
