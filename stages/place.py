@@ -1,8 +1,7 @@
 """Stage place: metric pose of every object mesh (SceneMI, supplement section 8.1).
 
 Forms come with their pose. Other meshes are fitted to the depth points of the object: Chamfer distance of their visible
-points over horizontal position, yaw and scale. Objects stay upright, rest on the floor or on each other, and are moved
-apart where they overlap.
+points over horizontal position, yaw and scale. Objects stay upright and rest on the floor or on each other.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from video2anim.types import (
     InstanceMasks,
     MetricDepth,
     ObjectMeshes,
-    PlacedObject,
     PlacedObjects,
 )
 
@@ -39,10 +37,6 @@ class PlaceConfig:
     """Objects at a larger Chamfer distance from their depth are not trusted."""
     min_outline_iou: Annotated[float, limits(ge=0, le=1)] = 0.5
     """Forms with a smaller IoU with their mask are not trusted."""
-    overlap_m: Annotated[float, limits("m", ge=0, le=100)] = 0.03
-    """Objects that overlap more deeply are moved apart."""
-    max_overlap_m: Annotated[float, limits("m", ge=0, le=100)] = 0.1
-    """Objects that still overlap more deeply are not trusted."""
 
 
 def place_objects(
@@ -54,7 +48,7 @@ def place_objects(
 ) -> PlacedObjects:
     """Every object at its place. Those whose fit is not trusted keep their first guess or best fit and a reason."""
     from video2anim.objects.backproject import ObjectBackprojector
-    from video2anim.objects.placed import fitted_by_chamfer, fitted_form
+    from video2anim.objects.placed import fitted_by_chamfer, fitted_form, put_down
 
     lifter = ObjectBackprojector(masks, depth)
     placed = []
@@ -76,7 +70,7 @@ def place_objects(
             item = replace(item, trusted=False, reason="the scale of depth is not trusted")
         placed.append(replace(item, distance_sigma=depth.object_sigma[str(found.object_id)]))
         ctx.progress(done + 1, len(meshes.objects))
-    placed = _without_collisions(placed, config, ctx)
+    placed = put_down(placed)
     before_m = [p.chamfer_before_m for p in placed if p.chamfer_before_m is not None]
     after_m = [p.chamfer_after_m for p in placed if p.chamfer_after_m is not None]
     ctx.quality("objects", len(placed), "count")
@@ -87,14 +81,4 @@ def place_objects(
     return PlacedObjects(tuple(placed))
 
 
-def _without_collisions(placed: list[PlacedObject], config: PlaceConfig, ctx: StageContext) -> list[PlacedObject]:
-    """Objects on what carries them, and apart."""
-    from video2anim.objects.placed import without_collisions
-
-    moved, before_m, after_m = without_collisions(placed, config.overlap_m, config.max_overlap_m)
-    ctx.quality("deepest_overlap_before", before_m, "m", "lower")
-    ctx.quality("deepest_overlap", after_m, "m", "lower")
-    return moved
-
-
-STAGE = StageSpec("place", place_objects, version=10)
+STAGE = StageSpec("place", place_objects, version=11)

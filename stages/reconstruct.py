@@ -1,8 +1,8 @@
 """Stage reconstruct: a closed, colored mesh of every object, at its place.
 
 Forms of furniture and simple solids are fitted to depth, outline, what rested on the object and where bodies were; the
-one with the most evidence is kept. Meshes of the user, of a network, or of a program of theirs, take the place of
-these, in this order.
+one with the most evidence is kept. The surest objects are fitted first, the others beside them. Meshes of the user, of
+a network, or of a program of theirs, take the place of these, in this order.
 """
 
 from __future__ import annotations
@@ -102,18 +102,18 @@ def reconstruct_objects(
         names = ", ".join(foreign[number].name for number in unused)
         ctx.warn(f"{names} in {config.meshes}: there is no object of that number, only {sorted(numbers)}; not used")
     meshes: list[ObjectMesh] = []
-    for done, found in enumerate(completed.objects):
+    for done, found in enumerate(views.surest_first(completed.objects)):
         seen = views.object(found, ctx.rng(f"reconstruct/{found.object_id}"))
         if seen is None or len(seen.points_m) < config.min_points:
             ctx.warn(f"object {found.object_id} has too little reliable depth and is dropped")
         else:
             mesh = _foreign(found, seen, foreign, config, ctx)
-            meshes.append(mesh or fitted(found, seen, background.background_rgb, view))
+            meshes.append(mesh or fitted(found, seen, views, background.background_rgb, view))
         ctx.progress(done + 1, len(completed.objects))
     ctx.quality("meshes", len(meshes), "count")
     ctx.quality("dropped", len(completed.objects) - len(meshes), "count", "lower")
     ctx.quality("max_faces", max((len(m.mesh.faces) for m in meshes), default=0), "count")
-    return ObjectMeshes(tuple(meshes))
+    return ObjectMeshes(tuple(sorted(meshes, key=lambda mesh: mesh.object_id)))
 
 
 def _foreign(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -12,7 +13,8 @@ from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid
 from video2anim.objects.backproject import BackprojectedObject, ObjectBackprojector
 from video2anim.objects.foreground import floor_band_m, surface_normals
-from video2anim.objects.form_fit import ObjectEvidence
+from video2anim.objects.form_fit import FormFit, ObjectEvidence
+from video2anim.objects.occupied import Occupied
 from video2anim.objects.upright_box import UprightBox, fit_upright_box, turned_to
 from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
 
@@ -88,6 +90,9 @@ class ObjectViews:
             for number, one in self._lifted.items()
         }
         self._world_m = self._lifter.world_m()
+        points_m = [self._world_m[one.shows] for one in self._lifted.values() if one.shows.any()]
+        near_m = np.concatenate(points_m) if points_m else np.zeros((1, 3))
+        self._occupied = Occupied(np.stack([near_m.min(0), near_m.max(0)]))
         self._normals = surface_normals(self._world_m)
 
     def object(self, found: CompletedObject, rng: np.random.Generator) -> SeenObject | None:
@@ -122,8 +127,23 @@ class ObjectViews:
             body_m=body_m,
             others_m=self._others_m(own, points_m, rng),
             room_yaw_rad=self._room_yaw_rad,
+            filled_depth_m=self._occupied.depth_m,
         )
         return SeenObject(evidence, points_m, self._normals[obj.shows], own, outline)
+
+    def surest_first(self, found: Sequence[CompletedObject]) -> list[CompletedObject]:
+        """Sorted by the standard deviation of their distance, then by their number of pixels: what is known worse makes
+        room for what is known better."""
+
+        def doubt(one: CompletedObject) -> tuple[float, int]:
+            sigma = self._depth.object_sigma.get(str(one.object_id), np.inf)
+            return round(sigma, 2), -int(self._lifted[one.object_id].own.sum())
+
+        return sorted(found, key=doubt)
+
+    def fill(self, fit: FormFit) -> None:
+        """Objects that are looked at from now on are not inside this one."""
+        self._occupied.add(fit)
 
     def _others_m(
         self, own: np.ndarray, points_m: np.ndarray, rng: np.random.Generator

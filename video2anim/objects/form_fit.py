@@ -8,7 +8,7 @@ between object and depth are those of the paper, 8.1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -99,6 +99,8 @@ class ObjectEvidence:
     """Seen points of walls and other objects, which are not inside it."""
     room_yaw_rad: float | None = None
     """Of the room's walls, modulo a right angle; None where the picture does not tell it."""
+    filled_depth_m: Callable[[np.ndarray], np.ndarray] | None = None
+    """How deep points of the world (batch, points, 3) are inside objects that were fitted before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,7 +215,8 @@ class FormProblem:
         origin = self._own(values, np.broadcast_to(evidence.camera_m, (batch, 1, 3)))[:, 0]
         rays = self._turned(values, np.broadcast_to(evidence.rays, (batch, *evidence.rays.shape)))
         missed = self.ray_weight * solids.miss_m(origin, rays) / self.outline_m
-        outside, before = self._intrusion(values, solids)
+        surface_m = self._surface_m(values, solids)
+        outside, before = self._intrusion(values, surface_m)
         loose = [self.point_weight * np.abs(away_m[:, :seen]) / noise_m, before]
         firm = [missed, outside, self.others_weight * np.maximum(-away_m[:, seen:of_others], 0)]
         of_picture = (sum(part.shape[1] for part in loose), sum(part.shape[1] for part in firm))
@@ -226,6 +229,9 @@ class FormProblem:
             off = np.arctan2(np.sin(turn), np.cos(turn)) / 4 / sigmas.square_rad
             loose.append(np.sqrt(np.expm1(sigmas.square_observations * np.log1p(off**2)))[:, None])
         firm.append(np.maximum(-away_m[:, of_others:], 0) / sigmas.body_m)
+        if evidence.filled_depth_m is not None:
+            weight = np.sqrt(sigmas.looks / surface_m.shape[1])
+            firm.append(weight * evidence.filled_depth_m(surface_m) / sigmas.form_m)
         prior = (values - self.prior_mean)[:, 3:] / self.prior_sigma[3:]
         return Residuals(
             np.concatenate(loose, 1), np.concatenate(firm, 1), prior, of_picture, sigmas.noise_observations
@@ -257,19 +263,22 @@ class FormProblem:
         weight = residuals.weights()[:: len(around), None]
         return (slope * weight) @ slope.swapaxes(1, 2) + 1e-9 * np.eye(count)
 
-    def _intrusion(self, values: np.ndarray, solids: Solids) -> tuple[np.ndarray, np.ndarray]:
-        """How far surface samples are outside the outline, and before what the camera sees."""
-        evidence = self.evidence
+    def _surface_m(self, values: np.ndarray, solids: Solids) -> Float[np.ndarray, "batch points 3"]:
+        """Points of the form's surface in the world."""
         own = solids.surface_points_m(self.samples)
         c, s = np.cos(values[:, 2])[:, None], np.sin(values[:, 2])[:, None]
-        world = np.stack([
+        return np.stack([
             c * own[..., 0] + s * own[..., 2] + values[:, 0:1], own[..., 1] + values[:, 3:4],
             c * own[..., 2] - s * own[..., 0] + values[:, 1:2],
         ], -1)  # fmt: skip
-        camera = world @ evidence.T_camera_world[:3, :3].T + evidence.T_camera_world[:3, 3]
+
+    def _intrusion(self, values: np.ndarray, surface_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far points of the surface are outside the outline, and before what the camera sees."""
+        evidence = self.evidence
+        camera = surface_m @ evidence.T_camera_world[:3, :3].T + evidence.T_camera_world[:3, 3]
         z, k = np.maximum(camera[..., 2], 0.05), evidence.intrinsics
         u, v = camera[..., 0] / z * k.fx_px + k.cx_px, camera[..., 1] / z * k.fy_px + k.cy_px
-        weight = np.sqrt(self.sigmas.looks / own.shape[1])
+        weight = np.sqrt(self.sigmas.looks / surface_m.shape[1])
         height, width = evidence.free_m.shape
         within = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
         at = (np.where(within, np.round(v), 0).astype(int), np.where(within, np.round(u), 0).astype(int))
@@ -277,7 +286,7 @@ class FormProblem:
         before = np.log(np.maximum(free / z, 1.0)) / np.hypot(evidence.depth_sigma, self.sigmas.form_m / z)
         outside = _sampled(evidence.outside_px, u, v) * self.pixel_m / self.outline_m
         # Outlines lose what is thin.
-        outside *= np.repeat(~np.isin(self.part_names, THIN), own.shape[1] // len(self.part_names))
+        outside *= np.repeat(~np.isin(self.part_names, THIN), surface_m.shape[1] // len(self.part_names))
         return weight * outside, weight * before
 
     def _turned(self, values: np.ndarray, v: np.ndarray) -> np.ndarray:

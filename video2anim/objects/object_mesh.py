@@ -6,17 +6,22 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from video2anim.objects.evidence import SeenObject
+from video2anim.objects.evidence import ObjectViews, SeenObject
 from video2anim.objects.meshing import ObjectPicture, form_mesh, outline_iou
 from video2anim.objects.recognize import labeled_fits
 from video2anim.types import CompletedObject, Mesh, ObjectMesh, View
 
 
 def fitted(
-    found: CompletedObject, seen: SeenObject, background_rgb: UInt8[np.ndarray, "height width 3"], view: View
+    found: CompletedObject,
+    seen: SeenObject,
+    views: ObjectViews,
+    background_rgb: UInt8[np.ndarray, "height width 3"],
+    view: View,
 ) -> ObjectMesh:
-    """The form with the most evidence, painted with the picture."""
+    """The form with the most evidence, painted with the picture; it fills its space in `views`."""
     (best, *_), label = labeled_fits(seen, found.label)
+    views.fill(best)
     picture = ObjectPicture(_completed_picture(found, background_rgb), found.amodal_mask, view)
     mesh, parts, texture = form_mesh(best, picture)
     sigma = best.sigma

@@ -1,4 +1,4 @@
-"""Placed objects: a fitted form or a mesh fitted to its depth, resting on what is below it and free of collisions."""
+"""Placed objects: a fitted form or a mesh fitted to its depth, resting on what is below it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from jaxtyping import Float
 from trimesh.remesh import subdivide_to_size
 
 from video2anim.geometry.scene_mesh import world_mesh
-from video2anim.objects.collisions import PlacedSolid, resolve_collisions
 from video2anim.objects.placement import Placement, place
-from video2anim.types import ObjectMesh, PlacedObject, View
+from video2anim.types import Mesh, ObjectMesh, PlacedObject, View
 
 _EDGES = 50
 """Edges along the longest side of a mesh for the fit, which uses vertices: plain meshes have few."""
 _RAISED_M = 0.05
 """Objects whose lower end is higher than this do not rest on the floor."""
+UNDER_M = 0.25
+"""Maximum vertical displacement to rest on what is below: the error of depth of a table at 4 m."""
+_LEVEL, _CARRIED = 0.5, 0.3
+"""Surfaces within 60 degrees of level carry, and are below at least so many of the points of a footprint."""
 
 
 def fitted_form(found: ObjectMesh, *, max_chamfer_m: float, min_outline_iou: float) -> PlacedObject:
@@ -91,39 +94,43 @@ def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def without_collisions(
-    placed: Sequence[PlacedObject], overlap_m: float, max_overlap_m: float
-) -> tuple[list[PlacedObject], float, float]:
-    """Objects on what carries them and apart, and the deepest overlap before and after.
-
-    Args:
-        placed: objects at their own places.
-        overlap_m: objects that overlap more deeply are moved apart.
-        max_overlap_m: objects that still overlap more deeply are not trusted.
-    """
-    solids = [
-        PlacedSolid(
-            world_mesh(item.mesh, item.T_world_object, item.scale),
-            # An object that was not fitted yields to one that was.
-            1.0 if item.position_sigma_m is None else item.position_sigma_m,
-            raised=bool(item.T_world_object[1, 3] > _RAISED_M),
-        )
-        for item in placed
-    ]
-    found = resolve_collisions(solids, overlap_m)
-    moved = []
-    for item, state in zip(placed, found, strict=True):
-        notes, trusted = [item.reason], item.trusted
-        if state.rests_on is not None:
-            notes.append(f"rests on object {placed[state.rests_on].object_id}")
-        flat_m = float(np.hypot(*state.shift_m[[0, 2]]))
-        if flat_m > 0:
-            notes.append(f"moved by {flat_m:.2f} m out of its neighbor")
-        if state.inside_of is not None and state.overlap_after_m > max_overlap_m:
-            trusted = False
-            notes.append(f"still {state.overlap_after_m:.2f} m inside object {placed[state.inside_of].object_id}")
+def put_down(placed: Sequence[PlacedObject]) -> list[PlacedObject]:
+    """Raised objects on the highest surface below their footprint that is within `UNDER_M` of their lower end."""
+    done = list(placed)
+    meshes = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in placed]
+    lowest_m = [float(mesh.vertices_m[:, 1].min(initial=np.inf)) for mesh in meshes]
+    for number in np.argsort(lowest_m):
+        item = placed[number]
+        if item.T_world_object[1, 3] <= _RAISED_M or not len(meshes[number].faces):
+            continue
+        below = [(top_m, k) for k, mesh in enumerate(meshes) if k != number
+                 and (top_m := _top_below_m(meshes[number], mesh)) is not None]  # fmt: skip
+        if not below:
+            continue
+        top_m, under = max(below)
         T_world_object = item.T_world_object.copy()
-        T_world_object[:3, 3] += state.shift_m
-        moved.append(replace(item, T_world_object=T_world_object, trusted=trusted, reason="; ".join(notes)))
-    before_m = max((state.overlap_before_m for state in found), default=0.0)
-    return moved, before_m, max((state.overlap_after_m for state in found), default=0.0)
+        T_world_object[1, 3] += top_m - lowest_m[number]
+        reason = f"{item.reason}; rests on object {placed[under].object_id}"
+        done[number] = replace(item, T_world_object=T_world_object, reason=reason)
+        meshes[number] = world_mesh(item.mesh, T_world_object, item.scale)
+    return done
+
+
+def _top_below_m(raised: Mesh, other: Mesh) -> float | None:
+    """Height of the other's surface below most of nine points of an object's footprint; None if there is none near."""
+    import trimesh
+
+    if not len(other.faces):
+        return None
+    low, high = raised.vertices_m.min(0).astype(np.float64), raised.vertices_m.max(0)
+    center, half = 0.5 * (low + high), 0.3 * (high - low)
+    starts = np.array([[center[0] + a * half[0], low[1] + UNDER_M, center[2] + b * half[2]]
+                       for a in (-1, 0, 1) for b in (-1, 0, 1)])  # fmt: skip
+    mesh = trimesh.Trimesh(other.vertices_m, other.faces, process=False)
+    down = np.tile([0.0, -1.0, 0.0], (len(starts), 1))
+    hits, _, faces = mesh.ray.intersects_location(starts, down, multiple_hits=False)
+    tops_m = hits[mesh.face_normals[faces, 1] > _LEVEL, 1]
+    if len(tops_m) < _CARRIED * len(starts):
+        return None
+    top_m = float(np.median(tops_m))
+    return top_m if abs(top_m - low[1]) <= UNDER_M else None

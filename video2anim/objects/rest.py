@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float
 from video2anim.geometry.projection import pixel_rays
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.geometry.scene_mesh import world_mesh
-from video2anim.objects.collisions import UNDER_M
 from video2anim.objects.hands import UP, HandPath
+from video2anim.objects.placed import UNDER_M
 from video2anim.types import InstanceMasks, PlacedObject, View
 
 _HAND_SIGMA_M = 0.15
