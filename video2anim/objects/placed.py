@@ -98,10 +98,10 @@ def put_down(placed: Sequence[PlacedObject]) -> list[PlacedObject]:
     """Raised objects on the highest surface below their footprint that is within `UNDER_M` of their lower end."""
     done = list(placed)
     meshes = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in placed]
-    lowest_m = [float(mesh.vertices_m[:, 1].min(initial=np.inf)) for mesh in meshes]
+    lowest_m = [float(mesh.vertices_m[:, 1].min()) for mesh in meshes]
     for number in np.argsort(lowest_m):
         item = placed[number]
-        if item.T_world_object[1, 3] <= _RAISED_M or not len(meshes[number].faces):
+        if item.T_world_object[1, 3] <= _RAISED_M:
             continue
         below = [(top_m, k) for k, mesh in enumerate(meshes) if k != number
                  and (top_m := _top_below_m(meshes[number], mesh)) is not None]  # fmt: skip
@@ -120,8 +120,6 @@ def _top_below_m(raised: Mesh, other: Mesh) -> float | None:
     """Height of the other's surface below most of nine points of an object's footprint; None if there is none near."""
     import trimesh
 
-    if not len(other.faces):
-        return None
     low, high = raised.vertices_m.min(0).astype(np.float64), raised.vertices_m.max(0)
     center, half = 0.5 * (low + high), 0.3 * (high - low)
     starts = np.array([[center[0] + a * half[0], low[1] + UNDER_M, center[2] + b * half[2]]
