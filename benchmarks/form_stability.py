@@ -70,7 +70,7 @@ def of_scene(scene: Path, draws: int) -> list[dict]:
         config.depth_error_ratio, None if heading_rad is None else -heading_rad,
     )  # fmt: skip
     rows = []
-    for found in completed.objects:
+    for found in views.surest_first(completed.objects):
         fits, labels, began = [], Counter(), time.process_time()
         for draw in range(draws):
             seen = views.object(found, np.random.default_rng([draw, found.object_id]))
@@ -82,6 +82,7 @@ def of_scene(scene: Path, draws: int) -> list[dict]:
         if not fits:
             continue
         seconds = (time.process_time() - began) / draws
+        views.fill(fits[0][1][0])
         row = {"scene": scene.name, "object": found.object_id, "label": found.label, "seconds": round(seconds, 2)}
         rows.append(row | of_object(fits))
         sys.stderr.write(json.dumps(rows[-1]) + "\n")

@@ -250,14 +250,14 @@ def test_what_is_fitted_next_is_beside_what_is_there(gap_m: float) -> None:
     room = furnished(crate_of, distance_sigma=0.1)
     alone = fitted(room, "box")
     beside = recognized(
-        replace(room.seen, evidence=replace(room.seen.evidence, filled_depth_m=occupied.depth_m)), {"box": 0.0},
+        replace(room.seen, evidence=replace(room.seen.evidence, filled_m=occupied.distance_m)), {"box": 0.0},
         forms=[form("box")],
     )[0]  # fmt: skip
 
     def inside_m(fit: FormFit) -> float:
         _, solids = fit.solids()
         points_m = solids.surface_points_m(9)[0] @ fit.T_world_object[:3, :3].T + fit.T_world_object[:3, 3]
-        return float(occupied.depth_m(points_m).max())
+        return -float(occupied.distance_m(points_m).min())
 
     if gap_m > 0:
         np.testing.assert_allclose(beside.values, alone.values, atol=1e-3)
@@ -270,8 +270,9 @@ def test_filled_space_is_as_deep_as_its_solid() -> None:
     """A box that is 0.6 m high: its inside is within 0.3 m of a side; nothing is filled beside it."""
     fit = fitted(furnished([Block((0.0, 0.3, -3.0), (0.8, 0.6, 0.8))]), "box")
     occupied = Occupied(np.array([[-2.0, 0.0, -5.0], [2.0, 1.5, -1.0]]))
-    assert not occupied.depth_m(np.array([[0.0, 0.3, -3.0]])).any()
+    assert occupied.distance_m(np.array([[0.0, 0.3, -3.0]]))[0] > 1
     occupied.add(fit)
     x, z = fit.values[:2]
-    depth_m = occupied.depth_m(np.array([[x, 0.3, z], [x, 0.55, z], [x + 0.9, 0.3, z], [x, 0.8, z], [50.0, 0.3, 50.0]]))
-    np.testing.assert_allclose(depth_m, [0.3, 0.05, 0, 0, 0], atol=0.04)
+    near_m = occupied.distance_m(np.array([[x, 0.3, z], [x, 0.55, z], [x, 0.8, z], [x + 0.6, 0.3, z]]))
+    np.testing.assert_allclose(near_m, [-0.3, -0.05, 0.2, 0.2], atol=0.04)
+    assert (occupied.distance_m(np.array([[x + 1.5, 0.3, z], [50.0, 0.3, 50.0]])) > 1).all()

@@ -13,7 +13,7 @@ from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid
 from video2anim.objects.backproject import BackprojectedObject, ObjectBackprojector
 from video2anim.objects.foreground import floor_band_m, surface_normals
-from video2anim.objects.form_fit import FormFit, ObjectEvidence
+from video2anim.objects.form_fit import FitSigmas, FormFit, ObjectEvidence
 from video2anim.objects.occupied import Occupied
 from video2anim.objects.upright_box import UprightBox, fit_upright_box, turned_to
 from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
@@ -111,6 +111,8 @@ class ObjectViews:
         rested_m, body_m = (
             some[((some > low) & (some < high)).all(1)] for some in (self._people.rested_m, self._people.body_m)
         )
+        # What rested on an object that was fitted before did not rest on this one.
+        rested_m = rested_m[np.abs(self._occupied.distance_m(rested_m)) > 3 * FitSigmas().rest_m]
         sigma = self._depth.object_sigma.get(str(found.object_id), _MIN_DISTANCE_SIGMA)
         evidence = ObjectEvidence(
             camera_m=lifter.view.T_world_camera[:3, 3].copy(),
@@ -127,7 +129,7 @@ class ObjectViews:
             body_m=body_m,
             others_m=self._others_m(own, points_m, rng),
             room_yaw_rad=self._room_yaw_rad,
-            filled_depth_m=self._occupied.depth_m,
+            filled_m=self._occupied.distance_m,
         )
         return SeenObject(evidence, points_m, self._normals[obj.shows], own, outline)
 

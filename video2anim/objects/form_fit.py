@@ -99,8 +99,8 @@ class ObjectEvidence:
     """Seen points of walls and other objects, which are not inside it."""
     room_yaw_rad: float | None = None
     """Of the room's walls, modulo a right angle; None where the picture does not tell it."""
-    filled_depth_m: Callable[[np.ndarray], np.ndarray] | None = None
-    """How deep points of the world (batch, points, 3) are inside objects that were fitted before."""
+    filled_m: Callable[[np.ndarray], np.ndarray] | None = None
+    """Signed distance of points of the world (batch, points, 3) to objects that were fitted before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,9 +229,9 @@ class FormProblem:
             off = np.arctan2(np.sin(turn), np.cos(turn)) / 4 / sigmas.square_rad
             loose.append(np.sqrt(np.expm1(sigmas.square_observations * np.log1p(off**2)))[:, None])
         firm.append(np.maximum(-away_m[:, of_others:], 0) / sigmas.body_m)
-        if evidence.filled_depth_m is not None:
-            weight = np.sqrt(sigmas.looks / surface_m.shape[1])
-            firm.append(weight * evidence.filled_depth_m(surface_m) / sigmas.form_m)
+        if evidence.filled_m is not None:
+            weight = _weight(sigmas.looks, surface_m.shape[1])
+            firm.append(weight * np.maximum(-evidence.filled_m(surface_m), 0) / sigmas.form_m)
         prior = (values - self.prior_mean)[:, 3:] / self.prior_sigma[3:]
         return Residuals(
             np.concatenate(loose, 1), np.concatenate(firm, 1), prior, of_picture, sigmas.noise_observations

@@ -42,6 +42,6 @@ class Occupied:
         part = self._sdf_m[tuple(map(slice, first, last))]
         np.minimum(part, distance_m, out=part)
 
-    def depth_m(self, points_m: Float[np.ndarray, "*batch points 3"]) -> Float[np.ndarray, "*batch points"]:
-        """How deep points of the world are inside an object."""
-        return np.maximum(-sample_sdf(self._sdf_m, self._low_m, self._spacing_m, points_m), 0.0)
+    def distance_m(self, points_m: Float[np.ndarray, "*batch points 3"]) -> Float[np.ndarray, "*batch points"]:
+        """Of points of the world from the nearest object, negative inside; large where none is near."""
+        return sample_sdf(self._sdf_m, self._low_m, self._spacing_m, points_m)
