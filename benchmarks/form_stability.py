@@ -1,9 +1,9 @@
-"""How often an object of a scene folder gets another form if other pixels of it are looked at.
+"""How often an object of a scene folder gets another class of form if other pixels of it are looked at.
 
     python benchmarks/form_stability.py SCENE_DIR... [--draws 8] [--out stability.json]
 
 Reads the outputs of the stages before `reconstruct` and fits every object's form anew, with other random numbers in
-each draw. For each object: the forms, how often the most frequent one was chosen, the lead of the best form in log
+each draw. For each object: the classes, how often the most frequent one was chosen, the lead of the best form in log
 evidence, and the share of joints of people that are inside it by 5 cm or more. Writes JSON.
 """
 
@@ -42,7 +42,7 @@ def main() -> None:
     report = {
         "date": datetime.date.today().isoformat(), "machine": f"{os.cpu_count()} x {platform.machine()}",
         "draws": options.draws, "seed": 0, "objects": len(rows),
-        "mean share of the most frequent form": float(np.mean([row["share"] for row in rows])),
+        "mean share of the most frequent class": float(np.mean([row["share"] for row in rows])),
         "mean spread of the highest point, m": float(np.mean([row["height_spread_m"] for row in rows])),
         "mean share of joints inside": float(np.mean([row["inside"] for row in rows])),
         "median seconds a fit": float(np.median([row["seconds"] for row in rows])),
@@ -91,12 +91,12 @@ def of_scene(scene: Path, draws: int) -> list[dict]:
 
 def of_object(fits: list[tuple[SeenObject, list[FormFit]]]) -> dict:
     """How much the fits of one object differ."""
-    forms = Counter(f"{ranked[0].form.name} {ranked[0].form.variant}".strip() for _, ranked in fits)
+    classes = Counter(ranked[0].form.name for _, ranked in fits)
     tops_m = [highest_m(ranked[0]) for _, ranked in fits]
     leads = [ranked[0].log_evidence - ranked[1].log_evidence for _, ranked in fits if len(ranked) > 1]
     return {
-        "forms": dict(sorted(forms.items(), key=lambda one: -one[1])),
-        "share": max(forms.values()) / len(fits),
+        "classes": dict(sorted(classes.items(), key=lambda one: -one[1])),
+        "share": max(classes.values()) / len(fits),
         "height_spread_m": round(float(np.std(tops_m)), 3),
         "lead": round(float(np.median(leads)), 1) if leads else None,
         "inside": round(float(np.mean([inside(seen, ranked[0]) for seen, ranked in fits])), 3),

@@ -25,6 +25,8 @@ THIN = ("leg", "pole")
 """Parts that masks lose."""
 LEANED_ON = ("back", "headboard")
 """Parts that bodies meet from the front; on others they rest from above."""
+_FLESH_M = 0.05
+"""Skin is at least so far from the joints that count: at elbows, knees and ankles; twice that at hips and spine."""
 _BEHIND_M = 0.3
 """Deeper than skin is behind a front by error."""
 _ROUNDS = 25
@@ -228,7 +230,7 @@ class FormProblem:
             turn = 4 * (values[:, 2] - evidence.room_yaw_rad)
             off = np.arctan2(np.sin(turn), np.cos(turn)) / 4 / sigmas.square_rad
             loose.append(np.sqrt(np.expm1(sigmas.square_observations * np.log1p(off**2)))[:, None])
-        firm.append(np.maximum(-away_m[:, of_others:], 0) / sigmas.body_m)
+        firm.append(np.maximum(_FLESH_M - away_m[:, of_others:], 0) / sigmas.body_m)
         if evidence.filled_m is not None:
             weight = _weight(sigmas.looks, surface_m.shape[1])
             firm.append(weight * np.maximum(-evidence.filled_m(surface_m), 0) / sigmas.form_m)
