@@ -1,4 +1,4 @@
-"""Compares raw landmarks, the optimizer, the lifter, and both together on the same tracks and cameras.
+"""Raw landmarks and the fitted body, on the same tracks and cameras.
 
     python benchmarks/human_fit.py --media ../shared/media --truth bench_work/truth
 
@@ -27,7 +27,6 @@ from video2anim.lab.eval.truth import read_truth
 from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.types import BodyTracks, PersonTracks, VideoClip
 
-METHODS = ("optimizer", "lifter", "both")
 REAL = ("pose2sim_single_cam01", "pose2sim_single_cam02")
 REAL_ROWS = ("pa_mpjpe_mm", "root_relative_mpjpe_mm", "acceleration_error_m_s2", "root_error_m", "focal_error_percent",
              "up_error_deg")  # fmt: skip
@@ -43,22 +42,20 @@ def main() -> None:
         work = options.work or Path(folder)
         for name in REAL if options.media else ():
             video = options.media / "videos" / f"{name}.mp4"
-            for method in METHODS:
-                scene = fitted(video, work / name, method)
-                clip = read_value(VideoClip, stage_folder(scene, "ingest"))
-                found = accuracy(scene, clip, options.media / "reference" / f"{name}_joints.npz")
-                if method == METHODS[0]:
-                    rows.append({"set": "Pose2Sim", "clip": name, "method": "raw"} | column(found, "_raw"))
-                rows.append({"set": "Pose2Sim", "clip": name, "method": method} | column(found, "_fit"))
+            scene = fitted(video, work / name)
+            clip = read_value(VideoClip, stage_folder(scene, "ingest"))
+            found = accuracy(scene, clip, options.media / "reference" / f"{name}_joints.npz")
+            rows.extend(
+                {"set": "Pose2Sim", "clip": name, "method": method, **column(found, f"_{method}")}
+                for method in ("raw", "fit")
+            )
         for truth in sorted(options.truth.iterdir()) if options.truth else ():
             if not (truth / "meta.json").is_file():
                 continue
-            for method in METHODS:
-                scene = fitted(truth / "video.mp4", work / truth.name, method)
-                own: dict[str, object] = {"set": "V2A-Bench", "clip": truth.name}
-                if method == METHODS[0]:
-                    rows += [own | {"method": name} | found for name, found in raw_and_true(scene, truth).items()]
-                rows.append(own | {"method": method} | evaluated(scene, truth, work))
+            scene = fitted(truth / "video.mp4", work / truth.name)
+            own: dict[str, object] = {"set": "V2A-Bench", "clip": truth.name}
+            rows += [own | {"method": name} | found for name, found in raw_and_true(scene, truth).items()]
+            rows.append(own | {"method": "fit"} | evaluated(scene, truth, work))
     report = {
         "date": datetime.date.today().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
@@ -71,10 +68,9 @@ def main() -> None:
     sys.stdout.write(table(rows) + f"\n{target}\n")
 
 
-def fitted(video: Path, scene: Path, method: str) -> Path:
-    """The scene folder with stage humans run by this method."""
-    words = ["run", str(video), "--out", str(scene), "--until", "humans", "--set", f"humans.method={method}"]
-    call(*words)
+def fitted(video: Path, scene: Path) -> Path:
+    """The scene folder up to stage humans."""
+    call("run", str(video), "--out", str(scene), "--until", "humans")
     return scene
 
 
@@ -135,7 +131,7 @@ def table(rows: list[dict[str, object]]) -> str:
         parts = [[clip] for clip in clips] if title == "Pose2Sim" else [clips]
         lines += ["", f"| {title} | " + " | ".join(keys) + " |", "|---" * (len(keys) + 1) + "|"]
         for part in parts:
-            for method in ("raw", *METHODS, "truth") if title == "V2A-Bench" else ("raw", *METHODS):
+            for method in ("raw", "fit", "truth") if title == "V2A-Bench" else ("raw", "fit"):
                 some = [row for row in own if row["method"] == method and row["clip"] in part]
                 name = method if len(part) > 1 else f"{part[0]}: {method}"
                 lines.append(f"| {name} | " + " | ".join(mean(some, key) for key in keys) + " |")

@@ -3,9 +3,8 @@
     python benchmarks/lifter.py --media ../shared/media --work lifter_work
     python benchmarks/lifter.py --media ../shared/media --work lifter_work --lifter lifter.onnx --label longer
 
-`lifter` is the raw output of the network, `both` the fit that starts from it. Ingest and track run once in the work
-folder; the stages camera and humans use the given lifter. The table has one line per clip and method, and the mean over
-all clips. Base decisions on the mean only. Writes JSON.
+Ingest and track are made once in the work folder; camera and humans stages use the lifter in question. The table has a
+line per clip, and the mean over all clips: choose nothing on one. Writes JSON.
 """
 
 from __future__ import annotations
@@ -31,7 +30,6 @@ from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.types import VideoClip
 
 CAPTURED = ("ocv_sts", "ocv_walk")
-METHODS = ("lifter", "both")
 ROWS = ("pa_mpjpe_mm", "root_relative_mpjpe_mm", "knee_flexion_error_deg", "hip_flexion_error_deg", "up_error_deg")
 
 
@@ -40,14 +38,11 @@ def main() -> None:
     options = arguments()
     rows = []
     for name in (*CAPTURED, *REAL):
-        for method in METHODS:
-            scene = fitted(options.media / "videos" / f"{name}.mp4", options.work / name, method, options.lifter)
-            rows.append({"clip": name, "method": method} | scored(options.media, name, scene))
-            sys.stdout.write(f"{line(rows[-1])}\n")
-            sys.stdout.flush()
-    rows += [
-        {"clip": "mean", "method": method} | mean([r for r in rows if r["method"] == method]) for method in METHODS
-    ]
+        scene = fitted(options.media / "videos" / f"{name}.mp4", options.work / name, options.lifter)
+        rows.append({"clip": name} | scored(options.media, name, scene))
+        sys.stdout.write(f"{line(rows[-1])}\n")
+        sys.stdout.flush()
+    rows.append({"clip": "mean"} | mean(rows))
     file = options.lifter or model_path(find_model("lifter"))
     report = {
         "date": datetime.date.today().isoformat(),
@@ -62,11 +57,10 @@ def main() -> None:
     sys.stdout.write("\n".join([head(), *map(line, rows), str(target), ""]))
 
 
-def fitted(video: Path, scene: Path, method: str, lifter: Path | None) -> Path:
-    """The scene folder with stage humans run by this method and these weights."""
-    settings = {"humans.method": method}
-    if lifter is not None:
-        settings |= dict.fromkeys(("humans.model", "camera.model"), f"lifter@{lifter.resolve()}")
+def fitted(video: Path, scene: Path, lifter: Path | None) -> Path:
+    """The scene folder with the humans stage by these weights."""
+    named = () if lifter is None else ("humans.model", "camera.model")
+    settings = dict.fromkeys(named, f"lifter@{lifter.resolve()}" if lifter else "")
     words = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
     call("run", str(video), "--out", str(scene), "--until", "humans", *words)
     return scene
@@ -92,14 +86,14 @@ def mean(rows: list[dict[str, float]]) -> dict[str, float]:
 
 
 def head() -> str:
-    """Header of the Markdown table."""
-    return "| clip | method | " + " | ".join(ROWS) + " |\n" + "|---" * (2 + len(ROWS)) + "|"
+    """First lines of the table."""
+    return "| clip | " + " | ".join(ROWS) + " |\n" + "|---" * (1 + len(ROWS)) + "|"
 
 
 def line(row: dict[str, float]) -> str:
     """One line of the Markdown table."""
     numbers = " | ".join(f"{row[key]:.1f}" if key in row else "" for key in ROWS)
-    return f"| {row['clip']} | {row['method']} | {numbers} |"
+    return f"| {row['clip']} | {numbers} |"
 
 
 def arguments() -> argparse.Namespace:

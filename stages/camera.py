@@ -140,4 +140,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=14, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=15, models=("lifter", "camera"))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
-from video2anim.pipeline.options import Heights, limits, model_of, only_without
+from video2anim.pipeline.options import Heights, limits, model_of
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BodyMotion,
@@ -25,17 +25,14 @@ if TYPE_CHECKING:
 class HumansConfig:
     """Settings of the stage."""
 
-    method: Literal["both", "lifter", "optimizer"] = "both"
-    """`lifter`: the network's output as it is; `optimizer`: a fit to the landmarks alone; `both`: a fit that starts
-    from the network's output and stays near it."""
-    model: Annotated[str, model_of("lifter"), only_without("method", "optimizer")] = "lifter"
+    model: Annotated[str, model_of("lifter")] = "lifter"
     """Model that lifts landmarks to bodies; `lifter@FILE` for weights of your own."""
     height_m: Heights | None = None
     """Known standing height in meters: of the main person, or by person's ID. The prior of all others is the mean
     height of adults."""
-    iterations: Annotated[Annotated[int, limits(ge=1, le=100_000)] | None, only_without("method", "lifter")] = None
-    """Steps of the fit (default: 400 from the landmarks, 160 from the lifter's output)."""
-    cutoff_hz: Annotated[float, limits("Hz", ge=0, le=1000), only_without("method", "lifter")] = 6.0
+    iterations: Annotated[int, limits(ge=1, le=100_000)] = 160
+    """Steps of the fit. Not measured."""
+    cutoff_hz: Annotated[float, limits("Hz", ge=0, le=1000)] = 6.0
     """Cutoff of the low-pass filter of the fitted motion (6 Hz is usual for gait; raise it for throws and strikes; 0:
     no filter)."""
 
@@ -46,6 +43,7 @@ def recover_humans(
     """Fit the selected persons and put them into a world with +Y up and the floor under the main person's feet."""
     from video2anim.humans.body_height import expect_heights, height_of
     from video2anim.humans.ground import level_frame
+    from video2anim.humans.lifting import lift
     from video2anim.humans.objective import FitConfig
     from video2anim.humans.observe import observations
     from video2anim.humans.quality import person_quality
@@ -54,7 +52,8 @@ def recover_humans(
     expect_heights(config.height_m, tracks.selected_ids)
     selected = tuple(track.whole(clip.frame_count) for track in tracks.selected())
     observed = [observations(track, clip.frame_time_s, camera.intrinsics) for track in selected]
-    lifted = _lifted(observed, config, ctx)
+    network = ctx.model(config.model)
+    lifted = [lift(one, network) for one in observed]
     heights_m = [height_of(config.height_m, track.person_id, tracks.selected_ids[0]) for track in selected]
     fits = [
         _fit(seen, raised, height_m, config, ctx)
@@ -63,7 +62,7 @@ def recover_humans(
     R_world_camera = level_frame(camera.up_camera) @ camera.R_first_camera
     T_world_camera, spread_m = world_poses(fits[0], selected[0].valid, R_world_camera, clip.fps)
     people = tuple(
-        world_motion(fit, raised, track, camera, T_world_camera, clip.frame_time_s, clip.fps)
+        world_motion(fit, raised, track, camera, T_world_camera, clip.frame_time_s)
         for track, fit, raised in zip(selected, fits, lifted, strict=True)
     )
     quality = tuple(
@@ -77,24 +76,9 @@ def recover_humans(
     return BodyTracks(people, quality)
 
 
-def _lifted(observed: list[Observations], config: HumansConfig, ctx: StageContext) -> list[LiftedBody] | list[None]:
-    """The network's answer for each person; None where the method does not use it."""
-    from video2anim.humans.lifting import lift
-
-    if config.method == "optimizer":
-        return [None] * len(observed)
-    network = ctx.model(config.model)
-    return [lift(one, network) for one in observed]
-
-
-def _slots(config: HumansConfig) -> tuple[str, ...]:
-    """Slots of the models that are used."""
-    return () if config.method == "optimizer" else ("lifter",)
-
-
 def _fit(
     observed: Observations,
-    lifted: LiftedBody | None,
+    lifted: LiftedBody,
     height_m: float | None,
     config: HumansConfig,
     ctx: StageContext,
@@ -102,15 +86,10 @@ def _fit(
     """One person's fit in the camera, low-passed."""
     from video2anim.humans.long_clip import fit_long
     from video2anim.humans.objective import FitConfig
-    from video2anim.humans.optimize import place_lifted
     from video2anim.humans.smoothing import smoothed_fit
 
-    fit_config = FitConfig.for_height(height_m)
-    if lifted is not None and config.method == "lifter":
-        if height_m is not None:
-            ctx.warn("humans.method=lifter knows no height: --height-m is not used, the body is an adult of 1.70 m")
-        return place_lifted(observed, lifted, fit_config)
-    fit = fit_long(observed, lifted, fit_config, iterations=config.iterations, on_step=ctx.progress)
+    config_of_fit = FitConfig.for_height(height_m)
+    fit = fit_long(observed, lifted, config_of_fit, iterations=config.iterations, on_step=ctx.progress)
     return smoothed_fit(observed, fit, config.cutoff_hz)
 
 
@@ -130,4 +109,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton_height", quality.body_height_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=13, models=_slots)
+STAGE = StageSpec("humans", recover_humans, version=14, models=("lifter",))

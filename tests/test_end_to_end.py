@@ -619,12 +619,12 @@ def test_a_kept_edit_stays_through_a_change_before_it(scene: Scene, copy: Path) 
 
 
 def test_an_option_counts_beside_what_the_folder_remembers(copy: Path) -> None:
-    """`iterations` means something for the optimizer only, which this folder has chosen."""
-    first = video2anim("run", "--out", copy, "--set", "humans.method=optimizer", "--until", "ingest")
+    """`preview_height_px` means nothing without a preview, which this folder has chosen."""
+    first = video2anim("run", "--out", copy, "--set", "export.preview=false", "--until", "ingest")
     assert first.code == 0, first.err
-    second = video2anim("run", "--out", copy, "--set", "humans.iterations=25", "--until", "ingest")
-    assert second.code == 0, second.err
-    assert json.loads((copy / "run.json").read_text())["config"]["humans"]["iterations"] == 25
+    second = video2anim("run", "--out", copy, "--set", "export.preview_height_px=100", "--until", "ingest")
+    assert second.code == 2
+    assert "export.preview_height_px: means nothing with" in second.err
 
 
 def test_starting_anew_wants_a_video(copy: Path) -> None:

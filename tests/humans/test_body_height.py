@@ -84,6 +84,7 @@ def test_with_everybody_worked_on_only_the_main_person_has_the_given_height(monk
 
     monkeypatch.setattr("stages.humans._fit", fitted)
     monkeypatch.setattr("video2anim.humans.observe.observations", lambda *parts: None)
+    monkeypatch.setattr("video2anim.humans.lifting.lift", lambda *parts: None)
     still = np.tile(np.eye(3), (2, 1, 1))
     track = PersonTrack(
         1, np.ones(2, bool), np.ones(2), np.zeros((2, 4)), np.zeros((2, 33, 2)), np.zeros((2, 33, 3)),
@@ -96,7 +97,7 @@ def test_with_everybody_worked_on_only_the_main_person_has_the_given_height(monk
     camera = CameraEstimate(
         Intrinsics.centered(60.0, 64, 48), "user", 0.01, np.array([0, -1.0, 0]), "picture", 0.01, True, still
     )
-    config = HumansConfig(method="optimizer", height_m=1.82)
+    config = HumansConfig(height_m=1.82)
     with pytest.raises(StopAsyncIteration):
-        recover_humans(clip, tracks, camera, config, StageContext(Path()))
+        recover_humans(clip, tracks, camera, config, StageContext(Path(), load_model=lambda name: None))
     assert heights_m == [1.82, None, None]

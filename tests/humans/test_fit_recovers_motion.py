@@ -17,12 +17,14 @@ from video2anim.errors import StageError
 from video2anim.geometry.perspective_field import PerspectiveField, field_of_camera
 from video2anim.geometry.projection import invert_rigid, project
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.humans.initial import landmark_rotation, ray_rotation, translation_from_projection
-from video2anim.humans.landmarks import BLAZEPOSE_OF_KEYPOINT, KEYPOINT_INDEX, LANDMARK_ORDER
+from video2anim.humans.initial import landmark_rotation, ray_rotation
+from video2anim.humans.landmarks import KEYPOINT_INDEX, LANDMARK_ORDER
 from video2anim.humans.lifter_input import LiftedBody
+from video2anim.humans.lifting import lift
 from video2anim.humans.optimize import fit_body
 from video2anim.humans.problem import FittedBody, Observations
 from video2anim.networks import load_model
+from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import Intrinsics, PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
 from video2anim.types.skeleton import forward_kinematics
@@ -37,40 +39,48 @@ NOISE_PX, NOISE_M = 1.5, 0.02
 class Filmed:
     """A walk through the picture, and its truth in the camera."""
 
+    whole: Observations
+    """All frames."""
     observed: Observations
+    """Every third of them, and what follows of the same frames."""
+    lifted: LiftedBody
     joints_camera_m: np.ndarray
 
 
 @pytest.fixture(scope="module")
 def filmed() -> Filmed:
-    """A walk towards a camera that looks down a little, every third frame, with detector-like noise."""
+    """A walk towards a camera that looks down a little, with detector-like noise."""
     motion = planted_walk(75)
     tilt = np.radians(12.0)
     T_world_camera = np.eye(4)
     T_world_camera[:3, :3] = np.diag([1.0, -1, -1]) @ matrix_from_axis_angle(np.array([-tilt, 0, 0]))
     T_world_camera[:3, 3] = [0.6, 1.7, 5.5]
     T_camera_world = invert_rigid(T_world_camera)
-    frames = np.arange(0, 75, 3)
-    points = true_keypoints(motion)[frames] @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
-    joints = motion.joints_world_m[frames] @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
+    points = true_keypoints(motion) @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
+    joints = motion.joints_world_m @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
     rng = np.random.default_rng(11)
     pixels = project(points, LENS)
     hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
     # A landmark model sees a crop, which hides a part of the viewing ray's tilt.
     R_camera_landmarks = landmark_rotation(pixels[:, hips].mean(1), LENS)
     seen = np.einsum("tba,tkb->tka", R_camera_landmarks, points - points[:, hips].mean(1, keepdims=True))
-    observed = Observations(
-        motion.frame_time_s[frames], np.ones(len(frames), bool),
+    whole = Observations(
+        motion.frame_time_s, np.ones(75, bool),
         pixels + rng.normal(0, NOISE_PX, pixels.shape), seen + rng.normal(0, NOISE_M, seen.shape),
         np.ones(pixels.shape[:2]), LENS,
     )  # fmt: skip
     assert (points[..., 2] > 1).all()
-    return Filmed(observed, joints)
+    some = np.arange(0, 75, 3)
+    observed = Observations(
+        whole.frame_time_s[some], whole.valid[some], whole.keypoints_px[some], whole.keypoints_m[some],
+        whole.weight[some], LENS,
+    )  # fmt: skip
+    return Filmed(whole, observed, lift(whole, load_model("lifter")).rows(some), joints[some])
 
 
 @pytest.fixture(scope="module")
 def fitted(filmed: Filmed) -> FittedBody:
-    return fit_body(filmed.observed, fit_focal=False, iterations=150)
+    return fit_body(filmed.observed, filmed.lifted, fit_focal=False, iterations=150)
 
 
 def root_relative_error_m(fit: FittedBody, truth_m: np.ndarray) -> float:
@@ -100,7 +110,7 @@ def test_fit_is_consistent_in_itself(fitted: FittedBody) -> None:
 
 
 def test_fit_is_repeatable(filmed: Filmed) -> None:
-    again = [fit_body(filmed.observed, fit_focal=False, iterations=5).joints_camera_m for _ in range(2)]
+    again = [fit_body(filmed.observed, filmed.lifted, fit_focal=False, iterations=5).joints_camera_m for _ in range(2)]
     np.testing.assert_array_equal(*again)
 
 
@@ -111,7 +121,7 @@ def test_focal_length_is_recovered_from_any_start(filmed: Filmed, start_px: floa
     start = Observations(
         o.frame_time_s, o.valid, o.keypoints_px, o.keypoints_m, o.weight, Intrinsics.centered(start_px, 1280, 720)
     )
-    fit = fit_body(start, fit_focal=True, iterations=150)
+    fit = fit_body(start, filmed.lifted, fit_focal=True, iterations=150)
     assert abs(np.log(fit.focal_px / FOCAL_PX)) < 0.08
     assert root_relative_error_m(fit, filmed.joints_camera_m) < 0.035
 
@@ -128,14 +138,14 @@ def as_stage_input(observed: Observations, focal_35mm: float = 0.0) -> tuple[Vid
     source = SourceInfo("h264", "yuv420p", 1280, 720, 0, 1.0, 30.0, count, count, 2.5, focal_35mm)
     times = o.frame_time_s
     clip = VideoClip(
-        PayloadFile(Path("none.mp4")), 1280, 720, 10.0, times, times, source, ((0.0, 2.5),), 0, True, 0.0, ()
+        PayloadFile(Path("none.mp4")), 1280, 720, 30.0, times, times, source, ((0.0, 2.5),), 0, True, 0.0, ()
     )
     return clip, PersonTracks((track,), (1,))
 
 
 def test_camera_stage_states_an_uncertainty_that_holds(filmed: Filmed) -> None:
     """The focal length found by the stage is within two of its stated standard deviations."""
-    clip, tracks = as_stage_input(filmed.observed)
+    clip, tracks = as_stage_input(filmed.whole)
     ctx = StageContext(Path(), load_model=load_model)
     camera = estimate_camera(clip, tracks, CameraConfig(frames=15, iterations=100, camera_model="none"), ctx)
     assert camera.focal_source == "human"
@@ -153,7 +163,7 @@ def test_camera_stage_states_an_uncertainty_that_holds(filmed: Filmed) -> None:
 def test_metadata_is_used_unless_the_picture_contradicts_it(filmed: Filmed, factor: float, source: str) -> None:
     """A file that gives the true 4 mm of a phone's lens for its equivalent on full frame is off by 6."""
     focal_35mm = factor * FOCAL_PX * np.hypot(36, 24) / np.hypot(1280, 720)
-    clip, tracks = as_stage_input(filmed.observed, focal_35mm)
+    clip, tracks = as_stage_input(filmed.whole, focal_35mm)
     ctx = StageContext(Path(), load_model=load_model)
     camera = estimate_camera(clip, tracks, CameraConfig(frames=12, iterations=80, camera_model="none"), ctx)
     assert camera.focal_source == source
@@ -185,7 +195,7 @@ def test_the_picture_is_believed_as_far_as_it_is_sure(
 ) -> None:
     """A sure field of another lens pulls the estimate most of the way to it, an unsure one leaves it alone."""
     monkeypatch.setattr(image_camera, "read_frame", lambda *_: np.zeros((720, 1280, 3), np.uint8))
-    clip, tracks = as_stage_input(filmed.observed)
+    clip, tracks = as_stage_input(filmed.whole)
     up = matrix_from_axis_angle(np.array([np.radians(12.0), 0, 0])) @ [0, -1.0, 0]
     seen = SeenField(factor * FOCAL_PX, up, sigma_rad)
     ctx = StageContext(Path(), load_model=lambda name: seen if name == "seen" else load_model(name))
@@ -205,8 +215,8 @@ def test_the_picture_is_believed_as_far_as_it_is_sure(
 
 def test_gravity_is_seen_in_whom_the_lifter_is_sure_of(filmed: Filmed) -> None:
     """Somebody in an odd pose, seen for as long, hardly turns what a walker says of gravity; neither does a glimpse."""
-    _, tracks = as_stage_input(filmed.observed)
-    track = tracks.people[0].whole(len(filmed.observed.valid))
+    _, tracks = as_stage_input(filmed.whole)
+    track = tracks.people[0].whole(len(filmed.whole.valid))
     frames = len(track.valid)
     upright, aslant = np.array([0.0, -1.0, 0.0]), np.array([np.sin(0.5), -np.cos(0.5), 0.0])
 
@@ -230,7 +240,8 @@ def test_frames_without_landmarks_are_bridged(filmed: Filmed) -> None:
     valid[[0, 10, 11]] = False
     pixels, points, weight = o.keypoints_px.copy(), o.keypoints_m.copy(), o.weight.copy()
     pixels[~valid], points[~valid], weight[~valid] = np.nan, np.nan, 0.0
-    fit = fit_body(Observations(o.frame_time_s, valid, pixels, points, weight, LENS), fit_focal=False, iterations=120)
+    seen = Observations(o.frame_time_s, valid, pixels, points, weight, LENS)
+    fit = fit_body(seen, filmed.lifted, fit_focal=False, iterations=120)
     assert np.isfinite(fit.joints_camera_m).all()
     assert np.isnan(fit.reprojection_px[~valid]).all()
     assert np.isfinite(fit.reprojection_px[valid]).all()
@@ -242,19 +253,10 @@ def test_nobody_is_refused(filmed: Filmed) -> None:
     o = filmed.observed
     with pytest.raises(StageError, match="at least one frame"):
         fit_body(
-            Observations(o.frame_time_s, ~o.valid, o.keypoints_px, o.keypoints_m, 0 * o.weight, LENS), fit_focal=False
+            Observations(o.frame_time_s, ~o.valid, o.keypoints_px, o.keypoints_m, 0 * o.weight, LENS),
+            filmed.lifted,
+            fit_focal=False,
         )
-
-
-def test_translation_solves_exact_projections() -> None:
-    rng = np.random.default_rng(0)
-    points, translation = rng.normal(0, 0.5, (4, 25, 3)), np.array([[0.3, -0.2, 4.0]] * 4)
-    pixels = project(points + translation[:, None], LENS)
-    found = translation_from_projection(points, pixels, np.ones((4, 25)), LENS)
-    np.testing.assert_allclose(found, translation, atol=1e-8)
-    spoiled, weight = pixels.copy(), np.ones((4, 25))
-    spoiled[:, 3], weight[:, 3] = 9999.0, 0.0
-    np.testing.assert_allclose(translation_from_projection(points, spoiled, weight, LENS), translation, atol=1e-8)
 
 
 def test_viewing_ray_rotation() -> None:

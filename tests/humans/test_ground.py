@@ -1,4 +1,4 @@
-"""Up, floor and contacts from motion whose truth is known."""
+"""Up and floor from motion whose truth is known."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import pytest
 from synthetic import planted_walk
 
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.body.contact import foot_contact
 from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.humans.ground import floor_height, level_frame, up_from_static_equilibrium
 from video2anim.types import BodyShape
-from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
+from video2anim.types.skeleton import forward_kinematics
 
 
 def seen_by(joints_world_m: np.ndarray, pitch_deg: float, roll_deg: float) -> tuple[np.ndarray, np.ndarray]:
@@ -68,49 +67,6 @@ def test_level_camera_looks_along_minus_z() -> None:
     R_world_camera = level_frame(np.array([0.0, -1.0, 0.0]))
     np.testing.assert_allclose(R_world_camera @ [0, 0, 1], [0, 0, -1], atol=1e-12)
     np.testing.assert_allclose(R_world_camera @ [1, 0, 0], [1, 0, 0], atol=1e-12)
-
-
-def test_contact_of_planted_feet() -> None:
-    motion = planted_walk(150)
-    found = foot_contact(motion.joints_world_m, motion.valid, 30.0, motion.T_world_camera[:, :3, 3])
-    others = [j for j in range(22) if JOINT_INDEX["left_ankle"] != j and j not in (8, 10, 11)]
-    assert (found[:, others] == 0).all()
-    assert found.min() >= 0
-    assert found.max() <= 1
-    for joint in (7, 8):
-        truth, said = motion.contact[:, joint] > 0.5, found[:, joint] > 0.5
-        inner = truth & np.roll(truth, 1) & np.roll(truth, -1)
-        assert said[inner].mean() > 0.9, "a planted foot is in contact"
-        speed = np.linalg.norm(np.gradient(motion.joints_world_m[:, joint], 1 / 30, axis=0), axis=-1)
-        assert said[speed > 1.0].mean() < 0.05, "a swinging foot is not"
-
-
-def test_contact_needs_measurements_and_two_neighbours() -> None:
-    motion = planted_walk(30)
-    valid = motion.valid.copy()
-    valid[5:10] = False
-    camera_m = motion.T_world_camera[:, :3, 3]
-    assert (foot_contact(motion.joints_world_m, valid, 30.0, camera_m)[5:10] == 0).all()
-    assert (foot_contact(motion.joints_world_m[:2], valid[:2], 30.0, camera_m[:2]) == 0).all()
-
-
-def test_jitter_along_the_line_of_sight_does_not_hide_contact() -> None:
-    joints = np.repeat(planted_walk(1).joints_world_m, 20, axis=0)
-    camera_m = np.tile([0.0, 1.0, 6.0], (20, 1))
-    wobble = 0.012 * np.cos(np.pi / 2 * np.arange(20))
-    for axis, hidden in ((2, False), (0, True)):
-        moved = joints.copy()
-        moved[..., axis] += 2 * wobble[:, None]
-        contact = foot_contact(moved, np.ones(20, bool), 30.0, camera_m)[2:-2, [7, 8]]
-        assert (contact.mean() < 0.5) == hidden
-
-
-def test_raised_still_foot_carries_nothing() -> None:
-    joints = np.repeat(planted_walk(1).joints_world_m, 20, axis=0)
-    joints[:, [7, 10], 1] += 0.5
-    contact = foot_contact(joints, np.ones(20, bool), 30.0, np.tile([0.0, 1.0, 6.0], (20, 1)))
-    assert contact[:, [7, 10]].max() < 0.05
-    assert contact[:, [8, 11]].min() > 0.9
 
 
 def test_floor_is_the_lowest_level_that_carries() -> None:

@@ -10,21 +10,18 @@ from typing import Any
 
 import pytest
 
-from stages import humans
-from stages.humans import HumansConfig
 from stages.refine import RefineConfig
 from video2anim.cli.compose import TableModels, pipeline_nodes, preset_models
 from video2anim.networks import weight_digests, weight_licenses
 from video2anim.pipeline.config import resolve
 from video2anim.pipeline.graph import Node
-from video2anim.pipeline.stage import StageContext, StageSpec, slots_of
 
 
 def used(stage: str, **options: Any) -> dict[str, str]:
     """Digests in the key of a stage."""
     node: Node = next(node for node in pipeline_nodes() if node.name == stage)
     config = resolve(pipeline_nodes(), "p", [("test", {stage: options})]).stages[stage]
-    return TableModels().digests(slots_of(node.spec, config), config)
+    return TableModels().digests(node.spec.models, config)
 
 
 @pytest.fixture
@@ -40,32 +37,8 @@ def own(tmp_path: Path) -> Callable[[str], str]:
 
 
 def test_the_lifter_is_in_the_key_where_it_is_used(own: Callable[[str], str]) -> None:
-    """Not where landmarks alone are fitted."""
     assert list(used("humans")) == ["lifter"]
-    assert list(used("humans", method="lifter")) == ["lifter"]
     assert used("humans", model=own("lifter"))["lifter"] != used("humans")["lifter"]
-    assert used("humans", method="optimizer") == {}
-
-
-def test_the_stage_loads_what_the_key_names(own: Callable[[str], str]) -> None:
-    """Whatever a configuration asks of its context is in its key."""
-    asked: list[str] = []
-
-    class Stop(Exception):
-        pass
-
-    def load(name: str) -> None:
-        asked.append(name)
-        raise Stop
-
-    ctx = StageContext(Path(), load_model=load)
-    for config in (HumansConfig(), HumansConfig(model=own("lifter"))):
-        with pytest.raises(Stop):
-            humans._lifted([], config, ctx)
-        digests = TableModels().digests(slots_of(humans.STAGE, config), config)
-        assert asked.pop().partition("@")[0] in digests
-    assert humans._lifted([], HumansConfig(method="optimizer"), ctx) == []
-    assert asked == []
 
 
 def test_a_stage_that_names_the_prior_has_it_in_its_key(tmp_path: Path) -> None:
@@ -78,13 +51,6 @@ def test_a_stage_that_names_the_prior_has_it_in_its_key(tmp_path: Path) -> None:
     assert digests(RefineConfig()) == shipped
     assert digests(SimpleNamespace(prior="interpolation")) == {}
     assert digests(SimpleNamespace(prior=str(own)))["scenemi"] != shipped["scenemi"]
-
-
-def test_slots_by_name_or_by_configuration() -> None:
-    spec = functools.partial(StageSpec, "a", lambda: None, 1)
-    assert slots_of(spec(), None) == ()
-    assert slots_of(spec(("net",)), None) == ("net",)
-    assert slots_of(spec(lambda config: ("net",) * config), 2) == ("net", "net")
 
 
 def test_presets_fetch_what_they_use() -> None:

@@ -92,7 +92,7 @@ def test_no_option_takes_nonsense(stage: str, name: str, option: Option) -> None
         ("depth.provider=nosuch", "want a model of slot depth (room-depth, "),
         ("segment.provider=geocalib", "NAME@PATH for weights of your own) or 'geometric', got 'geocalib'"),
         ("depth.provider=geocalib", "NAME@PATH for weights of your own), got 'geocalib'"),
-        ("humans.method=none", "want 'both' or 'lifter' or 'optimizer', got 'none'"),
+        ("refine.prior=none", "want 'auto' or 'interpolation' or 'scenemi', got 'none'"),
         ("reconstruct.model=triposr@~nosuchuser/x", "want a model of slot object-mesh (triposr; "),
         ("reconstruct.command=make {mesh}", "{image} and {mesh}"),
         ("track.person=somebody", "'largest', 'all' or a person's ID, got 'somebody'"),
@@ -135,8 +135,6 @@ def test_valid_values_stay_what_they_were() -> None:
     "given",
     [
         ("camera.camera_model=none", "camera.field_frames=5"),
-        ("humans.method=lifter", "humans.iterations=10"),
-        ("humans.method=optimizer", "humans.model=lifter@x.onnx"),
         ("export.preview=false", "export.preview_height_px=100"),
         ("scene.scan_up=z",),
         ("scene.scan=room.ply", "scene.walked_m=2"),
@@ -150,11 +148,9 @@ def test_an_option_that_means_nothing_is_an_error(given: tuple[str, ...]) -> Non
 def test_what_is_chosen_later_may_make_an_option_of_a_preset_meaningless() -> None:
     layers = [("preset", {"camera": {"field_frames": 5}}), ("--set", {"camera": {"camera_model": "none"}})]
     assert resolve(NODES, "p", layers).stages["camera"].field_frames == 5
-    early = [("mine", {"humans": {"iterations": 20}}), ("--set", {"humans": {"method": "optimizer"}})]
-    assert resolve(NODES, "p", early).stages["humans"].iterations == 20
-    early[0][1]["humans"]["method"] = "lifter"
-    with pytest.raises(UsageError, match=r"humans\.iterations: means nothing"):
-        resolve(NODES, "p", early[:1])
+    layers[0][1]["camera"]["camera_model"] = "none"
+    with pytest.raises(UsageError, match=r"camera\.field_frames: means nothing"):
+        resolve(NODES, "p", layers[:1])
 
 
 def test_a_record_of_a_run_is_taken_as_it_is() -> None:

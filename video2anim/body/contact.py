@@ -23,16 +23,11 @@ REACH_M = 0.25
 SLOW_M_S = 0.4
 """A part in contact is slower than this. After the solve a standing foot is below 0.1 m/s, a swinging one above 1."""
 _SLOW_SEEN_M_S = 0.6
-"""The same limit for a motion before the solve: landmarks of a resting part still move by 0.2 to 0.5 m/s."""
-_ALONG = 0.25
-"""Weight of motion along the line of sight before the solve, which a single camera measures badly."""
-_FOOT_SPEED_M_S, _FOOT_HEIGHT_M = (0.35, 0.1), (0.12, 0.03)
-"""Limit and softness of the speed of a foot in contact, and of its height above the other foot."""
+"""The same limit before the solve: landmarks of a resting part still move by 0.2 to 0.5 m/s across the line of sight,
+and more along it, which a single camera measures badly and which is not counted."""
 _WINDOW_FRAMES = 2
 """Speed is measured over this many frames before and after (0.13 s in total). Single steps contain the jitter of the
 estimate; over a longer time feet that have just landed would count as moving."""
-_OWN_BODY_M = 0.05
-"""A hand this near to the skin of the rest of the body rests on it."""
 _STRIDE = 3
 """Every third vertex of a part is tested; they are 1 to 2 cm apart."""
 
@@ -52,63 +47,29 @@ def skin_of(body: ShapedBody, joints: tuple[int, ...]) -> Int[np.ndarray, "verti
     return np.flatnonzero(np.isin(body.vertex_part, joints))[::_STRIDE]
 
 
-def speed_m_s(motion: BodyMotion, joint: int, *, along: float = 1.0) -> Float[np.ndarray, "frames"]:
-    """Speed of a joint over 0.13 s around each frame, m/s.
+def speed_m_s(motion: BodyMotion, joint: int, *, across_sight: bool = False) -> Float[np.ndarray, "frames"]:
+    """Speed of a joint over 0.13 s around each frame.
 
     Args:
-        motion: The motion.
-        joint: Index of the joint.
-        along: Weight of motion along the line of sight, which a single camera measures badly.
+        across_sight: leave out motion along the line of sight, which one camera sees badly.
     """
     path_m = motion.joints_world_m[:, joint].astype(np.float64)
     frame = np.arange(len(path_m))
     first, last = np.maximum(frame - _WINDOW_FRAMES, 0), np.minimum(frame + _WINDOW_FRAMES, len(path_m) - 1)
-    way_m = _across_sight(path_m[last] - path_m[first], path_m - motion.T_world_camera[:, :3, 3], along)
+    way_m = path_m[last] - path_m[first]
+    if across_sight:
+        sight_m = path_m - motion.T_world_camera[:, :3, 3]
+        sight = sight_m / np.maximum(np.linalg.norm(sight_m, axis=-1, keepdims=True), 1e-9)
+        way_m = way_m - (way_m * sight).sum(-1, keepdims=True) * sight
     time_s = np.maximum(motion.frame_time_s[last] - motion.frame_time_s[first], 1e-3)
     return np.linalg.norm(way_m, axis=-1) / time_s
-
-
-def _across_sight(
-    way_m: Float[np.ndarray, "*n 3"], sight_m: Float[np.ndarray, "*n 3"], along: float
-) -> Float[np.ndarray, "*n 3"]:
-    """Displacements with their component along the line of sight scaled by `along`."""
-    sight = sight_m / np.maximum(np.linalg.norm(sight_m, axis=-1, keepdims=True), 1e-9)
-    return way_m - (1 - along) * (way_m * sight).sum(-1, keepdims=True) * sight
-
-
-def foot_contact(
-    joints_world_m: Float[np.ndarray, "frames 22 3"],
-    valid: Bool[np.ndarray, "frames"],
-    fps: float,
-    camera_world_m: Float[np.ndarray, "frames 3"],
-) -> Float[np.ndarray, "frames 22"]:
-    """Contact probability of the feet from motion alone, for bodies without the lifter's contacts; 0 for other joints.
-
-    A foot joint is in contact while it is slow and not much higher than the same joint of the other foot.
-    """
-    contact = np.zeros(joints_world_m.shape[:2])
-    if len(joints_world_m) < 3:
-        return contact
-    velocity = np.gradient(joints_world_m, 1.0 / fps, axis=0)
-    speed = np.linalg.norm(_across_sight(velocity, joints_world_m - camera_world_m[:, None], _ALONG), axis=-1)
-    for left, right in ((JOINT_INDEX[f"left_{name}"], JOINT_INDEX[f"right_{name}"]) for name in ("ankle", "foot")):
-        for joint, other in ((left, right), (right, left)):
-            slow = _below(speed[:, joint], *_FOOT_SPEED_M_S)
-            low = _below(joints_world_m[:, joint, 1] - joints_world_m[:, other, 1], *_FOOT_HEIGHT_M)
-            contact[:, joint] = slow * low * valid
-    return contact
-
-
-def _below(value: np.ndarray, limit: float, softness: float) -> np.ndarray:
-    """Logistic step: 1 far below the limit, 0 far above it."""
-    return 1.0 / (1.0 + np.exp((value - limit) / softness))
 
 
 def believed(motion: BodyMotion, body: ShapedBody) -> Float[np.ndarray, "frames 22"]:
     """Contact probability of an observed motion, set to 0 for parts that move fast and hands on the own body."""
     contact = np.where(motion.valid[:, None], motion.contact, 0.0)
     for name, joints in TOUCHING_PARTS.items():
-        flies = speed_m_s(motion, joints[0], along=_ALONG) > _SLOW_SEEN_M_S
+        flies = speed_m_s(motion, joints[0], across_sight=True) > _SLOW_SEEN_M_S
         contact[np.ix_(flies, np.array(joints))] = 0.0
         if name.endswith("hand"):
             frames = np.flatnonzero(contact[:, joints[0]] > LIKELY)
@@ -133,7 +94,7 @@ def on_own_body(
     rest = np.flatnonzero(~np.isin(body.vertex_part, arm))[::_STRIDE]
     skin_m = posed_vertices(motion, body, np.concatenate([own, rest]), frames)
     gaps_m = [KDTree(one[len(own) :]).query(one[: len(own)])[0].min() for one in skin_m]
-    return np.array(gaps_m) < _OWN_BODY_M if gaps_m else np.zeros(0, bool)
+    return np.array(gaps_m) < NEAR_M if gaps_m else np.zeros(0, bool)
 
 
 def touches(

@@ -20,7 +20,8 @@ from scipy.spatial import KDTree
 from video2anim.calibration.evidence import Evidence, PixelEvidence
 from video2anim.calibration.line import NEAREST, first_line
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.humans.ground import lowest_level
+from video2anim.humans.ground import SOLE_SIGMA_M, lowest_level
+from video2anim.types.scene import DEPTH_LOG_SIGMA
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +31,7 @@ class Sigmas:
     up_limit: float = 2.0
     """Standard deviations up to which the cost of a source of gravity is squared. With 1, a person on a step tilts a
     room whose line segments are clear (`tests/calibration/test_fit_contradictions.py`)."""
-    sole_m: float = 0.03
-    """Height of a standing sole (the spread of floor heights of stage humans on clips with one floor)."""
+    sole_m: float = SOLE_SIGMA_M
     sole_distance_ratio: float = 0.03
     """Distance of a body along the line of sight from frame to frame."""
     upright_rad: float = 0.3
@@ -45,8 +45,7 @@ class Sigmas:
     """Depth of skin against that of the nearest depth pixel, logarithm; also the order of object and person. Distances
     only: the shape of a body in a network's depth is no evidence of the focal length. With 0.08, as of the floor, scale
     and chamfer distance of `ocv_sts` grow by 4 and 2 %."""
-    distance_log: float = 0.12
-    """Error of a network's depth of one object or person, logarithm (`benchmarks/object_errors.py`)."""
+    distance_log: float = DEPTH_LOG_SIGMA
     foot_px: float = 1.5
     """Row in which an object's mask ends. Near the horizon a pixel is far on the floor."""
     foot_log: float = 0.02

@@ -83,10 +83,10 @@ class BodyFits:
         intrinsics = Intrinsics.centered(focal_px, self.clip.width_px, self.clip.height_px)
         return fit_body(
             observations(self.track, self.clip.frame_time_s, intrinsics, self.frames),
+            self.lifted.rows(self.frames),
             fit_focal=free,
             config=self.config,
             warm=warm,
-            lifted=self.lifted.rows(self.frames),
             on_step=self.on_step,
             iterations=self.iterations if warm is None else self.iterations // 2,
         )

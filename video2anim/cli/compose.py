@@ -45,7 +45,7 @@ from video2anim.pipeline.scene_folder import (
     read_record,
     write_record,
 )
-from video2anim.pipeline.stage import NO_MODEL, slots_of
+from video2anim.pipeline.stage import NO_MODEL
 from video2anim.types import ExportedFiles
 from video2anim.types.clip import SourceVideo
 
@@ -369,7 +369,7 @@ def preset_models(name: str) -> list[str]:
     config = resolve(nodes, name, [(f"preset {name}", load_preset(name))])
     wanted = []
     for node in nodes:
-        for slot in slots_of(node.spec, config.stages[node.name]):
+        for slot in node.spec.models:
             model = TableModels._name(slot, config.stages[node.name])
             if model not in NO_NETWORK:
                 wanted.append(find_model(model).name)

@@ -25,8 +25,9 @@ LEVEL_GAP_M = 0.25
 """Heights with a larger gap between them are different levels of ground."""
 LEVEL_CAMERA_SIGMA_RAD = 0.35
 """Cameras are held level to about 20 degrees."""
-_LEVEL_SIGMA_M = 0.07
-"""Heights of one level have a smaller standard deviation."""
+SOLE_SIGMA_M = 0.03
+"""Standard deviation of the height of a standing sole: the spread of floor heights of stage humans on clips with one
+floor. Heights that spread by twice as much are not of one level."""
 _FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
 
 
@@ -133,7 +134,7 @@ def lowest_level(
 
 def _lowest_stair(heights_m: Float[np.ndarray, "windows"], windows: int) -> Float[np.ndarray, "some_windows"]:
     """The lowest of sorted heights, cut at the widest gap while they spread more than the noise of one level."""
-    while np.std(heights_m) > _LEVEL_SIGMA_M:
+    while np.std(heights_m) > 2 * SOLE_SIGMA_M:
         cut = int(np.argmax(np.diff(heights_m))) + 1
         low = heights_m[:cut]
         # A ramp, by an error of gravity, has no dominant gap; two outlier windows are no level.

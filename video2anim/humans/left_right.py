@@ -14,8 +14,6 @@ _CLEARLY = 0.5
 """With sides exchanged the jump must fall below this share."""
 _LONGEST_S = 1.0
 """Longer stretches stay: the person may have turned while unseen."""
-_DEPTH_SCALE = 0.6
-"""Meters of the 3D landmarks that weigh as much as the person's size in the image."""
 
 
 def left_right_flips(
@@ -35,9 +33,8 @@ def left_right_flips(
     if len(rows) < 3:
         return swapped
     size = np.linalg.norm(np.ptp(keypoints_px[rows], axis=1), axis=-1)
-    seen = np.concatenate(
-        [keypoints_px[rows] / np.median(size), keypoints_m[rows] / _DEPTH_SCALE], -1
-    )  # image positions, and depths relative to the hips
+    # In sizes of the person, and in meters, relative to the hips.
+    seen = np.concatenate([keypoints_px[rows] / np.median(size), keypoints_m[rows]], -1)
     both = np.minimum(weight[rows[1:]], weight[rows[:-1]][:, MIRROR_KEYPOINT])[:, _SIDED] + 1e-3
     stay = np.linalg.norm(seen[1:] - seen[:-1], axis=-1)[:, _SIDED]
     cross = np.linalg.norm(seen[1:] - seen[:-1][:, MIRROR_KEYPOINT], axis=-1)[:, _SIDED]

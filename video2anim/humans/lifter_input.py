@@ -16,7 +16,7 @@ from video2anim.geometry.rotations import matrix_from_rot6d
 from video2anim.humans.initial import landmark_rotation, ray_rotation
 from video2anim.humans.landmarks import KEYPOINT_INDEX
 from video2anim.humans.problem import Observations
-from video2anim.types.skeleton import JOINT_INDEX
+from video2anim.types.skeleton import JOINT_INDEX, PARENTS
 
 KEYPOINTS = len(KEYPOINT_NAMES)
 CONTACT_JOINTS: tuple[str, ...] = (
@@ -26,13 +26,14 @@ CONTACT_JOINTS: tuple[str, ...] = (
 CONTACT_INDEX = np.array([JOINT_INDEX[name] for name in CONTACT_JOINTS])
 FEATURES = 6 * KEYPOINTS + 4
 """Directions 2, 3D landmarks 3 and visibility 1 per keypoint; logarithm of the size, motion of the hips 2, valid 1."""
-OUTPUTS = 22 * 6 + 3 + len(CONTACT_JOINTS) + 22 + 3
+CONTACT_OUTPUTS = slice(6 * len(PARENTS) + 3, 6 * len(PARENTS) + 3 + len(CONTACT_JOINTS))
+"""After rotations and position."""
+ERROR_OUTPUTS = slice(CONTACT_OUTPUTS.stop, CONTACT_OUTPUTS.stop + len(PARENTS))
+OUTPUTS = ERROR_OUTPUTS.stop + 3
 """Rotations, position, contact logits, logarithms of the joints' expected errors, up."""
-CONTACT_OUTPUTS = slice(135, 135 + len(CONTACT_JOINTS))
-ERROR_OUTPUTS = slice(CONTACT_OUTPUTS.stop, CONTACT_OUTPUTS.stop + 22)
 LOG_ERROR_RANGE = (-5.0, 0.5)
+"""Logarithms of expected errors (meters) are cut to this: 7 mm to 1.6 m, as in training."""
 _HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
-_SMALLEST = 1e-4
 _FARTHEST = 6.0
 """Directions are clipped to this many sizes of the person from the hips."""
 
@@ -114,7 +115,7 @@ def ray_features(
     directions = directions - directions[..., _HIPS, :].mean(-2, keepdims=True)
     weight = np.maximum(seen, 0.05)
     size = np.sqrt((weight * (directions**2).sum(-1)).sum(-1) / weight.sum(-1))
-    size = np.maximum(_carried(size, valid), _SMALLEST)
+    size = np.maximum(_carried(size, valid), np.finfo(np.float32).eps)
     center = ray_camera[..., _HIPS, :].mean(-2)
     before = np.concatenate([center[..., :1, :], center[..., :-1, :]], -2)
     moved = (before[..., None, :] @ R_camera_ray)[..., 0, :]

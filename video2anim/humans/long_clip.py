@@ -18,15 +18,14 @@ PIECE_FRAMES, SHARED_FRAMES = 360, 24
 """Longer clips are fitted in pieces of 12 s, which bound the memory, and overlap by 0.8 s."""
 _SHAPE_FRAMES = 120
 """Frames, spread over a long clip, that its shape is fitted to."""
-ITERATIONS_FROM_LANDMARKS, ITERATIONS_FROM_LIFTED = 400, 160
 
 
 def fit_long(
     observed: Observations,
-    lifted: LiftedBody | None,
+    lifted: LiftedBody,
     config: FitConfig,
     *,
-    iterations: int | None = None,
+    iterations: int,
     on_step: Callable[[int, int], None] | None = None,
 ) -> FittedBody:
     """`fit_body` under a known lens: of the whole clip where it is short, else in pieces.
@@ -37,12 +36,11 @@ def fit_long(
     Raises:
         StageError: fewer than one valid frame.
     """
-    steps = iterations or (ITERATIONS_FROM_LANDMARKS if lifted is None else ITERATIONS_FROM_LIFTED)
     frames = len(observed.valid)
     pieces = _pieces(observed.valid)
     if len(pieces) == 1:
-        return fit_body(observed, fit_focal=False, config=config, iterations=steps, lifted=lifted, on_step=on_step)
-    total = steps * (len(pieces) + 1)
+        return fit_body(observed, lifted, fit_focal=False, config=config, iterations=iterations, on_step=on_step)
+    total = iterations * (len(pieces) + 1)
     done = 0
 
     def count(step: int, _: int) -> None:
@@ -51,15 +49,15 @@ def fit_long(
 
     spread = evenly_spread(np.flatnonzero(observed.valid), _SHAPE_FRAMES)
     whole = fit_body(
-        _rows(observed, spread), fit_focal=False, config=config, iterations=steps,
-        lifted=None if lifted is None else lifted.rows(spread), on_step=count,
+        _rows(observed, spread), lifted.rows(spread), fit_focal=False, config=config, iterations=iterations,
+        on_step=count,
     )  # fmt: skip
     fits = []
     for rows in pieces:
-        done += steps
+        done += iterations
         piece = fit_body(
-            _rows(observed, rows), fit_focal=False, fit_shape=False, shape=whole.shape.parameters, config=config,
-            iterations=steps, lifted=None if lifted is None else lifted.rows(rows), on_step=count,
+            _rows(observed, rows), lifted.rows(rows), fit_focal=False, fit_shape=False,
+            shape=whole.shape.parameters, config=config, iterations=iterations, on_step=count,
         )  # fmt: skip
         fits.append(piece)
     return _joined(fits, pieces, frames)

@@ -1,7 +1,7 @@
 """The objective of the body fit: a negative log posterior in torch.
 
 Every term is a squared (or Huber) residual over a standard deviation with a physical unit, so every weight has
-a meaning. Landmark errors of one clip are not independent: `FitConfig.landmark_share` is the weight of each.
+a meaning.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from video2anim.body.anny_body import ADULT, PEOPLES_LENGTHS, AnnyModel
 from video2anim.geometry.robust import huber_of_square
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d
 from video2anim.humans.body_height import KNOWN_SIGMA_M
-from video2anim.humans.initial import landmark_rotation
-from video2anim.humans.landmarks import KEYPOINT_INDEX, KEYPOINT_TRUST
+from video2anim.humans.landmarks import KEYPOINT_TRUST
 from video2anim.humans.lifter_input import LiftedBody
 from video2anim.humans.problem import Observations
-from video2anim.types.camera import Intrinsics
+from video2anim.types.motion import ADULT_HEIGHT_SIGMA_M
 from video2anim.types.skeleton import JOINT_INDEX, PARENTS, forward_kinematics
 
 
@@ -31,20 +30,12 @@ class FitConfig:
     """Pixel error of a limb landmark as a share of the person's box diagonal."""
     landmark_2d_px: float = 3.0
     """Pixel error of a landmark at any size of the person; both add in quadrature."""
-    landmark_3d_m: float = 0.05
-    """Error of a 3D landmark across the line of sight."""
-    landmark_3d_depth_m: float = 0.10
-    """Error of a 3D landmark along the line of sight."""
-    landmark_share: float = 0.3
-    """Weight of each 3D landmark; below 1 because their errors are strongly correlated over time."""
     acceleration_m_s2: float = 25.0
     """Standard deviation of joint accelerations; those over 1.5 of it count linearly. A tighter prior would remove more
     jitter, but couples the frames so that the fit converges slowly; the low-pass filter removes the rest."""
-    angular_rate_rad_s: float = 8.0
-    """Standard deviation of the rate of joint angles."""
     body_height_m: float = 1.70
     """Mean standing height of adults (NCD-RisC 2016: women 1.59 to 1.65 m, men 1.71 to 1.78 m in most regions)."""
-    body_height_sigma_m: float = 0.09
+    body_height_sigma_m: float = ADULT_HEIGHT_SIGMA_M
     shape_sigma: float = 0.4
     """Standard deviation of the other phenotypes, whose range is 0 to 1: wide, since gender lies near its ends and the
     range of proportions changes the legs' share of the body height by 1.6 points only, as adults differ."""
@@ -54,21 +45,13 @@ class FitConfig:
     focal_ratio: float = 0.9
     """Median of focal length over the longer image side for phones, webcams and camcorders (24 to 45 mm equivalent)."""
     focal_log_sigma: float = 0.3
-    lifted_m: float = 0.05
-    """Error of the lifter's joints, relative to the pelvis and across the line of sight, where its predicted error is
-    `lifted_usual_m`; it is proportional to the predicted error."""
-    lifted_depth_m: float = 0.08
-    """The same along the line of sight."""
-    landmark_share_lifted: float = 0.05
-    """Weight of each 3D landmark beside the lifter, which uses them as input: against marker-based capture their error
-    is twice as large (`benchmarks/lifter.py`: PA-MPJPE 47 and 37 mm on `ocv_sts` and `ocv_walk`; 51 and 42 with 0.3
-    for both weights)."""
-    lifted_distance_ratio: float = 0.1
-    """Error of the body's distance by the lifter, common to all frames of a clip."""
-    lifted_angle_rad: float = 0.4
-    """Error of the lifter's joint angles, where the predicted error of the moved joints is `lifted_usual_m`."""
-    lifted_usual_m: float = 0.035
-    """Predicted error of a joint on motion like that of the training set."""
+    """Standard deviation of its logarithm."""
+    lifted_sigmas: float = 3.0
+    """Standard deviation of the lifter's joints, relative to the pelvis, over the error that it predicts: neighboring
+    frames and joints err together (`docs/benchmarks.md` has 2, 3 and 4)."""
+    lifted_angle_rad_m: float = 11.0
+    """The same of its joint angles, radians for each meter of the predicted error of the moved joints. With 20, and 4
+    for the joints, PA-MPJPE on `ocv_walk` is 1 mm worse."""
 
     @classmethod
     def for_height(cls, known_m: float | None) -> FitConfig:
@@ -76,16 +59,10 @@ class FitConfig:
         return cls() if known_m is None else cls(body_height_m=known_m, body_height_sigma_m=KNOWN_SIGMA_M)
 
 
-_ANGLE_SIGMA_RAD = {
-    "spine": 0.35, "neck": 0.45, "head": 0.5, "collar": 0.22, "wrist": 0.6, "foot": 0.3,
-    "ankle": 0.75, "hip": 1.5, "shoulder": 1.8, "knee": 0.22, "elbow": 0.3,
-}  # fmt: skip
-"""Prior spread of joint angles about rest; for knees and elbows off their hinge axis."""
 _HINGES = {"left_knee": (0, 1.0), "right_knee": (0, 1.0), "left_elbow": (1, -1.0), "right_elbow": (1, 1.0)}
 """Hinge joints: axis of flexion in the joint frame and its positive sense."""
-_HINGE_SIGMA_RAD, _OVERSTRETCH_SIGMA_RAD, _FOREARM_TWIST_SIGMA_RAD = 3.0, 0.1, 0.8
-_MIN_DOUBT = 0.5
-"""Lower limit of the predicted error over the usual one."""
+_OVERSTRETCH_SIGMA_RAD = 0.1
+"""Standard deviation of the angle by which knees and elbows bend the wrong way."""
 PERSON = ADULT | {name: mean for name, (mean, _) in PEOPLES_LENGTHS.items()}
 """The average adult with people's proportions, from which a fit starts."""
 SHAPE_PARAMETERS = ("height", "gender", "weight", "proportions", *PEOPLES_LENGTHS)
@@ -127,20 +104,14 @@ class Objective:
         model: AnnyModel,
         base_shape: dict[str, float],
         config: FitConfig,
-        lifted: LiftedBody | None = None,
+        lifted: LiftedBody,
     ) -> None:
         self.observed, self.model, self.config = observed, model, config
-        self._lifted = None if lifted is None else torch.from_numpy(lifted.R_parent_joint).float()
-        self._distance_per_px: torch.Tensor | None = None
-        if lifted is not None:
-            # The image fixes distance over focal length only.
-            distance_m = torch.from_numpy(lifted.translation_camera_m[:, 2]).float().clamp_min(0.1)
-            self._distance_per_px = distance_m / lifted.focal_px
-        if lifted is not None:
-            expected = np.maximum(lifted.error_m / config.lifted_usual_m, _MIN_DOUBT)
-            self._doubt = torch.from_numpy(expected).float()
-            moved = np.stack([expected[:, np.flatnonzero(j == PARENTS)].max(1, initial=0) for j in range(22)], 1)
-            self._angle_doubt = torch.from_numpy(np.maximum(moved, expected)).float()
+        self._lifted = torch.from_numpy(lifted.R_parent_joint).float()
+        error_m = lifted.error_m
+        moved_m = np.stack([error_m[:, np.flatnonzero(j == PARENTS)].max(1, initial=0) for j in range(22)], 1)
+        self._joint_sigma_m = config.lifted_sigmas * torch.from_numpy(error_m).float()
+        self._angle_sigma = config.lifted_angle_rad_m * torch.from_numpy(np.maximum(moved_m, error_m)).float()
         self._believed = torch.from_numpy(observed.valid).float()
         self._base_shape = base_shape
         k = observed.intrinsics
@@ -153,25 +124,13 @@ class Objective:
         typical = np.nanmedian(size)
         share_px = config.landmark_2d_ratio * np.where(np.isfinite(size), size, typical)
         self._sigma_px = torch.from_numpy(np.hypot(share_px, config.landmark_2d_px)).float()
-        # NaN rows carry zero weight.
-        self._points = torch.from_numpy(np.nan_to_num(observed.keypoints_m)).float()
         step_s = np.diff(observed.frame_time_s)
         self._step_s = torch.from_numpy(step_s).float()
-        self._angle_sigma, self._hinge = _angle_prior()
         self._prior_weight = max(1.0, config.prior_share * int(observed.valid.sum()))
         self._start_log_focal = float(np.log(k.fx_px))
         with torch.no_grad():
             phenotype = {name: torch.tensor(value) for name, value in base_shape.items()}
             self.start_body_height_m = float(model.rest_skeleton(phenotype).body_height_m)
-        self.set_focal(float(k.fx_px))
-
-    def set_focal(self, focal_px: float) -> None:
-        """Recompute what depends on the focal length only weakly: the axes of the 3D landmarks."""
-        k = self.observed.intrinsics
-        here = Intrinsics(focal_px, focal_px, k.cx_px, k.cy_px, k.width_px, k.height_px)
-        hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
-        center = np.nan_to_num(self.observed.keypoints_px[:, hips].mean(1), nan=0.5 * k.width_px)
-        self._R_camera_landmarks = torch.from_numpy(landmark_rotation(center, here)).float()
 
     def shape(self, parameters: Parameters) -> dict[str, torch.Tensor]:
         """Phenotypes in [0, 1] and lengths in [-1, 1]."""
@@ -209,53 +168,24 @@ class Objective:
     def cost(self, parameters: Parameters) -> torch.Tensor:
         """The negative log posterior, up to a constant."""
         prediction = self.predict(parameters)
-        c = self.config
         error = self.residual_px(prediction, parameters) / self._sigma_px[:, None, None]
         data = (self._weight * _half_huber((error**2).sum(-1))).sum()
-        if self._lifted is None:
-            data = data + c.landmark_share * self._landmarks_3d(prediction) + self._pose(parameters)
-        else:
-            data = data + c.landmark_share_lifted * self._landmarks_3d(prediction)
-            data = data + self._as_lifted(prediction, self._lifted) + self._hinges(parameters)
-            data = data + self._as_far(prediction, parameters)
-        return data + self._motion(prediction, parameters) + self._shape(prediction, parameters)
+        lifted = self._as_lifted(prediction) + _hinges(parameters)
+        return data + lifted + self._motion(prediction) + self._shape(prediction, parameters)
 
-    def _as_lifted(self, prediction: Prediction, R_parent_joint: torch.Tensor) -> torch.Tensor:
+    def _as_lifted(self, prediction: Prediction) -> torch.Tensor:
         """Joints (relative to the pelvis, for a body of this shape) and angles against those of the lifter."""
-        c = self.config
         zero = torch.zeros_like(prediction.joints_m[:, 0])
-        wanted, _ = forward_kinematics(R_parent_joint, zero, prediction.rest_joints_m)
+        wanted, _ = forward_kinematics(self._lifted, zero, prediction.rest_joints_m)
         off = prediction.joints_m - prediction.joints_m[:, :1] - wanted
-        turned = torch.einsum("tba,tjb->tja", self._R_camera_landmarks, off)
-        sigma = torch.tensor([c.lifted_m, c.lifted_m, c.lifted_depth_m])
-        joints = _half_huber(((turned / sigma / self._doubt[..., None]) ** 2).sum(-1)).sum(1)
+        joints = _half_huber(off.square().sum(-1) / self._joint_sigma_m**2).sum(1)
         # The squared distance of two rotation matrices is twice the squared angle, for small angles.
-        apart = (prediction.R_parent_joint - R_parent_joint).square().sum((-1, -2)) / 2
-        angles = _half_huber(apart / (c.lifted_angle_rad * self._angle_doubt) ** 2).sum(1)
+        apart = (prediction.R_parent_joint - self._lifted).square().sum((-1, -2)) / 2
+        angles = _half_huber(apart / self._angle_sigma**2).sum(1)
         return (self._believed * (joints + angles)).sum()
 
-    def _as_far(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
-        """Mean distance against that of the lifter, which assumes average build: it is scaled by the body height."""
-        assert self._distance_per_px is not None
-        wanted = (
-            parameters.log_focal + (self._distance_per_px * prediction.body_height_m / self.start_body_height_m).log()
-        )
-        off = (self._believed * (prediction.joints_m[:, 0, 2].clamp_min(0.1).log() - wanted)).sum()
-        ratio = off / self._believed.sum() / self.config.lifted_distance_ratio
-        return 0.5 * self._prior_weight * ratio.square()
-
-    def _landmarks_3d(self, prediction: Prediction) -> torch.Tensor:
-        hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
-        relative = prediction.keypoints_m - prediction.keypoints_m[:, hips].mean(1, keepdim=True)
-        # 3D landmarks have the size of an average adult for everybody.
-        relative = relative * (self.start_body_height_m / prediction.body_height_m)
-        turned = torch.einsum("tba,tkb->tka", self._R_camera_landmarks, relative)
-        wanted = self._points - self._points[:, hips].mean(1, keepdim=True)
-        sigma = torch.tensor([self.config.landmark_3d_m, self.config.landmark_3d_m, self.config.landmark_3d_depth_m])
-        return (self._weight * _half_huber((((turned - wanted) / sigma) ** 2).sum(-1))).sum()
-
-    def _motion(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
-        """Accelerations of joints and rates of angles; frames may be any time apart."""
+    def _motion(self, prediction: Prediction) -> torch.Tensor:
+        """Accelerations of joints; frames may be any time apart."""
         if len(self._step_s) < 2:
             return torch.zeros(())
         step = self._step_s[:, None, None]
@@ -264,20 +194,8 @@ class Objective:
         # Scaled to the mean height: else the prior would favor small bodies, whose accelerations are smaller.
         scale = self.config.acceleration_m_s2 * prediction.body_height_m / self.config.body_height_m
         acceleration = velocity.diff(dim=0) / between / scale
-        rate = parameters.angles_rad.diff(dim=0) / step / self.config.angular_rate_rad_s
         # Joints move together: 22 accelerations weigh as about 7 independent ones.
-        return 0.3 * (_half_huber((acceleration**2).sum(-1), 1.5).sum() + _half_huber((rate**2).sum(-1), 1.5).sum())
-
-    def _pose(self, parameters: Parameters) -> torch.Tensor:
-        rest = ((parameters.angles_rad / self._angle_sigma) ** 2).sum()
-        return 0.5 * rest + self._hinges(parameters)
-
-    def _hinges(self, parameters: Parameters) -> torch.Tensor:
-        total = torch.zeros(())
-        for joint, axis, sense in self._hinge:
-            bent = -sense * parameters.angles_rad[:, joint, axis]
-            total = total + (torch.relu(bent) / _OVERSTRETCH_SIGMA_RAD).square().sum()
-        return 0.5 * total
+        return 0.3 * _half_huber((acceleration**2).sum(-1), 1.5).sum()
 
     def _shape(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
         c = self.config
@@ -294,19 +212,10 @@ def _half_huber(square: torch.Tensor, threshold: float = 2.0) -> torch.Tensor:
     return 0.5 * huber_of_square(square, threshold)
 
 
-def _angle_prior() -> tuple[torch.Tensor, list[tuple[int, int, float]]]:
-    """(21, 3) prior spreads, and hinges as (row, axis, sense)."""
-    sigma = torch.empty(21, 3)
-    hinges = []
-    for name, joint in JOINT_INDEX.items():
-        if joint == 0:
-            continue
-        part = name.split("_")[-1].rstrip("123")
-        sigma[joint - 1] = _ANGLE_SIGMA_RAD[part]
-        if name in _HINGES:
-            axis, sense = _HINGES[name]
-            sigma[joint - 1, axis] = _HINGE_SIGMA_RAD
-            if part == "elbow":
-                sigma[joint - 1, 0] = _FOREARM_TWIST_SIGMA_RAD
-            hinges.append((joint - 1, axis, sense))
-    return sigma, hinges
+def _hinges(parameters: Parameters) -> torch.Tensor:
+    """Knees and elbows do not bend the wrong way."""
+    total = torch.zeros(())
+    for name, (axis, sense) in _HINGES.items():
+        bent = -sense * parameters.angles_rad[:, JOINT_INDEX[name] - 1, axis]
+        total = total + (torch.relu(bent) / _OVERSTRETCH_SIGMA_RAD).square().sum()
+    return 0.5 * total

@@ -13,12 +13,6 @@ from video2anim.body.anny_body import PEOPLES_LENGTHS, anny_model
 from video2anim.errors import StageError
 from video2anim.geometry.rotations import axis_angle_from_matrix, rot6d_from_matrix
 from video2anim.geometry.torch_threads import one_thread
-from video2anim.humans.initial import (
-    landmark_rotation,
-    rotations_from_keypoints,
-    translation_from_projection,
-)
-from video2anim.humans.landmarks import KEYPOINT_INDEX
 from video2anim.humans.lifter_input import LiftedBody
 from video2anim.humans.objective import PERSON, SHAPE_PARAMETERS, FitConfig, Objective, Parameters
 from video2anim.humans.problem import FittedBody, Observations
@@ -29,6 +23,7 @@ from video2anim.types.skeleton import forward_kinematics
 @one_thread()
 def fit_body(
     observed: Observations,
+    lifted: LiftedBody,
     *,
     fit_focal: bool,
     fit_shape: bool = True,
@@ -36,18 +31,17 @@ def fit_body(
     config: FitConfig | None = None,
     iterations: int = 250,
     warm: FittedBody | None = None,
-    lifted: LiftedBody | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> FittedBody:
     """Fit rotations, translation and shape (and the focal length, if asked) to landmarks over time.
 
     Args:
         observed: landmarks; its intrinsics give the center and the first focal length.
+        lifted: output of the lifter for the same frames, as initial values and as evidence.
         fit_focal: treat the focal length as unknown under the prior of `config`.
         fit_shape: treat the shape as unknown; else it stays `shape`.
         shape: Anny parameters to start from (default: `PERSON`).
         warm: an earlier fit of the same frames to start from, possibly under another focal length.
-        lifted: output of the lifter for the same frames, as initial values and as evidence.
 
     Raises:
         StageError: fewer than one valid frame.
@@ -56,7 +50,7 @@ def fit_body(
         raise StageError("body fit: want at least one frame with landmarks, got none")
     base = dict.fromkeys(PEOPLES_LENGTHS, 0.0) | shape if shape else dict(PERSON)
     objective = Objective(observed, anny_model(), base, config or FitConfig(), lifted)
-    parameters = _start(observed, objective, lifted) if warm is None else _start_warm(observed, objective, warm, base)
+    parameters = _start(observed, lifted) if warm is None else _start_warm(observed, objective, warm, base)
     leaves = [parameters.root_rot6d, parameters.angles_rad, parameters.translation_m]
     rates = [0.02, 0.02, 0.02]
     if fit_shape:
@@ -78,31 +72,9 @@ def fit_body(
         cost.backward()
         optimizer.step()
         schedule.step()
-        if fit_focal and step % 25 == 24:
-            objective.set_focal(float(parameters.log_focal.detach().exp()))
         if on_step is not None:
             on_step(step + 1, iterations)
     return _finish(objective, parameters, base)
-
-
-@one_thread()
-def place_lifted(observed: Observations, lifted: LiftedBody, config: FitConfig | None = None) -> FittedBody:
-    """The lifter's output as it is, on an adult of average build; known heights are not used.
-
-    Raises:
-        StageError: fewer than one valid frame.
-    """
-    if not observed.valid.any():
-        raise StageError("body fit: want at least one frame with landmarks, got none")
-    objective = Objective(observed, anny_model(), dict(PERSON), config or FitConfig(), lifted)
-    parameters = Parameters(
-        torch.from_numpy(rot6d_from_matrix(lifted.R_parent_joint[:, 0])).float(),
-        torch.from_numpy(axis_angle_from_matrix(lifted.R_parent_joint[:, 1:])).float(),
-        torch.from_numpy(lifted.translation_camera_m).float(),
-        torch.zeros(len(SHAPE_PARAMETERS)),
-        torch.tensor(float(np.log(observed.intrinsics.fx_px))),
-    )
-    return _finish(objective, parameters, dict(PERSON))
 
 
 def reposed(
@@ -125,30 +97,19 @@ def reposed(
     )  # fmt: skip
 
 
-def _start(observed: Observations, objective: Objective, lifted: LiftedBody | None) -> Parameters:
+def _start(observed: Observations, lifted: LiftedBody) -> Parameters:
+    """The lifter's output under the focal length of the observations; frames without a person are as the nearest one
+    with."""
     valid = np.flatnonzero(observed.valid)
-    hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
-    center = observed.keypoints_px[valid][:, hips].mean(1)
-    R_camera_landmarks = landmark_rotation(center, observed.intrinsics)
-    points = np.einsum("tab,tkb->tka", R_camera_landmarks, observed.keypoints_m[valid])
-    rest = objective.model.rest_skeleton({k: torch.tensor(v) for k, v in PERSON.items()})
-    if lifted is None:
-        local = rotations_from_keypoints(points, rest.rest_joints_m.numpy().astype(np.float64))
-    else:
-        local = lifted.R_parent_joint[valid]
-    translation = translation_from_projection(
-        points, observed.keypoints_px[valid], observed.weight[valid], observed.intrinsics
-    )
-    behind = translation[:, 2] < 0.3
-    translation[behind] = np.median(translation[~behind], axis=0) if (~behind).any() else [0.0, 0.0, 3.0]
-    nearest = np.abs(np.arange(len(observed.valid))[:, None] - valid[None]).argmin(1)
-    angles = axis_angle_from_matrix(local[:, 1:])
+    nearest = valid[np.abs(np.arange(len(observed.valid))[:, None] - valid[None]).argmin(1)]
+    R, translation_m = lifted.R_parent_joint[nearest], lifted.translation_camera_m[nearest]
+    translation_m[:, 2] *= observed.intrinsics.fx_px / lifted.focal_px
 
     def leaf(array: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array[nearest])).float()
+        return torch.from_numpy(np.ascontiguousarray(array)).float()
 
     return Parameters(
-        leaf(rot6d_from_matrix(local[:, 0])), leaf(angles), leaf(translation),
+        leaf(rot6d_from_matrix(R[:, 0])), leaf(axis_angle_from_matrix(R[:, 1:])), leaf(translation_m),
         torch.zeros(len(SHAPE_PARAMETERS)), torch.tensor(float(np.log(observed.intrinsics.fx_px))),
     )  # fmt: skip
 

@@ -8,15 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.contact import foot_contact
+from video2anim.body.shaped_body import CHUNK_FRAMES
 from video2anim.humans.ground import floor_height
 from video2anim.humans.lifter_input import CONTACT_INDEX, LiftedBody
 from video2anim.humans.problem import FittedBody
 from video2anim.types import BodyMotion, CameraEstimate, PersonTrack
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
-
-_CHUNK_FRAMES = 256
-"""Frames whose foot meshes are in memory together."""
 
 
 def world_poses(
@@ -44,8 +41,8 @@ def _sole_heights(fit: FittedBody, R_world_camera: np.ndarray) -> Float[np.ndarr
     for foot, side in enumerate(("left", "right")):
         own = [JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"]]
         index = np.flatnonzero(np.isin(body.vertex_part, own))
-        for begin in range(0, len(joints), _CHUNK_FRAMES):
-            some = slice(begin, begin + _CHUNK_FRAMES)
+        for begin in range(0, len(joints), CHUNK_FRAMES):
+            some = slice(begin, begin + CHUNK_FRAMES)
             heights[some, foot] = body.vertices(R_world_joint[some], joints[some], index)[..., 1].min(1)
     return heights
 
@@ -61,14 +58,13 @@ def _turned(
 
 def world_motion(
     fit: FittedBody,
-    lifted: LiftedBody | None,
+    lifted: LiftedBody,
     track: PersonTrack,
     camera: CameraEstimate,
     T_world_camera: Float[np.ndarray, "frames 4 4"],
     frame_time_s: Float[np.ndarray, "frames"],
-    fps: float,
 ) -> BodyMotion:
-    """One person's motion. Contacts are those of the lifter; without it, of the feet's own motion."""
+    """One person's motion, with the contacts of the lifter."""
     frames = len(frame_time_s)
     R_parent_joint, translation_m = _turned(fit, T_world_camera[:, :3, :3])
     blank = BodyMotion(
@@ -86,9 +82,6 @@ def world_motion(
     )
     translation_m = translation_m + T_world_camera[:, :3, 3]
     posed = blank.with_pose(translation_world_m=translation_m, R_parent_joint=R_parent_joint)
-    if lifted is None:
-        camera_m = T_world_camera[:, :3, 3]
-        return replace(posed, contact=foot_contact(posed.joints_world_m, track.valid, fps, camera_m))
     contact = np.zeros((frames, 22))
     contact[:, CONTACT_INDEX] = lifted.contact * track.valid[:, None]
     return replace(posed, contact=contact)

@@ -22,7 +22,7 @@ from video2anim.pipeline import memory
 from video2anim.pipeline.config import PipelineConfig, result_config
 from video2anim.pipeline.graph import Node
 from video2anim.pipeline.scene_folder import STAGES, stage_folder
-from video2anim.pipeline.stage import StageContext, slots_of
+from video2anim.pipeline.stage import StageContext
 from video2anim.types.clip import SourceVideo, VideoClip
 
 State = Literal["cached", "edited", "ran", "stale", "missing"]
@@ -131,7 +131,7 @@ class Runner:
             "version": node.spec.version,
             "config": result_config(config),
             "inputs": {kind.__name__: self._digests[kind] for _, kind in node.inputs},
-            "weights": self._models.digests(slots_of(node.spec, config), config),
+            "weights": self._models.digests(node.spec.models, config),
             "seed": self._config.seed,
         }
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
@@ -253,7 +253,7 @@ class Runner:
     def _execute(self, node: Node) -> StageStatus:
         self._on_event(Event("start", node.name))
         config = self._config.stages[node.name]
-        key, weights = self.key(node), self._models.digests(slots_of(node.spec, config), config)
+        key, weights = self.key(node), self._models.digests(node.spec.models, config)
         inputs = {name: self.value(kind) for name, kind in node.inputs}
         memory.reset_peak()
         started = time.perf_counter()

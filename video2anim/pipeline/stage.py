@@ -77,10 +77,5 @@ class StageSpec:
     function: Callable[..., Any]
     version: int
     """Raised with every edit that changes results."""
-    models: tuple[str, ...] | Callable[[Any], tuple[str, ...]] = ()
-    """Model slots whose weights are part of the cache key; a function of the stage's config where that decides them."""
-
-
-def slots_of(spec: StageSpec, config: Any) -> tuple[str, ...]:
-    """Slots whose models a stage uses under a configuration of it."""
-    return spec.models(config) if callable(spec.models) else spec.models
+    models: tuple[str, ...] = ()
+    """Model slots whose weights are part of the cache key."""

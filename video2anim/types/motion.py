@@ -91,6 +91,11 @@ class BodyMotion(Checked):
         return replace(self, T_world_root=T_world_root, R_parent_joint=R_parent_joint, joints_world_m=joints_world_m)
 
 
+ADULT_HEIGHT_SIGMA_M = 0.09
+"""Standard deviation of adults' standing height, both sexes together: 7 cm in each, with means 12 cm apart (NCD-RisC
+2016)."""
+
+
 @dataclass(frozen=True, slots=True)
 class PersonQuality(Checked):
     """Quality of one fitted person, computed without ground truth."""
@@ -112,7 +117,7 @@ class PersonQuality(Checked):
     """Share of the frames in which the root moves faster than humanly possible."""
     doubts: tuple[str, ...] = ()
     """Reasons not to trust the person's motion; empty if there are none."""
-    body_height_sigma_m: float = 0.09
+    body_height_sigma_m: float = ADULT_HEIGHT_SIGMA_M
     """Standard deviation of the prior on standing height: of adults, or of the height given by the user."""
 
     @property

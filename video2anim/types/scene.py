@@ -15,6 +15,9 @@ from pydantic import Field, FiniteFloat, NonNegativeFloat, NonNegativeInt, Posit
 from video2anim.types.checks import Checked, expect_sound
 from video2anim.types.storage import Holds, Storage, stored
 
+DEPTH_LOG_SIGMA = 0.12
+"""Error of a network's depth of one object or person, logarithm (`benchmarks/object_errors.py`)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh(Checked):
@@ -209,9 +212,8 @@ class PlacedObject(Checked):
     """Standard deviation of the horizontal position; None without a fit."""
     yaw_sigma_rad: NonNegativeFloat | None = None
     scale_sigma: NonNegativeFloat | None = None
-    distance_sigma: NonNegativeFloat = 0.12
-    """Standard deviation of the logarithm of its distance from the camera, from the fit of stage metric; the default is
-    that of a depth network between objects."""
+    distance_sigma: NonNegativeFloat = DEPTH_LOG_SIGMA
+    """Standard deviation of the logarithm of its distance from the camera, by the fit of stage metric."""
     parts: tuple[ObjectPart, ...] = ()
     """None where the shape has no known parts."""
     textures: tuple[Texture, ...] = ()
