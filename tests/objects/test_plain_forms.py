@@ -22,6 +22,8 @@ from video2anim.objects.shapes import triangulated
 from video2anim.types import View
 
 LETTER = np.array([[-0.4, 0.0], [0.4, 0.0], [0.4, 0.25], [-0.1, 0.25], [-0.1, 1.2], [-0.4, 1.2]])
+"""An L, which is a stack of two boxes."""
+SIGN = np.array([[0.0, 0.0], [0.5, 0.6], [0.0, 1.2], [-0.5, 0.6]])
 TRIANGLE = np.array([[-0.6, 0.0], [0.6, 0.0], [0.0, 1.0]])
 
 
@@ -89,7 +91,8 @@ THINGS = {
         "stack",
         boxes(Block((0.1, 0.2, -3.0), (1.0, 0.4, 0.6), 0.4), Block((0.0, 0.65, -3.0), (0.4, 0.5, 0.4), 0.4)),
     ),
-    "outline: letter": ("outline", at(cut_out(LETTER, 0.1), -0.4)),
+    "stack: letter": ("stack", at(cut_out(LETTER, 0.1), -0.4)),
+    "outline: sign": ("outline", at(cut_out(SIGN, 0.1), -0.4)),
     "outline: triangle": ("outline", at(cut_out(TRIANGLE, 0.1), 0.2)),
 }
 

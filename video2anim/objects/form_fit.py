@@ -66,7 +66,7 @@ class FitSigmas:
     """...which counts as so many looks: 20 of those 29 pieces do."""
     base_m: float = 0.005
     """Height of the feet of what stands on the floor."""
-    noise_observations: float = 15.0
+    noise_observations: float = 30.0
     """How well those of mask and depth are known for one object: as from so many looks. They share an unknown
     factor."""
 
