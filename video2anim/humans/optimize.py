@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.ndimage import median_filter
 
 from video2anim.body.anny_body import PEOPLES_LENGTHS, anny_model
 from video2anim.errors import StageError
@@ -18,6 +19,9 @@ from video2anim.humans.objective import PERSON, SHAPE_PARAMETERS, FitConfig, Obj
 from video2anim.humans.problem import FittedBody, Observations
 from video2anim.types.motion import BodyShape
 from video2anim.types.skeleton import forward_kinematics
+
+_USUAL_FRAMES = 31
+"""Distances of the start are medians over so many frames: within half a second few people come much nearer."""
 
 
 @one_thread()
@@ -103,6 +107,9 @@ def _start(observed: Observations, lifted: LiftedBody) -> Parameters:
     valid = np.flatnonzero(observed.valid)
     nearest = valid[np.abs(np.arange(len(observed.valid))[:, None] - valid[None]).argmin(1)]
     R, translation_m = lifted.R_parent_joint[nearest], lifted.translation_camera_m[nearest]
+    # Distances of single frames may be far off, where little is seen of the person.
+    usual_m = median_filter(translation_m[:, 2], _USUAL_FRAMES, mode="nearest")
+    translation_m *= (usual_m / translation_m[:, 2])[:, None]
     translation_m[:, 2] *= observed.intrinsics.fx_px / lifted.focal_px
 
     def leaf(array: np.ndarray) -> torch.Tensor:
