@@ -16,7 +16,7 @@ from stages.segment import STAGE, SegmentConfig
 from video2anim.cli.compose import TableModels, pipeline_nodes
 from video2anim.networks.table import MODELS
 from video2anim.pipeline.graph import Node
-from video2anim.pipeline.stage import NO_MODEL, slots_of
+from video2anim.pipeline.stage import NO_MODEL
 
 NAMES = {entry.name for entry in MODELS}
 
@@ -29,14 +29,14 @@ def networks(config: Any) -> set[str]:
 @pytest.mark.parametrize("node", pipeline_nodes(), ids=lambda node: node.name)
 def test_every_network_that_a_stage_names_is_in_its_key(node: Node) -> None:
     config = node.config_type()
-    assert networks(config) <= TableModels().digests(slots_of(node.spec, config), config).keys()
+    assert networks(config) <= TableModels().digests(node.spec.models, config).keys()
 
 
 def test_the_priors_weights_are_in_the_key_of_refine(tmp_path: Path) -> None:
     """The shipped ones by default; a file of the user's has a key of its own, and another one when it changes."""
 
     def key(config: RefineConfig) -> dict[str, str]:
-        return TableModels().digests(slots_of(REFINE, config), config)
+        return TableModels().digests(REFINE.models, config)
 
     shipped = Path(scenemi.__file__).parent / "weights" / "small.safetensors"
     assert list(key(RefineConfig()).values()) == [hashlib.sha256(shipped.read_bytes()).hexdigest()]
@@ -51,7 +51,7 @@ def test_the_priors_weights_are_in_the_key_of_refine(tmp_path: Path) -> None:
 
 def test_the_detector_and_what_it_requires_are_in_the_key_of_segment_unless_it_is_left_out() -> None:
     config = SegmentConfig()
-    digests = TableModels().digests(slots_of(STAGE, config), config)
+    digests = TableModels().digests(STAGE.models, config)
     assert {"room-segment", "objectron", "objectron-chair"} <= digests.keys()
     without = replace(config, finder=NO_MODEL)
-    assert TableModels().digests(slots_of(STAGE, without), without).keys() == {"room-segment"}
+    assert TableModels().digests(STAGE.models, without).keys() == {"room-segment"}

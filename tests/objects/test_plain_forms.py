@@ -84,7 +84,7 @@ THINGS = {
     "board: leaning": ("board", at(leaning(0.7, 1.5, 0.5), 0.4)),
     "board: plank": ("board", at(leaning(0.5, 1.8, 1.1), -0.9)),
     "board: curtain": ("board", boxes(Block((0.2, 1.4, -5.8), (1.3, 2.0, 0.06)))),
-    "ellipsoid: ball": ("ellipsoid", at(ball((0.65, 0.65, 0.65)), 0.0)),
+    "ellipsoid: ball": ("ellipsoid", at(ball((0.75, 0.75, 0.75)), 0.0)),
     "ellipsoid: pouf": ("ellipsoid", at(ball((0.8, 0.45, 0.7)), 0.3)),
     "ellipsoid: boulder": ("ellipsoid", at(mound((1.4, 0.5, 0.9)), 0.8)),
     "stack": (
