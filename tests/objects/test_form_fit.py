@@ -65,7 +65,7 @@ def test_a_table_is_found_again(yaw_rad: float, height_m: float) -> None:
     turn = yaw_of(fit.T_world_object)
     assert turned_by(turn, yaw_rad, np.pi) < 0.04
     np.testing.assert_allclose(fit.sizes_m[[0, 2]], (1.3, height_m), atol=0.06)
-    assert size(fit, "depth") == pytest.approx(0.8, abs=0.13), "seen at a slant"
+    assert size(fit, "depth") == pytest.approx(0.8, abs=0.13), "its legs, and those of the form, differ in place"
     np.testing.assert_allclose(fit.T_world_object[:3, 3], [0.1, 0, -3.2], atol=0.05)
 
 

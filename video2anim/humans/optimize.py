@@ -21,7 +21,8 @@ from video2anim.types.motion import BodyShape
 from video2anim.types.skeleton import forward_kinematics
 
 _USUAL_FRAMES = 31
-"""Distances of the start are medians over so many frames: within half a second few people come much nearer."""
+"""Distances of the start are medians over so many frames: within half a second few people come much nearer.
+Not measured."""
 
 
 @one_thread()

@@ -26,7 +26,8 @@ THIN = ("leg", "pole")
 LEANED_ON = ("back", "headboard")
 """Parts that bodies meet from the front; on others they rest from above."""
 _FLESH_M = 0.05
-"""Skin is at least so far from the joints that count: at elbows, knees and ankles; twice that at hips and spine."""
+"""Skin is at least so far from the joints that count: at elbows, knees and ankles; twice that at hips and spine.
+Not measured."""
 _BEHIND_M = 0.3
 """Deeper than skin is behind a front by error."""
 _ROUNDS = 25
@@ -46,8 +47,9 @@ pixel to pixel, narrow ones see a steep slope and no error is left."""
 class FitSigmas:
     """Standard deviations and numbers of independent looks.
 
-    Half and twice of each change, on 29 pieces (seed 9001), the median Chamfer distance by at most 6 mm, the box IoU by
-    at most 0.05 and the share of right classes by at most 0.1 (`benchmarks/object_shapes.py --sigma`).
+    Half and twice of each changed, on 29 pieces (seed 9001), the median Chamfer distance by at most 6 mm, the box IoU
+    by at most 0.05 and the share of right classes by at most 0.1 (`benchmarks/object_shapes.py --sigma`). That was
+    before `noise_observations` left out people and priors; since then only itself was measured (`docs/benchmarks.md`).
     """
 
     outline_px: float = 1.5

@@ -20,7 +20,7 @@ _RAISED_M = 0.05
 UNDER_M = 0.25
 """Maximum vertical displacement to rest on what is below: the error of depth of a table at 4 m."""
 _LEVEL, _CARRIED = 0.5, 0.3
-"""Surfaces within 60 degrees of level carry, and are below at least so many of the points of a footprint."""
+"""Surfaces within 60 degrees of level carry, and are below at least this share of the points of a footprint."""
 
 
 def fitted_form(found: ObjectMesh, *, max_chamfer_m: float, min_outline_iou: float) -> PlacedObject:
@@ -117,7 +117,7 @@ def put_down(placed: Sequence[PlacedObject]) -> list[PlacedObject]:
 
 
 def _top_below_m(raised: Mesh, other: Mesh) -> float | None:
-    """Height of the other's surface below most of nine points of an object's footprint; None if there is none near."""
+    """Height of the other's surface below an object's footprint, tested at nine points; None if there is none near."""
     import trimesh
 
     low, high = raised.vertices_m.min(0).astype(np.float64), raised.vertices_m.max(0)

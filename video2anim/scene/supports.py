@@ -60,7 +60,8 @@ _TOUCHING = ("left_wrist", "right_wrist", "left_foot", "right_foot")
 _INNER = tuple(k for name, k in JOINT_INDEX.items() if name not in _TOUCHING)
 """Joints that are inside the body wherever it rests; wrists and balls of the feet are as near to objects as skin."""
 _LIMB_M = 0.25
-"""Joints in one cell of a grid of this width (a trunk's) count as one place of a body: they err together."""
+"""Joints in one cell of a grid of this width (a trunk's) count as one place of a body: they err together. Not
+measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
