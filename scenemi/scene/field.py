@@ -51,7 +51,7 @@ class BoxField:
         counts = torch.where(known > 0, (boxes[..., 3] > 0).sum(1), -1)
         order = torch.argsort(counts, descending=True, stable=True)[: int((known > 0).sum())]
         most = max(int(counts.max()), 0)
-        return cls(order, _rooted(boxes[order, :most]), tuple(int((counts > k).sum()) for k in range(most)))
+        return cls(order, rooted_boxes(boxes[order, :most]), tuple(int((counts > k).sum()) for k in range(most)))
 
     def query(
         self, points_m: Float[Tensor, "batch points 3"]
@@ -65,14 +65,14 @@ class BoxField:
         best = points[..., 1].clamp(max=REACH_M)
         nearest = torch.full(best.shape, -1, dtype=torch.long, device=best.device)
         for k, n in enumerate(self.count):
-            distance = _signed(*_local(points[:n], self.boxes[:n, None, k])[1])
+            distance = signed_distance(points[:n], self.boxes[:n, None, k])
             nearest[:n].masked_fill_(distance < best[:n], k)
             best[:n] = torch.minimum(best[:n], distance)
         up = torch.zeros_like(points)
         up[..., 1] = (best < REACH_M).to(points)
         if self.count:
             box = self.boxes.gather(1, nearest.clamp(min=0)[..., None].expand(-1, -1, 7))
-            up = torch.where((nearest < 0)[..., None], up, _way_out(points, box))
+            up = torch.where((nearest < 0)[..., None], up, way_out(points, box))
         distance_m[self.rows], out[self.rows] = best, up
         return distance_m, out
 
@@ -81,12 +81,12 @@ class BoxField:
         points = points_m[self.rows]
         best = points[..., 1].clamp(max=REACH_M)
         for k, n in enumerate(self.count):
-            distance = _signed(*_local(points[:n], self.boxes[:n, None, k])[1])
+            distance = signed_distance(points[:n], self.boxes[:n, None, k])
             best = torch.cat([torch.minimum(best[:n], distance), best[n:]])
         return best
 
 
-def _rooted(boxes: Float[Tensor, "scenes boxes 7"]) -> Float[Tensor, "scenes boxes 7"]:
+def rooted_boxes(boxes: Float[Tensor, "scenes boxes 7"]) -> Float[Tensor, "scenes boxes 7"]:
     """Boxes that stand on the floor, going on below it: nobody leaves them through their bottom."""
     low, top = boxes[..., 1] - boxes[..., 4], boxes[..., 1] + boxes[..., 4]
     low = torch.where((low < _ON_FLOOR_M) & (boxes[..., 3] > 0), low - _BELOW_M, low)
@@ -111,7 +111,12 @@ def _signed(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
     return (outside + 1e-12).sqrt() + torch.maximum(torch.maximum(x, y), z).clamp(max=0)
 
 
-def _way_out(points: Float[Tensor, "... 3"], box: Float[Tensor, "... 7"]) -> Float[Tensor, "... 3"]:
+def signed_distance(points: Float[Tensor, "... 3"], boxes: Float[Tensor, "... 7"]) -> Float[Tensor, "..."]:
+    """Signed distance of points to boxes."""
+    return _signed(*_local(points, boxes)[1])
+
+
+def way_out(points: Float[Tensor, "... 3"], box: Float[Tensor, "... 7"]) -> Float[Tensor, "... 3"]:
     """Unit direction away from the nearest point of the box; inside, through the nearest face."""
     local, over = (torch.stack(part, -1) for part in _local(points, box))
     deepest = over.amax(-1, keepdim=True)

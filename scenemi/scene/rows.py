@@ -72,7 +72,7 @@ class BoxRows:
 
     def mirrored(self, chosen: Bool[Tensor, "batch"]) -> BoxRows:
         """See `SceneRows`."""
-        return BoxRows(torch.where(chosen[:, None, None], self.boxes * _MIRRORED_BOX, self.boxes))
+        return BoxRows(torch.where(chosen[:, None, None], self.boxes * _MIRRORED_BOX.to(self.boxes), self.boxes))
 
     def field(self, known: Float[Tensor, "batch"]) -> BoxField:
         """See `SceneRows`."""

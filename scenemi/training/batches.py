@@ -23,7 +23,7 @@ from video2anim.body.shaped_body import ShapedBody
 
 LOOKED_AT = 31
 """Frames of a window in which joints by forward kinematics are compared: in all they cost as much as the network."""
-_TELLING = 0.7
+TELLING_SHARE = 0.7
 """Share of shown scenes whose own keyframes are used; the others get any, for which the scene is as possible."""
 
 
@@ -99,7 +99,7 @@ class PoolBatches:
         shown = rng.random(count) < config.scene_share  # of some nothing but the floor
         kind = rng.random(count)
         piped = (kind < config.pipeline_share) & (self.errors is not None)
-        own = shown & scene.filled & (rng.random(count) < _TELLING) & (config.keyframes == "mixed")
+        own = shown & scene.filled & (rng.random(count) < TELLING_SHARE) & (config.keyframes == "mixed")
         masks = [
             draw_observed_mask(rng, frames)
             if piped[i]
@@ -205,7 +205,7 @@ _SOURCE, _SIGN = _mirror_table()
 
 def mirrored(features: Float[Tensor, "... 201"]) -> Float[Tensor, "... 201"]:
     """Features of the motion reflected in the plane x = 0, left and right exchanged."""
-    return features[..., _SOURCE] * _SIGN
+    return features[..., _SOURCE] * _SIGN.to(features)
 
 
 def statistics_of(shards: Sequence[AnyShard], bodies: Sequence[ShapedBody]) -> Statistics:

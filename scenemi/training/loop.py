@@ -136,8 +136,13 @@ def _from_weights(path: Path | None, config: TrainConfig) -> Checkpoint | None:
     if found.config != config.model:
         return None
     state = found.denoiser.state_dict()
-    hours, step = float(found.card.get("hours", 0.0)), int(found.card.get("steps", 0))
-    return Checkpoint(step, config, found.statistics, state, state, {}, 3600 * hours)
+    hours, steps, trained = (
+        float(found.card.get("hours", 0.0)),
+        int(found.card.get("steps", 0)),
+        found.card.get("config", {}),
+    )
+    windows = steps * int(trained.get("batch", config.batch)) * int(trained.get("parts", config.parts))
+    return Checkpoint(windows // config.step_windows, config, found.statistics, state, state, {}, 3600 * hours)
 
 
 def _grow(out: Path, pools: Mapping[str, MotionSet], windows: int, seed: int) -> None:

@@ -17,10 +17,10 @@ from scenemi.model.kinematics import matrices, posed_joints
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
 
-_DEGREE = math.radians(1)
-_SIZES = (0.4, 1.3)
+DEGREE = math.radians(1)
+ERROR_SIZES = (0.4, 1.3)
 """Recorded errors are made smaller and larger by this: other people, cameras and lenses."""
-_REPORTED_SPREAD = 0.25
+REPORTED_SPREAD = 0.25
 """Standard deviation of the logarithm of reported over true noise: an estimator does not know its own error exactly."""
 
 
@@ -67,7 +67,7 @@ class PipelineErrors:
         cos, sin = np.cos(yaw), np.sin(yaw)
         x, z = shift[:, 0].copy(), shift[:, 2].copy()
         shift[:, 0], shift[:, 2] = cos * x + sin * z, cos * z - sin * x
-        size = rng.uniform(*_SIZES)
+        size = rng.uniform(*ERROR_SIZES)
         return size * turn, size * shift
 
 
@@ -76,15 +76,15 @@ def gaussian(
 ) -> tuple[Float[np.ndarray, "frames 22 3"], Float[np.ndarray, "frames 3"]]:
     """Noise of l degrees on every joint and l centimeters on the translation (paper 3.2.1): radians and meters."""
     turn, shift = rng.standard_normal((frames, 22, 3), np.float32), rng.standard_normal((frames, 3), np.float32)
-    return turn * np.float32(level * _DEGREE), shift * np.float32(0.01 * level)
+    return turn * np.float32(level * DEGREE), shift * np.float32(0.01 * level)
 
 
 def reported_level(
     rng: np.random.Generator, turn_rad: Float[np.ndarray, "frames 22 3"], shift_m: Float[np.ndarray, "frames 3"]
 ) -> tuple[float, float]:
     """Noise level that the model gets for a window: about its root mean square, in degrees and centimeters."""
-    true = np.array([np.sqrt(np.square(turn_rad).mean()) / _DEGREE, 100 * np.sqrt(np.square(shift_m).mean())])
-    degrees, centimeters = true * np.exp(rng.normal(0.0, _REPORTED_SPREAD, 2))
+    true = np.array([np.sqrt(np.square(turn_rad).mean()) / DEGREE, 100 * np.sqrt(np.square(shift_m).mean())])
+    degrees, centimeters = true * np.exp(rng.normal(0.0, REPORTED_SPREAD, 2))
     return float(degrees), float(centimeters)
 
 

@@ -119,10 +119,10 @@ def grow_pool(
         if not path.is_dir():
             rng = np.random.default_rng([seed, _VERSION, number])
             if isinstance(motions, SceneMotions):
-                _write(path, _captured(motions, rng), made_of)
+                write_shard(path, _captured(motions, rng), made_of)
             else:
                 spheres = spheres or [fit_spheres(motions.body(i)) for i in range(len(motions.shapes))]
-                _write(path, _made(motions, scenes, spheres, rng), made_of)
+                write_shard(path, made_shard(motions, scenes, spheres, rng), made_of)
         on_shard(number + 1, wanted)
 
 
@@ -198,7 +198,10 @@ class _Drawn:
         }  # fmt: skip
 
 
-def _made(motions: MotionSet, scenes: SyntheticScenes, spheres: list[BodySpheres], rng: np.random.Generator) -> Shard:
+def made_shard(
+    motions: MotionSet, scenes: SyntheticScenes, spheres: list[BodySpheres], rng: np.random.Generator
+) -> Shard:
+    """Random windows with made-up scenes; `spheres` of each body of the motion set."""
     drawn = _Drawn.of(motions, rng)
     contact, body, blind_m = drawn.windows.contact, drawn.windows.body_index, drawn.blind_m
     packed = np.stack([
@@ -281,7 +284,8 @@ def _meta(path: Path) -> dict[str, Any]:
         return {}
 
 
-def _write(path: Path, shard: AnyShard, made_of: str) -> None:
+def write_shard(path: Path, shard: AnyShard, made_of: str) -> None:
+    """Write a shard and a digest of all that decides what it holds; the folder is whole or absent."""
     aside = path.with_name(f".{path.name}.{os.getpid()}")
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir(parents=True)

@@ -120,17 +120,32 @@ def motions_for(files: RunFiles) -> tuple[MotionSet, MotionSet | None]:
     Raises:
         InputError: no clip to train on.
     """
-    config = files.config
-    use = MotionSetConfig(
-        files.noncommercial, config.sources, balance=BalanceConfig(source_share={"synthetic": config.synthetic_share}),
-        reverse=config.reverse, mix=config.mix,
-    )  # fmt: skip
-    bent = replace(use, store=StoreConfig(bends=config.bends))
-    motions = MotionSet.build(files.motion, files.split, "train", config.bodies, bent, cache=files.cache)
+    motions = MotionSet.build(
+        files.motion, files.split, "train", files.config.bodies, drawn_from(files), cache=files.cache
+    )
     try:
-        return motions, MotionSet.build(files.motion, files.split, "val", 1, use, cache=files.cache)
+        return motions, watched_for(files)
     except InputError:
         return motions, None
+
+
+def watched_for(files: RunFiles) -> MotionSet:
+    """Clips to watch the run by.
+
+    Raises:
+        InputError: there are none.
+    """
+    use = replace(drawn_from(files), store=StoreConfig())
+    return MotionSet.build(files.motion, files.split, "val", 1, use, cache=files.cache)
+
+
+def drawn_from(files: RunFiles) -> MotionSetConfig:
+    """How windows are drawn for training."""
+    config = files.config
+    return MotionSetConfig(
+        files.noncommercial, config.sources, balance=BalanceConfig(source_share={"synthetic": config.synthetic_share}),
+        store=StoreConfig(bends=config.bends), reverse=config.reverse, mix=config.mix,
+    )  # fmt: skip
 
 
 def left_out(files: RunFiles) -> list[str]:
