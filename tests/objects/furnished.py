@@ -96,7 +96,8 @@ def furnished(
     depth_m = np.where(own, depth_factor, 1.0) * shot.depth_m
     views = ObjectViews(
         InstanceMasks("truth", instances, shot.mask(FLOOR)), metric(shot, depth_m, distance_sigma, known),
-        np.zeros_like(own) if unseen is None else unseen, PeopleEvidence(rested_m, body_m), depth_sigma, None,
+        np.zeros_like(own) if unseen is None else unseen,
+        PeopleEvidence(rested_m, np.ones(len(rested_m), bool), body_m), depth_sigma, None,
     )  # fmt: skip
     seen = views.object(CompletedObject(1, "object", own, np.zeros((1, 1, 3), np.uint8)), np.random.default_rng(seed))
     assert seen is not None

@@ -12,7 +12,7 @@ from furnished import EYE_M, Furnished, chair, convex, furnished, moved, turned_
 from seen_boxes import FLOOR, LENS, Block, about_y, table
 
 from video2anim.geometry.projection import invert_rigid, pixel_rays
-from video2anim.objects.form_fit import FormFit
+from video2anim.objects.form_fit import FitSigmas, FormFit, FormProblem
 from video2anim.objects.furniture import FORMS, Form
 from video2anim.objects.occupied import Occupied
 from video2anim.objects.recognize import recognized
@@ -117,6 +117,22 @@ def test_a_seat_is_where_skin_rested(skin_m: float) -> None:
     )
     assert before == pytest.approx(0.46, abs=0.015)
     assert abs(after - skin_m) < 0.5 * abs(before - skin_m)
+
+
+def test_nobody_sits_on_the_top_of_a_back() -> None:
+    """A hand may rest there."""
+    parts = moved(chair(), (0.2, -2.8), 0.3)
+    across = np.linspace(-0.15, 0.15, 40)
+    skin = np.stack([across, np.full(40, 0.9), np.full(40, -0.22)], -1) @ about_y(0.3).T + [0.2, 0, -2.8]
+    evidence = furnished(parts, rested_m=skin).seen.evidence
+    values = fitted(furnished(parts), "chair").values[None]
+    sits, holds = (
+        FormProblem(form("chair"), replace(evidence, bearing=np.full(40, bears)), 0.0, FitSigmas(), 3)
+        .residuals(values).cost()[0]
+        for bears in (True, False)
+    )  # fmt: skip
+    assert evidence.bearing.all()
+    assert sits > holds + 20
 
 
 def test_bodies_are_not_inside() -> None:

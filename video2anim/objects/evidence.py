@@ -39,6 +39,8 @@ class PeopleEvidence:
 
     rested_m: Float[np.ndarray, "rests 3"]
     """Foremost skin of parts that rested on something above the floor."""
+    bearing: Bool[np.ndarray, "rests"]
+    """Those of seat and feet, which bear weight."""
     body_m: Float[np.ndarray, "inner 3"]
     """Joints deep in the body: no object is there."""
 
@@ -108,11 +110,10 @@ class ObjectViews:
         local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones(len(row))], -1)
         points_m = self._world_m[obj.shows]
         low, high = points_m.min(0) - _NEAR_M, points_m.max(0) + _NEAR_M
-        rested_m, body_m = (
-            some[((some > low) & (some < high)).all(1)] for some in (self._people.rested_m, self._people.body_m)
-        )
+        rested_m, body_m = self._people.rested_m, self._people.body_m
         # What rested on an object that was fitted before did not rest on this one.
-        rested_m = rested_m[np.abs(self._occupied.distance_m(rested_m)) > 3 * FitSigmas().rest_m]
+        here = ((rested_m > low) & (rested_m < high)).all(1)
+        here &= np.abs(self._occupied.distance_m(rested_m)) > 3 * FitSigmas().rest_m
         sigma = self._depth.object_sigma.get(str(found.object_id), _MIN_DISTANCE_SIGMA)
         evidence = ObjectEvidence(
             camera_m=lifter.view.T_world_camera[:3, 3].copy(),
@@ -125,8 +126,9 @@ class ObjectViews:
             depth_sigma=self._depth_sigma,
             distance_sigma=max(sigma, _MIN_DISTANCE_SIGMA),
             raised=self._is_raised(own, points_m, nearer),
-            rested_m=rested_m,
-            body_m=body_m,
+            rested_m=rested_m[here],
+            bearing=self._people.bearing[here],
+            body_m=body_m[((body_m > low) & (body_m < high)).all(1)],
             others_m=self._others_m(own, points_m, rng),
             room_yaw_rad=self._room_yaw_rad,
             filled_m=self._occupied.distance_m,

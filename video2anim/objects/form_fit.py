@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from video2anim.objects.furniture import Form
 from video2anim.objects.solids import Solids
@@ -25,6 +25,8 @@ THIN = ("leg", "pole")
 """Parts that masks lose."""
 LEANED_ON = ("back", "headboard")
 """Parts that bodies meet from the front; on others they rest from above."""
+BESIDE_SEATS = (*LEANED_ON, "arm")
+"""Parts that nobody sits or stands on."""
 _FLESH_M = 0.05
 """Skin is at least so far from the joints that count: at elbows, knees and ankles; twice that at hips and spine.
 Not measured."""
@@ -97,6 +99,8 @@ class ObjectEvidence:
     """It does not stand on the floor."""
     rested_m: Float[np.ndarray, "rests 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Skin that rested on it."""
+    bearing: Bool[np.ndarray, "rests"] = field(default_factory=lambda: np.zeros(0, bool))
+    """Whether that of seat or feet, which rest neither on backs nor on arms."""
     body_m: Float[np.ndarray, "inner 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Points where bodies were; independent of each other."""
     others_m: Float[np.ndarray, "others 3"] = field(default_factory=lambda: np.zeros((0, 3)))
@@ -226,7 +230,7 @@ class FormProblem:
         of_picture = (sum(part.shape[1] for part in loose), sum(part.shape[1] for part in firm))
         if len(evidence.rested_m):
             own_m = self._own(values, np.broadcast_to(evidence.rested_m, (batch, *evidence.rested_m.shape)))
-            gap_m = np.abs(_carrying(self.part_names, solids).distance_m(own_m).min(1))
+            gap_m = np.abs(self._rest_m(_carrying(self.part_names, solids).distance_m(own_m)))
             loose.append(_weight(sigmas.looks, len(evidence.rested_m)) * gap_m / sigmas.rest_m)
         if evidence.room_yaw_rad is not None:
             turn = 4 * (values[:, 2] - evidence.room_yaw_rad)
@@ -240,6 +244,12 @@ class FormProblem:
         return Residuals(
             np.concatenate(loose, 1), np.concatenate(firm, 1), prior, of_picture, sigmas.noise_observations
         )  # fmt: skip
+
+    def _rest_m(self, away_m: Float[np.ndarray, "batch parts rests"]) -> Float[np.ndarray, "batch rests"]:
+        """Signed distance of what rested from the parts that it may rest on."""
+        carries = ~np.isin(self.part_names, BESIDE_SEATS)
+        bearing = self.evidence.bearing & carries.any()
+        return np.where(bearing, np.where(carries[:, None], away_m, np.inf).min(1), away_m.min(1))
 
     def _depth_points_m(self, values: np.ndarray) -> Float[np.ndarray, "batch points 3"]:
         """The object's depth points in the world, corrected."""
