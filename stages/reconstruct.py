@@ -139,4 +139,4 @@ def _foreign(
         return None
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=20, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=21, models=(SLOT,))

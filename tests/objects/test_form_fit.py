@@ -158,6 +158,14 @@ def drawn_m(fit: FormFit, T_world_camera: np.ndarray) -> np.ndarray:
     return fit.solids()[1].first_hit(T_object_camera[None, :3, 3], ray[None])[0].reshape(LENS.height_px, LENS.width_px)
 
 
+def test_bodies_count_wherever_a_hidden_part_may_reach() -> None:
+    """The crate's right side is at x = 0.55."""
+    body_m = np.array([[1.35, 0.4, -3.0], [3.0, 0.4, -3.0]])
+    evidence = furnished(crate(0.0), body_m=body_m, rested_m=body_m).seen.evidence
+    np.testing.assert_array_equal(evidence.body_m, body_m[:1])
+    assert not len(evidence.rested_m), "nothing rested so far from what is seen"
+
+
 def test_what_is_seen_free_stays_free() -> None:
     """A table in a mask without gaps: between its legs the camera sees the floor and the wall. Nothing is put before
     them, and forms that are closed there have less evidence."""

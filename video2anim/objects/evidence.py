@@ -27,9 +27,10 @@ _RAISED_M = 0.15
 _STEP, _STEP_M = 0.1, 0.02
 """What carries an object is as far and as high as its lower end; what hides that is nearer by this share, or higher."""
 _NEAR_M = 0.3
-"""Skin and bodies so near to the box of an object's depth points may touch it: the error of its place."""
+"""Skin so near to the box of an object's depth points may have touched it: the error of its place."""
 _AROUND_M = 1.5
-"""Walls and objects so near to it may be reached by its hidden part: the length of a bed less what is seen of it."""
+"""Walls, objects and bodies so near to it may be reached by its hidden part: the length of a bed less what is seen of
+it."""
 _OFF_FLOOR_M = 0.1
 """Depth of the floor is off by so much."""
 _MIN_DISTANCE_SIGMA = 0.005
@@ -126,10 +127,9 @@ class ObjectViews:
         row, column = _spread(own & (obj.shows | ~known), rng)
         local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones(len(row))], -1)
         points_m = self._world_m[obj.shows]
-        low, high = points_m.min(0) - _NEAR_M, points_m.max(0) + _NEAR_M
         rested_m, body_m = self._people.rested_m, self._people.body_m
         # What rested on an object that was fitted before did not rest on this one.
-        here = ((rested_m > low) & (rested_m < high)).all(1)
+        here = _within(rested_m, points_m, _NEAR_M)
         here &= np.abs(self._occupied.distance_m(rested_m)) > 3 * FitSigmas().rest_m
         sigma = self._depth.object_sigma.get(str(found.object_id), _MIN_DISTANCE_SIGMA)
         evidence = ObjectEvidence(
@@ -145,7 +145,7 @@ class ObjectViews:
             raised=self._is_raised(own, points_m, nearer),
             rested_m=rested_m[here],
             bearing=self._people.bearing[here],
-            body_m=body_m[((body_m > low) & (body_m < high)).all(1)],
+            body_m=body_m[_within(body_m, points_m, _AROUND_M)],
             others_m=self._others_m(own, points_m, rng),
             room_yaw_rad=self._room_yaw_rad,
             filled_m=self._occupied.distance_m,
@@ -170,9 +170,8 @@ class ObjectViews:
         self, own: np.ndarray, points_m: np.ndarray, rng: np.random.Generator
     ) -> Float[np.ndarray, "others 3"]:
         """Seen points around the object that are not its own, nor the floor's."""
-        low, high = points_m.min(0) - _AROUND_M, points_m.max(0) + _AROUND_M
         near = self._lifter.known & ~own & ~self._lifter.floor & (self._world_m[..., 1] > _OFF_FLOOR_M)
-        near &= ((self._world_m > low) & (self._world_m < high)).all(-1)
+        near &= _within(self._world_m, points_m, _AROUND_M)
         return self._world_m[_spread(near, rng)]
 
     def _outline(self, found: CompletedObject, obj: BackprojectedObject) -> Bool[np.ndarray, "h w"]:
@@ -210,6 +209,13 @@ class ObjectViews:
         carries = (depth_m[at] > (1 - _STEP) * depth_m[end]) & (up_m[at] < up_m[end] + _STEP_M)
         hidden = self._unseen[at] | (nearer[at] & ~carries)
         return bool((inside & ~hidden & ~self._lifter.floor[at]).mean() > 0.5)
+
+
+def _within(
+    some_m: Float[np.ndarray, "... 3"], points_m: Float[np.ndarray, "points 3"], margin_m: float
+) -> Bool[np.ndarray, "..."]:
+    """Which are in the box around points with a margin."""
+    return ((some_m > points_m.min(0) - margin_m) & (some_m < points_m.max(0) + margin_m)).all(-1)
 
 
 def _spread(mask: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
