@@ -14,7 +14,7 @@
 Intervals are 95 % over clips.
 
 `--choose-solve` instead compares settings of the solve without an image (`WITHOUT_PICTURE`), changing one at a time,
-and prints error and skating; choose on `--part val`.
+and prints error and skating; choose on `--part val`. `--choose-cutoff` does so with the cutoff of the low-pass.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from scenemi.evaluation.scenes import telling_share, with_synthetic_scenes
 from scenemi.evaluation.scores import mean_of
 from scenemi.evaluation.windows import FPS, EvaluationWindow, KeyframeProtocol, cut_windows, give_keyframes, window_seed
 from scenemi.model.choice import SAMPLE_STEPS, load_prior_by_name
+from scenemi.model.prior import DiffusionPrior
 from scenemi.postprocess.in_scene import WITHOUT_PICTURE, SolvedPrior, put_in_scene
 from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow, WindowMotion
 from scenemi.training.noise import PipelineErrors, reported_level
@@ -50,6 +51,7 @@ from video2anim.types.skeleton import forward_kinematics
 SAMPLES = 8
 """Samples per window, each with `SAMPLE_STEPS` steps; all other rows are the expected motion (one step)."""
 MISSING_FRAMES = 30
+CUTOFFS_HZ = (4.0, 5.0, 6.0, 8.0, 10.0, 14.9)
 SOLVES: dict[str, tuple[float, ...]] = {
     "root_m": (0.002, 0.02), "trunk_rad": (0.005, 0.03), "limb_rad": (0.3, 0.8), "acceleration_ratio": (2.0, 10.0),
     "stance_m_s": (0.02, 0.1), "odd_speed_m_s": (1.0, 4.0), "contact_threshold": (0.01, 0.1, 0.3),
@@ -65,6 +67,10 @@ def main() -> None:
     prior = load_prior_by_name(options.weights, device="cpu", steps=options.steps)
     if options.choose_solve:
         sys.stdout.write(choice_of_solve(prior, windows))
+        return
+    if options.choose_cutoff:
+        assert isinstance(prior, DiffusionPrior)
+        sys.stdout.write(choice_of_cutoff(prior, windows))
         return
     report: dict[str, Any] = {
         "machine": f"{platform.machine()}, {torch.get_num_threads()} threads, Python {platform.python_version()}",
@@ -112,6 +118,20 @@ def inbetweening(
         row["ratio_mean_of_8"] = float(np.mean(mean)) / base
         row["ratio_best_of_8"] = float(np.mean([error.min() for error in errors])) / base
     return row
+
+
+def choice_of_cutoff(prior: DiffusionPrior, windows: Sequence[EvaluationWindow]) -> str:
+    """Error over that of interpolation, jerk over that of the truth low-passed at 8 Hz, and skating, for cutoffs."""
+    lines = ["| cutoff, Hz | r | ratio | jerk / truth 8 Hz | skating |", "|---|---|---|---|---|"]
+    for cutoff_hz in CUTOFFS_HZ:
+        prior.sampler = replace(prior.sampler, cutoff_hz=cutoff_hz)
+        for interval in (15, 30, 60):
+            found = evaluate(windows, prior, KeyframeProtocol(interval))
+            ratio = found.mean("mjpe_all_m") / mean_of(found.baseline, "mjpe_all_m")
+            jerk = found.mean("jerk_m_s3") / mean_of(found.truth, "jerk_8hz_m_s3")
+            skating = found.mean("skating_gmd")
+            lines.append(f"| {cutoff_hz:g} | {interval} | {ratio:.3f} | {jerk:.2f} | {skating:.3f} |")
+    return "\n".join(lines) + "\n"
 
 
 def choice_of_solve(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow]) -> str:
@@ -299,6 +319,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=1)
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--choose-solve", action="store_true")
+    parser.add_argument("--choose-cutoff", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/scenemi/results/reach.json"))
     return parser.parse_args()
 

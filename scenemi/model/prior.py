@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
 from scenemi.features import FEATURE_COUNT, JOINTS, canonical_frame, decode, encode, to_world
@@ -110,7 +111,10 @@ class DiffusionPrior:
     ) -> Tensor:
         """Normalized features (B, N, 201) of padded windows."""
         stop_step = self.sampler.stop_for(noisy)
-        return sample(self._denoiser, self.schedule, x_keys, conditions, self.sampler, generators, stop_step=stop_step)
+        sampler = self.sampler
+        x0 = sample(self._denoiser, self.schedule, x_keys, conditions, sampler, generators, stop_step=stop_step)
+        low_pass = butter(2, sampler.cutoff_hz, fs=FPS, output="sos")
+        return torch.from_numpy(sosfiltfilt(low_pass, x0.cpu().double().numpy(), axis=1).copy())
 
     def _exact(self, window: KeyframeWindow) -> Bool[np.ndarray, "frames"]:
         """Frames that are met: the seed, and keyframes that carry no noise."""

@@ -71,6 +71,11 @@ class SamplerConfig:
     spacing: float = 1.5
     """Power by which steps are denser near t = 0, where detail is made; 1 = even."""
 
+    cutoff_hz: float = 6.0
+    """The motion is low-passed here before keyframes are met exactly: the network answers up to 6.6 Hz, above are the
+    joins of curves and tokens. Of 5 to 10 Hz that which leaves most jerk of the truth at 8 Hz without more
+    (`benchmarks/scenemi/reach.py --part val --every 2 --choose-cutoff`)."""
+
     def __post_init__(self) -> None:
         if self.method not in ("ddpm", "ddim", "dpm-solver++"):
             raise ValueError(f"SamplerConfig: want ddpm, ddim or dpm-solver++, got {self.method!r}")
