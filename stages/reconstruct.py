@@ -82,12 +82,20 @@ def reconstruct_objects(
         ModelMissingError: the network's weights are absent, or no network of its contract.
     """
     from video2anim.artifacts.user_files import mesh_files
-    from video2anim.objects.evidence import ObjectViews
+    from video2anim.geometry.masks import never_seen
+    from video2anim.objects.evidence import ObjectViews, PeopleEvidence
     from video2anim.objects.object_mesh import fitted
+    from video2anim.scene.heading import room_heading
+    from video2anim.scene.supports import rested_and_inner_m
 
+    unseen = never_seen(background.seen_ratio, depth.background_depth_m.shape)
+    people = PeopleEvidence(*rested_and_inner_m(depth.bodies))
     height_px, width_px = background.background_rgb.shape[:2]
     view = depth.bodies.main_view.resized(width_px, height_px)
-    views = ObjectViews.of(masks, depth, background, config.depth_error_ratio)
+    heading_rad = room_heading(background.background_rgb, view)
+    # A yaw turns z towards x, a heading x towards z.
+    room_yaw_rad = None if heading_rad is None else -heading_rad
+    views = ObjectViews(masks, depth, unseen, people, config.depth_error_ratio, room_yaw_rad)
     foreign = mesh_files(Path(config.meshes)) if config.meshes else {}
     numbers = {found.object_id for found in completed.objects}
     if unused := sorted(foreign.keys() - numbers):

@@ -9,16 +9,14 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from video2anim.geometry.masks import never_seen, shrunk
+from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid
 from video2anim.objects.backproject import BackprojectedObject, ObjectBackprojector
 from video2anim.objects.foreground import floor_band_m, surface_normals
 from video2anim.objects.form_fit import FitSigmas, FormFit, ObjectEvidence
 from video2anim.objects.occupied import Occupied
 from video2anim.objects.upright_box import UprightBox, fit_upright_box, turned_to
-from video2anim.scene.heading import room_heading
-from video2anim.scene.supports import rested_and_inner_m
-from video2anim.types import BackgroundImage, CompletedObject, InstanceMasks, MetricDepth
+from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
 
 _POINTS = 160
 """Pixels of an object that are looked at; the time of a fit grows with them."""
@@ -99,21 +97,6 @@ class ObjectViews:
         near_m = np.concatenate(points_m) if points_m else np.zeros((1, 3))
         self._occupied = Occupied(np.stack([near_m.min(0), near_m.max(0)]))
         self._normals = surface_normals(self._world_m)
-
-    @classmethod
-    def of(
-        cls, masks: InstanceMasks, depth: MetricDepth, background: BackgroundImage, depth_sigma: float
-    ) -> ObjectViews:
-        """With the people of the clip and the walls of the picture."""
-        height_px, width_px = background.background_rgb.shape[:2]
-        view = depth.bodies.main_view.resized(width_px, height_px)
-        heading_rad = room_heading(background.background_rgb, view)
-        return cls(
-            masks, depth, never_seen(background.seen_ratio, depth.background_depth_m.shape),
-            PeopleEvidence(*rested_and_inner_m(depth.bodies)), depth_sigma,
-            # A yaw turns z towards x, a heading x towards z.
-            None if heading_rad is None else -heading_rad,
-        )  # fmt: skip
 
     def object(self, found: CompletedObject, rng: np.random.Generator) -> SeenObject | None:
         """None if none of its pixels has reliable depth."""
