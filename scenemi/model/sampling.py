@@ -21,6 +21,7 @@ from torch import Tensor
 from scenemi.model.conditions import Conditions, impute
 from scenemi.model.diffusion import STEPS, CosineSchedule
 from scenemi.prior import DEFAULT_STOP_STEP
+from video2anim.types.clip import FPS
 
 Method = Literal["ddpm", "ddim", "dpm-solver++"]
 
@@ -79,6 +80,8 @@ class SamplerConfig:
     def __post_init__(self) -> None:
         if self.method not in ("ddpm", "ddim", "dpm-solver++"):
             raise ValueError(f"SamplerConfig: want ddpm, ddim or dpm-solver++, got {self.method!r}")
+        if not 0 < self.cutoff_hz < 0.5 * FPS:
+            raise ValueError(f"SamplerConfig: want a cutoff_hz over 0 and under {0.5 * FPS:g}, got {self.cutoff_hz}")
         if not 1 <= self.steps <= STEPS or self.spacing < 1:
             raise ValueError(
                 f"SamplerConfig: want 1 to {STEPS} steps and spacing >= 1, got {self.steps} and {self.spacing}"
