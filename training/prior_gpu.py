@@ -133,6 +133,7 @@ class GpuRun:
         self.statistics = begun.statistics
         self.model = begun.denoiser.to(device).train()
         self.model.half_precision = device.type != "cpu"
+        self.model.set_dropout(config.dropout)
         self.bodies = tuple(shaped_body(shape) for shape in draw_adults(config.bodies))
         self.loss = TrainingLoss(self.model, self.statistics, self.bodies, config).to(device)
         self.average = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
@@ -172,9 +173,11 @@ class GpuRun:
         """Loss of the averaged weights on given batches, then of the last ones."""
         now = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
         found = []
+        self.model.eval()
         for weights in (self.average, now):
             self.model.load_state_dict(weights)
             found.append(float(torch.stack([self.loss(batch).total for batch in batches]).mean()))
+        self.model.train()
         return found
 
     def save(self, options: argparse.Namespace) -> None:

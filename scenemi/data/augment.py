@@ -1,4 +1,4 @@
-"""Variations of a motion: mirrored, faster and slower, at another frame rate, shorter. Pure functions."""
+"""Variations of a motion: mirrored, restyled, faster and slower, at another frame rate, shorter. Pure functions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ from jaxtyping import Float
 
 from scenemi.data.interpolate import blended, cubic_taps, nearest_rows, unit
 from scenemi.data.retarget import RetargetedMotion
-from video2anim.geometry.rotations import continuous_quaternions, matrix_from_quaternion, quaternion_from_matrix
+from video2anim.geometry.rotations import (
+    axis_angle_from_matrix,
+    continuous_quaternions,
+    matrix_from_axis_angle,
+    matrix_from_quaternion,
+    nearest_rotation,
+    quaternion_from_matrix,
+)
 from video2anim.types.clip import FPS
 from video2anim.types.skeleton import JOINT_NAMES
 
@@ -26,6 +33,18 @@ MIRROR_JOINT: np.ndarray = np.array([JOINT_NAMES.index(_mirror_name(name)) for n
 MIRROR_QUATERNION: np.ndarray = np.array([1.0, 1.0, -1.0, -1.0], np.float32)
 """Signs of w, x, y, z after reflection in the plane x = 0."""
 _MIRROR_AXES = np.array([-1.0, 1.0, 1.0])
+STYLE_PARTS: tuple[tuple[str, ...], ...] = (
+    ("spine1", "spine2", "spine3"), ("neck", "head"),
+    *(tuple(f"{side}_{name}" for name in ("collar", "shoulder", "elbow", "wrist")) for side in _OTHER),
+)  # fmt: skip
+"""Joints that are restyled alike."""
+_WIDEST = 1.6
+"""A swing grows to this many times its size, or shrinks as much."""
+_TURNS_BACK_RAD = 2.5
+"""Swings that come near half a turn keep their size: beyond it the rotation vector jumps to the other side."""
+_POSTURE_RAD = np.deg2rad(5.0)
+"""Standard deviation about each axis by which a joint's mean changes: as much as people's standing postures differ (not
+measured)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +68,22 @@ def mirrored(motion: RetargetedMotion) -> RetargetedMotion:
         R_parent_joint=R,
         contact=motion.contact[:, MIRROR_JOINT],
     )
+
+
+def restyled(R_parent_joint: Float[np.ndarray, "batch frames 22 3 3"], rng: np.random.Generator) -> np.ndarray:
+    """Windows in which trunk, head and arms swing more or less widely, each about another mean; legs and root, on which
+    standing feet hang, are as they were."""
+    R = R_parent_joint.copy()
+    for part in STYLE_PARTS:
+        joints = [JOINT_NAMES.index(name) for name in part]
+        mean = nearest_rotation(R[:, :, joints].mean(1))[:, None]
+        swing = axis_angle_from_matrix(np.swapaxes(mean, -1, -2) @ R[:, :, joints])
+        size = _WIDEST ** rng.uniform(-1, 1, (len(R), 1, 1, 1))
+        widest = np.linalg.norm(swing, axis=-1).max((1, 2))[:, None, None, None]
+        size = np.where(widest > _TURNS_BACK_RAD, 1.0, size)
+        moved = matrix_from_axis_angle(_POSTURE_RAD * rng.standard_normal((len(R), 1, len(joints), 3)))
+        R[:, :, joints] = mean @ moved @ matrix_from_axis_angle(size * swing)
+    return R
 
 
 def random_times(

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from scenemi.data.adults import draw_adults
-from scenemi.data.augment import MIRROR_JOINT, MIRROR_QUATERNION, WarpConfig, random_times
+from scenemi.data.augment import MIRROR_JOINT, MIRROR_QUATERNION, WarpConfig, random_times, restyled
 from scenemi.data.balance import BalanceConfig, clip_probabilities
 from scenemi.data.container import MotionArchive
 from scenemi.data.interpolate import blended, cubic_taps, nearest_rows, unit
@@ -67,6 +67,8 @@ class MotionSetConfig:
     """Probability that a window runs backward in time."""
     mix: float = 0.0
     """Probability that a window gets the arms and the head of another window."""
+    restyle: float = 0.0
+    """Probability that a window's trunk, arms and head are restyled."""
     frames: int = WINDOW_FRAMES
 
 
@@ -214,6 +216,9 @@ class MotionSet:
             drawn = _reversed(drawn, rng.random(count) < self.config.reverse)
         if self.config.mix > 0:
             drawn = _mixed(drawn, rng.random(count) < self.config.mix, rng.permutation(count))
+        if self.config.restyle > 0:
+            chosen = np.flatnonzero(rng.random(count) < self.config.restyle)
+            drawn.R_parent_joint[chosen] = restyled(drawn.R_parent_joint[chosen], rng)
         return drawn
 
     def fixed_windows(

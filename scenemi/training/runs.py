@@ -144,7 +144,7 @@ def drawn_from(files: RunFiles) -> MotionSetConfig:
     config = files.config
     return MotionSetConfig(
         files.noncommercial, config.sources, balance=BalanceConfig(source_share={"synthetic": config.synthetic_share}),
-        store=StoreConfig(bends=config.bends), reverse=config.reverse, mix=config.mix,
+        store=StoreConfig(bends=config.bends), reverse=config.reverse, mix=config.mix, restyle=config.restyle,
     )  # fmt: skip
 
 

@@ -5,14 +5,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenemi.data.augment import MIRROR_JOINT, WarpConfig, at_times, cropped, mirrored, random_times, resampled
+from scenemi.data.augment import (
+    MIRROR_JOINT,
+    STYLE_PARTS,
+    WarpConfig,
+    at_times,
+    cropped,
+    mirrored,
+    random_times,
+    resampled,
+    restyled,
+)
 from scenemi.data.balance import BalanceConfig, clip_probabilities
 from scenemi.data.interpolate import blended, cubic_taps
 from scenemi.data.retarget import RetargetedMotion, retarget
 from scenemi.data.source_clip import SourceClip
 from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.shaped_body import ShapedBody
-from video2anim.geometry.rotations import axis_angle_from_matrix
+from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from video2anim.types import BodyShape
 from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, forward_kinematics
 
@@ -123,3 +133,23 @@ def test_sources_get_their_share_and_weight() -> None:
     kinds, sources, seconds = ["walk"] * 4, ["a", "a", "b", "c"], np.ones(4)
     share = clip_probabilities(kinds, sources, seconds, BalanceConfig(source_share={"c": 0.1}))
     np.testing.assert_allclose(share[3], 0.1)
+
+
+def test_restyled_moves_arms_and_trunk_but_no_leg() -> None:
+    rng = np.random.default_rng(5)
+    time = np.linspace(0, 4, 121)[:, None, None]
+    swing = 0.4 * np.sin(2 * np.pi * time + rng.uniform(0, 6, (1, 22, 3)))
+    R = matrix_from_axis_angle(np.stack([swing, swing]))
+    moved = np.array([JOINT_INDEX[name] for part in STYLE_PARTS for name in part])
+    still = np.setdiff1d(np.arange(22), moved)
+    made = restyled(R, np.random.default_rng(6))
+    np.testing.assert_array_equal(made[:, :, still], R[:, :, still])
+    assert (np.abs(made[:, :, moved] - R[:, :, moved]).max((1, 3, 4)) > 0.02).all()
+    np.testing.assert_allclose(made @ np.swapaxes(made, -1, -2), np.broadcast_to(np.eye(3), made.shape), atol=1e-6)
+    ratio = spread(made)[:, moved] / spread(R)[:, moved]
+    assert (ratio < 1.7).all() and (ratio > 0.55).all()
+
+
+def spread(R: np.ndarray) -> np.ndarray:
+    """Mean distance of neighboring frames (batch, joints): as wide as a joint swings."""
+    return np.linalg.norm(np.diff(R, axis=1), axis=(-2, -1)).mean(1)
