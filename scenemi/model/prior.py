@@ -16,8 +16,10 @@ from scenemi.features import FEATURE_COUNT, JOINTS, canonical_frame, decode, enc
 from scenemi.model.base import join_keyframes
 from scenemi.model.conditions import Conditions, Descriptors
 from scenemi.model.config import PaperConfig
+from scenemi.model.denoiser import Denoiser
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.keyframe_fit import fit_keyframes
+from scenemi.model.mirror import EvenDenoiser
 from scenemi.model.sampling import SamplerConfig, sample
 from scenemi.model.scene_input import SceneReader, lengths_of
 from scenemi.model.weights import LoadedModel, load_weights
@@ -50,7 +52,8 @@ class DiffusionPrior:
         """`seed` is that of `fill`; `fill_many` takes one per window."""
         self.model, self.sampler, self.device, self.seed = model, sampler or SamplerConfig(), device, seed
         self.schedule = CosineSchedule()
-        self._denoiser = model.denoiser.to(device).eval()
+        denoiser = model.denoiser.to(device).eval()
+        self._denoiser = EvenDenoiser(denoiser) if isinstance(denoiser, Denoiser) else denoiser
         self._scenes = SceneReader()
 
     def fill(self, window: KeyframeWindow) -> WindowMotion:

@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float, Int, Int8
 from torch import Tensor
 
-from scenemi.data.augment import MIRROR_JOINT
-from scenemi.features import FEATURE_COUNT, JOINTS, ROTATIONS, Statistics, body_lengths
+from scenemi.features import FEATURE_COUNT, Statistics, body_lengths
 from scenemi.model.diffusion import STEPS
+from scenemi.model.mirror import mirrored
 from scenemi.scene.rows import BoxRows, SceneRows, VolumeRows
 from scenemi.training.config import TrainConfig
 from scenemi.training.keyframe_masks import draw_mask, draw_observed_mask
@@ -185,27 +185,6 @@ def _rows(
         np.array([one.valid_frames[r] for one, r in picked], np.int64),
         np.array([one.body[r] for one, r in picked], np.int64),
     )
-
-
-def _mirror_table() -> tuple[Int[Tensor, "201"], Float[Tensor, "201"]]:
-    """Where each feature comes from when a motion is reflected in the plane x = 0, and its sign."""
-    source, sign = np.arange(FEATURE_COUNT), np.ones(FEATURE_COUNT, np.float32)
-    sign[0] = -1
-    for joint, other in enumerate(MIRROR_JOINT):
-        rotation, position = ROTATIONS.start + 6 * joint, JOINTS.start + 3 * joint
-        source[rotation : rotation + 6] = ROTATIONS.start + 6 * other + np.arange(6)
-        sign[rotation : rotation + 6] = [1, -1, -1, -1, 1, 1]
-        source[position : position + 3] = JOINTS.start + 3 * other + np.arange(3)
-        sign[position] = -1
-    return torch.from_numpy(source), torch.from_numpy(sign)
-
-
-_SOURCE, _SIGN = _mirror_table()
-
-
-def mirrored(features: Float[Tensor, "... 201"]) -> Float[Tensor, "... 201"]:
-    """Features of the motion reflected in the plane x = 0, left and right exchanged."""
-    return features[..., _SOURCE] * _SIGN.to(features)
 
 
 def statistics_of(shards: Sequence[AnyShard], bodies: Sequence[ShapedBody]) -> Statistics:

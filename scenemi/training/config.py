@@ -56,7 +56,7 @@ class TrainConfig:
     motion is scarce, and what networks learn of it by heart does not hold for other clips."""
     mix: Share = 0.2
     restyle: Share = 0.0
-    """Share of windows whose trunk, arms and head swing more or less widely, about another mean (`scenemi.data.augment`)."""
+    """Share of windows whose trunk, arms and head swing more or less widely (`scenemi.data.augment.restyled`)."""
     dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Share of the channels left out in the blocks of the transformer. For runs that see each window many times."""
     keyframes: Literal["paper", "mixed"] = "mixed"

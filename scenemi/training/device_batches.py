@@ -17,10 +17,11 @@ from torch import Tensor
 
 from scenemi.features import FEATURE_COUNT
 from scenemi.model.diffusion import STEPS
+from scenemi.model.mirror import mirrored
 from scenemi.scene.field import BoxField, rooted_boxes, signed_distance, way_out
 from scenemi.scene.grid import REACH_M
 from scenemi.scene.rows import BoxRows
-from scenemi.training.batches import LOOKED_AT, TELLING_SHARE, Batch, mirrored
+from scenemi.training.batches import LOOKED_AT, TELLING_SHARE, Batch
 from scenemi.training.config import TrainConfig
 from scenemi.training.keyframe_masks import draw_mask, draw_observed_mask
 from scenemi.training.noise import DEGREE, ERROR_SIZES, REPORTED_SPREAD, PipelineErrors

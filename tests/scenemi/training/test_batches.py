@@ -15,8 +15,9 @@ from scenemi.data.augment import mirrored as mirrored_motion
 from scenemi.data.retarget import RetargetedMotion
 from scenemi.data.windows import MotionSet
 from scenemi.features import JOINTS, ROTATIONS, encode
+from scenemi.model.mirror import mirrored
 from scenemi.scene.field import BoxField
-from scenemi.training.batches import LOOKED_AT, Batch, PoolBatches, mirrored
+from scenemi.training.batches import LOOKED_AT, Batch, PoolBatches
 from scenemi.training.noise import PipelineErrors, gaussian, reported_level
 from scenemi.training.pool import Shard
 from video2anim.errors import InputError

@@ -13,9 +13,10 @@ from small_run import CONFIG, loss_of
 from scenemi.data.windows import MotionSet
 from scenemi.features import JOINTS, Statistics
 from scenemi.model.diffusion import STEPS
+from scenemi.model.mirror import mirrored
 from scenemi.scene.field import BoxField
 from scenemi.scene.rows import BoxRows
-from scenemi.training.batches import PoolBatches, mirrored
+from scenemi.training.batches import PoolBatches
 from scenemi.training.device_batches import AllBoxes, DeviceBatches, read_shard
 from scenemi.training.noise import PipelineErrors
 from scenemi.training.pool import Shard
