@@ -30,9 +30,9 @@ _PART = 0.5
 """Most of a mask, or of a border."""
 _FRINGE_PX = 5
 _AT_EDGE_PX = 3
-"""Two outlines of one object differ by less than the first; an outline that its box cuts is nearer to the box's edge than
-the second, in pixels of the depth map. The half sofa of `01_sit` (V2A-Bench) has 85 % of its border there, chairs before
-sofas and tables under 20 %."""
+"""Two outlines of one object differ by less than the first; an outline that its box cuts is nearer to the box's edge
+than the second, in pixels of the depth map. The half sofa of `01_sit` (V2A-Bench) has 85 % of its border there, chairs
+before sofas and tables under 20 %."""
 _FLOOR_TOLERANCE_M = 0.3
 """Pixels that the network calls floor may be this far from y = 0 by their depth, whose scale is rough here."""
 
@@ -94,7 +94,9 @@ def beyond_boxes(
     ]
 
 
-def _ends_at_box(mask: Bool[np.ndarray, "rows columns"], rest: Bool[np.ndarray, "rows columns"], box: np.ndarray) -> bool:
+def _ends_at_box(
+    mask: Bool[np.ndarray, "rows columns"], rest: Bool[np.ndarray, "rows columns"], box: np.ndarray
+) -> bool:
     """Whether most of the border between an outline and the rest of an instance is an edge of the box."""
     disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_FRINGE_PX, _FRINGE_PX))
     more = cv2.morphologyEx(rest.astype(np.uint8), cv2.MORPH_OPEN, disk)
