@@ -27,7 +27,6 @@ from video2anim.types import (
 )
 
 if TYPE_CHECKING:
-    from video2anim.networks.segmentation import Segmentation
     from video2anim.objects.merge import Detection
 
 
@@ -86,7 +85,7 @@ def segment_background(
     depth_m = np.where(np.isfinite(depth_m), depth_m, 1e3)
     limits = RegionLimits(config.min_ratio, config.min_m, config.max_m, 4 * config.max_objects)
     regions = find_regions(depth_m, valid, view, limits)
-    detected = _detected(image, depth_m, regions.floor, seen, config, ctx)
+    detected = _detected(image, depth_m, regions.floor, config, ctx)
     recognized = recognized_objects(detected, seen, shape)
     found, floor = merged_objects(recognized, seen, regions, depth_m, valid, view, limits)
     instances = instances_of(found, background, min_score=config.min_score, max_objects=config.max_objects)
@@ -106,7 +105,6 @@ def _detected(
     image: UInt8[np.ndarray, "height width 3"],
     depth_m: Float[np.ndarray, "rows columns"],
     floor: Bool[np.ndarray, "rows columns"],
-    seen: Segmentation | None,
     config: SegmentConfig,
     ctx: StageContext,
 ) -> list[Detection]:
@@ -116,11 +114,11 @@ def _detected(
     if config.finder == NO_MODEL:
         return []
     found = detected_furniture(
-        ctx.model(config.finder), image, depth_m, floor, seen,
+        ctx.model(config.finder), image, depth_m, floor,
         min_score=config.finder_score, min_chair_score=config.chair_score,
     )  # fmt: skip
     ctx.quality("named_by_detector", len(found), "count")
     return found
 
 
-STAGE = StageSpec("segment", segment_background, version=11, models=("segment", "finder"))
+STAGE = StageSpec("segment", segment_background, version=10, models=("segment", "finder"))

@@ -12,10 +12,10 @@ last ones, and a log with the loss on windows of the validation clips.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import multiprocessing
 import sys
 import time
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,25 +26,23 @@ from scenemi.data.container import MotionArchive
 from scenemi.data.motion_store import MotionStore, build_store, load_store, save_store
 from scenemi.data.split import Split
 from scenemi.data.windows import MotionSet, archives_of, chosen_clips
-from scenemi.model.baselines.build import build_any
-from scenemi.model.weights import load_weights
+from scenemi.model.weights import WEIGHTS_FOLDER
 from scenemi.scene.body_spheres import fit_spheres
 from scenemi.scene.pseudo import SyntheticScenes
 from scenemi.training import pool
-from scenemi.training.checkpoint import Checkpoint
-from scenemi.training.device_batches import DeviceBatches, read_shard
-from scenemi.training.loop_parts import set_rate, update_average, warmup
-from scenemi.training.losses import TrainingLoss
+from scenemi.training.checkpoint import CHECKPOINT, load_checkpoint, save_checkpoint
+from scenemi.training.device_batches import DeviceBatch, DeviceBatches, read_shard
+from scenemi.training.loop import from_weights
+from scenemi.training.loop_parts import Stopwatch
 from scenemi.training.noise import PipelineErrors
 from scenemi.training.packing import unpack_run
+from scenemi.training.run import Run
 from scenemi.training.runs import RunFiles, drawn_from, licenses_of, watched_for, write_run_weights
 from scenemi.training.validate import Validator
 from video2anim.body.anny_body import shaped_body
 
 STORES, POOL = "stores", "pool"
 """Folders in `--work`: retargeted motion, and windows."""
-EMA_POWER = 6.94
-"""Of the weights' average: its width is a tenth of the steps so far (`scenemi.training.run`)."""
 LOOK_EVERY_S = 30.0
 """Between lines of the log."""
 COMPARED_BATCHES = 4
@@ -115,7 +113,7 @@ def joined(stores: list[MotionStore]) -> MotionStore:
     clips = np.cumsum([0] + [len(store.clip_name) for store in stores])
     columns = {
         item.name: np.concatenate([np.asarray(getattr(store, item.name)) for store in stores])
-        for item in dataclasses.fields(MotionStore)
+        for item in fields(MotionStore)
     }
     pieces = [len(store.piece_clip) for store in stores]
     columns["piece_start"] = columns["piece_start"] + np.repeat(frames[:-1], pieces)
@@ -123,70 +121,38 @@ def joined(stores: list[MotionStore]) -> MotionStore:
     return MotionStore(**columns)
 
 
-class GpuRun:
-    """Model, average, optimizer."""
+def run_from(options: argparse.Namespace, files: RunFiles, device: torch.device) -> Run:
+    """The run of the last call, or one that begins with given weights."""
+    path, config = options.work / CHECKPOINT, files.config
+    held = load_checkpoint(path) if path.is_file() else from_weights(options.start, config)
+    if held is None:
+        raise SystemExit(f"{options.start}: want weights of the form that {options.config} trains")
+    if not path.is_file():
+        held = replace(held, step=0, seconds=0.0)
+    bodies = [shaped_body(shape) for shape in draw_adults(config.bodies)]
+    return Run(config, bodies, [], str(device), replace(held, config=config))
 
-    def __init__(self, options: argparse.Namespace, files: RunFiles, device: torch.device) -> None:
-        self.config = config = files.config
-        begun = load_weights(options.start, build=build_any)
-        assert begun.config == config.model
-        self.statistics = begun.statistics
-        self.model = begun.denoiser.to(device).train()
-        self.model.half_precision = device.type != "cpu"
-        self.model.set_dropout(config.dropout)
-        self.bodies = tuple(shaped_body(shape) for shape in draw_adults(config.bodies))
-        self.loss = TrainingLoss(self.model, self.statistics, self.bodies, config).to(device)
-        self.average = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
-        wide = [p for p in self.model.parameters() if p.ndim >= 2]
-        plain = [p for p in self.model.parameters() if p.ndim < 2]
-        groups = [{"params": wide, "weight_decay": config.weight_decay}, {"params": plain, "weight_decay": 0.0}]
-        self.optimizer = torch.optim.AdamW(groups, config.learning_rate, betas=(0.9, 0.98), fused=True)
-        self.motions = MotionSet(wait_for(options.work / STORES / "all"), draw_adults(config.bodies), drawn_from(files))
-        self.licenses = licenses_of(files, self.motions)
-        self.step, self.seconds = 0, 0.0
-        self.state = options.work / "state.pt"
-        if self.state.is_file():
-            held = torch.load(self.state, map_location=device, weights_only=True)
-            self.model.load_state_dict(held["model"])
-            self.average = held["average"]
-            self.optimizer.load_state_dict(held["optimizer"])
-            self.step, self.seconds = held["step"], held["seconds"]
 
-    def advance(self, data: DeviceBatches, share: float) -> torch.Tensor:
-        """One step at a share of the learning rate; the losses, on the device. A gradient that is not finite counts as
-        none."""
-        set_rate(self.optimizer, self.config.learning_rate * share * warmup(self.step, self.config.warmup))
-        losses = self.loss(data.draw())
-        self.optimizer.zero_grad()
-        losses.total.backward()
-        torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config.clip_norm)
-        for parameter in self.model.parameters():
-            if parameter.grad is not None:
-                torch.nan_to_num_(parameter.grad, 0.0, 0.0, 0.0)
-        self.optimizer.step()
-        self.step += 1
-        update_average(self.average, self.model.state_dict(), (1 - 1 / self.step) ** (EMA_POWER + 1))
-        return torch.stack([losses.total, losses.simple, losses.joints, losses.inside]).detach()
+@torch.no_grad()
+def compared(run: Run, batches: list[DeviceBatch]) -> list[float]:
+    """Loss of the averaged weights on given batches, then of the last ones."""
+    now = {name: value.detach().clone() for name, value in run.model.state_dict().items()}
+    found = []
+    run.model.eval()
+    for weights in (run.average, now):
+        run.model.load_state_dict(weights)
+        found.append(float(torch.stack([run.loss(batch).total for batch in batches]).mean()))
+    run.model.train()
+    return found
 
-    @torch.no_grad()
-    def compared(self, batches: list) -> list[float]:
-        """Loss of the averaged weights on given batches, then of the last ones."""
-        now = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
-        found = []
-        self.model.eval()
-        for weights in (self.average, now):
-            self.model.load_state_dict(weights)
-            found.append(float(torch.stack([self.loss(batch).total for batch in batches]).mean()))
-        self.model.train()
-        return found
 
-    def save(self, options: argparse.Namespace) -> None:
-        """State to go on from, and both weights."""
-        held = {"model": self.model.state_dict(), "average": self.average, "optimizer": self.optimizer.state_dict()}
-        torch.save(held | {"step": self.step, "seconds": self.seconds}, self.state)
-        for name, weights in (("average", self.average), ("last", self.model.state_dict())):
-            state = Checkpoint(self.step, self.config, self.statistics, weights, weights, {}, self.seconds)
-            write_run_weights(options.out / f"{name}.safetensors", state, self.motions, licenses=self.licenses)
+def save(options: argparse.Namespace, files: RunFiles, run: Run, motions: MotionSet) -> None:
+    """State to go on from, and both weights."""
+    state = run.state()
+    save_checkpoint(options.work / CHECKPOINT, state)
+    for name, weights in (("average", state.ema), ("last", state.model)):
+        out = options.out / f"{name}.safetensors"
+        write_run_weights(out, replace(state, ema=weights), motions, licenses=licenses_of(files, motions))
 
 
 def train(options: argparse.Namespace, files: RunFiles, begun: float) -> None:
@@ -194,7 +160,8 @@ def train(options: argparse.Namespace, files: RunFiles, begun: float) -> None:
     config, device = files.config, torch.device(options.device)
     errors = None if options.errors is None else PipelineErrors.read(options.errors)
     watched = watched_for(files)
-    run = GpuRun(options, files, device)
+    motions = MotionSet(wait_for(options.work / STORES / "all"), draw_adults(config.bodies), drawn_from(files))
+    run = run_from(options, files, device)
     data = DeviceBatches(config, options.shards * pool.SHARD_WINDOWS, device, errors, options.seed + run.step)
     held_out = DeviceBatches(config, pool.SHARD_WINDOWS, device, errors, 1)
     spheres = [fit_spheres(watched.body(0))]
@@ -206,36 +173,31 @@ def train(options: argparse.Namespace, files: RunFiles, begun: float) -> None:
     while take(options, data, taken) or len(taken) < min(FIRST_SHARDS, options.shards):
         time.sleep(0.01)
     say(options, begun, f"{len(taken)} shards")
-    last, looked, losses = time.monotonic(), time.monotonic(), []
+    run.stopwatch = Stopwatch()
+    looked, losses = run.seconds, []
     while run.seconds < options.train_s:
-        left = options.train_s - run.seconds
         cooling = options.cool_from_s is not None and run.seconds > options.cool_from_s
-        share = left / (options.train_s - options.cool_from_s) if cooling else 1.0
-        losses.append(run.advance(data, share))
+        share = (options.train_s - run.seconds) / (options.train_s - options.cool_from_s) if cooling else 1.0
+        found, _ = run.advance([data.draw()], share)
+        losses.append(torch.stack([found.total, found.simple, found.joints, found.inside]))
         if run.step % 10 == 0:
             take(options, data, taken)
-            losses[-1].tolist()  # waits for the device, so that time is that of finished steps
-            now = time.monotonic()
-            run.seconds += now - last
-            last = now
-        if last - looked > LOOK_EVERY_S:
+        if run.seconds - looked > LOOK_EVERY_S:
             mean = torch.stack(losses).mean(0).tolist()
-            of_average, of_last = run.compared(same)
-            speed = len(losses) * config.batch / (last - looked)
+            speed = len(losses) * config.batch / (run.seconds - looked)
+            of_average, of_last = compared(run, same)
             say(
                 options, begun, f"step {run.step}, {run.seconds:.0f} s, rate {share:.2f}, {speed:.0f} windows/s, "
                 f"{data.windows} in pool; loss {mean[0]:.4f} (simple {mean[1]:.4f}, joints {mean[2]:.4f}, inside "
                 f"{mean[3]:.4f}); validation {of_average:.4f} average, {of_last:.4f} last",
             )  # fmt: skip
-            run.save(options)
-            looked, losses = last, []
-    run.save(options)
+            save(options, files, run, motions)
+            looked, losses = run.seconds, []
+    save(options, files, run, motions)
     say(options, begun, f"trained to step {run.step}")
-    for name, weights in (("last", run.model.state_dict()), ("average", run.average)):
-        run.model.load_state_dict(weights)
-        rows = check(run.model)
+    for name, model in (("last", run.model), ("average", run.averaged())):
         told = ", ".join(
-            f"{row.interval}{'s' if row.scene else ''} {row.mjpe_ratio:.4f}/{row.inside:.4f}" for row in rows
+            f"{row.interval}{'s' if row.scene else ''} {row.mjpe_ratio:.4f}/{row.inside:.4f}" for row in check(model)
         )
         say(options, begun, f"{name}: {told}")
 
@@ -266,7 +228,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--work", type=Path, required=True, help="state and windows; kept between two calls")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--errors", type=Path, help="of training/pipeline_errors.py")
-    parser.add_argument("--start", default="small", help="weights to start from")
+    parser.add_argument(
+        "--start", type=Path, default=WEIGHTS_FOLDER / "small.safetensors", help="weights to start from"
+    )
     parser.add_argument("--config", default="gpu")
     parser.add_argument("--train-s", type=float, required=True)
     parser.add_argument("--cool-from-s", type=float)

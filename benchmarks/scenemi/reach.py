@@ -14,7 +14,8 @@
 Intervals are 95 % over clips.
 
 `--choose-solve` instead compares settings of the solve without an image (`WITHOUT_PICTURE`), changing one at a time,
-and prints error and skating; choose on `--part val`. `--choose-cutoff` does so with the cutoff of the low-pass.
+and prints error and skating; choose on `--part val`. `--choose-sampler` does so with the cutoff of the low-pass, with
+answers to the window alone (not to its reflection too), and with the temperature of samples.
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ SAMPLES = 8
 """Samples per window, each with `SAMPLE_STEPS` steps; all other rows are the expected motion (one step)."""
 MISSING_FRAMES = 30
 CUTOFFS_HZ = (4.0, 5.0, 6.0, 8.0, 10.0, 14.9)
+TEMPERATURES = (0.3, 0.5, 0.7, 1.0)
 SOLVES: dict[str, tuple[float, ...]] = {
     "root_m": (0.002, 0.02), "trunk_rad": (0.005, 0.03), "limb_rad": (0.3, 0.8), "acceleration_ratio": (2.0, 10.0),
     "stance_m_s": (0.02, 0.1), "odd_speed_m_s": (1.0, 4.0), "contact_threshold": (0.01, 0.1, 0.3),
@@ -68,9 +70,9 @@ def main() -> None:
     if options.choose_solve:
         sys.stdout.write(choice_of_solve(prior, windows))
         return
-    if options.choose_cutoff:
+    if options.choose_sampler:
         assert isinstance(prior, DiffusionPrior)
-        sys.stdout.write(choice_of_cutoff(prior, windows))
+        sys.stdout.write(choice_of_sampler(prior, windows))
         return
     report: dict[str, Any] = {
         "machine": f"{platform.machine()}, {torch.get_num_threads()} threads, Python {platform.python_version()}",
@@ -96,7 +98,6 @@ def inbetweening(
     found = evaluate(windows, prior, KeyframeProtocol(interval))
     several = load_prior_by_name(str(prior.model.path), device="cpu", steps=SAMPLE_STEPS)  # type: ignore[attr-defined]
     joints = [_samples(several, window, interval) for window in windows] if samples and interval >= 60 else []
-    errors = [np.linalg.norm(made - w.joints_m, axis=-1).mean((1, 2)) for made, w in zip(joints, windows, strict=False)]
     base = mean_of(found.baseline, "mjpe_all_m")
     row: dict[str, Any] = {
         "interval": interval,
@@ -112,25 +113,31 @@ def inbetweening(
         "seconds_per_window": found.seconds_per_window,
     }
     if joints:
-        mean = [
-            np.linalg.norm(made.mean(0) - w.joints_m, axis=-1).mean() for made, w in zip(joints, windows, strict=True)
-        ]
-        row["ratio_mean_of_8"] = float(np.mean(mean)) / base
-        row["ratio_best_of_8"] = float(np.mean([error.min() for error in errors])) / base
+        _, mean, best = _of_eight(joints, windows)
+        row["ratio_mean_of_8"], row["ratio_best_of_8"] = mean / base, best / base
     return row
 
 
-def choice_of_cutoff(prior: DiffusionPrior, windows: Sequence[EvaluationWindow]) -> str:
-    """Error over that of interpolation, jerk over that of the truth low-passed at 8 Hz, and skating, for cutoffs."""
-    lines = ["| cutoff, Hz | r | ratio | jerk / truth 8 Hz | skating |", "|---|---|---|---|---|"]
-    for cutoff_hz in CUTOFFS_HZ:
-        prior.sampler = replace(prior.sampler, cutoff_hz=cutoff_hz)
+def choice_of_sampler(prior: DiffusionPrior, windows: Sequence[EvaluationWindow]) -> str:
+    """Error over that of interpolation, jerk over that of the truth low-passed at 8 Hz, and skating, for cutoffs and
+    for answers to the window alone; error of one sample, of the mean and of the best of eight for temperatures."""
+    chosen = prior.sampler
+    alone = DiffusionPrior(prior.model, chosen)
+    alone._denoiser = prior.model.denoiser
+    settings = {f"{hz:g} Hz": DiffusionPrior(prior.model, replace(chosen, cutoff_hz=hz)) for hz in CUTOFFS_HZ}
+    lines = ["| | r | ratio | jerk / truth 8 Hz | skating |", "|---|---|---|---|---|"]
+    for name, one in (settings | {"window alone": alone}).items():
         for interval in (15, 30, 60):
-            found = evaluate(windows, prior, KeyframeProtocol(interval))
+            found = evaluate(windows, one, KeyframeProtocol(interval))
             ratio = found.mean("mjpe_all_m") / mean_of(found.baseline, "mjpe_all_m")
             jerk = found.mean("jerk_m_s3") / mean_of(found.truth, "jerk_8hz_m_s3")
-            skating = found.mean("skating_gmd")
-            lines.append(f"| {cutoff_hz:g} | {interval} | {ratio:.3f} | {jerk:.2f} | {skating:.3f} |")
+            lines.append(f"| {name} | {interval} | {ratio:.3f} | {jerk:.2f} | {found.mean('skating_gmd'):.3f} |")
+    base = mean_of(evaluate(windows, prior, KeyframeProtocol(60)).baseline, "mjpe_all_m")
+    lines += ["", "| temperature | one sample | mean of 8 | best of 8 |", "|---|---|---|---|"]
+    for temperature in TEMPERATURES:
+        one = DiffusionPrior(prior.model, replace(chosen, steps=SAMPLE_STEPS, temperature=temperature))
+        single, mean, best = _of_eight([_samples(one, window, 60) for window in windows], windows)
+        lines.append(f"| {temperature} | {single / base:.3f} | {mean / base:.3f} | {best / base:.3f} |")
     return "\n".join(lines) + "\n"
 
 
@@ -160,6 +167,14 @@ def choice_of_solve(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow
     ]
     lines += [f"| {name} | {a:.2f} | {b:.3f} | {c:.2f} | {d:.3f} |" for name, (a, b, c, d) in rows.items()]
     return "\n".join(lines) + "\n"
+
+
+def _of_eight(joints: Sequence[np.ndarray], windows: Sequence[EvaluationWindow]) -> tuple[float, float, float]:
+    """Mean error of samples, of their means, and of the best of each window, m."""
+    pairs = list(zip(joints, windows, strict=True))
+    errors = [np.linalg.norm(made - w.joints_m, axis=-1).mean((1, 2)) for made, w in pairs]
+    mean = [np.linalg.norm(made.mean(0) - w.joints_m, axis=-1).mean() for made, w in pairs]
+    return float(np.mean(errors)), float(np.mean(mean)), float(np.mean([error.min() for error in errors]))
 
 
 def _samples(prior: InbetweeningPrior, window: EvaluationWindow, interval: int) -> np.ndarray:
@@ -319,7 +334,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=1)
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--choose-solve", action="store_true")
-    parser.add_argument("--choose-cutoff", action="store_true")
+    parser.add_argument("--choose-sampler", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/scenemi/results/reach.json"))
     return parser.parse_args()
 

@@ -74,8 +74,8 @@ class SamplerConfig:
 
     cutoff_hz: float = 6.0
     """The motion is low-passed here before keyframes are met exactly: the network answers up to 6.6 Hz, above are the
-    joins of curves and tokens. Of 5 to 10 Hz that which leaves most jerk of the truth at 8 Hz without more
-    (`benchmarks/scenemi/reach.py --part val --every 2 --choose-cutoff`)."""
+    joins of curves and tokens. Lower cutoffs have no smaller error, higher ones no less skating
+    (`benchmarks/scenemi/reach.py --part val --every 2 --choose-sampler`)."""
 
     def __post_init__(self) -> None:
         if self.method not in ("ddpm", "ddim", "dpm-solver++"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, fields
+from typing import Self
 
 import numpy as np
 import torch
@@ -67,9 +68,9 @@ class Batch:
         """The scenes, whichever they are."""
         return VolumeRows(self.values, self.place) if len(self.values) else BoxRows(self.boxes)
 
-    def to(self, device: torch.device) -> Batch:
+    def to(self, device: torch.device) -> Self:
         """On a device."""
-        return Batch(*(getattr(self, item.name).to(device, non_blocking=True) for item in fields(self)))
+        return type(self)(*(getattr(self, item.name).to(device, non_blocking=True) for item in fields(self)))
 
 
 class PoolBatches:

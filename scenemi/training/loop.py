@@ -86,7 +86,7 @@ def train(
 def _begun(out: Path, config: TrainConfig, start: Path | None) -> Checkpoint | None:
     """The state to go on from, of the folder or of given weights, whichever has more steps."""
     held = load_checkpoint(out / CHECKPOINT) if (out / CHECKPOINT).is_file() else None
-    begun = _from_weights(start, config)
+    begun = from_weights(start, config)
     if begun is not None and (held is None or begun.step > held.step):
         held = begun
     if held is not None and (differing := _differing(held.config, config)):
@@ -125,7 +125,7 @@ def cool(
     return run.state()
 
 
-def _from_weights(path: Path | None, config: TrainConfig) -> Checkpoint | None:
+def from_weights(path: Path | None, config: TrainConfig) -> Checkpoint | None:
     """Shipped weights as the state of a run whose checkpoint is gone: the optimizer begins anew."""
     if path is None or not path.is_file():
         return None

@@ -127,6 +127,11 @@ class Run:
         self._helpers = self._helpers or Helpers(self.loss, len(batches) - 1)
         return self._helpers.of_batches(batches)
 
+    @property
+    def seconds(self) -> float:
+        """Time trained, with that before the run was resumed."""
+        return self._seconds + self.stopwatch.seconds
+
     def averaged(self) -> AnyDenoiser:
         """The model with averaged weights."""
         model = build_any(self.config.model).to(self.device)
@@ -137,12 +142,12 @@ class Run:
         """For a checkpoint."""
         return Checkpoint(
             self.step, self.config, self.statistics, self.model.state_dict(), self.average,
-            self.optimizer.state_dict(), self._seconds + self.stopwatch.seconds,
+            self.optimizer.state_dict(), self.seconds,
         )  # fmt: skip
 
     def progress(self, total: float, speed: float = 0.0, rows: tuple[Validation, ...] = ()) -> Progress:
         """Where the run is."""
-        hours = (self._seconds + self.stopwatch.seconds) / 3600
+        hours = self.seconds / 3600
         return Progress(self.step, self.step * self.config.step_windows, hours, total, speed, rows, self.skipped)
 
 

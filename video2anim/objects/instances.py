@@ -6,7 +6,6 @@ Masks are at the size of the depth map until `instances_of`, which brings them t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -26,13 +25,6 @@ if TYPE_CHECKING:
 
 _FURNITURE = ("chair", "table", "desk", "box")
 """Classes of the detector that a body uses."""
-_PART = 0.5
-"""Most of a mask, or of a border."""
-_FRINGE_PX = 5
-_AT_EDGE_PX = 3
-"""Two outlines of one object differ by less than the first; an outline that its box cuts is nearer to the box's edge
-than the second, in pixels of the depth map. The half sofa of `01_sit` (V2A-Bench) has 85 % of its border there, chairs
-before sofas and tables under 20 %."""
 _FLOOR_TOLERANCE_M = 0.3
 """Pixels that the network calls floor may be this far from y = 0 by their depth, whose scale is rough here."""
 
@@ -42,7 +34,6 @@ def detected_furniture(
     image_rgb: UInt8[np.ndarray, "height width 3"],
     depth_m: Float[np.ndarray, "rows columns"],
     floor: Bool[np.ndarray, "rows columns"],
-    seen: Segmentation | None,
     *,
     min_score: float,
     min_chair_score: float,
@@ -54,56 +45,18 @@ def detected_furniture(
         image_rgb: the background image.
         depth_m: its depth; masks have this size.
         floor: pixels of the floor.
-        seen: the segmentation network's view; its instances complete objects of which the box shows a part.
         min_score: of any class.
         min_chair_score: of chairs whose 3D box the second network confirms.
     """
-    found: list[tuple[Detection, np.ndarray]] = []
-    to_depth = np.tile(np.divide(depth_m.shape[::-1], image_rgb.shape[1::-1]), 2)
+    found: list[Detection] = []
     for box in finder.find(image_rgb, min_score=min(min_score, min_chair_score)):
         sure = box.score >= min_score
         if box.label == "chair" and box.score >= min_chair_score:
             sure |= finder.chair_box(image_rgb, box.box_px) is not None
         if sure and box.label in _FURNITURE:
             mask = shrunk(outlined(image_rgb, depth_m, floor, box.box_px), depth_m.shape)
-            found.append((Detection(box.label, box.score, mask), box.box_px * to_depth))
-    whole = () if seen is None else [shrunk(i.mask, depth_m.shape) for i in seen.instances if i.kind == "furniture"]
-    return beyond_boxes(found, whole)
-
-
-def beyond_boxes(
-    detected: Sequence[tuple[Detection, Float[np.ndarray, "4"]]], instances: Sequence[Bool[np.ndarray, "rows columns"]]
-) -> list[Detection]:
-    """Detections, of which those that go on beyond their boxes have the masks of whole instances.
-
-    A detector that knows chairs finds half a sofa. Where a detection borders on the rest of the instance in which it
-    lies, it ends at an edge in the image if it is an object of its own, and at the edge of its box if it is a part.
-
-    Args:
-        detected: each with its box, x0, y0, x1, y1 in pixels of the mask.
-        instances: masks of a segmentation network.
-    """
-    parts: list[np.ndarray | None] = []
-    for item, box in detected:
-        inside = [instance for instance in instances if (item.mask & instance).sum() > _PART * item.mask.sum()]
-        parts.append(next((one for one in inside if _ends_at_box(item.mask, one & ~item.mask, box)), None))
-    own = np.any([item.mask for (item, _), whole in zip(detected, parts, strict=True) if whole is None], axis=0)
-    return [
-        item if whole is None else replace(item, mask=item.mask | (whole & ~own))
-        for (item, _), whole in zip(detected, parts, strict=True)
-    ]
-
-
-def _ends_at_box(
-    mask: Bool[np.ndarray, "rows columns"], rest: Bool[np.ndarray, "rows columns"], box: np.ndarray
-) -> bool:
-    """Whether most of the border between an outline and the rest of an instance is an edge of the box."""
-    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_FRINGE_PX, _FRINGE_PX))
-    more = cv2.morphologyEx(rest.astype(np.uint8), cv2.MORPH_OPEN, disk)
-    rows, columns = np.nonzero(mask & (cv2.dilate(more, disk) > 0))
-    x0, y0, x1, y1 = box
-    to_edge = np.min(np.abs([columns + 0.5 - x0, columns + 0.5 - x1, rows + 0.5 - y0, rows + 0.5 - y1]), axis=0)
-    return bool(len(rows) and (to_edge < _AT_EDGE_PX).mean() > _PART)
+            found.append(Detection(box.label, box.score, mask))
+    return found
 
 
 def recognized_objects(
