@@ -41,7 +41,6 @@ WITHOUT: dict[str, Callable[[Evidence], Evidence]] = {
     "floor pixels": lambda e: replace(e, floor=NONE),
     "skin to its depth": lambda e: replace(e, skin=()),
     "objects' feet": lambda e: replace(e, objects=tuple(replace(o, foot=None) for o in e.objects)),
-    "order of objects and person": lambda e: replace(e, objects=tuple(replace(o, behind=None) for o in e.objects)),
     "the usual offset": lambda e: replace(e, usual_offset_sigma=100.0),
 }
 
@@ -78,7 +77,7 @@ def compared(scene: Path, truth: Path, sigmas: Sigmas) -> list[dict[str, float |
     assert masks is not None
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
     whole = picture_evidence(depth, background, bodies, camera, floor, result.clip.fps, np.random.default_rng(0))
-    whole = with_objects(whole, depth, background, bodies.main, masks)
+    whole = with_objects(whole, depth, bodies.main, masks)
     meta, arrays = json.loads((truth / "meta.json").read_text()), np.load(truth / "truth.npz")
     rows = []
     for name, changed in WITHOUT.items():

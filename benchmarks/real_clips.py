@@ -48,11 +48,11 @@ from video2anim.artifacts.images import write_png
 from video2anim.artifacts.motion_io import write_motion
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import LIKELY, NEAR_M, believed, posed_vertices, skin_of
-from video2anim.calibration.person_coverage import person_coverage
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import project
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
+from video2anim.lab.eval.person_coverage import person_coverage
 from video2anim.lab.eval.results import SceneResult
 from video2anim.motion.observation import image_distance_ratio
 from video2anim.scene.supports import SUPPORT
@@ -194,12 +194,12 @@ def depth_order(metric: MetricDepth, masks: InstanceMasks, background: Backgroun
     person's."""
     shape = metric.background_depth_m.shape
     body = metric.bodies.main
-    passed = person_coverage(
+    passed_m = person_coverage(
         body, background.frame_index, background.selected_mask, body.intrinsics.resized(*shape[::-1])
     )
     objects = np.any([shrunk(one.mask, shape) for one in masks.instances] or [np.zeros(shape, bool)], axis=0)
-    asked = objects & (passed.depth_m > 0) & metric.background_valid
-    return float((metric.background_depth_m >= passed.depth_m)[asked].mean()) if asked.any() else float("nan")
+    asked = objects & (passed_m > 0) & metric.background_valid
+    return float((metric.background_depth_m >= passed_m)[asked].mean()) if asked.any() else float("nan")
 
 
 def camera_off(clip: str, body: BodyMotion, media: Path) -> dict[str, float]:

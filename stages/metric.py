@@ -64,7 +64,7 @@ def fit_metric(
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
     evidence = with_objects(
         picture_evidence(depth, background, bodies, camera, floor, clip.fps, ctx.rng("metric/points")),
-        depth, background, bodies.main, masks,
+        depth, bodies.main, masks,
     )  # fmt: skip
     found = calibrate(evidence)
     problem = _problem(evidence, found, config)
@@ -114,4 +114,4 @@ def _record(found: Calibration, ctx: StageContext) -> None:
         ctx.quality("residual_" + kind.replace("'", "").replace(" ", "_"), off, "ratio", "lower")
 
 
-STAGE = StageSpec("metric", fit_metric, version=18)
+STAGE = StageSpec("metric", fit_metric, version=19)

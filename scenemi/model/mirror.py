@@ -64,8 +64,8 @@ class BothSides:
 
 class EvenDenoiser:
     """Mean of a denoiser's answers to a window and to its reflection. Nobody's motion knows left from right, but a
-    trained network does: on 90 windows of validation clips the mean has 2 to 3 % less error and 3 to 8 % less skating
-    than one answer, for twice the time."""
+    trained network does: the mean has 2 to 3 % less error than one answer, for twice the time
+    (`benchmarks/scenemi/reach.py --part val --every 2 --choose-sampler`)."""
 
     def __init__(self, denoiser: Denoiser) -> None:
         self.denoiser = denoiser

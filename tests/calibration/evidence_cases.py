@@ -170,7 +170,7 @@ class World:
         foot, top = (
             PixelEvidence(self.pixel(at_m)[None], self.coded(at_m[2:], obj.nearer_log)) for at_m in (foot_m, top_m)
         )
-        return ObjectEvidence(number, obj.label, foot, obj.is_cut, top, None, 0.0)
+        return ObjectEvidence(number, obj.label, foot, obj.is_cut, top)
 
     def evidence(self, frames: int = 8) -> Evidence:
         """All of it."""
@@ -201,6 +201,6 @@ def times(evidence: Evidence, factor: float) -> Evidence:
         evidence,
         floor=of(evidence.floor),
         skin=tuple(replace(one, value=factor * one.value) for one in evidence.skin),
-        objects=tuple(replace(o, foot=of(o.foot), top=of(o.top), behind=of(o.behind)) for o in evidence.objects),
+        objects=tuple(replace(o, foot=of(o.foot), top=of(o.top)) for o in evidence.objects),
         median_value=factor * evidence.median_value,
     )

@@ -111,22 +111,6 @@ def test_furniture_of_unknown_kinds_has_no_usual_height() -> None:
     assert found.body_height_ratio[0] == pytest.approx(1.0, abs=0.01)
 
 
-def behind(world: World, object_m: float, person_m: float) -> float:
-    """Factor on the depth of an object that the network sees at one depth, before which a person was seen at
-    another."""
-    evidence = replace(world, objects=(Thing("object", (0.0, 4.0), 0.7),)).evidence()
-    seen = PixelEvidence(np.zeros((1, 2)), world.coded(np.array([object_m])))
-    obj = replace(evidence.objects[0], foot=None, top=None, behind=seen, behind_person_m=person_m)
-    return float(np.exp(calibrate(replace(evidence, objects=(obj,))).object_depth_log[0]))
-
-
-def test_things_go_behind_who_is_seen_before_them() -> None:
-    """By the share that the order of the two is believed; never nearer."""
-    assert 1.08 < behind(World(), 3.0, 3.4) < 3.4 / 3.0 + 0.01
-    assert behind(World(), 3.0, 2.5) == pytest.approx(1.0, abs=0.01)
-    assert behind(World(), 3.0, 6.0) < 1.15, "so far off that one of the two is wrong"
-
-
 # People.
 
 

@@ -63,7 +63,7 @@ def evidence_of(
     found = picture_evidence(depth, background, BodyTracks((walk,), (SURE,)), camera, floor, 30.0, rng)
     shown = floor if floor_seen else np.zeros_like(floor)
     masks = InstanceMasks("truth", (ObjectInstance(1, label, 1.0, np.zeros(4), mask),), shown)
-    return with_objects(found, depth, background, walk, masks)
+    return with_objects(found, depth, walk, masks)
 
 
 def factor(evidence: Evidence) -> float:

@@ -60,10 +60,6 @@ class ObjectEvidence:
     """Whether the image border cuts the object: it may be nearer than its lowest pixel on the floor."""
     top: PixelEvidence | None
     """Its highest pixel, if its foot is visible and its class has a usual height."""
-    behind: PixelEvidence | None
-    """A pixel in front of which the main person was seen."""
-    behind_person_m: float
-    """Depth of the person there, in meters: the object is not nearer."""
     under_feet: SkinEvidence | None = None
     """Soles of the main person that stood on it, each with its root, and the object's depth there. Its foot is no
     evidence then: what people stand on is the floor."""

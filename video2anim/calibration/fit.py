@@ -42,7 +42,7 @@ class Sigmas:
     floor_log: float = 0.08
     """Depth of a floor pixel, logarithm."""
     skin_log: float = 0.05
-    """Depth of skin against that of the nearest depth pixel, logarithm; also the order of object and person. Distances
+    """Depth of skin against that of the nearest depth pixel, logarithm. Distances
     only: the shape of a body in a network's depth is no evidence of the focal length. With 0.08, as of the floor, scale
     and chamfer distance of `ocv_sts` grow by 4 and 2 %."""
     distance_log: float = DEPTH_LOG_SIGMA
@@ -252,10 +252,6 @@ class _Problem:
                 z_m = np.exp(log + self.inverse_log(one.top.value, state))
                 top_m = z_m * (state.rays(one.top.pixel) @ state.up) + state.height_m
                 rows.append(("sizes of furniture", (top_m - usual_m) / sigma_m, 1.0, 1.0))
-            if one.behind is not None:
-                person_log = np.log(one.behind_person_m * state.lens * state.size[0])
-                nearer = person_log - log - self.inverse_log(one.behind.value, state)
-                rows.append(("objects behind the person", np.maximum(nearer, 0) / s.skin_log, 1.0, 1.0))
         return rows
 
 

@@ -20,7 +20,6 @@ from video2anim.calibration.evidence import (
 )
 from video2anim.calibration.fit import MIN_CAMERA_M, USUAL_HEIGHT_M
 from video2anim.calibration.line import first_line, metric_depth
-from video2anim.calibration.person_coverage import PersonCoverage, person_coverage
 from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, project, transform_points
@@ -50,8 +49,6 @@ _MIN_COLUMNS, _MIN_SHARE = 6, 0.15
 """Least number of an object's columns that end on the floor, and their least share."""
 _MIN_STOOD = 2
 """Least number of soles that stood on an object: a single one may be an error of the mask."""
-_MAX_HIDDEN = 0.2
-"""Largest share of the body that an object hides: where more is hidden, the person is behind the object."""
 
 
 def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) -> PersonEvidence:
@@ -141,20 +138,15 @@ def _up_evidence(camera: CameraEstimate) -> tuple[UpEvidence, ...]:
     return tuple(replace(one, sigma_rad=max(one.sigma_rad, 1 / camera.intrinsics.fx_px)) for one in sources)
 
 
-def with_objects(
-    evidence: Evidence, depth: DepthClip, background: BackgroundImage, main: BodyMotion, masks: InstanceMasks
-) -> Evidence:
+def with_objects(evidence: Evidence, depth: DepthClip, main: BodyMotion, masks: InstanceMasks) -> Evidence:
     """The evidence with that of the objects."""
     depth_m = first_depth_m(evidence, depth, main)
     floor = shrunk(masks.floor_mask, depth_m.shape)
-    coverage = person_coverage(
-        main, background.frame_index, background.selected_mask, main.intrinsics.resized(*depth_m.shape[::-1])
-    )
     measurer = _ObjectMeasurer(
         depth.background_value, depth_m, depth.background_valid & np.isfinite(depth_m), floor, main
     )
     own = [(one, shrunk(one.mask, depth_m.shape)) for one in masks.instances]
-    seen = (measurer.object(one.object_id, one.label, mask, coverage, evidence.people[0]) for one, mask in own)
+    seen = (measurer.object(one.object_id, one.label, mask, evidence.people[0]) for one, mask in own)
     return replace(evidence, objects=tuple(seen))
 
 
@@ -247,7 +239,6 @@ class _ObjectMeasurer:
         object_id: int,
         label: str,
         own: Bool[np.ndarray, "height width"],
-        coverage: PersonCoverage,
         main: PersonEvidence,
     ) -> ObjectEvidence:
         """Evidence of one object."""
@@ -255,8 +246,7 @@ class _ObjectMeasurer:
         soles = self._under_feet(own, main)
         foot = foot if soles is None else None
         top = self._top(own) if foot is not None and label in USUAL_HEIGHT_M and not own[0].any() else None
-        behind, person_m = self._behind(own & self.known, coverage)
-        return ObjectEvidence(object_id, label, foot, cut, top, behind, person_m, soles)
+        return ObjectEvidence(object_id, label, foot, cut, top, soles)
 
     def _under_feet(self, own: np.ndarray, main: PersonEvidence) -> SkinEvidence | None:
         """Soles that stood inside the object's mask, where the background image shows the object."""
@@ -301,12 +291,3 @@ class _ObjectMeasurer:
         height_m = self.height_m + self.depth_m[rows, columns] * self.rise[rows, columns]
         chosen = np.argsort(height_m)[int((1 - _OUTLIER_RATIO) * len(rows))]
         return self._at(int(rows[chosen]), int(columns[chosen]))
-
-    def _behind(self, own: np.ndarray, coverage: PersonCoverage) -> tuple[PixelEvidence | None, float]:
-        inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & (coverage.depth_m > 0)
-        rows, columns = np.nonzero(inner)
-        if len(rows) < _MIN_PIXELS or coverage.hidden[own].sum() > _MAX_HIDDEN * coverage.seen[own].sum():
-            return None, 0.0
-        nearer = np.log(coverage.depth_m[rows, columns] / self.depth_m[rows, columns])
-        chosen = np.argsort(nearer)[int((1 - _OUTLIER_RATIO) * (len(rows) - 1))]
-        return self._at(int(rows[chosen]), int(columns[chosen])), float(coverage.depth_m[rows[chosen], columns[chosen]])

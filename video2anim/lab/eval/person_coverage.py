@@ -1,17 +1,10 @@
-"""Occlusion order of a person and objects: what the person is seen in front of is farther away than the person.
-
-The depth of an object comes from a network, that of a person from body size and feet; where they contradict the
-occlusion, the image decides. The opposite evidence (an object that occludes a person is nearer) is not used, because
-person masks often lack limbs.
-"""
+"""How far away a person was at each pixel where they were seen: objects there are farther away."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import posed_vertices
@@ -26,27 +19,15 @@ _VOTES = 3
 """Frames that must agree on the depth at a pixel: one or two may have a wrong mask or pose."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PersonCoverage:
-    """Pixels that a person covered during the clip."""
-
-    depth_m: Float[np.ndarray, "height width"]
-    """Largest depth of the person where they were seen; 0 elsewhere."""
-    seen: Int[np.ndarray, "height width"]
-    """Frames in which the body covers the pixel and the mask has it."""
-    hidden: Int[np.ndarray, "height width"]
-    """Frames in which the body covers the pixel and the mask does not have it."""
-
-
 def person_coverage(
     body: BodyMotion,
     frames: np.ndarray,
     masks: Bool[np.ndarray, "frames height width"],
     intrinsics: Intrinsics,
-) -> PersonCoverage:
-    """Pixels that a person covered; none if the camera moves.
+) -> Float[np.ndarray, "height width"]:
+    """Largest depth of a person at each pixel, m, that `_VOTES` frames reach; 0 where they were not seen.
 
-    The depth of a pixel is the largest one that `_VOTES` frames reach.
+    A moving camera gives 0 everywhere.
 
     Args:
         body: The person.
@@ -55,12 +36,11 @@ def person_coverage(
         intrinsics: At the size of the masks.
     """
     farthest_m = np.zeros((_VOTES, *masks.shape[1:]), np.float32)
-    seen, hidden = np.zeros(masks.shape[1:], np.int32), np.zeros(masks.shape[1:], np.int32)
     first = body.view().T_world_camera
     still = np.allclose(body.T_world_camera[frames], first)
     chosen = np.flatnonzero(body.valid[frames]) if still else np.zeros(0, np.int64)
     if len(chosen) < _VOTES:
-        return PersonCoverage(farthest_m[0], seen, hidden)
+        return farthest_m[0]
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _MAX_FRAMES).round().astype(int))]
     at = frames[chosen]
     shaped = shaped_body(body.shape)
@@ -70,13 +50,10 @@ def person_coverage(
         camera_m = transform_points(T_camera_world, skin_m)
         there_m = _depth_of(camera_m, shaped.faces, intrinsics)
         own_m = np.where(mask, there_m, 0.0)
-        inner = cv2.erode((there_m > 0).astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
-        seen += inner & mask
-        hidden += inner & ~cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
         # The largest depths in ascending order; the smallest of them is replaced.
         farthest_m[0] = np.maximum(farthest_m[0], own_m)
         farthest_m.sort(axis=0)
-    return PersonCoverage(farthest_m[0], seen, hidden)
+    return farthest_m[0]
 
 
 def _depth_of(camera_m: np.ndarray, faces: np.ndarray, intrinsics: Intrinsics) -> Float[np.ndarray, "height width"]:
