@@ -18,24 +18,14 @@ from video2anim.geometry.rotations import (
     quaternion_from_matrix,
 )
 from video2anim.types.clip import FPS
-from video2anim.types.skeleton import JOINT_NAMES
+from video2anim.types.skeleton import JOINT_NAMES, MIRROR_JOINT
 
-_OTHER = {"left": "right", "right": "left"}
-
-
-def _mirror_name(name: str) -> str:
-    side, _, rest = name.partition("_")
-    return f"{_OTHER[side]}_{rest}" if side in _OTHER else name
-
-
-MIRROR_JOINT: np.ndarray = np.array([JOINT_NAMES.index(_mirror_name(name)) for name in JOINT_NAMES])
-"""For each joint the one of the other side."""
 MIRROR_QUATERNION: np.ndarray = np.array([1.0, 1.0, -1.0, -1.0], np.float32)
 """Signs of w, x, y, z after reflection in the plane x = 0."""
 _MIRROR_AXES = np.array([-1.0, 1.0, 1.0])
 STYLE_PARTS: tuple[tuple[str, ...], ...] = (
     ("spine1", "spine2", "spine3"), ("neck", "head"),
-    *(tuple(f"{side}_{name}" for name in ("collar", "shoulder", "elbow", "wrist")) for side in _OTHER),
+    *(tuple(f"{side}_{name}" for name in ("collar", "shoulder", "elbow", "wrist")) for side in ("left", "right")),
 )  # fmt: skip
 """Joints that are restyled alike."""
 _WIDEST = 1.6

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from scenemi.data.adults import draw_adults
-from scenemi.data.augment import MIRROR_JOINT, MIRROR_QUATERNION, WarpConfig, random_times, restyled
+from scenemi.data.augment import MIRROR_QUATERNION, WarpConfig, random_times, restyled
 from scenemi.data.balance import BalanceConfig, clip_probabilities
 from scenemi.data.container import MotionArchive
 from scenemi.data.interpolate import blended, cubic_taps, nearest_rows, unit
@@ -39,7 +39,7 @@ from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_quaternion
 from video2anim.types import BodyShape
-from video2anim.types.skeleton import JOINT_NAMES
+from video2anim.types.skeleton import JOINT_NAMES, MIRROR_JOINT
 
 _OF_ARMS_AND_HEAD = ("neck", "head", "collar", "shoulder", "elbow", "wrist")
 ARMS_AND_HEAD = np.array([i for i, name in enumerate(JOINT_NAMES) if name.endswith(_OF_ARMS_AND_HEAD)])

@@ -9,11 +9,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from scenemi.data.augment import MIRROR_JOINT
 from scenemi.features import FEATURE_COUNT, JOINTS, ROTATIONS
 from scenemi.model.conditions import Conditions
 from scenemi.model.denoiser import Denoiser, Prepared
 from scenemi.scene.field import SceneField
+from video2anim.types.skeleton import MIRROR_JOINT
 
 
 def _mirror_table() -> tuple[Int[Tensor, "201"], Float[Tensor, "201"]]:

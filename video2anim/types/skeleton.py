@@ -18,6 +18,16 @@ PARENTS: np.ndarray = np.array([-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12
 
 JOINT_INDEX: dict[str, int] = {name: index for index, name in enumerate(JOINT_NAMES)}
 
+
+def other_side(name: str) -> str:
+    """The name with left and right exchanged."""
+    side, _, rest = name.partition("_")
+    return {"left": f"right_{rest}", "right": f"left_{rest}"}.get(side, name)
+
+
+MIRROR_JOINT: np.ndarray = np.array([JOINT_INDEX[other_side(name)] for name in JOINT_NAMES])
+"""For each joint the one of the other side."""
+
 FEET: tuple[int, ...] = tuple(JOINT_INDEX[n] for n in ("left_ankle", "right_ankle", "left_foot", "right_foot"))
 
 TOUCHING_PARTS: dict[str, tuple[int, ...]] = {

@@ -16,7 +16,6 @@ from captured_files import GRID, START_Z_M, VOXEL_M, WALL, WRITERS
 
 from scenemi.cli import main as cli
 from scenemi.data import trumans
-from scenemi.data.augment import MIRROR_JOINT
 from scenemi.data.container import write_archive
 from scenemi.data.scene_clips import read_scene_clips
 from scenemi.data.split import Split
@@ -40,7 +39,7 @@ from scenemi.training.run import Progress
 from scenemi.training.runs import RunFiles, clips_for, write_run_weights
 from scenemi.training.scene_pool import SceneMotions, prepare_scenes
 from video2anim.errors import InputError, UsageError
-from video2anim.types.skeleton import forward_kinematics
+from video2anim.types.skeleton import MIRROR_JOINT, forward_kinematics
 
 SHARD = 16
 CONFIG = TrainConfig(

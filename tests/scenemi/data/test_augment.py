@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from scenemi.data.augment import (
-    MIRROR_JOINT,
     STYLE_PARTS,
     WarpConfig,
     at_times,
@@ -24,7 +23,7 @@ from video2anim.body.anny_body import ADULT, shaped_body
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from video2anim.types import BodyShape
-from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, forward_kinematics
+from video2anim.types.skeleton import JOINT_INDEX, JOINT_NAMES, MIRROR_JOINT, forward_kinematics
 
 FLIP = np.array([-1.0, 1.0, 1.0])
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from scenemi.data.adults import draw_adults
-from scenemi.data.augment import MIRROR_JOINT
 from scenemi.data.container import write_archive
 from scenemi.data.motion_store import StoreConfig, load_store
 from scenemi.data.source_clip import SourceClip
@@ -18,7 +17,7 @@ from scenemi.data.split import Split
 from scenemi.data.windows import ARMS_AND_HEAD, MotionSet, MotionSetConfig
 from video2anim.body.anny_body import shaped_body
 from video2anim.errors import InputError
-from video2anim.types.skeleton import forward_kinematics
+from video2anim.types.skeleton import MIRROR_JOINT, forward_kinematics
 
 PLAIN = MotionSetConfig(mirror=0.0, warp=0.0, store=StoreConfig(bodies_per_clip=2))
 

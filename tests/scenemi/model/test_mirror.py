@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from scenemi.data.augment import MIRROR_JOINT
 from scenemi.model.denoiser import Denoiser
 from scenemi.model.mirror import EvenDenoiser, MirroredField, mirrored
 from scenemi.scene.field import BoxField
 from tests.scenemi.model.test_denoiser import awake, conditions, window
+from video2anim.types.skeleton import MIRROR_JOINT
 
 BOXES = torch.tensor([[[0.6, 0.5, 0.2, 0.3, 0.5, 0.2, 0.4], [-0.9, 1.0, -0.1, 0.2, 1.0, 0.6, -1.0]]])
 FLIP = torch.tensor([-1.0, 1.0, 1.0])

@@ -10,7 +10,6 @@ import pytest
 import torch
 from small_run import CONFIG, SHARD
 
-from scenemi.data.augment import MIRROR_JOINT
 from scenemi.data.augment import mirrored as mirrored_motion
 from scenemi.data.retarget import RetargetedMotion
 from scenemi.data.windows import MotionSet
@@ -21,6 +20,7 @@ from scenemi.training.batches import LOOKED_AT, Batch, PoolBatches
 from scenemi.training.noise import PipelineErrors, gaussian, reported_level
 from scenemi.training.pool import Shard
 from video2anim.errors import InputError
+from video2anim.types.skeleton import MIRROR_JOINT
 
 WIDE = replace(CONFIG, batch=400, scene_share=1.0)
 

@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from scenemi.data.augment import MIRROR_JOINT
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d, rot6d_from_matrix
 from video2anim.humans.initial import landmark_rotation, ray_rotation
 from video2anim.humans.landmarks import KEYPOINT_INDEX
@@ -23,6 +22,7 @@ from video2anim.lab.lifter.residuals import ResidualLibrary
 from video2anim.lab.lifter.variation import varied
 from video2anim.lab.lifter.views import draw_views
 from video2anim.types import Intrinsics
+from video2anim.types.skeleton import MIRROR_JOINT
 
 WINDOW_FRAMES = 96
 _HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
