@@ -65,6 +65,9 @@ def test_the_stage(load: Callable[[str], ModuleType], monkeypatch: pytest.Monkey
     shown = video2anim("show", tmp_path / "scene", "sharpness").out
     assert "1 of 10 frames are blurred" in shown
     assert "sharp frames: 0.9 ratio" in shown
+    monkeypatch.setattr(compose, "MODULES", (ingest, *others))
+    again = video2anim("run", tmp_path / "in.mp4", "--out", tmp_path / "scene", "--until", "ingest", "--from", "ingest")
+    assert again.states == {"ingest": "ran"}, "a version without the stage goes on with the folder"
 
 
 def test_the_provider(load: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from video2anim.digest import file_digest
 CARD = """# SceneMI weights `{name}`
 
 Denoiser of scene-aware motion in-betweening: 121 frames at 30 per second, 22 joints, keyframes exact or noisy, with or
-without a scene. Trained by `scenemi train` with the configuration below.
+without a scene. Trained with the configuration below.
 
 | | |
 |---|---|

@@ -124,13 +124,16 @@ def joined(stores: list[MotionStore]) -> MotionStore:
 def run_from(options: argparse.Namespace, files: RunFiles, device: torch.device) -> Run:
     """The run of the last call, or one that begins with given weights."""
     path, config = options.work / CHECKPOINT, files.config
-    held = load_checkpoint(path) if path.is_file() else from_weights(options.start, config)
-    if held is None:
-        raise SystemExit(f"{options.start}: want weights of the form that {options.config} trains")
-    if not path.is_file():
-        held = replace(held, step=0, seconds=0.0)
     bodies = [shaped_body(shape) for shape in draw_adults(config.bodies)]
-    return Run(config, bodies, [], str(device), replace(held, config=config))
+    if path.is_file():
+        held = load_checkpoint(path)
+        if held.config != config:
+            raise SystemExit(f"{path}: the run was begun with another configuration; want that, or an empty --work")
+        return Run(config, bodies, [], str(device), held)
+    begun = from_weights(options.start, config)
+    if begun is None:
+        raise SystemExit(f"{options.start}: want weights of the form that {options.config} trains")
+    return Run(config, bodies, [], str(device), replace(begun, config=config, step=0, seconds=0.0))
 
 
 @torch.no_grad()
@@ -146,13 +149,13 @@ def compared(run: Run, batches: list[DeviceBatch]) -> list[float]:
     return found
 
 
-def save(options: argparse.Namespace, files: RunFiles, run: Run, motions: MotionSet) -> None:
+def save(options: argparse.Namespace, run: Run, motions: MotionSet, licenses: dict[str, str]) -> None:
     """State to go on from, and both weights."""
     state = run.state()
     save_checkpoint(options.work / CHECKPOINT, state)
     for name, weights in (("average", state.ema), ("last", state.model)):
         out = options.out / f"{name}.safetensors"
-        write_run_weights(out, replace(state, ema=weights), motions, licenses=licenses_of(files, motions))
+        write_run_weights(out, replace(state, ema=weights), motions, licenses=licenses)
 
 
 def train(options: argparse.Namespace, files: RunFiles, begun: float) -> None:
@@ -161,7 +164,7 @@ def train(options: argparse.Namespace, files: RunFiles, begun: float) -> None:
     errors = None if options.errors is None else PipelineErrors.read(options.errors)
     watched = watched_for(files)
     motions = MotionSet(wait_for(options.work / STORES / "all"), draw_adults(config.bodies), drawn_from(files))
-    run = run_from(options, files, device)
+    run, licenses = run_from(options, files, device), licenses_of(files, motions)
     data = DeviceBatches(config, options.shards * pool.SHARD_WINDOWS, device, errors, options.seed + run.step)
     held_out = DeviceBatches(config, pool.SHARD_WINDOWS, device, errors, 1)
     spheres = [fit_spheres(watched.body(0))]
@@ -191,10 +194,11 @@ def train(options: argparse.Namespace, files: RunFiles, begun: float) -> None:
                 f"{data.windows} in pool; loss {mean[0]:.4f} (simple {mean[1]:.4f}, joints {mean[2]:.4f}, inside "
                 f"{mean[3]:.4f}); validation {of_average:.4f} average, {of_last:.4f} last",
             )  # fmt: skip
-            save(options, files, run, motions)
+            save(options, run, motions, licenses)
             looked, losses = run.seconds, []
-    save(options, files, run, motions)
+    save(options, run, motions, licenses)
     say(options, begun, f"trained to step {run.step}")
+    run.model.half_precision = False
     for name, model in (("last", run.model), ("average", run.averaged())):
         told = ", ".join(
             f"{row.interval}{'s' if row.scene else ''} {row.mjpe_ratio:.4f}/{row.inside:.4f}" for row in check(model)

@@ -33,8 +33,8 @@ _WIDEST = 1.6
 _TURNS_BACK_RAD = 2.5
 """Swings that come near half a turn keep their size: beyond it the rotation vector jumps to the other side."""
 _POSTURE_RAD = np.deg2rad(5.0)
-"""Standard deviation about each axis by which a joint's mean changes: as much as people's standing postures differ (not
-measured)."""
+"""Standard deviation about each axis by which a joint's mean changes: a guess at how much people's postures
+differ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +61,11 @@ def mirrored(motion: RetargetedMotion) -> RetargetedMotion:
 
 
 def restyled(R_parent_joint: Float[np.ndarray, "batch frames 22 3 3"], rng: np.random.Generator) -> np.ndarray:
-    """Windows in which trunk, head and arms swing more or less widely, each about another mean; legs and root, on which
-    standing feet hang, are as they were."""
+    """Windows in which trunk, head and arms swing more or less widely, each about another mean.
+
+    Legs and root, which hold the feet in place, stay as they are. Joints have no limits: a few elbows bend backward by
+    some degrees.
+    """
     R = R_parent_joint.copy()
     for part in STYLE_PARTS:
         joints = [JOINT_NAMES.index(name) for name in part]

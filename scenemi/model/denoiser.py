@@ -163,11 +163,6 @@ class Denoiser(nn.Module):
         noise = _joined(given.noise.square(), apart) @ self.noise_std.square()
         return (between**2 + noise + _MIN_SCALE**2).sqrt()
 
-    def set_dropout(self, share: float) -> None:
-        """Of the channels in the transformer's blocks, in training."""
-        for block in self.network.blocks:
-            block.dropout = share  # type: ignore[assignment]
-
     def set_scales(self, measured: Mapping[str, Tensor]) -> None:
         """What `scenemi.training.scales` measured, by the names of `SCALES`."""
         for name in SCALES:

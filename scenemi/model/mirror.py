@@ -63,8 +63,8 @@ class BothSides:
 
 
 class EvenDenoiser:
-    """Mean of a denoiser's answers to a window and to its reflection. Nobody's motion knows left from right, but a
-    trained network does: the mean has 2 to 3 % less error than one answer, for twice the time
+    """Mean of a denoiser's answers to a window and to its reflection. A reflected motion is as likely, but a trained
+    network answers the two differently: the mean has 2 to 3 % less error than one answer, for twice the time
     (`benchmarks/scenemi/reach.py --part val --every 2 --choose-sampler`)."""
 
     def __init__(self, denoiser: Denoiser) -> None:

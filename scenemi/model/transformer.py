@@ -20,8 +20,6 @@ class Block(nn.Module):
     def __init__(self, width: int, heads: int, tokens: int) -> None:
         super().__init__()
         self.heads = heads
-        self.dropout = 0.0
-        """Share of the channels left out in training, of the hidden layer and of both corrections."""
         self.project = nn.Linear(width, 3 * width)
         self.merge = nn.Linear(width, width)
         self.widen = nn.Linear(width, _EXPANSION * width)
@@ -44,12 +42,9 @@ class Block(nn.Module):
         q, k, v = self.project(h).reshape(batch, tokens, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
         bias = self.bias[:, self.distance]
         h = functional.scaled_dot_product_attention(q, k, v, attn_mask=bias[None].expand(batch, -1, -1, -1))
-        x = x + gate1 * self._some(self.merge(h.transpose(1, 2).reshape(batch, tokens, width)))
+        x = x + gate1 * self.merge(h.transpose(1, 2).reshape(batch, tokens, width))
         h = functional.layer_norm(x, (width,)) * (1 + scale2) + shift2
-        return x + gate2 * self._some(self.narrow(self._some(functional.gelu(self.widen(h)))))
-
-    def _some(self, x: Tensor) -> Tensor:
-        return functional.dropout(x, self.dropout, self.training) if self.dropout else x
+        return x + gate2 * self.narrow(functional.gelu(self.widen(h)))
 
 
 class Transformer(nn.Module):

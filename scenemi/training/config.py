@@ -57,8 +57,6 @@ class TrainConfig:
     mix: Share = 0.2
     restyle: Share = 0.0
     """Share of windows whose trunk, arms and head swing more or less widely (`scenemi.data.augment.restyled`)."""
-    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    """Share of the channels left out in the blocks of the transformer. For runs that see each window many times."""
     keyframes: Literal["paper", "mixed"] = "mixed"
     """`paper`: 2 to N random ones. `mixed`: see `scenemi.training.keyframe_masks`."""
     noisy_share: Share = 0.15

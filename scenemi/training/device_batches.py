@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import torch
@@ -78,6 +79,10 @@ class DeviceBatch(Batch):
     """A batch of which certain rows are shown their scene."""
 
     shown: Int[Tensor, "scenes"] | None = None
+
+    def to(self, device: torch.device) -> Self:
+        """Itself: it was drawn on its device, but for two flags that the processor reads."""
+        return self
 
     @property
     def scene(self) -> _FixedRows:

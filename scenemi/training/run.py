@@ -61,8 +61,6 @@ class Run:
         self.statistics: Statistics = held.statistics if held else statistics_of(shards, bodies)
         rest = torch.from_numpy(np.stack([body.rest_joints_m for body in bodies]).astype(np.float32))
         self.model: AnyDenoiser = build_any(config.model).to(self.device)
-        if isinstance(self.model, Denoiser):
-            self.model.set_dropout(config.dropout)
         self.step, self._seconds = held.step if held else 0, held.seconds if held else 0.0
         self.stopwatch = Stopwatch()
         self.loss = TrainingLoss(self.model, self.statistics, bodies, config).to(self.device)

@@ -135,7 +135,7 @@ def watched_for(files: RunFiles) -> MotionSet:
     Raises:
         InputError: there are none.
     """
-    use = replace(drawn_from(files), store=StoreConfig())
+    use = replace(drawn_from(files), store=StoreConfig(), reverse=0.0, mix=0.0, restyle=0.0)
     return MotionSet.build(files.motion, files.split, "val", 1, use, cache=files.cache)
 
 

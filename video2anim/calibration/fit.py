@@ -42,9 +42,9 @@ class Sigmas:
     floor_log: float = 0.08
     """Depth of a floor pixel, logarithm."""
     skin_log: float = 0.05
-    """Depth of skin against that of the nearest depth pixel, logarithm. Distances
-    only: the shape of a body in a network's depth is no evidence of the focal length. With 0.08, as of the floor, scale
-    and chamfer distance of `ocv_sts` grow by 4 and 2 %."""
+    """Depth of skin against that of the nearest depth pixel, logarithm. Distances only: the shape of
+    a body in a network's depth is no evidence of the focal length. With 0.08, as of the floor, scale and chamfer
+    distance of `ocv_sts` grow by 4 and 2 %."""
     distance_log: float = DEPTH_LOG_SIGMA
     foot_px: float = 1.5
     """Row in which an object's mask ends. Near the horizon a pixel is far on the floor."""

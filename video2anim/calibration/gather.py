@@ -44,7 +44,7 @@ _SKIN_FRAMES, _POINTS, _MIN_PIXELS = 24, 300, 40
 of either."""
 _OUTLIER_RATIO = 0.05
 """Share of an object's pixels that are outliers of its mask, and are left out before an extreme is taken: of its lower
-ends, which are above the floor between the legs, of its heights, and of the depths that the person had before it."""
+ends, which are above the floor between the legs, and of its heights."""
 _MIN_COLUMNS, _MIN_SHARE = 6, 0.15
 """Least number of an object's columns that end on the floor, and their least share."""
 _MIN_STOOD = 2

@@ -145,9 +145,20 @@ def test_restyled_moves_arms_and_trunk_but_no_leg() -> None:
     np.testing.assert_array_equal(made[:, :, still], R[:, :, still])
     assert (np.abs(made[:, :, moved] - R[:, :, moved]).max((1, 3, 4)) > 0.02).all()
     np.testing.assert_allclose(made @ np.swapaxes(made, -1, -2), np.broadcast_to(np.eye(3), made.shape), atol=1e-6)
-    ratio = spread(made)[:, moved] / spread(R)[:, moved]
+    ratio = spread(made) / spread(R)
     assert (ratio < 1.7).all()
     assert (ratio > 0.55).all()
+    for part in STYLE_PARTS:
+        of_part = ratio[:, [JOINT_INDEX[name] for name in part]]
+        assert (np.abs(np.log(of_part.mean(1))) > 0.05).any(), "some window swings more or less widely"
+        assert (np.ptp(of_part, axis=1) < 0.1).all(), "all joints of a part alike"
+
+
+def test_swings_over_half_a_turn_keep_their_size() -> None:
+    turn = np.linspace(0, 2 * np.pi, 121)[:, None, None] * np.array([0.0, 1.0, 0.0])
+    R = matrix_from_axis_angle(np.broadcast_to(turn, (1, 121, 22, 3)))
+    made = restyled(R, np.random.default_rng(6))
+    np.testing.assert_allclose(spread(made), spread(R), rtol=1e-6)
 
 
 def spread(R: np.ndarray) -> np.ndarray:

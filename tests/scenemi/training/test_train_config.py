@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scenemi.data.windows import MotionSet
 from scenemi.model.config import SIZES, ModelConfig, PaperConfig, config_from_json
 from scenemi.training.config import TrainConfig
 from scenemi.training.keyframe_masks import draw_mask, draw_observed_mask, draw_telling_mask
+from scenemi.training.runs import RunFiles, drawn_from, watched_for
 from video2anim.errors import InputError
 
 SHIPPED = sorted((Path(__file__).parents[3] / "configs" / "scenemi").glob("*.json"))
@@ -121,3 +123,14 @@ def test_observed_frames_are_many_with_stretches_unseen() -> None:
     assert 0.1 < (longest == 1).mean() < 0.5, "some are seen all the time"
     assert (longest > 30).mean() > 0.1, "some are lost for a second or more"
     assert np.mean([mask.sum() for mask in masks]) > 40
+
+
+def test_augmentation_is_that_of_the_configuration_but_not_for_validation(monkeypatch: pytest.MonkeyPatch) -> None:
+    files = RunFiles.of("gpu", [Path("some.npz")], None, None)
+    use = drawn_from(files)
+    assert (use.mix, use.restyle, use.reverse) == (0.5, 0.5, files.config.reverse)
+    assert use.reverse > 0
+    asked = []
+    monkeypatch.setattr(MotionSet, "build", lambda *given, **_: asked.append(given))
+    watched_for(files)
+    assert (asked[0][4].mix, asked[0][4].restyle, asked[0][4].reverse) == (0, 0, 0)

@@ -25,7 +25,7 @@ def person_coverage(
     masks: Bool[np.ndarray, "frames height width"],
     intrinsics: Intrinsics,
 ) -> Float[np.ndarray, "height width"]:
-    """Largest depth of a person at each pixel, m, that `_VOTES` frames reach; 0 where they were not seen.
+    """Largest depth of a person at each pixel (m), reached in at least `_VOTES` frames; 0 where they were not seen.
 
     A moving camera gives 0 everywhere.
 
