@@ -275,7 +275,8 @@ class _Step:
             return
         self._rows[row.name] = StageRow(row.name, row.state, row.manifest.key, row.manifest.wall_time_s)
         order = [module.STAGE.name for module in MODULES]
-        known = [one for one in self.record.with_rows(self._rows) if one.stage in order]  # others are of another version
+        # A folder may have stages of another version.
+        known = [one for one in self.record.with_rows(self._rows) if one.stage in order]
         rows = sorted(known, key=lambda one: order.index(one.stage))
         self.record = replace(self.record, stages=rows)
         if row.state == "ran":
