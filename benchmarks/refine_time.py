@@ -27,16 +27,16 @@ from typing import Any
 
 import numpy as np
 
-from scenemi.postprocess import motion_solve
 from stages import refine
 from video2anim.lab.eval.results import SceneResult
+from video2anim.motion import refinement
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, MetricDepth, SceneModel
 
 WINDOW = 121
 PARTS = {
-    "fields": (refine, "_solids"), "prior": (refine, "_filled"), "solves": (motion_solve, "solve_motions"),
-    "scene moved": (refine, "_moved"), "report": (refine, "_report"),
+    "fields": (refinement, "movable_solids"), "prior": (refinement, "_filled"),
+    "solves": (refinement, "solve_motions"), "scene moved": (refinement, "moved_scene"), "report": (refine, "_report"),
 }  # fmt: skip
 """Function that does each part."""
 

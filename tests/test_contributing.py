@@ -17,6 +17,7 @@ from command import video2anim
 from video2anim import types
 from video2anim.cli import compose
 from video2anim.networks import table
+from video2anim.pipeline.scene_folder import read_record
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text()
@@ -68,6 +69,7 @@ def test_the_stage(load: Callable[[str], ModuleType], monkeypatch: pytest.Monkey
     monkeypatch.setattr(compose, "MODULES", (ingest, *others))
     again = video2anim("run", tmp_path / "in.mp4", "--out", tmp_path / "scene", "--until", "ingest", "--from", "ingest")
     assert again.states == {"ingest": "ran"}, "a version without the stage goes on with the folder"
+    assert [row.stage for row in read_record(tmp_path / "scene").stages] == ["ingest", "sharpness"], "and keeps its row"
 
 
 def test_the_provider(load: Callable[[str], ModuleType], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

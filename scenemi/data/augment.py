@@ -29,7 +29,7 @@ STYLE_PARTS: tuple[tuple[str, ...], ...] = (
 )  # fmt: skip
 """Joints that are restyled alike."""
 _WIDEST = 1.6
-"""A swing grows to this many times its size, or shrinks as much."""
+"""A swing grows to this many times its size, or shrinks as much (not measured)."""
 _TURNS_BACK_RAD = 2.5
 """Swings that come near half a turn keep their size: beyond it the rotation vector jumps to the other side."""
 _POSTURE_RAD = np.deg2rad(5.0)

@@ -274,10 +274,9 @@ class _Step:
         if row.manifest is None:
             return
         self._rows[row.name] = StageRow(row.name, row.state, row.manifest.key, row.manifest.wall_time_s)
-        order = [module.STAGE.name for module in MODULES]
-        # A folder may have stages of another version.
-        known = [one for one in self.record.with_rows(self._rows) if one.stage in order]
-        rows = sorted(known, key=lambda one: order.index(one.stage))
+        place = {module.STAGE.name: number for number, module in enumerate(MODULES)}
+        # Stages that only another version has come last.
+        rows = sorted(self.record.with_rows(self._rows), key=lambda one: place.get(one.stage, len(place)))
         self.record = replace(self.record, stages=rows)
         if row.state == "ran":
             write_record(self._scene_dir, self.record)
