@@ -32,6 +32,7 @@ from video2anim.lab.eval.results import SceneResult
 from video2anim.motion import refinement
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyMotion, BodyTracks, KeyframedMotion, MetricDepth, SceneModel
+from video2anim.types.clip import FPS
 
 WINDOW = 121
 PARTS = {

@@ -20,7 +20,7 @@ from scenemi.model.denoiser import Denoiser
 from scenemi.model.diffusion import CosineSchedule
 from scenemi.model.keyframe_fit import fit_keyframes
 from scenemi.model.mirror import EvenDenoiser
-from scenemi.model.sampling import SamplerConfig, sample
+from scenemi.model.sampling import Denoise, SamplerConfig, sample
 from scenemi.model.scene_input import SceneReader, lengths_of
 from scenemi.model.weights import LoadedModel, load_weights
 from scenemi.prior import KeyframeWindow, WindowMotion, is_exact, padded
@@ -53,7 +53,7 @@ class DiffusionPrior:
         self.model, self.sampler, self.device, self.seed = model, sampler or SamplerConfig(), device, seed
         self.schedule = CosineSchedule()
         denoiser = model.denoiser.to(device).eval()
-        self._denoiser = EvenDenoiser(denoiser) if isinstance(denoiser, Denoiser) else denoiser
+        self._denoiser: Denoise = EvenDenoiser(denoiser) if isinstance(denoiser, Denoiser) else denoiser
         self._scenes = SceneReader()
 
     def fill(self, window: KeyframeWindow) -> WindowMotion:
