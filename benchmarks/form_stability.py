@@ -23,12 +23,12 @@ import numpy as np
 
 from stages.reconstruct import ReconstructConfig
 from video2anim.artifacts.codec import read_value
+from video2anim.geometry.heading import EdgeHeadings
 from video2anim.geometry.masks import never_seen
 from video2anim.objects.evidence import ObjectViews, PeopleEvidence, SeenObject
-from video2anim.objects.form_fit import FormFit
+from video2anim.objects.form_fit import DepthErrors, FormFit
 from video2anim.objects.recognize import labeled_fits
 from video2anim.pipeline.scene_folder import stage_folder
-from video2anim.scene.heading import room_heading
 from video2anim.scene.supports import rested_and_inner_m
 from video2anim.types import BackgroundImage, CompletedObjects, InstanceMasks, MetricDepth
 
@@ -62,12 +62,12 @@ def of_scene(scene: Path, draws: int) -> list[dict]:
         )
     )  # fmt: skip
     height_px, width_px = background.background_rgb.shape[:2]
-    heading_rad = room_heading(background.background_rgb, depth.bodies.main_view.resized(width_px, height_px))
     people = PeopleEvidence(*rested_and_inner_m(depth.bodies))
     config = ReconstructConfig()
     views = ObjectViews(
         masks, depth, never_seen(background.seen_ratio, depth.background_depth_m.shape), people,
-        config.depth_error_ratio, None if heading_rad is None else -heading_rad,
+        DepthErrors(config.depth_error_ratio, config.depth_relief, config.depth_relief_sigma),
+        EdgeHeadings(background.background_rgb, depth.bodies.main_view.resized(width_px, height_px)),
     )  # fmt: skip
     rows = []
     for found in views.surest_first(completed.objects):

@@ -21,6 +21,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.optimize import least_squares
 
 from video2anim.artifacts.images import read_picture
 from video2anim.depth.hue_jitter import jittered_disparity
@@ -34,6 +35,8 @@ from video2anim.networks.segmentation import CLASSES, MIN_INSTANCE_RATIO
 NEAREST_INVERSE = 1 / 50
 """Lower limit of inverse depths in 1/m, that is, 50 m."""
 HUE_SHIFTS_RAD = (-0.6, -0.3, 0.3, 0.6)
+FIRST_SIGMA = 0.04
+"""Of log depth within an instance: beyond it pixels count less, since masks hold other things."""
 MIN_AREA_RATIO = 0.01
 """Minimum area of instances that count, as a share of the picture."""
 JITTERED = 48
@@ -65,7 +68,7 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
     net, segment, depth = SceneNetwork(path), RoomSegment(path), RoomDepth(path)
     rows: list[dict[str, float]] = []
     matched, floor = np.zeros(3), np.zeros(2)
-    kept_dropped, pieces = [], []
+    kept_dropped, pieces, relief = [], [], []
     for folder in folders:
         for meta in sorted(folder.glob("shard_*/meta.json")):
             maps = {p.stem: np.load(p, mmap_mode="r") for p in meta.parent.glob("*.npy")}
@@ -86,6 +89,7 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
                 true = true_pieces(np.asarray(maps["instance"][row]), label)
                 matched += matches(masks, true)
                 pieces += pieces_off(disparity, truth, true)
+                relief += reliefs(disparity, truth, true)
                 if len(rows) <= JITTERED:
                     kept_dropped.append(kept_and_dropped(depth, rgb, truth))
     means = {name: float(np.nanmean([r[name] for r in rows])) for name in rows[0]}
@@ -101,6 +105,7 @@ def renders(path: Path, folders: list[Path]) -> dict[str, float]:
         "pieces of furniture, log depth off: mean": float(np.mean(pieces)),
         "pieces of furniture, log depth off: median of sizes": float(np.median(np.abs(pieces))),
         "median focal error over its sigma": float(np.median(ratios)),
+        **relief_numbers(relief),
     }  # fmt: skip
 
 
@@ -189,6 +194,35 @@ def pieces_off(disparity: np.ndarray, truth: np.ndarray, true: list[np.ndarray])
     return [float(np.nanmean(off[mask])) for mask in true if mask.mean() >= MIN_AREA_RATIO]
 
 
+def reliefs(disparity: np.ndarray, truth: np.ndarray, masks: list[np.ndarray]) -> list[tuple[float, float]]:
+    """For each instance above `MIN_AREA_RATIO`, after alignment: which share of the estimated variation of log depth
+    within it is true (slope of a robust line), and the robust standard deviation of what is left."""
+    known = np.isfinite(truth)
+    log_depth = np.zeros(truth.shape)
+    log_depth[known] = -np.log(np.maximum(nearest_line(disparity[known], truth[known]), NEAREST_INVERSE))
+    found = []
+    for mask in masks:
+        inner = (cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0) & known
+        if mask.mean() < MIN_AREA_RATIO or not inner.any():
+            continue
+        own, true = log_depth[inner] - np.median(log_depth[inner]), -np.log(truth[inner])
+        true -= np.median(true)
+        line = least_squares(lambda x, a=own, b=true: (x[0] * a + x[1] - b) / FIRST_SIGMA, [0.5, 0.0], loss="cauchy")
+        left = true - line.x[0] * own - line.x[1]
+        found.append((float(line.x[0]), 1.48 * float(np.median(np.abs(left)))))
+    return found
+
+
+def relief_numbers(found: list[tuple[float, float]]) -> dict[str, float]:
+    """Of all instances."""
+    slope, left = np.array(found).T
+    return {
+        "relief, true over estimated: median": float(np.median(slope)),
+        "relief, true over estimated: median deviation": 1.48 * float(np.median(np.abs(slope - np.median(slope)))),
+        "log depth within pieces besides relief, median deviation": float(np.median(left)),
+    }
+
+
 def matches(masks: list[np.ndarray], true: list[np.ndarray]) -> np.ndarray:
     """Numbers of matched (IoU 0.5), predicted and true furniture instances above `MIN_AREA_RATIO`."""
     large = [mask for mask in true if mask.mean() >= MIN_AREA_RATIO]
@@ -216,15 +250,17 @@ def kept_and_dropped(depth: RoomDepth, rgb: np.ndarray, truth: np.ndarray) -> tu
 
 def rgbd(path: Path, folder: Path) -> dict[str, float]:
     """Errors on renderings of a living room by others, with known depth and focal length."""
-    net = SceneNetwork(path)
+    net, depth, segment = SceneNetwork(path), RoomDepth(path), RoomSegment(path)
     lens = json.loads((folder / "intrinsics_and_poses.json").read_text())
-    rows, cameras = [], []
+    rows, cameras, relief = [], [], []
     for picture in sorted(folder.glob("color_*.jpg")):
         rgb = read_picture(picture)
         depth_mm = cv2.imread(str(picture.with_name(picture.name.replace("color", "depth")).with_suffix(".png")), -1)
         truth = inverse_depth(depth_mm)
         rows.append(compared(net.disparity(rgb).astype(np.float64), truth) | plane_numbers(truth))
         cameras.append(cameras_of(net, [rgb]))
+        masks = [one.mask for one in segment.segment(rgb).instances if one.kind == "furniture"]
+        relief += reliefs(depth.infer(rgb).astype(np.float64), truth, masks)
     means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
     focal_px = 480 * np.array([[camera.focal_ratio for camera in both] for both in cameras])
     by_fields, both = np.median(100 * np.abs(focal_px / float(lens["fy"]) - 1), axis=0)
@@ -232,6 +268,7 @@ def rgbd(path: Path, folder: Path) -> dict[str, float]:
         "pictures": len(rows), **means, "over plane": means["absrel"] / means["absrel of plane"],
         "median over plane": float(np.median([row["absrel"] / row["absrel of plane"] for row in rows])),
         "median focal error percent": float(both), "median focal error percent of fields alone": float(by_fields),
+        **relief_numbers(relief),
     }  # fmt: skip
 
 

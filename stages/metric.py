@@ -114,4 +114,4 @@ def _record(found: Calibration, ctx: StageContext) -> None:
         ctx.quality("residual_" + kind.replace("'", "").replace(" ", "_"), off, "ratio", "lower")
 
 
-STAGE = StageSpec("metric", fit_metric, version=19)
+STAGE = StageSpec("metric", fit_metric, version=20)

@@ -1,8 +1,7 @@
 """Stage reconstruct: a closed, colored mesh of every object, at its place.
 
-Forms of furniture and simple solids are fitted to depth, outline, what rested on the object and where bodies were; the
-one with the most evidence is kept. The surest objects are fitted first, the others beside them. Meshes of the user, of
-a network, or of a program of theirs, take the place of these, in this order.
+Forms of furniture and simple solids are fitted to what is seen and to people; the one with the most evidence is kept.
+Meshes of the user, of a network, or of a program of theirs, take the place of these, in this order.
 """
 
 from __future__ import annotations
@@ -48,8 +47,12 @@ class ReconstructConfig:
 
     max_faces: Annotated[int, limits("faces", ge=300, le=1_000_000)] = 4000
     """Upper limit of faces of a network's mesh; forms have fewer than 300."""
-    depth_error_ratio: Annotated[float, limits(gt=0, le=1)] = 0.04
+    depth_error_ratio: Annotated[float, limits(gt=0, le=1)] = 0.03
     """Standard deviation of depth within an object, as a share of its distance."""
+    depth_relief: Annotated[float, limits(gt=0, le=2)] = 0.65
+    """Mean of true over estimated variation of log depth within an object: 0.60 on renders, 0.74 on photographs."""
+    depth_relief_sigma: Annotated[float, limits(gt=0, le=2)] = 0.4
+    """Its standard deviation: 0.35, 0.61 (`benchmarks/room_net.py`)."""
     min_points: Annotated[int, limits(ge=1, le=1_000_000)] = 30
     """Objects with fewer reliable depth pixels are dropped."""
     meshes: str = user_path()
@@ -82,23 +85,20 @@ def reconstruct_objects(
         ModelMissingError: the network's weights are absent, or no network of its contract.
     """
     from video2anim.artifacts.user_files import mesh_files
+    from video2anim.geometry.heading import EdgeHeadings
     from video2anim.geometry.masks import never_seen
     from video2anim.objects.evidence import ObjectViews, PeopleEvidence
+    from video2anim.objects.form_fit import DepthErrors
     from video2anim.objects.object_mesh import fitted
-    from video2anim.scene.heading import room_heading
     from video2anim.scene.supports import rested_and_inner_m
 
     unseen = never_seen(background.seen_ratio, depth.background_depth_m.shape)
     people = PeopleEvidence(*rested_and_inner_m(depth.bodies))
-    height_px, width_px = background.background_rgb.shape[:2]
-    view = depth.bodies.main_view.resized(width_px, height_px)
-    heading_rad = room_heading(background.background_rgb, view)
-    # A yaw turns z towards x, a heading x towards z.
-    room_yaw_rad = None if heading_rad is None else -heading_rad
-    views = ObjectViews(masks, depth, unseen, people, config.depth_error_ratio, room_yaw_rad)
+    view = depth.bodies.main_view.resized(*background.background_rgb.shape[1::-1])
+    errors = DepthErrors(config.depth_error_ratio, config.depth_relief, config.depth_relief_sigma)
+    views = ObjectViews(masks, depth, unseen, people, errors, EdgeHeadings(background.background_rgb, view))
     foreign = mesh_files(Path(config.meshes)) if config.meshes else {}
-    numbers = {found.object_id for found in completed.objects}
-    if unused := sorted(foreign.keys() - numbers):
+    if unused := sorted(foreign.keys() - (numbers := {found.object_id for found in completed.objects})):
         names = ", ".join(foreign[number].name for number in unused)
         ctx.warn(f"{names} in {config.meshes}: there is no object of that number, only {sorted(numbers)}; not used")
     meshes: list[ObjectMesh] = []
@@ -147,4 +147,4 @@ def _foreign(
         return None
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=21, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=22, models=(SLOT,))

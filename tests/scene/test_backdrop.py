@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from video2anim.artifacts.codec import read_value, write_value
+from video2anim.geometry.heading import EdgeHeadings
 from video2anim.geometry.projection import pixel_rays, project
 from video2anim.geometry.scene_mesh import colored, joined
 from video2anim.scene.backdrop import Backdrop, backdrop
 from video2anim.scene.ground import ground
-from video2anim.scene.heading import room_heading
 from video2anim.scene.view import relative_sigma
 from video2anim.types import (
     BackgroundImage,
@@ -177,9 +177,9 @@ def walls_by_axis(found: Backdrop) -> dict[str, np.ndarray]:
 def test_edges_tell_the_heading_of_walls() -> None:
     for yaw_deg in (0.0, 8.0, 33.0):
         world = room(yaw_deg)
-        heading = room_heading(world.background.background_rgb, View(world.pose, LENS))
+        heading = EdgeHeadings(world.background.background_rgb, View(world.pose, LENS)).of_room()
         assert heading is not None
-        assert abs((np.rad2deg(heading) + 45) % 90 - 45) < 1.0
+        assert abs((np.rad2deg(heading.angle_rad) + 45) % 90 - 45) < 1.0
 
 
 def test_walls_and_ceiling_are_where_they_are() -> None:

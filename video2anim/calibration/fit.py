@@ -238,8 +238,10 @@ class _Problem:
         for log, one in zip(state.object_log, e.objects, strict=True):
             if one.under_feet is not None:
                 soles = one.under_feet
-                sole_log = np.log(np.maximum(state.body(soles.skin_m, soles.root_m, state.size[0])[:, 2], 0.1))
-                off = (log + self.inverse_log(soles.value, state) - sole_log) / s.skin_log
+                sole_m = state.body(soles.skin_m, soles.root_m, state.size[0])
+                off = log + self.inverse_log(soles.value, state) - np.log(np.maximum(sole_m[:, 2], 0.1))
+                # From below, its top is hidden, and soles are behind the edge that is seen.
+                off = np.where(sole_m @ state.up > 0, np.maximum(off, 0), off) / s.skin_log
                 rows.append(("objects under feet", off, 1.0, 1.0))
             if one.foot is not None:
                 off = log + self._floor(one.foot, state)

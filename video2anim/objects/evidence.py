@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from video2anim.geometry.heading import EdgeHeadings
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid
 from video2anim.objects.backproject import BackprojectedObject, ObjectBackprojector
 from video2anim.objects.foreground import floor_band_m, surface_normals
-from video2anim.objects.form_fit import FitSigmas, FormFit, ObjectEvidence
+from video2anim.objects.form_fit import DepthErrors, FitSigmas, FormFit, ObjectEvidence
 from video2anim.objects.occupied import Occupied
 from video2anim.objects.upright_box import UprightBox, fit_upright_box, turned_to
 from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
@@ -52,7 +53,7 @@ class SeenObject:
 
     evidence: ObjectEvidence
     points_m: Float[np.ndarray, "points 3"]
-    """Its depth points in the world."""
+    """Its depth points in the world, with the relief that objects have on average."""
     normals: Float[np.ndarray, "points 3"]
     """Of those points."""
     own: Bool[np.ndarray, "height width"]
@@ -62,7 +63,8 @@ class SeenObject:
 
     def box(self) -> UprightBox:
         """The box around them, down to the floor if it stands there; +z of its frame faces the camera."""
-        box = turned_to(fit_upright_box(self.points_m, self.normals), self.evidence.camera_m)
+        yaw_rad = None if self.evidence.sides is None else self.evidence.sides.yaw_rad
+        box = turned_to(fit_upright_box(self.points_m, self.normals, yaw_rad), self.evidence.camera_m)
         if self.evidence.raised:
             return box
         # The lowest of its pixels are left to the floor, or hidden.
@@ -79,14 +81,13 @@ class ObjectViews:
         depth: MetricDepth,
         unseen: Bool[np.ndarray, "height width"],
         people: PeopleEvidence,
-        depth_sigma: float,
-        room_yaw_rad: float | None,
+        depth_errors: DepthErrors,
+        edges: EdgeHeadings,
     ) -> None:
-        """`unseen`: pixels that people always covered; `depth_sigma`: of log depth within an object; `room_yaw_rad`: of
-        the walls, modulo a right angle."""
-        self._room_yaw_rad = room_yaw_rad
+        """`unseen`: pixels that people always covered."""
+        self._edges, self._walls = edges, edges.of_room()
         self._lifter, self._depth, self._unseen = ObjectBackprojector(masks, depth), depth, unseen
-        self._people, self._depth_sigma = people, depth_sigma
+        self._people, self._depth_errors = people, depth_errors
         self._lifted = {i.object_id: self._lifter.lift(i.object_id) for i in masks.instances}
         self._distance_m = {
             number: float(np.median(one.depth_m[one.shows])) if one.shows.any() else np.inf
@@ -109,11 +110,12 @@ class ObjectViews:
         outside = _outside_px(outline | self._unseen | nearer)
         row, column = _spread(own & (obj.shows | ~known), rng)
         local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones(len(row))], -1)
-        points_m = self._world_m[obj.shows]
+        points_m = self._expected_m(obj)
         rested_m, body_m = self._people.rested_m, self._people.body_m
         # What rested on an object that was fitted before did not rest on this one.
         here = _within(rested_m, points_m, _NEAR_M)
         here &= np.abs(self._occupied.distance_m(rested_m)) > 3 * FitSigmas().rest_m
+        sides = self._edges.within(own)
         sigma = self._depth.object_sigma.get(str(found.object_id), _MIN_DISTANCE_SIGMA)
         evidence = ObjectEvidence(
             camera_m=lifter.view.T_world_camera[:3, 3].copy(),
@@ -123,17 +125,24 @@ class ObjectViews:
             depth_m=np.where(obj.shows[row, column], obj.depth_m[row, column], np.nan),
             outside_px=outside,
             free_m=np.where(own & known, obj.depth_m, 0.0),
-            depth_sigma=self._depth_sigma,
+            depth_errors=self._depth_errors,
             distance_sigma=max(sigma, _MIN_DISTANCE_SIGMA),
             raised=self._is_raised(own, points_m, nearer),
             rested_m=rested_m[here],
             bearing=self._people.bearing[here],
             body_m=body_m[_within(body_m, points_m, _AROUND_M)],
             others_m=self._others_m(own, points_m, rng),
-            room_yaw_rad=self._room_yaw_rad,
+            sides=sides,
+            walls=self._walls if sides is None else None,
             filled_m=self._occupied.distance_m,
         )
         return SeenObject(evidence, points_m, self._normals[obj.shows], own, outline)
+
+    def _expected_m(self, obj: BackprojectedObject) -> Float[np.ndarray, "points 3"]:
+        """Its depth points in the world, with the mean relief of objects."""
+        camera_m, log_depth = self._lifter.view.T_world_camera[:3, 3], np.log(obj.depth_m[obj.shows])
+        change = np.exp((self._depth_errors.relief - 1) * (log_depth - np.median(log_depth)))
+        return camera_m + change[:, None] * (self._world_m[obj.shows] - camera_m)
 
     def surest_first(self, found: Sequence[CompletedObject]) -> list[CompletedObject]:
         """Sorted by the standard deviation of their distance, then by their number of pixels: what is known worse makes

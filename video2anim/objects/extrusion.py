@@ -53,7 +53,8 @@ def outline_form(
     corners = 2 * (flat_m - low_m) / np.maximum(high_m - low_m, sigmas.form_m) - 1
     x, _, z = box.R_world_box @ [0.5 * (low_m + high_m)[0], 0.0, box.high_m[2] - 0.5 * depth_m]
     yaw = float(np.arctan2(box.R_world_box[0, 2], box.R_world_box[2, 2]))
-    start = [x, z, yaw, base_m, 0.0, 0.0, *np.log([width_m, depth_m, height_m]), *np.zeros(corners.size)]
+    relief = seen.evidence.depth_errors.relief
+    start = [x, z, yaw, base_m, 0.0, relief - 1, *np.log([width_m, depth_m, height_m]), *np.zeros(corners.size)]
     return extruded(corners), np.array(start)
 
 

@@ -14,13 +14,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from video2anim.geometry.heading import Heading
 from video2anim.objects.furniture import Form
+from video2anim.objects.shapes import ROUND
 from video2anim.objects.solids import Solids
 from video2anim.types.camera import Intrinsics
 
 POSE = ("x", "z", "yaw", "base", "distance", "stretch")
 """What every form has beside its sizes: place (m), turn (rad), height that it rests on (m), logarithm of the correction
-of its depth, and of how depth spreads within it."""
+of its distance, and the share by which its relief (`DepthErrors`) is larger than estimated."""
 THIN = ("leg", "pole")
 """Parts that masks lose."""
 LEANED_ON = ("back", "headboard")
@@ -65,14 +67,28 @@ class FitSigmas:
     body_m: float = 0.05
     """Bodies are so deep in objects by their own error; that of the object's distance is fitted."""
     square_rad: float = 0.05
-    """Furniture that stands square in its room is so by this (3 degrees)..."""
+    """Furniture that stands square in its room is so by this: 3 degrees."""
+    edge_rad: float = 0.0175
+    """Sides of objects are square to their own straight edges by this: 1 degree."""
     square_observations: float = 2.0
-    """...which counts as so many looks: 20 of those 29 pieces do."""
+    """Either counts as so many looks: objects that stand otherwise are outliers."""
     base_m: float = 0.005
     """Height of the feet of what stands on the floor."""
     noise_observations: float = 30.0
     """How well those of mask and depth are known for one object: as from so many looks. They share an unknown
     factor."""
+
+
+@dataclass(frozen=True, slots=True)
+class DepthErrors:
+    """Errors of estimated depth within an object. Relief is how the logarithm of depth varies within it."""
+
+    sigma: float
+    """Standard deviation of the logarithm of depth, besides the relief's."""
+    relief: float
+    """True relief over the estimated one: mean of all objects."""
+    relief_sigma: float
+    """Its standard deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,10 +107,9 @@ class ObjectEvidence:
     """How far each pixel is from where the object may be: its outline and what hides it."""
     free_m: Float[np.ndarray, "height width"]
     """Depth up to which the camera sees through each pixel; 0 where that is not known."""
-    depth_sigma: float
-    """Standard deviation of the logarithm of depth within the object."""
+    depth_errors: DepthErrors
     distance_sigma: float
-    """The same of the object's whole distance."""
+    """Standard deviation of the logarithm of the object's whole distance."""
     raised: bool = False
     """It does not stand on the floor."""
     rested_m: Float[np.ndarray, "rests 3"] = field(default_factory=lambda: np.zeros((0, 3)))
@@ -105,8 +120,10 @@ class ObjectEvidence:
     """Points where bodies were; independent of each other."""
     others_m: Float[np.ndarray, "others 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Seen points of walls and other objects, which are not inside it."""
-    room_yaw_rad: float | None = None
-    """Of the room's walls, modulo a right angle; None where the picture does not tell it."""
+    sides: Heading | None = None
+    """Of its own straight edges; None where they do not tell."""
+    walls: Heading | None = None
+    """Of the room, where `sides` is not known."""
     filled_m: Callable[[np.ndarray], np.ndarray] | None = None
     """Signed distance of points of the world (batch, points, 3) to objects that were fitted before."""
 
@@ -190,7 +207,9 @@ class FormProblem:
         self, form: Form, evidence: ObjectEvidence, base_m: float, sigmas: FitSigmas, samples_per_side: int
     ) -> None:
         self.form, self.evidence, self.sigmas, self.samples = form, evidence, sigmas, samples_per_side
-        self.part_names, _ = form.build(form.usual_m[None])
+        self.part_names, solids = form.build(form.usual_m[None])
+        thick = zip(self.part_names, solids.shapes, strict=True)
+        self.is_round = all(shape in ROUND for name, shape in thick if name not in THIN)
         known = np.isfinite(evidence.depth_m)
         self.point_rays, self.point_m = evidence.rays[known], evidence.depth_m[known]
         self.log_depth = np.log(self.point_m)
@@ -202,14 +221,16 @@ class FormProblem:
         self.ray_weight = np.sqrt(sigmas.looks / max(len(known), 1))
         self.others_m = np.concatenate([evidence.others_m, evidence.body_m])
         other_m = np.linalg.norm(evidence.others_m - evidence.camera_m, axis=-1)
-        other_noise_m = np.hypot(np.hypot(evidence.depth_sigma, evidence.distance_sigma) * other_m, sigmas.form_m)
+        other_noise_m = np.hypot(
+            np.hypot(evidence.depth_errors.sigma, evidence.distance_sigma) * other_m, sigmas.form_m
+        )
         self.others_weight = _weight(sigmas.looks, len(other_m)) / other_noise_m
         self.steps = np.concatenate([_STEP, np.full(len(form.sizes), _SIZE_STEP)])
         self.prior_sigma = np.concatenate([
             [np.inf, np.inf, np.inf, 0.15 if base_m > 0 else sigmas.base_m, evidence.distance_sigma,
-             2 * evidence.distance_sigma], form.spread,
+             evidence.depth_errors.relief_sigma], form.spread,
         ])  # fmt: skip
-        self.prior_mean = np.concatenate([[0, 0, 0, base_m, 0, 0], np.log(form.usual_m)])
+        self.prior_mean = np.concatenate([[0, 0, 0, base_m, 0, evidence.depth_errors.relief - 1], np.log(form.usual_m)])
 
     def residuals(self, values: Float[np.ndarray, "batch values"]) -> Residuals:
         """Those of mask, depth, people, room and priors."""
@@ -219,7 +240,7 @@ class FormProblem:
         points_m = np.concatenate([self._depth_points_m(values), others], 1)
         away_m = solids.distance_m(self._own(values, points_m)).min(1)
         seen, of_others = len(self.point_m), len(self.point_m) + len(evidence.others_m)
-        noise_m = np.hypot(evidence.depth_sigma * self.point_m, self.outline_m)
+        noise_m = np.hypot(evidence.depth_errors.sigma * self.point_m, self.outline_m)
         origin = self._own(values, np.broadcast_to(evidence.camera_m, (batch, 1, 3)))[:, 0]
         rays = self._turned(values, np.broadcast_to(evidence.rays, (batch, *evidence.rays.shape)))
         missed = self.ray_weight * solids.miss_m(origin, rays) / self.outline_m
@@ -232,10 +253,8 @@ class FormProblem:
             own_m = self._own(values, np.broadcast_to(evidence.rested_m, (batch, *evidence.rested_m.shape)))
             gap_m = np.abs(self._rest_m(_carrying(self.part_names, solids).distance_m(own_m)))
             loose.append(_weight(sigmas.looks, len(evidence.rested_m)) * gap_m / sigmas.rest_m)
-        if evidence.room_yaw_rad is not None:
-            turn = 4 * (values[:, 2] - evidence.room_yaw_rad)
-            off = np.arctan2(np.sin(turn), np.cos(turn)) / 4 / sigmas.square_rad
-            loose.append(np.sqrt(np.expm1(sigmas.square_observations * np.log1p(off**2)))[:, None])
+        if (square := evidence.sides or evidence.walls) is not None:
+            loose.append(self._askew(values[:, 2], square)[:, None])
         firm.append(np.maximum(_FLESH_M - away_m[:, of_others:], 0) / sigmas.body_m)
         if evidence.filled_m is not None:
             weight = _weight(sigmas.looks, surface_m.shape[1])
@@ -244,6 +263,19 @@ class FormProblem:
         return Residuals(
             np.concatenate(loose, 1), np.concatenate(firm, 1), prior, of_picture, sigmas.noise_observations
         )  # fmt: skip
+
+    def _askew(self, yaw_rad: Float[np.ndarray, "batch"], square: Heading) -> Float[np.ndarray, "batch"]:
+        """Deviation of the yaw from that of straight edges.
+
+        Round forms have no straight edges: those that are seen may run in any direction.
+        """
+        sigmas, own = self.sigmas, self.evidence.sides is not None
+        turn = 4 * (yaw_rad - square.yaw_rad)
+        off_rad = np.arctan2(np.sin(turn), np.cos(turn)) / 4
+        if self.is_round:
+            off_rad = np.full_like(off_rad, np.pi / 4 / np.sqrt(3) if own else 0.0)
+        off = off_rad / np.hypot(square.sigma_rad, sigmas.edge_rad if own else sigmas.square_rad)
+        return np.sqrt(np.expm1(sigmas.square_observations * np.log1p(off**2)))
 
     def _rest_m(self, away_m: Float[np.ndarray, "batch parts rests"]) -> Float[np.ndarray, "batch rests"]:
         """Signed distance of what rested from the parts that it may rest on."""
@@ -297,7 +329,7 @@ class FormProblem:
         within = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
         at = (np.where(within, np.round(v), 0).astype(int), np.where(within, np.round(u), 0).astype(int))
         free = np.where(within, evidence.free_m[at], 0.0) * np.exp(values[:, 4:5])
-        before = np.log(np.maximum(free / z, 1.0)) / np.hypot(evidence.depth_sigma, self.sigmas.form_m / z)
+        before = np.log(np.maximum(free / z, 1.0)) / np.hypot(evidence.depth_errors.sigma, self.sigmas.form_m / z)
         outside = _sampled(evidence.outside_px, u, v) * self.pixel_m / self.outline_m
         # Outlines lose what is thin.
         outside *= np.repeat(~np.isin(self.part_names, THIN), surface_m.shape[1] // len(self.part_names))

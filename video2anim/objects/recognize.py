@@ -41,7 +41,7 @@ def recognized(
     evidence, box = seen.evidence, seen.box()
     lowest_m = max(float(np.percentile(seen.points_m[:, 1], 2)), 0.0) if evidence.raised else 0.0
     tries = [
-        (form, _starts(form, box, 0.0 if form.stands else lowest_m))
+        (form, _starts(form, box, 0.0 if form.stands else lowest_m, evidence.depth_errors.relief))
         for form in (FORMS if forms is None else forms)
         if form.name in log_prior
     ]
@@ -70,7 +70,7 @@ def _prior(form: Form, base_m: float, log_prior: Mapping[str, float]) -> float:
     return log_prior[form.name] + float(np.log(form.share * raised))
 
 
-def _starts(form: Form, box: UprightBox, base_m: float) -> list[Float[np.ndarray, "values"]]:
+def _starts(form: Form, box: UprightBox, base_m: float, relief: float) -> list[Float[np.ndarray, "values"]]:
     """Initial values at the box of the object, for every quarter turn in which the form differs.
 
     Measured sizes start at those of the box, within two standard deviations of the usual size.
@@ -91,7 +91,7 @@ def _starts(form: Form, box: UprightBox, base_m: float) -> list[Float[np.ndarray
         center = box.center_m.copy()
         center[2] = box.high_m[2] - 0.5 * sizes.get("depth" if turn % 2 == 0 else "width", sizes["width"])
         x, _, z = box.R_world_box @ center
-        made.append(np.array([x, z, yaw + turn * np.pi / 2, base_m, 0.0, 0.0, *logs]))
+        made.append(np.array([x, z, yaw + turn * np.pi / 2, base_m, 0.0, relief - 1, *logs]))
     return made
 
 

@@ -275,5 +275,7 @@ def _turned(rings: list[tuple[float, float]], low: float, high: float) -> UnitMe
 
 
 CUBE, CYLINDER, BALL, DOME = Cube(), Cylinder(), Ellipsoid(), Ellipsoid(half=True)
+ROUND: tuple[Shape, ...] = (CYLINDER, BALL, DOME)
+"""Those without a straight side."""
 WEDGE = Prism(np.array([[[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]]]))
 """A slope that falls towards +x."""

@@ -46,15 +46,26 @@ class UprightBox:
 
 
 def fit_upright_box(
-    points_world_m: Float[np.ndarray, "points 3"], normals_world: Float[np.ndarray, "points 3"]
+    points_world_m: Float[np.ndarray, "points 3"],
+    normals_world: Float[np.ndarray, "points 3"],
+    yaw_rad: float | None = None,
 ) -> UprightBox:
     """The box around seen points; +z of its frame is not yet the side that faces the camera.
+
+    `yaw_rad`: that of its sides, where it is known.
 
     Raises:
         ValueError: there are no points.
     """
     if not len(points_world_m):
         raise ValueError("fit_upright_box: want at least one point, got none")
+    if yaw_rad is None:
+        yaw_rad = _smallest(points_world_m, normals_world)
+    return box_at(yaw_rad, points_world_m, normals_world)
+
+
+def _smallest(points_world_m: Float[np.ndarray, "points 3"], normals_world: Float[np.ndarray, "points 3"]) -> float:
+    """Yaw of the box with a small footprint along which most normals are."""
     upright = np.abs(normals_world[:, 1]) < _ALONG
     heading = np.arctan2(normals_world[upright, 0], normals_world[upright, 2])
     flat = points_world_m[:, [0, 2]]
@@ -66,8 +77,8 @@ def fit_upright_box(
         aside = np.mean(0.5 * (1 - np.cos(4 * (heading - angle)))) if len(heading) else 0.0
         cost = size.prod() * (1 + aside * upright.mean())
         if cost < best:
-            best, yaw_rad = cost, angle
-    return box_at(yaw_rad, points_world_m, normals_world)
+            best, yaw_rad = cost, float(angle)
+    return yaw_rad
 
 
 def box_at(yaw_rad: float, points_world_m: np.ndarray, normals_world: np.ndarray) -> UprightBox:

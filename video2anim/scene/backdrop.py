@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from video2anim.geometry.heading import EdgeHeadings
 from video2anim.scene.extent import BODY_M, THROUGH, Part, before_walls, behind_people, parts_of, rectangle
-from video2anim.scene.heading import room_heading
 from video2anim.scene.patches import SMOOTH_PX, clear, room_piece, smooth_field, squared, tidy
 from video2anim.scene.planes import Plane, room_planes
 from video2anim.scene.regions import FLOOR, HIDDEN, LOW, cards, labeled
@@ -64,7 +64,8 @@ def backdrop(
     """
     sigma = np.zeros_like(depth.background_depth_m) if relative_sigma is None else relative_sigma
     view = look(depth, masks, background, sigma, far_m)
-    heading_rad = room_heading(background.background_rgb, depth.bodies.main_view)
+    heading = EdgeHeadings(background.background_rgb, depth.bodies.main_view).of_room()
+    heading_rad = None if heading is None else heading.angle_rad
     paths_m = body_paths(depth.bodies.people)
     people_m = _people_depth(view, paths_m)
     planes, label = _explained(view, heading_rad, people_m, paths_m)
