@@ -3,19 +3,24 @@ shows."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import trimesh
 
-from video2anim.geometry.projection import pixel_rays
+from video2anim.geometry.heading import EdgeHeadings
+from video2anim.geometry.projection import pixel_rays, project
 from video2anim.objects.upright_box import UprightBox
-from video2anim.types.camera import Intrinsics
+from video2anim.types.camera import Intrinsics, View
 
 LENS = Intrinsics.centered(300.0, 320, 240)
 FLOOR = -1
 SKY = -2
+DRAWN_PX = (960, 720)
+"""Size of drawings."""
 
 
 def about_y(angle_rad: float) -> np.ndarray:
@@ -161,3 +166,20 @@ def table(width_m: float, height_m: float, depth_m: float, at_m: tuple[float, fl
         center_m = (at_m[0] + x, 0.5 * (height_m - thick_m), at_m[1] + z)
         blocks.append(Block(center_m, (thick_m, height_m - thick_m, thick_m), yaw_rad))
     return blocks
+
+
+def drawn(lines_m: Sequence[np.ndarray], T_world_camera: np.ndarray) -> EdgeHeadings:
+    """Headings of a picture of lines through points of the world."""
+    picture, view = np.full((DRAWN_PX[1], DRAWN_PX[0], 3), 128, np.uint8), View(T_world_camera, LENS.resized(*DRAWN_PX))
+    for line_m in lines_m:
+        at_px = project((line_m - T_world_camera[:3, 3]) @ T_world_camera[:3, :3], view.intrinsics)
+        cv2.polylines(picture, [np.round(16 * at_px).astype(np.int32)], False, (40, 40, 40), 2, cv2.LINE_AA, 4)
+    return EdgeHeadings(picture, view)
+
+
+def edges_of(block: Block) -> list[np.ndarray]:
+    """All twelve."""
+    signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    corners_m = block.center_m + (signs * block.size_m) @ block.R_world_block.T
+    pairs = [(a, b) for a, b in itertools.combinations(range(8), 2) if (signs[a] != signs[b]).sum() == 1]
+    return [corners_m[list(pair)] for pair in pairs]

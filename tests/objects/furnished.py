@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from seen_boxes import FLOOR, LENS, SKY, Block, Piece, Shot, about_y, looking, shoot
+from seen_boxes import FLOOR, LENS, SKY, Block, Piece, Shot, about_y, drawn, looking, shoot
 from synthetic import planted_walk
 
-from video2anim.geometry.heading import EdgeHeadings
 from video2anim.objects.evidence import ObjectViews, PeopleEvidence, SeenObject
 from video2anim.objects.form_fit import DepthErrors
 from video2anim.types import BodyTracks, CompletedObject, InstanceMasks, MetricDepth, ObjectInstance
-from video2anim.types.camera import View
 
 NOBODY = np.zeros((0, 3))
 EYE_M = (0.0, 1.6, 0.0)
@@ -81,7 +79,8 @@ def furnished(
     unseen: np.ndarray | None = None,
     known: np.ndarray | None = None,
     own: np.ndarray | None = None,
-    picture: np.ndarray | None = None,
+    edges_m: Sequence[np.ndarray] = (),
+    errors: DepthErrors | None = None,
     seed: int = 0,
 ) -> Furnished:
     """What is known of the object; the others have masks too, walls have none.
@@ -90,7 +89,8 @@ def furnished(
         unseen: Pixels that people always hid.
         known: Pixels with depth, instead of all.
         own: The object's mask, instead of its visible pixels.
-        picture: Instead of a black one, which has no edges.
+        edges_m: Lines of the world that the picture shows.
+        errors: Instead of those of true depth.
     """
     blocks = [*obj, *others, WALL]
     center = np.mean([block.center_m for block in obj], axis=0)
@@ -99,12 +99,11 @@ def furnished(
     masks = [own, *(shot.mask(len(obj) + number) for number in range(len(others)))]
     instances = tuple(ObjectInstance(n, "object", 1.0, np.zeros(4), mask) for n, mask in enumerate(masks, 1))
     depth_m = np.where(own, depth_factor, 1.0) * shot.depth_m
-    picture = np.zeros((*own.shape, 3), np.uint8) if picture is None else picture
     views = ObjectViews(
         InstanceMasks("truth", instances, shot.mask(FLOOR)), metric(shot, depth_m, distance_sigma, known),
         np.zeros_like(own) if unseen is None else unseen,
         PeopleEvidence(rested_m, np.ones(len(rested_m), bool), body_m),
-        DepthErrors(depth_sigma, 1.0, 2 * distance_sigma), EdgeHeadings(picture, View(shot.T_world_camera, LENS)),
+        errors or DepthErrors(depth_sigma, 1.0, 2 * distance_sigma), drawn(edges_m, shot.T_world_camera),
     )  # fmt: skip
     seen = views.object(CompletedObject(1, "object", own, np.zeros((1, 1, 3), np.uint8)), np.random.default_rng(seed))
     assert seen is not None

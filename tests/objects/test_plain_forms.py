@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from furnished import Furnished, chair, furnished, moved
-from seen_boxes import LENS, Block, Piece, table
+from furnished import Furnished, chair, furnished, moved, turned_by
+from seen_boxes import LENS, Block, Piece, edges_of, table
 from trimesh.creation import box, extrude_triangulation, icosphere
 from trimesh.transformations import rotation_matrix
 
 from video2anim.geometry.projection import transform_points
 from video2anim.objects.extrusion import OUTLINE, outline_form
-from video2anim.objects.form_fit import FitSigmas, FormFit
+from video2anim.objects.form_fit import DepthErrors, FitSigmas, FormFit
 from video2anim.objects.meshing import ObjectPicture, form_mesh
 from video2anim.objects.recognize import log_prior, recognized
 from video2anim.objects.shapes import triangulated
@@ -172,3 +172,35 @@ def test_nothing_has_no_outline() -> None:
     room = noisy([Block((0.2, 0.25, -3.0), (0.7, 0.5, 0.4), 0.4)])
     empty = replace(room.seen, outline=np.zeros_like(room.seen.own))
     assert outline_form(empty, room.seen.box(), 0.0, FitSigmas()) is None
+
+
+COLUMN = (np.arange(LENS.width_px) - LENS.cx_px) / LENS.fx_px
+
+
+@pytest.mark.parametrize("yaw_rad", [0.1, -0.5])
+def test_straight_edges_tell_the_yaw_where_depth_is_askew(yaw_rad: float) -> None:
+    """Depth that grows to the right by a third of a meter for each meter."""
+    crate = Block((0.1, 0.4, -3.0), (1.2, 0.8, 0.7), yaw_rad)
+    errors = DepthErrors(0.03, 0.65, 0.4)
+    askew = [
+        furnished([crate], depth_factor=np.exp(0.3 * COLUMN), edges_m=edges_m, errors=errors)
+        for edges_m in ((), edges_of(crate))
+    ]
+    blind, told = (
+        turned_by(recognized(room.seen, {"box": 0.0})[0].values[2], yaw_rad, np.pi / 2) for room in askew
+    )  # fmt: skip
+    assert told < np.deg2rad(2)
+    assert blind > 2 * told
+
+
+def test_a_box_whose_depth_is_a_bowl_is_a_box() -> None:
+    """Networks see the middle of a plain front nearer than its ends."""
+    shed = Block((0.0, 0.9, -5.0), (2.3, 1.8, 1.5), 0.1)
+    room = furnished(
+        [shed], depth_factor=np.exp(2 * COLUMN**2), edges_m=edges_of(shed), errors=DepthErrors(0.03, 0.65, 0.4),
+        distance_sigma=0.05,
+    )  # fmt: skip
+    best = recognized(room.seen, log_prior("object"))[0]
+    assert best.form.name in ("box", "cabinet")
+    assert turned_by(best.values[2], 0.1, np.pi / 2) < np.deg2rad(2)
+    assert best.sizes_m[-1] == pytest.approx(1.8, abs=0.1)

@@ -285,8 +285,12 @@ class FormProblem:
 
     def _depth_points_m(self, values: np.ndarray) -> Float[np.ndarray, "batch points 3"]:
         """The object's depth points in the world, corrected."""
-        depth_m = np.exp(values[:, 4:5] + values[:, 5:6] * (self.log_depth - self.center)) * self.point_m
+        depth_m = self.point_m * self._correction(values, self.log_depth)
         return self.evidence.camera_m + self.point_rays * depth_m[..., None]
+
+    def _correction(self, values: np.ndarray, log_depth: np.ndarray) -> Float[np.ndarray, "batch points"]:
+        """True over estimated depth."""
+        return np.exp(values[:, 4:5] + values[:, 5:6] * (log_depth - self.center))
 
     def result(self, values: Float[np.ndarray, "values"], log_prior: float) -> FormFit:
         """The fit from a start on, followed to the end."""
@@ -328,7 +332,8 @@ class FormProblem:
         height, width = evidence.free_m.shape
         within = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
         at = (np.where(within, np.round(v), 0).astype(int), np.where(within, np.round(u), 0).astype(int))
-        free = np.where(within, evidence.free_m[at], 0.0) * np.exp(values[:, 4:5])
+        free = np.where(within, evidence.free_m[at], 0.0)
+        free = free * self._correction(values, np.log(np.where(free > 0, free, 1.0)))
         before = np.log(np.maximum(free / z, 1.0)) / np.hypot(evidence.depth_errors.sigma, self.sigmas.form_m / z)
         outside = _sampled(evidence.outside_px, u, v) * self.pixel_m / self.outline_m
         # Outlines lose what is thin.
