@@ -70,9 +70,17 @@ def segment_background(
     """
     from video2anim.calibration.gather import first_depth_m, picture_evidence
     from video2anim.geometry.masks import shrunk
+    from video2anim.humans.ground import lowest_level
     from video2anim.networks.segmentation import CLASSES
     from video2anim.objects.depth_regions import RegionLimits, find_regions
-    from video2anim.objects.instances import full_size, instances_of, merged_objects, recognized_objects
+    from video2anim.objects.instances import (
+        full_size,
+        height_over_floor,
+        instances_of,
+        merged_objects,
+        recognized_objects,
+        without_floor,
+    )
 
     main, shape = bodies.main, depth.background_value.shape
     view = main.view().resized(*shape[::-1])
@@ -88,8 +96,12 @@ def segment_background(
     detected = _detected(image, depth_m, regions.floor, config, ctx)
     recognized = recognized_objects(detected, seen, shape)
     found, floor = merged_objects(recognized, seen, regions, depth_m, valid, view, limits)
+    soles_m = evidence.people[0].soles_m
+    up_m, height_m = soles_m @ view.T_world_camera[1, :3], np.where(valid, height_over_floor(depth_m, view), np.nan)
+    on_floor, person = np.isin(up_m, lowest_level(up_m)), background.selected_mask.any(0)
+    found, mats = without_floor(found, soles_m, on_floor, person, height_m, view)
     instances = instances_of(found, background, min_score=config.min_score, max_objects=config.max_objects)
-    floor = full_size(floor, image)
+    floor = full_size(floor | mats, image)
     for instance in instances:
         floor &= ~instance.mask
     ctx.quality("recognized", len(recognized), "count")
@@ -121,4 +133,4 @@ def _detected(
     return found
 
 
-STAGE = StageSpec("segment", segment_background, version=10, models=("segment", "finder"))
+STAGE = StageSpec("segment", segment_background, version=11, models=("segment", "finder"))

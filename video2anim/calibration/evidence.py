@@ -61,8 +61,8 @@ class ObjectEvidence:
     top: PixelEvidence | None
     """Its highest pixel, if its foot is visible and its class has a usual height."""
     under_feet: SkinEvidence | None = None
-    """Soles of the main person that stood on it, each with its root, and the object's depth there. If they are on the
-    lowest level, its foot is no evidence: what people stand on is the floor."""
+    """Soles of the main person that stood on it, each with its root, and the object's depth there. Its foot is no
+    evidence then: what people stand on is the floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -49,8 +49,6 @@ _MIN_COLUMNS, _MIN_SHARE = 6, 0.15
 """Least number of an object's columns that end on the floor, and their least share."""
 _MIN_STOOD = 2
 """Least number of soles that stood on an object: a single one may be an error of the mask."""
-_HIGH_M = 0.3
-"""Soles on an object that are lower stand on what is taken for the floor: ten of their standard deviations."""
 
 
 def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) -> PersonEvidence:
@@ -234,8 +232,7 @@ class _ObjectMeasurer:
         rows, columns = np.indices(value.shape)
         self.pixel = _pixels(rows, columns, main, value.shape)
         rays = np.concatenate([self.pixel / main.intrinsics.fx_px, np.ones((*value.shape, 1))], -1)
-        self.up, self.height_m = T[1, :3], float(T[1, 3])
-        self.rise = rays @ self.up
+        self.rise, self.height_m = rays @ T[1, :3], float(T[1, 3])
 
     def object(
         self,
@@ -247,8 +244,7 @@ class _ObjectMeasurer:
         """Evidence of one object."""
         foot, cut = self._foot(own)
         soles = self._under_feet(own, main)
-        if soles is not None and np.median(soles.skin_m @ self.up) + self.height_m < _HIGH_M:
-            foot = None
+        foot = foot if soles is None else None
         top = self._top(own) if foot is not None and label in USUAL_HEIGHT_M and not own[0].any() else None
         return ObjectEvidence(object_id, label, foot, cut, top, soles)
 

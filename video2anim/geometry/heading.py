@@ -43,6 +43,8 @@ class Heading:
     angle_rad: float
     sigma_rad: float
     """Standard deviation by the edges alone: errors of lens and gravity are not in it."""
+    log_odds: float
+    """Of this one heading for all edges, against another one for each."""
 
     @property
     def yaw_rad(self) -> float:
@@ -104,4 +106,9 @@ class EdgeHeadings:
             return None
         log_likelihood = (_INDEPENDENT * weight @ self._log_likelihood[chosen])[order[first:last]]
         share, off_rad = np.exp(log_likelihood - log_likelihood.max()), off_rad[first:last]
-        return Heading(float(self._turns[order[middle]]), float(np.sqrt(share @ off_rad**2 / share.sum())))
+        best = int(order[middle])
+        each = self._log_likelihood[chosen, best] - np.log(np.exp(self._log_likelihood[chosen]).mean(1))
+        return Heading(
+            float(self._turns[best]), float(np.sqrt(share @ off_rad**2 / share.sum())),
+            max(_INDEPENDENT * float(weight @ each), 0.0),
+        )  # fmt: skip

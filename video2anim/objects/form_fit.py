@@ -265,17 +265,15 @@ class FormProblem:
         )  # fmt: skip
 
     def _askew(self, yaw_rad: Float[np.ndarray, "batch"], square: Heading) -> Float[np.ndarray, "batch"]:
-        """Deviation of the yaw from that of straight edges.
-
-        Round forms have no straight edges: those that are seen may run in any direction.
-        """
+        """Deviation of the yaw from that of straight edges. On round forms each edge has a direction of its own."""
         sigmas, own = self.sigmas, self.evidence.sides is not None
         turn = 4 * (yaw_rad - square.yaw_rad)
         off_rad = np.arctan2(np.sin(turn), np.cos(turn)) / 4
-        if self.is_round:
-            off_rad = np.full_like(off_rad, np.pi / 4 / np.sqrt(3) if own else 0.0)
         off = off_rad / np.hypot(square.sigma_rad, sigmas.edge_rad if own else sigmas.square_rad)
-        return np.sqrt(np.expm1(sigmas.square_observations * np.log1p(off**2)))
+        cost = 0.5 * sigmas.square_observations * np.log1p(off**2)
+        if self.is_round:
+            cost = np.full_like(cost, square.log_odds if own else 0.0)
+        return np.sqrt(np.expm1(2 * cost))
 
     def _rest_m(self, away_m: Float[np.ndarray, "batch parts rests"]) -> Float[np.ndarray, "batch rests"]:
         """Signed distance of what rested from the parts that it may rest on."""

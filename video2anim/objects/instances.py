@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from video2anim.geometry.masks import shrunk
-from video2anim.geometry.projection import backproject, transform_points
+from video2anim.geometry.projection import backproject, project, transform_points
 from video2anim.networks.segmentation import CLASSES, Segmentation
 from video2anim.objects.depth_regions import RegionLimits, Regions
 from video2anim.objects.merge import Detection, joined_objects
@@ -27,6 +27,12 @@ _FURNITURE = ("chair", "table", "desk", "box")
 """Classes of the detector that a body uses."""
 _FLOOR_TOLERANCE_M = 0.3
 """Pixels that the network calls floor may be this far from y = 0 by their depth, whose scale is rough here."""
+_MIN_STOOD = 2
+"""Least number of soles that stood on floor: a single one may be an error of the mask."""
+_MIN_AHEAD_M = 0.1
+"""Nearest points of a body that are projected."""
+_TOP_PERCENT = 90
+"""Of heights: the top of an object without errors of its mask."""
 
 
 def detected_furniture(
@@ -94,6 +100,46 @@ def merged_objects(
     low = ~valid | (np.abs(world_m[..., 1]) < _FLOOR_TOLERANCE_M)
     found = joined_objects(recognized, regions.objects, built, world_m, valid, limits)
     return found, (floor & low) | (regions.floor & built)
+
+
+def height_over_floor(depth_m: Float[np.ndarray, "rows columns"], view: View) -> Float[np.ndarray, "rows columns"]:
+    """World height of every pixel's point."""
+    camera_m = backproject(depth_m, view.intrinsics)
+    return transform_points(view.T_world_camera, camera_m.reshape(-1, 3))[:, 1].reshape(depth_m.shape)
+
+
+def without_floor(
+    found: Sequence[Detection],
+    soles_camera_m: Float[np.ndarray, "soles 3"],
+    on_floor: Bool[np.ndarray, "soles"],
+    person: Bool[np.ndarray, "rows columns"],
+    height_m: Float[np.ndarray, "rows columns"],
+    view: View,
+) -> tuple[list[Detection], Bool[np.ndarray, "rows columns"]]:
+    """Objects but for mats, rugs and blankets on which the person stood, and pixels of those: they are floor.
+
+    Args:
+        soles_camera_m: Soles of standing feet.
+        on_floor: Those on the lowest level.
+        person: Pixels at which the person was seen; elsewhere feet may be hidden.
+        height_m: Of the depth points over the floor; NaN where unknown. Objects may err as a whole.
+    """
+    ahead = soles_camera_m[:, 2] > _MIN_AHEAD_M
+    column, row = np.round(project(soles_camera_m[ahead], view.intrinsics)).astype(int).T
+    rows, columns = person.shape
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    column, row, on_floor = column[inside], row[inside], on_floor[ahead][inside]
+    kept, floor = [], np.zeros_like(person)
+    for one in found:
+        inner = cv2.erode(one.mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        stood = (inner & person)[row, column]
+        under, low = height_m[row, column][stood & on_floor], int((stood & on_floor).sum())
+        is_floor = low >= _MIN_STOOD and 2 * low > stood.sum() and np.isfinite(under).any()
+        if is_floor and np.nanpercentile(height_m[one.mask], _TOP_PERCENT) - np.nanmedian(under) < _FLOOR_TOLERANCE_M:
+            floor |= one.mask
+        else:
+            kept.append(one)
+    return kept, floor
 
 
 def instances_of(
