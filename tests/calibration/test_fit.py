@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from evidence_cases import HONEST, Thing, World, degrees_between, times, up_of
 
-from video2anim.calibration.evidence import Evidence, PixelEvidence
+from video2anim.calibration.evidence import Evidence, PixelEvidence, SkinEvidence
 from video2anim.calibration.fit import Calibration, calibrate
 from video2anim.calibration.line import metric_depth
 from video2anim.geometry.rotations import matrix_from_axis_angle
@@ -88,6 +88,24 @@ def test_things_come_to_their_feet(kind: str, offset: float) -> None:
     np.testing.assert_allclose(found.object_depth_log, [-0.1, 0.02, 0.0, 0.0, -0.2], atol=0.035)
     assert (found.object_depth_log_sigma[[0, 1, 4]] < 0.06).all(), "feet tell"
     assert found.object_depth_log_sigma[3] > 0.1, "where feet say nothing, the prior is all there is"
+
+
+@KINDS
+@pytest.mark.parametrize(("high_m", "nearer_log", "left_log"), [
+    (0.5, 0.15, 0.0), (0.5, -0.15, 0.0), (2.2, 0.15, 0.15), (2.2, -0.15, 0.0),
+])  # fmt: skip
+def test_soles_tell_the_distance_of_what_they_stood_on(
+    kind: str, offset: float, high_m: float, nearer_log: float, left_log: float
+) -> None:
+    """On a roof above the camera they are behind the edge that is seen: it may be nearer, but not farther."""
+    world = World(kind=kind, offset=offset, objects=(Thing("object", (0.5, 4.0), high_m, nearer_log),))
+    evidence = world.evidence()
+    soles_m = world.on_floor(np.linspace(0.3, 0.7, 5), np.full(5, 4.0), high_m)
+    root_m = world.on_floor(np.full(5, 0.5), np.full(5, 4.0), high_m + 0.9)
+    stood = SkinEvidence(root_m, soles_m, world.pixel(soles_m), world.coded(soles_m[:, 2], nearer_log))
+    (one,) = evidence.objects
+    found = calibrate(replace(evidence, objects=(replace(one, foot=None, top=None, under_feet=stood),)))
+    assert found.object_depth_log[0] == pytest.approx(nearer_log - left_log, abs=0.05)
 
 
 @pytest.mark.parametrize("nearer_log", [-0.15, 0.15])

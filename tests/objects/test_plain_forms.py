@@ -193,14 +193,17 @@ def test_straight_edges_tell_the_yaw_where_depth_is_askew(yaw_rad: float) -> Non
     assert blind > 2 * told
 
 
-def test_a_box_whose_depth_is_a_bowl_is_a_box() -> None:
-    """Networks see the middle of a plain front nearer than its ends."""
+@pytest.mark.parametrize("curved", [2.0, 4.0])
+def test_a_box_whose_depth_is_a_bowl_is_not_round(curved: float) -> None:
+    """Networks see the middle of a plain front nearer than its ends: with 4, nearly as of a drum."""
     shed = Block((0.0, 0.9, -5.0), (2.3, 1.8, 1.5), 0.1)
     room = furnished(
-        [shed], depth_factor=np.exp(2 * COLUMN**2), edges_m=edges_of(shed), errors=DepthErrors(0.03, 0.65, 0.4),
+        [shed], depth_factor=np.exp(curved * COLUMN**2), edges_m=edges_of(shed), errors=DepthErrors(0.03, 0.65, 0.4),
         distance_sigma=0.05,
     )  # fmt: skip
     best = recognized(room.seen, log_prior("object"))[0]
-    assert best.form.name in ("box", "cabinet")
-    assert turned_by(best.values[2], 0.1, np.pi / 2) < np.deg2rad(2)
-    assert best.sizes_m[-1] == pytest.approx(1.8, abs=0.1)
+    assert best.form.name in ("box", "cabinet", OUTLINE)
+    assert turned_by(best.values[2], 0.1, np.pi / 2) < np.deg2rad(3)
+    assert dict(zip((size.name for size in best.form.sizes), best.sizes_m, strict=True))["height"] == pytest.approx(
+        1.8, abs=0.1
+    )
