@@ -26,7 +26,8 @@ from video2anim.artifacts.codec import read_value
 from video2anim.geometry.heading import EdgeHeadings
 from video2anim.geometry.masks import never_seen
 from video2anim.objects.evidence import ObjectViews, PeopleEvidence, SeenObject
-from video2anim.objects.form_fit import DepthErrors, FormFit
+from video2anim.objects.form_fit import FormFit
+from video2anim.objects.observed import DepthErrors
 from video2anim.objects.recognize import labeled_fits
 from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.scene.supports import rested_and_inner_m

@@ -88,8 +88,8 @@ def reconstruct_objects(
     from video2anim.geometry.heading import EdgeHeadings
     from video2anim.geometry.masks import never_seen
     from video2anim.objects.evidence import ObjectViews, PeopleEvidence
-    from video2anim.objects.form_fit import DepthErrors
     from video2anim.objects.object_mesh import fitted
+    from video2anim.objects.observed import DepthErrors
     from video2anim.scene.supports import rested_and_inner_m
 
     unseen = never_seen(background.seen_ratio, depth.background_depth_m.shape)

@@ -98,7 +98,7 @@ def segment_background(
     found, floor = merged_objects(recognized, seen, regions, depth_m, valid, view, limits)
     soles_m = evidence.people[0].soles_m
     up_m, height_m = soles_m @ view.T_world_camera[1, :3], np.where(valid, height_over_floor(depth_m, view), np.nan)
-    on_floor, person = np.isin(up_m, lowest_level(up_m)), background.selected_mask.any(0)
+    on_floor, person = np.isin(up_m, lowest_level(up_m)), np.asarray(background.selected_mask.any(0))
     found, mats = without_floor(found, soles_m, on_floor, person, height_m, view)
     instances = instances_of(found, background, min_score=config.min_score, max_objects=config.max_objects)
     floor = full_size(floor | mats, image)

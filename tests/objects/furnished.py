@@ -11,7 +11,7 @@ from seen_boxes import FLOOR, LENS, SKY, Block, Piece, Shot, about_y, drawn, loo
 from synthetic import planted_walk
 
 from video2anim.objects.evidence import ObjectViews, PeopleEvidence, SeenObject
-from video2anim.objects.form_fit import DepthErrors
+from video2anim.objects.observed import DepthErrors
 from video2anim.types import BodyTracks, CompletedObject, InstanceMasks, MetricDepth, ObjectInstance
 
 NOBODY = np.zeros((0, 3))

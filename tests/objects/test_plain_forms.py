@@ -15,8 +15,9 @@ from trimesh.transformations import rotation_matrix
 
 from video2anim.geometry.projection import transform_points
 from video2anim.objects.extrusion import OUTLINE, outline_form
-from video2anim.objects.form_fit import DepthErrors, FitSigmas, FormFit
+from video2anim.objects.form_fit import FitSigmas, FormFit
 from video2anim.objects.meshing import ObjectPicture, form_mesh
+from video2anim.objects.observed import DepthErrors
 from video2anim.objects.recognize import log_prior, recognized
 from video2anim.objects.shapes import triangulated
 from video2anim.types import View

@@ -14,7 +14,8 @@ from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid
 from video2anim.objects.backproject import BackprojectedObject, ObjectBackprojector
 from video2anim.objects.foreground import floor_band_m, surface_normals
-from video2anim.objects.form_fit import DepthErrors, FitSigmas, FormFit, ObjectEvidence
+from video2anim.objects.form_fit import FitSigmas, FormFit
+from video2anim.objects.observed import DepthErrors, ObjectEvidence
 from video2anim.objects.occupied import Occupied
 from video2anim.objects.upright_box import UprightBox, fit_upright_box, turned_to
 from video2anim.types import CompletedObject, InstanceMasks, MetricDepth

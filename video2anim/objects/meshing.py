@@ -9,8 +9,9 @@ from jaxtyping import Bool, Float, UInt8
 from scipy.spatial import KDTree
 
 from video2anim.geometry.projection import invert_rigid, project, transform_points
-from video2anim.objects.form_fit import FormFit, ObjectEvidence
+from video2anim.objects.form_fit import FormFit
 from video2anim.objects.furniture import BOX
+from video2anim.objects.observed import ObjectEvidence
 from video2anim.objects.solids import Solids
 from video2anim.objects.texture import textured
 from video2anim.types import Mesh, ObjectPart, Texture, View
