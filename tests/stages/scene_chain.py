@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from synthetic_room import Room
+from synthetic_room import TRUE_RELIEF, Room
 
 from stages.complete import CompleteConfig, complete_objects
 from stages.metric import MetricConfig, fit_metric
@@ -81,7 +81,7 @@ def run_chain(room: Room) -> Chain:
     masks = masks_of(room, depth, SegmentConfig(provider="geometric", finder="none"), ctx)
     metric = fit_metric(room.clip, depth, room.background, room.bodies, masks, room.camera, MetricConfig(), ctx)
     completed = complete_objects(room.background, masks, metric, CompleteConfig(), ctx)
-    meshes = reconstruct_objects(completed, masks, metric, room.background, ReconstructConfig(), ctx)
+    meshes = reconstruct_objects(completed, masks, metric, room.background, ReconstructConfig(**TRUE_RELIEF), ctx)
     placed = place_objects(meshes, masks, metric, PlaceConfig(), ctx)
     scene = build_scene(unfilmed(room), placed, metric, depth, masks, room.background, SceneConfig(), ctx)
     return Chain(depth, masks, metric, completed, meshes, placed, scene, ctx)

@@ -192,6 +192,10 @@ def clip_of(motion: BodyMotion) -> VideoClip:
     )  # fmt: skip
 
 
+TRUE_RELIEF = {"depth_relief": 1.0, "depth_relief_sigma": 0.02}
+"""Options of stage reconstruct for depth without a network's errors."""
+
+
 def true_depth(room: Room, depth_m: np.ndarray | None = None, bodies: BodyTracks | None = None) -> MetricDepth:
     """Depth without error of the background image alone, or another one; 0 and what is beyond 50 m is unknown."""
     depth_m = room.depth_m if depth_m is None else depth_m

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from scene_chain import run_chain
-from synthetic_room import BOX, BOX_CENTER_M, BOX_SIZE_M, FLOOR, Room, camera_pose, make_room, true_depth
+from synthetic_room import BOX, BOX_CENTER_M, BOX_SIZE_M, FLOOR, TRUE_RELIEF, Room, camera_pose, make_room, true_depth
 
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
 from video2anim.geometry.projection import transform_points
@@ -50,7 +50,7 @@ def reconstruct(
         InstanceMasks("truth", tuple(instances), room.surface_full == FLOOR if floor is None else floor),
         true_depth(room, depth_m),
         room.background,
-        config or ReconstructConfig(),
+        replace(config or ReconstructConfig(), **TRUE_RELIEF),
         ctx or StageContext(Path()),
     )
 

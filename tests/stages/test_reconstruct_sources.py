@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 from scene_chain import all_finite
-from synthetic_room import BOX, BOX_CENTER_M, BOX_SIZE_M, FLOOR, WALL_Z_M, Room, make_room, true_depth
+from synthetic_room import BOX, BOX_CENTER_M, BOX_SIZE_M, FLOOR, TRUE_RELIEF, WALL_Z_M, Room, make_room, true_depth
 from trimesh.visual import ColorVisuals
 
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
@@ -67,7 +67,7 @@ def reconstruct(config: ReconstructConfig, ctx: StageContext | None = None, obje
         masks,
         true_depth(room),
         room.background,
-        config,
+        replace(config, **TRUE_RELIEF),
         ctx or StageContext(Path()),
     )
     return list(made.objects)
