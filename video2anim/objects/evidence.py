@@ -62,10 +62,15 @@ class SeenObject:
     outline: Bool[np.ndarray, "height width"]
     """Those and the hidden ones that were completed."""
 
-    def box(self) -> UprightBox:
-        """The box around them, down to the floor if it stands there; +z of its frame faces the camera."""
+    def box(self, distance_log: float = 0.0) -> UprightBox:
+        """The box around them, down to the floor if it stands there; +z of its frame faces the camera.
+
+        `distance_log`: logarithm of a correction of their distance.
+        """
+        camera_m = self.evidence.camera_m
+        points_m = camera_m + np.exp(distance_log) * (self.points_m - camera_m)
         yaw_rad = None if self.evidence.sides is None else self.evidence.sides.yaw_rad
-        box = turned_to(fit_upright_box(self.points_m, self.normals, yaw_rad), self.evidence.camera_m)
+        box = turned_to(fit_upright_box(points_m, self.normals, yaw_rad), camera_m)
         if self.evidence.raised:
             return box
         # The lowest of its pixels are left to the floor, or hidden.

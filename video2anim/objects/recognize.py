@@ -20,6 +20,8 @@ _PLAIN = ("box", "cabinet", "ellipsoid", "stack", OUTLINE)
 """Forms that mostly stand on the floor but may stand on something else."""
 _RAISED = 0.05
 """Prior probability that one of them stands on something other than the floor."""
+_FARTHER = 3.0
+"""Standard deviations of its distance by which an object of a second start is farther."""
 _KEPT = 4
 """Forms that are fitted at full resolution."""
 
@@ -38,10 +40,13 @@ def recognized(
         forms: Those that are tried; by default all, and the object's outline with a thickness.
     """
     sigmas = FitSigmas() if sigmas is None else sigmas
-    evidence, box = seen.evidence, seen.box()
+    evidence, box, relief = seen.evidence, seen.box(), seen.evidence.depth_errors.relief
+    # From a place behind the people in front of it, too.
+    farther = _FARTHER * evidence.distance_sigma
+    boxes = [(box, 0.0), (seen.box(farther), farther)]
     lowest_m = max(float(np.percentile(seen.points_m[:, 1], 2)), 0.0) if evidence.raised else 0.0
     tries = [
-        (form, _starts(form, box, 0.0 if form.stands else lowest_m, evidence.depth_errors.relief))
+        (form, [start for one in boxes for start in _starts(form, *one, 0.0 if form.stands else lowest_m, relief)])
         for form in (FORMS if forms is None else forms)
         if form.name in log_prior
     ]
@@ -70,7 +75,9 @@ def _prior(form: Form, base_m: float, log_prior: Mapping[str, float]) -> float:
     return log_prior[form.name] + float(np.log(form.share * raised))
 
 
-def _starts(form: Form, box: UprightBox, base_m: float, relief: float) -> list[Float[np.ndarray, "values"]]:
+def _starts(
+    form: Form, box: UprightBox, distance_log: float, base_m: float, relief: float
+) -> list[Float[np.ndarray, "values"]]:
     """Initial values at the box of the object, for every quarter turn in which the form differs.
 
     Measured sizes start at those of the box, within two standard deviations of the usual size.
@@ -91,7 +98,7 @@ def _starts(form: Form, box: UprightBox, base_m: float, relief: float) -> list[F
         center = box.center_m.copy()
         center[2] = box.high_m[2] - 0.5 * sizes.get("depth" if turn % 2 == 0 else "width", sizes["width"])
         x, _, z = box.R_world_box @ center
-        made.append(np.array([x, z, yaw + turn * np.pi / 2, base_m, 0.0, relief - 1, *logs]))
+        made.append(np.array([x, z, yaw + turn * np.pi / 2, base_m, distance_log, relief - 1, *logs]))
     return made
 
 
