@@ -41,9 +41,11 @@ def recognized(
     """
     sigmas = FitSigmas() if sigmas is None else sigmas
     evidence, box, relief = seen.evidence, seen.box(), seen.evidence.depth_errors.relief
-    # From a place behind the people in front of it, too.
-    farther = _FARTHER * evidence.distance_sigma
-    boxes = [(box, 0.0), (seen.box(farther), farther)]
+    boxes = [(box, 0.0)]
+    if box.holds(evidence.body_m).any():
+        # Also from behind the people who were there.
+        farther = _FARTHER * evidence.distance_sigma
+        boxes.append((seen.box(farther), farther))
     lowest_m = max(float(np.percentile(seen.points_m[:, 1], 2)), 0.0) if evidence.raised else 0.0
     tries = [
         (form, [start for one in boxes for start in _starts(form, *one, 0.0 if form.stands else lowest_m, relief)])

@@ -40,6 +40,11 @@ class UprightBox:
     def size_m(self) -> Float[np.ndarray, "3"]:
         return self.high_m - self.low_m
 
+    def holds(self, points_world_m: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
+        """Points inside."""
+        own_m = points_world_m @ self.R_world_box
+        return ((own_m > self.low_m) & (own_m < self.high_m)).all(-1)
+
     def with_bounds(self, low_m: np.ndarray, high_m: np.ndarray) -> UprightBox:
         """The same axes, other corners."""
         return UprightBox(self.R_world_box, low_m, high_m, self.measured)
