@@ -43,7 +43,7 @@ class UprightBox:
     def holds(self, points_world_m: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "points"]:
         """Points inside."""
         own_m = points_world_m @ self.R_world_box
-        return ((own_m > self.low_m) & (own_m < self.high_m)).all(-1)
+        return np.asarray(((own_m > self.low_m) & (own_m < self.high_m)).all(-1))
 
     def with_bounds(self, low_m: np.ndarray, high_m: np.ndarray) -> UprightBox:
         """The same axes, other corners."""
