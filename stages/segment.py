@@ -70,12 +70,12 @@ def segment_background(
     """
     from video2anim.calibration.gather import first_depth_m, picture_evidence
     from video2anim.geometry.masks import shrunk
+    from video2anim.geometry.projection import world_points
     from video2anim.humans.ground import lowest_level
     from video2anim.networks.segmentation import CLASSES
     from video2anim.objects.depth_regions import RegionLimits, find_regions
     from video2anim.objects.instances import (
         full_size,
-        height_over_floor,
         instances_of,
         merged_objects,
         recognized_objects,
@@ -97,7 +97,7 @@ def segment_background(
     recognized = recognized_objects(detected, seen, shape)
     found, floor = merged_objects(recognized, seen, regions, depth_m, valid, view, limits)
     soles_m = evidence.people[0].soles_m
-    up_m, height_m = soles_m @ view.T_world_camera[1, :3], np.where(valid, height_over_floor(depth_m, view), np.nan)
+    up_m, height_m = soles_m @ view.T_world_camera[1, :3], np.where(valid, world_points(depth_m, view)[..., 1], np.nan)
     on_floor, person = np.isin(up_m, lowest_level(up_m)), np.asarray(background.selected_mask.any(0))
     found, mats = without_floor(found, soles_m, on_floor, person, height_m, view)
     instances = instances_of(found, background, min_score=config.min_score, max_objects=config.max_objects)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from seen_boxes import LENS, Block, Shot, looking, shoot
 
-from video2anim.objects.instances import height_over_floor, without_floor
+from video2anim.geometry.projection import world_points
+from video2anim.objects.instances import without_floor
 from video2anim.objects.merge import Detection
 from video2anim.types import View
 
@@ -31,7 +32,7 @@ def left(
     depth_m = np.where(mask, nearer, 1.0) * shot.depth_m
     kept, floor = without_floor(
         [Detection("table", 0.5, mask)], (soles_m - FROM[:3, 3]) @ FROM[:3, :3], np.full(len(soles_m), on_floor),
-        np.full(mask.shape, is_seen), height_over_floor(depth_m, VIEW), VIEW,
+        np.full(mask.shape, is_seen), world_points(depth_m, VIEW)[..., 1], VIEW,
     )  # fmt: skip
     return kept, floor, shot
 

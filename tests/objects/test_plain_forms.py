@@ -208,3 +208,20 @@ def test_a_box_whose_depth_is_a_bowl_is_not_round(curved: float) -> None:
     assert dict(zip((size.name for size in best.form.sizes), best.sizes_m, strict=True))["height"] == pytest.approx(
         1.8, abs=0.1
     )
+
+
+def test_a_roof_that_is_seen_too_near_stands_behind_who_passes_before_it() -> None:
+    """Somebody stands on it. Started where it is seen, among the joints, it becomes a thin board in front of them."""
+    shed = Block((0.0, 0.9, -5.0), (2.3, 1.8, 1.5), 0.1)
+    path_m = np.linspace(-0.9, 0.9, 12)
+    joints_m = np.stack([np.repeat(path_m, 3), np.tile([0.5, 0.95, 1.4], 12), np.full(36, -4.05)], -1)
+    rng = np.random.default_rng(0)
+    stood_m = np.stack([rng.uniform(0.3, 0.9, 60), np.full(60, 1.8), rng.uniform(-5.4, -4.8, 60)], -1)
+    room = furnished(
+        [shed], depth_factor=0.82 * np.exp(4 * COLUMN**2), edges_m=edges_of(shed), body_m=joints_m,
+        rested_m=stood_m,
+        errors=DepthErrors(0.03, 0.65, 0.4), distance_sigma=0.06,
+    )  # fmt: skip
+    best = recognized(room.seen, log_prior("object"))[0]
+    assert best.form.name in ("box", "cabinet")
+    assert best.values[1] < -4.3, "its middle, behind the joints"

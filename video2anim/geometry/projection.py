@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.types.camera import Intrinsics
+from video2anim.types.camera import Intrinsics, View
 
 NEAR_M = 0.05
 """Near plane: what is nearer to a camera than this is not drawn and counts as unseen."""
@@ -52,6 +52,12 @@ def transform_points(T_a_b: Any, points_b: Any) -> Any:
     rotation, translation = T_a_b[..., :3, :3], T_a_b[..., None, :3, 3]
     swapped = rotation.swapaxes(-1, -2) if isinstance(T_a_b, np.ndarray) else rotation.transpose(-1, -2)
     return points_b @ swapped + translation
+
+
+def world_points(depth_m: Float[np.ndarray, "height width"], view: View) -> Float[np.ndarray, "height width 3"]:
+    """World points of all pixels."""
+    camera_m = backproject(depth_m, view.intrinsics)
+    return transform_points(view.T_world_camera, camera_m.reshape(-1, 3)).reshape(camera_m.shape)
 
 
 def invert_rigid(T_a_b: Float[np.ndarray, "... 4 4"]) -> Float[np.ndarray, "... 4 4"]:

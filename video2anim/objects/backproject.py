@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.geometry.masks import shrunk
-from video2anim.geometry.projection import backproject, transform_points
+from video2anim.geometry.projection import world_points
 from video2anim.objects.foreground import foreground_mask, inverse_background
 from video2anim.types import InstanceMasks, MetricDepth, View
 
@@ -51,8 +51,7 @@ class ObjectBackprojector:
 
     def world_m(self) -> Float[np.ndarray, "height width 3"]:
         """World points of all pixels."""
-        camera_m = backproject(self._depth_m, self.view.intrinsics)
-        return transform_points(self.view.T_world_camera, camera_m.reshape(-1, 3)).reshape(camera_m.shape)
+        return world_points(self._depth_m, self.view)
 
     @cached_property
     def _behind(self) -> Float[np.ndarray, "height width"] | None:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from video2anim.geometry.masks import shrunk
-from video2anim.geometry.projection import backproject, project, transform_points
+from video2anim.geometry.projection import project, world_points
 from video2anim.networks.segmentation import CLASSES, Segmentation
 from video2anim.objects.depth_regions import RegionLimits, Regions
 from video2anim.objects.merge import Detection, joined_objects
@@ -89,8 +89,7 @@ def merged_objects(
     if seen is None and not recognized:
         return [Detection("object", region.score, region.mask) for region in regions.objects], regions.floor
     shape = depth_m.shape
-    camera_m = backproject(depth_m, view.intrinsics)
-    world_m = transform_points(view.T_world_camera, camera_m.reshape(-1, 3)).reshape(camera_m.shape)
+    world_m = world_points(depth_m, view)
     if seen is None:
         built = np.zeros(shape, bool)
         return joined_objects(recognized, regions.objects, built, world_m, valid, limits), regions.floor
@@ -100,12 +99,6 @@ def merged_objects(
     low = ~valid | (np.abs(world_m[..., 1]) < _FLOOR_TOLERANCE_M)
     found = joined_objects(recognized, regions.objects, built, world_m, valid, limits)
     return found, (floor & low) | (regions.floor & built)
-
-
-def height_over_floor(depth_m: Float[np.ndarray, "rows columns"], view: View) -> Float[np.ndarray, "rows columns"]:
-    """World height of every pixel's point."""
-    camera_m = backproject(depth_m, view.intrinsics)
-    return transform_points(view.T_world_camera, camera_m.reshape(-1, 3))[:, 1].reshape(depth_m.shape)
 
 
 def without_floor(
