@@ -12,7 +12,7 @@ import pytest
 from unchecked import unchecked
 from walk_scene import room, walk
 
-from video2anim.errors import StageError
+from video2anim.errors import ArtifactError, StageError
 from video2anim.types import (
     BackgroundImage,
     BodyMotion,
@@ -205,6 +205,14 @@ def test_what_is_documented_as_unknown_is_taken() -> None:
     assert replace(LENS, fx_px=np.float64(500)) is not None
     assert replace(placed(), scale=1) is not None
     assert np.isnan(replace(clip(), camera_drift_ratio=NAN).camera_drift_ratio)
+
+
+def test_a_track_beyond_the_clip_is_refused_in_one_line() -> None:
+    """As after an edit of `first_frame` by hand."""
+    late = replace(track(), first_frame=5)
+    assert late.whole(5 + len(late.valid)).valid[5:].tolist() == late.valid.tolist()
+    with pytest.raises(ArtifactError, match=r"stage track, person \d+: want rows for frames 0 to 5 .* got 5 to"):
+        late.whole(6)
 
 
 def test_the_main_person_is_the_first_one_and_must_be_seen() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from pydantic import NonNegativeInt
 
+from video2anim.errors import ArtifactError
 from video2anim.types.checks import Checked
 from video2anim.types.storage import Holds, IdsOf, OnePer, Storage, stored
 
@@ -46,8 +47,16 @@ class PersonTrack(Checked):
 
         Args:
             frame_count: Number of frames of the clip.
+
+        Raises:
+            ArtifactError: it has rows beyond the clip, as files edited by hand may.
         """
         rows = slice(self.first_frame, self.first_frame + len(self.valid))
+        if rows.stop > frame_count:
+            raise ArtifactError(
+                f"stage track, person {self.person_id}: want rows for frames 0 to {frame_count - 1} of the clip, got "
+                f"{rows.start} to {rows.stop - 1}; correct first_frame, or run with --from track"
+            )
 
         def filled(values: np.ndarray) -> np.ndarray:
             whole = np.full((frame_count, *values.shape[1:]), np.nan if values.dtype.kind == "f" else 0, values.dtype)
