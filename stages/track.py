@@ -60,14 +60,20 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
         ctx.model(config.model), clip.fps, scan_every_s=config.scan_every_s, max_lost_s=config.max_lost_s,
         min_detection_score=config.min_detection_score,
     )  # fmt: skip
+    second, count = max(1, round(clip.fps)), clip.frame_count
     with frames_in_mapped_memory():
         for frame, image in enumerate(read_frames(clip)):
             tracker.step(frame, image)
-            ctx.progress(frame + 1, clip.frame_count)
+            ctx.progress(frame + 1, count)
+        for start in reversed(range(0, count, second)):
+            frames = range(start, min(start + second, count))
+            if tracker.may_step_back(frames):
+                for frame, image in reversed(list(zip(frames, read_frames(clip, start, frames.stop), strict=True))):
+                    tracker.step_back(frame, image)
     min_frames = max(1, round(min(config.min_track_s * clip.fps, 0.5 * clip.frame_count)))
     found = [track for track in tracker.tracks if _is_person(track, min_frames, round(clip.fps))]
     ranked = _ranked(rejoined(found, round(config.max_away_s * clip.fps)))
-    people = tuple(_to_arrays(track, number) for number, track in enumerate(ranked, start=1))
+    people = tuple(track.rows(number) for number, track in enumerate(ranked, start=1))
     thumbnails = tuple(Thumbnail(number, *track.best[1:]) for number, track in enumerate(ranked, start=1))
     if not people:
         raise StageError(
@@ -107,30 +113,6 @@ def _area(found: PoseEstimate) -> float:
     return float((x1 - x0) * (y1 - y0))
 
 
-def _to_arrays(track: Track, person_id: int) -> PersonTrack:
-    """Rows from the first frame to the last that shows the person."""
-    first = min(track.estimates)
-    one = track.estimates[first]
-    count = max(track.estimates) - first + 1
-    valid = np.zeros(count, bool)
-    score = np.full(count, np.nan)
-    box_px = np.full((count, 4), np.nan)
-    landmarks_px = np.full((count, *one.landmarks_px.shape), np.nan)
-    landmarks_m = np.full((count, *one.landmarks_m.shape), np.nan)
-    visibility = np.full((count, *one.visibility.shape), np.nan)
-    mask_crop = np.zeros((count, *one.mask_crop.shape), np.uint8)
-    T_image_crop = np.full((count, 2, 3), np.nan)
-    for frame, found in track.estimates.items():
-        row = frame - first
-        valid[row] = True
-        score[row], visibility[row], mask_crop[row] = found.presence, found.visibility, found.mask_crop
-        box_px[row], T_image_crop[row] = found.box_px(), found.roi.T_image_crop()
-        landmarks_px[row], landmarks_m[row] = found.landmarks_px, found.landmarks_m
-    return PersonTrack(
-        person_id, valid, score, box_px, landmarks_px, landmarks_m, visibility, mask_crop, T_image_crop, first
-    )
-
-
 def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     """IDs that `wanted` names; `people` are sorted, largest first."""
     ids = tuple(person.person_id for person in people)
@@ -145,4 +127,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=8, models=("pose",))
+STAGE = StageSpec("track", track_people, version=9, models=("pose",))

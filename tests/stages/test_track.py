@@ -34,6 +34,8 @@ class Walker:
     place: Callable[[int], tuple[float, float]]
     radius_px: float = 60.0
     hidden: Container[int] = range(0)
+    dim: Container[int] = range(0)
+    """Frames in which too few landmarks are visible to tell a person who is not known."""
 
 
 class FakePose:
@@ -70,18 +72,21 @@ class FakePose:
                 x, y = walker.place(frame)
                 near = np.hypot(x - roi.center_x_px, y - roi.center_y_px) < 0.3 * roi.side_px
                 if near and frame not in walker.hidden:
-                    return self._body(np.array([x, y]), walker.radius_px, presence, roi)
+                    clear = 0.5 if frame in walker.dim else 1.0
+                    return self._body(np.array([x, y]), walker.radius_px, presence, roi, clear)
         return self._body(np.array([roi.center_x_px, roi.center_y_px]), roi.radius_px, 0.0, roi)
 
     @staticmethod
-    def _body(hips_px: np.ndarray, radius_px: float, presence: float, roi: SquareRoi) -> PoseEstimate:
+    def _body(
+        hips_px: np.ndarray, radius_px: float, presence: float, roi: SquareRoi, clear: float = 1.0
+    ) -> PoseEstimate:
         spread = np.random.default_rng(7).uniform(-0.8, 0.8, (33, 2)) * radius_px
         spread[[23, 24]] = [[-8.0, 0.0], [8.0, 0.0]]
         fitted = SquareRoi.from_circle(hips_px, hips_px - [0.0, radius_px])
         mask = np.zeros((64, 64), np.uint8)
         mask[24:40, 28:36] = 255
         return PoseEstimate(
-            presence, hips_px + spread, np.zeros((33, 3)), np.full(33, 0.9 * presence), mask, roi, fitted
+            presence, hips_px + spread, np.zeros((33, 3)), np.full(33, 0.9 * presence * clear), mask, roi, fitted
         )
 
 
@@ -95,9 +100,10 @@ def _clip(frame_count: int, path: Path = Path("clip.mp4"), *, width: int = WIDTH
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., PersonTracks]:
     def track(pose: FakePose, frame_count: int, **config: object) -> PersonTracks:
-        monkeypatch.setattr(
-            video2anim.video, "read_frames", lambda clip: (pose.picture(i) for i in range(clip.frame_count))
-        )
+        def read_frames(clip: VideoClip, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
+            return (pose.picture(i) for i in range(start, clip.frame_count if stop is None else stop))
+
+        monkeypatch.setattr(video2anim.video, "read_frames", read_frames)
         ctx = StageContext(tmp_path, load_model=lambda _: pose)
         return track_people(_clip(frame_count), TrackConfig(**config), ctx)  # type: ignore[arg-type]
 
@@ -142,6 +148,18 @@ def test_a_person_is_followed_back_to_the_frame_of_entry(run: Callable[..., Pers
     tracks = run(FakePose([Walker(lambda t: (300.0, 240.0), hidden=range(37))]), 90)
     person = tracks.people[0]
     np.testing.assert_array_equal(np.flatnonzero(person.whole(90).valid), np.arange(37, 90))
+
+
+def test_who_is_seen_dimly_at_first_is_followed_back_from_where_he_is_clear(run: Callable[..., PersonTracks]) -> None:
+    """Also through more than one search of the whole picture, and past somebody who is clear all the time."""
+    dim = Walker(lambda t: (100.0 + 3 * t, 240.0), dim=range(61), hidden=range(7))
+    clear = Walker(lambda t: (540.0 - 3 * t, 360.0), radius_px=50)
+    first, second = run(FakePose([dim, clear]), 90).people
+    assert first.valid.all()
+    assert (first.first_frame, second.first_frame) == (7, 0)
+    for person, walker in ((first, dim), (second, clear)):
+        hips = person.whole(90).landmarks_px[person.first_frame :, [23, 24]].mean(axis=1)
+        np.testing.assert_allclose(hips, [walker.place(t) for t in range(person.first_frame, 90)], atol=0.5)
 
 
 def test_a_track_has_rows_for_its_own_frames_only(run: Callable[..., PersonTracks]) -> None:
@@ -203,14 +221,13 @@ def _real(path: Path, step: int, count: int, monkeypatch: pytest.MonkeyPatch, tm
     capture = cv2.VideoCapture(str(path))
     width, height = (int(capture.get(k)) for k in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
 
-    def pictures(_: VideoClip) -> Iterator[np.ndarray]:
-        for index in range(count * step):
-            ok, bgr = capture.read()
-            assert ok
-            if index % step == 0:
-                yield np.ascontiguousarray(bgr[:, :, ::-1])
-
-    monkeypatch.setattr(video2anim.video, "read_frames", pictures)
+    pictures = []
+    for index in range(count * step):
+        ok, bgr = capture.read()
+        assert ok
+        if index % step == 0:
+            pictures.append(np.ascontiguousarray(bgr[:, :, ::-1]))
+    monkeypatch.setattr(video2anim.video, "read_frames", lambda _, start=0, stop=None: iter(pictures[start:stop]))
     clip = _clip(count, path, width=width, height=height)
     return track_people(clip, TrackConfig(), StageContext(tmp_path, load_model=lambda _: pose))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from video2anim.networks.blazepose_detector import box_iou
 from video2anim.networks.roi import SquareRoi
 from video2anim.tracking import person_detection as finder
 from video2anim.tracking.appearance import AppearanceDescriptor, clothing_histogram
+from video2anim.types import PersonTrack
 
 _BETTER_VISIBILITY = 0.1
 """A second estimate of a tracked body replaces the first if its mean visibility is higher by this: a crop has slid off.
@@ -78,9 +78,32 @@ class Track:
         hips = np.array([finder.hips_px(self.estimates[frame]) for frame in frames])
         return np.median(np.diff(hips, axis=0) / np.diff(frames)[:, None], axis=0)
 
+    def rows(self, person_id: int) -> PersonTrack:
+        """Rows from the first frame to the last that shows the person."""
+        first = min(self.estimates)
+        one = self.estimates[first]
+        count = max(self.estimates) - first + 1
+        valid = np.zeros(count, bool)
+        score = np.full(count, np.nan)
+        box_px = np.full((count, 4), np.nan)
+        landmarks_px = np.full((count, *one.landmarks_px.shape), np.nan)
+        landmarks_m = np.full((count, *one.landmarks_m.shape), np.nan)
+        visibility = np.full((count, *one.visibility.shape), np.nan)
+        mask_crop = np.zeros((count, *one.mask_crop.shape), np.uint8)
+        T_image_crop = np.full((count, 2, 3), np.nan)
+        for frame, found in self.estimates.items():
+            row = frame - first
+            valid[row] = True
+            score[row], visibility[row], mask_crop[row] = found.presence, found.visibility, found.mask_crop
+            box_px[row], T_image_crop[row] = found.box_px(), found.roi.T_image_crop()
+            landmarks_px[row], landmarks_m[row] = found.landmarks_px, found.landmarks_m
+        return PersonTrack(
+            person_id, valid, score, box_px, landmarks_px, landmarks_m, visibility, mask_crop, T_image_crop, first
+        )
+
 
 class Tracker:
-    """Follows everybody through the frames, given one after another.
+    """Follows everybody through the frames, given one after another, and then back to before they were found.
 
     Args:
         pose: detector and landmark network.
@@ -97,8 +120,6 @@ class Tracker:
         self._pose, self._min_detection_score = pose, min_detection_score
         self._scan_every = max(1, round(scan_every_s * fps))
         self._max_lost = round(max_lost_s * fps)
-        self._recent: deque[tuple[int, np.ndarray]] = deque(maxlen=self._scan_every)
-        """Frames since the last scan, for the time before a person was found."""
         self._doubted: list[tuple[int, SquareRoi]] = []
 
     def step(self, frame: int, image: np.ndarray) -> None:
@@ -113,7 +134,25 @@ class Tracker:
             track.look_at(frame, image)
             if not any(_near(track, other, frame) for other in here if other != track):
                 track.see_clothing(frame, image)
-        self._recent.append((frame, image))
+
+    def may_step_back(self, frames: range) -> bool:
+        """Whether somebody is seen after one of these frames but not in it."""
+        return any(
+            frame not in track.estimates and frame + 1 in track.estimates for track in self.tracks for frame in frames
+        )
+
+    def step_back(self, frame: int, image: np.ndarray) -> None:
+        """Follow back whoever is seen in the next frame but not in this one: to be known, people need to be seen better
+        than to be followed.
+
+        Called after all frames have been taken, from the last to the first.
+        """
+        for track in self.tracks:
+            if frame in track.estimates or frame + 1 not in track.estimates:
+                continue
+            found = finder.follow(self._pose, image, track.estimates[frame + 1].next_roi)
+            if found is not None and not any(finder.same_person(found, other) for other in self._seen(frame)):
+                track.put(frame, found)
 
     def _alive(self, frame: int) -> list[Track]:
         return [track for track in self.tracks if frame - track.last_frame <= self._max_lost]
@@ -167,7 +206,6 @@ class Tracker:
             if owner is None:
                 self.tracks.append(track)
             track.put(frame, found)
-            self._look_back(track, frame)
 
     def _is_known(self, found: PoseEstimate, frame: int, fresh: list[PoseEstimate]) -> bool:
         """Whether a track already has this body; a clearly better estimate replaces that of the track."""
@@ -178,16 +216,6 @@ class Tracker:
                     track.put(frame, found)
                 return True
         return any(finder.same_person(found, other) for other in fresh)
-
-    def _look_back(self, track: Track, frame: int) -> None:
-        """Track a new person backward through the frames since the last scan."""
-        for earlier, image in reversed(self._recent):
-            if earlier >= frame or earlier in track.estimates:
-                return
-            found = finder.follow(self._pose, image, track.estimates[earlier + 1].next_roi)
-            if found is None or any(finder.same_person(found, other) for other in self._seen(earlier)):
-                return
-            track.put(earlier, found)
 
 
 def _surprise(track: Track, frame: int) -> float:
