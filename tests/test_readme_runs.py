@@ -20,7 +20,7 @@ CRF = "18"
 
 @pytest.fixture(scope="module")
 def folder(demo_video: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with `input.mp4`, in which a man lands from a flip, and `photo.jpg`."""
+    """A folder with `input.mp4`, in which a man lands from a flip, at half the size, and `photo.jpg`."""
     made = tmp_path_factory.mktemp("readme")
     with (
         av.open(str(demo_video)) as source,
@@ -28,10 +28,10 @@ def folder(demo_video: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     ):
         stream = source.streams.video[0]
         out = target.add_stream("libx264", rate=stream.average_rate, options={"crf": CRF})
-        out.width, out.height = stream.width, stream.height
+        out.width, out.height = stream.width // 2, stream.height // 2
         pictures = (frame for frame in source.decode(stream) if frame.time is not None and frame.time >= START_S)
         for number in range(FRAMES):
-            rgb = next(pictures).to_ndarray(format="rgb24")
+            rgb = next(pictures).to_ndarray(format="rgb24", width=out.width, height=out.height)
             frame = av.VideoFrame.from_ndarray(rgb, format="rgb24")
             target.mux(out.encode(frame))
             if number == 0:

@@ -53,6 +53,7 @@ SAMPLES = 8
 """Samples per window, each with `SAMPLE_STEPS` steps; all other rows are the expected motion (one step)."""
 MISSING_FRAMES = 30
 CUTOFFS_HZ = (4.0, 5.0, 6.0, 8.0, 10.0, 14.9)
+NOISY_CUTOFFS_HZ = (2.5, 3.0, 3.5, 4.0, 5.0)
 TEMPERATURES = (0.3, 0.5, 0.7, 1.0)
 SOLVES: dict[str, tuple[float, ...]] = {
     "root_m": (0.002, 0.02), "trunk_rad": (0.005, 0.03), "limb_rad": (0.3, 0.8), "acceleration_ratio": (2.0, 10.0),
@@ -132,6 +133,14 @@ def choice_of_sampler(prior: DiffusionPrior, windows: Sequence[EvaluationWindow]
             ratio = found.mean("mjpe_all_m") / mean_of(found.baseline, "mjpe_all_m")
             jerk = found.mean("jerk_m_s3") / mean_of(found.truth, "jerk_8hz_m_s3")
             lines.append(f"| {name} | {interval} | {ratio:.3f} | {jerk:.2f} | {found.mean('skating_gmd'):.3f} |")
+    lines += ["", "| | noise level, r = 3 | error, cm | jerk / truth 8 Hz | skating |", "|---|---|---|---|---|"]
+    for hz in NOISY_CUTOFFS_HZ:
+        one = DiffusionPrior(prior.model, replace(chosen, noisy_cutoff_hz=hz))
+        for level in (0.25, 0.5, 1.0):
+            found = evaluate(windows, one, KeyframeProtocol(3, noise=level))
+            jerk = found.mean("jerk_m_s3") / mean_of(found.truth, "jerk_8hz_m_s3")
+            error, skating = 100 * found.mean("mjpe_all_m"), found.mean("skating_gmd")
+            lines.append(f"| {hz:g} Hz at 1 | {level} | {error:.2f} | {jerk:.2f} | {skating:.3f} |")
     base = mean_of(evaluate(windows, prior, KeyframeProtocol(60)).baseline, "mjpe_all_m")
     lines += ["", "| temperature | one sample | mean of 8 | best of 8 |", "|---|---|---|---|"]
     for temperature in TEMPERATURES:

@@ -116,8 +116,13 @@ class DiffusionPrior:
         stop_step = self.sampler.stop_for(noisy)
         sampler = self.sampler
         x0 = sample(self._denoiser, self.schedule, x_keys, conditions, sampler, generators, stop_step=stop_step)
-        low_pass = butter(2, sampler.cutoff_hz, fs=FPS, output="sos")
-        return torch.from_numpy(sosfiltfilt(low_pass, x0.cpu().double().numpy(), axis=1).copy())
+        smooth = []
+        for window, features in zip(windows, x0.cpu().double().numpy(), strict=True):
+            # Errors by frame, as of a video, are not independent from frame to frame.
+            level = window.noise_level if window.noise is None else 0.0
+            low_pass = butter(2, sampler.cutoff_for(level), fs=FPS, output="sos")
+            smooth.append(sosfiltfilt(low_pass, features, axis=0))
+        return torch.from_numpy(np.stack(smooth))
 
     def _exact(self, window: KeyframeWindow) -> Bool[np.ndarray, "frames"]:
         """Frames that are met: the seed, and keyframes that carry no noise."""

@@ -322,9 +322,18 @@ def test_bad_settings_are_refused() -> None:
         {"stop_step": -1},
         {"spacing": 0.5},
         {"temperature": 2},
+        {"cutoff_hz": 15},
+        {"noisy_cutoff_hz": 0},
     ):
         with pytest.raises(ValueError, match="SamplerConfig"):
             SamplerConfig(**bad)  # type: ignore[arg-type]
+
+
+def test_noisier_keyframes_are_low_passed_lower() -> None:
+    config = SamplerConfig(cutoff_hz=6.0, noisy_cutoff_hz=3.0)
+    assert config.cutoff_for(0.0) == config.cutoff_for(0.01) == 6.0
+    assert config.cutoff_for(1.0) == 3.0
+    assert config.cutoff_for(4.0) == 1.5
 
 
 def test_noise_steps_are_not_repeated() -> None:
