@@ -42,6 +42,8 @@ class MeshSurface:
         step_m = max(_SAMPLE_STEP_M, (area_m2 / (0.12 * _MAX_SAMPLES)) ** 0.5)
         samples_m, self._owner = surface_samples(triangles_m, step_m)
         self._tree, self._step_m = KDTree(samples_m), step_m
+        corners_m = triangles_m.reshape(-1, 3)
+        self._bounds_m = np.stack([corners_m.min(0), corners_m.max(0)])
         self._closed = closed_parts(triangles_m) if fill else []
 
     def nearest_within(
@@ -49,14 +51,17 @@ class MeshSurface:
     ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points"]]:
         """See `scenemi.scene.geometry.Solid`."""
         found_m, gap_m = points_m.copy(), np.full(len(points_m), np.inf)
-        farthest_m = self._improve(points_m, np.arange(len(points_m)), _FEW_SAMPLES, reach_m, found_m, gap_m)
+        rows = np.flatnonzero(_in_box(points_m, self._bounds_m + np.array([[-reach_m], [reach_m]])))
+        farthest_m = self._improve(points_m, rows, _FEW_SAMPLES, reach_m, found_m, gap_m)
         # A nearer triangle would have a sample within a piece's radius of its nearest point.
-        open_rows = np.flatnonzero(farthest_m < np.minimum(gap_m, reach_m) + _RADIUS_PER_STEP * self._step_m)
-        self._improve(points_m, open_rows, _MANY_SAMPLES, reach_m, found_m, gap_m)
+        is_open = farthest_m < np.minimum(gap_m[rows], reach_m) + _RADIUS_PER_STEP * self._step_m
+        self._improve(points_m, rows[is_open], _MANY_SAMPLES, reach_m, found_m, gap_m)
         far = gap_m > reach_m
         found_m[far], gap_m[far] = points_m[far], np.inf
         for part in self._closed:
-            inside = part.contains(points_m)
+            inside = rows[_in_box(points_m[rows], part.bounds)]
+            if len(inside):
+                inside = inside[part.contains(points_m[inside])]
             found_m[inside], gap_m[inside] = points_m[inside], 0.0
         return found_m, gap_m
 
@@ -99,6 +104,10 @@ class MeshSurface:
         closer = best[candidate_gap_m[best] < gap_m[tried[best]]]
         found_m[tried[closer]], gap_m[tried[closer]] = candidate_m[closer], candidate_gap_m[closer]
         return last_m
+
+
+def _in_box(points_m: Float[np.ndarray, "points 3"], bounds_m: Float[np.ndarray, "2 3"]) -> Bool[np.ndarray, "points"]:
+    return ((points_m >= bounds_m[0]) & (points_m <= bounds_m[1])).all(1)
 
 
 def closed_parts(triangles_m: Float[np.ndarray, "faces 3 3"]) -> list[trimesh.Trimesh]:
