@@ -15,9 +15,12 @@ from scenemi.postprocess.in_scene import put_in_scene
 from scenemi.postprocess.partial import PartialKeyframes
 from scenemi.prior import InbetweeningPrior, KeyframeWindow, WindowMotion
 from scenemi.scene.geometry import SceneGeometry
+from scenemi.scene.grid import AROUND_M, distance_grid
+from scenemi.windows import WINDOW_FRAMES
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import UsageError
+from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.skeleton import forward_kinematics
 
 _BODY_TOLERANCE_M = 1e-3
@@ -59,7 +62,9 @@ def sample_motion(
         UsageError: impossible noise.
     """
     given = replace(keyframes.to_motion(length), body=body_of(keyframes), noise_level=expect_noise(noise))
-    filled = inbetween(given, prior, scene=scene)
+    several = partial is None and prior.name == "scenemi" and keyframes.frame_count > WINDOW_FRAMES
+    solid = _around(keyframes, scene) if scene is not None and several else scene
+    filled = inbetween(given, prior, scene=solid)
     notes = []
     if len(filled.interpolated_index):
         frames = ", ".join(str(frame) for frame in filled.interpolated_index)
@@ -74,7 +79,7 @@ def sample_motion(
         held = np.arange(len(given.is_keyframe))
         whole = KeyframeWindow(
             made.R_parent_joint, made.translation_world_m, given.is_keyframe | (held <= first) | (held >= last),
-            given.rest_joints_m, given.fps, scene, body=given.body, noise_level=given.noise_level,
+            given.rest_joints_m, given.fps, solid, body=given.body, noise_level=given.noise_level,
         )  # fmt: skip
         if partial is None:
             made = put_in_scene(made, whole)
@@ -84,6 +89,13 @@ def sample_motion(
         filled = replace(filled, R_parent_joint=made.R_parent_joint, translation_world_m=made.translation_world_m)
     joints_m, _ = forward_kinematics(filled.R_parent_joint, filled.translation_world_m, keyframes.rest_joints_m)
     return SampledMotion(filled, given.is_keyframe, standing_feet(joints_m, FPS), tuple(notes))
+
+
+def _around(keyframes: Keyframes, scene: SceneGeometry) -> SdfGrid:
+    """The scene around the keyframes, asked once for all windows and the solve."""
+    joints_m, _ = forward_kinematics(keyframes.R_parent_joint, keyframes.translation_m, keyframes.rest_joints_m)
+    points_m = joints_m.reshape(-1, 3)
+    return distance_grid(scene, points_m.min(0) - 2 * AROUND_M, points_m.max(0) + 2 * AROUND_M)
 
 
 def expect_noise(level: float) -> float:

@@ -137,6 +137,7 @@ def parse_bvh(path: str | Path) -> BvhFile:
 
 def _hierarchy(tokens: list[str]) -> tuple[list[str], list[int], np.ndarray, list[list[tuple[str, str]]]]:
     names: list[str] = []
+    taken: set[str] = set()
     parents: list[int] = []
     offsets: list[list[float]] = []
     channels: list[list[tuple[str, str]]] = []
@@ -152,7 +153,8 @@ def _hierarchy(tokens: list[str]) -> tuple[list[str], list[int], np.ndarray, lis
             stop = tokens.index("{", at)
             label = " ".join(tokens[at + 1 : stop])
             parents.append(open_joints[-1] if open_joints else -1)
-            names.append(_fresh(names, f"{names[parents[-1]]}_end") if word == "END" else _fresh(names, label))
+            names.append(_fresh(taken, f"{names[parents[-1]]}_end" if word == "END" else label))
+            taken.add(names[-1])
             offsets.append([0.0, 0.0, 0.0])
             channels.append([])
             open_joints.append(len(names) - 1)
@@ -184,10 +186,10 @@ def _channel(token: str) -> tuple[str, str]:
     return match[1].upper(), match[2].lower()
 
 
-def _fresh(names: list[str], name: str) -> str:
+def _fresh(taken: set[str], name: str) -> str:
     """The name, numbered where it is taken."""
     number, result = 2, name
-    while result in names:
+    while result in taken:
         result, number = f"{name}_{number}", number + 1
     return result
 
