@@ -54,6 +54,7 @@ SAMPLES = 8
 MISSING_FRAMES = 30
 CUTOFFS_HZ = (4.0, 5.0, 6.0, 8.0, 10.0, 14.9)
 NOISY_CUTOFFS_HZ = (2.5, 3.0, 3.5, 4.0, 5.0)
+VIDEO_CUTOFFS_HZ = (2.5, 3.0, 4.0, 5.0, 6.0, 10.0)
 TEMPERATURES = (0.3, 0.5, 0.7, 1.0)
 SOLVES: dict[str, tuple[float, ...]] = {
     "root_m": (0.002, 0.02), "trunk_rad": (0.005, 0.03), "limb_rad": (0.3, 0.8), "acceleration_ratio": (2.0, 10.0),
@@ -74,6 +75,8 @@ def main() -> None:
     if options.choose_sampler:
         assert isinstance(prior, DiffusionPrior)
         sys.stdout.write(choice_of_sampler(prior, windows))
+        if options.errors:
+            sys.stdout.write(choice_for_video(prior, windows, PipelineErrors.read(options.errors)))
         return
     report: dict[str, Any] = {
         "machine": f"{platform.machine()}, {torch.get_num_threads()} threads, Python {platform.python_version()}",
@@ -117,6 +120,17 @@ def inbetweening(
         _, mean, best = _of_eight(joints, windows)
         row["ratio_mean_of_8"], row["ratio_best_of_8"] = mean / base, best / base
     return row
+
+
+def choice_for_video(prior: DiffusionPrior, windows: Sequence[EvaluationWindow], errors: PipelineErrors) -> str:
+    """Errors of the prior for cutoffs, where the keyframes have those of the video pipeline."""
+    heads = "MJPE root-aligned, m | MJPE, m | acceleration error, m/s2"
+    lines = ["", f"| cutoff with errors of a video, Hz | {heads} |", "|---|---|---|---|"]
+    for hz in VIDEO_CUTOFFS_HZ:
+        one = DiffusionPrior(prior.model, replace(prior.sampler, video_cutoff_hz=hz))
+        row = pipeline(one, windows, errors)["all frames"]["prior"]
+        lines.append(f"| {hz:g} | " + " | ".join(f"{value:.4g}" for value in row.values()) + " |")
+    return "\n".join(lines) + "\n"
 
 
 def choice_of_sampler(prior: DiffusionPrior, windows: Sequence[EvaluationWindow]) -> str:
@@ -250,7 +264,10 @@ def pipeline(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow], erro
     gaps = [replace(g, is_keyframe=_without(g.is_keyframe, hidden)) for g in given]
     bridged = [_joints(InterpolationPrior().fill(g), w) for g, w in zip(gaps, windows, strict=True)]
     filled = [_joints(m, w) for m, w in zip(_filled(prior, gaps, seeds), windows, strict=True)]
-    inside = {"interpolation": [b[hidden] for b in bridged], "prior": [f[hidden] for f in filled]}
+    inside: dict[str, Sequence[np.ndarray]] = {
+        "interpolation": [b[hidden] for b in bridged],
+        "prior": [f[hidden] for f in filled],
+    }
     table["missing second"] = _against([t[hidden] for t in truths], inside)
     return table
 

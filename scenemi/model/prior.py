@@ -118,9 +118,8 @@ class DiffusionPrior:
         x0 = sample(self._denoiser, self.schedule, x_keys, conditions, sampler, generators, stop_step=stop_step)
         smooth = []
         for window, features in zip(windows, x0.cpu().double().numpy(), strict=True):
-            # Errors by frame, as of a video, are not independent from frame to frame.
-            level = window.noise_level if window.noise is None else 0.0
-            low_pass = butter(2, sampler.cutoff_for(level), fs=FPS, output="sos")
+            of_video = window.noise is not None and bool(window.noise.any())
+            low_pass = butter(2, sampler.cutoff_for(window.noise_level, of_video), fs=FPS, output="sos")
             smooth.append(sosfiltfilt(low_pass, features, axis=0))
         return torch.from_numpy(np.stack(smooth))
 

@@ -81,10 +81,13 @@ class SamplerConfig:
     is stronger than motion, whose power falls with about the fourth power of the frequency, is inverse to the square
     root of the level (the same command; error 1.95 -> 1.75 cm at level 1, 1.07 -> 1.04 cm at 0.5)."""
 
+    video_cutoff_hz: float = 4.0
+    """The same for keyframes with errors by frame, as of a video (the same command with `--errors`)."""
+
     def __post_init__(self) -> None:
         if self.method not in ("ddpm", "ddim", "dpm-solver++"):
             raise ValueError(f"SamplerConfig: want ddpm, ddim or dpm-solver++, got {self.method!r}")
-        for name in ("cutoff_hz", "noisy_cutoff_hz"):
+        for name in ("cutoff_hz", "noisy_cutoff_hz", "video_cutoff_hz"):
             if not 0 < (hz := getattr(self, name)) < 0.5 * FPS:
                 raise ValueError(f"SamplerConfig: want a {name} over 0 and under {0.5 * FPS:g}, got {hz}")
         if not 1 <= self.steps <= STEPS or self.spacing < 1:
@@ -96,8 +99,10 @@ class SamplerConfig:
         if self.stop_step is not None and self.stop_step < 0:
             raise ValueError(f"SamplerConfig: want stop_step >= 0, got {self.stop_step}")
 
-    def cutoff_for(self, noise_level: float) -> float:
-        """Hz, for keyframes with independent noise of this level."""
+    def cutoff_for(self, noise_level: float, of_video: bool = False) -> float:
+        """Hz, for keyframes with independent noise of this level, or with the errors of a video."""
+        if of_video:
+            return self.video_cutoff_hz
         return min(self.cutoff_hz, self.noisy_cutoff_hz / math.sqrt(noise_level)) if noise_level > 0 else self.cutoff_hz
 
     def stop_for(self, noisy: bool) -> int:

@@ -324,6 +324,7 @@ def test_bad_settings_are_refused() -> None:
         {"temperature": 2},
         {"cutoff_hz": 15},
         {"noisy_cutoff_hz": 0},
+        {"video_cutoff_hz": -1},
     ):
         with pytest.raises(ValueError, match="SamplerConfig"):
             SamplerConfig(**bad)  # type: ignore[arg-type]
@@ -334,6 +335,7 @@ def test_noisier_keyframes_are_low_passed_lower() -> None:
     assert config.cutoff_for(0.0) == config.cutoff_for(0.01) == 6.0
     assert config.cutoff_for(1.0) == 3.0
     assert config.cutoff_for(4.0) == 1.5
+    assert config.cutoff_for(0.0, of_video=True) == config.video_cutoff_hz
 
 
 def test_noise_steps_are_not_repeated() -> None:
