@@ -101,7 +101,6 @@ def test_the_shipped_prior_is_at_work_and_a_good_motion_stays() -> None:
     assert jerk_m_s3(found.joints_world_m, FPS) < 1.5 * jerk_m_s3(truth.joints_world_m, FPS)
 
 
-@pytest.mark.xfail(strict=True, reason="0.034: at five liftoffs and landings the prior keeps the toe 1.6 cm too low")
 def test_the_shipped_prior_adds_no_skating_to_a_good_motion() -> None:
     _, ctx = refine(planted_walk(FRAMES))
     assert quality(ctx, "foot_skating_gmd_refined") <= quality(ctx, "foot_skating_gmd_raw") + 0.02
