@@ -80,7 +80,8 @@ def main() -> None:
             jerk = seam_jerk(
                 KeyframeMotion(truth.R_parent_joint, truth.translation_m, is_key, body.rest_joints_m), made
             )
-            row |= {"seams": float(np.median(jerk.at_seams)), "keyframes": float(np.median(jerk.at_keyframes))}
+            row |= {"keyframes": float(np.median(jerk.at_keyframes))}
+            row |= {"seams": float(np.median(jerk.at_seams))} if len(jerk.at_seams) else {}
             row["keyframe error, m"] = float(np.abs((made.translation_world_m - truth.translation_m)[keys]).max())
             rows.append(row)
             sys.stderr.write(f"{row}\n")
