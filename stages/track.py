@@ -65,14 +65,15 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
         for frame, image in enumerate(read_frames(clip)):
             tracker.step(frame, image)
             ctx.progress(frame + 1, count)
+        min_frames = max(1, round(min(config.min_track_s * clip.fps, 0.5 * count)))
+        # Who is not convincing forward would only grow by what is followed back.
+        tracker.tracks = [track for track in tracker.tracks if _is_person(track, min_frames, second)]
         for start in reversed(range(0, count, second)):
             frames = range(start, min(start + second, count))
             if tracker.may_step_back(frames):
                 for frame, image in reversed(list(zip(frames, read_frames(clip, start, frames.stop), strict=True))):
                     tracker.step_back(frame, image)
-    min_frames = max(1, round(min(config.min_track_s * clip.fps, 0.5 * clip.frame_count)))
-    found = [track for track in tracker.tracks if _is_person(track, min_frames, round(clip.fps))]
-    ranked = _ranked(rejoined(found, round(config.max_away_s * clip.fps)))
+    ranked = _ranked(rejoined(tracker.tracks, round(config.max_away_s * clip.fps)))
     people = tuple(track.rows(number) for number, track in enumerate(ranked, start=1))
     thumbnails = tuple(Thumbnail(number, *track.best[1:]) for number, track in enumerate(ranked, start=1))
     if not people:
@@ -127,4 +128,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=9, models=("pose",))
+STAGE = StageSpec("track", track_people, version=10, models=("pose",))
