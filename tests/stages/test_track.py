@@ -72,7 +72,7 @@ class FakePose:
                 x, y = walker.place(frame)
                 near = np.hypot(x - roi.center_x_px, y - roi.center_y_px) < 0.3 * roi.side_px
                 if near and frame not in walker.hidden:
-                    clear = 0.5 if frame in walker.dim else 1.0
+                    clear = 0.6 if frame in walker.dim else 1.0
                     return self._body(np.array([x, y]), walker.radius_px, presence, roi, clear)
         return self._body(np.array([roi.center_x_px, roi.center_y_px]), roi.radius_px, 0.0, roi)
 
@@ -160,6 +160,12 @@ def test_who_is_seen_dimly_at_first_is_followed_back_from_where_he_is_clear(run:
     for person, walker in ((first, dim), (second, clear)):
         hips = person.whole(90).landmarks_px[person.first_frame :, [23, 24]].mean(axis=1)
         np.testing.assert_allclose(hips, [walker.place(t) for t in range(person.first_frame, 90)], atol=0.5)
+
+
+def test_what_looks_like_a_person_for_a_moment_is_not_followed_back(run: Callable[..., PersonTracks]) -> None:
+    stays = Walker(lambda t: (150.0, 240.0))
+    chair = Walker(lambda t: (450.0, 240.0), dim=range(60), hidden=range(64, 90))
+    assert len(run(FakePose([stays, chair]), 90).people) == 1
 
 
 def test_a_track_has_rows_for_its_own_frames_only(run: Callable[..., PersonTracks]) -> None:
