@@ -28,7 +28,7 @@ def folder(demo_video: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     ):
         stream = source.streams.video[0]
         out = target.add_stream("libx264", rate=stream.average_rate, options={"crf": CRF})
-        out.width, out.height = stream.width // 2, stream.height // 2
+        out.width, out.height = stream.width // 4 * 2, stream.height // 4 * 2
         pictures = (frame for frame in source.decode(stream) if frame.time is not None and frame.time >= START_S)
         for number in range(FRAMES):
             rgb = next(pictures).to_ndarray(format="rgb24", width=out.width, height=out.height)

@@ -80,7 +80,7 @@ class SamplerConfig:
     """The same for keyframes with independent noise of level 1, where it is lower: the frequency above which such noise
     is stronger than motion, whose power falls with about the fourth power of the frequency, is inverse to the square
     root of the level (the same command; error 1.95 -> 1.75 cm at level 1, 1.07 -> 1.04 cm at 0.5)."""
-    video_cutoff_hz: float = 4.0
+    video_cutoff_hz: float = 5.0
     """The same for keyframes with errors by frame, as of a video (the same command with `--errors`)."""
 
     def __post_init__(self) -> None:
