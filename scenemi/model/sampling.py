@@ -81,8 +81,8 @@ class SamplerConfig:
     is stronger than motion, whose power falls with about the fourth power of the frequency, is inverse to the square
     root of the level (the same command; error 1.95 -> 1.75 cm at level 1, 1.07 -> 1.04 cm at 0.5)."""
     video_cutoff_hz: float = 5.0
-    """The same for keyframes with errors by frame, as of a video (the same command with `--errors`). At 4 Hz accelerations
-    err less still, but motion has less than 0.7 of the truth's jerk (`tests/test_v2a_bench.py`)."""
+    """The same for keyframes with errors by frame, as of a video (the same command with `--errors`). At 4 Hz
+    accelerations err less still, but motion has less than 0.7 of the truth's jerk (`tests/test_v2a_bench.py`)."""
 
     def __post_init__(self) -> None:
         if self.method not in ("ddpm", "ddim", "dpm-solver++"):
