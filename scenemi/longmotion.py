@@ -78,10 +78,11 @@ def inbetween(
     """
     bridged, bridges = _bridged(motion, window)
     keyframes = np.flatnonzero(bridged.is_keyframe)
-    spans = plan_windows(keyframes, window, overlap)
     if isinstance(prior, InterpolationPrior):
         # It needs no windows; a spline through the dense seed of each would swing out, and farther in each window.
         spans = (WindowSpan(int(keyframes[0]), int(keyframes[-1]) + 1, int(keyframes[0])),)
+    else:
+        spans = plan_windows(keyframes, window, overlap)
     R_parent_joint = bridged.R_parent_joint.copy()
     translation_m = bridged.translation_world_m.copy()
     for span in spans:

@@ -172,4 +172,4 @@ def test_noisy_keyframes_are_cleaned(prior: DiffusionPrior) -> None:
     windows = cut_windows([MotionArchive.read(folder / "cmu.npz")], names)[::12]
     found = evaluate(windows, prior, KeyframeProtocol(3, noise=1.0))
     assert found.mean("mjpe_all_m") < 0.9 * mean_of(found.baseline, "mjpe_all_m")  # 0.84
-    assert 0.6 < found.mean("jerk_m_s3") / mean_of(found.truth, "jerk_8hz_m_s3") < 1.5  # 0.9
+    assert 0.6 < found.mean("jerk_m_s3") / mean_of(found.truth, "jerk_8hz_m_s3") < 1.5  # 1.04

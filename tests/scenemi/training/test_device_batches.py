@@ -102,7 +102,7 @@ def test_the_loss_is_that_of_batches_of_the_processor(
     loss = loss_of(motions, statistics, replace(WIDE))
     ours, theirs = filled(shards), PoolBatches(shards, WIDE)
     with torch.no_grad():
-        rows = [torch.tensor([[float(loss(batch).total) for batch in (ours.draw(), theirs[i])]]) for i in range(6)]
+        rows = [torch.tensor([[float(loss(batch).total) for batch in (ours.draw(), theirs[i])]]) for i in range(12)]
     apart = torch.cat(rows).diff(dim=1)[:, 0]
     assert abs(float(apart.mean())) < 4 * float(apart.std()) / len(apart) ** 0.5
 
