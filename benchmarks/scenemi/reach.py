@@ -2,20 +2,16 @@
 
     python benchmarks/scenemi/reach.py --motion cmu.npz --split split.json --weights small [--blind FILE] \
         [--errors pipeline_errors.npz] [--out benchmarks/scenemi/results/reach.json]
-    python benchmarks/scenemi/reach.py --motion cmu.npz --split split.json --part val --every 8 --choose-solve
 
 - exact keyframes every 15, 30, 60 frames without scenes: error relative to that of interpolation (one sample; at 60 the
   mean of eight samples, and the best of eight), jerk relative to the truth's, raw and low-passed at 8 Hz, skating,
   contact F1; of the network's output, and after the final solve of `scenemi sample`;
+- noisy keyframes (l = 1) every 3 frames, without scenes: error, skating; before and after the solve;
 - blocking scenes (`scenemi.evaluation.scenes`), r = 60, without postprocessing: share of close frames more than 1 cm
   inside, with the scene given, not given, and by a model trained without scenes (`--blind`);
 - errors of the video pipeline on every frame, and with one second missing (`--errors`, of test clips);
 - 20 steps compared with 1000; seconds per window.
 Intervals are 95 % over clips.
-
-`--choose-solve` instead compares settings of the solve without an image (`WITHOUT_PICTURE`), changing one at a time,
-and prints error and skating; choose on `--part val`. `--choose-sampler` does so with the cutoff of the low-pass, with
-answers to the window alone (not to its reflection too), and with the temperature of samples.
 """
 
 from __future__ import annotations
@@ -41,8 +37,7 @@ from scenemi.evaluation.scenes import telling_share, with_synthetic_scenes
 from scenemi.evaluation.scores import mean_of
 from scenemi.evaluation.windows import FPS, EvaluationWindow, KeyframeProtocol, cut_windows, give_keyframes, window_seed
 from scenemi.model.choice import SAMPLE_STEPS, load_prior_by_name
-from scenemi.model.prior import DiffusionPrior
-from scenemi.postprocess.in_scene import WITHOUT_PICTURE, SolvedPrior, put_in_scene
+from scenemi.postprocess.in_scene import SolvedPrior
 from scenemi.prior import InbetweeningPrior, InterpolationPrior, KeyframeWindow, WindowMotion
 from scenemi.training.noise import PipelineErrors, reported_level
 from video2anim.digest import file_digest
@@ -52,15 +47,6 @@ from video2anim.types.skeleton import forward_kinematics
 SAMPLES = 8
 """Samples per window, each with `SAMPLE_STEPS` steps; all other rows are the expected motion (one step)."""
 MISSING_FRAMES = 30
-CUTOFFS_HZ = (4.0, 5.0, 6.0, 8.0, 10.0, 14.9)
-NOISY_CUTOFFS_HZ = (2.5, 3.0, 3.5, 4.0, 5.0)
-VIDEO_CUTOFFS_HZ = (2.5, 3.0, 4.0, 5.0, 6.0, 10.0)
-TEMPERATURES = (0.3, 0.5, 0.7, 1.0)
-SOLVES: dict[str, tuple[float, ...]] = {
-    "root_m": (0.002, 0.02), "trunk_rad": (0.005, 0.03), "limb_rad": (0.3, 0.8), "acceleration_ratio": (2.0, 10.0),
-    "stance_m_s": (0.02, 0.1), "odd_speed_m_s": (1.0, 4.0), "contact_threshold": (0.01, 0.1, 0.3),
-}  # fmt: skip
-"""Alternatives to the values of `WITHOUT_PICTURE`."""
 
 
 def main() -> None:
@@ -69,15 +55,6 @@ def main() -> None:
     names = read_split(options.split)[options.part]
     windows = cut_windows([MotionArchive.read(path) for path in options.motion], names)[:: options.every]
     prior = load_prior_by_name(options.weights, device="cpu", steps=options.steps)
-    if options.choose_solve:
-        sys.stdout.write(choice_of_solve(prior, windows))
-        return
-    if options.choose_sampler:
-        assert isinstance(prior, DiffusionPrior)
-        sys.stdout.write(choice_of_sampler(prior, windows))
-        if options.errors:
-            sys.stdout.write(choice_for_video(prior, windows, PipelineErrors.read(options.errors)))
-        return
     report: dict[str, Any] = {
         "machine": f"{platform.machine()}, {torch.get_num_threads()} threads, Python {platform.python_version()}",
         "date": datetime.date.today().isoformat(), "seed": 0, "steps": options.steps, "windows": len(windows),
@@ -86,7 +63,8 @@ def main() -> None:
     }  # fmt: skip
     report["inbetweening"] = [inbetweening(prior, windows, r) for r in (15, 30, 60)]
     solved: Any = SolvedPrior(prior)  # type: ignore[arg-type]
-    report["solved"] = [inbetweening(solved, windows, r, samples=False) for r in (15, 30, 60)]
+    report["solved"] = [inbetweening(solved, windows, r, eight=False) for r in (15, 30, 60)]
+    report["noisy"] = {name: noisy(one, windows) for name, one in (("network", prior), ("solved", solved))}
     report["scenes"] = scenes(prior, windows, options)
     if options.errors:
         report["pipeline"] = pipeline(prior, windows, PipelineErrors.read(options.errors))
@@ -96,12 +74,12 @@ def main() -> None:
 
 
 def inbetweening(
-    prior: InbetweeningPrior, windows: Sequence[EvaluationWindow], interval: int, *, samples: bool = True
+    prior: InbetweeningPrior, windows: Sequence[EvaluationWindow], interval: int, *, eight: bool = True
 ) -> dict[str, Any]:
     """The row of one keyframe interval."""
     found = evaluate(windows, prior, KeyframeProtocol(interval))
     several = load_prior_by_name(str(prior.model.path), device="cpu", steps=SAMPLE_STEPS)  # type: ignore[attr-defined]
-    joints = [_samples(several, window, interval) for window in windows] if samples and interval >= 60 else []
+    drawn = [samples(several, window, interval) for window in windows] if eight and interval >= 60 else []
     base = mean_of(found.baseline, "mjpe_all_m")
     row: dict[str, Any] = {
         "interval": interval,
@@ -116,83 +94,19 @@ def inbetweening(
         "contact_f1_baseline": mean_of(found.baseline, "contact_f1"),
         "seconds_per_window": found.seconds_per_window,
     }
-    if joints:
-        _, mean, best = _of_eight(joints, windows)
+    if drawn:
+        _, mean, best = of_eight(drawn, windows)
         row["ratio_mean_of_8"], row["ratio_best_of_8"] = mean / base, best / base
     return row
 
 
-def choice_for_video(prior: DiffusionPrior, windows: Sequence[EvaluationWindow], errors: PipelineErrors) -> str:
-    """Errors of the prior for cutoffs, where the keyframes have those of the video pipeline."""
-    heads = "MJPE root-aligned, m | MJPE, m | acceleration error, m/s2"
-    lines = ["", f"| cutoff with errors of a video, Hz | {heads} |", "|---|---|---|---|"]
-    for hz in VIDEO_CUTOFFS_HZ:
-        one = DiffusionPrior(prior.model, replace(prior.sampler, video_cutoff_hz=hz))
-        row = pipeline(one, windows, errors)["all frames"]["prior"]
-        lines.append(f"| {hz:g} | " + " | ".join(f"{value:.4g}" for value in row.values()) + " |")
-    return "\n".join(lines) + "\n"
+def noisy(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow]) -> dict[str, Any]:
+    """Numbers with noise of level 1 on keyframes every 3 frames."""
+    found = evaluate(windows, prior, KeyframeProtocol(3, noise=1.0))
+    return {key: _interval(found, key) for key in ("mjpe_all_m", "mjpe_key_m", "skating_gmd", "jerk_m_s3")}
 
 
-def choice_of_sampler(prior: DiffusionPrior, windows: Sequence[EvaluationWindow]) -> str:
-    """Error over that of interpolation, jerk over that of the truth low-passed at 8 Hz, and skating, for cutoffs and
-    for answers to the window alone; error of one sample, of the mean and of the best of eight for temperatures."""
-    chosen = prior.sampler
-    alone = DiffusionPrior(prior.model, chosen)
-    alone._denoiser = prior.model.denoiser
-    settings = {f"{hz:g} Hz": DiffusionPrior(prior.model, replace(chosen, cutoff_hz=hz)) for hz in CUTOFFS_HZ}
-    lines = ["| | r | ratio | jerk / truth 8 Hz | skating |", "|---|---|---|---|---|"]
-    for name, one in (settings | {"window alone": alone}).items():
-        for interval in (15, 30, 60):
-            found = evaluate(windows, one, KeyframeProtocol(interval))
-            ratio = found.mean("mjpe_all_m") / mean_of(found.baseline, "mjpe_all_m")
-            jerk = found.mean("jerk_m_s3") / mean_of(found.truth, "jerk_8hz_m_s3")
-            lines.append(f"| {name} | {interval} | {ratio:.3f} | {jerk:.2f} | {found.mean('skating_gmd'):.3f} |")
-    lines += ["", "| | noise level, r = 3 | error, cm | jerk / truth 8 Hz | skating |", "|---|---|---|---|---|"]
-    for hz in NOISY_CUTOFFS_HZ:
-        one = DiffusionPrior(prior.model, replace(chosen, noisy_cutoff_hz=hz))
-        for level in (0.25, 0.5, 1.0):
-            found = evaluate(windows, one, KeyframeProtocol(3, noise=level))
-            jerk = found.mean("jerk_m_s3") / mean_of(found.truth, "jerk_8hz_m_s3")
-            error, skating = 100 * found.mean("mjpe_all_m"), found.mean("skating_gmd")
-            lines.append(f"| {hz:g} Hz at 1 | {level} | {error:.2f} | {jerk:.2f} | {skating:.3f} |")
-    base = mean_of(evaluate(windows, prior, KeyframeProtocol(60)).baseline, "mjpe_all_m")
-    lines += ["", "| temperature | one sample | mean of 8 | best of 8 |", "|---|---|---|---|"]
-    for temperature in TEMPERATURES:
-        one = DiffusionPrior(prior.model, replace(chosen, steps=SAMPLE_STEPS, temperature=temperature))
-        single, mean, best = _of_eight([_samples(one, window, 60) for window in windows], windows)
-        lines.append(f"| {temperature} | {single / base:.3f} | {mean / base:.3f} | {best / base:.3f} |")
-    return "\n".join(lines) + "\n"
-
-
-def choice_of_solve(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow]) -> str:
-    """Error and skating at r = 30 and 60, without the solve and with every alternative setting."""
-    candidates = {"none": None, "present": WITHOUT_PICTURE} | {
-        f"{name} {value:g}": replace(WITHOUT_PICTURE, **{name: value})
-        for name, values in SOLVES.items()
-        for value in values
-    }
-    rows: dict[str, list[float]] = {name: [] for name in ["truth", *candidates]}
-    for interval in (30, 60):
-        given = [give_keyframes(window, KeyframeProtocol(interval)).keyframes for window in windows]
-        made = _filled(prior, given, range(len(given)))
-        rows["truth"] += [0.0, float(np.mean([metrics.foot_skating_gmd(w.joints_m, FPS) for w in windows]))]
-        for name, config in candidates.items():
-            solved = made if config is None else [put_in_scene(m, g, config) for m, g in zip(made, given, strict=True)]
-            joints_m = [_joints(m, w) for m, w in zip(solved, windows, strict=True)]
-            errors = [metrics.mpjpe(j, w.joints_m) for j, w in zip(joints_m, windows, strict=True)]
-            rows[name] += [1000 * float(np.mean(errors))]
-            rows[name] += [float(np.mean([metrics.foot_skating_gmd(j, FPS) for j in joints_m]))]
-            sys.stderr.write(f"{interval} {name} {rows[name]}\n")
-    lines = [
-        f"{len(windows)} windows\n",
-        "| solve | MJPE r = 30, mm | skating | MJPE r = 60, mm | skating |",
-        "|---" * 5 + "|",
-    ]
-    lines += [f"| {name} | {a:.2f} | {b:.3f} | {c:.2f} | {d:.3f} |" for name, (a, b, c, d) in rows.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _of_eight(joints: Sequence[np.ndarray], windows: Sequence[EvaluationWindow]) -> tuple[float, float, float]:
+def of_eight(joints: Sequence[np.ndarray], windows: Sequence[EvaluationWindow]) -> tuple[float, float, float]:
     """Mean error of samples, of their means, and of the best of each window, m."""
     pairs = list(zip(joints, windows, strict=True))
     errors = [np.linalg.norm(made - w.joints_m, axis=-1).mean((1, 2)) for made, w in pairs]
@@ -200,14 +114,14 @@ def _of_eight(joints: Sequence[np.ndarray], windows: Sequence[EvaluationWindow])
     return float(np.mean(errors)), float(np.mean(mean)), float(np.mean([error.min() for error in errors]))
 
 
-def _samples(prior: InbetweeningPrior, window: EvaluationWindow, interval: int) -> np.ndarray:
+def samples(prior: InbetweeningPrior, window: EvaluationWindow, interval: int) -> np.ndarray:
     """Joints (samples, frames, 22, 3) of eight samples of a window."""
     given = give_keyframes(window, KeyframeProtocol(interval)).keyframes
     made = fill_batch(prior, [given] * SAMPLES, [window_seed(window.name, s) % 2**31 for s in range(SAMPLES)])
-    return np.stack([_joints(motion, window) for motion in made])
+    return np.stack([joints(motion, window) for motion in made])
 
 
-def _joints(motion: WindowMotion, window: EvaluationWindow) -> np.ndarray:
+def joints(motion: WindowMotion, window: EvaluationWindow) -> np.ndarray:
     return forward_kinematics(motion.R_parent_joint, motion.translation_world_m, window.body.rest_joints_m)[0]
 
 
@@ -253,26 +167,26 @@ def pipeline(prior: InbetweeningPrior, windows: Sequence[EvaluationWindow], erro
         truths.append(window.joints_m)
     seeds = list(range(len(given)))
     observed = [
-        _joints(WindowMotion(g.R_parent_joint, g.translation_world_m), w) for g, w in zip(given, windows, strict=True)
+        joints(WindowMotion(g.R_parent_joint, g.translation_world_m), w) for g, w in zip(given, windows, strict=True)
     ]
-    made = [_joints(m, w) for m, w in zip(_filled(prior, given, seeds), windows, strict=True)]
+    made = [joints(m, w) for m, w in zip(filled(prior, given, seeds), windows, strict=True)]
     table: dict[str, Any] = {
         "all frames": _against(truths, {"observed": observed, "6 Hz": [_low(o, 6.0) for o in observed], "prior": made})
     }
     start = (len(truths[0]) - MISSING_FRAMES) // 2
     hidden = slice(start, start + MISSING_FRAMES)
     gaps = [replace(g, is_keyframe=_without(g.is_keyframe, hidden)) for g in given]
-    bridged = [_joints(InterpolationPrior().fill(g), w) for g, w in zip(gaps, windows, strict=True)]
-    filled = [_joints(m, w) for m, w in zip(_filled(prior, gaps, seeds), windows, strict=True)]
+    bridged = [joints(InterpolationPrior().fill(g), w) for g, w in zip(gaps, windows, strict=True)]
+    inner = [joints(m, w) for m, w in zip(filled(prior, gaps, seeds), windows, strict=True)]
     inside: dict[str, Sequence[np.ndarray]] = {
         "interpolation": [b[hidden] for b in bridged],
-        "prior": [f[hidden] for f in filled],
+        "prior": [f[hidden] for f in inner],
     }
     table["missing second"] = _against([t[hidden] for t in truths], inside)
     return table
 
 
-def _filled(prior: InbetweeningPrior, given: Sequence[KeyframeWindow], seeds: Sequence[int]) -> list[WindowMotion]:
+def filled(prior: InbetweeningPrior, given: Sequence[KeyframeWindow], seeds: Sequence[int]) -> list[WindowMotion]:
     return [m for i in range(0, len(given), 8) for m in fill_batch(prior, given[i : i + 8], seeds[i : i + 8])]
 
 
@@ -332,6 +246,11 @@ def markdown(report: dict[str, Any]) -> str:
         lines.append(
             f"| {row['interval']}{after} | {row['ratio']:.3f} | {eight[0]} | {eight[1]} | {jerk} | {skating} |"
         )
+    lines += ["", "| r = 3, l = 1 | MJPE, cm | skating |", "|---|---|---|"]
+    for name, row in report["noisy"].items():
+        error, skating = row["mjpe_all_m"], row["skating_gmd"]
+        low, high = 100 * error["low"], 100 * error["high"]
+        lines.append(f"| {name} | {100 * error['mean']:.2f} [{low:.2f}, {high:.2f}] | {skating['mean']:.3f} |")
     lines += ["", "| scenes, r = 60 | close frames > 1 cm inside | MJPE, m |", "|---|---|---|"]
     for name, row in report["scenes"].items():
         if isinstance(row, dict) and "mjpe_all_m" in row:
@@ -359,8 +278,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--errors", type=Path)
     parser.add_argument("--steps", type=int, default=1)
     parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--choose-solve", action="store_true")
-    parser.add_argument("--choose-sampler", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/scenemi/results/reach.json"))
     return parser.parse_args()
 

@@ -65,7 +65,7 @@ class BothSides:
 class EvenDenoiser:
     """Mean of a denoiser's answers to a window and to its reflection. A reflected motion is as likely, but a trained
     network answers the two differently: the mean has 2 to 3 % less error than one answer, for twice the time
-    (`benchmarks/scenemi/reach.py --part val --every 2 --choose-sampler`)."""
+    (`benchmarks/scenemi/choices.py sampler --every 2`)."""
 
     def __init__(self, denoiser: Denoiser) -> None:
         self.denoiser = denoiser

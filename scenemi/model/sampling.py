@@ -75,7 +75,7 @@ class SamplerConfig:
     cutoff_hz: float = 6.0
     """The motion is low-passed here before keyframes are met exactly: the network answers up to 6.6 Hz, above are the
     joins of curves and tokens. From 4 to 8 Hz the error changes by at most 0.005 and skating by 0.006; above 8 Hz
-    motion shakes more than the truth (`benchmarks/scenemi/reach.py --part val --every 2 --choose-sampler`)."""
+    motion shakes more than the truth (`benchmarks/scenemi/choices.py sampler --every 2`)."""
     noisy_cutoff_hz: float = 3.5
     """The same for keyframes with independent noise of level 1, where it is lower: the frequency above which such noise
     is stronger than motion, whose power falls with about the fourth power of the frequency, is inverse to the square

@@ -21,20 +21,24 @@ if TYPE_CHECKING:
     from scenemi.model.prior import DiffusionPrior
     from scenemi.postprocess.partial import PartialKeyframes
 
+PRIOR_ERROR = ((0.33, 57.0), (0.19, 11.0), (0.32, 5.7))
+"""Error of the prior d frames from the nearest keyframe is a d / (d + b): a and b of root (m), trunk and limbs (rad),
+as `benchmarks/scenemi/choices.py prior-error --every 2` measures it."""
 WITHOUT_PICTURE = SolveConfig(
-    root_m=0.005, trunk_rad=0.01, limb_rad=0.5, acceleration_ratio=5.0, stance_m_s=0.05, odd_speed_m_s=2.0,
-    contact_threshold=0.03, touch_m=0.015, touch_reach_m=0.25,
-)  # fmt: skip
-"""Nothing but the network says where the body is: legs give way, root and trunk only to solids. Feet that slide at up
-to 0.94 m/s are held. Chosen on an eighth of the test windows of `benchmarks/scenemi/reach.py` (r = 30 and 60: skating
-0.219 and 0.174 before, 0.138 and 0.092 with this, truth 0.081; error unchanged within 1 %). With the root as free as in
-a video the error at 60 frames rises by a tenth; limbs at 0.3 rad leave skating at 0.189 and 0.123. On 23 validation
-windows (`--part val --every 4 --choose-solve`, CMU and two more data sets, r = 30) skating is 0.164 before and 0.112
-with this, the error 66.5 and 64.8 mm; a root held by 2 mm or by 2 cm changes neither by more than 0.001 and 0.1 mm."""
-OBSERVED = replace(WITHOUT_PICTURE, root_m=0.05, trunk_rad=0.05, acceleration_ratio=1.0, iterations=16)
+    acceleration_ratio=5.0, stance_m_s=0.12, odd_speed_m_s=2.0, contact_threshold=0.03, touch_m=0.015
+)
+"""Nothing but the network says where the body is, so the standard deviations from it are its errors (`prior_error`).
+Feet that slide at up to 0.94 m/s are held. By `choices.py solve --every 4` (10 windows of validation clips without
+scenes) skating at 3, 15, 30 and 60 frames is 0.110, 0.090, 0.090 and 0.113 before, 0.078, 0.072, 0.067 and 0.066 with
+this, truth 0.087; errors fall. Half or twice of any value changes errors by less than 2 %."""
+OBSERVED = replace(
+    WITHOUT_PICTURE, root_m=0.05, trunk_rad=0.05, limb_rad=0.5, acceleration_ratio=1.0, stance_m_s=0.05, iterations=16
+)
 """With partial keyframes, which say where root and trunk are, so that these give way too, smoothly. Pinned feet slide
 by 5 mm with this and by 14 mm after 8 iterations; with 0.2 m for the root the solve may not converge
 (`benchmarks/scenemi/partial.py`)."""
+_MIN_ERROR = 1e-3
+"""Of a seed frame, which stays where it is."""
 _ROUNDS = 2
 """Solves: standing feet are found more reliably in a motion in which they have been held once."""
 
@@ -63,10 +67,25 @@ def put_in_scene(
             made.R_parent_joint, made.translation_world_m,
             contact if partial is None else np.maximum(contact, partial.contact), given.rest_joints_m, body,
             given.fps, fixed, targets=None if partial is None else partial.targets(joints_m, fixed),
+            uncertainty=prior_error(given) if partial is None else None,
         )  # fmt: skip
         solved = solve_motions([start], Solids(field, floor=False), config)
         made = WindowMotion(solved.R_parent_joint[0], solved.translation_world_m[0])
     return made
+
+
+def prior_error(given: KeyframeWindow) -> Float[np.ndarray, "frames 3"]:
+    """Standard deviations of root (m), trunk and limbs (rad) in what the prior makes: the noise of the keyframes, and
+    `PRIOR_ERROR` by the distance from them."""
+    keyframes, frames = np.flatnonzero(given.is_keyframe), np.arange(len(given.is_keyframe))
+    after = keyframes[np.searchsorted(keyframes, frames)]
+    before = keyframes[np.searchsorted(keyframes, frames, side="right") - 1]
+    nearest = np.where(after - frames < frames - before, after, before)
+    distance = np.abs(frames - nearest)[:, None]
+    noise = np.full((len(nearest), 2), given.noise_level) if given.noise is None else given.noise[nearest]
+    limit, half = np.array(PRIOR_ERROR).T
+    of_keyframes = np.stack([0.01 * noise[:, 1], *2 * [np.radians(noise[:, 0])]], 1)
+    return np.maximum(np.hypot(of_keyframes, limit * distance / (distance + half)), _MIN_ERROR)
 
 
 def slow_feet(joints_m: Float[np.ndarray, "frames 22 3"], fps: float) -> Float[np.ndarray, "frames 22"]:
@@ -86,12 +105,12 @@ def slow_feet(joints_m: Float[np.ndarray, "frames 22 3"], fps: float) -> Float[n
 class SolvedPrior:
     """A diffusion prior whose windows go through the solve: what `scenemi sample` makes."""
 
-    def __init__(self, prior: DiffusionPrior) -> None:
-        self.name, self.model, self._prior = prior.name, prior.model, prior
+    def __init__(self, prior: DiffusionPrior, config: SolveConfig = WITHOUT_PICTURE) -> None:
+        self.name, self.model, self._prior, self._config = prior.name, prior.model, prior, config
 
     def fill(self, window: KeyframeWindow) -> WindowMotion:
-        return put_in_scene(self._prior.fill(window), window)
+        return put_in_scene(self._prior.fill(window), window, self._config)
 
     def fill_many(self, windows: Sequence[KeyframeWindow], seeds: Sequence[int]) -> list[WindowMotion]:
         made = self._prior.fill_many(windows, seeds)
-        return [put_in_scene(motion, window) for motion, window in zip(made, windows, strict=True)]
+        return [put_in_scene(motion, window, self._config) for motion, window in zip(made, windows, strict=True)]

@@ -124,6 +124,9 @@ class SceneMotion:
     picture: PictureTarget | None = None
     """None where there is no video."""
     targets: JointTargets | None = None
+    uncertainty: Float[np.ndarray, "frames 3"] | None = None
+    """Standard deviations of root (m), trunk and limbs (rad) about the reference, where they are known better than by
+    the configuration."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,8 +176,9 @@ class _Person:
         usual = [np.maximum(config.acceleration_ratio * _rms(root), min_m)]
         usual += [np.maximum(config.acceleration_ratio * _rms(turning).reshape(-1), min_rad)]
         self.stiffness = fps2**2 / np.concatenate(usual) ** 2
-        turn_rad = np.where(np.isin(np.arange(JOINTS), TRUNK), config.trunk_rad, config.limb_rad)
-        self.hold = np.concatenate([np.full(3, config.root_m), np.repeat(turn_rad, 3)]) ** -2.0
+        usual_error = np.array([[config.root_m, config.trunk_rad, config.limb_rad]])
+        kind = np.concatenate([np.zeros(3, int), np.repeat(np.where(np.isin(np.arange(JOINTS), TRUNK), 1, 2), 3)])
+        self.hold = (usual_error if given.uncertainty is None else given.uncertainty)[:, kind] ** -2.0
 
     def move(self, step: Float[np.ndarray, "frames 69"]) -> None:
         """Go on by a step of the unknowns; towards targets, which may be far away, by no more than `MAX_TURN_RAD`."""
