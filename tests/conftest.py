@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 from jaxtyping import install_import_hook
-from runtime_types import CHECKED
+from runtime_types import CHECKED, start_test
 
 install_import_hook(CHECKED, "runtime_types.checked")  # before anything of ours is imported
 
@@ -28,6 +28,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         left_out = [item for item in items if item.nodeid.split("[")[0] in slow]
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item.nodeid.split("[")[0] not in slow]
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Annotations are checked in every test, its fixtures included."""
+    start_test()
 
 
 @pytest.fixture(scope="session")
