@@ -36,13 +36,14 @@ from video2anim.body.anny_body import shaped_body
 from video2anim.digest import file_digest
 from video2anim.humans.lifting import lift
 from video2anim.humans.observe import observations
+from video2anim.lab.eval.alignment import match_frames, match_people
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.truth import read_truth
 from video2anim.networks.fetch import model_path
 from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT
 from video2anim.networks.lifter import Lifter
 from video2anim.networks.table import find_model
-from video2anim.types import BodyMotion, BodyTracks, CameraEstimate, PersonTracks, RefinedMotion
+from video2anim.types import BodyTracks, CameraEstimate, PersonTracks, RefinedMotion
 from video2anim.types.clip import FPS
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
@@ -75,7 +76,7 @@ def main() -> None:
     file = options.lifter or model_path(find_model("lifter"))
     found = {}
     for folder in sorted(run.parent for root in options.scenes for run in root.glob("*/run.json")):
-        score = scorer(folder.name, options)
+        score = scorer(folder, options)
         if score is not None:
             found[folder.name] = {row: score(one) for row, one in estimates(folder, Lifter(file)).items()}
             sys.stderr.write(f"{folder.name} {found[folder.name]}\n")
@@ -111,11 +112,16 @@ def estimates(folder: Path, network: Lifter) -> dict[str, Estimate]:
     return {row: Estimate(np.where(valid, one, np.nan), clip.frame_time_s, R) for row, one in joints_m.items()}
 
 
-def scorer(clip: str, options: argparse.Namespace) -> Score | None:
-    """What scores the estimates of a clip; None without truth."""
+def scorer(folder: Path, options: argparse.Namespace) -> Score | None:
+    """What scores the estimates of a scene folder; None without truth."""
+    clip = folder.name
     if options.truth and (options.truth / clip / "meta.json").is_file():
-        truth: BodyMotion = read_truth(options.truth / clip).people[0]
-        return lambda one: in_camera(one, truth.joints_camera_m[:, LIMBS], truth.frame_time_s)
+        result, truth = SceneResult(folder), read_truth(options.truth / clip)
+        bodies = result.get(BodyTracks)
+        assert bodies is not None
+        pair = match_people(bodies.people[:1], truth, match_frames(result.clip, truth))[0]
+        person = truth.people[pair.truth]
+        return lambda one: in_camera(one, person.joints_camera_m[:, LIMBS], person.frame_time_s)
     reference = options.media / "reference" / f"{clip}_joints.npz" if options.media else None
     if reference is None or not reference.is_file():
         return None

@@ -44,6 +44,7 @@ from video2anim.body.contact import posed_vertices
 from video2anim.digest import file_digest
 from video2anim.errors import StageError, Video2AnimError
 from video2anim.geometry.sdf import SdfGrid
+from video2anim.lab.eval.alignment import match_frames, match_people
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.truth import read_truth
 from video2anim.motion.movable_scene import scene_field
@@ -114,7 +115,10 @@ def of_clip(
     source, field = depth.bodies.main, scene_field(scene)
     if not source.valid.any():
         raise StageError("the main person has no valid frame")
-    truth = read_truth(truths / folder.name).people[0] if truths and (truths / folder.name).is_dir() else None
+    truth = None
+    if truths and (truths / folder.name).is_dir():
+        known = read_truth(truths / folder.name)
+        truth = known.people[match_people([source], known, match_frames(result.clip, known))[0].truth]
     made = {"humans": source} | {
         name: filled(source, prior, field, noisy=noisy) for name, (prior, noisy) in methods.items()
     }
