@@ -22,7 +22,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """With `--fast`: without the tests that take longer than a moment, by what they took in a whole run."""
+    """Files of tests of the whole pipeline come first, so that no worker is left alone with one at the end. With
+    `--fast`: without the tests that take longer than a moment, by what they took in a whole run."""
+    items.sort(key=lambda item: item.path.parent != REPOSITORY / "tests")
     if config.getoption("--fast"):
         slow = set((REPOSITORY / "tests" / "slow_tests.txt").read_text(encoding="utf-8").splitlines())
         left_out = [item for item in items if item.nodeid.split("[")[0] in slow]
