@@ -67,7 +67,9 @@ def of_scene(scene: Path, draws: int) -> list[dict]:
     config = ReconstructConfig()
     views = ObjectViews(
         masks, depth, never_seen(background.seen_ratio, depth.background_depth_m.shape), people,
-        DepthErrors(config.depth_error_ratio, config.depth_relief, config.depth_relief_sigma),
+        DepthErrors(
+            config.depth_error_ratio, config.depth_relief, config.depth_relief_sigma, config.open_bias
+        ),
         EdgeHeadings(background.background_rgb, depth.bodies.main_view.resized(width_px, height_px)),
     )  # fmt: skip
     rows = []

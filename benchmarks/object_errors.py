@@ -172,6 +172,12 @@ def summary(clips: Sequence[dict[str, Any]], pieces: Sequence[dict[str, Any]]) -
         "of them cut by the border": sum(piece["cut"] for piece in far),
         "of them chairs and tables": sum(piece["label"] in ("chair", "table") for piece in far),
     }
+    labels = sorted({piece["label"] for piece in pieces})
+    found["pieces, logarithm of depth over its true value (mean) by class"] = {
+        label: [len(own), round(float(np.mean(own)), 3)]
+        for label in labels
+        if (own := [piece["distance_log"] for piece in pieces if piece["label"] == label])
+    }
     for key in ("absrel", "absrel_one_scale", "absrel_best_scale_and_offset"):
         found[key] = float(np.mean([clip[key] for clip in clips]))
     for name in ("as it is", "true scale", "true scale and distance"):

@@ -192,7 +192,7 @@ def clip_of(motion: BodyMotion) -> VideoClip:
     )  # fmt: skip
 
 
-TRUE_RELIEF = {"depth_relief": 1.0, "depth_relief_sigma": 0.02}
+TRUE_RELIEF = {"depth_relief": 1.0, "depth_relief_sigma": 0.02, "open_bias": 0.0}
 """Options of stage reconstruct for depth without a network's errors."""
 
 

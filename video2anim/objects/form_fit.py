@@ -25,6 +25,8 @@ POSE = ("x", "z", "yaw", "base", "distance", "stretch")
 of its distance, and the share by which its relief (`DepthErrors`) is larger than estimated."""
 THIN = ("leg", "pole")
 """Parts that masks lose."""
+OPEN = ("chair", "table", "stool")
+"""Forms that the picture shows the background between the parts of."""
 LEANED_ON = ("back", "headboard")
 """Parts that bodies meet from the front; on others they rest from above."""
 BESIDE_SEATS = (*LEANED_ON, "arm")
@@ -181,7 +183,9 @@ class FormProblem:
             [np.inf, np.inf, np.inf, 0.15 if base_m > 0 else sigmas.base_m, evidence.distance_sigma,
              evidence.depth_errors.relief_sigma], form.spread,
         ])  # fmt: skip
-        self.prior_mean = np.concatenate([[0, 0, 0, base_m, 0, evidence.depth_errors.relief - 1], np.log(form.usual_m)])
+        errors = evidence.depth_errors
+        nearer = -errors.open_bias if form.name in OPEN else 0.0
+        self.prior_mean = np.concatenate([[0, 0, 0, base_m, nearer, errors.relief - 1], np.log(form.usual_m)])
 
     def residuals(self, values: Float[np.ndarray, "batch values"]) -> Residuals:
         """Those of mask, depth, people, room and priors."""

@@ -22,6 +22,9 @@ class DepthErrors:
     """True relief over the estimated one: mean of all objects."""
     relief_sigma: float
     """Its standard deviation."""
+    open_bias: float = 0.0
+    """Mean of the logarithm of estimated over true depth of open furniture (`form_fit.OPEN`), between whose parts the
+    picture shows what is behind it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
