@@ -93,7 +93,9 @@ def of_clip(truth: Truth, pictures: Path | None, depth_sigma: float, *, named: b
     ctx = StageContext(Path())
     started = time.process_time()
     completed = complete_objects(background, masks, depth, CompleteConfig(), ctx)
-    config = ReconstructConfig(depth_error_ratio=depth_sigma, depth_relief=1.0, depth_relief_sigma=2 * depth_sigma)
+    config = ReconstructConfig(
+        depth_error_ratio=depth_sigma, depth_relief=1.0, depth_relief_sigma=2 * depth_sigma, open_bias=0.0
+    )
     meshes = reconstruct_objects(completed, masks, depth, background, config, ctx)
     placed = place_objects(meshes, masks, depth, PlaceConfig(), ctx)
     seconds = (time.process_time() - started) / max(len(masks.instances), 1)
