@@ -14,6 +14,7 @@ from seen_boxes import FLOOR, LENS, Block, about_y, table
 from video2anim.geometry.projection import invert_rigid, pixel_rays
 from video2anim.objects.form_fit import FitSigmas, FormFit, FormProblem
 from video2anim.objects.furniture import FORMS, Form
+from video2anim.objects.observed import DepthErrors
 from video2anim.objects.occupied import Occupied
 from video2anim.objects.recognize import recognized
 
@@ -104,6 +105,24 @@ def test_a_chair_whose_lower_part_is_hidden_stands_on_the_floor() -> None:
     assert fit.T_world_object[1, 3] == pytest.approx(0, abs=0.01)
     assert size(fit, "seat height") == pytest.approx(0.46, abs=0.04)
     np.testing.assert_allclose(fit.T_world_object[[0, 2], 3], [0.2, -2.8], atol=0.06)
+
+
+def test_open_furniture_is_nearer_than_its_mixed_depth_says() -> None:
+    """A chair that a network sees 12 % too far, since the wall shows between its parts; a cabinet is seen as it is."""
+    distance_m = {}
+    for bias in (0.0, 0.12):
+        errors = DepthErrors(0.04, 1.0, 0.1, open_bias=bias)
+        for name, parts in (
+            ("chair", moved(chair(), (0.2, -2.8), 0.3)),
+            ("cabinet", [Block((0.2, 0.5, -2.8), (1.0, 1.0, 0.45))]),
+        ):
+            factor = 1.12 if name == "chair" else 1.0
+            room = furnished(parts, errors=errors, depth_factor=factor, distance_sigma=0.05)
+            at_m = fitted(room, name).T_world_object[:3, 3] - room.seen.evidence.camera_m
+            distance_m[name, bias] = float(np.linalg.norm(at_m[[0, 2]]))
+    true_m = float(np.linalg.norm(np.array((0.2, -2.8)) - np.array(EYE_M)[[0, 2]]))
+    assert abs(distance_m["chair", 0.12] - true_m) < abs(distance_m["chair", 0.0] - true_m)
+    assert distance_m["cabinet", 0.12] == distance_m["cabinet", 0.0]
 
 
 @pytest.mark.parametrize("skin_m", [0.40, 0.43, 0.49, 0.52])
