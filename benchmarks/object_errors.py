@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from video2anim.geometry.masks import shrunk
+from video2anim.geometry.projection import pixel_rays
 from video2anim.lab.eval.alignment import match_frames, resample_nearest, truth_from_estimate
 from video2anim.lab.eval.object_rows import MIN_VISIBLE_PX, compared_objects, match_masks, pairs_by_mask
 from video2anim.lab.eval.results import SceneResult
@@ -96,7 +97,23 @@ def of_clip(clip: Clip) -> dict[str, Any]:
         "absrel": float(np.abs(np.expm1(off)).mean()),
         "absrel_one_scale": float(np.abs(np.expm1(off - np.median(off))).mean()),
         "absrel_best_scale_and_offset": float(np.abs(1 / np.maximum(fitted, 0.02) / true_m[known] - 1).mean()),
+        "floor_log": floor_log(clip),
     }
+
+
+def floor_log(clip: Clip) -> float:
+    """Median logarithm of the depth of the calibrated floor over its true depth, where the floor is seen, beyond the
+    scale of the clip."""
+    body, true = clip.get(MetricDepth).bodies.main, clip.truth.main
+    true_m = clip.truth.background_depth_m
+    planes = []
+    for motion in (body, true):
+        small = motion.view().resized(true_m.shape[1], true_m.shape[0])
+        down = -(pixel_rays(small.intrinsics) @ small.T_world_camera[:3, :3].T)[..., 1]
+        planes.append(small.T_world_camera[1, 3] / np.where(down > 1e-3, down, np.nan))
+    floor = np.abs(planes[1] / np.maximum(true_m, 1e-3) - 1) < 0.01
+    scale = body.view().T_world_camera[1, 3] / true.view().T_world_camera[1, 3]
+    return float(np.nanmedian(np.log(planes[0][floor] / true_m[floor] / scale)))
 
 
 def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
@@ -119,6 +136,8 @@ def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
         rows[furniture[j].object_id] = {
             "clip": clip.name, "label": furniture[j].label, "distance_log": off[number], "cut": cut,
             "by_scale_m": abs(float(np.expm1(scale_log))) * measured[1],
+            "lowest_rows": lowest_row(own) - lowest_row(shrunk(clip.truth.mask(furniture[j].object_id), own.shape)),
+            "rows": len(own),
         }  # fmt: skip
     camera_m = body.view().T_world_camera[:3, 3]
     moved = {
@@ -143,6 +162,11 @@ def distances_m(lifter: ObjectBackprojector, number: int, true_number: int, trut
         return None
     center_m = float(np.median(true_m[both]))
     return float(np.median(obj.depth_m[both] / true_m[both])) * center_m, center_m
+
+
+def lowest_row(mask: np.ndarray) -> int:
+    """Number of the lowest row that the mask has."""
+    return int(np.flatnonzero(mask.any(1)).max(initial=-1))
 
 
 def nearer(item: PlacedObject, by_log: float, camera_m: np.ndarray) -> PlacedObject:
@@ -178,6 +202,11 @@ def summary(clips: Sequence[dict[str, Any]], pieces: Sequence[dict[str, Any]]) -
         for label in labels
         if (own := [piece["distance_log"] for piece in pieces if piece["label"] == label])
     }
+    found["depth of the floor beyond the scale, clips within 1.2 %"] = sum(abs(c["floor_log"]) < 0.012 for c in clips)
+    whole = [100 * piece["lowest_rows"] / piece["rows"] for piece in pieces if not piece["cut"]]
+    found["lowest row of masks that the border does not cut, below the true one (median), % of the image"] = float(
+        np.median(whole)
+    )
     for key in ("absrel", "absrel_one_scale", "absrel_best_scale_and_offset"):
         found[key] = float(np.mean([clip[key] for clip in clips]))
     for name in ("as it is", "true scale", "true scale and distance"):
