@@ -28,8 +28,8 @@ WITHOUT_PICTURE = SolveConfig(
     acceleration_ratio=5.0, stance_m_s=0.12, odd_speed_m_s=2.0, contact_threshold=0.0, touch_m=0.015
 )
 """Nothing but the network says where the body is, so the standard deviations from it are its errors (`prior_error`).
-Feet are held as much as they are slow (`slow_feet`). Chosen by `choices.py solve --every 4`: half or twice a value
-changes errors by less than 2 % and skating by less than 0.01 (docs/scenemi.md)."""
+Feet are held as much as they are slow (`slow_feet`). Chosen by `choices.py solve --every 4`; docs/scenemi.md has the
+alternatives."""
 OBSERVED = replace(
     WITHOUT_PICTURE, root_m=0.05, trunk_rad=0.05, limb_rad=0.5, acceleration_ratio=1.0, stance_m_s=0.05,
     contact_threshold=0.03, touch_reach_m=0.25, iterations=16,
