@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from real_clips import HIPS, LANDMARKS, LIMBS
 
 from scenemi.metrics import align_similarity
 from video2anim.body.anny_body import shaped_body
@@ -40,18 +41,13 @@ from video2anim.lab.eval.alignment import match_frames, match_people
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.truth import read_truth
 from video2anim.networks.fetch import model_path
-from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT
 from video2anim.networks.lifter import Lifter
 from video2anim.networks.table import find_model
 from video2anim.types import BodyTracks, CameraEstimate, PersonTracks, RefinedMotion
 from video2anim.types.clip import FPS
-from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
+from video2anim.types.skeleton import JOINT_NAMES, forward_kinematics
 
-PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-NAMES = [f"{side}_{part}" for part in PARTS for side in ("left", "right")]
-LIMBS = [JOINT_INDEX[name] for name in NAMES]
-LANDMARKS = [BLAZEPOSE_OF_KEYPOINT[name] for name in NAMES]
-HIPS = slice(6, 8)
+NAMES = [JOINT_NAMES[joint] for joint in LIMBS]
 ROWS = ("raw", "lifter", "humans", "result")
 NUMBERS = ("PA", "root-relative", "acceleration")
 
@@ -119,8 +115,10 @@ def scorer(folder: Path, options: argparse.Namespace) -> Score | None:
         result, truth = SceneResult(folder), read_truth(options.truth / clip)
         bodies = result.get(BodyTracks)
         assert bodies is not None
-        pair = match_people(bodies.people[:1], truth, match_frames(result.clip, truth))[0]
-        person = truth.people[pair.truth]
+        pairs = match_people(bodies.people[:1], truth, match_frames(result.clip, truth))
+        if not pairs:
+            return None
+        person = truth.people[pairs[0].truth]
         return lambda one: in_camera(one, person.joints_camera_m[:, LIMBS], person.frame_time_s)
     reference = options.media / "reference" / f"{clip}_joints.npz" if options.media else None
     if reference is None or not reference.is_file():

@@ -54,7 +54,7 @@ class ReconstructConfig:
     depth_relief_sigma: Annotated[float, limits(gt=0, le=2)] = 0.4
     """Its standard deviation: 0.35, 0.61 (`benchmarks/room_net.py`)."""
     open_bias: Annotated[float, limits(ge=-1, le=1)] = 0.1
-    """Mean logarithm of estimated over true depth of chairs, stools, tables (0.12, 0.05, 0.21: docs/objects.md)."""
+    """Mean logarithm of estimated over true depth of chairs, tables and stools (0.05 to 0.25: docs/objects.md)."""
     min_points: Annotated[int, limits(ge=1, le=1_000_000)] = 30
     """Objects with fewer reliable depth pixels are dropped."""
     meshes: str = user_path()

@@ -248,7 +248,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--split", type=Path, help="without it, all clips are used")
     parser.add_argument("--part", default="test")
     parser.add_argument("--weights", nargs="+", default=["small"], help="small or files")
-    parser.add_argument("--variant", action="append", default=[], type=_named, help="NAME=FILE of a retrained model")
+    parser.add_argument("--variant", action="append", default=[], type=named, help="NAME=FILE of a retrained model")
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--time-steps", type=int, nargs="+", default=[10, 20, 50, 1000])
     parser.add_argument("--seed", type=int, default=0)
@@ -260,7 +260,7 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _named(text: str) -> tuple[str, str]:
+def named(text: str) -> tuple[str, str]:
     name, _, path = text.partition("=")
     if not path:
         raise argparse.ArgumentTypeError(f"want NAME=FILE, got {text!r}")

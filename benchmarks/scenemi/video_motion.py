@@ -29,15 +29,15 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.stats import bootstrap
+from tables import named
 
 from scenemi import metrics
 from scenemi.data.files import write_json
 from scenemi.evaluation.ablation import AblatedPrior
-from scenemi.longmotion import KeyframeMotion, inbetween
 from scenemi.model.choice import INTERPOLATION, load_prior_by_name
 from scenemi.model.prior import DiffusionPrior
 from scenemi.prior import InbetweeningPrior
-from scenemi.windows import select_keyframes
 from stages.refine import RefineConfig
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import posed_vertices
@@ -48,7 +48,8 @@ from video2anim.lab.eval.alignment import match_frames, match_people
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.truth import read_truth
 from video2anim.motion.movable_scene import scene_field
-from video2anim.motion.observation import inlier_frames
+from video2anim.motion.observation import observation
+from video2anim.motion.refinement import PriorConfig, fill_between
 from video2anim.types import BodyMotion, MetricDepth, RefinedMotion, SceneModel
 from video2anim.types.clip import FPS
 
@@ -90,7 +91,7 @@ def main() -> None:
 
 
 def methods_of(options: argparse.Namespace) -> dict[str, tuple[InbetweeningPrior, bool]]:
-    """Prior of each row, and whether it is told the noise of the keyframes."""
+    """Prior of each row, and whether it is given the noise of the keyframes."""
     ours = load_prior_by_name(options.weights)
     assert isinstance(ours, DiffusionPrior)
     others = {name: (load_prior_by_name(file), True) for name, file in options.variant}
@@ -118,7 +119,8 @@ def of_clip(
     truth = None
     if truths and (truths / folder.name).is_dir():
         known = read_truth(truths / folder.name)
-        truth = known.people[match_people([source], known, match_frames(result.clip, known))[0].truth]
+        for pair in match_people([source], known, match_frames(result.clip, known)):
+            truth = known.people[pair.truth]
     made = {"humans": source} | {
         name: filled(source, prior, field, noisy=noisy) for name, (prior, noisy) in methods.items()
     }
@@ -130,14 +132,8 @@ def of_clip(
 def filled(source: BodyMotion, prior: InbetweeningPrior, field: SdfGrid, *, noisy: bool) -> BodyMotion:
     """The source between its keyframes as the prior makes it."""
     config = RefineConfig()
-    keys = np.zeros(source.frame_count, bool)
-    keys[select_keyframes(source.frame_count, INTERVAL, usable=inlier_frames(source))] = True
-    given = KeyframeMotion(
-        source.R_parent_joint, source.T_world_root[:, :3, 3], keys, source.rest_joints_m, FPS,
-        shaped_body(source.shape),
-        noise=(config.keyframe_noise_deg, config.keyframe_noise_cm) if noisy else None,
-    )  # fmt: skip
-    found = inbetween(given, prior, scene=field)
+    noise = (config.keyframe_noise_deg, config.keyframe_noise_cm) if noisy else (0.0, 0.0)
+    found, _ = fill_between(source, observation(source, ()), prior, field, PriorConfig(INTERVAL, noise))
     return source.with_pose(translation_world_m=found.translation_world_m, R_parent_joint=found.R_parent_joint)
 
 
@@ -184,22 +180,14 @@ def markdown(report: dict[str, Any]) -> str:
 def cell(values: Sequence[float]) -> str:
     """Mean and its 95 % interval over clips."""
     known = np.array([value for value in values if not np.isnan(value)])
-    draws = np.random.default_rng(0).choice(known, (DRAWS, len(known))).mean(1)
-    low, high = np.percentile(draws, [2.5, 97.5])
-    return f"{known.mean():.3g} [{low:.3g}, {high:.3g}]"
+    found = bootstrap((known,), np.mean, n_resamples=DRAWS, method="percentile", rng=0).confidence_interval
+    return f"{known.mean():.3g} [{found.low:.3g}, {found.high:.3g}]"
 
 
 def digests(options: argparse.Namespace) -> dict[str, str]:
     """SHA-256 of the weights of each row."""
     ours: Any = load_prior_by_name(options.weights)
     return {"scenemi": file_digest(ours.model.path)} | {name: file_digest(Path(file)) for name, file in options.variant}
-
-
-def named(text: str) -> tuple[str, str]:
-    name, _, value = text.partition("=")
-    if not value:
-        raise argparse.ArgumentTypeError(f"want NAME=PATH, got {text!r}")
-    return name, value
 
 
 def arguments() -> argparse.Namespace:

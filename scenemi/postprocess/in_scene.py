@@ -38,7 +38,7 @@ OBSERVED = replace(
 by 5 mm with this and by 14 mm after 8 iterations; with 0.2 m for the root the solve may not converge
 (`benchmarks/scenemi/partial.py`)."""
 _MIN_ERROR = 1e-3
-"""Of a seed frame, which stays where it is."""
+"""Of exact keyframes, which stay where they are."""
 _ROUNDS = 2
 """Solves: standing feet are found more reliably in a motion in which they have been held once."""
 

@@ -23,7 +23,7 @@ FULL_FRAME_DIAGONAL_MM = math.hypot(36, 24)
 """Equivalent focal lengths refer to the full frame of 36 x 24 mm."""
 _CONTRADICTION_FACTOR = 3.0
 """Metadata that differs from the body fit by more than this factor is not used. The fit itself is off by a factor of up
-to 2.2 (V2A-Bench, 2026-11-24)."""
+to 2.2 (V2A-Bench, `benchmarks/human_fit.py` of commit 6e3c79b)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -81,12 +81,12 @@ def refine_people(
     gaps: dict[int, np.ndarray] = {}
     filled = []
     for number, (motion, one) in zip(numbers, observed, strict=True):
-        made, gaps[number] = _filled(motion, one, prior or interpolation, field, config if prior else every_frame)
+        made, gaps[number] = fill_between(motion, one, prior or interpolation, field, config if prior else every_frame)
         filled.append(made)
     solved = solve_motions(filled, solids)
     plain = solved
     if prior is not None:
-        plain = solve_motions([_filled(*one, interpolation, field, every_frame)[0] for one in observed], solids)
+        plain = solve_motions([fill_between(*one, interpolation, field, every_frame)[0] for one in observed], solids)
     refined, without_prior = (_posed(people, numbers, one) for one in (solved, plain))
     moved = moved_scene(scene, solids, solved.moved_m)
     ways_m = {
@@ -102,7 +102,7 @@ def refine_people(
     return Refinement(refined, without_prior, moved, gaps if prior else {}, moved_m)
 
 
-def _filled(
+def fill_between(
     motion: BodyMotion, observed: SceneMotion, prior: InbetweeningPrior, field: SdfGrid, config: PriorConfig
 ) -> tuple[SceneMotion, np.ndarray]:
     """What the prior makes of keyframes of the observed motion, and the frames that it left to interpolation."""
