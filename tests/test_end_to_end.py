@@ -497,6 +497,18 @@ def test_the_folder_remembers_video_and_settings(scene: Scene, copy: Path) -> No
     assert other.code == 3
 
 
+def test_a_setting_that_was_not_given_follows_the_version(copy: Path) -> None:
+    """A folder of a version with another default must not keep it without a word."""
+    record = json.loads((copy / "run.json").read_text())
+    record["config"]["metric"]["conflict_sigmas"] += 1
+    record["config"]["ingest"]["stop_s"] = 6.0
+    (copy / "run.json").write_text(json.dumps(record))
+    again = video2anim("run", "--out", copy, "--until", "ingest")
+    assert "metric.conflict_sigmas" in again.err
+    config = json.loads((copy / "run.json").read_text())["config"]
+    assert config["ingest"]["stop_s"] == 6.6, "the user gave it"
+
+
 def test_cached_runs_repeat_the_warnings(copy: Path) -> None:
     def told(answer: Answer) -> list[str]:
         return [line for line in answer.err.splitlines() if line.startswith("warning")]

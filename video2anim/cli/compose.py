@@ -291,14 +291,10 @@ def _settled(
         for key, value in options.items():
             both = isinstance(value, Mapping) and isinstance(settings.get(key), Mapping)
             settings[key] = {**settings[key], **value} if both else value
-    if request.preset is None and remembered is not None:
-        base = [("run.json", known_part(nodes, remembered.config)[0])]
-        preset = remembered.preset
-    else:
-        preset = request.preset or DEFAULT_PRESET
-        base = [(f"preset {preset}", load_preset(preset))]
-        if remembered is not None:
-            base.append(("run.json", known_part(nodes, remembered.settings)[0]))
+    preset = request.preset or (DEFAULT_PRESET if remembered is None else remembered.preset)
+    base = [(f"preset {preset}", load_preset(preset))]
+    if remembered is not None:
+        base.append(("run.json", known_part(nodes, remembered.settings)[0]))
     return resolve(nodes, preset, [*base, *request.options]), settings
 
 
