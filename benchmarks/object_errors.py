@@ -132,12 +132,14 @@ def of_pieces(clip: Clip, scale_log: float) -> list[dict[str, Any]]:
             continue
         own = lifter.own(number)
         cut = bool(own[-1].any() or own[:, 0].any() or own[:, -1].any())
+        seen = next(item.mask for item in masks.instances if item.object_id == number)
+        true = shrunk(clip.truth.mask(furniture[j].object_id), seen.shape)
         off[number] = float(np.log(measured[0] / measured[1])) - scale_log
         rows[furniture[j].object_id] = {
             "clip": clip.name, "label": furniture[j].label, "distance_log": off[number], "cut": cut,
             "by_scale_m": abs(float(np.expm1(scale_log))) * measured[1],
             "lowest_rows": lowest_row(own) - lowest_row(shrunk(clip.truth.mask(furniture[j].object_id), own.shape)),
-            "rows": len(own),
+            "rows": len(own), "mask_iou": float((seen & true).sum() / (seen | true).sum()),
         }  # fmt: skip
     camera_m = body.view().T_world_camera[:3, 3]
     moved = {
@@ -203,6 +205,8 @@ def summary(clips: Sequence[dict[str, Any]], pieces: Sequence[dict[str, Any]]) -
         if (own := [piece["distance_log"] for piece in pieces if piece["label"] == label])
     }
     found["depth of the floor beyond the scale, clips within 1.2 %"] = sum(abs(c["floor_log"]) < 0.012 for c in clips)
+    ious = [piece["mask_iou"] for piece in pieces]
+    found["IoU of masks (median, mean)"] = [round(float(np.median(ious)), 3), round(float(np.mean(ious)), 3)]
     whole = [100 * piece["lowest_rows"] / piece["rows"] for piece in pieces if not piece["cut"]]
     found["lowest row of masks that the border does not cut, below the true one (median), % of the image"] = float(
         np.median(whole)

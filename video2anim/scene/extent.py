@@ -59,7 +59,7 @@ def parts_of(
     paths_m: Float[np.ndarray, "points 3"],
     heading_rad: float | None,
 ) -> list[Part]:
-    """Visible planes, moved to their foot line and behind the people, each as the bounding rectangle of its pixels."""
+    """Visible planes, moved to their foot line and behind the people, as bounding rectangles of connected pixels."""
     if heading_rad is None:
         wall = next((plane for plane in planes if plane.kind == "wall"), None)
         heading_rad = 0.0 if wall is None else float(np.arctan2(wall.normal[2], wall.normal[0]))
@@ -70,9 +70,21 @@ def parts_of(
             continue
         if plane.kind == "wall":
             plane = _footed(plane, own, label == FLOOR, view)
-        plane = behind_people(plane, rectangle(plane, own, view, heading_rad), view, paths_m)
-        parts.append(Part(plane, rectangle(plane, own, view, heading_rad), own))
+        for piece in _connected(plane, own, label == FLOOR, view):
+            behind = behind_people(plane, rectangle(plane, piece, view, heading_rad), view, paths_m)
+            parts.append(Part(behind, rectangle(behind, piece, view, heading_rad), piece))
     return _cornered(parts, view)
+
+
+def _connected(plane: Plane, own: np.ndarray, floor: np.ndarray, view: Look) -> list[Bool[np.ndarray, "height width"]]:
+    """Groups of a plane's pixels that are one surface: connected, also behind nearer things that stand before it.
+
+    Pixels between two groups that show something farther, or the floor, prove that the plane does not go on there.
+    """
+    hiding = view.known & ~floor & (view.depth_m < plane.depth_m(view.direction))
+    count, group = cv2.connectedComponents((own | hiding).astype(np.uint8), connectivity=4)
+    pieces = (own & (group == number) for number in range(1, count))
+    return [piece for piece in pieces if piece.any()]
 
 
 def rectangle(plane: Plane, own: Bool[np.ndarray, "height width"], view: Look, heading_rad: float = 0.0) -> Patch:
