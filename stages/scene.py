@@ -147,4 +147,4 @@ def _scanned(
     return SceneModel((), floor, (room,), grid.sdf_m, np.asarray(grid.origin_m), float(grid.spacing_m))
 
 
-STAGE = StageSpec("scene", build_scene, version=17)
+STAGE = StageSpec("scene", build_scene, version=18)

@@ -330,6 +330,14 @@ def test_nothing_spans_a_step() -> None:
         assert not world.before(colored(piece)).any(), piece.name
 
 
+def test_a_wall_goes_on_behind_a_column() -> None:
+    """The column cuts the wall's pixels into two regions."""
+    column = upright(2, -3.6, -1, (40, 60, 150), (0.9, 1.3, 4.0))
+    found = World([column, upright(2, -5.0, -1, (190, 180, 150))], WALK).seen()
+    depths = [float(np.median(-p.mesh.vertices_m[:, 2])) for p in found.pieces]
+    assert sum(depth == pytest.approx(5.0, rel=0.05) for depth in depths) == 1, depths
+
+
 def test_far_and_unsure_things_and_sky_are_behind_everything() -> None:
     near = upright(2, -6.0, -1, (60, 110, 50), (-12.0, -1.0, 2.2))
     mountain = upright(2, -60.0, -1, (110, 100, 120), (-200.0, 200.0, 14.0))

@@ -77,12 +77,13 @@ def parts_of(
 
 
 def _connected(plane: Plane, own: np.ndarray, floor: np.ndarray, view: Look) -> list[Bool[np.ndarray, "height width"]]:
-    """Groups of a plane's pixels that are one surface: connected, also behind nearer things that stand before it.
+    """Groups of a plane's pixels that are one surface: connected, also behind what hides it or has no depth.
 
-    Pixels between two groups that show something farther, or the floor, prove that the plane does not go on there.
+    Pixels between two groups that show something farther (above the horizon also those without depth), or the floor,
+    prove that the plane does not go on there.
     """
-    hiding = view.known & ~floor & (view.depth_m < plane.depth_m(view.direction))
-    count, group = cv2.connectedComponents((own | hiding).astype(np.uint8), connectivity=4)
+    farther = np.where(view.known, view.depth_m > plane.depth_m(view.direction), view.direction[..., 1] > 0)
+    count, group = cv2.connectedComponents((own | ~(farther | floor)).astype(np.uint8), connectivity=4)
     pieces = (own & (group == number) for number in range(1, count))
     return [piece for piece in pieces if piece.any()]
 
