@@ -1,7 +1,8 @@
-"""Stage camera: focal length and up direction, from the user, metadata, the image's perspective and people.
+"""Stage camera: focal length, up direction and path by user, metadata, perspective of the image, people, background.
 
 A network's perspective fields and the line segments of a few frames (`video2anim.camera.image_camera`) are the prior of
 a fit to the main person's body (`focal`); people's poses and balance are further evidence of the up direction (`up`).
+The path of a moving camera comes from points of the background (`path`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from video2anim.types import CameraEstimate, Intrinsics, PersonTracks, VideoClip
 
 if TYPE_CHECKING:
     from video2anim.camera.image_camera import ImageCamera
+    from video2anim.camera.path import CameraPath
 
 
 @dataclass(frozen=True)
@@ -44,12 +46,13 @@ class CameraConfig:
 
 
 def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig, ctx: StageContext) -> CameraEstimate:
-    """Intrinsics and up direction of the first frame's camera, with their uncertainty.
+    """Intrinsics and up direction of the first frame's camera, with their uncertainty, and the camera's path.
 
     Raises:
         UsageError: a focal length that no camera has, or a height of a person who is not selected.
     """
     from video2anim.camera.focal import estimate_focal, lift_track
+    from video2anim.camera.path import camera_path
     from video2anim.camera.up import up_by_lifter, up_evidence, up_of_people, with_image
     from video2anim.humans.body_height import expect_heights, height_of
     from video2anim.humans.problem import evenly_spread
@@ -61,7 +64,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     lifter = ctx.model(config.model)
     lifted = lift_track(clip, main, lifter, config.focal_px)
     seen = _image_camera(clip, config, ctx)
-    image = None if seen is None else seen.camera
+    image = seen.camera if seen else None
     focal = estimate_focal(
         clip, main, lifted, frames, image,
         focal_px=config.focal_px,
@@ -70,18 +73,21 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     )  # fmt: skip
     others = [track for track in tracks.people if track.person_id != main.person_id]
     people = [(lifted, main), *((lift_track(clip, other, lifter, config.focal_px), other) for other in others)]
-    by_lifter = up_by_lifter(people)
+    intrinsics = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
+    path = camera_path(clip, tracks, intrinsics)
+    by_lifter = up_by_lifter(people, path.T_first_camera[:, :3, :3])
     duration_s = float(np.ptp(clip.frame_time_s[frames]))
-    up = with_image(up_of_people(focal.body.joints_camera_m, by_lifter, duration_s), image)
+    joints_m = np.einsum("tab,tjb->tja", path.T_first_camera[frames, :3, :3], focal.body.joints_camera_m)
+    up = with_image(up_of_people(joints_m, by_lifter, duration_s), image)
     estimate = CameraEstimate(
-        intrinsics=Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px),
+        intrinsics=intrinsics,
         focal_source=focal.source,
         focal_sigma_ratio=focal.sigma_ratio,
         up_camera=up.up,
         up_source="human" if image is None else "picture",
         up_sigma_rad=up.sigma_rad,
         is_static=clip.camera_is_static,
-        R_first_camera=np.tile(np.eye(3), (clip.frame_count, 1, 1)),
+        T_first_camera=path.T_first_camera,
         up_evidence=up_evidence(by_lifter, image),
     )
     if focal.contradicted_px is not None:
@@ -90,22 +96,23 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
             f"frame) contradicts the person's perspective (about {focal.focal_px:.0f} px) and is not used; set it by "
             "--focal-px if it is right"
         )
-    _report(estimate, ctx)
+    _report(estimate, path, ctx)
     return estimate
 
 
-def _report(estimate: CameraEstimate, ctx: StageContext) -> None:
+def _report(estimate: CameraEstimate, path: CameraPath, ctx: StageContext) -> None:
     from video2anim.geometry.perspective_field import pitch_roll_of
 
     if not estimate.is_static:
-        ctx.warn(
-            "the camera moves but is taken as fixed, so the path of people in the world contains its motion; film from "
-            "a tripod for a true path"
-        )
+        ctx.quality("camera_path_residual", path.residual_px, "px", "lower")
+        ctx.quality("camera_path_located", float(path.located.mean()), "ratio", "higher")
+    k = estimate.intrinsics
+    for fault in path.faults(max(k.width_px, k.height_px)):
+        ctx.warn(fault)
     if estimate.focal_sigma_ratio > 0.2:
         ctx.warn(f"focal length is uncertain ({estimate.focal_sigma_ratio:.0%}); give --focal-px if you know it")
     pitch, roll = pitch_roll_of(estimate.up_camera)
-    ctx.quality("focal", estimate.intrinsics.fx_px, "px")
+    ctx.quality("focal", k.fx_px, "px")
     ctx.quality("focal_uncertainty", estimate.focal_sigma_ratio, "ratio", "lower")
     ctx.quality("pitch", math.degrees(pitch), "deg")
     ctx.quality("roll", math.degrees(roll), "deg")
@@ -140,4 +147,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=15, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=16, models=("lifter", "camera"))

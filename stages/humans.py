@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
+from jaxtyping import Float
+
 from video2anim.pipeline.options import Heights, limits, model_of
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
@@ -12,6 +15,7 @@ from video2anim.types import (
     BodyTracks,
     CameraEstimate,
     PersonQuality,
+    PersonTrack,
     PersonTracks,
     VideoClip,
 )
@@ -19,6 +23,10 @@ from video2anim.types import (
 if TYPE_CHECKING:
     from video2anim.humans.lifter_input import LiftedBody
     from video2anim.humans.problem import FittedBody, Observations
+
+
+_UNSURE_SCALE = 0.3
+"""Standard deviation of the scale of a camera's path above which a warning says so."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +50,6 @@ def recover_humans(
 ) -> BodyTracks:
     """Fit the selected persons and put them into a world with +Y up and the floor under the main person's feet."""
     from video2anim.humans.body_height import expect_heights, height_of
-    from video2anim.humans.ground import level_frame
     from video2anim.humans.lifting import lift
     from video2anim.humans.objective import FitConfig
     from video2anim.humans.observe import observations
@@ -59,8 +66,8 @@ def recover_humans(
         _fit(seen, raised, height_m, config, ctx)
         for seen, raised, height_m in zip(observed, lifted, heights_m, strict=True)
     ]
-    R_world_camera = level_frame(camera.up_camera) @ camera.R_first_camera
-    T_world_camera, spread_m = world_poses(fits[0], selected[0].valid, R_world_camera, clip.fps)
+    T_first_camera = _in_meters(camera, fits[0], lifted[0], selected[0], clip.fps, ctx)
+    T_world_camera, spread_m = world_poses(fits[0], selected[0].valid, camera.up_camera, T_first_camera, clip.fps)
     people = tuple(
         world_motion(fit, raised, track, camera, T_world_camera, clip.frame_time_s)
         for track, fit, raised in zip(selected, fits, lifted, strict=True)
@@ -93,6 +100,26 @@ def _fit(
     return smoothed_fit(observed, fit, config.cutoff_hz)
 
 
+def _in_meters(
+    camera: CameraEstimate, fit: FittedBody, lifted: LiftedBody, track: PersonTrack, fps: float, ctx: StageContext
+) -> Float[np.ndarray, "frames 4 4"]:
+    """Path of the camera in meters, by what the main person rests on."""
+    from video2anim.humans.camera_scale import camera_scale_m
+
+    T_first_camera = camera.T_first_camera.copy()
+    if not camera.is_static:
+        scale_m, log_sigma = camera_scale_m(fit.joints_camera_m, lifted.contact, track.valid, T_first_camera, fps)
+        T_first_camera[:, :3, 3] *= scale_m
+        if log_sigma > _UNSURE_SCALE and T_first_camera[:, :3, 3].any():
+            ctx.warn(
+                f"the camera travels, and the length of its path is known to {log_sigma:.0%} only, since the main "
+                "person rests on nothing for long: the paths of people have this error"
+            )
+        ctx.quality("camera_path_scale_uncertainty", log_sigma, "ratio", "lower")
+        ctx.quality("camera_path", float(np.ptp(T_first_camera[:, :3, 3], axis=0).max()), "m")
+    return T_first_camera
+
+
 def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: StageContext) -> None:
     """Quality numbers of the main person."""
     from video2anim.body.contact import LIKELY
@@ -109,4 +136,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton_height", quality.body_height_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=15, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=16, models=("lifter",))

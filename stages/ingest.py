@@ -79,7 +79,8 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
     elif drift > STATIC_DRIFT_RATIO:
         warnings.append(
             f"the camera moves: the background drifts by {100 * drift:.1f} % of the image width "
-            f"(static: below {100 * STATIC_DRIFT_RATIO:.1f} %); scene and motion will be less accurate"
+            f"(static: below {100 * STATIC_DRIFT_RATIO:.1f} %); its path is estimated, and the scene is what the first "
+            "frame shows"
         )
     for text in warnings:
         ctx.warn(text)

@@ -86,12 +86,19 @@ def test_the_origin_is_on_the_floor_below_the_first_valid_root(camera_moves: boo
     main, second = after.people
     np.testing.assert_allclose(main.joints_world_m[3, 0, [0, 2]], 0.0, atol=1e-9)
     np.testing.assert_allclose(main.T_world_camera[0, 1, :3], tilt, atol=1e-9)
-    np.testing.assert_allclose(main.T_world_camera[:, 1, 3], CAMERA_HEIGHT_M)
+    assert main.T_world_camera[0, 1, 3] == pytest.approx(CAMERA_HEIGHT_M)
     np.testing.assert_array_equal(main.T_world_camera, second.T_world_camera)
-    turns = [one.T_world_camera[0, :3, :3].T @ one.T_world_camera[-1, :3, :3] for one in (body, main)]
-    np.testing.assert_allclose(turns[1], turns[0], atol=1e-9)
+    paths = [np.linalg.inv(one.T_world_camera[0]) @ one.T_world_camera for one in (body, main)]
+    np.testing.assert_allclose(paths[1], paths[0], atol=1e-9)
     assert moved_in_picture(other, second) < 0.015
     assert after.quality == ()
+
+
+def test_the_path_of_the_camera_has_the_scale_of_the_main_person() -> None:
+    body = walk(FRAMES, camera_moves=True)
+    after = calibrated(BodyTracks((body,)), found(body, 1.0, 1.05)).people[0]
+    own, new = (np.diff(one.T_world_camera[:, :3, 3], axis=0) for one in (body, after))
+    np.testing.assert_allclose(np.linalg.norm(new, axis=1), 1.05 * np.linalg.norm(own, axis=1), rtol=1e-6)
 
 
 def test_soles_of_a_true_camera_are_on_the_floor() -> None:

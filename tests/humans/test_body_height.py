@@ -85,7 +85,7 @@ def test_with_everybody_worked_on_only_the_main_person_has_the_given_height(monk
     monkeypatch.setattr("stages.humans._fit", fitted)
     monkeypatch.setattr("video2anim.humans.observe.observations", lambda *parts: None)
     monkeypatch.setattr("video2anim.humans.lifting.lift", lambda *parts: None)
-    still = np.tile(np.eye(3), (2, 1, 1))
+    still = np.tile(np.eye(4), (2, 1, 1))
     track = PersonTrack(
         1, np.ones(2, bool), np.ones(2), np.zeros((2, 4)), np.zeros((2, 33, 2)), np.zeros((2, 33, 3)),
         np.zeros((2, 33)), np.zeros((2, 64, 64), np.uint8), np.zeros((2, 2, 3)),

@@ -226,10 +226,11 @@ def test_gravity_is_seen_in_whom_the_lifter_is_sure_of(filmed: Filmed) -> None:
             np.tile(up, (frames, 1)), np.full((frames, 22), error_m), FOCAL_PX,
         )  # fmt: skip
 
-    found = up_by_lifter([(body(aslant, 0.06), track), (body(upright, 0.03), track)])
+    still = np.tile(np.eye(3), (frames, 1, 1))
+    found = up_by_lifter([(body(aslant, 0.06), track), (body(upright, 0.03), track)], still)
     assert np.arccos(found @ upright) < 0.05
     glimpse = replace(track, valid=np.arange(frames) == 3)
-    found = up_by_lifter([(body(upright, 0.03), track), (body(aslant, 0.03), glimpse)])
+    found = up_by_lifter([(body(upright, 0.03), track), (body(aslant, 0.03), glimpse)], still)
     assert np.arccos(found @ upright) < 0.05
     assert np.linalg.norm(found) == pytest.approx(1.0)
 

@@ -93,7 +93,7 @@ def background() -> BackgroundImage:
 
 def camera() -> CameraEstimate:
     return CameraEstimate(
-        LENS, "user", 0.1, np.array([0.0, -1.0, 0.0]), "user", 0.1, True, np.tile(np.eye(3), (FRAMES, 1, 1))
+        LENS, "user", 0.1, np.array([0.0, -1.0, 0.0]), "user", 0.1, True, np.tile(np.eye(4), (FRAMES, 1, 1))
     )
 
 
@@ -130,7 +130,7 @@ WRONG: list[tuple[Any, dict[str, Any], str]] = [
         "UpEvidence.sigma_rad: want greater",
     ),
     (camera(), {"up_camera": np.array([0.0, -2.0, 0.0])}, "CameraEstimate.up_camera: want vectors of length 1"),
-    (camera(), {"R_first_camera": np.ones((5, 3, 3))}, "CameraEstimate.R_first_camera: want rotation matrices"),
+    (camera(), {"T_first_camera": np.ones((5, 4, 4))}, "CameraEstimate.T_first_camera: want rigid transforms"),
     (source(), {"pixel_aspect": 0.0}, "SourceInfo.pixel_aspect: want greater than 0"),
     (clip(), {"frame_time_s": np.zeros(FRAMES)}, "VideoClip.frame_time_s: want numbers that rise"),
     (clip(), {"source_time_s": np.zeros(3)}, r"VideoClip.source_time_s: want shape \(5,\), got \(3,\)"),

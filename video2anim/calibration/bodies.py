@@ -24,10 +24,11 @@ def calibrated(bodies: BodyTracks, found: Calibration) -> BodyTracks:
     k = main.intrinsics
     lens = found.focal_px / k.fx_px
     intrinsics = Intrinsics(found.focal_px, k.fy_px * lens, k.cx_px, k.cy_px, k.width_px, k.height_px)
-    R_first_camera = main.T_world_camera[0, :3, :3].T @ main.T_world_camera[:, :3, :3]
-    T_world_camera = np.tile(np.eye(4), (main.frame_count, 1, 1))
-    T_world_camera[:, :3, :3] = level_frame(found.up_camera) @ R_first_camera
-    T_world_camera[:, 1, 3] = found.camera_height_m
+    # The main person sets the scale of a moving camera's path.
+    T_world_camera = invert_rigid(main.T_world_camera[0]) @ main.T_world_camera
+    T_world_camera[:, :3, 3] *= found.body_height_ratio[0]
+    T_world_camera[:, :3] = level_frame(found.up_camera) @ T_world_camera[:, :3]
+    T_world_camera[:, 1, 3] += found.camera_height_m
     people = [
         _moved(body, float(ratio), lens, intrinsics, T_world_camera)
         for body, ratio in zip(bodies.people, found.body_height_ratio, strict=True)

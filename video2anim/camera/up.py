@@ -20,14 +20,17 @@ _LIFTER_SIGMA_RAD = 0.1
 """Error of the lifter's up direction."""
 
 
-def up_by_lifter(people: Sequence[tuple[LiftedBody, PersonTrack]]) -> Float[np.ndarray, "3"]:
+def up_by_lifter(
+    people: Sequence[tuple[LiftedBody, PersonTrack]], R_first_camera: Float[np.ndarray, "frames 3 3"]
+) -> Float[np.ndarray, "3"]:
     """Up direction by the lifter: mean over people, weighted by the expected error of their poses.
 
     People who are seen for less than a second weigh less.
     """
     total = np.zeros(3)
     for lifted, track in people:
-        up = np.median(lifted.up_camera[track.valid], axis=0)
+        turn = R_first_camera[track.first_frame + np.flatnonzero(track.valid)]
+        up = np.median(np.einsum("nab,nb->na", turn, lifted.up_camera[track.valid]), axis=0)
         share = min(int(track.valid.sum()), FPS) / FPS
         # Unusual poses mislead the lifter about gravity by more than the error of their joints.
         total += share * float(np.median(lifted.error_m[track.valid])) ** -4 * up / np.linalg.norm(up)
@@ -35,10 +38,10 @@ def up_by_lifter(people: Sequence[tuple[LiftedBody, PersonTrack]]) -> Float[np.n
 
 
 def up_of_people(
-    joints_camera_m: Float[np.ndarray, "frames 22 3"], by_lifter: Float[np.ndarray, "3"], duration_s: float
+    joints_m: Float[np.ndarray, "frames 22 3"], by_lifter: Float[np.ndarray, "3"], duration_s: float
 ) -> UpEstimate:
-    """Mean of the up directions by the balance of a body and by the lifter."""
-    balance = up_from_static_equilibrium(joints_camera_m, duration_s)
+    """Mean of the up directions by the balance of a body (joints along the first camera's axes) and by the lifter."""
+    balance = up_from_static_equilibrium(joints_m, duration_s)
     together = by_lifter + balance.up
     # Half of the angle between two estimates is the least error of their mean.
     sigma_rad = math.hypot(0.5 * _angle_rad(by_lifter, balance.up), balance.sigma_rad / math.sqrt(2))

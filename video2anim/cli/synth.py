@@ -20,7 +20,9 @@ _DO_NOT_APPLY = {
 def synth_command(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder to create or complete (a file with --motion-only).")],
-    preset: Annotated[str, typer.Option(help="bench (V2A-Bench, 24 clips), hidden, carried (6) or random.")] = "bench",
+    preset: Annotated[
+        str, typer.Option(help="bench (V2A-Bench, 24 clips), hidden, carried, moving (6) or random.")
+    ] = "bench",
     count: Annotated[int | None, typer.Option(help="Number of clips or images (default: all of the preset).")] = None,
     seed: Annotated[int, typer.Option(help="Same seed, same bytes; bench with seed 0 is V2A-Bench.")] = 0,
     workers: Annotated[int, typer.Option(help="Processes.")] = 1,

@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.shaped_body import CHUNK_FRAMES
-from video2anim.humans.ground import floor_height
+from video2anim.geometry.projection import transform_points
+from video2anim.humans.ground import floor_height, level_frame
 from video2anim.humans.lifter_input import CONTACT_INDEX, LiftedBody
 from video2anim.humans.problem import FittedBody
 from video2anim.types import BodyMotion, CameraEstimate, PersonTrack
@@ -17,18 +18,23 @@ from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
 
 def world_poses(
-    fit: FittedBody, valid: Bool[np.ndarray, "frames"], R_world_camera: Float[np.ndarray, "frames 3 3"], fps: float
+    fit: FittedBody,
+    valid: Bool[np.ndarray, "frames"],
+    up_camera: Float[np.ndarray, "3"],
+    T_first_camera: Float[np.ndarray, "frames 4 4"],
+    fps: float,
 ) -> tuple[Float[np.ndarray, "frames 4 4"], float]:
     """Camera poses in the world, and the spread of the floor's height in meters.
 
-    The floor of the person is at y = 0, and the first valid root above the origin.
+    The floor of the person is at y = 0, and the first valid root above the origin. `T_first_camera` is in meters.
     """
-    joints = np.einsum("tab,tjb->tja", R_world_camera, fit.joints_camera_m)
-    floor_m, spread_m = floor_height(_sole_heights(fit, R_world_camera)[valid], fps)
+    T_world_camera = T_first_camera.copy()
+    T_world_camera[:, :3] = level_frame(up_camera) @ T_first_camera[:, :3]
+    root_m = transform_points(T_world_camera, fit.joints_camera_m[:, :1])[:, 0]
+    soles_m = _sole_heights(fit, T_world_camera[:, :3, :3]) + T_world_camera[:, 1, 3, None]
+    floor_m, spread_m = floor_height(soles_m[valid], fps)
     first = int(np.flatnonzero(valid)[0])
-    T_world_camera = np.tile(np.eye(4), (len(valid), 1, 1))
-    T_world_camera[:, :3, :3] = R_world_camera
-    T_world_camera[:, :3, 3] = [-joints[first, 0, 0], -floor_m, -joints[first, 0, 2]]
+    T_world_camera[:, :3, 3] -= [root_m[first, 0], floor_m, root_m[first, 2]]
     return T_world_camera, spread_m
 
 

@@ -89,8 +89,8 @@ class CameraEstimate(Checked):
     evidence to the contrary)."""
     up_sigma_rad: NonNegativeFloat
     is_static: bool
-    R_first_camera: Annotated[Float[np.ndarray, "frames 3 3"], Holds.ROTATION]
-    """Rotation of each frame's camera relative to the first. All identity = fixed; if `is_static` is False that is an
-    assumption, not an estimate."""
+    T_first_camera: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
+    """Pose of each frame's camera in the first one's axes; identity if `is_static`. Unit of length: the usual distance
+    of the background, which images leave open (stage humans finds it in meters)."""
     up_evidence: tuple[UpEvidence, ...] = ()
     """The estimates of the single sources, for the fit of stage metric."""

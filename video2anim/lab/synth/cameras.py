@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import gaussian_filter1d
 
 from video2anim.errors import InputError
 from video2anim.geometry.rotations import matrix_from_axis_angle
@@ -28,6 +30,16 @@ _FOV_SPREAD = 0.3
 """Standard deviation of the logarithm of the preferred field of view over clips."""
 
 
+CameraMotion = Literal["static", "handheld", "pan", "follow"]
+"""`handheld` drifts; `pan` turns with the first person, `follow` moves beside them, both drifting too."""
+_PAN_ZOOM = 1.3
+"""Focal length of a camera that turns, over that of one that sees the whole motion at once."""
+_FOLLOWED = (0.8, 0.6, 0.4, 0.2)
+"""Shares of the person's path that a camera that follows moves itself; the largest that furniture and walls allow."""
+_FOLLOW_LAG_FRAMES = 12
+"""Standard deviation of the window over which the operator smooths the person's path."""
+
+
 @dataclass(frozen=True, slots=True)
 class CameraRequest:
     """Ranges from which a camera is drawn."""
@@ -44,7 +56,7 @@ class CameraRequest:
     """Median height of a person in the picture, as a share of the picture's height."""
     min_seen: float = 0.8
     """Minimum share of joints that no furniture occludes."""
-    handheld: bool = False
+    motion: CameraMotion = "static"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +103,10 @@ def place_camera(
             f"camera: no place in the room of {x1 - x0:.1f} x {z1 - z0:.1f} m sees the whole motion; use a larger room"
         )
     best = max(found, key=lambda candidate: _score(candidate, wished))
-    return _lens(best, request), _poses(rng, best, frames, request)
+    lens, T = _lens(best, request), _poses(rng, best, frames, request)
+    if request.motion in ("pan", "follow"):
+        lens, T = _operated(lens, T, joints_m[0, :, 0], room, boxes, request.motion)
+    return lens, T
 
 
 def _furniture_boxes(room: Room) -> Float[np.ndarray, "objects 2 3"]:
@@ -176,11 +191,34 @@ def _poses(
 ) -> Float[np.ndarray, "frames 4 4"]:
     T = np.tile(np.eye(4), (frames, 1, 1))
     T[:, :3, :3], T[:, :3, 3] = candidate.R_world_camera, candidate.position_m
-    if request.handheld:
+    if request.motion != "static":
         shift, turn = _drift(rng, frames, 0.025), _drift(rng, frames, 0.012)
         T[:, :3, :3] = candidate.R_world_camera @ matrix_from_axis_angle(turn)
         T[:, :3, 3] += shift
     return T
+
+
+def _operated(
+    lens: Intrinsics, T: np.ndarray, root_m: np.ndarray, room: Room, boxes: np.ndarray, motion: CameraMotion
+) -> tuple[Intrinsics, Float[np.ndarray, "frames 4 4"]]:
+    """The camera turned toward the person (`pan`) or moved along with them (`follow`)."""
+    path_m = gaussian_filter1d(root_m, _FOLLOW_LAG_FRAMES, axis=0, mode="nearest") * [1.0, 0.0, 1.0]
+    if motion == "follow":
+        x0, x1, z0, z1 = room.bounds_m
+        for share in _FOLLOWED:
+            place = T[:, :3, 3] + share * (path_m - path_m.mean(0))
+            inside = (place[:, [0, 2]] > [x0 + _FROM_WALL_M, z0 + _FROM_WALL_M]).all()
+            inside &= (place[:, [0, 2]] < [x1 - _FROM_WALL_M, z1 - _FROM_WALL_M]).all()
+            hit = (boxes[:, 0] - _FROM_OBJECT_M <= place[:, None]) & (place[:, None] <= boxes[:, 1] + _FROM_OBJECT_M)
+            if inside and not hit.all(-1).any():
+                T[:, :3, 3] = place
+                return lens, T
+        raise InputError("camera: no room to follow the person")
+    sight = path_m - T[:, :3, 3] * [1.0, 0.0, 1.0]
+    azimuth = np.unwrap(np.arctan2(sight[:, 0], sight[:, 2]))
+    turn = (azimuth - azimuth.mean())[:, None] * [0.0, 1.0, 0.0]
+    T[:, :3, :3] = matrix_from_axis_angle(turn) @ T[:, :3, :3]
+    return Intrinsics.centered(_PAN_ZOOM * lens.fx_px, lens.width_px, lens.height_px), T
 
 
 def _drift(rng: np.random.Generator, frames: int, amplitude: float) -> Float[np.ndarray, "frames 3"]:

@@ -107,7 +107,7 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
     room, items = split_items(furnished)
     room = _without_obstacles(swept, room)
     request = CameraRequest(
-        options.width_px, options.height_px, handheld=spec.handheld,
+        options.width_px, options.height_px, motion=spec.camera,
         height_m=(1.0, 2.2) if spec.preset in ("bench", "carried") else (0.8, 2.6),
     )  # fmt: skip
     joints = np.stack([person.joints_m for person in people])
@@ -130,7 +130,7 @@ def _compose(spec: ClipSpec, options: ComposeOptions, attempt: int) -> Shot:
         actors.append(Actor(motion, face_material, materials, procedural.kind, procedural.source, procedural.name))
     facts: dict[str, str | float | int] = {"attempt": attempt, "kind": "+".join(spec.kinds)}
     return Shot(
-        spec.name, room, tuple(actors), lens, T_world_camera, not spec.handheld,
+        spec.name, room, tuple(actors), lens, T_world_camera, spec.camera == "static",
         draw_sensor(spec.rng("sensor", attempt), spec, lens), _carried(people, items, room), facts,
     )  # fmt: skip
 

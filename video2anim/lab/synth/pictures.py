@@ -61,7 +61,7 @@ def room_pictures(spec: ClipSpec, options: ComposeOptions, count: int) -> Iterat
     """
     rng = spec.rng("pictures")
     quick = replace(options, skin_stride=_SKIN_STRIDE)
-    shot = _composed(replace(spec, duration_s=_MOMENT_S, handheld=False), quick)
+    shot = _composed(replace(spec, duration_s=_MOMENT_S, camera="static"), quick)
     room = _opened(shot.room, rng)
     surfaces = surfaces_of_objects(room.objects)
     names = np.zeros(int(surfaces.object_id.max()) + 1, np.uint8)

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from video2anim.errors import UsageError
+from video2anim.lab.synth.cameras import CameraMotion
 
 V2A_BENCH = "V2A-Bench 1"
 """Name and version of the frozen benchmark: preset `bench`, seed 0, 24 clips. If a clip changes, so does the
@@ -20,7 +21,7 @@ _BENCH: tuple[tuple[str, ...], ...] = (
 )  # fmt: skip
 PROCEDURAL = ("walk", "sit", "lie", "step_up", "pick_up", "lean", "reach")
 CAPTURED = ("walk", "walk_turn", "chore", "gesture", "pickup", "dance", "sport", "arms")
-PRESETS = ("bench", "random", "hidden", "carried")
+PRESETS = ("bench", "random", "hidden", "carried", "moving")
 MAX_SEED = int(np.iinfo(np.int64).max)
 """Largest 64-bit integer, which every reader of `set.json` and `meta.json` can hold."""
 
@@ -61,6 +62,15 @@ _CARRIED: tuple[tuple[str, str], ...] = (
     ("walk_with_bag", "carry_bag"),
 )
 """Name and kind of motion."""
+_MOVING: tuple[tuple[str, str, CameraMotion], ...] = (
+    ("pan_walk", "walk", "pan"),
+    ("pan_turn", "turn", "pan"),
+    ("follow_walk", "walk", "follow"),
+    ("follow_turn", "turn", "follow"),
+    ("handheld_sit", "sit", "handheld"),
+    ("handheld_step_up", "step_up", "handheld"),
+)
+"""Name, kind of motion of the person and of the camera."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +84,7 @@ class ClipSpec:
     kinds: tuple[str, ...]
     """One per person: a procedural kind, `turn` (captured walk with turns), or a captured kind."""
     duration_s: tuple[float, float]
-    handheld: bool = False
+    camera: CameraMotion = "static"
     harsh: bool = False
     """Strong noise, blur, distortion and compression may occur."""
 
@@ -84,7 +94,7 @@ class ClipSpec:
 
 
 def clip_specs(preset: str, count: int | None, seed: int) -> tuple[ClipSpec, ...]:
-    """The clips of a preset; `bench` has 24, `hidden` and `carried` 6, `random` as many as asked (default 24).
+    """The clips of a preset; `bench` has 24, `random` as many as asked (default 24), the others 6.
 
     Raises:
         UsageError: unknown preset, or a count that it does not have.
@@ -93,7 +103,7 @@ def clip_specs(preset: str, count: int | None, seed: int) -> tuple[ClipSpec, ...
         raise UsageError(f"--preset: want one of {', '.join(PRESETS)}, got {preset!r}")
     make, max_count = {
         "bench": (_bench, len(_BENCH)), "hidden": (_hidden, len(_HIDDEN)), "carried": (_carried, len(_CARRIED)),
-        "random": (_random, 1_000_000),
+        "moving": (_moving, len(_MOVING)), "random": (_random, 1_000_000),
     }[preset]  # fmt: skip
     count = min(max_count, len(_BENCH)) if count is None else count
     expect_count_and_seed(count, seed, max_count)
@@ -132,9 +142,15 @@ def _carried(seed: int, index: int) -> ClipSpec:
     return ClipSpec(f"{index:02d}_{name}", "carried", seed, index, (kind,), (5.0, 12.0))
 
 
+def _moving(seed: int, index: int) -> ClipSpec:
+    name, kind, camera = _MOVING[index]
+    return ClipSpec(f"{index:02d}_{name}", "moving", seed, index, (kind,), (6.0, 9.0), camera)
+
+
 def _random(seed: int, index: int) -> ClipSpec:
     rng = np.random.default_rng([seed, index, zlib.crc32(b"random")])
     people = 2 if rng.random() < 0.2 else 1
     kinds = tuple(str(rng.choice((*PROCEDURAL, *CAPTURED))) for _ in range(people))
     name = f"{index:05d}_{'_and_'.join(kinds)}"
-    return ClipSpec(name, "random", seed, index, kinds, (4.0, 12.0), bool(rng.random() < 0.2), bool(rng.random() < 0.5))
+    camera: CameraMotion = "handheld" if rng.random() < 0.2 else "static"
+    return ClipSpec(name, "random", seed, index, kinds, (4.0, 12.0), camera, bool(rng.random() < 0.5))

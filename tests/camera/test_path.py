@@ -1,0 +1,120 @@
+"""The path of a moving camera, from points whose true motion is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from video2anim.camera.background_tracks import BackgroundTracks, track_background
+from video2anim.camera.path import path_of_tracks
+from video2anim.types import Intrinsics
+
+FRAMES = 60
+LENS = Intrinsics.centered(800.0, 960, 540)
+
+
+def seen_by(turn: np.ndarray, center_m: np.ndarray, *, moving_ratio: float = 0.05, seed: int = 0) -> BackgroundTracks:
+    """Points 2 to 14 m away, tracked with noise of 0.3 px while they are in the image. A share of them moves."""
+    rng = np.random.default_rng(seed)
+    points_m = np.c_[rng.uniform(-12, 12, 800), rng.uniform(-4, 2, 800), rng.uniform(2, 14, 800)]
+    speed_m = (rng.random(800) < moving_ratio)[:, None] * rng.normal(0.0, 0.03, (800, 3))
+    number, made = np.full(800, -1), 0
+    frames, points, pixels = [], [], []
+    for frame, R in enumerate(Rotation.from_rotvec(turn).as_matrix()):
+        x = (points_m + speed_m * frame - center_m[frame]) @ R
+        pixel = x[:, :2] / np.maximum(x[:, 2:], 0.1) * LENS.fx_px + [LENS.cx_px, LENS.cy_px]
+        visible = (x[:, 2] > 0.3) & ((pixel >= 0) & (pixel < [960, 540])).all(1) & (rng.random(800) > 0.01)
+        new = visible & (number < 0)
+        number[new] = made + np.arange(new.sum())
+        made += int(new.sum())
+        number[~visible] = -1
+        frames.append(np.full(visible.sum(), frame))
+        points.append(number[visible])
+        pixels.append(pixel[visible] + rng.normal(0.0, 0.3, (visible.sum(), 2)))
+    return BackgroundTracks(np.concatenate(frames), np.concatenate(points), np.concatenate(pixels))
+
+
+def turn_error_deg(T: np.ndarray, turn: np.ndarray) -> float:
+    """Largest angle between estimated and true rotations."""
+    off = Rotation.from_rotvec(turn).inv() * Rotation.from_matrix(T[:, :3, :3])
+    return float(np.rad2deg(off.magnitude().max()))
+
+
+t = np.arange(FRAMES)
+still = np.zeros((FRAMES, 3))
+
+
+@pytest.mark.parametrize(
+    "turn", [still, np.c_[0.1 * np.sin(t / 20), 0.01 * t, 0 * t]], ids=["still", "pan of 34 degrees"]
+)
+def test_a_camera_that_turns_stays_where_it_is(turn: np.ndarray) -> None:
+    path = path_of_tracks(seen_by(turn, still), FRAMES, LENS)
+    assert path.located.all()
+    assert turn_error_deg(path.T_first_camera, turn) < 0.05
+    assert not path.T_first_camera[:, :3, 3].any()
+    assert path.residual_px < 0.8
+    assert not path.faults(960)
+
+
+@pytest.mark.parametrize(
+    ("turn", "center_m"),
+    [
+        (np.c_[0 * t, 0.05 * np.sin(t / 15), 0 * t], np.c_[0.03 * t, 0 * t, 0 * t]),
+        (np.c_[0.02 * np.sin(t / 4), 0.05 * np.sin(t / 15), 0 * t], np.c_[0 * t, 0.03 * np.sin(t / 5), 0.05 * t]),
+    ],
+    ids=["sideways", "forward"],
+)
+def test_a_camera_that_travels(turn: np.ndarray, center_m: np.ndarray) -> None:
+    """Up to the unit of length, which images leave open."""
+    path = path_of_tracks(seen_by(turn, center_m), FRAMES, LENS)
+    assert turn_error_deg(path.T_first_camera, turn) < 0.3
+    found = path.T_first_camera[:, :3, 3]
+    scale = (found * center_m).sum() / (found**2).sum()
+    assert scale > 0
+    assert np.linalg.norm(scale * found - center_m, axis=1).max() < 0.01 * np.abs(center_m).max()
+
+
+def test_frames_without_background_are_interpolated_and_named() -> None:
+    turn = np.c_[0 * t, 0.005 * t, 0 * t]
+    tracks = seen_by(turn, still)
+    kept = (tracks.frame < 20) | (tracks.frame > 22)
+    path = path_of_tracks(BackgroundTracks(tracks.frame[kept], tracks.point[kept], tracks.pixel[kept]), FRAMES, LENS)
+    assert np.flatnonzero(~path.located).tolist() == [20, 21, 22]
+    assert turn_error_deg(path.T_first_camera, turn) < 0.05
+    assert path.faults(960) == ["3 of 60 frames show too little background to locate the camera"]
+
+
+def test_a_background_that_no_path_explains_is_named() -> None:
+    tracks = seen_by(still, still)
+    rng = np.random.default_rng(0)
+    scattered = tracks.pixel + rng.normal(0.0, 8.0, tracks.pixel.shape)
+    path = path_of_tracks(BackgroundTracks(tracks.frame, tracks.point, scattered), FRAMES, LENS)
+    assert path.residual_px > 4
+    assert "not reliable" in path.faults(960)[0]
+
+
+def test_without_background_the_camera_stays() -> None:
+    nothing = BackgroundTracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
+    path = path_of_tracks(nothing, FRAMES, LENS)
+    assert np.array_equal(path.T_first_camera, np.tile(np.eye(4), (FRAMES, 1, 1)))
+    assert path.located.sum() == 1
+
+
+def test_tracking_follows_an_image_that_moves() -> None:
+    """Points keep their place on a textured plane to a fraction of a pixel, and none is on the person."""
+    rng = np.random.default_rng(0)
+    import cv2
+
+    plane = cv2.GaussianBlur(rng.integers(0, 256, (400, 600, 3)).astype(np.uint8), (0, 0), 2)
+    images = [cv2.warpAffine(plane, np.array([[1, 0, -2.3 * k], [0, 1, -1.1 * k]]), (480, 320)) for k in range(8)]
+    person = np.zeros((160, 240), bool)
+    person[40:120, 80:140] = True
+    tracks = track_background(images, [person] * len(images))
+    on_plane = tracks.pixel + tracks.frame[:, None] * [2.3, 1.1]
+    for point in np.unique(tracks.point)[:50]:
+        own = on_plane[tracks.point == point]
+        assert np.linalg.norm(own - own[0], axis=1).max() < 0.3
+    assert np.bincount(tracks.frame).min() > 100
+    x, y = tracks.pixel.T
+    assert not ((x > 164) & (x < 276) & (y > 84) & (y < 236)).any()

@@ -1,0 +1,107 @@
+"""Points of the background tracked from frame to frame (pyramidal Lucas-Kanade flow on Shi-Tomasi corners)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+_WORK_SIDE_PX = 960
+"""Long side of the image in which points are tracked."""
+_POINTS = 500
+"""Points that are tracked at a time. New ones are added when a quarter of them is lost."""
+_SPACING_RATIO = 0.015
+"""Distance between points, as a share of the long side: 500 of them fill half of an image of 4:3."""
+_CORNER_QUALITY = 0.003
+"""Least eigenvalue of the structure tensor over the largest in the image: corners of dim regions count too."""
+_WINDOW_PX, _PYRAMID_LEVELS = 21, 4
+"""Of the flow, at the working resolution: motion up to 160 px a frame."""
+_ROUND_TRIP_PX = 0.7
+"""A point is lost if the flow to the next frame and back misses it by more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BackgroundTracks:
+    """Observations of tracked points, sorted by frame."""
+
+    frame: Int[np.ndarray, "observations"]
+    point: Int[np.ndarray, "observations"]
+    pixel: Float[np.ndarray, "observations 2"]
+    """In pixels of the clip."""
+
+
+def track_background(
+    images: Iterable[UInt8[np.ndarray, "height width 3"]],
+    people: Iterable[Bool[np.ndarray, "small_height small_width"]],
+) -> BackgroundTracks:
+    """Track corners through consecutive frames.
+
+    Args:
+        images: All frames of the clip (RGB).
+        people: For each of them, where no point may be.
+    """
+    frames, points, pixels = [], [], []
+    tracker = _Tracker()
+    for number, (image, person) in enumerate(zip(images, people, strict=True)):
+        point, pixel = tracker.step(image, person)
+        frames.append(np.full(len(point), number))
+        points.append(point)
+        pixels.append(pixel)
+    return BackgroundTracks(np.concatenate(frames), np.concatenate(points), np.concatenate(pixels))
+
+
+class _Tracker:
+    """The points of the last frame, at the working resolution."""
+
+    def __init__(self) -> None:
+        self._image: np.ndarray | None = None
+        self._at = np.zeros((0, 2), np.float32)
+        self._point = np.zeros(0, int)
+        self._made = 0
+
+    def step(self, rgb: np.ndarray, person: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers and pixels (of the clip) of the points in the next frame."""
+        scale = min(1.0, _WORK_SIDE_PX / max(rgb.shape[:2]))
+        size = (round(rgb.shape[1] * scale), round(rgb.shape[0] * scale))
+        image = cv2.resize(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA)
+        free = cv2.resize(person.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
+        if self._image is not None and len(self._at):
+            self._follow(self._image, image, free)
+        if len(self._at) < 0.75 * _POINTS:
+            self._add(image, free)
+        self._image = image
+        return self._point.copy(), (self._at.astype(np.float64) + 0.5) / (np.array(size) / rgb.shape[1::-1]) - 0.5
+
+    def _follow(self, before: np.ndarray, after: np.ndarray, free: np.ndarray) -> None:
+        moved, found = _flow(before, after, self._at)
+        back, found_back = _flow(after, before, moved)
+        kept = found & found_back
+        kept &= np.linalg.norm(back - self._at, axis=1) < _ROUND_TRIP_PX
+        # Windows that reach over the border are matched worse.
+        cell, border_px = np.round(moved).astype(int), _WINDOW_PX // 2
+        kept &= ((cell >= border_px) & (cell < np.array(after.shape[::-1]) - border_px)).all(1)
+        kept[kept] &= free[cell[kept, 1], cell[kept, 0]]
+        self._at, self._point = moved[kept], self._point[kept]
+
+    def _add(self, image: np.ndarray, free: np.ndarray) -> None:
+        spacing = max(3.0, _SPACING_RATIO * max(image.shape))
+        allowed = free.astype(np.uint8)
+        for x, y in np.round(self._at).astype(int):
+            cv2.circle(allowed, (int(x), int(y)), int(spacing), 0, -1)
+        corners = cv2.goodFeaturesToTrack(image, _POINTS - len(self._at), _CORNER_QUALITY, spacing, mask=allowed)
+        if corners is None:
+            return
+        self._at = np.concatenate([self._at, corners[:, 0].astype(np.float32)])
+        self._point = np.r_[self._point, self._made + np.arange(len(corners))]
+        self._made += len(corners)
+
+
+def _flow(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where points move to, and which are found there."""
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, after, at, np.empty_like(at), winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_PYRAMID_LEVELS
+    )
+    return moved, found.ravel() > 0

@@ -1,0 +1,230 @@
+"""Path of a moving camera from tracked points of the background.
+
+Keyframes are added one after the other: each is located by the points that are known, inverse depths follow from the
+poses, and a bundle adjustment improves both whenever the number of keyframes has doubled. All other frames are located
+by the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation, Slerp
+
+from video2anim.background.person_masks import generous_masks
+from video2anim.background.person_segmentation import Raster
+from video2anim.camera.background_tracks import BackgroundTracks, track_background
+from video2anim.camera.bundle_adjustment import Observations, Poses, adjust, cost_of, errors, known_points, locate
+from video2anim.types import Intrinsics, PersonTracks, VideoClip
+from video2anim.video import read_frames
+
+_MASK_SIDE_PX = 384
+"""Long side of the masks of people, the working size of stage background."""
+_SIGMA_RATIO = 0.001
+"""Standard deviation of a tracked point over the long side of the image: one pixel of 960."""
+_KEYFRAME_SHIFT = 0.03
+"""A keyframe is added when the median point has moved by this share of the long side."""
+_KEYFRAME_KEPT = 0.7
+"""Or when fewer of the points are left."""
+_MAX_KEYFRAMES = 400
+"""Most keyframes, which bounds the time of a step of the adjustment; of longer clips each stands for several."""
+_EPIPOLAR_KEYFRAMES = 8
+"""Up to so many keyframes are also started from their epipolar geometry."""
+_START_SCALES = (8.0, 1.0)
+"""Scales of Cauchy's cost from each start."""
+_SAME_ERROR = 1.3
+"""A camera whose rotations alone explain the median point this well, compared with a path, only turns. Inverse depths
+of pure noise in two keyframes make the path's median error smaller by 1.24 (half-normal and Rayleigh distribution)."""
+_MIN_POINTS = 12
+"""Least points that locate a frame: twice those that determine it without errors."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraPath:
+    """Where a moving camera is in every frame."""
+
+    T_first_camera: Float[np.ndarray, "frames 4 4"]
+    """In the first camera's axes; unit of length: the usual distance of the background."""
+    located: Bool[np.ndarray, "frames"]
+    """Frames with enough points; the others are interpolated."""
+    residual_px: float
+    """Median distance of the points from where the path has them."""
+
+    def faults(self, long_side_px: int) -> list[str]:
+        """What is wrong with it, in words."""
+        found, lost = [], int((~self.located).sum())
+        if lost:
+            found.append(f"{lost} of {len(self.located)} frames show too little background to locate the camera")
+        limit_px = 2 * _SIGMA_RATIO * long_side_px
+        if self.residual_px > limit_px:
+            found.append(
+                f"the camera's path leaves {self.residual_px:.1f} px between background and video (want at most "
+                f"{limit_px:.1f} px); path and motion are not reliable"
+            )
+        return found
+
+
+def camera_path(clip: VideoClip, tracks: PersonTracks, intrinsics: Intrinsics) -> CameraPath:
+    """Path of the clip's camera from all of its frames; a static camera's is known.
+
+    Raises:
+        InputError: the clip's video cannot be read.
+    """
+    if clip.camera_is_static:
+        return CameraPath(np.tile(np.eye(4), (clip.frame_count, 1, 1)), np.ones(clip.frame_count, bool), 0.0)
+    return path_of_tracks(track_background(read_frames(clip), _masks(clip, tracks)), clip.frame_count, intrinsics)
+
+
+def _masks(clip: VideoClip, tracks: PersonTracks) -> Iterator[np.ndarray]:
+    raster = Raster.of_clip(clip.width_px, clip.height_px, _MASK_SIDE_PX)
+    for frame in range(clip.frame_count):
+        yield generous_masks(tracks, np.array([frame]), raster)[0]
+
+
+def path_of_tracks(tracks: BackgroundTracks, frames: int, intrinsics: Intrinsics) -> CameraPath:
+    """The path that explains tracked points."""
+    k = intrinsics
+    seen = (tracks.pixel - [k.cx_px, k.cy_px]) / [k.fx_px, k.fy_px]
+    long_side_px = max(k.width_px, k.height_px)
+    sigma = _SIGMA_RATIO * long_side_px / k.fx_px
+    keyframes = _keyframes(tracks, frames, _KEYFRAME_SHIFT * long_side_px)
+    observed, row_of = _observations(tracks, seen, keyframes, sigma)
+    poses, rho = _keyframe_poses(observed, len(keyframes))
+    return _all_frames(tracks, seen, row_of, (poses, rho, observed), frames, k.fx_px)
+
+
+def _keyframes(tracks: BackgroundTracks, frames: int, shift_px: float) -> Int[np.ndarray, "keyframes"]:
+    """Frames between which the image moves by a few percent."""
+    found, begin = [0], np.searchsorted(tracks.frame, np.arange(frames + 1))
+    last = dict(zip(tracks.point[: begin[1]].tolist(), tracks.pixel[: begin[1]], strict=True))
+    for frame in range(1, frames):
+        own = slice(begin[frame], begin[frame + 1])
+        now = dict(zip(tracks.point[own].tolist(), tracks.pixel[own], strict=True))
+        shared = [point for point in last if point in now]
+        kept = len(shared) >= _KEYFRAME_KEPT * len(last)
+        shift = np.median([np.linalg.norm(now[p] - last[p]) for p in shared]) if shared else np.inf
+        if not kept or shift > shift_px or frame == frames - 1:
+            found.append(frame)
+            last = now
+    every = -(-len(found) // _MAX_KEYFRAMES)
+    return np.unique([*found[::every], found[-1]])
+
+
+def _observations(
+    tracks: BackgroundTracks, seen: np.ndarray, keyframes: np.ndarray, sigma: float
+) -> tuple[Observations, Int[np.ndarray, "points"]]:
+    """Observations of keyframes by points that are in at least two of them, and the row of each tracked point (-1 for
+    none)."""
+    camera = np.searchsorted(keyframes, tracks.frame).clip(0, len(keyframes) - 1)
+    rows = np.flatnonzero(keyframes[camera] == tracks.frame)
+    point, first, count = np.unique(tracks.point[rows], return_index=True, return_counts=True)
+    point, first = point[count > 1], rows[first[count > 1]]
+    row_of = np.full(int(tracks.point.max(initial=-1)) + 1, -1)
+    row_of[point] = np.arange(len(point))
+    ray = np.c_[seen[first], np.ones(len(first))]
+    others = rows[(row_of[tracks.point[rows]] >= 0) & ~np.isin(rows, first)]
+    return Observations(camera[others], row_of[tracks.point[others]], seen[others], camera[first], ray, sigma), row_of
+
+
+def _keyframe_poses(seen: Observations, keyframes: int) -> tuple[Poses, Float[np.ndarray, "points"]]:
+    """Poses of the keyframes and inverse depths of the points."""
+    poses, rho = Poses(np.eye(3)[None], np.zeros((1, 3))), np.ones(len(seen.ray))
+    for camera in range(1, keyframes):
+        own = seen.camera == camera
+        looks = np.bincount(seen.point[seen.camera < camera], minlength=len(rho))
+        sure = own & (looks[seen.point] > 1)
+        used = sure if sure.sum() >= _MIN_POINTS else own
+        some = seen.point[used]
+        R, center, _ = locate(
+            known_points(poses, rho, seen)[some],
+            rho[some],
+            seen.seen[used],
+            seen.sigma,
+            (poses.R[-1], poses.center[-1]),
+        )
+        poses = Poses(np.r_[poses.R, R[None]], np.r_[poses.center, center[None]])
+        known = seen.among(camera + 1)
+        rho = _triangulated(poses, known)
+        if camera & (camera - 1) == 0:
+            starts = [(poses, rho), *_by_epipolar_geometry(known, camera)]
+            fits = [adjust(*start, known, scale=scale, steps=15) for start in starts for scale in _START_SCALES]
+            fits = [adjust(*fit, known, steps=15) for fit in fits]
+            poses, rho = min(fits, key=lambda fit: cost_of(*fit, known))
+    if not len(seen.point):
+        return Poses(np.tile(np.eye(3), (keyframes, 1, 1)), np.zeros((keyframes, 3))), rho
+    turning = adjust(Poses(poses.R, np.zeros((keyframes, 3))), np.zeros(len(rho)), seen)
+    moving = adjust(poses, rho, seen)
+    off = [float(np.median(np.linalg.norm(errors(*fit, seen), axis=1))) for fit in (turning, moving)]
+    # Of two coordinates of every observation, an inverse depth takes one per point.
+    freedom = 1 - len(np.unique(seen.point)) / max(2 * len(seen.point), 1)
+    return turning if off[0] * freedom**0.5 < _SAME_ERROR * off[1] else moving
+
+
+def _by_epipolar_geometry(seen: Observations, camera: int) -> list[tuple[Poses, Float[np.ndarray, "points"]]]:
+    """A start for the first keyframes: the essential matrix of the first and the last of them, on a straight path. A
+    fit that starts without translation does not find the way of a camera that moves forward."""
+    shared = (seen.camera == camera) & (seen.anchor[seen.point] == 0)
+    if camera > _EPIPOLAR_KEYFRAMES or shared.sum() < _MIN_POINTS:
+        return []
+    first, last = seen.ray[seen.point[shared], :2], seen.seen[shared]
+    E, _ = cv2.findEssentialMat(first, last, np.eye(3), cv2.USAC_MAGSAC, 0.999, seen.sigma)
+    if E is None or E.shape != (3, 3):
+        return []
+    _, R_last_first, t, _ = cv2.recoverPose(E, first, last, np.eye(3))
+    center = -R_last_first.T @ t[:, 0]
+    share = np.linspace(0, 1, camera + 1)[:, None]
+    R = Rotation.from_rotvec(share * Rotation.from_matrix(R_last_first.T).as_rotvec()).as_matrix()
+    rho = _triangulated(Poses(R, share * center), seen)
+    size = float(np.median(rho[np.unique(seen.point)]))
+    return [(Poses(R, share * center * size), rho / size)] if size > 0 else []
+
+
+def _triangulated(poses: Poses, seen: Observations) -> Float[np.ndarray, "points"]:
+    """Inverse depths for given poses: the projection is linear in them."""
+    anchor = seen.anchor[seen.point]
+    ray = np.einsum("nab,nb->na", poses.R[anchor], seen.ray[seen.point])
+    a = np.einsum("nab,na->nb", poses.R[seen.camera], ray)
+    b = np.einsum("nab,na->nb", poses.R[seen.camera], poses.center[anchor] - poses.center[seen.camera])
+    constant, slope = ((v[:, :2] - seen.seen * v[:, 2:]) / seen.sigma for v in (a, b))
+    top = 1 - np.bincount(seen.point, (constant * slope).sum(1), minlength=len(seen.ray))
+    return top / (1 + np.bincount(seen.point, (slope**2).sum(1), minlength=len(seen.ray)))
+
+
+def _all_frames(
+    tracks: BackgroundTracks,
+    seen: np.ndarray,
+    row_of: np.ndarray,
+    keyframe_result: tuple[Poses, np.ndarray, Observations],
+    frames: int,
+    focal_px: float,
+) -> CameraPath:
+    """Every frame located by the points of the keyframes, each from the pose of the frame before."""
+    poses, rho, observed = keyframe_result
+    points = known_points(poses, rho, observed)
+    R, center = np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3))
+    found, off = np.zeros(frames, bool), [np.zeros(1)]
+    found[0] = True
+    begin = np.searchsorted(tracks.frame, np.arange(frames + 1))
+    for frame in range(1, frames):
+        R[frame], center[frame] = R[frame - 1], center[frame - 1]
+        own = np.arange(begin[frame], begin[frame + 1])
+        own = own[row_of[tracks.point[own]] >= 0]
+        if len(own) < _MIN_POINTS:
+            continue
+        some = row_of[tracks.point[own]]
+        R[frame], center[frame], error = locate(
+            points[some], rho[some], seen[own], observed.sigma, (R[frame - 1], center[frame - 1])
+        )
+        found[frame] = True
+        off.append(error * observed.sigma * focal_px)
+    at = np.flatnonzero(found)
+    clamped = np.clip(np.arange(frames), at[0], at[-1])
+    R = Slerp(at, Rotation.from_matrix(R[at]))(clamped).as_matrix() if len(at) > 1 else R
+    center = np.stack([np.interp(clamped, at, center[at, axis]) for axis in range(3)], 1)
+    T = np.tile(np.eye(4), (frames, 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = R, center
+    return CameraPath(T, found, float(np.median(np.concatenate(off))))
