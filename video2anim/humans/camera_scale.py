@@ -1,7 +1,8 @@
 """Unit of length of a moving camera's path: what a body rests on does not move.
 
 Images give the path of a camera up to its scale only. Where a foot, the seat, the back or a hand is in contact, its
-path relative to the camera and that of the camera cancel (as in TRAM and SLAHMR, which use the feet).
+path relative to the camera and that of the camera cancel. (SLAHMR (Ye et al. 2023) takes the scale from the motion of
+people, too.)
 """
 
 from __future__ import annotations
