@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -104,8 +105,6 @@ def test_without_background_the_camera_stays() -> None:
 def test_tracking_follows_an_image_that_moves() -> None:
     """Points keep their place on a textured plane to a fraction of a pixel, and none is on the person."""
     rng = np.random.default_rng(0)
-    import cv2
-
     plane = cv2.GaussianBlur(rng.integers(0, 256, (400, 600, 3)).astype(np.uint8), (0, 0), 2)
     images = [cv2.warpAffine(plane, np.array([[1, 0, -2.3 * k], [0, 1, -1.1 * k]]), (480, 320)) for k in range(8)]
     person = np.zeros((160, 240), bool)

@@ -51,8 +51,8 @@ def shaken(motion: BodyMotion) -> BodyMotion:
 @pytest.fixture(scope="module")
 def page() -> str:
     motion = walk(FRAMES)
-    rotations = np.tile(np.eye(4), (FRAMES, 1, 1))
-    camera = CameraEstimate(motion.intrinsics, "human", 0.06, np.array([0, -1.0, 0]), "level", 0.05, True, rotations)
+    poses = np.tile(np.eye(4), (FRAMES, 1, 1))
+    camera = CameraEstimate(motion.intrinsics, "human", 0.06, np.array([0, -1.0, 0]), "level", 0.05, True, poses)
     stages = (
         StageRow("ingest", "ran", 1, 2.5, 210.0, (Quality("frames", 40, "count", "none"),), ("the camera <moves>",)),
         StageRow("refine", "cached", 3, 12.25, 1210.0),

@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
+from video2anim.body.contact import LIKELY
 from video2anim.geometry.projection import transform_points
 from video2anim.humans.lifter_input import CONTACT_INDEX
 
 _REST_S = 0.27
 """Contacts of this length or longer are rests, as in stage scene."""
-_LIKELY = 0.5
 _ACROSS_M, _ALONG_RATIO = 0.03, 0.03
 """Error of a joint's path over a rest, across and along the line of sight (share of the distance): spread of a standing
 sole and of a body's distance (`video2anim.calibration.fit`)."""
@@ -44,7 +44,7 @@ def camera_scale_m(
     turned = T_first_camera.copy()
     turned[:, :3, 3] = 0
     points_m = transform_points(turned, joints_camera_m[:, CONTACT_INDEX])
-    touches = (contact > _LIKELY) & valid[:, None]
+    touches = (contact > LIKELY) & valid[:, None]
     rests = np.lib.stride_tricks.sliding_window_view(touches, step + 1, axis=0).all(-1)
     frame, part = np.nonzero(rests)
     moved_m = points_m[frame + step, part] - points_m[frame, part]
