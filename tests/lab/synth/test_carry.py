@@ -167,12 +167,6 @@ def test_points_around_an_object() -> None:
     assert len(swept_points(motion, 0.1)) == len(points) * len(T[::2])
 
 
-def test_preset_moving() -> None:
-    specs = clip_specs("moving", None, 0)
-    assert [spec.camera for spec in specs] == ["pan", "pan", "follow", "follow", "handheld", "handheld"]
-    assert all(hiding_of(spec) is None for spec in specs)
-
-
 def test_preset_carried() -> None:
     specs = clip_specs("carried", None, 0)
     assert [spec.kinds[0] for spec in specs] == list(CARRIES)
