@@ -14,7 +14,7 @@ from jaxtyping import Bool, Int
 
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
-from video2anim.types import BackgroundImage, PersonTracks, VideoClip
+from video2anim.types import BackgroundImage, CameraEstimate, PersonTracks, VideoClip
 
 if TYPE_CHECKING:
     from video2anim.background.person_masks import MedianSamples, PeopleMasks
@@ -38,24 +38,29 @@ class BackgroundConfig:
 
 
 def make_background(
-    clip: VideoClip, tracks: PersonTracks, config: BackgroundConfig, ctx: StageContext
+    clip: VideoClip, tracks: PersonTracks, camera: CameraEstimate, config: BackgroundConfig, ctx: StageContext
 ) -> BackgroundImage:
     """Background image of the clip and masks of its people.
 
-    For a moving camera the frames are aligned to the first one by a homography, which is exact for a turning camera
-    only; a warning says so.
+    It is the first frame's view. Frames of a camera that turns are aligned to it; if the camera travels, only what
+    people hide in the first frame comes from others.
 
     Raises:
         InputError: the clip's video cannot be read.
     """
-    from video2anim.background.background_image import inpaint_unobserved, median_background, updated_background
+    from video2anim.background.background_image import (
+        inpaint_unobserved,
+        median_background,
+        updated_background,
+        with_own_pixels,
+    )
     from video2anim.background.person_masks import excluded_from_median, generous_masks, grown_masks, people_masks
     from video2anim.background.person_segmentation import Raster
 
     raster = Raster.of_clip(clip.width_px, clip.height_px, config.long_side_px)
     frame_index = np.unique(np.r_[0 : clip.frame_count : config.frame_step, clip.frame_count - 1])
     generous = generous_masks(tracks, frame_index, raster)
-    samples = _collect(clip, frame_index, generous, config, ctx)
+    samples = _collect(clip, frame_index, camera, config, ctx)
 
     excluded = excluded_from_median(generous, samples, raster)
     median = median_background(samples.rgb, excluded)
@@ -69,8 +74,10 @@ def make_background(
     sharper = excluded_from_median(grown_masks(people.any_person, tracks, frame_index, raster), samples, raster)
     unseen = np.all(sharper, axis=0)
     background = inpaint_unobserved(updated_background(median, samples.rgb, excluded, sharper), unseen)
+    if camera.travels:
+        background = with_own_pixels(background, samples.rgb[0], sharper[0])
     seen_ratio = 1.0 - sharper.mean(axis=0, dtype=np.float32)
-    _report(clip, samples, unseen, people, ctx)
+    _report(camera, samples, unseen, people, ctx)
     return BackgroundImage(
         background_rgb=background,
         seen_ratio=seen_ratio.astype(np.float32),
@@ -83,41 +90,29 @@ def make_background(
 def _collect(
     clip: VideoClip,
     frame_index: Int[np.ndarray, "samples"],
-    person: Bool[np.ndarray, "samples small_height small_width"],
+    camera: CameraEstimate,
     config: BackgroundConfig,
     ctx: StageContext,
 ) -> MedianSamples:
     """Read and align the frames of the median."""
-    import cv2
-
     from video2anim.background.person_masks import MedianSamples, aligned, mask_frames
-    from video2anim.camera.background_registration import BackgroundRegistration
 
     count = len(frame_index)
     affordable = max(_MIN_SAMPLES, _SAMPLE_BYTES // (3 * clip.width_px * clip.height_px))
     wanted = np.unique(np.linspace(0, count - 1, min(count, config.max_samples, affordable)).round().astype(int))
-    H_reference_frame = np.tile(np.eye(3), (count, 1, 1))
+    H_first_frame = np.tile(np.eye(3), (count, 1, 1)) if camera.is_static else camera.H_first_frame(frame_index)
     rgb = np.zeros((len(wanted), clip.height_px, clip.width_px, 3), np.uint8)
     rows: list[int] = []
-    registration: BackgroundRegistration | None = None
     for row, picture in enumerate(mask_frames(clip, frame_index)):
         ctx.progress(row + 1, 2 * count)
-        if not clip.camera_is_static:
-            size = (clip.width_px, clip.height_px)
-            ground = 255 - cv2.resize(person[row].astype(np.uint8) * 255, size, interpolation=cv2.INTER_NEAREST)
-            if registration is None:
-                registration = BackgroundRegistration(picture, ground)
-            else:
-                found = registration.register(picture, ground)
-                H_reference_frame[row] = np.nan if found is None else found.H_reference_frame
-        if row in wanted and np.isfinite(H_reference_frame[row]).all():
-            rgb[len(rows)] = picture if registration is None else aligned(picture, H_reference_frame[row])
+        if row in wanted and np.isfinite(H_first_frame[row]).all():
+            rgb[len(rows)] = picture if camera.is_static else aligned(picture, H_first_frame[row])
             rows.append(row)
-    return MedianSamples(np.array(rows), rgb[: len(rows)], H_reference_frame)
+    return MedianSamples(np.array(rows), rgb[: len(rows)], H_first_frame)
 
 
 def _report(
-    clip: VideoClip,
+    camera: CameraEstimate,
     samples: MedianSamples,
     unseen: Bool[np.ndarray, "small_height small_width"],
     people: PeopleMasks,
@@ -127,12 +122,8 @@ def _report(
     ctx.quality("background_samples", len(samples.row), "count")
     ctx.quality("person_area", float(people.any_person.mean()), "ratio")
     ctx.quality("main_person_area", float(people.selected.mean()), "ratio")
-    if not clip.camera_is_static:
-        lost = int(np.isnan(samples.H_reference_frame[:, 0, 0]).sum())
-        ctx.warn(
-            "the camera moves: the background image is aligned to the first frame by a homography"
-            + (f"; {lost} of {len(samples.H_reference_frame)} sampled frames could not be aligned" if lost else "")
-        )
+    if camera.travels:
+        ctx.warn("the camera travels: what people hide in the first frame is taken from frames of other perspectives")
     if unseen.mean() > 0.02:
         ctx.warn(
             f"{100 * unseen.mean():.0f} % of the background is never seen (people cover it throughout); "
@@ -140,4 +131,4 @@ def _report(
         )
 
 
-STAGE = StageSpec("background", make_background, version=3)
+STAGE = StageSpec("background", make_background, version=4)

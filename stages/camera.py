@@ -19,6 +19,7 @@ from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import CameraEstimate, Intrinsics, PersonTracks, VideoClip
 
 if TYPE_CHECKING:
+    from video2anim.camera.background_tracks import BackgroundMotion
     from video2anim.camera.image_camera import ImageCamera
     from video2anim.camera.path import CameraPath
 
@@ -51,6 +52,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     Raises:
         UsageError: a focal length that no camera has, or a height of a person who is not selected.
     """
+    from video2anim.camera.background_tracks import background_motion
     from video2anim.camera.focal import estimate_focal, lift_track
     from video2anim.camera.path import camera_path
     from video2anim.camera.up import up_by_lifter, up_evidence, up_of_people, with_image
@@ -63,7 +65,8 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     frames = evenly_spread(np.flatnonzero(main.valid), config.frames)
     lifter = ctx.model(config.model)
     lifted = lift_track(clip, main, lifter, config.focal_px)
-    seen = _image_camera(clip, config, ctx)
+    motion = background_motion(clip, tracks)
+    seen = _image_camera(clip, motion, config, ctx)
     image = seen.camera if seen else None
     focal = estimate_focal(
         clip, main, lifted, frames, image,
@@ -74,7 +77,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     others = [track for track in tracks.people if track.person_id != main.person_id]
     people = [(lifted, main), *((lift_track(clip, other, lifter, config.focal_px), other) for other in others)]
     intrinsics = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
-    path = camera_path(clip, tracks, intrinsics)
+    path = camera_path(motion, clip.frame_count, intrinsics)
     by_lifter = up_by_lifter(people, path.T_first_camera[:, :3, :3])
     duration_s = float(np.ptp(clip.frame_time_s[frames]))
     joints_m = np.einsum("tab,tjb->tja", path.T_first_camera[frames, :3, :3], focal.body.joints_camera_m)
@@ -86,7 +89,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
         up_camera=up.up,
         up_source="human" if image is None else "picture",
         up_sigma_rad=up.sigma_rad,
-        is_static=clip.camera_is_static,
+        is_static=motion.is_static,
         T_first_camera=path.T_first_camera,
         up_evidence=up_evidence(by_lifter, image),
     )
@@ -96,18 +99,19 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
             f"frame) contradicts the person's perspective (about {focal.focal_px:.0f} px) and is not used; set it by "
             "--focal-px if it is right"
         )
-    _report(estimate, path, ctx)
+    _report(estimate, motion, path, ctx)
     return estimate
 
 
-def _report(estimate: CameraEstimate, path: CameraPath, ctx: StageContext) -> None:
+def _report(estimate: CameraEstimate, motion: BackgroundMotion, path: CameraPath, ctx: StageContext) -> None:
     from video2anim.geometry.perspective_field import pitch_roll_of
 
+    ctx.quality("camera_drift", motion.drift_ratio, "ratio")
     if not estimate.is_static:
         ctx.quality("camera_path_residual", path.residual_px, "px", "lower")
         ctx.quality("camera_path_located", float(path.located.mean()), "ratio", "higher")
     k = estimate.intrinsics
-    for fault in path.faults(max(k.width_px, k.height_px)):
+    for fault in [*motion.warnings(), *path.faults(max(k.width_px, k.height_px))]:
         ctx.warn(fault)
     if estimate.focal_sigma_ratio > 0.2:
         ctx.warn(f"focal length is uncertain ({estimate.focal_sigma_ratio:.0%}); give --focal-px if you know it")
@@ -119,12 +123,14 @@ def _report(estimate: CameraEstimate, path: CameraPath, ctx: StageContext) -> No
     ctx.quality("up_uncertainty", math.degrees(estimate.up_sigma_rad), "deg", "lower")
 
 
-def _image_camera(clip: VideoClip, config: CameraConfig, ctx: StageContext) -> ImageCamera | None:
+def _image_camera(
+    clip: VideoClip, motion: BackgroundMotion, config: CameraConfig, ctx: StageContext
+) -> ImageCamera | None:
     from video2anim.camera.image_camera import image_camera
 
     if config.camera_model == NO_MODEL:
         return None
-    count = config.field_frames if clip.camera_is_static else 1
+    count = config.field_frames if motion.is_static else 1
     frames = np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int))
     found = image_camera(
         clip, ctx.model(config.camera_model), frames.tolist(),
@@ -147,4 +153,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=16, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=17, models=("lifter", "camera"))

@@ -51,7 +51,6 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         InputError: the source is missing, no video, too short, or has no such shot; or the disk is full.
         StageError: the clip cannot be written.
     """
-    from video2anim.camera.background_registration import STATIC_DRIFT_RATIO
     from video2anim.video.decode import probe
     from video2anim.video.shot_choice import chosen_times
     from video2anim.video.source_report import source_info, source_warnings
@@ -69,22 +68,13 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
     shot, shot_time_s, source_time_s = chosen_times(source.path, source_scan, config.shot, min_frames=config.min_frames)
     size_px = header.upright_size_px(config.max_long_side_px)
     path = ctx.work_dir / "video.mp4"
-    written = _write_clip(source.path, header, source_scan.stamps, source_time_s, size_px, path, ctx)
-    drift = written.drift_ratio
+    missing = _write_clip(source.path, header, source_scan.stamps, source_time_s, size_px, path, ctx)
     warnings = source_warnings(header, source_scan, shot, shot_time_s, size_px)
-    if written.missing_frames:
-        warnings.append(f"{written.missing_frames} images did not decode on the second pass; the ones before are held")
-    if math.isnan(drift):
-        warnings.append("camera motion is unknown (too little background texture); the camera is taken as static")
-    elif drift > STATIC_DRIFT_RATIO:
-        warnings.append(
-            f"the camera moves: the background drifts by {100 * drift:.1f} % of the image width "
-            f"(static: below {100 * STATIC_DRIFT_RATIO:.1f} %); its path is estimated, and the scene is what the first "
-            "frame shows"
-        )
+    if missing:
+        warnings.append(f"{missing} images did not decode on the second pass; the ones before are held")
     for text in warnings:
         ctx.warn(text)
-    _record_quality(source_scan, source_time_s, drift, ctx)
+    _record_quality(source_scan, source_time_s, ctx)
     return VideoClip(
         video=PayloadFile(path),
         width_px=size_px[0],
@@ -95,17 +85,8 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         source=source_info(header, source_scan),
         shots_s=source_scan.shots_s(),
         shot_index=shot,
-        camera_is_static=not drift > STATIC_DRIFT_RATIO,
-        camera_drift_ratio=drift,
         warnings=tuple(warnings),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Written:
-    drift_ratio: float
-    """Of the background, as in `CameraMotion`."""
-    missing_frames: int
 
 
 def _write_clip(
@@ -116,34 +97,27 @@ def _write_clip(
     size_px: tuple[int, int],
     path: Path,
     ctx: StageContext,
-) -> _Written:
-    from video2anim.camera.background_registration import CameraMotion, motion_samples
+) -> int:
+    """Write the clip; how many of its images did not decode again."""
     from video2anim.video.encode import FrameWriter
     from video2anim.video.source_report import frames_at
 
     count = len(source_time_s)
-    sampled = motion_samples(count)
-    motion = CameraMotion()
     missing = 0
     with FrameWriter(path, width_px=size_px[0], height_px=size_px[1], fps=round(FPS)) as writer:
         for index, (rgb, found) in enumerate(frames_at(source, header, stamps, source_time_s, size_px)):
             writer.write(rgb)
             missing += not found
-            if index in sampled:
-                motion.add(rgb)
             ctx.progress(count + index + 1, 2 * count)
-    return _Written(motion.drift_ratio, missing)
+    return missing
 
 
-def _record_quality(
-    source_scan: SourceScan, source_time_s: Float[np.ndarray, "frames"], drift_ratio: float, ctx: StageContext
-) -> None:
+def _record_quality(source_scan: SourceScan, source_time_s: Float[np.ndarray, "frames"], ctx: StageContext) -> None:
     report = source_scan.report
     ctx.quality("frames", len(source_time_s), "count")
     held_ratio = float(np.mean(np.diff(source_time_s, prepend=-np.inf) == 0))
     ctx.quality("held_frames", held_ratio, "ratio", "lower")
     ctx.quality("damaged_pictures", report.damaged_frames / max(report.frames, 1), "ratio", "lower")
-    ctx.quality("camera_drift", drift_ratio, "ratio")
 
 
-STAGE = StageSpec("ingest", ingest, version=4)
+STAGE = StageSpec("ingest", ingest, version=5)

@@ -17,6 +17,7 @@ from video2anim.pipeline.options import limits, only_with, only_without
 from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundImage,
+    CameraEstimate,
     DepthClip,
     InstanceMasks,
     MetricDepth,
@@ -64,6 +65,7 @@ class SceneConfig:
 
 def build_scene(
     clip: VideoClip,
+    camera: CameraEstimate,
     placed: PlacedObjects,
     depth: MetricDepth,
     clip_depth: DepthClip,
@@ -91,7 +93,7 @@ def build_scene(
     motion_m = motion_bounds(bodies)
     if config.scan:
         return _scanned(motion_m, depth, config, ctx)
-    found = with_paths(placed.objects, clip, masks, background, bodies)
+    found = with_paths(placed.objects, clip, masks, background, bodies) if camera.is_static else placed.objects
     moved = [item for item in found if item.path]
     still = [item for item in found if not item.path]
     rested = rested_on(bodies)
@@ -147,4 +149,4 @@ def _scanned(
     return SceneModel((), floor, (room,), grid.sdf_m, np.asarray(grid.origin_m), float(grid.spacing_m))
 
 
-STAGE = StageSpec("scene", build_scene, version=18)
+STAGE = StageSpec("scene", build_scene, version=19)

@@ -83,7 +83,7 @@ def test_unusable_file(shared_media: Path, tmp_path: Path, name: str, said: str)
         ("truncated_midstream", (540, 960), (18, 21), "header claims 100 frames"),
         ("corrupted_payload", (540, 960), (8, 50), "damaged data"),
         ("rotation_metadata_90", (540, 960), None, ""),
-        ("anamorphic_sar_2_1", (960, 540), None, "the camera moves"),
+        ("anamorphic_sar_2_1", (960, 540), None, ""),
         ("variable_frame_rate", None, (119, 122), "the image before is held"),
         ("hevc_10bit", (540, 960), None, ""),
         ("odd_641x363_vp9", (641, 363), None, ""),
@@ -91,10 +91,10 @@ def test_unusable_file(shared_media: Path, tmp_path: Path, name: str, said: str)
         ("grayscale", None, None, ""),
         ("low_frame_rate_5fps", None, (145, 151), "low frame rate: 5.0 fps"),
         ("scene_cut", (640, 360), (58, 62), "2 shots found"),
-        ("no_person_moving_camera_4x3", (640, 480), (148, 152), "the camera moves"),
+        ("no_person_moving_camera_4x3", (640, 480), (148, 152), ""),
         ("no_person_static_camera", (640, 360), (88, 92), ""),
         ("small_portrait_216x384", (216, 384), None, "small picture"),
-        ("small_4x3_320x240", (320, 240), None, "the camera moves"),
+        ("small_4x3_320x240", (320, 240), None, ""),
     ],
 )
 def test_odd_file_works_and_says_what_is_odd(

@@ -117,7 +117,7 @@ def _clip(folder: Path) -> VideoClip:
     info = SourceInfo("none", "none", 1920, 1920, 0, 1.0, FPS, FRAMES, FRAMES, FRAMES / FPS, 0.0)
     shots = ((0.0, FRAMES / FPS),)
     return VideoClip(
-        PayloadFile(folder / "none"), 1920, 1920, FPS, time_s, time_s, info, shots, 0, True, 0.0, ()
+        PayloadFile(folder / "none"), 1920, 1920, FPS, time_s, time_s, info, shots, 0, ()
     )  # fmt: skip
 
 

@@ -54,8 +54,7 @@ def clip_in(folder: Path, frames: int = FRAMES) -> VideoClip:
     time_s = np.arange(frames) / 30.0
     source = SourceInfo("h264", "yuv420p", WIDTH, HEIGHT, 0, 1.0, 30.0, frames, frames, frames / 30.0, 0.0)
     return VideoClip(
-        PayloadFile(folder / "video.mp4"), WIDTH, HEIGHT, 30.0, time_s, time_s, source, ((0.0, 1.0),), 0, True,
-        float("nan"), (),
+        PayloadFile(folder / "video.mp4"), WIDTH, HEIGHT, 30.0, time_s, time_s, source, ((0.0, 1.0),), 0, (),
     )  # fmt: skip
 
 
@@ -339,7 +338,7 @@ def clip_folder(tmp_path: Path) -> Path:
     ("key", "wrong"),
     [
         ("fps", -1), ("fps", "30"), ("fps", None), ("fps", float("nan")), ("fps", True), ("width_px", None),
-        ("width_px", 12.5), ("width_px", 0), ("camera_is_static", 1), ("camera_is_static", "yes"), ("shots_s", [[0.0]]),
+        ("width_px", 12.5), ("width_px", 0), ("shot_index", True), ("shot_index", "yes"), ("shots_s", [[0.0]]),
         ("shots_s", 3), ("warnings", None), ("warnings", [3]), ("video", "video.mp4"), ("video", {"$file": 3}),
         ("frame_time_s", {"$array": "no such"}), ("frame_time_s", [0.0, 1.0]), ("source", {}), ("unknown", 1),
         ("frame_time_s", {"$image": "video.mp4", "dtype": "bool"}), ("source", {"$array": "frame_time_s"}),

@@ -29,4 +29,4 @@ def gray_clip(tmp_path_factory: pytest.TempPathFactory) -> VideoClip:
             writer.write(np.full((360, 640, 3), GRAY, np.uint8))
     time_s = np.arange(FRAMES) / 30.0
     source = SourceInfo("h264", "yuv420p", 640, 360, 0, 1.0, 30.0, FRAMES, FRAMES, FRAMES / 30, 0.0)
-    return VideoClip(PayloadFile(path), 640, 360, 30.0, time_s, time_s, source, ((0.0, FRAMES / 30),), 0, True, 0.0, ())
+    return VideoClip(PayloadFile(path), 640, 360, 30.0, time_s, time_s, source, ((0.0, FRAMES / 30),), 0, ())

@@ -93,7 +93,7 @@ def test_with_everybody_worked_on_only_the_main_person_has_the_given_height(monk
     tracks = PersonTracks(tuple(replace(track, person_id=number) for number in (1, 2, 3)), (2, 1, 3))
     time_s = np.arange(2) / 30
     source = SourceInfo("h264", "yuv420p", 64, 48, 0, 1.0, 30.0, 2, 2, 2 / 30, 0.0)
-    clip = VideoClip(PayloadFile(Path("x")), 64, 48, 30.0, time_s, time_s, source, ((0.0, 1.0),), 0, True, 0.0, ())
+    clip = VideoClip(PayloadFile(Path("x")), 64, 48, 30.0, time_s, time_s, source, ((0.0, 1.0),), 0, ())
     camera = CameraEstimate(
         Intrinsics.centered(60.0, 64, 48), "user", 0.01, np.array([0, -1.0, 0]), "picture", 0.01, True, still
     )

@@ -137,9 +137,7 @@ def as_stage_input(observed: Observations, focal_35mm: float = 0.0) -> tuple[Vid
     )  # fmt: skip
     source = SourceInfo("h264", "yuv420p", 1280, 720, 0, 1.0, 30.0, count, count, 2.5, focal_35mm)
     times = o.frame_time_s
-    clip = VideoClip(
-        PayloadFile(Path("none.mp4")), 1280, 720, 30.0, times, times, source, ((0.0, 2.5),), 0, True, 0.0, ()
-    )
+    clip = VideoClip(PayloadFile(Path("none.mp4")), 1280, 720, 30.0, times, times, source, ((0.0, 2.5),), 0, ())
     return clip, PersonTracks((track,), (1,))
 
 

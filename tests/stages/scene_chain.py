@@ -19,6 +19,7 @@ from stages.segment import SegmentConfig, segment_background
 from video2anim.geometry.projection import invert_rigid
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
+    CameraEstimate,
     CompletedObjects,
     DepthClip,
     InstanceMasks,
@@ -26,7 +27,6 @@ from video2anim.types import (
     ObjectMeshes,
     PlacedObjects,
     SceneModel,
-    VideoClip,
 )
 
 
@@ -68,9 +68,9 @@ def masks_of(room: Room, depth: DepthClip, config: SegmentConfig, ctx: StageCont
     return segment_background(room.clip, room.background, depth, room.bodies, room.camera, config, ctx)
 
 
-def unfilmed(room: Room) -> VideoClip:
-    """The room's clip as of a camera that moves: it has no video in which somebody could move objects."""
-    return replace(room.clip, camera_is_static=False)
+def unfilmed(room: Room) -> CameraEstimate:
+    """The room's camera as if it moved: there is no video in which somebody could move objects."""
+    return replace(room.camera, is_static=False)
 
 
 @functools.cache
@@ -83,7 +83,7 @@ def run_chain(room: Room) -> Chain:
     completed = complete_objects(room.background, masks, metric, CompleteConfig(), ctx)
     meshes = reconstruct_objects(completed, masks, metric, room.background, ReconstructConfig(**TRUE_RELIEF), ctx)
     placed = place_objects(meshes, masks, metric, PlaceConfig(), ctx)
-    scene = build_scene(unfilmed(room), placed, metric, depth, masks, room.background, SceneConfig(), ctx)
+    scene = build_scene(room.clip, unfilmed(room), placed, metric, depth, masks, room.background, SceneConfig(), ctx)
     return Chain(depth, masks, metric, completed, meshes, placed, scene, ctx)
 
 

@@ -187,8 +187,7 @@ def clip_of(motion: BodyMotion) -> VideoClip:
     k, time_s = motion.intrinsics, motion.frame_time_s
     source = SourceInfo("h264", "yuv420p", k.width_px, k.height_px, 0, 1.0, 30.0, *[len(time_s)] * 2, time_s[-1], 0.0)
     return VideoClip(
-        PayloadFile(Path("none.mp4")), k.width_px, k.height_px, 30.0, time_s, time_s, source, ((0.0, 1.0),), 0, True,
-        0.0, (),
+        PayloadFile(Path("none.mp4")), k.width_px, k.height_px, 30.0, time_s, time_s, source, ((0.0, 1.0),), 0, (),
     )  # fmt: skip
 
 

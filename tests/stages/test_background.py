@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from stages.background import BackgroundConfig, make_background
 from video2anim.cli.compose import pipeline_nodes
 from video2anim.errors import UsageError
 from video2anim.pipeline.config import resolve
 from video2anim.pipeline.stage import StageContext
-from video2anim.types import PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
+from video2anim.types import (
+    CameraEstimate,
+    Intrinsics,
+    PayloadFile,
+    PersonTrack,
+    PersonTracks,
+    SourceInfo,
+    VideoClip,
+)
 from video2anim.video import FrameWriter
 
 WIDTH, HEIGHT, COUNT = 320, 200, 48
@@ -87,11 +97,20 @@ def make_clip(
             writer.write(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
     info = SourceInfo("h264", "yuv420p", WIDTH, HEIGHT, 0, 1.0, 30.0, count, count, count / 30, 0.0)
     time_s = np.arange(count) / 30
-    drift = shift_px * count / WIDTH
     clip = VideoClip(
-        PayloadFile(path), WIDTH, HEIGHT, 30.0, time_s, time_s, info, ((0.0, count / 30),), 0, drift == 0, drift, ()
+        PayloadFile(path), WIDTH, HEIGHT, 30.0, time_s, time_s, info, ((0.0, count / 30),), 0, ()
     )  # fmt: skip
     return clip, truth
+
+
+def camera_of(clip: VideoClip, turn: np.ndarray | None = None, center: np.ndarray | None = None) -> CameraEstimate:
+    """A static camera, or one with rotation matrices and positions in units of the wall's distance."""
+    lens = Intrinsics.centered(float(WIDTH), clip.width_px, clip.height_px)
+    T = np.tile(np.eye(4), (clip.frame_count, 1, 1))
+    T[:, :3, :3] = np.eye(3) if turn is None else turn
+    T[:, :3, 3] = 0 if center is None else center
+    still = turn is None and center is None
+    return CameraEstimate(lens, "user", 0.0, np.array([0.0, -1.0, 0.0]), "user", 0.0, still, T)
 
 
 def walk(start: int, stop: int, count: int = COUNT) -> list[int | None]:
@@ -109,7 +128,7 @@ def test_plate_and_masks_of_one_walker(tmp_path: Path, with_mask: bool) -> None:
     clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts])
     tracks = PersonTracks((track_of(lefts, 1, with_mask=with_mask),), (1,))
     ctx = StageContext(tmp_path)
-    found = make_background(clip, tracks, BackgroundConfig(), ctx)
+    found = make_background(clip, tracks, camera_of(clip), BackgroundConfig(), ctx)
     assert np.abs(found.background_rgb.astype(int) - wall).mean() < 2.0
     assert np.percentile(np.abs(found.background_rgb.astype(int) - wall), 99) < 8
     assert found.frame_index.tolist() == [0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 47]
@@ -126,7 +145,7 @@ def test_other_people_leave_the_plate_but_are_not_selected(tmp_path: Path) -> No
     main, other = walk(0, 120), walk(280, 170)
     clip, truth = make_clip(tmp_path / "clip.mp4", wall, [main, other])
     tracks = PersonTracks((track_of(main, 4), track_of(other, 7)), (7, 4))
-    found = make_background(clip, tracks, BackgroundConfig(), StageContext(tmp_path))
+    found = make_background(clip, tracks, camera_of(clip), BackgroundConfig(), StageContext(tmp_path))
     index = found.frame_index
     assert np.abs(found.background_rgb.astype(int) - wall).mean() < 2.0
     assert iou(found.selected_mask, truth[1][index]) > MASK_IOU
@@ -139,7 +158,7 @@ def test_a_person_who_never_moves_leaves_a_hole_that_is_marked(tmp_path: Path) -
     lefts = walk(100, 100, 12)
     clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts])
     ctx = StageContext(tmp_path)
-    found = make_background(clip, PersonTracks((track_of(lefts, 1),), (1,)), BackgroundConfig(), ctx)
+    found = make_background(clip, PersonTracks((track_of(lefts, 1),), (1,)), camera_of(clip), BackgroundConfig(), ctx)
     hidden = truth[0][0]
     assert np.mean(found.seen_ratio[hidden] == 0) > 0.99
     assert np.mean(found.seen_ratio[~hidden] == 1) > 0.9
@@ -155,7 +174,7 @@ def test_frames_without_the_person(tmp_path: Path) -> None:
     lefts: list[int | None] = [None] * 20 + [round(x) for x in np.linspace(0, 200, 21)]
     clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts])
     tracks = PersonTracks((track_of(lefts, 1),), (1,))
-    found = make_background(clip, tracks, BackgroundConfig(), StageContext(tmp_path))
+    found = make_background(clip, tracks, camera_of(clip), BackgroundConfig(), StageContext(tmp_path))
     absent = found.frame_index < 20
     assert not found.person_mask[absent].any()
     assert iou(found.person_mask[~absent], truth[0][found.frame_index][~absent]) > MASK_IOU
@@ -164,23 +183,61 @@ def test_frames_without_the_person(tmp_path: Path) -> None:
 def test_nobody(tmp_path: Path) -> None:
     wall = textured(5, WIDTH, HEIGHT)
     clip, _ = make_clip(tmp_path / "clip.mp4", wall, [[None] * 7])
-    found = make_background(clip, PersonTracks((), ()), BackgroundConfig(), StageContext(tmp_path))
+    found = make_background(clip, PersonTracks((), ()), camera_of(clip), BackgroundConfig(), StageContext(tmp_path))
     assert not found.person_mask.any()
     assert np.all(found.seen_ratio == 1)
     assert np.abs(found.background_rgb.astype(int) - wall).mean() < 2.0
 
 
-def test_moving_camera_is_aligned_to_the_first_frame(tmp_path: Path) -> None:
+def test_a_turning_camera_is_aligned_to_the_first_frame(tmp_path: Path) -> None:
+    """Every frame of the clip is a wide picture seen in another direction."""
+    wide = textured(6, 2 * WIDTH, HEIGHT)
+    turn = Rotation.from_rotvec(np.linspace(0, 0.15, COUNT)[:, None] * [0.0, 1.0, 0.0]).as_matrix()
+    clip, _ = make_clip(tmp_path / "clip.mp4", wide[:, :WIDTH], [[None] * COUNT])
+    camera = camera_of(clip, turn)
+    K = camera.intrinsics.matrix()
+    with FrameWriter(tmp_path / "turning.mp4", width_px=WIDTH, height_px=HEIGHT) as writer:
+        for R in turn:
+            writer.write(cv2.warpPerspective(wide, K @ R.T @ np.linalg.inv(K), (WIDTH, HEIGHT)))
+    clip = replace(clip, video=PayloadFile(tmp_path / "turning.mp4"))
+    ctx = StageContext(tmp_path)
+    found = make_background(clip, PersonTracks((), ()), camera, BackgroundConfig(), ctx)
+    assert np.abs(found.background_rgb.astype(int) - wide[:, :WIDTH]).mean() < 3.0
+    assert ctx.warnings == []
+
+
+def test_a_traveling_camera_is_aligned_to_the_first_frame(tmp_path: Path) -> None:
     wall = textured(6, 2 * WIDTH, HEIGHT)
     lefts = walk(20, 260)
     clip, truth = make_clip(tmp_path / "clip.mp4", wall, [lefts], shift_px=1.0)
     ctx = StageContext(tmp_path)
-    found = make_background(clip, PersonTracks((track_of(lefts, 1),), (1,)), BackgroundConfig(), ctx)
+    center = np.arange(COUNT)[:, None] / WIDTH * [1.0, 0.0, 0.0]
+    camera = camera_of(clip, center=center)
+    found = make_background(clip, PersonTracks((track_of(lefts, 1),), (1,)), camera, BackgroundConfig(), ctx)
     seen = found.seen_ratio > 0.2
     assert seen.mean() > 0.9
     assert np.abs(found.background_rgb.astype(int) - wall[:, :WIDTH])[seen].mean() < 3.0
     assert iou(found.person_mask, truth[0][found.frame_index]) > MASK_IOU
-    assert any("camera moves" in text for text in ctx.warnings)
+    assert any("the camera travels" in text for text in ctx.warnings)
+
+
+def test_a_traveling_camera_leaves_the_first_frame_sharp(tmp_path: Path) -> None:
+    """Twice as far as the wall is, so that no frame can be aligned: what nobody hides is the first frame's own."""
+    wall = textured(6, 2 * WIDTH, HEIGHT)
+    clip, _ = make_clip(tmp_path / "clip.mp4", wall, [walk(20, 260)], shift_px=3.0)
+    center = np.arange(COUNT)[:, None] / WIDTH * [1.5, 0.0, 0.0]
+    tracks = PersonTracks((track_of(walk(20, 260), 1),), (1,))
+    found = make_background(clip, tracks, camera_of(clip, center=center), BackgroundConfig(), StageContext(tmp_path))
+    away = np.arange(WIDTH) > 20 + 2 * PERSON_W
+    assert np.abs(found.background_rgb.astype(int) - wall[:, :WIDTH])[:, away].mean() < 3.0
+
+
+def test_frames_of_another_perspective_are_not_aligned(tmp_path: Path) -> None:
+    clip, _ = make_clip(tmp_path / "clip.mp4", textured(6, WIDTH, HEIGHT), [[None] * 3])
+    H = camera_of(clip, center=np.array([[0.0, 0, 0], [0, 0, 0.49], [0, 0, 0.51]])).H_first_frame(np.arange(3))
+    # A camera half of the way to the wall sees it twice as large.
+    assert np.allclose(H[1] / H[1, 2, 2], [[0.51, 0, 0.49 * 159.5], [0, 0.51, 0.49 * 99.5], [0, 0, 1]])
+    assert np.isnan(H[2]).all()
 
 
 def test_work_is_done_at_reduced_size_and_in_few_samples(tmp_path: Path) -> None:
@@ -189,7 +246,9 @@ def test_work_is_done_at_reduced_size_and_in_few_samples(tmp_path: Path) -> None
     clip, _ = make_clip(tmp_path / "clip.mp4", wall, [lefts])
     tracks = PersonTracks((track_of(lefts, 1),), (1,))
     ctx = StageContext(tmp_path)
-    found = make_background(clip, tracks, BackgroundConfig(frame_step=2, max_samples=9, long_side_px=96), ctx)
+    found = make_background(
+        clip, tracks, camera_of(clip), BackgroundConfig(frame_step=2, max_samples=9, long_side_px=96), ctx
+    )
     assert found.person_mask.shape == (25, 60, 96)
     assert found.seen_ratio.shape == (60, 96)
     assert found.background_rgb.shape == (HEIGHT, WIDTH, 3)

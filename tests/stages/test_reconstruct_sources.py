@@ -267,7 +267,7 @@ def scene_with(scan: trimesh.Trimesh, path: Path, ctx: StageContext | None = Non
     scan.export(path)
     room = make_room(small=(32, 18))
     return build_scene(
-        room.clip, PlacedObjects(()), true_depth(room), DEPTH, true_masks(room, 1), room.background,
+        room.clip, room.camera, PlacedObjects(()), true_depth(room), DEPTH, true_masks(room, 1), room.background,
         SceneConfig(scan=str(path), sdf_spacing_m=0.35, **options), ctx or StageContext(Path()),  # type: ignore[arg-type]
     )  # fmt: skip
 
@@ -357,6 +357,6 @@ def test_a_scan_needs_a_readable_file_and_a_body(tmp_path: Path) -> None:
         for bodies, kind in ((room.bodies, InputError), (BodyTracks(()), StageError)):
             with pytest.raises(kind):
                 build_scene(
-                    room.clip, PlacedObjects(()), true_depth(room, bodies=bodies), DEPTH, true_masks(room, 1),
-                    room.background, SceneConfig(scan=str(tmp_path / name)), StageContext(Path()),
+                    room.clip, room.camera, PlacedObjects(()), true_depth(room, bodies=bodies), DEPTH,
+                    true_masks(room, 1), room.background, SceneConfig(scan=str(tmp_path / name)), StageContext(Path()),
                 )  # fmt: skip

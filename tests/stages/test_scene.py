@@ -57,7 +57,7 @@ def test_node_limit_is_kept() -> None:
     config = SceneConfig(max_nodes=20_000)
     ctx = StageContext(chain.ctx.work_dir)
     scene = build_scene(
-        unfilmed(room), chain.placed, chain.metric, chain.depth, chain.masks, room.background, config, ctx
+        room.clip, unfilmed(room), chain.placed, chain.metric, chain.depth, chain.masks, room.background, config, ctx
     )
     assert scene.sdf_m.size <= 20_000
     assert scene.sdf_spacing_m > config.sdf_spacing_m

@@ -94,7 +94,7 @@ def _clip(frame_count: int, path: Path = Path("clip.mp4"), *, width: int = WIDTH
     times = np.arange(frame_count) / FPS
     source = SourceInfo("h264", "yuv420p", width, height, 0, 1.0, FPS, frame_count, frame_count, times[-1], 0.0)
     shots = ((0.0, frame_count / FPS),)
-    return VideoClip(PayloadFile(path), width, height, FPS, times, times, source, shots, 0, True, 0.0, ())
+    return VideoClip(PayloadFile(path), width, height, FPS, times, times, source, shots, 0, ())
 
 
 @pytest.fixture

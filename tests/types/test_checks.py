@@ -68,9 +68,7 @@ def source() -> SourceInfo:
 
 def clip() -> VideoClip:
     time_s = np.arange(FRAMES) / 30
-    return VideoClip(
-        PayloadFile(Path("v.mp4")), 640, 360, 30.0, time_s, time_s, source(), ((0.0, 1.0),), 0, True, NAN, ()
-    )
+    return VideoClip(PayloadFile(Path("v.mp4")), 640, 360, 30.0, time_s, time_s, source(), ((0.0, 1.0),), 0, ())
 
 
 def depth() -> DepthClip:
@@ -204,7 +202,6 @@ def test_what_is_documented_as_unknown_is_taken() -> None:
     assert np.isnan(track().whole(7).score[3:]).all()
     assert replace(LENS, fx_px=np.float64(500)) is not None
     assert replace(placed(), scale=1) is not None
-    assert np.isnan(replace(clip(), camera_drift_ratio=NAN).camera_drift_ratio)
 
 
 def test_a_track_beyond_the_clip_is_refused_in_one_line() -> None:

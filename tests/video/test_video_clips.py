@@ -36,7 +36,7 @@ def make_clip(path: Path, count: int = COUNT, width: int = 160, height: int = 96
     info = SourceInfo("h264", "yuv420p", width, height, 0, 1.0, 30.0, count, count, count / 30, 0.0)
     time_s = np.arange(count) / 30
     path_file = PayloadFile(path)
-    return VideoClip(path_file, width, height, 30.0, time_s, time_s, info, ((0.0, count / 30),), 0, True, 0.0, ())
+    return VideoClip(path_file, width, height, 30.0, time_s, time_s, info, ((0.0, count / 30),), 0, ())
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_reading_stops_at_missing_frames(tmp_path: Path) -> None:
     claims_more = make_clip(tmp_path / "long.mp4", 20)
     broken = VideoClip(
         short.video, short.width_px, short.height_px, 30.0, claims_more.frame_time_s, claims_more.source_time_s,
-        short.source, short.shots_s, 0, True, 0.0, (),
+        short.source, short.shots_s, 0, (),
     )  # fmt: skip
     with pytest.raises(InputError, match="want frame 10"):
         list(read_frames(broken))

@@ -102,6 +102,16 @@ def inpaint_unobserved(
     return np.where(hole[..., None], painted, background)
 
 
+def with_own_pixels(
+    background: UInt8[np.ndarray, "height width 3"],
+    first: UInt8[np.ndarray, "height width 3"],
+    people: Bool[np.ndarray, "small_height small_width"],
+) -> UInt8[np.ndarray, "height width 3"]:
+    """The first frame, and the background image where people are in it."""
+    rows, columns = _nearest(first.shape[0], people.shape[0]), _nearest(first.shape[1], people.shape[1])
+    return np.where(people[rows][:, columns, None], background, first)
+
+
 def _nearest(length: int, small_length: int) -> np.ndarray:
     """Row (or column) of a small picture that holds each one of a larger picture."""
     return np.minimum(((np.arange(length) + 0.5) * small_length / length).astype(int), small_length - 1)

@@ -27,8 +27,8 @@ class MedianSamples:
     row: Int[np.ndarray, "median_samples"]
     """Which of the mask frames they are."""
     rgb: UInt8[np.ndarray, "median_samples height width 3"]
-    H_reference_frame: Float[np.ndarray, "samples 3 3"]
-    """For every mask frame; identity for a static camera, NaN where it could not be registered."""
+    H_first_frame: Float[np.ndarray, "samples 3 3"]
+    """For every mask frame; identity for a static camera, NaN where it shows another perspective."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +95,7 @@ def excluded_from_median(
     """Pixels that the median excludes from each of its samples: people, and what is outside of an aligned frame."""
     excluded = person[samples.row].copy()
     for k, row in enumerate(samples.row):
-        H = samples.H_reference_frame[row]
+        H = samples.H_first_frame[row]
         if not np.array_equal(H, np.eye(3)):
             H_small = raster.T_small_image @ H @ np.linalg.inv(raster.T_small_image)
             free = cv2.warpPerspective(
@@ -125,7 +125,7 @@ def people_masks(
         by_id = {t.person_id: person_probability(t, int(frame), raster) for t in tracks.people}
         main = nobody if main_id is None else by_id.pop(main_id, nobody)
         others = np.max([nobody, *by_id.values()], axis=0)
-        ground, ground_known = _background_in_frame(small_background, known, samples.H_reference_frame[row], raster)
+        ground, ground_known = _background_in_frame(small_background, known, samples.H_first_frame[row], raster)
         difference = lab_difference(raster.reduce(picture), ground)
         people.any_person[row] = refine_mask(np.maximum(main, others), difference, ground_known)
         people.selected[row] = refine_mask(main, difference, ground_known) & (main >= others)
@@ -136,15 +136,15 @@ def people_masks(
 def _background_in_frame(
     small_background: UInt8[np.ndarray, "small_height small_width 3"],
     known: Bool[np.ndarray, "small_height small_width"],
-    H_reference_frame: Float[np.ndarray, "3 3"],
+    H_first_frame: Float[np.ndarray, "3 3"],
     raster: Raster,
 ) -> tuple[UInt8[np.ndarray, "small_height small_width 3"], Bool[np.ndarray, "small_height small_width"]]:
     """The background image warped into the frame, and where it is known."""
-    if np.array_equal(H_reference_frame, np.eye(3)):
+    if np.array_equal(H_first_frame, np.eye(3)):
         return small_background, known
-    if not np.isfinite(H_reference_frame).all():
+    if not np.isfinite(H_first_frame).all():
         return small_background, np.zeros_like(known)
-    H_small = np.linalg.inv(raster.T_small_image @ H_reference_frame @ np.linalg.inv(raster.T_small_image))
+    H_small = np.linalg.inv(raster.T_small_image @ H_first_frame @ np.linalg.inv(raster.T_small_image))
     size = (raster.width_px, raster.height_px)
     moved_known = cv2.warpPerspective(known.astype(np.float32), H_small, size) > 0.99
     return cv2.warpPerspective(small_background, H_small, size), moved_known

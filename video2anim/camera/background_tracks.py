@@ -1,20 +1,38 @@
-"""Points of the background tracked from frame to frame (pyramidal Lucas-Kanade flow on Shi-Tomasi corners)."""
+"""Points of the background tracked from frame to frame (pyramidal Lucas-Kanade flow on Shi-Tomasi corners), and whether
+the camera moves."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from video2anim.background.person_masks import generous_masks
+from video2anim.background.person_segmentation import Raster
+from video2anim.types import PersonTracks, VideoClip
+from video2anim.video import read_frames
+
+STATIC_DRIFT_RATIO = 0.005
+"""A camera is static if its background drifts by at most this share of the image width."""
+MIN_POINTS = 12
+"""Least points that locate a frame: twice those that determine it without errors."""
+_MASK_SIDE_PX = 384
+"""Long side of the masks of people, the working size of stage background."""
+_GRID = 4
+"""Cells of the image across and down, over which drift is measured."""
+_COARSE_STEPS = 20
+"""Steps over the clip after which a camera that has not moved is static; otherwise every frame is looked at."""
+
 _WORK_SIDE_PX = 960
 """Long side of the image in which points are tracked."""
 _POINTS = 500
 """Points that are tracked at a time. New ones are added when a quarter of them is lost."""
-_SPACING_RATIO = 0.015
-"""Distance between points, as a share of the long side: 500 of them fill half of an image of 4:3."""
+_SPACING_RATIO = 0.025
+"""Distance between points, as a share of the long side: 500 of them fill most of an image, so that no person whom
+nobody tracks can have more than its part."""
 _CORNER_QUALITY = 0.003
 """Least eigenvalue of the structure tensor over the largest in the image: corners of dim regions count too."""
 _WINDOW_PX, _PYRAMID_LEVELS = 21, 4
@@ -51,6 +69,79 @@ def track_background(
         points.append(point)
         pixels.append(pixel)
     return BackgroundTracks(np.concatenate(frames), np.concatenate(points), np.concatenate(pixels))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BackgroundMotion:
+    """What the background shows of a camera's motion."""
+
+    tracks: BackgroundTracks
+    """In all frames; in a few, spread over the clip, if the camera is static."""
+    drift_ratio: float
+    """Largest displacement of points since they were first seen, as a share of the image width; NaN if the background
+    has too little texture."""
+
+    @property
+    def is_static(self) -> bool:
+        """Whether the camera is; one of which nothing is known counts as static."""
+        return not self.drift_ratio > STATIC_DRIFT_RATIO
+
+    def warnings(self) -> list[str]:
+        """What a user should know of it."""
+        if np.isnan(self.drift_ratio):
+            return ["camera motion is unknown (too little background texture); the camera is taken as static"]
+        if self.is_static:
+            return []
+        return [
+            f"the camera moves: the background drifts by {100 * self.drift_ratio:.1f} % of the image width "
+            f"(static: below {100 * STATIC_DRIFT_RATIO:.1f} %); its path is estimated, and the scene is what the first "
+            "frame shows"
+        ]
+
+
+def background_motion(clip: VideoClip, people: PersonTracks) -> BackgroundMotion:
+    """Track the background of a clip, and measure how far it drifts.
+
+    Raises:
+        InputError: the clip's video cannot be read.
+    """
+    coarse = max(1, (clip.frame_count - 1) // _COARSE_STEPS)
+    for step in (coarse, 1):
+        tracks = track_background(read_frames(clip, step=step), _people_masks(clip, people, step))
+        drift_px, followed = _drift(tracks, np.array([clip.width_px, clip.height_px]))
+        found = BackgroundMotion(tracks, float(drift_px / clip.width_px))
+        if followed and found.is_static:
+            break
+    return found
+
+
+def _people_masks(clip: VideoClip, people: PersonTracks, step: int) -> Iterator[np.ndarray]:
+    raster = Raster.of_clip(clip.width_px, clip.height_px, _MASK_SIDE_PX)
+    for frame in range(0, clip.frame_count, step):
+        yield generous_masks(people, np.array([frame]), raster)[0]
+
+
+def _drift(tracks: BackgroundTracks, size_px: Int[np.ndarray, "2"]) -> tuple[float, bool]:
+    """Largest displacement of points since they were first seen, in pixels, and whether every next frame shows at least
+    a quarter of them.
+
+    That of a frame is the median over the cells of a grid of the median vector in each: errors of points on little
+    texture cancel, and people fill few cells.
+    """
+    _, first, of = np.unique(tracks.point, return_index=True, return_inverse=True)
+    moved_px = tracks.pixel - tracks.pixel[first[of]]
+    old = tracks.frame > tracks.frame[first[of]]
+    cell = (tracks.pixel / size_px * _GRID).astype(int) @ [1, _GRID]
+    begin = np.searchsorted(tracks.frame, np.arange(tracks.frame.max(initial=-1) + 2))
+    drifts, followed, before = [], True, 0
+    for own in map(slice, begin[:-1], begin[1:]):
+        found, where = moved_px[own][old[own]], cell[own][old[own]]
+        followed &= 4 * len(found) >= before
+        before = own.stop - own.start
+        if len(found) >= MIN_POINTS:
+            each = [np.median(found[where == one], axis=0) for one in np.unique(where)]
+            drifts.append(np.median(np.linalg.norm(each, axis=1)))
+    return float(max(drifts, default=np.nan)), followed and len(drifts) > 0
 
 
 class _Tracker:

@@ -7,7 +7,6 @@ by the result.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -15,15 +14,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation, Slerp
 
-from video2anim.background.person_masks import generous_masks
-from video2anim.background.person_segmentation import Raster
-from video2anim.camera.background_tracks import BackgroundTracks, track_background
+from video2anim.camera.background_tracks import MIN_POINTS, BackgroundMotion, BackgroundTracks
 from video2anim.camera.bundle_adjustment import Observations, Poses, adjust, cost_of, errors, known_points, locate
-from video2anim.types import Intrinsics, PersonTracks, VideoClip
-from video2anim.video import read_frames
+from video2anim.types import Intrinsics
 
-_MASK_SIDE_PX = 384
-"""Long side of the masks of people, the working size of stage background."""
 _SIGMA_RATIO = 0.001
 """Standard deviation of a tracked point over the long side of the image: one pixel of 960."""
 _KEYFRAME_SHIFT = 0.03
@@ -40,8 +34,6 @@ _SAME_ERROR = 2.0
 """A camera only turns unless a path explains the median point so many times better. Inverse depths of pure noise in two
 keyframes make it 1.24 times better (half-normal and Rayleigh distribution), a bed on which children jump 1.45, cameras
 in the hands 3.3 and more (`video2anim run` on the clips of `benchmarks/real_clips.py` and `moving_cameras.py`)."""
-_MIN_POINTS = 12
-"""Least points that locate a frame: twice those that determine it without errors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,21 +61,11 @@ class CameraPath:
         return found
 
 
-def camera_path(clip: VideoClip, tracks: PersonTracks, intrinsics: Intrinsics) -> CameraPath:
-    """Path of the clip's camera from all of its frames; a static camera's is known.
-
-    Raises:
-        InputError: the clip's video cannot be read.
-    """
-    if clip.camera_is_static:
-        return CameraPath(np.tile(np.eye(4), (clip.frame_count, 1, 1)), np.ones(clip.frame_count, bool), 0.0)
-    return path_of_tracks(track_background(read_frames(clip), _masks(clip, tracks)), clip.frame_count, intrinsics)
-
-
-def _masks(clip: VideoClip, tracks: PersonTracks) -> Iterator[np.ndarray]:
-    raster = Raster.of_clip(clip.width_px, clip.height_px, _MASK_SIDE_PX)
-    for frame in range(clip.frame_count):
-        yield generous_masks(tracks, np.array([frame]), raster)[0]
+def camera_path(motion: BackgroundMotion, frames: int, intrinsics: Intrinsics) -> CameraPath:
+    """Path of the camera in a clip of so many frames; a static camera's is known."""
+    if motion.is_static:
+        return CameraPath(np.tile(np.eye(4), (frames, 1, 1)), np.ones(frames, bool), 0.0)
+    return path_of_tracks(motion.tracks, frames, intrinsics)
 
 
 def path_of_tracks(tracks: BackgroundTracks, frames: int, intrinsics: Intrinsics) -> CameraPath:
@@ -138,7 +120,7 @@ def _keyframe_poses(seen: Observations, keyframes: int) -> tuple[Poses, Float[np
         own = seen.camera == camera
         looks = np.bincount(seen.point[seen.camera < camera], minlength=len(rho))
         sure = own & (looks[seen.point] > 1)
-        used = sure if sure.sum() >= _MIN_POINTS else own
+        used = sure if sure.sum() >= MIN_POINTS else own
         some = seen.point[used]
         R, center, _ = locate(
             known_points(poses, rho, seen)[some],
@@ -169,7 +151,7 @@ def _by_epipolar_geometry(seen: Observations, camera: int) -> list[tuple[Poses, 
     """A start for the first keyframes: the essential matrix of the first and the last of them, on a straight path. A
     fit that starts without translation does not find the way of a camera that moves forward."""
     shared = (seen.camera == camera) & (seen.anchor[seen.point] == 0)
-    if camera > _EPIPOLAR_KEYFRAMES or shared.sum() < _MIN_POINTS:
+    if camera > _EPIPOLAR_KEYFRAMES or shared.sum() < MIN_POINTS:
         return []
     first, last = seen.ray[seen.point[shared], :2], seen.seen[shared]
     E, _ = cv2.findEssentialMat(first, last, np.eye(3), cv2.USAC_MAGSAC, 0.999, seen.sigma)
@@ -214,7 +196,7 @@ def _all_frames(
         R[frame], center[frame] = R[frame - 1], center[frame - 1]
         own = np.arange(begin[frame], begin[frame + 1])
         own = own[row_of[tracks.point[own]] >= 0]
-        if len(own) < _MIN_POINTS:
+        if len(own) < MIN_POINTS:
             continue
         some = row_of[tracks.point[own]]
         R[frame], center[frame], error = locate(

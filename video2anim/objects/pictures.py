@@ -19,14 +19,14 @@ def with_paths(
     background: BackgroundImage,
     bodies: BodyTracks,
 ) -> Sequence[PlacedObject]:
-    """`with_moved_objects` of a clip; the objects as they are where the camera moves."""
+    """`with_moved_objects` of a clip whose camera is static."""
     pictures = pictures_of(clip, background)
     return objects if pictures is None else with_moved_objects(pictures, masks, bodies, objects)
 
 
 def pictures_of(clip: VideoClip, background: BackgroundImage) -> Pictures | None:
-    """Small pictures with where people are in them; None for a camera that moves."""
-    if not clip.camera_is_static or len(background.frame_index) < 2:
+    """Small pictures with where people are in them; None for a clip of one."""
+    if len(background.frame_index) < 2:
         return None
     step = int(background.frame_index[1])
     regular = np.flatnonzero(background.frame_index % step == 0)

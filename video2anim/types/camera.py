@@ -6,11 +6,14 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from pydantic import FiniteFloat, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from video2anim.types.checks import Checked
 from video2anim.types.storage import Holds
+
+_SAME_PERSPECTIVE = 0.5
+"""Of the usual distance of the background: images from farther apart show it in different perspectives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,3 +97,21 @@ class CameraEstimate(Checked):
     of the background, which images leave open (stage humans finds it in meters)."""
     up_evidence: tuple[UpEvidence, ...] = ()
     """The estimates of the single sources, for the fit of stage metric."""
+
+    @property
+    def travels(self) -> bool:
+        """Whether the camera changes its place."""
+        return bool(self.T_first_camera[:, :3, 3].any())
+
+    def H_first_frame(self, frame: Int[np.ndarray, "samples"]) -> Float[np.ndarray, "samples 3 3"]:
+        """Homographies from the pixels of some frames to those of the first one.
+
+        They are exact for a camera that only turns, and for what is at the usual distance in front of the first camera.
+        NaN where the camera has come half as far, from where it shows the background in another perspective.
+        """
+        K, R, center = self.intrinsics.matrix(), self.T_first_camera[frame, :3, :3], self.T_first_camera[frame, :3, 3]
+        in_camera = np.swapaxes(R, 1, 2) @ (np.eye(3) - center[:, :, None] * [0.0, 0.0, 1.0])
+        far = np.linalg.norm(center, axis=1) >= _SAME_PERSPECTIVE
+        in_camera[far] = np.eye(3)
+        H = K @ np.linalg.inv(in_camera) @ np.linalg.inv(K)
+        return np.where(far[:, None, None], np.nan, H)

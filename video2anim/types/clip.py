@@ -64,10 +64,6 @@ class VideoClip(Checked):
     shots_s: tuple[tuple[FiniteFloat, FiniteFloat], ...]
     """Start and end in source time of every shot found; the clip is one of them."""
     shot_index: NonNegativeInt
-    camera_is_static: bool
-    camera_drift_ratio: float
-    """Largest background displacement relative to the first frame, as a share of the image width; NaN if the
-    background has too few features."""
     warnings: tuple[str, ...]
 
     @property

@@ -45,7 +45,8 @@ ZERO = {
     "objects": ("chamfer", "center_error"),
 }
 ONE = {
-    "ingest": ("kept", "static"),
+    "ingest": ("kept",),
+    "camera": ("static",),
     "track": ("recall", "main_recall", "precision", "box_iou"),
     "motion": ("covered", "root_depth_bias", "contact_precision", "contact_recall", "contact_f1"),
     "background": ("mask_iou",),

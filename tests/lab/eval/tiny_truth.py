@@ -337,7 +337,7 @@ def _seen_values(folder: Path, tiny: Tiny) -> dict[type, Any]:
     time_s = np.arange(FRAMES) / FPS
     source = SourceInfo("h264", "yuv420p", *CLIP, 0, 1.0, 30.0, FRAMES, FRAMES, FRAMES / FPS, 0.0)
     clip = VideoClip(
-        PayloadFile(ingest / "video.mp4"), *CLIP, 30.0, time_s, time_s, source, ((0.0, FRAMES / FPS),), 0, True, 0.0, ()
+        PayloadFile(ingest / "video.mp4"), *CLIP, 30.0, time_s, time_s, source, ((0.0, FRAMES / FPS),), 0, ()
     )
     tracks = tuple(
         PersonTrack(

@@ -24,7 +24,6 @@ INGEST = (
     Quality("frames", math.nan, "count", "none"),
     Quality("fps", math.nan, "Hz", "none"),
     Quality("kept", math.nan, "ratio", "near_1"),
-    Quality("static", math.nan, "ratio", "higher"),
 )
 TRACK = (
     Quality("recall", math.nan, "ratio", "higher"),
@@ -34,6 +33,7 @@ TRACK = (
     Quality("id_switches", math.nan, "count", "lower"),
 )
 CAMERA = (
+    Quality("static", math.nan, "ratio", "higher"),
     Quality("focal_error", math.nan, "%", "lower"),
     Quality("fov_error", math.nan, "deg", "lower"),
     Quality("gravity_error", math.nan, "deg", "lower"),
@@ -50,13 +50,12 @@ _UNDEFINED = {
 
 
 def ingest_group(result: SceneResult, truth: Truth) -> Group:
-    """Frames, frame rate, and whether a fixed camera was recognized."""
+    """Frames and frame rate."""
     clip = result.clip
     numbers = {
         "frames": clip.frame_count,
         "fps": clip.fps,
         "kept": clip.frame_count / clip.fps / truth.duration_s,
-        "static": float(clip.camera_is_static == truth.is_static),
     }
     true = {"frames": len(truth.frame_time_s), "fps": truth.fps}
     return make_group("ingest", "Clip", INGEST, {"value": numbers}, truth=true)
@@ -86,7 +85,7 @@ def track_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
 
 
 def camera_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group:
-    """Focal length, gravity and height of the camera."""
+    """Whether a fixed camera was recognized; focal length, gravity and height of the camera."""
     camera, bodies = result.get(CameraEstimate), result.bodies
     true_size = truth.intrinsics
     true_first, first = _first_known(frames)
@@ -98,6 +97,7 @@ def camera_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group
         sigma_px = lens.fy_px * camera.focal_sigma_ratio
         gravity_rad = angle_rad(camera.up_camera, truth.up_camera[true_first])
         numbers |= {
+            "static": float(camera.is_static == truth.is_static),
             "focal_error": 100 * focal_px / true_size.fy_px,
             "fov_error": abs(_fov_y_deg(lens) - _fov_y_deg(true_size)),
             "gravity_error": math.degrees(gravity_rad),
