@@ -10,7 +10,7 @@ from pydantic import Field
 
 from video2anim.errors import StageError, UsageError
 from video2anim.pipeline.options import limits, model_of
-from video2anim.pipeline.stage import StageContext, StageSpec
+from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import PersonTrack, PersonTracks, Thumbnail, VideoClip
 
 if TYPE_CHECKING:
@@ -30,6 +30,8 @@ class TrackConfig:
     """Whom later stages work on: `largest`, `all`, or a person's ID."""
     model: Annotated[str, model_of("pose")] = "blazepose-heavy"
     """Landmark model of the table (`video2anim models list`)."""
+    finder: Annotated[str, model_of("finder", also=(NO_MODEL,))] = "objectron"
+    """Model of slot `finder` that detects people too: from behind, or in blur. `none` to do without."""
     scan_every_s: Annotated[float, limits("s", ge=0, le=3600)] = 0.5
     """Time between searches of the whole picture for further people."""
     min_detection_score: Annotated[float, limits(ge=0, le=1)] = 0.5
@@ -59,6 +61,7 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
     tracker = Tracker(
         ctx.model(config.model), clip.fps, scan_every_s=config.scan_every_s, max_lost_s=config.max_lost_s,
         min_detection_score=config.min_detection_score,
+        objects=None if config.finder == NO_MODEL else ctx.model(config.finder),
     )  # fmt: skip
     second, count = max(1, round(clip.fps)), clip.frame_count
     with frames_in_mapped_memory():
@@ -94,11 +97,13 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
 
 
 def _is_person(track: Track, min_frames: int, sure_frames: int) -> bool:
-    """Whether a track is long and convincing enough; one of less than a second, which may be a mixture of two bodies at
-    an occlusion, has to be as convincing as somebody new."""
-    from video2anim.tracking.person_detection import MIN_VISIBILITY_NEW
+    """Whether a track is long and convincing enough: its presence is on the average that of somebody new. One of less
+    than a second, which may be a mixture of two bodies at an occlusion, has to have the visibility of somebody new."""
+    from video2anim.tracking.person_detection import MIN_PRESENCE_NEW, MIN_VISIBILITY_NEW
 
     estimates = track.estimates.values()
+    if float(np.mean([found.presence for found in estimates])) < MIN_PRESENCE_NEW:
+        return False
     mean_visibility = float(np.mean([found.visibility.mean() for found in estimates]))
     min_visibility = _MIN_MEAN_VISIBILITY if len(estimates) >= sure_frames else MIN_VISIBILITY_NEW
     return len(estimates) >= min_frames and mean_visibility >= min_visibility
@@ -128,4 +133,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=10, models=("pose",))
+STAGE = StageSpec("track", track_people, version=11, models=("pose", "finder"))

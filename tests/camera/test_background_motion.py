@@ -47,8 +47,7 @@ def seen(wall: np.ndarray, shift_px: float, person_x: int | None = None) -> np.n
     M = np.array([[1, 0, -200 - shift_px], [0, 1, -100.0]])
     picture = cv2.warpAffine(wall, M, (WIDTH, HEIGHT), flags=cv2.INTER_LINEAR)
     if person_x is not None:
-        person = np.random.default_rng(9).integers(0, 256, (40, 15, 3), dtype=np.uint8)
-        picture[40:290, person_x : person_x + 100] = cv2.resize(person, (100, 250))
+        picture[40:290, person_x : person_x + 100] = wall[300:550, 20:120]
     noise = np.random.default_rng(int(100 * shift_px)).normal(0, 2, picture.shape)
     return np.clip(picture + noise, 0, 255).astype(np.uint8)
 

@@ -17,6 +17,7 @@ from video2anim.errors import ModelMissingError, StageError, UsageError
 from video2anim.networks import load_model
 from video2anim.networks.blazepose import BlazePose, PoseEstimate
 from video2anim.networks.blazepose_detector import Detections
+from video2anim.networks.objectron import FoundObject
 from video2anim.networks.roi import SquareRoi
 from video2anim.pipeline.stage import StageContext
 from video2anim.tracking import person_detection
@@ -36,6 +37,8 @@ class Walker:
     hidden: Container[int] = range(0)
     dim: Container[int] = range(0)
     """Frames in which too few landmarks are visible to tell a person who is not known."""
+    from_behind: bool = False
+    """Whether BlazePose's detector misses the person."""
 
 
 class FakePose:
@@ -55,7 +58,7 @@ class FakePose:
         rows = []
         for walker in (*self.walkers, *self.ghosts):
             x, y = np.subtract(walker.place(frame), (x0, y0))
-            if frame not in walker.hidden and 0 <= x < width and 0 <= y < height:
+            if not walker.from_behind and frame not in walker.hidden and 0 <= x < width and 0 <= y < height:
                 rows.append((x, y, walker.radius_px))
         values = np.array(rows).reshape(-1, 3)
         center, rim = values[:, :2], values[:, :2] - values[:, 2:] * [0.0, 1.0]
@@ -90,6 +93,17 @@ class FakePose:
         )
 
 
+class FakeObjects:
+    """Finds given walkers under given labels."""
+
+    def __init__(self, seen: list[tuple[Walker, str]]) -> None:
+        self.seen = seen
+
+    def find(self, image: np.ndarray, *, min_score: float) -> list[FoundObject]:
+        boxes = [np.add(np.tile(walker.place(int(image[0, 0, 0])), 2), [-30, -50, 30, 50]) for walker, _ in self.seen]
+        return [FoundObject(label, 0.5, box) for box, (_, label) in zip(boxes, self.seen, strict=True)]
+
+
 def _clip(frame_count: int, path: Path = Path("clip.mp4"), *, width: int = WIDTH, height: int = HEIGHT) -> VideoClip:
     times = np.arange(frame_count) / FPS
     source = SourceInfo("h264", "yuv420p", width, height, 0, 1.0, FPS, frame_count, frame_count, times[-1], 0.0)
@@ -99,13 +113,16 @@ def _clip(frame_count: int, path: Path = Path("clip.mp4"), *, width: int = WIDTH
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., PersonTracks]:
-    def track(pose: FakePose, frame_count: int, **config: object) -> PersonTracks:
+    def track(
+        pose: FakePose, frame_count: int, *, objects: FakeObjects | None = None, **config: object
+    ) -> PersonTracks:
         def read_frames(clip: VideoClip, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
             return (pose.picture(i) for i in range(start, clip.frame_count if stop is None else stop))
 
         monkeypatch.setattr(video2anim.video, "read_frames", read_frames)
-        ctx = StageContext(tmp_path, load_model=lambda _: pose)
-        return track_people(_clip(frame_count), TrackConfig(**config), ctx)  # type: ignore[arg-type]
+        ctx = StageContext(tmp_path, load_model=lambda name: objects if name == "objectron" else pose)
+        finder = "none" if objects is None else "objectron"
+        return track_people(_clip(frame_count), TrackConfig(finder=finder, **config), ctx)  # type: ignore[arg-type]
 
     return track
 
@@ -219,9 +236,23 @@ def test_very_short_clips(run: Callable[..., PersonTracks], frame_count: int) ->
 # --- real weights, real pictures
 
 
+def test_who_turns_the_back_is_found_by_the_second_detector(run: Callable[..., PersonTracks]) -> None:
+    """The landmark network confirms its boxes: a coat rack is nobody. Other labels are not looked at."""
+    places = [(150.0, 240.0), (350.0, 240.0), (550.0, 240.0)]
+    back, coat_rack, dog = (Walker(lambda t, place=place: place, from_behind=True) for place in places)  # type: ignore[misc]
+    pose = FakePose([back, dog], ghosts=[coat_rack])
+    objects = FakeObjects([(back, "person"), (coat_rack, "person"), (dog, "dog")])
+    tracks = run(pose, 10, objects=objects)
+    assert len(tracks.people) == 1
+    assert tracks.people[0].valid.all()
+    assert np.abs(tracks.people[0].box_px[:, [0, 2]].mean(axis=1) - 150.0).max() < 20.0
+    with pytest.raises(StageError, match="nobody found"):
+        run(pose, 10)
+
+
 def _real(path: Path, step: int, count: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PersonTracks:
     try:
-        pose = load_model("blazepose-heavy")
+        models = {name: load_model(name) for name in ("blazepose-heavy", "objectron")}
     except ModelMissingError as error:
         pytest.skip(f"weights are neither in the cache nor to be had: {error}")
     capture = cv2.VideoCapture(str(path))
@@ -235,7 +266,13 @@ def _real(path: Path, step: int, count: int, monkeypatch: pytest.MonkeyPatch, tm
             pictures.append(np.ascontiguousarray(bgr[:, :, ::-1]))
     monkeypatch.setattr(video2anim.video, "read_frames", lambda _, start=0, stop=None: iter(pictures[start:stop]))
     clip = _clip(count, path, width=width, height=height)
-    return track_people(clip, TrackConfig(), StageContext(tmp_path, load_model=lambda _: pose))
+    return track_people(clip, TrackConfig(), StageContext(tmp_path, load_model=models.__getitem__))
+
+
+def test_who_runs_away_in_blur_is_found(shared_media: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """BlazePose's detector alone finds nobody on this clip."""
+    tracks = _real(shared_media / "videos" / "monst3r_lady_running.mp4", 1, 60, monkeypatch, tmp_path)
+    assert tracks.selected()[0].valid.sum() > 30
 
 
 @pytest.mark.parametrize("camera", ["cam01", "cam02"])

@@ -30,9 +30,8 @@ _WORK_SIDE_PX = 960
 """Long side of the image in which points are tracked."""
 _POINTS = 500
 """Points that are tracked at a time. New ones are added when a quarter of them is lost."""
-_SPACING_RATIO = 0.025
-"""Distance between points, as a share of the long side: 500 of them fill most of an image, so that no person whom
-nobody tracks can have more than its part."""
+_SPACING_RATIO = 0.015
+"""Distance between points, as a share of the long side: 500 of them fill half of an image of 4:3."""
 _CORNER_QUALITY = 0.003
 """Least eigenvalue of the structure tensor over the largest in the image: corners of dim regions count too."""
 _WINDOW_PX, _PYRAMID_LEVELS = 21, 4

@@ -1,7 +1,8 @@
 """Every person in one image: detections at several zooms, each confirmed by the landmark network.
 
-The detector alone also fires on chairs and trees. The landmark network confirms a person by high presence, visible
-landmarks, and a crop that converges when it is refitted.
+BlazePose's detector wants a face or a torso; Objectron's detector also finds people from behind and in blur. Both also
+fire on chairs and trees. The landmark network confirms a person by high presence, visible landmarks, and a crop that
+converges when it is refitted.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from jaxtyping import Float, UInt8
 from video2anim.networks.blazepose import BlazePose, PoseEstimate, roi_of_detection
 from video2anim.networks.blazepose_detector import INPUT_PX, Detections, concatenate
 from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT
-from video2anim.networks.roi import SquareRoi
+from video2anim.networks.objectron import ObjectFinder
+from video2anim.networks.roi import CROP_MARGIN, SquareRoi
 from video2anim.networks.tiles import square_tiles
 
 MIN_PRESENCE_NEW = 0.9
@@ -27,6 +29,9 @@ MIN_VISIBILITY_NEW = 0.65
 """Mean probability that a landmark is seen, for somebody who is not tracked yet."""
 MIN_VISIBILITY_KEPT = 0.35
 """The same for somebody who was there in the frame before and may be half hidden."""
+MIN_OBJECT_SCORE = 0.4
+"""Of a person found by Objectron's detector. Confirmed crops without a person score up to 0.36, people up to 0.52
+(`benchmarks/person_detection.py`)."""
 _MAX_FITS = 4
 """Most fits of a crop until it stays."""
 _SETTLED = 0.1
@@ -43,14 +48,39 @@ _HIPS = [BLAZEPOSE_OF_KEYPOINT[name] for name in ("left_hip", "right_hip")]
 _TORSO = [BLAZEPOSE_OF_KEYPOINT[name] for name in ("left_shoulder", "right_shoulder")] + _HIPS
 
 
-def scan(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], *, min_score: float) -> list[SquareRoi]:
-    """Crops that may hold a person, best first, without duplicates: of the image and of square tiles at two zooms."""
+def scan(
+    pose: BlazePose,
+    image: UInt8[np.ndarray, "height width 3"],
+    *,
+    min_score: float,
+    objects: ObjectFinder | None = None,
+) -> list[SquareRoi]:
+    """Crops that may hold a person, best first, without duplicates: of the image and of square tiles at two zooms.
+
+    Args:
+        pose: BlazePose's detector, whose crops come first.
+        image: RGB picture.
+        min_score: Least score of its detections.
+        objects: Objectron's detector; None to do without.
+    """
     height, width = image.shape[:2]
     parts = [pose.detect(image, min_score=min_score)]
     for x0, y0, side in square_tiles(width, height, min_px=_MIN_TILE_PX):
         tile = image[y0 : y0 + side, x0 : x0 + side]
         parts.append(pose.detect(tile, min_score=min_score).shifted(x0, y0))
-    return _distinct(concatenate(parts))
+    rois = _distinct(concatenate(parts))
+    if objects is not None:
+        for item in objects.find(image, min_score=MIN_OBJECT_SCORE):
+            roi = roi_of_box(item.box_px)
+            if item.label == "person" and not any(overlaps(roi, other) for other in rois):
+                rois.append(roi)
+    return rois
+
+
+def roi_of_box(box_px: Float[np.ndarray, "4"]) -> SquareRoi:
+    """First crop of a person in a box x0, y0, x1, y1: upright, about its middle."""
+    middle, size = 0.5 * (box_px[:2] + box_px[2:]), box_px[2:] - box_px[:2]
+    return SquareRoi(float(middle[0]), float(middle[1]), CROP_MARGIN * float(max(size)), 0.0)
 
 
 def scan_near(

@@ -9,6 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from video2anim.networks.blazepose import BlazePose, PoseEstimate
 from video2anim.networks.blazepose_detector import box_iou
+from video2anim.networks.objectron import ObjectFinder
 from video2anim.networks.roi import SquareRoi
 from video2anim.tracking import person_detection as finder
 from video2anim.tracking.appearance import AppearanceDescriptor, clothing_histogram
@@ -111,13 +112,21 @@ class Tracker:
         scan_every_s: time between searches of the whole picture for further people.
         max_lost_s: time after which somebody lost is no longer looked for.
         min_detection_score: detections below are not looked at.
+        objects: second detector of people; None to do without.
     """
 
     def __init__(
-        self, pose: BlazePose, fps: float, *, scan_every_s: float, max_lost_s: float, min_detection_score: float
+        self,
+        pose: BlazePose,
+        fps: float,
+        *,
+        scan_every_s: float,
+        max_lost_s: float,
+        min_detection_score: float,
+        objects: ObjectFinder | None = None,
     ) -> None:
         self.tracks: list[Track] = []
-        self._pose, self._min_detection_score = pose, min_detection_score
+        self._pose, self._min_detection_score, self._objects = pose, min_detection_score, objects
         self._scan_every = max(1, round(scan_every_s * fps))
         self._max_lost = round(max_lost_s * fps)
         self._doubted: list[tuple[int, SquareRoi]] = []
@@ -183,7 +192,7 @@ class Tracker:
         self.tracks = [track for track in self.tracks if track.estimates]
 
     def _scan(self, frame: int, image: np.ndarray) -> None:
-        rois = finder.scan(self._pose, image, min_score=self._min_detection_score)
+        rois = finder.scan(self._pose, image, min_score=self._min_detection_score, objects=self._objects)
         self._admit(frame, image, rois)
 
     def _admit(self, frame: int, image: np.ndarray, rois: list[SquareRoi]) -> None:

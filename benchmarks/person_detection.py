@@ -1,0 +1,93 @@
+"""Who is found in single images by BlazePose's detector, and who more by Objectron's.
+
+    python benchmarks/person_detection.py SCENE... --sheet people.png
+
+Scenes are folders of `video2anim run` (stage ingest at least). Prints for each, over images a second apart, how many
+people the first finds, and the scores of those that only the second finds (the
+landmark network confirms both); draws these into a contact sheet, one row a
+scene, on which to see whether they are people. `MIN_OBJECT_SCORE` in `video2anim/tracking/person_detection.py` comes
+from this script.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from video2anim.artifacts.codec import read_value
+from video2anim.networks import load_model
+from video2anim.networks.blazepose import BlazePose, PoseEstimate
+from video2anim.networks.objectron import ObjectFinder
+from video2anim.pipeline.scene_folder import stage_folder
+from video2anim.tracking.person_detection import confirm, overlaps, roi_of_box, same_person, scan
+from video2anim.types import VideoClip
+from video2anim.video import read_frames
+
+MIN_BLAZEPOSE_SCORE = 0.5
+"""That of stage track."""
+MIN_OBJECT_SCORE = 0.2
+"""Of Objectron's detections here, below that of stage track."""
+IMAGES = 10
+"""Most images of a scene."""
+TILE_PX = (90, 150)
+COLUMNS = 14
+"""Of the contact sheet."""
+
+
+def main() -> None:
+    """Find, print, draw."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", type=Path, nargs="+")
+    parser.add_argument("--sheet", type=Path, help="PNG of the people that only Objectron's detector finds")
+    options = parser.parse_args()
+    pose, objects = load_model("blazepose-heavy"), load_model("objectron")
+    rows = []
+    for scene in options.scenes:
+        clip = read_value(VideoClip, stage_folder(scene, "ingest"))
+        first, scores, row = 0, [], np.zeros((TILE_PX[1], COLUMNS * TILE_PX[0], 3), np.uint8)
+        for image in read_frames(clip, stop=round(IMAGES * clip.fps), step=round(clip.fps)):
+            known: list[PoseEstimate] = []
+            for roi in scan(pose, image, min_score=MIN_BLAZEPOSE_SCORE):
+                found = confirm(pose, image, roi)
+                if found is not None and not any(same_person(found, other) for other in known):
+                    known.append(found)
+            first += len(known)
+            for score, found in more_people(pose, objects, image, known):
+                if len(scores) < COLUMNS:
+                    row[:, TILE_PX[0] * len(scores) :][:, : TILE_PX[0]] = tile(image, found, score)
+                scores.append(score)
+        rows.append(row)
+        sys.stdout.write(f"{scene.name}: {first}, more: {' '.join(f'{score:.2f}' for score in scores)}\n")
+        sys.stdout.flush()
+    if options.sheet:
+        cv2.imwrite(str(options.sheet), np.vstack(rows)[..., ::-1])
+
+
+def more_people(
+    pose: BlazePose, objects: ObjectFinder, image: np.ndarray, known: list[PoseEstimate]
+) -> Iterator[tuple[float, PoseEstimate]]:
+    """Confirmed people of Objectron's detector who are not known yet, and their scores; they become known."""
+    for item in objects.find(image, min_score=MIN_OBJECT_SCORE):
+        roi = roi_of_box(item.box_px)
+        if item.label != "person" or any(overlaps(roi, other.next_roi) for other in known):
+            continue
+        found = confirm(pose, image, roi)
+        if found is not None and not any(same_person(found, other) for other in known):
+            known.append(found)
+            yield item.score, found
+
+
+def tile(image: np.ndarray, found: PoseEstimate, score: float) -> np.ndarray:
+    """A person's box with the score."""
+    x0, y0, x1, y1 = np.maximum(found.box_px(), 0).astype(int)
+    shown = cv2.resize(image[y0 : y1 + 1, x0 : x1 + 1], TILE_PX)
+    return cv2.putText(shown, f"{score:.2f}", (2, 12), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 0))
+
+
+if __name__ == "__main__":
+    main()
