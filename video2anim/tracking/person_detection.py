@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -16,9 +17,11 @@ from jaxtyping import Float, UInt8
 from video2anim.networks.blazepose import BlazePose, PoseEstimate, roi_of_detection
 from video2anim.networks.blazepose_detector import INPUT_PX, Detections, concatenate
 from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT
-from video2anim.networks.objectron import ObjectFinder
 from video2anim.networks.roi import CROP_MARGIN, SquareRoi
 from video2anim.networks.tiles import square_tiles
+
+if TYPE_CHECKING:
+    from video2anim.networks.objectron import ObjectFinder
 
 MIN_PRESENCE_NEW = 0.9
 """Probability that a crop shows a person, for somebody who is not tracked yet. Not measured, nor are the limits below

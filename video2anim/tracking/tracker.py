@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from video2anim.networks.blazepose import BlazePose, PoseEstimate
 from video2anim.networks.blazepose_detector import box_iou
-from video2anim.networks.objectron import ObjectFinder
 from video2anim.networks.roi import SquareRoi
 from video2anim.tracking import person_detection as finder
 from video2anim.tracking.appearance import AppearanceDescriptor, clothing_histogram
 from video2anim.types import PersonTrack
+
+if TYPE_CHECKING:
+    from video2anim.networks.objectron import ObjectFinder
 
 _BETTER_VISIBILITY = 0.1
 """A second estimate of a tracked body replaces the first if its mean visibility is higher by this: a crop has slid off.
