@@ -33,8 +33,8 @@ MIN_VISIBILITY_NEW = 0.65
 MIN_VISIBILITY_KEPT = 0.35
 """The same for somebody who was there in the frame before and may be half hidden."""
 MIN_OBJECT_SCORE = 0.4
-"""Of a person found by Objectron's detector. Confirmed crops without a person score up to 0.36, people up to 0.52
-(`benchmarks/person_detection.py`)."""
+"""Of a person found by Objectron's detector. Confirmed crops of other objects score up to 0.39, one chair 0.41; people
+up to 0.51 (`benchmarks/person_detection.py`)."""
 _MAX_FITS = 4
 """Most fits of a crop until it stays."""
 _SETTLED = 0.1
