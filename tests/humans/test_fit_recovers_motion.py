@@ -11,7 +11,8 @@ from synthetic import planted_walk, true_keypoints
 
 from stages.camera import CameraConfig, estimate_camera
 from video2anim.body.anny_body import PHENOTYPES
-from video2anim.camera import image_camera
+from video2anim.camera import background_tracks, image_camera
+from video2anim.camera.background_tracks import BackgroundMotion, BackgroundTracks
 from video2anim.camera.up import up_by_lifter
 from video2anim.errors import StageError
 from video2anim.geometry.perspective_field import PerspectiveField, field_of_camera
@@ -124,6 +125,13 @@ def test_focal_length_is_recovered_from_any_start(filmed: Filmed, start_px: floa
     fit = fit_body(start, filmed.lifted, fit_focal=True, iterations=150)
     assert abs(np.log(fit.focal_px / FOCAL_PX)) < 0.08
     assert root_relative_error_m(fit, filmed.joints_camera_m) < 0.035
+
+
+@pytest.fixture(autouse=True)
+def static_background(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keypoints have no video; its background is that of a static camera."""
+    nothing = BackgroundTracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
+    monkeypatch.setattr(background_tracks, "background_motion", lambda *_: BackgroundMotion(nothing, 0.0))
 
 
 def as_stage_input(observed: Observations, focal_35mm: float = 0.0) -> tuple[VideoClip, PersonTracks]:
