@@ -3,10 +3,9 @@
     python benchmarks/person_detection.py SCENE... --sheet people.png
 
 Scenes are folders of `video2anim run` (stage ingest at least). Prints for each, over images a second apart, how many
-people the first finds, and the scores of those that only the second finds (the
-landmark network confirms both); draws these into a contact sheet, one row a
-scene, on which to see whether they are people. `MIN_OBJECT_SCORE` in `video2anim/tracking/person_detection.py` comes
-from this script.
+people the first finds, and the scores of those that only the second finds (the landmark network confirms both); draws
+these into a contact sheet, one row a scene, on which to see whether they are people. `MIN_OBJECT_SCORE` in
+`video2anim/tracking/person_detection.py` comes from this script.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from stages.track import TrackConfig
 from video2anim.artifacts.codec import read_value
 from video2anim.networks import load_model
 from video2anim.networks.blazepose import BlazePose, PoseEstimate
@@ -28,8 +28,6 @@ from video2anim.tracking.person_detection import confirm, overlaps, roi_of_box, 
 from video2anim.types import VideoClip
 from video2anim.video import read_frames
 
-MIN_BLAZEPOSE_SCORE = 0.5
-"""That of stage track."""
 MIN_OBJECT_SCORE = 0.2
 """Of Objectron's detections here, below that of stage track."""
 IMAGES = 10
@@ -52,7 +50,7 @@ def main() -> None:
         first, scores, row = 0, [], np.zeros((TILE_PX[1], COLUMNS * TILE_PX[0], 3), np.uint8)
         for image in read_frames(clip, stop=round(IMAGES * clip.fps), step=round(clip.fps)):
             known: list[PoseEstimate] = []
-            for roi in scan(pose, image, min_score=MIN_BLAZEPOSE_SCORE):
+            for roi in scan(pose, image, min_score=TrackConfig().min_detection_score):
                 found = confirm(pose, image, roi)
                 if found is not None and not any(same_person(found, other) for other in known):
                     known.append(found)

@@ -105,7 +105,7 @@ def background_motion(clip: VideoClip, people: PersonTracks) -> BackgroundMotion
         InputError: the clip's video cannot be read.
     """
     coarse = max(1, (clip.frame_count - 1) // _COARSE_STEPS)
-    for step in (coarse, 1):
+    for step in sorted({coarse, 1}, reverse=True):
         tracks = track_background(read_frames(clip, step=step), _people_masks(clip, people, step))
         drift_px, followed = _drift(tracks, np.array([clip.width_px, clip.height_px]))
         found = BackgroundMotion(tracks, float(drift_px / clip.width_px))

@@ -13,7 +13,8 @@ from video2anim.types.checks import Checked
 from video2anim.types.storage import Holds
 
 _SAME_PERSPECTIVE = 0.5
-"""Of the usual distance of the background: images from farther apart show it in different perspectives."""
+"""Of the usual distance of the background: images from farther apart show it in different perspectives. Not
+measured."""
 
 
 @dataclass(frozen=True, slots=True)
