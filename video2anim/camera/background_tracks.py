@@ -105,13 +105,17 @@ def background_motion(clip: VideoClip, people: PersonTracks) -> BackgroundMotion
         InputError: the clip's video cannot be read.
     """
     coarse = max(1, (clip.frame_count - 1) // _COARSE_STEPS)
-    for step in sorted({coarse, 1}, reverse=True):
-        tracks = track_background(read_frames(clip, step=step), _people_masks(clip, people, step))
-        drift_px, followed = _drift(tracks, np.array([clip.width_px, clip.height_px]))
-        found = BackgroundMotion(tracks, float(drift_px / clip.width_px))
-        if followed and found.is_static:
-            break
+    found, followed = _motion_by_steps(clip, people, coarse)
+    if coarse > 1 and not (followed and found.is_static):
+        found, _ = _motion_by_steps(clip, people, 1)
     return found
+
+
+def _motion_by_steps(clip: VideoClip, people: PersonTracks, step: int) -> tuple[BackgroundMotion, bool]:
+    """The motion over every `step`-th frame, and whether each shows enough of the points before."""
+    tracks = track_background(read_frames(clip, step=step), _people_masks(clip, people, step))
+    drift_px, followed = _drift(tracks, np.array([clip.width_px, clip.height_px]))
+    return BackgroundMotion(tracks, float(drift_px / clip.width_px)), followed
 
 
 def _people_masks(clip: VideoClip, people: PersonTracks, step: int) -> Iterator[np.ndarray]:
