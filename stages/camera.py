@@ -153,4 +153,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=17, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=18, models=("lifter", "camera"))

@@ -10,6 +10,7 @@ from video2anim.body.anny_body import ADULT, anny_model, shaped_body
 from video2anim.body.legs import LEGS
 from video2anim.geometry.projection import invert_rigid
 from video2anim.geometry.rotations import matrix_from_axis_angle
+from video2anim.humans.landmarks import with_landmarks
 from video2anim.types import BodyMotion, BodyShape, Intrinsics
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
@@ -114,7 +115,8 @@ def world_to_camera(motion: BodyMotion, frame: int) -> np.ndarray:
 
 
 def true_keypoints(motion: BodyMotion) -> np.ndarray:
-    """Keypoints (T, K, 3) of a motion in the world, by the body model's own rest points."""
-    rest = anny_model().rest_skeleton({name: torch.tensor(value) for name, value in motion.shape.parameters.items()})
+    """Keypoints (T, K, 3) of a motion in the world, where landmarks are on the body."""
+    shape = {name: torch.tensor(value) for name, value in motion.shape.parameters.items()}
+    rest = with_landmarks(anny_model().rest_skeleton(shape))
     _, R = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
     return rest.keypoints_m(torch.from_numpy(motion.joints_world_m).float(), torch.from_numpy(R).float()).numpy()

@@ -61,7 +61,6 @@ def test_static_camera_with_a_moving_person(wall: np.ndarray, tmp_path: Path, fr
     assert motion.warnings() == []
 
 
-@pytest.mark.xfail(strict=True, reason="corners are chosen by strength: most are on the person, whom no mask excludes")
 def test_static_camera_with_a_colorful_person_whom_nobody_tracks(wall: np.ndarray, tmp_path: Path) -> None:
     person = cv2.resize(np.random.default_rng(9).integers(0, 256, (40, 15, 3), dtype=np.uint8), (100, 250))
 

@@ -22,7 +22,7 @@ MIN_POINTS = 12
 _MASK_SIDE_PX = 384
 """Long side of the masks of people, the working size of stage background."""
 _GRID = 4
-"""Cells of the image across and down, over which drift is measured."""
+"""Cells of the image across and down, of which each has as many points and says how far it drifts."""
 _COARSE_STEPS = 20
 """Steps over the clip after which a camera that has not moved is static; otherwise every frame is looked at."""
 
@@ -134,7 +134,7 @@ def _drift(tracks: BackgroundTracks, size_px: Int[np.ndarray, "2"]) -> tuple[flo
     _, first, of = np.unique(tracks.point, return_index=True, return_inverse=True)
     moved_px = tracks.pixel - tracks.pixel[first[of]]
     old = tracks.frame > tracks.frame[first[of]]
-    cell = (tracks.pixel / size_px * _GRID).astype(int) @ [1, _GRID]
+    cell = _cell(tracks.pixel, size_px)
     begin = np.searchsorted(tracks.frame, np.arange(tracks.frame.max(initial=-1) + 2))
     drifts, followed, before = [], True, 0
     for own in map(slice, begin[:-1], begin[1:]):
@@ -145,6 +145,19 @@ def _drift(tracks: BackgroundTracks, size_px: Int[np.ndarray, "2"]) -> tuple[flo
             each = [np.median(found[where == one], axis=0) for one in np.unique(where)]
             drifts.append(np.median(np.linalg.norm(each, axis=1)))
     return float(max(drifts, default=np.nan)), followed and len(drifts) > 0
+
+
+def _cell(pixel: Float[np.ndarray, "points 2"], size_px: Int[np.ndarray, "2"]) -> Int[np.ndarray, "points"]:
+    """Cell of the grid that each point is in."""
+    return (pixel / size_px * _GRID).astype(int) @ [1, _GRID]
+
+
+def _first_of_each(group: Int[np.ndarray, "items"], most: int) -> Int[np.ndarray, "kept"]:
+    """The first so many items of every group."""
+    order = np.argsort(group, kind="stable")
+    _, begin, count = np.unique(group[order], return_index=True, return_counts=True)
+    rank = np.arange(len(group)) - np.repeat(begin, count)
+    return np.sort(order[rank < most])
 
 
 class _Tracker:
@@ -185,12 +198,16 @@ class _Tracker:
         allowed = free.astype(np.uint8)
         for x, y in np.round(self._at).astype(int):
             cv2.circle(allowed, (int(x), int(y)), int(spacing), 0, -1)
-        corners = cv2.goodFeaturesToTrack(image, _POINTS - len(self._at), _CORNER_QUALITY, spacing, mask=allowed)
+        corners = cv2.goodFeaturesToTrack(image, 0, _CORNER_QUALITY, spacing, mask=allowed)
         if corners is None:
             return
-        self._at = np.concatenate([self._at, corners[:, 0].astype(np.float32)])
-        self._point = np.r_[self._point, self._made + np.arange(len(corners))]
-        self._made += len(corners)
+        # The strongest of each cell: else something with much texture would have all of them.
+        both = np.concatenate([self._at, corners[:, 0].astype(np.float32)])
+        kept = _first_of_each(_cell(both, np.array(image.shape[::-1])), _POINTS // _GRID**2)
+        new = both[kept[kept >= len(self._at)]]
+        self._at = np.concatenate([self._at, new])
+        self._point = np.r_[self._point, self._made + np.arange(len(new))]
+        self._made += len(new)
 
 
 def _flow(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ from video2anim.body.anny_body import ADULT, PEOPLES_LENGTHS, AnnyModel
 from video2anim.geometry.robust import huber_of_square
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d
 from video2anim.humans.body_height import KNOWN_SIGMA_M
-from video2anim.humans.landmarks import KEYPOINT_TRUST
+from video2anim.humans.landmarks import KEYPOINT_TRUST, with_landmarks
 from video2anim.humans.lifter_input import LiftedBody
 from video2anim.humans.problem import Observations
 from video2anim.types.motion import ADULT_HEIGHT_SIGMA_M
@@ -130,7 +130,8 @@ class Objective:
         self._start_log_focal = float(np.log(k.fx_px))
         with torch.no_grad():
             phenotype = {name: torch.tensor(value) for name, value in base_shape.items()}
-            self.start_body_height_m = float(model.rest_skeleton(phenotype).body_height_m)
+            self.start_rest = with_landmarks(model.rest_skeleton(phenotype))
+        self.start_body_height_m = float(self.start_rest.body_height_m)
 
     def shape(self, parameters: Parameters) -> dict[str, torch.Tensor]:
         """Phenotypes in [0, 1] and lengths in [-1, 1]."""
@@ -150,7 +151,7 @@ class Objective:
 
     def predict(self, parameters: Parameters) -> Prediction:
         """Pose the body."""
-        rest = self.model.rest_skeleton(self.shape(parameters))
+        rest = with_landmarks(self.model.rest_skeleton(self.shape(parameters)))
         R_root = matrix_from_rot6d(parameters.root_rot6d)
         R = torch.cat([R_root[:, None], matrix_from_axis_angle(parameters.angles_rad)], 1)
         joints, R_camera_joint = forward_kinematics(

@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.ndimage import median_filter
 
-from video2anim.body.anny_body import PEOPLES_LENGTHS, anny_model
+from video2anim.body.anny_body import PEOPLES_LENGTHS, RestSkeleton, anny_model
 from video2anim.errors import StageError
 from video2anim.geometry.rotations import axis_angle_from_matrix, rot6d_from_matrix
 from video2anim.geometry.torch_threads import one_thread
+from video2anim.humans.landmarks import with_landmarks
 from video2anim.humans.lifter_input import LiftedBody
 from video2anim.humans.objective import PERSON, SHAPE_PARAMETERS, FitConfig, Objective, Parameters
 from video2anim.humans.problem import FittedBody, Observations
@@ -23,6 +24,11 @@ from video2anim.types.skeleton import forward_kinematics
 _USUAL_FRAMES = 31
 """Distances of the start are medians over so many frames: within half a second few people come much nearer.
 Not measured."""
+_LEAST_WEIGHT = 0.05
+"""Of landmarks that are not seen, as in the lifter's input: where nothing is seen, their guess is all there is."""
+
+_NEAREST_M = 0.1
+"""Nobody is nearer to the camera."""
 
 
 @one_thread()
@@ -55,7 +61,10 @@ def fit_body(
         raise StageError("body fit: want at least one frame with landmarks, got none")
     base = dict.fromkeys(PEOPLES_LENGTHS, 0.0) | shape if shape else dict(PERSON)
     objective = Objective(observed, anny_model(), base, config or FitConfig(), lifted)
-    parameters = _start(observed, lifted) if warm is None else _start_warm(observed, objective, warm, base)
+    if warm is None:
+        parameters = _start(observed, lifted, objective.start_rest)
+    else:
+        parameters = _start_warm(observed, objective, warm, base)
     leaves = [parameters.root_rot6d, parameters.angles_rad, parameters.translation_m]
     rates = [0.02, 0.02, 0.02]
     if fit_shape:
@@ -91,7 +100,8 @@ def reposed(
     """The fitted body in other poses, with their joints and reprojection errors."""
     joints_m, R = forward_kinematics(R_parent_joint, translation_camera_m, fit.rest_joints_m)
     with torch.no_grad():
-        rest = anny_model().rest_skeleton({k: torch.tensor(float(v)) for k, v in fit.shape.parameters.items()})
+        shape = {k: torch.tensor(float(v)) for k, v in fit.shape.parameters.items()}
+        rest = with_landmarks(anny_model().rest_skeleton(shape))
         points_m = rest.keypoints_m(torch.from_numpy(joints_m).float(), torch.from_numpy(R).float()).numpy()
     k = observed.intrinsics
     shown_px = fit.focal_px * points_m[..., :2] / np.maximum(points_m[..., 2:], 0.1) + (k.cx_px, k.cy_px)
@@ -102,24 +112,45 @@ def reposed(
     )  # fmt: skip
 
 
-def _start(observed: Observations, lifted: LiftedBody) -> Parameters:
-    """The lifter's output under the focal length of the observations; frames without a person are as the nearest one
-    with."""
+def _start(observed: Observations, lifted: LiftedBody, rest: RestSkeleton) -> Parameters:
+    """The poses of the lifter, where their landmarks meet those of the image; frames without a person are as the
+    nearest one with."""
     valid = np.flatnonzero(observed.valid)
     nearest = valid[np.abs(np.arange(len(observed.valid))[:, None] - valid[None]).argmin(1)]
-    R, translation_m = lifted.R_parent_joint[nearest], lifted.translation_camera_m[nearest]
+    R = lifted.R_parent_joint[nearest]
+    joints_m, R_joint = forward_kinematics(_leaf(R), torch.zeros(len(R), 3), rest.rest_joints_m)
+    points_m = rest.keypoints_m(joints_m, R_joint).numpy().astype(np.float64)
+    translation_m = _met(observed, points_m, nearest)
     # Distances of single frames may be far off, where little is seen of the person.
     usual_m = median_filter(translation_m[:, 2], _USUAL_FRAMES, mode="nearest")
     translation_m *= (usual_m / translation_m[:, 2])[:, None]
-    translation_m[:, 2] *= observed.intrinsics.fx_px / lifted.focal_px
-
-    def leaf(array: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array)).float()
-
     return Parameters(
-        leaf(rot6d_from_matrix(R[:, 0])), leaf(axis_angle_from_matrix(R[:, 1:])), leaf(translation_m),
+        _leaf(rot6d_from_matrix(R[:, 0])), _leaf(axis_angle_from_matrix(R[:, 1:])), _leaf(translation_m),
         torch.zeros(len(SHAPE_PARAMETERS)), torch.tensor(float(np.log(observed.intrinsics.fx_px))),
     )  # fmt: skip
+
+
+def _met(
+    observed: Observations, points_m: Float[np.ndarray, "frames keypoints 3"], rows: Int[np.ndarray, "frames"]
+) -> Float[np.ndarray, "frames 3"]:
+    """Translations that bring points onto the landmarks of these rows: linear least squares across the image.
+
+    The distance is found from the size of the person in the image, so it is as good as the lens and the body's shape.
+    """
+    k = observed.intrinsics
+    ray = (np.nan_to_num(observed.keypoints_px[rows]) - [k.cx_px, k.cy_px]) / k.fx_px
+    zero, one = np.zeros(ray.shape[:2]), np.ones(ray.shape[:2])
+    weight = np.sqrt(np.maximum(observed.weight[rows], _LEAST_WEIGHT))[..., None]
+    slope = np.stack([np.stack([one, zero, -ray[..., 0]], -1), np.stack([zero, one, -ray[..., 1]], -1)], 2)
+    goal = (ray * points_m[..., 2:] - points_m[..., :2]) * weight
+    slope = (slope * weight[..., None]).reshape(len(rows), -1, 3)
+    across = slope.swapaxes(1, 2)
+    found_m = np.linalg.solve(across @ slope + 1e-9 * np.eye(3), across @ goal.reshape(len(rows), -1, 1))[..., 0]
+    return np.maximum(found_m, [-np.inf, -np.inf, _NEAREST_M])
+
+
+def _leaf(array: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array)).float()
 
 
 def _start_warm(observed: Observations, objective: Objective, warm: FittedBody, base: dict[str, float]) -> Parameters:
@@ -132,13 +163,10 @@ def _start_warm(observed: Observations, objective: Objective, warm: FittedBody, 
     translation[:, 2] *= observed.intrinsics.fx_px / warm.focal_px
     offset = [warm.shape.parameters.get(name, 0.0) - base[name] for name in SHAPE_PARAMETERS]
 
-    def leaf(array: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array)).float()
-
     return Parameters(
-        leaf(rot6d_from_matrix(warm.R_parent_joint[:, 0])),
-        leaf(axis_angle_from_matrix(warm.R_parent_joint[:, 1:])),
-        leaf(translation), torch.tensor(offset, dtype=torch.float32),
+        _leaf(rot6d_from_matrix(warm.R_parent_joint[:, 0])),
+        _leaf(axis_angle_from_matrix(warm.R_parent_joint[:, 1:])),
+        _leaf(translation), torch.tensor(offset, dtype=torch.float32),
         torch.tensor(float(np.log(observed.intrinsics.fx_px))),
     )  # fmt: skip
 
