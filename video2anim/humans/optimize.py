@@ -24,10 +24,10 @@ from video2anim.types.skeleton import forward_kinematics
 _USUAL_FRAMES = 31
 """Distances of the start are medians over so many frames: within half a second few people come much nearer.
 Not measured."""
-_LEAST_WEIGHT = 0.05
+_MIN_WEIGHT = 0.05
 """Of landmarks that are not seen, as in the lifter's input: where nothing is seen, their guess is all there is."""
 
-_NEAREST_M = 0.1
+_MIN_DEPTH_M = 0.1
 """Nobody is nearer to the camera."""
 
 
@@ -120,7 +120,7 @@ def _start(observed: Observations, lifted: LiftedBody, rest: RestSkeleton) -> Pa
     R = lifted.R_parent_joint[nearest]
     joints_m, R_joint = forward_kinematics(_leaf(R), torch.zeros(len(R), 3), rest.rest_joints_m)
     points_m = rest.keypoints_m(joints_m, R_joint).numpy().astype(np.float64)
-    translation_m = _met(observed, points_m, nearest)
+    translation_m = _meeting_m(observed, points_m, nearest)
     # Distances of single frames may be far off, where little is seen of the person.
     usual_m = median_filter(translation_m[:, 2], _USUAL_FRAMES, mode="nearest")
     translation_m *= (usual_m / translation_m[:, 2])[:, None]
@@ -130,7 +130,7 @@ def _start(observed: Observations, lifted: LiftedBody, rest: RestSkeleton) -> Pa
     )  # fmt: skip
 
 
-def _met(
+def _meeting_m(
     observed: Observations, points_m: Float[np.ndarray, "frames keypoints 3"], rows: Int[np.ndarray, "frames"]
 ) -> Float[np.ndarray, "frames 3"]:
     """Translations that bring points onto the landmarks of these rows: linear least squares across the image.
@@ -140,13 +140,13 @@ def _met(
     k = observed.intrinsics
     ray = (np.nan_to_num(observed.keypoints_px[rows]) - [k.cx_px, k.cy_px]) / k.fx_px
     zero, one = np.zeros(ray.shape[:2]), np.ones(ray.shape[:2])
-    weight = np.sqrt(np.maximum(observed.weight[rows], _LEAST_WEIGHT))[..., None]
+    weight = np.sqrt(np.maximum(observed.weight[rows], _MIN_WEIGHT))[..., None]
     slope = np.stack([np.stack([one, zero, -ray[..., 0]], -1), np.stack([zero, one, -ray[..., 1]], -1)], 2)
     goal = (ray * points_m[..., 2:] - points_m[..., :2]) * weight
     slope = (slope * weight[..., None]).reshape(len(rows), -1, 3)
     across = slope.swapaxes(1, 2)
     found_m = np.linalg.solve(across @ slope + 1e-9 * np.eye(3), across @ goal.reshape(len(rows), -1, 1))[..., 0]
-    return np.maximum(found_m, [-np.inf, -np.inf, _NEAREST_M])
+    return np.maximum(found_m, [-np.inf, -np.inf, _MIN_DEPTH_M])
 
 
 def _leaf(array: np.ndarray) -> torch.Tensor:
