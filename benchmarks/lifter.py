@@ -98,7 +98,7 @@ def estimates(folder: Path, network: Lifter) -> dict[str, Estimate]:
     track = tracks.selected()[0].whole(clip.frame_count)
     lifted = lift(observations(track, clip.frame_time_s, camera.intrinsics), network)
     rest_m = shaped_body(bodies.people[0].shape).rest_joints_m
-    lifted_m, _ = forward_kinematics(lifted.R_parent_joint, lifted.translation_camera_m, rest_m)
+    lifted_m, _ = forward_kinematics(lifted.R_parent_joint, np.zeros((len(track.valid), 3)), rest_m)
     joints_m = {
         "raw": track.landmarks_m[:, LANDMARKS], "lifter": lifted_m[:, LIMBS],
         "humans": bodies.people[0].joints_camera_m[:, LIMBS], "result": motion.joints_camera_m[:, LIMBS],

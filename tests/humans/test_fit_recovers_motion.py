@@ -228,8 +228,8 @@ def test_gravity_is_seen_in_whom_the_lifter_is_sure_of(filmed: Filmed) -> None:
 
     def body(up: np.ndarray, error_m: float) -> LiftedBody:
         return LiftedBody(
-            np.tile(np.eye(3), (frames, 22, 1, 1)), np.tile([0.0, 0.0, 4.0], (frames, 1)), np.zeros((frames, 8)),
-            np.tile(up, (frames, 1)), np.full((frames, 22), error_m), FOCAL_PX,
+            np.tile(np.eye(3), (frames, 22, 1, 1)), np.zeros((frames, 8)), np.tile(up, (frames, 1)),
+            np.full((frames, 22), error_m),
         )  # fmt: skip
 
     still = np.tile(np.eye(3), (frames, 1, 1))

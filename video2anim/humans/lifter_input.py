@@ -46,8 +46,6 @@ class LifterInput:
     R_camera_ray: Float[np.ndarray, "*batch frames 3 3"]
     size: Float[np.ndarray, "*batch frames"]
     """Root mean square distance of the seen keypoints' directions from the middle of the hips, at depth 1."""
-    focal_px: float
-    """Focal length under which the directions were computed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,23 +54,18 @@ class LiftedBody:
 
     R_parent_joint: Float[np.ndarray, "frames 22 3 3"]
     """Joint 0 is the root orientation in the camera."""
-    translation_camera_m: Float[np.ndarray, "frames 3"]
-    """Of the pelvis, for an adult of average build."""
     contact: Float[np.ndarray, "frames 8"]
     """Probabilities, in the order of `CONTACT_JOINTS`."""
     up_camera: Float[np.ndarray, "frames 3"]
     """Unit vector against gravity, estimated from the pose."""
     error_m: Float[np.ndarray, "frames 22"]
     """Error that the network predicts for each joint, relative to the pelvis."""
-    focal_px: float
-    """Focal length under which the distance was computed; the distance is proportional to it."""
 
     def rows(self, frames: Int[np.ndarray, "chosen"]) -> LiftedBody:
         """The output for some of the frames."""
         return LiftedBody(
-            self.R_parent_joint[frames], self.translation_camera_m[frames], self.contact[frames],
-            self.up_camera[frames], self.error_m[frames], self.focal_px,
-        )  # fmt: skip
+            self.R_parent_joint[frames], self.contact[frames], self.up_camera[frames], self.error_m[frames]
+        )
 
 
 def lifter_input(observed: Observations) -> LifterInput:
@@ -87,7 +80,7 @@ def lifter_input(observed: Observations) -> LifterInput:
     )
     R_ray_landmarks = np.swapaxes(R_camera_ray, -1, -2) @ landmark_rotation(center_px, k)
     points_ray_m = np.einsum("tab,tkb->tka", R_ray_landmarks, np.nan_to_num(observed.keypoints_m))
-    return ray_features(ray, R_camera_ray, points_ray_m, observed.weight, valid, focal_px=k.fx_px)
+    return ray_features(ray, R_camera_ray, points_ray_m, observed.weight, valid)
 
 
 def ray_features(
@@ -96,8 +89,6 @@ def ray_features(
     points_ray_m: Float[np.ndarray, "*batch frames keypoints 3"],
     visibility: Float[np.ndarray, "*batch frames keypoints"],
     valid: Bool[np.ndarray, "*batch frames"],
-    *,
-    focal_px: float = 1.0,
 ) -> LifterInput:
     """Features from viewing rays and 3D landmarks of the keypoints, of one clip or of many at once.
 
@@ -107,7 +98,6 @@ def ray_features(
         points_ray_m: 3D landmarks in the frame of the ray, with any origin.
         visibility: 0 to 1.
         valid: frames with a measurement; features of the others are zero.
-        focal_px: focal length of the rays; only stored.
     """
     seen = np.where(valid[..., None], visibility, 0.0)
     turned = ray_camera @ R_camera_ray  # rows: R^T ray
@@ -129,7 +119,7 @@ def ray_features(
         seen, np.log(size)[..., None], np.clip(motion, -2.0, 2.0), valid[..., None],
     ]  # fmt: skip
     features = np.concatenate(columns, -1) * valid[..., None]
-    return LifterInput(features.astype(np.float32), R_camera_ray, size, focal_px)
+    return LifterInput(features.astype(np.float32), R_camera_ray, size)
 
 
 def lifted_body(output: Float[np.ndarray, "frames outputs"], given: LifterInput) -> LiftedBody:
@@ -137,21 +127,18 @@ def lifted_body(output: Float[np.ndarray, "frames outputs"], given: LifterInput)
 
     Args:
         output: 22 rotations (6D, root in the frame of the ray), logarithm of depth x size, offset of the pelvis from
-            the ray (x, y, meters), contact logits, logarithms of expected errors, up in the frame of the ray.
+            the ray (x, y, meters), contact logits, logarithms of expected errors, up in the frame of the ray. Place and
+            depth are learned only: those by the landmarks in the image are better.
     """
     output = output.astype(np.float64)
     R = matrix_from_rot6d(output[:, :132].reshape(-1, 22, 6))
     R[:, 0] = given.R_camera_ray @ R[:, 0]
-    depth_m = np.exp(output[:, 132]) / given.size
-    pelvis_ray_m = np.concatenate([output[:, 133:135], depth_m[:, None]], 1)
     up_ray = output[:, -3:] / np.maximum(np.linalg.norm(output[:, -3:], axis=-1, keepdims=True), 1e-6)
     return LiftedBody(
         R,
-        np.einsum("tab,tb->ta", given.R_camera_ray, pelvis_ray_m),
         1.0 / (1.0 + np.exp(-output[:, CONTACT_OUTPUTS])),
         np.einsum("tab,tb->ta", given.R_camera_ray, up_ray),
         np.exp(np.clip(output[:, ERROR_OUTPUTS], *LOG_ERROR_RANGE)),
-        given.focal_px,
     )
 
 
