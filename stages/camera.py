@@ -55,7 +55,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     from video2anim.camera.background_tracks import background_motion
     from video2anim.camera.focal import estimate_focal, lift_track
     from video2anim.camera.path import camera_path
-    from video2anim.camera.up import up_by_lifter, up_evidence, up_of_people, with_image
+    from video2anim.camera.up import up_by_lifter, up_evidence, up_of_people, with_scene
     from video2anim.humans.body_height import expect_heights, height_of
     from video2anim.humans.problem import evenly_spread
 
@@ -81,7 +81,8 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     by_lifter = up_by_lifter(people, path.T_first_camera[:, :3, :3])
     duration_s = float(np.ptp(clip.frame_time_s[frames]))
     joints_m = np.einsum("tab,tjb->tja", path.T_first_camera[frames, :3, :3], focal.body.joints_camera_m)
-    up = with_image(up_of_people(joints_m, by_lifter, duration_s), image)
+    evidence = up_evidence(by_lifter, image, path.points)
+    up = with_scene(up_of_people(joints_m, by_lifter, duration_s), evidence)
     estimate = CameraEstimate(
         intrinsics=intrinsics,
         focal_source=focal.source,
@@ -91,7 +92,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
         up_sigma_rad=up.sigma_rad,
         is_static=motion.is_static,
         T_first_camera=path.T_first_camera,
-        up_evidence=up_evidence(by_lifter, image),
+        up_evidence=evidence,
     )
     if focal.contradicted_px is not None:
         ctx.warn(
@@ -153,4 +154,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=18, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=19, models=("lifter", "camera"))

@@ -152,6 +152,11 @@ def cost_of(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations, 
     return float(scale**2 * np.log1p(squared / scale**2).sum() + rho.any() * (((rho - 1) / _RHO_SIGMA) ** 2).sum())
 
 
+def rho_sigmas(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations) -> Float[np.ndarray, "points"]:
+    """Standard deviations of the inverse depths for known poses."""
+    return _Normal(poses, rho, seen, 1.0).rho_information ** -0.5
+
+
 class _Normal:
     """Normal equations at one state. Unknowns: six per camera (rotation vector, center), then inverse depths."""
 
@@ -178,11 +183,11 @@ class _Normal:
         H, g = (J.T @ J).tocsr(), J.T @ (error * np.sqrt(weight)[:, None]).ravel()
         split = 6 * cameras
         self._camera, self._mixed = H[6:split, 6:split].toarray(), H[6:split, split:]
-        self._own = H.diagonal()[split:] + 1 / _RHO_SIGMA**2
+        self.rho_information = H.diagonal()[split:] + 1 / _RHO_SIGMA**2
         self._g_camera, self._g_rho = g[6:split], g[split:] + (rho - 1) / _RHO_SIGMA**2
 
     def step(self, damping: float) -> tuple[Poses, np.ndarray]:
-        own = self._own * (1 + damping) if self._rho.any() else np.inf
+        own = self.rho_information * (1 + damping) if self._rho.any() else np.inf
         A = self._camera + np.diag(damping * self._camera.diagonal() + 1e-9)
         scaled = self._mixed.multiply(1 / own).tocsr()
         A -= (scaled @ self._mixed.T).toarray()

@@ -7,7 +7,7 @@ by the result.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,7 +15,16 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation, Slerp
 
 from video2anim.camera.background_tracks import MIN_POINTS, BackgroundMotion, BackgroundTracks
-from video2anim.camera.bundle_adjustment import Observations, Poses, adjust, cost_of, errors, known_points, locate
+from video2anim.camera.bundle_adjustment import (
+    Observations,
+    Poses,
+    adjust,
+    cost_of,
+    errors,
+    known_points,
+    locate,
+    rho_sigmas,
+)
 from video2anim.types import Intrinsics
 
 _SIGMA_RATIO = 0.001
@@ -30,6 +39,8 @@ _EPIPOLAR_KEYFRAMES = 8
 """Up to so many keyframes are also started from their epipolar geometry."""
 _START_SCALES = (8.0, 1.0)
 """Scales of Cauchy's cost from each start."""
+_DEPTH_SIGMA = 0.1
+"""Standard deviation of a point's depth, as a share of it, up to which it is known."""
 _SAME_ERROR = 2.0
 """A camera only turns unless a path explains the median point so many times better. Inverse depths of pure noise in two
 keyframes make it 1.24 times better (half-normal and Rayleigh distribution), a bed on which children jump 1.45, cameras
@@ -46,6 +57,8 @@ class CameraPath:
     """Frames with enough points; the others are interpolated."""
     residual_px: float
     """Median distance of the points from where the path has them."""
+    points: Float[np.ndarray, "points 3"]
+    """Points of the background whose depth is known, in the same axes and unit; none for a camera that only turns."""
 
     def faults(self, long_side_px: int) -> list[str]:
         """What is wrong with it, in words."""
@@ -64,7 +77,7 @@ class CameraPath:
 def camera_path(motion: BackgroundMotion, frames: int, intrinsics: Intrinsics) -> CameraPath:
     """Path of the camera in a clip of so many frames; a static camera's is known."""
     if motion.is_static:
-        return CameraPath(np.tile(np.eye(4), (frames, 1, 1)), np.ones(frames, bool), 0.0)
+        return CameraPath(np.tile(np.eye(4), (frames, 1, 1)), np.ones(frames, bool), 0.0, np.zeros((0, 3)))
     return path_of_tracks(motion.tracks, frames, intrinsics)
 
 
@@ -77,7 +90,9 @@ def path_of_tracks(tracks: BackgroundTracks, frames: int, intrinsics: Intrinsics
     keyframes = _keyframes(tracks, frames, _KEYFRAME_SHIFT * long_side_px)
     observed, row_of = _observations(tracks, seen, keyframes, sigma)
     poses, rho = _keyframe_poses(observed, len(keyframes))
-    return _all_frames(tracks, seen, row_of, (poses, rho, observed), frames, k.fx_px)
+    path = _all_frames(tracks, seen, row_of, (poses, rho, observed), frames, k.fx_px)
+    known = rho > rho_sigmas(poses, rho, observed) / _DEPTH_SIGMA
+    return replace(path, points=known_points(poses, rho, observed)[known] / rho[known, None])
 
 
 def _keyframes(tracks: BackgroundTracks, frames: int, shift_px: float) -> Int[np.ndarray, "keyframes"]:
@@ -210,4 +225,4 @@ def _all_frames(
     center = np.stack([np.interp(clamped, at, center[at, axis]) for axis in range(3)], 1)
     T = np.tile(np.eye(4), (frames, 1, 1))
     T[:, :3, :3], T[:, :3, 3] = R, center
-    return CameraPath(T, found, float(np.median(np.concatenate(off))))
+    return CameraPath(T, found, float(np.median(np.concatenate(off))), np.zeros((0, 3)))

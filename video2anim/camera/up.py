@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from video2anim.camera.ground_plane import ground_evidence
 from video2anim.geometry.perspective_field import FieldCamera
 from video2anim.humans.ground import LEVEL_CAMERA_SIGMA_RAD, UpEstimate, up_from_static_equilibrium
 from video2anim.humans.lifter_input import LiftedBody
@@ -48,21 +49,32 @@ def up_of_people(
     return UpEstimate(together / np.linalg.norm(together), sigma_rad, balance.support)
 
 
-def with_image(up: UpEstimate, image: FieldCamera | None) -> UpEstimate:
-    """Mean of the up directions by people and by the image, weighted by their variances."""
-    if image is None:
-        return up
-    weights = np.array([up.sigma_rad**-2, image.up_sigma_rad**-2])
-    together = weights @ np.stack([up.up, image.up_camera]) / weights.sum()
-    # Where the two disagree, neither is as certain as its standard deviation.
-    apart_rad = _angle_rad(up.up, image.up_camera)
-    sigma_rad = max(float(weights.sum() ** -0.5), 0.5 * apart_rad * float(min(weights) / max(weights)) ** 0.5)
-    return replace(up, up=together / np.linalg.norm(together), sigma_rad=sigma_rad)
+def with_scene(up: UpEstimate, evidence: Sequence[UpEvidence]) -> UpEstimate:
+    """Mean of the up directions by people and by what is seen of the scene (picture, ground), weighted by their
+    variances."""
+    for source in (one for one in evidence if one.source in ("picture", "ground")):
+        weights = np.array([up.sigma_rad**-2, source.sigma_rad**-2])
+        together = weights @ np.stack([up.up, source.up_camera]) / weights.sum()
+        # Where the two disagree, neither is as certain as its standard deviation.
+        apart_rad = _angle_rad(up.up, source.up_camera)
+        sigma_rad = max(float(weights.sum() ** -0.5), 0.5 * apart_rad * float(min(weights) / max(weights)) ** 0.5)
+        up = replace(up, up=together / np.linalg.norm(together), sigma_rad=sigma_rad)
+    return up
 
 
-def up_evidence(by_lifter: Float[np.ndarray, "3"], image: FieldCamera | None) -> tuple[UpEvidence, ...]:
-    """Every source of the up direction on its own, the most certain first."""
+def up_evidence(
+    by_lifter: Float[np.ndarray, "3"], image: FieldCamera | None, points: Float[np.ndarray, "points 3"]
+) -> tuple[UpEvidence, ...]:
+    """Every source of the up direction on its own.
+
+    Args:
+        by_lifter: Of people's poses.
+        image: Camera by the image, if known.
+        points: Background points of known depth that a traveling camera has passed, in the first camera's axes.
+    """
     sources = [] if image is None else [UpEvidence("picture", image.up_camera, image.up_sigma_rad)]
+    ground = ground_evidence(points, by_lifter if image is None else image.up_camera)
+    sources += [] if ground is None else [ground]
     sources.append(UpEvidence("lifter", by_lifter, _LIFTER_SIGMA_RAD))
     sources.append(UpEvidence("level camera", np.array([0.0, -1.0, 0.0]), LEVEL_CAMERA_SIGMA_RAD))
     return tuple(sources)

@@ -70,7 +70,8 @@ class UpEvidence(Checked):
     """Estimate of gravity from one source alone."""
 
     source: str
-    """`picture` (perspective fields and straight edges), `lifter` (people's poses) or `level camera`."""
+    """`picture` (perspective fields and straight edges), `ground` (the plane that a traveling camera passes), `lifter`
+    (people's poses) or `level camera`."""
     up_camera: Annotated[Float[np.ndarray, "3"], Holds.DIRECTION]
     """Unit vector against gravity in camera axes, first frame."""
     sigma_rad: NonNegativeFloat
