@@ -154,4 +154,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=19, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=20, models=("lifter", "camera"))

@@ -121,9 +121,6 @@ def _start(observed: Observations, lifted: LiftedBody, rest: RestSkeleton) -> Pa
     joints_m, R_joint = forward_kinematics(_leaf(R), torch.zeros(len(R), 3), rest.rest_joints_m)
     points_m = rest.keypoints_m(joints_m, R_joint).numpy().astype(np.float64)
     translation_m = _meeting_m(observed, points_m, nearest)
-    # Distances of single frames may be far off, where little is seen of the person.
-    usual_m = median_filter(translation_m[:, 2], _USUAL_FRAMES, mode="nearest")
-    translation_m *= (usual_m / translation_m[:, 2])[:, None]
     return Parameters(
         _leaf(rot6d_from_matrix(R[:, 0])), _leaf(axis_angle_from_matrix(R[:, 1:])), _leaf(translation_m),
         torch.zeros(len(SHAPE_PARAMETERS)), torch.tensor(float(np.log(observed.intrinsics.fx_px))),
@@ -136,17 +133,20 @@ def _meeting_m(
     """Translations that bring points onto the landmarks of these rows: linear least squares across the image.
 
     The distance is found from the size of the person in the image, so it is as good as the lens and the body's shape.
+    That of single frames may be far off, where little is seen of the person, so it is the median over time.
     """
     k = observed.intrinsics
     ray = (np.nan_to_num(observed.keypoints_px[rows]) - [k.cx_px, k.cy_px]) / k.fx_px
     zero, one = np.zeros(ray.shape[:2]), np.ones(ray.shape[:2])
-    weight = np.sqrt(np.maximum(observed.weight[rows], _MIN_WEIGHT))[..., None]
+    weight = np.maximum(observed.weight[rows], _MIN_WEIGHT)[..., None]
     slope = np.stack([np.stack([one, zero, -ray[..., 0]], -1), np.stack([zero, one, -ray[..., 1]], -1)], 2)
-    goal = (ray * points_m[..., 2:] - points_m[..., :2]) * weight
-    slope = (slope * weight[..., None]).reshape(len(rows), -1, 3)
-    across = slope.swapaxes(1, 2)
-    found_m = np.linalg.solve(across @ slope + 1e-9 * np.eye(3), across @ goal.reshape(len(rows), -1, 1))[..., 0]
-    return np.maximum(found_m, [-np.inf, -np.inf, _MIN_DEPTH_M])
+    goal = ray * points_m[..., 2:] - points_m[..., :2]
+    across = (slope * weight[..., None]).reshape(len(rows), -1, 3).swapaxes(1, 2)
+    curvature = across @ slope.reshape(len(rows), -1, 3) + 1e-9 * np.eye(3)
+    depth_m = np.linalg.solve(curvature, across @ goal.reshape(len(rows), -1, 1))[:, 2, 0]
+    depth_m = np.maximum(median_filter(depth_m, _USUAL_FRAMES, mode="nearest"), _MIN_DEPTH_M)
+    center_m = (weight * (goal + ray * depth_m[:, None, None])).sum(1) / weight.sum(1)
+    return np.concatenate([center_m, depth_m[:, None]], 1)
 
 
 def _leaf(array: np.ndarray) -> torch.Tensor:
