@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from video2anim.humans.initial import ray_rotation
 from video2anim.lab.eval.truth import read_truth
 from video2anim.lab.lifter.residuals import track_of, true_keypoints
 from video2anim.pipeline.scene_folder import stage_folder
-from video2anim.types import PersonTracks
+from video2anim.types import BodyMotion, PersonTrack, PersonTracks
 
 EVERY = 15
 FARTHEST_DEG = 25.0
@@ -38,24 +39,16 @@ def main() -> None:
     parser.add_argument("--scenes", type=Path, required=True)
     options = parser.parse_args()
     rays, turns = [], []
-    for folder in sorted(options.clips.iterdir()):
-        payload = stage_folder(options.scenes / folder.name, "track")
-        if not (folder / "meta.json").is_file() or not payload.is_dir():
-            continue
-        tracks = read_value(PersonTracks, payload)
-        for person in read_truth(folder).people:
-            track = track_of(person, true_keypoints(person), tracks)
-            if track is None:
-                continue
-            frames = np.flatnonzero(track.valid)[::EVERY]
-            center_px = track.landmarks_px[frames][:, HIPS].mean(1)
-            rays.append(np.degrees(axis_angle_from_matrix(ray_rotation(center_px, person.intrinsics))))
-            landmarks_m = track.landmarks_m[frames][:, LANDMARKS]
-            turns.append(
-                np.degrees(
-                    [turn(a, b) for a, b in zip(landmarks_m, person.joints_camera_m[frames][:, JOINTS], strict=True)]
-                )
+    for person, _, track in found_people(options.clips, options.scenes):
+        frames = np.flatnonzero(track.valid)[::EVERY]
+        center_px = track.landmarks_px[frames][:, HIPS].mean(1)
+        rays.append(np.degrees(axis_angle_from_matrix(ray_rotation(center_px, person.intrinsics))))
+        landmarks_m = track.landmarks_m[frames][:, LANDMARKS]
+        turns.append(
+            np.degrees(
+                [turn(a, b) for a, b in zip(landmarks_m, person.joints_camera_m[frames][:, JOINTS], strict=True)]
             )
+        )
     ray, needed = np.concatenate(rays), np.concatenate(turns)
     usual = np.abs(needed).max(1) < FARTHEST_DEG
     for axis, name in enumerate(("pitch (x)", "yaw (y)")):
@@ -67,6 +60,20 @@ def main() -> None:
         sys.stdout.write(
             f"{name}: slope {fit[0]:.2f} +- {spread:.2f} over {usual.sum()} frames of {len(rays)} people\n"
         )
+
+
+def found_people(clips: Path, scenes: Path) -> Iterator[tuple[BodyMotion, np.ndarray, PersonTrack]]:
+    """People of `video2anim synth`, their keypoints (frames, keypoints, 3) in the camera, and their tracks."""
+    for folder in sorted(clips.iterdir()):
+        payload = stage_folder(scenes / folder.name, "track")
+        if not (folder / "meta.json").is_file() or not payload.is_dir():
+            continue
+        tracks = read_value(PersonTracks, payload)
+        for person in read_truth(folder).people:
+            true_m = true_keypoints(person)
+            track = track_of(person, true_m, tracks)
+            if track is not None:
+                yield person, true_m, track
 
 
 def turn(points_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:

@@ -14,19 +14,15 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from landmark_axes import found_people
 
-from video2anim.artifacts.codec import read_value
 from video2anim.body.anny_body import KEYPOINT_NAMES, anny_model, shaped_body
 from video2anim.humans.landmarks import LANDMARK_ORDER, MIRROR_KEYPOINT
-from video2anim.lab.eval.truth import read_truth
-from video2anim.lab.lifter.residuals import track_of, true_keypoints
-from video2anim.pipeline.scene_folder import stage_folder
-from video2anim.types import BodyMotion, PersonTrack, PersonTracks
+from video2anim.types import BodyMotion, PersonTrack
 from video2anim.types.skeleton import forward_kinematics
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
@@ -52,7 +48,7 @@ def main() -> None:
     parser.add_argument("--clips", type=Path, required=True)
     parser.add_argument("--scenes", type=Path, required=True)
     options = parser.parse_args()
-    people = list(measured(options.clips, options.scenes))
+    people = [compared(*found) for found in found_people(options.clips, options.scenes)]
     sys.stdout.write(f"{len(people)} people; parts per thousand of the body's height\n")
     sys.stdout.write(
         "| keypoint | offset (left, up, front) | over people | distance before | after |\n|---|---|---|---|---|\n"
@@ -61,25 +57,10 @@ def main() -> None:
         each = np.stack([offset(name, [person]) for person in people])
         spread = np.median(np.abs(each - np.median(each, 0)), 0)
         found = offset(name, people)
-        slope, off, weight = both_sides(name, people)
-        seen = weight > 0.5 / len(people) / max(len(person.off) for person in people)
-        before, after = (np.median(np.linalg.norm(off - slope @ d, axis=-1)[seen]) for d in (np.zeros(3), found))
+        slope, off, _ = both_sides(name, people)
+        before, after = (np.median(np.linalg.norm(off - slope @ d, axis=-1)) for d in (np.zeros(3), found))
         numbers = (", ".join(f"{1000 * x:.0f}" for x in row) for row in (found, spread, [before], [after]))
         sys.stdout.write(f"| {name.removeprefix('left_')} | {' | '.join(numbers)} |\n")
-
-
-def measured(clips: Path, scenes: Path) -> Iterator[Person]:
-    """All people who were found."""
-    for folder in sorted(clips.iterdir()):
-        payload = stage_folder(scenes / folder.name, "track")
-        if not (folder / "meta.json").is_file() or not payload.is_dir():
-            continue
-        tracks = read_value(PersonTracks, payload)
-        for person in read_truth(folder).people:
-            true_m = true_keypoints(person)
-            track = track_of(person, true_m, tracks)
-            if track is not None:
-                yield compared(person, true_m, track)
 
 
 def compared(person: BodyMotion, true_m: np.ndarray, track: PersonTrack) -> Person:

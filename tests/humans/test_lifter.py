@@ -249,7 +249,9 @@ def test_known_height_scales_the_lifted_body(walk: Walk, network: Lifter) -> Non
     sizes = {}
     for body_height_m in (1.2, 1.55, 1.85):
         config = replace(FitConfig(), body_height_m=body_height_m, body_height_sigma_m=0.01)
-        sizes[body_height_m] = fit_body(walk.observed, lifted, fit_focal=False, iterations=400, config=config)
+        sizes[body_height_m] = fit_body(
+            walk.observed, lifted, fit_focal=False, iterations=HumansConfig().iterations, config=config
+        )
     for body_height_m, fit in sizes.items():
         ratio = fit.translation_camera_m[:, 2].mean() / sizes[1.85].translation_camera_m[:, 2].mean()
         assert ratio == pytest.approx(body_height_m / 1.85, rel=0.03)

@@ -35,13 +35,16 @@ LANDMARK_OFFSETS = {
 left, y up, z to the front): of 18 rendered people (`benchmarks/landmark_places.py`)."""
 
 
-def with_landmarks(rest: RestSkeleton) -> RestSkeleton:
-    """The skeleton with its keypoints where BlazePose sees them."""
-    offsets_m = torch.tensor([_offset(name) for name in KEYPOINT_NAMES]) * rest.body_height_m
-    return replace(rest, keypoint_offsets_m=rest.keypoint_offsets_m + offsets_m[:, None])
-
-
 def _offset(keypoint: str) -> tuple[float, float, float]:
     side, _, part = keypoint.partition("_")
     x, y, z = LANDMARK_OFFSETS[part or side]
     return (-x if side == "right" else x, y, z)
+
+
+_OFFSETS = torch.tensor([_offset(name) for name in KEYPOINT_NAMES])
+
+
+def with_landmarks(rest: RestSkeleton) -> RestSkeleton:
+    """The skeleton with its keypoints where BlazePose sees them."""
+    moved_m = _OFFSETS[:, None] * rest.body_height_m
+    return replace(rest, keypoint_offsets_m=rest.keypoint_offsets_m + moved_m)

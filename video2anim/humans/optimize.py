@@ -26,7 +26,6 @@ _USUAL_FRAMES = 31
 Not measured."""
 _MIN_WEIGHT = 0.05
 """Of landmarks that are not seen, as in the lifter's input: where nothing is seen, their guess is all there is."""
-
 _MIN_DEPTH_M = 0.1
 """Nobody is nearer to the camera."""
 
