@@ -1,8 +1,8 @@
 """Stage camera: focal length, up direction and path by user, metadata, perspective of the image, people, background.
 
-A network's perspective fields and the line segments of a few frames (`video2anim.camera.image_camera`) are the prior of
-a fit to the main person's body (`focal`); people's poses and balance are further evidence of the up direction (`up`).
-The path of a moving camera comes from points of the background (`path`).
+A network's perspective fields and the line segments of a few frames (`video2anim.camera.image_camera`) give focal
+length (`focal`) and up direction, of which people's poses are further evidence (`up`). The path of a moving camera
+comes from points of the background (`path`).
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from video2anim.errors import UsageError
-from video2anim.pipeline.options import Heights, limits, model_of, only_without
-from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
+from video2anim.pipeline.options import limits, model_of
+from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import CameraEstimate, Intrinsics, PersonTracks, VideoClip
 
 if TYPE_CHECKING:
     from video2anim.camera.background_tracks import BackgroundMotion
-    from video2anim.camera.image_camera import ImageCamera
     from video2anim.camera.path import CameraPath
+    from video2anim.geometry.perspective_field import FieldCamera
 
 
 @dataclass(frozen=True)
@@ -30,19 +30,13 @@ class CameraConfig:
 
     focal_px: Annotated[float, limits("px", gt=0, le=1_000_000)] | None = None
     """Known focal length in pixels of the upright video; it is not estimated then."""
-    height_m: Heights | None = None
-    """Known standing height in meters: of the main person, or by person's ID. The lens is fitted to the main person."""
-    frames: Annotated[int, limits(ge=1, le=10_000)] = 24
-    """Frames of the lens fit, spread over the clip."""
-    iterations: Annotated[int, limits(ge=2, le=100_000)] = 200
-    """Steps of the fit."""
     model: Annotated[str, model_of("lifter")] = "lifter"
-    """Model that lifts landmarks to bodies: start and prior of the fit."""
-    camera_model: Annotated[str, model_of("camera", also=(NO_MODEL,))] = "room-camera"
-    """Model of slot `camera` that gives perspective fields; `none` leaves the camera to the person alone."""
-    field_frames: Annotated[int, limits(ge=1, le=1000), only_without("camera_model", NO_MODEL)] = 3
+    """Model that lifts landmarks to bodies, whose poses tell gravity."""
+    camera_model: Annotated[str, model_of("camera")] = "room-camera"
+    """Model of slot `camera` that gives perspective fields."""
+    field_frames: Annotated[int, limits(ge=1, le=1000)] = 3
     """Frames whose fields are fitted together; one for a moving camera."""
-    line_segments: Annotated[bool, only_without("camera_model", NO_MODEL)] = True
+    line_segments: bool = True
     """Correct the camera of the fields by the line segments of the images."""
 
 
@@ -50,46 +44,28 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     """Intrinsics and up direction of the first frame's camera, with their uncertainty, and the camera's path.
 
     Raises:
-        UsageError: a focal length that no camera has, or a height of a person who is not selected.
+        UsageError: a focal length that no camera has.
     """
     from video2anim.camera.background_tracks import background_motion
-    from video2anim.camera.focal import estimate_focal, lift_track
+    from video2anim.camera.focal import estimate_focal
     from video2anim.camera.path import camera_path
-    from video2anim.camera.up import up_by_lifter, up_evidence, up_of_people, with_scene
-    from video2anim.humans.body_height import expect_heights, height_of
-    from video2anim.humans.problem import evenly_spread
+    from video2anim.camera.up import joint_up, lifted_people, up_by_lifter, up_evidence
 
     _expect_sane(config, clip)
-    expect_heights(config.height_m, tracks.selected_ids)
-    main = tracks.selected()[0].whole(clip.frame_count)
-    frames = evenly_spread(np.flatnonzero(main.valid), config.frames)
-    lifter = ctx.model(config.model)
-    lifted = lift_track(clip, main, lifter, config.focal_px)
     motion = background_motion(clip, tracks)
-    seen = _image_camera(clip, motion, config, ctx)
-    image = seen.camera if seen else None
-    focal = estimate_focal(
-        clip, main, lifted, frames, image,
-        focal_px=config.focal_px,
-        body_height_m=height_of(config.height_m, main.person_id, main_id=main.person_id),
-        iterations=config.iterations, on_step=ctx.progress,
-    )  # fmt: skip
-    others = [track for track in tracks.people if track.person_id != main.person_id]
-    people = [(lifted, main), *((lift_track(clip, other, lifter, config.focal_px), other) for other in others)]
+    image = _image_camera(clip, motion, config, ctx)
+    focal = estimate_focal(clip, image, config.focal_px)
     intrinsics = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
     path = camera_path(motion, clip.frame_count, intrinsics)
-    by_lifter = up_by_lifter(people, path.T_first_camera[:, :3, :3])
-    duration_s = float(np.ptp(clip.frame_time_s[frames]))
-    joints_m = np.einsum("tab,tjb->tja", path.T_first_camera[frames, :3, :3], focal.body.joints_camera_m)
-    evidence = up_evidence(by_lifter, image, path.points)
-    up = with_scene(up_of_people(joints_m, by_lifter, duration_s), evidence)
+    people = lifted_people(tracks, clip, intrinsics, ctx.model(config.model))
+    evidence = up_evidence(up_by_lifter(people, path.T_first_camera[:, :3, :3]), image, path.points)
+    up, up_sigma_rad = joint_up(evidence)
     estimate = CameraEstimate(
         intrinsics=intrinsics,
         focal_source=focal.source,
         focal_sigma_ratio=focal.sigma_ratio,
-        up_camera=up.up,
-        up_source="human" if image is None else "picture",
-        up_sigma_rad=up.sigma_rad,
+        up_camera=up,
+        up_sigma_rad=up_sigma_rad,
         is_static=motion.is_static,
         T_first_camera=path.T_first_camera,
         up_evidence=evidence,
@@ -97,7 +73,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     if focal.contradicted_px is not None:
         ctx.warn(
             f"the metadata's focal length of {focal.contradicted_px:.0f} px ({clip.source.focal_35mm:.0f} mm on full "
-            f"frame) contradicts the person's perspective (about {focal.focal_px:.0f} px) and is not used; set it by "
+            f"frame) contradicts the image's perspective (about {focal.focal_px:.0f} px) and is not used; set it by "
             "--focal-px if it is right"
         )
     _report(estimate, motion, path, ctx)
@@ -124,13 +100,9 @@ def _report(estimate: CameraEstimate, motion: BackgroundMotion, path: CameraPath
     ctx.quality("up_uncertainty", math.degrees(estimate.up_sigma_rad), "deg", "lower")
 
 
-def _image_camera(
-    clip: VideoClip, motion: BackgroundMotion, config: CameraConfig, ctx: StageContext
-) -> ImageCamera | None:
+def _image_camera(clip: VideoClip, motion: BackgroundMotion, config: CameraConfig, ctx: StageContext) -> FieldCamera:
     from video2anim.camera.image_camera import image_camera
 
-    if config.camera_model == NO_MODEL:
-        return None
     count = config.field_frames if motion.is_static else 1
     frames = np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int))
     found = image_camera(
@@ -142,7 +114,7 @@ def _image_camera(
         ctx.quality("focal_of_perspective_field", found.of_fields.focal_ratio * clip.height_px, "px")
     ctx.quality("focal_of_image", found.camera.focal_ratio * clip.height_px, "px")
     ctx.quality("focal_of_image_uncertainty", found.camera.focal_log_sigma, "ratio", "lower")
-    return found
+    return found.camera
 
 
 def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
@@ -154,4 +126,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=20, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=21, models=("lifter", "camera"))

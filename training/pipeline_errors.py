@@ -86,8 +86,8 @@ def estimated(simulated: SimulatedWindow, rng: np.random.Generator, folder: Path
     assumed = FOCAL_PX * float(np.exp(rng.normal(0.0, FOCAL_ERROR)))
     tilt = matrix_from_axis_angle(rng.normal(0.0, UP_ERROR_RAD, 3))
     camera = CameraEstimate(
-        Intrinsics(assumed, assumed, intrinsics.cx_px, intrinsics.cy_px, 1920, 1920), "human", FOCAL_ERROR,
-        tilt @ simulated.R_camera_world[:, 1], "human", UP_ERROR_RAD, True, np.tile(np.eye(4), (FRAMES, 1, 1)),
+        Intrinsics(assumed, assumed, intrinsics.cx_px, intrinsics.cy_px, 1920, 1920), "picture", FOCAL_ERROR,
+        tilt @ simulated.R_camera_world[:, 1], UP_ERROR_RAD, True, np.tile(np.eye(4), (FRAMES, 1, 1)),
     )  # fmt: skip
     context = StageContext(folder, load_model=load_model)
     bodies = recover_humans(_clip(folder), PersonTracks((track,), (1,)), camera, HumansConfig(), context)

@@ -52,7 +52,7 @@ def evidence_of(
     walk = replace(walk, T_world_camera=np.tile(T_world_camera, (FRAMES, 1, 1)), intrinsics=LENS)
     up = T_world_camera[1, :3].copy()
     camera = CameraEstimate(
-        LENS, "user", 0.01, up, "picture", 0.01, True, np.tile(np.eye(4), (FRAMES, 1, 1)),
+        LENS, "user", 0.01, up, 0.01, True, np.tile(np.eye(4), (FRAMES, 1, 1)),
         (UpEvidence("picture", up, 0.01),),
     )  # fmt: skip
     depth_m = np.where(mask, wrong * shot.depth_m, shot.depth_m)

@@ -52,7 +52,7 @@ def shaken(motion: BodyMotion) -> BodyMotion:
 def page() -> str:
     motion = walk(FRAMES)
     poses = np.tile(np.eye(4), (FRAMES, 1, 1))
-    camera = CameraEstimate(motion.intrinsics, "human", 0.06, np.array([0, -1.0, 0]), "level", 0.05, True, poses)
+    camera = CameraEstimate(motion.intrinsics, "picture", 0.06, np.array([0, -1.0, 0]), 0.05, True, poses)
     stages = (
         StageRow("ingest", "ran", 1, 2.5, 210.0, (Quality("frames", 40, "count", "none"),), ("the camera <moves>",)),
         StageRow("refine", "cached", 3, 12.25, 1210.0),
@@ -79,7 +79,7 @@ def test_page_is_well_formed_and_self_contained(page: str) -> None:
 
 
 def test_page_tells_camera_models_and_stages(page: str) -> None:
-    assert "500 ± 30 px, from human" in page
+    assert "500 ± 30 px, from picture" in page
     assert "blazepose-heavy</td><td>Apache-2.0" in page
     assert re.search(r"refine <small>v3</small></td><td>cached</td><td class=\"n\">12\.2", page)
     assert "storage box" in page

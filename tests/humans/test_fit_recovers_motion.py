@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from video2anim.humans.problem import FittedBody, Observations
 from video2anim.networks import load_model
 from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT
 from video2anim.pipeline.stage import StageContext
-from video2anim.types import Intrinsics, PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
+from video2anim.types import CameraEstimate, Intrinsics, PayloadFile, PersonTrack, PersonTracks, SourceInfo, VideoClip
 from video2anim.types.skeleton import forward_kinematics
 
 FOCAL_PX = 1100.0
@@ -81,7 +82,7 @@ def filmed() -> Filmed:
 
 @pytest.fixture(scope="module")
 def fitted(filmed: Filmed) -> FittedBody:
-    return fit_body(filmed.observed, filmed.lifted, fit_focal=False, iterations=150)
+    return fit_body(filmed.observed, filmed.lifted, iterations=150)
 
 
 def root_relative_error_m(fit: FittedBody, truth_m: np.ndarray) -> float:
@@ -103,7 +104,6 @@ def test_fit_is_consistent_in_itself(fitted: FittedBody) -> None:
     np.testing.assert_allclose(joints_m, fitted.joints_camera_m, atol=1e-4)
     identity = np.tile(np.eye(3), (len(joints_m), 22, 1, 1))
     np.testing.assert_allclose(fitted.R_parent_joint @ np.swapaxes(fitted.R_parent_joint, -1, -2), identity, atol=1e-5)
-    assert fitted.focal_px == pytest.approx(FOCAL_PX, rel=1e-5)
     assert np.nanmedian(fitted.reprojection_px) < 3 * NOISE_PX
     assert fitted.shape.model == "anny"
     assert all(-1 <= value <= 1 for value in fitted.shape.parameters.values())
@@ -111,20 +111,8 @@ def test_fit_is_consistent_in_itself(fitted: FittedBody) -> None:
 
 
 def test_fit_is_repeatable(filmed: Filmed) -> None:
-    again = [fit_body(filmed.observed, filmed.lifted, fit_focal=False, iterations=5).joints_camera_m for _ in range(2)]
+    again = [fit_body(filmed.observed, filmed.lifted, iterations=5).joints_camera_m for _ in range(2)]
     np.testing.assert_array_equal(*again)
-
-
-@pytest.mark.parametrize("start_px", [800.0, 1500.0])
-def test_focal_length_is_recovered_from_any_start(filmed: Filmed, start_px: float) -> None:
-    """A walk of 2 m towards the camera shows the lens: the estimate leaves the wrong start for the truth."""
-    o = filmed.observed
-    start = Observations(
-        o.frame_time_s, o.valid, o.keypoints_px, o.keypoints_m, o.weight, Intrinsics.centered(start_px, 1280, 720)
-    )
-    fit = fit_body(start, filmed.lifted, fit_focal=True, iterations=150)
-    assert abs(np.log(fit.focal_px / FOCAL_PX)) < 0.08
-    assert root_relative_error_m(fit, filmed.joints_camera_m) < 0.035
 
 
 @pytest.fixture(autouse=True)
@@ -149,39 +137,6 @@ def as_stage_input(observed: Observations, focal_35mm: float = 0.0) -> tuple[Vid
     return clip, PersonTracks((track,), (1,))
 
 
-def test_camera_stage_states_an_uncertainty_that_holds(filmed: Filmed) -> None:
-    """The focal length found by the stage is within two of its stated standard deviations."""
-    clip, tracks = as_stage_input(filmed.whole)
-    ctx = StageContext(Path(), load_model=load_model)
-    camera = estimate_camera(clip, tracks, CameraConfig(frames=15, iterations=100, camera_model="none"), ctx)
-    assert camera.focal_source == "human"
-    assert 0.02 < camera.focal_sigma_ratio <= 0.3
-    assert abs(np.log(camera.intrinsics.fx_px / FOCAL_PX)) < 2 * camera.focal_sigma_ratio
-    up = matrix_from_axis_angle(np.array([np.radians(12.0), 0, 0])) @ [0, -1.0, 0]
-    assert np.arccos(camera.up_camera @ up) < 2 * camera.up_sigma_rad
-    known = estimate_camera(
-        clip, tracks, CameraConfig(focal_px=900.0, frames=6, iterations=5, camera_model="none"), ctx
-    )
-    assert (known.intrinsics.fx_px, known.focal_source) == (900.0, "user")
-
-
-@pytest.mark.parametrize(("factor", "source"), [(1.0, "metadata"), (1.15, "metadata"), (4.0, "human"), (0.3, "human")])
-def test_metadata_is_used_unless_the_picture_contradicts_it(filmed: Filmed, factor: float, source: str) -> None:
-    """A file that gives the true 4 mm of a phone's lens for its equivalent on full frame is off by 6."""
-    focal_35mm = factor * FOCAL_PX * np.hypot(36, 24) / np.hypot(1280, 720)
-    clip, tracks = as_stage_input(filmed.whole, focal_35mm)
-    ctx = StageContext(Path(), load_model=load_model)
-    camera = estimate_camera(clip, tracks, CameraConfig(frames=12, iterations=80, camera_model="none"), ctx)
-    assert camera.focal_source == source
-    contradicted = [text for text in ctx.warnings if "contradicts" in text]
-    if source == "metadata":
-        assert camera.intrinsics.fx_px == pytest.approx(factor * FOCAL_PX, rel=1e-4)
-        assert not contradicted
-    else:
-        assert abs(np.log(camera.intrinsics.fx_px / FOCAL_PX)) < 0.2
-        assert len(contradicted) == 1
-
-
 class SeenField:
     """A network that sees one camera in every picture."""
 
@@ -195,28 +150,63 @@ class SeenField:
         return self._field
 
 
-@pytest.mark.parametrize(("factor", "sigma_rad", "share"), [(1.4, 0.005, 0.9), (1.4, 1.0, 0.0)])
-def test_the_picture_is_believed_as_far_as_it_is_sure(
-    filmed: Filmed, monkeypatch: pytest.MonkeyPatch, factor: float, sigma_rad: float, share: float
-) -> None:
-    """A sure field of another lens pulls the estimate most of the way to it, an unsure one leaves it alone."""
+UP = matrix_from_axis_angle(np.array([np.radians(12.0), 0, 0])) @ [0, -1.0, 0]
+"""Of the camera of `filmed`."""
+
+
+@pytest.fixture
+def camera_of(filmed: Filmed, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[CameraEstimate, StageContext]]:
+    """Runs the stage on keypoints and a perspective field, without a picture."""
     monkeypatch.setattr(image_camera, "read_frame", lambda *_: np.zeros((720, 1280, 3), np.uint8))
-    clip, tracks = as_stage_input(filmed.whole)
-    up = matrix_from_axis_angle(np.array([np.radians(12.0), 0, 0])) @ [0, -1.0, 0]
-    seen = SeenField(factor * FOCAL_PX, up, sigma_rad)
-    ctx = StageContext(Path(), load_model=lambda name: seen if name == "seen" else load_model(name))
-    found = {}
-    for name in ("none", "seen"):
-        config = CameraConfig(frames=12, iterations=60, camera_model=name)
-        found[name] = estimate_camera(clip, tracks, config, ctx)
-    assert found["seen"].focal_source == found["seen"].up_source == "picture"
-    moved = np.log(found["seen"].intrinsics.fx_px / found["none"].intrinsics.fx_px)
-    whole = np.log(factor * FOCAL_PX / found["none"].intrinsics.fx_px)
-    assert moved / whole == pytest.approx(share, abs=0.2)
-    off = [np.arccos(np.clip(found[name].up_camera @ up, -1, 1)) for name in ("none", "seen")]
-    assert off[1] < (0.5 * off[0] + 1e-3 if sigma_rad < 0.1 else off[0] + 0.01)
-    # The two deviations are taken at slightly different lenses, so that of a picture that tells nothing may be larger.
-    assert found["seen"].focal_sigma_ratio <= 1.03 * found["none"].focal_sigma_ratio
+
+    def run(
+        factor: float = 1.0, sigma_rad: float = 0.005, focal_35mm: float = 0.0, focal_px: float | None = None
+    ) -> tuple[CameraEstimate, StageContext]:
+        clip, tracks = as_stage_input(filmed.whole, focal_35mm)
+        seen = SeenField(factor * FOCAL_PX, UP, sigma_rad)
+        ctx = StageContext(Path(), load_model=lambda name: seen if name == "seen" else load_model(name))
+        return estimate_camera(clip, tracks, CameraConfig(focal_px=focal_px, camera_model="seen"), ctx), ctx
+
+    return run
+
+
+def test_the_users_focal_length_is_kept(camera_of: Callable[..., tuple[CameraEstimate, StageContext]]) -> None:
+    known, _ = camera_of(focal_px=900.0)
+    assert (known.intrinsics.fx_px, known.focal_source) == (900.0, "user")
+
+
+@pytest.mark.parametrize(
+    ("factor", "source"), [(1.0, "metadata"), (1.15, "metadata"), (4.0, "picture"), (0.3, "picture")]
+)
+def test_metadata_is_used_unless_the_picture_contradicts_it(
+    camera_of: Callable[..., tuple[CameraEstimate, StageContext]], factor: float, source: str
+) -> None:
+    """A file that gives the true 4 mm of a phone's lens for its equivalent on full frame is off by 6."""
+    camera, ctx = camera_of(focal_35mm=factor * FOCAL_PX * np.hypot(36, 24) / np.hypot(1280, 720))
+    assert camera.focal_source == source
+    contradicted = [text for text in ctx.warnings if "contradicts" in text]
+    if source == "metadata":
+        assert camera.intrinsics.fx_px == pytest.approx(factor * FOCAL_PX, rel=1e-4)
+        assert not contradicted
+    else:
+        assert abs(np.log(camera.intrinsics.fx_px / FOCAL_PX)) < 0.2
+        assert len(contradicted) == 1
+
+
+@pytest.mark.parametrize(("sigma_rad", "share"), [(0.005, 1.0), (1.0, 0.0)])
+def test_the_picture_is_believed_as_far_as_it_is_sure(
+    camera_of: Callable[..., tuple[CameraEstimate, StageContext]], sigma_rad: float, share: float
+) -> None:
+    """A sure field of another lens is followed; an unsure one leaves the usual focal length and the people's up."""
+    usual_px = 0.9 * 1280
+    camera, _ = camera_of(factor=1.4, sigma_rad=sigma_rad)
+    assert camera.focal_source == "picture"
+    whole = np.log(1.4 * FOCAL_PX / usual_px)
+    assert np.log(camera.intrinsics.fx_px / usual_px) / whole == pytest.approx(share, abs=0.1)
+    off_rad = np.arccos(np.clip(camera.up_camera @ UP, -1, 1))
+    assert off_rad < 2 * camera.up_sigma_rad
+    assert off_rad < (0.01 if share == 1 else 0.15)
+    assert camera.focal_sigma_ratio < 0.03 if share == 1 else 0.2 < camera.focal_sigma_ratio <= 0.3
 
 
 def test_gravity_is_seen_in_whom_the_lifter_is_sure_of(filmed: Filmed) -> None:
@@ -248,7 +238,7 @@ def test_frames_without_landmarks_are_bridged(filmed: Filmed) -> None:
     pixels, points, weight = o.keypoints_px.copy(), o.keypoints_m.copy(), o.weight.copy()
     pixels[~valid], points[~valid], weight[~valid] = np.nan, np.nan, 0.0
     seen = Observations(o.frame_time_s, valid, pixels, points, weight, LENS)
-    fit = fit_body(seen, filmed.lifted, fit_focal=False, iterations=120)
+    fit = fit_body(seen, filmed.lifted, iterations=120)
     assert np.isfinite(fit.joints_camera_m).all()
     assert np.isnan(fit.reprojection_px[~valid]).all()
     assert np.isfinite(fit.reprojection_px[valid]).all()
@@ -262,7 +252,6 @@ def test_nobody_is_refused(filmed: Filmed) -> None:
         fit_body(
             Observations(o.frame_time_s, ~o.valid, o.keypoints_px, o.keypoints_m, 0 * o.weight, LENS),
             filmed.lifted,
-            fit_focal=False,
         )
 
 

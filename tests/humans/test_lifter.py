@@ -199,7 +199,7 @@ def test_long_clips_go_through_in_pieces(network: Lifter, monkeypatch: pytest.Mo
 
 def test_the_fit_is_better_than_the_network_alone(walk: Walk, network: Lifter) -> None:
     lifted = lift(walk.observed, network)
-    fit = fit_body(walk.observed, lifted, fit_focal=False, iterations=100)
+    fit = fit_body(walk.observed, lifted, iterations=100)
     start_m = _start(walk.observed, lifted, _skeleton()).translation_m.numpy().astype(float)
     alone = reposed(walk.observed, fit, lifted.R_parent_joint, start_m)
     assert limbs_apart_m(fit.R_parent_joint, walk) < limbs_apart_m(lifted.R_parent_joint, walk) + 0.005
@@ -217,7 +217,7 @@ def test_a_joint_that_the_network_doubts_follows_the_landmarks(walk: Walk, netwo
         error_m = np.full((len(R), 22), 0.03)
         error_m[:, [shoulder, *arm]] = expected_m
         wrong = replace(lifted, R_parent_joint=R, error_m=error_m)
-        fit = fit_body(walk.observed, wrong, fit_focal=False, iterations=100)
+        fit = fit_body(walk.observed, wrong, iterations=100)
         off_m = fit.joints_camera_m - fit.joints_camera_m[:, :1] - walk.joints_camera_m + walk.joints_camera_m[:, :1]
         missed.append(float(np.linalg.norm(off_m[:, arm], axis=-1).mean()))
     assert missed[1] < 0.6 * missed[0]
@@ -226,7 +226,7 @@ def test_a_joint_that_the_network_doubts_follows_the_landmarks(walk: Walk, netwo
 def test_other_poses_of_a_fitted_body(walk: Walk, network: Lifter) -> None:
     """The same poses give the same body; jitter is taken out by the filter, and motion stays."""
     lifted = lift(walk.observed, network)
-    fit = fit_body(walk.observed, lifted, fit_focal=False, iterations=40)
+    fit = fit_body(walk.observed, lifted, iterations=40)
     same = reposed(walk.observed, fit, fit.R_parent_joint, fit.translation_camera_m)
     np.testing.assert_allclose(same.joints_camera_m, fit.joints_camera_m, atol=1e-4)
     np.testing.assert_allclose(same.reprojection_px, fit.reprojection_px, atol=0.1)
@@ -249,9 +249,7 @@ def test_known_height_scales_the_lifted_body(walk: Walk, network: Lifter) -> Non
     sizes = {}
     for body_height_m in (1.2, 1.55, 1.85):
         config = replace(FitConfig(), body_height_m=body_height_m, body_height_sigma_m=0.01)
-        sizes[body_height_m] = fit_body(
-            walk.observed, lifted, fit_focal=False, iterations=HumansConfig().iterations, config=config
-        )
+        sizes[body_height_m] = fit_body(walk.observed, lifted, iterations=HumansConfig().iterations, config=config)
     for body_height_m, fit in sizes.items():
         ratio = fit.translation_camera_m[:, 2].mean() / sizes[1.85].translation_camera_m[:, 2].mean()
         assert ratio == pytest.approx(body_height_m / 1.85, rel=0.03)
@@ -282,7 +280,7 @@ def test_a_long_clip_is_fitted_as_a_short_one(network: Lifter, monkeypatch: pyte
     )
     assert steps[-1][0] == steps[-1][1]
     assert [step for step, _ in steps] == sorted(step for step, _ in steps)
-    whole = fit_body(long.observed, lifted, fit_focal=False, iterations=80)
+    whole = fit_body(long.observed, lifted, iterations=80)
     assert limbs_apart_m(fit.R_parent_joint, long) < limbs_apart_m(whole.R_parent_joint, long) + 0.01
     joints, _ = forward_kinematics(fit.R_parent_joint, fit.translation_camera_m, fit.rest_joints_m)
     np.testing.assert_allclose(joints, fit.joints_camera_m, atol=1e-6)

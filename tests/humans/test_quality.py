@@ -39,7 +39,7 @@ def person(valid: np.ndarray | None = None) -> tuple[PersonTrack, Observations, 
     )  # fmt: skip
     fit = FittedBody(
         motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.joints_world_m, motion.rest_joints_m, motion.shape,
-        LENS.fx_px, np.where(seen[:, None], 5.0, np.nan) * np.ones(len(LANDMARK_ORDER)), 0.0,
+        np.where(seen[:, None], 5.0, np.nan) * np.ones(len(LANDMARK_ORDER)),
     )  # fmt: skip
     return track, observed, fit, motion
 

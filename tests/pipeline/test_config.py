@@ -97,8 +97,8 @@ def test_no_option_takes_nonsense(stage: str, name: str, option: Option) -> None
         ("reconstruct.command=make {mesh}", "{image} and {mesh}"),
         ("track.person=somebody", "'largest', 'all' or a person's ID, got 'somebody'"),
         ("ingest.start_s=.nan", "want a number from 0 to 1000000 s, got nan"),
-        ("camera.frames=yes", "want a whole number from 1 to 10000, got True"),
-        ("camera.frames=2.5", "want a whole number from 1 to 10000, got 2.5"),
+        ("camera.field_frames=yes", "want a whole number from 1 to 1000, got True"),
+        ("camera.field_frames=2.5", "want a whole number from 1 to 1000, got 2.5"),
         ("depth.hue_shifts_rad=[0.1, 7]", "a list, each a number from -3.1416 to 3.1416 rad"),
         ("scene.scan_shift_m=[1, 2]", "a list of 3, each a number"),
         ("refine.keyframe_noise_deg=-1", "want a number from 0 to 100 degrees, got -1"),
@@ -118,10 +118,10 @@ def test_two_options_that_contradict_each_other() -> None:
 
 def test_valid_values_stay_what_they_were() -> None:
     stages = with_sets(
-        "camera.focal_px=1e3", "camera.height_m=2", "track.person=3", "ingest.shot=1", "place.yaw_starts_deg=[1, 2]",
+        "camera.focal_px=1e3", "humans.height_m=2", "track.person=3", "ingest.shot=1", "place.yaw_starts_deg=[1, 2]",
         "humans.iterations=50", "segment.max_objects=0", "depth.provider=depth", "humans.model=lifter@x.onnx", "seed=7",
     ).stages  # fmt: skip
-    assert (stages["camera"].focal_px, stages["camera"].height_m) == (1000.0, 2.0)
+    assert (stages["camera"].focal_px, stages["humans"].height_m) == (1000.0, 2.0)
     assert (stages["track"].person, stages["ingest"].shot) == ("3", 1)
     assert stages["place"].yaw_starts_deg == (1.0, 2.0)
     assert (stages["humans"].iterations, stages["segment"].max_objects) == (50, 0)
@@ -134,7 +134,6 @@ def test_valid_values_stay_what_they_were() -> None:
 @pytest.mark.parametrize(
     "given",
     [
-        ("camera.camera_model=none", "camera.field_frames=5"),
         ("export.preview=false", "export.preview_height_px=100"),
         ("scene.scan_up=z",),
         ("scene.scan=room.ply", "scene.walked_m=2"),
@@ -146,16 +145,16 @@ def test_an_option_that_means_nothing_is_an_error(given: tuple[str, ...]) -> Non
 
 
 def test_what_is_chosen_later_may_make_an_option_of_a_preset_meaningless() -> None:
-    layers = [("preset", {"camera": {"field_frames": 5}}), ("--set", {"camera": {"camera_model": "none"}})]
-    assert resolve(NODES, "p", layers).stages["camera"].field_frames == 5
-    layers[0][1]["camera"]["camera_model"] = "none"
-    with pytest.raises(UsageError, match=r"camera\.field_frames: means nothing"):
+    layers = [("preset", {"export": {"preview_height_px": 100}}), ("--set", {"export": {"preview": False}})]
+    assert resolve(NODES, "p", layers).stages["export"].preview_height_px == 100
+    layers[0][1]["export"]["preview"] = False
+    with pytest.raises(UsageError, match=r"export\.preview_height_px: means nothing"):
         resolve(NODES, "p", layers[:1])
 
 
 def test_a_record_of_a_run_is_taken_as_it_is() -> None:
     """It names every option, so none of them was chosen against another."""
-    layers = [("preset", {"camera": {"field_frames": 5}}), ("--set", {"camera": {"camera_model": "none"}})]
+    layers = [("preset", {"export": {"preview_height_px": 100}}), ("--set", {"export": {"preview": False}})]
     before = resolve(NODES, "p", layers)
     assert resolve(NODES, "p", [("run.json", before.as_dict())]) == before
 
@@ -271,7 +270,7 @@ def test_sets_of_one_stage_come_together() -> None:
 
 @pytest.mark.parametrize(
     "sets",
-    [("seed=1", "seed.x=2"), ("depth=3", "depth.far_m=1"), ("camera.frames=" + "[" * 5000,), ("a.b=!!int x",),
+    [("seed=1", "seed.x=2"), ("depth=3", "depth.far_m=1"), ("camera.field_frames=" + "[" * 5000,), ("a.b=!!int x",),
      ("a.b=*x",), ("depth={1: 2}",), ("depth={far_m: 1, far_m: 2}",), ("\udcff.x=1",), ("depth.\n=1",),
      ("camera.model=\"a\\0b\"",), ("camera.model=\"\\ud800\"",), ("x" * 70_000 + "=1",)],
 )  # fmt: skip

@@ -176,7 +176,7 @@ def make_room(
     background = BackgroundImage(background_rgb, 1 - masks.mean(0), index, masks, masks)
     up_camera = T_world_camera[1, :3].copy()
     camera = CameraEstimate(
-        motion.intrinsics, "user", 0.01, up_camera, "user", 0.01, True, np.tile(np.eye(4), (frames, 1, 1)),
+        motion.intrinsics, "user", 0.01, up_camera, 0.01, True, np.tile(np.eye(4), (frames, 1, 1)),
         (UpEvidence("picture", up_camera, 0.01),),
     )  # fmt: skip
     return Room(clip_of(motion), background, BodyTracks((motion,), (SURE,)), camera, depth_m, surface, surface_full)

@@ -110,7 +110,7 @@ def camera_of(clip: VideoClip, turn: np.ndarray | None = None, center: np.ndarra
     T[:, :3, :3] = np.eye(3) if turn is None else turn
     T[:, :3, 3] = 0 if center is None else center
     still = turn is None and center is None
-    return CameraEstimate(lens, "user", 0.0, np.array([0.0, -1.0, 0.0]), "user", 0.0, still, T)
+    return CameraEstimate(lens, "user", 0.0, np.array([0.0, -1.0, 0.0]), 0.0, still, T)
 
 
 def walk(start: int, stop: int, count: int = COUNT) -> list[int | None]:

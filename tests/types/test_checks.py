@@ -90,9 +90,7 @@ def background() -> BackgroundImage:
 
 
 def camera() -> CameraEstimate:
-    return CameraEstimate(
-        LENS, "user", 0.1, np.array([0.0, -1.0, 0.0]), "user", 0.1, True, np.tile(np.eye(4), (FRAMES, 1, 1))
-    )
+    return CameraEstimate(LENS, "user", 0.1, np.array([0.0, -1.0, 0.0]), 0.1, True, np.tile(np.eye(4), (FRAMES, 1, 1)))
 
 
 def path() -> ObjectPath:

@@ -133,7 +133,7 @@ def _median_size(value: Float[np.ndarray, "height width"]) -> float:
 def _up_evidence(camera: CameraEstimate) -> tuple[UpEvidence, ...]:
     """Sources of gravity; the camera's own estimate where none is recorded. None is better than a pixel at the focal
     length."""
-    own = UpEvidence(camera.up_source, camera.up_camera, camera.up_sigma_rad)
+    own = UpEvidence("camera", camera.up_camera, camera.up_sigma_rad)
     sources = camera.up_evidence or (own,)
     return tuple(replace(one, sigma_rad=max(one.sigma_rad, 1 / camera.intrinsics.fx_px)) for one in sources)
 

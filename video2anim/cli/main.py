@@ -104,9 +104,7 @@ def run_command(
     if focal_px is not None:
         shortcuts["camera"] = {"focal_px": focal_px}
     if heights:
-        known = parse_heights(heights)
-        shortcuts.setdefault("camera", {})["height_m"] = known
-        shortcuts["humans"] = {"height_m": known}
+        shortcuts["humans"] = {"height_m": parse_heights(heights)}
     request = compose.RunRequest(
         out, video, preset, [("--set", parse_set(sets or [])), ("option", shortcuts)], start, until, overwrite,
         _edits(keep_edits, discard_edits), device_of(device),

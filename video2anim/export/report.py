@@ -215,6 +215,6 @@ def _camera_facts(camera: CameraEstimate | None) -> list[tuple[str, str]]:
         ("focal length", f"{lens.fy_px:.0f} ± {sigma_px:.0f} px, from {camera.focal_source}"),
         ("vertical field of view", f"{fov_y_deg:.1f}°"),
         ("picture", f"{lens.width_px} x {lens.height_px} px"),
-        ("up direction", f"± {math.degrees(camera.up_sigma_rad):.1f}°, from {camera.up_source}"),
+        ("up direction", f"± {math.degrees(camera.up_sigma_rad):.1f}°"),
         ("motion", "static" if camera.is_static else "moving"),
     ]

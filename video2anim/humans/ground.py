@@ -1,8 +1,6 @@
-"""Up direction and floor from a moving body."""
+"""Floor and balance of a moving body."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -23,21 +21,9 @@ SUPPORT_WINDOW_S = 0.6
 """People who stand, walk or run have a foot on the ground at least once in this time."""
 LEVEL_GAP_M = 0.25
 """Heights with a larger gap between them are different levels of ground."""
-LEVEL_CAMERA_SIGMA_RAD = 0.35
-"""Cameras are held level to about 20 degrees."""
 SOLE_SIGMA_M = 0.03
 """Standard deviation of the height of a standing sole: the spread of floor heights of stage humans on clips with one
 floor. Heights that spread by twice as much are not of one level."""
-_FEET = ("left_ankle", "right_ankle", "left_foot", "right_foot")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UpEstimate:
-    up: Float[np.ndarray, "3"]
-    """Unit vector, in the frame of the joints."""
-    sigma_rad: float
-    support: float
-    """Share of frames that agree within 20 degrees."""
 
 
 def center_of_mass(joints_m: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "frames 3"]:
@@ -47,39 +33,6 @@ def center_of_mass(joints_m: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarr
     for start, end, share in _SEGMENTS:
         total += share / mass * 0.5 * (joints_m[:, JOINT_INDEX[start]] + joints_m[:, JOINT_INDEX[end]])
     return total
-
-
-def up_from_static_equilibrium(
-    joints_camera_m: Float[np.ndarray, "frames 22 3"],
-    duration_s: float,
-    *,
-    prior_up: Float[np.ndarray, "3"] | None = None,
-    prior_sigma_rad: float = LEVEL_CAMERA_SIGMA_RAD,
-    frame_sigma_rad: float = 0.3,
-) -> UpEstimate:
-    """Direction against gravity: a body that stands or walks has, on average, its center of mass over its feet.
-
-    Iteratively re-weighted mean of the directions feet -> center of mass, which
-    down-weights lying, bending and airborne frames, combined with a weak prior that cameras are held level. Errors of
-    neighboring frames are strongly correlated: each third of a second counts as one observation.
-    """
-    feet = joints_camera_m[:, [JOINT_INDEX[name] for name in _FEET]].mean(1)
-    direction = center_of_mass(joints_camera_m) - feet
-    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-    level = np.array([0.0, -1.0, 0.0]) if prior_up is None else prior_up
-    looks = max(1.0, duration_s * OBSERVATIONS_PER_S)
-    share = min(1.0, looks / len(joints_camera_m)) / frame_sigma_rad**2
-    up = np.median(direction, axis=0)
-    up /= np.linalg.norm(up)
-    for _ in range(20):
-        off = np.arccos(np.clip(direction @ up, -1, 1))
-        weight = 1.0 / (1.0 + (off / frame_sigma_rad) ** 2) ** 2
-        total = share * (weight[:, None] * direction).sum(0) + level / prior_sigma_rad**2
-        up = total / np.linalg.norm(total)
-    off = np.arccos(np.clip(direction @ up, -1, 1))
-    weight = 1.0 / (1.0 + (off / frame_sigma_rad) ** 2) ** 2
-    information = share * weight.sum() + 1.0 / prior_sigma_rad**2
-    return UpEstimate(up, float(information**-0.5), float((off < np.radians(20.0)).mean()))
 
 
 def level_frame(up_camera: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

@@ -39,7 +39,7 @@ def fit_long(
     frames = len(observed.valid)
     pieces = _pieces(observed.valid)
     if len(pieces) == 1:
-        return fit_body(observed, lifted, fit_focal=False, config=config, iterations=iterations, on_step=on_step)
+        return fit_body(observed, lifted, config=config, iterations=iterations, on_step=on_step)
     total = iterations * (len(pieces) + 1)
     done = 0
 
@@ -49,14 +49,14 @@ def fit_long(
 
     spread = evenly_spread(np.flatnonzero(observed.valid), _SHAPE_FRAMES)
     whole = fit_body(
-        _rows(observed, spread), lifted.rows(spread), fit_focal=False, config=config, iterations=iterations,
+        _rows(observed, spread), lifted.rows(spread), config=config, iterations=iterations,
         on_step=count,
     )  # fmt: skip
     fits = []
     for rows in pieces:
         done += iterations
         piece = fit_body(
-            _rows(observed, rows), lifted.rows(rows), fit_focal=False, fit_shape=False,
+            _rows(observed, rows), lifted.rows(rows), fit_shape=False,
             shape=whole.shape.parameters, config=config, iterations=iterations, on_step=count,
         )  # fmt: skip
         fits.append(piece)
@@ -116,7 +116,4 @@ def _joined(fits: list[FittedBody], pieces: list[np.ndarray], frames: int) -> Fi
         error[int(rows[0]) : int(rows[-1]) + 1] = fit.reprojection_px
         filled = int(rows[-1]) + 1
     joints, _ = forward_kinematics(R, translation, first.rest_joints_m)
-    return FittedBody(
-        R, translation, np.asarray(joints), first.rest_joints_m, first.shape, first.focal_px, error,
-        float(sum(fit.cost for fit in fits)),
-    )  # fmt: skip
+    return FittedBody(R, translation, np.asarray(joints), first.rest_joints_m, first.shape, error)

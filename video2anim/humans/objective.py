@@ -40,12 +40,8 @@ class FitConfig:
     """Standard deviation of the other phenotypes, whose range is 0 to 1: wide, since gender lies near its ends and the
     range of proportions changes the legs' share of the body height by 1.6 points only, as adults differ."""
     prior_share: float = 4.0
-    """Weight of the shape and lens priors per frame: a detector's bias is the same in every frame, so the evidence on
-    shape and lens does not grow with the length of the clip."""
-    focal_ratio: float = 0.9
-    """Median of focal length over the longer image side for phones, webcams and camcorders (24 to 45 mm equivalent)."""
-    focal_log_sigma: float = 0.3
-    """Standard deviation of its logarithm."""
+    """Weight of the shape prior per frame: a detector's bias is the same in every frame, so the evidence on shape does
+    not grow with the length of the clip."""
     lifted_sigmas: float = 3.0
     """Standard deviation of the lifter's joints, relative to the pelvis, over the error that it predicts: neighboring
     frames and joints err together (`docs/benchmarks.md` has 2, 3 and 4)."""
@@ -78,11 +74,9 @@ class Parameters:
     angles_rad: torch.Tensor
     """(T, 21, 3) rotation vectors of joints 1 to 21."""
     translation_m: torch.Tensor
-    """(T, 3) in the camera, for the focal length that the fit starts with; see `Objective.translation_m`."""
+    """(T, 3) in the camera, for the body height that the fit starts with; see `Objective.translation_m`."""
     shape_offset: torch.Tensor
     """(10,) offsets of `SHAPE_PARAMETERS` from the shape that the fit starts with."""
-    log_focal: torch.Tensor
-    """() logarithm of the focal length in pixels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +110,7 @@ class Objective:
         self._base_shape = base_shape
         k = observed.intrinsics
         self._center = torch.tensor([k.cx_px, k.cy_px], dtype=torch.float32)
-        self._long_side = max(k.width_px, k.height_px)
+        self._focal_px = k.fx_px
         weight = observed.weight * KEYPOINT_TRUST
         self._weight = torch.from_numpy(weight).float()
         self._pixels = torch.from_numpy(np.nan_to_num(observed.keypoints_px)).float()
@@ -127,7 +121,6 @@ class Objective:
         step_s = np.diff(observed.frame_time_s)
         self._step_s = torch.from_numpy(step_s).float()
         self._prior_weight = max(1.0, config.prior_share * int(observed.valid.sum()))
-        self._start_log_focal = float(np.log(k.fx_px))
         with torch.no_grad():
             phenotype = {name: torch.tensor(value) for name, value in base_shape.items()}
             self.start_rest = with_landmarks(model.rest_skeleton(phenotype))
@@ -142,12 +135,9 @@ class Objective:
         return values
 
     def translation_m(self, parameters: Parameters, body_height_m: torch.Tensor) -> torch.Tensor:
-        """(T, 3) root translations, scaled by the body, and in depth by the focal length. The body then keeps its place
-        and size in the image while shape and focal length change, so these are not coupled to every translation.
-        """
-        zoom = torch.exp(parameters.log_focal - self._start_log_focal)
-        grown = body_height_m / self.start_body_height_m
-        return parameters.translation_m * torch.stack([grown, grown, grown * zoom])
+        """(T, 3) root translations, scaled by the body. It then keeps its place and size in the image while its shape
+        changes, so that is not coupled to every translation."""
+        return parameters.translation_m * (body_height_m / self.start_body_height_m)
 
     def predict(self, parameters: Parameters) -> Prediction:
         """Pose the body."""
@@ -160,16 +150,16 @@ class Objective:
         keypoints = rest.keypoints_m(joints, R_camera_joint)
         return Prediction(joints, keypoints, R_camera_joint, R, rest.rest_joints_m, rest.body_height_m)
 
-    def residual_px(self, prediction: Prediction, parameters: Parameters) -> torch.Tensor:
+    def residual_px(self, prediction: Prediction) -> torch.Tensor:
         """(T, K, 2) projected minus observed keypoints."""
         z = prediction.keypoints_m[..., 2:].clamp_min(0.1)
-        projected = torch.exp(parameters.log_focal) * prediction.keypoints_m[..., :2] / z + self._center
+        projected = self._focal_px * prediction.keypoints_m[..., :2] / z + self._center
         return projected - self._pixels
 
     def cost(self, parameters: Parameters) -> torch.Tensor:
         """The negative log posterior, up to a constant."""
         prediction = self.predict(parameters)
-        error = self.residual_px(prediction, parameters) / self._sigma_px[:, None, None]
+        error = self.residual_px(prediction) / self._sigma_px[:, None, None]
         data = (self._weight * _half_huber((error**2).sum(-1))).sum()
         lifted = self._as_lifted(prediction) + _hinges(parameters)
         return data + lifted + self._motion(prediction) + self._shape(prediction, parameters)
@@ -203,9 +193,7 @@ class Objective:
         sigma = torch.tensor([*[c.shape_sigma] * 3, *(sigma for _, sigma in PEOPLES_LENGTHS.values())])
         spread = (parameters.shape_offset[1:] / sigma).square().sum()
         body_height = ((prediction.body_height_m - c.body_height_m) / c.body_height_sigma_m).square()
-        prior_focal = np.log(c.focal_ratio * self._long_side)
-        focal = ((parameters.log_focal - prior_focal) / c.focal_log_sigma).square()
-        return 0.5 * self._prior_weight * (spread + body_height + focal)
+        return 0.5 * self._prior_weight * (spread + body_height)
 
 
 def _half_huber(square: torch.Tensor, threshold: float = 2.0) -> torch.Tensor:

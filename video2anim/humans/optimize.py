@@ -35,23 +35,19 @@ def fit_body(
     observed: Observations,
     lifted: LiftedBody,
     *,
-    fit_focal: bool,
     fit_shape: bool = True,
     shape: dict[str, float] | None = None,
     config: FitConfig | None = None,
     iterations: int = 250,
-    warm: FittedBody | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> FittedBody:
-    """Fit rotations, translation and shape (and the focal length, if asked) to landmarks over time.
+    """Fit rotations, translation and shape to landmarks over time.
 
     Args:
-        observed: landmarks; its intrinsics give the center and the first focal length.
+        observed: landmarks; with the intrinsics of the camera.
         lifted: output of the lifter for the same frames, as initial values and as evidence.
-        fit_focal: treat the focal length as unknown under the prior of `config`.
         fit_shape: treat the shape as unknown; else it stays `shape`.
         shape: Anny parameters to start from (default: `PERSON`).
-        warm: an earlier fit of the same frames to start from, possibly under another focal length.
 
     Raises:
         StageError: fewer than one valid frame.
@@ -60,18 +56,12 @@ def fit_body(
         raise StageError("body fit: want at least one frame with landmarks, got none")
     base = dict.fromkeys(PEOPLES_LENGTHS, 0.0) | shape if shape else dict(PERSON)
     objective = Objective(observed, anny_model(), base, config or FitConfig(), lifted)
-    if warm is None:
-        parameters = _start(observed, lifted, objective.start_rest)
-    else:
-        parameters = _start_warm(observed, objective, warm, base)
+    parameters = _start(observed, lifted, objective.start_rest)
     leaves = [parameters.root_rot6d, parameters.angles_rad, parameters.translation_m]
     rates = [0.02, 0.02, 0.02]
     if fit_shape:
         leaves.append(parameters.shape_offset)
         rates.append(0.01)
-    if fit_focal:
-        leaves.append(parameters.log_focal)
-        rates.append(0.02)
     for leaf in leaves:
         leaf.requires_grad_(True)
     groups = [{"params": [leaf], "lr": rate} for leaf, rate in zip(leaves, rates, strict=True)]
@@ -103,7 +93,7 @@ def reposed(
         rest = with_landmarks(anny_model().rest_skeleton(shape))
         points_m = rest.keypoints_m(torch.from_numpy(joints_m).float(), torch.from_numpy(R).float()).numpy()
     k = observed.intrinsics
-    shown_px = fit.focal_px * points_m[..., :2] / np.maximum(points_m[..., 2:], 0.1) + (k.cx_px, k.cy_px)
+    shown_px = k.fx_px * points_m[..., :2] / np.maximum(points_m[..., 2:], 0.1) + (k.cx_px, k.cy_px)
     error_px = np.linalg.norm(shown_px - observed.keypoints_px, axis=-1)
     return replace(
         fit, R_parent_joint=R_parent_joint, translation_camera_m=translation_camera_m, joints_camera_m=joints_m,
@@ -122,7 +112,7 @@ def _start(observed: Observations, lifted: LiftedBody, rest: RestSkeleton) -> Pa
     translation_m = _meeting_m(observed, points_m, nearest)
     return Parameters(
         _leaf(rot6d_from_matrix(R[:, 0])), _leaf(axis_angle_from_matrix(R[:, 1:])), _leaf(translation_m),
-        torch.zeros(len(SHAPE_PARAMETERS)), torch.tensor(float(np.log(observed.intrinsics.fx_px))),
+        torch.zeros(len(SHAPE_PARAMETERS)),
     )  # fmt: skip
 
 
@@ -152,29 +142,10 @@ def _leaf(array: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(array)).float()
 
 
-def _start_warm(observed: Observations, objective: Objective, warm: FittedBody, base: dict[str, float]) -> Parameters:
-    """The earlier fit, moved along the line of sight so that it keeps its size in the image."""
-    start_m = objective.start_body_height_m
-    grown = float(
-        objective.model.rest_skeleton({k: torch.tensor(v) for k, v in warm.shape.parameters.items()}).body_height_m
-    )
-    translation = warm.translation_camera_m * (start_m / grown)
-    translation[:, 2] *= observed.intrinsics.fx_px / warm.focal_px
-    offset = [warm.shape.parameters.get(name, 0.0) - base[name] for name in SHAPE_PARAMETERS]
-
-    return Parameters(
-        _leaf(rot6d_from_matrix(warm.R_parent_joint[:, 0])),
-        _leaf(axis_angle_from_matrix(warm.R_parent_joint[:, 1:])),
-        _leaf(translation), torch.tensor(offset, dtype=torch.float32),
-        torch.tensor(float(np.log(observed.intrinsics.fx_px))),
-    )  # fmt: skip
-
-
 def _finish(objective: Objective, parameters: Parameters, base: dict[str, float]) -> FittedBody:
     with torch.no_grad():
         prediction = objective.predict(parameters)
-        error = objective.residual_px(prediction, parameters).norm(dim=-1).numpy().astype(np.float64)
-        cost = float(objective.cost(parameters))
+        error = objective.residual_px(prediction).norm(dim=-1).numpy().astype(np.float64)
         translation = objective.translation_m(parameters, prediction.body_height_m).numpy().astype(np.float64)
         shape = {name: float(value) for name, value in objective.shape(parameters).items()}
     return FittedBody(
@@ -183,7 +154,5 @@ def _finish(objective: Objective, parameters: Parameters, base: dict[str, float]
         prediction.joints_m.numpy().astype(np.float64),
         prediction.rest_joints_m.numpy().astype(np.float64),
         BodyShape("anny", base | shape),
-        float(parameters.log_focal.detach().exp()),
         np.where(objective.observed.weight > 0, error, np.nan),
-        cost,
     )

@@ -50,8 +50,5 @@ class FittedBody:
     joints_camera_m: Float[np.ndarray, "frames 22 3"]
     rest_joints_m: Float[np.ndarray, "22 3"]
     shape: BodyShape
-    focal_px: float
     reprojection_px: Float[np.ndarray, "frames keypoints"]
     """NaN where the keypoint was not seen."""
-    cost: float
-    """Final value of the objective, as a negative log likelihood up to a constant."""

@@ -1,8 +1,8 @@
 """What an option of a stage takes, said in its type; checked before anything runs.
 
 frames: Annotated[int, limits("frames", ge=1, le=100)] = 24
-camera_model: Annotated[str, model_of("camera", also=("none",))] = "room-camera"
-field_frames: Annotated[int, limits("frames", ge=1), only_without("camera_model", "none")] = 3
+model: Annotated[str, model_of("object-mesh", also=("none",))] = "none"
+model_resolution: Annotated[int, limits(ge=16), only_without("model", "none")] = 96
 """
 
 from __future__ import annotations

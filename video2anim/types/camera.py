@@ -83,15 +83,11 @@ class CameraEstimate(Checked):
 
     intrinsics: Intrinsics
     focal_source: str
-    """`user`, `metadata`, `picture` (perspective of the room and geometry of the person) or `human` (geometry of the
-    person with a prior on the focal length)."""
+    """`user`, `metadata` or `picture` (perspective of the image)."""
     focal_sigma_ratio: NonNegativeFloat
     """Standard deviation of the focal length divided by the focal length."""
     up_camera: Annotated[Float[np.ndarray, "3"], Holds.DIRECTION]
     """Unit vector against gravity in camera axes, first frame."""
-    up_source: str
-    """`user`, `picture` (perspective and balance of the person), `human`, or `level` (assumed to be level, without
-    evidence to the contrary)."""
     up_sigma_rad: NonNegativeFloat
     is_static: bool
     T_first_camera: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]

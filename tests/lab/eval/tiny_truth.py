@@ -348,7 +348,7 @@ def _seen_values(folder: Path, tiny: Tiny) -> dict[type, Any]:
         for p in tiny.people
     )  # fmt: skip
     camera = CameraEstimate(
-        intrinsics(), "human", 0.1, camera_pose()[1, :3], "human", 0.05, True, np.tile(np.eye(4), (FRAMES, 1, 1))
+        intrinsics(), "picture", 0.1, camera_pose()[1, :3], 0.05, True, np.tile(np.eye(4), (FRAMES, 1, 1))
     )
     index = np.arange(0, FRAMES, STRIDE)
     masks = np.stack([tiny.maps(int(t))[1] >= 1000 for t in index])

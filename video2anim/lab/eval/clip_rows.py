@@ -104,7 +104,7 @@ def camera_group(result: SceneResult, truth: Truth, frames: FrameMatch) -> Group
             "focal_sigmas": focal_px / sigma_px if sigma_px > 0 else math.nan,
             "gravity_sigmas": gravity_rad / camera.up_sigma_rad if camera.up_sigma_rad > 0 else math.nan,
         }
-        note = f"Focal length from {camera.focal_source}, up direction from {camera.up_source}."
+        note = f"Focal length from {camera.focal_source}."
     numbers["height_error"] = result.why(BodyTracks) or "nobody was fitted"
     if bodies is not None and bodies.people:
         true_height_m = truth.main.T_world_camera[true_first, 1, 3]
