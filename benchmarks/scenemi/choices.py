@@ -41,7 +41,7 @@ VIDEO_CUTOFFS_HZ = (2.5, 3.0, 4.0, 5.0, 6.0, 10.0)
 TEMPERATURES = (0.3, 0.5, 0.7, 1.0)
 LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 SOLVES: dict[str, tuple[float, ...]] = {
-    "acceleration_ratio": (2.0, 8.0), "stance_m_s": (0.05, 0.3), "odd_speed_m_s": (1.0, 4.0),
+    "acceleration_ratio": (5.0, 6.0, 12.0), "stance_m_s": (0.05, 0.3), "odd_speed_m_s": (1.0, 4.0),
     "contact_threshold": (0.03, 0.1, 0.3),
 }  # fmt: skip
 """Alternatives to the values of `WITHOUT_PICTURE`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -25,11 +26,11 @@ PRIOR_ERROR = ((0.33, 57.0), (0.19, 11.0), (0.32, 5.7))
 """Error of the prior d frames from the nearest keyframe is a d / (d + b): a and b of root (m), trunk and limbs (rad),
 as `benchmarks/scenemi/choices.py prior-error --every 2` measures it."""
 WITHOUT_PICTURE = SolveConfig(
-    acceleration_ratio=5.0, stance_m_s=0.12, odd_speed_m_s=2.0, contact_threshold=0.0, touch_m=0.015
+    acceleration_ratio=8.0, stance_m_s=0.12, odd_speed_m_s=math.inf, contact_threshold=0.0, touch_m=0.015
 )
 """Nothing but the network says where the body is, so the standard deviations from it are its errors (`prior_error`).
-Feet are held as much as they are slow (`slow_feet`). Chosen by `choices.py solve --every 4`; docs/scenemi.md has the
-alternatives."""
+Feet are held as much as they are slow (`slow_feet`), so none is too fast to stand. Chosen by `choices.py solve`;
+docs/scenemi.md has the alternatives."""
 OBSERVED = replace(
     WITHOUT_PICTURE, root_m=0.05, trunk_rad=0.05, limb_rad=0.5, acceleration_ratio=1.0, stance_m_s=0.05,
     contact_threshold=0.03, touch_reach_m=0.25, iterations=16,

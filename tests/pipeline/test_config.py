@@ -170,10 +170,10 @@ def preset(tmp_path: Path, text: str | bytes) -> str:
 
 def test_a_partial_preset_changes_only_what_it_names(tmp_path: Path) -> None:
     shipped = resolve(NODES, "embedded", [("preset", load_preset("embedded"))])
-    mine = load_preset(preset(tmp_path, "camera:\n  height_m: 1.82\n"))
+    mine = load_preset(preset(tmp_path, "humans:\n  height_m: 1.82\n"))
     config = resolve(NODES, "mine", [("mine", mine)])
-    assert config.stages.pop("camera").height_m == 1.82  # type: ignore[attr-defined]
-    assert config.stages == {name: stage for name, stage in shipped.stages.items() if name != "camera"}
+    assert config.stages.pop("humans").height_m == 1.82  # type: ignore[attr-defined]
+    assert config.stages == {name: stage for name, stage in shipped.stages.items() if name != "humans"}
 
 
 @pytest.mark.parametrize(
