@@ -15,9 +15,6 @@ from jaxtyping import Bool, Float
 from video2anim.geometry.projection import pixel_rays, project
 from video2anim.types.camera import View
 
-_LEVEL_RAD = 1e-3
-"""Rays closer to the horizon than this meet no floor."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GravityView:
@@ -77,16 +74,6 @@ class GravityView:
     def elevation_rad(self, rows: np.ndarray) -> np.ndarray:
         """Elevation of (fractional) rows; negative is below the horizon."""
         return np.asarray(self.elevation_top_rad - rows * self.step_rad)
-
-    def floor_distance_m(self, rows: np.ndarray) -> np.ndarray:
-        """Horizontal distance at which a row meets the floor; infinite at and above the horizon."""
-        below = -self.elevation_rad(np.asarray(rows, dtype=np.float64))
-        meets = (below > _LEVEL_RAD) & (self.camera_height_m > 0)
-        return np.where(meets, self.camera_height_m / np.tan(np.clip(below, _LEVEL_RAD, 1.57)), np.inf)
-
-    def floor_row(self, distance_m: np.ndarray) -> np.ndarray:
-        """Row at which the floor lies at a horizontal distance."""
-        return np.asarray((self.elevation_top_rad + np.arctan2(self.camera_height_m, distance_m)) / self.step_rad)
 
     def locate(self, points_world_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 2"]:
         """Column and row of world points."""

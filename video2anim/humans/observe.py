@@ -11,18 +11,12 @@ from video2anim.types.camera import Intrinsics
 from video2anim.types.people import PersonTrack
 
 
-def observations(
-    track: PersonTrack, frame_time_s: np.ndarray, intrinsics: Intrinsics, frames: np.ndarray | None = None
-) -> Observations:
-    """Landmarks of a track (all frames, or the chosen ones) in the order of the body's keypoints, without short
-    left-right flips."""
+def observations(track: PersonTrack, frame_time_s: np.ndarray, intrinsics: Intrinsics) -> Observations:
+    """Landmarks of a track in the order of the body's keypoints, without short left-right flips."""
     pixels, points = track.landmarks_px[:, LANDMARK_ORDER], track.landmarks_m[:, LANDMARK_ORDER]
     weight = np.nan_to_num(np.where(track.valid[:, None], track.visibility[:, LANDMARK_ORDER], 0.0))
     swapped = left_right_flips(pixels, points, weight, track.valid, frame_time_s)
     if swapped.any():
         for values in (pixels, points, weight):
             values[swapped] = values[swapped][:, MIRROR_KEYPOINT]
-    chosen = np.arange(len(track.valid)) if frames is None else frames
-    return Observations(
-        frame_time_s[chosen], track.valid[chosen], pixels[chosen], points[chosen], weight[chosen], intrinsics
-    )
+    return Observations(frame_time_s, track.valid.copy(), pixels, points, weight, intrinsics)

@@ -15,7 +15,6 @@ from video2anim.types.clip import FPS
 
 GAP_M = 0.002
 """Gap between a surface and the lowest vertex that rests on it."""
-_REGION_DEPTH_M = 0.25
 
 
 def probes(
