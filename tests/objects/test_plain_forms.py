@@ -175,6 +175,13 @@ def test_nothing_has_no_outline() -> None:
     assert outline_form(empty, room.seen.box(), 0.0, FitSigmas()) is None
 
 
+def test_what_is_below_its_base_has_no_outline() -> None:
+    """Held above a support at 2 m, the polygon of a crate of 0.5 m is a line, which has no triangles."""
+    seen = noisy([Block((0.2, 0.25, -3.0), (0.7, 0.5, 0.4), 0.4)]).seen
+    assert outline_form(seen, seen.box(), 0.1, FitSigmas()) is not None
+    assert outline_form(seen, seen.box(), 2.0, FitSigmas()) is None
+
+
 COLUMN = (np.arange(LENS.width_px) - LENS.cx_px) / LENS.fx_px
 
 

@@ -51,6 +51,9 @@ def outline_form(
     width_m, height_m = high_m[0] - low_m[0], high_m[1] - base_m
     depth_m = max(float(box.size_m[2]), sigmas.form_m)
     corners = 2 * (flat_m - low_m) / np.maximum(high_m - low_m, sigmas.form_m) - 1
+    if not len(triangulated(corners)):
+        # All of it is on one line, as where the outline is below what the object rests on.
+        return None
     x, _, z = box.R_world_box @ [0.5 * (low_m + high_m)[0], 0.0, box.high_m[2] - 0.5 * depth_m]
     yaw = float(np.arctan2(box.R_world_box[0, 2], box.R_world_box[2, 2]))
     relief = seen.evidence.depth_errors.relief
