@@ -625,7 +625,7 @@ def test_a_kept_edit_stays_through_a_change_before_it(scene: Scene, copy: Path) 
     assert "--keep-edits" in refused.err
     kept = video2anim(*words, "--keep-edits")
     assert kept.code == 0, kept.err
-    assert kept.states["camera"] == "ran"
+    assert kept.states["humans"] == "ran"
     assert kept.states["segment"] == "edited"
     assert file_digest(mask) == painted
 
