@@ -59,7 +59,7 @@ def measure(media: Path, name: str, scene_dir: Path) -> dict[str, object]:
     cached_s = time.perf_counter() - started
     stages = [json.loads(p.read_text()) for p in sorted(scene_dir.glob("stages/*/manifest.json"))]
     clip = read_value(VideoClip, stage_folder(scene_dir, "ingest"))
-    row: dict[str, object] = {
+    return {
         "clip": name,
         "frames": clip.frame_count,
         "wall_s": wall_s,
@@ -69,7 +69,6 @@ def measure(media: Path, name: str, scene_dir: Path) -> dict[str, object]:
         "stages": {s["stage"]: {"wall_s": s["wall_time_s"], "peak_mb": s["peak_memory_mb"]} for s in stages},
         "quality": {s["stage"]: {q["key"]: q["value"] for q in s["qualities"]} for s in stages},
     }
-    return row
 
 
 def run(command: list[str]) -> None:

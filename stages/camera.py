@@ -45,11 +45,12 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
 
     Raises:
         UsageError: a focal length that no camera has.
+        ArtifactError: a track has rows beyond the clip.
     """
     from video2anim.camera.background_tracks import background_motion
     from video2anim.camera.focal import estimate_focal
     from video2anim.camera.path import camera_path
-    from video2anim.camera.up import joint_up, lifted_people, up_by_lifter, up_evidence
+    from video2anim.camera.up import combined_up, lifted_people, up_by_lifter, up_evidence
 
     _expect_sane(config, clip)
     motion = background_motion(clip, tracks)
@@ -59,7 +60,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     path = camera_path(motion, clip.frame_count, intrinsics)
     people = lifted_people(tracks, clip, intrinsics, ctx.model(config.model))
     evidence = up_evidence(up_by_lifter(people, path.T_first_camera[:, :3, :3]), image, path.points)
-    up, up_sigma_rad = joint_up(evidence)
+    up, up_sigma_rad = combined_up(evidence)
     estimate = CameraEstimate(
         intrinsics=intrinsics,
         focal_source=focal.source,

@@ -208,6 +208,9 @@ def test_a_track_beyond_the_clip_is_refused_in_one_line() -> None:
     assert late.whole(5 + len(late.valid)).valid[5:].tolist() == late.valid.tolist()
     with pytest.raises(ArtifactError, match=r"stage track, person \d+: want rows for frames 0 to 5 .* got 5 to"):
         late.whole(6)
+    assert late.frames_in(5 + len(late.valid)) == slice(5, 5 + len(late.valid))
+    with pytest.raises(ArtifactError, match="correct first_frame"):
+        late.frames_in(6)
 
 
 def test_the_main_person_is_the_first_one_and_must_be_seen() -> None:

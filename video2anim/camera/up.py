@@ -26,12 +26,16 @@ _LEVEL_CAMERA_SIGMA_RAD = 0.35
 def lifted_people(
     tracks: PersonTracks, clip: VideoClip, intrinsics: Intrinsics, network: Network
 ) -> list[tuple[LiftedBody, PersonTrack]]:
-    """The lifter's bodies of every person, selected or not."""
-    people = []
-    for track in tracks.people:
-        times_s = clip.frame_time_s[track.first_frame : track.first_frame + len(track.valid)]
-        people.append((lift(observations(track, times_s, intrinsics), network), track))
-    return people
+    """The lifter's bodies of every person, selected or not.
+
+    Raises:
+        ArtifactError: a track has rows beyond the clip.
+    """
+    times_s = [clip.frame_time_s[track.frames_in(clip.frame_count)] for track in tracks.people]
+    return [
+        (lift(observations(track, times, intrinsics), network), track)
+        for track, times in zip(tracks.people, times_s, strict=True)
+    ]
 
 
 def up_by_lifter(
@@ -51,7 +55,7 @@ def up_by_lifter(
     return total / np.linalg.norm(total)
 
 
-def joint_up(evidence: Sequence[UpEvidence]) -> tuple[Float[np.ndarray, "3"], float]:
+def combined_up(evidence: Sequence[UpEvidence]) -> tuple[Float[np.ndarray, "3"], float]:
     """Mean of the up directions by people and by what is seen of the scene (picture, ground), weighted by their
     variances, and its standard deviation in radians."""
     lifter = next(one for one in evidence if one.source == "lifter")

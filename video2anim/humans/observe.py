@@ -19,4 +19,4 @@ def observations(track: PersonTrack, frame_time_s: np.ndarray, intrinsics: Intri
     if swapped.any():
         for values in (pixels, points, weight):
             values[swapped] = values[swapped][:, MIRROR_KEYPOINT]
-    return Observations(frame_time_s, track.valid.copy(), pixels, points, weight, intrinsics)
+    return Observations(frame_time_s, track.valid, pixels, points, weight, intrinsics)

@@ -51,19 +51,24 @@ def outline_form(
     width_m, height_m = high_m[0] - low_m[0], high_m[1] - base_m
     depth_m = max(float(box.size_m[2]), sigmas.form_m)
     corners = 2 * (flat_m - low_m) / np.maximum(high_m - low_m, sigmas.form_m) - 1
-    if not len(triangulated(corners)):
-        # All of it is on one line, as where the outline is below what the object rests on.
+    form = extruded(corners)
+    if form is None:
         return None
     x, _, z = box.R_world_box @ [0.5 * (low_m + high_m)[0], 0.0, box.high_m[2] - 0.5 * depth_m]
     yaw = float(np.arctan2(box.R_world_box[0, 2], box.R_world_box[2, 2]))
     relief = seen.evidence.depth_errors.relief
     start = [x, z, yaw, base_m, 0.0, relief - 1, *np.log([width_m, depth_m, height_m]), *np.zeros(corners.size)]
-    return extruded(corners), np.array(start)
+    return form, np.array(start)
 
 
-def extruded(corners: Float[np.ndarray, "corners 2"]) -> Form:
-    """A polygon that fills the square from -1 to 1, counter-clockwise, with a thickness. Its corners can move."""
+def extruded(corners: Float[np.ndarray, "corners 2"]) -> Form | None:
+    """A polygon that fills the square from -1 to 1, counter-clockwise, with a thickness. Its corners can move.
+
+    None where all corners are on one line, as where the outline is below what the object rests on.
+    """
     triangles = triangulated(corners)
+    if not len(triangles):
+        return None
 
     def build(s: Sizes) -> tuple[tuple[str, ...], Solids]:
         w, d, h = s[:, :3].T

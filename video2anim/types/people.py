@@ -42,11 +42,8 @@ class PersonTrack(Checked):
         row = frame - self.first_frame
         return row if 0 <= row < len(self.valid) and self.valid[row] else None
 
-    def whole(self, frame_count: int) -> PersonTrack:
-        """The track with a row for every frame of the clip. Masks and crops, which are large, are dropped (0, NaN).
-
-        Args:
-            frame_count: Number of frames of the clip.
+    def frames_in(self, frame_count: int) -> slice:
+        """The frames of its rows in a clip of `frame_count` frames.
 
         Raises:
             ArtifactError: it has rows beyond the clip, as files edited by hand may.
@@ -57,6 +54,18 @@ class PersonTrack(Checked):
                 f"stage track, person {self.person_id}: want rows for frames 0 to {frame_count - 1} of the clip, got "
                 f"{rows.start} to {rows.stop - 1}; correct first_frame, or run with --from track"
             )
+        return rows
+
+    def whole(self, frame_count: int) -> PersonTrack:
+        """The track with a row for every frame of the clip. Masks and crops, which are large, are dropped (0, NaN).
+
+        Args:
+            frame_count: Number of frames of the clip.
+
+        Raises:
+            ArtifactError: as `frames_in`.
+        """
+        rows = self.frames_in(frame_count)
 
         def filled(values: np.ndarray) -> np.ndarray:
             whole = np.full((frame_count, *values.shape[1:]), np.nan if values.dtype.kind == "f" else 0, values.dtype)
