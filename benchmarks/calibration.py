@@ -1,7 +1,7 @@
 """Errors of the fit of stage metric against truth, with each kind of evidence left out in turn.
 
     video2anim synth --preset bench --count 5 --seed 9001 --motion cmu.npz --out dev_work/truth
-    python benchmarks/calibration.py --truth dev_work/truth --work dev_work/scenes [--sigma sole_m=0.05]
+    python benchmarks/calibration.py --truth dev_work/truth --work dev_work/scenes [--sigma support_m=0.05]
 
 Each clip is run to stage metric (cached stages stay); then the fit is repeated with one kind of evidence left out.
 Columns: relative error of the background depth (median and mean over reliable pixels), height of the camera above the
@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
-import math
 import platform
 import subprocess
 import sys
@@ -32,15 +31,14 @@ from video2anim.calibration.gather import picture_evidence, with_objects
 from video2anim.calibration.line import metric_depth
 from video2anim.geometry.masks import shrunk
 from video2anim.lab.eval.results import SceneResult
-from video2anim.types import BackgroundImage, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
+from video2anim.types import BackgroundImage, BodyTracks, DepthClip, InstanceMasks
 
-NONE = PixelEvidence(np.zeros((0, 2)), np.zeros(0))
+NONE = PixelEvidence(np.zeros((0, 3)), np.zeros(0))
 WITHOUT: dict[str, Callable[[Evidence], Evidence]] = {
     "nothing": lambda e: e,
-    "the picture's gravity": lambda e: replace(e, up=e.up[1:]),
     "floor pixels": lambda e: replace(e, floor=NONE),
-    "skin to its depth": lambda e: replace(e, skin=()),
-    "objects' feet": lambda e: replace(e, objects=tuple(replace(o, foot=None) for o in e.objects)),
+    "skin": lambda e: replace(e, skin=()),
+    "lower ends of objects": lambda e: replace(e, objects=tuple(replace(o, foot=None) for o in e.objects)),
     "the usual offset": lambda e: replace(e, usual_offset_sigma=100.0),
 }
 
@@ -69,14 +67,13 @@ def compared(scene: Path, truth: Path, sigmas: Sigmas) -> list[dict[str, float |
     """One row for each kind of evidence that is left out."""
     result = SceneResult(scene)
     depth, background, bodies = result.get(DepthClip), result.get(BackgroundImage), result.get(BodyTracks)
-    camera, masks = result.get(CameraEstimate), result.get(InstanceMasks)
+    masks = result.get(InstanceMasks)
     assert depth is not None
     assert background is not None
     assert bodies is not None
-    assert camera is not None
     assert masks is not None
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
-    whole = picture_evidence(depth, background, bodies, camera, floor, result.clip.fps, np.random.default_rng(0))
+    whole = picture_evidence(depth, background, bodies, floor, result.clip.fps, np.random.default_rng(0))
     whole = with_objects(whole, depth, bodies.main, masks)
     meta, arrays = json.loads((truth / "meta.json").read_text()), np.load(truth / "truth.npz")
     rows = []
@@ -102,10 +99,7 @@ def errors(
     estimated_m = factor * metric_depth(depth.kind, depth.background_value, found.scale, found.offset)
     known = depth.background_valid & (true_m > 0) & np.isfinite(estimated_m)
     off = np.abs(estimated_m / true_m - 1)[known]
-    up = arrays["up_camera"][0]
     return {
-        "lens": found.focal_px / meta["camera"]["focal_px"] - 1,
-        "up_deg": math.degrees(math.acos(min(1.0, float(found.up_camera @ up)))),
         "height": found.camera_height_m / meta["camera"]["height_m"] - 1,
         "depth_median": float(np.median(off)),
         "depth_mean": float(np.mean(off)),
@@ -115,10 +109,10 @@ def errors(
 
 def table(rows: list[dict[str, float | str]]) -> str:
     """Means of absolute errors over the clips, Markdown."""
-    keys = ("lens", "up_deg", "height", "depth_median", "depth_mean", "chamfer_m", "seconds")
+    keys = ("height", "depth_median", "depth_mean", "chamfer_m", "seconds")
     lines = [
-        "| without | lens | up, deg | height | depth, median | depth, mean | chamfer, m | CPU, s |",
-        "|---" * 8 + "|",
+        "| without | camera height | depth, median | depth, mean | chamfer, m | CPU, s |",
+        "|---" * 6 + "|",
     ]
     for name in WITHOUT:
         own = [row for row in rows if row["without"] == name]

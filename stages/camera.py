@@ -19,9 +19,16 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import CameraEstimate, Intrinsics, PersonTracks, VideoClip
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from video2anim.camera.background_tracks import BackgroundMotion
     from video2anim.camera.path import CameraPath
+    from video2anim.camera.up import UpEvidence
     from video2anim.geometry.perspective_field import FieldCamera
+
+_CONFLICT_RAD = math.radians(12)
+"""Angle between a source of gravity and the estimate from which a warning names it: twice the error of people's poses,
+the least certain source."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,8 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     intrinsics = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
     path = camera_path(motion, clip.frame_count, intrinsics)
     people = lifted_people(tracks, clip, intrinsics, ctx.model(config.model))
-    evidence = up_evidence(up_by_lifter(people, path.T_first_camera[:, :3, :3]), image, path.points)
+    by_lifter = up_by_lifter(people, path.T_first_camera[:, :3, :3])
+    evidence = up_evidence(by_lifter, image, focal.focal_px, path.points)
     up, up_sigma_rad = combined_up(evidence)
     estimate = CameraEstimate(
         intrinsics=intrinsics,
@@ -69,7 +77,6 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
         up_sigma_rad=up_sigma_rad,
         is_static=motion.is_static,
         T_first_camera=path.T_first_camera,
-        up_evidence=evidence,
     )
     if focal.contradicted_px is not None:
         ctx.warn(
@@ -78,7 +85,23 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
             "--focal-px if it is right"
         )
     _report(estimate, motion, path, ctx)
+    _report_up(estimate, evidence, ctx)
     return estimate
+
+
+def _report_up(estimate: CameraEstimate, evidence: Sequence[UpEvidence], ctx: StageContext) -> None:
+    """Each source of gravity against the estimate."""
+    from video2anim.camera.up import angle_rad
+
+    for one in evidence:
+        off_rad = angle_rad(one.up_camera, estimate.up_camera)
+        ctx.quality(f"up_by_{one.source}_off", math.degrees(off_rad), "deg", "lower")
+        if off_rad > _CONFLICT_RAD:
+            ctx.warn(
+                f"the up direction by the {one.source} alone is {math.degrees(off_rad):.0f} degrees from the estimate: "
+                "the scene may lean"
+            )
+    ctx.quality("up_uncertainty", math.degrees(estimate.up_sigma_rad), "deg", "lower")
 
 
 def _report(estimate: CameraEstimate, motion: BackgroundMotion, path: CameraPath, ctx: StageContext) -> None:
@@ -98,7 +121,6 @@ def _report(estimate: CameraEstimate, motion: BackgroundMotion, path: CameraPath
     ctx.quality("focal_uncertainty", estimate.focal_sigma_ratio, "ratio", "lower")
     ctx.quality("pitch", math.degrees(pitch), "deg")
     ctx.quality("roll", math.degrees(roll), "deg")
-    ctx.quality("up_uncertainty", math.degrees(estimate.up_sigma_rad), "deg", "lower")
 
 
 def _image_camera(clip: VideoClip, motion: BackgroundMotion, config: CameraConfig, ctx: StageContext) -> FieldCamera:
@@ -127,4 +149,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=21, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=22, models=("lifter", "camera"))

@@ -1,4 +1,4 @@
-"""Stage metric: one fit of lens, gravity, floor, statures, depth's scale and offset, and objects' distances (paper 8.1,
+"""Stage metric: one fit of the floor, body heights, depth's scale and offset, and objects' distances (supplement 8.1,
 `video2anim.calibration`): the relative depth of the clip becomes metric, and everybody gets their size and place.
 """
 
@@ -14,7 +14,6 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundImage,
     BodyTracks,
-    CameraEstimate,
     DepthClip,
     InstanceMasks,
     MetricDepth,
@@ -44,7 +43,6 @@ def fit_metric(
     background: BackgroundImage,
     bodies: BodyTracks,
     masks: InstanceMasks,
-    camera: CameraEstimate,
     config: MetricConfig,
     ctx: StageContext,
 ) -> MetricDepth:
@@ -63,7 +61,7 @@ def fit_metric(
 
     floor = shrunk(masks.floor_mask, depth.background_value.shape)
     evidence = with_objects(
-        picture_evidence(depth, background, bodies, camera, floor, clip.fps, ctx.rng("metric/points")),
+        picture_evidence(depth, background, bodies, floor, clip.fps, ctx.rng("metric/points")),
         depth, bodies.main, masks,
     )  # fmt: skip
     found = calibrate(evidence)
@@ -73,7 +71,7 @@ def fit_metric(
     conflicts = [
         kind
         for kind, off in found.residuals.items()
-        if off > config.conflict_sigmas and kind != "soles on other levels"
+        if off > config.conflict_sigmas and kind != "support on other levels"
     ]
     if conflicts:
         ctx.warn(f"evidence that contradicts the rest and has little weight: {', '.join(conflicts)}")
@@ -89,7 +87,7 @@ def _problem(evidence: Evidence, found: Calibration, config: MetricConfig) -> st
     if not evidence.skin and not len(evidence.floor.value):
         return "neither the person nor floor has valid depth: no depth is metric"
     if evidence.skin:
-        distance_m = float(np.median([one.root_m[2] for one in evidence.skin]))
+        distance_m = float(np.median([np.median(one.skin_m[:, 2]) for one in evidence.skin]))
         if found.chamfer_after_m > config.max_chamfer_ratio * distance_m:
             return f"body and depth stay {found.chamfer_after_m:.2f} m apart at a distance of {distance_m:.1f} m"
     if found.scale_log_sigma * config.conflict_sigmas > 1:
@@ -102,9 +100,6 @@ def _record(found: Calibration, ctx: StageContext) -> None:
         ctx.quality("chamfer_before", found.chamfer_before_m, "m", "lower")
         ctx.quality("chamfer_after", found.chamfer_after_m, "m", "lower")
     ctx.quality("scale_sigma_ratio", found.scale_log_sigma, "ratio", "lower")
-    ctx.quality("focal", found.focal_px, "px")
-    ctx.quality("focal_uncertainty", found.focal_log_sigma, "ratio", "lower")
-    ctx.quality("up_uncertainty", float(np.rad2deg(found.up_sigma_rad)), "deg", "lower")
     ctx.quality("camera_height", found.camera_height_m, "m")
     ctx.quality("camera_height_uncertainty", found.camera_height_sigma_m, "m", "lower")
     ctx.quality("size_over_that_of_stage_humans", float(found.body_height_ratio[0]), "ratio")
@@ -114,4 +109,4 @@ def _record(found: Calibration, ctx: StageContext) -> None:
         ctx.quality("residual_" + kind.replace("'", "").replace(" ", "_"), off, "ratio", "lower")
 
 
-STAGE = StageSpec("metric", fit_metric, version=20)
+STAGE = StageSpec("metric", fit_metric, version=21)

@@ -20,7 +20,6 @@ from video2anim.pipeline.stage import NO_MODEL, StageContext, StageSpec
 from video2anim.types import (
     BackgroundImage,
     BodyTracks,
-    CameraEstimate,
     DepthClip,
     InstanceMasks,
     VideoClip,
@@ -59,7 +58,6 @@ def segment_background(
     background: BackgroundImage,
     depth: DepthClip,
     bodies: BodyTracks,
-    camera: CameraEstimate,
     config: SegmentConfig,
     ctx: StageContext,
 ) -> InstanceMasks:
@@ -87,7 +85,7 @@ def segment_background(
     image = background.background_rgb
     seen = None if config.provider == "geometric" else ctx.model(config.provider).segment(image)
     labeled = np.zeros(shape, bool) if seen is None else shrunk(seen.semantic == CLASSES.index("floor"), shape)
-    evidence = picture_evidence(depth, background, bodies, camera, labeled, clip.fps, ctx.rng("segment/points"))
+    evidence = picture_evidence(depth, background, bodies, labeled, clip.fps, ctx.rng("segment/points"))
     depth_m = first_depth_m(evidence, depth, main)
     valid = depth.background_valid & np.isfinite(depth_m)
     depth_m = np.where(np.isfinite(depth_m), depth_m, 1e3)
@@ -96,10 +94,13 @@ def segment_background(
     detected = _detected(image, depth_m, regions.floor, config, ctx)
     recognized = recognized_objects(detected, seen, shape)
     found, floor = merged_objects(recognized, seen, regions, depth_m, valid, view, limits)
-    soles_m = evidence.people[0].soles_m
-    up_m, height_m = soles_m @ view.T_world_camera[1, :3], np.where(valid, world_points(depth_m, view)[..., 1], np.nan)
+    support_m = evidence.people[0].support_m
+    up_m, height_m = (
+        support_m @ view.T_world_camera[1, :3],
+        np.where(valid, world_points(depth_m, view)[..., 1], np.nan),
+    )
     on_floor, person = np.isin(up_m, lowest_level(up_m)), np.asarray(background.selected_mask.any(0))
-    found, mats = without_floor(found, soles_m, on_floor, person, height_m, view)
+    found, mats = without_floor(found, support_m, on_floor, person, height_m, view)
     instances = instances_of(found, background, min_score=config.min_score, max_objects=config.max_objects)
     floor = full_size(floor | mats, image)
     for instance in instances:
@@ -133,4 +134,4 @@ def _detected(
     return found
 
 
-STAGE = StageSpec("segment", segment_background, version=11, models=("segment", "finder"))
+STAGE = StageSpec("segment", segment_background, version=12, models=("segment", "finder"))

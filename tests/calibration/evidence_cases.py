@@ -1,7 +1,7 @@
 """Rooms of known truth as the evidence that stages before calibration would have of them: no picture, no body model.
 
-The truth is drawn in the true camera's frame; what a wrong lens and wrong sizes make of it follows from pinhole
-geometry: bodies keep their place and size in the picture and turn with their ray.
+The truth is drawn in the camera's frame; what wrong sizes make of it follows from pinhole geometry: bodies keep their
+place and size in the picture.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ from video2anim.calibration.evidence import (
     PixelEvidence,
     SkinEvidence,
 )
-from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.types.camera import UpEvidence
 
 FOCAL_PX = 900.0
 HALF_PX = np.array([640.0, 360.0])
@@ -29,10 +27,6 @@ def up_of(pitch_deg: float, roll_deg: float = 0.0) -> np.ndarray:
     """Up in the axes of a camera that looks down by `pitch_deg` and is rolled."""
     pitch, roll = np.deg2rad([pitch_deg, roll_deg])
     return np.array([np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch), -np.sin(pitch)])
-
-
-def degrees_between(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
 @dataclass(frozen=True)
@@ -53,14 +47,13 @@ class Noise:
 
     sole_m: float = 0.0
     distance_ratio: float = 0.0
-    upright_rad: float = 0.0
     floor_log: float = 0.0
-    """Common to a block of the floor's pixels; there are as many blocks as looks."""
+    """Common to a block of the floor's pixels; there are twelve."""
     skin_log: float = 0.0
     """Common to a frame's."""
 
 
-HONEST = Noise(0.03, 0.03, 0.3, 0.08, 0.05)
+HONEST = Noise(0.03, 0.03, 0.08, 0.05)
 
 
 @dataclass(frozen=True)
@@ -74,24 +67,15 @@ class World:
     offset: float = 0.3
     nearer_log: float = 0.0
     """Of the main person, as for objects."""
-    lens: float = 1.0
-    """The true focal length over the supposed one."""
-    focal_log_sigma: float = 0.03
     size: tuple[float, ...] = (1.0,)
     """Every person's true size over the supposed one."""
     body_height_sigma: tuple[float, ...] = (0.05,)
     step_m: tuple[float, ...] = (0.0,)
     """By how much higher than the floor each person's own floor is."""
-    ups: tuple[UpEvidence, ...] = ()
-    """What sources say; the truth with 1 degree if empty."""
     objects: tuple[Thing, ...] = ()
     usual_offset_sigma: float = 0.5
     noise: Noise = Noise()
     seed: int = 0
-
-    @property
-    def focal_px(self) -> float:
-        return self.lens * FOCAL_PX
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Right and away on the floor."""
@@ -105,55 +89,32 @@ class World:
         at = np.multiply.outer(np.asarray(right_m, float), right) + np.multiply.outer(np.asarray(away_m, float), away)
         return at + (np.asarray(above_m, float) - self.height_m)[..., None] * self.up
 
-    def pixel(self, points_m: np.ndarray) -> np.ndarray:
-        return self.focal_px * points_m[..., :2] / points_m[..., 2:]
+    def ray(self, points_m: np.ndarray) -> np.ndarray:
+        return points_m / points_m[..., 2:]
 
     def coded(self, depth_m: np.ndarray, nearer_log: float = 0.0) -> np.ndarray:
         """What the network says of a depth that it sees nearer than it is."""
         seen_m = np.asarray(depth_m, float) * np.exp(-nearer_log)
         return ((seen_m if self.kind == "depth" else 1 / seen_m) - self.offset) / self.scale
 
-    def supposed(self, points_m: np.ndarray, root_m: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
-        """Points and roots as they are supposed to be under the wrong lens and size."""
-        before_m = root_m / (size * np.array([1.0, 1.0, self.lens]))
-        return before_m + self.turned_back(points_m - root_m, root_m, before_m) / size, before_m
-
-    def turned_back(self, vectors: np.ndarray, root_m: np.ndarray, before_m: np.ndarray) -> np.ndarray:
-        new, old = (at / np.linalg.norm(at, axis=-1, keepdims=True) for at in (root_m, before_m))
-        axis = np.cross(new, old)
-        sine = np.linalg.norm(axis, axis=-1, keepdims=True)
-        angle = np.arcsin(np.minimum(sine, 1.0))
-        R = matrix_from_axis_angle(axis * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0))
-        return (np.broadcast_to(R, (*vectors.shape, 3)) @ vectors[..., None])[..., 0]
-
-    def person(self, number: int, rng: np.random.Generator, windows: int = 20, looks: int = 9) -> PersonEvidence:
+    def person(self, number: int, rng: np.random.Generator, windows: int = 20) -> PersonEvidence:
         """Somebody who walks about, 2.5 to 5.5 m away."""
         size, noise = self.size[number], self.noise
         right_m, away_m = rng.uniform(-1.2, 1.2, windows), rng.uniform(2.5, 5.5, windows)
         sole_m = self.on_floor(right_m, away_m, self.step_m[number] + noise.sole_m * rng.normal(size=windows))
-        root_m = self.on_floor(right_m + rng.normal(0, 0.1, windows), away_m, self.step_m[number] + 0.9)
         farther = np.exp(noise.distance_ratio * rng.normal(size=windows))[:, None]
-        soles_m, soles_root_m = self.supposed(sole_m * farther, root_m * farther, size)
-        leans = self.up + noise.upright_rad * rng.normal(size=(looks, 3))
-        leans -= (leans @ self.up - 1)[:, None] * self.up
-        leans /= np.linalg.norm(leans, axis=-1, keepdims=True)
-        observations_root_m = root_m[:looks]
-        before_m = observations_root_m / (size * np.array([1.0, 1.0, self.lens]))
-        upright = self.turned_back(leans, observations_root_m, before_m)
-        return PersonEvidence(number + 1, self.body_height_sigma[number], soles_m, soles_root_m, upright, before_m)
+        return PersonEvidence(number + 1, self.body_height_sigma[number], sole_m * farther / size)
 
     def skin(self, rng: np.random.Generator, frames: int = 8, points: int = 60) -> tuple[SkinEvidence, ...]:
         """The near half of an upright cylinder: points of the body, and pixels of other points of it."""
         found = []
         for away_m in np.linspace(2.6, 5.2, frames):
             right_m = rng.uniform(-1.0, 1.0)
-            root_m = self.on_floor(right_m, away_m, 0.9)
             angle, high_m = rng.uniform(-1.3, 1.3, (2, points)), rng.uniform(0.1, 1.7, (2, points))
             skin_m, seen_m = self.on_floor(right_m + 0.2 * np.sin(angle), away_m - 0.2 * np.cos(angle), high_m)
             wrong_log = self.nearer_log + self.noise.skin_log * rng.normal()
-            skin_m, before_m = self.supposed(skin_m, root_m, self.size[0])
             value = self.coded(seen_m[:, 2], wrong_log)
-            found.append(SkinEvidence(before_m, skin_m, self.pixel(seen_m), value))
+            found.append(SkinEvidence(skin_m / self.size[0], self.ray(seen_m), value))
         return tuple(found)
 
     def floor(self, rng: np.random.Generator, pixels: int = 120) -> PixelEvidence:
@@ -162,13 +123,13 @@ class World:
         floor_m = self.on_floor(rng.uniform(-0.35, 0.35, pixels) * away_m, away_m)
         blocks = np.arange(pixels) * 12 // max(pixels, 1)
         wrong_log = self.noise.floor_log * rng.normal(size=12)[blocks]
-        return PixelEvidence(self.pixel(floor_m), self.coded(floor_m[:, 2] * np.exp(wrong_log)))
+        return PixelEvidence(self.ray(floor_m), self.coded(floor_m[:, 2] * np.exp(wrong_log)))
 
     def object_evidence(self, number: int, obj: Thing) -> ObjectEvidence:
         """An object of which foot and top are seen."""
         foot_m, top_m = self.on_floor(*np.array([obj.at_m] * 2).T, np.array([0.0, obj.height_m]))
         foot, top = (
-            PixelEvidence(self.pixel(at_m)[None], self.coded(at_m[2:], obj.nearer_log)) for at_m in (foot_m, top_m)
+            PixelEvidence(self.ray(at_m)[None], self.coded(at_m[2:], obj.nearer_log)) for at_m in (foot_m, top_m)
         )
         return ObjectEvidence(number, obj.label, foot, obj.is_cut, top)
 
@@ -178,8 +139,7 @@ class World:
         center = float(np.median(np.abs(self.coded(np.linspace(2.2, 7.0, 50)))))
         return Evidence(
             focal_px=FOCAL_PX,
-            focal_log_sigma=self.focal_log_sigma,
-            up=self.ups or (UpEvidence("picture", self.up, np.deg2rad(1.0)),),
+            up=self.up,
             people=tuple(self.person(number, rng) for number in range(len(self.size))),
             kind=self.kind,
             skin=self.skin(rng, frames),
@@ -195,7 +155,7 @@ def times(evidence: Evidence, factor: float) -> Evidence:
     """The same evidence with all relative depth multiplied."""
 
     def of(seen: PixelEvidence | None) -> PixelEvidence | None:
-        return None if seen is None else PixelEvidence(seen.pixel, factor * seen.value)
+        return None if seen is None else PixelEvidence(seen.ray, factor * seen.value)
 
     return replace(
         evidence,

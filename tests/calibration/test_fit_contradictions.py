@@ -6,64 +6,38 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from evidence_cases import HONEST, Noise, Thing, World, degrees_between, up_of
+from evidence_cases import HONEST, Noise, Thing, World
 
 from video2anim.calibration.evidence import Evidence, PixelEvidence
 from video2anim.calibration.fit import calibrate
-from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.types.camera import UpEvidence
 
-UP = up_of(15.0, 3.0)
 CONFLICT = 3.0
 """Standard deviations from which stage metric warns."""
-NOISE = pytest.mark.parametrize("noise", [Noise(), HONEST], ids=["exact", "noisy"])
-
-
-def turned(axis: tuple[float, float, float], degrees: float) -> np.ndarray:
-    return matrix_from_axis_angle(np.deg2rad(degrees) * np.array(axis)) @ UP
 
 
 def on_a_step(world: World, height_m: float) -> Evidence:
     """The farthest third of the main person's soles is higher than the floor."""
     evidence = world.evidence()
     person = evidence.people[0]
-    far = np.argsort(person.soles_m[:, 2])[-(len(person.soles_m) // 3) :]
-    up_m = np.zeros_like(person.soles_m)
+    far = np.argsort(person.support_m[:, 2])[-(len(person.support_m) // 3) :]
+    up_m = np.zeros_like(person.support_m)
     up_m[far] = height_m * world.up
-    person = replace(person, soles_m=person.soles_m + up_m, soles_root_m=person.soles_root_m + up_m)
+    person = replace(person, support_m=person.support_m + up_m)
     return replace(evidence, people=(person,))
 
 
-@NOISE
-def test_a_step_does_not_tilt_a_room_whose_edges_are_plain(noise: Noise) -> None:
-    world = World(noise=noise, ups=(UpEvidence("picture", UP, np.deg2rad(0.3)),))
-    found = calibrate(on_a_step(world, 0.3))
-    assert degrees_between(found.up_camera, world.up) < 0.5
-    # Noise alone is 4 %.
-    assert found.camera_height_m == pytest.approx(world.height_m, rel=0.01 if noise == Noise() else 0.05)
-    assert found.residuals["soles on other levels"] > CONFLICT
-
-
-@NOISE
-@pytest.mark.parametrize("axis", [(1.0, 0, 0), (-1.0, 0, 0), (0, 0, 1.0)], ids=["down", "up", "rolled"])
-@pytest.mark.parametrize("floor_seen", [True, False])
-def test_a_picture_that_is_wrong_loses_against_a_body_on_its_feet(
-    noise: Noise, axis: tuple[float, float, float], floor_seen: bool
-) -> None:
-    """25 degrees off and sure to 2; nine looks of a balanced body and the lifter know better."""
-    ups = (
-        UpEvidence("picture", turned(axis, 25.0), np.deg2rad(2.0)),
-        UpEvidence("lifter", turned((1.0, 0, 0), 4.0), 0.1),
-        UpEvidence("level camera", np.array([0, -1.0, 0]), 0.35),
-    )
-    world = World(noise=noise, ups=ups)
-    evidence = world.evidence()
-    if not floor_seen:
-        evidence = replace(evidence, floor=PixelEvidence(np.zeros((0, 2)), np.zeros(0)))
-    found = calibrate(evidence)
-    assert degrees_between(found.up_camera, world.up) < (0.6 if noise == Noise() else 2.5)
-    assert found.residuals["up by picture"] > CONFLICT
-    assert found.residuals["up by lifter"] < CONFLICT
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("step_m", "named"), [(0.3, False), (0.45, True)])
+def test_a_step_does_not_lift_the_floor(step_m: float, named: bool, seed: int) -> None:
+    """Noise alone is 4 %. It may hide that a low step is another level."""
+    exact, noisy = World(seed=seed), World(noise=HONEST, seed=seed)
+    found = calibrate(on_a_step(exact, step_m))
+    assert found.camera_height_m == pytest.approx(exact.height_m, rel=0.01)
+    assert found.residuals["support on other levels"] > CONFLICT
+    found = calibrate(on_a_step(noisy, step_m))
+    assert found.camera_height_m == pytest.approx(noisy.height_m, rel=0.04)
+    if named:
+        assert found.residuals["support on other levels"] > CONFLICT
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -72,11 +46,10 @@ def test_half_a_floor_that_is_a_wall(seed: int) -> None:
     world = World(noise=HONEST if seed else Noise(), seed=seed)
     evidence = world.evidence()
     rng, half = np.random.default_rng(seed), np.arange(len(evidence.floor.value)) % 2 == 0
-    pixel, value = evidence.floor.pixel.copy(), evidence.floor.value.copy()
-    pixel[half] = rng.uniform((-400, -250), (400, 0), (half.sum(), 2))
+    ray, value = evidence.floor.ray.copy(), evidence.floor.value.copy()
+    ray[half, :2] = rng.uniform((-0.44, -0.28), (0.44, 0.0), (half.sum(), 2))
     value[half] = world.coded(np.array(5.5))
-    found = calibrate(replace(evidence, floor=PixelEvidence(pixel, value)))
-    assert degrees_between(found.up_camera, world.up) < 1.0
+    found = calibrate(replace(evidence, floor=PixelEvidence(ray, value)))
     assert found.camera_height_m == pytest.approx(world.height_m, rel=0.05)
     center_m = found.scale * world.coded(np.array(3.5)) + found.offset
     assert center_m == pytest.approx(3.5, rel=0.08)
@@ -115,9 +88,7 @@ def test_furniture_of_unknown_kinds_has_no_usual_height() -> None:
 
 
 def people(sizes: tuple[float, ...], steps_m: tuple[float, ...], sigmas: tuple[float, ...], seed: int = 0) -> World:
-    """A camera whose gravity is plain, so that floors tell of sizes."""
-    ups = (UpEvidence("picture", UP, np.deg2rad(0.2)),)
-    return World(size=sizes, step_m=steps_m, body_height_sigma=sigmas, ups=ups, seed=seed)
+    return World(size=sizes, step_m=steps_m, body_height_sigma=sigmas, seed=seed)
 
 
 def test_people_of_two_sizes_meet_on_one_floor() -> None:
@@ -126,7 +97,7 @@ def test_people_of_two_sizes_meet_on_one_floor() -> None:
     found = calibrate(world.evidence())
     np.testing.assert_allclose(found.body_height_ratio, world.size, rtol=0.02)
     assert found.camera_height_m == pytest.approx(world.height_m, rel=0.02)
-    assert found.residuals["soles on the floor"] < 0.5
+    assert found.residuals["support on the floor"] < 0.5
 
 
 def test_a_known_height_is_kept_and_brings_others_to_its_floor() -> None:
@@ -154,5 +125,4 @@ def test_somebody_on_another_floor_does_not_pull(step_m: float) -> None:
     np.testing.assert_allclose(found.body_height_ratio[:2], 1.0, atol=0.035)
     assert found.body_height_ratio[2] == pytest.approx(1.0, abs=0.07)
     assert found.camera_height_m == pytest.approx(world.height_m, rel=0.04)
-    assert degrees_between(found.up_camera, world.up) < 0.3
-    assert found.residuals["soles on other levels"] > CONFLICT
+    assert found.residuals["support on other levels"] > CONFLICT

@@ -16,13 +16,11 @@ from video2anim.calibration.gather import picture_evidence, with_objects
 from video2anim.types import (
     BackgroundImage,
     BodyTracks,
-    CameraEstimate,
     DepthClip,
     InstanceMasks,
     ObjectInstance,
     PersonQuality,
 )
-from video2anim.types.camera import UpEvidence
 
 EYE_M = (0.0, 1.6, 0.0)
 FRAMES = 40
@@ -50,17 +48,12 @@ def evidence_of(
     none = np.zeros((0, *mask.shape), bool)
     walk = with_root_shift(planted_walk(FRAMES), np.tile([0.9, 0.0, 2.0], (FRAMES, 1)))
     walk = replace(walk, T_world_camera=np.tile(T_world_camera, (FRAMES, 1, 1)), intrinsics=LENS)
-    up = T_world_camera[1, :3].copy()
-    camera = CameraEstimate(
-        LENS, "user", 0.01, up, 0.01, True, np.tile(np.eye(4), (FRAMES, 1, 1)),
-        (UpEvidence("picture", up, 0.01),),
-    )  # fmt: skip
     depth_m = np.where(mask, wrong * shot.depth_m, shot.depth_m)
     depth = DepthClip("depth", "geometric", np.zeros(0, int), none * 1.0, none * 1.0, none, depth_m, seen)
     background = BackgroundImage(np.zeros((*mask.shape, 3), np.uint8), mask * 0.0, np.zeros(0, int), none, none)
     floor = shot.mask(FLOOR)
     rng = np.random.default_rng(0)
-    found = picture_evidence(depth, background, BodyTracks((walk,), (SURE,)), camera, floor, 30.0, rng)
+    found = picture_evidence(depth, background, BodyTracks((walk,), (SURE,)), floor, 30.0, rng)
     shown = floor if floor_seen else np.zeros_like(floor)
     masks = InstanceMasks("truth", (ObjectInstance(1, label, 1.0, np.zeros(4), mask),), shown)
     return with_objects(found, depth, walk, masks)
@@ -156,9 +149,8 @@ def test_the_top_of_a_table_is_measured() -> None:
     evidence = evidence_of(table(1.4, 0.82, 0.8, (0.0, 3.0), 0.3), label="table")
     top = evidence.objects[0].top
     assert top is not None
-    ray = np.append(top.pixel[0] / LENS.fx_px, 1.0)
     T_world_camera = looking(EYE_M, (0.0, 0.5, 3.0))
-    assert float(T_world_camera[1, :3] @ ray * top.value[0] + EYE_M[1]) == pytest.approx(0.82, abs=0.02)
+    assert float(T_world_camera[1, :3] @ top.ray[0] * top.value[0] + EYE_M[1]) == pytest.approx(0.82, abs=0.02)
     assert evidence_of(table(1.4, 0.82, 0.8, (0.0, 3.0), 0.3), label="object").objects[0].top is None
 
 

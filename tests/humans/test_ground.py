@@ -31,7 +31,7 @@ def test_floor_is_the_lowest_level_that_carries() -> None:
     rng = np.random.default_rng(4)
     down = np.concatenate([np.full(60, 0.45), np.full(60, 0.0)]) - 1.3 + rng.normal(0, 0.01, 120)
     lifted = down + 0.2 * np.abs(np.sin(np.arange(120) / 4))
-    floor_m, spread_m = floor_height(np.stack([down, lifted], 1), 30.0)
+    floor_m, spread_m = floor_height(np.minimum(down, lifted), 30.0)
     assert floor_m == pytest.approx(-1.3, abs=0.02)
     assert spread_m < 0.03
 
@@ -41,31 +41,31 @@ def test_the_lowest_of_low_stairs_is_the_floor(stair_m: float) -> None:
     """Most of the time on the upper stairs, each nearer to the next than levels that are told apart by their gap."""
     rng = np.random.default_rng(5)
     on = np.repeat([0, 1, 2, 3], [80, 40, 60, 120])
-    heights = (stair_m * on + rng.normal(0, 0.015, len(on)))[:, None]
+    heights = stair_m * on + rng.normal(0, 0.015, len(on))
     assert floor_height(heights, 30.0)[0] == pytest.approx(0.0, abs=0.03)
 
 
 def test_two_odd_windows_are_no_stair() -> None:
     """Somebody bends down for a second and their feet seem 20 cm lower."""
-    heights = np.random.default_rng(6).normal(0, 0.02, (216, 1))
+    heights = np.random.default_rng(6).normal(0, 0.02, 216)
     heights[90:120] -= 0.22
     assert floor_height(heights, 30.0)[0] == pytest.approx(0.0, abs=0.03)
 
 
 def test_a_ramp_keeps_its_middle() -> None:
     """Gravity a little off: the floor seems to rise along the way."""
-    assert floor_height(np.linspace(-0.3, 0.3, 240)[:, None], 30.0)[0] == pytest.approx(0.0, abs=0.03)
+    assert floor_height(np.linspace(-0.3, 0.3, 240), 30.0)[0] == pytest.approx(0.0, abs=0.03)
 
 
 def test_time_in_the_air_is_no_floor() -> None:
-    heights = np.concatenate([np.zeros(60), 0.8 * np.ones(15), np.zeros(45)])[:, None]
+    heights = np.concatenate([np.zeros(60), 0.8 * np.ones(15), np.zeros(45)])
     floor_m, _ = floor_height(heights, 30.0)
     assert floor_m == pytest.approx(0.0, abs=1e-6)
 
 
 def test_brief_dip_below_is_not_the_floor() -> None:
     """A single wild estimate half a meter down."""
-    heights = np.zeros((120, 2))
+    heights = np.zeros(120)
     heights[70:73] = -0.5
     floor_m, _ = floor_height(heights, 30.0)
     assert floor_m == pytest.approx(0.0, abs=1e-6)
@@ -75,12 +75,11 @@ def test_floor_of_a_planted_walk() -> None:
     motion = planted_walk(150)
     body = shaped_body(motion.shape)
     _, R_world_joint = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
-    feet = [np.flatnonzero(np.isin(body.vertex_part, side)) for side in ((7, 10), (8, 11))]
-    soles = np.stack([body.vertices(R_world_joint, motion.joints_world_m, f)[..., 1].min(1) for f in feet], 1)
-    floor_m, spread_m = floor_height(soles, 30.0)
+    lowest_m = body.vertices(R_world_joint, motion.joints_world_m)[..., 1].min(1)
+    floor_m, spread_m = floor_height(lowest_m, 30.0)
     assert floor_m == pytest.approx(0.0, abs=0.03)
     assert spread_m < 0.03
 
 
 def test_very_few_frames() -> None:
-    assert floor_height(np.array([[0.1, 0.2]]), 30.0) == pytest.approx((0.1, 0.0))
+    assert floor_height(np.array([0.1]), 30.0) == pytest.approx((0.1, 0.0))

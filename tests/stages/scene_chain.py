@@ -65,7 +65,7 @@ def depth_of(room: Room) -> DepthClip:
 
 def masks_of(room: Room, depth: DepthClip, config: SegmentConfig, ctx: StageContext) -> InstanceMasks:
     """Stage segment."""
-    return segment_background(room.clip, room.background, depth, room.bodies, room.camera, config, ctx)
+    return segment_background(room.clip, room.background, depth, room.bodies, config, ctx)
 
 
 def unfilmed(room: Room) -> CameraEstimate:
@@ -79,7 +79,7 @@ def run_chain(room: Room) -> Chain:
     ctx = StageContext(Path())
     depth = depth_of(room)
     masks = masks_of(room, depth, SegmentConfig(provider="geometric", finder="none"), ctx)
-    metric = fit_metric(room.clip, depth, room.background, room.bodies, masks, room.camera, MetricConfig(), ctx)
+    metric = fit_metric(room.clip, depth, room.background, room.bodies, masks, MetricConfig(), ctx)
     completed = complete_objects(room.background, masks, metric, CompleteConfig(), ctx)
     meshes = reconstruct_objects(completed, masks, metric, room.background, ReconstructConfig(**TRUE_RELIEF), ctx)
     placed = place_objects(meshes, masks, metric, PlaceConfig(), ctx)

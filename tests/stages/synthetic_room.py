@@ -24,7 +24,6 @@ from video2anim.types import (
     SourceInfo,
     VideoClip,
 )
-from video2anim.types.camera import UpEvidence
 from video2anim.types.skeleton import FEET, forward_kinematics
 
 WALL_Z_M = -6.5
@@ -176,8 +175,7 @@ def make_room(
     background = BackgroundImage(background_rgb, 1 - masks.mean(0), index, masks, masks)
     up_camera = T_world_camera[1, :3].copy()
     camera = CameraEstimate(
-        motion.intrinsics, "user", 0.01, up_camera, 0.01, True, np.tile(np.eye(4), (frames, 1, 1)),
-        (UpEvidence("picture", up_camera, 0.01),),
+        motion.intrinsics, "user", 0.01, up_camera, 0.01, True, np.tile(np.eye(4), (frames, 1, 1))
     )  # fmt: skip
     return Room(clip_of(motion), background, BodyTracks((motion,), (SURE,)), camera, depth_m, surface, surface_full)
 

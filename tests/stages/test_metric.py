@@ -15,10 +15,8 @@ from stages.segment import SegmentConfig
 from video2anim.calibration.line import metric_depth
 from video2anim.errors import StageError
 from video2anim.geometry.line_of_sight import visible_vertices
-from video2anim.geometry.rotations import matrix_from_axis_angle
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import BodyTracks, DepthClip, InstanceMasks, Intrinsics, MetricDepth
-from video2anim.types.camera import UpEvidence
 
 
 def metric_of(
@@ -27,7 +25,7 @@ def metric_of(
     """Stages segment (unless there are masks) and metric."""
     ctx = ctx or StageContext(Path())
     masks = masks or masks_of(room, depth, SegmentConfig(provider="geometric", finder="none"), ctx)
-    return fit_metric(room.clip, depth, room.background, room.bodies, masks, room.camera, MetricConfig(), ctx)
+    return fit_metric(room.clip, depth, room.background, room.bodies, masks, MetricConfig(), ctx)
 
 
 def floor_ratio(room: Room, found: MetricDepth) -> float:
@@ -114,28 +112,18 @@ def test_nobody_in_any_frame_is_an_error() -> None:
 
 
 def test_evidence_that_contradicts_the_rest_is_named() -> None:
-    """The picture's gravity is 25 degrees off, against a body that glides upright over a floor."""
+    """The floor's depth rises where it should fall."""
     room = make_room()
-    up = room.camera.up_camera
-    wrong = matrix_from_axis_angle(np.array([0.0, 0.0, np.deg2rad(25.0)])) @ up
-    sources = (UpEvidence("picture", wrong, np.deg2rad(2.0)), UpEvidence("lifter", up, 0.1))
-    room = replace(room, camera=replace(room.camera, up_evidence=sources))
+    depth = depth_of(room)
+    floor = room.surface == FLOOR
+    upside_down = depth.background_value.copy()
+    upside_down[floor] = np.ptp(upside_down[floor]) + 2 * upside_down[floor].min() - upside_down[floor]
     ctx = StageContext(Path())
-    found = metric_of(room, depth_of(room), ctx)
-    assert any("up by picture" in warning and "contradicts" in warning for warning in ctx.warnings)
-    off_rad = np.arccos(np.clip(found.bodies.people[0].T_world_camera[0, 1, :3] @ up, -1, 1))
-    assert np.rad2deg(off_rad) < 2
+    labeled = InstanceMasks("none", (), room.surface_full == FLOOR)
+    metric_of(room, replace(depth, background_value=upside_down), ctx, labeled)
+    assert any("floor pixels" in warning and "contradicts" in warning for warning in ctx.warnings)
     told = {quality.key: quality.value for quality in ctx.qualities}
-    assert told["residual_up_by_picture"] > 3
-
-
-def test_a_camera_without_named_sources_has_its_own_gravity() -> None:
-    """Edited folders, and cameras whose sigma is 0."""
-    room = make_room()
-    room = replace(room, camera=replace(room.camera, up_evidence=(), up_sigma_rad=0.0))
-    found = metric_of(room, depth_of(room))
-    off_rad = np.arccos(np.clip(found.bodies.people[0].T_world_camera[0, 1, :3] @ room.camera.up_camera, -1, 1))
-    assert np.rad2deg(off_rad) < 0.2
+    assert told["residual_floor_pixels"] > 3
 
 
 def test_visibility_keeps_the_near_side_only() -> None:

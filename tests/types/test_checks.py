@@ -42,7 +42,6 @@ from video2anim.types import (
     VideoClip,
     View,
 )
-from video2anim.types.camera import UpEvidence
 
 FRAMES = 5
 LENS = Intrinsics(500.0, 500.0, 319.5, 179.5, 640, 360)
@@ -120,11 +119,6 @@ WRONG: list[tuple[Any, dict[str, Any], str]] = [
     (View(np.eye(4), LENS), {"T_world_camera": MIRROR}, "View.T_world_camera: want rigid transforms"),
     (View(np.eye(4), LENS), {"T_world_camera": FAR}, "View.T_world_camera: want rigid transforms"),
     (View(np.eye(4), LENS), {"T_world_camera": None}, "View.T_world_camera: want an array, got NoneType"),
-    (
-        UpEvidence("picture", np.array([0.0, -1, 0]), 0.1),
-        {"sigma_rad": -0.1},
-        "UpEvidence.sigma_rad: want greater",
-    ),
     (camera(), {"up_camera": np.array([0.0, -2.0, 0.0])}, "CameraEstimate.up_camera: want vectors of length 1"),
     (camera(), {"T_first_camera": np.ones((5, 4, 4))}, "CameraEstimate.T_first_camera: want rigid transforms"),
     (source(), {"pixel_aspect": 0.0}, "SourceInfo.pixel_aspect: want greater than 0"),

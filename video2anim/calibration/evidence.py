@@ -1,5 +1,5 @@
-"""Evidence of the fit: points in the camera frame of stage humans (OpenCV axes, meters), pixels and their relative
-depth."""
+"""Evidence of the fit: points in the camera frame of stage humans (OpenCV axes, meters), viewing rays of pixels and
+their relative depth."""
 
 from __future__ import annotations
 
@@ -8,33 +8,26 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.types.camera import UpEvidence
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonEvidence:
-    """One person. Roots are the pelvis in the same frames, about which the body turns when the focal length changes."""
+    """One person."""
 
     person_id: int
     body_height_sigma: float
     """Prior standard deviation of the logarithm of the standing height."""
-    soles_m: Float[np.ndarray, "windows 3"]
-    """Lowest point of the skin in each window of 0.6 s, in which people who stand or walk have a foot on the ground."""
-    soles_root_m: Float[np.ndarray, "windows 3"]
-    upright: Float[np.ndarray, "observations 3"]
-    """Unit vectors from the feet to the center of mass while the person stands or walks (static equilibrium)."""
-    upright_root_m: Float[np.ndarray, "observations 3"]
+    support_m: Float[np.ndarray, "windows 3"]
+    """Lowest point of the skin in each window of 0.6 s, in which people who stand or walk have a foot on the ground,
+    and those on their hands a hand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinEvidence:
     """Skin of the main person and pixels that show it (supplement 8.1), or soles and the pixels of their support."""
 
-    root_m: Float[np.ndarray, "*vertices 3"]
-    """Of the frame of all vertices, or of the frame of each."""
     skin_m: Float[np.ndarray, "vertices 3"]
-    pixel: Float[np.ndarray, "pixels 2"]
-    """From the principal point, in pixels of the clip."""
+    ray: Float[np.ndarray, "pixels 3"]
+    """Viewing rays of unit z-depth."""
     value: Float[np.ndarray, "pixels"]
     """Relative depth or disparity."""
 
@@ -43,8 +36,8 @@ class SkinEvidence:
 class PixelEvidence:
     """Pixels of one surface and their relative depth."""
 
-    pixel: Float[np.ndarray, "pixels 2"]
-    """From the principal point, in pixels of the clip."""
+    ray: Float[np.ndarray, "pixels 3"]
+    """Viewing rays of unit z-depth."""
     value: Float[np.ndarray, "pixels"]
 
 
@@ -61,8 +54,8 @@ class ObjectEvidence:
     top: PixelEvidence | None
     """Its highest pixel, if its foot is visible and its class has a usual height."""
     under_feet: SkinEvidence | None = None
-    """Soles of the main person that stood on it, each with its root, and the object's depth there. Its foot is no
-    evidence then: what people stand on is the floor."""
+    """Soles of the main person that stood on it, and the object's depth there. Its foot is no evidence then: what
+    people stand on is the floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,8 +63,8 @@ class Evidence:
     """All evidence of the fit."""
 
     focal_px: float
-    focal_log_sigma: float
-    up: tuple[UpEvidence, ...]
+    up: Float[np.ndarray, "3"]
+    """Up direction in the camera frame."""
     people: tuple[PersonEvidence, ...]
     """The main person first."""
     kind: str

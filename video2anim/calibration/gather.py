@@ -23,10 +23,8 @@ from video2anim.calibration.line import first_line, metric_depth
 from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, project, transform_points
-from video2anim.humans.ground import OBSERVATIONS_PER_S, SUPPORT_WINDOW_S, center_of_mass
-from video2anim.types import BackgroundImage, BodyMotion, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
-from video2anim.types.camera import UpEvidence
-from video2anim.types.skeleton import FEET, JOINT_INDEX
+from video2anim.humans.ground import SUPPORT_WINDOW_S
+from video2anim.types import BackgroundImage, BodyMotion, BodyTracks, DepthClip, InstanceMasks
 
 USUAL_OFFSET = {"room-depth": (1.25, 0.6)}
 """Offset of depth over scale times the median absolute value, and its standard deviation, by network: of the shipped
@@ -34,11 +32,6 @@ one in the rooms of V2A-Bench (geometric mean 1.22)."""
 _OTHER_DEPTH, _OTHER_DISPARITY = (0.0, 0.3), (0.5, 5.0)
 """The same of unknown networks, for depth and disparity. The zero of disparity may be right behind the farthest wall,
 which may have the median value."""
-_STRAIGHT_COS = 0.5
-"""Cosine of 60 degrees, between the hip flexion of people who walk (30) and who sit (90)."""
-_LENS_SIGMA = 0.03
-"""Error of the focal length that is added to the one of stage camera: its most certain estimates are off by 1 to 4 %
-(`benchmarks/real_clips.py`)."""
 _SKIN_FRAMES, _POINTS, _MIN_PIXELS = 24, 300, 40
 """Frames with both skin and depth that enter, points of either in each (and of the floor), and how many there must be
 of either."""
@@ -52,52 +45,27 @@ _MIN_STOOD = 2
 
 
 def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) -> PersonEvidence:
-    """Soles and balance of one person, in the camera frame of the first frame."""
+    """What supports one person, in the camera frame of the first frame."""
     shaped = shaped_body(body.shape)
-    T = invert_rigid(body.view().T_world_camera)
     frames = np.flatnonzero(body.valid)
-    skin = np.flatnonzero(np.isin(shaped.vertex_part, FEET))
     windows = np.array_split(frames, max(1, round(len(frames) / max(1.0, SUPPORT_WINDOW_S * fps))))
-    soles_m, sole_frames = np.empty((0, 3)), np.empty(0, int)
+    support_m = np.empty((0, 3))
     for some in windows if len(frames) else []:
-        feet_m = posed_vertices(body, shaped, skin, some)
-        lowest_m = np.take_along_axis(feet_m, feet_m[..., 1].argmin(1)[:, None, None], 1)[:, 0]
+        skin_m = posed_vertices(body, shaped, None, some)
+        lowest_m = np.take_along_axis(skin_m, skin_m[..., 1].argmin(1)[:, None, None], 1)[:, 0]
         # The tenth percentile: the lowest is the worst outlier.
-        low = np.argsort(lowest_m[:, 1])[len(some) // 10]
-        soles_m, sole_frames = np.r_[soles_m, lowest_m[[low]]], np.r_[sole_frames, some[low]]
-    standing = frames[_standing(body.joints_world_m[frames])]
-    count = min(len(standing), max(1, round(len(standing) / fps * OBSERVATIONS_PER_S)))
-    chosen = standing[np.linspace(0, len(standing) - 1, count).round().astype(int)]
-    joints_m = body.joints_world_m[chosen]
-    upright = center_of_mass(joints_m) - joints_m[:, FEET].mean(1)
-    upright /= np.linalg.norm(upright, axis=-1, keepdims=True)
-    upright_root_m = transform_points(T, joints_m[:, 0])
+        support_m = np.r_[support_m, lowest_m[[np.argsort(lowest_m[:, 1])[len(some) // 10]]]]
     return PersonEvidence(
         person_id=body.person_id,
         body_height_sigma=body_height_sigma_m / float(np.ptp(shaped.rest_vertices_m[:, 1])),
-        soles_m=transform_points(T, soles_m),
-        soles_root_m=transform_points(T, body.joints_world_m[sole_frames, 0]),
-        upright=upright @ T[:3, :3].T,
-        upright_root_m=upright_root_m,
+        support_m=transform_points(invert_rigid(body.view().T_world_camera), support_m),
     )
-
-
-def _standing(joints_m: Float[np.ndarray, "frames 22 3"]) -> Bool[np.ndarray, "frames"]:
-    """Frames in which both thighs continue the direction of the trunk: people who stand or walk, leaning or not."""
-    trunk = joints_m[:, JOINT_INDEX["neck"]] - joints_m[:, JOINT_INDEX["pelvis"]]
-    trunk /= np.linalg.norm(trunk, axis=-1, keepdims=True)
-    straight = np.ones(len(joints_m), bool)
-    for side in ("left", "right"):
-        thigh = joints_m[:, JOINT_INDEX[f"{side}_hip"]] - joints_m[:, JOINT_INDEX[f"{side}_knee"]]
-        straight &= (thigh * trunk).sum(-1) > _STRAIGHT_COS * np.linalg.norm(thigh, axis=-1)
-    return straight
 
 
 def picture_evidence(
     depth: DepthClip,
     background: BackgroundImage,
     bodies: BodyTracks,
-    camera: CameraEstimate,
     floor: Bool[np.ndarray, "height width"],
     fps: float,
     rng: np.random.Generator,
@@ -108,11 +76,9 @@ def picture_evidence(
     people = tuple(person_evidence(body, fps, judged.body_height_sigma_m) for body, judged in pairs)
     other = _OTHER_DEPTH if depth.kind == "depth" else _OTHER_DISPARITY
     usual, spread = USUAL_OFFSET.get(depth.provider, other)
-    k = main.intrinsics
     return Evidence(
-        focal_px=k.fx_px,
-        focal_log_sigma=float(np.hypot(camera.focal_sigma_ratio, _LENS_SIGMA)),
-        up=_up_evidence(camera),
+        focal_px=main.intrinsics.fx_px,
+        up=main.view().T_world_camera[1, :3],
         people=people,
         kind=depth.kind,
         skin=skin_evidence(depth, background, main, rng),
@@ -130,14 +96,6 @@ def _median_size(value: Float[np.ndarray, "height width"]) -> float:
     return float(np.median(size)) or float(size.max()) or 1.0
 
 
-def _up_evidence(camera: CameraEstimate) -> tuple[UpEvidence, ...]:
-    """Sources of gravity; the camera's own estimate where none is recorded. None is better than a pixel at the focal
-    length."""
-    own = UpEvidence("camera", camera.up_camera, camera.up_sigma_rad)
-    sources = camera.up_evidence or (own,)
-    return tuple(replace(one, sigma_rad=max(one.sigma_rad, 1 / camera.intrinsics.fx_px)) for one in sources)
-
-
 def with_objects(evidence: Evidence, depth: DepthClip, main: BodyMotion, masks: InstanceMasks) -> Evidence:
     """The evidence with that of the objects."""
     depth_m = first_depth_m(evidence, depth, main)
@@ -152,8 +110,7 @@ def with_objects(evidence: Evidence, depth: DepthClip, main: BodyMotion, masks: 
 
 def first_depth_m(evidence: Evidence, depth: DepthClip, main: BodyMotion) -> Float[np.ndarray, "height width"]:
     """Depth of the background image in meters by the initial line and the camera of stage humans; NaN where unknown."""
-    T = main.view().T_world_camera
-    line = first_line(evidence, T[1, :3], max(float(T[1, 3]), MIN_CAMERA_M))
+    line = first_line(evidence, max(float(main.view().T_world_camera[1, 3]), MIN_CAMERA_M))
     return metric_depth(depth.kind, depth.background_value, *line)
 
 
@@ -178,21 +135,19 @@ def skin_evidence(
         rows, columns = rng.permutation(np.argwhere(reliable[sample]))[:_POINTS].T
         found.append(
             SkinEvidence(
-                transform_points(T, body.joints_world_m[frame, :1])[0],
                 skin_m[rng.permutation(seen)[:_POINTS]],
-                _pixels(rows, columns, body, depth.value.shape[1:]),
+                _rays(rows, columns, body, depth.value.shape[1:]),
                 depth.value[sample, rows, columns].astype(np.float64),
             )
         )
     return tuple(found)
 
 
-def _pixels(rows: Any, columns: Any, body: BodyMotion, shape: tuple[int, ...]) -> np.ndarray:
-    """(..., 2) from the principal point, in pixels of the clip."""
-    k = body.intrinsics
-    small = k.resized(shape[1], shape[0])
-    across = np.stack([columns - small.cx_px, rows - small.cy_px], -1)
-    return across * np.array([k.fx_px / small.fx_px, k.fx_px / small.fy_px])
+def _rays(rows: Any, columns: Any, body: BodyMotion, shape: tuple[int, ...]) -> np.ndarray:
+    """(..., 3) viewing rays of unit z-depth of the pixels of an image of a shape."""
+    k = body.intrinsics.resized(shape[1], shape[0])
+    x, y = (columns - k.cx_px) / k.fx_px, (rows - k.cy_px) / k.fy_px
+    return np.stack([x, y, np.ones_like(x)], -1)
 
 
 def _floor_pixels(
@@ -203,13 +158,13 @@ def _floor_pixels(
     k = main.intrinsics.resized(shape[1], shape[0])
     sure = cv2.erode(floor.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     for person in people:
-        at = np.round(project(person.soles_m[person.soles_m[:, 2] > 0.1], k)).astype(int)
+        at = np.round(project(person.support_m[person.support_m[:, 2] > 0.1], k)).astype(int)
         inside = ((at >= 0) & (at < [shape[1], shape[0]])).all(1)
         sure[at[inside, 1], at[inside, 0]] = True
     rows, columns = np.nonzero(sure & depth.background_valid)
-    pixel = _pixels(rows, columns, main, shape)
+    ray = _rays(rows, columns, main, shape)
     T = main.view().T_world_camera
-    down = -(np.concatenate([pixel / main.intrinsics.fx_px, np.ones((len(pixel), 1))], 1) @ T[1, :3])
+    down = -ray @ T[1, :3]
     reach_m = max(float(T[1, 3]), MIN_CAMERA_M) / np.maximum(down, 1e-6)
     usable = np.flatnonzero(down > 0.02)
     if len(usable) > _POINTS:
@@ -218,7 +173,7 @@ def _floor_pixels(
         wanted = np.linspace(log[0], log[-1], _POINTS)
         usable = order[np.unique(np.searchsorted(log, wanted).clip(0, len(order) - 1))]
     value = depth.background_value[rows[usable], columns[usable]].astype(np.float64)
-    return PixelEvidence(pixel[usable], value)
+    return PixelEvidence(ray[usable], value)
 
 
 class _ObjectMeasurer:
@@ -230,9 +185,8 @@ class _ObjectMeasurer:
         T = main.view().T_world_camera
         self.value, self.depth_m, self.known, self.floor, self.main = value, depth_m, known, floor, main
         rows, columns = np.indices(value.shape)
-        self.pixel = _pixels(rows, columns, main, value.shape)
-        rays = np.concatenate([self.pixel / main.intrinsics.fx_px, np.ones((*value.shape, 1))], -1)
-        self.rise, self.height_m = rays @ T[1, :3], float(T[1, 3])
+        self.ray = _rays(rows, columns, main, value.shape)
+        self.rise, self.height_m = self.ray @ T[1, :3], float(T[1, 3])
 
     def object(
         self,
@@ -249,20 +203,20 @@ class _ObjectMeasurer:
         return ObjectEvidence(object_id, label, foot, cut, top, soles)
 
     def _under_feet(self, own: np.ndarray, main: PersonEvidence) -> SkinEvidence | None:
-        """Soles that stood inside the object's mask, where the background image shows the object."""
+        """What stood inside the object's mask, where the background image shows the object."""
         inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & self.known
         small = self.main.intrinsics.resized(own.shape[1], own.shape[0])
-        column, row = np.round(project(main.soles_m, small)).astype(int).T
-        inside = (main.soles_m[:, 2] > 0.1) & (column >= 0) & (column < own.shape[1]) & (row >= 0) & (row < len(own))
+        column, row = np.round(project(main.support_m, small)).astype(int).T
+        inside = (main.support_m[:, 2] > 0.1) & (column >= 0) & (column < own.shape[1]) & (row >= 0) & (row < len(own))
         inside[inside] = inner[row[inside], column[inside]]
         if inside.sum() < _MIN_STOOD:
             return None
         row, column = row[inside], column[inside]
         value = self.value[row, column].astype(np.float64)
-        return SkinEvidence(main.soles_root_m[inside], main.soles_m[inside], self.pixel[row, column], value)
+        return SkinEvidence(main.support_m[inside], self.ray[row, column], value)
 
     def _at(self, row: int, column: int) -> PixelEvidence:
-        return PixelEvidence(self.pixel[[row], [column]], self.value[[row], [column]].astype(np.float64))
+        return PixelEvidence(self.ray[[row], [column]], self.value[[row], [column]].astype(np.float64))
 
     def _foot(self, own: np.ndarray) -> tuple[PixelEvidence | None, bool]:
         """Its lowest pixel on the floor, and whether the image border cuts it."""
@@ -282,7 +236,7 @@ class _ObjectMeasurer:
         ratio = np.log(self.height_m / -rise[stands] / self.depth_m[inside[stands], columns[stands]])
         chosen = stands[np.argsort(ratio)[int(_OUTLIER_RATIO * len(stands))]]
         at = self._at(int(inside[chosen]), int(columns[chosen]))
-        return PixelEvidence(self.pixel[[lowest[chosen]], [columns[chosen]]], at.value), cut
+        return PixelEvidence(self.ray[[lowest[chosen]], [columns[chosen]]], at.value), cut
 
     def _top(self, own: np.ndarray) -> PixelEvidence | None:
         rows, columns = np.nonzero(own & self.known)

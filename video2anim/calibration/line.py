@@ -18,17 +18,15 @@ def metric_depth(kind: str, value: np.ndarray, scale: float, offset: float) -> F
     return np.where((depth_m > 0.02) & (depth_m < 1e3), depth_m, np.nan)
 
 
-def first_line(evidence: Evidence, up: np.ndarray, height_m: float) -> tuple[float, float]:
+def first_line(evidence: Evidence, height_m: float) -> tuple[float, float]:
     """Scale and offset by the floor pixels and the median of each frame's skin: robust ridge regression of depth or
     disparity toward the network's usual offset."""
-    rays = np.concatenate([evidence.floor.pixel / evidence.focal_px, np.ones((len(evidence.floor.value), 1))], 1)
     x = np.concatenate([evidence.floor.value, [np.median(one.value) for one in evidence.skin]])
-    z_m = np.concatenate([
-        height_m / np.maximum(-rays @ up, NEAREST), [np.median(one.skin_m[:, 2]) for one in evidence.skin],
-    ])  # fmt: skip
+    floor_m = height_m / np.maximum(-evidence.floor.ray @ evidence.up, NEAREST)
+    z_m = np.concatenate([floor_m, [np.median(one.skin_m[:, 2]) for one in evidence.skin]])
     if not len(x):
         # Neither floor nor skin: the main person is at the median depth.
-        x, z_m = np.array([evidence.median_value]), evidence.people[0].soles_root_m[:1, 2]
+        x, z_m = np.array([evidence.median_value]), evidence.people[0].support_m[:1, 2]
     y = z_m if evidence.kind == "depth" else 1 / z_m
     unit = evidence.median_value
     x, usual = x / unit, evidence.usual_offset

@@ -7,8 +7,6 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.types.camera import UpEvidence
-
 _TILT_RAD = math.radians(25)
 """Largest angle between the ground's normal and the up direction of the other sources."""
 _NEAR_RATIO = 0.01
@@ -19,14 +17,16 @@ _MIN_SHARE = 0.4
 """Least share of the points that the ground holds. It holds 0.55 and 0.69 where it is right (`02_follow_walk`,
 `glamr_pexels_walking`), and planes of shorter paths, up to 17 degrees off, 0.03 to 0.25 (nine other clips of
 `benchmarks/moving_cameras.py` and `real_clips.py`)."""
-_SLOPE_RAD = math.radians(1.5)
+SLOPE_RAD = math.radians(1.5)
 """Usual slope of ground: twice as much, 5 %, is a steep path and the limit of ramps for wheelchairs."""
 _DRAWS = 2000
 """Triples of points, which find a plane of that share with near certainty."""
 
 
-def ground_evidence(points: Float[np.ndarray, "points 3"], up_camera: Float[np.ndarray, "3"]) -> UpEvidence | None:
-    """Normal of the ground in the first camera's axes, with the slope of ground as its standard deviation.
+def ground_up(
+    points: Float[np.ndarray, "points 3"], up_camera: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"] | None:
+    """Normal of the ground in the first camera's axes.
 
     Args:
         points: Of the background, in the first camera's axes and any unit, with known depth.
@@ -53,7 +53,7 @@ def ground_evidence(points: Float[np.ndarray, "points 3"], up_camera: Float[np.n
     # Nearer points are known better: planes n . x = -1 by least squares over the distance.
     weight = 1 / np.linalg.norm(own, axis=1)
     fitted = np.linalg.lstsq(own * weight[:, None], -weight, rcond=None)[0]
-    return UpEvidence("ground", fitted / np.linalg.norm(fitted), _SLOPE_RAD)
+    return fitted / np.linalg.norm(fitted)
 
 
 def _off(points: np.ndarray, normal: np.ndarray, height: np.ndarray) -> Float[np.ndarray, "planes points"]:

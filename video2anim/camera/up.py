@@ -4,23 +4,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.camera.ground_plane import ground_evidence
+from video2anim.camera.ground_plane import SLOPE_RAD, ground_up
 from video2anim.geometry.perspective_field import FieldCamera
 from video2anim.humans.lifter_input import LiftedBody
 from video2anim.humans.lifting import Network, lift
 from video2anim.humans.observe import observations
 from video2anim.types import Intrinsics, PersonTrack, PersonTracks, VideoClip
-from video2anim.types.camera import UpEvidence
 from video2anim.types.clip import FPS
 
 _LIFTER_SIGMA_RAD = 0.1
 """Error of the lifter's up direction."""
-_LEVEL_CAMERA_SIGMA_RAD = 0.35
-"""Cameras are held level to about 20 degrees."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpEvidence:
+    """Estimate of gravity from one source alone."""
+
+    source: str
+    """`people` (their poses), `image` (perspective fields and line segments) or `ground` (the plane that a traveling
+    camera passes)."""
+    up_camera: Float[np.ndarray, "3"]
+    """Unit vector against gravity in camera axes, first frame."""
+    sigma_rad: float
 
 
 def lifted_people(
@@ -56,33 +66,40 @@ def up_by_lifter(
 
 
 def combined_up(evidence: Sequence[UpEvidence]) -> tuple[Float[np.ndarray, "3"], float]:
-    """Mean of the up directions by people and by what is seen of the scene (picture, ground), weighted by their
-    variances, and its standard deviation in radians."""
-    lifter = next(one for one in evidence if one.source == "lifter")
-    up, sigma_rad = lifter.up_camera, lifter.sigma_rad
-    for source in (one for one in evidence if one.source in ("picture", "ground")):
+    """Mean of the up directions of all sources, weighted by their variances, and its standard deviation in radians."""
+    up, sigma_rad = evidence[0].up_camera, evidence[0].sigma_rad
+    for source in evidence[1:]:
         weights = np.array([sigma_rad**-2, source.sigma_rad**-2])
         together = weights @ np.stack([up, source.up_camera]) / weights.sum()
         # Where the two disagree, neither is as certain as its standard deviation.
-        apart_rad = math.acos(float(np.clip(up @ source.up_camera, -1, 1)))
+        apart_rad = angle_rad(up, source.up_camera)
         sigma_rad = max(float(weights.sum() ** -0.5), 0.5 * apart_rad * float(min(weights) / max(weights)) ** 0.5)
         up = together / np.linalg.norm(together)
     return up, sigma_rad
 
 
+def angle_rad(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> float:
+    """Angle between unit vectors."""
+    return math.acos(float(np.clip(a @ b, -1, 1)))
+
+
 def up_evidence(
-    by_lifter: Float[np.ndarray, "3"], image: FieldCamera, points: Float[np.ndarray, "points 3"]
+    by_lifter: Float[np.ndarray, "3"],
+    image: FieldCamera,
+    focal_px: float,
+    points: Float[np.ndarray, "points 3"],
 ) -> tuple[UpEvidence, ...]:
     """Every source of the up direction on its own.
 
     Args:
         by_lifter: Of people's poses.
         image: Camera by the image.
+        focal_px: An image is no more certain than a pixel at this distance.
         points: Background points of known depth that a traveling camera has passed, in the first camera's axes.
     """
-    sources = [UpEvidence("picture", image.up_camera, image.up_sigma_rad)]
-    ground = ground_evidence(points, image.up_camera)
-    sources += [] if ground is None else [ground]
-    sources.append(UpEvidence("lifter", by_lifter, _LIFTER_SIGMA_RAD))
-    sources.append(UpEvidence("level camera", np.array([0.0, -1.0, 0.0]), _LEVEL_CAMERA_SIGMA_RAD))
-    return tuple(sources)
+    ground = ground_up(points, image.up_camera)
+    sources = [
+        UpEvidence("people", by_lifter, _LIFTER_SIGMA_RAD),
+        UpEvidence("image", image.up_camera, max(image.up_sigma_rad, 1 / focal_px)),
+    ]
+    return (*sources, *([] if ground is None else [UpEvidence("ground", ground, SLOPE_RAD)]))

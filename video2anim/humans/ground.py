@@ -1,38 +1,17 @@
-"""Floor and balance of a moving body."""
+"""Floor under a moving body."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.types.skeleton import JOINT_INDEX
-
-_SEGMENTS = (
-    ("pelvis", "spine3", 0.43), ("neck", "head", 0.08),
-    ("left_shoulder", "left_elbow", 0.028), ("right_shoulder", "right_elbow", 0.028),
-    ("left_elbow", "left_wrist", 0.022), ("right_elbow", "right_wrist", 0.022),
-    ("left_hip", "left_knee", 0.100), ("right_hip", "right_knee", 0.100),
-    ("left_knee", "left_ankle", 0.061), ("right_knee", "right_ankle", 0.061),
-)  # fmt: skip
-"""Mass share of body segments (Winter 2009, table 4.1), each at the middle of its joints."""
-OBSERVATIONS_PER_S = 3.0
-"""Independent observations of a body's balance: errors of neighboring frames are correlated."""
 SUPPORT_WINDOW_S = 0.6
 """People who stand, walk or run have a foot on the ground at least once in this time."""
 LEVEL_GAP_M = 0.25
 """Heights with a larger gap between them are different levels of ground."""
-SOLE_SIGMA_M = 0.03
-"""Standard deviation of the height of a standing sole: the spread of floor heights of stage humans on clips with one
-floor. Heights that spread by twice as much are not of one level."""
-
-
-def center_of_mass(joints_m: Float[np.ndarray, "frames 22 3"]) -> Float[np.ndarray, "frames 3"]:
-    """Whole-body center of mass from segment masses."""
-    total = np.zeros((len(joints_m), 3))
-    mass = sum(share for _, _, share in _SEGMENTS)
-    for start, end, share in _SEGMENTS:
-        total += share / mass * 0.5 * (joints_m[:, JOINT_INDEX[start]] + joints_m[:, JOINT_INDEX[end]])
-    return total
+SUPPORT_SIGMA_M = 0.03
+"""Standard deviation of the height of what supports a body: the spread of floor heights of stage humans on clips with
+one floor. Heights that spread by twice as much are not of one level."""
 
 
 def level_frame(up_camera: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
@@ -53,19 +32,18 @@ def level_frame(up_camera: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 
 def floor_height(
-    sole_height_m: Float[np.ndarray, "frames feet"], fps: float, *, window_s: float = SUPPORT_WINDOW_S
+    lowest_m: Float[np.ndarray, "frames"], fps: float, *, window_s: float = SUPPORT_WINDOW_S
 ) -> tuple[float, float]:
     """Height of the lowest level that carries the body in several windows, and the spread of that level.
 
-    Somebody who stands, walks or runs has a foot down at least once in about 0.6 s, so the low end of the soles in
-    every such window is a support, unless the body is in the air or lies. The floor is their `lowest_level`.
+    Somebody who stands, walks or runs has a foot down at least once in about 0.6 s, and others a hand or a knee, so the
+    low end of the skin in every such window is a support. The floor is their `lowest_level`.
 
     Args:
-        sole_height_m: lowest point of each foot, valid frames in order of time.
+        lowest_m: lowest point of the skin, valid frames in order of time.
     """
-    lowest = sole_height_m.min(1)
-    windows = max(1, round(len(lowest) / max(1.0, window_s * fps)))
-    level = lowest_level(np.array([np.percentile(part, 10) for part in np.array_split(lowest, windows)]))
+    windows = max(1, round(len(lowest_m) / max(1.0, window_s * fps)))
+    level = lowest_level(np.array([np.percentile(part, 10) for part in np.array_split(lowest_m, windows)]))
     return float(np.median(level)), float(np.std(level))
 
 
@@ -87,7 +65,7 @@ def lowest_level(
 
 def _lowest_stair(heights_m: Float[np.ndarray, "windows"], windows: int) -> Float[np.ndarray, "some_windows"]:
     """The lowest of sorted heights, cut at the widest gap while they spread more than the noise of one level."""
-    while np.std(heights_m) > 2 * SOLE_SIGMA_M:
+    while np.std(heights_m) > 2 * SUPPORT_SIGMA_M:
         cut = int(np.argmax(np.diff(heights_m))) + 1
         low = heights_m[:cut]
         # A ramp, by an error of gravity, has no dominant gap; two outlier windows are no level.

@@ -14,7 +14,7 @@ from video2anim.humans.ground import floor_height, level_frame
 from video2anim.humans.lifter_input import CONTACT_INDEX, LiftedBody
 from video2anim.humans.problem import FittedBody
 from video2anim.types import BodyMotion, CameraEstimate, PersonTrack
-from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
+from video2anim.types.skeleton import forward_kinematics
 
 
 def world_poses(
@@ -31,25 +31,22 @@ def world_poses(
     T_world_camera = T_first_camera.copy()
     T_world_camera[:, :3] = level_frame(up_camera) @ T_first_camera[:, :3]
     root_m = transform_points(T_world_camera, fit.joints_camera_m[:, :1])[:, 0]
-    soles_m = _sole_heights(fit, T_world_camera[:, :3, :3]) + T_world_camera[:, 1, 3, None]
-    floor_m, spread_m = floor_height(soles_m[valid], fps)
+    lowest_m = _lowest_heights(fit, T_world_camera[:, :3, :3]) + T_world_camera[:, 1, 3]
+    floor_m, spread_m = floor_height(lowest_m[valid], fps)
     first = int(np.flatnonzero(valid)[0])
     T_world_camera[:, :3, 3] -= [root_m[first, 0], floor_m, root_m[first, 2]]
     return T_world_camera, spread_m
 
 
-def _sole_heights(fit: FittedBody, R_world_camera: np.ndarray) -> Float[np.ndarray, "frames feet"]:
-    """Height of the lowest point of the left and the right foot above the camera."""
+def _lowest_heights(fit: FittedBody, R_world_camera: np.ndarray) -> Float[np.ndarray, "frames"]:
+    """Height of the lowest point of the skin above the camera."""
     body = shaped_body(fit.shape)
     R_parent_joint, translation_m = _turned(fit, R_world_camera)
     joints, R_world_joint = forward_kinematics(R_parent_joint, translation_m, body.rest_joints_m)
-    heights = np.empty((len(joints), 2))
-    for foot, side in enumerate(("left", "right")):
-        own = [JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_foot"]]
-        index = np.flatnonzero(np.isin(body.vertex_part, own))
-        for begin in range(0, len(joints), CHUNK_FRAMES):
-            some = slice(begin, begin + CHUNK_FRAMES)
-            heights[some, foot] = body.vertices(R_world_joint[some], joints[some], index)[..., 1].min(1)
+    heights = np.empty(len(joints))
+    for begin in range(0, len(joints), CHUNK_FRAMES):
+        some = slice(begin, begin + CHUNK_FRAMES)
+        heights[some] = body.vertices(R_world_joint[some], joints[some])[..., 1].min(1)
     return heights
 
 

@@ -66,18 +66,6 @@ class View(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UpEvidence(Checked):
-    """Estimate of gravity from one source alone."""
-
-    source: str
-    """`picture` (perspective fields and straight edges), `ground` (the plane that a traveling camera passes), `lifter`
-    (people's poses) or `level camera`."""
-    up_camera: Annotated[Float[np.ndarray, "3"], Holds.DIRECTION]
-    """Unit vector against gravity in camera axes, first frame."""
-    sigma_rad: NonNegativeFloat
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class CameraEstimate(Checked):
     """Intrinsics and gravity of the clip's camera."""
 
@@ -93,8 +81,6 @@ class CameraEstimate(Checked):
     T_first_camera: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
     """Pose of each frame's camera in the first one's axes; identity if `is_static`. Unit of length: the usual distance
     of the background, which images leave open (stage humans finds it in meters)."""
-    up_evidence: tuple[UpEvidence, ...] = ()
-    """The estimates of the single sources, for the fit of stage metric."""
 
     @property
     def travels(self) -> bool:
