@@ -29,6 +29,9 @@ class DepthConfig:
 
     provider: Annotated[str, model_of("depth")] = "room-depth"
     """A model of slot `depth`, by its name or as NAME@PATH."""
+    max_frames: Annotated[int, limits(ge=1, le=255)] = 12
+    """Sampled frames in which people's depth is estimated. With 24 the calibration is the same
+    (`benchmarks/calibration.py`)."""
     hue_shifts_rad: tuple[_HueShift, ...] = (-0.6, -0.3, 0.3, 0.6)
     """Hue shifts of the background image's copies."""
     frame_hue_shifts_rad: tuple[_HueShift, ...] = (-0.45, 0.45)
@@ -53,6 +56,8 @@ def estimate_depth(
     from video2anim.depth.network_depth import DepthModel, HueJitter, clip_depth, frame_depths, image_depth
 
     model: DepthModel = ctx.model(config.provider)
+    chosen = np.linspace(0, len(background_image.frame_index) - 1, config.max_frames).round().astype(int)
+    sampled = background_image.of_frames(background_image.frame_index[np.unique(chosen)])
     empty = image_depth(
         model,
         background_image.background_rgb,
@@ -60,11 +65,9 @@ def estimate_depth(
         HueJitter(config.hue_shifts_rad, config.unreliable_ratio),
     )
     jitter = HueJitter(config.frame_hue_shifts_rad, config.unreliable_ratio)
-    frames = frame_depths(model, clip, background_image, jitter, ctx.progress)
-    depth, alignment = clip_depth(
-        config.provider, model.kind, background_image, empty, frames, is_static=camera.is_static
-    )
-    _report(depth, alignment, background_image, ctx)
+    frames = frame_depths(model, clip, sampled, jitter, ctx.progress)
+    depth, alignment = clip_depth(config.provider, model.kind, sampled, empty, frames, is_static=camera.is_static)
+    _report(depth, alignment, sampled, ctx)
     return depth
 
 
@@ -84,4 +87,4 @@ def _report(depth: DepthClip, alignment: Alignment | None, background: Backgroun
     ctx.quality("median_sigma_ratio", float(np.median(sigma)) if sigma.size else 1.0, "ratio", "lower")
 
 
-STAGE = StageSpec("depth", estimate_depth, version=4, models=("depth",))
+STAGE = StageSpec("depth", estimate_depth, version=5, models=("depth",))

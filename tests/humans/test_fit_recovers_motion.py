@@ -160,10 +160,12 @@ def camera_of(filmed: Filmed, monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
     monkeypatch.setattr(image_camera, "read_frame", lambda *_: np.zeros((720, 1280, 3), np.uint8))
 
     def run(
-        factor: float = 1.0, sigma_rad: float = 0.005, focal_35mm: float = 0.0, focal_px: float | None = None
-    ) -> tuple[CameraEstimate, StageContext]:
+        factor: float = 1.0, sigma_rad: float = 0.005, focal_35mm: float = 0.0, focal_px: float | None = None,
+        rolled_deg: float = 0.0,
+    ) -> tuple[CameraEstimate, StageContext]:  # fmt: skip
         clip, tracks = as_stage_input(filmed.whole, focal_35mm)
-        seen = SeenField(factor * FOCAL_PX, UP, sigma_rad)
+        up = matrix_from_axis_angle(np.array([0, 0, np.radians(rolled_deg)])) @ UP
+        seen = SeenField(factor * FOCAL_PX, up, sigma_rad)
         ctx = StageContext(Path(), load_model=lambda name: seen if name == "seen" else load_model(name))
         return estimate_camera(clip, tracks, CameraConfig(focal_px=focal_px, camera_model="seen"), ctx), ctx
 
@@ -207,6 +209,19 @@ def test_the_picture_is_believed_as_far_as_it_is_sure(
     assert off_rad < 2 * camera.up_sigma_rad
     assert off_rad < (0.01 if share == 1 else 0.15)
     assert camera.focal_sigma_ratio < 0.03 if share == 1 else 0.2 < camera.focal_sigma_ratio <= 0.3
+
+
+@pytest.mark.parametrize(("rolled_deg", "named"), [(0.0, False), (25.0, True)])
+def test_sources_of_gravity_that_disagree_are_named(
+    camera_of: Callable[..., tuple[CameraEstimate, StageContext]], rolled_deg: float, named: bool
+) -> None:
+    """A picture that has gravity 25 degrees off, sure as it is, against people who stand."""
+    camera, ctx = camera_of(rolled_deg=rolled_deg)
+    assert any("up direction by the people" in text for text in ctx.warnings) == named
+    told = {quality.key: quality.value for quality in ctx.qualities}
+    assert (told["up_by_people_off"] > 12) == named
+    assert told["up_by_image_off"] < 3
+    assert (camera.up_sigma_rad > 0.005) == named
 
 
 def test_gravity_is_seen_in_whom_the_lifter_is_sure_of(filmed: Filmed) -> None:

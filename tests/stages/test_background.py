@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from stages.background import BackgroundConfig, make_background
 from video2anim.cli.compose import pipeline_nodes
-from video2anim.errors import UsageError
+from video2anim.errors import ArtifactError, UsageError
 from video2anim.pipeline.config import resolve
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import (
@@ -135,6 +135,12 @@ def test_plate_and_masks_of_one_walker(tmp_path: Path, with_mask: bool) -> None:
     assert found.person_mask.shape == found.selected_mask.shape == (11, HEIGHT, WIDTH)
     assert iou(found.person_mask, truth[0][found.frame_index]) > MASK_IOU
     assert np.array_equal(found.person_mask, found.selected_mask)
+    some = found.of_frames(np.array([5, 20, 47]))
+    assert some.frame_index.tolist() == [5, 20, 47]
+    np.testing.assert_array_equal(some.selected_mask, found.selected_mask[[1, 4, 10]])
+    np.testing.assert_array_equal(some.person_mask, some.selected_mask)
+    with pytest.raises(ArtifactError, match="want sampled frames"):
+        found.of_frames(np.array([0, 21]))
     assert found.seen_ratio.min() > 0
     assert found.seen_ratio[:30].min() == 1.0
     assert ctx.warnings == []

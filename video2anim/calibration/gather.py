@@ -32,9 +32,8 @@ one in the rooms of V2A-Bench (geometric mean 1.22)."""
 _OTHER_DEPTH, _OTHER_DISPARITY = (0.0, 0.3), (0.5, 5.0)
 """The same of unknown networks, for depth and disparity. The zero of disparity may be right behind the farthest wall,
 which may have the median value."""
-_SKIN_FRAMES, _POINTS, _MIN_PIXELS = 24, 300, 40
-"""Frames with both skin and depth that enter, points of either in each (and of the floor), and how many there must be
-of either."""
+_POINTS, _MIN_PIXELS = 300, 40
+"""Points of skin and depth in a frame that enter (and of the floor), and how many there must be of either."""
 _OUTLIER_RATIO = 0.05
 """Share of an object's pixels that are outliers of its mask, and are left out before an extreme is taken: of its lower
 ends, which are above the floor between the legs, and of its heights."""
@@ -118,11 +117,10 @@ def skin_evidence(
     depth: DepthClip, background: BackgroundImage, body: BodyMotion, rng: np.random.Generator
 ) -> tuple[SkinEvidence, ...]:
     """Skin and depth in frames that have the main person's body and enough valid pixels of it."""
-    reliable = background.selected_mask & depth.valid
+    reliable = background.of_frames(depth.frame_index).selected_mask & depth.valid
     samples = np.flatnonzero((reliable.sum((1, 2)) >= _MIN_PIXELS) & body.valid[depth.frame_index])
     if not len(samples):
         return ()
-    samples = samples[np.unique(np.linspace(0, len(samples) - 1, _SKIN_FRAMES).round().astype(int))]
     shaped, found = shaped_body(body.shape), []
     skins_m = posed_vertices(body, shaped, None, depth.frame_index[samples])
     for sample, skin_world_m in zip(samples, skins_m, strict=True):

@@ -37,7 +37,7 @@ def applied(
         factor[shrunk(instance.mask, shape)] = np.exp(log)
     background_m, background_valid = _meters(depth.kind, depth.background_value, depth.background_valid, found)
     depth_m, valid = _meters(depth.kind, depth.value, depth.valid, found)
-    people = background.person_mask if background.person_mask.shape == depth_m.shape else np.zeros(depth_m.shape, bool)
+    people = background.of_frames(depth.frame_index).person_mask
     own = np.where(people, np.exp(found.person_depth_log), factor)
     sigmas = zip(masks.instances, found.object_depth_log_sigma, strict=True)
     return MetricDepth(

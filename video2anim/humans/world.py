@@ -13,6 +13,7 @@ from video2anim.geometry.projection import transform_points
 from video2anim.humans.ground import floor_height, level_frame
 from video2anim.humans.lifter_input import CONTACT_INDEX, LiftedBody
 from video2anim.humans.problem import FittedBody
+from video2anim.humans.support import with_support
 from video2anim.types import BodyMotion, CameraEstimate, PersonTrack
 from video2anim.types.skeleton import forward_kinematics
 
@@ -66,8 +67,9 @@ def world_motion(
     camera: CameraEstimate,
     T_world_camera: Float[np.ndarray, "frames 4 4"],
     frame_time_s: Float[np.ndarray, "frames"],
+    fps: float,
 ) -> BodyMotion:
-    """One person's motion, with the contacts of the lifter."""
+    """One person's motion, with the contacts of the lifter and, where it has none, those of what carries the body."""
     frames = len(frame_time_s)
     R_parent_joint, translation_m = _turned(fit, T_world_camera[:, :3, :3])
     blank = BodyMotion(
@@ -87,4 +89,5 @@ def world_motion(
     posed = blank.with_pose(translation_world_m=translation_m, R_parent_joint=R_parent_joint)
     contact = np.zeros((frames, 22))
     contact[:, CONTACT_INDEX] = lifted.contact * track.valid[:, None]
-    return replace(posed, contact=contact)
+    touching = replace(posed, contact=contact)
+    return replace(touching, contact=with_support(touching, fps))

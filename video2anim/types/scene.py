@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from pydantic import Field, FiniteFloat, NonNegativeFloat, NonNegativeInt, PositiveFloat
 
+from video2anim.errors import ArtifactError
 from video2anim.types.checks import Checked, expect_sound
 from video2anim.types.storage import Holds, Storage, stored
 
@@ -50,6 +51,19 @@ class BackgroundImage(Checked):
     """Any person, at the working resolution."""
     selected_mask: Bool[np.ndarray, "samples small_height small_width"]
     """The main person, at the working resolution."""
+
+    def of_frames(self, frame_index: Int[np.ndarray, "some"]) -> BackgroundImage:
+        """The same with some of the sampled frames only.
+
+        Raises:
+            ArtifactError: one of them was not sampled.
+        """
+        if not np.isin(frame_index, self.frame_index).all():
+            raise ArtifactError("BackgroundImage: want sampled frames, got others: run again from stage background")
+        rows = np.searchsorted(self.frame_index, frame_index)
+        return replace(
+            self, frame_index=frame_index, person_mask=self.person_mask[rows], selected_mask=self.selected_mask[rows]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
