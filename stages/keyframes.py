@@ -1,10 +1,11 @@
 """Keyframe optimization (SceneMI, supplement section 8.2): moves roots so that body and scene agree.
 
-Five losses over the displacements of the keyframes, all in square meters so that weights carry no unit: regularization
-(small displacements), contact (touching parts meet the surface), penetration (skin stays outside of solids), temporal
-smoothness, and the Chamfer distance between visible skin and metric depth. Roots move along their lines of sight only,
-the direction in which one camera is least certain, so the body keeps its place in the image. Poses do not change.
-Between keyframes the displacement is interpolated, not the motion, which keeps its detail.
+Four losses over the displacements of the keyframes, all in square meters so that weights carry no unit: regularization
+(small displacements), contact (touching parts meet the surface), penetration (skin stays outside of solids) and
+temporal smoothness. The paper's fifth, the Chamfer distance between visible skin and metric depth, is left out: stage
+metric has fitted depth to the bodies (docs/refine.md). Roots move along their lines of sight only, the direction in
+which one camera is least certain, so the body keeps its place in the image. Poses do not change. Between keyframes the
+displacement is interpolated, not the motion, which keeps its detail.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Annotated
 
 from video2anim.pipeline.options import limits
 from video2anim.pipeline.stage import StageContext, StageSpec
-from video2anim.types import BackgroundImage, KeyframedMotion, MetricDepth, SceneModel
+from video2anim.types import KeyframedMotion, MetricDepth, SceneModel
 
 
 @dataclass(frozen=True)
@@ -28,21 +29,18 @@ class KeyframesConfig:
 def optimize_keyframes(
     scene: SceneModel,
     depth: MetricDepth,
-    background: BackgroundImage,
     config: KeyframesConfig,
     ctx: StageContext,
 ) -> KeyframedMotion:
     """Optimize the keyframes' roots and carry the displacement over to all frames.
 
-    Keyframes lie in valid frames only; invalid stretches are bridged. Depth is used for the main person, whose mask the
-    background image holds, and only where the depth's scale is trusted.
+    Keyframes lie in valid frames only; invalid stretches are bridged.
     """
     from video2anim.geometry.sdf import SdfGrid
     from video2anim.motion.keyframe_fit import fit_roots, root_fit_quality
     from video2anim.motion.keyframe_problem import choose_keyframes
 
     grid = SdfGrid(scene.sdf_m, scene.sdf_origin_m, scene.sdf_spacing_m)
-    usable = _depth_is_usable(depth, background, ctx)
     people, indices = [], []
     for number, motion in enumerate(depth.bodies.people):
         keyframes = choose_keyframes(motion.valid, config.keyframe_interval_frames)
@@ -51,8 +49,7 @@ def optimize_keyframes(
             ctx.warn(f"person {motion.person_id} has no valid frame, motion left as it is")
             people.append(motion)
             continue
-        seen = (depth, background) if number == 0 and usable else None
-        fit = fit_roots(motion, scene.objects, keyframes, grid, seen, ctx.rng("depth points"))
+        fit = fit_roots(motion, scene.objects, keyframes, grid)
         people.append(fit.motion)
         person_id = None if number == 0 else motion.person_id
         for key, value, unit in root_fit_quality(fit):
@@ -62,14 +59,4 @@ def optimize_keyframes(
     return KeyframedMotion(tuple(people), tuple(indices))
 
 
-def _depth_is_usable(depth: MetricDepth, background: BackgroundImage, ctx: StageContext) -> bool:
-    """Whether the depth loss can be used; a warning where it cannot."""
-    masks, maps = background.selected_mask.shape[1:], depth.depth_m.shape[1:]
-    if not depth.trusted:
-        ctx.warn(f"depth loss left out, the depth's scale is not trusted ({depth.reason})")
-    elif masks != maps:
-        ctx.warn(f"depth loss left out, masks {masks} do not fit depth {maps}")
-    return depth.trusted and masks == maps
-
-
-STAGE = StageSpec("keyframes", optimize_keyframes, version=14)
+STAGE = StageSpec("keyframes", optimize_keyframes, version=15)

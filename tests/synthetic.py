@@ -103,12 +103,6 @@ def with_root_shift(motion: BodyMotion, shift_m: np.ndarray) -> BodyMotion:
     )
 
 
-def body_vertices(motion: BodyMotion) -> np.ndarray:
-    """All skin vertices (T, V, 3) in the world."""
-    _, R_world_joint = forward_kinematics(motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.rest_joints_m)
-    return shaped_body(motion.shape).vertices(R_world_joint, motion.joints_world_m)
-
-
 def world_to_camera(motion: BodyMotion, frame: int) -> np.ndarray:
     """T_camera_world of one frame."""
     return invert_rigid(motion.T_world_camera[frame])

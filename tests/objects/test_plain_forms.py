@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from furnished import Furnished, chair, furnished, moved, turned_by
 from seen_boxes import LENS, Block, Piece, edges_of, table
-from trimesh.creation import box, extrude_triangulation, icosphere
+from trimesh.creation import box, extrude_triangulation
 from trimesh.transformations import rotation_matrix
 
 from video2anim.geometry.projection import transform_points
@@ -51,18 +51,6 @@ def leaning(width_m: float, length_m: float, lean_rad: float) -> trimesh.Trimesh
     return mesh
 
 
-def ball(size_m: tuple[float, float, float]) -> trimesh.Trimesh:
-    mesh = icosphere(2, 0.5)
-    mesh.apply_scale(size_m)
-    mesh.apply_translation([0, 0.5 * size_m[1], 0])
-    return mesh
-
-
-def mound(size_m: tuple[float, float, float]) -> trimesh.Trimesh:
-    points = icosphere(2, 1.0).vertices
-    return trimesh.convex.convex_hull(np.maximum(points, [-1, 0, -1]) * np.array(size_m) * [0.5, 1, 0.5])
-
-
 def cut_out(corners: np.ndarray, thick_m: float) -> trimesh.Trimesh:
     mesh = extrude_triangulation(corners, triangulated(corners), thick_m)
     mesh.apply_translation([0, 0, -0.5 * thick_m])
@@ -85,9 +73,6 @@ THINGS = {
     "board: leaning": ("board", at(leaning(0.7, 1.5, 0.5), 0.4)),
     "board: plank": ("board", at(leaning(0.5, 1.8, 1.1), -0.9)),
     "board: curtain": ("board", boxes(Block((0.2, 1.4, -5.8), (1.3, 2.0, 0.06)))),
-    "ellipsoid: ball": ("ellipsoid", at(ball((0.75, 0.75, 0.75)), 0.0)),
-    "ellipsoid: pouf": ("ellipsoid", at(ball((0.8, 0.45, 0.7)), 0.3)),
-    "ellipsoid: boulder": ("ellipsoid", at(mound((1.4, 0.5, 0.9)), 0.8)),
     "stack": (
         "stack",
         boxes(Block((0.1, 0.2, -3.0), (1.0, 0.4, 0.6), 0.4), Block((0.0, 0.65, -3.0), (0.4, 0.5, 0.4), 0.4)),

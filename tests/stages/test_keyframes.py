@@ -1,4 +1,4 @@
-"""Keyframe optimization on a walk with known truth, seen from above: floor, a box in the way, depth, gaps."""
+"""Keyframe optimization on a walk with known truth, seen from above: floor, a box in the way, gaps."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from keyframe_problem import depth_of, optimize, quality, root_m, scene
+from keyframe_problem import optimize, quality, root_m, scene
 from synthetic import planted_walk, rotation, with_root_shift
 
 from video2anim.geometry.rotations import matrix_from_axis_angle
@@ -79,25 +79,6 @@ def test_a_body_is_pushed_out_of_an_object() -> None:
     _, ctx = optimize(truth, scene(box_at_m=(-0.52, 0.45, 1.2)), REGULARIZATION=0.05)
     assert quality(ctx, "penetration_max_before") > 0.05
     assert quality(ctx, "penetration_max_after") < 0.5 * quality(ctx, "penetration_max_before")
-
-
-def test_depth_pulls_the_body_along_the_camera_axis() -> None:
-    truth = walk()
-    depth, background = depth_of(truth, np.arange(0, FRAMES, 6))
-    contact = np.zeros_like(truth.contact)
-    raw = replace(along_sight(truth, -0.10), contact=contact)
-    done, ctx = optimize(raw, scene(), (depth, background), REGULARIZATION=0.05)
-    assert off_m(done.people[0], truth).mean() < 0.04
-    assert quality(ctx, "depth_chamfer_after") < quality(ctx, "depth_chamfer_before")
-
-
-def test_untrusted_depth_is_left_out_and_told() -> None:
-    truth = walk(31)
-    depth = depth_of(truth, np.arange(0, 31, 10), trusted=False)
-    shifted = replace(along_sight(truth, -0.10), contact=np.zeros_like(truth.contact))
-    done, ctx = optimize(shifted, scene(), depth)
-    assert any("not trusted (person too small)" in warning for warning in ctx.warnings)
-    assert off_m(done.people[0], shifted).max() < 0.01
 
 
 def test_keyframes_lie_in_valid_frames_and_gaps_are_bridged_without_a_pop() -> None:

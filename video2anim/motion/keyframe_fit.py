@@ -9,14 +9,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.geometry.chamfer import chamfer_m
 from video2anim.geometry.sdf import SdfGrid
-from video2anim.motion.keyframe_depth import depth_targets
 from video2anim.motion.keyframe_points import SkinPoints, SkinSample
 from video2anim.motion.keyframe_problem import between_keyframes, root_problem
 from video2anim.motion.keyframe_roots import RootProblem, contact_distance_m, solve_along
 from video2anim.objects.path import holding
-from video2anim.types import BackgroundImage, BodyMotion, MetricDepth, PlacedObject
+from video2anim.types import BodyMotion, PlacedObject
 from video2anim.types.quality import Unit
 
 
@@ -41,8 +39,6 @@ def fit_roots(
     objects: Sequence[PlacedObject],
     keyframes: Int[np.ndarray, "keyframes"],
     grid: SdfGrid,
-    seen: tuple[MetricDepth, BackgroundImage] | None,
-    rng: np.random.Generator,
 ) -> RootFit:
     """Move the roots of a person's keyframes, and the frames between them.
 
@@ -51,15 +47,12 @@ def fit_roots(
         objects: of the scene; a hand that holds one of them touches no solid.
         keyframes: valid frames.
         grid: distance field of the scene, meters, world frame.
-        seen: depth and masks of this person; None leaves the depth loss out.
-        rng: draws the depth points.
     """
     body = shaped_body(motion.shape)
     sample = SkinSample(body)
     before = sample.on(motion)
-    targets = depth_targets(motion, body, *seen, rng) if seen else ()
     free = replace(motion, contact=np.where(holding(objects, motion), 0.0, motion.contact))
-    problem = root_problem(free, keyframes, before, grid, targets)
+    problem = root_problem(free, keyframes, before, grid)
     along_m = solve_along(problem)
     displacement_m = between_keyframes(keyframes, along_m[:, None] * problem.direction, motion.frame_count)
     moved = motion.with_pose(
@@ -71,7 +64,7 @@ def fit_roots(
 def root_fit_quality(fit: RootFit) -> Iterator[tuple[str, float, Unit]]:
     """Key, value and unit of the quality numbers, all the lower the better.
 
-    Penetration is over all valid frames, contact distance and depth over the keyframes and depth maps of the problem.
+    Penetration is over all valid frames, contact distance over the keyframes of the problem.
     """
     valid, problem = fit.motion.valid, fit.problem
     for when, points in (("before", fit.before), ("after", fit.after)):
@@ -82,15 +75,7 @@ def root_fit_quality(fit: RootFit) -> Iterator[tuple[str, float, Unit]]:
         "before": [part.skin_m for part in problem.contacts],
         "after": [fit.after.touching_m(part.joints)[problem.frame[part.keyframe]] for part in problem.contacts],
     }
-    visible = {
-        "before": [target.visible_m for target in problem.depth],
-        "after": [target.visible_m + fit.displacement_m[target.frame] for target in problem.depth],
-    }
     for when, skins_m in touching.items():
         if skins_m:
             gaps_m = [contact_distance_m(skin_m, problem.scene) for skin_m in skins_m]
             yield f"contact_distance_{when}", float(np.abs(np.concatenate(gaps_m)).mean()), "m"
-        if visible[when]:
-            pairs = zip(visible[when], problem.depth, strict=True)
-            distances_m = [chamfer_m(skin_m, target.depth_m) for skin_m, target in pairs]
-            yield f"depth_chamfer_{when}", float(np.mean(distances_m)), "m"

@@ -16,8 +16,8 @@ from video2anim.types.skeleton import TOUCHING_PARTS, forward_kinematics
 TOUCHING = tuple(TOUCHING_PARTS.values())
 """Joints of the parts that may touch."""
 POINTS = 500
-"""Points per frame: vertices of the skin, spread by farthest-point sampling, that are tested for penetration, and depth
-points and visible vertices that are compared. They are about 6 cm apart on the body."""
+"""Points per frame: vertices of the skin, spread by farthest-point sampling, that are tested for penetration. They are
+about 6 cm apart on the body."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

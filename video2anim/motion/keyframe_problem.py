@@ -9,7 +9,6 @@ from scipy.interpolate import PchipInterpolator
 from video2anim.body.contact import LIKELY, REACH_M
 from video2anim.geometry.runs import runs
 from video2anim.geometry.sdf import SdfGrid
-from video2anim.motion.keyframe_depth import DepthTarget
 from video2anim.motion.keyframe_points import TOUCHING, SkinPoints
 from video2anim.motion.keyframe_roots import ContactPart, RootProblem, contact_distance_m
 from video2anim.types import BodyMotion
@@ -39,7 +38,6 @@ def root_problem(
     keyframes: Int[np.ndarray, "keyframes"],
     points: SkinPoints,
     grid: SdfGrid,
-    targets: tuple[DepthTarget, ...],
 ) -> RootProblem:
     """World-frame arrays at the keyframes; contacts and skin without a surface within `REACH_M` are left out."""
     contacts: list[ContactPart] = []
@@ -59,4 +57,4 @@ def root_problem(
     root_m = motion.T_world_root[:, :3, 3]
     away_m = root_m[keyframes] - motion.T_world_camera[keyframes, :3, 3]
     direction = away_m / np.maximum(np.linalg.norm(away_m, axis=1, keepdims=True), 1e-6)
-    return RootProblem(keyframes, direction, skin_m[row, vertex], valid[row], tuple(contacts), targets, grid)
+    return RootProblem(keyframes, direction, skin_m[row, vertex], valid[row], tuple(contacts), grid)

@@ -1,4 +1,4 @@
-"""Displacements of keyframe roots along their lines of sight by five losses (SceneMI, supplement section 8.2)."""
+"""Displacements of keyframe roots along their lines of sight by four losses (SceneMI, supplement section 8.2)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from scenemi.postprocess.motion_solve import TOUCHING_POINTS
 from video2anim.geometry.robust import huber_of_square
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.geometry.torch_threads import one_thread
-from video2anim.motion.keyframe_depth import DepthLoss, DepthTarget
 
 REGULARIZATION = 2.0
-"""Weight of the mean squared displacement; those of contact and depth are 1, all in m^2. With a tenth of it, roots
+"""Weight of the mean squared displacement; that of contact is 1, all in m^2. With a tenth of it, roots
 follow errors of the scene: on clips with motion capture the root's path became up to 12 mm worse by this stage
 (`benchmarks/real_clips.py`); with this value it changes by less than 3 mm."""
 PENETRATION = 5.0
@@ -26,7 +25,7 @@ CHANGE = 0.1
 """Weight of the squared difference of consecutive displacements; the paper's smoothness, taken on the displacement so
 that walking is not slowed. Without it a root that is drawn to the floor may jump by 12 mm from frame to frame."""
 HUBER_M = 0.05
-"""Contact and depth distances above this count linearly. Not measured."""
+"""Contact distances above this count linearly. Not measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +51,6 @@ class RootProblem:
     skin_frame: Int[np.ndarray, "points"]
     """Frame of each of them."""
     contacts: tuple[ContactPart, ...]
-    depth: tuple[DepthTarget, ...]
     scene: SdfGrid
 
 
@@ -76,7 +74,7 @@ def contact_distance_m(skin_m: Float[np.ndarray, "touches vertices 3"], scene: S
 
 
 class _Losses:
-    """Weighted sum of the five losses as a function of the displacements along the lines of sight (K, 1)."""
+    """Weighted sum of the four losses as a function of the displacements along the lines of sight (K, 1)."""
 
     def __init__(self, problem: RootProblem) -> None:
         self.problem = problem
@@ -91,11 +89,6 @@ class _Losses:
             (torch.as_tensor(part.keyframe), _tensor(part.skin_m), _tensor(part.probability))
             for part in problem.contacts
         ]
-        self.depth = DepthLoss(problem.depth, huber_m=HUBER_M) if problem.depth else None
-        if self.depth:
-            frame = np.concatenate([np.full(len(target.visible_m), target.frame) for target in problem.depth])
-            self.visible_m = _tensor(np.concatenate([target.visible_m for target in problem.depth]))
-            self.visible_place = _between(problem.frame, frame)
 
     def __call__(self, along_m: torch.Tensor) -> torch.Tensor:
         displacement_m = along_m * self.direction
@@ -104,8 +97,6 @@ class _Losses:
             total = total + self._contact(displacement_m)
         if len(displacement_m) > 1:
             total = total + CHANGE * ((displacement_m.diff(dim=0) / self.step[:, None]) ** 2).sum(-1).mean()
-        if self.depth:
-            total = total + self.depth(self.visible_m + _at(displacement_m, self.visible_place))
         return total
 
     def _penetration(self, displacement_m: torch.Tensor) -> torch.Tensor:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from video2anim.geometry.heading import Heading
 from video2anim.objects.furniture import Form
 from video2anim.objects.observed import ObjectEvidence
-from video2anim.objects.shapes import ROUND
+from video2anim.objects.shapes import CYLINDER
 from video2anim.objects.solids import Solids
 
 POSE = ("x", "z", "yaw", "base", "distance", "stretch")
@@ -162,7 +162,7 @@ class FormProblem:
         self.form, self.evidence, self.sigmas, self.samples = form, evidence, sigmas, samples_per_side
         self.part_names, solids = form.build(form.usual_m[None])
         thick = zip(self.part_names, solids.shapes, strict=True)
-        self.is_round = all(shape in ROUND for name, shape in thick if name not in THIN)
+        self.is_round = all(shape is CYLINDER for name, shape in thick if name not in THIN)
         known = np.isfinite(evidence.depth_m)
         self.point_rays, self.point_m = evidence.rays[known], evidence.depth_m[known]
         self.log_depth = np.log(self.point_m)

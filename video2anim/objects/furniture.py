@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.objects.shapes import BALL, CUBE, CYLINDER, DOME, WEDGE, Shape
+from video2anim.objects.shapes import CUBE, CYLINDER, WEDGE, Shape
 from video2anim.objects.solids import Solids
 
 Sizes = Float[np.ndarray, "batch sizes"]
@@ -274,21 +274,6 @@ def _leaning_board(s: Sizes) -> _Built:
     return _solids([("board", [0, center_y, 0], [w, length, thick])], len(s), tilted=("board",), tilt_rad=lean_rad)
 
 
-def _ball(s: Sizes) -> _Built:
-    across, h = s.T
-    return _solids([("body", [0, 0.5 * h, 0], [across, h, across])], len(s), shapes={"body": BALL})
-
-
-def _dome(s: Sizes) -> _Built:
-    w, d, h = s.T
-    return _solids([("body", [0, 0, 0], [w, 2 * h, d])], len(s), shapes={"body": DOME})
-
-
-def _drum(s: Sizes) -> _Built:
-    across, h = s.T
-    return _solids([("body", [0, 0.5 * h, 0], [across, h, across])], len(s), shapes=_round("body"))
-
-
 def _size(name: str, usual_m: float, spread: float) -> Size:
     return Size(name, usual_m, spread)
 
@@ -347,13 +332,10 @@ FORMS: tuple[Form, ...] = (
     Form("slope", (_size("width", 1.5, 0.6), _size("depth", 1.2, 0.6), _size("height", 0.5, 0.6)), _slope, share=0.01),
     Form("board", (_size("width", 0.8, 0.6), _size("depth", 0.5, 0.8), _size("height", 1.2, 0.6),
                    _size("thickness", 0.04, 0.4)), _leaning_board, "leaning", share=0.01),
-    Form("ellipsoid", (_size("width", 0.6, 0.6), _size("height", 0.6, 0.6)), _ball, turns=1, share=0.01),
-    Form("ellipsoid", _ANY, _dome, "half", 1, share=0.1),
     Form("stack", (*_ANY, _size("lower height", 0.3, 0.8), _size("upper width", 0.4, 0.8),
                    _size("upper depth", 0.4, 0.8), place("upper x"), place("upper z")), _stack, turns=2, stands=False,
          share=0.1),
     Form("box", _ANY, _box, turns=2, stands=False),
-    Form("drum", (_size("width", 0.4, 0.6), _size("height", 0.5, 0.6)), _drum, turns=1, stands=False, share=0.01),
 )  # fmt: skip
 """All that is tried, with the object's own outline (`extrusion`). Those from `slope` on are for objects of no known
 kind."""

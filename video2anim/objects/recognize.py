@@ -16,7 +16,7 @@ from video2anim.objects.upright_box import UprightBox
 _SCREEN_SAMPLES, _SAMPLES = 3, 7
 """Surface samples along a side of a solid, while forms are compared and at the end."""
 _SCREEN_ROUNDS = 6
-_PLAIN = ("box", "cabinet", "ellipsoid", "stack", OUTLINE)
+_PLAIN = ("box", "cabinet", "stack", OUTLINE)
 """Forms that mostly stand on the floor but may stand on something else."""
 _RAISED = 0.05
 """Prior probability that one of them stands on something other than the floor."""

@@ -1,4 +1,4 @@
-"""Shapes of the solids that forms are made of: box, upright cylinder, ellipsoid, and a polygon with a thickness.
+"""Shapes of the solids that forms are made of: box, upright cylinder, and a polygon with a thickness.
 
 A shape fills the cube from -1 to 1; a solid stretches it to its half extents. All functions take many solids of one
 shape at once: coordinates (batch, parts, n) along the axes of every solid, from its center, and half extents
@@ -8,7 +8,6 @@ shape at once: coordinates (batch, parts, n) along the axes of every solid, from
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -22,8 +21,6 @@ FLAT = 1e-9
 """Keeps rays along a side from dividing by nothing."""
 _SEGMENTS = 24
 """Sides of a round mesh."""
-_RINGS = 6
-"""Rings of an ellipsoid's mesh: 288 faces, as many as the largest form of furniture has."""
 
 
 @runtime_checkable
@@ -99,46 +96,6 @@ class Cylinder:
     def mesh(self) -> UnitMesh:
         """96 faces."""
         return _turned([(1.0, -1.0), (1.0, 1.0)], -1.0, 1.0)
-
-
-@dataclass(frozen=True)
-class Ellipsoid:
-    """Whole, or its upper half on a flat base."""
-
-    half: bool = False
-
-    def signed_m(self, own: Axes, half_m: np.ndarray) -> np.ndarray:
-        """To first order: exact on the surface, and between half and all of the truth outside."""
-        scaled = [part / half_m[:, :, k] for k, part in enumerate(own)]
-        level = np.maximum(np.sqrt(sum(part**2 for part in scaled)), FLAT)
-        slope = np.sqrt(sum((part / half_m[:, :, k]) ** 2 for k, part in enumerate(scaled)))
-        away = level * (level - 1) / np.maximum(slope, FLAT)
-        return np.maximum(away, -own[1]) if self.half else away
-
-    def spans(self, start: Axes, along: Axes, half_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Within the sphere that it is a stretched one of."""
-        from_center, step = (tuple(part / half_m[:, :, k] for k, part in enumerate(axes)) for axes in (start, along))
-        enter, leave = _within(from_center, step, 1.0)
-        if self.half:
-            low, high = _between(start[1] - 0.5 * half_m[:, :, 1], along[1], 0.5 * half_m[:, :, 1])
-            enter, leave = np.maximum(enter, low), np.minimum(leave, high)
-        return enter, leave
-
-    def lattice(self, per_side: int) -> np.ndarray:
-        """The cube's, from its center onto the sphere; of half of one, the lower ones up to the base."""
-        points = _lattice(per_side)
-        points = points / np.linalg.norm(points, axis=-1, keepdims=True)
-        return np.maximum(points, [-1.0, 0.0, -1.0]) if self.half else points
-
-    def mesh(self) -> UnitMesh:
-        """288 faces."""
-        turn = (
-            0.5 * np.pi * np.arange(_RINGS) / _RINGS
-            if self.half
-            else np.pi * (np.arange(1, _RINGS + 1) / (_RINGS + 1) - 0.5)
-        )
-        rings = list(zip(np.cos(turn), np.sin(turn), strict=True))
-        return _turned(rings, 0.0 if self.half else -1.0, 1.0)
 
 
 class Prism:
@@ -274,8 +231,6 @@ def _turned(rings: list[tuple[float, float]], low: float, high: float) -> UnitMe
     return turned.vertices[:, [1, 2, 0]], turned.faces
 
 
-CUBE, CYLINDER, BALL, DOME = Cube(), Cylinder(), Ellipsoid(), Ellipsoid(half=True)
-ROUND: tuple[Shape, ...] = (CYLINDER, BALL, DOME)
-"""Those without a straight side."""
+CUBE, CYLINDER = Cube(), Cylinder()
 WEDGE = Prism(np.array([[[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]]]))
 """A slope that falls towards +x."""
