@@ -34,11 +34,21 @@ from video2anim.lab.eval.results import SceneResult
 from video2anim.types import BackgroundImage, BodyTracks, DepthClip, InstanceMasks
 
 NONE = PixelEvidence(np.zeros((0, 3)), np.zeros(0))
+
+
+def objects_without(kind: str) -> Callable[[Evidence], Evidence]:
+    """Evidence without one kind of that of objects."""
+    return lambda e: replace(e, objects=tuple(replace(one, **{kind: None}) for one in e.objects))
+
+
 WITHOUT: dict[str, Callable[[Evidence], Evidence]] = {
     "nothing": lambda e: e,
     "floor pixels": lambda e: replace(e, floor=NONE),
     "skin": lambda e: replace(e, skin=()),
-    "lower ends of objects": lambda e: replace(e, objects=tuple(replace(o, foot=None) for o in e.objects)),
+    "every other frame of skin": lambda e: replace(e, skin=e.skin[::2]),
+    "lower ends of objects": objects_without("foot"),
+    "usual heights of furniture": objects_without("top"),
+    "objects under feet": objects_without("under_feet"),
     "the usual offset": lambda e: replace(e, usual_offset_sigma=100.0),
 }
 
