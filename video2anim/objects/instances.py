@@ -6,6 +6,7 @@ Masks are at the size of the depth map until `instances_of`, which brings them t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -15,6 +16,7 @@ from jaxtyping import Bool, Float, UInt8
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import project, world_points
 from video2anim.networks.segmentation import CLASSES, Segmentation
+from video2anim.objects.color_cut import cut_by_color
 from video2anim.objects.depth_regions import RegionLimits, Regions
 from video2anim.objects.merge import Detection, joined_objects
 from video2anim.objects.outline import outlined
@@ -138,16 +140,30 @@ def without_floor(
 def instances_of(
     found: Sequence[Detection], background: BackgroundImage, *, min_score: float, max_objects: int
 ) -> tuple[ObjectInstance, ...]:
-    """The best objects as instances at the size of the image, best first.
+    """The best objects as instances at the size of the image, best first, with outlines where its colors change.
 
     The score of an object rises by half of the share of frames in which the person overlaps it: it is likely used.
     """
     scores = [item.score + 0.5 * _overlap_share(item, background) for item in found]
     order = [i for i in np.argsort(scores)[::-1] if scores[i] >= min_score][:max_objects]
+    image = background.background_rgb
+    chosen = [found[i] for i in order]
+    masks = _cut_masks([one.mask for one in chosen], image)
     return tuple(
-        _instance(number, found[i], min(float(scores[i]), 1.0), background.background_rgb)
-        for number, i in enumerate(order, start=1)
+        _instance(number, replace(one, mask=mask), min(float(scores[i]), 1.0), image)
+        for number, (i, one, mask) in enumerate(zip(order, chosen, masks, strict=True), start=1)
     )
+
+
+def _cut_masks(
+    masks: Sequence[Bool[np.ndarray, "rows columns"]], image_rgb: UInt8[np.ndarray, "height width 3"]
+) -> list[Bool[np.ndarray, "rows columns"]]:
+    """Every mask cut by color; none grows into another."""
+    cut = list(masks)
+    for k, mask in enumerate(masks):
+        small = cv2.resize(image_rgb, mask.shape[::-1], interpolation=cv2.INTER_AREA)
+        cut[k] = cut_by_color(mask, small, np.any(cut[:k] + cut[k + 1 :], axis=0) & ~mask)
+    return cut
 
 
 def _overlap_share(found: Detection, background: BackgroundImage) -> float:
