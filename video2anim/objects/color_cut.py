@@ -15,6 +15,8 @@ _MIN_IOU = 0.5
 """An object whose colors are those of what is around it cannot be cut out: a cut with less overlap is not used."""
 _MIN_PART = 0.1
 """Parts smaller than this share of the largest are specks."""
+_OBJECT = (cv2.GC_FGD, cv2.GC_PR_FGD)
+_UNUSED_BOX = (0, 0, 1, 1)
 
 
 def cut_by_color(
@@ -30,22 +32,31 @@ def cut_by_color(
         others: Pixels of other objects.
     """
     band = max(2, round(_BAND * float(np.sqrt(mask.sum()))))
-    near, core = _dilated(mask, band), ~_dilated(~mask, 2 * band)
-    rows, columns = np.nonzero(_dilated(mask, 4 * band))
-    window = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] if len(rows) else np.s_[:, :]
-    labels = np.select([core, others | ~near, mask], [cv2.GC_FGD, cv2.GC_BGD, cv2.GC_PR_FGD], cv2.GC_PR_BGD).astype(
-        np.uint8
-    )[window]
-    is_object = np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
+    window = _window(_dilated(mask, 4 * band))
+    labels = _labels(mask, others, band)[window]
+    is_object = np.isin(labels, _OBJECT)
     if not is_object.any() or is_object.all():
         return mask
     cv2.setRNGSeed(0)
     models = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(np.ascontiguousarray(image_rgb[window]), labels, None, *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(np.ascontiguousarray(image_rgb[window]), labels, _UNUSED_BOX, *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
     found = np.zeros_like(mask)
-    found[window] = np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
+    found[window] = np.isin(labels, _OBJECT)
     found = _without_specks(found)
     return found if (found & mask).sum() >= _MIN_IOU * (found | mask).sum() else mask
+
+
+def _labels(mask: np.ndarray, others: np.ndarray, band: int) -> UInt8[np.ndarray, "rows columns"]:
+    """What GrabCut starts from: only pixels within the band outside of the mask, and twice that inside, are open."""
+    sure, far = ~_dilated(~mask, 2 * band), others | ~_dilated(mask, band)
+    labels = np.select([sure, far, mask], [cv2.GC_FGD, cv2.GC_BGD, cv2.GC_PR_FGD], cv2.GC_PR_BGD)
+    return labels.astype(np.uint8)
+
+
+def _window(mask: np.ndarray) -> tuple[slice, slice]:
+    """The rows and columns that have any of it; all if there is none."""
+    rows, columns = np.nonzero(mask) if mask.any() else np.nonzero(~mask)
+    return slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
 
 
 def _dilated(mask: np.ndarray, pixels: int) -> np.ndarray:
