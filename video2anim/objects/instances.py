@@ -16,10 +16,9 @@ from jaxtyping import Bool, Float, UInt8
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import project, world_points
 from video2anim.networks.segmentation import CLASSES, Segmentation
-from video2anim.objects.color_cut import cut_by_color
 from video2anim.objects.depth_regions import RegionLimits, Regions
 from video2anim.objects.merge import Detection, joined_objects
-from video2anim.objects.outline import outlined
+from video2anim.objects.outline import cut_by_color, outlined
 from video2anim.types import BackgroundImage, ObjectInstance, View
 
 if TYPE_CHECKING:

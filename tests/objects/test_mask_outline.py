@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from video2anim.objects.color_cut import cut_by_color
+from video2anim.objects.outline import cut_by_color
 
 ROWS, COLUMNS = 120, 160
 NOTHING = np.zeros((ROWS, COLUMNS), bool)
