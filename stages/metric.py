@@ -32,9 +32,6 @@ class MetricConfig:
     conflict_sigmas: Annotated[float, limits(gt=0, le=1000)] = 3.0
     """Evidence that is off by more than so many standard deviations (root mean square) contradicts the rest. The scale
     of depth is not trusted if 0 is within so many standard deviations of it."""
-    max_chamfer_ratio: Annotated[float, limits(ge=0, le=10)] = 0.2
-    """Nor is it if body and depth stay farther apart than this share of the distance. It is 0.03 to 0.12 on real clips
-    where the network's depth is that of the image."""
 
 
 def fit_metric(
@@ -86,10 +83,6 @@ def _problem(evidence: Evidence, found: Calibration, config: MetricConfig) -> st
     """Why the scale of depth is not trusted; empty if it is."""
     if not evidence.skin and not len(evidence.floor.value):
         return "neither the person nor floor has valid depth: no depth is metric"
-    if evidence.skin:
-        distance_m = float(np.median([np.median(one.skin_m[:, 2]) for one in evidence.skin]))
-        if found.chamfer_after_m > config.max_chamfer_ratio * distance_m:
-            return f"body and depth stay {found.chamfer_after_m:.2f} m apart at a distance of {distance_m:.1f} m"
     if found.scale_log_sigma * config.conflict_sigmas > 1:
         return f"it is known to {found.scale_log_sigma:.0%} only (limit {1 / config.conflict_sigmas:.0%})"
     return ""
@@ -109,4 +102,4 @@ def _record(found: Calibration, ctx: StageContext) -> None:
         ctx.quality("residual_" + kind.replace("'", "").replace(" ", "_"), off, "ratio", "lower")
 
 
-STAGE = StageSpec("metric", fit_metric, version=21)
+STAGE = StageSpec("metric", fit_metric, version=22)

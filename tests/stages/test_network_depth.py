@@ -233,14 +233,11 @@ def test_what_only_seems_a_floor_does_not_outweigh_the_body(room: Room) -> None:
     assert (masks.floor_mask & wall.floor_mask).sum() < 0.2 * wall.floor_mask.sum(), "stage segment asks depth too"
 
 
-@pytest.mark.parametrize(("limit", "words"), [
-    ({"max_chamfer_ratio": 0.001}, "body and depth stay"), ({"conflict_sigmas": 500.0}, "known to"),
-])  # fmt: skip
-def test_beyond_its_limits_the_scale_is_not_trusted(room: Room, limit: dict[str, float], words: str) -> None:
+def test_beyond_its_limit_the_scale_is_not_trusted(room: Room) -> None:
     ctx = _context(room)
-    _, metric = _stages(room, ctx, config=MetricConfig(**limit))
+    _, metric = _stages(room, ctx, config=MetricConfig(conflict_sigmas=500.0))
     assert not metric.trusted
-    assert words in metric.reason
+    assert "known to" in metric.reason
     assert any("not trusted" in text for text in ctx.warnings)
 
 

@@ -1,5 +1,5 @@
-"""Outlines of objects by GrabCut (Rother et al. 2004): out of a detector's box, by color and depth, and in a band around
-a mask, by color."""
+"""Outlines of objects by GrabCut (Rother et al. 2004): out of a detector's box, by color and depth, and in a band
+around a mask, by color."""
 
 from __future__ import annotations
 
