@@ -12,12 +12,13 @@ import functools
 import io
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
+from scipy.optimize import root_scalar
 
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.errors import UsageError
@@ -299,3 +300,20 @@ def shaped_body(shape: BodyShape) -> ShapedBody:
 @functools.lru_cache(maxsize=8)
 def _shaped_cached(model: str, parameters: tuple[tuple[str, float], ...]) -> ShapedBody:
     return anny_model().shaped(BodyShape(model, dict(parameters)))
+
+
+def rest_of(parameters: Mapping[str, float]) -> RestSkeleton:
+    """Rest skeleton of a body, without gradients."""
+    with torch.no_grad():
+        return anny_model().rest_skeleton({name: torch.tensor(value) for name, value in parameters.items()})
+
+
+def height_phenotype(parameters: Mapping[str, float], body_height_m: float) -> float:
+    """Phenotype `height` with which a body stands this high, as far as the model's range goes."""
+
+    def off_m(height: float) -> float:
+        return float(rest_of({**parameters, "height": height}).body_height_m) - body_height_m
+
+    if off_m(0.0) >= 0:
+        return 0.0
+    return 1.0 if off_m(1.0) <= 0 else float(root_scalar(off_m, bracket=(0.0, 1.0)).root)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from scipy.optimize import root_scalar
 
-from video2anim.body.anny_body import anny_model
+from video2anim.body.anny_body import height_phenotype, rest_of
 from video2anim.calibration.fit import Calibration
 from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.types import BodyMotion, BodyTracks
@@ -53,19 +51,10 @@ def resized(
 ) -> tuple[BodyShape, Float[np.ndarray, "22 3"], float]:
     """Shape and rest joints of the body model at another body height (phenotype `height`), and the ratio reached."""
     parameters = {name: float(value) for name, value in shape.parameters.items()}
-
-    def skeleton(height: float) -> tuple[float, np.ndarray]:
-        with torch.no_grad():
-            rest = anny_model().rest_skeleton(
-                {name: torch.tensor(v) for name, v in (parameters | {"height": height}).items()}
-            )
-        return float(rest.body_height_m), rest.rest_joints_m.numpy().astype(np.float64)
-
     if shape.model != "anny" or abs(ratio - 1) < 1e-3:
         return shape, rest_joints_m, 1.0
-    now_m, _ = skeleton(parameters["height"])
-    low_m, high_m = skeleton(0.0)[0], skeleton(1.0)[0]
-    wanted_m = float(np.clip(ratio * now_m, low_m, high_m))
-    height = root_scalar(lambda height: skeleton(height)[0] - wanted_m, bracket=(0.0, 1.0)).root
-    reached_m, joints_m = skeleton(height)
-    return replace(shape, parameters=parameters | {"height": height}), joints_m, reached_m / now_m
+    now = rest_of(parameters)
+    parameters["height"] = height_phenotype(parameters, ratio * float(now.body_height_m))
+    then = rest_of(parameters)
+    joints_m = then.rest_joints_m.numpy().astype(np.float64)
+    return replace(shape, parameters=parameters), joints_m, float(then.body_height_m / now.body_height_m)

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from scipy.ndimage import median_filter
 
-from video2anim.body.anny_body import PEOPLES_LENGTHS, RestSkeleton, anny_model
+from video2anim.body.anny_body import PEOPLES_LENGTHS, RestSkeleton, anny_model, height_phenotype
 from video2anim.errors import StageError
 from video2anim.geometry.rotations import axis_angle_from_matrix, rot6d_from_matrix
 from video2anim.geometry.torch_threads import one_thread
@@ -47,7 +47,7 @@ def fit_body(
         observed: landmarks; with the intrinsics of the camera.
         lifted: output of the lifter for the same frames, as initial values and as evidence.
         fit_shape: treat the shape as unknown; else it stays `shape`.
-        shape: Anny parameters to start from (default: `PERSON`).
+        shape: Anny parameters to start from (default: `PERSON`, at the height of `config` if that is known).
 
     Raises:
         StageError: fewer than one valid frame.
@@ -55,7 +55,10 @@ def fit_body(
     if not observed.valid.any():
         raise StageError("body fit: want at least one frame with landmarks, got none")
     base = dict.fromkeys(PEOPLES_LENGTHS, 0.0) | shape if shape else dict(PERSON)
-    objective = Objective(observed, anny_model(), base, config or FitConfig(), lifted)
+    config = config or FitConfig()
+    if not shape and config.body_height_m != FitConfig.body_height_m:
+        base["height"] = height_phenotype(base, config.body_height_m)
+    objective = Objective(observed, anny_model(), base, config, lifted)
     parameters = _start(observed, lifted, objective.start_rest)
     leaves = [parameters.root_rot6d, parameters.angles_rad, parameters.translation_m]
     rates = [0.02, 0.02, 0.02]
