@@ -30,8 +30,8 @@ class DepthConfig:
     provider: Annotated[str, model_of("depth")] = "room-depth"
     """A model of slot `depth`, by its name or as NAME@PATH."""
     max_frames: Annotated[int, limits(ge=1, le=255)] = 12
-    """Sampled frames in which people's depth is estimated. With 24 the calibration is the same
-    (`benchmarks/calibration.py`)."""
+    """Sampled frames in which people's depth is estimated. With half of them the calibration is the
+    same (`benchmarks/calibration.py`)."""
     hue_shifts_rad: tuple[_HueShift, ...] = (-0.6, -0.3, 0.3, 0.6)
     """Hue shifts of the background image's copies."""
     frame_hue_shifts_rad: tuple[_HueShift, ...] = (-0.45, 0.45)

@@ -11,7 +11,8 @@ from video2anim.background.background_image import (
     median_background,
     updated_background,
 )
-from video2anim.background.person_segmentation import Raster, dilated, lab_difference, person_probability, refine_mask
+from video2anim.background.person_segmentation import Raster, lab_difference, person_probability, refine_mask
+from video2anim.geometry.masks import dilated
 from video2anim.types import PersonTrack
 
 

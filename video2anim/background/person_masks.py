@@ -11,11 +11,11 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from video2anim.background.person_segmentation import (
     Raster,
-    dilated,
     lab_difference,
     person_probability,
     refine_mask,
 )
+from video2anim.geometry.masks import dilated
 from video2anim.types import PersonTracks, VideoClip
 from video2anim.video import read_frames
 

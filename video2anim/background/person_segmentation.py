@@ -131,14 +131,6 @@ def refine_mask(
     return _without_small_regions(mask)
 
 
-def dilated(mask: Bool[np.ndarray, "height width"], radius_px: int) -> Bool[np.ndarray, "height width"]:
-    """The mask grown by a disc."""
-    if radius_px < 1:
-        return mask
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius_px + 1, 2 * radius_px + 1))
-    return cv2.dilate(mask.astype(np.uint8), disc).astype(bool)
-
-
 def _without_small_regions(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
     closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from video2anim.body.shaped_body import ShapedBody
+from video2anim.body.shaped_body import CHUNK_FRAMES, ShapedBody
 from video2anim.geometry.moving_field import MovingField
 from video2anim.geometry.sdf import SdfGrid
 from video2anim.types.motion import BodyMotion
@@ -40,6 +40,19 @@ def posed_vertices(
         motion.R_parent_joint[frames], motion.T_world_root[frames, :3, 3], motion.rest_joints_m
     )
     return body.vertices(R_world_joint, joints_m, index).astype(np.float64)
+
+
+def lowest_points(
+    motion: BodyMotion, body: ShapedBody, frames: Int[np.ndarray, "some"]
+) -> tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some 3"]]:
+    """Number and world position of the lowest vertex of the skin in some frames."""
+    index, points_m = np.empty(len(frames), int), np.empty((len(frames), 3))
+    for begin in range(0, len(frames), CHUNK_FRAMES):
+        some = slice(begin, begin + CHUNK_FRAMES)
+        skin_m = posed_vertices(motion, body, None, frames[some])
+        index[some] = skin_m[..., 1].argmin(1)
+        points_m[some] = skin_m[np.arange(len(skin_m)), index[some]]
+    return index, points_m
 
 
 def skin_of(body: ShapedBody, joints: tuple[int, ...]) -> Int[np.ndarray, "vertices"]:

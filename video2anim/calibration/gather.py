@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.contact import posed_vertices
+from video2anim.body.contact import lowest_points, posed_vertices
 from video2anim.calibration.evidence import (
     Evidence,
     ObjectEvidence,
@@ -47,13 +47,11 @@ def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) ->
     """What supports one person, in the camera frame of the first frame."""
     shaped = shaped_body(body.shape)
     frames = np.flatnonzero(body.valid)
-    windows = np.array_split(frames, max(1, round(len(frames) / max(1.0, SUPPORT_WINDOW_S * fps))))
-    support_m = np.empty((0, 3))
-    for some in windows if len(frames) else []:
-        skin_m = posed_vertices(body, shaped, None, some)
-        lowest_m = np.take_along_axis(skin_m, skin_m[..., 1].argmin(1)[:, None, None], 1)[:, 0]
-        # The tenth percentile: the lowest is the worst outlier.
-        support_m = np.r_[support_m, lowest_m[[np.argsort(lowest_m[:, 1])[len(some) // 10]]]]
+    _, lowest_m = lowest_points(body, shaped, frames)
+    windows = np.array_split(lowest_m, max(1, round(len(frames) / max(1.0, SUPPORT_WINDOW_S * fps))))
+    # The tenth percentile: the lowest is the worst outlier.
+    low_m = [some[np.argsort(some[:, 1])[len(some) // 10]] for some in windows if len(some)]
+    support_m = np.array(low_m).reshape(-1, 3)
     return PersonEvidence(
         person_id=body.person_id,
         body_height_sigma=body_height_sigma_m / float(np.ptp(shaped.rest_vertices_m[:, 1])),

@@ -1,4 +1,4 @@
-"""Masks at other sizes."""
+"""Masks at other sizes, and grown."""
 
 from __future__ import annotations
 
@@ -23,3 +23,11 @@ def never_seen(
     """Pixels that people covered in nearly all frames, from the share of frames in which they did not."""
     seen = cv2.resize(seen_ratio.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
     return seen < _NEVER_SEEN
+
+
+def dilated(mask: Bool[np.ndarray, "height width"], radius_px: int) -> Bool[np.ndarray, "height width"]:
+    """The mask grown by a disc."""
+    if radius_px < 1:
+        return mask
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius_px + 1, 2 * radius_px + 1))
+    return cv2.dilate(mask.astype(np.uint8), disc).astype(bool)

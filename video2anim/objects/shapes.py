@@ -95,7 +95,11 @@ class Cylinder:
 
     def mesh(self) -> UnitMesh:
         """96 faces."""
-        return _turned([(1.0, -1.0), (1.0, 1.0)], -1.0, 1.0)
+        import trimesh
+
+        upright = trimesh.creation.cylinder(1.0, 2.0, sections=_SEGMENTS)
+        # Its axis is z; cyclic exchange of the axes keeps outsides outside.
+        return upright.vertices[:, [1, 2, 0]], upright.faces
 
 
 class Prism:
@@ -179,7 +183,7 @@ def _between(start: np.ndarray, along: np.ndarray, half_m: np.ndarray) -> tuple[
 def _within(
     start: tuple[np.ndarray, ...], along: tuple[np.ndarray, ...], square: np.ndarray | float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays enter and leave a circle or sphere of this squared radius."""
+    """Where rays enter and leave a circle of this squared radius."""
     length = np.maximum(sum(part**2 for part in along), FLAT**2)
     nearest = -sum(a * b for a, b in zip(start, along, strict=True)) / length
     inner = square - sum((a + nearest * b) ** 2 for a, b in zip(start, along, strict=True))
@@ -220,15 +224,6 @@ def _spread(key: tuple[int, tuple[tuple[int, ...], ...]], per_side: int) -> tupl
     for k, row in enumerate(inner):
         row[list(triangles[k % len(triangles)])] = weight[k]
     return ring, inner
-
-
-def _turned(rings: list[tuple[float, float]], low: float, high: float) -> UnitMesh:
-    """A closed surface of rings (radius, height) around the y axis, from below, between two ends on the axis."""
-    import trimesh
-
-    turned = trimesh.creation.revolve(np.array([(0.0, low), *rings, (0.0, high)]), sections=_SEGMENTS)
-    # It turns about z; cyclic exchange of the axes keeps outsides outside.
-    return turned.vertices[:, [1, 2, 0]], turned.faces
 
 
 CUBE, CYLINDER = Cube(), Cylinder()
