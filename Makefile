@@ -33,12 +33,14 @@ $(VENV)/.programs: $(VENV)/.dev
 demo: $(VENV)/.run
 	$(BIN)/video2anim demo --out demo_out
 
-# Two workers, a file at a time; each has one thread for its numbers.
+# Two workers, a file at a time; each has one thread for its numbers. Types are checked meanwhile and shown at the end:
+# at its start and end a run leaves a core idle.
 test: $(VENV)/.programs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright --pythonpath $(BIN)/python
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --durations=20
+	$(BIN)/pyright --pythonpath $(BIN)/python > $(VENV)/pyright.log & types=$$!; \
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --durations=20; tests=$$?; \
+	wait $$types; typed=$$?; cat $(VENV)/pyright.log; exit $$((tests || typed))
 
 # Units and laws, without what takes longer than a moment (tests/slow_tests.txt).
 fast: $(VENV)/.dev

@@ -16,13 +16,12 @@ import numpy as np
 import pytest
 from command import Answer, command_line, payload_digests, process, video2anim
 
-from video2anim.artifacts.codec import read_value
 from video2anim.artifacts.folder import file_digest
 from video2anim.pipeline.scene_folder import stage_folder
-from video2anim.types import VideoClip
 
 USAGE, INPUT, MODEL, STAGE = 2, 3, 4, 5
-SMALL = ("--set", "ingest.max_long_side_px=320", "--device", "cpu")
+SMALL = ("--set", "ingest.max_long_side_px=320", "--set", "ingest.stop_s=0.6", "--device", "cpu")
+"""Settings of a quick run: 18 frames."""
 
 
 def assert_one_line(answer: Answer, code: int, *parts: str) -> None:
@@ -78,49 +77,29 @@ def test_unusable_file(shared_media: Path, tmp_path: Path, name: str, said: str)
 
 
 @pytest.mark.parametrize(
-    ("name", "size_px", "frames", "warning"),
+    ("name", "warning"),
     [
-        ("truncated_midstream", (540, 960), (18, 21), "header claims 100 frames"),
-        ("corrupted_payload", (540, 960), (8, 50), "damaged data"),
-        ("rotation_metadata_90", (540, 960), None, ""),
-        ("anamorphic_sar_2_1", (960, 540), None, ""),
-        ("variable_frame_rate", None, (119, 122), "the image before is held"),
-        ("hevc_10bit", (540, 960), None, ""),
-        ("odd_641x363_vp9", (641, 363), None, ""),
-        ("odd_641x363_yuv444", (641, 363), None, ""),
-        ("grayscale", None, None, ""),
-        ("low_frame_rate_5fps", None, (145, 151), "low frame rate: 5.0 fps"),
-        ("scene_cut", (640, 360), (58, 62), "2 shots found"),
-        ("no_person_moving_camera_4x3", (640, 480), (148, 152), ""),
-        ("no_person_static_camera", (640, 360), (88, 92), ""),
-        ("small_portrait_216x384", (216, 384), None, "small picture"),
-        ("small_4x3_320x240", (320, 240), None, ""),
+        ("truncated_midstream", "header claims 100 frames"),
+        ("corrupted_payload", "damaged data"),
+        ("variable_frame_rate", "the image before is held"),
+        ("low_frame_rate_5fps", "low frame rate: 5.0 fps"),
+        ("scene_cut", "2 shots found"),
+        ("small_portrait_216x384", "small picture"),
+        ("grayscale", ""),
     ],
 )
-def test_odd_file_works_and_says_what_is_odd(
-    shared_media: Path,
-    tmp_path: Path,
-    name: str,
-    size_px: tuple[int, int] | None,
-    frames: tuple[int, int] | None,
-    warning: str,
-) -> None:
+def test_odd_file_works_and_says_what_is_odd(shared_media: Path, tmp_path: Path, name: str, warning: str) -> None:
+    """What becomes of these and other files: `tests/stages/test_ingest.py`."""
     answer = video2anim("run", shared_media / "bad" / f"{name}.mp4", "--out", tmp_path, "--until", "ingest")
     assert answer.code == 0, answer.err
     assert answer.errors == []
     assert warning in answer.err
     assert warning or "warning" not in answer.err
-    clip: VideoClip = read_value(VideoClip, stage_folder(tmp_path, "ingest"))
-    assert size_px in (None, (clip.width_px, clip.height_px))
-    assert clip.frame_count >= 5
-    if frames is not None:
-        assert frames[0] <= clip.frame_count <= frames[1]
-    assert np.isfinite(clip.source_time_s).all()
 
 
 @pytest.mark.parametrize("name", ["no_person_static_camera", "no_person_moving_camera_4x3"])
 def test_nobody_found(shared_media: Path, tmp_path: Path, name: str) -> None:
-    answer = video2anim("run", shared_media / "bad" / f"{name}.mp4", "--out", tmp_path, "--device", "cpu")
+    answer = video2anim("run", shared_media / "bad" / f"{name}.mp4", "--out", tmp_path, "--set", "ingest.stop_s=1.5")
     assert_one_line(answer, STAGE, "nobody found")
     assert [path.name for path in (tmp_path / "stages").iterdir()] == ["01_ingest"], "no body is made up"
     assert not (tmp_path / "motion.npz").exists()
@@ -289,7 +268,7 @@ from video2anim.cli.main import run
 from video2anim.video.encode import FrameWriter
 write = FrameWriter.write
 def write_or_die(self, rgb):
-    if self.frame_count == 20:
+    if self.frame_count == 10:
         os.kill(os.getpid(), signal.SIGKILL)
     write(self, rgb)
 FrameWriter.write = write_or_die
@@ -499,7 +478,7 @@ def test_wrong_digest(shared_media: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert [path.name for path in (tmp_path / "out" / "stages").iterdir()] == ["01_ingest"]
     record = json.loads((tmp_path / "out" / "run.json").read_text())
     assert [(row["stage"], row["state"]) for row in record["stages"]] == [("ingest", "ran")], "a failed run is recorded"
-    assert record["settings"]["ingest"] == {"max_long_side_px": 320}
+    assert record["settings"]["ingest"] == {"max_long_side_px": 320, "stop_s": 0.6}
     assert record["input_digest"] == file_digest(video)
     assert_one_line(video2anim("models", "verify"), MODEL, "blazepose", "video2anim models pull")
 

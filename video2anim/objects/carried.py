@@ -252,6 +252,10 @@ def _looks(
     palette = KDTree(_lab(change.rgb)[cv2.erode(change.mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0])
     others = pictures.colors_of_people(hold)
     background, half_px = _lab(pictures.background_rgb), (0.5 * max(rest.size_m) + 0.5 * NEAR_M) * lens.fx_px
+    # A pixel nearer to the object's colors than to its background's is off that by more than half of the background's
+    # own distance from them: most are not, and need no search.
+    behind = palette.query(background.reshape(-1, 3), distance_upper_bound=2 * _ALIKE_LAB)[0]
+    least = 0.5 * np.minimum(behind, 2 * _ALIKE_LAB).reshape(background.shape[:2])
     found = []
     for sample, rgb in enumerate(pictures.rgb):
         frame = sample * pictures.step
@@ -260,12 +264,14 @@ def _looks(
             continue
         x0, y0 = (max(int(value - half_px / depth_m), 0) for value in (x, y))
         x1, y1 = (int(value + half_px / depth_m) + 1 for value in (x, y))
-        colors = _lab(rgb[y0:y1, x0:x1]).reshape(-1, 3)
-        own = palette.query(colors, distance_upper_bound=_ALIKE_LAB)[0]
-        other = np.minimum(
-            np.linalg.norm(colors - background[y0:y1, x0:x1].reshape(-1, 3), axis=-1), others.query(colors)[0]
-        )
-        count = (own < other).sum()
+        colors = _lab(rgb[y0:y1, x0:x1])
+        off = np.linalg.norm(colors - background[y0:y1, x0:x1], axis=-1)
+        may = off > least[y0:y1, x0:x1]
+        own = palette.query(colors[may], distance_upper_bound=_ALIKE_LAB)[0]
+        alike = own < off[may]
+        # Infinite where no person has such a color.
+        other = others.query(colors[may][alike], distance_upper_bound=_ALIKE_LAB)[0]
+        count = (own[alike] < other).sum()
         whole = change.mask.sum() * (hand.depth_m[at] / depth_m) ** 2
         found.append((frame, min(1.0, float(count / whole)), not rested[y0:y1, x0:x1].any()))
     frame, share, clear = np.array(found).reshape(-1, 3).T

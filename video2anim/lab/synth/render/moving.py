@@ -72,7 +72,8 @@ def draw_moving(
         surfaces: The moving surfaces at the frame's time; labels and shadows on the room are theirs.
         room_opaque: Ray caster of the room's faces that cast shadows.
         lamps: Lights of the room.
-        blurred: The moving surfaces at times within the shutter time; colors are the mean of their renderings.
+        blurred: The moving surfaces at times within the shutter time, of which one may be `surfaces`; colors are the
+            mean of their renderings.
     """
     caster = surfaces.caster()
     rows, columns = rectangle_of(surfaces, eye)
@@ -87,9 +88,11 @@ def draw_moving(
         return MovingLayer(gbuffer, empty)
     total = np.zeros_like(empty)
     for moment in blurred:
-        there, out = moment.caster(), empty.copy()
-        box = rectangle_of(moment, eye)
-        part = trace_gbuffer(eye, moment, there, *box, nearer_than=room.depth_m[box])
+        there, part, out = caster, gbuffer, empty.copy()
+        if moment is not surfaces:
+            box = rectangle_of(moment, eye)
+            there = moment.caster()
+            part = trace_gbuffer(eye, moment, there, *box, nearer_than=room.depth_m[box])
         if len(part.seen):
             _draw_over(out, eye, room, part, moment, there, room_opaque, lamps)
         total += out

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from video2anim.body.anny_body import shaped_body
 from video2anim.lab.synth.render.garments import borders_of, spanning
-from video2anim.lab.synth.render.surfaces import Surfaces, join_surfaces, surfaces_of_mesh, surfaces_of_object
-from video2anim.lab.synth.world import PERSON_ID, Actor, Shot
+from video2anim.lab.synth.render.surfaces import (
+    Surfaces,
+    join_surfaces,
+    object_vertices,
+    surfaces_of_mesh,
+    surfaces_of_object,
+)
+from video2anim.lab.synth.world import PERSON_ID, Actor, MovingObject, Shot
 from video2anim.types.skeleton import forward_kinematics
 
 
@@ -26,22 +33,34 @@ class MovingSurfaces:
         """All surfaces at the time `frame + shift` (-1 <= shift <= 1), interpolated linearly between frames."""
         pieces = [self.actor_surfaces(n, frame, shift) for n in range(len(self._shot.actors)) if self._here(n, frame)]
         for moving in self._shot.moving:
-            here = moving.T_world_object[self._clamped(frame)]
-            other = moving.T_world_object[self._clamped(frame + int(np.sign(shift)))]
-            blended = surfaces_of_object(moving.scene_object, here)
-            if shift:
-                goal = surfaces_of_object(moving.scene_object, other).vertices_m
-                blended = blended.moved(blended.vertices_m + abs(shift) * (goal - blended.vertices_m))
-            pieces.append(blended)
+            blended = surfaces_of_object(moving.scene_object, moving.T_world_object[self._clamped(frame)])
+            pieces.append(blended.moved(self._object_vertices(moving, frame, shift)) if shift else blended)
         return join_surfaces(pieces)
+
+    def vertices_m(self, frame: int, shift: float = 0.0) -> Float[np.ndarray, "vertices 3"]:
+        """Vertices of `surfaces`; their normals, which are not made here, take much longer."""
+        actors = [n for n in range(len(self._shot.actors)) if self._here(n, frame)]
+        pieces = [self._actor_vertices(n, frame, shift) for n in actors]
+        pieces += [self._object_vertices(moving, frame, shift) for moving in self._shot.moving]
+        return np.concatenate([np.zeros((0, 3), np.float32), *pieces]).astype(np.float32)
 
     def actor_surfaces(self, number: int, frame: int, shift: float = 0.0) -> Surfaces:
         """The surfaces of one actor at the time `frame + shift`."""
+        return self._rest[number].moved(self._actor_vertices(number, frame, shift), self._spanning[number])
+
+    def _actor_vertices(self, number: int, frame: int, shift: float) -> np.ndarray:
         vertices = self._vertices(number, frame)
         if shift:
             other = self._vertices(number, self._clamped(frame + int(np.sign(shift))))
             vertices = vertices + abs(shift) * (other - vertices)
-        return self._rest[number].moved(vertices, self._spanning[number])
+        return vertices
+
+    def _object_vertices(self, moving: MovingObject, frame: int, shift: float) -> np.ndarray:
+        vertices = object_vertices(moving.scene_object, moving.T_world_object[self._clamped(frame)])
+        if shift:
+            other = moving.T_world_object[self._clamped(frame + int(np.sign(shift)))]
+            vertices = vertices + abs(shift) * (object_vertices(moving.scene_object, other) - vertices)
+        return vertices
 
     def _here(self, number: int, frame: int) -> bool:
         return bool(self._shot.actors[number].motion.valid[frame])

@@ -84,11 +84,14 @@ class Renderer:
         shutter = self._shot.sensor.blur_s * FPS
         if shutter <= 0:
             return []
-        first, last = self._cast.surfaces(t, -0.5 * shutter), self._cast.surfaces(t, 0.5 * shutter)
+        first, last = (self._cast.vertices_m(t, share * shutter) for share in (-0.5, 0.5))
         near = np.maximum((surfaces.vertices_m - eye.origin_m) @ eye.T_world_camera[:3, 2], 0.1)
-        step = np.abs(last.vertices_m - first.vertices_m).max(1) / (near * eye.pixel_angle)
+        step = np.abs(last - first).max(1) / (near * eye.pixel_angle)
         steps = steps_for(float(step.max()))
-        return [self._cast.surfaces(t, shift) for shift in shutter_shifts(shutter, steps)] if steps > 1 else []
+        if steps == 1:
+            return []
+        shifts = shutter_shifts(shutter, steps)
+        return [self._cast.surfaces(t, shift) if shift else surfaces for shift in shifts]
 
     def _camera_blurred(self, view: RoomView, layer: MovingLayer | None, t: int) -> np.ndarray:
         """(pixels, 3) radiance of a finished frame, blurred by the camera's own motion."""

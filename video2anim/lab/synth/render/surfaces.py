@@ -185,6 +185,12 @@ def surfaces_of_object(obj: SceneObject, T_world_object: np.ndarray | None = Non
     return join_surfaces(pieces)
 
 
+def object_vertices(obj: SceneObject, T_world_object: np.ndarray) -> Float[np.ndarray, "vertices 3"]:
+    """Vertices of `surfaces_of_object`."""
+    T = T_world_object
+    return np.concatenate([(p.vertices_m @ T[:3, :3].T + T[:3, 3]).astype(np.float32) for p in obj.parts])
+
+
 def surfaces_of_objects(objects: Iterable[SceneObject]) -> Surfaces:
     """Surfaces of many objects."""
     return join_surfaces([surfaces_of_object(obj) for obj in objects])
