@@ -12,6 +12,9 @@ _NEAREST = 5
 _REGULAR, _SEEDED = 0.7, 0.2
 """Shares of windows with regular intervals, and with a known beginning, in the mixed law. In the paper's draw keyframes
 are two frames apart in the median, where there is nothing to fill."""
+_UNSEEN = np.cumsum([0.4, 0.35, 0.15])
+"""Shares of windows with no, at most one and at most two stretches in which the person was not seen; others have three.
+With its checks `Generator.choice`, which draws the same, takes most of the time of a mask."""
 
 
 def draw_mask(
@@ -52,8 +55,8 @@ def draw_observed_mask(rng: np.random.Generator, frames: int) -> Bool[np.ndarray
     """Frames as a video pipeline gives them: all or every few (up to 15), but for stretches of 0.2 to 2 s in which the
     person was not seen."""
     mask = np.zeros(frames, bool)
-    mask[:: 1 if rng.random() < 0.6 else int(rng.choice([3, 5, 15]))] = True
-    for _ in range(rng.choice(4, p=[0.4, 0.35, 0.15, 0.1])):
+    mask[:: 1 if rng.random() < 0.6 else (3, 5, 15)[rng.integers(3)]] = True
+    for _ in range(np.searchsorted(_UNSEEN, rng.random(), side="right")):
         start, length = int(rng.integers(1, frames - 1)), round(float(np.exp(rng.uniform(np.log(6), np.log(60)))))
         mask[start : start + length] = False
     mask[[0, -1]] = True

@@ -21,7 +21,7 @@ _SEEN_M = 0.03
 _SIDE_M = 0.15
 """A side that looks elsewhere counts as so far away when a color is looked for."""
 _GRAY = 127
-_SOURCES = 4000
+_SOURCES = 2000
 """Seen places at most in which a color is looked for."""
 _FARTHER = 1.0
 """A place farther than the nearest by up to this share of its distance will do: the search takes a quarter of the

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -16,30 +15,15 @@ from video2anim.objects.upright_box import UprightBox
 
 _SCREEN_SAMPLES, _SAMPLES = 3, 7
 """Surface samples along a side of a solid, while forms are compared and at the end."""
-_HEATS = ((2, 8), (4, 4))
-"""Rounds of the fit of all forms that are left, and how many of the best go on: first to more rounds, then to full
-resolution."""
+_SCREEN_ROUNDS = 6
 _PLAIN = ("box", "cabinet", "stack", OUTLINE)
 """Forms that mostly stand on the floor but may stand on something else."""
 _RAISED = 0.05
 """Prior probability that one of them stands on something other than the floor."""
 _FARTHER = 3.0
 """Standard deviations of its distance by which an object of a second start is farther."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Entry:
-    """A form that is still in the race."""
-
-    form: Form
-    base_m: float
-    """Height that it rests on."""
-    values: Float[np.ndarray, "starts values"]
-
-    def prior(self, log_prior: Mapping[str, float]) -> float:
-        """Log odds of the form before it is fitted."""
-        raised = _RAISED if self.base_m > 0 and self.form.name in _PLAIN else 1.0
-        return log_prior[self.form.name] + float(np.log(self.form.share * raised))
+_KEPT = 4
+"""Forms that are fitted at full resolution."""
 
 
 def recognized(
@@ -70,23 +54,27 @@ def recognized(
     ]
     if forms is None and OUTLINE in log_prior and (own := outline_form(seen, box, lowest_m, sigmas)) is not None:
         tries.append((own[0], [own[1]]))
-    entries = [_Entry(form, 0.0 if form.stands else lowest_m, np.stack(starts)) for form, starts in tries]
-    for rounds, kept in _HEATS:
-        scored = []
-        for entry in entries:
-            problem = FormProblem(entry.form, evidence, entry.base_m, sigmas, _SCREEN_SAMPLES)
-            values = problem.fitted(entry.values, rounds)
-            scores = problem.laplace(values) + entry.prior(log_prior)
-            scored.append((float(scores.max()), replace(entry, values=values[np.argsort(-scores)])))
-        scored.sort(key=lambda one: -one[0])
-        entries = [entry for _, entry in scored[:kept]]
-    found = [
-        FormProblem(entry.form, evidence, entry.base_m, sigmas, _SAMPLES).result(
-            entry.values[0], entry.prior(log_prior)
-        )
-        for entry in entries
-    ]
+    screened = []
+    for form, starts in tries:
+        base_m = 0.0 if form.stands else lowest_m
+        problem = FormProblem(form, evidence, base_m, sigmas, _SCREEN_SAMPLES)
+        tried = problem.fitted(np.stack(starts), _SCREEN_ROUNDS)
+        prior = _prior(form, base_m, log_prior)
+        scores = problem.laplace(tried) + prior
+        screened.append((float(scores.max()), form, tried[int(scores.argmax())]))
+    screened.sort(key=lambda one: -one[0])
+    found = []
+    for _, form, values in screened[:_KEPT]:
+        base_m = 0.0 if form.stands else lowest_m
+        problem = FormProblem(form, evidence, base_m, sigmas, _SAMPLES)
+        found.append(problem.result(values, _prior(form, base_m, log_prior)))
     return sorted(found, key=lambda fit: -fit.log_evidence)
+
+
+def _prior(form: Form, base_m: float, log_prior: Mapping[str, float]) -> float:
+    """Log odds of a form before it is fitted."""
+    raised = _RAISED if base_m > 0 and form.name in _PLAIN else 1.0
+    return log_prior[form.name] + float(np.log(form.share * raised))
 
 
 def _starts(

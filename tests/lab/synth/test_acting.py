@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import numpy as np
 import pytest
-from acting_checks import FPS, adult, numbers
+from acting_checks import FPS, Numbers, adult, numbers
 
 from scenemi.data.container import MotionArchive, write_archive
 from video2anim.errors import UsageError
@@ -23,8 +24,17 @@ PROPS = {
 }  # fmt: skip
 
 
-def made(kind: str, height: float, seed: int) -> ProceduralMotion:
+def made_anew(kind: str, height: float, seed: int) -> ProceduralMotion:
     return act(kind, adult(height), np.random.default_rng(seed))
+
+
+made = functools.cache(made_anew)
+"""Several tests look at the same motion."""
+
+
+@functools.cache
+def found(kind: str, height: float, seed: int) -> Numbers:
+    return numbers(made(kind, height, seed), adult(height))
 
 
 def skin(motion: ProceduralMotion, height: float, parts: tuple[int, ...] | None = None) -> np.ndarray:
@@ -42,7 +52,7 @@ def over(points: np.ndarray, prop: Prop) -> np.ndarray:
 @pytest.mark.parametrize(("kind", "height", "seed"), CASES)
 def test_planted_feet_do_not_slide_and_soles_do_not_sink(kind: str, height: float, seed: int) -> None:
     motion = made(kind, height, seed)
-    got = numbers(motion, adult(height))
+    got = found(kind, height, seed)
     assert got.slide_m < 0.001
     assert got.sole_lowest_m > -0.005
     assert motion.contact[:, [7, 8]].any(0).all()
@@ -50,7 +60,7 @@ def test_planted_feet_do_not_slide_and_soles_do_not_sink(kind: str, height: floa
 
 @pytest.mark.parametrize(("kind", "height", "seed"), CASES)
 def test_joints_stay_in_human_range(kind: str, height: float, seed: int) -> None:
-    got = numbers(made(kind, height, seed), adult(height))
+    got = found(kind, height, seed)
     assert got.knee_deg[0] > 0
     assert got.knee_deg[1] < 160
     assert got.elbow_deg[1] < 155
@@ -62,7 +72,7 @@ def test_joints_stay_in_human_range(kind: str, height: float, seed: int) -> None
 
 @pytest.mark.parametrize(("kind", "height", "seed"), CASES)
 def test_motion_is_as_smooth_as_people_are(kind: str, height: float, seed: int) -> None:
-    got = numbers(made(kind, height, seed), adult(height))
+    got = found(kind, height, seed)
     low = {"walk": 50, "step_up": 30, "pick_up": 25, "reach": 25}.get(kind, 10)
     assert low < got.jerk_m_s3 < 300
     assert got.peak_jerk_m_s3 < 4000
@@ -86,11 +96,11 @@ def test_length_names_and_props(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["walk", "pick_up", "reach"])
 @pytest.mark.parametrize("height", HEIGHTS)
 def test_mass_center_over_the_feet_when_still(kind: str, height: float) -> None:
-    assert numbers(made(kind, height, 4), adult(height)).off_balance_m < 0.08
+    assert found(kind, height, 4).off_balance_m < 0.08
 
 
 def test_same_seed_same_motion_and_other_seed_another() -> None:
-    first, again, other = made("sit", 0.45, 7), made("sit", 0.45, 7), made("sit", 0.45, 8)
+    first, again, other = (made_anew("sit", 0.45, seed) for seed in (7, 7, 8))
     assert first.R_parent_joint.tobytes() == again.R_parent_joint.tobytes()
     assert first.props == again.props
     assert first.translation_m.shape != other.translation_m.shape or not np.allclose(

@@ -31,8 +31,9 @@ FRAMES, INTERVAL = 31, 15
 FIRST = 45
 """Of the second of each clip that is learned."""
 STEPS: dict[Method, int] = {
-    "mdm": 500, "stablemofusion": 300, "scenediffuser": 500, "wang2021": 300, "omnicontrol": 400, "condmdi": 300,
+    "mdm": 250, "stablemofusion": 150, "scenediffuser": 400, "wang2021": 100, "omnicontrol": 150, "condmdi": 150,
 }  # fmt: skip
+"""After which the error is about half of the bound or less, with either of two seeds (one for `wang2021`)."""
 
 
 def test_a_baseline_has_the_budget_of_the_run_and_the_objective_of_the_paper() -> None:
@@ -106,8 +107,8 @@ def test_a_tiny_baseline_learns_four_clips_by_heart(
     joints_m = forward_kinematics(R, translation_m, rest_m)[0]
     keys = mask[0].numpy() > 0
     apart_m = np.zeros((4, 4))
-    for i in range(4):
-        made = prior.fill(KeyframeWindow(R[i], translation_m[i], keys, rest_m, 30.0, body=motions.body(0)))
+    windows = [KeyframeWindow(R[i], translation_m[i], keys, rest_m, 30.0, body=motions.body(0)) for i in range(4)]
+    for i, made in enumerate(prior.fill_many(windows, [0] * 4)):
         made_m, _ = forward_kinematics(made.R_parent_joint, made.translation_world_m, rest_m)
         apart_m[i] = np.linalg.norm(made_m - joints_m, axis=-1)[:, ~keys].mean((1, 2))
     between_m = np.linalg.norm(joints_m[:, None] - joints_m, axis=-1).mean((2, 3))

@@ -448,7 +448,7 @@ def test_a_tiny_model_learns_four_clips_by_heart(motions: MotionSet, shards: lis
     mask[:, ::30] = 1
     assert len(features) == 8
     plain = PoolBatches(shards, replace(run.config, scene_share=0.0, noisy_share=0.0))
-    for step in range(250):
+    for step in range(150):  # 0.33, with either of two seeds
         run.advance([replace(plain[step], features=features, mask=mask, valid=torch.ones(8, 121))])
     row = validator.row(run.averaged(), 30)
     assert row.mjpe_ratio < 0.5

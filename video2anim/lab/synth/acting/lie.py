@@ -123,7 +123,8 @@ def _settled(
     done = perform(script)
     for attempt in range(4):
         points = probes(done, size)
-        low = np.where(over(points, prop) & trunk, points[..., 1], np.inf).min(1)
+        on_bed = over(points, prop)
+        low = np.where(on_bed & trunk, points[..., 1], np.inf).min(1)
         if attempt < 2:
             for hold in holds:
                 rest = low[int(np.ceil(hold.settle_s * FPS)) : int(hold.leave_s * FPS)]
@@ -136,7 +137,7 @@ def _settled(
             done = perform(script)
             continue
         for side in (0, 1):
-            hand = np.where(over(points, prop) & (size.probe_part == 20 + side), points[..., 1], np.inf).min(1)
+            hand = np.where(on_bed & (size.probe_part == 20 + side), points[..., 1], np.inf).min(1)
             more = smooth_lift(np.where(hand < height - 1e-3, height + GAP_M - hand, 0.0), 0.3)
             script.hand_lift_m[side] = script.hand_lift_m.get(side, 0.0) + more
         deficit = np.where(np.isfinite(low), height + GAP_M - low, 0.0)
@@ -155,10 +156,10 @@ def _edge_behind_legs(done: SolvedMotion, size: BodyMeasure, prop: Prop, forward
     """The bed with its front edge moved back until no leg enters it."""
     x, height, z = prop.position_m
     points, legs = probes(done, size), np.isin(size.probe_part, (1, 2, 4, 5, 7, 8, 10, 11))
-    moved = prop
+    below, moved = points[legs & (points[..., 1] < height - 0.004)], prop
     for back in np.arange(0.0, 0.13, 0.01) * size.scale:
         place = (float(x - forward[0] * back), height, float(z - forward[2] * back))
         moved = replace(prop, position_m=place)
-        if not (over(points, moved) & legs & (points[..., 1] < height - 0.004)).any():
+        if not over(below, moved).any():
             break
     return moved
