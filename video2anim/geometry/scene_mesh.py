@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -46,10 +47,12 @@ def box_mesh(width_m: float, height_m: float, depth_m: float, rgb: tuple[int, in
     return Mesh(vertices, np.asarray(box.faces, np.int64), np.tile(np.array(rgb, np.uint8), (len(vertices), 1)))
 
 
+@functools.lru_cache(maxsize=64)
 def with_vertex_colors(mesh: Mesh, textures: tuple[Texture, ...], cell_m: float = 0.03) -> Mesh:
     """A textured mesh as one with a color per vertex, its edges halved to `cell_m` or less, for what draws no textures.
 
     Meshes without a texture stay as they are. Faces do not share vertices. Of large meshes the cells are wider.
+    The last results are kept: a scene is drawn from several sides.
     """
     if not textures:
         return mesh
