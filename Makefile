@@ -33,8 +33,7 @@ $(VENV)/.programs: $(VENV)/.dev
 demo: $(VENV)/.run
 	$(BIN)/video2anim demo --out demo_out
 
-# Two workers, a file at a time; each has one thread for its numbers. Types are checked meanwhile and shown at the end:
-# at its start and end a run leaves a core idle.
+# Two workers, a file at a time; each has one thread for its numbers. Types are checked meanwhile and shown at the end.
 test: $(VENV)/.programs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
 from video2anim.export.frames import linear_light
+from video2anim.geometry.projection import transform_points
 from video2anim.geometry.vertex_normals import vertex_normals
 from video2anim.lab.synth.render.caster import Hits, RayCaster
 from video2anim.lab.synth.render.garments import Borders, material_at, no_borders
@@ -171,7 +172,7 @@ def surfaces_of_object(obj: SceneObject, T_world_object: np.ndarray | None = Non
     T = obj.T_world_object if T_world_object is None else T_world_object
     pieces = [
         surfaces_of_mesh(
-            part.vertices_m @ T[:3, :3].T + T[:3, 3],
+            transform_points(T, part.vertices_m),
             part.faces,
             np.asarray(part.vertices_m),
             smooth=part.smooth,
@@ -187,8 +188,7 @@ def surfaces_of_object(obj: SceneObject, T_world_object: np.ndarray | None = Non
 
 def object_vertices(obj: SceneObject, T_world_object: np.ndarray) -> Float[np.ndarray, "vertices 3"]:
     """Vertices of `surfaces_of_object`."""
-    T = T_world_object
-    return np.concatenate([(p.vertices_m @ T[:3, :3].T + T[:3, 3]).astype(np.float32) for p in obj.parts])
+    return np.concatenate([transform_points(T_world_object, p.vertices_m).astype(np.float32) for p in obj.parts])
 
 
 def surfaces_of_objects(objects: Iterable[SceneObject]) -> Surfaces:
