@@ -25,8 +25,10 @@ CLASS_OF_LABEL: dict[str, str] = {
 }  # fmt: skip
 """Class of each label of the synthetic clips; all others are `other`."""
 CLASS_TABLE = np.array([CLASSES.index(CLASS_OF_LABEL.get(label, "other")) for label in LABELS], np.uint8)
-_HEAT_SIGMA = 0.03
+HEAT_SIGMA = 0.03
 """Standard deviation of the heat map around an object's center, in image heights."""
+SHARP_SCALE = 1.2
+"""Images that are reduced by more are smoothed before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +146,7 @@ def _resampled(
     x0, y0, width, height = crop
     scale = width / size[1]
     matrix = np.array([[scale, 0, x0 + 0.5 * scale - 0.5], [0, height / size[0], y0 + 0.5 * height / size[0] - 0.5]])
-    soft = cv2.GaussianBlur(rgb, (0, 0), 0.35 * scale) if scale > 1.2 else rgb
+    soft = cv2.GaussianBlur(rgb, (0, 0), 0.35 * scale) if scale > SHARP_SCALE else rgb
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return cv2.warpAffine(soft, matrix, (size[1], size[0]), flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
@@ -183,7 +185,7 @@ def instance_targets(instance: np.ndarray, classes: np.ndarray) -> dict[str, np.
             continue
         center_x, center_y = float(x[mask].mean()), float(y[mask].mean())
         far2 = (x - center_x) ** 2 + (y - center_y) ** 2
-        np.maximum(heat, np.exp(-0.5 * far2 / (_HEAT_SIGMA * rows) ** 2), out=heat)
+        np.maximum(heat, np.exp(-0.5 * far2 / (HEAT_SIGMA * rows) ** 2), out=heat)
         offset[0][mask], offset[1][mask] = (center_x - x[mask]) / rows, (center_y - y[mask]) / rows
         known[mask] = 1
     obj = np.where(furniture | (classes == CLASSES.index("person")), instance, 0)

@@ -81,7 +81,7 @@ def train(
     clock = Stopwatch()
     torch.manual_seed(config.seed)
     network, average = _networks(shards, config, encoder, start, device)
-    optimizer = _optimizer(network, config)
+    optimizer = make_optimizer(network, config)
     networks = {"network": network, "average": average}
     step = read_networks(checkpoint, networks, optimizer) if checkpoint.is_file() else 0
     if step == 0:
@@ -136,7 +136,7 @@ def _batch(shards: PictureShards, step: int, config: PerceptionConfig) -> Pictur
     return shards.batch(step, config.batch, sizes[step % len(sizes)])
 
 
-def _optimizer(network: RoomNetwork, config: PerceptionConfig) -> torch.optim.Optimizer:
+def make_optimizer(network: RoomNetwork, config: PerceptionConfig) -> torch.optim.Optimizer:
     """AdamW over the weights that are not frozen."""
     network.encoder.stem.requires_grad_(config.frozen_stages == 0)
     for number, stage in enumerate(network.encoder.stages):
