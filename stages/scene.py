@@ -99,7 +99,8 @@ def build_scene(
     rested = rested_on(bodies)
     kept, rejected = without_walked_through(still, rested, bodies, config.sdf_spacing_m, config.walked_m)
     stay = [item for item in map(settled, moved) if item is not None]
-    supports, inferred = inferred_supports([*kept, *stay], rested, bodies) if config.supports else ([], [])
+    last_id = max((item.object_id for item in found), default=0)
+    supports, inferred = inferred_supports([*kept, *stay], rested, bodies, last_id) if config.supports else ([], [])
     for text in (*rejected, *inferred):
         ctx.warn(text)
     objects = [*kept, *supports]
@@ -149,4 +150,4 @@ def _scanned(
     return SceneModel((), floor, (room,), grid.sdf_m, np.asarray(grid.origin_m), float(grid.spacing_m))
 
 
-STAGE = StageSpec("scene", build_scene, version=19)
+STAGE = StageSpec("scene", build_scene, version=20)

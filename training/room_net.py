@@ -8,9 +8,10 @@
     python training/room_net.py export --checkpoint room.ckpt --out video2anim/networks/weights/room_net.onnx
     python training/room_net.py average --first before.onnx --second after.onnx --share 0.65 --out room_net.onnx
 
-Training continues from the checkpoint, and adds shards that are finished in the meantime. `--start room_net.onnx`
-instead of `--encoder` begins with the weights of an earlier training. `export` and `average` print the new digest for
-`video2anim/networks/table.py`.
+Training continues from the checkpoint, and adds shards that are finished in the meantime. On a GPU it is limited by the
+rendering: run several `synth` beside it. With more `--steps` it goes on at the full rate until the last fifth of them.
+`--start room_net.onnx` instead of `--encoder` begins with the weights of an earlier training. `export` and
+`average` print the new digest for `video2anim/networks/table.py`.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import torch
 from video2anim.lab.scene_network.samples import PictureShards
 from video2anim.lab.scene_network.train import PerceptionConfig, read_average, train
 
-CHOICES = ("steps", "batch", "minutes", "seed", "learning_rate", "large_share", "frozen_stages")
+CHOICES = ("steps", "batch", "minutes", "seed", "learning_rate", "ema", "large_share", "frozen_stages", "save_every")
 """Options that override the training configuration."""
 
 
@@ -61,7 +62,8 @@ def train_network(options: argparse.Namespace) -> None:
         sys.stdout.flush()
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    shards, held_out = PictureShards(options.shards, seed=options.seed), PictureShards(options.held_out)
+    shards = PictureShards(options.shards, seed=options.seed, device=device)
+    held_out = PictureShards(options.held_out, device=device)
     train(
         shards, held_out, PerceptionConfig(**chosen), options.checkpoint, start=options.start,
         encoder=published(options.encoder) if options.encoder else None, device=device, on_line=line,
@@ -90,6 +92,8 @@ def arguments() -> argparse.Namespace:
     learn.add_argument("--batch", type=int)
     learn.add_argument("--minutes", type=float)
     learn.add_argument("--learning-rate", type=float)
+    learn.add_argument("--ema", type=float)
+    learn.add_argument("--save-every", type=int)
     learn.add_argument("--large-share", type=float)
     learn.add_argument("--frozen-stages", type=int)
     learn.add_argument("--seed", type=int, default=0)

@@ -6,7 +6,6 @@ The loops: `scenemi.training.loop` (the prior), `video2anim.lab.lifter.train` an
 from __future__ import annotations
 
 import functools
-import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -40,11 +39,6 @@ class Stopwatch:
 def warmup(step: int, steps: int) -> float:
     """Share of the learning rate at a step (from 0): rises linearly over `steps`, then stays at 1."""
     return min(1.0, (step + 1) / max(1, steps))
-
-
-def cosine_decay(step: int, steps: int) -> float:
-    """Share of the learning rate at a step (from 0): half a cosine from 1 to 0.01 at `steps`."""
-    return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / steps))
 
 
 def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:

@@ -16,6 +16,7 @@ from video2anim.geometry.heading import EdgeHeadings
 from video2anim.geometry.projection import pixel_rays, project
 from video2anim.geometry.scene_mesh import colored, joined
 from video2anim.scene.backdrop import Backdrop, backdrop
+from video2anim.scene.extent import cornered
 from video2anim.scene.ground import ground
 from video2anim.scene.view import relative_sigma
 from video2anim.types import (
@@ -199,6 +200,16 @@ def test_walls_reach_floor_ceiling_and_each_other() -> None:
         assert points[:, 1].max() == pytest.approx(2.6, abs=0.02)
     assert walls["back"][:, 0].min() == pytest.approx(-2.2, abs=0.03)
     assert walls["back"][:, 0].max() == pytest.approx(2.7, abs=0.03)
+
+
+def test_a_part_without_pixels_within_its_corners_is_left_out() -> None:
+    """Pixels at the bottom of the picture meet the back wall's plane below the floor."""
+    found = room_pieces()
+    wall = next(part for part in found.parts if part.plane.kind == "wall")
+    low = np.zeros_like(wall.own)
+    low[-1] = True
+    (kept,) = cornered([wall, replace(wall, own=low)], found.view)
+    np.testing.assert_array_equal(kept.own, wall.own)
 
 
 def test_walls_are_whole_behind_things() -> None:

@@ -27,7 +27,7 @@ def box_at(x_m: float, z_m: float) -> PlacedObject:
 
 def supports(motion: BodyMotion, objects: list[PlacedObject]) -> tuple[list[PlacedObject], list[str]]:
     bodies = BodyTracks((motion,))
-    return inferred_supports(objects, rested_on(bodies), bodies)
+    return inferred_supports(objects, rested_on(bodies), bodies, max((item.object_id for item in objects), default=0))
 
 
 def unrejected(
@@ -44,6 +44,13 @@ def test_feet_on_a_roof_put_a_support_under_them() -> None:
     assert solid.vertices_m[:, 1].max() == pytest.approx(1.6, abs=0.05)
     assert solid.vertices_m[:, 1].min() == pytest.approx(0.0, abs=1e-6)
     assert len(warnings) == 1
+
+
+def test_numbers_of_supports_follow_those_of_all_objects() -> None:
+    """Also of those that somebody moves, which are no supports."""
+    bodies = BodyTracks((raised(planted_walk(90), 1.6),))
+    (made,), _ = inferred_supports([box_at(5.0, 0.0)], rested_on(bodies), bodies, last_id=7)
+    assert made.object_id == 8
 
 
 def test_feet_on_the_floor_need_no_support() -> None:

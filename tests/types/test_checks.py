@@ -179,6 +179,7 @@ WRONG: list[tuple[Any, dict[str, Any], str]] = [
     (placed(), {"T_world_object": 2 * np.eye(4)}, "PlacedObject.T_world_object: want rigid"),
     (room(), {"sdf_spacing_m": 0.0}, "SceneModel.sdf_spacing_m: want greater than 0"),
     (room(), {"sdf_m": np.full((2, 2, 2), np.inf)}, "SceneModel.sdf_m: want finite numbers"),
+    (room(), {"objects": 2 * room().objects}, r"SceneModel.objects: want a number of its own .* got \[3, 3\]"),
 ]
 
 

@@ -73,7 +73,7 @@ def parts_of(
         for piece in _connected(plane, own, label == FLOOR, view):
             behind = behind_people(plane, rectangle(plane, piece, view, heading_rad), view, paths_m)
             parts.append(Part(behind, rectangle(behind, piece, view, heading_rad), piece))
-    return _cornered(parts, view)
+    return cornered(parts, view)
 
 
 def _connected(plane: Plane, own: np.ndarray, floor: np.ndarray, view: Look) -> list[Bool[np.ndarray, "height width"]]:
@@ -149,8 +149,11 @@ def behind_people(plane: Plane, patch: Patch, view: Look, paths_m: Float[np.ndar
     return plane.pushed(need) if 1 < need <= 1 + MAX_PUSH else plane
 
 
-def _cornered(parts: list[Part], view: Look) -> list[Part]:
-    """Parts extended or cut to their intersections where these are near: walls with walls, walls with the ceiling."""
+def cornered(parts: list[Part], view: Look) -> list[Part]:
+    """Parts extended or cut to their intersections where these are near: walls with walls, walls with the ceiling.
+
+    Those that lose all of their pixels are left out.
+    """
     ends_m = np.array([[part.patch.low_m, part.patch.high_m] for part in parts])
 
     def gaps_m(index: int, axis: int, value_m: float) -> Float[np.ndarray, "2"]:
@@ -185,7 +188,7 @@ def _cornered(parts: list[Part], view: Look) -> list[Part]:
     for part, (low_m, high_m) in zip(parts, ends_m, strict=True):
         patch = replace(part.patch, low_m=low_m, high_m=np.maximum(high_m, low_m))
         ended.append(replace(part, patch=patch, own=part.own & _holds(patch, part.plane, view)))
-    return ended
+    return [part for part in ended if part.own.any()]
 
 
 def _holds(patch: Patch, plane: Plane, view: Look) -> Bool[np.ndarray, "height width"]:

@@ -60,13 +60,13 @@ def without_walked_through(
 
 
 def inferred_supports(
-    objects: Sequence[PlacedObject], rested: list[tuple[int, Support]], bodies: BodyTracks
+    objects: Sequence[PlacedObject], rested: list[tuple[int, Support]], bodies: BodyTracks, last_id: int
 ) -> tuple[list[PlacedObject], list[str]]:
     """A solid for every place where a part rested far from objects and floor and through which nobody passes, and a
-    warning for each such place."""
+    warning for each such place. Their numbers follow `last_id`."""
 
     people = [(motion, shaped_body(motion.shape)) for motion in bodies.people]
-    number = max((item.object_id for item in objects), default=0)
+    number = last_id
     made: list[PlacedObject] = []
     warnings: list[str] = []
     for person, support in rested:

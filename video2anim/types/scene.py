@@ -278,3 +278,9 @@ class SceneModel(Checked):
     sdf_origin_m: Float[np.ndarray, "3"]
     """World position of node (0, 0, 0)."""
     sdf_spacing_m: PositiveFloat
+
+    def __post_init__(self) -> None:
+        expect_sound(self)
+        numbers = [item.object_id for item in self.objects]
+        if len(set(numbers)) < len(numbers):
+            raise ValueError(f"SceneModel.objects: want a number of its own for each object, got {numbers}")

@@ -13,7 +13,8 @@ from scipy.optimize import fsolve
 from video2anim.errors import InputError
 from video2anim.geometry.perspective_field import PerspectiveField, fit_camera
 from video2anim.lab.scene_network import samples
-from video2anim.lab.scene_network.samples import CLASS_TABLE, PictureBatch, PictureShards, degraded, instance_targets
+from video2anim.lab.scene_network.degrade import compressed, degraded, turned_hue
+from video2anim.lab.scene_network.samples import CLASS_TABLE, PictureBatch, PictureShards, instance_targets
 from video2anim.lab.synth.world import LABELS
 from video2anim.networks.segmentation import CLASSES
 
@@ -94,7 +95,7 @@ def shards(tmp_path: Path) -> PictureShards:
 
 @pytest.fixture
 def undegraded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(samples, "degraded", lambda rgb, rng: rgb)
+    monkeypatch.setattr(samples, "degraded", lambda picture, random: picture)
 
 
 def palette_class(picture: torch.Tensor) -> np.ndarray:
@@ -255,20 +256,27 @@ def test_offsets_are_of_the_flipped_picture_too(shards: PictureShards, undegrade
         assert np.hypot(peak[0] - y.mean(), peak[1] - x.mean()) < 0.75
 
 
+def targets(parts: list[tuple[int, tuple[slice, slice], str]]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Targets of a 40 x 60 picture of a floor with numbered parts, of which furniture and people are told apart."""
+    instance, classes = np.zeros((40, 60), np.int64), np.full((40, 60), CLASSES.index("floor"))
+    for number, place, kind in parts:
+        instance[place], classes[place] = number, CLASSES.index(kind)
+    found = instance_targets(torch.tensor(instance)[None], torch.tensor(classes)[None])
+    return instance, {name: value[0].numpy() for name, value in found.items()}
+
+
 def test_instance_targets_by_hand() -> None:
-    """A chair (5) and a table (6) that touch, a person (1000) on the floor, a cup-sized object (9), and a wall."""
-    instance, classes = np.ones((40, 60), np.int64), np.full((40, 60), CLASSES.index("floor"))
-    for number, (rows, columns), kind in (
-        (2, (slice(0, 8), slice(0, 60)), "wall"),
+    """A chair (5) and a table (6) that touch, a person (7) on the floor, a cup-sized object (9), and a wall."""
+    instance, found = targets([
+        (0, (slice(0, 8), slice(0, 60)), "wall"),
         (5, (slice(10, 20), slice(10, 20)), "furniture"),
         (6, (slice(10, 20), slice(20, 41)), "furniture"),
         (9, (slice(30, 32), slice(50, 53)), "furniture"),
-        (1000, (slice(25, 35), slice(5, 9)), "person"),
-    ):
-        instance[rows, columns], classes[rows, columns] = number, CLASSES.index(kind)
-    found = instance_targets(instance, classes)
+        (7, (slice(25, 35), slice(5, 9)), "person"),
+    ])  # fmt: skip
     known = np.isin(instance, (5, 6))
     np.testing.assert_array_equal(found["has_offset"], known)  # 6 pixels of 2400 are less than 0.3 %
+    np.testing.assert_array_equal(found["instance"], np.where(known, instance, 0))
     # Middles: (x, y) = (14.5, 14.5) and (30, 14.5); heights are 40 pixels.
     np.testing.assert_allclose(found["offset"][:, 10, 10], [4.5 / 40, 4.5 / 40], atol=1e-6)
     np.testing.assert_allclose(found["offset"][:, 19, 40], [-10 / 40, -4.5 / 40], atol=1e-6)
@@ -291,10 +299,9 @@ def test_instance_targets_by_hand() -> None:
 
 
 def test_one_instance_on_both_sides_of_a_person_has_one_center() -> None:
-    instance, classes = np.ones((40, 60), np.int64), np.full((40, 60), CLASSES.index("floor"))
-    instance[10:20, 10:40], classes[10:20, 10:40] = 5, CLASSES.index("furniture")
-    instance[5:30, 20:24], classes[5:30, 20:24] = 1000, CLASSES.index("person")
-    found = instance_targets(instance, classes)
+    _, found = targets([
+        (5, (slice(10, 20), slice(10, 40)), "furniture"), (1, (slice(5, 30), slice(20, 24)), "person"),
+    ])  # fmt: skip
     x = np.concatenate([np.arange(10, 20), np.arange(24, 40)])
     assert found["offset"][0, 12, 10] == pytest.approx((x.mean() - 10) / 40, abs=1e-6)
     assert found["offset"][0, 12, 39] == pytest.approx((x.mean() - 39) / 40, abs=1e-6)
@@ -312,17 +319,38 @@ def test_a_sample_depends_on_seed_and_step_alone(tmp_path: Path) -> None:
     assert not torch.equal(first.picture, other.batch(7, 2, (64, 96)).picture)
 
 
-def test_degraded_images_keep_type_and_size_and_most_of_their_content() -> None:
-    rgb = rendered(0)["rgb"]
-    found = [degraded(rgb.copy(), np.random.default_rng(seed)) for seed in range(40)]
-    for picture in found:
-        assert picture.shape == rgb.shape
-        assert picture.dtype == np.uint8
-    np.testing.assert_array_equal(found[3], degraded(rgb.copy(), np.random.default_rng(3)))
-    assert np.mean([np.abs(picture.astype(float) - rgb).mean() for picture in found]) > 10
-    edges = np.abs(np.diff(rgb.astype(float).sum(-1), axis=1)) > 60
-    kept = [np.abs(np.diff(picture.astype(float).sum(-1), axis=1)) for picture in found]
+def test_degraded_images_keep_most_of_their_content() -> None:
+    rgb = torch.tensor(rendered(0)["rgb"]).permute(2, 0, 1).float()
+    found = degraded(rgb.expand(40, -1, -1, -1), torch.Generator().manual_seed(2)).numpy()
+    assert found.shape == (40, 3, HEIGHT, WIDTH)
+    assert found.min() >= 0
+    assert found.max() <= 255
+    again = degraded(rgb.expand(40, -1, -1, -1), torch.Generator().manual_seed(2)).numpy()
+    np.testing.assert_array_equal(found, again)
+    assert np.abs(found - rgb.numpy()).mean() > 10
+    assert len({picture.tobytes() for picture in found}) == 40
+    edges = np.abs(np.diff(rgb.numpy().sum(0), axis=1)) > 60
+    kept = [np.abs(np.diff(picture.sum(0), axis=1)) for picture in found]
     assert np.median([change[edges].mean() / change[~edges].mean() for change in kept]) > 4
+
+
+def test_a_third_of_a_turn_of_hue_exchanges_the_colors() -> None:
+    picture = torch.rand(2, 3, 8, 8, generator=torch.Generator().manual_seed(0))
+    turned = turned_hue(picture, torch.tensor([0.0, 2 * np.pi / 3]).reshape(2, 1, 1, 1))
+    torch.testing.assert_close(turned[0], picture[0], rtol=0, atol=1e-6)
+    torch.testing.assert_close(turned[1], picture[1][[2, 0, 1]], rtol=0, atol=1e-6)
+
+
+def test_compression_loses_what_the_quantization_table_says() -> None:
+    """Quality 50 has the table itself: a coefficient just under half of its step is lost, one just above becomes it."""
+    columns = np.tile(np.arange(8), (8, 1))
+    wave = np.cos(np.pi * (columns + 0.5) / 8) * 0.125**0.5 * 0.5  # of one cycle across, whose step is 11
+    for coefficient, wanted in ((5.4, 0.0), (5.6, 11.0), (30.0, 33.0)):
+        block = torch.tensor(128 + coefficient * wave, dtype=torch.float32).expand(1, 3, 8, 8)
+        found = compressed(block, torch.full((1, 1, 1, 1), 50.0))
+        torch.testing.assert_close(
+            found, torch.tensor(128 + wanted * wave).float().expand(1, 3, 8, 8), atol=1e-3, rtol=0
+        )
 
 
 def test_shards_that_are_finished_later_are_found(tmp_path: Path) -> None:
@@ -334,8 +362,8 @@ def test_shards_that_are_finished_later_are_found(tmp_path: Path) -> None:
     shards = PictureShards([folder])
     assert len(shards) == 2
     (unfinished / "meta.part").rename(unfinished / "meta.json")
-    shards.refresh()
-    shards.refresh()
+    shards.refresh(wait=True)
+    shards.refresh(wait=True)
     assert len(shards) == 4
     torch.testing.assert_close(shards.plain([3], (64, 96)).picture, shards.plain([1], (64, 96)).picture)
 

@@ -1,4 +1,4 @@
-"""`samples.degraded` for a batch on a GPU, with random convolutions besides."""
+"""Degraded images for training: random color, light, texture, blur, noise and compression, a batch at once."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _LUMINANCE = (
 """Quantization table of luminance in JPEG (ITU-T T.81, annex K)."""
 
 
-def degraded_batch(picture: Float[Tensor, "batch 3 height width"], random: torch.Generator) -> Tensor:
-    """Images in 0 to 255 with random color, light, texture, blur, noise and compression."""
+def degraded(picture: Float[Tensor, "batch 3 height width"], random: torch.Generator) -> Tensor:
+    """The images, RGB in 0 to 255, each with its own draws of everything."""
     draw = _Draws(len(picture), picture.device, random)
     value = picture / 255
     gray = value.mean(1, keepdim=True)
@@ -34,7 +34,9 @@ def degraded_batch(picture: Float[Tensor, "batch 3 height width"], random: torch
     value = torch.where(draw.chance(RANDOM_FILTERS), _filtered(value, draw), value)
     value = torch.where(draw.chance(0.4), _blurred(value, draw.uniform(0.3, 1.3)), value)
     value = value + torch.where(draw.chance(0.5), draw.uniform(0, 0.05), 0.0) * draw.like(value)
-    return torch.where(draw.chance(0.35), compressed(255 * value.clamp(0, 1), draw), 255 * value).clamp(0, 255).round()
+    value = 255 * value.clamp(0, 1)
+    value = torch.where(draw.chance(0.35), compressed(value, draw.uniform(25, 95)), value)
+    return value.clamp(0, 255).round()
 
 
 class _Draws:
@@ -100,10 +102,11 @@ def _cosines(device: torch.device) -> tuple[Tensor, Tensor]:
     return basis.to(device), torch.tensor(_LUMINANCE, dtype=torch.float).reshape(8, 8).to(device)
 
 
-def compressed(picture: Float[Tensor, "batch 3 height width"], draw: _Draws) -> Tensor:
-    """JPEG's loss: cosine coefficients of 8x8 blocks of each color rounded to the steps of a quality of 25 to 95."""
+def compressed(
+    picture: Float[Tensor, "batch 3 height width"], quality: Float[Tensor, "batch 1 1 1"]
+) -> Float[Tensor, "batch 3 height width"]:
+    """JPEG's loss: cosine coefficients of 8x8 blocks of each color, rounded to the steps of a quality from 1 to 100."""
     basis, table = _cosines(picture.device)
-    quality = draw.uniform(25, 95)
     scale = torch.where(quality < 50, 50 / quality, 2 - quality / 50)
     step = (table * scale[..., None, None]).clamp_min(1.0)
     batch, channels, height, width = picture.shape

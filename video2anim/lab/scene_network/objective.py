@@ -33,7 +33,9 @@ def losses(answer: RoomAnswer, batch: PictureBatch) -> dict[str, Tensor]:
     off_latitude = (answer.camera[:, 2] - batch.latitude).abs()
     sigma = answer.camera[:, 3:5].clamp(*LOG_SIGMA_RANGE)
     return {
-        "disparity": 2.0 * disparity + relative_loss(answer.disparity[:, 0], batch.disparity),
+        "disparity": 2.0 * disparity
+        + relative_loss(answer.disparity[:, 0], batch.disparity)
+        + distance_loss(answer.disparity[:, 0], batch.disparity, batch.instance),
         "normal": 1.0 * flat,
         "classes": 0.6 * functional.cross_entropy(answer.classes, batch.classes)
         + 0.5 * overlap_loss(answer.classes, batch.classes),
@@ -86,7 +88,7 @@ def relative_loss(disparity: Tensor, truth: Tensor) -> Tensor:
     return (off * seen).sum() / seen.sum().clamp_min(1)
 
 
-def instance_loss(disparity: Tensor, truth: Tensor, instance: Tensor) -> Tensor:
+def distance_loss(disparity: Tensor, truth: Tensor, instance: Tensor) -> Tensor:
     """Mean absolute error, after alignment, of the mean log depth of each piece of furniture.
 
     Where an object stands is what a scene is made of; errors within it matter less.

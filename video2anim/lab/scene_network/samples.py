@@ -1,22 +1,26 @@
-"""Training samples from shards of labeled images: cropped, flipped, degraded, with targets for every head."""
+"""Training samples from shards of labeled images: cropped, flipped, degraded, with targets for every head.
+
+All images of a batch are made at once on one device. Images stay in its memory as bytes, 0.6 MB each of 256x192 pixels.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
-import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int, Int8, UInt8
 from torch import Tensor
+from torch.nn import functional
 
 from video2anim.errors import InputError
-from video2anim.lab.synth.render.lens import pixel_directions
+from video2anim.lab.scene_network.degrade import degraded
 from video2anim.lab.synth.world import FURNITURE_LABELS, LABELS
 from video2anim.networks.segmentation import CLASSES, MIN_INSTANCE_RATIO
-from video2anim.types import Intrinsics
 
 CLASS_OF_LABEL: dict[str, str] = {
     "floor": "floor", "rug": "floor", "wall": "wall", "door": "wall", "window": "wall", "picture": "wall",
@@ -25,10 +29,19 @@ CLASS_OF_LABEL: dict[str, str] = {
 }  # fmt: skip
 """Class of each label of the synthetic clips; all others are `other`."""
 CLASS_TABLE = np.array([CLASSES.index(CLASS_OF_LABEL.get(label, "other")) for label in LABELS], np.uint8)
-HEAT_SIGMA = 0.03
+FURNITURE, PERSON = CLASSES.index("furniture"), CLASSES.index("person")
+_HEAT_SIGMA = 0.03
 """Standard deviation of the heat map around an object's center, in image heights."""
-SHARP_SCALE = 1.2
-"""Images that are reduced by more are smoothed before."""
+_SHARP_SCALE = 1.2
+"""Images that are reduced by more are smoothed."""
+_MIN_ZOOM = 0.72
+"""Smallest crop, as a share of the largest that has the wanted aspect ratio."""
+_MAX_INSTANCES = 64
+"""Pieces of furniture and people of one image that are told apart."""
+_UNDISTORT_STEPS = 6
+"""Newton steps on the radius; the lenses of the images need three."""
+_JOINED = 1024
+"""Shards are joined until they have so many images: a batch reads few arrays then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +55,8 @@ class PictureBatch:
     normal: Float[Tensor, "batch 3 rows columns"]
     """Camera frame, unit; zero for the sky."""
     classes: Int[Tensor, "batch rows columns"]
+    instance: Int[Tensor, "batch rows columns"]
+    """Pieces of furniture numbered from 1 in each image; 0 elsewhere, and for pieces that are too small."""
     heat: Float[Tensor, "batch rows columns"]
     """Heat map: 1 at the centers of furniture instances, with a Gaussian falloff."""
     offset: Float[Tensor, "batch 2 rows columns"]
@@ -52,181 +67,221 @@ class PictureBatch:
     latitude: Float[Tensor, "batch coarse_rows coarse_columns"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shard:
-    maps: dict[str, np.ndarray]
-    intrinsics: np.ndarray
-    distortion: np.ndarray
-    up_camera: np.ndarray
+class _Images(NamedTuple):
+    """Images of one size with their labels."""
+
+    rgb: UInt8[Tensor, "n height width 3"]
+    disparity: Float[Tensor, "n height width"]
+    normal: Int8[Tensor, "n height width 3"]
+    """127 for 1."""
+    classes: UInt8[Tensor, "n height width"]
+    instance: UInt8[Tensor, "n height width"]
+    """Furniture and people, numbered from 1 in each image; 0 elsewhere."""
+    camera: Float[Tensor, "n 9"]
+    """fx, fy, cx, cy in pixels, k1, k2, up in camera axes."""
+
+    def of(self, rows: slice | Tensor) -> _Images:
+        """Some of the images."""
+        return _Images(*(part[rows] for part in self))
 
 
 class PictureShards:
-    """Shards of `video2anim synth --frames-only`; `refresh` finds shards that are finished later."""
+    """Shards of `video2anim synth --frames-only`; `refresh` takes shards that are finished later."""
 
-    def __init__(self, folders: Sequence[Path], *, seed: int = 0) -> None:
-        self._folders, self._seed = tuple(folders), seed
-        self._shards: dict[Path, _Shard] = {}
-        self._index: list[tuple[_Shard, int]] = []
-        self.refresh()
-        if not self._index:
+    def __init__(self, folders: Sequence[Path], *, seed: int = 0, device: str = "cpu") -> None:
+        self._folders, self._seed, self._device = tuple(folders), seed, torch.device(device)
+        self._random = torch.Generator(self._device)
+        self._reader = ThreadPoolExecutor(1)
+        self._read: dict[Path, Future[_Images] | None] = {}
+        self._images: list[_Images] = []
+        self.refresh(wait=True)
+        if not len(self):
             raise InputError(f"no finished shards in {', '.join(map(str, folders))}; make them by `video2anim synth`")
 
     def __len__(self) -> int:
-        return len(self._index)
+        return sum(len(images.rgb) for images in self._images)
 
-    def refresh(self) -> None:
-        """Add shards that were finished since the last call."""
+    def refresh(self, *, wait: bool = False) -> None:
+        """Begin to read shards that were finished since the last call; take those that are read (all, with `wait`)."""
         for folder in self._folders:
             for meta in sorted(folder.glob("shard_*/meta.json")):
-                if meta.parent not in self._shards:
-                    shard = _read_shard(meta.parent)
-                    self._shards[meta.parent] = shard
-                    self._index += [(shard, row) for row in range(len(shard.intrinsics))]
+                if meta.parent not in self._read:
+                    self._read[meta.parent] = self._reader.submit(_read_shard, meta.parent)
+        for path, future in self._read.items():
+            if future is not None and (wait or future.done()):
+                self._take(_Images(*(part.to(self._device) for part in future.result())))
+                self._read[path] = None
+
+    def _take(self, images: _Images) -> None:
+        size = images.rgb.shape[1:3]
+        loose = [k for k, other in enumerate(self._images) if other.rgb.shape[1:3] == size and len(other.rgb) < _JOINED]
+        if loose:
+            images = _Images(*map(torch.cat, zip(self._images.pop(loose[0]), images, strict=True)))
+        self._images.append(images)
 
     def batch(self, step: int, count: int, size: tuple[int, int]) -> PictureBatch:
         """`count` augmented samples of a training step; `size` is (height, width)."""
         rng = np.random.default_rng([self._seed, step])
-        rows = [self._sample(int(rng.integers(len(self._index))), size, rng) for _ in range(count)]
-        return _stacked(rows)
+        self._random.manual_seed(int(rng.integers(2**62)))
+        numbers = np.sort(rng.integers(len(self), size=count))
+        zoom, flip = rng.uniform(_MIN_ZOOM, 1.0, count), rng.random(count) < 0.5
+        values = self._samples(numbers, size, torch.from_numpy(zoom).float(), torch.from_numpy(flip))
+        return PictureBatch(**values | {"picture": degraded(values["picture"], self._random)})
 
     def plain(self, numbers: Sequence[int], size: tuple[int, int]) -> PictureBatch:
-        """Samples without augmentation, for validation."""
-        return _stacked([self._sample(number, size, None) for number in numbers])
+        """Samples without augmentation, for validation; `numbers` rise."""
+        count = len(numbers)
+        return PictureBatch(
+            **self._samples(np.asarray(numbers), size, torch.ones(count), torch.zeros(count, dtype=torch.bool))
+        )
 
-    def _sample(self, number: int, size: tuple[int, int], rng: np.random.Generator | None) -> dict[str, np.ndarray]:
-        shard, row = self._index[number]
-        rgb = shard.maps["rgb"][row]
-        zoom, flip = (1.0, False) if rng is None else (float(rng.uniform(0.72, 1.0)), bool(rng.random() < 0.5))
-        x0, y0, width, height = _crop(rgb.shape[:2], size, zoom)
-        picture = _resampled(rgb, (x0, y0, width, height), size)
-        half = (size[0] // 2, size[1] // 2)
-        rows = np.round(y0 + (np.arange(half[0]) + 0.5) * height / half[0] - 0.5).astype(int).clip(0, rgb.shape[0] - 1)
-        columns = np.round(x0 + (np.arange(half[1]) + 0.5) * width / half[1] - 0.5).astype(int)
-        at = np.ix_(rows, columns.clip(0, rgb.shape[1] - 1))
-        depth_mm = shard.maps["depth_mm"][row][at].astype(np.float32)
-        normal = shard.maps["normal_camera"][row][at].astype(np.float32)
-        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1.0)
-        label, instance = shard.maps["label"][row][at], shard.maps["instance"][row][at].astype(np.int64)
-        values = {
-            "disparity": np.where(depth_mm > 0, 1000.0 / np.maximum(depth_mm, 1.0), 0.0).astype(np.float32),
-            "normal": normal.transpose(2, 0, 1),
-            "classes": CLASS_TABLE[label].astype(np.int64),
-            **camera_targets(shard, row, (x0, y0, width, height), (size[0] // 8, size[1] // 8), rgb.shape[:2]),
-        }
-        if flip:
-            picture, instance = picture[:, ::-1], instance[:, ::-1]
-            values = {name: value[..., ::-1].copy() for name, value in values.items()}
-            values["normal"][0] *= -1
-            values["up"][0] *= -1
-        values |= instance_targets(instance, values["classes"])
-        picture = picture if rng is None else degraded(np.ascontiguousarray(picture), rng)
-        return {"picture": np.ascontiguousarray(picture.transpose(2, 0, 1)), **values}
+    def _samples(
+        self, numbers: Int[np.ndarray, "batch"], size: tuple[int, int], zoom: Tensor, flip: Tensor
+    ) -> dict[str, Tensor]:
+        parts, first = [], 0
+        for images in self._images:
+            here = torch.from_numpy((numbers >= first) & (numbers < first + len(images.rgb)))
+            if here.any():
+                rows = torch.from_numpy(numbers)[here].to(self._device) - first
+                parts.append(_cropped(images.of(rows), size, zoom[here].to(self._device), flip[here].to(self._device)))
+            first += len(images.rgb)
+        return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
 
 
-def _read_shard(folder: Path) -> _Shard:
-    maps = {
-        name: np.load(folder / f"{name}.npy", allow_pickle=False)
-        for name in ("rgb", "depth_mm", "normal_camera", "label", "instance")
+def _read_shard(folder: Path) -> _Images:
+    names = ("rgb", "depth_mm", "normal_camera", "label", "instance", "intrinsics", "distortion", "up_camera")
+    maps = {name: np.load(folder / f"{name}.npy", allow_pickle=False) for name in names}
+    depth_m = maps["depth_mm"].astype(np.float32) / 1000
+    disparity = np.where(depth_m > 0, 1 / np.maximum(depth_m, 1e-3), 0)
+    classes = CLASS_TABLE[maps["label"]]
+    instance = np.zeros(classes.shape, np.uint8)
+    for row, shown in enumerate(np.isin(classes, (FURNITURE, PERSON))):
+        raw = maps["instance"][row]
+        for number, value in enumerate(np.unique(raw[shown])[: _MAX_INSTANCES - 1], 1):
+            instance[row][shown & (raw == value)] = number
+    camera = np.concatenate([maps["intrinsics"], maps["distortion"], maps["up_camera"]], 1).astype(np.float32)
+    arrays = (maps["rgb"], disparity, maps["normal_camera"], classes, instance, camera)
+    return _Images(*(torch.from_numpy(array) for array in arrays))
+
+
+class _Crop(NamedTuple):
+    """Where samples are in their images, in pixels."""
+
+    x0: Float[Tensor, "batch"]
+    y0: Float[Tensor, "batch"]
+    width: Float[Tensor, "batch"]
+    height: Float[Tensor, "batch"]
+
+    def centers(self, rows: int, columns: int) -> tuple[Float[Tensor, "batch columns"], Float[Tensor, "batch rows"]]:
+        """x and y of the centers of cells."""
+        y, x = (torch.arange(n, device=self.x0.device) + 0.5 for n in (rows, columns))
+        return (
+            self.x0[:, None] + x * self.width[:, None] / columns - 0.5,
+            self.y0[:, None] + y * self.height[:, None] / rows - 0.5,
+        )
+
+
+def _cropped(images: _Images, size: tuple[int, int], zoom: Float[Tensor, "batch"], flip: Tensor) -> dict[str, Tensor]:
+    """Centered crops with their targets, some of them mirrored; `zoom` 1 is the largest crop."""
+    height, width = images.rgb.shape[1:3]
+    ratio = size[1] / size[0]
+    tall = min(height, width / ratio) * zoom
+    box = _Crop((width - ratio * tall) / 2, (height - tall) / 2, ratio * tall, tall)
+    x, y = box.centers(size[0] // 2, size[1] // 2)
+    rows, columns = y.round().long().clamp(0, height - 1), x.round().long().clamp(0, width - 1)
+    at = (torch.arange(len(zoom), device=zoom.device)[:, None, None], rows[:, :, None], columns[:, None, :])
+    normal = images.normal[at].float()
+    normal = normal / normal.norm(dim=-1, keepdim=True).clamp_min(1.0)
+    values = {
+        "picture": _resampled(images.rgb, box, size),
+        "disparity": images.disparity[at].float(),
+        "normal": normal.permute(0, 3, 1, 2),
+        "classes": images.classes[at].long(),
+        "instance": images.instance[at].long(),
+        **camera_targets(images.camera, *box.centers(size[0] // 8, size[1] // 8)),
     }
-    facts = [np.load(folder / f"{name}.npy", allow_pickle=False) for name in ("intrinsics", "distortion", "up_camera")]
-    return _Shard(maps, *facts)
+    for name, value in values.items():
+        mirrored = value.flip(-1)
+        if name in ("normal", "up"):
+            mirrored[:, 0] *= -1
+        values[name] = torch.where(flip.reshape(-1, *[1] * (value.ndim - 1)), mirrored, value)
+    return values | instance_targets(values["instance"], values["classes"])
 
 
-def _crop(have: tuple[int, int], want: tuple[int, int], zoom: float) -> tuple[float, float, float, float]:
-    """x0, y0, width, height of a centered crop with the aspect ratio of `want`; `zoom` 1 is the largest crop."""
-    ratio = want[1] / want[0]
-    height = min(have[0], have[1] / ratio) * zoom
-    width = height * ratio
-    return (have[1] - width) / 2, (have[0] - height) / 2, width, height
-
-
-def _resampled(
-    rgb: np.ndarray, crop: tuple[float, float, float, float], size: tuple[int, int]
-) -> UInt8[np.ndarray, "height width 3"]:
-    x0, y0, width, height = crop
-    scale = width / size[1]
-    matrix = np.array([[scale, 0, x0 + 0.5 * scale - 0.5], [0, height / size[0], y0 + 0.5 * height / size[0] - 0.5]])
-    soft = cv2.GaussianBlur(rgb, (0, 0), 0.35 * scale) if scale > SHARP_SCALE else rgb
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(soft, matrix, (size[1], size[0]), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+def _resampled(rgb: Tensor, box: _Crop, size: tuple[int, int]) -> Float[Tensor, "batch 3 height width"]:
+    """Bilinear; the mean of four samples to a pixel where the image is reduced by more than `_SHARP_SCALE`."""
+    height, width = rgb.shape[1:3]
+    picture, sampled = rgb.permute(0, 3, 1, 2).float(), []
+    for finer in (1, 2):
+        x, y = box.centers(finer * size[0], finer * size[1])
+        x, y = (2 * x + 1) / width - 1, (2 * y + 1) / height - 1
+        grid = torch.stack(torch.broadcast_tensors(x[:, None, :], y[:, :, None]), -1)
+        found = functional.grid_sample(picture, grid, padding_mode="border", align_corners=False)
+        sampled.append(functional.avg_pool2d(found, finer))
+    reduced = box.width / size[1] > _SHARP_SCALE
+    return torch.where(reduced[:, None, None, None], sampled[1], sampled[0]).round()
 
 
 def camera_targets(
-    shard: _Shard,
-    row: int,
-    crop: tuple[float, float, float, float],
-    cells: tuple[int, int],
-    have: tuple[int, int],
-) -> dict[str, np.ndarray]:
-    """Up direction and latitude at the centers of the cells of a crop, for the lens without distortion."""
-    x0, y0, width, height = crop
-    x = x0 + (np.arange(cells[1]) + 0.5) * width / cells[1] - 0.5
-    y = y0 + (np.arange(cells[0]) + 0.5) * height / cells[0] - 0.5
-    fx, fy, cx, cy = (float(value) for value in shard.intrinsics[row])
-    lens = Intrinsics(fx, fy, cx, cy, have[1], have[0])
-    rays = pixel_directions(np.stack(np.meshgrid(x, y), -1), lens, *(float(k) for k in shard.distortion[row]))
-    up = np.asarray(shard.up_camera[row], float)
-    in_picture = up[:2] - rays[..., :2] * up[2]
-    in_picture /= np.maximum(np.linalg.norm(in_picture, axis=-1, keepdims=True), 1e-9)
-    latitude = np.arcsin(np.clip(rays @ up / np.linalg.norm(rays, axis=-1), -1, 1))
-    return {"up": in_picture.transpose(2, 0, 1).astype(np.float32), "latitude": latitude.astype(np.float32)}
+    camera: Float[Tensor, "batch 9"], x: Float[Tensor, "batch columns"], y: Float[Tensor, "batch rows"]
+) -> dict[str, Tensor]:
+    """Up direction and latitude (radians) at pixels x, y, for the lens without distortion."""
+    fx, fy, cx, cy, k1, k2, *up = (camera[:, k, None, None] for k in range(9))
+    seen_x, seen_y = torch.broadcast_tensors((x[:, None, :] - cx) / fx, (y[:, :, None] - cy) / fy)
+    seen = torch.hypot(seen_x, seen_y)
+    radius = seen
+    for _ in range(_UNDISTORT_STEPS):
+        r2 = radius * radius
+        error = radius * (1 + r2 * (k1 + k2 * r2)) - seen
+        radius = radius - error / (1 + r2 * (3 * k1 + 5 * k2 * r2)).clamp_min(0.05)
+    scale = radius / seen.clamp_min(1e-12)
+    ray_x, ray_y = seen_x * scale, seen_y * scale
+    along = torch.stack([up[0] - ray_x * up[2], up[1] - ray_y * up[2]], 1)
+    sine = (ray_x * up[0] + ray_y * up[1] + up[2]) / torch.sqrt(ray_x**2 + ray_y**2 + 1)
+    return {
+        "up": along / along.norm(dim=1, keepdim=True).clamp_min(1e-9), "latitude": torch.arcsin(sine.clamp(-1, 1)),
+    }  # fmt: skip
 
 
-def instance_targets(instance: np.ndarray, classes: np.ndarray) -> dict[str, np.ndarray]:
-    """Heat map of centers, offsets and boundaries of furniture instances (boundaries of people too)."""
-    rows, columns = instance.shape
-    furniture = classes == CLASSES.index("furniture")
-    y, x = np.mgrid[:rows, :columns].astype(np.float32)
-    heat, known = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
-    offset = np.zeros((2, rows, columns), np.float32)
-    for number in np.unique(instance[furniture]):
-        mask = furniture & (instance == number)
-        if mask.sum() < MIN_INSTANCE_RATIO * mask.size:
-            continue
-        center_x, center_y = float(x[mask].mean()), float(y[mask].mean())
-        far2 = (x - center_x) ** 2 + (y - center_y) ** 2
-        np.maximum(heat, np.exp(-0.5 * far2 / (HEAT_SIGMA * rows) ** 2), out=heat)
-        offset[0][mask], offset[1][mask] = (center_x - x[mask]) / rows, (center_y - y[mask]) / rows
-        known[mask] = 1
-    obj = np.where(furniture | (classes == CLASSES.index("person")), instance, 0)
-    boundary = np.zeros((rows, columns), np.float32)
-    for axis in (0, 1):
-        differs = np.diff(obj, axis=axis) != 0
-        first, second = [slice(None)] * 2, [slice(None)] * 2
-        first[axis], second[axis] = slice(None, -1), slice(1, None)
-        boundary[tuple(first)][differs] = 1
-        boundary[tuple(second)][differs] = 1
-    return {"heat": heat, "offset": offset, "has_offset": known, "boundary": boundary}
+def instance_targets(
+    instance: Int[Tensor, "batch rows columns"], classes: Int[Tensor, "batch rows columns"]
+) -> dict[str, Tensor]:
+    """Heat map of centers, offsets and boundaries of furniture instances (boundaries of people too).
+
+    Args:
+        instance: Furniture and people numbered from 1 to `_MAX_INSTANCES` - 1 in each image; 0 elsewhere.
+        classes: Numbers of `CLASSES`.
+    """
+    batch, rows, columns = instance.shape
+    furniture = torch.where(classes == FURNITURE, instance, 0)
+    index = furniture.flatten(1)
+    axes = [torch.arange(n, device=index.device, dtype=torch.float32) for n in (columns, rows)]
+    x, y = axes[0].expand(rows, -1), axes[1][:, None].expand(-1, columns)
+    none = torch.zeros(batch, _MAX_INSTANCES, device=index.device)
+    area = none.scatter_add(1, index, torch.ones_like(x).flatten().expand(batch, -1))
+    center = [none.scatter_add(1, index, v.flatten().expand(batch, -1)) / area.clamp_min(1) for v in (x, y)]
+    counts = area >= MIN_INSTANCE_RATIO * rows * columns
+    counts[:, 0] = False
+    known = counts.gather(1, index).reshape(instance.shape)
+    goal = torch.stack([c.gather(1, index).reshape(instance.shape) for c in center], 1)
+    near = [
+        torch.exp(-0.5 * ((v - c[..., None]) / (_HEAT_SIGMA * rows)) ** 2) for v, c in zip(axes, center, strict=True)
+    ]
+    heat = torch.zeros(batch, rows, columns, device=index.device)
+    for number in torch.nonzero(counts.any(0)).flatten().tolist():
+        blob = near[1][:, number, :, None] * near[0][:, number, None, :]
+        heat = torch.maximum(heat, blob * counts[:, number, None, None])
+    return {
+        "instance": torch.where(known, furniture, 0), "heat": heat, "boundary": _boundaries(instance),
+        "offset": (goal - torch.stack([x, y])) * known[:, None] / rows, "has_offset": known.float(),
+    }  # fmt: skip
 
 
-def degraded(rgb: UInt8[np.ndarray, "height width 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "height width 3"]:
-    """The image with random color, light, blur, noise and compression."""
-    value = rgb.astype(np.float32) / 255
-    gray = value.mean(-1, keepdims=True)
-    value = gray + (value - gray) * float(0.0 if rng.random() < 0.05 else rng.uniform(0.4, 1.6))
-    value = value * np.exp(rng.normal(0, 0.08, 3)).astype(np.float32)
-    value = np.clip((value - 0.5) * float(rng.uniform(0.65, 1.35)) + 0.5 + float(rng.normal(0, 0.08)), 0, 1)
-    value = value ** float(np.exp(rng.normal(0, 0.25)))
-    if rng.random() < 0.25:
-        hsv = cv2.cvtColor(value.astype(np.float32), cv2.COLOR_RGB2HSV)
-        hsv[..., 0] = (hsv[..., 0] + float(rng.uniform(0, 360))) % 360
-        value = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)
-    if rng.random() < 0.4:
-        value = cv2.GaussianBlur(value, (0, 0), float(rng.uniform(0.3, 1.3)))
-    if rng.random() < 0.12:
-        length = int(rng.integers(2, 6))
-        kernel = np.eye(length, dtype=np.float32) if rng.random() < 0.5 else np.ones((1, length), np.float32)
-        value = cv2.filter2D(value, -1, kernel / kernel.sum())
-    if rng.random() < 0.5:
-        value = value + rng.standard_normal(value.shape, dtype=np.float32) * float(rng.uniform(0, 0.05))
-    stored = np.clip(255 * value, 0, 255).astype(np.uint8)
-    if rng.random() < 0.35:
-        _, data = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(25, 95))])
-        stored = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
-    return stored
-
-
-def _stacked(rows: list[dict[str, np.ndarray]]) -> PictureBatch:
-    tensors = {name: torch.from_numpy(np.stack([row[name] for row in rows])) for name in rows[0]}
-    tensors["picture"] = tensors["picture"].float()
-    return PictureBatch(**tensors)
+def _boundaries(instance: Int[Tensor, "batch rows columns"]) -> Float[Tensor, "batch rows columns"]:
+    """1 on both sides of where instances meet or end."""
+    found = torch.zeros(instance.shape, device=instance.device)
+    for axis in (1, 2):
+        differs = instance.diff(dim=axis) != 0
+        for side in (0, 1):
+            found.narrow(axis, side, differs.shape[axis]).masked_fill_(differs, 1)
+    return found

@@ -1,9 +1,8 @@
-"""The training loop of the room network. It can be resumed; batches are the same on every machine."""
+"""The training loop of the room network. It can be resumed; its batches depend on seed and step alone."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from torch import Tensor
 
 from scenemi.training.loop_parts import (
     Stopwatch,
-    cosine_decay,
     mean_measures,
     measures_text,
     ramped_decay,
@@ -23,7 +21,7 @@ from scenemi.training.loop_parts import (
     warmup,
     write_networks,
 )
-from video2anim.lab.scene_network.network import RoomNetwork
+from video2anim.lab.scene_network.network import RoomAnswer, RoomNetwork
 from video2anim.lab.scene_network.objective import losses, measures
 from video2anim.lab.scene_network.restart import calibrate_normalization, read_exported
 from video2anim.lab.scene_network.samples import PictureBatch, PictureShards
@@ -31,6 +29,8 @@ from video2anim.lab.scene_network.samples import PictureBatch, PictureShards
 SMALL_SIZES = ((128, 192), (128, 160), (160, 160), (192, 128), (96, 192))
 LARGE_SIZES = ((192, 256), (160, 288), (192, 192), (256, 192), (224, 288))
 """Image sizes (height, width) from which batches are drawn, in the first and in the last phase."""
+_REFRESH_EVERY = 20
+"""Steps between looks for shards that are finished."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +49,8 @@ class PerceptionConfig:
     ema: float = 0.998
     large_share: float = 0.15
     """Share of the steps, at the end, with `LARGE_SIZES`."""
+    cooling_share: float = 0.2
+    """Share of the steps, at the end, over which the learning rate falls to zero."""
     seed: int = 0
     save_every: int = 400
     minutes: float | None = None
@@ -69,8 +71,8 @@ def train(
     """Train, or continue from the checkpoint. Returns the averaged network.
 
     Args:
-        shards: Training images.
-        held_out: Images of other rooms; the first 64 are used for validation.
+        shards: Training images, on `device`.
+        held_out: Images of other rooms, on `device`; the first 64 are used for validation.
         config: Settings.
         checkpoint: File to continue from and to write.
         encoder: Published weights with which the encoder starts.
@@ -80,8 +82,9 @@ def train(
     """
     clock = Stopwatch()
     torch.manual_seed(config.seed)
+    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
     network, average = _networks(shards, config, encoder, start, device)
-    optimizer = make_optimizer(network, config)
+    optimizer = _optimizer(network, config)
     networks = {"network": network, "average": average}
     step = read_networks(checkpoint, networks, optimizer) if checkpoint.is_file() else 0
     if step == 0:
@@ -90,27 +93,31 @@ def train(
     average.eval()
     chosen = range(min(len(held_out), 64))
     tests = [held_out.plain(chosen[first : first + 32], LARGE_SIZES[0]) for first in range(0, len(chosen), 32)]
-    late = False
-    with ThreadPoolExecutor(1) as pool:
-        future = pool.submit(_batch, shards, step, config)
-        while step < config.steps and not late:
-            batch = _on(future.result(), device)
-            if step % 50 == 0:
-                shards.refresh()
-            future = pool.submit(_batch, shards, step + 1, config)
-            set_rate(optimizer, config.learning_rate * _rate(step, config))
-            terms = losses(network(batch.picture.contiguous(memory_format=torch.channels_last)), batch)
-            take_step(network, optimizer, torch.stack(list(terms.values())).sum(), max_norm=5.0)
-            step += 1
-            update_average(average.state_dict(), network.state_dict(), ramped_decay(step, config.ema))
-            late = config.minutes is not None and clock.is_over(60 * config.minutes)
-            if step % config.save_every == 0 or step == config.steps or late:
-                write_networks(checkpoint, networks, optimizer, step)
-                validation = mean_measures([_measured(average, test, device) for test in tests])
-                parts = measures_text({name: float(value.detach()) for name, value in terms.items()})
-                numbers = f"{measures_text(validation)} | {parts}"
-                on_line(f"step {step} of {len(shards)} | {numbers} | {clock.seconds:.0f} s")
+    mean, weights, late = average.state_dict(), network.state_dict(), False
+    while step < config.steps and not late:
+        if step % _REFRESH_EVERY == 0:
+            shards.refresh()
+        batch = _batch(shards, step, config)
+        set_rate(optimizer, config.learning_rate * _rate(step, config))
+        terms = losses(_answer(network, batch.picture), batch)
+        take_step(network, optimizer, torch.stack(list(terms.values())).sum(), max_norm=5.0)
+        step += 1
+        update_average(mean, weights, ramped_decay(step, config.ema))
+        late = config.minutes is not None and clock.is_over(60 * config.minutes)
+        if step % config.save_every == 0 or step == config.steps or late:
+            write_networks(checkpoint, networks, optimizer, step)
+            validation = mean_measures([_measured(average, test) for test in tests])
+            parts = measures_text({name: float(value.detach()) for name, value in terms.items()})
+            numbers = f"{measures_text(validation)} | {parts}"
+            on_line(f"step {step} of {len(shards)} | {numbers} | {clock.seconds:.0f} s")
     return average
+
+
+def _answer(network: RoomNetwork, picture: Tensor) -> RoomAnswer:
+    """On a GPU convolutions are computed in bfloat16."""
+    with torch.autocast(picture.device.type, torch.bfloat16, enabled=picture.is_cuda):
+        answer = network(picture.contiguous(memory_format=torch.channels_last))
+    return RoomAnswer(*(head.float() for head in answer))
 
 
 def _networks(
@@ -120,13 +127,10 @@ def _networks(
     """The network to train, with its initial weights, and a copy for the average."""
     network, average = RoomNetwork() if start is None else read_exported(start), RoomNetwork().to(device)
     if start is not None:
-        calibrate_normalization(network, shards.batch(0, 4 * config.batch, LARGE_SIZES[0]).picture)
+        calibrate_normalization(network, shards.batch(0, 4 * config.batch, LARGE_SIZES[0]).picture.cpu())
     elif encoder is not None:
         network.encoder.read_published(encoder)
-    network = network.to(device)
-    if device == "cpu":
-        network = network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    return network, average
+    return network.to(device, memory_format=torch.channels_last), average  # pyright: ignore[reportCallIssue]
 
 
 def _batch(shards: PictureShards, step: int, config: PerceptionConfig) -> PictureBatch:
@@ -136,7 +140,7 @@ def _batch(shards: PictureShards, step: int, config: PerceptionConfig) -> Pictur
     return shards.batch(step, config.batch, sizes[step % len(sizes)])
 
 
-def make_optimizer(network: RoomNetwork, config: PerceptionConfig) -> torch.optim.Optimizer:
+def _optimizer(network: RoomNetwork, config: PerceptionConfig) -> torch.optim.Optimizer:
     """AdamW over the weights that are not frozen."""
     network.encoder.stem.requires_grad_(config.frozen_stages == 0)
     for number, stage in enumerate(network.encoder.stages):
@@ -148,18 +152,16 @@ def make_optimizer(network: RoomNetwork, config: PerceptionConfig) -> torch.opti
     return torch.optim.AdamW(groups, lr=config.learning_rate, weight_decay=config.weight_decay)
 
 
-def _measured(average: RoomNetwork, test: PictureBatch, device: str) -> dict[str, float]:
-    batch = _on(test, device)
+def _measured(average: RoomNetwork, test: PictureBatch) -> dict[str, float]:
     with torch.no_grad():
-        return measures(average(batch.picture), batch)
-
-
-def _on(batch: PictureBatch, device: str) -> PictureBatch:
-    return PictureBatch(*(getattr(batch, name).to(device) for name in PictureBatch.__slots__))
+        return measures(average(test.picture), test)
 
 
 def _rate(step: int, config: PerceptionConfig) -> float:
-    return warmup(step, config.warmup) if step < config.warmup else cosine_decay(step, config.steps)
+    """Share of the learning rate: constant between warm-up and cooling, so that training goes on from a checkpoint with
+    more steps (Hagele et al. 2024)."""
+    cooling = (config.steps - step) / max(1.0, config.cooling_share * config.steps)
+    return min(warmup(step, config.warmup), cooling, 1.0)
 
 
 def read_average(path: Path) -> RoomNetwork:
