@@ -41,6 +41,12 @@ _SETTLED = 0.1
 """A crop stays if its shift and growth (shares of its side) and its turn (radians) are all below this."""
 _MIN_TILE_PX = INPUT_PX // 2
 """Smaller tiles would only be magnified."""
+_SAME_SIZE = 1.5
+"""Crops whose sides differ by less may be of the same body; of two estimates that differ by more the smaller is of a part
+of it: hair, or a coat, taken for a person."""
+_BETTER_VISIBILITY = 0.1
+"""A second estimate of a tracked body replaces the first if its mean visibility is higher by this: a crop has slid off.
+Without the margin every search of the whole picture would add jitter."""
 _SAME_DISTANCE = 0.25
 """Distance of two torsos, in body radii, below which they are of one body."""
 _SAME_MASK_SHARE = 0.6
@@ -150,6 +156,15 @@ def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:
     )
 
 
+def is_better(second: PoseEstimate, first: PoseEstimate) -> bool:
+    """Whether the second of two estimates of one body replaces the first: it is of the whole body and the first of a
+    part, or clearly better visible."""
+    larger = second.next_roi.side_px / max(first.next_roi.side_px, 1e-6)
+    if not 1 / _SAME_SIZE < larger < _SAME_SIZE:
+        return larger > 1
+    return bool(second.visibility.mean() > first.visibility.mean() + _BETTER_VISIBILITY)
+
+
 def torso_distance(first: PoseEstimate, second: PoseEstimate) -> float:
     """Median distance of shoulders and hips, left and right exchangeable, as a share of the smaller body's radius."""
     mine, theirs = first.landmarks_px[_TORSO], second.landmarks_px[_TORSO]
@@ -191,7 +206,7 @@ def overlaps(roi: SquareRoi, other: SquareRoi) -> bool:
     """Whether two crops are of the same body: near each other and of similar size."""
     small, large = sorted((roi.side_px, other.side_px))
     gap_px = math.hypot(roi.center_x_px - other.center_x_px, roi.center_y_px - other.center_y_px)
-    return gap_px < 0.2 * large and large < 1.5 * small
+    return gap_px < 0.2 * large and large < _SAME_SIZE * small
 
 
 def boxes_meet(box: Float[np.ndarray, "4"], other: Float[np.ndarray, "4"]) -> bool:

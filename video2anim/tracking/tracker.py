@@ -18,9 +18,6 @@ from video2anim.types import PersonTrack
 if TYPE_CHECKING:
     from video2anim.networks.objectron import ObjectFinder
 
-_BETTER_VISIBILITY = 0.1
-"""A second estimate of a tracked body replaces the first if its mean visibility is higher by this: a crop has slid off.
-Without the margin every search of the whole picture would add jitter."""
 _HELD_FRAMES = 5
 """Frames for which a lost person is searched in the last crop. Not measured."""
 THUMBNAIL_PX = 128
@@ -220,14 +217,18 @@ class Tracker:
             track.put(frame, found)
 
     def _is_known(self, found: PoseEstimate, frame: int, fresh: list[PoseEstimate]) -> bool:
-        """Whether a track already has this body; a clearly better estimate replaces that of the track."""
+        """Whether a track already has this body, or one of `fresh`; a better estimate replaces theirs."""
         for track in self.tracks:
             own = track.estimates.get(frame)
             if own is not None and finder.same_person(found, own):
-                if found.visibility.mean() > own.visibility.mean() + _BETTER_VISIBILITY:
+                if finder.is_better(found, own):
                     track.put(frame, found)
                 return True
-        return any(finder.same_person(found, other) for other in fresh)
+        for number, other in enumerate(fresh):
+            if finder.same_person(found, other):
+                fresh[number] = found if finder.is_better(found, other) else other
+                return True
+        return False
 
 
 def _surprise(track: Track, frame: int) -> float:
