@@ -332,14 +332,15 @@ def test_somebody_followed_head_down_is_looked_at_head_up(
 
 @pytest.mark.parametrize(
     ("size", "visibility", "better"),
-    [(1.0, 0.75, False), (1.0, 0.95, True), (0.8, 0.95, True), (0.3, 1.0, False), (3.0, 0.7, True), (3.0, 0.9, True)],
+    [(1.0, 0.75, False), (1.0, 0.95, True), (0.9, 0.95, True), (0.8, 1.0, False), (1.3, 0.7, True), (1.3, 0.9, True)],
 )
 def test_of_two_estimates_of_a_body_that_of_a_part_gives_way(size: float, visibility: float, better: bool) -> None:
     """Long hair seen from behind is taken for a small person in full view; the whole body is the one to keep."""
 
     def seen(radius_px: float, visibility: float) -> PoseEstimate:
         roi = SquareRoi.from_circle(np.array([160.0, 120.0]), np.array([160.0, 120.0 - radius_px]))
-        nothing = np.zeros((64, 64), np.uint8)
-        return PoseEstimate(1.0, np.zeros((33, 2)), np.zeros((33, 3)), np.full(33, visibility), nothing, roi, roi)
+        mask = np.zeros((64, 64), np.uint8)
+        mask[:, 24:40] = 255
+        return PoseEstimate(1.0, np.zeros((33, 2)), np.zeros((33, 3)), np.full(33, visibility), mask, roi, roi)
 
     assert person_detection.is_better(seen(60.0 * size, visibility), seen(60.0, 0.8)) == better

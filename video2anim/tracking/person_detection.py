@@ -42,8 +42,10 @@ _SETTLED = 0.1
 _MIN_TILE_PX = INPUT_PX // 2
 """Smaller tiles would only be magnified."""
 _SAME_SIZE = 1.5
-"""Crops whose sides differ by less may be of the same body; of two estimates that differ by more the smaller is of a part
-of it: hair, or a coat, taken for a person."""
+"""Crops whose sides differ by less may be of the same body."""
+_WHOLE = 1.5
+"""Of two estimates of one body, one whose mask is larger by this is of the whole body, the other of a part: hair or a
+coat seen from behind and taken for somebody small has masks of 0.07 to 0.61 of the body's (`intel_table`)."""
 _BETTER_VISIBILITY = 0.1
 """A second estimate of a tracked body replaces the first if its mean visibility is higher by this: a crop has slid off.
 Without the margin every search of the whole picture would add jitter."""
@@ -159,10 +161,14 @@ def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:
 def is_better(second: PoseEstimate, first: PoseEstimate) -> bool:
     """Whether the second of two estimates of one body replaces the first: it is of the whole body and the first of a
     part, or clearly better visible."""
-    larger = second.next_roi.side_px / max(first.next_roi.side_px, 1e-6)
-    if not 1 / _SAME_SIZE < larger < _SAME_SIZE:
+    larger = _mask_area_px2(second) / max(_mask_area_px2(first), 1.0)
+    if not 1 / _WHOLE < larger < _WHOLE:
         return larger > 1
     return bool(second.visibility.mean() > first.visibility.mean() + _BETTER_VISIBILITY)
+
+
+def _mask_area_px2(found: PoseEstimate) -> float:
+    return float((found.mask_crop > _MASK_ON).mean()) * found.roi.side_px**2
 
 
 def torso_distance(first: PoseEstimate, second: PoseEstimate) -> float:
