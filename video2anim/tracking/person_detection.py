@@ -159,12 +159,17 @@ def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:
 
 
 def is_better(second: PoseEstimate, first: PoseEstimate) -> bool:
-    """Whether the second of two estimates of one body replaces the first: it is of the whole body and the first of a
-    part, or clearly better visible."""
+    """Whether the second of two estimates of one body replaces the first.
+
+    It does if it is clearly better visible and not of a part only, or of the whole body where the first is of a part,
+    and not clearly worse visible.
+    """
     larger = _mask_area_px2(second) / max(_mask_area_px2(first), 1.0)
-    if not 1 / _WHOLE < larger < _WHOLE:
-        return larger > 1
-    return bool(second.visibility.mean() > first.visibility.mean() + _BETTER_VISIBILITY)
+    if larger < 1 / _WHOLE:
+        return False
+    # A larger mask may also be one of two people.
+    margin = _BETTER_VISIBILITY if larger < _WHOLE else -_BETTER_VISIBILITY
+    return bool(second.visibility.mean() > first.visibility.mean() + margin)
 
 
 def _mask_area_px2(found: PoseEstimate) -> float:
