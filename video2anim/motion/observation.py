@@ -16,7 +16,10 @@ from video2anim.types import BodyMotion, PlacedObject
 from video2anim.types.clip import FPS
 
 _JUMP = 6.0
-"""Frames whose jerk exceeds the median by this factor are jumps of the observation."""
+"""Frames whose jerk exceeds the usual one by this factor are jumps of the observation."""
+_WALKING_M_S3 = 115.0
+"""Mean jerk of the joints of people who walk, by stage humans: medians of `ocv_walk` 115, `pose2sim_single_cam01` and
+`cam02` 119 and 112. Who stands still for most of a clip may walk in the rest."""
 
 
 def observation(motion: BodyMotion, objects: Sequence[PlacedObject]) -> SceneMotion:
@@ -39,12 +42,14 @@ def observation(motion: BodyMotion, objects: Sequence[PlacedObject]) -> SceneMot
 
 def inlier_frames(motion: BodyMotion) -> Bool[np.ndarray, "frames"]:
     """Valid frames in which the observed body does not jump: where the landmark model flips left and right, or front
-    and back, the jerk is many times the median."""
+    and back, the jerk is many times the clip's median and that of walking."""
     calm = motion.valid.copy()
     jerk_m_s3 = np.linalg.norm(np.diff(motion.joints_world_m, n=3, axis=0), axis=-1).mean(1) * FPS**3
-    if not len(jerk_m_s3):
+    seen = np.convolve(motion.valid, np.ones(4), "valid") == 4
+    if not seen.any():
         return calm
-    for first in np.flatnonzero(jerk_m_s3 > _JUMP * np.median(jerk_m_s3)):
+    usual_m_s3 = max(float(np.median(jerk_m_s3[seen])), _WALKING_M_S3)
+    for first in np.flatnonzero(seen & (jerk_m_s3 > _JUMP * usual_m_s3)):
         calm[first : first + 4] = False
     # Motion that is jerky throughout is used as observed.
     return calm if calm.sum() > 0.5 * motion.valid.sum() else motion.valid
