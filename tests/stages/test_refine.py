@@ -276,6 +276,23 @@ def test_frames_in_which_the_observation_jumps_are_not_calm() -> None:
     assert kept.sum() > 0.5 * valid.sum()
 
 
+def test_who_stands_for_most_of_a_clip_may_walk_in_the_rest() -> None:
+    """Ten seconds of standing, a second of setting off, two of walking: no frame of it is a jump."""
+    walk = planted_walk(90)
+    speed = np.concatenate([np.zeros(300), np.linspace(0, 1, 30), np.ones(60)])
+    at = np.cumsum(speed)
+    frame, share = at.astype(int), (at % 1.0)[:, None, None]
+    joints_m = (1 - share) * walk.joints_world_m[frame] + share * walk.joints_world_m[frame + 1]
+    every = {
+        name: getattr(walk, name)[frame]
+        for name in ("valid", "T_world_root", "R_parent_joint", "T_world_camera", "contact")
+    }
+    motion = replace(walk, frame_time_s=np.arange(len(at)) / 30, joints_world_m=joints_m, **every)
+    assert inlier_frames(motion).all()
+    joints_m[370:373, 5:9] += 0.3
+    assert not inlier_frames(replace(motion, joints_world_m=joints_m))[370:373].any()
+
+
 def test_a_moved_keyframe_changes_the_motion_there_and_nothing_far_before() -> None:
     """As a user edits it: the body of some frames 5 cm beside."""
     walk = planted_walk(270)
