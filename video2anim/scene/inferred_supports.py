@@ -62,8 +62,8 @@ def without_walked_through(
 def inferred_supports(
     objects: Sequence[PlacedObject], rested: list[tuple[int, Support]], bodies: BodyTracks, last_id: int
 ) -> tuple[list[PlacedObject], list[str]]:
-    """A solid for every place where a part rested far from objects and floor and through which nobody passes, and a
-    warning for each such place. Their numbers follow `last_id`."""
+    """A solid for every place where a part that carries the body rested far from objects and floor and through which
+    nobody passes, and a warning for each such place. Their numbers follow `last_id`."""
 
     people = [(motion, shaped_body(motion.shape)) for motion in bodies.people]
     number = last_id
@@ -72,7 +72,7 @@ def inferred_supports(
     for person, support in rested:
         solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *made)]
         far = int((support.gaps_m(solids, reach_m=2 * REACH_M) > REACH_M).sum())
-        if far < MIN_FRAMES or (support.level and support.top_m < _LOW_M):
+        if far < MIN_FRAMES or not support.carries or (support.level and support.top_m < _LOW_M):
             continue
         told = f"the {support.kind} of person {person} rested in {far} frames at {support.top_m:.2f} m"
         solid = standing_solid(support, people)

@@ -104,6 +104,12 @@ class Support:
         return float(self.T_world_top[1, 3])
 
     @property
+    def carries(self) -> bool:
+        """Whether the body would fall without it. Hands are also still in the air, and backs that lean on nothing are
+        upright."""
+        return self.kind in _LEVEL or (self.kind == "back" and self.level)
+
+    @property
     def footprint_m(self) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
         """Corners of a level support in world x and z, with a margin."""
         center, half = self.T_world_top[[0, 2], 3], 0.5 * self.size_m + _MARGIN_M
