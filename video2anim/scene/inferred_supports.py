@@ -72,7 +72,7 @@ def inferred_supports(
     for person, support in rested:
         solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *made)]
         far = int((support.gaps_m(solids, reach_m=2 * REACH_M) > REACH_M).sum())
-        if far < MIN_FRAMES or not support.carries or (support.level and support.top_m < _LOW_M):
+        if far < MIN_FRAMES or not support.carries or support.top_m < _LOW_M:
             continue
         told = f"the {support.kind} of person {person} rested in {far} frames at {support.top_m:.2f} m"
         solid = standing_solid(support, people)

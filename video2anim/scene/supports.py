@@ -166,14 +166,13 @@ def rested_and_inner_m(
 def standing_solid(
     support: Support, people: Sequence[tuple[BodyMotion, ShapedBody]]
 ) -> tuple[Mesh, Float[np.ndarray, "4 4"]] | None:
-    """Solid and pose of the support: down to the floor, else a slab; None where bodies pass through all of them.
+    """Solid and pose of a level support: down to the floor, else a slab; None where bodies pass through all of them.
 
     Args:
         people: everybody who may pass there.
     """
-    shapes = [(support.top_m, _MARGIN_M)] if support.level else []
-    for thickness_m, margin_m in (*shapes, *_SLABS):
-        mesh, T_world_box = support.solid(min(thickness_m, support.top_m) if support.level else thickness_m, margin_m)
+    for thickness_m, margin_m in ((support.top_m, _MARGIN_M), *_SLABS):
+        mesh, T_world_box = support.solid(min(thickness_m, support.top_m), margin_m)
         solid = world_mesh(mesh, T_world_box, 1.0)
         bounds_m = np.stack([solid.vertices_m.min(0) - 0.1, solid.vertices_m.max(0) + 0.1])
         field = build_sdf_grid([solid], bounds_m, max(0.02, float(np.ptp(bounds_m, axis=0).max()) / 60), floor_y_m=None)
