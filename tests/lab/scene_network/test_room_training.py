@@ -17,6 +17,7 @@ from video2anim.lab.scene_network.network import RoomAnswer, RoomNetwork
 from video2anim.lab.scene_network.objective import (
     aligned,
     disparity_loss,
+    distance_loss,
     losses,
     measures,
     overlap_loss,
@@ -329,6 +330,22 @@ def test_far_depth_counts_by_its_relative_error() -> None:
     far[:, :10] *= 2
     assert float(relative_loss(truth, truth)) == pytest.approx(0.0, abs=1e-6)
     assert float(relative_loss(far, truth)) > 0.05
+
+
+def test_each_piece_counts_by_how_far_off_it_is_on_the_mean() -> None:
+    """Two pieces of furniture before a wall with a step: one twice as far as it is, one with errors that cancel."""
+    truth = torch.full((1, 20, 40), 0.2)
+    truth[:, :, 20:] = 0.5
+    instance = torch.zeros(1, 20, 40, dtype=torch.long)
+    instance[:, 4:8, 4:8], instance[:, 10:12, 10:14] = 1, 2
+    seen = truth.clone()
+    assert float(distance_loss(seen, truth, instance)) == pytest.approx(0.0, abs=1e-6)
+    seen[:, 10:12, 10:12], seen[:, 10:12, 12:14] = 0.21, 0.2**2 / 0.21
+    assert float(distance_loss(seen, truth, instance)) < 0.005
+    seen[:, 4:8, 4:8] = 0.1
+    # The alignment takes up little of it.
+    assert float(distance_loss(seen, truth, instance)) == pytest.approx(0.5 * np.log(2), rel=0.1)
+    assert float(distance_loss(seen, truth, 0 * instance)) == 0.0
 
 
 def test_a_small_area_costs_as_much_as_a_large_one() -> None:
