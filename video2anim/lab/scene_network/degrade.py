@@ -11,8 +11,9 @@ from torch.nn import functional
 
 RANDOM_FILTERS = 0.3
 """Share of images that are mixed with a random convolution of themselves (Xu et al. 2021), which changes local texture
-and keeps shapes, as photographs differ from renderings."""
+and keeps shapes, as photographs differ from renderings. Not measured."""
 BLUR_RADIUS = 4
+"""In pixels: three standard deviations of the widest blur."""
 _LUMINANCE = (
     16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, 14, 13, 16, 24, 40, 57, 69, 56, 14, 17, 22, 29, 51,
     87, 80, 62, 18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81, 104, 113, 92, 49, 64, 78, 87, 103, 121, 120, 101,
