@@ -20,16 +20,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from real_clips import misses_px
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.geometry.projection import project
 from video2anim.lab.eval.results import SceneResult
 from video2anim.types import MetricDepth, PersonTracks, RefinedMotion
-from video2anim.types.skeleton import JOINT_INDEX
 
-LIMBS = [JOINT_INDEX[f"{side}_{part}"] for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-         for side in ("left", "right")]  # fmt: skip
-LANDMARKS = [11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28]
 COLUMNS = ("piece, s", "frames seen, %", "focal, px", "pitch, deg", "height, m", "off landmarks, %", "95 %, %")
 
 
@@ -65,18 +61,13 @@ def measured(result: SceneResult) -> list[float]:
     assert isinstance(refined, RefinedMotion)
     motion = refined.people[0]
     view, track = depth.bodies.main_view, tracks.selected()[0].whole(motion.frame_count)
-    camera_m = motion.joints_camera_m
-    apart_px = np.linalg.norm(
-        project(camera_m, motion.intrinsics)[:, LIMBS] - track.landmarks_px[:, LANDMARKS], axis=-1
-    )
-    apart_px = np.where(track.visibility[:, LANDMARKS] > 0.5, apart_px, np.nan)
     height_m = float(np.ptp(shaped_body(motion.shape).rest_vertices_m[:, 1]))
-    seen = track.valid & np.isfinite(apart_px).any(1)
-    off = np.nanmean(apart_px[seen], 1) * camera_m[seen, 0, 2] / (motion.intrinsics.fy_px * height_m)
+    distance_m = motion.joints_camera_m[:, 0, 2]
+    off = misses_px(motion, track) * distance_m / (motion.intrinsics.fy_px * height_m)
     pitch_deg = np.degrees(np.arcsin(view.T_world_camera[1, 2]))
     return [
         round(100 * float(track.valid.mean()), 1), round(view.intrinsics.fx_px, 1), round(float(pitch_deg), 2),
-        round(float(view.T_world_camera[1, 3]), 3), *(round(100 * float(np.percentile(off, p)), 2) for p in (50, 95)),
+        round(float(view.T_world_camera[1, 3]), 3), *(round(100 * float(np.nanpercentile(off, p)), 2) for p in (50, 95)),
     ]  # fmt: skip
 
 
