@@ -65,9 +65,10 @@ def measured(result: SceneResult) -> list[float]:
     distance_m = motion.joints_camera_m[:, 0, 2]
     off = misses_px(motion, track) * distance_m / (motion.intrinsics.fy_px * height_m)
     pitch_deg = np.degrees(np.arcsin(view.T_world_camera[1, 2]))
+    median, high = (round(100 * float(np.nanpercentile(off, share)), 2) for share in (50, 95))
     return [
         round(100 * float(track.valid.mean()), 1), round(view.intrinsics.fx_px, 1), round(float(pitch_deg), 2),
-        round(float(view.T_world_camera[1, 3]), 3), *(round(100 * float(np.nanpercentile(off, p)), 2) for p in (50, 95)),
+        round(float(view.T_world_camera[1, 3]), 3), median, high,
     ]  # fmt: skip
 
 
