@@ -134,6 +134,17 @@ def test_a_soft_shadow_is_no_change_but_a_stain_is(lasting: slice) -> None:
     assert Film().light(fall).changes(), "green and blue lose more than red"
 
 
+@pytest.mark.parametrize("lasting", [slice(14, 32), slice(20, None)])
+def test_a_colored_shadow_on_planks_is_no_change_but_what_covers_them_is(lasting: slice) -> None:
+    planks = np.where(np.arange(WIDTH) // 4 % 2, 1.0, 0.75)[:, None]
+    fall = np.ones((SAMPLES, HEIGHT, WIDTH, 3))
+    fall[lasting] -= soft(HERE, 1.5)[..., None] * (0.5, 0.6, 0.3)
+    assert Film().light(planks).light(fall).changes() == (), "a warm light is hidden, a cold one is not"
+    found = Film().light(planks).object_at(HERE, lasting).changes()
+    assert len(found) == (2 if lasting.stop else 1)
+    assert all(iou(change.mask, area(HERE)) > 0.8 for change in found)
+
+
 def test_the_shadow_of_what_comes_is_not_a_part_of_it() -> None:
     beside = (slice(56, 72), slice(40, 75))
     fall = np.ones((SAMPLES, HEIGHT, WIDTH, 3))
