@@ -119,9 +119,8 @@ def compared(
         plane = np.concatenate([pixels, np.ones((len(pixels), 1))], 1)
         row = [float(len(seen)), absrel(plane, truth)]
         for network in networks:
-            disparity = cv2.resize(network.infer(rgb).astype(np.float32), rgb.shape[1::-1])
             x, y = (pixels[:, k].astype(np.float32) - 0.5 for k in (0, 1))
-            at = cv2.remap(disparity, x, y, cv2.INTER_LINEAR).reshape(-1)
+            at = cv2.remap(network.infer(rgb), x, y, cv2.INTER_LINEAR).reshape(-1)
             row.append(absrel(np.stack([at, np.ones(len(pixels))], 1), truth))
         rows.append(row)
     return rows
