@@ -1,4 +1,4 @@
-"""Stage ingest: one shot of any video file, at 30 fps, upright, with square pixels.
+"""Stage ingest: one shot of any video file, at 30 fps, upright, with square pixels, without black bars.
 
 Two streaming passes, whose memory does not grow with the source: time stamps and cuts, then the chosen shot.
 """
@@ -20,6 +20,7 @@ from video2anim.types import PayloadFile, SourceVideo, VideoClip
 from video2anim.types.clip import FPS
 
 if TYPE_CHECKING:
+    from video2anim.video.black_bars import Crop
     from video2anim.video.decode import SourceHeader, Stamps
     from video2anim.video.source_scan import SourceScan
 
@@ -51,6 +52,7 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         InputError: the source is missing, no video, too short, or has no such shot; or the disk is full.
         StageError: the clip cannot be written.
     """
+    from video2anim.video.black_bars import picture_area
     from video2anim.video.decode import probe
     from video2anim.video.shot_choice import chosen_times
     from video2anim.video.source_report import source_info, source_warnings
@@ -67,9 +69,10 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
     )
     shot, shot_time_s, source_time_s = chosen_times(source.path, source_scan, config.shot, min_frames=config.min_frames)
     size_px = header.upright_size_px(config.max_long_side_px)
+    area = picture_area(source_scan.shot_margins(shot), size_px)
     path = ctx.work_dir / "video.mp4"
-    missing = _write_clip(source.path, header, source_scan.stamps, source_time_s, size_px, path, ctx)
-    warnings = source_warnings(header, source_scan, shot, shot_time_s, size_px)
+    missing = _write_clip(source.path, header, source_scan.stamps, source_time_s, size_px, area, path, ctx)
+    warnings = source_warnings(header, source_scan, shot, shot_time_s, size_px, area)
     if missing:
         warnings.append(f"{missing} images did not decode on the second pass; the ones before are held")
     for text in warnings:
@@ -77,8 +80,8 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
     _record_quality(source_scan, source_time_s, ctx)
     return VideoClip(
         video=PayloadFile(path),
-        width_px=size_px[0],
-        height_px=size_px[1],
+        width_px=area.width_px,
+        height_px=area.height_px,
         fps=FPS,
         frame_time_s=np.arange(len(source_time_s)) / FPS,
         source_time_s=source_time_s,
@@ -95,6 +98,7 @@ def _write_clip(
     stamps: Stamps,
     source_time_s: Float[np.ndarray, "frames"],
     size_px: tuple[int, int],
+    area: Crop,
     path: Path,
     ctx: StageContext,
 ) -> int:
@@ -104,9 +108,9 @@ def _write_clip(
 
     count = len(source_time_s)
     missing = 0
-    with FrameWriter(path, width_px=size_px[0], height_px=size_px[1], fps=round(FPS)) as writer:
+    with FrameWriter(path, width_px=area.width_px, height_px=area.height_px, fps=round(FPS)) as writer:
         for index, (rgb, found) in enumerate(frames_at(source, header, stamps, source_time_s, size_px)):
-            writer.write(rgb)
+            writer.write(area.of(rgb))
             missing += not found
             ctx.progress(count + index + 1, 2 * count)
     return missing
@@ -120,4 +124,4 @@ def _record_quality(source_scan: SourceScan, source_time_s: Float[np.ndarray, "f
     ctx.quality("damaged_pictures", report.damaged_frames / max(report.frames, 1), "ratio", "lower")
 
 
-STAGE = StageSpec("ingest", ingest, version=5)
+STAGE = StageSpec("ingest", ingest, version=6)

@@ -134,4 +134,4 @@ def _detected(
     return found
 
 
-STAGE = StageSpec("segment", segment_background, version=13, models=("segment", "finder"))
+STAGE = StageSpec("segment", segment_background, version=14, models=("segment", "finder"))

@@ -140,6 +140,15 @@ def test_crumbs_of_a_mask_are_dropped_and_parts_kept() -> None:
         assert np.array_equal(only.mask, parts)
 
 
+def test_a_part_farther_away_than_it_is_long_is_another_object() -> None:
+    """A board of 400 pixels; a lamp of 20 x 6 pixels 21 rows above it, and the same one 20 rows above it."""
+    board = block(30, 10, 20, 20)
+    (alone,) = join([Detection("board", 0.9, board | block(4, 10, 6, 20))], [])
+    assert np.array_equal(alone.mask, board)
+    (both,) = join([Detection("board", 0.9, board | block(5, 10, 6, 20))], [])
+    assert np.array_equal(both.mask, board | block(5, 10, 6, 20))
+
+
 def test_nothing_from_nothing() -> None:
     assert join([], []) == []
     assert join([Detection("chair", 0.9, np.zeros((ROWS, COLUMNS), bool))], []) == []

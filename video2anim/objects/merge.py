@@ -78,9 +78,18 @@ def _has_object_size(points_m: np.ndarray, limits: RegionLimits) -> bool:
 
 
 def _main_parts(mask: np.ndarray) -> Bool[np.ndarray, "height width"]:
-    """The mask without small parts."""
+    """The mask without small parts, and without those that are farther from the largest than they are long: what hides
+    an object's middle is seldom larger than what is seen of it."""
     count, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     if count <= 2:
         return mask
     area = stats[1:, cv2.CC_STAT_AREA]
-    return np.isin(parts, 1 + np.flatnonzero(area >= _MIN_PART * area.max()))
+    largest = 1 + int(area.argmax())
+    away_px = cv2.distanceTransform((parts != largest).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    kept = [
+        number
+        for number in range(1, count)
+        if area[number - 1] >= _MIN_PART * area.max()
+        and away_px[parts == number].min() <= stats[number, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max()
+    ]
+    return np.isin(parts, kept)

@@ -120,8 +120,15 @@ class SourcePicture:
             src_colorspace=Colorspace.ITU709 if untagged_hd else None,
             interpolation=Interpolation.AREA if shrinks else Interpolation.BICUBIC,
         )
+        return np.ascontiguousarray(self._upright(frame.to_ndarray()))
+
+    def luminance(self) -> UInt8[np.ndarray, "height width"]:
+        """The upright picture's luminance, in stored pixels."""
+        return self._upright(self.frame.reformat(format="gray").to_ndarray())
+
+    def _upright(self, stored: np.ndarray) -> np.ndarray:
         # np.rot90 turns counter-clockwise; rotation_deg is clockwise.
-        return np.ascontiguousarray(np.rot90(frame.to_ndarray(), k=-self.rotation_deg // 90))
+        return np.rot90(stored, k=-self.rotation_deg // 90)
 
 
 def probe(path: Path) -> SourceHeader:

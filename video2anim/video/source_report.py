@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from video2anim.errors import StageError
 from video2anim.types import SourceInfo
+from video2anim.video.black_bars import Crop
 from video2anim.video.cfr import max_gap_s
 from video2anim.video.decode import DecodeReport, SourceHeader, Stamps, decode
 from video2anim.video.source_scan import SourceScan
@@ -67,6 +68,7 @@ def source_warnings(
     shot: int,
     shot_time_s: Float[np.ndarray, "shot_pictures"],
     size_px: tuple[int, int],
+    area: Crop,
 ) -> list[str]:
     """One line for each property of the source that may make results worse."""
     texts = []
@@ -113,9 +115,16 @@ def source_warnings(
             texts.append(f"low frame rate: {fps:.1f} fps (want {_LOW_FPS:.0f} or more); fast motion will be lost")
         elif max_gap_s(shot_time_s) > _LONG_GAP_S:
             texts.append(f"the source has a gap of {max_gap_s(shot_time_s):.2f} s; the image before is held")
-    if min(size_px) < _SMALL_SIDE_PX:
+    if (area.width_px, area.height_px) != size_px:
+        whole, scale = header.upright_size_px(), header.upright_size_px()[0] / size_px[0]
+        part = [round(scale * px) for px in (area.width_px, area.height_px, area.left_px, area.top_px)]
         texts.append(
-            f"small picture: {size_px[0]}x{size_px[1]} px (want a short side of {_SMALL_SIDE_PX} or more); "
+            f"black bars around the picture are left out ({whole[0]}x{whole[1]} px -> {part[0]}x{part[1]}): to lay the "
+            f"scene over your footage, cut that too: ffmpeg -i VIDEO -vf crop={':'.join(map(str, part))} CUT"
+        )
+    if min(area.width_px, area.height_px) < _SMALL_SIDE_PX:
+        texts.append(
+            f"small picture: {area.width_px}x{area.height_px} px (want a short side of {_SMALL_SIDE_PX} or more); "
             "people will be found less reliably"
         )
     return texts

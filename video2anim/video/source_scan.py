@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from video2anim.video.black_bars import dark_margins
 from video2anim.video.decode import DecodeReport, SourceHeader, Stamps, decode
 from video2anim.video.shots import THUMBNAIL_SIDE_PX, ShotDetector
 
@@ -28,6 +29,8 @@ class SourceScan:
     report: DecodeReport
     reached_end: bool
     """False where the pass ended at `stop_s`, so that the rest of the source is unknown."""
+    margins: Float[np.ndarray, "pictures 4"]
+    """Black rows and columns around every picture, by `dark_margins`."""
     stamps: Stamps = "pts"
     """Which stamps `time_s` are."""
 
@@ -40,6 +43,11 @@ class SourceScan:
         """Time stamps of one shot's pictures."""
         bounds = (*self.shot_start, len(self.time_s))
         return self.time_s[bounds[shot] : bounds[shot + 1]]
+
+    def shot_margins(self, shot: int) -> Float[np.ndarray, "shot_pictures 4"]:
+        """Black rows and columns around one shot's pictures."""
+        bounds = (*self.shot_start, len(self.time_s))
+        return self.margins[bounds[shot] : bounds[shot + 1]]
 
     def shots_s(self) -> tuple[tuple[float, float], ...]:
         """Start and end of every shot; the end is that of its last picture."""
@@ -94,7 +102,7 @@ def _scan_pass(
     report = DecodeReport()
     detector = ShotDetector()
     size_px = header.upright_size_px(THUMBNAIL_SIDE_PX)
-    stamps_s = array("d")
+    stamps_s, margins = array("d"), array("f")
     gap_ends: list[int] = []
     first_s: float | None = None
     reached_end = True
@@ -108,9 +116,11 @@ def _scan_pass(
         if stamps_s and picture.time_s - stamps_s[-1] > MAX_GAP_S:
             gap_ends.append(len(stamps_s))
         stamps_s.append(picture.time_s)
+        margins.extend(dark_margins(picture.luminance()))
         detector.add(picture.rgb(*size_px))
         if on_picture is not None:
             on_picture(report.frames)
     cuts = detector.finish()
     starts = sorted({0, *cuts, *gap_ends}) if stamps_s else []
-    return SourceScan(np.array(stamps_s, dtype=np.float64), tuple(starts), report, reached_end, stamps)
+    around = np.array(margins, dtype=np.float64).reshape(-1, 4)
+    return SourceScan(np.array(stamps_s, dtype=np.float64), tuple(starts), report, reached_end, around, stamps)
