@@ -38,12 +38,12 @@ test: $(VENV)/.programs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python > $(VENV)/pyright.log & types=$$!; \
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --durations=20; tests=$$?; \
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=20; tests=$$?; \
 	wait $$types; typed=$$?; cat $(VENV)/pyright.log; exit $$((tests || typed))
 
 # Units and laws, without what takes longer than a moment (tests/slow_tests.txt).
 fast: $(VENV)/.dev
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --fast
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --fast
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
