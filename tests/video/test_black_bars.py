@@ -13,7 +13,7 @@ from stages.ingest import IngestConfig, ingest
 from video2anim.pipeline.stage import StageContext
 from video2anim.types import SourceVideo, VideoClip
 from video2anim.video import read_frames
-from video2anim.video.black_bars import Crop, dark_margins, picture_area
+from video2anim.video.black_bars import Crop, dark_margins, has_dark_edges, picture_area
 
 SIZE_PX = (200, 100)
 
@@ -40,6 +40,13 @@ def test_a_dark_corner_is_no_margin() -> None:
     np.testing.assert_allclose(dark_margins(luminance), 0)
 
 
+def test_edges_are_dark_only_in_pairs() -> None:
+    for rows, columns, wanted in ((3, 0, True), (0, 1, True), (0, 0, False)):
+        thumbnail = np.pad(np.full((20, 30, 3), 120, np.uint8), ((rows, rows), (columns, columns), (0, 0)))
+        assert has_dark_edges(thumbnail) is wanted
+    assert not has_dark_edges(np.pad(np.full((20, 30, 3), 120, np.uint8), ((5, 0), (5, 0), (0, 0))))
+
+
 @pytest.mark.parametrize(
     ("margins", "wanted"),
     [
@@ -52,7 +59,7 @@ def test_a_dark_corner_is_no_margin() -> None:
         # The video fades in from black, and a hand is dark in one picture.
         ([[1, 1, 1, 1], [0.3, 0.1, 0, 0], [0.1, 0.1, 0, 0]], Crop(0, 12, 200, 76)),
         # Thin bars, a dark ceiling, a picture without bars, black pictures only, none at all.
-        ([[0.009, 0.009, 0, 0]], Crop(0, 0, *SIZE_PX)),
+        ([[0.019, 0.019, 0, 0]], Crop(0, 0, *SIZE_PX)),
         ([[0.2, 0.05, 0, 0]], Crop(0, 0, *SIZE_PX)),
         ([[0.1, 0.1, 0, 0], [0, 0, 0, 0]], Crop(0, 0, *SIZE_PX)),
         ([[1, 1, 1, 1]], Crop(0, 0, *SIZE_PX)),

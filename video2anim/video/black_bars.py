@@ -12,8 +12,8 @@ from jaxtyping import Float, Int, UInt8
 
 _BLACK = 24
 """Luminance of black (16 in limited range) with the noise of compression."""
-_MIN_RATIO = 0.01
-"""Bars thinner than this share of the side do no harm."""
+_MIN_RATIO = 0.02
+"""Bars thinner than this share of the side do little harm, and a thumbnail (`has_dark_edges`) has no row of them."""
 _UNEVEN_RATIO = 0.01
 """Bars at opposite sides differ by no more than this share of the side; dark scenes rarely end so evenly."""
 
@@ -32,15 +32,16 @@ class Crop:
         return image[self.top_px : self.top_px + self.height_px, self.left_px : self.left_px + self.width_px]
 
 
+def has_dark_edges(thumbnail_rgb: UInt8[np.ndarray, "height width 3"]) -> bool:
+    """Whether opposite edges of a small picture are black: a quick look, since few videos have bars."""
+    return any(int(thumbnail_rgb.take([0, -1], axis).max()) <= _BLACK for axis in (0, 1))
+
+
 def dark_margins(luminance: UInt8[np.ndarray, "height width"]) -> Float[np.ndarray, "4"]:
     """How far black rows reach from the top and the bottom, and columns from the left and the right, as shares of the
     side. All 1 for a black picture."""
     margins = []
     for axis in (0, 1):
-        edges = luminance.take([0, -1], axis)
-        if (edges.max(1 - axis) > _BLACK).all():  # most pictures
-            margins += [0.0, 0.0]
-            continue
         bright = np.flatnonzero(luminance.max(1 - axis) > _BLACK)
         count = luminance.shape[axis]
         margins += [bright[0] / count, 1 - (bright[-1] + 1) / count] if len(bright) else [1.0, 1.0]

@@ -115,6 +115,11 @@ def source_warnings(
             texts.append(f"low frame rate: {fps:.1f} fps (want {_LOW_FPS:.0f} or more); fast motion will be lost")
         elif max_gap_s(shot_time_s) > _LONG_GAP_S:
             texts.append(f"the source has a gap of {max_gap_s(shot_time_s):.2f} s; the image before is held")
+    return texts + _size_warnings(header, size_px, area)
+
+
+def _size_warnings(header: SourceHeader, size_px: tuple[int, int], area: Crop) -> list[str]:
+    texts = []
     if (area.width_px, area.height_px) != size_px:
         whole, scale = header.upright_size_px(), header.upright_size_px()[0] / size_px[0]
         part = [round(scale * px) for px in (area.width_px, area.height_px, area.left_px, area.top_px)]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.video.black_bars import dark_margins
+from video2anim.video.black_bars import dark_margins, has_dark_edges
 from video2anim.video.decode import DecodeReport, SourceHeader, Stamps, decode
 from video2anim.video.shots import THUMBNAIL_SIDE_PX, ShotDetector
 
@@ -116,8 +116,9 @@ def _scan_pass(
         if stamps_s and picture.time_s - stamps_s[-1] > MAX_GAP_S:
             gap_ends.append(len(stamps_s))
         stamps_s.append(picture.time_s)
-        margins.extend(dark_margins(picture.luminance()))
-        detector.add(picture.rgb(*size_px))
+        thumbnail = picture.rgb(*size_px)
+        margins.extend(dark_margins(picture.luminance()) if has_dark_edges(thumbnail) else (0.0,) * 4)
+        detector.add(thumbnail)
         if on_picture is not None:
             on_picture(report.frames)
     cuts = detector.finish()
