@@ -124,4 +124,4 @@ def _record_quality(source_scan: SourceScan, source_time_s: Float[np.ndarray, "f
     ctx.quality("damaged_pictures", report.damaged_frames / max(report.frames, 1), "ratio", "lower")
 
 
-STAGE = StageSpec("ingest", ingest, version=6)
+STAGE = StageSpec("ingest", ingest, version=7)

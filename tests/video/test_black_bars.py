@@ -70,6 +70,13 @@ def test_area_by_hand(margins: list[list[float]], wanted: Crop) -> None:
     assert picture_area(np.array(margins, np.float64).reshape(-1, 4), SIZE_PX) == wanted
 
 
+@pytest.mark.parametrize("height", range(60, 700, 7))
+def test_whole_rows_stay_whole(height: int) -> None:
+    """Shares of whole rows do not become a row more by rounding: 9 rows and the blurred one are 10."""
+    area = picture_area(np.array([[9 / height, 1 - (height - 9) / height, 0, 0]]), (80, height))
+    assert area == (Crop(0, 10, 80, height - 20) if 9 / height >= 0.02 else Crop(0, 0, 80, height))
+
+
 def wall(number: int) -> np.ndarray:
     """A bright wall with a moving mark, RGB 96 x 128."""
     image = np.full((96, 128, 3), 150, np.uint8)

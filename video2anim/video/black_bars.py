@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 _BLACK = 24
-"""Luminance of black (16 in limited range) with the noise of compression."""
+"""Luminance of black (16 in limited range) with the noise of compression. Not measured."""
 _MIN_RATIO = 0.02
-"""Bars thinner than this share of the side do little harm, and a thumbnail (`has_dark_edges`) has no row of them."""
-_UNEVEN_RATIO = 0.01
-"""Bars at opposite sides differ by no more than this share of the side; dark scenes rarely end so evenly."""
+"""Share of the side that a bar has at least: a thumbnail (`has_dark_edges`) shows no row of thinner ones. Bars at
+opposite sides differ by less, as dark scenes rarely end so evenly. Not measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +40,11 @@ def has_dark_edges(thumbnail_rgb: UInt8[np.ndarray, "height width 3"]) -> bool:
 def dark_margins(luminance: UInt8[np.ndarray, "height width"]) -> Float[np.ndarray, "4"]:
     """How far black rows reach from the top and the bottom, and columns from the left and the right, as shares of the
     side. All 1 for a black picture."""
-    margins = []
-    for axis in (0, 1):
-        bright = np.flatnonzero(luminance.max(1 - axis) > _BLACK)
-        count = luminance.shape[axis]
-        margins += [bright[0] / count, 1 - (bright[-1] + 1) / count] if len(bright) else [1.0, 1.0]
-    return np.array(margins)
+    left, top, width, height = cv2.boundingRect((luminance > _BLACK).astype(np.uint8))
+    if not width:
+        return np.ones(4)
+    rows, columns = luminance.shape
+    return np.array([top / rows, 1 - (top + height) / rows, left / columns, 1 - (left + width) / columns])
 
 
 def picture_area(margins: Float[np.ndarray, "pictures 4"], size_px: tuple[int, int]) -> Crop:
@@ -64,6 +63,7 @@ def picture_area(margins: Float[np.ndarray, "pictures 4"], size_px: tuple[int, i
 
 def _bars_px(margin: Float[np.ndarray, "2"], side_px: int) -> Int[np.ndarray, "2"]:
     """Even numbers of lines of the bars at both ends, with the blurred one between bar and picture."""
-    if margin.min() < _MIN_RATIO or abs(margin[0] - margin[1]) > _UNEVEN_RATIO or margin.sum() > 1 - _MIN_RATIO:
+    if margin.min() < _MIN_RATIO or abs(margin[0] - margin[1]) >= _MIN_RATIO or margin.sum() > 1 - _MIN_RATIO:
         return np.zeros(2, int)
-    return 2 * np.ceil((margin * side_px + 1) / 2).astype(int)
+    # Shares of whole lines are whole again but for rounding.
+    return 2 * np.ceil((np.round(margin * side_px, 3) + 1) / 2).astype(int)

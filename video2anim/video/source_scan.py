@@ -41,13 +41,15 @@ class SourceScan:
 
     def shot_time_s(self, shot: int) -> Float[np.ndarray, "shot_pictures"]:
         """Time stamps of one shot's pictures."""
-        bounds = (*self.shot_start, len(self.time_s))
-        return self.time_s[bounds[shot] : bounds[shot + 1]]
+        return self.time_s[self._pictures(shot)]
 
     def shot_margins(self, shot: int) -> Float[np.ndarray, "shot_pictures 4"]:
         """Black rows and columns around one shot's pictures."""
+        return self.margins[self._pictures(shot)]
+
+    def _pictures(self, shot: int) -> slice:
         bounds = (*self.shot_start, len(self.time_s))
-        return self.margins[bounds[shot] : bounds[shot + 1]]
+        return slice(bounds[shot], bounds[shot + 1])
 
     def shots_s(self) -> tuple[tuple[float, float], ...]:
         """Start and end of every shot; the end is that of its last picture."""
@@ -102,7 +104,7 @@ def _scan_pass(
     report = DecodeReport()
     detector = ShotDetector()
     size_px = header.upright_size_px(THUMBNAIL_SIDE_PX)
-    stamps_s, margins = array("d"), array("f")
+    stamps_s, margins = array("d"), array("d")
     gap_ends: list[int] = []
     first_s: float | None = None
     reached_end = True
