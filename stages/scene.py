@@ -5,7 +5,7 @@ A scan by the user replaces all of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -46,7 +46,7 @@ class SceneConfig:
     reach_m: Annotated[float, limits("m", ge=0, le=1000), only_with("scan", "")] = 3.0
     """Objects up to this far from the motion lie wholly in the distance field."""
     far_m: Annotated[float, limits("m", gt=0, le=10_000)] = 30.0
-    """Farther depth goes onto one backdrop behind everything; a scan is registered to nearer depth only."""
+    """Farther depth and objects go onto one backdrop behind everything; a scan is registered to nearer depth only."""
     walked_m: Annotated[float, limits("m", ge=0, le=1000), only_with("scan", "")] = 0.5
     """An object is rejected where the path of a pelvis inside it is longer, unless somebody rests on it."""
     supports: Annotated[bool, only_with("scan", "")] = True
@@ -87,13 +87,17 @@ def build_scene(
     from video2anim.scene.field import motion_bounds, solid_field
     from video2anim.scene.ground import ground
     from video2anim.scene.inferred_supports import inferred_supports, rested_on, without_walked_through
-    from video2anim.scene.view import relative_sigma
+    from video2anim.scene.view import nearer_than, relative_sigma
 
     bodies = depth.bodies
     motion_m = motion_bounds(bodies)
     if config.scan:
         return _scanned(motion_m, depth, config, ctx)
-    found = with_paths(placed.objects, clip, masks, background, bodies) if camera.is_static else placed.objects
+    found = nearer_than(placed.objects, bodies.main_view, config.far_m)
+    if far := {item.object_id for item in placed.objects} - {item.object_id for item in found}:
+        masks = replace(masks, instances=tuple(one for one in masks.instances if one.object_id not in far))
+        ctx.warn(f"objects farther than {config.far_m:g} m are shown on the backdrop: {sorted(far)}")
+    found = with_paths(found, clip, masks, background, bodies) if camera.is_static else found
     moved = [item for item in found if item.path]
     still = [item for item in found if not item.path]
     rested = rested_on(bodies)
@@ -150,4 +154,4 @@ def _scanned(
     return SceneModel((), floor, (room,), grid.sdf_m, np.asarray(grid.origin_m), float(grid.spacing_m))
 
 
-STAGE = StageSpec("scene", build_scene, version=22)
+STAGE = StageSpec("scene", build_scene, version=23)

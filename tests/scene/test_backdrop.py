@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
 from video2anim.artifacts.codec import read_value, write_value
 from video2anim.geometry.heading import EdgeHeadings
@@ -18,7 +19,7 @@ from video2anim.geometry.scene_mesh import colored, joined
 from video2anim.scene.backdrop import Backdrop, backdrop
 from video2anim.scene.extent import cornered
 from video2anim.scene.ground import ground
-from video2anim.scene.view import relative_sigma
+from video2anim.scene.view import nearer_than, relative_sigma
 from video2anim.types import (
     BackgroundImage,
     BodyMotion,
@@ -30,6 +31,7 @@ from video2anim.types import (
     Mesh,
     MetricDepth,
     ObjectInstance,
+    PlacedObject,
     RoomPiece,
     SceneModel,
     View,
@@ -45,14 +47,14 @@ Hit = tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], np.ndarra
 """Of points: signed distance behind the surface (linear), whether the surface reaches there; its color."""
 
 
-def camera_pose(yaw_deg: float = 0.0, pitch_deg: float = 8.0) -> np.ndarray:
+def camera_pose(yaw_deg: float = 0.0, pitch_deg: float = 8.0, eye_m: float = EYE_M) -> np.ndarray:
     """T_world_camera of a camera that looks along -z, turned by `yaw_deg` and tilted down."""
     pitch, yaw = np.deg2rad(pitch_deg), np.deg2rad(yaw_deg)
     down = np.array([[1, 0, 0], [0, np.cos(pitch), np.sin(pitch)], [0, -np.sin(pitch), np.cos(pitch)]])
     turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
     pose = np.eye(4)
     pose[:3, :3] = turn @ np.diag([1.0, -1.0, -1.0]) @ down
-    pose[1, 3] = EYE_M
+    pose[1, 3] = eye_m
     return pose
 
 
@@ -72,19 +74,20 @@ class World:
     """Floor and surfaces, seen by one camera."""
 
     def __init__(
-        self, surfaces: list[Hit], path_m: np.ndarray, yaw_deg: float = 0.0, objects: tuple[int, ...] = ()
-    ) -> None:
-        self.pose = camera_pose(yaw_deg)
+        self, surfaces: list[Hit], path_m: np.ndarray, yaw_deg: float = 0.0, objects: tuple[int, ...] = (),
+        pitch_deg: float = 8.0, eye_m: float = EYE_M,
+    ) -> None:  # fmt: skip
+        self.pose = camera_pose(yaw_deg, pitch_deg, eye_m)
         fine = LENS.resized(_FINER * LENS.width_px, _FINER * LENS.height_px)
         ray = pixel_rays(fine) @ self.pose[:3, :3].T
-        eye_m = self.pose[:3, 3]
+        camera_m = self.pose[:3, 3]
         floor: Hit = (lambda p: -p[..., 1], lambda p: np.ones(p.shape[:-1], bool), (120, 90, 60))
         depth_m, surface = np.full(ray.shape[:2], np.inf), np.full(ray.shape[:2], -1)
         rgb = np.broadcast_to(np.array(SKY_RGB, float), ray.shape).copy()
         for number, (behind, reaches, color) in enumerate([floor, *surfaces]):
-            start, along = behind(eye_m), behind(eye_m + ray) - behind(eye_m)
+            start, along = behind(camera_m), behind(camera_m + ray) - behind(camera_m)
             hit_m = np.where(along > 1e-6, -start / np.where(along > 1e-6, along, 1.0), np.inf)
-            points_m = eye_m + ray * np.minimum(hit_m, 1e3)[..., None]
+            points_m = camera_m + ray * np.minimum(hit_m, 1e3)[..., None]
             nearer = (hit_m > 0) & (hit_m < depth_m) & reaches(points_m)
             depth_m = np.where(nearer, hit_m, depth_m)
             surface[nearer] = number
@@ -396,6 +399,46 @@ def test_ground_goes_on_to_the_walls_and_no_farther() -> None:
     # Brown all over, also where the board hides it and the picture does not reach.
     rgb = floor.textures[0].image_rgb.astype(int)
     assert (rgb[..., 0] > rgb[..., 2] + 25).all()
+
+
+@pytest.mark.parametrize(("eye_m", "pitch_deg"), [(1.5, 8.0), (7.0, 40.0), (7.0, 25.0)])
+def test_open_ground_is_covered_by_floor_and_backdrop(eye_m: float, pitch_deg: float) -> None:
+    """From a high camera the floor is known far away; it ends where 1 degree of gravity is 30 % of its distance."""
+    world = World([], WALK, pitch_deg=pitch_deg, eye_m=eye_m)
+    found = world.seen()
+    floor = ground(found, world.background, np.array([[-1.5, -4.0], [1.5, -2.0]]))
+    eyes_m = np.broadcast_to(found.view.camera_m, (found.view.depth_m.size, 3))
+    below = (found.view.direction[..., 1] < -0.01).reshape(-1)
+    pieces = [trimesh.Trimesh(one.mesh.vertices_m, one.mesh.faces) for one in (floor, *found.pieces)]
+    met = [mesh.ray.intersects_any(eyes_m, found.view.direction.reshape(-1, 3)) for mesh in pieces]
+    assert np.logical_or.reduce(met)[below].mean() > 0.99
+    fall = -found.view.direction[..., 1] / np.linalg.norm(found.view.direction[..., [0, 2]], axis=-1)
+    known = (fall > 1.1 * np.deg2rad(1.0) / 0.3).reshape(-1)
+    assert met[0][known].mean() > 0.99
+    ahead = found.view.direction[fall > np.deg2rad(1.0) / 0.3]
+    assert floor.mesh.vertices_m[:, 2].min() == pytest.approx(-eye_m * (ahead[:, 2] / ahead[:, 1]).max(), rel=0.05)
+
+
+def test_ground_goes_on_behind_objects() -> None:
+    board = upright(2, -4.0, -1, (30, 60, 160), (-1.0, 1.5, 1.2))
+    world = World([board], WALK, objects=(1,))
+    found = world.seen()
+    floor = ground(found, world.background, np.array([[-1.5, -3.5], [1.5, -2.0]])).mesh
+    seen = trimesh.Trimesh(floor.vertices_m, floor.faces)
+    behind = found.view.direction[found.view.objects & (found.view.floor_depth_m() < 12.0)]
+    assert len(behind) > 500
+    assert seen.ray.intersects_any(np.broadcast_to(found.view.camera_m, behind.shape), behind).mean() > 0.99
+
+
+def test_objects_beyond_the_far_limit_are_not_objects() -> None:
+    face = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
+    items = []
+    for number, z_m in enumerate((-5.0, -24.0, -27.0)):
+        pose = np.eye(4)
+        pose[2, 3] = z_m
+        items.append(PlacedObject(number, "object", face, 1.0, pose, None, None, True, ""))
+    view = View(camera_pose(pitch_deg=0.0), LENS)
+    assert [one.object_id for one in nearer_than(items, view, FAR_M)] == [0, 1]
 
 
 def test_relative_sigma_of_both_kinds() -> None:

@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from video2anim.geometry.heading import EdgeHeadings
-from video2anim.scene.extent import BODY_M, THROUGH, Part, before_walls, behind_people, parts_of, rectangle
+from video2anim.scene.extent import BODY_M, GRAVITY_RAD, THROUGH, Part, before_walls, behind_people, parts_of, rectangle
 from video2anim.scene.patches import SMOOTH_PX, clear, room_piece, smooth_field, squared, tidy
 from video2anim.scene.planes import Plane, room_planes
 from video2anim.scene.regions import FLOOR, HIDDEN, LOW, cards, labeled
-from video2anim.scene.view import Look, look
+from video2anim.scene.view import MAX_DOUBT, Look, look
 from video2anim.types.metric import MetricDepth
 from video2anim.types.motion import BodyMotion
 from video2anim.types.scene import BackgroundImage, InstanceMasks, RoomPiece
@@ -37,7 +37,6 @@ class Backdrop:
     """Pixels of the view that show the floor, also outside the floor's mask."""
     surface_m: Float[np.ndarray, "height width"]
     """Depth of each pixel by its plane; for floor pixels, that of the plane above them."""
-    far_m: float
 
     @property
     def counts(self) -> dict[str, int]:
@@ -70,7 +69,7 @@ def backdrop(
     people_m = _people_depth(view, paths_m)
     planes, label = _explained(view, heading_rad, people_m, paths_m)
     parts = parts_of(view, planes, label, paths_m, heading_rad)
-    parts += _far_part(view, parts, label == len(planes) - 1, paths_m)
+    parts += _far_part(view, parts, label, len(planes) - 1, paths_m)
     surface_m = _surface_depth(view, parts, label)
     pieces, numbers = [], Counter[str]()
     for part in parts:
@@ -80,7 +79,7 @@ def backdrop(
         if piece is not None:
             numbers[kind] += 1
             pieces.append(piece)
-    return Backdrop(tuple(pieces), tuple(parts), view, label == FLOOR, surface_m, far_m)
+    return Backdrop(tuple(pieces), tuple(parts), view, label == FLOOR, surface_m)
 
 
 def body_paths(people: Sequence[BodyMotion]) -> Float[np.ndarray, "points 3"]:
@@ -124,6 +123,9 @@ def _explained(
                 roof_m = view.camera_m[1] + planes[ceilings[0]].distance_m
                 label[(label == index) & (height_m > roof_m)] = ceilings[0]
             label[(label == index) & (height_m < -LOW * view.eye_m)] = FLOOR
+    # Near the horizon the error of gravity leaves the distance of the floor unknown.
+    fall = -view.direction[..., 1] / np.linalg.norm(view.direction[..., [0, 2]], axis=-1)
+    label[(label == FLOOR) & (fall < GRAVITY_RAD / MAX_DOUBT)] = len(planes) - 1
     return planes, label
 
 
@@ -147,16 +149,22 @@ def _people_depth(view: Look, paths_m: Float[np.ndarray, "points 3"]) -> Float[n
     return reached_m
 
 
-def _far_part(view: Look, parts: list[Part], own: np.ndarray, paths_m: np.ndarray) -> list[Part]:
-    """The backdrop behind everything else, parallel to the image; none where nothing is far."""
+def _far_part(view: Look, parts: list[Part], label: np.ndarray, number: int, paths_m: np.ndarray) -> list[Part]:
+    """The backdrop behind everything else, parallel to the image; none where no pixel has its label `number`."""
+    own = label == number
     if not own.any():
         return []
     corners_m = [part.patch.grid(1e9).reshape(-1, 3) for part in parts]
     _, reached_m, _ = view.pixels(np.concatenate([paths_m, *corners_m]))
-    seen_m = view.depth_m[view.known & ~view.unsure]
-    distance_m = (1 + THROUGH) * max(1.0, *(float(some.max()) for some in (reached_m, seen_m) if len(some)))
+    seen_m, floor_m = view.depth_m[view.known & ~view.unsure], view.floor_depth_m()[label == FLOOR]
+    distance_m = (1 + THROUGH) * max(1.0, *(float(some.max()) for some in (reached_m, seen_m, floor_m) if len(some)))
     plane = Plane("backdrop", view.T_world_camera[:3, 2], distance_m)
-    return [Part(plane, rectangle(plane, own, view), own)]
+    return [Part(plane, rectangle(plane, _grown(own), view), own)]
+
+
+def _grown(own: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+    """With the pixels around, by which smooth outlines can be off."""
+    return cv2.dilate(own.astype(np.uint8), np.ones((2 * SMOOTH_PX + 1,) * 2)) > 0
 
 
 def _surface_depth(
@@ -185,8 +193,9 @@ def _piece(
     nodes_m = part.patch.grid(part.reach_m(view) / view.intrinsics.fx_px)
     solid = part.plane.kind in ("wall", "ceiling")
     own_m = part.plane.depth_m(view.direction)
-    # Cards and the backdrop extend behind clearly nearer surfaces below their pixels.
+    # Cards and the backdrop extend behind clearly nearer surfaces below their pixels, and behind the floor's end.
     hidden = np.maximum.accumulate(part.own, axis=0) & (surface_m < own_m * (1 - THROUGH))
+    hidden |= _grown(part.own) & (label == FLOOR)
     covered = ~part.is_open(view, surface_m) if solid else hidden
     kept = view.sampled(part.own | covered, nodes_m, solid)
     whole = tidy(kept, SMOOTH_PX)

@@ -23,7 +23,7 @@ THROUGH = 0.15
 """Relative depth difference at which a pixel shows something behind a piece: the piece has an opening there."""
 _SCALE_SIGMA = 0.15
 """Standard deviation of the logarithm of a wall's depth by networks: 0.06 to 0.17 on renders of furnished rooms."""
-_GRAVITY_RAD = np.deg2rad(1.0)
+GRAVITY_RAD = np.deg2rad(1.0)
 """Error of gravity and of the line where floor and wall meet."""
 _MIN_FOOT = 0.05
 """Minimum length of the line where floor and wall meet, over the image's width."""
@@ -130,7 +130,7 @@ def _footed(plane: Plane, own: np.ndarray, floor: np.ndarray, view: Look) -> Pla
         return plane
     log_ratio = float(np.median(np.log(along[along > 0] / plane.distance_m)))
     distance_m = float(np.median(np.linalg.norm(on_floor_m[along > 0], axis=1)))
-    foot_sigma = _GRAVITY_RAD * distance_m / max(view.camera_m[1], 0.1)
+    foot_sigma = GRAVITY_RAD * distance_m / max(view.camera_m[1], 0.1)
     share = _SCALE_SIGMA**2 / (_SCALE_SIGMA**2 + foot_sigma**2)
     return plane.pushed(float(np.exp(share * np.clip(log_ratio, -MAX_PUSH, MAX_PUSH))))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,7 @@ from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, pixel_rays, project, transform_points
 from video2anim.types.camera import View
 from video2anim.types.metric import MetricDepth
-from video2anim.types.scene import BackgroundImage, DepthClip, InstanceMasks
+from video2anim.types.scene import BackgroundImage, DepthClip, InstanceMasks, PlacedObject
 
 LONG_SIDE_PX = 192
 """Depth networks resolve nothing finer."""
@@ -55,6 +56,11 @@ class Look(View):
     def offset_m(self) -> Float[np.ndarray, "height width 3"]:
         """From the camera to what each pixel shows."""
         return self.direction * self.depth_m[..., None]
+
+    def floor_depth_m(self) -> Float[np.ndarray, "height width"]:
+        """Depth at which each pixel's ray meets y = 0; infinite from the horizon up."""
+        down = -self.direction[..., 1]
+        return np.where(down > 1e-6, self.camera_m[1] / np.maximum(down, 1e-6), np.inf)
 
     def normals(self) -> Float[np.ndarray, "height width 3"]:
         """Unit normals of the depth, towards the camera."""
@@ -114,6 +120,12 @@ def look(
         objects,
         cv2.resize(background.background_rgb, size, interpolation=cv2.INTER_AREA),
     )
+
+
+def nearer_than(objects: Sequence[PlacedObject], view: View, far_m: float) -> list[PlacedObject]:
+    """Objects whose origin is at most `far_m` deep in a view."""
+    forward, camera_m = view.T_world_camera[:3, 2], view.T_world_camera[:3, 3]
+    return [one for one in objects if float((one.T_world_object[:3, 3] - camera_m) @ forward) <= far_m]
 
 
 def relative_sigma(depth: MetricDepth, clip: DepthClip) -> Float[np.ndarray, "small_height small_width"]:
