@@ -72,6 +72,20 @@ def test_static_camera_with_a_colorful_person_whom_nobody_tracks(wall: np.ndarra
     assert background_motion(clip_of(tmp_path / "a.mp4", 60, picture), NOBODY).is_static
 
 
+def test_what_moves_before_a_plain_backdrop_is_not_the_camera(wall: np.ndarray, tmp_path: Path) -> None:
+    """A green screen: all corners are on the person and on what is swung."""
+
+    def picture(t: int) -> np.ndarray:
+        shown = np.full((HEIGHT, WIDTH, 3), (20, 255, 20), np.uint8)
+        shown[110:270, 180 + t : 260 + t] = wall[300:460, 20:100]
+        return shown
+
+    motion = background_motion(clip_of(tmp_path / "a.mp4", 40, picture), NOBODY)
+    assert motion.is_static
+    assert math.isnan(motion.drift_ratio)
+    assert "camera motion is unknown" in motion.warnings()[0]
+
+
 def test_drift_is_measured(wall: np.ndarray, tmp_path: Path) -> None:
     clip = clip_of(tmp_path / "a.mp4", 40, lambda t: seen(wall, 0.5 * t))
     motion = background_motion(clip, NOBODY)

@@ -129,7 +129,8 @@ def _drift(tracks: BackgroundTracks, size_px: Int[np.ndarray, "2"]) -> tuple[flo
     a quarter of them.
 
     That of a frame is the median over the cells of a grid of the median vector in each: errors of points on little
-    texture cancel, and people fill few cells.
+    texture cancel, and people fill few cells. A camera moves the whole picture: frames with points in fewer than half
+    of the cells, such as those of a person before a plain backdrop, tell nothing.
     """
     _, first, of = np.unique(tracks.point, return_index=True, return_inverse=True)
     moved_px = tracks.pixel - tracks.pixel[first[of]]
@@ -141,8 +142,9 @@ def _drift(tracks: BackgroundTracks, size_px: Int[np.ndarray, "2"]) -> tuple[flo
         found, where = moved_px[own][old[own]], cell[own][old[own]]
         followed &= 4 * len(found) >= before
         before = own.stop - own.start
-        if len(found) >= MIN_POINTS:
-            each = [np.median(found[where == one], axis=0) for one in np.unique(where)]
+        cells = np.unique(where)
+        if 2 * len(cells) >= _GRID**2:
+            each = [np.median(found[where == one], axis=0) for one in cells]
             drifts.append(np.median(np.linalg.norm(each, axis=1)))
     return float(max(drifts, default=np.nan)), followed and len(drifts) > 0
 
