@@ -113,7 +113,8 @@ def build_scene(
         solids, motion_m, config.margin_m, config.reach_m, config.sdf_spacing_m, config.max_nodes
     )
     seen = backdrop(depth, masks, background, config.far_m, relative_sigma(depth, clip_depth))
-    floor = ground(seen, background, motion_m[:, [0, 2]] + np.array([[-config.margin_m], [config.margin_m]]))
+    around_m = motion_m[:, [0, 2]] + np.array([[-config.margin_m], [config.margin_m]])
+    floor = ground(seen, background, around_m, solids)
     counts = {
         "rejected_by_motion": len(still) - len(kept), "inferred_supports": len(supports), "objects_in_field": in_field,
         "moved": len(moved), "objects": len(objects), "sdf_nodes": grid.sdf_m.size,

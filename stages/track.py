@@ -83,7 +83,7 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
         raise StageError(
             f"nobody found: want a person visible for at least {config.min_track_s:g} s, came none in "
             f"{clip.frame_count} frames of {clip.width_px}x{clip.height_px}; use a clip in which people are at "
-            "least about 100 pixels tall, or lower track.min_detection_score"
+            "least about 100 pixels tall and in view from head to hips, or lower track.min_detection_score"
         )
     selected = _select(people, config.person)
     main = next(person for person in people if person.person_id == selected[0])

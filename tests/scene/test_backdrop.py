@@ -430,6 +430,18 @@ def test_ground_goes_on_behind_objects() -> None:
     assert seen.ray.intersects_any(np.broadcast_to(found.view.camera_m, behind.shape), behind).mean() > 0.99
 
 
+def test_ground_reaches_below_objects_before_all_that_was_seen_of_it() -> None:
+    """A chest at the lower image border hides the floor around it."""
+    chest = upright(2, -1.5, -1, (30, 60, 160), (-9.0, 9.0, 0.9))
+    world = World([chest], WALK, objects=(1,))
+    found = world.seen()
+    around_m, corners_m = np.array([[-1.5, -4.5], [1.5, -4.0]]), np.array([[0, 0, -2], [1, 0, -2], [1, 0, -3]])
+    chest_mesh = Mesh(corners_m.astype(np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
+    without, below = (ground(found, world.background, around_m, one).mesh.vertices_m for one in ((), (chest_mesh,)))
+    assert without[:, 2].max() < -3.4
+    assert below[:, 2].max() > -2.1
+
+
 def test_objects_beyond_the_far_limit_are_not_objects() -> None:
     face = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
     items = []
