@@ -36,7 +36,7 @@ from scenemi.metrics import align_similarity
 from video2anim.body.anny_body import shaped_body
 from video2anim.digest import file_digest
 from video2anim.humans.lifting import lift
-from video2anim.humans.observe import observations
+from video2anim.humans.observe import at_frame_times, observations
 from video2anim.lab.eval.alignment import match_frames, match_people
 from video2anim.lab.eval.results import SceneResult
 from video2anim.lab.eval.truth import read_truth
@@ -95,7 +95,7 @@ def estimates(folder: Path, network: Lifter) -> dict[str, Estimate]:
     if tracks is None or camera is None or bodies is None or refined is None:
         raise SystemExit(f"{folder}: {result.why(PersonTracks, CameraEstimate, BodyTracks, RefinedMotion)}")
     clip, motion = result.clip, refined.people[0]
-    track = tracks.selected()[0].whole(clip.frame_count)
+    track = at_frame_times(tracks.selected()[0].whole(clip.frame_count), clip.frame_time_s, clip.picture_time_s)
     lifted = lift(observations(track, clip.frame_time_s, camera.intrinsics), network)
     rest_m = shaped_body(bodies.people[0].shape).rest_joints_m
     lifted_m, _ = forward_kinematics(lifted.R_parent_joint, np.zeros((len(track.valid), 3)), rest_m)

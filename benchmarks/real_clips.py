@@ -52,6 +52,7 @@ from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import project
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
+from video2anim.humans.observe import at_frame_times
 from video2anim.lab.eval.person_coverage import person_coverage
 from video2anim.lab.eval.results import SceneResult
 from video2anim.motion.observation import image_distance_ratio
@@ -157,7 +158,8 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
     assert metric is not None
     assert masks is not None
     assert background is not None
-    track = tracks.selected()[0].whole(result.clip.frame_count)
+    clip = result.clip
+    track = at_frame_times(tracks.selected()[0].whole(clip.frame_count), clip.frame_time_s, clip.picture_time_s)
     raw = bodies.people[0].in_world(keyframed.people[0].T_world_camera)
     made = {
         "humans": (raw, scene), "keyframes": (keyframed.people[0], scene),

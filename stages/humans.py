@@ -53,12 +53,15 @@ def recover_humans(
     from video2anim.humans.body_height import expect_heights, height_of
     from video2anim.humans.lifting import lift
     from video2anim.humans.objective import FitConfig
-    from video2anim.humans.observe import observations
+    from video2anim.humans.observe import at_frame_times, observations
     from video2anim.humans.quality import person_quality
     from video2anim.humans.world import world_motion, world_poses
 
     expect_heights(config.height_m, tracks.selected_ids)
-    selected = tuple(track.whole(clip.frame_count) for track in tracks.selected())
+    selected = tuple(
+        at_frame_times(track.whole(clip.frame_count), clip.frame_time_s, clip.picture_time_s)
+        for track in tracks.selected()
+    )
     observed = [observations(track, clip.frame_time_s, camera.intrinsics) for track in selected]
     network = ctx.model(config.model)
     lifted = [lift(one, network) for one in observed]
@@ -137,4 +140,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton_height", quality.body_height_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=22, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=23, models=("lifter",))

@@ -64,9 +64,13 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
         objects=None if config.finder == NO_MODEL else ctx.model(config.finder),
     )  # fmt: skip
     second, count = max(1, round(clip.fps)), clip.frame_count
+    repeated = np.diff(clip.source_time_s, prepend=-np.inf, append=np.inf) == 0
     with frames_in_mapped_memory():
         for frame, image in enumerate(read_frames(clip)):
-            tracker.step(frame, image)
+            if repeated[frame]:
+                tracker.repeat(frame)
+            else:
+                tracker.step(frame, image)
             ctx.progress(frame + 1, count)
         min_frames = max(1, round(min(config.min_track_s * clip.fps, 0.5 * count)))
         # Who is not convincing forward would only grow by what is followed back.
@@ -75,7 +79,7 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
             frames = range(start, min(start + second, count))
             if tracker.may_step_back(frames):
                 for frame, image in reversed(list(zip(frames, read_frames(clip, start, frames.stop), strict=True))):
-                    tracker.step_back(frame, image)
+                    tracker.step_back(frame, image, same_picture=bool(repeated[frame + 1]))
     ranked = _ranked(rejoined(tracker.tracks, round(config.max_away_s * clip.fps)))
     people = tuple(track.rows(number) for number, track in enumerate(ranked, start=1))
     thumbnails = tuple(Thumbnail(number, *track.best[1:]) for number, track in enumerate(ranked, start=1))
@@ -133,4 +137,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=12, models=("pose", "finder"))
+STAGE = StageSpec("track", track_people, version=13, models=("pose", "finder"))

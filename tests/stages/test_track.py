@@ -104,25 +104,29 @@ class FakeObjects:
         return [FoundObject(label, 0.5, box) for box, (_, label) in zip(boxes, self.seen, strict=True)]
 
 
-def _clip(frame_count: int, path: Path = Path("clip.mp4"), *, width: int = WIDTH, height: int = HEIGHT) -> VideoClip:
+def _clip(
+    frame_count: int, path: Path = Path("clip.mp4"), *, width: int = WIDTH, height: int = HEIGHT, repeat: int = 1
+) -> VideoClip:
     times = np.arange(frame_count) / FPS
+    taken = times[np.arange(frame_count) // repeat * repeat]
     source = SourceInfo("h264", "yuv420p", width, height, 0, 1.0, FPS, frame_count, frame_count, times[-1], 0.0)
     shots = ((0.0, frame_count / FPS),)
-    return VideoClip(PayloadFile(path), width, height, FPS, times, times, source, shots, 0, ())
+    return VideoClip(PayloadFile(path), width, height, FPS, times, taken, source, shots, 0, ())
 
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., PersonTracks]:
     def track(
-        pose: FakePose, frame_count: int, *, objects: FakeObjects | None = None, **config: object
+        pose: FakePose, frame_count: int, *, objects: FakeObjects | None = None, repeat: int = 1, **config: object
     ) -> PersonTracks:
         def read_frames(clip: VideoClip, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
-            return (pose.picture(i) for i in range(start, clip.frame_count if stop is None else stop))
+            shown = np.arange(start, clip.frame_count if stop is None else stop) // repeat * repeat
+            return (pose.picture(int(i)) for i in shown)
 
         monkeypatch.setattr(video2anim.video, "read_frames", read_frames)
         ctx = StageContext(tmp_path, load_model=lambda name: objects if name == "objectron" else pose)
         finder = "none" if objects is None else "objectron"
-        return track_people(_clip(frame_count), TrackConfig(finder=finder, **config), ctx)  # type: ignore[arg-type]
+        return track_people(_clip(frame_count, repeat=repeat), TrackConfig(finder=finder, **config), ctx)  # type: ignore[arg-type]
 
     return track
 
@@ -148,6 +152,30 @@ def test_everybody_has_a_picture_of_a_good_frame(run: Callable[..., PersonTracks
         center = thumbnail.rgb[thumbnail.rgb.shape[0] // 2, thumbnail.rgb.shape[1] // 2]
         assert center[0] == thumbnail.frame
         np.testing.assert_allclose(4.0 * center[1:], walker.place(thumbnail.frame), atol=5)
+
+
+def test_a_picture_shown_in_several_frames_is_looked_at_once(
+    run: Callable[..., PersonTracks], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 10 pictures per second, each in three frames; a person who comes in later is followed back."""
+    walker = Walker(lambda t: (100.0 + 3 * t, 200.0))
+    late = Walker(lambda t: (500.0 - 2 * t, 330.0), hidden=range(31), dim=range(31, 50))
+    looked: list[int] = []
+    estimate = FakePose.estimate
+
+    def counted(self: FakePose, image: np.ndarray, roi: SquareRoi) -> PoseEstimate:
+        looked.append(int(image[0, 0, 0]))
+        return estimate(self, image, roi)
+
+    monkeypatch.setattr(FakePose, "estimate", counted)
+    tracks = run(FakePose([walker, late]), 90, repeat=3, person="all")
+    assert set(looked) == set(range(0, 90, 3))
+    assert len(looked) < 90
+    for person, true, first in zip(tracks.people, (walker, late), (0, 33), strict=True):
+        assert person.first_frame == first
+        assert person.valid.all()
+        hips = person.landmarks_px[:, [23, 24]].mean(axis=1)
+        np.testing.assert_allclose(hips, [true.place(t // 3 * 3) for t in range(first, 90)], atol=0.5)
 
 
 @pytest.mark.parametrize(("hidden", "people"), [(range(40, 60), 1), (range(40, 100), 2)])

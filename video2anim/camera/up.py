@@ -13,7 +13,7 @@ from video2anim.camera.ground_plane import SLOPE_RAD, ground_up
 from video2anim.geometry.perspective_field import FieldCamera
 from video2anim.humans.lifter_input import LiftedBody
 from video2anim.humans.lifting import Network, lift
-from video2anim.humans.observe import observations
+from video2anim.humans.observe import at_frame_times, observations
 from video2anim.types import Intrinsics, PersonTrack, PersonTracks, VideoClip
 from video2anim.types.clip import FPS
 
@@ -41,11 +41,12 @@ def lifted_people(
     Raises:
         ArtifactError: a track has rows beyond the clip.
     """
-    times_s = [clip.frame_time_s[track.frames_in(clip.frame_count)] for track in tracks.people]
-    return [
-        (lift(observations(track, times, intrinsics), network), track)
-        for track, times in zip(tracks.people, times_s, strict=True)
-    ]
+    lifted = []
+    for track in tracks.people:
+        rows = track.frames_in(clip.frame_count)
+        timed = at_frame_times(track, clip.frame_time_s[rows], clip.picture_time_s[rows])
+        lifted.append((lift(observations(timed, clip.frame_time_s[rows], intrinsics), network), track))
+    return lifted
 
 
 def up_by_lifter(

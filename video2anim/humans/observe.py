@@ -2,13 +2,44 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from jaxtyping import Float
 
 from video2anim.humans.landmarks import LANDMARK_ORDER, MIRROR_KEYPOINT
 from video2anim.humans.left_right import left_right_flips
 from video2anim.humans.problem import Observations
 from video2anim.types.camera import Intrinsics
 from video2anim.types.people import PersonTrack
+
+
+def at_frame_times(
+    track: PersonTrack, frame_time_s: Float[np.ndarray, "rows"], picture_time_s: Float[np.ndarray, "rows"]
+) -> PersonTrack:
+    """Landmarks at the times of the frames instead of those of the pictures they show, linear between pictures.
+
+    The times differ where the source has another frame rate than the clip.
+    """
+    pictures = np.flatnonzero((np.diff(picture_time_s, prepend=-np.inf) != 0) & track.valid)
+    if len(pictures) == 0:
+        return track
+    taken_s = picture_time_s[pictures]
+    after = np.searchsorted(taken_s, frame_time_s).clip(max=len(pictures) - 1)
+    before = np.maximum(after - 1, 0)
+    lasted_s = np.maximum(taken_s[after] - taken_s[before], 1e-9)
+    between = np.clip((frame_time_s - taken_s[before]) / lasted_s, 0.0, 1.0)
+
+    def moved(values: np.ndarray) -> np.ndarray:
+        share = between.reshape(-1, *[1] * (values.ndim - 1))
+        whole = (1 - share) * values[pictures[before]] + share * values[pictures[after]]
+        whole[~track.valid] = np.nan
+        return whole
+
+    return replace(
+        track, landmarks_px=moved(track.landmarks_px), landmarks_m=moved(track.landmarks_m),
+        visibility=moved(track.visibility),
+    )  # fmt: skip
 
 
 def observations(track: PersonTrack, frame_time_s: np.ndarray, intrinsics: Intrinsics) -> Observations:

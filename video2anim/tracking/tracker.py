@@ -72,8 +72,9 @@ class Track:
         return self.looks.distance(other) if self.looks is not None and other is not None else float("nan")
 
     def velocity_px(self) -> np.ndarray:
-        """Median motion of the hips per frame over the last frames, (2,)."""
-        frames = sorted(self.estimates)[-5:]
+        """Median motion of the hips per frame over the last pictures, (2,)."""
+        of = self.estimates
+        frames = [frame for frame in sorted(of) if of.get(frame - 1) is not of[frame]][-5:]
         if len(frames) < 2:
             return np.zeros(2)
         hips = np.array([finder.hips_px(self.estimates[frame]) for frame in frames])
@@ -127,7 +128,7 @@ class Tracker:
     ) -> None:
         self.tracks: list[Track] = []
         self._pose, self._min_detection_score, self._objects = pose, min_detection_score, objects
-        self._scan_every = max(1, round(scan_every_s * fps))
+        self._scan_every, self._next_scan = max(1, round(scan_every_s * fps)), 0
         self._max_lost = round(max_lost_s * fps)
         self._doubted: list[tuple[int, SquareRoi]] = []
 
@@ -136,7 +137,8 @@ class Tracker:
         for track in self._alive(frame):
             self._follow(track, frame, image)
         self._part_duplicates(frame)
-        if frame % self._scan_every == 0:
+        if frame >= self._next_scan:
+            self._next_scan = frame + self._scan_every
             self._scan(frame, image)
         here = [track for track in self.tracks if frame in track.estimates]
         for track in here:
@@ -144,22 +146,32 @@ class Tracker:
             if not any(_near(track, other, frame) for other in here if other != track):
                 track.see_clothing(frame, image)
 
+    def repeat(self, frame: int) -> None:
+        """Take the next frame, which shows the same picture as the one before."""
+        for track in self.tracks:
+            if frame - 1 in track.estimates:
+                track.put(frame, track.estimates[frame - 1])
+
     def may_step_back(self, frames: range) -> bool:
         """Whether somebody is seen after one of these frames but not in it."""
         return any(
             frame not in track.estimates and frame + 1 in track.estimates for track in self.tracks for frame in frames
         )
 
-    def step_back(self, frame: int, image: np.ndarray) -> None:
+    def step_back(self, frame: int, image: np.ndarray, *, same_picture: bool = False) -> None:
         """Follow back whoever is seen in the next frame but not in this one: to be known, people need to be seen better
         than to be followed.
 
         Called after all frames have been taken, from the last to the first.
+
+        Args:
+            same_picture: the next frame shows it too.
         """
         for track in self.tracks:
             if frame in track.estimates or frame + 1 not in track.estimates:
                 continue
-            found = finder.follow(self._pose, image, track.estimates[frame + 1].next_roi)
+            later = track.estimates[frame + 1]
+            found = later if same_picture else finder.follow(self._pose, image, later.next_roi)
             if found is not None and not any(finder.same_person(found, other) for other in self._seen(frame)):
                 track.put(frame, found)
 

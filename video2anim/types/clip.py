@@ -69,3 +69,8 @@ class VideoClip(Checked):
     @property
     def frame_count(self) -> int:
         return len(self.frame_time_s)
+
+    @property
+    def picture_time_s(self) -> Float[np.ndarray, "frames"]:
+        """Time in the clip at which the picture in each frame was taken; several frames may show one."""
+        return self.source_time_s - self.source_time_s[0]
