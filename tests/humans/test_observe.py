@@ -26,7 +26,7 @@ def test_steady_motion_is_steady_at_any_frame_rate() -> None:
     for fps in (10.0, 12.5, 24.0, 25.0, 30.0):
         taken_s = np.floor(FRAME_S * fps + 1e-6) / fps
         found = at_frame_times(track_of(taken_s, every), FRAME_S, taken_s)
-        until = FRAME_S <= taken_s[-1]
+        until = taken_s[-1] >= FRAME_S
         np.testing.assert_allclose(found.landmarks_px[until, 0, 0], FRAME_S[until], atol=1e-9)
         np.testing.assert_allclose(found.landmarks_m[until, 5, 1], 2 * FRAME_S[until], atol=1e-9)
         np.testing.assert_allclose(found.landmarks_px[~until, 0, 0], taken_s[-1])
