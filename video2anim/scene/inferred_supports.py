@@ -11,11 +11,17 @@ from video2anim.body.contact import REACH_M
 from video2anim.geometry.scene_mesh import world_mesh
 from video2anim.geometry.sdf import build_sdf_grid
 from video2anim.scene.free_space import path_length_inside_m
+from video2anim.scene.regions import LOW
 from video2anim.scene.supports import MIN_FRAMES, SUPPORT, Support, rested_places, standing_solid
 from video2anim.types import BodyTracks, PlacedObject
 
 _LOW_M = 0.3
-"""Heights of single contacts are uncertain by several centimeters, so lower supports are not inferred."""
+"""Heights of single contacts are uncertain by several centimeters, so lower supports are not inferred..."""
+
+
+def _low_m(bodies: BodyTracks) -> float:
+    """...nor those that an error of the distance makes, which moves a body along the line of sight of the camera."""
+    return max(_LOW_M, LOW * float(bodies.main_view.T_world_camera[1, 3]))
 
 
 def rested_on(bodies: BodyTracks) -> list[tuple[int, Support]]:
@@ -41,13 +47,14 @@ def without_walked_through(
 
     kept: list[PlacedObject] = []
     warnings: list[str] = []
+    low_m = _low_m(bodies)
     for item in objects:
         solid = world_mesh(item.mesh, item.T_world_object, item.scale)
         bounds_m = np.stack([solid.vertices_m.min(0) - 0.2, solid.vertices_m.max(0) + 0.2])
         node_m = max(spacing_m, float(np.ptp(bounds_m, axis=0).max()) / 60)
         field = build_sdf_grid([solid], bounds_m, node_m, floor_y_m=None)
         walked_m = max(path_length_inside_m(field, motion) for motion in bodies.people)
-        near = [support.gaps_m([solid], reach_m=2 * REACH_M) for _, support in rested if support.top_m > _LOW_M]
+        near = [support.gaps_m([solid], reach_m=2 * REACH_M) for _, support in rested if support.top_m > low_m]
         used = any((gap_m < REACH_M).sum() >= MIN_FRAMES for gap_m in near)
         if used or walked_m <= max_path_m:
             kept.append(item)
@@ -66,13 +73,13 @@ def inferred_supports(
     nobody passes, and a warning for each such place. Their numbers follow `last_id`."""
 
     people = [(motion, shaped_body(motion.shape)) for motion in bodies.people]
-    number = last_id
+    number, low_m = last_id, _low_m(bodies)
     made: list[PlacedObject] = []
     warnings: list[str] = []
     for person, support in rested:
         solids = [world_mesh(item.mesh, item.T_world_object, item.scale) for item in (*objects, *made)]
         far = int((support.gaps_m(solids, reach_m=2 * REACH_M) > REACH_M).sum())
-        if far < MIN_FRAMES or not support.carries or support.top_m < _LOW_M:
+        if far < MIN_FRAMES or not support.carries or support.top_m < low_m:
             continue
         told = f"the {support.kind} of person {person} rested in {far} frames at {support.top_m:.2f} m"
         solid = standing_solid(support, people)
