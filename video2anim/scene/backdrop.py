@@ -124,8 +124,8 @@ def _explained(
                 label[(label == index) & (height_m > roof_m)] = ceilings[0]
             label[(label == index) & (height_m < -LOW * view.eye_m)] = FLOOR
     # Near the horizon the error of gravity leaves the distance of the floor unknown.
-    fall = -view.direction[..., 1] / np.linalg.norm(view.direction[..., [0, 2]], axis=-1)
-    label[(label == FLOOR) & (fall < GRAVITY_RAD / MAX_DOUBT)] = len(planes) - 1
+    level = np.linalg.norm(view.direction[..., [0, 2]], axis=-1)
+    label[(label == FLOOR) & (-view.direction[..., 1] < GRAVITY_RAD / MAX_DOUBT * level)] = len(planes) - 1
     return planes, label
 
 
