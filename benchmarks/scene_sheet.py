@@ -1,8 +1,8 @@
 """One picture of finished scenes: for each scene an input frame and two views, or four views of its objects.
 
     make demo
-    python benchmarks/v2a_bench.py --count 2 --motion cmu.npz deepmimic.npz --work v2a
-    python benchmarks/scene_sheet.py demo_out v2a/results/00_walk v2a/results/01_sit --out docs/scene.jpg
+    python benchmarks/v2a_bench.py --count 1 --motion cmu.npz deepmimic.npz --work v2a
+    python benchmarks/scene_sheet.py demo_out v2a/results/00_walk --out docs/scene.jpg
     python benchmarks/scene_sheet.py scenes/* --views 4 --out sheet.png
 
 The frame is at 60 % of the clip (`--at`).
