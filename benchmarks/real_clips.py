@@ -158,8 +158,7 @@ def of_clip(folder: Path, media: Path) -> tuple[list[Row], dict[str, Any]]:
     assert metric is not None
     assert masks is not None
     assert background is not None
-    clip = result.clip
-    track = at_frame_times(tracks.selected()[0].whole(clip.frame_count), clip.frame_time_s, clip.picture_time_s)
+    track = at_frame_times(tracks.selected()[0].whole(result.clip.frame_count), result.clip)
     raw = bodies.people[0].in_world(keyframed.people[0].T_world_camera)
     made = {
         "humans": (raw, scene), "keyframes": (keyframed.people[0], scene),

@@ -58,10 +58,7 @@ def recover_humans(
     from video2anim.humans.world import world_motion, world_poses
 
     expect_heights(config.height_m, tracks.selected_ids)
-    selected = tuple(
-        at_frame_times(track.whole(clip.frame_count), clip.frame_time_s, clip.picture_time_s)
-        for track in tracks.selected()
-    )
+    selected = tuple(at_frame_times(track.whole(clip.frame_count), clip) for track in tracks.selected())
     observed = [observations(track, clip.frame_time_s, camera.intrinsics) for track in selected]
     network = ctx.model(config.model)
     lifted = [lift(one, network) for one in observed]

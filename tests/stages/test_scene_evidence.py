@@ -57,9 +57,9 @@ def test_feet_on_the_floor_need_no_support() -> None:
     assert supports(planted_walk(90), []) == ([], [])
 
 
-@pytest.mark.parametrize(("camera_m", "count"), [(1.5, 1), (8.0, 0)])
+@pytest.mark.parametrize(("camera_m", "count"), [(1.5, 1), (4.0, 1), (8.0, 0)])
 def test_seen_from_high_above_feet_a_little_off_the_floor_are_on_it(camera_m: float, count: int) -> None:
-    motion = raised(planted_walk(90), 0.8)
+    motion = raised(planted_walk(90), 0.45)
     T_world_camera = motion.T_world_camera.copy()
     T_world_camera[:, 1, 3] = camera_m
     made, _ = supports(replace(motion, T_world_camera=T_world_camera), [])

@@ -41,12 +41,11 @@ def lifted_people(
     Raises:
         ArtifactError: a track has rows beyond the clip.
     """
-    lifted = []
-    for track in tracks.people:
-        rows = track.frames_in(clip.frame_count)
-        timed = at_frame_times(track, clip.frame_time_s[rows], clip.picture_time_s[rows])
-        lifted.append((lift(observations(timed, clip.frame_time_s[rows], intrinsics), network), track))
-    return lifted
+    times_s = [clip.frame_time_s[track.frames_in(clip.frame_count)] for track in tracks.people]
+    return [
+        (lift(observations(at_frame_times(track, clip), times, intrinsics), network), track)
+        for track, times in zip(tracks.people, times_s, strict=True)
+    ]
 
 
 def up_by_lifter(

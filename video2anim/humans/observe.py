@@ -5,22 +5,25 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 from video2anim.humans.landmarks import LANDMARK_ORDER, MIRROR_KEYPOINT
 from video2anim.humans.left_right import left_right_flips
 from video2anim.humans.problem import Observations
 from video2anim.types.camera import Intrinsics
+from video2anim.types.clip import VideoClip
 from video2anim.types.people import PersonTrack
 
 
-def at_frame_times(
-    track: PersonTrack, frame_time_s: Float[np.ndarray, "rows"], picture_time_s: Float[np.ndarray, "rows"]
-) -> PersonTrack:
+def at_frame_times(track: PersonTrack, clip: VideoClip) -> PersonTrack:
     """Landmarks at the times of the frames instead of those of the pictures they show, linear between pictures.
 
     The times differ where the source has another frame rate than the clip.
+
+    Raises:
+        ArtifactError: the track has rows beyond the clip.
     """
+    rows = track.frames_in(clip.frame_count)
+    frame_time_s, picture_time_s = clip.frame_time_s[rows], clip.picture_time_s[rows]
     pictures = np.flatnonzero((np.diff(picture_time_s, prepend=-np.inf) != 0) & track.valid)
     if len(pictures) == 0:
         return track
