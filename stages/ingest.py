@@ -1,4 +1,4 @@
-"""Stage ingest: one shot of any video file, at 30 fps, upright, with square pixels, without black bars.
+"""Stage ingest: one shot of any video file, at 30 fps, upright, with square pixels, without bars around it.
 
 Two streaming passes, whose memory does not grow with the source: time stamps and cuts, then the chosen shot.
 """
@@ -20,7 +20,7 @@ from video2anim.types import PayloadFile, SourceVideo, VideoClip
 from video2anim.types.clip import FPS
 
 if TYPE_CHECKING:
-    from video2anim.video.black_bars import Crop
+    from video2anim.video.bars import Crop
     from video2anim.video.decode import SourceHeader, Stamps
     from video2anim.video.source_scan import SourceScan
 
@@ -52,7 +52,7 @@ def ingest(source: SourceVideo, config: IngestConfig, ctx: StageContext) -> Vide
         InputError: the source is missing, no video, too short, or has no such shot; or the disk is full.
         StageError: the clip cannot be written.
     """
-    from video2anim.video.black_bars import picture_area
+    from video2anim.video.bars import picture_area
     from video2anim.video.decode import probe
     from video2anim.video.shot_choice import chosen_times
     from video2anim.video.source_report import source_info, source_warnings
@@ -124,4 +124,4 @@ def _record_quality(source_scan: SourceScan, source_time_s: Float[np.ndarray, "f
     ctx.quality("damaged_pictures", report.damaged_frames / max(report.frames, 1), "ratio", "lower")
 
 
-STAGE = StageSpec("ingest", ingest, version=7)
+STAGE = StageSpec("ingest", ingest, version=8)

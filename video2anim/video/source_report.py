@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from video2anim.errors import StageError
 from video2anim.types import SourceInfo
-from video2anim.video.black_bars import Crop
+from video2anim.video.bars import Crop
 from video2anim.video.cfr import max_gap_s
 from video2anim.video.decode import DecodeReport, SourceHeader, Stamps, decode
 from video2anim.video.source_scan import SourceScan
@@ -124,7 +124,7 @@ def _size_warnings(header: SourceHeader, size_px: tuple[int, int], area: Crop) -
         whole, scale = header.upright_size_px(), header.upright_size_px()[0] / size_px[0]
         part = [round(scale * px) for px in (area.width_px, area.height_px, area.left_px, area.top_px)]
         texts.append(
-            f"black bars around the picture are left out ({whole[0]}x{whole[1]} px -> {part[0]}x{part[1]}): to lay the "
+            f"bars around the picture are left out ({whole[0]}x{whole[1]} px -> {part[0]}x{part[1]}): to lay the "
             f"scene over your footage, cut that too: ffmpeg -i VIDEO -vf crop={':'.join(map(str, part))} CUT"
         )
     if min(area.width_px, area.height_px) < _SMALL_SIDE_PX:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.video.black_bars import dark_margins, has_dark_edges
+from video2anim.video.bars import EVERY, bar_margins
 from video2anim.video.decode import DecodeReport, SourceHeader, Stamps, decode
 from video2anim.video.shots import THUMBNAIL_SIDE_PX, ShotDetector
 
@@ -29,8 +29,8 @@ class SourceScan:
     report: DecodeReport
     reached_end: bool
     """False where the pass ended at `stop_s`, so that the rest of the source is unknown."""
-    margins: Float[np.ndarray, "pictures 4"]
-    """Black rows and columns around every picture, by `dark_margins`."""
+    margins: Float[np.ndarray, "looked_at 4"]
+    """Bars around the first of every `EVERY` pictures, by `bar_margins`."""
     stamps: Stamps = "pts"
     """Which stamps `time_s` are."""
 
@@ -43,9 +43,10 @@ class SourceScan:
         """Time stamps of one shot's pictures."""
         return self.time_s[self._pictures(shot)]
 
-    def shot_margins(self, shot: int) -> Float[np.ndarray, "shot_pictures 4"]:
-        """Black rows and columns around one shot's pictures."""
-        return self.margins[self._pictures(shot)]
+    def shot_margins(self, shot: int) -> Float[np.ndarray, "looked_at 4"]:
+        """Bars around those of one shot's pictures that were looked at."""
+        pictures = self._pictures(shot)
+        return self.margins[-(-pictures.start // EVERY) : -(-pictures.stop // EVERY)]
 
     def _pictures(self, shot: int) -> slice:
         bounds = (*self.shot_start, len(self.time_s))
@@ -117,10 +118,10 @@ def _scan_pass(
             continue
         if stamps_s and picture.time_s - stamps_s[-1] > MAX_GAP_S:
             gap_ends.append(len(stamps_s))
+        if len(stamps_s) % EVERY == 0:
+            margins.extend(bar_margins(picture.luminance()))
         stamps_s.append(picture.time_s)
-        thumbnail = picture.rgb(*size_px)
-        margins.extend(dark_margins(picture.luminance()) if has_dark_edges(thumbnail) else (0.0,) * 4)
-        detector.add(thumbnail)
+        detector.add(picture.rgb(*size_px))
         if on_picture is not None:
             on_picture(report.frames)
     cuts = detector.finish()
