@@ -25,7 +25,7 @@ def form(name: str, variant: str = "") -> Form:
 
 def fitted(room: Furnished, name: str, variant: str = "") -> FormFit:
     """The one form's fit."""
-    (found,) = recognized(room.seen, {name: 0.0}, forms=[form(name, variant)])
+    found, *_ = recognized(room.seen, {name: 0.0}, forms=[form(name, variant)])
     return found
 
 

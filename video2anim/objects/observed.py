@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -62,3 +62,7 @@ class ObjectEvidence:
     """Of the room, where `sides` is not known."""
     filled_m: Callable[[np.ndarray], np.ndarray] | None = None
     """Signed distance of points of the world (batch, points, 3) to objects that were fitted before."""
+
+    def without_rests(self) -> ObjectEvidence:
+        """The same if nobody rested on it."""
+        return replace(self, rested_m=self.rested_m[:0], bearing=self.bearing[:0])
