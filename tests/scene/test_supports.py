@@ -10,7 +10,7 @@ from synthetic import planted_walk, rotation
 
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import believed, on_own_body, posed_vertices, touches
-from video2anim.geometry.scene_mesh import world_mesh
+from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.geometry.sdf import build_sdf_grid
 from video2anim.scene.supports import Support, rested_places, standing_solid
 from video2anim.types import BodyMotion, Mesh
@@ -57,6 +57,12 @@ def solid_of(support: Support, motion: BodyMotion) -> Mesh | None:
     return None if made is None else world_mesh(*made, 1.0)
 
 
+def placed_at(x_m: float, z_m: float) -> np.ndarray:
+    pose = np.eye(4)
+    pose[[0, 2], 3] = x_m, z_m
+    return pose
+
+
 def skin_m(motion: BodyMotion, joint: int) -> np.ndarray:
     body = shaped_body(motion.shape)
     return posed_vertices(motion, body, np.flatnonzero(body.vertex_part == joint), np.array([0]))[0]
@@ -73,6 +79,22 @@ def test_somebody_who_sits_on_air_gets_a_seat_down_to_the_floor() -> None:
     assert solid is not None
     assert solid.vertices_m[:, 1].min() == pytest.approx(0.0, abs=1e-6)
     assert solid.vertices_m[:, 1].max() == pytest.approx(lowest_m, abs=0.01)
+
+
+def test_a_seat_rests_on_tops_not_beside_sides() -> None:
+    """A post beside the skin carries nobody; a box under it does, be it 2 cm too high, and so does the floor."""
+    motion = touching(still(SITTING, pelvis_m=0.6), PELVIS)
+    (seat,) = found_of(motion)
+    x_m, low_m, z_m = seat.nearest_m.mean(0)
+    post, box = (
+        world_mesh(box_mesh(width_m, height_m, width_m), placed_at(x_m + way_m, z_m), 1.0)
+        for width_m, height_m, way_m in ((0.1, 2.0, 0.12), (0.6, low_m + 0.02, 0.0))
+    )
+    beside_m, on_m, both_m = (seat.gaps_m(solids, reach_m=0.3) for solids in ([post], [box], [post, box]))
+    np.testing.assert_allclose(beside_m, 0.3)
+    np.testing.assert_allclose(on_m, -0.02, atol=0.005)
+    np.testing.assert_allclose(both_m, on_m, atol=0.005)
+    np.testing.assert_allclose(seat.gaps_m([], reach_m=1.0), low_m, atol=0.01)
 
 
 def test_sitting_down_twice_at_one_place_is_one_seat_and_far_away_another() -> None:

@@ -36,6 +36,8 @@ _FLESH_M = 0.05
 Not measured."""
 _BEHIND_M = 0.3
 """Deeper than skin is behind a front by error."""
+_TOP_M = 0.005
+"""Half the thickness of what is left of a top: thinner than any part, so that its underside is its top."""
 _ROUNDS = 25
 _DAMPINGS = np.array([1.0, 10.0, 100.0])
 """Tried at once, times the damping of each start."""
@@ -206,7 +208,7 @@ class FormProblem:
         of_picture = (sum(part.shape[1] for part in loose), sum(part.shape[1] for part in firm))
         if len(evidence.rested_m):
             own_m = self._own(values, np.broadcast_to(evidence.rested_m, (batch, *evidence.rested_m.shape)))
-            gap_m = np.abs(self._rest_m(_carrying(self.part_names, solids).distance_m(own_m)))
+            gap_m = self._rest_gap_m(solids, own_m)
             loose.append(_weight(sigmas.looks, len(evidence.rested_m)) * gap_m / sigmas.rest_m)
         if (square := evidence.sides or evidence.walls) is not None:
             loose.append(self._askew(values[:, 2], square)[:, None])
@@ -230,11 +232,16 @@ class FormProblem:
             cost = np.full_like(cost, square.log_odds if own else 0.0)
         return np.sqrt(np.expm1(2 * cost))
 
-    def _rest_m(self, away_m: Float[np.ndarray, "batch parts rests"]) -> Float[np.ndarray, "batch rests"]:
-        """Signed distance of what rested from the parts that it may rest on."""
-        carries = ~np.isin(self.part_names, BESIDE_SEATS)
+    def _rest_gap_m(
+        self, solids: Solids, own_m: Float[np.ndarray, "batch rests 3"]
+    ) -> Float[np.ndarray, "batch rests"]:
+        """Distance of what rested from the parts that it may rest on; what bears weight rests on tops alone."""
+        gap_m, carries = np.empty(own_m.shape[:2]), ~np.isin(self.part_names, BESIDE_SEATS)
         bearing = self.evidence.bearing & carries.any()
-        return np.where(bearing, np.where(carries[:, None], away_m, np.inf).min(1), away_m.min(1))
+        tops, fronts = _tops(solids), _tops_and_fronts(self.part_names, solids)
+        gap_m[:, bearing] = np.abs(tops.distance_m(own_m[:, bearing])[:, carries]).min(1, initial=np.inf)
+        gap_m[:, ~bearing] = np.abs(fronts.distance_m(own_m[:, ~bearing]).min(1))
+        return gap_m
 
     def _depth_points_m(self, values: np.ndarray) -> Float[np.ndarray, "batch points 3"]:
         """The object's depth points in the world, corrected."""
@@ -342,8 +349,16 @@ def _weight(looks: float, count: int) -> float:
     return float(np.sqrt(min(looks, count) / count)) if count else 0.0
 
 
-def _carrying(names: Sequence[str], solids: Solids) -> Solids:
-    """The solids as what rests on them meets them: by their tops and fronts, so they go on below and behind."""
+def _tops(solids: Solids) -> Solids:
+    """The solids cut off below their tops: skin that is lower is inside by error, or not on them."""
+    center_m, half_m = solids.center_m.copy(), solids.half_m.copy()
+    center_m[..., 1] += half_m[..., 1] - _TOP_M
+    half_m[..., 1] = _TOP_M
+    return replace(solids, center_m=center_m, half_m=half_m)
+
+
+def _tops_and_fronts(names: Sequence[str], solids: Solids) -> Solids:
+    """The solids as hands and backs meet them: by their tops and fronts, so they go on below and behind."""
     center_m, half_m = solids.center_m.copy(), solids.half_m.copy()
     leaning = np.isin(names, LEANED_ON)
     top_m = (center_m + half_m)[..., 1]
