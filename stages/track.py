@@ -137,4 +137,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=13, models=("pose", "finder"))
+STAGE = StageSpec("track", track_people, version=14, models=("pose", "finder"))

@@ -142,7 +142,7 @@ def test_who_sits_behind_a_table_does_not_sit_on_it() -> None:
     """0.15 m behind its rear edge and 0.25 m below its top."""
     parts = table(1.4, 0.74, 0.7, (0.2, -2.8), 0.0)
     flat = np.random.default_rng(0).uniform(-0.12, 0.12, (40, 2))
-    skin = np.stack([flat[:, 0], np.full(40, 0.48), flat[:, 1]], -1) + [0.2, 0, -3.3]
+    skin = np.stack([flat[:, 0] + 0.2, np.full(40, 0.48), flat[:, 1] - 3.3], -1)
     apart, near = (fitted(furnished(parts, rested_m=points), "table") for points in (skin[:0], skin))
     assert len(furnished(parts, rested_m=skin).seen.evidence.rested_m) == 40
     np.testing.assert_allclose(near.values, apart.values, atol=1e-3)

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from video2anim.geometry.heading import Heading
 from video2anim.objects.furniture import Form
 from video2anim.objects.observed import ObjectEvidence
-from video2anim.objects.shapes import CYLINDER
+from video2anim.objects.shapes import CUBE, CYLINDER
 from video2anim.objects.solids import Solids
 
 POSE = ("x", "z", "yaw", "base", "distance", "stretch")
@@ -350,10 +350,11 @@ def _weight(looks: float, count: int) -> float:
 
 
 def _tops(solids: Solids) -> Solids:
-    """The solids cut off below their tops: skin that is lower is inside by error, or not on them."""
+    """The solids whose top is level cut off below it: skin that is lower is inside by error, or not on them."""
     center_m, half_m = solids.center_m.copy(), solids.half_m.copy()
-    center_m[..., 1] += half_m[..., 1] - _TOP_M
-    half_m[..., 1] = _TOP_M
+    level = np.array([shape in (CUBE, CYLINDER) for shape in solids.shapes])
+    center_m[:, level, 1] += half_m[:, level, 1] - _TOP_M
+    half_m[:, level, 1] = _TOP_M
     return replace(solids, center_m=center_m, half_m=half_m)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from video2anim.body.anny_body import shaped_body
-from video2anim.body.contact import LIKELY, NEAR_M, believed, posed_vertices, skin_of
+from video2anim.body.contact import LIKELY, NEAR_M, REACH_M, believed, posed_vertices, skin_of
 from video2anim.body.shaped_body import ShapedBody
 from video2anim.geometry.runs import runs
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
@@ -117,25 +117,23 @@ class Support:
         return center - half, center + half
 
     def gaps_m(self, solids: Sequence[Mesh], *, reach_m: float) -> Float[np.ndarray, "frames"]:
-        """Distance from the resting skin to the floor or the nearest solid within reach; negative inside. What rests on
-        a level surface rests beside no solid: outside, only surfaces that face up count."""
+        """Distance from the resting skin to the floor or the nearest solid within reach that may carry it."""
         bounds_m = np.stack([self.nearest_m.min(0) - reach_m, self.nearest_m.max(0) + reach_m])
         near = [
             one
             for one in solids
             if (one.vertices_m.min(0) < bounds_m[1]).all() and (one.vertices_m.max(0) > bounds_m[0]).all()
         ]
+        near = [one for one in near if not self.level or self._is_over(one)]
         spacing_m = max(0.04, float(np.ptp(bounds_m, axis=0).max()) / 60)
-        gap_m = build_sdf_grid(near, bounds_m, spacing_m, reach_m=reach_m).sample(self.nearest_m)
-        if not self.level:
-            return gap_m
-        triangles_m = np.concatenate([np.zeros((0, 3, 3)), *(one.vertices_m[one.faces] for one in near)])
+        return build_sdf_grid(near, bounds_m, spacing_m, reach_m=reach_m).sample(self.nearest_m)
+
+    def _is_over(self, solid: Mesh) -> bool:
+        """Whether tops of a solid are near most of the time: what is level does not rest beside a solid."""
+        triangles_m = solid.vertices_m[solid.faces]
         normal = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
-        up = triangles_m[normal[:, 1] > LEVEL_COSINE * np.linalg.norm(normal, axis=-1)]
-        found = nearest_surface(self.nearest_m, up, reach_m=reach_m)
-        over_m = np.minimum(self.nearest_m[:, 1], reach_m)
-        over_m[found.point] = np.minimum(over_m[found.point], np.abs(found.distance_m))
-        return np.where(gap_m < 0, gap_m, over_m)
+        tops_m = triangles_m[normal[:, 1] > LEVEL_COSINE * np.linalg.norm(normal, axis=-1)]
+        return 2 * len(nearest_surface(self.nearest_m, tops_m, reach_m=REACH_M).point) > len(self.nearest_m)
 
     def solid(self, thickness_m: float, margin_m: float) -> tuple[Mesh, Float[np.ndarray, "4 4"]]:
         """A box with that top, resting on y = 0 of its own frame, and the pose of that frame in the world."""

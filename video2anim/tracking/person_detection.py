@@ -8,6 +8,7 @@ converges when it is refitted.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -46,6 +47,8 @@ _SAME_SIZE = 1.5
 _WHOLE = 1.5
 """Of two estimates of one body, one whose mask is larger by this is of the whole body, the other of a part: hair or a
 coat seen from behind and taken for somebody small has masks of 0.07 to 0.61 of the body's (`intel_table`)."""
+_WIDER = 1.6
+"""Crops that may show more of a body are larger by this: more than those of one body differ (`_SAME_SIZE`)."""
 _BETTER_VISIBILITY = 0.1
 """A second estimate of a tracked body replaces the first if its mean visibility is higher by this: a crop has slid off.
 Without the margin every search of the whole picture would add jitter."""
@@ -107,6 +110,21 @@ def scan_near(
     return _distinct(pose.detect(image[y0:y1, x0:x1], min_score=min_score).shifted(x0, y0))
 
 
+def whole(
+    pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], found: PoseEstimate, others: Sequence[PoseEstimate]
+) -> PoseEstimate:
+    """The estimate of a larger crop where it shows a whole body and the given one a part: a crop that has slid onto a
+    part follows it. Where the larger one would show somebody else too, the given estimate stays."""
+    roi = replace(found.next_roi, side_px=_WIDER * found.next_roi.side_px)
+    corners_px = roi.to_pixels(np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]))
+    box_px = np.concatenate([corners_px.min(0), corners_px.max(0)])
+    if any(boxes_meet(box_px, other.box_px()) for other in others):
+        return found
+    wide = pose.estimate(image, roi)
+    sure = wide.presence >= MIN_PRESENCE_NEW and same_person(wide, found) and is_whole(wide, found)
+    return wide if sure and is_better(wide, found) else found
+
+
 def confirm(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate | None:
     """Refit the crop to the person until it converges; None where no person is confirmed."""
     for _ in range(_MAX_FITS):
@@ -164,12 +182,16 @@ def is_better(second: PoseEstimate, first: PoseEstimate) -> bool:
     It does if it is clearly better visible and not of a part only, or of the whole body where the first is of a part,
     and not clearly worse visible.
     """
-    larger = _mask_area_px2(second) / max(_mask_area_px2(first), 1.0)
-    if larger < 1 / _WHOLE:
+    if is_whole(first, second):
         return False
     # A larger mask may also be one of two people.
-    margin = _BETTER_VISIBILITY if larger < _WHOLE else -_BETTER_VISIBILITY
+    margin = -_BETTER_VISIBILITY if is_whole(second, first) else _BETTER_VISIBILITY
     return bool(second.visibility.mean() > first.visibility.mean() + margin)
+
+
+def is_whole(one: PoseEstimate, other: PoseEstimate) -> bool:
+    """Whether one of two estimates of a body is of the whole, and the other of a part."""
+    return _mask_area_px2(one) > _WHOLE * max(_mask_area_px2(other), 1.0)
 
 
 def _mask_area_px2(found: PoseEstimate) -> float:

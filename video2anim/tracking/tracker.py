@@ -153,14 +153,12 @@ class Tracker:
                 track.put(frame, track.estimates[frame - 1])
 
     def may_step_back(self, frames: range) -> bool:
-        """Whether somebody is seen after one of these frames but not in it."""
-        return any(
-            frame not in track.estimates and frame + 1 in track.estimates for track in self.tracks for frame in frames
-        )
+        """Whether somebody is seen after one of these frames but not in it, or only a part of them."""
+        return any(_is_seen_better(track, frame) for track in self.tracks for frame in frames)
 
     def step_back(self, frame: int, image: np.ndarray, *, same_picture: bool = False) -> None:
-        """Follow back whoever is seen in the next frame but not in this one: to be known, people need to be seen better
-        than to be followed.
+        """Follow back whoever is seen in the next frame but not in this one, or only in part: to be known, people need
+        to be seen better than to be followed.
 
         Called after all frames have been taken, from the last to the first.
 
@@ -168,11 +166,14 @@ class Tracker:
             same_picture: the next frame shows it too.
         """
         for track in self.tracks:
-            if frame in track.estimates or frame + 1 not in track.estimates:
+            if not _is_seen_better(track, frame):
                 continue
-            later = track.estimates[frame + 1]
+            own, later = track.estimates.get(frame), track.estimates[frame + 1]
             found = later if same_picture else finder.follow(self._pose, image, later.next_roi)
-            if found is not None and not any(finder.same_person(found, other) for other in self._seen(frame)):
+            others = [seen for seen in self._seen(frame) if seen is not own]
+            if found is None or any(finder.same_person(found, other) for other in others):
+                continue
+            if own is None or (finder.is_whole(found, own) and finder.is_better(found, own)):
                 track.put(frame, found)
 
     def _alive(self, frame: int) -> list[Track]:
@@ -206,6 +207,10 @@ class Tracker:
     def _scan(self, frame: int, image: np.ndarray) -> None:
         rois = finder.scan(self._pose, image, min_score=self._min_detection_score, objects=self._objects)
         self._admit(frame, image, rois)
+        for track in self.tracks:
+            if frame in track.estimates:
+                others = [seen for seen in self._seen(frame) if seen is not track.estimates[frame]]
+                track.put(frame, finder.whole(self._pose, image, track.estimates[frame], others))
 
     def _admit(self, frame: int, image: np.ndarray, rois: list[SquareRoi]) -> None:
         """Confirm candidates that are not tracked yet; assign them to lost tracks or to new ones."""
@@ -241,6 +246,12 @@ class Tracker:
                 fresh[number] = found if finder.is_better(found, other) else other
                 return True
         return False
+
+
+def _is_seen_better(track: Track, frame: int) -> bool:
+    """Whether the next frame shows somebody of whom this one shows nothing, or a part."""
+    own, later = (track.estimates.get(one) for one in (frame, frame + 1))
+    return later is not None and (own is None or finder.is_whole(later, own))
 
 
 def _surprise(track: Track, frame: int) -> float:
