@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
@@ -205,6 +205,40 @@ def test_who_is_seen_dimly_at_first_is_followed_back_from_where_he_is_clear(run:
     for person, walker in ((first, dim), (second, clear)):
         hips = person.whole(90).landmarks_px[person.first_frame :, [23, 24]].mean(axis=1)
         np.testing.assert_allclose(hips, [walker.place(t) for t in range(person.first_frame, 90)], atol=0.5)
+
+
+class SlidingPose(FakePose):
+    """Sees a part of a body in crops that are too small for it, and in one frame in any crop."""
+
+    slides_in = 20
+
+    def detect(self, image: np.ndarray, *, min_score: float) -> Detections:
+        found = super().detect(image, min_score=min_score)
+        return (
+            found if image[0, 0, 0] == 0 else Detections(found.score[:0], found.face_box_px[:0], found.keypoints_px[:0])
+        )
+
+    def estimate(self, image: np.ndarray, roi: SquareRoi) -> PoseEstimate:
+        whole, walker = super().estimate(image, roi), self.walkers[0]
+        is_part = roi.radius_px < 0.9 * walker.radius_px or image[0, 0, 0] == self.slides_in
+        size_px = walker.radius_px * (0.6 if is_part else 1.0)
+        hips_px = whole.landmarks_px[[23, 24]].mean(0)
+        seen = self._body(hips_px, size_px, whole.presence, roi)
+        half = round(16 * size_px / roi.radius_px)
+        mask = np.zeros((64, 64), np.uint8)
+        mask[32 - half : 32 + half, 32 - half : 32 + half] = 255
+        return replace(seen, mask_crop=mask)
+
+
+@pytest.mark.parametrize("companion", [False, True])
+def test_a_crop_that_has_slid_onto_a_part_is_widened(run: Callable[..., PersonTracks], companion: bool) -> None:
+    """At the next search, and back to where it slid; not where it would show two people."""
+    sits = Walker(lambda t: (300.0, 240.0))
+    beside = [Walker(lambda t: (390.0, 240.0))] if companion else []
+    person = run(SlidingPose([sits, *beside]), 60).people[0]
+    spread_px = person.whole(60).landmarks_px.std(1).mean(-1)
+    is_part = spread_px < 0.8 * spread_px[0]
+    np.testing.assert_array_equal(is_part, [20 <= t if companion else t == 20 for t in range(60)])
 
 
 def test_what_looks_like_a_person_for_a_moment_is_not_followed_back(run: Callable[..., PersonTracks]) -> None:
