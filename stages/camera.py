@@ -149,4 +149,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=24, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=25, models=("lifter", "camera"))
