@@ -238,7 +238,7 @@ def test_a_crop_that_has_slid_onto_a_part_is_widened(run: Callable[..., PersonTr
     person = run(SlidingPose([sits, *beside]), 60).people[0]
     spread_px = person.whole(60).landmarks_px.std(1).mean(-1)
     is_part = spread_px < 0.8 * spread_px[0]
-    np.testing.assert_array_equal(is_part, [20 <= t if companion else t == 20 for t in range(60)])
+    np.testing.assert_array_equal(is_part, [t >= 20 if companion else t == 20 for t in range(60)])
 
 
 def test_what_looks_like_a_person_for_a_moment_is_not_followed_back(run: Callable[..., PersonTracks]) -> None:
