@@ -36,8 +36,6 @@ _FLESH_M = 0.05
 Not measured."""
 _BEHIND_M = 0.3
 """Deeper than skin is behind a front by error."""
-_TOP_M = 0.005
-"""Half the thickness of what is left of a top: thinner than any part, so that its underside is its top."""
 _ROUNDS = 25
 _DAMPINGS = np.array([1.0, 10.0, 100.0])
 """Tried at once, times the damping of each start."""
@@ -350,11 +348,11 @@ def _weight(looks: float, count: int) -> float:
 
 
 def _tops(solids: Solids) -> Solids:
-    """The solids whose top is level cut off below it: skin that is lower is inside by error, or not on them."""
+    """The solids, of those with level tops these alone: skin that is lower is inside by error, or not on them."""
     center_m, half_m = solids.center_m.copy(), solids.half_m.copy()
     level = np.array([shape in (CUBE, CYLINDER) for shape in solids.shapes])
-    center_m[:, level, 1] += half_m[:, level, 1] - _TOP_M
-    half_m[:, level, 1] = _TOP_M
+    center_m[:, level, 1] += half_m[:, level, 1]
+    half_m[:, level, 1] = 0.0
     return replace(solids, center_m=center_m, half_m=half_m)
 
 
