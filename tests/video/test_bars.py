@@ -40,6 +40,12 @@ def test_margins_by_hand(bar: int) -> None:
         assert ((shares - 1e-9 <= found) & (found <= shares + 0.011 * (shares > 0))).all(), (around, found)
 
 
+def test_margins_of_a_picture_at_night() -> None:
+    luminance = picture(12, 12) // 8
+    luminance[:12] = luminance[-12:] = 0
+    np.testing.assert_allclose(bar_margins(luminance), [0.12, 0.12, 0, 0], atol=0.011)
+
+
 def test_bars_of_the_blurred_picture_with_a_caption_on_them() -> None:
     luminance = picture(0, 0)
     blurred = cv2.GaussianBlur(luminance, (0, 0), 12)

@@ -14,10 +14,10 @@ from jaxtyping import Float, Int, UInt8
 
 EVERY = 5
 """Of so many pictures one is looked at: the shortest clip has as many."""
-_DETAIL = 4
-"""Second differences of luminance that are larger are detail. Blurred bars after H.264 at crf 18 to 34 have up to 34 %
-of such pixels in a line, where there is text on them; the last line of a bar has 75 % or more (a script that is not
-kept, three clips of the media folder with bars of eight kinds; fewer in the darkest of them, which are not found)."""
+_DETAIL = 1 / 60
+"""Second differences of luminance larger than this share of the picture's contrast are detail: 4 levels in daylight.
+Blurred bars after H.264 at crf 18 to 34 have up to 34 % of such pixels in a line, where there is text on them; the last
+line of a bar has 75 % or more (a script that is not kept, three clips of the media folder with bars of nine kinds)."""
 _PLAIN_SHARE = 0.4
 """Most pixels with detail in a line of a bar, as a share: between the two of `_DETAIL`."""
 _EDGE_SHARE = 0.7
@@ -42,17 +42,18 @@ class Crop:
 
 def bar_margins(luminance: UInt8[np.ndarray, "height width"]) -> Float[np.ndarray, "4"]:
     """How far bars reach from the top, the bottom, the left and the right, as shares of the side; 0 without a bar."""
-    top, bottom = _margins(luminance)
-    between = luminance[round(top * len(luminance)) : len(luminance) - round(bottom * len(luminance))]
-    return np.array([top, bottom, *_margins(between.T)])
+    values = luminance.astype(np.int16)
+    least = _DETAIL * float(np.ptp(np.percentile(values, (1, 99))))
+    top, bottom = _margins(values, least)
+    between = values[round(top * len(values)) : len(values) - round(bottom * len(values))]
+    return np.array([top, bottom, *_margins(between.T, least)])
 
 
-def _margins(lines: UInt8[np.ndarray, "lines pixels"]) -> tuple[float, float]:
-    """Shares of the first and the last lines that are bars."""
+def _margins(lines: Int[np.ndarray, "lines pixels"], least: float) -> tuple[float, float]:
+    """Shares of the first and the last lines that are bars; `least` is the smallest detail."""
     if len(lines) < 3:
         return 0.0, 0.0
-    values = lines.astype(np.int16)
-    detail = (np.abs(values[2:] - 2 * values[1:-1] + values[:-2]) > _DETAIL).mean(1)
+    detail = (np.abs(lines[2:] - 2 * lines[1:-1] + lines[:-2]) > least).mean(1)
     return _bar(detail) / len(lines), _bar(detail[::-1]) / len(lines)
 
 
