@@ -419,6 +419,23 @@ def test_open_ground_is_covered_by_floor_and_backdrop(eye_m: float, pitch_deg: f
     assert floor.mesh.vertices_m[:, 2].min() == pytest.approx(-eye_m * (ahead[:, 2] / ahead[:, 1]).max(), rel=0.05)
 
 
+def test_a_wall_without_depth_is_shown_behind_everything_down_to_its_foot() -> None:
+    """A plain screen: the network knows no depth there."""
+    world = World([upright(2, -4.0, -1, (20, 30, 200))], WALK)
+    unknown = cv2.resize((world.surface == 1).astype(np.uint8), (240, 180), interpolation=cv2.INTER_NEAREST) > 0
+    metric = world.metric()
+    found = backdrop(replace(metric, background_valid=~unknown), world.masks, world.background, FAR_M)
+    (screen,) = found.pieces
+    assert screen.name == "backdrop"
+    wall = cv2.resize(unknown.astype(np.uint8), found.view.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+    ray = found.view.direction[wall]
+    assert (ray[:, 1] < 0).mean() > 0.3
+    met = trimesh.Trimesh(screen.mesh.vertices_m, screen.mesh.faces).ray.intersects_any(
+        np.broadcast_to(found.view.camera_m, ray.shape), ray
+    )
+    assert met.mean() > 0.99
+
+
 def test_ground_goes_on_behind_objects() -> None:
     board = upright(2, -4.0, -1, (30, 60, 160), (-1.0, 1.5, 1.2))
     world = World([board], WALK, objects=(1,))

@@ -100,8 +100,8 @@ def _explained(
 
     Low flat objects are labeled floor, higher ones hidden; all ceilings are merged into the first.
     """
-    # Pixels without depth are gaps below the horizon, and far away above it.
-    open_to = ~view.floor & ~view.objects & (view.known | (view.direction[..., 1] > 0))
+    # What has no depth is behind all that has.
+    open_to = ~view.floor & ~view.objects
     measured = open_to & view.known & ~view.unsure
     planes = room_planes(view, measured, heading_rad)
     planes += cards(view, measured, planes)
