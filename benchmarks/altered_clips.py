@@ -15,7 +15,6 @@ import datetime
 import json
 import os
 import platform
-import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ import av
 import cv2
 import numpy as np
 from frame_rate import TICKS, pictures
+from real_clips import mocap_report
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from v2a_bench import call, number
@@ -36,6 +36,8 @@ FOCAL_PX = {"ocv_sts": 949.0, "ocv_walk": 932.0}
 STEP = 2
 """Every so many pictures one is kept: 30 a second."""
 SEED = 1
+STRAIGHT = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 50, 1e-6)
+"""When the undistortion of a pixel ends."""
 SCORES = {
     "pa_mpjpe_mm": "PA-MPJPE, mm", "mpjpe_root_mm": "root-relative, mm", "whole_mpjpe_mm": "one alignment, mm",
     "gravity_tilt_deg": "gravity, deg", "accel_error_m_s2": "acceleration, m/s2",
@@ -65,8 +67,11 @@ def main() -> None:
                 write(video, ALTERED[kind].images(images, focal_px), ALTERED[kind].crf)
             scene_dir = options.work / video.stem
             call("run", str(video), "--out", str(scene_dir))
-            motion = mirrored_back(scene_dir / "motion.npz") if kind == "mirrored" else scene_dir / "motion.npz"
-            rows.append({"clip": clip, "kind": kind, **scores(motion, clip, options.media)})
+            motion = scene_dir / "motion.npz"
+            if kind == "mirrored":
+                motion = mirrored_back(motion, options.work / f"{video.stem}_back.npz")
+            found = mocap_report(motion, clip, options.media)
+            rows.append({"clip": clip, "kind": kind, **{key: found[key] for key in SCORES}})
     report = {
         "date": datetime.date.today().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
@@ -95,22 +100,12 @@ def write(target: Path, images: Images, crf: int) -> None:
         container.mux(stream.encode())
 
 
-def scores(motion: Path, clip: str, media: Path) -> dict[str, float]:
-    """`SCORES` of a result by motion capture."""
-    said = motion.with_name("mocap.json")
-    words = [sys.executable, str(media / "eval_mocap.py"), str(motion), "--clip", clip, "--json", str(said)]
-    subprocess.run(words, check=True, capture_output=True)
-    found = json.loads(said.read_text())
-    return {key: found[key] for key in SCORES}
-
-
-def mirrored_back(motion: Path) -> Path:
+def mirrored_back(motion: Path, target: Path) -> Path:
     """The motion in the plane x = 0 reflected, left and right exchanged, as far as `eval_mocap.py` looks at it."""
-    arrays = dict(np.load(motion, allow_pickle=True))
+    arrays = dict(np.load(motion))
     for name, value in arrays.items():
         if name.startswith("joints") and value.ndim == 3:
             arrays[name] = value[:, MIRROR_JOINT] * [-1, 1, 1]
-    target = motion.with_name("mirrored.npz")
     np.savez(target, **arrays)
     return target
 
@@ -158,14 +153,12 @@ def rolled(images: Images, focal_px: float) -> Images:
 def barreled(images: Images, focal_px: float) -> Images:
     """By a wide lens (k1 = -0.25), its black corners cut off."""
     height, width = images[0].shape[:2]
-    y, x = (np.indices((height, width)) - np.array([height, width])[:, None, None] / 2) / focal_px
-    u, v = x.copy(), y.copy()
-    for _ in range(20):
-        bent = 1 - 0.25 * (u**2 + v**2)
-        u, v = x / bent, y / bent
-    at = (u * focal_px + width / 2).astype(np.float32), (v * focal_px + height / 2).astype(np.float32)
+    lens = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 1, 2).astype(float)
+    straight = cv2.undistortPoints(pixels, lens, np.array([-0.25, 0, 0, 0]), P=lens, criteria=STRAIGHT)
+    at = straight.reshape(height, width, 2).astype(np.float32)
     inner = slice(height // 16, -height // 16), slice(width // 20, -width // 20)
-    return [cv2.remap(image, *at, cv2.INTER_CUBIC)[inner] for image in images]
+    return [cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_CUBIC)[inner] for image in images]
 
 
 def dark(images: Images, _: float) -> Images:

@@ -14,7 +14,6 @@ import datetime
 import json
 import os
 import platform
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -23,6 +22,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+from real_clips import mocap_report
 from v2a_bench import call, number
 
 CLIPS = ("ocv_sts", "ocv_walk")
@@ -106,10 +106,7 @@ def write_slower(source: Path, target: Path, rate_hz: float) -> None:
 
 def against_truth(motion: Path, clip: str, media: Path) -> tuple[float, float, float]:
     """Lag (ms), PA-MPJPE without shift in time (mm) and acceleration error (m/s2) by motion capture."""
-    said = motion.with_name("mocap.json")
-    words = [sys.executable, str(media / "eval_mocap.py"), str(motion), "--clip", clip, "--json", str(said)]
-    subprocess.run(words, check=True, capture_output=True)
-    found = json.loads(said.read_text())
+    found = mocap_report(motion, clip, media)
     return -found["time_offset_ms"], found["pa_mpjpe_at_offset_0_mm"], found["accel_error_m_s2"]
 
 

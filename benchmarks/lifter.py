@@ -22,7 +22,6 @@ import datetime
 import json
 import os
 import platform
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -30,7 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from real_clips import HIPS, LANDMARKS, LIMBS
+from real_clips import HIPS, LANDMARKS, LIMBS, mocap_report
 
 from scenemi.metrics import align_similarity
 from video2anim.body.anny_body import shaped_body
@@ -153,11 +152,9 @@ def by_markers(one: Estimate, clip: str, media: Path) -> tuple[float, ...]:
     world_m = np.einsum("tab,tjb->tja", one.R_world_camera, relative_m)
     valid = np.isfinite(world_m).all((1, 2))
     with tempfile.TemporaryDirectory() as folder:
-        motion, target = Path(folder) / "motion.npz", Path(folder) / "found.json"
+        motion = Path(folder) / "motion.npz"
         np.savez(motion, joints_world_m=world_m, frame_time_s=one.time_s, valid=valid, joint_names=NAMES)
-        words = [sys.executable, str(media / "eval_mocap.py"), str(motion), "--clip", clip, "--json", str(target)]
-        subprocess.run(words, check=True, capture_output=True)
-        found = json.loads(target.read_text(encoding="utf-8"))
+        found = mocap_report(motion, clip, media)
     return found["pa_mpjpe_mm"], found["mpjpe_root_mm"], found["accel_error_m_s2"]
 
 

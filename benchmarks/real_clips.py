@@ -283,15 +283,22 @@ def tilt_deg(motion: BodyMotion) -> float:
     return float(np.median(np.rad2deg(np.arccos(up[:, 1] / np.linalg.norm(up, axis=1)))))
 
 
+def mocap_report(motion: Path, clip: str, media: Path) -> dict[str, Any]:
+    """What `eval_mocap.py` of the media says of a motion file."""
+    with tempfile.TemporaryDirectory() as folder:
+        said = Path(folder) / "said.json"
+        words = [sys.executable, str(media / "eval_mocap.py"), str(motion), "--clip", clip, "--json", str(said)]
+        subprocess.run(words, check=True, capture_output=True)
+        return json.loads(said.read_text(encoding="utf-8"))
+
+
 def against_truth(clip: str, motion: BodyMotion, media: Path) -> tuple[float, ...]:
     """PA and root-relative MPJPE, root path (mm), acceleration error (m/s2), knee and hip flexion errors (deg)."""
     if clip.startswith("ocv_"):
         with tempfile.TemporaryDirectory() as folder:
-            path, said = Path(folder) / "motion.npz", Path(folder) / "said.json"
+            path = Path(folder) / "motion.npz"
             write_motion(path, motion)
-            words = [sys.executable, str(media / "eval_mocap.py"), str(path), "--clip", clip, "--json", str(said)]
-            subprocess.run(words, check=True, capture_output=True)
-            found = json.loads(said.read_text())
+            found = mocap_report(path, clip, media)
         names = ("pa_mpjpe_mm", "mpjpe_root_mm", "whole_root_mm", "accel_error_m_s2", "knee_flexion_error_deg",
                  "hip_flexion_error_deg")  # fmt: skip
         return tuple(found[name] for name in names)

@@ -147,4 +147,4 @@ def _foreign(
         return None
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=31, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=32, models=(SLOT,))

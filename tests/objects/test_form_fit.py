@@ -12,11 +12,13 @@ from furnished import EYE_M, Furnished, chair, convex, furnished, moved, turned_
 from seen_boxes import FLOOR, LENS, Block, about_y, table
 
 from video2anim.geometry.projection import invert_rigid, pixel_rays
-from video2anim.objects.form_fit import FitSigmas, FormFit, FormProblem
+from video2anim.objects.form_fit import FitSigmas, FormFit, FormProblem, _tops
 from video2anim.objects.furniture import FORMS, Form
 from video2anim.objects.observed import DepthErrors
 from video2anim.objects.occupied import Occupied
 from video2anim.objects.recognize import recognized
+from video2anim.objects.shapes import CUBE
+from video2anim.objects.solids import Solids
 
 
 def form(name: str, variant: str = "") -> Form:
@@ -136,6 +138,18 @@ def test_a_seat_is_where_skin_rested(skin_m: float) -> None:
     )
     assert before == pytest.approx(0.46, abs=0.015)
     assert abs(after - skin_m) < 0.5 * abs(before - skin_m)
+
+
+def test_tops_of_boxes_are_where_they_are_also_if_they_lean() -> None:
+    """Middle and corners of the upper face of a box about the origin that leans by 30 degrees towards -z."""
+    tilt, half_m = np.pi / 6, np.array([0.3, 0.5, 0.1])
+    box = Solids(np.zeros((1, 1, 3)), half_m[None, None], np.array([[tilt]]), (CUBE,))
+    across, upward, ahead = np.eye(3)[0], np.array([0, np.cos(tilt), -np.sin(tilt)]), [0, np.sin(tilt), np.cos(tilt)]
+    corners = np.array([(0, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)])
+    face_m = half_m[1] * upward + corners[:, :1] * half_m[0] * across + corners[:, 1:] * half_m[2] * np.array(ahead)
+    np.testing.assert_allclose(box.distance_m(face_m[None]), 0, atol=1e-12)
+    np.testing.assert_allclose(_tops(box).distance_m(face_m[None]), 0, atol=1e-12)
+    np.testing.assert_allclose(_tops(box).distance_m(np.zeros((1, 1, 3))), half_m[1], atol=1e-12)
 
 
 def test_who_sits_behind_a_table_does_not_sit_on_it() -> None:

@@ -348,11 +348,12 @@ def _weight(looks: float, count: int) -> float:
 
 
 def _tops(solids: Solids) -> Solids:
-    """The solids, of those with level tops these alone: skin that is lower is inside by error, or not on them."""
+    """The solids, of boxes and cylinders the tops alone: skin that is lower is inside by error, or not on them."""
     center_m, half_m = solids.center_m.copy(), solids.half_m.copy()
-    level = np.array([shape in (CUBE, CYLINDER) for shape in solids.shapes])
-    center_m[:, level, 1] += half_m[:, level, 1]
-    half_m[:, level, 1] = 0.0
+    flat = np.array([shape in (CUBE, CYLINDER) for shape in solids.shapes])
+    upward = np.stack([np.zeros_like(solids.tilt_rad), np.cos(solids.tilt_rad), -np.sin(solids.tilt_rad)], -1)
+    center_m[:, flat] += (half_m[..., 1:2] * upward)[:, flat]
+    half_m[:, flat, 1] = 0.0
     return replace(solids, center_m=center_m, half_m=half_m)
 
 
