@@ -30,6 +30,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from v2a_bench import call, number
 
+from video2anim.lab.lifter.hidden import board
 from video2anim.types.skeleton import MIRROR_JOINT
 
 FOCAL_PX = {"ocv_sts": 949.0, "ocv_walk": 932.0}
@@ -196,6 +197,26 @@ def captioned(images: Images, _: float) -> Images:
     return images
 
 
+def cut(top: float, bottom: float) -> Callable[[Images, float], Images]:
+    """Rows between two shares of the height."""
+    return lambda images, _: [image[int(len(image) * top) : int(len(image) * bottom) // 2 * 2] for image in images]
+
+
+def behind(left: float, top: float, right: float, bottom: float) -> Callable[[Images, float], Images]:
+    """A board before the person, its sides at these shares of the picture."""
+
+    def covered(images: Images, _: float) -> Images:
+        height, width = images[0].shape[:2]
+        rows = slice(int(height * top), int(height * bottom))
+        columns = slice(int(width * left), int(width * right))
+        look = board(np.random.default_rng(SEED), rows.stop - rows.start, columns.stop - columns.start)
+        for image in images:
+            image[rows, columns] = look
+        return images
+
+    return covered
+
+
 @dataclass(frozen=True)
 class Alteration:
     """How pictures are changed and coded."""
@@ -217,6 +238,10 @@ ALTERED = {
     "mirrored": Alteration(lambda images, _: [np.ascontiguousarray(image[:, ::-1]) for image in images]),
     "blurred bars": Alteration(filled),
     "captioned": Alteration(captioned),
+    "cut at the knees": Alteration(cut(0.15, 0.70)),
+    "cut at the hips": Alteration(cut(0.10, 0.62)),
+    "behind a counter": Alteration(behind(0.15, 0.66, 0.80, 1.0)),
+    "behind a post": Alteration(behind(0.47, 0.2, 0.56, 0.93)),
 }
 
 

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 _UNSURE_SCALE = 0.3
 """Standard deviation of the scale of a camera's path above which a warning says so."""
+_GUESSED_M = 0.15
+"""Expected error of ankles or wrists above which a warning says that limbs are guessed. Of limbs in view it is 0.07 to
+0.13 m on the real clips, of those that are hidden 0.2 to 0.3 (`benchmarks/altered_clips.py`)."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,8 @@ def recover_humans(
         for track, seen, fit, motion, height_m in zip(selected, observed, fits, people, heights_m, strict=True)
     )
     _record(people[0], quality[0], spread_m, ctx)
+    for motion, raised in zip(people, lifted, strict=True):
+        warn_of_guesses(motion, raised, ctx)
     for motion, judged in zip(people, quality, strict=True):
         for doubt in judged.doubts:
             ctx.warn(f"person {motion.person_id} should not be trusted: {doubt}")
@@ -121,6 +126,21 @@ def _in_meters(
     return T_first_camera
 
 
+def warn_of_guesses(motion: BodyMotion, lifted: LiftedBody, ctx: StageContext) -> None:
+    """Say which limbs are hidden, or posed as nobody in the training motion, most of the time."""
+    from video2anim.types.skeleton import JOINT_INDEX
+
+    for limbs, joint in (("legs", "ankle"), ("arms", "wrist")):
+        ends = [JOINT_INDEX[f"{side}_{joint}"] for side in ("left", "right")]
+        error_m = float(np.median(lifted.error_m[motion.valid][:, ends]))
+        ctx.quality(f"{limbs}_uncertainty", error_m, "m", "lower", person_id=motion.person_id)
+        if error_m > _GUESSED_M:
+            ctx.warn(
+                f"person {motion.person_id}: the {limbs} are hidden or in an unusual pose most of the time, and their "
+                f"{joint}s are expected to be {error_m:.2f} m off"
+            )
+
+
 def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: StageContext) -> None:
     """Quality numbers of the main person."""
     from video2anim.body.contact import LIKELY
@@ -137,4 +157,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton_height", quality.body_height_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=23, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=24, models=("lifter",))

@@ -81,7 +81,8 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
                 for frame, image in reversed(list(zip(frames, read_frames(clip, start, frames.stop), strict=True))):
                     tracker.step_back(frame, image, same_picture=bool(repeated[frame + 1]))
     ranked = _ranked(rejoined(tracker.tracks, round(config.max_away_s * clip.fps)))
-    people = tuple(track.rows(number) for number, track in enumerate(ranked, start=1))
+    size_px = clip.width_px, clip.height_px
+    people = tuple(track.rows(number, *size_px) for number, track in enumerate(ranked, start=1))
     thumbnails = tuple(Thumbnail(number, *track.best[1:]) for number, track in enumerate(ranked, start=1))
     if not people:
         raise StageError(
@@ -137,4 +138,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=14, models=("pose", "finder"))
+STAGE = StageSpec("track", track_people, version=15, models=("pose", "finder"))

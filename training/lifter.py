@@ -21,9 +21,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from video2anim.artifacts.codec import read_value
+from video2anim.lab.eval.truth import read_truth
+from video2anim.lab.lifter.hidden import KINDS, hide
 from video2anim.lab.lifter.motions import cached_motions
 from video2anim.lab.lifter.network import LifterNetwork, export_onnx, read_onnx
 from video2anim.lab.lifter.residuals import ResidualLibrary, collect
@@ -38,7 +41,7 @@ ARCHIVES = ("cmu.npz", "deepmimic.npz", "more.npz")
 """Archives free for commercial use, except for one source in `deepmimic.npz`, which is left out."""
 PROCEDURAL, VALIDATION_PROCEDURAL = 210, 14
 VALIDATION_SEED = 900
-CLIPS = 13
+CLIPS = 32
 CLIP_WORDS = ("--preset", "random", "--seed", "7201", "--size", "480x848", "--longest", "1.6")
 """People are 0.28 to 0.85 of the picture's height, 240 to 720 px; the model's crop has 256 px."""
 CLIP_MOTION = ("cmu.npz", "deepmimic.npz")
@@ -97,16 +100,17 @@ def samplers(options: argparse.Namespace) -> tuple[LiftingSampler, LiftingSample
 
 def residuals(cache: Path, motion: Path, count: int) -> tuple[ResidualLibrary, ResidualLibrary]:
     """BlazePose's errors on rendered clips, for training and for validation."""
-    key = {"words": list(CLIP_WORDS), "clips": count}
+    key = {"words": list(CLIP_WORDS), "clips": count, "hidden": list(KINDS)}
     folders = cache / "residuals", cache / "held_out_residuals"
     if not all(has_arrays(folder, key) for folder in folders):
         clips = rendered(cache / "clips", motion, count)
-        tracked = [(clip, tracks(clip, cache / "scenes" / clip.name)) for clip in clips]
+        tracked = [seen_in(clip, cache, number) for number, clip in enumerate(clips)]
         for folder, wanted in zip(folders, (False, True), strict=True):
             found = [
-                (clip, seen)
-                for number, (clip, seen) in enumerate(tracked)
-                if seen is not None and (number % HELD_OUT == HELD_OUT - 1) == wanted
+                (clip, seen, hidden)
+                for number, (clip, videos) in enumerate(zip(clips, tracked, strict=True))
+                for seen, hidden in videos
+                if (number % HELD_OUT == HELD_OUT - 1) == wanted
             ]
             write_arrays(collect(found), folder, key)
     train_library, held_out = (read_arrays(ResidualLibrary, folder) for folder in folders)
@@ -120,10 +124,24 @@ def rendered(folder: Path, motion: Path, count: int) -> list[Path]:
     return sorted(path.parent for path in folder.glob("[!.]*/meta.json"))
 
 
-def tracks(clip: Path, scene: Path) -> PersonTracks | None:
-    """Tracks of all people in a clip; None if the pipeline finds nobody."""
+def seen_in(clip: Path, cache: Path, number: int) -> list[tuple[PersonTracks, bool]]:
+    """Tracks in a clip, and in the same with a part of the main person hidden in each way."""
+    box_px = read_truth(clip).person_box_px[0]
+    videos = [clip / "video.mp4"]
+    for kind_number, kind in enumerate(KINDS):
+        videos.append(cache / "hidden" / f"{clip.name}_{kind}.mp4")
+        if not videos[-1].is_file():
+            videos[-1].parent.mkdir(exist_ok=True)
+            hide(videos[0], videos[-1], box_px, kind, np.random.default_rng([number, kind_number]))
+    scenes = [clip.name, *(video.stem for video in videos[1:])]
+    found = [tracks(video, cache / "scenes" / scene) for video, scene in zip(videos, scenes, strict=True)]
+    return [(seen, place > 0) for place, seen in enumerate(found) if seen is not None]
+
+
+def tracks(video: Path, scene: Path) -> PersonTracks | None:
+    """Tracks of all people in a video; None if the pipeline finds nobody."""
     if not stage_folder(scene, "track").is_dir():
-        words = ["run", str(clip / "video.mp4"), "--out", str(scene), "--until", "track", "--person", "all"]
+        words = ["run", str(video), "--out", str(scene), "--until", "track", "--person", "all"]
         program(words, expected=(0, 5))
     stage = stage_folder(scene, "track")
     return read_value(PersonTracks, stage) if stage.is_dir() else None

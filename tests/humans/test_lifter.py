@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from synthetic import planted_walk, true_keypoints
 
-from stages.humans import HumansConfig
-from video2anim.body.anny_body import RestSkeleton, anny_model
+from stages.humans import HumansConfig, warn_of_guesses
+from video2anim.body.anny_body import KEYPOINT_NAMES, RestSkeleton, anny_model
 from video2anim.geometry.projection import invert_rigid, project
 from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
 from video2anim.humans import long_clip
@@ -34,6 +35,7 @@ from video2anim.humans.problem import Observations
 from video2anim.humans.smoothing import smoothed_fit
 from video2anim.networks import lifter, load_model
 from video2anim.networks.lifter import Lifter
+from video2anim.pipeline.stage import StageContext
 from video2anim.types import Intrinsics
 from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 
@@ -163,6 +165,40 @@ def test_shipped_weights_know_a_walk(walk: Walk, network: Lifter) -> None:
     claimed, true = body.contact[:, feet] > 0.5, walk.motion.contact[:, CONTACT_INDEX][:, feet] > 0.5
     assert 2 * (claimed & true).sum() / (claimed.sum() + true.sum()) > 0.75
     assert body.contact[:, 4:].max() < 0.5, "hands, seat and back touch nothing in a walk"
+
+
+def test_hidden_legs_are_doubted_and_the_rest_is_known(walk: Walk, network: Lifter) -> None:
+    """Legs below the picture, where the landmark model puts straight ones."""
+    o = walk.observed
+    pixels, points, seen = o.keypoints_px.copy(), o.keypoints_m.copy(), o.weight.copy()
+    for number, name in enumerate(KEYPOINT_NAMES):
+        side, _, part = name.partition("_")
+        down = {"knee": 0.25, "ankle": 0.48, "heel": 0.5, "big_toe": 0.5}.get(part)
+        if down is not None:
+            hip = KEYPOINT_INDEX[f"{side}_hip"]
+            pixels[:, number] = pixels[:, hip] + np.array([[0.0, 1.0]]) * (down * o.size_px[:, None])
+            points[:, number] = points[:, hip] + [0.0, 1.75 * down, 0.0]
+            seen[:, number] = 0.0
+    whole, cut = lift(o, network), lift(replace(o, keypoints_px=pixels, keypoints_m=points, weight=seen), network)
+    joints, _ = forward_kinematics(cut.R_parent_joint, np.zeros((len(pixels), 3)), walk.motion.rest_joints_m)
+    off_m = np.linalg.norm(joints - walk.joints_camera_m + walk.joints_camera_m[:, :1], axis=-1)
+    legs = [JOINT_INDEX[f"{side}_{joint}"] for side in ("left", "right") for joint in ("knee", "ankle", "foot")]
+    assert np.delete(off_m, legs, axis=1).mean() < 0.06
+    assert cut.error_m[:, legs].mean() > 1.5 * whole.error_m[:, legs].mean()
+
+
+def test_limbs_that_are_guessed_are_named(walk: Walk, network: Lifter) -> None:
+    """Reported for everybody; a warning where the expected error is large for most of the time."""
+    lifted = lift(walk.observed, network)
+    frames, ankles = len(lifted.error_m), [JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]]
+    for share, warned in ((0.4, False), (0.6, True)):
+        error_m = np.full_like(lifted.error_m, 0.06)
+        error_m[: round(share * frames), ankles] = 0.25
+        ctx = StageContext(Path())
+        warn_of_guesses(walk.motion, replace(lifted, error_m=error_m), ctx)
+        assert [quality.key for quality in ctx.qualities] == ["legs_uncertainty", "arms_uncertainty"]
+        assert len(ctx.warnings) == warned
+        assert all("legs are hidden" in text and "0.25 m" in text for text in ctx.warnings)
 
 
 @pytest.mark.parametrize("missing", ["some", "all"])

@@ -90,3 +90,13 @@ def test_a_team_in_the_same_clothes_is_not_mixed_up() -> None:
     red = [looks(picture(150, 120, RED, BLUE, seed=seed)) for seed in range(3)]
     tracks = [track(range(0, 50), red[0]), track(range(0, 400), red[1]), track(range(120, 200), red[2])]
     assert len(rejoined(tracks, 300)) == 3
+
+
+def test_what_is_outside_the_picture_is_not_visible() -> None:
+    """However sure of it the landmark model is; corners of the body lie from x = 110 to 190, y = 60 to 210."""
+    seen = track(range(2), None)
+    assert (seen.rows(1, 400, 300).visibility == 1).all()
+    cut = seen.rows(1, 400, 200).visibility[0]
+    assert cut[[25, 26]].tolist() == [0, 0]
+    assert cut[[11, 12, 23, 24]].tolist() == [1, 1, 1, 1]
+    assert seen.rows(1, 180, 300).visibility[0, [11, 12]].tolist() == [0, 1]

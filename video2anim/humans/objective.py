@@ -42,12 +42,10 @@ class FitConfig:
     prior_share: float = 4.0
     """Weight of the shape prior per frame: a detector's bias is the same in every frame, so the evidence on shape does
     not grow with the length of the clip."""
-    lifted_sigmas: float = 3.0
-    """Standard deviation of the lifter's joints, relative to the pelvis, over the error that it predicts: neighboring
-    frames and joints err together (`docs/benchmarks.md` has 2, 3 and 4)."""
-    lifted_angle_rad_m: float = 11.0
-    """The same of its joint angles, radians for each meter of the predicted error of the moved joints. With 20, and 4
-    for the joints, PA-MPJPE on `ocv_walk` is 1 mm worse."""
+    lifted_angle_rad_m: float = 3.5
+    """Standard deviation of the lifter's joint angles, radians for each meter of the error that it predicts for the
+    moved joints. With 5, PA-MPJPE of stage humans is 0.3 mm worse on V2A-Bench and 0.1 mm better on the four real clips
+    of `benchmarks/lifter.py`."""
 
     @classmethod
     def for_height(cls, known_m: float | None) -> FitConfig:
@@ -104,7 +102,7 @@ class Objective:
         self._lifted = torch.from_numpy(lifted.R_parent_joint).float()
         error_m = lifted.error_m
         moved_m = np.stack([error_m[:, np.flatnonzero(j == PARENTS)].max(1, initial=0) for j in range(22)], 1)
-        self._joint_sigma_m = config.lifted_sigmas * torch.from_numpy(error_m).float()
+        self._joint_sigma_m = torch.from_numpy(error_m).float()
         self._angle_sigma = config.lifted_angle_rad_m * torch.from_numpy(np.maximum(moved_m, error_m)).float()
         self._believed = torch.from_numpy(observed.valid).float()
         self._base_shape = base_shape

@@ -80,8 +80,11 @@ class Track:
         hips = np.array([finder.hips_px(self.estimates[frame]) for frame in frames])
         return np.median(np.diff(hips, axis=0) / np.diff(frames)[:, None], axis=0)
 
-    def rows(self, person_id: int) -> PersonTrack:
-        """Rows from the first frame to the last that shows the person."""
+    def rows(self, person_id: int, width_px: int, height_px: int) -> PersonTrack:
+        """Rows from the first frame to the last that shows the person.
+
+        What is outside the picture of this size is not visible, however sure of it the landmark model is.
+        """
         first = min(self.estimates)
         one = self.estimates[first]
         count = max(self.estimates) - first + 1
@@ -96,7 +99,9 @@ class Track:
         for frame, found in self.estimates.items():
             row = frame - first
             valid[row] = True
-            score[row], visibility[row], mask_crop[row] = found.presence, found.visibility, found.mask_crop
+            inside = ((found.landmarks_px >= 0) & (found.landmarks_px <= (width_px, height_px))).all(-1)
+            score[row], visibility[row] = found.presence, np.where(inside, found.visibility, 0.0)
+            mask_crop[row] = found.mask_crop
             box_px[row], T_image_crop[row] = found.box_px(), found.roi.T_image_crop()
             landmarks_px[row], landmarks_m[row] = found.landmarks_px, found.landmarks_m
         return PersonTrack(

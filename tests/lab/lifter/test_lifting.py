@@ -22,6 +22,7 @@ from video2anim.humans.landmarks import KEYPOINT_INDEX
 from video2anim.humans.lifter_input import CONTACT_INDEX, FEATURES, OUTPUTS
 from video2anim.lab.lifter import landmark_errors, samples, variation
 from video2anim.lab.lifter.bodies import draw_bodies
+from video2anim.lab.lifter.hidden import BELOW, CUT, KINDS, hide
 from video2anim.lab.lifter.kinematics import planes, planes_from_rot6d, posed
 from video2anim.lab.lifter.landmark_errors import LandmarkErrors
 from video2anim.lab.lifter.motions import LiftingMotions, cached_motions, gather
@@ -42,6 +43,8 @@ from video2anim.lab.lifter.train import (
 from video2anim.lab.lifter.views import draw_views
 from video2anim.networks.lifter import WIDTHS, Lifter
 from video2anim.types.skeleton import forward_kinematics
+from video2anim.video.container import open_video
+from video2anim.video.encode import FrameWriter
 
 ROWS = {name: KEYPOINT_INDEX[name] for name in ("left_hip", "right_hip", "left_shoulder", "right_shoulder")}
 
@@ -63,7 +66,7 @@ def residuals() -> ResidualLibrary:
     return ResidualLibrary(
         rng.normal(0, 0.03, (count, 25, 2)).astype(np.float32), rng.normal(0, 0.05, (count, 25, 3)).astype(np.float32),
         rng.random((count, 25)).astype(np.float32), rng.normal(0, 0.4, (count, 25, 3)).astype(np.float32),
-        np.array([0, 25, 60]),
+        np.array([0, 25, 60]), np.zeros(2, bool),
     )  # fmt: skip
 
 
@@ -259,6 +262,57 @@ def test_errors_outside_the_picture_are_large_and_lower_visibility(residuals: Re
     assert 0.8 < float(found.valid.float().mean()) < 1.0
     nearly_all = torch.zeros_like(inside)
     assert not LandmarkErrors(residuals)(rng, true_m[..., :2] / 4, true_m, nearly_all).valid.any()
+
+
+def test_hidden_limbs_are_guessed_from_what_is_seen(residuals: ResidualLibrary) -> None:
+    """Where a run's clip hides a limb, landmarks do not follow the true limb; those that are seen do."""
+    unseen = [number for number, name in enumerate(KEYPOINT_NAMES) if name.split("_")[-1] in ("knee", "ankle", "heel")]
+    seen = np.setdiff1d(np.arange(len(KEYPOINT_NAMES)), unseen)
+    visibility = np.ones_like(residuals.visibility)
+    visibility[:, unseen] = 0
+    hidden = replace(residuals, visibility=visibility, hidden=np.ones(2, bool))
+    rng = np.random.default_rng(0)
+    true_m = torch.from_numpy(rng.normal(0, 0.4, (6, 30, 25, 3))).float()
+    other_m, size = true_m.clone(), true_m[..., :2].square().sum(-1).mean(-1).sqrt()
+    # The same size in the picture, which unseen landmarks are guessed at.
+    other_m[:, :, unseen] *= -1
+    inside = torch.ones(6, 30, 25, dtype=torch.bool)
+    first, second = (
+        LandmarkErrors(hidden)(np.random.default_rng(1), part[..., :2] / 4, part, inside) for part in (true_m, other_m)
+    )
+    torch.testing.assert_close(first.points_m[:, :, unseen], second.points_m[:, :, unseen])
+    torch.testing.assert_close(first.directions[:, :, unseen], second.directions[:, :, unseen])
+    off = (first.directions - true_m[..., :2] / 4).norm(dim=-1) / (size / 4)[..., None]
+    assert float(off[:, :, unseen].median()) > 4 * float(off[:, :, seen].median())
+    shown = replace(hidden, hidden=np.zeros(2, bool))
+    found = LandmarkErrors(shown)(np.random.default_rng(1), true_m[..., :2] / 4, true_m, inside)
+    off = (found.directions - true_m[..., :2] / 4).norm(dim=-1) / (size / 4)[..., None]
+    assert float(off[:, :, unseen].median()) < 1.5 * float(off[:, :, seen].median())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_part_of_the_person_is_hidden(kind: str, tmp_path: Path) -> None:
+    with FrameWriter(tmp_path / "clip.mp4", width_px=64, height_px=96) as writer:
+        for _ in range(3):
+            writer.write(np.full((96, 64, 3), (10, 120, 240), np.uint8))
+    box_px = np.tile([20.0, 10.0, 40.0, 90.0], (3, 1))
+    box_px[1] = np.nan
+    hide(tmp_path / "clip.mp4", tmp_path / "out.mp4", box_px, kind, np.random.default_rng(3))
+    with open_video(tmp_path / "out.mp4") as container:
+        frames = [frame.to_ndarray(format="rgb24").astype(int) for frame in container.decode(video=0)]
+    assert len(frames) == 3
+    same = np.abs(frames[0] - (10, 120, 240)).max(-1) < 12
+    if kind == CUT:
+        assert 10 + 0.35 * 80 - 2 <= len(same) <= 10 + 0.85 * 80
+        assert same.all()
+    elif kind == BELOW:
+        assert not same[-1, 18:42].any()
+        assert same[:36].all()
+        assert same[:, :8].all()
+    else:
+        hidden = ~same.any(0)
+        assert 4 <= hidden.sum() <= 13
+        assert same[:, ~hidden].mean() > 0.9
 
 
 def test_frozen_and_swapped_limbs(residuals: ResidualLibrary, monkeypatch: pytest.MonkeyPatch) -> None:

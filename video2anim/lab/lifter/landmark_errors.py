@@ -31,6 +31,11 @@ _BORDER_2D, _BORDER_M, _BORDER_FRAMES = 0.25, 0.12, 8
 _FROZEN, _SWAPPED, _MISSING, _LONG_MISSING = 0.1, 0.06, 0.12, 0.05
 """Share of the windows with frozen limbs, swapped limbs, missing frames, long gaps."""
 _FAULT_FRAMES, _MISSING_FRAMES, _LONG_FRAMES = (3, 20), (1, 12), (12, 45)
+_HIDDEN = 0.35
+"""Share of the windows in which a part of the person is hidden."""
+_GUESSED = 0.3
+"""Visibility below which a hidden landmark is the model's guess from what is seen. Of cut people's legs it is 0.1 at
+most, of arms behind the body that are found 0.2 or more."""
 _LIMBS = ("left_arm", "right_arm", "left_leg", "right_leg")
 _ARM = ("elbow", "wrist", "index", "pinky")
 _LEG = ("knee", "ankle", "heel", "big_toe")
@@ -73,6 +78,13 @@ class LandmarkErrors:
             for part in (library.pixels, library.points_m, library.visibility, library.truth_m)
         )
         self._start, self._length = library.start[:-1], np.diff(library.start)
+        self._runs = [np.flatnonzero(library.hidden == hidden) for hidden in (False, True)]
+        across = self._truth_m[..., :2]
+        across = across / across.square().sum(-1).mean(-1).sqrt().clamp_min(1e-6)[:, None, None]
+        self._guess, self._guess_m = across + self._pixels, self._truth_m + self._points_m
+        is_hidden = np.repeat(library.hidden, self._length)[:, None]
+        self._found = torch.where(torch.from_numpy(is_hidden), (self._visibility / _GUESSED).clamp_max(1.0), 1.0)
+        """0 for landmarks that the model guessed from the others, 1 for those that it found."""
 
     def __call__(
         self,
@@ -92,7 +104,13 @@ class LandmarkErrors:
         batch, frames = directions.shape[:2]
         # The viewing ray goes through the center of the hips, so directions are already relative to it, as sizes need.
         size = directions.square().sum(-1).mean(-1).sqrt()[..., None, None]
-        error, error_m, visibility = self._residuals(rng, relative_m)
+        rows, share = self._rows(rng, relative_m)
+        error, error_m, visibility, guess, guess_m, found = (
+            torch.lerp(part[rows[0]], part[rows[1]], share.reshape(*share.shape, *[1] * (part.ndim - 1)))
+            for part in (
+                self._pixels, self._points_m, self._visibility, self._guess, self._guess_m, self._found
+            )
+        )  # fmt: skip
         bias = _normal(rng, (batch, 1, len(_MIRROR), 3), _BIAS_M) + _normal(rng, error_m.shape, _JITTER_M)
         limb = _log_normal(rng, (batch, 1, len(_LIMB_MASK), 1), 0.0, _LIMB_SCALE)[:, :, _LIMB_OF_KEYPOINT]
         error = _uniform(rng, (batch, 1, 1, 1), *_SCALE_2D) * limb * (error + bias[..., :2])
@@ -100,8 +118,14 @@ class LandmarkErrors:
         outside = (~inside).float()[..., None]
         error = error + outside * _slow(rng, (batch, frames, len(_MIRROR), 2), _BORDER_2D)
         error_m = error_m + outside * _slow(rng, error_m.shape, _BORDER_M)
-        visibility = torch.where(inside, visibility, visibility * _uniform(rng, (batch, 1, 1), 0.0, 0.3))
-        seen, seen_m = directions + error * size, _warped(rng, relative_m) + error_m
+        visibility = torch.where(inside, visibility, 0.0)
+        # Where the model guesses, the guess depends on what it sees, not on the truth.
+        seen, seen_m = (
+            torch.lerp(guessed, true + off, found[..., None])
+            for guessed, true, off in (
+                (guess * size, directions, error * size), (guess_m, _warped(rng, relative_m), error_m)
+            )
+        )  # fmt: skip
         frames_of, keypoints_of = _faults(rng, batch, frames)
         window = torch.arange(batch)[:, None, None]
         valid = _present(rng, batch, frames) & (inside.float().mean(-1) > 0.35)
@@ -109,19 +133,24 @@ class LandmarkErrors:
             seen[window, frames_of, keypoints_of], seen_m[window, frames_of, keypoints_of], visibility, valid
         )
 
-    def _residuals(
+    def _rows(
         self, rng: np.random.Generator, relative_m: Float[Tensor, "batch frames keypoints 3"]
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Errors from runs with a similar pose, one after the other until all frames have errors."""
+    ) -> tuple[list[Tensor], Float[Tensor, "batch frames"]]:
+        """Rows of runs with a similar pose, one run after the other until all frames have one: of the current and of
+        the next run, and the weight of the latter. What was guessed does not count for how similar a pose is."""
         batch, frames = relative_m.shape[:2]
         phase = rng.integers(0, _SEGMENT, (batch, 1))
         segments = (frames + _SEGMENT - 1) // _SEGMENT + 2
-        run = rng.integers(0, len(self._start), (batch, segments, _CANDIDATES))
+        hidden = (rng.random(batch) < _HIDDEN) & (len(self._runs[1]) > 0) | (len(self._runs[0]) == 0)
+        drawn = rng.random((batch, segments, _CANDIDATES))
+        run = np.stack([self._runs[int(of)][(part * len(self._runs[int(of)])).astype(int)]
+                        for of, part in zip(hidden, drawn, strict=True)])  # fmt: skip
         offset = (rng.random(run.shape) * self._length[run]).astype(int)
         begin = np.clip(np.arange(segments) * _SEGMENT - phase, 0, frames - 1)
         at = torch.from_numpy(self._start[run] + offset)
         posed = relative_m[torch.arange(batch)[:, None], torch.from_numpy(begin)]
-        near = (self._truth_m[at] - posed[:, :, None]).square().sum((-1, -2)).argmin(-1).numpy()[..., None]
+        apart, found = (self._truth_m[at] - posed[:, :, None]).square().sum(-1), self._found[at]
+        near = ((apart * found).sum(-1) / found.sum(-1).clamp_min(1.0)).argmin(-1).numpy()[..., None]
         run, offset = (np.take_along_axis(part, near, -1)[..., 0] for part in (run, offset))
         place = np.arange(frames) + phase
         here = place // _SEGMENT
@@ -134,11 +163,7 @@ class LandmarkErrors:
             step = np.abs((first + place - segment * _SEGMENT + 2 * last) % (2 * last))
             rows.append(torch.from_numpy(self._start[chosen] + np.minimum(step, 2 * last - step)))
         share = np.clip((place - early - (_SEGMENT - _BLENDED)) / _BLENDED, 0.0, 1.0)
-        share = torch.from_numpy(share).float()[..., None]
-        pixels, points_m = (
-            torch.lerp(part[rows[0]], part[rows[1]], share[..., None]) for part in (self._pixels, self._points_m)
-        )
-        return pixels, points_m, torch.lerp(self._visibility[rows[0]], self._visibility[rows[1]], share)
+        return rows, torch.from_numpy(share).float()
 
 
 def _warped(rng: np.random.Generator, relative_m: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from video2anim.body.anny_body import anny_model
 from video2anim.humans.initial import landmark_rotation, ray_rotation
@@ -35,6 +35,8 @@ class ResidualLibrary:
     truth_m: Float[np.ndarray, "frames keypoints 3"]
     """True keypoints relative to the center of the hips: the pose to which the error belongs."""
     start: Int[np.ndarray, "runs+1"]
+    hidden: Bool[np.ndarray, "runs"]
+    """Of clips in which a part of the person is hidden (`video2anim.lab.lifter.hidden`)."""
 
     def mirrored_too(self) -> ResidualLibrary:
         """The library with a mirrored copy of every run."""
@@ -45,28 +47,32 @@ class ResidualLibrary:
             np.concatenate([self.visibility, self.visibility[:, MIRROR_KEYPOINT]]).astype(np.float32),
             np.concatenate([self.truth_m, self.truth_m[:, MIRROR_KEYPOINT] * flip3]).astype(np.float32),
             np.concatenate([self.start, self.start[1:] + self.start[-1]]),
+            np.tile(self.hidden, 2),
         )
 
 
-def collect(clips: Sequence[tuple[Path, PersonTracks]]) -> ResidualLibrary:
+def collect(clips: Sequence[tuple[Path, PersonTracks, bool]]) -> ResidualLibrary:
     """Residuals of all persons that were found in clips of `video2anim synth`.
 
     Args:
-        clips: Truth folder of each clip, and the tracks found in its video (every frame).
+        clips: Truth folder of each clip, the tracks found in its video (every frame), and whether a part of the person
+            is hidden in that video.
     """
     parts: list[tuple[np.ndarray, ...]] = []
-    for folder, tracks in clips:
+    hidden: list[bool] = []
+    for folder, tracks, is_hidden in clips:
         truth = read_truth(folder)
         for person in truth.people:
             true_m = true_keypoints(person)
             track = track_of(person, true_m, tracks)
             if track is not None:
                 parts += _runs(track, true_m, truth)
+                hidden += [is_hidden] * (len(parts) - len(hidden))
     pixels, points, visibility, true = (
         np.concatenate(column).astype(np.float32) for column in zip(*parts, strict=True)
     )
     start = np.concatenate([[0], np.cumsum([len(part[0]) for part in parts])])
-    return ResidualLibrary(pixels, points, visibility, true, start)
+    return ResidualLibrary(pixels, points, visibility, true, start, np.array(hidden))
 
 
 def true_keypoints(person: BodyMotion) -> Float[np.ndarray, "frames keypoints 3"]:
