@@ -4,11 +4,11 @@
     python training/lifter.py progress
     python training/lifter.py export --motion ../shared/motion --cooldown 1500 --out lifter.onnx
 
-The first run creates missing data in the cache: clips of `video2anim synth` and BlazePose's errors on them (about 15
-minutes on one core), and the training motions (some minutes). Then it trains from the last checkpoint for the given
-time or until it is interrupted; it may be killed at any time. Without a checkpoint it starts from the shipped weights
-if they have the same architecture. `export` writes the averaged network, with `--cooldown` after that many steps with a
-falling rate, and prints the digest for `video2anim/networks/table.py`.
+The first run creates missing data in the cache: clips of `video2anim synth` and BlazePose's errors on them, whole and
+with a part of the person hidden (about an hour on one core), and the training motions (some minutes). Then it trains
+from the last checkpoint for the given time or until it is interrupted; it may be killed at any time. Without a
+checkpoint it starts from the shipped weights if they have the same architecture. `export` writes the averaged network,
+with `--cooldown` after that many steps with a falling rate, and prints the digest for `video2anim/networks/table.py`.
 """
 
 from __future__ import annotations
