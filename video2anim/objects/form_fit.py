@@ -255,21 +255,28 @@ class FormProblem:
         values = self.fitted(values[None], _ROUNDS)
         _, solids = self.form.build(np.exp(values[:, len(POSE) :]))
         gap_m = np.abs(solids.distance_m(self._own(values, self._depth_points_m(values))).min(1))
-        variance = np.diag(np.linalg.pinv(self._information(values)[0]))
+        log_evidence, information = self.laplace(values)
+        variance = np.diag(np.linalg.pinv(information[0]))
         return FormFit(
-            self.form, values[0], float(self.laplace(values)[0]) + log_prior, np.sqrt(np.maximum(variance, 0)),
+            self.form, values[0], float(log_evidence[0]) + log_prior, np.sqrt(np.maximum(variance, 0)),
             float(gap_m.mean()) if gap_m.size else float("inf"),
         )  # fmt: skip
 
-    def _information(self, values: Float[np.ndarray, "batch values"]) -> Float[np.ndarray, "batch values values"]:
-        """Curvature of the cost, over steps as wide as errors are."""
+    def laplace(
+        self, values: Float[np.ndarray, "batch values"]
+    ) -> tuple[Float[np.ndarray, "batch"], Float[np.ndarray, "batch values values"]]:
+        """Logarithm of the evidence, up to a constant that all forms share, and curvature of the cost, over steps as
+        wide as errors are."""
         wide, count = _WIDE * np.diag(self.steps), len(self.steps)
         around = np.concatenate([np.zeros((1, count)), wide, -wide])
         residuals = self.residuals((values[:, None] + around).reshape(-1, count))
         found = residuals.joined().reshape(len(values), len(around), -1)[:, 1:]
         slope = (found[:, :count] - found[:, count:]) / (2 * _WIDE * self.steps[:, None])
         weight = residuals.weights()[:: len(around), None]
-        return (slope * weight) @ slope.swapaxes(1, 2) + 1e-9 * np.eye(count)
+        information = (slope * weight) @ slope.swapaxes(1, 2) + 1e-9 * np.eye(count)
+        _, determinant = np.linalg.slogdet(information)
+        cost = residuals.cost()[:: len(around)]
+        return -cost - float(np.log(self.form.spread).sum()) - 0.5 * determinant, information
 
     def _surface_m(self, values: np.ndarray, solids: Solids) -> Float[np.ndarray, "batch points 3"]:
         """Points of the form's surface in the world."""
@@ -335,11 +342,6 @@ class FormProblem:
             if not len(active):
                 break
         return values
-
-    def laplace(self, values: Float[np.ndarray, "batch values"]) -> Float[np.ndarray, "batch"]:
-        """Logarithm of the evidence, up to a constant that all forms share."""
-        _, determinant = np.linalg.slogdet(self._information(values))
-        return -self.residuals(values).cost() - float(np.log(self.form.spread).sum()) - 0.5 * determinant
 
 
 def _weight(looks: float, count: int) -> float:

@@ -7,6 +7,7 @@ import json
 import runpy
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from synthetic import planted_walk
 from video2anim.body.anny_body import KEYPOINT_NAMES
 from video2anim.errors import ModelMissingError
 from video2anim.geometry.rotations import matrix_from_axis_angle, matrix_from_rot6d, rot6d_from_matrix
-from video2anim.humans.landmarks import KEYPOINT_INDEX
+from video2anim.humans.landmarks import KEYPOINT_INDEX, MIRROR_KEYPOINT
 from video2anim.humans.lifter_input import CONTACT_INDEX, FEATURES, OUTPUTS
 from video2anim.lab.lifter import landmark_errors, samples, variation
 from video2anim.lab.lifter.bodies import draw_bodies
@@ -315,22 +316,55 @@ def test_a_part_of_the_person_is_hidden(kind: str, tmp_path: Path) -> None:
         assert same[:, ~hidden].mean() > 0.9
 
 
-def test_frozen_and_swapped_limbs(residuals: ResidualLibrary, monkeypatch: pytest.MonkeyPatch) -> None:
+FAULTS = ("_FROZEN", "_SWAPPED", "_REVERSED", "_MISSING", "_LONG_MISSING")
+
+
+@pytest.fixture
+def only(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Sets the share of one kind of fault to 1, of the others to 0."""
+
+    def chosen(fault: str) -> None:
+        for name in FAULTS:
+            monkeypatch.setattr(landmark_errors, name, float(name == fault))
+
+    return chosen
+
+
+def test_frozen_and_swapped_limbs(only: Callable[[str], None]) -> None:
     """A frozen limb is where it was; a swapped pair of limbs has left where right is."""
-    monkeypatch.setattr(landmark_errors, "_FROZEN", 1.0)
-    monkeypatch.setattr(landmark_errors, "_SWAPPED", 0.0)
-    frame, keypoint = landmark_errors._faults(np.random.default_rng(0), 50, 40)
+    only("_FROZEN")
+    frame, keypoint, sign = landmark_errors._faults(np.random.default_rng(0), 50, 40)
     assert torch.equal(keypoint, torch.arange(25).expand(50, 40, 25))
+    assert (sign == 1).all()
     stuck = frame != torch.arange(40)[None, :, None]
     assert stuck.any(1).sum(1).le(5).all(), "one limb of a window"
     assert stuck.any((1, 2)).float().mean() > 0.7
-    monkeypatch.setattr(landmark_errors, "_FROZEN", 0.0)
-    monkeypatch.setattr(landmark_errors, "_SWAPPED", 1.0)
-    frame, keypoint = landmark_errors._faults(np.random.default_rng(0), 50, 40)
+    only("_SWAPPED")
+    frame, keypoint, _ = landmark_errors._faults(np.random.default_rng(0), 50, 40)
     changed = keypoint != torch.arange(25)
     for number in keypoint[changed].unique():
         assert KEYPOINT_NAMES[int(number)].split("_")[0] in ("left", "right")
     assert changed.any((1, 2)).all()
+
+
+def test_front_taken_for_back(residuals: ResidualLibrary, only: Callable[[str], None]) -> None:
+    """Left is where right is, and what is near is far, at the same place in the image; up to three times."""
+    only("")
+    rng = np.random.default_rng(1)
+    points = torch.from_numpy(rng.normal(0, 0.4, (20, 40, 25, 3))).float()
+    errors, inside = landmark_errors.LandmarkErrors(residuals), torch.ones(20, 40, 25, dtype=torch.bool)
+    right = errors(np.random.default_rng(2), points[..., :2] / 4, points, inside)
+    only("_REVERSED")
+    wrong = errors(np.random.default_rng(2), points[..., :2] / 4, points, inside)
+    mirror = torch.from_numpy(MIRROR_KEYPOINT)
+    reversed_m = right.points_m[:, :, mirror] * torch.tensor([1.0, 1.0, -1.0])
+    turned = (wrong.points_m - right.points_m).abs().amax((2, 3)) > 1e-6
+    torch.testing.assert_close(wrong.points_m[turned], reversed_m[turned])
+    torch.testing.assert_close(wrong.directions[turned], right.directions[:, :, mirror][turned])
+    torch.testing.assert_close(wrong.directions[~turned], right.directions[~turned])
+    assert turned.any(1).float().mean() > 0.7
+    assert (turned.sum(1) <= 43).all()
+    assert turned.diff(dim=1).sum(1).max() > 2, "more than once"
 
 
 LEARNT = 60
