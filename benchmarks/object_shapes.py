@@ -91,14 +91,14 @@ def of_clip(truth: Truth, pictures: Path | None, depth_sigma: float, *, named: b
     furniture = truth.furniture(MIN_VISIBLE_PX)
     masks, background, depth = true_inputs(truth, named=named)
     ctx = StageContext(Path())
-    started = time.process_time()
+    started = time.perf_counter()
     completed = complete_objects(background, masks, depth, CompleteConfig(), ctx)
     config = ReconstructConfig(
         depth_error_ratio=depth_sigma, depth_relief=1.0, depth_relief_sigma=2 * depth_sigma, open_bias=0.0
     )
     meshes = reconstruct_objects(completed, masks, depth, background, config, ctx)
     placed = place_objects(meshes, masks, depth, PlaceConfig(), ctx)
-    seconds = (time.process_time() - started) / max(len(masks.instances), 1)
+    seconds = (time.perf_counter() - started) / max(len(masks.instances), 1)
     if pictures:
         picture(truth, placed, pictures / f"{truth.name}.png")
     first = {item.object_id: item for item in meshes.objects}

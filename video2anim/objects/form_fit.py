@@ -306,12 +306,10 @@ class FormProblem:
         return weight * outside, weight * before
 
     def _turned(self, values: np.ndarray, v: np.ndarray) -> np.ndarray:
-        c, s = np.cos(values[:, 2])[:, None], np.sin(values[:, 2])[:, None]
-        return np.stack([c * v[..., 0] - s * v[..., 2], v[..., 1], s * v[..., 0] + c * v[..., 2]], -1)
+        return _turned(values[:, 2:3], v[..., 0], v[..., 1], v[..., 2])
 
     def _own(self, values: np.ndarray, points_m: np.ndarray) -> np.ndarray:
-        place = np.stack([values[:, 0], values[:, 3], values[:, 1]], -1)
-        return self._turned(values, points_m - place[:, None])
+        return _turned(values[:, 2:3], *(points_m[..., k] - values[:, at, None] for k, at in enumerate((0, 3, 1))))
 
     def fitted(self, starts: Float[np.ndarray, "batch values"], rounds: int) -> Float[np.ndarray, "batch values"]:
         """Levenberg-Marquardt from every start."""
@@ -342,6 +340,12 @@ class FormProblem:
             if not len(active):
                 break
         return values
+
+
+def _turned(yaw_rad: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Float[np.ndarray, "batch points 3"]:
+    """Vectors along the axes of an object with that yaw; each axis in one piece of memory, which is faster."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.moveaxis(np.stack([c * x - s * z, np.broadcast_to(y, x.shape), s * x + c * z]), 0, -1)
 
 
 def _weight(looks: float, count: int) -> float:
