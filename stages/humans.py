@@ -158,4 +158,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton_height", quality.body_height_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=24, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=25, models=("lifter",))

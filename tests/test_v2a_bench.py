@@ -68,7 +68,6 @@ def test_pipeline_on_a_synthetic_clip(judged: Judged) -> None:
     assert NAME in page
 
 
-@pytest.mark.xfail(strict=True, reason="in a quick turn the lifter takes front for back for some frames: 2.41")
 def test_stage_humans_moves_as_smoothly_as_people(judged: Judged) -> None:
     assert 0.7 < judged.mean("motion", "jerk", 0) / judged.groups["motion"]["jerk"]["truth_mean"] < 1.6
 

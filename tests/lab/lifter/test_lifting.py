@@ -348,7 +348,7 @@ def test_frozen_and_swapped_limbs(only: Callable[[str], None]) -> None:
 
 
 def test_front_taken_for_back(residuals: ResidualLibrary, only: Callable[[str], None]) -> None:
-    """Left is where right is, and what is near is far, at the same place in the image; up to three times."""
+    """Left is where right is, and what is near is far, at the same place in the image, for less than a second."""
     only("")
     rng = np.random.default_rng(1)
     points = torch.from_numpy(rng.normal(0, 0.4, (20, 40, 25, 3))).float()
@@ -362,9 +362,8 @@ def test_front_taken_for_back(residuals: ResidualLibrary, only: Callable[[str], 
     torch.testing.assert_close(wrong.points_m[turned], reversed_m[turned])
     torch.testing.assert_close(wrong.directions[turned], right.directions[:, :, mirror][turned])
     torch.testing.assert_close(wrong.directions[~turned], right.directions[~turned])
-    assert turned.any(1).float().mean() > 0.7
-    assert (turned.sum(1) <= 43).all()
-    assert turned.diff(dim=1).sum(1).max() > 2, "more than once"
+    assert turned.any(1).all()
+    assert (turned.sum(1) < 20).all()
 
 
 LEARNT = 60
