@@ -169,8 +169,6 @@ def test_the_surest_of_three_crops_in_pixels_of_the_picture(stand_in: ObjectFind
     assert box.confidence == pytest.approx(0.9)
     # Crops are squares around (150, 70) of 1.3, 1.45 and 1.6 times 100 px; the surest is the second.
     np.testing.assert_allclose(box.points_px[[0, 1, 8]], [[150, 70], [77.5, -2.5], [222.5, 142.5]])
-    # Their corners, eight of nine points, lie 7.5 x sqrt(2) px from those of the other crops.
-    assert box.spread_px == pytest.approx(math.sqrt(8 / 9) * 7.5 * math.sqrt(2.0))
     assert stand_in.chair_box(np.zeros((480, 640, 3), np.uint8), np.zeros(4) + 5.0, min_confidence=0.95) is None
 
 
@@ -214,7 +212,6 @@ def test_the_box_of_a_chair_stands_upright_and_faces_the_camera(finder: ObjectFi
     box = left_chair(finder, office)
     points = box.points_px
     assert box.confidence > 0.9
-    assert box.spread_px < 22.0
     assert (points[BOTTOM, 1] > points[TOP, 1] + 100.0).all()
     assert np.linalg.norm(points[1:].mean(axis=0) - points[0]) < 15.0, "the center is in the middle"
     # Its back is at the wall: the foot of the front is lower in the picture, and the sitter's left is to the right.

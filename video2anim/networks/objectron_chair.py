@@ -33,9 +33,6 @@ class ChairBox:
     """Probability that the crop shows a chair."""
     points_px: Float[np.ndarray, "9 2"]
     """Center, then corners in the order of `CORNERS`: 1, 2, 6, 5 stand on the floor, 2, 6, 8, 4 are the front."""
-    spread_px: float
-    """How far the points lie from those of other crops, root mean square; over a tenth of the chair's size, front and
-    back may be swapped."""
 
 
 class ChairBoxes:
@@ -63,8 +60,7 @@ class ChairBoxes:
         confidence, points_px = max(views, key=lambda view: view[0])
         if confidence < min_confidence:
             return None
-        gaps_px = [np.linalg.norm(other - points_px, axis=1) for _, other in views if other is not points_px]
-        return ChairBox(confidence, points_px, float(np.sqrt(np.mean(np.square(gaps_px)))))
+        return ChairBox(confidence, points_px)
 
     def _predict(
         self, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi
