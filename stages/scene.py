@@ -117,14 +117,12 @@ def build_scene(
     floor = ground(seen, background, around_m, solids)
     counts = {
         "rejected_by_motion": len(still) - len(kept), "inferred_supports": len(supports), "objects_in_field": in_field,
-        "moved": len(moved), "objects": len(objects), "sdf_nodes": grid.sdf_m.size,
-        **seen.counts,
+        "moved": len(moved), "objects": len(objects), "sdf_nodes": grid.sdf_m.size, **seen.counts,
     }  # fmt: skip
     for key, count in counts.items():
         ctx.quality(key, count, "count")
     ctx.quality("sdf_spacing", grid.spacing_m, "m", "lower")
-    everything = (*objects, *moved)
-    return SceneModel(everything, floor, seen.pieces, grid.sdf_m, np.asarray(grid.origin_m), float(grid.spacing_m))
+    return SceneModel((*objects, *moved), floor, seen.pieces, grid.sdf_m, grid.origin_m, float(grid.spacing_m))
 
 
 def _scanned(
