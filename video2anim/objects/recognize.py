@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -59,44 +57,13 @@ def recognized(
 def _recognized(
     seen: SeenObject, log_prior: Mapping[str, float], forms: Sequence[Form] | None, sigmas: FitSigmas
 ) -> list[FormFit]:
-    evidence = seen.evidence
-    lowest_m = max(float(np.percentile(seen.points_m[:, 1], 2)), 0.0) if evidence.raised else 0.0
-
-    def problem_of(form: Form, samples: int) -> tuple[FormProblem, float]:
-        base_m = 0.0 if form.stands else lowest_m
-        return FormProblem(form, evidence, base_m, sigmas, samples), _prior(form, base_m, log_prior)
-
-    def screened(one: tuple[Form, list[np.ndarray]]) -> tuple[float, Form, np.ndarray]:
-        problem, prior = problem_of(one[0], _SCREEN_SAMPLES)
-        tried = problem.fitted(np.stack(one[1]), _SCREEN_ROUNDS)
-        scores = problem.laplace(tried)[0] + prior
-        return float(scores.max()), one[0], tried[int(scores.argmax())]
-
-    def finished(one: tuple[float, Form, np.ndarray]) -> FormFit:
-        problem, prior = problem_of(one[1], _SAMPLES)
-        return problem.result(one[2], prior)
-
-    # Most of the time is numpy's on large arrays, which frees other threads.
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
-        tries = _tries(seen, log_prior, forms, sigmas, lowest_m)
-        ranked = sorted(threads.map(screened, tries), key=lambda one: -one[0])
-        return list(threads.map(finished, ranked[:_KEPT]))
-
-
-def _tries(
-    seen: SeenObject,
-    log_prior: Mapping[str, float],
-    forms: Sequence[Form] | None,
-    sigmas: FitSigmas,
-    lowest_m: float,
-) -> list[tuple[Form, list[Float[np.ndarray, "values"]]]]:
-    """Forms and the values that each starts with."""
     evidence, box, relief = seen.evidence, seen.box(), seen.evidence.depth_errors.relief
     boxes = [(box, 0.0)]
     if box.holds(evidence.body_m).any():
         # Also from behind the people who were there.
         farther = _FARTHER * evidence.distance_sigma
         boxes.append((seen.box(farther), farther))
+    lowest_m = max(float(np.percentile(seen.points_m[:, 1], 2)), 0.0) if evidence.raised else 0.0
     tries = [
         (form, [start for one in boxes for start in _starts(form, *one, 0.0 if form.stands else lowest_m, relief)])
         for form in (FORMS if forms is None else forms)
@@ -104,7 +71,21 @@ def _tries(
     ]
     if forms is None and OUTLINE in log_prior and (own := outline_form(seen, box, lowest_m, sigmas)) is not None:
         tries.append((own[0], [own[1]]))
-    return tries
+    screened = []
+    for form, starts in tries:
+        base_m = 0.0 if form.stands else lowest_m
+        problem = FormProblem(form, evidence, base_m, sigmas, _SCREEN_SAMPLES)
+        tried = problem.fitted(np.stack(starts), _SCREEN_ROUNDS)
+        prior = _prior(form, base_m, log_prior)
+        scores = problem.laplace(tried)[0] + prior
+        screened.append((float(scores.max()), form, tried[int(scores.argmax())]))
+    screened.sort(key=lambda one: -one[0])
+    found = []
+    for _, form, values in screened[:_KEPT]:
+        base_m = 0.0 if form.stands else lowest_m
+        problem = FormProblem(form, evidence, base_m, sigmas, _SAMPLES)
+        found.append(problem.result(values, _prior(form, base_m, log_prior)))
+    return found
 
 
 def _prior(form: Form, base_m: float, log_prior: Mapping[str, float]) -> float:
