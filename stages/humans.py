@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 _UNSURE_SCALE = 0.3
 """Standard deviation of the scale of a camera's path above which a warning says so."""
 _GUESSED_M = 0.15
-"""Expected error of ankles or wrists above which a warning says that limbs are guessed. The medians of
-limbs in view are 0.07 to 0.14 m on nine real clips and 0.2 to 0.4 m on a breakdance, of hidden ones 0.14 to 0.3 m
+"""Expected error of ankles or wrists above which a warning says that limbs are guessed. The medians of limbs in view
+are 0.07 to 0.15 m on nine real clips and 0.2 to 0.4 m on a breakdance, of hidden ankles 0.13 to 0.25 m
 (`benchmarks/altered_clips.py`)."""
 
 

@@ -168,7 +168,7 @@ def test_shipped_weights_know_a_walk(walk: Walk, network: Lifter) -> None:
 
 
 def test_hidden_legs_are_doubted_and_the_rest_is_known(walk: Walk, network: Lifter) -> None:
-    """Legs below the picture, where the landmark model puts straight ones: the network expects 1.5 times the errors of
+    """Legs below the picture, where the landmark model puts straight ones: the network expects 1.75 times the errors of
     legs in view; weights that had seen nobody like that expected the same."""
     o = walk.observed
     pixels, points, seen = o.keypoints_px.copy(), o.keypoints_m.copy(), o.weight.copy()
@@ -185,7 +185,7 @@ def test_hidden_legs_are_doubted_and_the_rest_is_known(walk: Walk, network: Lift
     off_m = np.linalg.norm(joints - walk.joints_camera_m + walk.joints_camera_m[:, :1], axis=-1)
     legs = [JOINT_INDEX[f"{side}_{joint}"] for side in ("left", "right") for joint in ("knee", "ankle", "foot")]
     assert np.delete(off_m, legs, axis=1).mean() < 0.06
-    assert cut.error_m[:, legs].mean() > 1.25 * whole.error_m[:, legs].mean()
+    assert cut.error_m[:, legs].mean() > 1.5 * whole.error_m[:, legs].mean()
 
 
 def test_limbs_that_are_guessed_are_named(walk: Walk, network: Lifter) -> None:

@@ -197,7 +197,7 @@ class FormProblem:
         seen, of_others = len(self.point_m), len(self.point_m) + len(evidence.others_m)
         noise_m = np.hypot(evidence.depth_errors.sigma * self.point_m, self.outline_m)
         origin = self._own(values, np.broadcast_to(evidence.camera_m, (batch, 1, 3)))[:, 0]
-        rays = self._turned(values, np.broadcast_to(evidence.rays, (batch, *evidence.rays.shape)))
+        rays = _turned(values[:, 2:3], *evidence.rays.T)
         missed = self.ray_weight * solids.miss_m(origin, rays) / self.outline_m
         surface_m = self._surface_m(values, solids)
         outside, before = self._intrusion(values, surface_m)
@@ -305,9 +305,6 @@ class FormProblem:
         outside *= np.repeat(~np.isin(self.part_names, THIN), surface_m.shape[1] // len(self.part_names))
         return weight * outside, weight * before
 
-    def _turned(self, values: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return _turned(values[:, 2:3], v[..., 0], v[..., 1], v[..., 2])
-
     def _own(self, values: np.ndarray, points_m: np.ndarray) -> np.ndarray:
         return _turned(values[:, 2:3], *(points_m[..., k] - values[:, at, None] for k, at in enumerate((0, 3, 1))))
 
@@ -345,7 +342,8 @@ class FormProblem:
 def _turned(yaw_rad: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Float[np.ndarray, "batch points 3"]:
     """Vectors along the axes of an object with that yaw; each axis in one piece of memory, which is faster."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    return np.moveaxis(np.stack([c * x - s * z, np.broadcast_to(y, x.shape), s * x + c * z]), 0, -1)
+    across, along = c * x - s * z, s * x + c * z
+    return np.moveaxis(np.stack([across, np.broadcast_to(y, across.shape), along]), 0, -1)
 
 
 def _weight(looks: float, count: int) -> float:
