@@ -31,7 +31,7 @@ from scenemi.scene.geometry import SceneGeometry
 from scenemi.scene.pseudo import SyntheticScenes
 from scenemi.scene.voxels import DEFAULT_GRID, occupancy
 from video2anim.body.anny_body import ADULT, shaped_body
-from video2anim.geometry.sdf import surface_samples
+from video2anim.geometry.sampling import surface_samples
 from video2anim.lab.synth.acting import act
 from video2anim.types.motion import BodyShape
 from video2anim.types.skeleton import forward_kinematics

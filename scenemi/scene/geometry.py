@@ -46,7 +46,7 @@ class SceneGeometry:
     def from_mesh(
         cls, vertices_m: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], *, fill: bool = False
     ) -> SceneGeometry:
-        """Triangles. Nearest points are exact to the triangles of the 8 nearest surface samples, see `MeshSurface`.
+        """Triangles; exact to single precision.
 
         Args:
             vertices_m: corners in the world.
@@ -132,10 +132,7 @@ class SceneGeometry:
         for T_world_solid, solid in self.parts:
             rows = np.flatnonzero(~touched)
             local_m = (points_m[rows] - T_world_solid[:3, 3]) @ T_world_solid[:3, :3]
-            if isinstance(solid, MeshSurface):
-                touched[rows] = solid.touches(local_m, reach_m)
-            else:
-                touched[rows] = solid.nearest_within(local_m, reach_m)[1] <= reach_m
+            touched[rows] = solid.nearest_within(local_m, reach_m)[1] <= reach_m
         return touched
 
 

@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from video2anim.errors import InputError
-from video2anim.geometry.sdf import SdfGrid, surface_samples
+from video2anim.geometry.sampling import surface_samples
+from video2anim.geometry.sdf import SdfGrid
 
 SCANNED_FLOOR_M = 0.15
 """A scan's floor lies within this of y = 0."""

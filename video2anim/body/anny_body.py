@@ -7,12 +7,9 @@ frame (x to the body's left, y up, z forward), as in SMPL.
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import io
 import logging
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -239,27 +236,12 @@ def _tpose_joints(heads: torch.Tensor, rotations: torch.Tensor) -> torch.Tensor:
 
 def _quiet_anny() -> Any:
     """The Anny model, loaded without the start-up messages of its skinning backend."""
+    import video2anim.geometry.mesh_kernels  # noqa: F401 (silences Warp, which Anny imports)
+
     logging.getLogger("anny").setLevel(logging.ERROR)
-    with contextlib.redirect_stdout(io.StringIO()), _native_stderr_closed():
-        import warp
+    import anny
 
-        warp.config.quiet = True  # pyright: ignore[reportAttributeAccessIssue]
-        import anny
-
-        return anny.Anny(rig="mixamo", local_changes=list(LENGTHS.values()))
-
-
-@contextlib.contextmanager
-def _native_stderr_closed() -> Iterator[None]:
-    """Redirect file descriptor 2 to the null device: the backend's native code warns there about a missing GPU."""
-    kept = os.dup(2)
-    with open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+    return anny.Anny(rig="mixamo", local_changes=list(LENGTHS.values()))
 
 
 def _keypoint_regressor(source: Any) -> tuple[torch.Tensor, list[str]]:

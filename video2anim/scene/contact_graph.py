@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float, Int
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import LIKELY, NEAR_M, SLOW_M_S, posed_vertices, skin_of, speed_m_s
 from video2anim.body.shaped_body import ShapedBody
+from video2anim.geometry.mesh_query import MeshQuery
 from video2anim.geometry.projection import invert_rigid, transform_points
 from video2anim.geometry.runs import runs, without_short_runs
 from video2anim.geometry.scene_mesh import world_mesh
-from video2anim.scene.nearest_surface import nearest_surface
 from video2anim.scene.supports import LEVEL_COSINE
 from video2anim.types.contact import FLOOR, Contact
 from video2anim.types.motion import BodyMotion
@@ -177,8 +177,9 @@ def _gaps(motion: BodyMotion, body: ShapedBody, solids: Sequence[_Solid]) -> _Ga
     first = 1
     for one in solids:
         own_m = _beside_first(point_m, frame, one.placed)
-        found = nearest_surface(own_m, one.triangles_m, reach_m=STAY_M)
-        meet(first + one.surface[found.face], found.point, found.distance_m)
+        found = MeshQuery.of(one.triangles_m).nearest(own_m, STAY_M)
+        hit = np.flatnonzero(found.face >= 0)
+        meet(first + one.surface[found.face[hit]], hit, found.distance_m[hit])
         first += len(one.names)
     # A hand that holds one object touches no other.
     owner = np.repeat(np.arange(-1, len(solids)), [1, *(len(one.names) for one in solids)])

@@ -12,7 +12,8 @@ from scipy.spatial import KDTree
 
 from video2anim.geometry.projection import backproject, transform_points
 from video2anim.geometry.rotations import matrix_from_axis_angle
-from video2anim.geometry.sdf import SdfGrid, surface_samples
+from video2anim.geometry.sampling import surface_samples
+from video2anim.geometry.sdf import SdfGrid
 from video2anim.scene.field import field_bounds, field_spacing
 from video2anim.types.metric import MetricDepth
 from video2anim.types.scene import Mesh

@@ -11,11 +11,11 @@ from jaxtyping import Bool, Float
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import LIKELY, NEAR_M, REACH_M, believed, posed_vertices, skin_of
 from video2anim.body.shaped_body import ShapedBody
+from video2anim.geometry.mesh_query import MeshQuery
 from video2anim.geometry.runs import runs
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.scene.free_space import passed_through
-from video2anim.scene.nearest_surface import nearest_surface
 from video2anim.types.motion import BodyMotion, BodyTracks
 from video2anim.types.scene import Mesh
 from video2anim.types.skeleton import JOINT_INDEX, PARENTS, TOUCHING_PARTS, forward_kinematics
@@ -133,7 +133,7 @@ class Support:
         triangles_m = solid.vertices_m[solid.faces]
         normal = np.cross(triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0])
         tops_m = triangles_m[normal[:, 1] > LEVEL_COSINE * np.linalg.norm(normal, axis=-1)]
-        return 2 * len(nearest_surface(self.nearest_m, tops_m, reach_m=REACH_M).point) > len(self.nearest_m)
+        return float((MeshQuery.of(tops_m).nearest(self.nearest_m, REACH_M).face >= 0).mean()) > 0.5
 
     def solid(self, thickness_m: float, margin_m: float) -> tuple[Mesh, Float[np.ndarray, "4 4"]]:
         """A box with that top, resting on y = 0 of its own frame, and the pose of that frame in the world."""
