@@ -28,7 +28,7 @@ from video2anim.geometry.masks import never_seen
 from video2anim.objects.evidence import ObjectViews, PeopleEvidence, SeenObject
 from video2anim.objects.form_fit import FormFit
 from video2anim.objects.observed import DepthErrors
-from video2anim.objects.recognize import labeled_fits
+from video2anim.objects.recognize import labeled_fits, rested_on_one
 from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.scene.supports import rested_and_inner_m
 from video2anim.types import BackgroundImage, CompletedObjects, InstanceMasks, MetricDepth
@@ -72,13 +72,18 @@ def of_scene(scene: Path, draws: int) -> list[dict]:
         ),
         EdgeHeadings(background.background_rgb, depth.bodies.main_view.resized(width_px, height_px)),
     )  # fmt: skip
-    rows = []
+    rows, names = [], {found.object_id: found.label for found in completed.objects}
+    drawn = [
+        rested_on_one({
+            found.object_id: one for found in completed.objects
+            if (one := views.object(found, np.random.default_rng([draw, found.object_id]))) is not None
+            and len(one.points_m) >= config.min_points
+        }, names)
+        for draw in range(draws)
+    ]  # fmt: skip
     for found in views.surest_first(completed.objects):
         fits, labels, began = [], Counter(), time.process_time()
-        for draw in range(draws):
-            seen = views.object(found, np.random.default_rng([draw, found.object_id]))
-            if seen is None or len(seen.points_m) < config.min_points:
-                break
+        for seen in [each[found.object_id] for each in drawn if found.object_id in each]:
             ranked, label = labeled_fits(seen, found.label)
             labels[label] += 1
             fits.append((seen, ranked))

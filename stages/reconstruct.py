@@ -92,6 +92,7 @@ def reconstruct_objects(
     from video2anim.objects.evidence import ObjectViews, PeopleEvidence
     from video2anim.objects.object_mesh import fitted
     from video2anim.objects.observed import DepthErrors
+    from video2anim.objects.recognize import rested_on_one
     from video2anim.scene.supports import rested_and_inner_m
 
     unseen = never_seen(background.seen_ratio, depth.background_depth_m.shape)
@@ -104,14 +105,18 @@ def reconstruct_objects(
         names = ", ".join(foreign[number].name for number in unused)
         ctx.warn(f"{names} in {config.meshes}: there is no object of that number, only {sorted(numbers)}; not used")
     meshes: list[ObjectMesh] = []
-    for done, found in enumerate(views.surest_first(completed.objects)):
-        seen = views.object(found, ctx.rng(f"reconstruct/{found.object_id}"))
-        if seen is None or len(seen.points_m) < config.min_points:
+    seen: dict[int, SeenObject] = {}
+    for found in completed.objects:
+        one = views.object(found, ctx.rng(f"reconstruct/{found.object_id}"))
+        if one is None or len(one.points_m) < config.min_points:
             ctx.warn(f"object {found.object_id} has too little reliable depth and is dropped")
         else:
-            mesh = _foreign(found, seen, foreign, config, ctx)
-            meshes.append(mesh or fitted(found, seen, views, background.background_rgb, view))
-        ctx.progress(done + 1, len(completed.objects))
+            seen[found.object_id] = one
+    seen = rested_on_one(seen, {found.object_id: found.label for found in completed.objects})
+    for done, found in enumerate(views.surest_first([one for one in completed.objects if one.object_id in seen])):
+        mesh = _foreign(found, seen[found.object_id], foreign, config, ctx)
+        meshes.append(mesh or fitted(found, seen[found.object_id], views, background.background_rgb, view))
+        ctx.progress(done + 1, len(seen))
     ctx.quality("meshes", len(meshes), "count")
     ctx.quality("dropped", len(completed.objects) - len(meshes), "count", "lower")
     ctx.quality("max_faces", max((len(m.mesh.faces) for m in meshes), default=0), "count")
@@ -147,4 +152,4 @@ def _foreign(
         return None
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=32, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=33, models=(SLOT,))

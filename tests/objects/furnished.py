@@ -102,7 +102,7 @@ def furnished(
     views = ObjectViews(
         InstanceMasks("truth", instances, shot.mask(FLOOR)), metric(shot, depth_m, distance_sigma, known),
         np.zeros_like(own) if unseen is None else unseen,
-        PeopleEvidence(rested_m, np.ones(len(rested_m), bool), body_m),
+        PeopleEvidence(rested_m, np.arange(len(rested_m)), np.ones(len(rested_m), bool), body_m),
         errors or DepthErrors(depth_sigma, 1.0, 2 * distance_sigma), drawn(edges_m, shot.T_world_camera),
     )  # fmt: skip
     seen = views.object(CompletedObject(1, "object", own, np.zeros((1, 1, 3), np.uint8)), np.random.default_rng(seed))

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from video2anim.geometry.heading import EdgeHeadings
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid
 from video2anim.objects.backproject import BackprojectedObject, ObjectBackprojector
 from video2anim.objects.foreground import floor_band_m, surface_normals
-from video2anim.objects.form_fit import FitSigmas, FormFit
+from video2anim.objects.form_fit import FormFit
 from video2anim.objects.observed import DepthErrors, ObjectEvidence
 from video2anim.objects.occupied import Occupied
 from video2anim.objects.upright_box import UprightBox, fit_upright_box, turned_to
@@ -27,7 +27,9 @@ _RAISED_M = 0.15
 _STEP, _STEP_M = 0.1, 0.02
 """What carries an object is as far and as high as its lower end; what hides that is nearer by this share, or higher."""
 _NEAR_M = 0.3
-"""Skin so near to the box of an object's depth points may have touched it: the error of its place."""
+"""Skin so near to the box of an object's depth points may have touched it: the error of its place across the view."""
+_FARTHEST, _DISTANCES = 3.0, 9
+"""That may be at each of so many distances, up to so many standard deviations off."""
 _AROUND_M = 1.5
 """Walls, objects and bodies so near to it may be reached by its hidden part: the length of a bed less what is seen of
 it."""
@@ -42,6 +44,8 @@ class PeopleEvidence:
 
     rested_m: Float[np.ndarray, "rests 3"]
     """Foremost skin of parts that rested on something above the floor."""
+    place: Int[np.ndarray, "rests"]
+    """Number of the place where each rested."""
     bearing: Bool[np.ndarray, "rests"]
     """Those of seat and feet, which bear weight."""
     body_m: Float[np.ndarray, "inner 3"]
@@ -61,6 +65,10 @@ class SeenObject:
     """Its visible pixels."""
     outline: Bool[np.ndarray, "height width"]
     """Those and the hidden ones that were completed."""
+
+    def rested_at(self, places: Collection[int]) -> SeenObject:
+        """The same if only what rested at these places rested on it."""
+        return replace(self, evidence=self.evidence.rested_at(places))
 
     def box(self, distance_log: float = 0.0) -> UprightBox:
         """The box around them, down to the floor if it stands there; +z of its frame faces the camera.
@@ -117,12 +125,9 @@ class ObjectViews:
         row, column = _spread(own & (obj.shows | ~known), rng)
         local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones(len(row))], -1)
         points_m = self._expected_m(obj)
-        rested_m, body_m = self._people.rested_m, self._people.body_m
-        # What rested on an object that was fitted before did not rest on this one.
-        here = _within(rested_m, points_m, _NEAR_M)
-        here &= np.abs(self._occupied.distance_m(rested_m)) > 3 * FitSigmas().rest_m
-        sides = self._edges.within(own)
-        sigma = self._depth.object_sigma.get(str(found.object_id), _MIN_DISTANCE_SIGMA)
+        people, sides = self._people, self._edges.within(own)
+        sigma = max(self._depth.object_sigma.get(str(found.object_id), _MIN_DISTANCE_SIGMA), _MIN_DISTANCE_SIGMA)
+        here = self._may_have_rested(points_m, sigma)
         evidence = ObjectEvidence(
             camera_m=lifter.view.T_world_camera[:3, 3].copy(),
             T_camera_world=invert_rigid(lifter.view.T_world_camera),
@@ -132,17 +137,28 @@ class ObjectViews:
             outside_px=outside,
             free_m=np.where(own & known, obj.depth_m, 0.0),
             depth_errors=self._depth_errors,
-            distance_sigma=max(sigma, _MIN_DISTANCE_SIGMA),
+            distance_sigma=sigma,
             raised=self._is_raised(own, points_m, nearer),
-            rested_m=rested_m[here],
-            bearing=self._people.bearing[here],
-            body_m=body_m[_within(body_m, points_m, _AROUND_M)],
+            rested_m=people.rested_m[here],
+            place=people.place[here],
+            bearing=people.bearing[here],
+            body_m=people.body_m[_within(people.body_m, points_m, _AROUND_M)],
             others_m=self._others_m(own, points_m, rng),
             sides=sides,
             walls=self._walls if sides is None else None,
             filled_m=self._occupied.distance_m,
         )
         return SeenObject(evidence, points_m, self._normals[obj.shows], own, outline)
+
+    def _may_have_rested(self, points_m: Float[np.ndarray, "points 3"], sigma: float) -> Bool[np.ndarray, "rests"]:
+        """What rested at places of which most is near the object, as far away as it may be."""
+        camera_m, rested_m = self._lifter.view.T_world_camera[:3, 3], self._people.rested_m
+        nearest = -_FARTHEST * sigma - self._depth_errors.open_bias
+        near = np.zeros(len(rested_m), bool)
+        for factor in np.exp(np.linspace(nearest, _FARTHEST * sigma, _DISTANCES)):
+            near |= _within(rested_m, camera_m + factor * (points_m - camera_m), _NEAR_M)
+        _, place = np.unique(self._people.place, return_inverse=True)
+        return (np.bincount(place, near) > 0.5 * np.bincount(place))[place]
 
     def _expected_m(self, obj: BackprojectedObject) -> Float[np.ndarray, "points 3"]:
         """Its depth points in the world, with the mean relief of objects."""

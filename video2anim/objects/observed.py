@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from video2anim.geometry.heading import Heading
 from video2anim.types.camera import Intrinsics
@@ -50,6 +50,8 @@ class ObjectEvidence:
     """It does not stand on the floor."""
     rested_m: Float[np.ndarray, "rests 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Skin that rested on it."""
+    place: Int[np.ndarray, "rests"] = field(default_factory=lambda: np.zeros(0, int))
+    """Number of the place where it rested."""
     bearing: Bool[np.ndarray, "rests"] = field(default_factory=lambda: np.zeros(0, bool))
     """Whether that of seat or feet, which rest neither on backs nor on arms."""
     body_m: Float[np.ndarray, "inner 3"] = field(default_factory=lambda: np.zeros((0, 3)))
@@ -63,6 +65,7 @@ class ObjectEvidence:
     filled_m: Callable[[np.ndarray], np.ndarray] | None = None
     """Signed distance of points of the world (batch, points, 3) to objects that were fitted before."""
 
-    def without_rests(self) -> ObjectEvidence:
-        """The same if nobody rested on it."""
-        return replace(self, rested_m=self.rested_m[:0], bearing=self.bearing[:0])
+    def rested_at(self, places: Collection[int]) -> ObjectEvidence:
+        """The same if only what rested at these places rested on it."""
+        here = np.isin(self.place, list(places))
+        return replace(self, rested_m=self.rested_m[here], place=self.place[here], bearing=self.bearing[here])

@@ -49,9 +49,39 @@ def recognized(
     found = _recognized(seen, log_prior, forms, sigmas)
     if len(seen.evidence.rested_m):
         odds = 0.5 * min(sigmas.looks, len(seen.evidence.rested_m)) * float(np.log1p(_APART**2))
-        apart = _recognized(replace(seen, evidence=seen.evidence.without_rests()), log_prior, forms, sigmas)
+        apart = _recognized(seen.rested_at(()), log_prior, forms, sigmas)
         found += [replace(fit, log_evidence=fit.log_evidence - odds) for fit in apart]
     return sorted(found, key=lambda fit: -fit.log_evidence)[:_KEPT]
+
+
+def rested_on_one(seen: Mapping[int, SeenObject], labels: Mapping[int, str]) -> dict[int, SeenObject]:
+    """The objects, with each place where people rested near several of them left to one: that whose own evidence
+    contradicts it least.
+
+    Args:
+        seen: By object number.
+        labels: Class of each that a network has named.
+    """
+    near = {number: set(one.evidence.place.tolist()) for number, one in seen.items()}
+    owned = {number: set(places) for number, places in near.items()}
+    apart: dict[int, float] = {}
+    for place in sorted(set().union(*near.values())):
+        rivals = [number for number, places in near.items() if place in places]
+        if len(rivals) == 1:
+            continue
+        losses = {}
+        for number in rivals:
+            if number not in apart:
+                apart[number] = _log_evidence(seen[number].rested_at(()), labels[number])
+            losses[number] = apart[number] - _log_evidence(seen[number].rested_at((place,)), labels[number])
+        for number in set(rivals) - {min(losses, key=losses.__getitem__)}:
+            owned[number].discard(place)
+    return {number: one.rested_at(owned[number]) for number, one in seen.items()}
+
+
+def _log_evidence(seen: SeenObject, label: str) -> float:
+    """That of the best form."""
+    return max(fit.log_evidence for fit in _recognized(seen, log_prior(label), None, FitSigmas()))
 
 
 def _recognized(
@@ -63,6 +93,13 @@ def _recognized(
         # Also from behind the people who were there.
         farther = _FARTHER * evidence.distance_sigma
         boxes.append((seen.box(farther), farther))
+    if len(evidence.rested_m):
+        # Also as far away as what rested on it.
+        rest_m, seen_m = (
+            np.median(np.linalg.norm(some_m - evidence.camera_m, axis=1))
+            for some_m in (evidence.rested_m, seen.points_m)
+        )
+        boxes.append((seen.box(float(np.log(rest_m / seen_m))), float(np.log(rest_m / seen_m))))
     lowest_m = max(float(np.percentile(seen.points_m[:, 1], 2)), 0.0) if evidence.raised else 0.0
     tries = [
         (form, [start for one in boxes for start in _starts(form, *one, 0.0 if form.stands else lowest_m, relief)])

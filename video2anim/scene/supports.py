@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import LIKELY, NEAR_M, REACH_M, believed, posed_vertices, skin_of
@@ -157,19 +157,22 @@ def rested_places(motion: BodyMotion, body: ShapedBody) -> list[Support]:
 
 def rested_and_inner_m(
     bodies: BodyTracks,
-) -> tuple[Float[np.ndarray, "rests 3"], Bool[np.ndarray, "rests"], Float[np.ndarray, "inner 3"]]:
-    """Skin of all people where it rested above the floor, whether it was that of seat or feet, and places inside their
-    bodies, where no object can be."""
-    rested, bearing = [np.zeros((0, 3))], [np.zeros(0, bool)]
+) -> tuple[
+    Float[np.ndarray, "rests 3"], Int[np.ndarray, "rests"], Bool[np.ndarray, "rests"], Float[np.ndarray, "inner 3"]
+]:
+    """Skin of all people where it rested above the floor, the number of the place, whether it was that of seat or feet,
+    and places inside their bodies, where no object can be."""
+    rested, number, bearing = [np.zeros((0, 3))], [np.zeros(0, int)], [np.zeros(0, bool)]
     for motion in bodies.people:
         for place in rested_places(motion, shaped_body(motion.shape)):
             high_m = place.nearest_m[place.nearest_m[:, 1] > _SAME_M]
             rested.append(high_m)
+            number.append(np.full(len(high_m), len(number)))
             bearing.append(np.full(len(high_m), place.kind in _LEVEL))
     inner = [motion.joints_world_m[motion.valid][:, list(_INNER)].reshape(-1, 3) for motion in bodies.people]
     joints_m = np.concatenate([np.zeros((0, 3)), *inner])
     _, first = np.unique(np.floor(joints_m / _LIMB_M), axis=0, return_index=True)
-    return np.concatenate(rested), np.concatenate(bearing), joints_m[first]
+    return np.concatenate(rested), np.concatenate(number), np.concatenate(bearing), joints_m[first]
 
 
 def standing_solid(
