@@ -72,6 +72,7 @@ def furnished(
     eye_m: tuple[float, float, float] = EYE_M,
     target_m: tuple[float, float, float] | None = None,
     rested_m: np.ndarray = NOBODY,
+    places: Sequence[int] = (),
     body_m: np.ndarray = NOBODY,
     depth_factor: np.ndarray | float = 1.0,
     depth_sigma: float = 0.04,
@@ -86,6 +87,7 @@ def furnished(
     """What is known of the object; the others have masks too, walls have none.
 
     Args:
+        places: Where each of `rested_m` rested; by default all at one place.
         unseen: Pixels that people always hid.
         known: Pixels with depth, instead of all.
         own: The object's mask, instead of its visible pixels.
@@ -102,7 +104,9 @@ def furnished(
     views = ObjectViews(
         InstanceMasks("truth", instances, shot.mask(FLOOR)), metric(shot, depth_m, distance_sigma, known),
         np.zeros_like(own) if unseen is None else unseen,
-        PeopleEvidence(rested_m, np.arange(len(rested_m)), np.ones(len(rested_m), bool), body_m),
+        PeopleEvidence(
+            rested_m, np.array(places or [0] * len(rested_m), int), np.ones(len(rested_m), bool), body_m
+        ),
         errors or DepthErrors(depth_sigma, 1.0, 2 * distance_sigma), drawn(edges_m, shot.T_world_camera),
     )  # fmt: skip
     seen = views.object(CompletedObject(1, "object", own, np.zeros((1, 1, 3), np.uint8)), np.random.default_rng(seed))

@@ -123,8 +123,9 @@ def test_a_thing_cut_by_the_lower_border_is_not_raised() -> None:
 def test_people_count_where_they_are_near() -> None:
     rested_m = np.array([[0.0, 1.25, -3.0], [2.5, 0.5, -3.0], [0.0, 0.5, -1.0]])
     body_m = np.array([[0.0, 1.4, -2.8], [0.0, 1.0, 0.0]])
-    evidence = furnished([CABINET], rested_m=rested_m, body_m=body_m).seen.evidence
+    evidence = furnished([CABINET], rested_m=rested_m, places=(7, 8, 9), body_m=body_m).seen.evidence
     np.testing.assert_array_equal(evidence.rested_m, rested_m[:1])
+    np.testing.assert_array_equal(evidence.place, [7])
     np.testing.assert_array_equal(evidence.body_m, body_m[:1])
 
 
