@@ -94,12 +94,13 @@ def _recognized(
         farther = _FARTHER * evidence.distance_sigma
         boxes.append((seen.box(farther), farther))
     if len(evidence.rested_m):
-        # Also as far away as what rested on it.
+        # Also as far away as what rested on it, where that is elsewhere.
         rest_m, seen_m = (
             np.median(np.linalg.norm(some_m - evidence.camera_m, axis=1))
             for some_m in (evidence.rested_m, seen.points_m)
         )
-        boxes.append((seen.box(float(np.log(rest_m / seen_m))), float(np.log(rest_m / seen_m))))
+        if abs(nearer := float(np.log(rest_m / seen_m))) > evidence.distance_sigma:
+            boxes.append((seen.box(nearer), nearer))
     lowest_m = max(float(np.percentile(seen.points_m[:, 1], 2)), 0.0) if evidence.raised else 0.0
     tries = [
         (form, [start for one in boxes for start in _starts(form, *one, 0.0 if form.stands else lowest_m, relief)])
