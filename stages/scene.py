@@ -153,4 +153,4 @@ def _scanned(
     return SceneModel((), floor, (room,), grid.sdf_m, np.asarray(grid.origin_m), float(grid.spacing_m))
 
 
-STAGE = StageSpec("scene", build_scene, version=28)
+STAGE = StageSpec("scene", build_scene, version=29)

@@ -46,7 +46,7 @@ class SceneGeometry:
     def from_mesh(
         cls, vertices_m: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], *, fill: bool = False
     ) -> SceneGeometry:
-        """Triangles; exact to single precision.
+        """Triangles; see `MeshQuery`.
 
         Args:
             vertices_m: corners in the world.

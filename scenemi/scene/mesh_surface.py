@@ -12,7 +12,7 @@ _WELD_DIGITS = 5
 
 
 class MeshSurface:
-    """Triangles (faces, 3, 3), as a surface or as the solid that closed parts enclose; exact, see `MeshQuery`."""
+    """Triangles (faces, 3, 3), as a surface or as the solid that closed parts enclose; see `MeshQuery`."""
 
     def __init__(self, triangles_m: Float[np.ndarray, "faces 3 3"], *, fill: bool = False) -> None:
         self._surface = MeshQuery.of(triangles_m)

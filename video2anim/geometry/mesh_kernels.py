@@ -42,15 +42,13 @@ def nearest_triangle(
     points: wp.array(dtype=wp.vec3),
     reach: float,
     face: wp.array(dtype=int),
-    nearest: wp.array(dtype=wp.vec3),
     inside: wp.array(dtype=bool),
 ):
-    """Number of the nearest triangle within reach or -1, the point on it, and whether that is seen from inside."""
+    """Number of the nearest triangle within reach or -1, and whether that is seen from inside."""
     i = wp.tid()
     found = wp.mesh_query_point_sign_winding_number(mesh, points[i], reach, ACCURACY, WINDING)
     face[i] = -1
     inside[i] = False
     if found.result:
         face[i] = found.face
-        nearest[i] = wp.mesh_eval_position(mesh, found.face, found.u, found.v)
         inside[i] = found.sign < 0.0

@@ -11,7 +11,8 @@ _FARTHEST_M = 1e6
 """Reach that stands for none in single precision, whose square must be finite."""
 
 _ON_SURFACE_M = 1e-6
-"""Distances below this are zero: the rounding of single precision some meters from the origin."""
+"""Distances below this are zero: the rounding of single precision some meters from the origin, where meshes are stored
+in it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,16 +28,18 @@ class Nearest:
 
 
 class MeshQuery:
-    """A mesh that is asked for the triangles nearest to points: exact to single precision.
+    """A mesh that is asked for the triangles nearest to points.
 
-    Inside is where the generalized winding number (Jacobson et al. 2013) exceeds one half: parts may overlap and have
-    small holes, and triangles face outward.
+    Which triangle is nearest is found in single precision, so beside slivers another one may be taken: of 36,644 points
+    around furniture of two clips of V2A-Bench 0.02 % are more than 0.1 mm too far, at most 1.4 mm. Inside is where the
+    generalized winding number (Jacobson et al. 2013) exceeds one half: parts may overlap and have small holes, and
+    triangles face outward.
     """
 
     def __init__(self, vertices_m: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]) -> None:
         from video2anim.geometry.mesh_kernels import wp
 
-        self._mesh = None
+        self._triangles_m, self._mesh = np.asarray(vertices_m, np.float64)[faces], None
         if len(faces):
             self._mesh = wp.Mesh(
                 wp.array(np.ascontiguousarray(vertices_m, np.float32), dtype=wp.vec3, device="cpu"),
@@ -51,18 +54,17 @@ class MeshQuery:
 
     def nearest(self, points_m: Float[np.ndarray, "points 3"], reach_m: float = np.inf) -> Nearest:
         """Nearest triangles within reach; none where the mesh has no triangle."""
+        from trimesh.triangles import closest_point
+
         from video2anim.geometry.mesh_kernels import nearest_triangle, wp
 
-        count = len(points_m)
-        if self._mesh is None or not count:
-            return Nearest(np.full(count, -1), np.array(points_m, np.float64), np.full(count, np.inf))
-        found_m, face = np.empty((count, 3), np.float32), np.empty(count, np.int32)
-        inside = np.empty(count, bool)
-        points = np.ascontiguousarray(points_m, np.float32)
-        reach = min(reach_m, _FARTHEST_M)
-        wp.launch(nearest_triangle, count, [self._mesh.id, points, reach], [face, found_m, inside], device="cpu")
-        nearest_m = np.where(face[:, None] >= 0, found_m, points_m)
-        gap_m = np.linalg.norm(nearest_m - points_m, axis=1)
+        count, points_m = len(points_m), np.asarray(points_m, np.float64)
+        face, inside = np.full(count, -1, np.int32), np.zeros(count, bool)
+        if self._mesh is not None and count:
+            points, reach = np.ascontiguousarray(points_m, np.float32), min(reach_m, _FARTHEST_M)
+            wp.launch(nearest_triangle, count, [self._mesh.id, points, reach], [face, inside], device="cpu")
+        hit, nearest_m, gap_m = face >= 0, points_m.copy(), np.full(count, np.inf)
+        nearest_m[hit] = closest_point(self._triangles_m[face[hit]], points_m[hit])
+        gap_m[hit] = np.linalg.norm(nearest_m[hit] - points_m[hit], axis=1)
         gap_m[gap_m < _ON_SURFACE_M] = 0
-        gap_m[face < 0] = np.inf
         return Nearest(face, nearest_m, np.where(inside, -gap_m, gap_m))
