@@ -43,7 +43,7 @@ def nearest_triangle(
     reach: float,
     face: wp.array(dtype=int),
     inside: wp.array(dtype=bool),
-):
+) -> None:
     """Number of the nearest triangle within reach or -1, and whether that is seen from inside."""
     i = wp.tid()
     found = wp.mesh_query_point_sign_winding_number(mesh, points[i], reach, ACCURACY, WINDING)
