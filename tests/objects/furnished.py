@@ -13,6 +13,7 @@ from synthetic import planted_walk
 from video2anim.objects.evidence import ObjectViews, PeopleEvidence, SeenObject
 from video2anim.objects.observed import DepthErrors
 from video2anim.types import BodyTracks, CompletedObject, InstanceMasks, MetricDepth, ObjectInstance
+from video2anim.types.contact import RestedSkin
 
 NOBODY = np.zeros((0, 3))
 EYE_M = (0.0, 1.6, 0.0)
@@ -73,6 +74,7 @@ def furnished(
     target_m: tuple[float, float, float] | None = None,
     rested_m: np.ndarray = NOBODY,
     places: Sequence[int] = (),
+    ahead: Sequence[float] = (0.0, 0.0, 0.0),
     body_m: np.ndarray = NOBODY,
     depth_factor: np.ndarray | float = 1.0,
     depth_sigma: float = 0.04,
@@ -88,6 +90,7 @@ def furnished(
 
     Args:
         places: Where each of `rested_m` rested; by default all at one place.
+        ahead: Where people looked who sat there.
         unseen: Pixels that people always hid.
         known: Pixels with depth, instead of all.
         own: The object's mask, instead of its visible pixels.
@@ -105,7 +108,10 @@ def furnished(
         InstanceMasks("truth", instances, shot.mask(FLOOR)), metric(shot, depth_m, distance_sigma, known),
         np.zeros_like(own) if unseen is None else unseen,
         PeopleEvidence(
-            rested_m, np.array(places or [0] * len(rested_m), int), np.ones(len(rested_m), bool), body_m
+            RestedSkin(
+                rested_m, np.array(places or [0] * len(rested_m), int), np.ones(len(rested_m), bool),
+                np.tile(np.asarray(ahead, float), (len(rested_m), 1)),
+            ), body_m,
         ),
         errors or DepthErrors(depth_sigma, 1.0, 2 * distance_sigma), drawn(edges_m, shot.T_world_camera),
     )  # fmt: skip

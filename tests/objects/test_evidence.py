@@ -124,8 +124,8 @@ def test_people_count_where_they_are_near() -> None:
     rested_m = np.array([[0.0, 1.25, -3.0], [2.5, 0.5, -3.0], [0.0, 0.5, -1.0]])
     body_m = np.array([[0.0, 1.4, -2.8], [0.0, 1.0, 0.0]])
     evidence = furnished([CABINET], rested_m=rested_m, places=(7, 8, 9), body_m=body_m).seen.evidence
-    np.testing.assert_array_equal(evidence.rested_m, rested_m[:1])
-    np.testing.assert_array_equal(evidence.place, [7])
+    np.testing.assert_array_equal(evidence.rested.point_m, rested_m[:1])
+    np.testing.assert_array_equal(evidence.rested.place, [7])
     np.testing.assert_array_equal(evidence.body_m, body_m[:1])
 
 

@@ -158,7 +158,7 @@ def test_who_sits_behind_a_table_does_not_sit_on_it() -> None:
     flat = np.random.default_rng(0).uniform(-0.12, 0.12, (40, 2))
     skin = np.stack([flat[:, 0] + 0.2, np.full(40, 0.48), flat[:, 1] - 3.3], -1)
     apart, near = (fitted(furnished(parts, rested_m=points), "table") for points in (skin[:0], skin))
-    assert len(furnished(parts, rested_m=skin).seen.evidence.rested_m) == 40
+    assert len(furnished(parts, rested_m=skin).seen.evidence.rested.point_m) == 40
     np.testing.assert_allclose(near.values, apart.values, atol=1e-3)
 
 
@@ -169,12 +169,12 @@ def test_nobody_sits_on_the_top_of_a_back() -> None:
     skin = np.stack([across, np.full(40, 0.9), np.full(40, -0.22)], -1) @ about_y(0.3).T + [0.2, 0, -2.8]
     evidence = furnished(parts, rested_m=skin).seen.evidence
     values = fitted(furnished(parts), "chair").values[None]
+    rested = [replace(evidence.rested, bears=np.full(40, bears)) for bears in (True, False)]
     sits, holds = (
-        FormProblem(form("chair"), replace(evidence, bearing=np.full(40, bears)), 0.0, FitSigmas(), 3)
-        .residuals(values).cost()[0]
-        for bears in (True, False)
+        FormProblem(form("chair"), replace(evidence, rested=one), 0.0, FitSigmas(), 3).residuals(values).cost()[0]
+        for one in rested
     )  # fmt: skip
-    assert evidence.bearing.all()
+    assert evidence.rested.bears.all()
     assert sits > holds + 20
 
 
@@ -206,7 +206,7 @@ def test_bodies_count_wherever_a_hidden_part_may_reach() -> None:
     body_m = np.array([[1.35, 0.4, -3.0], [3.0, 0.4, -3.0]])
     evidence = furnished(crate(0.0), body_m=body_m, rested_m=body_m).seen.evidence
     np.testing.assert_array_equal(evidence.body_m, body_m[:1])
-    assert not len(evidence.rested_m), "nothing rested so far from what is seen"
+    assert not len(evidence.rested.point_m), "nothing rested so far from what is seen"
 
 
 def test_what_is_seen_free_stays_free() -> None:

@@ -47,9 +47,9 @@ def test_of_two_objects_the_one_that_need_not_move_so_far_was_sat_on(room: Furni
     mask = room.shot.mask(len(CHAIR))
     behind = room.views.object(CompletedObject(2, "box", mask, NO_PICTURE), np.random.default_rng(2))
     assert behind is not None
-    assert rested_on_one({1: room.seen, 2: behind}, LABELS)[1].evidence.place.tolist() == [0] * 40
+    assert rested_on_one({1: room.seen, 2: behind}, LABELS)[1].evidence.rested.place.tolist() == [0] * 40
     own = room.seen.evidence
-    touched = replace(behind.evidence, rested_m=own.rested_m, place=own.place, bearing=own.bearing)
+    touched = replace(behind.evidence, rested=own.rested)
     found = rested_on_one({1: room.seen, 2: replace(behind, evidence=touched)}, LABELS)
-    assert len(found[1].evidence.place) == 40
-    assert len(found[2].evidence.place) == len(found[2].evidence.rested_m) == 0
+    assert len(found[1].evidence.rested) == 40
+    assert len(found[2].evidence.rested) == 0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from video2anim.geometry.heading import EdgeHeadings
 from video2anim.geometry.masks import shrunk
@@ -19,6 +19,7 @@ from video2anim.objects.observed import DepthErrors, ObjectEvidence
 from video2anim.objects.occupied import Occupied
 from video2anim.objects.upright_box import UprightBox, fit_upright_box, turned_to
 from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
+from video2anim.types.contact import RestedSkin
 
 _POINTS = 160
 """Pixels of an object that are looked at; the time of a fit grows with them."""
@@ -42,12 +43,8 @@ _MIN_DISTANCE_SIGMA = 0.005
 class PeopleEvidence:
     """Where people were, in the world."""
 
-    rested_m: Float[np.ndarray, "rests 3"]
-    """Foremost skin of parts that rested on something above the floor."""
-    place: Int[np.ndarray, "rests"]
-    """Number of the place where each rested."""
-    bearing: Bool[np.ndarray, "rests"]
-    """Those of seat and feet, which bear weight."""
+    rested: RestedSkin
+    """Above the floor."""
     body_m: Float[np.ndarray, "inner 3"]
     """Joints deep in the body: no object is there."""
 
@@ -139,9 +136,7 @@ class ObjectViews:
             depth_errors=self._depth_errors,
             distance_sigma=sigma,
             raised=self._is_raised(own, points_m, nearer),
-            rested_m=people.rested_m[here],
-            place=people.place[here],
-            bearing=people.bearing[here],
+            rested=people.rested.only(here),
             body_m=people.body_m[_within(people.body_m, points_m, _AROUND_M)],
             others_m=self._others_m(own, points_m, rng),
             sides=sides,
@@ -152,12 +147,12 @@ class ObjectViews:
 
     def _may_have_rested(self, points_m: Float[np.ndarray, "points 3"], sigma: float) -> Bool[np.ndarray, "rests"]:
         """What rested at places of which most is near the object, as far away as it may be."""
-        camera_m, rested_m = self._lifter.view.T_world_camera[:3, 3], self._people.rested_m
+        camera_m, rested = self._lifter.view.T_world_camera[:3, 3], self._people.rested
         nearest = -_FARTHEST * sigma - self._depth_errors.open_bias
-        near = np.zeros(len(rested_m), bool)
+        near = np.zeros(len(rested), bool)
         for factor in np.exp(np.linspace(nearest, _FARTHEST * sigma, _DISTANCES)):
-            near |= _within(rested_m, camera_m + factor * (points_m - camera_m), _NEAR_M)
-        _, place = np.unique(self._people.place, return_inverse=True)
+            near |= _within(rested.point_m, camera_m + factor * (points_m - camera_m), _NEAR_M)
+        _, place = np.unique(rested.place, return_inverse=True)
         return (np.bincount(place, near) > 0.5 * np.bincount(place))[place]
 
     def _expected_m(self, obj: BackprojectedObject) -> Float[np.ndarray, "points 3"]:

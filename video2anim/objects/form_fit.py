@@ -74,6 +74,8 @@ class FitSigmas:
     """Sides of objects are square to their own straight edges by this: 1 degree."""
     square_observations: float = 2.0
     """Either counts as so many looks: objects that stand otherwise are outliers."""
+    forward_nats: float = 4.0
+    """Who sits on a seat with a back turns that way, but for one of 50: a judgment."""
     base_m: float = 0.005
     """Height of the feet of what stands on the floor."""
     noise_observations: float = 30.0
@@ -204,10 +206,11 @@ class FormProblem:
         loose = [self.point_weight * np.abs(away_m[:, :seen]) / noise_m, before]
         firm = [missed, outside, self.others_weight * np.maximum(-away_m[:, seen:of_others], 0)]
         of_picture = (sum(part.shape[1] for part in loose), sum(part.shape[1] for part in firm))
-        if len(evidence.rested_m):
-            own_m = self._own(values, np.broadcast_to(evidence.rested_m, (batch, *evidence.rested_m.shape)))
+        if count := len(evidence.rested):
+            own_m = self._own(values, np.broadcast_to(evidence.rested.point_m, (batch, count, 3)))
             gap_m = self._rest_gap_m(solids, own_m)
-            loose.append(_weight(sigmas.looks, len(evidence.rested_m)) * gap_m / sigmas.rest_m)
+            loose.append(_weight(sigmas.looks, count) * gap_m / sigmas.rest_m)
+            loose.append(self._sat_askew(values[:, 2])[:, None])
         if (square := evidence.sides or evidence.walls) is not None:
             loose.append(self._askew(values[:, 2], square)[:, None])
         firm.append(np.maximum(_FLESH_M - away_m[:, of_others:], 0) / sigmas.body_m)
@@ -230,12 +233,22 @@ class FormProblem:
             cost = np.full_like(cost, square.log_odds if own else 0.0)
         return np.sqrt(np.expm1(2 * cost))
 
+    def _sat_askew(self, yaw_rad: Float[np.ndarray, "batch"]) -> Float[np.ndarray, "batch"]:
+        """Deviation of a seat's front from where people looked who sat on it; none of what has no back."""
+        ahead = self.evidence.rested.ahead
+        seated = ahead.any(1)
+        if "back" not in self.part_names or not seated.any():
+            return np.zeros_like(yaw_rad)
+        x, _, z = ahead[seated].mean(0)
+        cost = 0.5 * self.sigmas.forward_nats * (1 - np.sin(yaw_rad) * x - np.cos(yaw_rad) * z)
+        return np.sqrt(np.expm1(2 * cost))
+
     def _rest_gap_m(
         self, solids: Solids, own_m: Float[np.ndarray, "batch rests 3"]
     ) -> Float[np.ndarray, "batch rests"]:
         """Distance of what rested from the parts that it may rest on; what bears weight rests on tops alone."""
         gap_m, carries = np.empty(own_m.shape[:2]), ~np.isin(self.part_names, BESIDE_SEATS)
-        bearing = self.evidence.bearing & carries.any()
+        bearing = self.evidence.rested.bears & carries.any()
         tops, fronts = _tops(solids), _tops_and_fronts(self.part_names, solids)
         gap_m[:, bearing] = np.abs(tops.distance_m(own_m[:, bearing])[:, carries]).min(1, initial=np.inf)
         gap_m[:, ~bearing] = np.abs(fronts.distance_m(own_m[:, ~bearing]).min(1))
@@ -250,15 +263,16 @@ class FormProblem:
         """True over estimated depth."""
         return np.exp(values[:, 4:5] + values[:, 5:6] * (log_depth - self.center))
 
-    def result(self, values: Float[np.ndarray, "values"], log_prior: float) -> FormFit:
-        """The fit from a start on, followed to the end."""
-        values = self.fitted(values[None], _ROUNDS)
+    def result(self, starts: Float[np.ndarray, "batch values"], log_prior: float) -> FormFit:
+        """The best fit from some starts on, followed to the end."""
+        ends = self.fitted(starts, _ROUNDS)
+        log_evidence, information = self.laplace(ends)
+        best = int(log_evidence.argmax())
+        values, variance = ends[best : best + 1], np.diag(np.linalg.pinv(information[best]))
         _, solids = self.form.build(np.exp(values[:, len(POSE) :]))
         gap_m = np.abs(solids.distance_m(self._own(values, self._depth_points_m(values))).min(1))
-        log_evidence, information = self.laplace(values)
-        variance = np.diag(np.linalg.pinv(information[0]))
         return FormFit(
-            self.form, values[0], float(log_evidence[0]) + log_prior, np.sqrt(np.maximum(variance, 0)),
+            self.form, values[0], float(log_evidence[best]) + log_prior, np.sqrt(np.maximum(variance, 0)),
             float(gap_m.mean()) if gap_m.size else float("inf"),
         )  # fmt: skip
 

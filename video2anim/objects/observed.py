@@ -6,10 +6,11 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from video2anim.geometry.heading import Heading
 from video2anim.types.camera import Intrinsics
+from video2anim.types.contact import RestedSkin
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +49,8 @@ class ObjectEvidence:
     """Standard deviation of the logarithm of the object's whole distance."""
     raised: bool = False
     """It does not stand on the floor."""
-    rested_m: Float[np.ndarray, "rests 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    rested: RestedSkin = field(default_factory=RestedSkin.nothing)
     """Skin that rested on it."""
-    place: Int[np.ndarray, "rests"] = field(default_factory=lambda: np.zeros(0, int))
-    """Number of the place where it rested."""
-    bearing: Bool[np.ndarray, "rests"] = field(default_factory=lambda: np.zeros(0, bool))
-    """Whether that of seat or feet, which rest neither on backs nor on arms."""
     body_m: Float[np.ndarray, "inner 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Points where bodies were; independent of each other."""
     others_m: Float[np.ndarray, "others 3"] = field(default_factory=lambda: np.zeros((0, 3)))
@@ -67,5 +64,4 @@ class ObjectEvidence:
 
     def rested_at(self, places: Collection[int]) -> ObjectEvidence:
         """The same if only what rested at these places rested on it."""
-        here = np.isin(self.place, list(places))
-        return replace(self, rested_m=self.rested_m[here], place=self.place[here], bearing=self.bearing[here])
+        return replace(self, rested=self.rested.only(np.isin(self.rested.place, list(places))))

@@ -23,8 +23,8 @@ _RAISED = 0.05
 """Prior probability that one of them stands on something other than the floor."""
 _FARTHER = 3.0
 """Standard deviations of its distance by which an object of a second start is farther."""
-_KEPT = 4
-"""Forms that are fitted at full resolution."""
+_KEPT, _ENDS = 4, 2
+"""Forms that are fitted at full resolution, and from how many of the ends that their starts have reached."""
 _APART = 2.5
 """What rested near an object rested on something else if that explains more than deviations of so many standard
 deviations, 1 nat a look: who sits behind a table does not sit on it. Leaving the rests out gains up to 0.8 nats where
@@ -47,8 +47,8 @@ def recognized(
     """
     sigmas = FitSigmas() if sigmas is None else sigmas
     found = _recognized(seen, log_prior, forms, sigmas)
-    if len(seen.evidence.rested_m):
-        odds = 0.5 * min(sigmas.looks, len(seen.evidence.rested_m)) * float(np.log1p(_APART**2))
+    if len(seen.evidence.rested):
+        odds = 0.5 * min(sigmas.looks, len(seen.evidence.rested)) * float(np.log1p(_APART**2))
         apart = _recognized(seen.rested_at(()), log_prior, forms, sigmas)
         found += [replace(fit, log_evidence=fit.log_evidence - odds) for fit in apart]
     return sorted(found, key=lambda fit: -fit.log_evidence)[:_KEPT]
@@ -62,7 +62,7 @@ def rested_on_one(seen: Mapping[int, SeenObject], labels: Mapping[int, str]) -> 
         seen: By object number.
         labels: Class of each that a network has named.
     """
-    near = {number: set(one.evidence.place.tolist()) for number, one in seen.items()}
+    near = {number: set(one.evidence.rested.place.tolist()) for number, one in seen.items()}
     owned = {number: set(places) for number, places in near.items()}
     apart: dict[int, float] = {}
     for place in sorted(set().union(*near.values())):
@@ -93,11 +93,11 @@ def _recognized(
         # Also from behind the people who were there.
         farther = _FARTHER * evidence.distance_sigma
         boxes.append((seen.box(farther), farther))
-    if len(evidence.rested_m):
+    if len(evidence.rested):
         # Also as far away as what rested on it, where that is elsewhere.
         rest_m, seen_m = (
             np.median(np.linalg.norm(some_m - evidence.camera_m, axis=1))
-            for some_m in (evidence.rested_m, seen.points_m)
+            for some_m in (evidence.rested.point_m, seen.points_m)
         )
         if abs(nearer := float(np.log(rest_m / seen_m))) > evidence.distance_sigma:
             boxes.append((seen.box(nearer), nearer))
@@ -116,13 +116,13 @@ def _recognized(
         tried = problem.fitted(np.stack(starts), _SCREEN_ROUNDS)
         prior = _prior(form, base_m, log_prior)
         scores = problem.laplace(tried)[0] + prior
-        screened.append((float(scores.max()), form, tried[int(scores.argmax())]))
+        screened.append((float(scores.max()), form, tried[np.argsort(-scores)[:_ENDS]]))
     screened.sort(key=lambda one: -one[0])
     found = []
-    for _, form, values in screened[:_KEPT]:
+    for _, form, ends in screened[:_KEPT]:
         base_m = 0.0 if form.stands else lowest_m
         problem = FormProblem(form, evidence, base_m, sigmas, _SAMPLES)
-        found.append(problem.result(values, _prior(form, base_m, log_prior)))
+        found.append(problem.result(ends, _prior(form, base_m, log_prior)))
     return found
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import LIKELY, NEAR_M, REACH_M, believed, posed_vertices, skin_of
@@ -16,6 +16,7 @@ from video2anim.geometry.runs import runs
 from video2anim.geometry.scene_mesh import box_mesh, world_mesh
 from video2anim.geometry.sdf import SdfGrid, build_sdf_grid
 from video2anim.scene.free_space import passed_through
+from video2anim.types.contact import RestedSkin
 from video2anim.types.motion import BodyMotion, BodyTracks
 from video2anim.types.scene import Mesh
 from video2anim.types.skeleton import JOINT_INDEX, PARENTS, TOUCHING_PARTS, forward_kinematics
@@ -79,6 +80,8 @@ class Rest:
     """Foremost skin point of each frame."""
     joint_m: Float[np.ndarray, "frames 3"]
     """The part's joint."""
+    ahead: Float[np.ndarray, "frames 3"]
+    """Unit direction in which the body looks from there."""
 
     @property
     def place_m(self) -> Float[np.ndarray, "3"]:
@@ -97,6 +100,8 @@ class Support:
     level: bool
     nearest_m: Float[np.ndarray, "frames 3"]
     """Foremost skin point in each frame of its rests."""
+    ahead: Float[np.ndarray, "frames 3"]
+    """As of its rests."""
     over_m: float
     """Distance of the part's joint from the surface during the rests."""
 
@@ -155,24 +160,20 @@ def rested_places(motion: BodyMotion, body: ShapedBody) -> list[Support]:
     return found
 
 
-def rested_and_inner_m(
-    bodies: BodyTracks,
-) -> tuple[
-    Float[np.ndarray, "rests 3"], Int[np.ndarray, "rests"], Bool[np.ndarray, "rests"], Float[np.ndarray, "inner 3"]
-]:
-    """Skin of all people where it rested above the floor, the number of the place, whether it was that of seat or feet,
-    and places inside their bodies, where no object can be."""
-    rested, number, bearing = [np.zeros((0, 3))], [np.zeros(0, int)], [np.zeros(0, bool)]
+def rested_and_inner_m(bodies: BodyTracks) -> tuple[RestedSkin, Float[np.ndarray, "inner 3"]]:
+    """Skin of all people where it rested above the floor, and places inside their bodies, where no object can be."""
+    rested = [RestedSkin.nothing()]
     for motion in bodies.people:
         for place in rested_places(motion, shaped_body(motion.shape)):
-            high_m = place.nearest_m[place.nearest_m[:, 1] > _SAME_M]
-            rested.append(high_m)
-            number.append(np.full(len(high_m), len(number)))
-            bearing.append(np.full(len(high_m), place.kind in _LEVEL))
+            high = place.nearest_m[:, 1] > _SAME_M
+            count = int(high.sum())
+            ahead = place.ahead[high] if place.kind == "seat" else np.zeros((count, 3))
+            bears = np.full(count, place.kind in _LEVEL)
+            rested.append(RestedSkin(place.nearest_m[high], np.full(count, len(rested)), bears, ahead))
     inner = [motion.joints_world_m[motion.valid][:, list(_INNER)].reshape(-1, 3) for motion in bodies.people]
     joints_m = np.concatenate([np.zeros((0, 3)), *inner])
     _, first = np.unique(np.floor(joints_m / _LIMB_M), axis=0, return_index=True)
-    return np.concatenate(rested), np.concatenate(number), np.concatenate(bearing), joints_m[first]
+    return RestedSkin.joined(rested), joints_m[first]
 
 
 def standing_solid(
@@ -235,7 +236,8 @@ def _rests(
         foremost = ahead_m.argmax(1)
         patch = ahead_m > ahead_m.max(1, keepdims=True) - NEAR_M
         nearest_m = skin_m[np.arange(len(frames)), foremost]
-        yield Rest(len(frames), -facing, level, skin_m[patch], nearest_m, joints_m[:, joints[0]])
+        ahead = R_world_joint[:, joints[0], :, 2]
+        yield Rest(len(frames), -facing, level, skin_m[patch], nearest_m, joints_m[:, joints[0]], ahead)
 
 
 def _at_one_place(rests: list[Rest]) -> list[list[Rest]]:
@@ -271,4 +273,5 @@ def _support(kind: str, rests: list[Rest]) -> Support:
     T_world_top[:3, :3] = R_world_top
     T_world_top[:3, 3] = R_world_top @ [center[0], top_m, center[1]]
     over_m = float(np.median(np.concatenate([rest.joint_m for rest in rests]) @ normal)) - top_m
-    return Support(kind, T_world_top, high - low, rests[0].level, nearest_m, over_m)
+    ahead = np.concatenate([rest.ahead for rest in rests])
+    return Support(kind, T_world_top, high - low, rests[0].level, nearest_m, ahead, over_m)
