@@ -178,6 +178,22 @@ def test_nobody_sits_on_the_top_of_a_back() -> None:
     assert sits > holds + 20
 
 
+@pytest.mark.parametrize(("name", "nats"), [("chair", 4.0), ("stool", 0.0)])
+def test_who_sits_looks_away_from_the_back(name: str, nats: float) -> None:
+    """A stool has none."""
+    parts, yaw_rad = moved(chair(), (0.2, -2.8), 0.3), 0.3
+    skin_m = np.tile([0.2, 0.46, -2.8], (40, 1))
+    values = fitted(furnished(parts), name).values[None].copy()
+    values[:, 2], ahead = yaw_rad, np.array([np.sin(yaw_rad), 0.0, np.cos(yaw_rad)])
+    forward, astride, unknown = (
+        FormProblem(form(name), furnished(parts, rested_m=skin_m, ahead=one).seen.evidence, 0.0, FitSigmas(), 3)
+        .residuals(values).cost()[0]
+        for one in (ahead, -ahead, 0 * ahead)
+    )  # fmt: skip
+    assert astride - forward == pytest.approx(nats)
+    assert unknown == pytest.approx(forward)
+
+
 def test_bodies_are_not_inside() -> None:
     """Of a cabinet the front alone is seen; somebody was 0.25 m behind it, so it is not as deep as cabinets are."""
     front, eye_m = [Block((0, 0.6, -3.0), (1.0, 1.2, 0.45))], (0.0, 0.8, 0.0)

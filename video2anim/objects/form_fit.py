@@ -241,7 +241,7 @@ class FormProblem:
             return np.zeros_like(yaw_rad)
         x, _, z = ahead[seated].mean(0)
         cost = 0.5 * self.sigmas.forward_nats * (1 - np.sin(yaw_rad) * x - np.cos(yaw_rad) * z)
-        return np.sqrt(np.expm1(2 * cost))
+        return np.sqrt(np.expm1(2 * np.maximum(cost, 0)))
 
     def _rest_gap_m(
         self, solids: Solids, own_m: Float[np.ndarray, "batch rests 3"]
