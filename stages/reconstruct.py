@@ -152,4 +152,4 @@ def _foreign(
         return None
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=35, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=36, models=(SLOT,))

@@ -146,12 +146,13 @@ class ObjectViews:
         return SeenObject(evidence, points_m, self._normals[obj.shows], own, outline)
 
     def _may_have_rested(self, points_m: Float[np.ndarray, "points 3"], sigma: float) -> Bool[np.ndarray, "rests"]:
-        """What rested at places of which most is near the object, as far away as it may be."""
+        """What rested at places of which most is near the object: where it is seen, or as far away as it may be if the
+        part bears weight. Hands and backs are also still in the air."""
         camera_m, rested = self._lifter.view.T_world_camera[:3, 3], self._people.rested
         nearest = -_FARTHEST * sigma - self._depth_errors.open_bias
-        near = np.zeros(len(rested), bool)
+        near = _within(rested.point_m, points_m, _NEAR_M)
         for factor in np.exp(np.linspace(nearest, _FARTHEST * sigma, _DISTANCES)):
-            near |= _within(rested.point_m, camera_m + factor * (points_m - camera_m), _NEAR_M)
+            near |= rested.bears & _within(rested.point_m, camera_m + factor * (points_m - camera_m), _NEAR_M)
         _, place = np.unique(rested.place, return_inverse=True)
         return (np.bincount(place, near) > 0.5 * np.bincount(place))[place]
 
