@@ -60,6 +60,13 @@ def test_against_all_triangles_of_a_shape_that_is_not_convex() -> None:
     np.testing.assert_array_equal(found.distance_m < 0, shape.contains(points_m))
 
 
+def test_a_mesh_that_is_turned_inside_out_has_the_same_inside() -> None:
+    points_m = np.random.default_rng(2).uniform([-0.4, -0.1, -0.6], [0.4, 0.5, 0.6], (2_000, 3)) + 5.0
+    both = [MeshQuery.of(one + 5.0).nearest(points_m) for one in (triangles_m(), triangles_m()[:, ::-1])]
+    assert (both[0].distance_m < 0).any()
+    np.testing.assert_allclose(both[1].distance_m, both[0].distance_m, atol=1e-6)
+
+
 def test_where_parts_overlap_is_inside() -> None:
     apart_m = np.array([0.0, 0.0, 0.3])
     both = MeshQuery.of(np.concatenate([triangles_m(), triangles_m() + apart_m]))

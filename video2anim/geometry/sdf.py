@@ -104,8 +104,7 @@ def build_sdf_grid(
     depth, as for any union by minimum.
 
     Args:
-        solids: meshes in world coordinates whose triangles face outward, ideally watertight; one without faces is
-            skipped.
+        solids: meshes in world coordinates, ideally watertight; one without faces is skipped.
         bounds_m: lowest and highest corner of the grid; the highest is rounded up to a whole spacing.
         floor_y_m: height of the floor plane, None for none.
         reach_m: solids farther from a node than this are not looked for, which is much faster: the node keeps the
