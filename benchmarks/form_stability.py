@@ -28,7 +28,7 @@ from video2anim.geometry.masks import never_seen
 from video2anim.objects.evidence import ObjectViews, PeopleEvidence, SeenObject
 from video2anim.objects.form_fit import FormFit
 from video2anim.objects.observed import DepthErrors
-from video2anim.objects.recognize import labeled_fits, rested_on_one
+from video2anim.objects.recognize import rested_on_one
 from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.scene.supports import rested_and_inner_m
 from video2anim.types import BackgroundImage, CompletedObjects, InstanceMasks, MetricDepth
@@ -83,10 +83,10 @@ def of_scene(scene: Path, draws: int) -> list[dict]:
     ]  # fmt: skip
     for found in views.surest_first(completed.objects):
         fits, labels, began = [], Counter(), time.process_time()
-        for seen in [each[found.object_id] for each in drawn if found.object_id in each]:
-            ranked, label = labeled_fits(seen, found.label)
+        for one in [each[found.object_id] for each in drawn if found.object_id in each]:
+            ranked, label = one.fits()
             labels[label] += 1
-            fits.append((seen, ranked))
+            fits.append((one.seen, ranked))
         if not fits:
             continue
         seconds = (time.process_time() - began) / draws

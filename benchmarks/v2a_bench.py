@@ -55,7 +55,7 @@ def main() -> None:
         "--set", nargs="*", default=[], metavar="STAGE.OPTION=VALUE", help="an ablation; no README table then"
     )
     parser.add_argument(
-        "--given-height", action="store_true", help="give the main person's true body height; no README table then"
+        "--given-height", action="store_true", help="give everybody's true body height; no README table then"
     )
     parser.add_argument("--record", action="store_true", help="write the digests of the clips beside this script")
     options = parser.parse_args()
@@ -109,12 +109,25 @@ def make(options: argparse.Namespace, truth: Path) -> dict[str, Any]:
 
 def run_pipeline(truth: Path, scene_dir: Path, options: argparse.Namespace) -> None:
     """Run the stages up to refine for all persons of the clip."""
-    words = ["--person", "all", "--until", "refine", "--overwrite"]
+    words = ["run", str(truth / "video.mp4"), "--out", str(scene_dir), "--person", "all", "--overwrite"]
     for setting in options.set:
         words += ["--set", setting]
     if options.given_height:
-        words += ["--height-m", f"1={shaped_body(read_truth(truth).main.shape).height_m:.3f}"]
-    call("run", str(truth / "video.mp4"), "--out", str(scene_dir), *words)
+        call(*words, "--until", "humans")
+        words += ["--height-m", true_heights(truth, scene_dir)]
+    call(*words, "--until", "refine")
+
+
+def true_heights(truth_dir: Path, scene_dir: Path) -> str:
+    """The argument of `--height-m` for the persons found in a clip."""
+    truth, result = read_truth(truth_dir), SceneResult(scene_dir)
+    bodies = result.get(BodyTracks)
+    if bodies is None:
+        sys.exit(f"{scene_dir}: {result.why(BodyTracks)}")
+    found = bodies.people
+    matches = match_people(found, truth, match_frames(result.clip, truth))
+    heights_m = {found[one.estimate].person_id: shaped_body(truth.people[one.truth].shape).height_m for one in matches}
+    return ",".join(f"{person}={height_m:.3f}" for person, height_m in heights_m.items())
 
 
 def call(*words: str) -> None:

@@ -112,10 +112,10 @@ def reconstruct_objects(
             ctx.warn(f"object {found.object_id} has too little reliable depth and is dropped")
         else:
             seen[found.object_id] = one
-    seen = rested_on_one(seen, {found.object_id: found.label for found in completed.objects})
+    rested = rested_on_one(seen, {found.object_id: found.label for found in completed.objects})
     for done, found in enumerate(views.surest_first([one for one in completed.objects if one.object_id in seen])):
         mesh = _foreign(found, seen[found.object_id], foreign, config, ctx)
-        meshes.append(mesh or fitted(found, seen[found.object_id], views, background.background_rgb, view))
+        meshes.append(mesh or fitted(found, rested[found.object_id], views, background.background_rgb, view))
         ctx.progress(done + 1, len(seen))
     ctx.quality("meshes", len(meshes), "count")
     ctx.quality("dropped", len(completed.objects) - len(meshes), "count", "lower")
@@ -152,4 +152,4 @@ def _foreign(
         return None
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=36, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=37, models=(SLOT,))

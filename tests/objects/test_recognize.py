@@ -10,7 +10,7 @@ from seen_boxes import Block, table
 from video2anim.objects.extrusion import OUTLINE
 from video2anim.objects.furniture import BOX, FORMS
 from video2anim.objects.meshing import outline_iou
-from video2anim.objects.recognize import labeled_fits, log_prior, recognized
+from video2anim.objects.recognize import Recognition, log_prior, recognized
 
 CLASSES = {form.name for form in FORMS} | {OUTLINE}
 
@@ -46,7 +46,7 @@ def test_a_shelf_full_of_books_is_told_from_a_cabinet_by_its_name_alone() -> Non
 def test_a_wrong_word_is_outvoted_by_the_outline_and_the_depth() -> None:
     """A chair that a network calls a lamp stays a chair, and is called one."""
     seen = furnished(THINGS["chair"]).seen
-    (fit, *_), label = labeled_fits(seen, "lamp")
+    (fit, *_), label = Recognition(seen, "lamp").fits()
     assert (fit.form.name, label) == ("chair", "chair")
     lamp = recognized(seen, {"lamp": 0.0})[0]
     overlap, whole = (outline_iou(one, seen.evidence, seen.own) for one in (lamp, fit))
@@ -56,10 +56,10 @@ def test_a_wrong_word_is_outvoted_by_the_outline_and_the_depth() -> None:
 def test_a_label_with_impossible_sizes_is_rejected() -> None:
     """A screen 2.6 m high is no chair; a chair is one."""
     screen = furnished([Block((0.2, 1.3, -3.6), (1.8, 2.6, 0.1), 0.2)]).seen
-    (fit, *_), label = labeled_fits(screen, "chair")
+    (fit, *_), label = Recognition(screen, "chair").fits()
     assert label == fit.form.name
     assert label not in ("chair", "armchair", "stool", "sofa")
-    (fit, *_), label = labeled_fits(furnished(THINGS["chair"]).seen, "swivel chair")
+    (fit, *_), label = Recognition(furnished(THINGS["chair"]).seen, "swivel chair").fits()
     assert (fit.form.name, label) == ("chair", "swivel chair")
 
 
@@ -67,13 +67,13 @@ def test_a_label_decides_between_forms_that_look_alike() -> None:
     """A cabinet and a plain box are the same solid."""
     seen = furnished(THINGS["box"]).seen
     for word in ("box", "wardrobe"):
-        (fit, *_), label = labeled_fits(seen, word)
+        (fit, *_), label = Recognition(seen, word).fits()
         assert (fit.form.name, label) == ({"wardrobe": "cabinet"}.get(word, word), word)
 
 
 def test_a_label_without_a_form_is_kept() -> None:
     """It says nothing about the form."""
-    assert labeled_fits(furnished(THINGS["box"]).seen, "piano")[1] == "piano"
+    assert Recognition(furnished(THINGS["box"]).seen, "piano").fits()[1] == "piano"
 
 
 def test_a_chair_is_not_turned_around() -> None:

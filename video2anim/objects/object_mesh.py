@@ -8,19 +8,19 @@ from jaxtyping import UInt8
 
 from video2anim.objects.evidence import ObjectViews, SeenObject
 from video2anim.objects.meshing import ObjectPicture, form_mesh, outline_iou
-from video2anim.objects.recognize import labeled_fits
+from video2anim.objects.recognize import Recognition
 from video2anim.types import CompletedObject, Mesh, ObjectMesh, View
 
 
 def fitted(
     found: CompletedObject,
-    seen: SeenObject,
+    recognition: Recognition,
     views: ObjectViews,
     background_rgb: UInt8[np.ndarray, "height width 3"],
     view: View,
 ) -> ObjectMesh:
     """The form with the most evidence, painted with the picture; it fills its space in `views`."""
-    (best, *_), label = labeled_fits(seen, found.label)
+    (best, *_), label = recognition.fits()
     views.fill(best)
     picture = ObjectPicture(_completed_picture(found, background_rgb), found.amodal_mask, view)
     mesh, parts, texture = form_mesh(best, picture)
@@ -28,7 +28,7 @@ def fitted(
     return ObjectMesh(
         found.object_id, label, f"form: {best.form.name}{' ' * bool(best.form.variant)}{best.form.variant}", mesh,
         best.T_world_object, parts, (texture,), best.chamfer_m, float(np.hypot(*sigma[:2])), float(sigma[2]),
-        float(np.sqrt(np.mean(sigma[6:] ** 2))), outline_iou(best, seen.evidence, seen.own),
+        float(np.sqrt(np.mean(sigma[6:] ** 2))), outline_iou(best, recognition.seen.evidence, recognition.seen.own),
     )  # fmt: skip
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -46,47 +48,86 @@ def recognized(
         forms: Those that are tried; by default all, and the object's outline with a thickness.
     """
     sigmas = FitSigmas() if sigmas is None else sigmas
-    found = _recognized(seen, log_prior, forms, sigmas)
-    if len(seen.evidence.rested):
-        odds = 0.5 * min(sigmas.looks, len(seen.evidence.rested)) * float(np.log1p(_APART**2))
-        apart = _recognized(seen.rested_at(()), log_prior, forms, sigmas)
-        found += [replace(fit, log_evidence=fit.log_evidence - odds) for fit in apart]
-    return sorted(found, key=lambda fit: -fit.log_evidence)[:_KEPT]
+    return _refined(_screened(seen, log_prior, forms, sigmas), seen, sigmas)
 
 
-def rested_on_one(seen: Mapping[int, SeenObject], labels: Mapping[int, str]) -> dict[int, SeenObject]:
-    """The objects, with each place where people rested near several of them left to one: that whose own evidence
-    contradicts it least.
+class Recognition:
+    """An object of which a network has told the class."""
+
+    def __init__(self, seen: SeenObject, label: str) -> None:
+        self.seen, self.label = seen, label
+
+    @cached_property
+    def screened(self) -> list[Screened]:
+        """All forms at low resolution, best first."""
+        return _screened(self.seen, log_prior(self.label), None, FitSigmas())
+
+    def evidence_over(self, apart: Recognition, place: int) -> float:
+        """Gain of log evidence over the same object if what rested at a place rested on something else."""
+        rests, looks = self.seen.evidence.rested, FitSigmas().looks
+        own = min(looks / len(rests), 1.0) * float((rests.place == place).sum())
+        odds = 0.5 * own * float(np.log1p(_APART**2))
+        return self.screened[0].score - apart.screened[0].score + odds
+
+    def fits(self) -> tuple[list[FormFit], str]:
+        """The forms fitted at full resolution, best first, and the object's label: the best form's class where its own
+        names none, or another class."""
+        fits, meant = _refined(self.screened, self.seen, FitSigmas()), _meant(self.label)
+        kept = self.label not in _UNNAMED if meant is None else fits[0].form.name in meant
+        return fits, self.label if kept else fits[0].form.name
+
+
+def rested_on_one(seen: Mapping[int, SeenObject], labels: Mapping[int, str]) -> dict[int, Recognition]:
+    """The objects, with each place where people rested near them left to one: that whose evidence it lowers least, or
+    none if it is more likely that they rested on something else. The places with the most points come first.
 
     Args:
         seen: By object number.
         labels: Class of each that a network has named.
     """
-    near = {number: set(one.evidence.rested.place.tolist()) for number, one in seen.items()}
-    owned = {number: set(places) for number, places in near.items()}
-    apart: dict[int, float] = {}
-    for place in sorted(set().union(*near.values())):
-        rivals = [number for number, places in near.items() if place in places]
-        if len(rivals) == 1:
-            continue
-        losses = {}
-        for number in rivals:
-            if number not in apart:
-                apart[number] = _log_evidence(seen[number].rested_at(()), labels[number])
-            losses[number] = apart[number] - _log_evidence(seen[number].rested_at((place,)), labels[number])
-        for number in set(rivals) - {min(losses, key=losses.__getitem__)}:
-            owned[number].discard(place)
-    return {number: one.rested_at(owned[number]) for number, one in seen.items()}
+    points = {number: Counter(one.evidence.rested.place.tolist()) for number, one in seen.items()}
+    owned: dict[int, list[int]] = {number: [] for number in seen}
+    found = {number: Recognition(one.rested_at(()), labels[number]) for number, one in seen.items()}
+    for place, _ in sum(points.values(), Counter()).most_common():
+        tried = {
+            number: Recognition(seen[number].rested_at([*owned[number], place]), labels[number])
+            for number in seen
+            if place in points[number]
+        }
+        gains = {number: one.evidence_over(found[number], place) for number, one in tried.items()}
+        best = max(gains, key=gains.__getitem__)
+        if gains[best] > 0:
+            owned[best].append(place)
+            found[best] = tried[best]
+    return found
 
 
-def _log_evidence(seen: SeenObject, label: str) -> float:
-    """That of the best form."""
-    return max(fit.log_evidence for fit in _recognized(seen, log_prior(label), None, FitSigmas()))
+@dataclass(frozen=True, slots=True, eq=False)
+class Screened:
+    """A form after a few rounds at low resolution."""
+
+    form: Form
+    base_m: float
+    log_prior: float
+    score: float
+    """Log evidence of the best end."""
+    ends: Float[np.ndarray, "ends values"]
+    """The best first."""
 
 
-def _recognized(
+def _refined(screened: Sequence[Screened], seen: SeenObject, sigmas: FitSigmas) -> list[FormFit]:
+    """The first of them at full resolution, best first."""
+    fits = [
+        FormProblem(one.form, seen.evidence, one.base_m, sigmas, _SAMPLES).result(one.ends, one.log_prior)
+        for one in screened[:_KEPT]
+    ]
+    return sorted(fits, key=lambda fit: -fit.log_evidence)
+
+
+def _screened(
     seen: SeenObject, log_prior: Mapping[str, float], forms: Sequence[Form] | None, sigmas: FitSigmas
-) -> list[FormFit]:
+) -> list[Screened]:
+    """All forms at low resolution, best first."""
     evidence, box, relief = seen.evidence, seen.box(), seen.evidence.depth_errors.relief
     boxes = [(box, 0.0)]
     if box.holds(evidence.body_m).any():
@@ -116,14 +157,9 @@ def _recognized(
         tried = problem.fitted(np.stack(starts), _SCREEN_ROUNDS)
         prior = _prior(form, base_m, log_prior)
         scores = problem.laplace(tried)[0] + prior
-        screened.append((float(scores.max()), form, tried[np.argsort(-scores)[:_ENDS]]))
-    screened.sort(key=lambda one: -one[0])
-    found = []
-    for _, form, ends in screened[:_KEPT]:
-        base_m = 0.0 if form.stands else lowest_m
-        problem = FormProblem(form, evidence, base_m, sigmas, _SAMPLES)
-        found.append(problem.result(ends, _prior(form, base_m, log_prior)))
-    return found
+        ends = tried[np.argsort(-scores)[:_ENDS]]
+        screened.append(Screened(form, base_m, prior, float(scores.max()), ends))
+    return sorted(screened, key=lambda one: -one.score)
 
 
 def _prior(form: Form, base_m: float, log_prior: Mapping[str, float]) -> float:
@@ -194,11 +230,3 @@ def _meant(label: str) -> dict[str, float] | None:
     """Odds of the classes that a label may mean; None if no form has that name."""
     name = _SYNONYMS.get(label, label)
     return {name: 1.0, **_BROAD.get(name, {})} if name in _CLASSES else None
-
-
-def labeled_fits(seen: SeenObject, label: str) -> tuple[list[FormFit], str]:
-    """The forms, best first, and the object's label: the best form's class where the given one names none, or another
-    class."""
-    fits, meant = recognized(seen, log_prior(label)), _meant(label)
-    kept = label not in _UNNAMED if meant is None else fits[0].form.name in meant
-    return fits, label if kept else fits[0].form.name
