@@ -88,7 +88,8 @@ def rested_on_one(seen: Mapping[int, SeenObject], labels: Mapping[int, str]) -> 
     points = {number: Counter(one.evidence.rested.place.tolist()) for number, one in seen.items()}
     owned: dict[int, list[int]] = {number: [] for number in seen}
     found = {number: Recognition(one.rested_at(()), labels[number]) for number, one in seen.items()}
-    for place, _ in sum(points.values(), Counter()).most_common():
+    total = sum(points.values(), Counter())
+    for place in sorted(total, key=lambda place: -total[place]):
         tried = {
             number: Recognition(seen[number].rested_at([*owned[number], place]), labels[number])
             for number in seen
