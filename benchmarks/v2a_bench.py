@@ -114,12 +114,13 @@ def run_pipeline(truth: Path, scene_dir: Path, options: argparse.Namespace) -> N
         words += ["--set", setting]
     if options.given_height:
         call(*words, "--until", "humans")
-        words += ["--height-m", true_heights(truth, scene_dir)]
+        if heights := true_heights(truth, scene_dir):
+            words += ["--height-m", heights]
     call(*words, "--until", "refine")
 
 
 def true_heights(truth_dir: Path, scene_dir: Path) -> str:
-    """The argument of `--height-m` for the persons found in a clip."""
+    """The argument of `--height-m` for the persons found in a clip; empty if none is a true one."""
     truth, result = read_truth(truth_dir), SceneResult(scene_dir)
     bodies = result.get(BodyTracks)
     if bodies is None:
