@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import map_coordinates
 
 from video2anim.geometry.heading import Heading
 from video2anim.objects.furniture import Form
@@ -314,7 +315,7 @@ class FormProblem:
         free = np.where(within, evidence.free_m[at], 0.0)
         free = free * self._correction(values, np.log(np.where(free > 0, free, 1.0)))
         before = np.log(np.maximum(free / z, 1.0)) / np.hypot(evidence.depth_errors.sigma, self.sigmas.form_m / z)
-        outside = _sampled(evidence.outside_px, u, v) * self.pixel_m / self.outline_m
+        outside = map_coordinates(evidence.outside_px, [v, u], order=1) * self.pixel_m / self.outline_m
         # Outlines lose what is thin.
         outside *= np.repeat(~np.isin(self.part_names, THIN), surface_m.shape[1] // len(self.part_names))
         return weight * outside, weight * before
@@ -385,15 +386,3 @@ def _tops_and_fronts(names: Sequence[str], solids: Solids) -> Solids:
     center_m[:, leaning] = (solids.center_m - 0.5 * _BEHIND_M * away)[:, leaning]
     half_m[:, leaning] = solids.half_m[:, leaning] + [0.0, 0.0, 0.5 * _BEHIND_M]
     return replace(solids, center_m=center_m, half_m=half_m)
-
-
-def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Bilinear values of a picture; 0 beyond its edges, where nothing is known."""
-    height, width = image.shape
-    inside = (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
-    u, v = np.clip(u, 0, width - 1.001), np.clip(v, 0, height - 1.001)
-    i, j = u.astype(int), v.astype(int)
-    a, b = u - i, v - j
-    value = (image[j, i] * (1 - a) + image[j, i + 1] * a) * (1 - b)
-    value += (image[j + 1, i] * (1 - a) + image[j + 1, i + 1] * a) * b
-    return np.where(inside, value, 0.0)
