@@ -64,12 +64,17 @@ class Recognition:
         """All forms at low resolution, best first."""
         return _screened(self.seen, log_prior(self.label), None, FitSigmas())
 
+    @cached_property
+    def log_evidence(self) -> float:
+        """Of the best form, fitted to the end: after a few rounds it is known to some 10 nats."""
+        return _refined(self.screened[:1], self.seen)[0].log_evidence
+
     def evidence_over(self, apart: Recognition, place: int) -> float:
         """Gain of log evidence over the same object if what rested at a place rested on something else."""
         rests, looks = self.seen.evidence.rested, FitSigmas().looks
         own = min(looks / len(rests), 1.0) * float((rests.place == place).sum())
         odds = 0.5 * own * float(np.log1p(_APART**2))
-        return self.screened[0].score - apart.screened[0].score + odds
+        return self.log_evidence - apart.log_evidence + odds
 
     def fits(self) -> tuple[list[FormFit], str]:
         """The forms fitted at full resolution, best first, and the object's label: the best form's class where its own
