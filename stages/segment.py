@@ -39,8 +39,6 @@ class SegmentConfig:
     """Detector of chairs, tables and boxes, trained on photographs; `none` for no detector."""
     finder_score: Annotated[float, limits(ge=0, le=1)] = 0.5
     """Minimum score of its detections: below it most are wrong on background images of real clips."""
-    chair_score: Annotated[float, limits(ge=0, le=1)] = 0.3
-    """Minimum score of a chair whose 3D box the detector's second network confirms."""
     min_ratio: Annotated[float, limits(ge=0, le=1)] = 0.004
     """Minimum share of the image."""
     min_m: Annotated[float, limits("m", ge=0, le=1000)] = 0.15
@@ -126,12 +124,9 @@ def _detected(
 
     if config.finder == NO_MODEL:
         return []
-    found = detected_furniture(
-        ctx.model(config.finder), image, depth_m, floor,
-        min_score=config.finder_score, min_chair_score=config.chair_score,
-    )  # fmt: skip
+    found = detected_furniture(ctx.model(config.finder), image, depth_m, floor, min_score=config.finder_score)
     ctx.quality("named_by_detector", len(found), "count")
     return found
 
 
-STAGE = StageSpec("segment", segment_background, version=14, models=("segment", "finder"))
+STAGE = StageSpec("segment", segment_background, version=15, models=("segment", "finder"))

@@ -1,4 +1,4 @@
-"""Objectron: anchors, decoding, tiles and crops by hand; objects and chairs of a real picture with the real weights."""
+"""Objectron: anchors, decoding and tiles by hand; objects of a real picture with the real weights."""
 
 from __future__ import annotations
 
@@ -10,16 +10,12 @@ import numpy as np
 import pytest
 
 from video2anim.errors import ModelMissingError
-from video2anim.networks import ensure, load_model, objectron, objectron_chair
+from video2anim.networks import ensure, load_model, objectron
 from video2anim.networks.blazepose_detector import box_iou
 from video2anim.networks.objectron import FoundObject, ObjectFinder
-from video2anim.networks.objectron_chair import CORNERS, ChairBox
 from video2anim.networks.tiles import square_tiles
 
 CHAIR = objectron.WORDS.index("chair")
-BOTTOM, TOP, FRONT, BACK = [1, 2, 6, 5], [3, 4, 8, 7], [2, 4, 8, 6], [1, 3, 7, 5]
-MIRRORED = [0, 5, 6, 7, 8, 1, 2, 3, 4]
-"""The corners of a box in a mirror: left is right."""
 LEFT_CHAIR_PX = np.array([163.0, 310.0, 303.0, 540.0])
 """By hand."""
 
@@ -129,26 +125,10 @@ class _SpotNet:
         return codes, logits
 
 
-class _ChairNet:
-    """Stands for the chair network: is sure at its second look, and sees the corners of its crop."""
-
-    output_shapes = ((1, 18), (1, 1))
-    input_size_px = 224
-
-    def __init__(self, path: Path) -> None:
-        self.sure = iter([0.2, 0.9, 0.4] * 2)
-
-    def __call__(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        points = np.zeros((1, 9, 2))
-        points[0, 0], points[0, 8] = (112.0, 112.0), (224.0, 224.0)
-        return points.reshape(1, 18), np.array([[next(self.sure)]])
-
-
 @pytest.fixture
 def stand_in(monkeypatch: pytest.MonkeyPatch) -> ObjectFinder:
     monkeypatch.setattr(objectron, "TfliteNet", _SpotNet)
-    monkeypatch.setattr(objectron_chair, "TfliteNet", _ChairNet)
-    return ObjectFinder(Path(), Path())
+    return ObjectFinder(Path())
 
 
 def test_tiles_see_a_thing_where_it_is(stand_in: ObjectFinder) -> None:
@@ -163,31 +143,9 @@ def test_tiles_see_a_thing_where_it_is(stand_in: ObjectFinder) -> None:
     np.testing.assert_allclose(widths, [24.0, 64.0])
 
 
-def test_the_surest_of_three_crops_in_pixels_of_the_picture(stand_in: ObjectFinder) -> None:
-    box = stand_in.chair_box(np.zeros((480, 640, 3), np.uint8), np.array([100.0, 50.0, 200.0, 90.0]))
-    assert box is not None
-    assert box.confidence == pytest.approx(0.9)
-    # Crops are squares around (150, 70) of 1.3, 1.45 and 1.6 times 100 px; the surest is the second.
-    np.testing.assert_allclose(box.points_px[[0, 1, 8]], [[150, 70], [77.5, -2.5], [222.5, 142.5]])
-    assert stand_in.chair_box(np.zeros((480, 640, 3), np.uint8), np.zeros(4) + 5.0, min_confidence=0.95) is None
-
-
-def test_order_of_the_corners() -> None:
-    assert CORNERS.shape == (9, 3)
-    for corners, axis, side in ((BOTTOM, 1, -1), (TOP, 1, 1), (FRONT, 2, 1), (BACK, 2, -1)):
-        assert (CORNERS[corners, axis] == side).all()
-    # Each goes around its face: neighbors differ in one coordinate.
-    for ring in (BOTTOM, TOP, FRONT, BACK):
-        steps = CORNERS[ring] - CORNERS[np.roll(ring, 1)]
-        assert (np.count_nonzero(steps, axis=1) == 1).all()
-    np.testing.assert_array_equal(CORNERS[MIRRORED], CORNERS * (-1, 1, 1))
-
-
-@pytest.mark.parametrize("name", ["objectron", "objectron-chair"])
-def test_other_networks_are_refused(name: str, finder: ObjectFinder) -> None:
-    other = "objectron-chair" if name == "objectron" else "objectron"
+def test_other_networks_are_refused() -> None:
     with pytest.raises(ModelMissingError, match="want outputs"):
-        load_model(f"{name}@{ensure(other)}")
+        load_model(f"objectron@{ensure('blazepose-detector')}")
 
 
 def test_chairs_of_an_office(finder: ObjectFinder, office: np.ndarray) -> None:
@@ -202,38 +160,9 @@ def test_chairs_of_an_office(finder: ObjectFinder, office: np.ndarray) -> None:
     assert box_iou(man, np.array([[443, 0, 694, 719]]))[0] > 0.7
 
 
-def left_chair(finder: ObjectFinder, office: np.ndarray) -> ChairBox:
-    box = finder.chair_box(office, LEFT_CHAIR_PX)
-    assert box is not None
-    return box
-
-
-def test_the_box_of_a_chair_stands_upright_and_faces_the_camera(finder: ObjectFinder, office: np.ndarray) -> None:
-    box = left_chair(finder, office)
-    points = box.points_px
-    assert box.confidence > 0.9
-    assert (points[BOTTOM, 1] > points[TOP, 1] + 100.0).all()
-    assert np.linalg.norm(points[1:].mean(axis=0) - points[0]) < 15.0, "the center is in the middle"
-    # Its back is at the wall: the foot of the front is lower in the picture, and the sitter's left is to the right.
-    assert points[[2, 6], 1].min() > points[[1, 5], 1].max() + 10.0
-    assert points[[5, 6], 0].min() > points[[1, 2], 0].max() + 80.0
-
-
-def test_bare_floor_has_no_chair_box(finder: ObjectFinder, office: np.ndarray) -> None:
-    assert finder.chair_box(office, np.array([20.0, 560.0, 200.0, 700.0])) is None
-
-
 def test_mirrored_picture_gives_mirrored_boxes(finder: ObjectFinder, office: np.ndarray) -> None:
-    """Left is the sitter's."""
     mirrored = np.ascontiguousarray(office[:, ::-1])
     there, back = (
         next(item for item in finder.find(image) if item.label == "chair").box_px for image in (office, mirrored)
     )
     np.testing.assert_allclose(719.0 - back[[2, 0]], there[[0, 2]], atol=12.0)
-    box = left_chair(finder, office)
-    x0, y0, x1, y1 = LEFT_CHAIR_PX
-    other = finder.chair_box(mirrored, np.array([719.0 - x1, y0, 719.0 - x0, y1]))
-    assert other is not None
-    # The network's own scatter is a few percent of the chair; another order of the corners is off by half its width.
-    turned_px = np.array([719.0, 0.0]) + other.points_px[MIRRORED] * (-1, 1)
-    assert np.linalg.norm(turned_px - box.points_px, axis=1).mean() < 22.0

@@ -191,7 +191,7 @@ def test_a_dependency_counts_by_its_version(monkeypatch: pytest.MonkeyPatch) -> 
 
 NOTICED = {
     "blazepose-detector": "BlazePose", "blazepose-heavy": "BlazePose", "geocalib": "GeoCalib", "moge-2-small": "MoGe-2",
-    "eomt-small-coco": "EoMT", "anny": "Anny", "objectron": "Objectron", "objectron-chair": "Objectron",
+    "eomt-small-coco": "EoMT", "anny": "Anny", "objectron": "Objectron",
 }  # fmt: skip
 """What the notice calls the work of others."""
 

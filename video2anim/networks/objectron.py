@@ -1,4 +1,4 @@
-"""Objectron's detector: everyday objects in a picture; with the 3D box of a chair from `objectron_chair`.
+"""Objectron's detector: everyday objects in a picture.
 
 Tensor contract of `object_detection_ssd_mobilenetv2_oidv4_fp16.tflite`: input (1, 300, 300, 3) RGB in [-1, 1], the
 picture stretched to it; outputs (1, 1917, 4) boxes y, x, height, width relative to the anchors (SSD: middle tenfold,
@@ -20,7 +20,6 @@ from jaxtyping import Float, Int, UInt8
 from video2anim.errors import ModelMissingError
 from video2anim.networks.blazepose_detector import box_iou
 from video2anim.networks.network import sigmoid
-from video2anim.networks.objectron_chair import ChairBox, ChairBoxes
 from video2anim.networks.tflite import TfliteNet
 from video2anim.networks.tiles import square_tiles
 
@@ -53,20 +52,19 @@ class FoundObject:
 
 
 class ObjectFinder:
-    """Detector of objects, and the chair network together."""
+    """Detector of objects."""
 
-    def __init__(self, path: Path, chair_path: Path) -> None:
-        """Load the weights of the detector and of the chair network.
+    def __init__(self, path: Path) -> None:
+        """Load the weights.
 
         Raises:
-            ModelMissingError: a file is not that network.
+            ModelMissingError: the file is not that network.
         """
         self._net = TfliteNet(path)
         self._anchors = anchor_boxes(self._net.input_size_px)
         wanted = ((1, len(self._anchors), 4), (1, len(self._anchors), len(WORDS)))
         if self._net.output_shapes != wanted:
             raise ModelMissingError(f"{path}: want outputs {wanted}, got {self._net.output_shapes}")
-        self._chairs = ChairBoxes(chair_path)
 
     def find(self, image: UInt8[np.ndarray, "height width 3"], *, min_score: float = 0.3) -> tuple[FoundObject, ...]:
         """Objects in an RGB picture of any shape, best first: in the whole picture, and in square tiles."""
@@ -79,12 +77,6 @@ class ObjectFinder:
             moved = [FoundObject(item.label, item.score, item.box_px + inside[[0, 1, 0, 1]]) for item in tile]
             found += [item for item in moved if not is_cut(item.box_px, inside, width, height)]
         return distinct(found)
-
-    def chair_box(
-        self, image: UInt8[np.ndarray, "height width 3"], box_px: Float[np.ndarray, "4"], *, min_confidence: float = 0.5
-    ) -> ChairBox | None:
-        """The 3D box of a chair that was found at `box_px`; None where the chair network finds none."""
-        return self._chairs.fit(image, box_px, min_confidence=min_confidence)
 
     def _detect(self, image: UInt8[np.ndarray, "height width 3"], min_score: float) -> list[FoundObject]:
         height, width = image.shape[:2]

@@ -144,18 +144,6 @@ MODELS: tuple[ModelEntry, ...] = (
         license="Apache-2.0",
         verified="weights",
         adapter="video2anim.networks.objectron:ObjectFinder",
-        requires=("objectron-chair",),
-    ),
-    ModelEntry(
-        slot="chair-box",
-        name="objectron-chair",
-        runtime="tflite",
-        source=NpmSource(*_OBJECTRON, "object_detection_3d_chair.tflite"),
-        sha256="190e4ea49ba891ed242ddc73703e03d70164c27f3da07492d7010379e24f2a6b",
-        size_bytes=5_222_528,
-        license="Apache-2.0",
-        verified="weights",
-        adapter="video2anim.networks.objectron_chair:ChairBoxes",
     ),
     ModelEntry(
         slot="completer",

@@ -43,7 +43,6 @@ def detected_furniture(
     floor: Bool[np.ndarray, "rows columns"],
     *,
     min_score: float,
-    min_chair_score: float,
 ) -> list[Detection]:
     """Furniture that the detector finds, best first, each with its outline.
 
@@ -52,18 +51,13 @@ def detected_furniture(
         image_rgb: the background image.
         depth_m: its depth; masks have this size.
         floor: pixels of the floor.
-        min_score: of any class.
-        min_chair_score: of chairs whose 3D box the second network confirms.
+        min_score: of its detections.
     """
-    found: list[Detection] = []
-    for box in finder.find(image_rgb, min_score=min(min_score, min_chair_score)):
-        sure = box.score >= min_score
-        if box.label == "chair" and box.score >= min_chair_score:
-            sure |= finder.chair_box(image_rgb, box.box_px) is not None
-        if sure and box.label in _FURNITURE:
-            mask = shrunk(outlined(image_rgb, depth_m, floor, box.box_px), depth_m.shape)
-            found.append(Detection(box.label, box.score, mask))
-    return found
+    boxes = (one for one in finder.find(image_rgb, min_score=min_score) if one.label in _FURNITURE)
+    return [
+        Detection(one.label, one.score, shrunk(outlined(image_rgb, depth_m, floor, one.box_px), depth_m.shape))
+        for one in boxes
+    ]
 
 
 def recognized_objects(
