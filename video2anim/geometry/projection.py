@@ -60,6 +60,12 @@ def world_points(depth_m: Float[np.ndarray, "height width"], view: View) -> Floa
     return transform_points(view.T_world_camera, camera_m.reshape(-1, 3)).reshape(camera_m.shape)
 
 
+def surface_normals(points_m: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:
+    """Unit normals of a picture of points, towards the camera for points backprojected from its pixels."""
+    normal = np.cross(np.gradient(points_m, axis=0), np.gradient(points_m, axis=1))
+    return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+
+
 def invert_rigid(T_a_b: Float[np.ndarray, "... 4 4"]) -> Float[np.ndarray, "... 4 4"]:
     """Inverse of rigid transforms, exact to rounding."""
     T_b_a = np.zeros_like(T_a_b)

@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float
 
 from video2anim.geometry.heading import EdgeHeadings
 from video2anim.geometry.masks import shrunk
-from video2anim.geometry.projection import invert_rigid
+from video2anim.geometry.projection import invert_rigid, surface_normals
 from video2anim.objects.backproject import BackprojectedObject, ObjectBackprojector
-from video2anim.objects.foreground import floor_band_m, surface_normals
+from video2anim.objects.foreground import floor_band_m
 from video2anim.objects.form_fit import FormFit
 from video2anim.objects.observed import DepthErrors, ObjectEvidence
 from video2anim.objects.occupied import Occupied

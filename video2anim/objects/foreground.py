@@ -107,12 +107,6 @@ def floor_band_m(distance_m: _Meters) -> _Meters:
     return _FLOOR_M + _FLOOR_SHARE * distance_m
 
 
-def surface_normals(world_m: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:
-    """Unit normals of a picture of points, towards the camera for points lifted from its pixels."""
-    normal = np.cross(np.gradient(world_m, axis=0), np.gradient(world_m, axis=1))
-    return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-
-
 def _gentler_normals(world_m: np.ndarray) -> Float[np.ndarray, "height width 3"]:
     """Normals by the shorter of both one-sided differences, which a depth step beside a surface does not tilt."""
     along = []

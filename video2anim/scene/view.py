@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 
 from video2anim.geometry.masks import shrunk
-from video2anim.geometry.projection import invert_rigid, pixel_rays, project, transform_points
+from video2anim.geometry.projection import invert_rigid, pixel_rays, project, surface_normals, transform_points
 from video2anim.types.camera import View
 from video2anim.types.metric import MetricDepth
 from video2anim.types.scene import BackgroundImage, DepthClip, InstanceMasks, PlacedObject
@@ -65,9 +65,7 @@ class Look(View):
     def normals(self) -> Float[np.ndarray, "height width 3"]:
         """Unit normals of the depth, towards the camera."""
         inverse = cv2.GaussianBlur((1 / self.depth_m).astype(np.float64), (0, 0), _NORMAL_BLUR_PX)
-        points_m = self.direction / inverse[..., None]
-        normal = np.cross(np.gradient(points_m, axis=0), np.gradient(points_m, axis=1))
-        return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+        return surface_normals(self.direction / inverse[..., None])
 
     def pixels(
         self, points_world_m: Float[np.ndarray, "points 3"]
