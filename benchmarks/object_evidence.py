@@ -6,7 +6,7 @@
 Reads the output of `v2a_bench.py` and repeats the stages reconstruct and place, with one kind left out at a time.
 Objects are compared at the true scale of the clip, since the error of that, which no object can help, hides the rest:
 they are moved along the lines of sight by the ratio of true to estimated camera height. Writes JSON: medians over the
-furniture that is found, and mean differences without minus with, with 95 % intervals over clips (10,000 resamples).
+furniture that is found, and differences without minus with of the means of clips, with 95 % intervals over the clips.
 """
 
 from __future__ import annotations
@@ -18,19 +18,21 @@ import os
 import platform
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from object_errors import nearer
+from object_errors import Clip, nearer
 
 from stages.place import PlaceConfig, place_objects
 from stages.reconstruct import ReconstructConfig, reconstruct_objects
+from video2anim.lab.eval.aggregate import statistic
 from video2anim.lab.eval.alignment import match_frames, truth_from_estimate
 from video2anim.lab.eval.object_rows import MIN_VISIBLE_PX, compared_objects, match_masks, pairs_by_mask
 from video2anim.lab.eval.results import SceneResult
@@ -46,7 +48,6 @@ from video2anim.types import (
 )  # fmt: skip
 
 MEASURES = ("chamfer", "center_error", "height_error", "box_iou")
-RESAMPLES, SEED = 10_000, 0
 NONE_M = np.zeros((0, 3))
 WITHOUT: dict[str, Callable[[ObjectEvidence], ObjectEvidence]] = {
     "nothing": lambda seen: seen,
@@ -57,9 +58,9 @@ WITHOUT: dict[str, Callable[[ObjectEvidence], ObjectEvidence]] = {
     "headings": partial(replace, sides=None, walls=None),
 }
 """Evidence less one kind."""
-SETTINGS: dict[str, dict[str, float]] = {
-    "the bias of open objects": {"open_bias": 0.0},
-    "a free relief": {"depth_relief_sigma": 1e-3},
+SETTINGS = {
+    "the bias of open objects": ReconstructConfig(open_bias=0.0),
+    "a free relief": ReconstructConfig(depth_relief_sigma=1e-3),
 }
 """Settings of stage reconstruct that leave one kind out."""
 Row = dict[str, float]
@@ -73,7 +74,7 @@ def main() -> None:
     report: dict[str, Any] = {
         "date": datetime.date.today().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
-        "clips": clips, "seed": SEED, "resamples": RESAMPLES, "without": {},
+        "clips": clips, "seed": 0, "without": {},
     }  # fmt: skip
     whole: dict[tuple[str, int], Row] = {}
     for kind in dict.fromkeys(["nothing", *kinds]):
@@ -92,10 +93,10 @@ def main() -> None:
 
 def of_clip(work: Path, kind: str, clip: str) -> tuple[dict[tuple[str, int], Row], float]:
     """Errors of each piece of furniture, by clip and true ID, and the processor's time of the stage."""
-    result, truth = SceneResult(work / "results" / clip), read_truth(work / "truth" / clip)
-    inputs = [result.get(kind_of) for kind_of in (CompletedObjects, InstanceMasks, MetricDepth, BackgroundImage)]
-    if None in inputs or result.bodies is None:
-        sys.exit(f"{clip}: results are missing; run benchmarks/v2a_bench.py first")
+    one_clip = Clip(clip, SceneResult(work / "results" / clip), read_truth(work / "truth" / clip))
+    truth, masks, depth = one_clip.truth, one_clip.get(InstanceMasks), one_clip.get(MetricDepth)
+    completed, background = one_clip.get(CompletedObjects), one_clip.get(BackgroundImage)
+    config, ctx = SETTINGS.get(kind, ReconstructConfig()), StageContext(Path())
     whole, left_out = ObjectViews.object, WITHOUT.get(kind, WITHOUT["nothing"])
 
     def seen(views: ObjectViews, *found: Any) -> SeenObject | None:
@@ -104,16 +105,16 @@ def of_clip(work: Path, kind: str, clip: str) -> tuple[dict[tuple[str, int], Row
 
     started = time.process_time()
     with patch.object(ObjectViews, "object", seen):
-        meshes = reconstruct_objects(*inputs, ReconstructConfig(**SETTINGS.get(kind, {})), StageContext(Path()))
+        meshes = reconstruct_objects(completed, masks, depth, background, config, ctx)
     seconds = time.process_time() - started
-    camera = inputs[2].bodies.main.view().T_world_camera
+    body = depth.bodies.main
+    camera = body.view().T_world_camera
     scale_log = float(np.log(camera[1, 3] / truth.main.view().T_world_camera[1, 3]))
-    placed = place_objects(meshes, inputs[1], inputs[2], PlaceConfig(), StageContext(Path())).objects
-    furniture, masks = truth.furniture(MIN_VISIBLE_PX), inputs[1]
+    placed, furniture = place_objects(meshes, masks, depth, PlaceConfig(), ctx).objects, truth.furniture(MIN_VISIBLE_PX)
     rows = compared_objects(
         [nearer(one, scale_log, camera[:3, 3]) for one in placed], furniture,
         pairs_by_mask(match_masks(masks, furniture, truth)),
-        truth_from_estimate(result.bodies.main.T_world_camera, truth, match_frames(result.clip, truth)),
+        truth_from_estimate(body.T_world_camera, truth, match_frames(one_clip.result.clip, truth)),
     )  # fmt: skip
     return {
         (clip, int(row[0].object_id or 0)): {q.key: q.value for q in row if q.key in MEASURES} for row in rows
@@ -121,22 +122,17 @@ def of_clip(work: Path, kind: str, clip: str) -> tuple[dict[tuple[str, int], Row
 
 
 def compared(whole: dict[tuple[str, int], Row], rows: dict[tuple[str, int], Row]) -> dict[str, Any]:
-    """Medians of the rows, and mean differences from the whole on the pieces that both have."""
+    """Medians of the rows, and differences from the whole on the pieces that both have, means over clips of means."""
     common = sorted(whole.keys() & rows.keys())
     found: dict[str, Any] = {"pieces": len(rows)}
     for measure in MEASURES:
-        off = [rows[key][measure] - whole[key][measure] for key in common]
-        of_clips = [
-            np.array([value for value, key in zip(off, common, strict=True) if key[0] == clip])
-            for clip in sorted({key[0] for key in common})
-        ]
-        sums, counts = np.array([values.sum() for values in of_clips]), np.array([len(values) for values in of_clips])
-        drawn = np.random.default_rng(SEED).integers(0, len(sums), (RESAMPLES, len(sums)))
-        means = sums[drawn].sum(1) / counts[drawn].sum(1)
+        of_clips: dict[str, list[float]] = defaultdict(list)
+        for key in common:
+            of_clips[key[0]].append(rows[key][measure] - whole[key][measure])
+        difference = statistic([float(np.mean(off)) for off in of_clips.values()])
         found[measure] = {
             "median": float(np.median([row[measure] for row in rows.values()])),
-            "difference": float(np.mean(off)),
-            "interval": np.percentile(means, [2.5, 97.5]).tolist(),
+            "difference": difference and asdict(difference),
         }
     return found
 

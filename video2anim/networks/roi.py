@@ -59,10 +59,8 @@ class SquareRoi:
         T_image_crop = self.T_image_crop()
         return np.linalg.solve(T_image_crop[:, :2], (points_px - T_image_crop[:, 2]).T).T
 
-    def crop(
-        self, image: UInt8[np.ndarray, "height width 3"], size_px: int, *, border: int = cv2.BORDER_CONSTANT
-    ) -> UInt8[np.ndarray, "size size 3"]:
-        """The square as a picture of `size_px`; outside the image black, or what OpenCV's `border` says.
+    def crop(self, image: UInt8[np.ndarray, "height width 3"], size_px: int) -> UInt8[np.ndarray, "size size 3"]:
+        """The square as a picture of `size_px`; black outside the image.
 
         Crop pixel i has its center at crop coordinate (i + 0.5) / size_px. Reductions of two and more are sampled
         finely and averaged over areas, so that they do not alias.
@@ -76,6 +74,5 @@ class SquareRoi:
             T_image_fine,
             (fine_px, fine_px),
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=border,
         )
         return fine if fine_px == size_px else cv2.resize(fine, (size_px, size_px), interpolation=cv2.INTER_AREA)

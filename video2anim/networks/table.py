@@ -24,7 +24,6 @@ PRIOR_CHOICES = ("auto", "interpolation")
 """What `refine.prior` may be besides the prior's name and a file: the prior where its weights are present, and none."""
 _PRIOR_SUFFIX = ".safetensors"
 _MEDIAPIPE = "0.10.21"
-_OBJECTRON = ("@mediapipe/objectron", "0.4.1675468480")
 _BRANCH = "main"
 """Revision of a hub repository whose commit could not be found: its maker publishes digests, and no commit. The digest
 holds the file; should the branch move on, fetching fails and says so."""
@@ -138,7 +137,13 @@ MODELS: tuple[ModelEntry, ...] = (
         slot="finder",
         name="objectron",
         runtime="tflite",
-        source=NpmSource(*_OBJECTRON, "objectron_solution_packed_assets.data", first_byte=184, end_byte=9_987_912),
+        source=NpmSource(
+            "@mediapipe/objectron",
+            "0.4.1675468480",
+            "objectron_solution_packed_assets.data",
+            first_byte=184,
+            end_byte=9_987_912,
+        ),
         sha256="d0a5255bf8c4f5a0bc4240741a76c41d5e939f7655078f945f50ab53a9375da6",
         size_bytes=9_987_728,
         license="Apache-2.0",
