@@ -111,4 +111,4 @@ def _report(ctx: StageContext, stages: Sequence[tuple[str, BodyMotion, SdfGrid]]
             ctx.quality(f"{key}_{when}", value, unit, "lower", person_id=person_id)
 
 
-STAGE = StageSpec("refine", refine_motion, version=21, models=("prior",))
+STAGE = StageSpec("refine", refine_motion, version=22, models=("prior",))

@@ -87,7 +87,7 @@ class PictureTarget:
     """Where the joints were seen."""
 
     joints_px: Float[np.ndarray, "frames 22 2"]
-    seen: Bool[np.ndarray, "frames"]
+    seen: Bool[np.ndarray, "frames 22"]
     height_px: Float[np.ndarray, "frames"]
     """Of the standing body at its distance."""
     T_camera_world: Float[np.ndarray, "frames 4 4"]
@@ -222,7 +222,7 @@ class _Person:
         fx, fy = seen.camera_matrix[0, 0], seen.camera_matrix[1, 1]
         focal = np.array([fx, fy])
         at_px = camera_m[..., :2] / z_m[..., None] * focal + seen.camera_matrix[:2, 2]
-        in_front = (camera_m[..., 2] > 0.1) & seen.seen[frames, None]
+        in_front = (camera_m[..., 2] > 0.1) & seen.seen[frames]
         D = np.zeros((*z_m.shape, 2, 3))
         D[..., 0, 0], D[..., 1, 1] = fx / z_m, fy / z_m
         D[..., :, 2] = -camera_m[..., :2] * focal / z_m[..., None] ** 2

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from scenemi.postprocess.motion_solve import PictureTarget, SceneMotion
+from scenemi.postprocess.motion_solve import TRUNK, PictureTarget, SceneMotion
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import believed
 from video2anim.geometry.projection import invert_rigid, project
@@ -24,13 +24,16 @@ real clips with truth, W-MPJPE on V2A-Bench is 82.9 instead of 82.5 mm: frames t
 
 
 def observation(motion: BodyMotion, objects: Sequence[PlacedObject]) -> SceneMotion:
-    """The motion after stage keyframes, which moved it along lines of sight only, with its joints in the image. Hands
-    that hold an object touch no solid."""
+    """The motion after stage keyframes, which moved it along lines of sight only, with its joints in the image; where
+    the body jumps, with those of the trunk, which are on its axis and so the same with left and right, or front and
+    back, exchanged. Hands that hold an object touch no solid."""
     shaped = shaped_body(motion.shape)
     camera_m = motion.joints_camera_m
     body_height_m = float(np.ptp(shaped.rest_vertices_m[:, 1]))
+    seen = np.repeat(inlier_frames(motion)[:, None], camera_m.shape[1], axis=1)
+    seen[:, TRUNK] = motion.valid[:, None]
     picture = PictureTarget(
-        project(camera_m, motion.intrinsics), inlier_frames(motion) & (camera_m[:, 0, 2] > 0.1),
+        project(camera_m, motion.intrinsics), seen & (camera_m[:, :1, 2] > 0.1),
         motion.intrinsics.fy_px * body_height_m / np.maximum(camera_m[:, 0, 2], 0.1),
         invert_rigid(motion.T_world_camera), motion.intrinsics.matrix(),
     )  # fmt: skip

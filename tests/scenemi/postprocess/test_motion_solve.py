@@ -34,8 +34,9 @@ def picture_of(motion: BodyMotion) -> PictureTarget:
     """The joints where the motion's own camera sees them."""
     camera_m = motion.joints_camera_m
     height_px = motion.intrinsics.fy_px * 1.73 / camera_m[:, 0, 2]
+    seen = np.broadcast_to(motion.valid[:, None], camera_m.shape[:2])
     return PictureTarget(
-        project(camera_m, motion.intrinsics), motion.valid, height_px, invert_rigid(motion.T_world_camera),
+        project(camera_m, motion.intrinsics), seen, height_px, invert_rigid(motion.T_world_camera),
         motion.intrinsics.matrix(),
     )  # fmt: skip
 
