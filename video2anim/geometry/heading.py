@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from video2anim.geometry.line_segments import detect_line_segments
+from video2anim.geometry.line_segments import INDEPENDENT, OUTLIERS, detect_line_segments
 from video2anim.types.camera import View
 
 _STEP_RAD = np.deg2rad(0.5)
@@ -27,10 +27,6 @@ _FULL_LENGTH = 0.1
 """Length in radians from which edges have full weight."""
 _MIN_SCORE = 0.15
 """Minimum share of the edges' weight that the heading explains beyond the mean over all headings."""
-_OUTLIERS = 0.4
-"""Expected share of edges that run otherwise."""
-_INDEPENDENT = 0.4
-"""Both borders of one board are two edges: each counts so much."""
 _SECOND = 0.5
 """No heading is returned where another one, apart from it, scores more than this share of the best."""
 _OUTLINE_PX = 2
@@ -77,8 +73,8 @@ class EdgeHeadings:
             fit = np.maximum(fit, np.exp(-0.5 * (normal @ direction / aside / _EDGE_SIGMA_RAD) ** 2))
         # Edges on the horizon fit every heading and cancel out.
         self._beyond_mean = fit - fit.mean(1, keepdims=True)
-        by_chance = _OUTLIERS * _EDGE_SIGMA_RAD * np.sqrt(2 / np.pi)
-        self._log_likelihood = np.log((1 - _OUTLIERS) * fit + by_chance)
+        by_chance = OUTLIERS * _EDGE_SIGMA_RAD * np.sqrt(2 / np.pi)
+        self._log_likelihood = np.log((1 - OUTLIERS) * fit + by_chance)
         self._weight = np.minimum(1, length / _FULL_LENGTH) * (np.abs(normal[:, 1]) > np.sin(_UPRIGHT_RAD))
         # Of the picture: 0 to 1 from its first to its last row and column.
         self._middle = ends.mean(1) * height / [lens.width_px - 1, height - 1] + 0.5
@@ -105,11 +101,11 @@ class EdgeHeadings:
         apart = np.concatenate([score[:first], score[last:]])
         if score[middle] < max(_MIN_SCORE * weight.sum(), 1.0) or apart.max() > _SECOND * score[middle]:
             return None
-        log_likelihood = (_INDEPENDENT * weight @ self._log_likelihood[chosen])[order[first:last]]
+        log_likelihood = (INDEPENDENT * weight @ self._log_likelihood[chosen])[order[first:last]]
         share, off_rad = np.exp(log_likelihood - log_likelihood.max()), off_rad[first:last]
         best = int(order[middle])
         each = self._log_likelihood[chosen, best] - np.log(np.exp(self._log_likelihood[chosen]).mean(1))
         return Heading(
             float(self._turns[best]), float(np.sqrt(share @ off_rad**2 / share.sum())),
-            max(_INDEPENDENT * float(weight @ each), 0.0),
+            max(INDEPENDENT * float(weight @ each), 0.0),
         )  # fmt: skip

@@ -31,11 +31,11 @@ MAX_EDGES = 160
 """Longest edges of a picture that are used."""
 _BENT_SIGMA_RAD = math.radians(0.3)
 """What straight objects, lenses and the detector miss beside the error of the ends."""
-_OUTLIERS = 0.4
+OUTLIERS = 0.4
 """Expected share of edges that run along none of the three directions."""
 _FULL_LENGTH = 0.1
 """Edges of this length (picture heights) and more count whole."""
-_INDEPENDENT = 0.4
+INDEPENDENT = 0.4
 """Both borders of one board are two edges: each counts so much."""
 _DISTORTION_SIGMA = 0.05
 """Expected first radial coefficient of Brown's lens model."""
@@ -154,7 +154,7 @@ class _Fit:
         return cls(
             ends.reshape(-1, 2, 2),
             np.hypot(_BENT_SIGMA_RAD, 2 * end_sigma / length)[:, None],
-            _INDEPENDENT / len(edges) * np.minimum(1, length / _FULL_LENGTH),
+            INDEPENDENT / len(edges) * np.minimum(1, length / _FULL_LENGTH),
             np.array([math.log(camera.focal_ratio), *pitch_roll_of(camera.up_camera), 0.0, 0.0]),
             information,
         )
@@ -176,7 +176,7 @@ class _Fit:
     def cost(self, states: Float[np.ndarray, "states 5"], *, wider: float = 1.0) -> Float[np.ndarray, "states"]:
         """Negative logarithm of the posterior density, up to a constant."""
         off = self._off_prior(states)
-        density = self._densities(self.residual_rad(states), wider).sum(-1) + _OUTLIERS / math.pi
+        density = self._densities(self.residual_rad(states), wider).sum(-1) + OUTLIERS / math.pi
         return 0.5 * np.einsum("si,ij,sj->s", off, self.information, off) - np.log(density) @ self.weight
 
     def climbed(self, states: Float[np.ndarray, "states 5"]) -> Float[np.ndarray, "states 5"]:
@@ -194,7 +194,7 @@ class _Fit:
         """Matrix and right side of a Gauss-Newton step, edges shared out among the directions."""
         residual = self.residual_rad(states)
         density = self._densities(residual, wider)
-        share = density / (density.sum(-1, keepdims=True) + _OUTLIERS / math.pi)
+        share = density / (density.sum(-1, keepdims=True) + OUTLIERS / math.pi)
         weight = self.weight[:, None] * share / (wider * self.sigma_rad) ** 2
         J = np.stack([(self.residual_rad(states + _STEP * axis) - residual) / _STEP for axis in np.eye(5)], -1)
         weighted = weight[..., None] * J
@@ -218,7 +218,7 @@ class _Fit:
 
     def _densities(self, residual_rad: np.ndarray, wider: float) -> Float[np.ndarray, "states edges 3"]:
         sigma = wider * self.sigma_rad
-        share = (1 - _OUTLIERS) / 3 / math.sqrt(2 * math.pi)
+        share = (1 - OUTLIERS) / 3 / math.sqrt(2 * math.pi)
         return share / sigma * np.exp(-0.5 * (residual_rad / sigma) ** 2)
 
     def _off_prior(self, states: np.ndarray) -> Float[np.ndarray, "states 5"]:
