@@ -8,15 +8,16 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from furnished import EYE_M, Furnished, chair, convex, furnished, moved, turned_by, yaw_of
-from seen_boxes import FLOOR, LENS, Block, about_y, table
+from seen_boxes import FLOOR, LENS, Block, Piece, about_y, table
 
 from video2anim.geometry.projection import invert_rigid, pixel_rays
 from video2anim.objects.form_fit import FitSigmas, FormFit, FormProblem, _tops
 from video2anim.objects.furniture import FORMS, Form
 from video2anim.objects.observed import DepthErrors
 from video2anim.objects.occupied import Occupied
-from video2anim.objects.recognize import recognized, rested_on_one
+from video2anim.objects.recognize import log_prior, recognized, rested_on_one
 from video2anim.objects.shapes import CUBE
 from video2anim.objects.solids import Solids
 
@@ -247,6 +248,24 @@ def test_a_form_covers_what_is_seen_of_the_object_and_not_more() -> None:
     own = room.seen.own
     assert (drawn & own).sum() > 0.93 * own.sum()
     assert (drawn & ~own).sum() < 0.12 * own.sum()
+
+
+def test_feet_that_masks_lose_do_not_count_against_a_form() -> None:
+    """A bar table seen from above; its mask is its top alone, as of a photograph."""
+    at_m = np.array([0.2, 0.0, -2.4])
+    parts = []
+    for low_m, high_m, across_m in ((0.0, 0.03, 0.5), (0.0, 1.05, 0.06), (1.05, 1.08, 0.62)):
+        drum = trimesh.creation.cylinder(0.5 * across_m, high_m - low_m, sections=48)
+        middle = drum.vertices[:, [1, 2, 0]] + at_m + [0.0, 0.5 * (low_m + high_m), 0.0]
+        parts.append(Piece(trimesh.Trimesh(middle, drum.faces, process=False)))
+    eye_m, target_m = (0.0, 2.0, 0.0), (0.2, 0.7, -2.4)
+    whole = furnished(parts, eye_m=eye_m, target_m=target_m)
+    room = furnished(parts, eye_m=eye_m, target_m=target_m, own=whole.shot.mask(2))
+    best = recognized(room.seen, log_prior("table"))[0]
+    assert (best.form.name, best.form.variant) == ("table", "round")
+    assert size(best, "width") == pytest.approx(0.62, rel=0.06)
+    assert size(best, "height") == pytest.approx(1.08, rel=0.03)
+    np.testing.assert_allclose(best.T_world_object[[0, 2], 3], at_m[[0, 2]], atol=0.05)
 
 
 def smooth(seed: int, sigma: float) -> np.ndarray:

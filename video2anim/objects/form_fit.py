@@ -24,8 +24,8 @@ from video2anim.objects.solids import Solids
 POSE = ("x", "z", "yaw", "base", "distance", "stretch")
 """What every form has beside its sizes: place (m), turn (rad), height that it rests on (m), logarithm of the correction
 of its distance, and the share by which its relief (`DepthErrors`) is larger than estimated."""
-THIN = ("leg", "pole")
-"""Parts that masks lose."""
+THIN = ("leg", "pole", "base")
+"""Parts that masks lose. Bases stand for the stars that swivel chairs and bar tables have."""
 OPEN = ("chair", "table", "stool")
 """Forms that the picture shows the background between the parts of."""
 LEANED_ON = ("back", "headboard")

@@ -1,7 +1,8 @@
 """Forms of furniture: a few sizes each, and the solids that they give.
 
 Usual sizes are real ones, those in which the synthetic rooms draw their furniture
-(`video2anim.lab.synth.rooms`): the middle of the range, and about half of it as a share of that.
+(`video2anim.lab.synth.rooms`): the middle of the range, and about half of it as a share of that. Tables on one foot are
+also bar tables, 1.05 to 1.1 m high, which those rooms do not have.
 """
 
 from __future__ import annotations
@@ -304,7 +305,7 @@ FORMS: tuple[Form, ...] = (
     Form("table", (_size("width", 1.0, 0.25), _size("depth", 0.6, 0.2), _size("height", 0.42, 0.15)), _table, "low", 2),
     Form("table", (_size("width", 1.4, 0.3), _size("depth", 0.85, 0.2), _size("height", 0.74, 0.04)), _panel_table,
          "panels", 2),
-    Form("table", (_size("width", 0.95, 0.2), _size("height", 0.72, 0.1), _size("foot", 0.5, 0.2)), _round_table,
+    Form("table", (_size("width", 0.8, 0.25), _size("height", 0.85, 0.22), _size("foot", 0.5, 0.2)), _round_table,
          "round", 1),
     Form("table", (_size("width", 0.85, 0.25), _size("height", 0.6, 0.25)), _round_table_on_legs, "round, legs", 2),
     Form("desk", (_size("width", 1.3, 0.2), _size("depth", 0.68, 0.15), _size("height", 0.73, 0.04)), _desk(1),
