@@ -152,4 +152,4 @@ def _foreign(
         return None
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=39, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=40, models=(SLOT,))

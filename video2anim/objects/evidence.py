@@ -133,6 +133,7 @@ class ObjectViews:
             depth_m=np.where(obj.shows[row, column], obj.depth_m[row, column], np.nan),
             outside_px=outside,
             free_m=np.where(own & known, obj.depth_m, 0.0),
+            size_px=float(np.sqrt(own.sum())),
             depth_errors=self._depth_errors,
             distance_sigma=sigma,
             raised=self._is_raised(own, points_m, nearer),

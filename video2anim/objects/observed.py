@@ -44,6 +44,8 @@ class ObjectEvidence:
     """How far each pixel is from where the object may be: its outline and what hides it."""
     free_m: Float[np.ndarray, "height width"]
     """Depth up to which the camera sees through each pixel; 0 where that is not known."""
+    size_px: float
+    """Square root of the area of its visible pixels in the depth map."""
     depth_errors: DepthErrors
     distance_sigma: float
     """Standard deviation of the logarithm of the object's whole distance."""

@@ -65,9 +65,14 @@ class Recognition:
         return _screened(self.seen, log_prior(self.label), None, FitSigmas())
 
     @cached_property
+    def refined(self) -> list[FormFit]:
+        """The first of them fitted at full resolution, best first."""
+        return _refined(self.screened, self.seen)
+
+    @property
     def log_evidence(self) -> float:
-        """Of the best form, fitted to the end: after a few rounds it is known to some 10 nats."""
-        return _refined(self.screened[:1], self.seen)[0].log_evidence
+        """Of the best form: after a few rounds it is known to some 10 nats, and which form is best is not."""
+        return self.refined[0].log_evidence
 
     def evidence_over(self, apart: Recognition, place: int) -> float:
         """Gain of log evidence over the same object if what rested at a place rested on something else."""
@@ -77,9 +82,8 @@ class Recognition:
         return self.log_evidence - apart.log_evidence + odds
 
     def fits(self) -> tuple[list[FormFit], str]:
-        """The forms fitted at full resolution, best first, and the object's label: the best form's class where its own
-        names none, or another class."""
-        fits, meant = _refined(self.screened, self.seen), _meant(self.label)
+        """`refined`, and the object's label: the best form's class where its own names none, or another class."""
+        fits, meant = self.refined, _meant(self.label)
         kept = self.label not in _UNNAMED if meant is None else fits[0].form.name in meant
         return fits, self.label if kept else fits[0].form.name
 
