@@ -64,7 +64,7 @@ class FitSigmas:
     outline_share: float = 0.02
     """The same over the square root of the object's area: of half of the masks 95 % of the true pixels are within 0.6 %
     of it, of a quarter some are beyond 14 % (44 masks of `synth --preset random --seed 7201`, 2026-11-29; a script that
-    is not kept). A judgment between them; no other value was tried."""
+    is not kept). A judgment between them; half and twice of it are no better (docs/benchmarks.md)."""
     looks: float = 30.0
     """Neighboring pixels err together: all pixels of an object count as so many independent ones."""
     form_m: float = 0.02
