@@ -232,7 +232,7 @@ def test_what_is_seen_free_stays_free() -> None:
     parts = table(1.3, 0.74, 0.8, (0.1, -3.0), 0.5)
     own = furnished(parts).seen.own
     hull = convex(own)
-    room = furnished(parts, own=hull)
+    room = furnished(parts, own=hull, is_open=True)
     gap = hull & ~own & (cv2.distanceTransform((hull & ~own).astype(np.uint8), cv2.DIST_L2, 5) > 3)
     assert gap.sum() > 500
     before = drawn_m(fitted(room, "table"), room.shot.T_world_camera) < 0.9 * room.shot.depth_m
