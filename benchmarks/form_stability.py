@@ -28,7 +28,7 @@ from video2anim.geometry.masks import never_seen
 from video2anim.objects.evidence import ObjectViews, PeopleEvidence, SeenObject
 from video2anim.objects.form_fit import FormFit
 from video2anim.objects.observed import DepthErrors
-from video2anim.objects.recognize import may_be_open, rested_on_one
+from video2anim.objects.recognize import rested_on_one
 from video2anim.pipeline.scene_folder import stage_folder
 from video2anim.scene.supports import rested_and_inner_m
 from video2anim.types import BackgroundImage, CompletedObjects, InstanceMasks, MetricDepth
@@ -76,9 +76,8 @@ def of_scene(scene: Path, draws: int) -> list[dict]:
     drawn = [
         rested_on_one({
             found.object_id: one for found in completed.objects
-            if (one := views.object(
-                found, may_be_open(found.label), np.random.default_rng([draw, found.object_id])
-            )) is not None and len(one.points_m) >= config.min_points
+            if (one := views.object(found, np.random.default_rng([draw, found.object_id]))) is not None
+            and len(one.points_m) >= config.min_points
         }, names)
         for draw in range(draws)
     ]  # fmt: skip

@@ -92,7 +92,7 @@ def reconstruct_objects(
     from video2anim.objects.evidence import ObjectViews, PeopleEvidence
     from video2anim.objects.object_mesh import fitted
     from video2anim.objects.observed import DepthErrors
-    from video2anim.objects.recognize import may_be_open, rested_on_one
+    from video2anim.objects.recognize import rested_on_one
     from video2anim.scene.supports import rested_and_inner_m
 
     unseen = never_seen(background.seen_ratio, depth.background_depth_m.shape)
@@ -107,7 +107,7 @@ def reconstruct_objects(
     meshes: list[ObjectMesh] = []
     seen: dict[int, SeenObject] = {}
     for found in completed.objects:
-        one = views.object(found, may_be_open(found.label), ctx.rng(f"reconstruct/{found.object_id}"))
+        one = views.object(found, ctx.rng(f"reconstruct/{found.object_id}"))
         if one is None or len(one.points_m) < config.min_points:
             ctx.warn(f"object {found.object_id} has too little reliable depth and is dropped")
         else:
@@ -152,4 +152,4 @@ def _foreign(
         return None
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=41, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=40, models=(SLOT,))

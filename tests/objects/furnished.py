@@ -85,7 +85,6 @@ def furnished(
     edges_m: Sequence[np.ndarray] = (),
     errors: DepthErrors | None = None,
     seed: int = 0,
-    is_open: bool = False,
 ) -> Furnished:
     """What is known of the object; the others have masks too, walls have none.
 
@@ -97,7 +96,6 @@ def furnished(
         own: The object's mask, instead of its visible pixels.
         edges_m: Lines of the world that the picture shows.
         errors: Instead of those of true depth.
-        is_open: Its mask may have gaps.
     """
     blocks = [*obj, *others, WALL]
     center = np.mean([block.center_m for block in obj], axis=0)
@@ -117,8 +115,7 @@ def furnished(
         ),
         errors or DepthErrors(depth_sigma, 1.0, 2 * distance_sigma), drawn(edges_m, shot.T_world_camera),
     )  # fmt: skip
-    found = CompletedObject(1, "object", own, np.zeros((1, 1, 3), np.uint8))
-    seen = views.object(found, is_open, np.random.default_rng(seed))
+    seen = views.object(CompletedObject(1, "object", own, np.zeros((1, 1, 3), np.uint8)), np.random.default_rng(seed))
     assert seen is not None
     return Furnished(shot, seen, views)
 

@@ -56,7 +56,7 @@ def test_a_box_is_found_again(yaw_rad: float) -> None:
 @pytest.mark.parametrize("yaw_rad", [0.3, 1.3, 2.8, -1.8])
 def test_a_chair_is_found_again_from_every_side(yaw_rad: float) -> None:
     """Width, depth, seat and back; backs of the form lean by 7 degrees, that of the room does not."""
-    room = furnished(moved(chair(0.48, 0.42, 0.44, 0.5), (0.2, -2.8), yaw_rad), is_open=True)
+    room = furnished(moved(chair(0.48, 0.42, 0.44, 0.5), (0.2, -2.8), yaw_rad))
     fit = fitted(room, "chair")
     assert turned_by(yaw_of(fit.T_world_object), yaw_rad) < 0.06
     np.testing.assert_allclose(fit.sizes_m, (0.48, 0.42, 0.44, 0.5), atol=0.035)
@@ -65,7 +65,7 @@ def test_a_chair_is_found_again_from_every_side(yaw_rad: float) -> None:
 
 @pytest.mark.parametrize(("yaw_rad", "height_m"), [(0.5, 0.74), (-0.2, 0.78)])
 def test_a_table_is_found_again(yaw_rad: float, height_m: float) -> None:
-    fit = fitted(furnished(table(1.3, height_m, 0.8, (0.1, -3.2), yaw_rad), is_open=True), "table")
+    fit = fitted(furnished(table(1.3, height_m, 0.8, (0.1, -3.2), yaw_rad)), "table")
     turn = yaw_of(fit.T_world_object)
     assert turned_by(turn, yaw_rad, np.pi) < 0.04
     np.testing.assert_allclose(fit.sizes_m[[0, 2]], (1.3, height_m), atol=0.06)
@@ -232,7 +232,7 @@ def test_what_is_seen_free_stays_free() -> None:
     parts = table(1.3, 0.74, 0.8, (0.1, -3.0), 0.5)
     own = furnished(parts).seen.own
     hull = convex(own)
-    room = furnished(parts, own=hull, is_open=True)
+    room = furnished(parts, own=hull)
     gap = hull & ~own & (cv2.distanceTransform((hull & ~own).astype(np.uint8), cv2.DIST_L2, 5) > 3)
     assert gap.sum() > 500
     before = drawn_m(fitted(room, "table"), room.shot.T_world_camera) < 0.9 * room.shot.depth_m

@@ -46,7 +46,7 @@ def test_a_seat_that_is_seen_too_far_away_comes_under_who_sat_on_it(room: Furnis
 
 def test_of_two_objects_the_one_that_need_not_move_so_far_was_sat_on(room: Furnished) -> None:
     mask = room.shot.mask(len(CHAIR))
-    behind = room.views.object(CompletedObject(2, "box", mask, NO_PICTURE), False, np.random.default_rng(2))
+    behind = room.views.object(CompletedObject(2, "box", mask, NO_PICTURE), np.random.default_rng(2))
     assert behind is not None
     assert rested_on_one({1: room.seen, 2: behind}, LABELS)[1].seen.evidence.rested.place.tolist() == [0] * 40
     own = room.seen.evidence

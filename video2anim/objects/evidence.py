@@ -110,21 +110,16 @@ class ObjectViews:
         self._occupied = Occupied(np.stack([near_m.min(0), near_m.max(0)]))
         self._normals = surface_normals(self._world_m)
 
-    def object(self, found: CompletedObject, is_open: bool, rng: np.random.Generator) -> SeenObject | None:
-        """None if none of its pixels has reliable depth.
-
-        `is_open`: its mask may have gaps between its parts, where depth shows the background. Of other objects, whose
-        masks err less than depth, that tells nothing.
-        """
+    def object(self, found: CompletedObject, rng: np.random.Generator) -> SeenObject | None:
+        """None if none of its pixels has reliable depth."""
         obj, lifter = self._lifted[found.object_id], self._lifter
-        own, k = obj.own, lifter.view.intrinsics
+        own, known = obj.own, lifter.known
         if not obj.shows.any():
             return None
         nearer = self._nearer(found.object_id)
-        gaps = own & lifter.known & ~obj.shows & is_open
-        outline = (shrunk(found.amodal_mask, own.shape) | own) & (~gaps | self._foot(obj))
+        outline, k = self._outline(found, obj), lifter.view.intrinsics
         outside = _outside_px(outline | self._unseen | nearer)
-        row, column = _spread(own & ~gaps, rng)
+        row, column = _spread(own & (obj.shows | ~known), rng)
         local = np.stack([(column - k.cx_px) / k.fx_px, (row - k.cy_px) / k.fy_px, np.ones(len(row))], -1)
         points_m = self._expected_m(obj)
         people, sides = self._people, self._edges.within(own)
@@ -137,7 +132,7 @@ class ObjectViews:
             rays=local @ lifter.view.T_world_camera[:3, :3].T,
             depth_m=np.where(obj.shows[row, column], obj.depth_m[row, column], np.nan),
             outside_px=outside,
-            free_m=np.where(obj.shows | gaps, obj.depth_m, 0.0),
+            free_m=np.where(own & known, obj.depth_m, 0.0),
             size_px=float(np.sqrt(own.sum())),
             depth_errors=self._depth_errors,
             distance_sigma=sigma,
@@ -189,6 +184,12 @@ class ObjectViews:
         near = self._lifter.known & ~own & ~self._lifter.floor & (self._world_m[..., 1] > _OFF_FLOOR_M)
         near &= _within(self._world_m, points_m, _AROUND_M)
         return self._world_m[_spread(near, rng)]
+
+    def _outline(self, found: CompletedObject, obj: BackprojectedObject) -> Bool[np.ndarray, "h w"]:
+        """Where the object is, hidden or not."""
+        allowed = shrunk(found.amodal_mask, obj.own.shape) | obj.own
+        # Between a mask's pixels, what is seen to be background does not belong to the object.
+        return allowed & (~(obj.own & self._lifter.known & ~obj.shows) | self._foot(obj))
 
     def _foot(self, obj: BackprojectedObject) -> Bool[np.ndarray, "height width"]:
         """What is too low to be told from the floor by depth, right below what shows the object."""

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from video2anim.objects.evidence import SeenObject
 from video2anim.objects.extrusion import OUTLINE, outline_form
-from video2anim.objects.form_fit import OPEN, FitSigmas, FormFit, FormProblem
+from video2anim.objects.form_fit import FitSigmas, FormFit, FormProblem
 from video2anim.objects.furniture import FORMS, Form
 from video2anim.objects.upright_box import UprightBox
 
@@ -243,11 +243,6 @@ def log_prior(label: str) -> dict[str, float]:
         return dict.fromkeys(_CLASSES, 0.0)
     other = float(np.log(_MISLABELED / len(_CLASSES)))
     return dict.fromkeys(_CLASSES, other) | {name: float(np.log(odds)) for name, odds in meant.items()}
-
-
-def may_be_open(label: str) -> bool:
-    """Whether the label names furniture between whose parts the picture shows the background."""
-    return not (_meant(label) or {}).keys().isdisjoint(OPEN)
 
 
 def _meant(label: str) -> dict[str, float] | None:
