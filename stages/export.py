@@ -138,4 +138,4 @@ def _spread(frames: list[int], count: int) -> list[int]:
     return sorted({frames[int(share * len(frames))] for share in steps})
 
 
-STAGE = StageSpec("export", export_scene, version=9)
+STAGE = StageSpec("export", export_scene, version=10)

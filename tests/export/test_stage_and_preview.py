@@ -216,6 +216,18 @@ def test_overlay_covers_the_joints_and_nothing_far_away(gray_clip: VideoClip) ->
     assert rows.max() <= high[1]
 
 
+def test_people_are_shown_from_their_first_to_their_last_measured_frame(gray_clip: VideoClip) -> None:
+    """Measured in frames 2, 3, 5 and 6: gray in frame 4, and not shown before and after."""
+    motion = replace(walk(FRAMES), valid=np.isin(np.arange(FRAMES), [2, 3, 5, 6]))
+    shown, colored = [], []
+    for frame in range(FRAMES):
+        picture = overlay_frame(gray_clip, (motion,), frame).astype(int)
+        shown.append((np.abs(picture - 128).max(-1) > 12).sum() > 1000)
+        colored.append((picture[..., 0] - picture[..., 2] > 35).any())
+    assert shown == [False, False, True, True, True, True, True, False]
+    assert colored == [False, False, True, True, False, True, True, False]
+
+
 def test_a_moment_is_shown_over_the_input_and_from_the_side(gray_clip: VideoClip) -> None:
     """Raw is in the middle panel and refined in the right one: the raw body was moved out of its panel's middle."""
     motion = walk(FRAMES)

@@ -45,6 +45,8 @@ def write_preview(
 ) -> None:
     """Write `preview.mp4` at the clip's rate, all frames, with the clip's sound; it plays while it loads.
 
+    People are shown from their first to their last measured frame, gray where they are not measured in between.
+
     Args:
         path: File to make.
         clip: The input; its pictures are the left panel.
@@ -78,7 +80,7 @@ def write_preview(
                 side_empty = _empty_scene(scene, side, frame)
             right = side_empty.copy()
             draw_frustum(right, side, main.view(frame))
-            bodies.draw(right, side, meshes, frame)
+            bodies.draw(right, side, meshes, frame, bodies.present(frame))
             both = np.concatenate([left, right.rgb], axis=1)
             label = f"{frame}  {clip.frame_time_s[frame]:.2f} s"
             cv2.putText(both, label, (width_px + 10, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
@@ -176,7 +178,7 @@ def _overlay(
     canvas = Canvas.over(picture)
     height_px, width_px = picture.shape[:2]
     camera = main_person(bodies.people).view(frame).resized(width_px, height_px)
-    bodies.draw(canvas, Viewpoint(camera.T_world_camera, camera.intrinsics), meshes, frame)
+    bodies.draw(canvas, Viewpoint(camera.T_world_camera, camera.intrinsics), meshes, frame, bodies.present(frame))
     return cv2.addWeighted(canvas.rgb, _BODY_OPACITY, picture, 1.0 - _BODY_OPACITY, 0.0)
 
 

@@ -55,7 +55,19 @@ class PosedBodies:
             rgb[np.isin(body.vertex_part, BODY_PARTS[contact.body_part])] = touched_rgb(contact.object_id)
         return rgb
 
-    def draw(self, canvas: Canvas, viewpoint: Viewpoint, meshes: tuple[np.ndarray, ...], frame: int) -> None:
-        """Draw every person at one frame."""
-        for person, (body, vertices_m) in enumerate(zip(self.bodies, meshes, strict=True)):
-            draw_body(canvas, viewpoint, vertices_m, body.faces, self.colors(person, frame))
+    def present(self, frame: int) -> tuple[int, ...]:
+        """Numbers of the people between their first and last measured frame: before and after, poses are repeated."""
+        valid = [motion.valid for motion in self.people]
+        return tuple(k for k, seen in enumerate(valid) if seen[: frame + 1].any() and seen[frame:].any())
+
+    def draw(
+        self,
+        canvas: Canvas,
+        viewpoint: Viewpoint,
+        meshes: tuple[np.ndarray, ...],
+        frame: int,
+        people: Sequence[int] | None = None,
+    ) -> None:
+        """Draw some people (None: all) at one frame."""
+        for person in range(len(self.people)) if people is None else people:
+            draw_body(canvas, viewpoint, meshes[person], self.bodies[person].faces, self.colors(person, frame))
