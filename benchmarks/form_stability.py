@@ -81,7 +81,7 @@ def of_scene(scene: Path, draws: int) -> list[dict]:
         }, names)
         for draw in range(draws)
     ]  # fmt: skip
-    for found in views.surest_first(completed.objects):
+    for found in completed.objects:
         fits, labels, began = [], Counter(), time.process_time()
         for one in [each[found.object_id] for each in drawn if found.object_id in each]:
             ranked, label = one.fits()
@@ -90,7 +90,6 @@ def of_scene(scene: Path, draws: int) -> list[dict]:
         if not fits:
             continue
         seconds = (time.process_time() - began) / draws
-        views.fill(fits[0][1][0])
         row = {"scene": scene.name, "object": found.object_id, "label": found.label, "seconds": round(seconds, 2)}
         rows.append(row | of_object(fits))
         sys.stderr.write(json.dumps(rows[-1]) + "\n")

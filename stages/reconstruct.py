@@ -113,10 +113,10 @@ def reconstruct_objects(
         else:
             seen[found.object_id] = one
     rested = rested_on_one(seen, {found.object_id: found.label for found in completed.objects})
-    for done, found in enumerate(views.surest_first([one for one in completed.objects if one.object_id in seen])):
+    for found in (one for one in completed.objects if one.object_id in seen):
         mesh = _foreign(found, seen[found.object_id], foreign, config, ctx)
-        meshes.append(mesh or fitted(found, rested[found.object_id], views, background.background_rgb, view))
-        ctx.progress(done + 1, len(seen))
+        meshes.append(mesh or fitted(found, rested[found.object_id], background.background_rgb, view))
+        ctx.progress(len(meshes), len(seen))
     ctx.quality("meshes", len(meshes), "count")
     ctx.quality("dropped", len(completed.objects) - len(meshes), "count", "lower")
     ctx.quality("max_faces", max((len(m.mesh.faces) for m in meshes), default=0), "count")
@@ -152,4 +152,4 @@ def _foreign(
         return None
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=40, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=42, models=(SLOT,))

@@ -16,7 +16,6 @@ from video2anim.geometry.projection import invert_rigid, pixel_rays
 from video2anim.objects.form_fit import FitSigmas, FormFit, FormProblem, _tops
 from video2anim.objects.furniture import FORMS, Form
 from video2anim.objects.observed import DepthErrors
-from video2anim.objects.occupied import Occupied
 from video2anim.objects.recognize import log_prior, recognized, rested_on_one
 from video2anim.objects.shapes import CUBE
 from video2anim.objects.solids import Solids
@@ -339,42 +338,3 @@ def test_the_floor_is_seen_in_these_rooms() -> None:
     room = furnished(crate(0.0))
     assert (room.shot.shown == FLOOR).mean() > 0.3
     np.testing.assert_allclose(room.seen.evidence.camera_m, EYE_M)
-
-
-@pytest.mark.parametrize("gap_m", [-0.15, 0.3])
-def test_what_is_fitted_next_is_beside_what_is_there(gap_m: float) -> None:
-    """A crate before a cabinet: its depth is 5 % too far and puts it into the cabinet, if there is no gap."""
-    cabinet, front_m = [Block((0.2, 0.5, -3.6), (1.0, 1.0, 0.4))], -3.4
-    behind = fitted(furnished(cabinet), "cabinet")
-    occupied = Occupied(np.array([[-1.0, 0.0, -5.0], [1.5, 1.5, -2.0]]))
-    occupied.add(behind)
-    crate_of = [Block((0.2, 0.25, front_m + 0.25 + gap_m), (0.5, 0.5, 0.5))]
-    room = furnished(crate_of, distance_sigma=0.1)
-    alone = fitted(room, "box")
-    beside = recognized(
-        replace(room.seen, evidence=replace(room.seen.evidence, filled_m=occupied.distance_m)), {"box": 0.0},
-        forms=[form("box")],
-    )[0]  # fmt: skip
-
-    def inside_m(fit: FormFit) -> float:
-        _, solids = fit.solids()
-        points_m = solids.surface_points_m(9)[0] @ fit.T_world_object[:3, :3].T + fit.T_world_object[:3, 3]
-        return -float(occupied.distance_m(points_m).min())
-
-    if gap_m > 0:
-        np.testing.assert_allclose(beside.values, alone.values, atol=1e-3)
-    else:
-        assert inside_m(alone) > 0.1
-        assert inside_m(beside) < 0.04
-
-
-def test_filled_space_is_as_deep_as_its_solid() -> None:
-    """A box that is 0.6 m high: its inside is within 0.3 m of a side; nothing is filled beside it."""
-    fit = fitted(furnished([Block((0.0, 0.3, -3.0), (0.8, 0.6, 0.8))]), "box")
-    occupied = Occupied(np.array([[-2.0, 0.0, -5.0], [2.0, 1.5, -1.0]]))
-    assert occupied.distance_m(np.array([[0.0, 0.3, -3.0]]))[0] > 1
-    occupied.add(fit)
-    x, z = fit.values[:2]
-    near_m = occupied.distance_m(np.array([[x, 0.3, z], [x, 0.55, z], [x, 0.8, z], [x + 0.6, 0.3, z]]))
-    np.testing.assert_allclose(near_m, [-0.3, -0.05, 0.2, 0.2], atol=0.04)
-    assert (occupied.distance_m(np.array([[x + 1.5, 0.3, z], [50.0, 0.3, 50.0]])) > 1).all()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import cv2
@@ -14,9 +14,7 @@ from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, surface_normals
 from video2anim.objects.backproject import BackprojectedObject, ObjectBackprojector
 from video2anim.objects.foreground import floor_band_m
-from video2anim.objects.form_fit import FormFit
 from video2anim.objects.observed import DepthErrors, ObjectEvidence
-from video2anim.objects.occupied import Occupied
 from video2anim.objects.upright_box import UprightBox, fit_upright_box, turned_to
 from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
 from video2anim.types.contact import RestedSkin
@@ -32,10 +30,7 @@ _NEAR_M = 0.3
 _FARTHEST, _DISTANCES = 3.0, 9
 """That may be at each of so many distances, up to so many standard deviations off."""
 _AROUND_M = 1.5
-"""Walls, objects and bodies so near to it may be reached by its hidden part: the length of a bed less what is seen of
-it."""
-_OFF_FLOOR_M = 0.1
-"""Depth of the floor is off by so much."""
+"""Bodies so near to it may be reached by its hidden part: the length of a bed less what is seen of it."""
 _MIN_DISTANCE_SIGMA = 0.005
 
 
@@ -105,9 +100,6 @@ class ObjectViews:
             for number, one in self._lifted.items()
         }
         self._world_m = self._lifter.world_m()
-        points_m = [self._world_m[one.shows] for one in self._lifted.values() if one.shows.any()]
-        near_m = np.concatenate(points_m) if points_m else np.zeros((1, 3))
-        self._occupied = Occupied(np.stack([near_m.min(0), near_m.max(0)]))
         self._normals = surface_normals(self._world_m)
 
     def object(self, found: CompletedObject, rng: np.random.Generator) -> SeenObject | None:
@@ -139,10 +131,8 @@ class ObjectViews:
             raised=self._is_raised(own, points_m, nearer),
             rested=people.rested.only(here),
             body_m=people.body_m[_within(people.body_m, points_m, _AROUND_M)],
-            others_m=self._others_m(own, points_m, rng),
             sides=sides,
             walls=self._walls if sides is None else None,
-            filled_m=self._occupied.distance_m,
         )
         return SeenObject(evidence, points_m, self._normals[obj.shows], own, outline)
 
@@ -162,28 +152,6 @@ class ObjectViews:
         camera_m, log_depth = self._lifter.view.T_world_camera[:3, 3], np.log(obj.depth_m[obj.shows])
         change = np.exp((self._depth_errors.relief - 1) * (log_depth - np.median(log_depth)))
         return camera_m + change[:, None] * (self._world_m[obj.shows] - camera_m)
-
-    def surest_first(self, found: Sequence[CompletedObject]) -> list[CompletedObject]:
-        """Sorted by the standard deviation of their distance, then by their number of pixels: what is known worse makes
-        room for what is known better."""
-
-        def doubt(one: CompletedObject) -> tuple[float, int]:
-            sigma = self._depth.object_sigma.get(str(one.object_id), np.inf)
-            return round(sigma, 2), -int(self._lifted[one.object_id].own.sum())
-
-        return sorted(found, key=doubt)
-
-    def fill(self, fit: FormFit) -> None:
-        """Objects that are looked at from now on are not inside this one."""
-        self._occupied.add(fit)
-
-    def _others_m(
-        self, own: np.ndarray, points_m: np.ndarray, rng: np.random.Generator
-    ) -> Float[np.ndarray, "others 3"]:
-        """Seen points around the object that are not its own, nor the floor's."""
-        near = self._lifter.known & ~own & ~self._lifter.floor & (self._world_m[..., 1] > _OFF_FLOOR_M)
-        near &= _within(self._world_m, points_m, _AROUND_M)
-        return self._world_m[_spread(near, rng)]
 
     def _outline(self, found: CompletedObject, obj: BackprojectedObject) -> Bool[np.ndarray, "h w"]:
         """Where the object is, hidden or not."""

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from video2anim.objects.evidence import ObjectViews, SeenObject
+from video2anim.objects.evidence import SeenObject
 from video2anim.objects.meshing import ObjectPicture, form_mesh, outline_iou
 from video2anim.objects.recognize import Recognition
 from video2anim.types import CompletedObject, Mesh, ObjectMesh, View
@@ -15,13 +15,11 @@ from video2anim.types import CompletedObject, Mesh, ObjectMesh, View
 def fitted(
     found: CompletedObject,
     recognition: Recognition,
-    views: ObjectViews,
     background_rgb: UInt8[np.ndarray, "height width 3"],
     view: View,
 ) -> ObjectMesh:
-    """The form with the most evidence, painted with the picture; it fills its space in `views`."""
+    """The form with the most evidence, painted with the picture."""
     (best, *_), label = recognition.fits()
-    views.fill(best)
     picture = ObjectPicture(_completed_picture(found, background_rgb), found.amodal_mask, view)
     mesh, parts, texture = form_mesh(best, picture)
     sigma = best.sigma
