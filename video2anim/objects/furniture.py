@@ -281,8 +281,7 @@ def _size(name: str, usual_m: float, spread: float) -> Size:
 
 
 def place(name: str) -> Size:
-    """What may be anywhere from -1 to 1, as the lower box of a stack from 12 to 88 % of its height: the logarithm of this
-    size."""
+    """What may be anywhere from -1 to 1: the logarithm of this size. So a stack is split at 12 to 88 % of its height."""
     return Size(name, 1.0, float(np.sqrt(1 / 3)))
 
 
