@@ -53,6 +53,7 @@ WITHOUT: dict[str, Callable[[ObjectEvidence], ObjectEvidence]] = {
     "nothing": lambda seen: seen,
     "what rested": lambda seen: seen.rested_at(()),
     "bodies": partial(replace, body_m=NONE_M),
+    "points of others": partial(replace, others_m=NONE_M),
     "headings": partial(replace, sides=None, walls=None),
 }
 """Evidence less one kind."""

@@ -30,7 +30,10 @@ _NEAR_M = 0.3
 _FARTHEST, _DISTANCES = 3.0, 9
 """That may be at each of so many distances, up to so many standard deviations off."""
 _AROUND_M = 1.5
-"""Bodies so near to it may be reached by its hidden part: the length of a bed less what is seen of it."""
+"""Walls, objects and bodies so near to it may be reached by its hidden part: the length of a bed less what is seen of
+it."""
+_OFF_FLOOR_M = 0.1
+"""Depth of the floor is off by so much."""
 _MIN_DISTANCE_SIGMA = 0.005
 
 
@@ -131,6 +134,7 @@ class ObjectViews:
             raised=self._is_raised(own, points_m, nearer),
             rested=people.rested.only(here),
             body_m=people.body_m[_within(people.body_m, points_m, _AROUND_M)],
+            others_m=self._others_m(own, points_m, rng),
             sides=sides,
             walls=self._walls if sides is None else None,
         )
@@ -152,6 +156,14 @@ class ObjectViews:
         camera_m, log_depth = self._lifter.view.T_world_camera[:3, 3], np.log(obj.depth_m[obj.shows])
         change = np.exp((self._depth_errors.relief - 1) * (log_depth - np.median(log_depth)))
         return camera_m + change[:, None] * (self._world_m[obj.shows] - camera_m)
+
+    def _others_m(
+        self, own: np.ndarray, points_m: np.ndarray, rng: np.random.Generator
+    ) -> Float[np.ndarray, "others 3"]:
+        """Seen points around the object that are not its own, nor the floor's."""
+        near = self._lifter.known & ~own & ~self._lifter.floor & (self._world_m[..., 1] > _OFF_FLOOR_M)
+        near &= _within(self._world_m, points_m, _AROUND_M)
+        return self._world_m[_spread(near, rng)]
 
     def _outline(self, found: CompletedObject, obj: BackprojectedObject) -> Bool[np.ndarray, "h w"]:
         """Where the object is, hidden or not."""

@@ -180,6 +180,12 @@ class FormProblem:
         share = known.sum() / max(len(known), 1)
         self.point_weight = np.sqrt(sigmas.looks * share / max(known.sum(), 1))
         self.ray_weight = np.sqrt(sigmas.looks / max(len(known), 1))
+        self.others_m = np.concatenate([evidence.others_m, evidence.body_m])
+        other_m = np.linalg.norm(evidence.others_m - evidence.camera_m, axis=-1)
+        other_noise_m = np.hypot(
+            np.hypot(evidence.depth_errors.sigma, evidence.distance_sigma) * other_m, sigmas.form_m
+        )
+        self.others_weight = _weight(sigmas.looks, len(other_m)) / other_noise_m
         self.steps = np.concatenate([_STEP, np.full(len(form.sizes), _SIZE_STEP)])
         self.prior_sigma = np.concatenate([
             [np.inf, np.inf, np.inf, 0.15 if base_m > 0 else sigmas.base_m, evidence.distance_sigma,
@@ -193,9 +199,10 @@ class FormProblem:
         """Those of mask, depth, people, room and priors."""
         evidence, sigmas, batch = self.evidence, self.sigmas, len(values)
         _, solids = self.form.build(np.exp(values[:, len(POSE) :]))
-        bodies_m = np.broadcast_to(evidence.body_m, (batch, *evidence.body_m.shape))
-        points_m = np.concatenate([self._depth_points_m(values), bodies_m], 1)
-        away_m, seen = solids.distance_m(self._own(values, points_m)).min(1), len(self.point_m)
+        others = np.broadcast_to(self.others_m, (batch, *self.others_m.shape))
+        points_m = np.concatenate([self._depth_points_m(values), others], 1)
+        away_m = solids.distance_m(self._own(values, points_m)).min(1)
+        seen, of_others = len(self.point_m), len(self.point_m) + len(evidence.others_m)
         noise_m = np.hypot(evidence.depth_errors.sigma * self.point_m, self.surface_noise_m)
         origin = self._own(values, np.broadcast_to(evidence.camera_m, (batch, 1, 3)))[:, 0]
         rays = _turned(values[:, 2:3], *evidence.rays.T)
@@ -203,7 +210,7 @@ class FormProblem:
         surface_m = self._surface_m(values, solids)
         outside, before = self._intrusion(values, surface_m)
         loose = [self.point_weight * np.abs(away_m[:, :seen]) / noise_m, before]
-        firm = [missed, outside]
+        firm = [missed, outside, self.others_weight * np.maximum(-away_m[:, seen:of_others], 0)]
         of_picture = (sum(part.shape[1] for part in loose), sum(part.shape[1] for part in firm))
         if count := len(evidence.rested):
             own_m = self._own(values, np.broadcast_to(evidence.rested.point_m, (batch, count, 3)))
@@ -212,7 +219,7 @@ class FormProblem:
             loose.append(self._sat_askew(values[:, 2])[:, None])
         if (square := evidence.sides or evidence.walls) is not None:
             loose.append(self._askew(values[:, 2], square)[:, None])
-        firm.append(np.maximum(_FLESH_M - away_m[:, seen:], 0) / sigmas.body_m)
+        firm.append(np.maximum(_FLESH_M - away_m[:, of_others:], 0) / sigmas.body_m)
         prior = (values - self.prior_mean)[:, 3:] / self.prior_sigma[3:]
         return Residuals(
             np.concatenate(loose, 1), np.concatenate(firm, 1), prior, of_picture, sigmas.noise_observations

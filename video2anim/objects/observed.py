@@ -55,14 +55,16 @@ class ObjectEvidence:
     """Skin that rested on it."""
     body_m: Float[np.ndarray, "inner 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Points where bodies were; independent of each other."""
+    others_m: Float[np.ndarray, "others 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    """Seen points of walls and other objects, which are not inside it."""
     sides: Heading | None = None
     """Of its own straight edges; None where they do not tell."""
     walls: Heading | None = None
     """Of the room, where `sides` is not known."""
 
     def every_other(self) -> ObjectEvidence:
-        """The same with half of the pixels."""
-        return replace(self, rays=self.rays[::2], depth_m=self.depth_m[::2])
+        """The same with half of the pixels and of the points around it."""
+        return replace(self, rays=self.rays[::2], depth_m=self.depth_m[::2], others_m=self.others_m[::2])
 
     def rested_at(self, places: Collection[int]) -> ObjectEvidence:
         """The same if only what rested at these places rested on it."""
