@@ -257,8 +257,7 @@ def _steps(s: Sizes) -> _Built:
 
 
 def _stack(s: Sizes) -> _Built:
-    w, d, h, split, w_upper, d_upper, aside, back = s.T
-    lower = h / (1 + split**-2)
+    w, d, h, lower, w_upper, d_upper, aside, back = s.T
     upper = [0.5 * np.log(aside) * (w - w_upper), 0.5 * (lower + h), 0.5 * np.log(back) * (d - d_upper)]
     rows = [("lower", [0, 0.5 * lower, 0], [w, lower, d]), ("upper", upper, [w_upper, h - lower, d_upper])]
     return _solids(rows, len(s))
@@ -281,7 +280,7 @@ def _size(name: str, usual_m: float, spread: float) -> Size:
 
 
 def place(name: str) -> Size:
-    """What may be anywhere from -1 to 1: the logarithm of this size. So a stack is split at 12 to 88 % of its height."""
+    """What may be anywhere from -1 to 1: the logarithm of this size."""
     return Size(name, 1.0, float(np.sqrt(1 / 3)))
 
 
@@ -334,8 +333,9 @@ FORMS: tuple[Form, ...] = (
     Form("slope", (_size("width", 1.5, 0.6), _size("depth", 1.2, 0.6), _size("height", 0.5, 0.6)), _slope, share=0.01),
     Form("board", (_size("width", 0.8, 0.6), _size("depth", 0.5, 0.8), _size("height", 1.2, 0.6),
                    _size("thickness", 0.04, 0.4)), _leaning_board, "leaning", share=0.01),
-    Form("stack", (*_ANY, place("split"), _size("upper width", 0.4, 0.8), _size("upper depth", 0.4, 0.8),
-                   place("upper x"), place("upper z")), _stack, turns=2, stands=False, share=0.1),
+    Form("stack", (*_ANY, _size("lower height", 0.3, 0.8), _size("upper width", 0.4, 0.8),
+                   _size("upper depth", 0.4, 0.8), place("upper x"), place("upper z")), _stack, turns=2, stands=False,
+         share=0.1),
     Form("box", _ANY, _box, turns=2, stands=False),
 )  # fmt: skip
 """All that is tried, with the object's own outline (`extrusion`). Those from `slope` on are for objects of no known
