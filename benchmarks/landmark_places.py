@@ -48,7 +48,7 @@ def main() -> None:
     parser.add_argument("--clips", type=Path, required=True)
     parser.add_argument("--scenes", type=Path, required=True)
     options = parser.parse_args()
-    people = [compared(*found) for found in found_people(options.clips, options.scenes)]
+    people = [compared(*found[1:]) for found in found_people(options.clips, options.scenes)]
     sys.stdout.write(f"{len(people)} people; parts per thousand of the body's height\n")
     sys.stdout.write(
         "| keypoint | offset (left, up, front) | over people | distance before | after |\n|---|---|---|---|---|\n"

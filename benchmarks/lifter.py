@@ -95,7 +95,7 @@ def estimates(folder: Path, network: Lifter) -> dict[str, Estimate]:
         raise SystemExit(f"{folder}: {result.why(PersonTracks, CameraEstimate, BodyTracks, RefinedMotion)}")
     clip, motion = result.clip, refined.people[0]
     track = at_frame_times(tracks.selected()[0].whole(clip.frame_count), clip)
-    lifted = lift(observations(track, clip.frame_time_s, camera.intrinsics), network)
+    lifted = lift(observations(track, clip.frame_time_s, camera.intrinsics, camera.up_in_frames), network)
     rest_m = shaped_body(bodies.people[0].shape).rest_joints_m
     lifted_m, _ = forward_kinematics(lifted.R_parent_joint, np.zeros((len(track.valid), 3)), rest_m)
     joints_m = {

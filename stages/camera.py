@@ -65,8 +65,9 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     focal = estimate_focal(clip, image, config.focal_px)
     intrinsics = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
     path = camera_path(motion, clip.frame_count, intrinsics)
-    people = lifted_people(tracks, clip, intrinsics, ctx.model(config.model))
-    by_lifter = up_by_lifter(people, path.T_first_camera[:, :3, :3])
+    R_first_camera = path.T_first_camera[:, :3, :3]
+    people = lifted_people(tracks, clip, intrinsics, image.up_camera @ R_first_camera, ctx.model(config.model))
+    by_lifter = up_by_lifter(people, R_first_camera)
     evidence = up_evidence(by_lifter, image, focal.focal_px, path.points)
     up, up_sigma_rad = combined_up(evidence)
     estimate = CameraEstimate(
@@ -149,4 +150,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=25, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=26, models=("lifter", "camera"))

@@ -63,7 +63,7 @@ def recover_humans(
 
     expect_heights(config.height_m, tracks.selected_ids)
     selected = tuple(at_frame_times(track.whole(clip.frame_count), clip) for track in tracks.selected())
-    observed = [observations(track, clip.frame_time_s, camera.intrinsics) for track in selected]
+    observed = [observations(track, clip.frame_time_s, camera.intrinsics, camera.up_in_frames) for track in selected]
     network = ctx.model(config.model)
     lifted = [lift(one, network) for one in observed]
     heights_m = [height_of(config.height_m, track.person_id, tracks.selected_ids[0]) for track in selected]
@@ -158,4 +158,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton_height", quality.body_height_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=25, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=26, models=("lifter",))

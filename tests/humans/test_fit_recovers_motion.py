@@ -64,18 +64,19 @@ def filmed() -> Filmed:
     pixels = project(points, LENS)
     hips = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
     # A landmark model sees a crop, which hides a part of the viewing ray's tilt.
-    R_camera_landmarks = landmark_rotation(pixels[:, hips].mean(1), LENS)
+    up_camera = np.tile(T_camera_world[:3, 1], (75, 1))
+    R_camera_landmarks = landmark_rotation(pixels[:, hips].mean(1), LENS, up_camera)
     seen = np.einsum("tba,tkb->tka", R_camera_landmarks, points - points[:, hips].mean(1, keepdims=True))
     whole = Observations(
         motion.frame_time_s, np.ones(75, bool),
         pixels + rng.normal(0, NOISE_PX, pixels.shape), seen + rng.normal(0, NOISE_M, seen.shape),
-        np.ones(pixels.shape[:2]), LENS,
+        np.ones(pixels.shape[:2]), LENS, up_camera,
     )  # fmt: skip
     assert (points[..., 2] > 1).all()
     some = np.arange(0, 75, 3)
     observed = Observations(
         whole.frame_time_s[some], whole.valid[some], whole.keypoints_px[some], whole.keypoints_m[some],
-        whole.weight[some], LENS,
+        whole.weight[some], LENS, up_camera[some],
     )  # fmt: skip
     return Filmed(whole, observed, lift(whole, load_model("lifter")).rows(some), joints[some])
 
@@ -252,7 +253,7 @@ def test_frames_without_landmarks_are_bridged(filmed: Filmed) -> None:
     valid[[0, 10, 11]] = False
     pixels, points, weight = o.keypoints_px.copy(), o.keypoints_m.copy(), o.weight.copy()
     pixels[~valid], points[~valid], weight[~valid] = np.nan, np.nan, 0.0
-    seen = Observations(o.frame_time_s, valid, pixels, points, weight, LENS)
+    seen = replace(o, valid=valid, keypoints_px=pixels, keypoints_m=points, weight=weight)
     fit = fit_body(seen, filmed.lifted, iterations=120)
     assert np.isfinite(fit.joints_camera_m).all()
     assert np.isnan(fit.reprojection_px[~valid]).all()
@@ -264,10 +265,7 @@ def test_frames_without_landmarks_are_bridged(filmed: Filmed) -> None:
 def test_nobody_is_refused(filmed: Filmed) -> None:
     o = filmed.observed
     with pytest.raises(StageError, match="at least one frame"):
-        fit_body(
-            Observations(o.frame_time_s, ~o.valid, o.keypoints_px, o.keypoints_m, 0 * o.weight, LENS),
-            filmed.lifted,
-        )
+        fit_body(replace(o, valid=~o.valid, weight=0 * o.weight), filmed.lifted)
 
 
 def test_viewing_ray_rotation() -> None:

@@ -58,11 +58,12 @@ class Walk:
         points = true_keypoints(self.motion) @ self.R_camera_world.T + self.t
         rng = np.random.default_rng(3)
         pixels = project(points, LENS)
-        R = landmark_rotation(pixels[:, HIPS].mean(1), LENS)
+        up_camera = np.tile(self.up_camera, (frames, 1))
+        R = landmark_rotation(pixels[:, HIPS].mean(1), LENS, up_camera)
         seen_m = np.einsum("tba,tkb->tka", R, points - points[:, HIPS].mean(1, keepdims=True))
         self.observed = Observations(
             np.arange(frames) / fps, np.ones(frames, bool), pixels + rng.normal(0, 1.5, pixels.shape),
-            seen_m + rng.normal(0, 0.02, seen_m.shape), np.ones(pixels.shape[:2]), LENS,
+            seen_m + rng.normal(0, 0.02, seen_m.shape), np.ones(pixels.shape[:2]), LENS, up_camera,
         )  # fmt: skip
 
     @property
@@ -220,8 +221,9 @@ def test_frames_without_a_measurement_give_numbers(walk: Walk, network: Lifter, 
 def test_very_short_clips(walk: Walk, network: Lifter, frames: int) -> None:
     o, rows = walk.observed, slice(0, frames)
     short = Observations(
-        o.frame_time_s[rows], o.valid[rows], o.keypoints_px[rows], o.keypoints_m[rows], o.weight[rows], LENS
-    )
+        o.frame_time_s[rows], o.valid[rows], o.keypoints_px[rows], o.keypoints_m[rows], o.weight[rows], LENS,
+        o.up_camera[rows],
+    )  # fmt: skip
     assert lift(short, network).R_parent_joint.shape == (frames, 22, 3, 3)
 
 

@@ -35,7 +35,7 @@ def person(valid: np.ndarray | None = None) -> tuple[PersonTrack, Observations, 
     )  # fmt: skip
     observed = Observations(
         motion.frame_time_s, seen, pixels[:, LANDMARK_ORDER], points[:, LANDMARK_ORDER],
-        np.nan_to_num(visibility[:, LANDMARK_ORDER]), LENS,
+        np.nan_to_num(visibility[:, LANDMARK_ORDER]), LENS, np.tile([0.0, -1.0, 0.0], (FRAMES, 1)),
     )  # fmt: skip
     fit = FittedBody(
         motion.R_parent_joint, motion.T_world_root[:, :3, 3], motion.joints_world_m, motion.rest_joints_m, motion.shape,

@@ -34,18 +34,30 @@ class UpEvidence:
 
 
 def lifted_people(
-    tracks: PersonTracks, clip: VideoClip, intrinsics: Intrinsics, network: Network
+    tracks: PersonTracks,
+    clip: VideoClip,
+    intrinsics: Intrinsics,
+    up_camera: Float[np.ndarray, "frames 3"],
+    network: Network,
 ) -> list[tuple[LiftedBody, PersonTrack]]:
     """The lifter's bodies of every person, selected or not.
+
+    Args:
+        tracks: All people.
+        clip: The clip.
+        intrinsics: Lens.
+        up_camera: Unit vector against gravity in the axes of each frame's camera, by the image.
+        network: The lifter.
 
     Raises:
         ArtifactError: a track has rows beyond the clip.
     """
-    times_s = [clip.frame_time_s[track.frames_in(clip.frame_count)] for track in tracks.people]
-    return [
-        (lift(observations(at_frame_times(track, clip), times, intrinsics), network), track)
-        for track, times in zip(tracks.people, times_s, strict=True)
+    rows = [track.frames_in(clip.frame_count) for track in tracks.people]
+    observed = [
+        observations(at_frame_times(track, clip), clip.frame_time_s[some], intrinsics, up_camera[some])
+        for track, some in zip(tracks.people, rows, strict=True)
     ]
+    return [(lift(seen, network), track) for seen, track in zip(observed, tracks.people, strict=True)]
 
 
 def up_by_lifter(

@@ -78,7 +78,7 @@ def lifter_input(observed: Observations) -> LifterInput:
     ray = np.stack(
         [(pixels[..., 0] - k.cx_px) / k.fx_px, (pixels[..., 1] - k.cy_px) / k.fy_px, np.ones(pixels.shape[:2])], -1
     )
-    R_ray_landmarks = np.swapaxes(R_camera_ray, -1, -2) @ landmark_rotation(center_px, k)
+    R_ray_landmarks = np.swapaxes(R_camera_ray, -1, -2) @ landmark_rotation(center_px, k, observed.up_camera)
     points_ray_m = np.einsum("tab,tkb->tka", R_ray_landmarks, np.nan_to_num(observed.keypoints_m))
     return ray_features(ray, R_camera_ray, points_ray_m, observed.weight, valid)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from video2anim.humans.landmarks import LANDMARK_ORDER
 from video2anim.humans.problem import Observations
@@ -44,8 +45,20 @@ def at_frame_times(track: PersonTrack, clip: VideoClip) -> PersonTrack:
     )  # fmt: skip
 
 
-def observations(track: PersonTrack, frame_time_s: np.ndarray, intrinsics: Intrinsics) -> Observations:
-    """Landmarks of a track in the order of the body's keypoints."""
+def observations(
+    track: PersonTrack,
+    frame_time_s: Float[np.ndarray, "frames"],
+    intrinsics: Intrinsics,
+    up_camera: Float[np.ndarray, "frames 3"],
+) -> Observations:
+    """Landmarks of a track in the order of the body's keypoints.
+
+    Args:
+        track: One person, with a row for every time.
+        frame_time_s: Seconds.
+        intrinsics: Lens.
+        up_camera: Unit vector against gravity in the axes of each row's camera.
+    """
     pixels, points = track.landmarks_px[:, LANDMARK_ORDER], track.landmarks_m[:, LANDMARK_ORDER]
     weight = np.nan_to_num(np.where(track.valid[:, None], track.visibility[:, LANDMARK_ORDER], 0.0))
-    return Observations(frame_time_s, track.valid, pixels, points, weight, intrinsics)
+    return Observations(frame_time_s, track.valid, pixels, points, weight, intrinsics, up_camera)

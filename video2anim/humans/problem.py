@@ -23,6 +23,8 @@ class Observations:
     weight: Float[np.ndarray, "frames keypoints"]
     """Confidence, 0 where not seen or not valid."""
     intrinsics: Intrinsics
+    up_camera: Float[np.ndarray, "frames 3"]
+    """Unit vector against gravity in the axes of each frame's camera."""
 
     @property
     def size_px(self) -> Float[np.ndarray, "frames"]:

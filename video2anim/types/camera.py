@@ -83,6 +83,11 @@ class CameraEstimate(Checked):
     of the background, which images leave open (stage humans finds it in meters)."""
 
     @property
+    def up_in_frames(self) -> Float[np.ndarray, "frames 3"]:
+        """`up_camera` in the axes of each frame's camera."""
+        return self.up_camera @ self.T_first_camera[:, :3, :3]
+
+    @property
     def travels(self) -> bool:
         """Whether the camera changes its place."""
         return bool(self.T_first_camera[:, :3, 3].any())

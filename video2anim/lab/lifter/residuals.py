@@ -122,7 +122,7 @@ def _runs(track: PersonTrack, true_m: np.ndarray, truth: Truth) -> list[tuple[np
     size = np.sqrt((spread**2).sum(-1).mean(1))
     pixels = (seen_xy - true_xy) / size[:, None, None]
     relative = true_ray - true_ray[:, _HIPS].mean(1, keepdims=True)
-    R_ray_landmarks = np.swapaxes(R, -1, -2) @ landmark_rotation(center_px, k)
+    R_ray_landmarks = np.swapaxes(R, -1, -2) @ landmark_rotation(center_px, k, person.T_world_camera[:, 1, :3])
     points = np.einsum("tab,tkb->tka", R_ray_landmarks, track.landmarks_m[:, LANDMARK_ORDER])
     points = points - points[:, _HIPS].mean(1, keepdims=True) - relative
     ok &= np.nan_to_num(np.linalg.norm(pixels, axis=-1).mean(1), nan=9.0) < 2 * _SAME_BODY

@@ -143,7 +143,8 @@ class LiftingSampler:
         found = self._errors(rng, in_ray[..., :2] / in_ray[..., 2:].clamp_min(0.1), relative, inside)
         ray = torch.cat([found.directions, torch.ones_like(found.directions[..., :1])], -1) @ R_true.transpose(-1, -2)
         directions = (ray[..., :2] / ray[..., 2:].clamp_min(0.1))[0].numpy().astype(np.float64)
-        R_landmarks = landmark_rotation(directions[:, _HIPS].mean(1), _UNIT)
+        up_camera = np.tile(view.R_camera_world[0, :, 1].numpy().astype(np.float64), (self.frames, 1))
+        R_landmarks = landmark_rotation(directions[:, _HIPS].mean(1), _UNIT, up_camera)
         in_camera = (found.points_m @ R_true.transpose(-1, -2))[0].numpy().astype(np.float64)
         return SimulatedWindow(
             directions, in_camera @ R_landmarks, found.visibility[0].numpy(), found.valid[0].numpy(),
