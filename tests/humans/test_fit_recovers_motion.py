@@ -276,6 +276,26 @@ def test_viewing_ray_rotation() -> None:
     np.testing.assert_allclose(np.linalg.det(R), 1.0)
 
 
+def test_landmarks_lie_between_the_viewing_ray_and_a_level_camera() -> None:
+    """Whatever the camera's pitch, roll and lens, only the slope of the ray counts, and a part of it is undone."""
+    away = np.array([0.3, -0.4, 1.0])
+    angles = []
+    for turned in ([0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [-0.1, 0.1, 0.3]):
+        R_camera_level = matrix_from_axis_angle(np.array(turned))
+        ray, up_camera = (R_camera_level @ away)[None], (R_camera_level @ [0.0, -1.0, 0.0])[None]
+        pixel = project(ray, LENS)
+        R_ray_landmarks = ray_rotation(pixel, LENS)[0].T @ landmark_rotation(pixel, LENS, up_camera)[0]
+        up_landmarks = R_ray_landmarks.T @ ray_rotation(pixel, LENS)[0].T @ up_camera[0]
+        angles.append(np.degrees(np.arctan2(up_landmarks[2], np.linalg.norm(up_landmarks[:2]))))
+    slope_deg = np.degrees(np.arctan2(0.4, np.hypot(0.3, 1.0)))
+    np.testing.assert_allclose(angles, angles[0], atol=1e-6)
+    assert 0.2 * slope_deg < abs(angles[0]) < 0.8 * slope_deg
+    level = np.array([[100.0, LENS.cy_px]])
+    np.testing.assert_allclose(
+        landmark_rotation(level, LENS, np.array([[0.0, -1.0, 0.0]])), ray_rotation(level, LENS), atol=1e-9
+    )
+
+
 def test_landmark_table() -> None:
     """BlazePose GHUM numbering: left is even-odd paired, 11/12 shoulders, 23/24 hips, 31/32 toes."""
     for name, number in BLAZEPOSE_OF_KEYPOINT.items():

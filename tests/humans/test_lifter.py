@@ -14,7 +14,7 @@ from synthetic import planted_walk, true_keypoints
 from stages.humans import HumansConfig, warn_of_guesses
 from video2anim.body.anny_body import KEYPOINT_NAMES, RestSkeleton, anny_model
 from video2anim.geometry.projection import invert_rigid, project
-from video2anim.geometry.rotations import matrix_from_axis_angle, rot6d_from_matrix
+from video2anim.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, rot6d_from_matrix
 from video2anim.humans import long_clip
 from video2anim.humans.initial import landmark_rotation, ray_rotation
 from video2anim.humans.landmarks import KEYPOINT_INDEX, with_landmarks
@@ -42,6 +42,8 @@ from video2anim.types.skeleton import JOINT_INDEX, forward_kinematics
 LENS = Intrinsics.centered(1000.0, 1280, 720)
 HIPS = [KEYPOINT_INDEX["left_hip"], KEYPOINT_INDEX["right_hip"]]
 TILT_RAD = 0.2
+LEAN = matrix_from_axis_angle(np.radians([5.0, 0.0, 0.0]))
+"""BlazePose's landmarks lean by 5 degrees against their axes, on rendered people (`benchmarks/landmark_axes.py`)."""
 
 
 class Walk:
@@ -60,7 +62,7 @@ class Walk:
         pixels = project(points, LENS)
         up_camera = np.tile(self.up_camera, (frames, 1))
         R = landmark_rotation(pixels[:, HIPS].mean(1), LENS, up_camera)
-        seen_m = np.einsum("tba,tkb->tka", R, points - points[:, HIPS].mean(1, keepdims=True))
+        seen_m = np.einsum("tba,tkb->tka", R @ LEAN.T, points - points[:, HIPS].mean(1, keepdims=True))
         self.observed = Observations(
             np.arange(frames) / fps, np.ones(frames, bool), pixels + rng.normal(0, 1.5, pixels.shape),
             seen_m + rng.normal(0, 0.02, seen_m.shape), np.ones(pixels.shape[:2]), LENS, up_camera,
@@ -215,6 +217,22 @@ def test_frames_without_a_measurement_give_numbers(walk: Walk, network: Lifter, 
         assert np.isfinite(part).all()
     if missing == "some":
         assert limbs_apart_m(body.R_parent_joint, walk) < 0.08
+
+
+@pytest.mark.parametrize(("own_up", "angle_rad"), [([0.0, -1.0, 0.3], 0.8 * np.arctan(0.3)), ([0.3, -1.0, 0.0], 0.0)])
+def test_bodies_are_turned_by_gravity_in_pitch_only(own_up: list[float], angle_rad: float) -> None:
+    """A body straight before a level camera, whose own up direction leans away from the camera or to the side."""
+    frames = 7
+    output = np.zeros((frames, OUTPUTS), np.float32)
+    output[:, :132] = np.tile([1.0, 0.0, 0.0, 0.0, 1.0, 0.0], 22)
+    output[:, -3:] = own_up
+    pixels = np.full((frames, len(KEYPOINT_NAMES), 2), [LENS.cx_px, LENS.cy_px])
+    observed = Observations(
+        np.arange(frames) / 30, np.arange(frames) > 1, pixels, np.zeros((frames, len(KEYPOINT_NAMES), 3)),
+        np.ones((frames, len(KEYPOINT_NAMES))), LENS, np.tile([0.0, -1.0, 0.0], (frames, 1)),
+    )  # fmt: skip
+    turned = axis_angle_from_matrix(lift(observed, lambda _: output).R_parent_joint[:, 0])
+    np.testing.assert_allclose(turned, np.tile([angle_rad, 0.0, 0.0], (frames, 1)), atol=1e-6)
 
 
 @pytest.mark.parametrize("frames", [1, 2])

@@ -8,9 +8,9 @@ from jaxtyping import Float
 from video2anim.geometry.rotations import matrix_from_axis_angle, rotations_between
 from video2anim.types.camera import Intrinsics
 
-_YAW_SHARE, _PITCH_SHARE, _LEVEL_SHARE = 0.75, 0.3, 0.0
-"""Parts of the viewing ray's angles and of the camera's pitch by which BlazePose's landmarks are rotated against the
-camera (`benchmarks/landmark_axes.py`)."""
+_LEVEL_SHARE = 0.4
+"""How far BlazePose's landmarks are turned from the axes of the viewing ray to those of a level camera
+(`benchmarks/landmark_axes.py`)."""
 
 
 def ray_rotation(points_px: Float[np.ndarray, "frames 2"], intrinsics: Intrinsics) -> Float[np.ndarray, "frames 3 3"]:
@@ -29,28 +29,26 @@ def landmark_rotation(
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Rotation from the axes of a person's 3D landmarks into the camera frame.
 
-    The landmark model sees a crop, whose place in the image it does not know, but assumes upright people and a level
-    camera: its axes lie between those of the viewing ray and those of a level camera. Measured on rendered people.
+    The landmark model sees a crop, which is an image along the viewing ray, but assumes upright people and a level
+    camera: its axes lie between those of the ray and those of a level camera that faces the person. Measured on
+    rendered people.
 
     Args:
         points_px: Middle of the hips.
         intrinsics: Lens.
         up_camera: Unit vector against gravity in the axes of each frame's camera.
     """
-    yaw, pitch, level = landmark_turns(points_px, intrinsics, up_camera)
-    return np.asarray(matrix_from_axis_angle(_YAW_SHARE * yaw + _PITCH_SHARE * pitch + _LEVEL_SHARE * level))
+    R_camera_ray = ray_rotation(points_px, intrinsics)
+    pitch_rad, across = ray_pitch(up_camera, R_camera_ray)
+    return R_camera_ray @ matrix_from_axis_angle(_LEVEL_SHARE * pitch_rad[:, None] * across)
 
 
-def landmark_turns(
-    points_px: Float[np.ndarray, "frames 2"], intrinsics: Intrinsics, up_camera: Float[np.ndarray, "frames 3"]
-) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "frames 3"], Float[np.ndarray, "frames 3"]]:
-    """Rotation vectors: of the viewing ray about the image's up direction, of the ray across it, and of the camera
-    against a level one."""
-    x = (points_px[:, 0] - intrinsics.cx_px) / intrinsics.fx_px
-    y = (points_px[:, 1] - intrinsics.cy_px) / intrinsics.fy_px
-    ray = np.stack([-np.arctan(y), np.arctan(x), np.zeros_like(x)], -1)
-    length = np.linalg.norm(up_camera[:, :2], axis=-1, keepdims=True)
-    up = np.concatenate([up_camera[:, :2] / np.maximum(length, 1e-6), np.zeros((len(up_camera), 1))], -1)
-    across = np.stack([up[:, 1], -up[:, 0], up[:, 2]], -1)
-    yaw, pitch = ((ray * axis).sum(-1, keepdims=True) * axis for axis in (up, across))
-    return yaw, pitch, np.arctan2(up_camera[:, 2:], length) * across
+def ray_pitch(
+    up_camera: Float[np.ndarray, "frames 3"], R_camera_ray: Float[np.ndarray, "frames 3 3"]
+) -> tuple[Float[np.ndarray, "frames"], Float[np.ndarray, "frames 3"]]:
+    """Angle of the viewing ray against the horizon in radians, and the horizontal axis across it in its own axes, about
+    which a level camera is turned by this angle to look along the ray."""
+    up_ray = np.einsum("tab,ta->tb", R_camera_ray, up_camera)
+    across = np.stack([up_ray[:, 1], -up_ray[:, 0], np.zeros(len(up_ray))], -1)
+    length = np.linalg.norm(across, axis=-1)
+    return np.arctan2(up_ray[:, 2], length), across / np.maximum(length, 1e-6)[:, None]
