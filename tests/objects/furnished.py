@@ -82,6 +82,7 @@ def furnished(
     unseen: np.ndarray | None = None,
     known: np.ndarray | None = None,
     own: np.ndarray | None = None,
+    floor: np.ndarray | None = None,
     edges_m: Sequence[np.ndarray] = (),
     errors: DepthErrors | None = None,
     seed: int = 0,
@@ -94,6 +95,7 @@ def furnished(
         unseen: Pixels that people always hid.
         known: Pixels with depth, instead of all.
         own: The object's mask, instead of its visible pixels.
+        floor: That of the floor, likewise.
         edges_m: Lines of the world that the picture shows.
         errors: Instead of those of true depth.
     """
@@ -104,8 +106,9 @@ def furnished(
     masks = [own, *(shot.mask(len(obj) + number) for number in range(len(others)))]
     instances = tuple(ObjectInstance(n, "object", 1.0, np.zeros(4), mask) for n, mask in enumerate(masks, 1))
     depth_m = np.where(own, depth_factor, 1.0) * shot.depth_m
+    floor = shot.mask(FLOOR) if floor is None else floor
     views = ObjectViews(
-        InstanceMasks("truth", instances, shot.mask(FLOOR)), metric(shot, depth_m, distance_sigma, known),
+        InstanceMasks("truth", instances, floor), metric(shot, depth_m, distance_sigma, known),
         np.zeros_like(own) if unseen is None else unseen,
         PeopleEvidence(
             RestedSkin(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from furnished import convex, furnished
@@ -112,6 +113,15 @@ def test_raised_is_what_ends_above_something_that_is_seen(obj: Block, others: li
     assert seen.evidence.raised == raised
     lowest_m = obj.center_m[1] - 0.5 * obj.size_m[1]
     assert seen.box().low_m[1] == pytest.approx(lowest_m if raised else 0, abs=0.05)
+
+
+@pytest.mark.parametrize(("gap_px", "raised"), [(0, False), (4, False), (40, True)])
+def test_floor_below_a_thing_outweighs_its_depth(gap_px: int, raised: bool) -> None:
+    """Its depth is too small, so that it seems to hover. The masks of floor and thing do not quite meet."""
+    room = furnished([CABINET])
+    near = cv2.dilate(room.seen.own.astype(np.uint8), np.ones((2 * gap_px + 1,) * 2, np.uint8)) > 0
+    evidence = furnished([CABINET], depth_factor=0.7, floor=room.shot.mask(FLOOR) & ~near).seen.evidence
+    assert evidence.raised == raised
 
 
 def test_a_thing_cut_by_the_lower_border_is_not_raised() -> None:

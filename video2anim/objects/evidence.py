@@ -14,6 +14,7 @@ from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, surface_normals
 from video2anim.objects.backproject import BackprojectedObject, ObjectBackprojector
 from video2anim.objects.foreground import floor_band_m
+from video2anim.objects.form_fit import FitSigmas
 from video2anim.objects.observed import DepthErrors, ObjectEvidence
 from video2anim.objects.upright_box import UprightBox, fit_upright_box, turned_to
 from video2anim.types import CompletedObject, InstanceMasks, MetricDepth
@@ -23,6 +24,9 @@ _POINTS = 160
 """Pixels of an object that are looked at; the time of a fit grows with them."""
 _RAISED_M = 0.15
 """What ends so far above the floor, where the picture goes on below it, stands on something else."""
+_LOWER_END, _REACH = 0.2, 3.0
+"""Unless there is floor below most of the lowest fifth of its height, within so many standard deviations of its
+outline."""
 _STEP, _STEP_M = 0.1, 0.02
 """What carries an object is as far and as high as its lower end; what hides that is nearer by this share, or higher."""
 _NEAR_M = 0.3
@@ -189,17 +193,23 @@ class ObjectViews:
         return hides
 
     def _is_raised(self, own: np.ndarray, points_m: np.ndarray, nearer: np.ndarray) -> bool:
-        """Whether it ends high above the floor though nothing hides its lower end."""
+        """Whether it ends high above the floor, though nothing hides its lower end and the picture shows no floor
+        there."""
         if np.percentile(points_m[:, 1], 2) < _RAISED_M:
             return False
-        columns = np.flatnonzero(own.any(0))
+        rows, columns = np.flatnonzero(own.any(1)), np.flatnonzero(own.any(0))
         below = len(own) + 1 - np.argmax(own[::-1, columns], axis=0)
+        lowest = below - 2 >= rows[-1] - _LOWER_END * (rows[-1] - rows[0])
+        columns, below = columns[lowest], below[lowest]
         inside = below < len(own)
         at, end = (np.minimum(below, len(own) - 1), columns), (np.minimum(below, len(own)) - 2, columns)
         depth_m, up_m = self._depth.background_depth_m, self._world_m[..., 1]
         carries = (depth_m[at] > (1 - _STEP) * depth_m[end]) & (up_m[at] < up_m[end] + _STEP_M)
         hidden = self._unseen[at] | (nearer[at] & ~carries)
-        return bool((inside & ~hidden & ~self._lifter.floor[at]).mean() > 0.5)
+        sigmas = FitSigmas()
+        reach_px = int(_REACH * np.hypot(sigmas.outline_px, sigmas.outline_share * np.sqrt(own.sum())))
+        floor = cv2.dilate(self._lifter.floor.astype(np.uint8), np.ones((reach_px + 1, 1), np.uint8), anchor=(0, 0)) > 0
+        return bool((inside & ~hidden & ~floor[at]).mean() > 0.5)
 
 
 def _within(
