@@ -152,4 +152,4 @@ def _foreign(
         return None
 
 
-STAGE = StageSpec("reconstruct", reconstruct_objects, version=43, models=(SLOT,))
+STAGE = StageSpec("reconstruct", reconstruct_objects, version=44, models=(SLOT,))

@@ -26,7 +26,7 @@ POSE = ("x", "z", "yaw", "base", "distance", "stretch")
 of its distance, and the share by which its relief (`DepthErrors`) is larger than estimated."""
 THIN = ("leg", "pole", "base")
 """Parts that masks lose. Bases stand for the stars that swivel chairs and bar tables have."""
-OPEN = ("chair", "table", "stool", "bench")
+OPEN = ("chair", "table", "stool")
 """Forms that the picture shows the background between the parts of."""
 LEANED_ON = ("back", "headboard")
 """Parts that bodies meet from the front; on others they rest from above."""

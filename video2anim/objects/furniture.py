@@ -2,7 +2,7 @@
 
 Usual sizes are real ones, those in which the synthetic rooms draw their furniture
 (`video2anim.lab.synth.rooms`): the middle of the range, and about half of it as a share of that. Tables on one foot are
-also bar tables, 1.05 to 1.1 m high; these and benches are not in those rooms.
+also bar tables, 1.05 to 1.1 m high, which those rooms do not have.
 """
 
 from __future__ import annotations
@@ -301,8 +301,6 @@ FORMS: tuple[Form, ...] = (
          _soft_seat),
     Form("stool", (_size("width", 0.36, 0.12), _size("depth", 0.36, 0.12), _size("seat height", 0.48, 0.2)), _stool,
          turns=2),
-    Form("bench", (_size("width", 1.2, 0.25), _size("depth", 0.38, 0.15), _size("height", 0.44, 0.12)), _stool,
-         turns=2, share=0.3),
     Form("table", (_size("width", 1.4, 0.3), _size("depth", 0.85, 0.2), _size("height", 0.74, 0.04)), _table, turns=2),
     Form("table", (_size("width", 1.0, 0.25), _size("depth", 0.6, 0.2), _size("height", 0.42, 0.15)), _table, "low", 2),
     Form("table", (_size("width", 1.4, 0.3), _size("depth", 0.85, 0.2), _size("height", 0.74, 0.04)), _panel_table,

@@ -217,7 +217,7 @@ def _starts(
 _SYNONYMS = {
     "couch": "sofa", "dining table": "table", "coffee table": "table", "potted plant": "plant", "bookcase": "shelf",
     "wardrobe": "cabinet", "chest of drawers": "cabinet", "cupboard": "cabinet", "refrigerator": "cabinet",
-    "ottoman": "stool", "stairs": "steps", "step": "steps", "swivel chair": "chair",
+    "ottoman": "stool", "bench": "table", "stairs": "steps", "step": "steps", "swivel chair": "chair",
 }  # fmt: skip
 """Labels of segmentation networks -> classes of forms."""
 _BROAD = {
