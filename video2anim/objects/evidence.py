@@ -26,7 +26,7 @@ _RAISED_M = 0.15
 """What ends so far above the floor, where the picture goes on below it, stands on something else."""
 _LOWER_END, _REACH = 0.2, 3.0
 """Unless there is floor below most of the lowest fifth of its height, within so many standard deviations of its
-outline."""
+outline. Looked at on six real clips; with all of its columns or two deviations the reflectors of `ocv_walk` hover."""
 _STEP, _STEP_M = 0.1, 0.02
 """What carries an object is as far and as high as its lower end; what hides that is nearer by this share, or higher."""
 _NEAR_M = 0.3
