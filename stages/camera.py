@@ -68,7 +68,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     R_first_camera = path.T_first_camera[:, :3, :3]
     people = lifted_people(tracks, clip, intrinsics, image.up_camera @ R_first_camera, ctx.model(config.model))
     by_lifter = up_by_lifter(people, R_first_camera)
-    evidence = up_evidence(by_lifter, image, focal.focal_px, path.points)
+    evidence = up_evidence(by_lifter, image, focal.focal_px, path.points.place)
     up, up_sigma_rad = combined_up(evidence)
     estimate = CameraEstimate(
         intrinsics=intrinsics,
@@ -78,6 +78,7 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
         up_sigma_rad=up_sigma_rad,
         is_static=motion.is_static,
         T_first_camera=path.T_first_camera,
+        points=path.points,
     )
     if focal.contradicted_px is not None:
         ctx.warn(
@@ -112,6 +113,7 @@ def _report(estimate: CameraEstimate, motion: BackgroundMotion, path: CameraPath
     if not estimate.is_static:
         ctx.quality("camera_path_residual", path.residual_px, "px", "lower")
         ctx.quality("camera_path_located", float(path.located.mean()), "ratio", "higher")
+        ctx.quality("points_of_known_depth", len(path.points.place), "count", "higher")
     k = estimate.intrinsics
     for fault in [*motion.warnings(), *path.faults(max(k.width_px, k.height_px))]:
         ctx.warn(fault)
@@ -150,4 +152,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=26, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=27, models=("lifter", "camera"))

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from video2anim.humans.problem import FittedBody, Observations
 
 
-_UNSURE_SCALE = 0.3
-"""Standard deviation of the scale of a camera's path above which a warning says so."""
 _GUESSED_M = 0.15
 """Expected error of ankles or wrists above which a warning says that limbs are guessed. The medians of limbs in view
 are 0.07 to 0.15 m on nine real clips and 0.2 to 0.4 m on a breakdance, of hidden ankles 0.13 to 0.25 m
@@ -71,7 +69,7 @@ def recover_humans(
         _fit(seen, raised, height_m, config, ctx)
         for seen, raised, height_m in zip(observed, lifted, heights_m, strict=True)
     ]
-    T_first_camera = _in_meters(camera, fits[0], lifted[0], selected[0], clip.fps, ctx)
+    T_first_camera, path_log_sigma = _in_meters(camera, fits[0], lifted[0], selected[0], clip.fps, ctx)
     T_world_camera, spread_m = world_poses(fits[0], selected[0].valid, camera.up_camera, T_first_camera, clip.fps)
     people = tuple(
         world_motion(fit, raised, track, camera, T_world_camera, clip.frame_time_s, clip.fps)
@@ -87,7 +85,7 @@ def recover_humans(
     for motion, judged in zip(people, quality, strict=True):
         for doubt in judged.doubts:
             ctx.warn(f"person {motion.person_id} should not be trusted: {doubt}")
-    return BodyTracks(people, quality)
+    return BodyTracks(people, quality, path_log_sigma)
 
 
 def _fit(
@@ -109,22 +107,18 @@ def _fit(
 
 def _in_meters(
     camera: CameraEstimate, fit: FittedBody, lifted: LiftedBody, track: PersonTrack, fps: float, ctx: StageContext
-) -> Float[np.ndarray, "frames 4 4"]:
-    """Path of the camera in meters, by what the main person rests on."""
+) -> tuple[Float[np.ndarray, "frames 4 4"], float]:
+    """Path of the camera in meters, by what the main person rests on, and the standard deviation of the logarithm of
+    its length."""
     from video2anim.humans.camera_scale import camera_scale_m
 
-    T_first_camera = camera.T_first_camera.copy()
-    if not camera.is_static:
+    T_first_camera, log_sigma = camera.T_first_camera.copy(), 0.0
+    if camera.travels:
         scale_m, log_sigma = camera_scale_m(fit.joints_camera_m, lifted.contact, track.valid, T_first_camera, fps)
         T_first_camera[:, :3, 3] *= scale_m
-        if log_sigma > _UNSURE_SCALE and T_first_camera[:, :3, 3].any():
-            ctx.warn(
-                f"the camera travels, and the length of its path is known to {log_sigma:.0%} only, since the main "
-                "person rests on nothing for long: the paths of people have this error"
-            )
-        ctx.quality("camera_path_scale_uncertainty", log_sigma, "ratio", "lower")
+        ctx.quality("camera_path_uncertainty", log_sigma, "ratio", "lower")
         ctx.quality("camera_path", float(np.ptp(T_first_camera[:, :3, 3], axis=0).max()), "m")
-    return T_first_camera
+    return T_first_camera, log_sigma
 
 
 def warn_of_guesses(motion: BodyMotion, lifted: LiftedBody, ctx: StageContext) -> None:
@@ -158,4 +152,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton_height", quality.body_height_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=26, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=27, models=("lifter",))

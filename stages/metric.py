@@ -14,6 +14,7 @@ from video2anim.pipeline.stage import StageContext, StageSpec
 from video2anim.types import (
     BackgroundImage,
     BodyTracks,
+    CameraEstimate,
     DepthClip,
     InstanceMasks,
     MetricDepth,
@@ -23,6 +24,9 @@ from video2anim.types import (
 if TYPE_CHECKING:
     from video2anim.calibration.evidence import Evidence
     from video2anim.calibration.fit import Calibration
+
+_UNSURE_PATH = 0.3
+"""Standard deviation of the length of a camera's path above which a warning says so."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,7 @@ def fit_metric(
     clip: VideoClip,
     depth: DepthClip,
     background: BackgroundImage,
+    camera: CameraEstimate,
     bodies: BodyTracks,
     masks: InstanceMasks,
     config: MetricConfig,
@@ -51,7 +56,7 @@ def fit_metric(
         StageError: there is no body, or none in any frame.
     """
     from video2anim.calibration.fit import calibrate
-    from video2anim.calibration.gather import picture_evidence, with_objects
+    from video2anim.calibration.gather import picture_evidence, with_objects, with_points
     from video2anim.calibration.metric import applied
     from video2anim.geometry.masks import shrunk
     from video2anim.humans.ground import LEVEL_GAP_M
@@ -61,10 +66,16 @@ def fit_metric(
         picture_evidence(depth, background, bodies, floor, clip.fps, ctx.rng("metric/points")),
         depth, bodies.main, masks,
     )  # fmt: skip
+    evidence = with_points(evidence, depth, camera, bodies.main, masks)
     found = calibrate(evidence)
     problem = _problem(evidence, found, config)
     if problem:
         ctx.warn(f"depth scale is not trusted: {problem}")
+    if found.path_log_sigma > _UNSURE_PATH:
+        ctx.warn(
+            f"the camera travels, and the length of its path is known to {found.path_log_sigma:.0%} only, since "
+            "neither the ground nor what the main person rests on tells it: the paths of people have this error"
+        )
     conflicts = [
         kind
         for kind, off in found.residuals.items()
@@ -97,9 +108,12 @@ def _record(found: Calibration, ctx: StageContext) -> None:
     ctx.quality("camera_height_uncertainty", found.camera_height_sigma_m, "m", "lower")
     ctx.quality("size_over_that_of_stage_humans", float(found.body_height_ratio[0]), "ratio")
     ctx.quality("size_uncertainty", float(found.body_height_log_sigma[0]), "ratio", "lower")
+    if found.path_log_sigma:
+        ctx.quality("camera_path_over_that_of_stage_humans", found.path_ratio, "ratio")
+        ctx.quality("camera_path_uncertainty", found.path_log_sigma, "ratio", "lower")
     ctx.quality("person_over_their_depth", float(np.exp(found.person_depth_log)), "ratio")
     for kind, off in found.residuals.items():
         ctx.quality("residual_" + kind.replace("'", "").replace(" ", "_"), off, "ratio", "lower")
 
 
-STAGE = StageSpec("metric", fit_metric, version=22)
+STAGE = StageSpec("metric", fit_metric, version=23)

@@ -103,7 +103,7 @@ class World:
         right_m, away_m = rng.uniform(-1.2, 1.2, windows), rng.uniform(2.5, 5.5, windows)
         sole_m = self.on_floor(right_m, away_m, self.step_m[number] + noise.sole_m * rng.normal(size=windows))
         farther = np.exp(noise.distance_ratio * rng.normal(size=windows))[:, None]
-        return PersonEvidence(number + 1, self.body_height_sigma[number], sole_m * farther / size)
+        return PersonEvidence(number + 1, self.body_height_sigma[number], sole_m * farther / size, 0 * sole_m)
 
     def skin(self, rng: np.random.Generator, frames: int = 8, points: int = 60) -> tuple[SkinEvidence, ...]:
         """The near half of an upright cylinder: points of the body, and pixels of other points of it."""

@@ -20,12 +20,12 @@ CAMERA_HEIGHT_M = 1.3
 FRAMES = 12
 
 
-def found(*ratios: float) -> Calibration:
-    """Sizes of people, and a height of the camera."""
+def found(*ratios: float, path_ratio: float = 1.0) -> Calibration:
+    """Sizes of people, a height of the camera, and the length of its path."""
     people = np.array(ratios)
     return Calibration(
-        CAMERA_HEIGHT_M, 0.05, people, 0.03 + 0 * people, 0 * people, 1.0, 0.0, 0.1, 0.1, 0.0, np.zeros(0), np.zeros(0),
-        {}, 0.1, 0.1,
+        CAMERA_HEIGHT_M, 0.05, people, 0.03 + 0 * people, path_ratio, 0.04, 0 * people, 1.0, 0.0, 0.1, 0.1, 0.0,
+        np.zeros(0), np.zeros(0), {}, 0.1, 0.1,
     )  # fmt: skip
 
 
@@ -87,11 +87,14 @@ def test_the_origin_is_on_the_floor_below_the_first_valid_root(camera_moves: boo
     assert after.quality == ()
 
 
-def test_the_path_of_the_camera_has_the_scale_of_the_main_person() -> None:
+@pytest.mark.parametrize("path_ratio", [1.0, 1.4])
+def test_the_path_of_the_camera_has_the_scale_of_the_main_person_and_its_own_length(path_ratio: float) -> None:
     body = walk(FRAMES, camera_moves=True)
-    after = calibrated(BodyTracks((body,)), found(1.05)).people[0]
-    own, new = (np.diff(one.T_world_camera[:, :3, 3], axis=0) for one in (body, after))
-    np.testing.assert_allclose(np.linalg.norm(new, axis=1), 1.05 * np.linalg.norm(own, axis=1), rtol=1e-6)
+    after = calibrated(BodyTracks((body,)), found(1.05, path_ratio=path_ratio))
+    own, new = (np.diff(one.T_world_camera[:, :3, 3], axis=0) for one in (body, after.main))
+    np.testing.assert_allclose(np.linalg.norm(new, axis=1), 1.05 * path_ratio * np.linalg.norm(own, axis=1), rtol=1e-6)
+    assert after.path_log_sigma == 0.04
+    assert moved_in_picture(body, after.main) < 0.015
 
 
 def test_soles_of_a_true_camera_are_on_the_floor() -> None:

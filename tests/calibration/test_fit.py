@@ -161,7 +161,8 @@ def test_noise_moves_it_to_either_side(name: str) -> None:
 def one_window(evidence: Evidence) -> Evidence:
     """Somebody who is seen for half a second, sitting."""
     person = evidence.people[0]
-    return replace(evidence, people=(replace(person, support_m=person.support_m[:1]),))
+    some = replace(person, support_m=person.support_m[:1], camera_m=person.camera_m[:1])
+    return replace(evidence, people=(some,))
 
 
 ROOM = World(noise=HONEST, objects=(Thing("table", (0.5, 4.0), 0.74),)).evidence()

@@ -15,10 +15,18 @@ FRAMES = 60
 LENS = Intrinsics.centered(800.0, 960, 540)
 
 
-def seen_by(turn: np.ndarray, center_m: np.ndarray, *, moving_ratio: float = 0.05, seed: int = 0) -> BackgroundTracks:
-    """Points 2 to 14 m away, tracked with noise of 0.3 px while they are in the image. A share of them moves."""
+def seen_by(
+    turn: np.ndarray,
+    center_m: np.ndarray,
+    *,
+    moving_ratio: float = 0.05,
+    depths_m: tuple[float, float] = (2, 14),
+    seed: int = 0,
+) -> BackgroundTracks:
+    """Points at depths from 2 to 14 m, tracked with noise of 0.3 px while they are in the image. A share of them
+    moves."""
     rng = np.random.default_rng(seed)
-    points_m = np.c_[rng.uniform(-12, 12, 800), rng.uniform(-4, 2, 800), rng.uniform(2, 14, 800)]
+    points_m = np.c_[rng.uniform(-12, 12, 800), rng.uniform(-4, 2, 800), rng.uniform(*depths_m, 800)]
     speed_m = (rng.random(800) < moving_ratio)[:, None] * rng.normal(0.0, 0.03, (800, 3))
     number, made = np.full(800, -1), 0
     frames, points, pixels = [], [], []
@@ -74,6 +82,33 @@ def test_a_camera_that_travels(turn: np.ndarray, center_m: np.ndarray) -> None:
     scale = (found * center_m).sum() / (found**2).sum()
     assert scale > 0
     assert np.linalg.norm(scale * found - center_m, axis=1).max() < 0.01 * np.abs(center_m).max()
+
+
+sideways_m = np.c_[0.02 * t, 0 * t, 0 * t]
+
+
+def test_what_a_camera_travels_past_has_a_known_depth() -> None:
+    """Points of the first frame are on its pixels, and as far apart in depth as they are."""
+    tracks = seen_by(still, sideways_m, moving_ratio=0.0)
+    path = path_of_tracks(tracks, FRAMES, LENS)
+    shown = path.points.in_first_frame
+    first = path.points.place[shown]
+    assert len(first) > 100
+    assert not shown.all(), "others come into view later"
+    pixel = first[:, :2] / first[:, 2:] * LENS.fx_px + [LENS.cx_px, LENS.cy_px]
+    apart_px = np.linalg.norm(pixel[:, None] - tracks.pixel[tracks.frame == 0], axis=-1).min(1)
+    assert apart_px.max() < 1.0
+    unit_m = np.linalg.norm(sideways_m[-1]) / np.linalg.norm(path.T_first_camera[-1, :3, 3])
+    depth_m = unit_m * first[:, 2]
+    assert depth_m.min() > 1.8
+    assert depth_m.max() < 16.0
+    assert np.median(path.points.log_sigma[shown]) < 0.05
+
+
+def test_points_at_one_distance_have_no_known_depth() -> None:
+    """Their motion is also that of a camera that turns, seen through a wrong lens."""
+    path = path_of_tracks(seen_by(still, sideways_m, depths_m=(9.8, 10.2)), FRAMES, LENS)
+    assert len(path.points.place) == 0
 
 
 def test_frames_without_background_are_interpolated_and_named() -> None:

@@ -20,7 +20,8 @@ def calibrated(bodies: BodyTracks, found: Calibration) -> BodyTracks:
     before = bodies.main.T_world_camera
     T_world_camera = before.copy()
     # The main person sets the scale of a moving camera's path.
-    T_world_camera[:, :3, 3] = found.body_height_ratio[0] * (before[:, :3, 3] - before[0, :3, 3])
+    ratio = found.body_height_ratio[0] * found.path_ratio
+    T_world_camera[:, :3, 3] = ratio * (before[:, :3, 3] - before[0, :3, 3])
     T_world_camera[:, 1, 3] += found.camera_height_m
     people = [
         _resized_body(body, float(ratio), T_world_camera)
@@ -34,7 +35,7 @@ def calibrated(bodies: BodyTracks, found: Calibration) -> BodyTracks:
         )
         for body in people
     ]
-    return BodyTracks(tuple(people), bodies.quality)
+    return BodyTracks(tuple(people), bodies.quality, found.path_log_sigma)
 
 
 def _resized_body(body: BodyMotion, ratio: float, T_world_camera: Float[np.ndarray, "frames 4 4"]) -> BodyMotion:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,6 +19,8 @@ class PersonEvidence:
     support_m: Float[np.ndarray, "windows 3"]
     """Lowest point of the skin in each window of 0.6 s, in which people who stand or walk have a foot on the ground,
     and those on their hands a hand."""
+    camera_m: Float[np.ndarray, "windows 3"]
+    """Where the camera was then."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +41,23 @@ class PixelEvidence:
     ray: Float[np.ndarray, "pixels 3"]
     """Viewing rays of unit z-depth."""
     value: Float[np.ndarray, "pixels"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointEvidence:
+    """Background points whose depth the motion of a traveling camera tells, where the first frame shows them."""
+
+    seen: PixelEvidence
+    depth_m: Float[np.ndarray, "pixels"]
+    """With the length of the camera's path by stage humans."""
+    log_sigma: Float[np.ndarray, "pixels"]
+    """Standard deviation of the logarithm of the depth relative to the length of the path."""
+    surface: Int[np.ndarray, "pixels"]
+    """Index of the object that the pixel shows, or `FLOOR` or `ROOM`."""
+
+
+FLOOR, ROOM = -1, -2
+"""Surfaces that are no objects."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,3 +97,8 @@ class Evidence:
     """Its standard deviation."""
     median_value: float
     """Median absolute value of relative depth; absolute, because the zero of some networks is inside the range."""
+    path_log_sigma: float = 0.0
+    """Standard deviation of the logarithm of the length of the camera's path by stage humans; 0 if the camera does not
+    travel."""
+    points: PointEvidence | None = None
+    """None if no depth is known by the camera's motion."""

@@ -17,9 +17,10 @@ from jaxtyping import Float
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import KDTree
 
-from video2anim.calibration.evidence import Evidence, PixelEvidence
+from video2anim.calibration.evidence import FLOOR, ROOM, Evidence, PersonEvidence, PixelEvidence, PointEvidence
 from video2anim.calibration.line import NEAREST, first_line
 from video2anim.humans.ground import SUPPORT_SIGMA_M, lowest_level
+from video2anim.types.camera import SLOPE_SIGMA_RAD
 from video2anim.types.scene import DEPTH_LOG_SIGMA
 
 
@@ -43,6 +44,8 @@ class Sigmas:
     """Row in which an object's mask ends. Near the horizon a pixel is far on the floor."""
     foot_log: float = 0.02
     """Distance of the floor at the lowest pixel of an object, logarithm: floors are not flat, lenses distort."""
+    slope_rad: float = SLOPE_SIGMA_RAD
+    """Of the ground. Near the horizon the slope makes ground much farther or nearer."""
     overhang_log: float = 0.08
     """An object may be so much nearer than its lowest pixel on the floor, logarithm: its lower edge may be above the
     floor."""
@@ -73,6 +76,10 @@ class Calibration:
     body_height_ratio: Float[np.ndarray, "persons"]
     """Sizes over those of stage humans."""
     body_height_log_sigma: Float[np.ndarray, "persons"]
+    path_ratio: float
+    """Length of a traveling camera's path over that of stage humans, for a main person of the size there."""
+    path_log_sigma: float
+    """0 if the camera does not travel."""
     above_floor_m: Float[np.ndarray, "persons"]
     """Height of each person's support over the floor, median."""
     scale: float
@@ -100,7 +107,8 @@ class _State:
         self.offset = problem.line[1] + x[2] * problem.unit
         self.person_log = x[3]
         self.size = np.exp(x[4 : 4 + n])
-        self.object_log = x[4 + n :]
+        self.object_log = x[4 + n :][: len(problem.evidence.objects)]
+        self.path_log = x[-1] if problem.evidence.path_log_sigma else 0.0
 
 
 class _Problem:
@@ -160,7 +168,7 @@ class _Problem:
         rows.append(("distances", depth_logs / s.distance_log, 1.0, np.inf))
         for number, (size, person) in enumerate(zip(state.size, e.people, strict=True)):
             rows.append(("body height", np.array([np.log(size) / person.body_height_sigma]), 1.0, np.inf))
-            low_m = size * person.support_m @ e.up
+            low_m = self.low_m(person, size, state)
             sigma_m = np.hypot(s.support_m * size, s.support_distance_ratio * low_m)
             weight = self.weight(len(low_m)) if number else 1.0
             off = (low_m + state.height_m) / sigma_m
@@ -175,7 +183,17 @@ class _Problem:
             skin_log = np.log(np.maximum(state.size[0] * skin_m, 0.1))
             off = (skin_log - state.person_log - self.inverse_log(seen.value, state)) / s.skin_log
             rows.append(("skin to its depth", off, (len(e.skin) / len(off)) ** 0.5, 1.0))
+        if e.path_log_sigma:
+            rows.append(("length of the path", np.array([state.path_log / e.path_log_sigma]), 1.0, np.inf))
+        if e.points is not None:
+            rows += self._points(e.points, state)
         return rows + self._objects(state)
+
+    def low_m(self, person: PersonEvidence, size: float, state: _State) -> np.ndarray:
+        """Height of the support of a person of a size above the first camera, for a path of another length."""
+        camera_m = person.camera_m @ self.evidence.up
+        path = state.size[0] * np.exp(state.path_log)
+        return size * (person.support_m @ self.evidence.up - camera_m) + path * camera_m
 
     def _floor(self, floor: PixelEvidence, state: _State) -> np.ndarray:
         return self.inverse_log(floor.value, state) - self._log_floor(floor.ray, state)
@@ -183,6 +201,23 @@ class _Problem:
     def _log_floor(self, ray: np.ndarray, state: _State) -> np.ndarray:
         """Logarithm of the depth at which rays meet the floor."""
         return np.log(state.height_m / np.maximum(-ray @ self.evidence.up, NEAREST))
+
+    def _points(self, points: PointEvidence, state: _State) -> list[tuple[str, np.ndarray, float, float]]:
+        """Points that the camera has passed, against the floor and against the depth of their pixels."""
+        s, ray, rows = self.sigmas, points.seen.ray, []
+        point_log = np.log(points.depth_m) + state.path_log + np.log(state.size[0])
+        depth_log = self.inverse_log(points.seen.value, state)
+        for surface in sorted(set(points.surface.tolist())):
+            own = points.surface == surface
+            weight, sigma = self.weight(int(own.sum())), points.log_sigma[own]
+            if surface == FLOOR:
+                off = point_log[own] - self._log_floor(ray[own], state)
+                slope_log = s.slope_rad / np.maximum(-ray[own] @ self.evidence.up, NEAREST)
+                rows.append(("points on the floor", off / np.hypot(sigma, slope_log), weight, 1.0))
+            off = point_log[own] - depth_log[own] - (state.object_log[surface] if surface >= 0 else 0.0)
+            of_network = s.distance_log if surface == ROOM else s.floor_log
+            rows.append(("points and depth", off / np.hypot(sigma, of_network), weight, 1.0))
+        return rows
 
     def _objects(self, state: _State) -> list[tuple[str, np.ndarray, float, float]]:
         e, s, rows = self.evidence, self.sigmas, []
@@ -217,7 +252,7 @@ def calibrate(evidence: Evidence, sigmas: Sigmas | None = None) -> Calibration:
     if not evidence.people or not len(evidence.people[0].support_m):
         raise ValueError("calibrate: want a person who was seen")
     problem = _Problem(evidence, sigmas or Sigmas())
-    x = np.zeros(4 + len(evidence.people) + len(evidence.objects))
+    x = np.zeros(4 + len(evidence.people) + len(evidence.objects) + (evidence.path_log_sigma > 0))
     found = _solve(problem, x)
     for _ in range(_ROUNDS):
         found = _solve(problem, found.x)
@@ -240,9 +275,11 @@ def _result(found: OptimizeResult, problem: _Problem) -> Calibration:
         camera_height_sigma_m=float(state.height_m * sigma[0]),
         body_height_ratio=state.size,
         body_height_log_sigma=sigma[4 : 4 + n],
+        path_ratio=float(np.exp(state.path_log)),
+        path_log_sigma=float(sigma[-1]) if e.path_log_sigma else 0.0,
         above_floor_m=np.array(
             [
-                state.height_m + np.median(size * one.support_m @ e.up)
+                state.height_m + np.median(problem.low_m(one, size, state))
                 for one, size in zip(e.people, state.size, strict=True)
             ]
         ),
@@ -255,7 +292,7 @@ def _result(found: OptimizeResult, problem: _Problem) -> Calibration:
         object_depth_log_sigma=np.array(
             [
                 np.hypot(own, 0.0 if one.foot is None else 0.5 * problem.sigmas.overhang_log)
-                for own, one in zip(sigma[4 + n :], e.objects, strict=True)
+                for own, one in zip(sigma[4 + n :][: len(e.objects)], e.objects, strict=True)
             ]
         ),
         residuals=_by_kind(problem.rows(x)),

@@ -12,10 +12,13 @@ from jaxtyping import Bool, Float
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import lowest_points, posed_vertices
 from video2anim.calibration.evidence import (
+    FLOOR,
+    ROOM,
     Evidence,
     ObjectEvidence,
     PersonEvidence,
     PixelEvidence,
+    PointEvidence,
     SkinEvidence,
 )
 from video2anim.calibration.fit import MIN_CAMERA_M, USUAL_HEIGHT_M
@@ -24,7 +27,7 @@ from video2anim.geometry.line_of_sight import visible_vertices
 from video2anim.geometry.masks import shrunk
 from video2anim.geometry.projection import invert_rigid, project, transform_points
 from video2anim.humans.ground import SUPPORT_WINDOW_S
-from video2anim.types import BackgroundImage, BodyMotion, BodyTracks, DepthClip, InstanceMasks
+from video2anim.types import BackgroundImage, BodyMotion, BodyTracks, CameraEstimate, DepthClip, InstanceMasks
 
 USUAL_OFFSET = {"room-depth": (1.25, 0.6)}
 """Offset of depth over scale times the median absolute value, and its standard deviation, by network: of the shipped
@@ -48,14 +51,15 @@ def person_evidence(body: BodyMotion, fps: float, body_height_sigma_m: float) ->
     shaped = shaped_body(body.shape)
     frames = np.flatnonzero(body.valid)
     _, lowest_m = lowest_points(body, shaped, frames)
-    windows = np.array_split(lowest_m, max(1, round(len(frames) / max(1.0, SUPPORT_WINDOW_S * fps))))
+    windows = np.array_split(np.arange(len(frames)), max(1, round(len(frames) / max(1.0, SUPPORT_WINDOW_S * fps))))
     # The tenth percentile: the lowest is the worst outlier.
-    low_m = [some[np.argsort(some[:, 1])[len(some) // 10]] for some in windows if len(some)]
-    support_m = np.array(low_m).reshape(-1, 3)
+    low = [some[np.argsort(lowest_m[some, 1])[len(some) // 10]] for some in windows if len(some)]
+    T_first_world = invert_rigid(body.view().T_world_camera)
     return PersonEvidence(
         person_id=body.person_id,
         body_height_sigma=body_height_sigma_m / float(np.ptp(shaped.rest_vertices_m[:, 1])),
-        support_m=transform_points(invert_rigid(body.view().T_world_camera), support_m),
+        support_m=transform_points(T_first_world, lowest_m[low].reshape(-1, 3)),
+        camera_m=transform_points(T_first_world, body.T_world_camera[frames[low], :3, 3].reshape(-1, 3)),
     )
 
 
@@ -84,6 +88,7 @@ def picture_evidence(
         usual_offset=usual,
         usual_offset_sigma=spread,
         median_value=_median_size(depth.background_value),
+        path_log_sigma=bodies.path_log_sigma,
     )
 
 
@@ -91,6 +96,32 @@ def _median_size(value: Float[np.ndarray, "height width"]) -> float:
     """Median absolute value; the largest one where the median is 0, and 1 where all are 0."""
     size = np.abs(value)
     return float(np.median(size)) or float(size.max()) or 1.0
+
+
+def with_points(
+    evidence: Evidence, depth: DepthClip, camera: CameraEstimate, main: BodyMotion, masks: InstanceMasks
+) -> Evidence:
+    """The evidence with the points that a traveling camera has passed, where the first frame shows them."""
+    first, paths = camera.points.in_first_frame, (main.T_world_camera, camera.T_first_camera)
+    if not first.any():
+        return evidence
+    length_m, length = (np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1).max() for T in paths)
+    point_m = camera.points.place[first] * length_m / length
+    shape = depth.background_value.shape
+    small = main.intrinsics.resized(shape[1], shape[0])
+    column, row = np.round(project(point_m, small)).astype(int).T
+    inside = (point_m[:, 2] > 0.1) & (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+    inside[inside] = depth.background_valid[row[inside], column[inside]]
+    if not inside.any():
+        return evidence
+    surface = np.full(shape, ROOM)
+    surface[shrunk(masks.floor_mask, shape)] = FLOOR
+    for number, one in enumerate(masks.instances):
+        surface[shrunk(one.mask, shape)] = number
+    row, column = row[inside], column[inside]
+    seen = PixelEvidence(point_m[inside] / point_m[inside, 2:], depth.background_value[row, column].astype(np.float64))
+    log_sigma = camera.points.log_sigma[first][inside]
+    return replace(evidence, points=PointEvidence(seen, point_m[inside, 2], log_sigma, surface[row, column]))
 
 
 def with_objects(evidence: Evidence, depth: DepthClip, main: BodyMotion, masks: InstanceMasks) -> Evidence:

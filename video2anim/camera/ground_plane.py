@@ -17,8 +17,6 @@ _MIN_SHARE = 0.4
 """Least share of the points that the ground holds. It holds 0.55 and 0.69 where it is right (`02_follow_walk`,
 `glamr_pexels_walking`), and planes of shorter paths, up to 17 degrees off, 0.03 to 0.25 (nine other clips of
 `benchmarks/moving_cameras.py` and `real_clips.py`)."""
-SLOPE_RAD = math.radians(1.5)
-"""Usual slope of ground: twice as much, 5 %, is a steep path and the limit of ramps for wheelchairs."""
 _DRAWS = 2000
 """Triples of points, which find a plane of that share with near certainty."""
 

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.camera.ground_plane import SLOPE_RAD, ground_up
+from video2anim.camera.ground_plane import ground_up
 from video2anim.geometry.perspective_field import FieldCamera
 from video2anim.humans.lifter_input import LiftedBody
 from video2anim.humans.lifting import Network, lift
 from video2anim.humans.observe import at_frame_times, observations
 from video2anim.types import Intrinsics, PersonTrack, PersonTracks, VideoClip
+from video2anim.types.camera import SLOPE_SIGMA_RAD
 from video2anim.types.clip import FPS
 
 _LIFTER_SIGMA_RAD = 0.1
@@ -114,4 +115,4 @@ def up_evidence(
         UpEvidence("people", by_lifter, _LIFTER_SIGMA_RAD),
         UpEvidence("image", image.up_camera, max(image.up_sigma_rad, 1 / focal_px)),
     ]
-    return (*sources, *([] if ground is None else [UpEvidence("ground", ground, SLOPE_RAD)]))
+    return (*sources, *([] if ground is None else [UpEvidence("ground", ground, SLOPE_SIGMA_RAD)]))

@@ -3,7 +3,7 @@
 Every value is a frozen dataclass of numpy arrays and plain values. `stored()` gives the file format of a field.
 """
 
-from video2anim.types.camera import CameraEstimate, Intrinsics, View
+from video2anim.types.camera import BackgroundPoints, CameraEstimate, Intrinsics, View
 from video2anim.types.clip import SourceInfo, SourceVideo, VideoClip
 from video2anim.types.contact import Contact
 from video2anim.types.metric import MetricDepth
@@ -33,6 +33,7 @@ from video2anim.types.storage import PayloadFile, Storage, stored
 
 __all__ = [
     "BackgroundImage",
+    "BackgroundPoints",
     "BodyMotion",
     "BodyShape",
     "BodyTracks",

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from pydantic import FiniteFloat, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from video2anim.types.checks import Checked
 from video2anim.types.storage import Holds
 
+SLOPE_SIGMA_RAD = math.radians(1.5)
+"""Usual slope of ground: twice as much, 5 %, is a steep path and the limit of ramps for wheelchairs."""
 _SAME_PERSPECTIVE = 0.5
 """Of the usual distance of the background: images from farther apart show it in different perspectives. Not
 measured."""
@@ -66,6 +69,23 @@ class View(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BackgroundPoints(Checked):
+    """Points of the background whose depth the motion of a traveling camera tells."""
+
+    place: Float[np.ndarray, "points 3"]
+    """In the first camera's axes, in the unit of `CameraEstimate.T_first_camera`."""
+    log_sigma: Float[np.ndarray, "points"]
+    """Standard deviation of the logarithm of the depth."""
+    in_first_frame: Bool[np.ndarray, "points"]
+    """Whether the first frame shows the point."""
+
+    @classmethod
+    def none(cls) -> BackgroundPoints:
+        """No points: a camera that does not travel."""
+        return cls(np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CameraEstimate(Checked):
     """Intrinsics and gravity of the clip's camera."""
 
@@ -80,7 +100,9 @@ class CameraEstimate(Checked):
     is_static: bool
     T_first_camera: Annotated[Float[np.ndarray, "frames 4 4"], Holds.RIGID]
     """Pose of each frame's camera in the first one's axes; identity if `is_static`. Unit of length: the usual distance
-    of the background, which images leave open (stage humans finds it in meters)."""
+    of the background, which images leave open (stages humans and metric find it in meters)."""
+    points: BackgroundPoints = field(default_factory=BackgroundPoints.none)
+    """Points of the background with known depth."""
 
     @property
     def up_in_frames(self) -> Float[np.ndarray, "frames 3"]:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from pydantic import FiniteFloat, NonNegativeInt
+from pydantic import FiniteFloat, NonNegativeFloat, NonNegativeInt
 
 from video2anim.errors import StageError
 from video2anim.types.camera import Intrinsics, View
@@ -173,6 +173,8 @@ class BodyTracks(_People):
 
     quality: Annotated[tuple[PersonQuality, ...], OnePer("people")] = ()
     """Quality of each person."""
+    path_log_sigma: NonNegativeFloat = 0.0
+    """Standard deviation of the logarithm of the length of a traveling camera's path."""
 
     @property
     def main(self) -> BodyMotion:
