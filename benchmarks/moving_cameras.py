@@ -7,7 +7,8 @@ Makes the clips of `video2anim synth --preset moving` in `<work>/truth`, runs th
 
 - turn: largest angle of the true camera from its first frame, and between true and estimated rotation, degrees;
 - path: largest distance of the true camera from its first position, m; path error: mean distance of the estimated one
-  from it, in the first camera's axes;
+  from it, in the first camera's axes; the same if the estimated scene had the true scale (height of the camera above the
+  floor), which the body height of people decides;
 - W-MPJPE of the result, and of the same motion relative to the camera if the camera is taken as fixed (mm).
 
 Writes `benchmarks/results/moving_cameras-<date>.json`.
@@ -47,6 +48,7 @@ class Row:
     turn_error_deg: float
     path_m: float
     path_error_m: float
+    path_error_at_scale_m: float
     w_mpjpe_mm: float
     w_mpjpe_fixed_mm: float
     pa_mpjpe_mm: float
@@ -95,6 +97,7 @@ def of_clip(scene_dir: Path, truth_dir: Path) -> Row:
     used = frames.known & motion.valid & true_person.valid[frames.true_index]
     T_true, T = true_person.T_world_camera[frames.true_index], motion.T_world_camera
     own, true = (invert_rigid(poses[0]) @ poses for poses in (T, T_true))
+    scale = T[0, 1, 3] / T_true[0, 1, 3]
     off = np.swapaxes(true[:, :3, :3], 1, 2) @ own[:, :3, :3]
     fixed = motion.in_world(np.broadcast_to(T[0], T.shape))
     true_m = true_person.joints_world_m[frames.true_index][used]
@@ -104,6 +107,7 @@ def of_clip(scene_dir: Path, truth_dir: Path) -> Row:
         float(np.rad2deg(Rotation.from_matrix(off).magnitude()).max()),
         float(np.linalg.norm(true[:, :3, 3], axis=1).max()),
         float(np.linalg.norm(own[:, :3, 3] - true[:, :3, 3], axis=1).mean()),
+        float(np.linalg.norm(own[:, :3, 3] / scale - true[:, :3, 3], axis=1).mean()),
         1000 * metrics.w_mpjpe(motion.joints_world_m[used], true_m),
         1000 * metrics.w_mpjpe(fixed.joints_world_m[used], true_m),
         1000 * metrics.pa_mpjpe(motion.joints_world_m[used], true_m),
@@ -112,7 +116,10 @@ def of_clip(scene_dir: Path, truth_dir: Path) -> Row:
 
 def table(rows: list[Row]) -> str:
     """Markdown: one row per clip, then the means."""
-    heads = ["clip", "turn, deg", "its error", "path, m", "its error, m", "W-MPJPE, mm", "camera fixed", "PA-MPJPE, mm"]
+    heads = [
+        "clip", "turn, deg", "its error", "path, m", "its error, m", "at true scale", "W-MPJPE, mm", "camera fixed",
+        "PA-MPJPE, mm",
+    ]  # fmt: skip
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for row in rows:
         name, *values = asdict(row).values()

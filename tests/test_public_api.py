@@ -15,6 +15,7 @@ from video2anim.types import BodyMotion
 
 TYPES = [
     "BackgroundImage",
+    "BackgroundPoints",
     "BodyMotion",
     "BodyShape",
     "BodyTracks",

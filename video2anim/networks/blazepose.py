@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from jaxtyping import Float, UInt8
 
 from video2anim.errors import ModelMissingError
 from video2anim.networks.blazepose_detector import BlazePoseDetector, Detections
-from video2anim.networks.landmarks import LANDMARKS
+from video2anim.networks.landmarks import LANDMARKS, MIRROR_LANDMARK
 from video2anim.networks.network import sigmoid
 from video2anim.networks.roi import SquareRoi
 from video2anim.networks.tflite import TfliteNet
@@ -27,6 +28,7 @@ from video2anim.networks.tflite import TfliteNet
 _ALL = 39
 """With the points of the next crop."""
 _CENTER, _RIM = LANDMARKS, LANDMARKS + 1
+_MIRROR = np.concatenate([MIRROR_LANDMARK, np.arange(LANDMARKS, _ALL)])
 _HEATMAP_KERNEL = 7
 _HEATMAP_MIN = 0.5
 
@@ -53,6 +55,22 @@ class PoseEstimate:
     def box_px(self) -> Float[np.ndarray, "4"]:
         """x0, y0, x1, y1 around the landmarks."""
         return np.concatenate([self.landmarks_px.min(axis=0), self.landmarks_px.max(axis=0)])
+
+
+class CropAnswer(NamedTuple):
+    """Output of the network for one crop, in crop coordinates [0, 1] and the crop's axes."""
+
+    presence: float
+    points_crop: Float[np.ndarray, "39 2"]
+    visibility: Float[np.ndarray, "39"]
+    world_m: Float[np.ndarray, "39 3"]
+    mask: Float[np.ndarray, "64 64"]
+
+    def mirrored(self) -> CropAnswer:
+        """Of the mirrored crop."""
+        points_crop, world_m = self.points_crop[_MIRROR], self.world_m[_MIRROR] * [-1.0, 1.0, 1.0]
+        points_crop = np.stack([1.0 - points_crop[:, 0], points_crop[:, 1]], -1)
+        return CropAnswer(self.presence, points_crop, self.visibility[_MIRROR], world_m, self.mask[:, ::-1])
 
 
 class BlazePose:
@@ -82,23 +100,33 @@ class BlazePose:
         return self._detector.detect(image, min_score=min_score)
 
     def estimate(self, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate:
-        """Landmarks of the person in the square."""
-        side = self._net.input_size_px
-        crop = roi.crop(image, side)
-        points, presence, mask_logit, heatmaps, world = self._net(crop.astype(np.float32) / 255.0)
-        points_crop, visibility = decode_landmarks(points[0], side)
-        points_crop = refine_by_heatmap(points_crop, heatmaps[0])
+        """Landmarks of the person in the square: the mean of those in the crop and in the mirrored crop, since a part
+        of the network's errors differs."""
+        crop = roi.crop(image, self._net.input_size_px).astype(np.float32) / 255.0
+        answers = self.answer(crop), self.answer(crop[:, ::-1]).mirrored()
+        presence, points_crop, visibility, world_m, mask = (
+            np.mean(both, axis=0) for both in zip(*answers, strict=True)
+        )
         points_px = roi.to_pixels(points_crop)
-        mask = cv2.resize(sigmoid(mask_logit[0, :, :, 0]), heatmaps.shape[1:3], interpolation=cv2.INTER_AREA)
         return PoseEstimate(
-            presence=float(presence[0, 0]),
+            presence=float(presence),
             landmarks_px=points_px[:LANDMARKS],
-            landmarks_m=turn_world(world[0].reshape(_ALL, 3)[:LANDMARKS], roi.rotation_rad),
+            landmarks_m=turn_world(world_m[:LANDMARKS], roi.rotation_rad),
             visibility=visibility[:LANDMARKS],
             mask_crop=np.rint(mask * 255.0).astype(np.uint8),
             roi=roi,
             next_roi=SquareRoi.from_circle(points_px[_CENTER], points_px[_RIM]),
         )
+
+    def answer(self, crop: Float[np.ndarray, "side side 3"]) -> CropAnswer:
+        """Output of the network for a crop of RGB in [0, 1]."""
+        points, presence, mask_logit, heatmaps, world = self._net(crop)
+        points_crop, visibility = decode_landmarks(points[0], self._net.input_size_px)
+        mask = cv2.resize(sigmoid(mask_logit[0, :, :, 0]), heatmaps.shape[1:3], interpolation=cv2.INTER_AREA)
+        return CropAnswer(
+            float(presence[0, 0]), refine_by_heatmap(points_crop, heatmaps[0]), visibility,
+            world[0].reshape(_ALL, 3).astype(np.float64), mask,
+        )  # fmt: skip
 
 
 def roi_of_detection(found: Detections, index: int) -> SquareRoi:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 BLAZEPOSE_OF_KEYPOINT: dict[str, int] = {
     "nose": 0, "left_eye": 2, "right_eye": 5, "left_ear": 7, "right_ear": 8,
     "left_shoulder": 11, "right_shoulder": 12, "left_elbow": 13, "right_elbow": 14,
@@ -13,3 +15,8 @@ BLAZEPOSE_OF_KEYPOINT: dict[str, int] = {
 """BlazePose GHUM landmark numbers (model card of BlazePose GHUM 3D)."""
 LANDMARKS = 1 + max(BLAZEPOSE_OF_KEYPOINT.values())
 """Landmarks of a person."""
+_PAIRS = ((1, 4), (2, 5), (3, 6), (7, 8), (9, 10), *((left, left + 1) for left in range(11, LANDMARKS, 2)))
+MIRROR_LANDMARK = np.arange(LANDMARKS)
+"""Each landmark's partner on the other side; the nose is its own."""
+for _left, _right in _PAIRS:
+    MIRROR_LANDMARK[[_left, _right]] = _right, _left
