@@ -7,8 +7,8 @@ Makes the clips of `video2anim synth --preset moving` in `<work>/truth`, runs th
 
 - turn: largest angle of the true camera from its first frame, and between true and estimated rotation, degrees;
 - path: largest distance of the true camera from its first position, m; path error: mean distance of the estimated one
-  from it, in the first camera's axes; the same if the estimated scene had the true scale (height of the camera above the
-  floor), which the body height of people decides;
+  from it, in the first camera's axes; the same if the estimated scene had the true scale (height of the camera above
+  the floor), which the body height of people decides;
 - W-MPJPE of the result, and of the same motion relative to the camera if the camera is taken as fixed (mm).
 
 Writes `benchmarks/results/moving_cameras-<date>.json`.
