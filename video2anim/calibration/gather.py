@@ -103,7 +103,7 @@ def with_points(
 ) -> Evidence:
     """The evidence with the points that a traveling camera has passed, where the first frame shows them."""
     first, paths = camera.points.in_first_frame, (main.T_world_camera, camera.T_first_camera)
-    if not first.any():
+    if not (camera.travels and first.any()):
         return evidence
     length_m, length = (np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1).max() for T in paths)
     point_m = camera.points.place[first] * length_m / length

@@ -43,8 +43,8 @@ _DEPTH_SIGMA = 0.1
 """Standard deviation of a point's depth, as a share of it, up to which it is known."""
 _MIN_SPREAD = 0.1
 """Robust standard deviation of the logarithm of distance below which no depth is known: points at one distance are what
-an error of the lens makes of a camera that turns. It is 0.04 on `gvhmr_tennis`, whose points are 5 to 50 m away, 0.4
-and more on `glamr_pexels_walking` and `monst3r_lady_running`, whose cameras travel."""
+an error of the lens makes of a camera that turns. It is 0.04 on `gvhmr_tennis`, whose points are 5 to 50 m away by eye,
+0.4 and more on `glamr_pexels_walking` and `monst3r_lady_running`, whose cameras travel."""
 _SAME_ERROR = 2.0
 """A camera only turns unless a path explains the median point so many times better. Inverse depths of pure noise in two
 keyframes make it 1.24 times better (half-normal and Rayleigh distribution), a bed on which children jump 1.45, cameras
