@@ -79,7 +79,7 @@ def run_chain(room: Room) -> Chain:
     ctx = StageContext(Path())
     depth = depth_of(room)
     masks = masks_of(room, depth, SegmentConfig(provider="geometric", finder="none"), ctx)
-    metric = fit_metric(room.clip, depth, room.background, room.bodies, masks, MetricConfig(), ctx)
+    metric = fit_metric(room.clip, depth, room.background, room.camera, room.bodies, masks, MetricConfig(), ctx)
     completed = complete_objects(room.background, masks, metric, CompleteConfig(), ctx)
     meshes = reconstruct_objects(completed, masks, metric, room.background, ReconstructConfig(**TRUE_RELIEF), ctx)
     placed = place_objects(meshes, masks, metric, PlaceConfig(), ctx)

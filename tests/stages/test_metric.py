@@ -25,7 +25,7 @@ def metric_of(
     """Stages segment (unless there are masks) and metric."""
     ctx = ctx or StageContext(Path())
     masks = masks or masks_of(room, depth, SegmentConfig(provider="geometric", finder="none"), ctx)
-    return fit_metric(room.clip, depth, room.background, room.bodies, masks, MetricConfig(), ctx)
+    return fit_metric(room.clip, depth, room.background, room.camera, room.bodies, masks, MetricConfig(), ctx)
 
 
 def floor_ratio(room: Room, found: MetricDepth) -> float:

@@ -100,7 +100,9 @@ def _stages(
     depth = depth or _depth(room, ctx)
     segment = SegmentConfig(provider="floor", finder="none")
     masks = segment_background(room.clip, room.background, depth, room.bodies, segment, ctx)
-    metric = fit_metric(room.clip, depth, room.background, room.bodies, masks, config or MetricConfig(), ctx)
+    metric = fit_metric(
+        room.clip, depth, room.background, room.camera, room.bodies, masks, config or MetricConfig(), ctx
+    )
     return masks, metric
 
 
@@ -223,7 +225,7 @@ def test_what_only_seems_a_floor_does_not_outweigh_the_body(room: Room) -> None:
     ctx = StageContext(Path(), load_model={"fake": TrueUpToALine(room, moody=False), "floor": Walls(room)}.__getitem__)
     depth = _depth(room, ctx)
     wall = InstanceMasks("walls", (), room.surface_full == WALL)
-    metric = fit_metric(room.clip, depth, room.background, room.bodies, wall, MetricConfig(), ctx)
+    metric = fit_metric(room.clip, depth, room.background, room.camera, room.bodies, wall, MetricConfig(), ctx)
     people = room.background.person_mask & metric.valid
     center_m = metric.bodies.people[0].joints_camera_m[room.background.frame_index].mean(1)[:, 2]
     off = [np.median(d[p]) / m for d, p, m in zip(metric.depth_m, people, center_m, strict=True) if p.any()]

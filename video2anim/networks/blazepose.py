@@ -72,6 +72,14 @@ class CropAnswer(NamedTuple):
         points_crop = np.stack([1.0 - points_crop[:, 0], points_crop[:, 1]], -1)
         return CropAnswer(self.presence, points_crop, self.visibility[_MIRROR], world_m, self.mask[:, ::-1])
 
+    def mean(self, other: CropAnswer) -> CropAnswer:
+        """Of two answers."""
+        return CropAnswer(
+            0.5 * (self.presence + other.presence), 0.5 * (self.points_crop + other.points_crop),
+            0.5 * (self.visibility + other.visibility), 0.5 * (self.world_m + other.world_m),
+            0.5 * (self.mask + other.mask),
+        )  # fmt: skip
+
 
 class BlazePose:
     """Person detector and landmark network."""
@@ -103,17 +111,14 @@ class BlazePose:
         """Landmarks of the person in the square: the mean of those in the crop and in the mirrored crop, since a part
         of the network's errors differs."""
         crop = roi.crop(image, self._net.input_size_px).astype(np.float32) / 255.0
-        answers = self.answer(crop), self.answer(crop[:, ::-1]).mirrored()
-        presence, points_crop, visibility, world_m, mask = (
-            np.mean(both, axis=0) for both in zip(*answers, strict=True)
-        )
-        points_px = roi.to_pixels(points_crop)
+        found = self.answer(crop).mean(self.answer(crop[:, ::-1]).mirrored())
+        points_px = roi.to_pixels(found.points_crop)
         return PoseEstimate(
-            presence=float(presence),
+            presence=found.presence,
             landmarks_px=points_px[:LANDMARKS],
-            landmarks_m=turn_world(world_m[:LANDMARKS], roi.rotation_rad),
-            visibility=visibility[:LANDMARKS],
-            mask_crop=np.rint(mask * 255.0).astype(np.uint8),
+            landmarks_m=turn_world(found.world_m[:LANDMARKS], roi.rotation_rad),
+            visibility=found.visibility[:LANDMARKS],
+            mask_crop=np.rint(found.mask * 255.0).astype(np.uint8),
             roi=roi,
             next_roi=SquareRoi.from_circle(points_px[_CENTER], points_px[_RIM]),
         )
