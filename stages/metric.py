@@ -116,4 +116,4 @@ def _record(found: Calibration, ctx: StageContext) -> None:
         ctx.quality("residual_" + kind.replace("'", "").replace(" ", "_"), off, "ratio", "lower")
 
 
-STAGE = StageSpec("metric", fit_metric, version=23)
+STAGE = StageSpec("metric", fit_metric, version=24)

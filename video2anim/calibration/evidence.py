@@ -73,8 +73,8 @@ class ObjectEvidence:
     top: PixelEvidence | None
     """Its highest pixel, if its foot is visible and its class has a usual height."""
     under_feet: SkinEvidence | None = None
-    """Soles of the main person that stood on it, and the object's depth there. Its foot is no evidence then: what
-    people stand on is the floor."""
+    """Soles of the main person that stood on it, and the object's depth there, or its median depth for soles above the
+    camera. Its foot is no evidence then, unless they are above the camera: what people stand on may be the floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

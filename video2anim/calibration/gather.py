@@ -213,7 +213,8 @@ class _ObjectMeasurer:
         self.value, self.depth_m, self.known, self.floor, self.main = value, depth_m, known, floor, main
         rows, columns = np.indices(value.shape)
         self.ray = _rays(rows, columns, main, value.shape)
-        self.rise, self.height_m = self.ray @ T[1, :3], float(T[1, 3])
+        self.up, self.height_m = T[1, :3], float(T[1, 3])
+        self.rise = self.ray @ self.up
 
     def object(
         self,
@@ -225,7 +226,9 @@ class _ObjectMeasurer:
         """Evidence of one object."""
         foot, cut = self._foot(own)
         soles = self._under_feet(own, main)
-        foot = foot if soles is None else None
+        # What people stand on may be the floor, but not above the camera.
+        if soles is not None and (soles.skin_m @ self.up < 0).any():
+            foot = None
         top = self._top(own) if foot is not None and label in USUAL_HEIGHT_M and not own[0].any() else None
         return ObjectEvidence(object_id, label, foot, cut, top, soles)
 
@@ -238,9 +241,11 @@ class _ObjectMeasurer:
         inside[inside] = inner[row[inside], column[inside]]
         if inside.sum() < _MIN_STOOD:
             return None
-        row, column = row[inside], column[inside]
+        row, column, sole_m = row[inside], column[inside], main.support_m[inside]
         value = self.value[row, column].astype(np.float64)
-        return SkinEvidence(main.support_m[inside], self.ray[row, column], value)
+        # From below its top is hidden, and the pixel is at its edge, where depth may be that of what is behind.
+        value[sole_m @ self.up > 0] = np.median(self.value[inner])
+        return SkinEvidence(sole_m, self.ray[row, column], value)
 
     def _at(self, row: int, column: int) -> PixelEvidence:
         return PixelEvidence(self.ray[[row], [column]], self.value[[row], [column]].astype(np.float64))
