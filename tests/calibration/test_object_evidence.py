@@ -37,6 +37,7 @@ def evidence_of(
     label: str = "object",
     floor_seen: bool = True,
     known: bool = True,
+    walks_m: tuple[float, float, float] = (0.9, 0.0, 2.0),
 ) -> Evidence:
     """Evidence of blocks (all, or some of them) as one object whose depth is `wrong` times what it should be, and of
     somebody who walks beside them."""
@@ -46,7 +47,7 @@ def evidence_of(
     assert mask.any()
     seen = (shot.shown != SKY) & (known | ~mask)
     none = np.zeros((0, *mask.shape), bool)
-    walk = with_root_shift(planted_walk(FRAMES), np.tile([0.9, 0.0, 2.0], (FRAMES, 1)))
+    walk = with_root_shift(planted_walk(FRAMES), np.tile(walks_m, (FRAMES, 1)))
     walk = replace(walk, T_world_camera=np.tile(T_world_camera, (FRAMES, 1, 1)), intrinsics=LENS)
     depth_m = np.where(mask, wrong * shot.depth_m, shot.depth_m)
     depth = DepthClip("depth", "geometric", np.zeros(0, int), none * 1.0, none * 1.0, none, depth_m, seen)
@@ -159,3 +160,20 @@ def test_a_far_foot_says_less_since_a_pixel_of_its_row_is_more_floor() -> None:
         calibrate(evidence_of([crate(distance_m)], 1.25, looks_at=(0.0, 0.5, distance_m))) for distance_m in (3.0, 9.0)
     )
     assert far.object_depth_log_sigma[0] > 1.12 * near.object_depth_log_sigma[0]  # 1.20; 1.07 without that
+
+
+@pytest.mark.parametrize("high_m", [0.6, 2.2])
+def test_soles_on_a_roof_meet_the_object_and_its_foot_counts_too(high_m: float) -> None:
+    """Above the camera the pixels of soles are at the edge of the front, whose depth is the object's. What is lower may
+    be the floor itself."""
+    block = Block((0.0, high_m / 2, 6.5), (3.0, high_m, 3.0))
+    evidence = evidence_of([block], looks_at=(0.0, 1.0, 5.0), walks_m=(0.0, high_m, 5.5))
+    (one,) = evidence.objects
+    assert one.under_feet is not None
+    if high_m < EYE_M[1]:
+        assert one.foot is None
+        np.testing.assert_allclose(one.under_feet.value, one.under_feet.skin_m[:, 2], rtol=0.1)
+    else:
+        assert one.foot is not None
+        np.testing.assert_allclose(one.under_feet.value, 5.0, rtol=0.05)
+        assert factor(evidence) == pytest.approx(1.0, abs=0.04)
