@@ -67,7 +67,7 @@ def test_points_tell_how_far_an_object_is(kind: str, offset: float) -> None:
 
 
 def test_ground_that_rises_says_little_far_away() -> None:
-    """By 1.5 degrees: 12 m away it is 12 m at 1.5 degrees of 7.6 below the horizon nearer, or a fifth."""
+    """By 1.5 degrees: what is 12 m away and 7.6 degrees below the horizon is nearer by a fifth."""
     world = World()
     rng = np.random.default_rng(0)
     rises_m = ground(world, rng, np.deg2rad(1.5))

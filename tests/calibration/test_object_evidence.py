@@ -38,9 +38,10 @@ def evidence_of(
     floor_seen: bool = True,
     known: bool = True,
     walks_m: tuple[float, float, float] = (0.9, 0.0, 2.0),
+    far_edge: float = 1.0,
 ) -> Evidence:
     """Evidence of blocks (all, or some of them) as one object whose depth is `wrong` times what it should be, and of
-    somebody who walks beside them."""
+    somebody who walks beside them. The depth of its uppermost pixels is `far_edge` times as large."""
     T_world_camera = looking(EYE_M, looks_at)
     shot = shoot(blocks, T_world_camera)
     mask = shot.mask(*(range(len(blocks)) if own is None else own))
@@ -50,6 +51,7 @@ def evidence_of(
     walk = with_root_shift(planted_walk(FRAMES), np.tile(walks_m, (FRAMES, 1)))
     walk = replace(walk, T_world_camera=np.tile(T_world_camera, (FRAMES, 1, 1)), intrinsics=LENS)
     depth_m = np.where(mask, wrong * shot.depth_m, shot.depth_m)
+    depth_m[mask & ~np.roll(mask, 8, axis=0)] *= far_edge
     depth = DepthClip("depth", "geometric", np.zeros(0, int), none * 1.0, none * 1.0, none, depth_m, seen)
     background = BackgroundImage(np.zeros((*mask.shape, 3), np.uint8), mask * 0.0, np.zeros(0, int), none, none)
     floor = shot.mask(FLOOR)
@@ -164,10 +166,11 @@ def test_a_far_foot_says_less_since_a_pixel_of_its_row_is_more_floor() -> None:
 
 @pytest.mark.parametrize("high_m", [0.6, 2.2])
 def test_soles_on_a_roof_meet_the_object_and_its_foot_counts_too(high_m: float) -> None:
-    """Above the camera the pixels of soles are at the edge of the front, whose depth is the object's. What is lower may
-    be the floor itself."""
+    """Above the camera the pixels of soles are at the edge of the front, where depth is that of what is behind: the
+    object's median counts. What is lower may be the floor itself."""
     block = Block((0.0, high_m / 2, 6.5), (3.0, high_m, 3.0))
-    evidence = evidence_of([block], looks_at=(0.0, 1.0, 5.0), walks_m=(0.0, high_m, 5.5))
+    far_edge = 1.0 if high_m < EYE_M[1] else 1.25
+    evidence = evidence_of([block], looks_at=(0.0, 1.0, 5.0), walks_m=(0.0, high_m, 5.5), far_edge=far_edge)
     (one,) = evidence.objects
     assert one.under_feet is not None
     if high_m < EYE_M[1]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from video2anim.body.anny_body import shaped_body
 from video2anim.body.contact import lowest_points, posed_vertices
@@ -108,10 +108,8 @@ def with_points(
     length_m, length = (np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1).max() for T in paths)
     point_m = camera.points.place[first] * length_m / length
     shape = depth.background_value.shape
-    small = main.intrinsics.resized(shape[1], shape[0])
-    column, row = np.round(project(point_m, small)).astype(int).T
-    inside = (point_m[:, 2] > 0.1) & (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
-    inside[inside] = depth.background_valid[row[inside], column[inside]]
+    row, column, inside = _pixels_of(point_m, main, shape)
+    inside &= depth.background_valid[row, column]
     if not inside.any():
         return evidence
     surface = np.full(shape, ROOM)
@@ -170,6 +168,15 @@ def skin_evidence(
     return tuple(found)
 
 
+def _pixels_of(
+    points_m: np.ndarray, body: BodyMotion, shape: tuple[int, ...]
+) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points"], Bool[np.ndarray, "points"]]:
+    """Row and column of points in an image of a shape, and whether they are in it; 0 if not."""
+    column, row = np.round(project(points_m, body.intrinsics.resized(shape[1], shape[0]))).astype(int).T
+    inside = (points_m[:, 2] > 0.1) & (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+    return np.where(inside, row, 0), np.where(inside, column, 0), inside
+
+
 def _rays(rows: Any, columns: Any, body: BodyMotion, shape: tuple[int, ...]) -> np.ndarray:
     """(..., 3) viewing rays of unit z-depth of the pixels of an image of a shape."""
     k = body.intrinsics.resized(shape[1], shape[0])
@@ -182,12 +189,10 @@ def _floor_pixels(
 ) -> PixelEvidence:
     """Pixels inside of segmented floor, evenly spread over the logarithm of distance, and those under standing feet."""
     shape = depth.background_value.shape
-    k = main.intrinsics.resized(shape[1], shape[0])
     sure = cv2.erode(floor.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     for person in people:
-        at = np.round(project(person.support_m[person.support_m[:, 2] > 0.1], k)).astype(int)
-        inside = ((at >= 0) & (at < [shape[1], shape[0]])).all(1)
-        sure[at[inside, 1], at[inside, 0]] = True
+        row, column, inside = _pixels_of(person.support_m, main, shape)
+        sure[row[inside], column[inside]] = True
     rows, columns = np.nonzero(sure & depth.background_valid)
     ray = _rays(rows, columns, main, shape)
     T = main.view().T_world_camera
@@ -235,10 +240,8 @@ class _ObjectMeasurer:
     def _under_feet(self, own: np.ndarray, main: PersonEvidence) -> SkinEvidence | None:
         """What stood inside the object's mask, where the background image shows the object."""
         inner = cv2.erode(own.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & self.known
-        small = self.main.intrinsics.resized(own.shape[1], own.shape[0])
-        column, row = np.round(project(main.support_m, small)).astype(int).T
-        inside = (main.support_m[:, 2] > 0.1) & (column >= 0) & (column < own.shape[1]) & (row >= 0) & (row < len(own))
-        inside[inside] = inner[row[inside], column[inside]]
+        row, column, inside = _pixels_of(main.support_m, self.main, own.shape)
+        inside &= inner[row, column]
         if inside.sum() < _MIN_STOOD:
             return None
         row, column, sole_m = row[inside], column[inside], main.support_m[inside]

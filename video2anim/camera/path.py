@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation, Slerp
+from scipy.stats import median_abs_deviation
 
 from video2anim.camera.background_tracks import MIN_POINTS, BackgroundMotion, BackgroundTracks
 from video2anim.camera.bundle_adjustment import (
@@ -101,7 +102,7 @@ def path_of_tracks(tracks: BackgroundTracks, frames: int, intrinsics: Intrinsics
         return path
     place = known_points(poses, rho, observed)[known] / rho[known, None]
     log = np.log(np.linalg.norm(place, axis=1))
-    if 1.4826 * np.median(np.abs(log - np.median(log))) < _MIN_SPREAD:
+    if 1.4826 * median_abs_deviation(log) < _MIN_SPREAD:
         return path
     return replace(path, points=BackgroundPoints(place, log_sigma[known], observed.anchor[known] == 0))
 
