@@ -1,8 +1,8 @@
 """Stage camera: focal length, up direction and path by user, metadata, perspective of the image, people, background.
 
 A network's perspective fields and the line segments of a few frames (`video2anim.camera.image_camera`) give focal
-length (`focal`) and up direction, of which people's poses are further evidence (`up`). The path of a moving camera
-comes from points of the background (`path`).
+length (`focal`) and up direction, of which people's poses are further evidence (`up`). Points of the background give
+the path of a moving camera (`path`), and correct its focal length.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from video2anim.camera.background_tracks import BackgroundMotion
+    from video2anim.camera.image_camera import ImageCamera
     from video2anim.camera.path import CameraPath
     from video2anim.camera.up import UpEvidence
-    from video2anim.geometry.perspective_field import FieldCamera
 
 _CONFLICT_RAD = math.radians(12)
 """Angle between a source of gravity and the estimate from which a warning names it: twice the error of people's poses,
@@ -61,17 +61,23 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
 
     _expect_sane(config, clip)
     motion = background_motion(clip, tracks)
-    image = _image_camera(clip, motion, config, ctx)
-    focal = estimate_focal(clip, image, config.focal_px)
-    intrinsics = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
-    path = camera_path(motion, clip.frame_count, intrinsics)
+    image = _image_camera(clip, motion, config.focal_px, config, ctx)
+    _report_image(image, clip, ctx)
+    focal = estimate_focal(clip, image.camera, config.focal_px)
+    lens = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
+    path = camera_path(motion, clip.frame_count, lens, focal.free_log_sigma)
+    if path.log_focal:
+        focal = focal.after_path(path.log_focal, path.focal_log_sigma)
+        lens = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
+        image = _image_camera(clip, motion, focal.focal_px, config, ctx)
+    up_by_image = image.camera.up_camera
     R_first_camera = path.T_first_camera[:, :3, :3]
-    people = lifted_people(tracks, clip, intrinsics, image.up_camera @ R_first_camera, ctx.model(config.model))
+    people = lifted_people(tracks, clip, lens, up_by_image @ R_first_camera, ctx.model(config.model))
     by_lifter = up_by_lifter(people, R_first_camera)
-    evidence = up_evidence(by_lifter, image, focal.focal_px, path.points.place)
+    evidence = up_evidence(by_lifter, image.camera, focal.focal_px, path.points.place)
     up, up_sigma_rad = combined_up(evidence)
     estimate = CameraEstimate(
-        intrinsics=intrinsics,
+        intrinsics=lens,
         focal_source=focal.source,
         focal_sigma_ratio=focal.sigma_ratio,
         up_camera=up,
@@ -126,21 +132,23 @@ def _report(estimate: CameraEstimate, motion: BackgroundMotion, path: CameraPath
     ctx.quality("roll", math.degrees(roll), "deg")
 
 
-def _image_camera(clip: VideoClip, motion: BackgroundMotion, config: CameraConfig, ctx: StageContext) -> FieldCamera:
+def _image_camera(
+    clip: VideoClip, motion: BackgroundMotion, focal_px: float | None, config: CameraConfig, ctx: StageContext
+) -> ImageCamera:
     from video2anim.camera.image_camera import image_camera
 
     count = config.field_frames if motion.is_static else 1
     frames = np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int))
-    found = image_camera(
-        clip, ctx.model(config.camera_model), frames.tolist(),
-        focal_px=config.focal_px, line_segments=config.line_segments,
-    )  # fmt: skip
+    model = ctx.model(config.camera_model)
+    return image_camera(clip, model, frames.tolist(), focal_px=focal_px, line_segments=config.line_segments)
+
+
+def _report_image(found: ImageCamera, clip: VideoClip, ctx: StageContext) -> None:
     if found.line_segments is not None:
         ctx.quality("line_segments", found.line_segments, "count")
         ctx.quality("focal_of_perspective_field", found.of_fields.focal_ratio * clip.height_px, "px")
     ctx.quality("focal_of_image", found.camera.focal_ratio * clip.height_px, "px")
     ctx.quality("focal_of_image_uncertainty", found.camera.focal_log_sigma, "ratio", "lower")
-    return found.camera
 
 
 def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
@@ -152,4 +160,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=27, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=28, models=("lifter", "camera"))

@@ -58,7 +58,7 @@ still = np.zeros((FRAMES, 3))
     "turn", [still, np.c_[0.1 * np.sin(t / 20), 0.01 * t, 0 * t]], ids=["still", "pan of 34 degrees"]
 )
 def test_a_camera_that_turns_stays_where_it_is(turn: np.ndarray) -> None:
-    path = path_of_tracks(seen_by(turn, still), FRAMES, LENS)
+    path = path_of_tracks(seen_by(turn, still), FRAMES, LENS, 0.0)
     assert path.located.all()
     assert turn_error_deg(path.T_first_camera, turn) < 0.05
     assert not path.T_first_camera[:, :3, 3].any()
@@ -76,12 +76,44 @@ def test_a_camera_that_turns_stays_where_it_is(turn: np.ndarray) -> None:
 )
 def test_a_camera_that_travels(turn: np.ndarray, center_m: np.ndarray) -> None:
     """Up to the unit of length, which images leave open."""
-    path = path_of_tracks(seen_by(turn, center_m), FRAMES, LENS)
+    path = path_of_tracks(seen_by(turn, center_m), FRAMES, LENS, 0.0)
     assert turn_error_deg(path.T_first_camera, turn) < 0.3
     found = path.T_first_camera[:, :3, 3]
     scale = (found * center_m).sum() / (found**2).sum()
     assert scale > 0
     assert np.linalg.norm(scale * found - center_m, axis=1).max() < 0.01 * np.abs(center_m).max()
+
+
+@pytest.mark.parametrize("assumed", [0.7, 1.3])
+@pytest.mark.parametrize(
+    ("turn", "center_m"),
+    [
+        (np.c_[0 * t, 0.0015 * t, 0 * t], still),
+        (np.c_[0 * t, 0.05 * np.sin(t / 15), 0 * t], np.c_[0.03 * t, 0 * t, 0 * t]),
+        (np.c_[0.02 * np.sin(t / 4), 0.05 * np.sin(t / 15), 0 * t], np.c_[0 * t, 0.03 * np.sin(t / 5), 0.05 * t]),
+    ],
+    ids=["pan of 5 degrees", "sideways", "forward"],
+)
+def test_a_camera_that_turns_tells_its_focal_length(turn: np.ndarray, center_m: np.ndarray, assumed: float) -> None:
+    """Images alone are off by 30 % outdoors."""
+    wrong = Intrinsics.centered(assumed * LENS.fx_px, 960, 540)
+    path = path_of_tracks(seen_by(turn, center_m), FRAMES, wrong, 0.15)
+    off = path.log_focal + np.log(assumed)
+    assert abs(off) < 0.01
+    assert abs(off) < 3 * path.focal_log_sigma < 0.03
+    assert turn_error_deg(path.T_first_camera, turn) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("turn", "center_m"),
+    [(still, still), (np.c_[0 * t, 0 * t, 0.01 * t], still), (still, np.c_[0 * t, 0 * t, 0.05 * t])],
+    ids=["still", "roll", "forward"],
+)
+def test_motion_that_suits_any_lens_leaves_the_focal_length(turn: np.ndarray, center_m: np.ndarray) -> None:
+    wrong = Intrinsics.centered(1.3 * LENS.fx_px, 960, 540)
+    path = path_of_tracks(seen_by(turn, center_m), FRAMES, wrong, 0.15)
+    assert abs(path.log_focal) < 0.01
+    assert path.focal_log_sigma == pytest.approx(0.15, rel=0.05)
 
 
 sideways_m = np.c_[0.02 * t, 0 * t, 0 * t]
@@ -90,7 +122,7 @@ sideways_m = np.c_[0.02 * t, 0 * t, 0 * t]
 def test_what_a_camera_travels_past_has_a_known_depth() -> None:
     """Points of the first frame are on its pixels, and as far apart in depth as they are."""
     tracks = seen_by(still, sideways_m, moving_ratio=0.0)
-    path = path_of_tracks(tracks, FRAMES, LENS)
+    path = path_of_tracks(tracks, FRAMES, LENS, 0.0)
     shown = path.points.in_first_frame
     first = path.points.place[shown]
     assert len(first) > 100
@@ -107,7 +139,7 @@ def test_what_a_camera_travels_past_has_a_known_depth() -> None:
 
 def test_points_at_one_distance_have_no_known_depth() -> None:
     """Their motion is also that of a camera that turns, seen through a wrong lens."""
-    path = path_of_tracks(seen_by(still, sideways_m, depths_m=(9.8, 10.2)), FRAMES, LENS)
+    path = path_of_tracks(seen_by(still, sideways_m, depths_m=(9.8, 10.2)), FRAMES, LENS, 0.0)
     assert len(path.points.place) == 0
 
 
@@ -115,7 +147,7 @@ def test_frames_without_background_are_interpolated_and_named() -> None:
     turn = np.c_[0 * t, 0.005 * t, 0 * t]
     tracks = seen_by(turn, still)
     kept = (tracks.frame < 20) | (tracks.frame > 22)
-    path = path_of_tracks(BackgroundTracks(tracks.frame[kept], tracks.point[kept], tracks.pixel[kept]), FRAMES, LENS)
+    path = path_of_tracks(BackgroundTracks(tracks.frame[kept], tracks.point[kept], tracks.pixel[kept]), FRAMES, LENS, 0.0)
     assert np.flatnonzero(~path.located).tolist() == [20, 21, 22]
     assert turn_error_deg(path.T_first_camera, turn) < 0.05
     assert path.faults(960) == ["3 of 60 frames show too little background to locate the camera"]
@@ -125,14 +157,14 @@ def test_a_background_that_no_path_explains_is_named() -> None:
     tracks = seen_by(still, still)
     rng = np.random.default_rng(0)
     scattered = tracks.pixel + rng.normal(0.0, 8.0, tracks.pixel.shape)
-    path = path_of_tracks(BackgroundTracks(tracks.frame, tracks.point, scattered), FRAMES, LENS)
+    path = path_of_tracks(BackgroundTracks(tracks.frame, tracks.point, scattered), FRAMES, LENS, 0.0)
     assert path.residual_px > 4
     assert "not reliable" in path.faults(960)[0]
 
 
 def test_without_background_the_camera_stays() -> None:
     nothing = BackgroundTracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
-    path = path_of_tracks(nothing, FRAMES, LENS)
+    path = path_of_tracks(nothing, FRAMES, LENS, 0.0)
     assert np.array_equal(path.T_first_camera, np.tile(np.eye(4), (FRAMES, 1, 1)))
     assert path.located.sum() == 1
 

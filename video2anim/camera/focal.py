@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from video2anim.geometry.perspective_field import FieldCamera
 from video2anim.types import VideoClip
@@ -28,9 +28,27 @@ class FocalEstimate:
     sigma_ratio: float
     """Standard deviation as a share of the focal length."""
     source: str
-    """`user`, `metadata` or `picture`, as in `CameraEstimate.focal_source`."""
+    """`user`, `metadata`, `picture` or `motion`, as in `CameraEstimate.focal_source`."""
     contradicted_px: float | None = None
     """Focal length by metadata that the images contradict; None where there is no contradiction."""
+
+    @property
+    def free_log_sigma(self) -> float:
+        """Standard deviation of its logarithm as an unknown of the camera's path; 0 if the user gave it."""
+        return 0.0 if self.source == "user" else self.sigma_ratio
+
+    def after_path(self, log_focal: float, log_sigma: float) -> FocalEstimate:
+        """The estimate that the path of a moving camera leaves.
+
+        Args:
+            log_focal: Logarithm of the focal length over this one.
+            log_sigma: Its standard deviation.
+        """
+        if self.source == "user":
+            return self
+        # What the motion tells outweighs what was known where it adds more information than there was.
+        source = "motion" if log_sigma < self.sigma_ratio / math.sqrt(2) else self.source
+        return replace(self, focal_px=self.focal_px * math.exp(log_focal), sigma_ratio=log_sigma, source=source)
 
 
 def metadata_focal_px(clip: VideoClip) -> float | None:

@@ -1,13 +1,14 @@
-"""Path of a moving camera from tracked points of the background.
+"""Path of a moving camera, and its focal length, from tracked points of the background.
 
 Keyframes are added one after the other: each is located by the points that are known, inverse depths follow from the
-poses, and a bundle adjustment improves both whenever the number of keyframes has doubled. All other frames are located
-by the result.
+poses, and a bundle adjustment improves both whenever the number of keyframes has doubled. The last one frees the focal
+length too: how the image of a camera that turns is distorted, or near and far points move past each other, tells it.
+All other frames are located by the result.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ from video2anim.camera.bundle_adjustment import (
     adjust,
     cost_of,
     errors,
+    focal_sigma_after,
     known_points,
     locate,
     rho_sigmas,
@@ -62,6 +64,10 @@ class CameraPath:
     """Frames with enough points; the others are interpolated."""
     residual_px: float
     """Median distance of the points from where the path has them."""
+    log_focal: float
+    """Logarithm of the focal length that explains the points, over the one given."""
+    focal_log_sigma: float
+    """Its standard deviation."""
     points: BackgroundPoints
     """Points of the background whose depth is known; none for a camera that only turns."""
 
@@ -79,32 +85,46 @@ class CameraPath:
         return found
 
 
-def camera_path(motion: BackgroundMotion, frames: int, intrinsics: Intrinsics) -> CameraPath:
-    """Path of the camera in a clip of so many frames; a static camera's is known."""
+def camera_path(motion: BackgroundMotion, frames: int, intrinsics: Intrinsics, focal_log_sigma: float) -> CameraPath:
+    """Path of the camera in a clip of so many frames; a static camera's is known.
+
+    Args:
+        motion: Of the background.
+        frames: Count of frames.
+        intrinsics: Lens as known from elsewhere.
+        focal_log_sigma: Standard deviation of the logarithm of its focal length; 0 if it is not to change.
+    """
     if motion.is_static:
-        return CameraPath(np.tile(np.eye(4), (frames, 1, 1)), np.ones(frames, bool), 0.0, BackgroundPoints.none())
-    return path_of_tracks(motion.tracks, frames, intrinsics)
+        still = np.tile(np.eye(4), (frames, 1, 1))
+        return CameraPath(still, np.ones(frames, bool), 0.0, 0.0, focal_log_sigma, BackgroundPoints.none())
+    return path_of_tracks(motion.tracks, frames, intrinsics, focal_log_sigma)
 
 
-def path_of_tracks(tracks: BackgroundTracks, frames: int, intrinsics: Intrinsics) -> CameraPath:
-    """The path that explains tracked points."""
+def path_of_tracks(tracks: BackgroundTracks, frames: int, intrinsics: Intrinsics, focal_log_sigma: float) -> CameraPath:
+    """The path, and the focal length, that explain tracked points; arguments as in `camera_path`."""
     k = intrinsics
     seen = (tracks.pixel - [k.cx_px, k.cy_px]) / [k.fx_px, k.fy_px]
     long_side_px = max(k.width_px, k.height_px)
     sigma = _SIGMA_RATIO * long_side_px / k.fx_px
     keyframes = _keyframes(tracks, frames, _KEYFRAME_SHIFT * long_side_px)
     observed, row_of = _observations(tracks, seen, keyframes, sigma)
-    poses, rho = _keyframe_poses(observed, len(keyframes))
-    path = _all_frames(tracks, seen, row_of, (poses, rho, observed), frames, k.fx_px)
+    poses, rho = _keyframe_poses(observed, len(keyframes), focal_log_sigma)
+    T, located, residual_px = _all_frames(tracks, seen, row_of, (poses, rho, observed), frames, k.fx_px)
+    after = focal_sigma_after(poses, rho, observed, focal_log_sigma)
+    points = _points_of_known_depth(poses, rho, observed)
+    return CameraPath(T, located, residual_px, poses.log_focal, after, points)
+
+
+def _points_of_known_depth(poses: Poses, rho: np.ndarray, observed: Observations) -> BackgroundPoints:
     log_sigma = rho_sigmas(poses, rho, observed) / np.maximum(rho, 1e-9)
     known = log_sigma < _DEPTH_SIGMA
     if not known.any():
-        return path
+        return BackgroundPoints.none()
     place = known_points(poses, rho, observed)[known] / rho[known, None]
     log = np.log(np.linalg.norm(place, axis=1))
     if 1.4826 * median_abs_deviation(log) < _MIN_SPREAD:
-        return path
-    return replace(path, points=BackgroundPoints(place, log_sigma[known], observed.anchor[known] == 0))
+        return BackgroundPoints.none()
+    return BackgroundPoints(place, log_sigma[known], observed.anchor[known] == 0)
 
 
 def _keyframes(tracks: BackgroundTracks, frames: int, shift_px: float) -> Int[np.ndarray, "keyframes"]:
@@ -140,7 +160,9 @@ def _observations(
     return Observations(camera[others], row_of[tracks.point[others]], seen[others], camera[first], ray, sigma), row_of
 
 
-def _keyframe_poses(seen: Observations, keyframes: int) -> tuple[Poses, Float[np.ndarray, "points"]]:
+def _keyframe_poses(
+    seen: Observations, keyframes: int, focal_sigma: float
+) -> tuple[Poses, Float[np.ndarray, "points"]]:
     """Poses of the keyframes and inverse depths of the points."""
     poses, rho = Poses(np.eye(3)[None], np.zeros((1, 3))), np.ones(len(seen.ray))
     for camera in range(1, keyframes):
@@ -166,8 +188,8 @@ def _keyframe_poses(seen: Observations, keyframes: int) -> tuple[Poses, Float[np
             poses, rho = min(fits, key=lambda fit: cost_of(*fit, known))
     if not len(seen.point):
         return Poses(np.tile(np.eye(3), (keyframes, 1, 1)), np.zeros((keyframes, 3))), rho
-    turning = adjust(Poses(poses.R, np.zeros((keyframes, 3))), np.zeros(len(rho)), seen)
-    moving = adjust(poses, rho, seen)
+    turning = adjust(Poses(poses.R, np.zeros((keyframes, 3))), np.zeros(len(rho)), seen, focal_sigma=focal_sigma)
+    moving = adjust(poses, rho, seen, focal_sigma=focal_sigma)
     off = [float(np.median(np.linalg.norm(errors(*fit, seen), axis=1))) for fit in (turning, moving)]
     # Of two coordinates of every observation, an inverse depth takes one per point.
     freedom = 1 - len(np.unique(seen.point)) / max(2 * len(seen.point), 1)
@@ -211,9 +233,11 @@ def _all_frames(
     keyframe_result: tuple[Poses, np.ndarray, Observations],
     frames: int,
     focal_px: float,
-) -> CameraPath:
-    """Every frame located by the points of the keyframes, each from the pose of the frame before."""
+) -> tuple[Float[np.ndarray, "frames 4 4"], Bool[np.ndarray, "frames"], float]:
+    """Every frame located by the points of the keyframes, each from the pose of the frame before; which frames have
+    enough of them, and the median error in pixels."""
     poses, rho, observed = keyframe_result
+    zoom = np.exp(poses.log_focal)
     points = known_points(poses, rho, observed)
     R, center = np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3))
     found, off = np.zeros(frames, bool), [np.zeros(1)]
@@ -227,7 +251,7 @@ def _all_frames(
             continue
         some = row_of[tracks.point[own]]
         R[frame], center[frame], error = locate(
-            points[some], rho[some], seen[own], observed.sigma, (R[frame - 1], center[frame - 1])
+            points[some], rho[some], seen[own] / zoom, observed.sigma / zoom, (R[frame - 1], center[frame - 1])
         )
         found[frame] = True
         off.append(error * observed.sigma * focal_px)
@@ -237,4 +261,4 @@ def _all_frames(
     center = np.stack([np.interp(clamped, at, center[at, axis]) for axis in range(3)], 1)
     T = np.tile(np.eye(4), (frames, 1, 1))
     T[:, :3, :3], T[:, :3, 3] = R, center
-    return CameraPath(T, found, float(np.median(np.concatenate(off))), BackgroundPoints.none())
+    return T, found, float(np.median(np.concatenate(off)))

@@ -91,7 +91,7 @@ class CameraEstimate(Checked):
 
     intrinsics: Intrinsics
     focal_source: str
-    """`user`, `metadata` or `picture` (perspective of the image)."""
+    """`user`, `metadata`, `picture` (perspective of the image) or `motion` (of the background, if the camera moves)."""
     focal_sigma_ratio: NonNegativeFloat
     """Standard deviation of the focal length divided by the focal length."""
     up_camera: Annotated[Float[np.ndarray, "3"], Holds.DIRECTION]
