@@ -41,6 +41,7 @@ from typing import Any
 
 import av
 import numpy as np
+from court_camera import court_camera
 
 from scenemi import metrics
 from scenemi.metrics import align_similarity
@@ -205,17 +206,26 @@ def depth_order(metric: MetricDepth, masks: InstanceMasks, background: Backgroun
 
 def camera_off(clip: str, body: BodyMotion, media: Path) -> dict[str, float]:
     """Errors of focal length (%) and gravity (degrees). For `ocv` the reference itself has an error of 2 degrees."""
+    if clip == "gvhmr_tennis":
+        court = court_camera()
+        return _camera_off(body, court.focal_px, court.up_camera)
     path = media / "reference" / f"{clip}.json"
     if not path.is_file():
         return {}
     known = json.loads(path.read_text())
     camera = known.get("camera", known)
-    off = {"lens off, %": 100 * (body.intrinsics.fx_px / camera["fx"] - 1)}
     if "R_camera_world" not in camera:
-        return off
+        return _camera_off(body, camera["fx"], None)
     # The world of `ocv` has y up, that of `pose2sim` z up.
-    up = np.array(camera["R_camera_world"])[:, 2 if "up_in_camera" in known else 1]
-    return off | {"gravity off, deg": float(np.degrees(np.arccos(np.clip(up @ body.T_world_camera[0, 1, :3], -1, 1))))}
+    return _camera_off(body, camera["fx"], np.array(camera["R_camera_world"])[:, 2 if "up_in_camera" in known else 1])
+
+
+def _camera_off(body: BodyMotion, focal_px: float, up_camera: np.ndarray | None) -> dict[str, float]:
+    off = {"lens off, %": 100 * (body.intrinsics.fx_px / focal_px - 1)}
+    if up_camera is None:
+        return off
+    angle = np.arccos(np.clip(up_camera @ body.T_world_camera[0, 1, :3], -1, 1))
+    return off | {"gravity off, deg": float(np.degrees(angle))}
 
 
 def misses_px(motion: BodyMotion, track: PersonTrack) -> np.ndarray:

@@ -147,7 +147,9 @@ def test_frames_without_background_are_interpolated_and_named() -> None:
     turn = np.c_[0 * t, 0.005 * t, 0 * t]
     tracks = seen_by(turn, still)
     kept = (tracks.frame < 20) | (tracks.frame > 22)
-    path = path_of_tracks(BackgroundTracks(tracks.frame[kept], tracks.point[kept], tracks.pixel[kept]), FRAMES, LENS, 0.0)
+    path = path_of_tracks(
+        BackgroundTracks(tracks.frame[kept], tracks.point[kept], tracks.pixel[kept]), FRAMES, LENS, 0.0
+    )
     assert np.flatnonzero(~path.located).tolist() == [20, 21, 22]
     assert turn_error_deg(path.T_first_camera, turn) < 0.05
     assert path.faults(960) == ["3 of 60 frames show too little background to locate the camera"]
