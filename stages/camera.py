@@ -61,15 +61,14 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
 
     _expect_sane(config, clip)
     motion = background_motion(clip, tracks)
-    image = _image_camera(clip, motion, config.focal_px, config, ctx)
-    _report_image(image, clip, ctx)
+    image = _image_camera(clip, motion, config, ctx)
     focal = estimate_focal(clip, image.camera, config.focal_px)
     lens = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
     path = camera_path(motion, clip.frame_count, lens, focal.free_log_sigma)
     if path.log_focal:
         focal = focal.after_path(path.log_focal, path.focal_log_sigma)
         lens = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
-        image = _image_camera(clip, motion, focal.focal_px, config, ctx)
+        image = image.with_focal(focal.focal_px / clip.height_px)
     up_by_image = image.camera.up_camera
     R_first_camera = path.T_first_camera[:, :3, :3]
     people = lifted_people(tracks, clip, lens, up_by_image @ R_first_camera, ctx.model(config.model))
@@ -132,23 +131,21 @@ def _report(estimate: CameraEstimate, motion: BackgroundMotion, path: CameraPath
     ctx.quality("roll", math.degrees(roll), "deg")
 
 
-def _image_camera(
-    clip: VideoClip, motion: BackgroundMotion, focal_px: float | None, config: CameraConfig, ctx: StageContext
-) -> ImageCamera:
+def _image_camera(clip: VideoClip, motion: BackgroundMotion, config: CameraConfig, ctx: StageContext) -> ImageCamera:
     from video2anim.camera.image_camera import image_camera
 
     count = config.field_frames if motion.is_static else 1
     frames = np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int))
-    model = ctx.model(config.camera_model)
-    return image_camera(clip, model, frames.tolist(), focal_px=focal_px, line_segments=config.line_segments)
-
-
-def _report_image(found: ImageCamera, clip: VideoClip, ctx: StageContext) -> None:
-    if found.line_segments is not None:
-        ctx.quality("line_segments", found.line_segments, "count")
+    found = image_camera(
+        clip, ctx.model(config.camera_model), frames.tolist(),
+        focal_px=config.focal_px, line_segments=config.line_segments,
+    )  # fmt: skip
+    if found.segments:
+        ctx.quality("line_segments", float(np.mean([len(one.ends) for one in found.segments])), "count")
         ctx.quality("focal_of_perspective_field", found.of_fields.focal_ratio * clip.height_px, "px")
     ctx.quality("focal_of_image", found.camera.focal_ratio * clip.height_px, "px")
     ctx.quality("focal_of_image_uncertainty", found.camera.focal_log_sigma, "ratio", "lower")
+    return found
 
 
 def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:

@@ -8,7 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from video2anim.geometry.perspective_field import FieldCamera, PerspectiveField, field_of_camera, fit_camera
+from video2anim.geometry.perspective_field import (
+    FieldCamera,
+    PerspectiveField,
+    field_of_camera,
+    fit_camera,
+    pitch_roll_of,
+    up_of,
+)
 
 ROWS, SIGMA_RAD = 12, 0.03
 
@@ -218,3 +225,24 @@ def test_expected_errors_that_are_no_numbers_are_refused(name: str) -> None:
     sigmas = {"up_sigma_rad": field.up_sigma_rad, "latitude_sigma_rad": field.latitude_sigma_rad} | {name: broken}
     with pytest.raises(ValueError):
         fit_camera([PerspectiveField(field.up, field.latitude_rad, **sigmas)], 4 / 3)
+
+
+def test_the_horizon_of_a_network_that_does_not_know_the_lens_stays() -> None:
+    """A telephoto lens seen as one of 1.0: the horizon is 0.29 image heights above the center in both."""
+    field = FieldCamera(1.0, up_of(math.atan(-0.29), 0.03), np.diag([0.05**2, 0.02**2, 0.02**2]))
+    found = field.with_focal(2.5)
+    pitch, roll = pitch_roll_of(found.up_camera)
+    assert found.focal_ratio == 2.5
+    assert 2.5 * math.tan(pitch) == pytest.approx(-0.29, rel=0.02)
+    assert roll == pytest.approx(0.03)
+    assert found.focal_log_sigma < 0.01
+
+
+def test_a_focal_length_within_the_error_of_the_field_leaves_its_pitch() -> None:
+    """What the covariance says of both still counts: the pitch is surer once the focal length is known."""
+    covariance = np.array([[0.2**2, 0.008, 0.0], [0.008, 0.05**2, 0.0], [0.0, 0.0, 0.02**2]])
+    field = FieldCamera(1.0, up_of(-0.28, 0.03), covariance)
+    found = field.with_focal(1.15)
+    np.testing.assert_allclose(found.up_camera, field.up_camera, atol=1e-12)
+    assert found.covariance[1, 1] == pytest.approx(0.05**2 - 0.008**2 / 0.2**2)
+    assert found.covariance[2, 2] == pytest.approx(0.02**2)

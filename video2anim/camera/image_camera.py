@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import UInt8
 
-from video2anim.geometry.line_segments import camera_with_edges, detect_line_segments
+from video2anim.geometry.line_segments import LineSegments, camera_with_edges, detect_line_segments
 from video2anim.geometry.perspective_field import FieldCamera, PerspectiveField, fit_camera
 from video2anim.types import VideoClip
 from video2anim.video import read_frame
@@ -31,9 +31,22 @@ class ImageCamera:
     camera: FieldCamera
     """The estimate."""
     of_fields: FieldCamera
-    """The estimate before the correction by line segments."""
-    line_segments: float | None
-    """Line segments per frame, mean; None where they were not used."""
+    """What the perspective fields alone say, the focal length included."""
+    segments: tuple[LineSegments, ...]
+    """Line segments of each frame; none where they are not used."""
+
+    @classmethod
+    def of(
+        cls, of_fields: FieldCamera, segments: tuple[LineSegments, ...], focal_ratio: float | None = None
+    ) -> ImageCamera:
+        """The estimate from fields and segments; `focal_ratio` is the focal length in image heights if it is known."""
+        known = focal_ratio is not None
+        camera = of_fields.with_focal(focal_ratio) if known else of_fields
+        return cls(camera_with_edges(camera, segments, focal_known=known), of_fields, segments)
+
+    def with_focal(self, focal_ratio: float) -> ImageCamera:
+        """The same evidence of gravity if the focal length, in image heights, is known from elsewhere."""
+        return ImageCamera.of(self.of_fields, self.segments, focal_ratio)
 
 
 def image_camera(
@@ -57,11 +70,7 @@ def image_camera(
         InputError: the clip's video cannot be read.
     """
     images = [read_frame(clip, frame) for frame in frames]
-    known = None if focal_px is None else focal_px / clip.height_px
     fields = [model.field(image) for image in images]
-    camera = fit_camera(fields, clip.width_px / clip.height_px, focal_ratio=known)
-    if not line_segments:
-        return ImageCamera(camera, camera, None)
-    segments = [detect_line_segments(image) for image in images]
-    corrected = camera_with_edges(camera, segments, focal_known=known is not None)
-    return ImageCamera(corrected, camera, float(np.mean([len(one.ends) for one in segments])))
+    segments = tuple(detect_line_segments(image) for image in images) if line_segments else ()
+    known = None if focal_px is None else focal_px / clip.height_px
+    return ImageCamera.of(fit_camera(fields, clip.width_px / clip.height_px), segments, known)

@@ -18,8 +18,8 @@ from scipy.optimize import least_squares
 
 _STARTS = (0.55, 0.95, 1.7)
 """Focal lengths, in picture heights, that the fit starts from."""
-_HELD = 1e-3
-"""A known focal length may move by this share, for the sake of the solver."""
+_KNOWN_SIGMA = 1e-3
+"""Standard deviation of the logarithm of a known focal length: far below that of any field."""
 _INDEPENDENT_CELLS = 2.3
 """So many independent observations all fields of a view are worth together; calibrated on held-out renders
 (`benchmarks/room_net.py`)."""
@@ -65,6 +65,22 @@ class FieldCamera:
         """Vertical field of view."""
         return 2 * math.atan(0.5 / self.focal_ratio)
 
+    def with_focal(self, focal_ratio: float) -> FieldCamera:
+        """What the field says of gravity if the focal length is known from elsewhere.
+
+        A network that knows no such lens sees where the horizon is, and turns it into an angle by a focal length of its
+        own. So the horizon stays for the part of the focal length's error that the network's standard deviation does
+        not expect (James and Stein's estimator of one mean), the pitch for the rest.
+        """
+        error = math.log(self.focal_ratio / focal_ratio)
+        unexpected = max(0.0, 1 - self.covariance[0, 0] / error**2) if error else 0.0
+        pitch, roll = pitch_roll_of(self.up_camera)
+        pitch = math.atan(math.tan(pitch) * math.exp(unexpected * error))
+        covariance = np.diag([_KNOWN_SIGMA**2, 0.0, 0.0])
+        along = self.covariance[1:, 0]
+        covariance[1:, 1:] = self.covariance[1:, 1:] - np.outer(along, along) / self.covariance[0, 0]
+        return FieldCamera(focal_ratio, up_of(pitch, roll), covariance)
+
 
 def field_of_camera(
     rows: int, columns: int, aspect: float, focal_ratio: float, up_camera: Float[np.ndarray, "3"]
@@ -84,7 +100,7 @@ def field_of_camera(
     return in_picture, np.arcsin(np.clip(along / np.sqrt(1 + ray_x**2 + ray_y**2), -1, 1))
 
 
-def fit_camera(fields: Sequence[PerspectiveField], aspect: float, *, focal_ratio: float | None = None) -> FieldCamera:
+def fit_camera(fields: Sequence[PerspectiveField], aspect: float) -> FieldCamera:
     """The one camera that explains the fields of one or several pictures of the same view best.
 
     Robust (soft L1) least squares of up directions and latitudes over their expected errors, from several starts.
@@ -94,7 +110,6 @@ def fit_camera(fields: Sequence[PerspectiveField], aspect: float, *, focal_ratio
     Args:
         fields: Perspective fields.
         aspect: Width over height of the pictures.
-        focal_ratio: Focal length in picture heights where it is known; only gravity is fitted then.
 
     Raises:
         ValueError: there is no field, or one holds values that are not finite.
@@ -116,11 +131,9 @@ def fit_camera(fields: Sequence[PerspectiveField], aspect: float, *, focal_ratio
     center = np.mean([_middle_up(field) for field in fields], axis=0)
     roll = math.atan2(center[0], -center[1])
     best = None
-    for start_ratio in _STARTS if focal_ratio is None else (focal_ratio,):
-        middle_log = math.log(start_ratio)
-        start = np.array([middle_log, float(latitude), roll])
-        lens = (math.log(0.2), math.log(8.0)) if focal_ratio is None else (middle_log - _HELD, middle_log + _HELD)
-        bounds = ([lens[0], -1.5, roll - 1.5], [lens[1], 1.5, roll + 1.5])
+    bounds = ([math.log(0.2), -1.5, roll - 1.5], [math.log(8.0), 1.5, roll + 1.5])
+    for start_ratio in _STARTS:
+        start = np.array([math.log(start_ratio), float(latitude), roll])
         found = least_squares(residuals, start, loss="soft_l1", bounds=bounds, x_scale=[0.1, 0.05, 0.05])
         if best is None or found.cost < best.cost:
             best = found
@@ -128,14 +141,8 @@ def fit_camera(fields: Sequence[PerspectiveField], aspect: float, *, focal_ratio
     # What the cells miss beyond what they expected is shared by all of them.
     spread = max(1.0, float(np.median(np.abs(best.fun))) / 0.6)
     information = best.jac.T @ best.jac / (best.fun.size / 2) * _INDEPENDENT_CELLS / spread**2
-    if focal_ratio is not None:
-        information[0, 0] += _HELD**-2
     covariance = np.linalg.inv(information + 1e-9 * np.eye(3))
-    return FieldCamera(
-        focal_ratio=math.exp(best.x[0]) if focal_ratio is None else focal_ratio,
-        up_camera=up_of(best.x[1], best.x[2]),
-        covariance=covariance,
-    )
+    return FieldCamera(math.exp(best.x[0]), up_of(best.x[1], best.x[2]), covariance)
 
 
 def up_of(pitch_rad: Any, roll_rad: Any) -> Float[np.ndarray, "*batch 3"]:
